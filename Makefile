@@ -1,0 +1,138 @@
+# Every target sets up .venv by itself on a fresh machine; a repeated call finds it ready. C is not
+# built here: the editable install rebuilds the core when Python imports it and a source changed.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+VERSION := $(shell sed -n 's/^.define RTHYB_VERSION "\(.*\)"/\1/p' csrc/rthyb.h)
+# A changed version or a moved repository asks for a new installation, as a changed build file does.
+KEY := $(VERSION)-$(word 1,$(shell pwd | cksum))
+READY := $(VENV)/.ready-$(KEY)
+TEST_READY := $(VENV)/.test-$(KEY)
+LINT_READY := $(VENV)/.lint-$(KEY)
+C_SOURCES := $(wildcard csrc/*.c)
+C_FILES := $(C_SOURCES) $(wildcard csrc/*.h)
+
+# Another environment that happens to be active must not reach into this one.
+unexport VIRTUAL_ENV PYTHONPATH PYTHONHOME CONDA_PREFIX
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# cmake and ninja of the environment serve where the system has none.
+export PATH := $(PATH):$(CURDIR)/$(BIN)
+
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+.PHONY: help run reproduce test sanitize bench lint clean
+
+help:
+	@echo 'make run        a whole hybrid test on the built-in ground motion'
+	@echo "make reproduce  the paper's studies: figures, tables, accepted bands"
+	@echo 'make test       the test suite'
+	@echo 'make sanitize   the test suite on a core built with ASan and UBSan'
+	@echo 'make bench      computing times beside the facts of this machine'
+	@echo 'make lint       formatters, linters, type checker, compiler warnings'
+	@echo 'make clean      remove .venv, build and caches; runs/ stays'
+
+run: $(READY)
+	@$(BIN)/rthyb run
+
+reproduce: $(READY)
+	@$(BIN)/rthyb reproduce
+
+test: $(TEST_READY)
+	@$(BIN)/python -m pytest
+
+bench: $(TEST_READY)
+	@$(BIN)/python tests/bench/bench.py
+
+lint: $(LINT_READY)
+	@echo 'ruff' && $(BIN)/ruff check --quiet . && $(BIN)/ruff format --check --quiet .
+	@echo 'mypy --strict' && $(BIN)/mypy --strict --no-error-summary rthyb_rt
+	@echo 'clang-format' && $(BIN)/clang-format --dry-run -Werror $(C_FILES)
+	@echo 'compiler warnings' && mkdir -p build && { \
+	    cmake -S csrc -B build/lint -DRTHYB_PYTHON=OFF -DRTHYB_WERROR=ON && cmake --build build/lint; \
+	    } >build/lint.log 2>&1 || { cat build/lint.log; exit 1; }
+	@echo 'clang-tidy' && printf '%s\n' $(C_SOURCES) \
+	    | xargs -n 1 -P 2 $(BIN)/clang-tidy -p build/lint --quiet
+
+# The interpreter is not instrumented, so the sanitizer's library is loaded before it; libstdc++ must
+# follow at once, or other packages' C++ exceptions are missed. Python frees too little at its end
+# for a leak check to mean anything. A second environment, laid over .venv, holds the instrumented
+# core; what measures computing time is left out.
+OVERLAY := build/sanitize/venv
+sanitize: $(TEST_READY)
+	@echo 'Building the core with ASan and UBSan'
+	@test -x $(OVERLAY)/bin/python || $(BIN)/python -m venv --without-pip $(OVERLAY)
+	@$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
+	    >"$$($(OVERLAY)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/venv.pth"
+	@$(BIN)/python -m pip --python $(OVERLAY)/bin/python install -qq --no-deps --no-build-isolation \
+	    --force-reinstall -Cbuild-dir=build/sanitize/core -Ceditable.rebuild=false -Cinstall.strip=false \
+	    -Ccmake.define.RTHYB_SANITIZE=address,undefined -e .
+	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so.6)" \
+	    ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
+	    $(OVERLAY)/bin/python -m pytest -p no:cacheprovider --capture=sys -m 'not speed'
+
+clean:
+	@rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# ---- the environment ------------------------------------------------------------------------------
+
+# Debian packages that are missing: a C compiler that finds its headers, a Python >= 3.11 that can
+# make an environment, and its headers.
+MISSING = $(shell \
+    py() { $(PYTHON) -c "$$1" >/dev/null 2>&1; }; \
+    command -v gcc >/dev/null || echo gcc; \
+    echo '\#include <math.h>' | gcc -E - >/dev/null 2>&1 || echo libc6-dev; \
+    py '' || echo $(notdir $(PYTHON)); \
+    py 'import ensurepip, venv' || echo $(notdir $(PYTHON))-venv; \
+    py 'import os, sysconfig as s; os.stat(s.get_path("include") + "/Python.h")' \
+        || echo $(notdir $(PYTHON))-dev)
+TOO_OLD = $(shell $(PYTHON) -c 'import sys; v = sys.version_info; v < (3, 11) and print(*v[:3], sep=".")' \
+    2>/dev/null)
+CAN_INSTALL = $(shell test "$$(id -u)" -eq 0 && command -v apt-get)
+
+# One line and a stop, unless the tools are there or root can have them installed.
+define require_tools
+$(eval old := $(strip $(TOO_OLD)))
+$(if $(old),$(error $(PYTHON) is Python $(old), 3.11 or newer is needed: make PYTHON=/path/to/python3.11))
+$(eval missing := $(strip $(MISSING)))
+$(if $(missing),$(if $(CAN_INSTALL),,$(error Install what is missing: sudo apt-get install $(missing))))
+$(if $(missing),@echo 'Installing $(missing)' && apt-get -qq update \
+    && DEBIAN_FRONTEND=noninteractive \
+    apt-get -qq install -y --no-install-recommends $(missing) >/dev/null)
+endef
+
+# The rebuild on import looks for cmake on the PATH of whoever imports.
+define FIND_CMAKE
+import pathlib, sysconfig
+scripts, packages = (pathlib.Path(sysconfig.get_path(name)) for name in ("scripts", "purelib"))
+if (scripts / "cmake").exists():
+    (packages / "rthyb_cmake.pth").write_text(
+        'import os, sys; os.environ["PATH"] = os.pathsep.join('
+        '(os.environ.get("PATH", os.defpath), os.path.join(sys.prefix, "bin")))\n'
+    )
+endef
+export FIND_CMAKE
+
+$(READY): pyproject.toml csrc/CMakeLists.txt csrc/cffi_build.py
+	$(require_tools)
+	@echo 'Setting up $(VENV)'
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
+	@$(BIN)/python -m pip install -qq --upgrade 'pip>=25.1'
+	@$(BIN)/python -m pip install -qq --group build
+	@needs=$$($(BIN)/python -c 'from scikit_build_core.build import get_requires_for_build_editable as f; \
+	    print(*f())') && { test -z "$$needs" || $(BIN)/python -m pip install -qq $$needs; }
+	@$(BIN)/python -c "$$FIND_CMAKE"
+	@echo 'Building the C core and installing rthyb'
+	@$(BIN)/python -m pip install -qq --no-build-isolation -e '.[report,fit]'
+	@rm -f $(VENV)/.ready-* && touch $@
+
+$(TEST_READY): $(READY)
+	@echo 'Installing what the tests need'
+	@$(BIN)/python -m pip install -qq --group test
+	@rm -f $(VENV)/.test-* && touch $@
+
+$(LINT_READY): $(READY)
+	@echo 'Installing the linters'
+	@$(BIN)/python -m pip install -qq --group lint
+	@rm -f $(VENV)/.lint-* && touch $@

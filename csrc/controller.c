@@ -1,0 +1,183 @@
+/* One sample of the controller: gate -> estimator -> RFC -> motion -> PLC -> limiter. A pure
+ * function of (state, input). */
+#include "numeric.h"
+
+#define FREEZE_AFTER 3       /* lost samples in a row after which alpha and k_t are held */
+#define EXTRAPOLATE_UNTIL 20 /* lost samples in a row until which the measurement is extrapolated */
+#define RAW_X_M 1e-9
+#define RAW_F_N 1e-3
+#define COMMAND_MAX_M (1e2 * RTHYB_DISPLACEMENT_MAX_M)
+
+static int limit_ok(const rthyb_limit *limit)
+{
+    return limit->value >= 0.0 && limit->value <= RTHYB_FORCE_MAX_N &&
+           limit->action >= RTHYB_NONE && limit->action <= RTHYB_TRIP_TEST;
+}
+
+int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cfg)
+{
+    if (!(cfg->period_s > 0.0 && cfg->period_s <= 1.0))
+        return RTHYB_E_PERIOD;
+    if (!limit_ok(&cfg->position) || !limit_ok(&cfg->force) || !limit_ok(&cfg->tracking) ||
+        !(cfg->velocity_limit_m_per_s >= 0.0 && cfg->acceleration_limit_m_per_s2 >= 0.0 &&
+          cfg->x_range_m >= 0.0 && cfg->f_range_n >= 0.0))
+        return RTHYB_E_LIMIT;
+    *c = (rthyb_controller){.cfg = *cfg, .state = RTHYB_RUNNING};
+    int error = rthyb_plc_init(&c->plc, cfg->estimator.w1, cfg->estimator.w2, 0.0);
+    if (!error)
+        error = rthyb_estimator_init(&c->estimator, &cfg->estimator, 0.0);
+    if (!error)
+        error = rthyb_rfc_init(&c->rfc, &cfg->rfc, 0.0, 0.0);
+    if (!error)
+        error = rthyb_motion_init(&c->motion, &cfg->motion, 0.0);
+    c->alpha = cfg->estimator.alpha0;
+    c->beta = cfg->estimator.beta0;
+    return error;
+}
+
+static int beyond_sensor(double value, double range)
+{
+    return range > 0.0 && fabs(value) > range;
+}
+
+/* Takes the pair of this tick, or makes one up at constant velocity. */
+static int gate(const rthyb_controller *c, const rthyb_input *in, double *x, double *f)
+{
+    int code = judge(in->x_meas_m, RTHYB_DISPLACEMENT_MAX_M) | judge(in->f_meas_n, RTHYB_FORCE_MAX_N);
+    if (beyond_sensor(in->x_meas_m, c->cfg.x_range_m) ||
+        beyond_sensor(in->f_meas_n, c->cfg.f_range_n))
+        code |= RTHYB_S_OUT_OF_RANGE;
+    if (in->lost)
+        code = RTHYB_OK;
+    if (code == RTHYB_OK && !in->lost) {
+        *x = in->x_meas_m;
+        *f = in->f_meas_n;
+        return code;
+    }
+    const double ahead = c->missing < EXTRAPOLATE_UNTIL ? 1.0 : 0.0;
+    *x = clamp(c->x_m1 + ahead * (c->x_m1 - c->x_m2), -RTHYB_DISPLACEMENT_MAX_M,
+               RTHYB_DISPLACEMENT_MAX_M);
+    *f = clamp(c->f1 + ahead * (c->f1 - c->f2), -RTHYB_FORCE_MAX_N, RTHYB_FORCE_MAX_N);
+    return code;
+}
+
+/* Energy that the tracking error feeds into the structure (Mosqueda et al. 2007) and tracking
+ * indicator (Mercan & Ricles 2007; falling while x_m lags). */
+static void monitor(rthyb_controller *c, double x, double f)
+{
+    const double error = x - c->x_num, error1 = c->x_m1 - c->x_num1;
+    c->energy_error += 0.5 * (f + c->f1) * (error - error1);
+    c->tracking_indicator += 0.5 * (0.5 * (x + c->x_m1) * (c->x_num - c->x_num1) -
+                                    0.5 * (c->x_num + c->x_num1) * (x - c->x_m1));
+    int code = RTHYB_OK;
+    c->energy_error = confine(c->energy_error, 1e300, &code);
+    c->tracking_indicator = confine(c->tracking_indicator, 1e300, &code);
+}
+
+/* alpha and beta follow the estimator no faster than one increment limit of the command a tick. */
+static void follow_estimate(rthyb_controller *c, double slope, double curvature)
+{
+    const double allowed = c->cfg.velocity_limit_m_per_s * c->cfg.period_s;
+    const double d_alpha = c->estimator.alpha - c->alpha, d_beta = c->estimator.beta - c->beta;
+    const double s = (c->plc.w1 + c->plc.w2 + 1.0) / c->plc.w1;
+    const double effect = fabs(s) * (fabs(d_alpha * slope) + fabs(d_beta * curvature));
+    const double share = allowed > 0.0 && effect > allowed ? allowed / effect : 1.0;
+    c->alpha += share * d_alpha;
+    c->beta += share * d_beta;
+}
+
+/* Acceleration, velocity, position: the last one wins. */
+static double limit_command(const rthyb_controller *c, double wanted)
+{
+    const double h = c->cfg.period_s, v_max = c->cfg.velocity_limit_m_per_s;
+    const double a_max = c->cfg.acceleration_limit_m_per_s2, x_max = c->cfg.position.value;
+    double step = wanted - c->x_cmd;
+    if (a_max > 0.0) {
+        const double before = c->x_cmd - c->x_cmd1;
+        step = clamp(step, before - a_max * h * h, before + a_max * h * h);
+    }
+    if (v_max > 0.0)
+        step = clamp(step, -v_max * h, v_max * h);
+    const double command = step == wanted - c->x_cmd ? wanted : c->x_cmd + step;
+    const double most = x_max > 0.0 && c->cfg.position.action != RTHYB_NONE ? x_max : COMMAND_MAX_M;
+    return clamp(command, -most, most);
+}
+
+static int exceeds(const rthyb_limit *limit, double value, int bit)
+{
+    if (limit->action == RTHYB_NONE || !(limit->value > 0.0) || !(fabs(value) > limit->value))
+        return RTHYB_OK;
+    return limit->action == RTHYB_TRIP_TEST ? bit | RTHYB_S_TRIP : bit;
+}
+
+static int32_t raw(double value, double unit)
+{
+    return (int32_t)clamp(nearbyint(value / unit), -2147483648.0, 2147483647.0);
+}
+
+static void write_record(const rthyb_controller *c, const rthyb_input *in, double x, double f,
+                         uint32_t flags, int code, rthyb_record *record)
+{
+    const uint64_t n = c->tick;
+    *record = (rthyb_record){
+        .tick = n,
+        .due_ns = (int64_t)nearbyint((double)n * c->cfg.period_s * 1e9),
+        .flags = flags,
+        .generation = c->generation,
+        .x_raw = raw(x, RAW_X_M),
+        .f_raw = raw(f, RAW_F_N),
+        .state = (uint8_t)c->state,
+        .code = (uint8_t)code,
+        .ag_mps2 = c->cfg.motion.integrator == RTHYB_PRESCRIBED ? 0.0 : in->excitation,
+        .x_num_m = c->x_num,
+        .x_plc_m = c->x_plc,
+        .x_cmd_m = c->x_cmd,
+        .x_meas_m = x,
+        .f_meas_n = f,
+        .alpha = c->alpha,
+        .beta = c->beta,
+        .k_t_n_per_m = c->rfc.k_n_per_m,
+        .energy_error_j = c->energy_error,
+        .tracking_indicator_m2 = c->tracking_indicator,
+    };
+}
+
+int rthyb_controller_step(rthyb_controller *c, const rthyb_input *in, rthyb_record *record)
+{
+    double x, f, force, x_num, x_plc;
+    int code = gate(c, in, &x, &f);
+    const int made_up = in->lost || code != RTHYB_OK;
+    c->missing = made_up ? c->missing + (c->missing < UINT32_MAX) : 0;
+    const int frozen = c->missing >= FREEZE_AFTER;
+    monitor(c, x, f);
+    code |= rthyb_estimator_step(&c->estimator, c->x_cmd, x, frozen);
+    code |= rthyb_rfc_step(&c->rfc, c->x_num, x, f, frozen, &force);
+    code |= rthyb_motion_step(&c->motion, in->excitation, force, &x_num);
+    follow_estimate(c, x_num - c->plc.x1, x_num - 2.0 * c->plc.x1 + c->plc.x2);
+    code |= rthyb_plc_step(&c->plc, c->alpha, c->beta, x_num, &x_plc);
+    if (!c->cfg.plc_enabled)
+        x_plc = x_num;
+    const double x_cmd = limit_command(c, x_plc);
+    if (x_cmd != x_plc)
+        code |= RTHYB_S_LIMITED;
+    code |= exceeds(&c->cfg.position, x_plc, RTHYB_S_POSITION_LIMIT);
+    code |= exceeds(&c->cfg.force, f, RTHYB_S_FORCE_LIMIT);
+    code |= exceeds(&c->cfg.tracking, x - c->x_num, RTHYB_S_TRACKING_LIMIT);
+    if (code & RTHYB_S_NOT_FINITE)
+        code |= RTHYB_S_TRIP;
+    const uint32_t flags = (made_up ? RTHYB_F_PREDICTED : RTHYB_F_FRESH) |
+                           (frozen ? RTHYB_F_FROZEN : 0u) |
+                           (code & RTHYB_S_LIMITED ? RTHYB_F_LIMITED : 0u);
+    write_record(c, in, x, f, flags, code, record);
+    c->x_m2 = c->x_m1;
+    c->x_m1 = x;
+    c->f2 = c->f1;
+    c->f1 = f;
+    c->x_num1 = c->x_num;
+    c->x_num = x_num;
+    c->x_plc = x_plc;
+    c->x_cmd1 = c->x_cmd;
+    c->x_cmd = x_cmd;
+    c->tick++;
+    return code;
+}

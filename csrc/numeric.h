@@ -1,0 +1,52 @@
+/* Small numerical helpers shared by the kernels; nothing here crosses the library's boundary. */
+#ifndef RTHYB_NUMERIC_H
+#define RTHYB_NUMERIC_H
+
+#include <math.h>
+
+#include "rthyb.h"
+
+/* No laboratory moves a kilometre or pushes a teranewton: beyond this a value is a fault, and
+ * squares and products of what is within it cannot overflow. */
+#define RTHYB_DISPLACEMENT_MAX_M 1e3
+#define RTHYB_FORCE_MAX_N 1e12
+#define RTHYB_PI 3.14159265358979323846
+
+static inline double clamp(double v, double low, double high)
+{
+    return v < low ? low : (v > high ? high : v);
+}
+
+/* RTHYB_OK, NOT_FINITE or OUT_OF_RANGE. Written so that NaN fails the comparison. */
+static inline int judge(double v, double limit)
+{
+    if (fabs(v) <= limit)
+        return RTHYB_OK;
+    return isfinite(v) ? RTHYB_S_OUT_OF_RANGE : RTHYB_S_NOT_FINITE;
+}
+
+/* The value, or the last good one with the reason in *code. */
+static inline double accept(double v, double limit, double last_good, int *code)
+{
+    const int verdict = judge(v, limit);
+    *code |= verdict;
+    return verdict == RTHYB_OK ? v : last_good;
+}
+
+/* Clamps a state that an unstable computation drove off, and says so. NaN becomes 0. */
+static inline double confine(double v, double limit, int *code)
+{
+    const int verdict = judge(v, limit);
+    if (verdict == RTHYB_OK)
+        return v;
+    *code |= verdict;
+    return isnan(v) ? 0.0 : clamp(v, -limit, limit);
+}
+
+/* tanh, without its cost where it is 1 to the last digit: the smoothed sign of friction laws. */
+static inline double smooth_sign(double ratio)
+{
+    return fabs(ratio) > 19.0 ? copysign(1.0, ratio) : tanh(ratio);
+}
+
+#endif

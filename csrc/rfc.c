@@ -1,0 +1,142 @@
+/* Restoring-force compensator. What the equation of motion is given instead of the measured force
+ * is f + k_exp (x_c - x_m) (Eqn 3.2), with the tangent stiffness k_exp of the last T0 samples
+ * (Eqn 3.3) held between 0 and k_e. The window is summed anew every sample: a running sum would
+ * keep the trace of one absurd sample for ever. */
+#include "numeric.h"
+
+#define RATIO_MAX 1e15
+#define SPREAD_GATE 16.0 /* least squares: variance of x_m in the window over that of its noise */
+
+/* Sums over a window run in four lanes, which fixes their order and lets the compiler use SIMD. */
+typedef double lanes __attribute__((vector_size(32)));
+
+static inline void load(lanes *v, const double *p)
+{
+    __builtin_memcpy(v, p, sizeof *v);
+}
+
+static inline double sum_lanes(const lanes *v)
+{
+    return ((*v)[0] + (*v)[1]) + ((*v)[2] + (*v)[3]);
+}
+
+int rthyb_rfc_init(rthyb_rfc *rfc, const rthyb_rfc_config *cfg, double x0_m, double f0_n)
+{
+    if (cfg->window < 1 || cfg->window > RTHYB_WINDOW_MAX)
+        return RTHYB_E_WINDOW;
+    if (!(cfg->k_e_n_per_m > 0.0 && cfg->k_e_n_per_m <= RTHYB_FORCE_MAX_N))
+        return RTHYB_E_STIFFNESS;
+    if (!(cfg->rest_noise_m >= 0.0 && cfg->rest_noise_m <= 1.0) ||
+        cfg->tangent < RTHYB_TANGENT_MEAN_OF_RATIOS || cfg->tangent > RTHYB_TANGENT_LEAST_SQUARES ||
+        cfg->divisor < RTHYB_DIVISOR_PRINTED || cfg->divisor > RTHYB_DIVISOR_TERMS)
+        return RTHYB_E_STIFFNESS;
+    *rfc = (rthyb_rfc){.cfg = *cfg, .k_n_per_m = cfg->k_e_n_per_m, .ratio = cfg->k_e_n_per_m};
+    rfc->x1 = rfc->c1 = x0_m;
+    rfc->f1 = f0_n;
+    return 0;
+}
+
+static void push(rthyb_rfc *rfc, double x, double f)
+{
+    const uint32_t length = rfc->cfg.window + 1; /* k = n-T0 ... n: T0 + 1 terms */
+    rfc->head = rfc->head + 1 < length ? rfc->head + 1 : 0;
+    rfc->x[rfc->head] = x;
+    rfc->f[rfc->head] = f;
+    if (rfc->filled < length)
+        rfc->filled++;
+}
+
+static double window_sum(const double *x, uint32_t n)
+{
+    lanes total = {0.0, 0.0, 0.0, 0.0}, four;
+    uint32_t i = 0;
+    for (; i + 4 <= n; i += 4) {
+        load(&four, x + i);
+        total += four;
+    }
+    double sum = sum_lanes(&total);
+    for (; i < n; i++)
+        sum += x[i];
+    return sum;
+}
+
+/* Eqn 3.3. Where x_m stands still the term is 0/0: it takes the value of the term before it. */
+static double mean_of_ratios(rthyb_rfc *rfc, double dx, double df)
+{
+    if (dx != 0.0)
+        rfc->ratio = clamp(df / dx, -RATIO_MAX, RATIO_MAX);
+    push(rfc, rfc->ratio, 0.0);
+    const double terms = rfc->cfg.divisor == RTHYB_DIVISOR_PRINTED && rfc->filled > 1
+                             ? (double)rfc->filled - 1.0
+                             : (double)rfc->filled;
+    return window_sum(rfc->x, rfc->filled) / terms;
+}
+
+/* Slope of the regression line of f on x_m over the same T0 + 1 samples; holds k while x_m has not
+ * moved beyond its noise. Sums are taken from the newest sample to keep their digits. */
+static double least_squares(rthyb_rfc *rfc, double x, double f)
+{
+    push(rfc, x, f);
+    const uint32_t n = rfc->filled;
+    lanes vx = {0.0, 0.0, 0.0, 0.0}, vf = vx, vxx = vx, vxf = vx, dx, df;
+    uint32_t i = 0;
+    for (; i + 4 <= n; i += 4) {
+        load(&dx, rfc->x + i);
+        load(&df, rfc->f + i);
+        dx -= x;
+        df -= f;
+        vx += dx;
+        vf += df;
+        vxx += dx * dx;
+        vxf += dx * df;
+    }
+    double sx = sum_lanes(&vx), sf = sum_lanes(&vf), sxx = sum_lanes(&vxx), sxf = sum_lanes(&vxf);
+    for (; i < n; i++) {
+        const double dx1 = rfc->x[i] - x, df1 = rfc->f[i] - f;
+        sx += dx1;
+        sf += df1;
+        sxx += dx1 * dx1;
+        sxf += dx1 * df1;
+    }
+    const double spread = sxx - sx * sx / n;
+    const double noise = rfc->cfg.rest_noise_m;
+    /* Rounding leaves spread of a frozen window within 1e-14 of sxx + x^2. */
+    if (!(spread > SPREAD_GATE * n * noise * noise + 1e-14 * (sxx + x * x)))
+        return rfc->k_n_per_m;
+    return (sxf - sx * sf / n) / spread;
+}
+
+int rthyb_rfc_step(rthyb_rfc *rfc, double x_c_m, double x_m_m, double f_n, int frozen,
+                   double *force_n)
+{
+    int code = RTHYB_OK;
+    const double c = accept(x_c_m, RTHYB_DISPLACEMENT_MAX_M, rfc->c1, &code);
+    const double x = accept(x_m_m, RTHYB_DISPLACEMENT_MAX_M, rfc->x1, &code);
+    const double f = accept(f_n, RTHYB_FORCE_MAX_N, rfc->f1, &code);
+    const double k_e = rfc->cfg.k_e_n_per_m;
+    const uint64_t n = rfc->tick++;
+    const double k = rfc->cfg.tangent == RTHYB_TANGENT_LEAST_SQUARES
+                         ? least_squares(rfc, x, f)
+                         : mean_of_ratios(rfc, x - rfc->x1, f - rfc->f1);
+    /* Stage 1: t <= 2 T0 dt, stage 3: t >= t_ex: k_e. Stage 2: Eqn 3.3 between 0 and k_e. */
+    if (n <= 2 * (uint64_t)rfc->cfg.window || n >= rfc->cfg.end_tick)
+        rfc->k_n_per_m = k_e;
+    else if (!frozen && code == RTHYB_OK)
+        rfc->k_n_per_m = clamp(k, 0.0, k_e);
+    rfc->c1 = c;
+    rfc->x1 = x;
+    rfc->f1 = f;
+    *force_n = rfc->cfg.enabled ? f + rfc->k_n_per_m * (c - x) : f;
+    return code;
+}
+
+int rthyb_rfc_run(rthyb_rfc *rfc, const double *x_c_m, const double *x_m_m, const double *f_n,
+                  double *force_n, double *k_n_per_m, size_t n)
+{
+    int code = RTHYB_OK;
+    for (size_t i = 0; i < n; i++) {
+        code |= rthyb_rfc_step(rfc, x_c_m[i], x_m_m[i], f_n[i], 0, &force_n[i]);
+        k_n_per_m[i] = rfc->k_n_per_m;
+    }
+    return code;
+}

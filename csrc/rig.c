@@ -1,0 +1,107 @@
+/* The virtual rig: actuator, specimen, and two sensors with noise, bias, steps and an end to their
+ * range. Seeded, so that a test can be repeated to the bit. */
+#include "internal.h"
+#include "numeric.h"
+
+static uint64_t splitmix(uint64_t *state)
+{
+    uint64_t z = (*state += 0x9e3779b97f4a7c15u);
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+    return z ^ (z >> 31);
+}
+
+/* xoroshiro128+ (Blackman & Vigna): uniform in (0, 1]. */
+static double uniform(uint64_t s[2])
+{
+    const uint64_t a = s[0], sum = a + s[1], b = s[1] ^ a;
+    s[0] = ((a << 24) | (a >> 40)) ^ b ^ (b << 16);
+    s[1] = (b << 37) | (b >> 27);
+    return ((double)(sum >> 11) + 1.0) * 0x1p-53;
+}
+
+/* Box and Muller's pair, one at a time. */
+static double normal(rthyb_rig *rig)
+{
+    if (rig->has_spare) {
+        rig->has_spare = 0;
+        return rig->spare;
+    }
+    const double r = sqrt(-2.0 * log(uniform(rig->random)));
+    const double angle = 2.0 * RTHYB_PI * uniform(rig->random);
+    rig->spare = r * sin(angle);
+    rig->has_spare = 1;
+    return r * cos(angle);
+}
+
+static double sense(rthyb_rig *rig, const rthyb_sensor *sensor, double value)
+{
+    double reading = value + sensor->bias;
+    if (sensor->noise_std > 0.0)
+        reading += sensor->noise_std * normal(rig);
+    if (sensor->lsb > 0.0)
+        reading = sensor->lsb * nearbyint(reading / sensor->lsb);
+    return sensor->range > 0.0 ? clamp(reading, -sensor->range, sensor->range) : reading;
+}
+
+static int sensor_ok(const rthyb_sensor *s, double most)
+{
+    return s->noise_std >= 0.0 && s->noise_std <= most && s->lsb >= 0.0 && s->lsb <= most &&
+           fabs(s->bias) <= most && s->range >= 0.0 && s->range <= most;
+}
+
+int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg)
+{
+    if (cfg->element_count > RTHYB_ELEMENTS_MAX)
+        return RTHYB_E_ELEMENT;
+    if (!sensor_ok(&cfg->displacement, RTHYB_DISPLACEMENT_MAX_M) ||
+        !sensor_ok(&cfg->force, RTHYB_FORCE_MAX_N))
+        return RTHYB_E_SENSOR;
+    *rig = (rthyb_rig){.cfg = *cfg};
+    rthyb_servo_config servo = cfg->servo;
+    if (servo.kind == RTHYB_SERVO_HYDRAULIC) {
+        /* A specimen's own mass rides on the table; as a force it would need the acceleration that
+         * it decides. */
+        for (uint32_t i = 0; i < cfg->element_count; i++) {
+            if (cfg->elements[i].kind != RTHYB_INERTIA)
+                continue;
+            servo.moving_mass_kg += cfg->elements[i].params[0];
+            rig->cfg.elements[i].params[0] = 0.0;
+        }
+    }
+    uint64_t seed = cfg->seed;
+    rig->random[0] = splitmix(&seed);
+    rig->random[1] = splitmix(&seed);
+    return rthyb_servo_init(&rig->servo, &servo);
+}
+
+/* What the load cell is under: the oil column's force at the actuator's end, else the specimen's.
+ * The servo-hydraulic actuator has advanced the specimen to t_n already, hence its dt of 0. */
+static double load_cell_force(rthyb_rig *rig)
+{
+    const rthyb_servo *servo = &rig->servo;
+    const int hydraulic = servo->cfg.kind == RTHYB_SERVO_HYDRAULIC;
+    if (hydraulic && rig->cfg.load_cell == RTHYB_ACTUATOR_END)
+        return servo->oil_force;
+    return rthyb_specimen_force(rig->cfg.elements, rig->cfg.element_count, servo->x, servo->v,
+                                servo->a, hydraulic ? 0.0 : servo->cfg.period_s);
+}
+
+int rthyb_rig_step(rthyb_rig *rig, double x_p_m, double *x_m_m, double *f_n)
+{
+    const int code = rthyb_servo_latch(&rig->servo, x_p_m);
+    rig->x_true_m = rig->servo.x;
+    rig->f_true_n = load_cell_force(rig);
+    *x_m_m = sense(rig, &rig->cfg.displacement, rig->x_true_m);
+    *f_n = sense(rig, &rig->cfg.force, rig->f_true_n);
+    rthyb_servo_advance(&rig->servo, rig->cfg.elements, rig->cfg.element_count);
+    return code;
+}
+
+int rthyb_rig_run(rthyb_rig *rig, const double *x_p_m, double *x_m_m, double *f_n, size_t n)
+{
+    int code = RTHYB_OK;
+    for (size_t i = 0; i < n; i++)
+        code |= rthyb_rig_step(rig, x_p_m[i], &x_m_m[i], &f_n[i]);
+    return code;
+}

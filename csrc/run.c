@@ -1,0 +1,70 @@
+/* Whole tests in virtual time: against the virtual rig, against a recording, and without either. */
+#include "internal.h"
+#include "numeric.h"
+
+/* The excitation of tick n; for a prescribed motion that is the command of tick n + 1. */
+static double excitation_at(const rthyb_controller *c, const double *excitation, size_t n_total)
+{
+    const int prescribed = c->cfg.motion.integrator == RTHYB_PRESCRIBED;
+    const uint64_t n = c->tick + (prescribed ? 1u : 0u);
+    if (n < n_total)
+        return excitation[n];
+    return prescribed && n_total > 0 ? excitation[n_total - 1] : 0.0;
+}
+
+size_t rthyb_run_virtual(rthyb_controller *controller, rthyb_rig *rig, const double *excitation,
+                         size_t n_total, size_t count, rthyb_record *records, int32_t *status)
+{
+    *status = RTHYB_OK;
+    size_t done = 0;
+    while (done < count && !(*status & RTHYB_S_TRIP)) {
+        rthyb_input in = {.excitation = excitation_at(controller, excitation, n_total)};
+        rthyb_rig_step(rig, controller->x_cmd, &in.x_meas_m, &in.f_meas_n);
+        *status |= rthyb_controller_step(controller, &in, &records[done++]);
+    }
+    return done;
+}
+
+size_t rthyb_run_replay(rthyb_controller *controller, const rthyb_record *recorded,
+                        const double *excitation, size_t n_total, size_t count,
+                        rthyb_record *records)
+{
+    for (size_t i = 0; i < count; i++) {
+        const rthyb_input in = {
+            .x_meas_m = recorded[i].x_meas_m,
+            .f_meas_n = recorded[i].f_meas_n,
+            .excitation = excitation_at(controller, excitation, n_total),
+            .lost = (recorded[i].flags & RTHYB_F_PREDICTED) != 0,
+        };
+        rthyb_controller_step(controller, &in, &records[i]);
+    }
+    return count;
+}
+
+int rthyb_run_reference(rthyb_motion *motion, rthyb_element *elements, size_t element_count,
+                        const double *ag_mps2, size_t n, double *x_m, double *v_m_per_s,
+                        double *force_n)
+{
+    if (element_count > RTHYB_ELEMENTS_MAX)
+        return RTHYB_S_OUT_OF_RANGE;
+    int code = RTHYB_OK;
+    for (size_t i = 0; i < n; i++) {
+        x_m[i] = motion->x;
+        v_m_per_s[i] = rthyb_motion_velocity(motion);
+        force_n[i] = rthyb_specimen_force(elements, (uint32_t)element_count, x_m[i], v_m_per_s[i],
+                                          motion->a, motion->cfg.period_s);
+        double next;
+        code |= rthyb_motion_step(motion, ag_mps2[i], force_n[i], &next);
+    }
+    return code;
+}
+
+const char *rthyb_version(void)
+{
+    return RTHYB_VERSION;
+}
+
+const char *rthyb_compiler(void)
+{
+    return __VERSION__;
+}

@@ -1,0 +1,699 @@
+"""The thin face of the C core: ndarrays and dataclasses in, ndarrays out.
+
+Nothing above this module touches cffi. Every class owns the memory of one C struct; its methods
+are named after the functions of ``csrc/rthyb.h``, where the contract stands. SI units throughout;
+``alpha`` is in samples, ``beta`` in samples squared. Calls over arrays run without the GIL.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.errors import RthybError
+
+FS_HZ: Final = 1024.0
+PERIOD_S: Final = 1.0 / FS_HZ
+WINDOW_MAX: Final[int] = lib.RTHYB_WINDOW_MAX
+DELAY_MAX: Final[int] = lib.RTHYB_DELAY_MAX
+ELEMENTS_MAX: Final[int] = lib.RTHYB_ELEMENTS_MAX
+
+FloatArray = npt.NDArray[np.float64]
+RecordArray = npt.NDArray[np.void]
+
+STATUS: Final[dict[str, int]] = {
+    "not_finite": lib.RTHYB_S_NOT_FINITE,
+    "out_of_range": lib.RTHYB_S_OUT_OF_RANGE,
+    "limited": lib.RTHYB_S_LIMITED,
+    "position_limit": lib.RTHYB_S_POSITION_LIMIT,
+    "force_limit": lib.RTHYB_S_FORCE_LIMIT,
+    "tracking_limit": lib.RTHYB_S_TRACKING_LIMIT,
+    "trip": lib.RTHYB_S_TRIP,
+}
+FLAG_NAMES: Final[tuple[str, ...]] = (
+    "fresh",
+    "predicted",
+    "blind",
+    "frozen",
+    "limited",
+    "not_sent",
+)
+STATE_NAMES: Final[tuple[str, ...]] = (
+    "IDLE",
+    "ZEROED",
+    "ARMED",
+    "RAMP_IN",
+    "RUNNING",
+    "HOLD",
+    "RAMP_OUT",
+    "TRIPPED",
+)
+
+_REFUSED: Final[dict[int, str]] = {
+    lib.RTHYB_E_PERIOD: "the sampling period must lie in (0, 1] s",
+    lib.RTHYB_E_WEIGHTS: "W1, W2 lie outside the stable region |W1| > 1, |W2| < |W1 + 1|",
+    lib.RTHYB_E_ESTIMATOR: "a setting of the delay estimator is out of range",
+    lib.RTHYB_E_WINDOW: f"the window T0 must lie in 1 ... {WINDOW_MAX} samples",
+    lib.RTHYB_E_STIFFNESS: "the RFC needs an elastic stiffness k_e > 0 and a noise >= 0",
+    lib.RTHYB_E_MOTION: "mass must be positive, damping >= 0, everything finite",
+    lib.RTHYB_E_SERVO: "a setting of the actuator model is out of range",
+    lib.RTHYB_E_ELEMENT: "an element's kind, parameter count or a parameter is out of range",
+    lib.RTHYB_E_SENSOR: "a sensor's noise, lsb, bias or range is out of range",
+    lib.RTHYB_E_LIMIT: "a limit must be finite and >= 0",
+}
+
+
+class CoreError(RthybError, ValueError):
+    """The core refused a setting; the message says which kind."""
+
+
+def status_names(code: int) -> list[str]:
+    """Return the names of the status bits set in ``code``."""
+    return [name for name, bit in STATUS.items() if code & bit]
+
+
+def version() -> str:
+    """Return the version of the compiled core."""
+    return _text(lib.rthyb_version())
+
+
+def build_facts() -> dict[str, str]:
+    """Return what bit-identical replay depends on: core version, compiler, architecture."""
+    return {
+        "core_version": version(),
+        "compiler": _text(lib.rthyb_compiler()),
+        "architecture": platform.machine(),
+    }
+
+
+# ---- the record ---------------------------------------------------------------------------------
+
+_NUMPY_NAME: Final[dict[str, str]] = {
+    "uint8_t": "u1",
+    "uint32_t": "<u4",
+    "int32_t": "<i4",
+    "uint64_t": "<u8",
+    "int64_t": "<i8",
+    "double": "<f8",
+}
+
+
+def _dtype_of(struct: str) -> np.dtype[np.void]:
+    ctype = ffi.typeof(struct)
+    fields = ctype.fields
+    return np.dtype(
+        {
+            "names": [name for name, _ in fields],
+            "formats": [_NUMPY_NAME[f.type.cname] for _, f in fields],
+            "offsets": [f.offset for _, f in fields],
+            "itemsize": ffi.sizeof(ctype),
+        }
+    )
+
+
+RECORD_DTYPE: Final = _dtype_of("rthyb_record")
+
+
+# ---- configuration of the kernels ---------------------------------------------------------------
+
+Law = Literal["fixed", "gradient", "robust", "rls"]
+Tangent = Literal["mean-of-ratios", "least-squares"]
+Divisor = Literal["printed", "terms"]
+Integrator = Literal["central-difference", "forward-euler", "cr", "kr-alpha", "prescribed"]
+ServoKind = Literal["pure-delay", "first-order", "second-order", "servo-hydraulic"]
+Hold = Literal["zoh", "foh"]
+LoadCell = Literal["actuator-end", "specimen"]
+Action = Literal["none", "indicate", "trip"]
+
+_ENUMS: Final[dict[str, dict[str, int]]] = {
+    "law": {
+        "fixed": lib.RTHYB_LAW_FIXED,
+        "gradient": lib.RTHYB_LAW_GRADIENT,
+        "robust": lib.RTHYB_LAW_ROBUST,
+        "rls": lib.RTHYB_LAW_RLS,
+    },
+    "tangent": {
+        "mean-of-ratios": lib.RTHYB_TANGENT_MEAN_OF_RATIOS,
+        "least-squares": lib.RTHYB_TANGENT_LEAST_SQUARES,
+    },
+    "divisor": {"printed": lib.RTHYB_DIVISOR_PRINTED, "terms": lib.RTHYB_DIVISOR_TERMS},
+    "integrator": {
+        "central-difference": lib.RTHYB_CENTRAL_DIFFERENCE,
+        "forward-euler": lib.RTHYB_FORWARD_EULER,
+        "cr": lib.RTHYB_CR,
+        "kr-alpha": lib.RTHYB_KR_ALPHA,
+        "prescribed": lib.RTHYB_PRESCRIBED,
+    },
+    "kind": {
+        "pure-delay": lib.RTHYB_PURE_DELAY,
+        "first-order": lib.RTHYB_FIRST_ORDER,
+        "second-order": lib.RTHYB_SECOND_ORDER,
+        "servo-hydraulic": lib.RTHYB_SERVO_HYDRAULIC,
+    },
+    "hold": {"zoh": lib.RTHYB_ZOH, "foh": lib.RTHYB_FOH},
+    "load_cell": {"actuator-end": lib.RTHYB_ACTUATOR_END, "specimen": lib.RTHYB_SPECIMEN_END},
+    "action": {
+        "none": lib.RTHYB_NONE,
+        "indicate": lib.RTHYB_INDICATE,
+        "trip": lib.RTHYB_TRIP_TEST,
+    },
+}
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """Settings of the delay estimator (Eqn 2.6-2.11 and its sturdier relatives).
+
+    ``gain`` is per reference_m squared per sample for the law ``gradient``, per sample for
+    ``robust``; ``memory_samples`` belongs to ``rls``.
+    """
+
+    law: Law = "fixed"
+    estimate_beta: bool = False
+    w1: float = 3.0
+    w2: float = 2.0
+    alpha0: float = 0.0
+    beta0: float = 0.0
+    period_s: float = PERIOD_S
+    reference_m: float = 1e-3
+    gain: float = 0.0
+    memory_samples: float = 6144.0
+    cutoff_hz: float = 25.0
+    alpha_min: float = 0.0
+    alpha_max: float = 60.0
+    rest_noise_m: float = 0.0
+    gate_factor: float = 10.0
+
+
+@dataclass(frozen=True)
+class RfcConfig:
+    """Settings of the restoring-force compensator (Eqn 3.1-3.3); ``window`` is T0 in samples."""
+
+    k_e_n_per_m: float
+    enabled: bool = True
+    tangent: Tangent = "mean-of-ratios"
+    divisor: Divisor = "printed"
+    window: int = 51
+    end_tick: int = 2**63
+    rest_noise_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """Settings of the equation of motion and its integrator."""
+
+    integrator: Integrator
+    mass_kg: float = 0.0
+    damping_n_s_per_m: float = 0.0
+    stiffness_n_per_m: float = 0.0
+    k_e_n_per_m: float = 0.0
+    added_mass_kg: float = 0.0
+    rho_inf: float = 1.0
+    period_s: float = PERIOD_S
+
+
+@dataclass(frozen=True)
+class ServoConfig:
+    """Settings of a virtual actuator; which of them count depends on ``kind``."""
+
+    kind: ServoKind
+    hold: Hold = "zoh"
+    period_s: float = PERIOD_S
+    delay_samples: float = 0.0
+    roll_off_hz: float = 0.0
+    natural_frequency_hz: float = 0.0
+    damping_ratio: float = 0.0
+    gain: float = 1.0
+    kp_per_s: float = 0.0
+    ki_per_s2: float = 0.0
+    valve_time_constant_s: float = 0.0
+    stall_force_n: float = 0.0
+    flow_limit_m_per_s: float = 0.0
+    oil_stiffness_n_per_m: float = 0.0
+    oil_damping_n_s_per_m: float = 0.0
+    moving_mass_kg: float = 0.0
+    friction_n: float = 0.0
+    friction_width_m_per_s: float = 0.0
+    viscous_n_s_per_m: float = 0.0
+    substeps: int = 16
+
+
+@dataclass(frozen=True)
+class SensorConfig:
+    """Errors of one sensor, in its own unit; 0 switches ``lsb`` and ``range`` off."""
+
+    noise_std: float = 0.0
+    lsb: float = 0.0
+    bias: float = 0.0
+    range: float = 0.0
+
+
+@dataclass(frozen=True)
+class ElementConfig:
+    """One element of the catalogue: its kind and its parameters in the core's order."""
+
+    kind: str
+    params: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class RigConfig:
+    """A virtual rig: actuator, specimen, sensors."""
+
+    servo: ServoConfig
+    elements: tuple[ElementConfig, ...] = ()
+    displacement: SensorConfig = SensorConfig()
+    force: SensorConfig = SensorConfig()
+    load_cell: LoadCell = "actuator-end"
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class LimitConfig:
+    """A monitored limit; value 0 or action ``none`` switches it off."""
+
+    value: float = 0.0
+    action: Action = "none"
+
+
+@dataclass(frozen=True)
+class ControllerConfig:
+    """All that one sample of the controller needs to know."""
+
+    estimator: EstimatorConfig
+    rfc: RfcConfig
+    motion: MotionConfig
+    plc_enabled: bool = True
+    period_s: float = PERIOD_S
+    x_range_m: float = 0.0
+    f_range_n: float = 0.0
+    position: LimitConfig = LimitConfig()
+    force: LimitConfig = LimitConfig()
+    tracking: LimitConfig = LimitConfig()
+    velocity_limit_m_per_s: float = 0.0
+    acceleration_limit_m_per_s2: float = 0.0
+
+
+ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
+    "stiffness": ("k_n_per_m",),
+    "viscous": ("c_n_s_per_m",),
+    "coulomb": ("fc_n", "width_m_per_s"),
+    "stribeck": ("fc_n", "fs_n", "vs_m_per_s", "width_m_per_s"),
+    "lugre": (
+        "fc_n",
+        "fs_n",
+        "vs_m_per_s",
+        "sigma0_n_per_m",
+        "sigma1_n_s_per_m",
+        "sigma2_n_s_per_m",
+    ),
+    "quad_damping": ("c2_n_s2_per_m2",),
+    "inertia": ("m_kg",),
+    "gap": ("k_n_per_m", "gap_m"),
+    "cubic": ("k3_n_per_m3",),
+    "quadratic": ("k2_n_per_m2",),
+    "stopper": ("ks_n_per_m", "xs_m"),
+    "hysteresis": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta"),
+    "pinching": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta", "depth", "width_ratio"),
+    "degradation": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta", "loss", "travel_m"),
+    "maxwell": ("km_n_per_m", "tau_s"),
+    "second_mode": ("m2_kg", "f2_hz", "zeta2"),
+    "p_delta": ("gravity_load_n", "height_m"),
+}
+_ELEMENT_KIND: Final = {
+    name: getattr(lib, f"RTHYB_{name.upper()}") for name in ELEMENT_PARAMS
+}
+
+
+def element(kind: str, /, **params: float) -> ElementConfig:
+    """Return an element of the catalogue from its parameters by name.
+
+    Raises ``CoreError`` for an unknown kind, a missing or a surplus parameter.
+    """
+    names = ELEMENT_PARAMS.get(kind)
+    if names is None:
+        raise CoreError(f"element {kind!r}: unknown; the catalogue has {', '.join(ELEMENT_PARAMS)}")
+    if set(params) != set(names):
+        raise CoreError(f"element {kind!r}: takes {', '.join(names)}, got {', '.join(params)}")
+    return ElementConfig(kind, tuple(float(params[name]) for name in names))
+
+
+# ---- kernels ------------------------------------------------------------------------------------
+
+
+class Plc:
+    """Phase-lead compensator (Eqn 2.5, with curvature term), at rest at ``x0_m``.
+
+    Raises ``CoreError`` for weights outside the stable region of Fig. 2.1.
+    """
+
+    def __init__(self, w1: float = 3.0, w2: float = 2.0, x0_m: float = 0.0) -> None:
+        self._c = ffi.new("rthyb_plc *")
+        _check(lib.rthyb_plc_init(self._c, w1, w2, x0_m))
+        self._out = ffi.new("double *")
+
+    def step(self, alpha: float, beta: float, x_c_m: float) -> tuple[float, int]:
+        """Take one command in; return the compensated command and the status bits."""
+        code = lib.rthyb_plc_step(self._c, alpha, beta, x_c_m, self._out)
+        return self._out[0], code
+
+    def run(
+        self, x_c_m: npt.ArrayLike, alpha: npt.ArrayLike, beta: npt.ArrayLike = 0.0
+    ) -> FloatArray:
+        """Return x_p for commands of shape (n,); alpha and beta are scalars or (n,)."""
+        x = _doubles(x_c_m)
+        a, b = _like(alpha, x), _like(beta, x)
+        out = np.empty_like(x)
+        lib.rthyb_plc_run(self._c, _in(a), _in(b), _in(x), _out(out), x.size)
+        return out
+
+    def state(self) -> tuple[float, ...]:
+        """Return the filter's memory: x[n-1], x[n-2], y[n-1], y[n-2]."""
+        return (self._c.x1, self._c.x2, self._c.y1, self._c.y2)
+
+
+def plc_is_stable(w1: float, w2: float) -> bool:
+    """Return whether the poles of Eqn 2.5 lie inside the unit circle: |W1|>1, |W2|<|W1+1|."""
+    return bool(lib.rthyb_plc_is_stable(w1, w2))
+
+
+class Estimator:
+    """Adaptive delay estimator; raises ``CoreError`` for settings out of range."""
+
+    def __init__(self, config: EstimatorConfig, x0_m: float = 0.0) -> None:
+        self._c = ffi.new("rthyb_estimator *")
+        _check(lib.rthyb_estimator_init(self._c, _struct("rthyb_estimator_config", config), x0_m))
+
+    @property
+    def alpha(self) -> float:
+        """Present estimate, samples."""
+        return float(self._c.alpha)
+
+    @property
+    def beta(self) -> float:
+        """Present estimate of the curvature term, samples squared."""
+        return float(self._c.beta)
+
+    @property
+    def gate_open(self) -> bool:
+        """Whether the last sample was exciting enough to learn from."""
+        return bool(self._c.open)
+
+    def step(self, x_p_m: float, x_m_m: float, frozen: bool = False) -> int:
+        """Take one pair in; return the status bits."""
+        return int(lib.rthyb_estimator_step(self._c, x_p_m, x_m_m, frozen))
+
+    def run(self, x_p_m: npt.ArrayLike, x_m_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return alpha and beta, each (n,), along pairs of shape (n,)."""
+        p, m = _doubles(x_p_m), _doubles(x_m_m)
+        _same_length(p, m)
+        alpha, beta = np.empty_like(p), np.empty_like(p)
+        lib.rthyb_estimator_run(self._c, _in(p), _in(m), _out(alpha), _out(beta), p.size)
+        return alpha, beta
+
+    def state(self) -> dict[str, float]:
+        """Return every number of the estimator's memory by name."""
+        return _numbers(self._c, skip=("cfg", "filter"))
+
+
+class Rfc:
+    """Restoring-force compensator with its tangent stiffness; raises ``CoreError``."""
+
+    def __init__(self, config: RfcConfig, x0_m: float = 0.0, f0_n: float = 0.0) -> None:
+        self._c = ffi.new("rthyb_rfc *")
+        _check(lib.rthyb_rfc_init(self._c, _struct("rthyb_rfc_config", config), x0_m, f0_n))
+        self._out = ffi.new("double *")
+
+    @property
+    def k_n_per_m(self) -> float:
+        """Present tangent stiffness between 0 and k_e."""
+        return float(self._c.k_n_per_m)
+
+    def step(
+        self, x_c_m: float, x_m_m: float, f_n: float, frozen: bool = False
+    ) -> tuple[float, int]:
+        """Return the force for the equation of motion (Eqn 3.2) and the status bits."""
+        code = lib.rthyb_rfc_step(self._c, x_c_m, x_m_m, f_n, frozen, self._out)
+        return self._out[0], code
+
+    def run(
+        self, x_c_m: npt.ArrayLike, x_m_m: npt.ArrayLike, f_n: npt.ArrayLike
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return compensated force and tangent stiffness, each (n,)."""
+        c, m, f = _doubles(x_c_m), _doubles(x_m_m), _doubles(f_n)
+        _same_length(c, m, f)
+        force, k = np.empty_like(c), np.empty_like(c)
+        lib.rthyb_rfc_run(self._c, _in(c), _in(m), _in(f), _out(force), _out(k), c.size)
+        return force, k
+
+
+class Motion:
+    """Equation of motion of the numerical part; raises ``CoreError``."""
+
+    def __init__(self, config: MotionConfig, x0_m: float = 0.0) -> None:
+        self._c = ffi.new("rthyb_motion *")
+        _check(lib.rthyb_motion_init(self._c, _struct("rthyb_motion_config", config), x0_m))
+        self._out = ffi.new("double *")
+
+    def step(self, ag_mps2: float, force_n: float) -> tuple[float, int]:
+        """Return x[n+1] from ground acceleration and force at t_n, and the status bits."""
+        code = lib.rthyb_motion_step(self._c, ag_mps2, force_n, self._out)
+        return self._out[0], code
+
+    def reference(
+        self, elements: Sequence[ElementConfig], ag_mps2: npt.ArrayLike
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return displacement, velocity and specimen force, each (n,), without rig or delay."""
+        ag = _doubles(ag_mps2)
+        array = ffi.new("rthyb_element[]", max(len(elements), 1))
+        for slot, config in zip(array, elements, strict=False):
+            _init_element(slot, config)
+        x, v, f = np.empty_like(ag), np.empty_like(ag), np.empty_like(ag)
+        lib.rthyb_run_reference(
+            self._c, array, len(elements), _in(ag), ag.size, _out(x), _out(v), _out(f)
+        )
+        return x, v, f
+
+
+class Element:
+    """One specimen element with its history; raises ``CoreError``."""
+
+    def __init__(self, config: ElementConfig) -> None:
+        self._c = ffi.new("rthyb_element *")
+        _init_element(self._c, config)
+
+    def force(self, x_m: float, v_m_per_s: float, a_m_per_s2: float, dt_s: float) -> float:
+        """Return the resisting force, N, at one instant, and move the history on."""
+        return float(lib.rthyb_element_force(self._c, x_m, v_m_per_s, a_m_per_s2, dt_s))
+
+    def run(
+        self,
+        x_m: npt.ArrayLike,
+        v_m_per_s: npt.ArrayLike = 0.0,
+        a_m_per_s2: npt.ArrayLike = 0.0,
+        dt_s: float = PERIOD_S,
+    ) -> FloatArray:
+        """Return the resisting force along a motion of shape (n,)."""
+        x = _doubles(x_m)
+        v, a = _like(v_m_per_s, x), _like(a_m_per_s2, x)
+        out = np.empty_like(x)
+        lib.rthyb_element_run(self._c, _in(x), _in(v), _in(a), dt_s, _out(out), x.size)
+        return out
+
+    def state(self) -> tuple[float, ...]:
+        """Return the history variables."""
+        return tuple(self._c.state)
+
+
+class Rig:
+    """The virtual rig in this process; raises ``CoreError``."""
+
+    def __init__(self, config: RigConfig) -> None:
+        self.config = config
+        self._c = ffi.new("rthyb_rig *")
+        _check(lib.rthyb_rig_init(self._c, _rig_struct(config)))
+        self._x, self._f = ffi.new("double *"), ffi.new("double *")
+
+    def step(self, x_p_m: float) -> tuple[float, float, int]:
+        """Latch displacement and force, then apply the command; return both and status bits."""
+        code = lib.rthyb_rig_step(self._c, x_p_m, self._x, self._f)
+        return self._x[0], self._f[0], code
+
+    def run(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return x_meas_m and f_meas_n, each (n,), along commands of shape (n,)."""
+        p = _doubles(x_p_m)
+        x, f = np.empty_like(p), np.empty_like(p)
+        lib.rthyb_rig_run(self._c, _in(p), _out(x), _out(f), p.size)
+        return x, f
+
+    @property
+    def true_displacement_m(self) -> float:
+        """Displacement at the last latch without the sensor's errors."""
+        return float(self._c.x_true_m)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What one call of :meth:`Controller.step` gives back."""
+
+    x_cmd_next_m: float
+    status: int
+    record: dict[str, float | int] = field(repr=False)
+
+
+class Controller:
+    """The controller: one sample, a virtual test, or a replay; raises ``CoreError``."""
+
+    def __init__(self, config: ControllerConfig) -> None:
+        self.config = config
+        self._c = ffi.new("rthyb_controller *")
+        _check(lib.rthyb_controller_init(self._c, _struct("rthyb_controller_config", config)))
+        self._input = ffi.new("rthyb_input *")
+        self._record = ffi.new("rthyb_record *")
+
+    def step(
+        self, x_meas_m: float, f_meas_n: float, excitation: float, lost: bool = False
+    ) -> Sample:
+        """Run one tick; ``excitation`` is ag in m/s^2, or the next command when prescribed."""
+        i = self._input
+        i.x_meas_m, i.f_meas_n, i.excitation, i.lost = x_meas_m, f_meas_n, excitation, lost
+        code = lib.rthyb_controller_step(self._c, i, self._record)
+        return Sample(self._c.x_cmd, code, _numbers(self._record))
+
+    @property
+    def tick(self) -> int:
+        """Index of the next sample."""
+        return int(self._c.tick)
+
+    def state_bytes(self) -> bytes:
+        """Return the whole state as bytes, for a recording."""
+        return bytes(ffi.buffer(self._c))
+
+    def restore(self, state: bytes) -> None:
+        """Take over a state from :meth:`state_bytes` of the same core.
+
+        Raises ``CoreError`` if the size differs.
+        """
+        buffer = ffi.buffer(self._c)
+        if len(state) != len(buffer):
+            raise CoreError(
+                f"controller state: {len(state)} bytes recorded, this core has {len(buffer)}; "
+                "replay with the version that recorded"
+            )
+        buffer[:] = state
+
+    def run_virtual(
+        self, rig: Rig, excitation: FloatArray, records: RecordArray
+    ) -> tuple[int, int]:
+        """Fill ``records`` with the next ticks against ``rig``.
+
+        ``excitation`` is the whole test's, (n_total,). Returns how many records were written
+        (fewer when a trip ended the test) and the status bits seen.
+        """
+        ag = _doubles(excitation)
+        status = ffi.new("int32_t *")
+        done = lib.rthyb_run_virtual(
+            self._c, rig._c, _in(ag), ag.size, records.size, _records(records), status
+        )
+        return int(done), int(status[0])
+
+    def replay(self, recorded: RecordArray, excitation: FloatArray) -> RecordArray:
+        """Return the records that this controller computes from the recorded inputs."""
+        ag = _doubles(excitation)
+        source = np.ascontiguousarray(recorded, dtype=RECORD_DTYPE)
+        out = np.zeros(source.size, dtype=RECORD_DTYPE)
+        lib.rthyb_run_replay(self._c, _records(source), _in(ag), ag.size, out.size, _records(out))
+        return out
+
+
+# ---- crossing the boundary ----------------------------------------------------------------------
+
+
+def _text(c_string: Any) -> str:
+    raw: bytes = ffi.string(c_string)
+    return raw.decode()
+
+
+def _check(error: int) -> None:
+    if error:
+        raise CoreError(_REFUSED.get(error, f"the core refused its settings ({error})"))
+
+
+def _doubles(values: npt.ArrayLike) -> FloatArray:
+    return np.ascontiguousarray(np.atleast_1d(np.asarray(values, dtype=np.float64)))
+
+
+def _like(values: npt.ArrayLike, model: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(values, np.float64), model.shape))
+
+
+def _same_length(first: FloatArray, *others: FloatArray) -> None:
+    for other in others:
+        if other.shape != first.shape:
+            raise CoreError(f"arrays of one length needed, got {first.shape} and {other.shape}")
+
+
+def _in(array: FloatArray) -> Any:
+    return ffi.from_buffer("double[]", array)
+
+
+def _out(array: FloatArray) -> Any:
+    return ffi.from_buffer("double[]", array, require_writable=True)
+
+
+def _records(array: RecordArray) -> Any:
+    if array.dtype != RECORD_DTYPE or not array.flags.c_contiguous:
+        raise CoreError("records must be a contiguous array of RECORD_DTYPE")
+    return ffi.cast("rthyb_record *", ffi.from_buffer(array))
+
+
+def _value(name: str, value: Any) -> Any:
+    if isinstance(value, str):
+        return _ENUMS[name][value]
+    return _mapping(value) if dataclasses.is_dataclass(value) else value
+
+
+def _mapping(config: Any) -> dict[str, Any]:
+    return {f.name: _value(f.name, getattr(config, f.name)) for f in dataclasses.fields(config)}
+
+
+def _struct(ctype: str, config: Any) -> Any:
+    return ffi.new(f"{ctype} *", _mapping(config))
+
+
+def _rig_struct(config: RigConfig) -> Any:
+    if len(config.elements) > ELEMENTS_MAX:
+        raise CoreError(f"a specimen has at most {ELEMENTS_MAX} elements, got {len(config.elements)}")
+    plain: Mapping[str, Any] = {k: v for k, v in _mapping(config).items() if k != "elements"}
+    struct = ffi.new("rthyb_rig_config *", dict(plain))
+    struct.element_count = len(config.elements)
+    for i, item in enumerate(config.elements):
+        _init_element(ffi.addressof(struct.elements, i), item)
+    return struct
+
+
+def _init_element(slot: Any, config: ElementConfig) -> None:
+    kind = _ELEMENT_KIND.get(config.kind, -1)
+    target = slot if ffi.typeof(slot).kind == "pointer" else ffi.addressof(slot)
+    _check(lib.rthyb_element_init(target, kind, list(config.params), len(config.params)))
+
+
+def _numbers(struct: Any, skip: tuple[str, ...] = ()) -> dict[str, float | int]:
+    """Return the scalar fields of a struct, arrays spread over indexed names."""
+    numbers: dict[str, float | int] = {}
+    for name, description in ffi.typeof(struct[0]).fields:
+        if name in skip:
+            continue
+        value = getattr(struct, name)
+        if description.type.kind == "array":
+            numbers.update({f"{name}[{i}]": v for i, v in enumerate(value)})
+        else:
+            numbers[name] = value
+    return numbers

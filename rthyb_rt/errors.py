@@ -1,0 +1,60 @@
+"""Errors that a user can act on: what was found, where, what is allowed and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One fault in something the user gave.
+
+    Attributes:
+        where: file, line and key as an editor understands them (``test.toml:12: controller.w1``).
+        message: the value found, what is allowed, and the remedy.
+    """
+
+    where: str
+    message: str
+
+    def __str__(self) -> str:
+        """Return the fault as one line, ``where: message``."""
+        return f"{self.where}: {self.message}" if self.where else self.message
+
+
+class RthybError(Exception):
+    """Any failure that the command line reports as one message, without a traceback.
+
+    Attributes:
+        exit_code: exit status of the command line for this kind of failure.
+    """
+
+    exit_code = 1
+
+
+class InputError(RthybError):
+    """A configuration or input file that cannot be used.
+
+    Args:
+        problems: every fault found; a single `Problem` or a plain message is accepted too.
+        where: place of the fault when ``problems`` is a plain message.
+
+    Attributes:
+        problems: the faults in the order of the file, never empty.
+    """
+
+    exit_code = 3
+
+    def __init__(self, problems: Iterable[Problem] | Problem | str, where: str = "") -> None:
+        if isinstance(problems, str):
+            self.problems = [Problem(where, problems)]
+        elif isinstance(problems, Problem):
+            self.problems = [problems]
+        else:
+            self.problems = list(problems)
+        super().__init__(*self.problems)
+
+    def __str__(self) -> str:
+        """Return one line a fault."""
+        return "\n".join(str(problem) for problem in self.problems)
