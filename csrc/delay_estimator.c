@@ -90,11 +90,13 @@ static void noise_moments(rthyb_estimator *est)
     }
     est->gate_power = est->cfg.gate_factor * est->noise11;
     /* The starting values count as much as measurements that put alpha within 1 + alpha0/4 and
-     * beta within the square of that over two. */
+     * beta within the square of that. Filtered noise repeats itself over half a period of the
+     * cut-off: so many samples are worth one. */
+    const double repeats = is_filtered(est) ? 0.5 / (est->cfg.cutoff_hz * est->cfg.period_s) : 1.0;
     const double sigma_alpha = 1.0 + 0.25 * fabs(est->cfg.alpha0);
     const double sigma_beta = sigma_alpha * sigma_alpha;
-    est->ridge1 = fmax(residual / (sigma_alpha * sigma_alpha), RIDGE_FLOOR);
-    est->ridge2 = fmax(residual / (sigma_beta * sigma_beta), RIDGE_FLOOR * 1e-3);
+    est->ridge1 = fmax(repeats * residual / (sigma_alpha * sigma_alpha), RIDGE_FLOOR);
+    est->ridge2 = fmax(repeats * residual / (sigma_beta * sigma_beta), RIDGE_FLOOR * 1e-3);
 }
 
 static int config_error(const rthyb_estimator_config *c)

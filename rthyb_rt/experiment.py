@@ -1,0 +1,397 @@
+"""One hybrid test from its files to its recording, in virtual time."""
+
+from __future__ import annotations
+
+import datetime
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import __version__, config, core, ground_motion, recording
+from rthyb_rt.config import Derived, RigFile, TestFile
+from rthyb_rt.config.testfile import Limit
+from rthyb_rt.ground_motion import GroundMotion
+
+CHUNK_TICKS = 8192
+"""Ticks between two reports of progress: 8 s of the test."""
+
+REFERENCE_DTYPE = np.dtype([("x_ref_m", "<f8"), ("v_ref_mps", "<f8"), ("f_ref_n", "<f8")])
+
+_LAWS: dict[str, tuple[core.Law, bool]] = {
+    "paper": ("gradient", False),
+    "robust": ("robust", False),
+    "alpha-beta": ("rls", True),
+    "none": ("fixed", False),
+}
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A test with every figure resolved, ready to run.
+
+    Attributes:
+        test, rig, derived: the files and what follows from them.
+        motion: the scaled record before resampling.
+        ag_mps2: ground acceleration at every tick of the test, shape (n,).
+        controller, virtual_rig: settings of the core.
+    """
+
+    test: TestFile
+    rig: RigFile
+    derived: Derived
+    motion: GroundMotion
+    ag_mps2: NDArray[np.float64]
+    controller: core.ControllerConfig
+    virtual_rig: core.RigConfig
+
+    @property
+    def ticks(self) -> int:
+        """Length of the test in samples."""
+        return int(self.ag_mps2.size)
+
+
+def prepare(test: TestFile, rig: RigFile) -> Setup:
+    """Read the ground motion and work out every setting of the core.
+
+    Raises:
+        InputError: with what is wrong in the files, the record, or between them.
+    """
+    derived = config.derive(test, rig)
+    motion = _load_motion(test)
+    lasts_s = test.test.duration_s
+    if lasts_s is None:
+        lasts_s = motion.duration_s + test.test.free_vibration_s
+    ag = ground_motion.resample(
+        motion, core.FS_HZ, method=test.ground_motion.interpolation, duration_s=lasts_s
+    )
+    end_tick = round(min(motion.duration_s, lasts_s) * core.FS_HZ)
+    return Setup(
+        test=test,
+        rig=rig,
+        derived=derived,
+        motion=motion,
+        ag_mps2=ag,
+        controller=controller_config(test, rig, derived, end_tick),
+        virtual_rig=rig_config(rig),
+    )
+
+
+def _load_motion(test: TestFile) -> GroundMotion:
+    wanted = test.ground_motion
+    motion = ground_motion.load(
+        wanted.record, format=wanted.format, units=wanted.units, channel=wanted.channel
+    )
+    if wanted.start_s or wanted.duration_s is not None:
+        motion = motion.window(wanted.start_s, wanted.duration_s)
+    if wanted.pga_g is not None:
+        return motion.scaled(pga_g=wanted.pga_g)
+    return motion if wanted.factor is None else motion.scaled(factor=wanted.factor)
+
+
+# ---- from the files' terms to the core's --------------------------------------------------------
+
+
+def controller_config(
+    test: TestFile, rig: RigFile, derived: Derived, end_tick: int
+) -> core.ControllerConfig:
+    """Return the core's settings; ``end_tick`` is t_ex, where stage 3 of the RFC begins."""
+    wanted, limits = test.controller, test.limits
+    sensors = rig.sensors
+    return core.ControllerConfig(
+        plc_enabled=derived.plc_enabled,
+        estimator=_estimator_config(test, derived),
+        rfc=core.RfcConfig(
+            k_e_n_per_m=derived.k_e_n_per_m,
+            enabled=derived.rfc_enabled,
+            tangent=cast(core.Tangent, derived.tangent),
+            divisor=wanted.rfc.divisor,
+            window=derived.window_samples,
+            end_tick=end_tick,
+            rest_noise_m=derived.rest_noise_displacement_m,
+        ),
+        motion=motion_config(test, derived),
+        x_range_m=sensors.displacement.range_m or 0.0,
+        f_range_n=sensors.force.range_n or 0.0,
+        position=_limit(limits.command_position_m),
+        force=_limit(limits.force_n),
+        tracking=_limit(limits.tracking_error_m),
+        velocity_limit_m_per_s=limits.command_velocity_m_per_s or 0.0,
+        acceleration_limit_m_per_s2=limits.command_acceleration_m_per_s2 or 0.0,
+    )
+
+
+def _estimator_config(test: TestFile, derived: Derived) -> core.EstimatorConfig:
+    wanted = test.controller
+    estimator = wanted.delay_estimator
+    law, with_beta = _LAWS[wanted.type] if derived.estimator_enabled else ("fixed", False)
+    return core.EstimatorConfig(
+        law=law,
+        estimate_beta=with_beta,
+        w1=wanted.w1,
+        w2=wanted.w2,
+        alpha0=derived.alpha0,
+        beta0=derived.beta0,
+        reference_m=estimator.reference_displacement_m,
+        gain=derived.rate_per_sample if law == "robust" else derived.gain_per_mm2_per_sample,
+        memory_samples=derived.memory_s * core.FS_HZ,
+        cutoff_hz=estimator.cutoff_hz,
+        alpha_min=estimator.alpha_min,
+        alpha_max=estimator.alpha_max,
+        rest_noise_m=derived.rest_noise_displacement_m,
+        gate_factor=estimator.gate_factor,
+    )
+
+
+def motion_config(test: TestFile, derived: Derived) -> core.MotionConfig:
+    """Return the settings of the numerical part's equation of motion."""
+    return core.MotionConfig(
+        integrator=test.numerical.integrator,
+        mass_kg=derived.mass_kg,
+        damping_n_s_per_m=derived.damping_n_s_per_m,
+        stiffness_n_per_m=test.numerical.stiffness_n_per_m,
+        k_e_n_per_m=derived.k_e_n_per_m,
+        rho_inf=test.numerical.rho_inf,
+    )
+
+
+def _limit(limit: Any) -> core.LimitConfig:
+    if not isinstance(limit, Limit) or not limit.enable:
+        return core.LimitConfig()
+    return core.LimitConfig(float(getattr(limit, "value")), limit.action)  # noqa: B009
+
+
+def rig_config(rig: RigFile) -> core.RigConfig:
+    """Return the virtual rig that a rig file describes."""
+    displacement, force = rig.sensors.displacement, rig.sensors.force
+    return core.RigConfig(
+        servo=_servo_config(rig),
+        elements=specimen_elements(rig),
+        displacement=core.SensorConfig(
+            displacement.noise_std_m,
+            displacement.lsb_m,
+            displacement.bias_m,
+            displacement.range_m or 0.0,
+        ),
+        force=core.SensorConfig(force.noise_std_n, force.lsb_n, force.bias_n, force.range_n or 0.0),
+        load_cell=rig.rig.load_cell,
+        seed=rig.rig.seed,
+    )
+
+
+def _servo_config(rig: RigFile) -> core.ServoConfig:
+    """Translate the actuator; its transport delay is the core's ``delay_samples`` for every kind."""
+    given = rig.actuator.model_dump()
+    delay = float(given.pop("extra_delay_samples", 0) or given.pop("delay_samples", 0))
+    delay += given.pop("delay_s", 0.0) * core.FS_HZ
+    return core.ServoConfig(hold=rig.rig.command_hold, delay_samples=delay, **given)
+
+
+def specimen_elements(rig: RigFile) -> tuple[core.ElementConfig, ...]:
+    """Return the specimen's elements with their parameters in the core's order."""
+    elements = []
+    for item in rig.specimen:
+        values = item.model_dump()
+        kind = values.pop("element")
+        elements.append(core.element(kind, **{k: values[k] for k in core.ELEMENT_PARAMS[kind]}))
+    return tuple(elements)
+
+
+# ---- the reference simulation -------------------------------------------------------------------
+
+
+def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.void]:
+    """Simulate the same structure with the specimen joined to it: no actuator, no sensor.
+
+    Args:
+        setup: the test.
+        table_forces: include what a load cell at the actuator's end also sees of the table (moving
+            mass, friction, viscous force); None takes ``reference.table_forces`` of the test file.
+
+    Returns:
+        ``x_ref_m``, ``v_ref_mps``, ``f_ref_n`` at every tick, shape (n,).
+    """
+    if table_forces is None:
+        table_forces = setup.test.reference.table_forces
+    elements = list(specimen_elements(setup.rig))
+    if table_forces:
+        elements += _table_elements(setup.rig)
+    rigid = [e for e in elements if e.kind not in ("inertia", "viscous")]
+    motion = motion_config(setup.test, setup.derived)
+    # As a force, mass would need the acceleration that it decides, and a damper the velocity: both
+    # go where the integrator treats them implicitly.
+    motion = replace(
+        motion,
+        added_mass_kg=sum(e.params[0] for e in elements if e.kind == "inertia"),
+        damping_n_s_per_m=motion.damping_n_s_per_m
+        + sum(e.params[0] for e in elements if e.kind == "viscous"),
+    )
+    x, v, force = core.Motion(motion).reference(rigid, setup.ag_mps2)
+    result = np.zeros(setup.ticks, dtype=REFERENCE_DTYPE)
+    result["x_ref_m"], result["v_ref_mps"], result["f_ref_n"] = x, v, force
+    return result
+
+
+def _table_elements(rig: RigFile) -> list[core.ElementConfig]:
+    actuator = rig.actuator
+    if actuator.kind != "servo-hydraulic" or rig.rig.load_cell != "actuator-end":
+        return []
+    return [
+        core.element("inertia", m_kg=actuator.moving_mass_kg),
+        core.element("viscous", c_n_s_per_m=actuator.viscous_n_s_per_m),
+        core.element(
+            "coulomb", fc_n=actuator.friction_n, width_m_per_s=actuator.friction_width_m_per_s
+        ),
+    ]
+
+
+# ---- the run ------------------------------------------------------------------------------------
+
+
+def run(setup: Setup, progress: Progress | None = None) -> recording.Recording:
+    """Run the test against the virtual rig as fast as it goes.
+
+    Args:
+        setup: the test.
+        progress: called with (ticks done, ticks of the test) now and then.
+
+    Returns:
+        The recording with its reference simulation. A test that a limit ended holds the rows up
+        to that limit, and ``meta["end_reason"]`` names it.
+    """
+    controller = core.Controller(setup.controller)
+    rig = core.Rig(setup.virtual_rig)
+    state0 = controller.state_bytes()
+    samples = np.zeros(setup.ticks, dtype=core.RECORD_DTYPE)
+    done, status = 0, 0
+    while done < setup.ticks and not status & core.STATUS["trip"]:
+        chunk = samples[done : done + CHUNK_TICKS]
+        count, status = controller.run_virtual(rig, setup.ag_mps2, chunk)
+        done += count
+        if progress is not None:
+            progress(done, setup.ticks)
+    return recording.Recording(
+        samples=samples[:done],
+        fs_hz=core.FS_HZ,
+        ag_mps2=setup.ag_mps2,
+        ground_motion=_provenance(setup),
+        reference=reference(setup),
+        test_toml=config.dump(setup.test),
+        rig_toml=config.dump(setup.rig),
+        replay=recording.ReplayData(controller_state=state0),
+        meta={
+            **core.build_facts(),
+            "rthyb_version": __version__,
+            "git_hash": _git_hash(),
+            "created_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "test_name": setup.test.test.name,
+            "clock": "virtual",
+            "end_reason": _end_reason(samples[:done], status),
+            "interrupted": False,
+        },
+    )
+
+
+def _provenance(setup: Setup) -> dict[str, Any]:
+    motion = setup.motion
+    return {
+        **dict(motion.details),
+        "name": motion.name,
+        "source": motion.source,
+        "pga_g": motion.pga_g,
+        "interpolation": setup.test.ground_motion.interpolation,
+    }
+
+
+def _end_reason(samples: NDArray[np.void], status: int) -> str:
+    if not status & core.STATUS["trip"]:
+        return "completed"
+    causes = [
+        name for name in core.status_names(int(samples["code"][-1])) if name not in ("trip", "limited")
+    ]
+    return "tripped: " + ", ".join(causes).replace("_", " ")
+
+
+def _git_hash() -> str:
+    """Return the commit of the checkout that this package runs from, or "" for an installed one."""
+    root = Path(__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return ""
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return answer.stdout.strip()
+
+
+# ---- replay -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What came of running a recording's inputs through this core again.
+
+    Attributes:
+        identical: every computed field agrees bit for bit.
+        rows: rows compared.
+        first_row, field: where it departs first, None when it does not.
+        largest: largest difference by field, for the fields that differ, in the field's unit.
+        same_build: the core that recorded is the core that replays.
+    """
+
+    identical: bool
+    rows: int
+    first_row: int | None
+    field: str | None
+    largest: dict[str, float]
+    same_build: bool
+
+
+def replay(rec: recording.Recording) -> Replay:
+    """Run the recorded inputs through the core again and compare every computed field.
+
+    Raises:
+        InputError: the recording's configuration cannot be read by this version.
+        CoreError: the recorded controller state belongs to another core.
+    """
+    test = config.parse_test(rec.test_toml, "recording: test")
+    rig = config.parse_rig(rec.rig_toml, "recording: rig")
+    derived = config.derive(test, rig)
+    controller = core.Controller(controller_config(test, rig, derived, 0))
+    controller.restore(rec.replay.controller_state)
+    samples = rec.samples
+    again = controller.replay(samples, rec.ag_mps2)
+    first_row: int | None = None
+    first_field: str | None = None
+    largest: dict[str, float] = {}
+    for name in core.RECORD_DTYPE.names or ():
+        recorded, computed = samples[name], again[name]
+        # Bits, not values: -0.0 is not 0.0 here, and a NaN equals itself.
+        differs = np.nonzero(recorded.view(_bits(name)) != computed.view(_bits(name)))[0]
+        if not differs.size:
+            continue
+        with np.errstate(invalid="ignore", over="ignore"):
+            gap = np.abs(recorded.astype(np.float64) - computed.astype(np.float64))
+        largest[name] = float(np.nanmax(gap))
+        if first_row is None or differs[0] < first_row:
+            first_row, first_field = int(differs[0]), name
+    facts = core.build_facts()
+    return Replay(
+        identical=first_row is None,
+        rows=int(samples.size),
+        first_row=first_row,
+        field=first_field,
+        largest=largest,
+        same_build=all(rec.meta.get(key) == value for key, value in facts.items()),
+    )
+
+
+def _bits(name: str) -> str:
+    return f"u{core.RECORD_DTYPE[name].itemsize}"
