@@ -43,7 +43,8 @@ static int beyond_sensor(double value, double range)
 /* Takes the pair of this tick, or makes one up at constant velocity. */
 static int gate(const rthyb_controller *c, const rthyb_input *in, double *x, double *f)
 {
-    int code = judge(in->x_meas_m, RTHYB_DISPLACEMENT_MAX_M) | judge(in->f_meas_n, RTHYB_FORCE_MAX_N);
+    int code =
+        judge(in->x_meas_m, RTHYB_DISPLACEMENT_MAX_M) | judge(in->f_meas_n, RTHYB_FORCE_MAX_N);
     if (beyond_sensor(in->x_meas_m, c->cfg.x_range_m) ||
         beyond_sensor(in->f_meas_n, c->cfg.f_range_n))
         code |= RTHYB_S_OUT_OF_RANGE;

@@ -8,12 +8,12 @@
  * and takes the noise out of phi that would pull alpha to -1/12 (errors in variables). */
 #include "numeric.h"
 
-#define ALPHA_GUARD 1e4         /* the printed law has no projection; its state is still finite */
-#define POWER_TIME_S 2.0        /* mean of phi^2 in the normalisation of the robust law */
-#define GATE_TIME_S 0.2         /* mean of phi^2 that the gate looks at */
-#define RESPONSE_SAMPLES 8192   /* length of the impulse response summed by _init */
-#define RIDGE_FLOOR 1e-9        /* reference^2: keeps the normal equations regular without noise */
-#define NOISE_SHARE_MAX 0.5     /* of a moment that noise compensation may take away */
+#define ALPHA_GUARD 1e4       /* the printed law has no projection; its state is still finite */
+#define POWER_TIME_S 2.0      /* mean of phi^2 in the normalisation of the robust law */
+#define GATE_TIME_S 0.2       /* mean of phi^2 that the gate looks at */
+#define RESPONSE_SAMPLES 8192 /* length of the impulse response summed by _init */
+#define RIDGE_FLOOR 1e-9      /* reference^2: keeps the normal equations regular without noise */
+#define NOISE_SHARE_MAX 0.5   /* of a moment that noise compensation may take away */
 
 typedef struct {
     double mu, phi1, phi2;
@@ -107,17 +107,18 @@ static int config_error(const rthyb_estimator_config *c)
         return RTHYB_E_WEIGHTS;
     const int law_ok = c->law >= RTHYB_LAW_FIXED && c->law <= RTHYB_LAW_RLS;
     const int start_ok = fabs(c->alpha0) <= ALPHA_GUARD && fabs(c->beta0) <= 1e8;
-    const int noise_ok = c->rest_noise_m >= 0.0 && c->rest_noise_m <= 1.0 && c->gate_factor >= 0.0 &&
-                         c->gate_factor <= 1e6;
+    const int noise_ok = c->rest_noise_m >= 0.0 && c->rest_noise_m <= 1.0 &&
+                         c->gate_factor >= 0.0 && c->gate_factor <= 1e6;
     const int unit_ok = c->reference_m >= 1e-9 && c->reference_m <= 1e3;
     if (!law_ok || !start_ok || !noise_ok || !unit_ok)
         return RTHYB_E_ESTIMATOR;
     if (c->law == RTHYB_LAW_FIXED)
         return 0;
-    const int gain_ok = c->law == RTHYB_LAW_RLS ? c->memory_samples >= 1.0 && c->memory_samples < 1e9
-                                                : c->gain >= 0.0 && c->gain <= 1e6;
-    const int cutoff_ok = c->law == RTHYB_LAW_GRADIENT ||
-                          (c->cutoff_hz > 0.0 && c->cutoff_hz * c->period_s < 0.5);
+    const int gain_ok = c->law == RTHYB_LAW_RLS
+                            ? c->memory_samples >= 1.0 && c->memory_samples < 1e9
+                            : c->gain >= 0.0 && c->gain <= 1e6;
+    const int cutoff_ok =
+        c->law == RTHYB_LAW_GRADIENT || (c->cutoff_hz > 0.0 && c->cutoff_hz * c->period_s < 0.5);
     const int bounds_ok = c->alpha_min <= c->alpha_max && fabs(c->alpha_min) <= ALPHA_GUARD &&
                           fabs(c->alpha_max) <= ALPHA_GUARD;
     return gain_ok && cutoff_ok && bounds_ok ? 0 : RTHYB_E_ESTIMATOR;

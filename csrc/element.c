@@ -12,15 +12,22 @@ static const struct {
     uint32_t positive; /* bit i set: params[i] > 0 */
     uint32_t signed_;  /* bit i set: params[i] may be negative; else >= 0 */
 } CATALOGUE[RTHYB_ELEMENT_KINDS] = {
-    [RTHYB_STIFFNESS] = {1, 0, 1},       [RTHYB_VISCOUS] = {1, 0, 1},
-    [RTHYB_COULOMB] = {2, 2, 0},         [RTHYB_STRIBECK] = {4, 4 | 8, 0},
-    [RTHYB_LUGRE] = {6, 1 | 2 | 4 | 8, 0}, [RTHYB_QUAD_DAMPING] = {1, 0, 1},
-    [RTHYB_INERTIA] = {1, 0, 0},         [RTHYB_GAP] = {2, 0, 0},
-    [RTHYB_CUBIC] = {1, 0, 1},           [RTHYB_QUADRATIC] = {1, 0, 1},
-    [RTHYB_STOPPER] = {2, 0, 0},         [RTHYB_HYSTERESIS] = {6, 1 | 4 | 32, 8 | 16},
+    [RTHYB_STIFFNESS] = {1, 0, 1},
+    [RTHYB_VISCOUS] = {1, 0, 1},
+    [RTHYB_COULOMB] = {2, 2, 0},
+    [RTHYB_STRIBECK] = {4, 4 | 8, 0},
+    [RTHYB_LUGRE] = {6, 1 | 2 | 4 | 8, 0},
+    [RTHYB_QUAD_DAMPING] = {1, 0, 1},
+    [RTHYB_INERTIA] = {1, 0, 0},
+    [RTHYB_GAP] = {2, 0, 0},
+    [RTHYB_CUBIC] = {1, 0, 1},
+    [RTHYB_QUADRATIC] = {1, 0, 1},
+    [RTHYB_STOPPER] = {2, 0, 0},
+    [RTHYB_HYSTERESIS] = {6, 1 | 4 | 32, 8 | 16},
     [RTHYB_PINCHING] = {8, 1 | 4 | 32 | 128, 8 | 16},
     [RTHYB_DEGRADATION] = {8, 1 | 4 | 32 | 128, 8 | 16},
-    [RTHYB_MAXWELL] = {2, 2, 0},         [RTHYB_SECOND_MODE] = {3, 2, 0},
+    [RTHYB_MAXWELL] = {2, 2, 0},
+    [RTHYB_SECOND_MODE] = {3, 2, 0},
     [RTHYB_P_DELTA] = {2, 2, 0},
 };
 
@@ -50,8 +57,8 @@ int rthyb_element_init(rthyb_element *element, int32_t kind, const double *param
     *element = (rthyb_element){.kind = kind};
     for (int i = 0; i < count; i++)
         element->params[i] = params[i];
-    const int hysteretic = kind == RTHYB_HYSTERESIS || kind == RTHYB_PINCHING ||
-                           kind == RTHYB_DEGRADATION;
+    const int hysteretic =
+        kind == RTHYB_HYSTERESIS || kind == RTHYB_PINCHING || kind == RTHYB_DEGRADATION;
     if (hysteretic) {
         element->params[8] = fmin(bouc_wen_ceiling(params), RTHYB_DISPLACEMENT_MAX_M);
         if (!(element->params[8] > 0.0 && params[5] >= 0.1 && params[5] <= 100.0))
@@ -157,8 +164,8 @@ static double second_mode(const double *p, double *s, double a, double dt)
     return -p[0] * (damping * s[1] + w * w * s[0]);
 }
 
-double rthyb_element_force(rthyb_element *element, double x_m, double v_m_per_s,
-                           double a_m_per_s2, double dt_s)
+double rthyb_element_force(rthyb_element *element, double x_m, double v_m_per_s, double a_m_per_s2,
+                           double dt_s)
 {
     int code = RTHYB_OK;
     const double *p = element->params;

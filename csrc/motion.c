@@ -68,8 +68,7 @@ int rthyb_motion_init(rthyb_motion *motion, const rthyb_motion_config *cfg, doub
 static double central_difference(rthyb_motion *s, double net, double mass)
 {
     const double h = s->cfg.period_s, half = 0.5 * h * s->cfg.damping_n_s_per_m;
-    const double next =
-        s->x + ((mass - half) * (s->x - s->x1) + h * h * net) / (mass + half);
+    const double next = s->x + ((mass - half) * (s->x - s->x1) + h * h * net) / (mass + half);
     s->v = (next - s->x1) / (2.0 * h);
     s->a = (next - 2.0 * s->x + s->x1) / (h * h);
     return next;

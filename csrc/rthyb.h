@@ -26,11 +26,11 @@
 /* cffi: begin */
 
 enum rthyb_size {
-    RTHYB_WINDOW_MAX = 1024,    /* largest T0 of the tangent stiffness, samples */
-    RTHYB_DELAY_MAX = 1024,     /* longest transport delay of a virtual actuator, samples */
-    RTHYB_ELEMENTS_MAX = 16,    /* elements of one specimen */
-    RTHYB_ELEMENT_PARAMS = 12,  /* parameters of one element */
-    RTHYB_ELEMENT_STATES = 6    /* history variables of one element */
+    RTHYB_WINDOW_MAX = 1024,   /* largest T0 of the tangent stiffness, samples */
+    RTHYB_DELAY_MAX = 1024,    /* longest transport delay of a virtual actuator, samples */
+    RTHYB_ELEMENTS_MAX = 16,   /* elements of one specimen */
+    RTHYB_ELEMENT_PARAMS = 12, /* parameters of one element */
+    RTHYB_ELEMENT_STATES = 6   /* history variables of one element */
 };
 
 /* What a sample was like; bits, because several may be true at once. */
@@ -73,11 +73,11 @@ enum rthyb_state {
 };
 
 enum rthyb_flag {
-    RTHYB_F_FRESH = 1,      /* a new accepted pair of displacement and force */
-    RTHYB_F_PREDICTED = 2,  /* x_meas_m and f_meas_n are extrapolated */
-    RTHYB_F_BLIND = 4,      /* a skipped tick, made up for later */
-    RTHYB_F_FROZEN = 8,     /* alpha and k_t held */
-    RTHYB_F_LIMITED = 16,   /* the limiter changed the command */
+    RTHYB_F_FRESH = 1,     /* a new accepted pair of displacement and force */
+    RTHYB_F_PREDICTED = 2, /* x_meas_m and f_meas_n are extrapolated */
+    RTHYB_F_BLIND = 4,     /* a skipped tick, made up for later */
+    RTHYB_F_FROZEN = 8,    /* alpha and k_t held */
+    RTHYB_F_LIMITED = 16,  /* the limiter changed the command */
     RTHYB_F_NOT_SENT = 32
 };
 
@@ -157,16 +157,16 @@ typedef struct {
     double p1, p2, m1, m2;           /* x_p[n-1], x_p[n-2], x_m[n-1], x_m[n-2], filtered */
     double last_p, last_m;           /* last good inputs */
     double alpha, beta;
-    double power;                /* mean phi^2 over about 2 s */
-    double short_power;          /* mean phi^2 over 0.2 s, for the gate */
-    double gate_power;           /* what short_power must exceed */
-    double forget;               /* RLS: lambda */
-    double r11, r12, r22, q1, q2;      /* RLS: weighted normal equations */
-    double noise11, noise12, noise22;  /* RLS: what rest noise alone adds to them per sample */
+    double power;                     /* mean phi^2 over about 2 s */
+    double short_power;               /* mean phi^2 over 0.2 s, for the gate */
+    double gate_power;                /* what short_power must exceed */
+    double forget;                    /* RLS: lambda */
+    double r11, r12, r22, q1, q2;     /* RLS: weighted normal equations */
+    double noise11, noise12, noise22; /* RLS: what rest noise alone adds to them per sample */
     double noise1, noise2;
-    double weight;               /* RLS: sum of weights */
-    double ridge1, ridge2;       /* RLS: weight of the starting values */
-    int32_t open;                /* the gate, for the record */
+    double weight;         /* RLS: sum of weights */
+    double ridge1, ridge2; /* RLS: weight of the starting values */
+    int32_t open;          /* the gate, for the record */
 } rthyb_estimator;
 
 int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg, double x0_m);
@@ -189,12 +189,12 @@ enum rthyb_divisor {
 
 typedef struct {
     int32_t enabled;
-    int32_t tangent;      /* enum rthyb_tangent */
-    int32_t divisor;      /* enum rthyb_divisor; mean of ratios only */
-    uint32_t window;      /* T0, samples */
-    double k_e_n_per_m;   /* elastic stiffness, upper bound */
-    uint64_t end_tick;    /* t_ex: from this tick on k_exp = k_e again (stage 3) */
-    double rest_noise_m;  /* least squares holds k while x_m has moved less than this noise allows */
+    int32_t tangent;     /* enum rthyb_tangent */
+    int32_t divisor;     /* enum rthyb_divisor; mean of ratios only */
+    uint32_t window;     /* T0, samples */
+    double k_e_n_per_m;  /* elastic stiffness, upper bound */
+    uint64_t end_tick;   /* t_ex: from this tick on k_exp = k_e again (stage 3) */
+    double rest_noise_m; /* least squares holds k while x_m has moved less than this noise allows */
 } rthyb_rfc_config;
 
 typedef struct {
@@ -228,8 +228,8 @@ enum rthyb_integrator {
 typedef struct {
     int32_t integrator; /* enum rthyb_integrator */
     double period_s;
-    double mass_kg;          /* numerical mass: ground motion acts on it */
-    double added_mass_kg;    /* moves with it, but the ground motion does not act on it */
+    double mass_kg;       /* numerical mass: ground motion acts on it */
+    double added_mass_kg; /* moves with it, but the ground motion does not act on it */
     double damping_n_s_per_m;
     double stiffness_n_per_m; /* numerical stiffness */
     double k_e_n_per_m;       /* specimen's elastic stiffness; CR and KR-alpha need it */
@@ -238,9 +238,9 @@ typedef struct {
 
 typedef struct {
     rthyb_motion_config cfg;
-    double x, v, a;    /* at t_n */
-    double x1, x2;     /* x[n-1], x[n-2] */
-    double v1, net1;   /* KR-alpha: v[n-1] and (P - f)[n-1] */
+    double x, v, a;                /* at t_n */
+    double x1, x2;                 /* x[n-1], x[n-2] */
+    double v1, net1;               /* KR-alpha: v[n-1] and (P - f)[n-1] */
     double a1c, a2c, a3c, alpha_f; /* CR and KR-alpha coefficients */
     double last_force, last_excitation;
 } rthyb_motion;
@@ -283,8 +283,8 @@ typedef struct {
 /* Number of parameters that a kind takes, -1 for an unknown kind. */
 int rthyb_element_param_count(int32_t kind);
 int rthyb_element_init(rthyb_element *element, int32_t kind, const double *params, size_t n);
-double rthyb_element_force(rthyb_element *element, double x_m, double v_m_per_s,
-                           double a_m_per_s2, double dt_s);
+double rthyb_element_force(rthyb_element *element, double x_m, double v_m_per_s, double a_m_per_s2,
+                           double dt_s);
 int rthyb_element_run(rthyb_element *element, const double *x_m, const double *v_m_per_s,
                       const double *a_m_per_s2, double dt_s, double *force_n, size_t n);
 
@@ -303,8 +303,8 @@ typedef struct {
     int32_t kind; /* enum rthyb_servo_kind */
     int32_t hold; /* enum rthyb_hold: how the drive joins two commands */
     double period_s;
-    double delay_samples;     /* transport: whole for pure delay and first order */
-    double roll_off_hz;       /* first order */
+    double delay_samples; /* transport: whole for pure delay and first order */
+    double roll_off_hz;   /* first order */
     double natural_frequency_hz, damping_ratio, gain; /* second order */
     double kp_per_s, ki_per_s2;                       /* servo-hydraulic from here on */
     double valve_time_constant_s, stall_force_n, flow_limit_m_per_s;
@@ -315,11 +315,11 @@ typedef struct {
 
 typedef struct {
     rthyb_servo_config cfg;
-    double x, v, a;           /* table: m, m/s, m/s^2 */
-    double last_command;      /* last good command */
-    uint32_t head;            /* newest of past[] */
+    double x, v, a;      /* table: m, m/s, m/s^2 */
+    double last_command; /* last good command */
+    uint32_t head;       /* newest of past[] */
     double past[RTHYB_DELAY_MAX + 2];
-    double fraction;          /* of delay_samples */
+    double fraction;            /* of delay_samples */
     double first[4], second[4]; /* free motion over the two parts of a sample, row by row */
     double integral, valve, piston, piston_velocity, half_velocity, oil_force;
     double valve_gain;
@@ -329,7 +329,7 @@ typedef struct {
     double noise_std; /* normal, white */
     double lsb;       /* quantisation, 0 = none */
     double bias;
-    double range;     /* saturates at +-range, 0 = unlimited */
+    double range; /* saturates at +-range, 0 = unlimited */
 } rthyb_sensor;
 
 enum rthyb_load_cell { RTHYB_ACTUATOR_END, RTHYB_SPECIMEN_END };
@@ -384,9 +384,9 @@ typedef struct {
     rthyb_rfc rfc;
     rthyb_motion motion;
     uint64_t tick;
-    double x_num, x_plc, x_cmd;    /* commands for t_n */
-    double x_cmd1;                 /* command for t_{n-1} */
-    double alpha, beta;            /* as the PLC has them, rate-limited */
+    double x_num, x_plc, x_cmd; /* commands for t_n */
+    double x_cmd1;              /* command for t_{n-1} */
+    double alpha, beta;         /* as the PLC has them, rate-limited */
     double x_m1, x_m2, f1, f2, x_num1;
     double energy_error, tracking_indicator;
     uint32_t missing; /* samples in a row without an accepted pair */

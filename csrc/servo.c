@@ -189,12 +189,12 @@ static void advance_hydraulic(rthyb_servo *s, rthyb_element *elements, uint32_t 
 
         const double spring = c->oil_stiffness_n_per_m * (s->piston - s->x);
         const double push = spring + c->oil_damping_n_s_per_m * s->piston_velocity;
-        const double specimen =
-            rthyb_specimen_force(elements, element_count, s->x, s->v, s->a, h);
-        const double net = push - specimen - c->friction_n * smooth_sign(s->v / c->friction_width_m_per_s);
+        const double specimen = rthyb_specimen_force(elements, element_count, s->x, s->v, s->a, h);
+        const double net =
+            push - specimen - c->friction_n * smooth_sign(s->v / c->friction_width_m_per_s);
         const double before = s->half_velocity;
-        s->half_velocity = ((c->moving_mass_kg - damping) * before + h * net) /
-                           (c->moving_mass_kg + damping);
+        s->half_velocity =
+            ((c->moving_mass_kg - damping) * before + h * net) / (c->moving_mass_kg + damping);
         s->a = (s->half_velocity - before) / h;
         s->v = s->half_velocity + 0.5 * h * s->a;
         s->x += h * s->half_velocity;

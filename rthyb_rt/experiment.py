@@ -41,6 +41,7 @@ class Setup:
         motion: the scaled record before resampling.
         ag_mps2: ground acceleration at every tick of the test, shape (n,).
         controller, virtual_rig: settings of the core.
+        notes: what the user should know and need not act on.
     """
 
     test: TestFile
@@ -50,6 +51,7 @@ class Setup:
     ag_mps2: NDArray[np.float64]
     controller: core.ControllerConfig
     virtual_rig: core.RigConfig
+    notes: tuple[str, ...] = ()
 
     @property
     def ticks(self) -> int:
@@ -71,6 +73,7 @@ def prepare(test: TestFile, rig: RigFile) -> Setup:
     ag = ground_motion.resample(
         motion, core.FS_HZ, method=test.ground_motion.interpolation, duration_s=lasts_s
     )
+    baseline = ground_motion.baseline_check(motion)
     end_tick = round(min(motion.duration_s, lasts_s) * core.FS_HZ)
     return Setup(
         test=test,
@@ -80,6 +83,7 @@ def prepare(test: TestFile, rig: RigFile) -> Setup:
         ag_mps2=ag,
         controller=controller_config(test, rig, derived, end_tick),
         virtual_rig=rig_config(rig),
+        notes=derived.notes + (() if baseline.ok else (baseline.message,)),
     )
 
 
@@ -131,6 +135,9 @@ def _estimator_config(test: TestFile, derived: Derived) -> core.EstimatorConfig:
     wanted = test.controller
     estimator = wanted.delay_estimator
     law, with_beta = _LAWS[wanted.type] if derived.estimator_enabled else ("fixed", False)
+    # The file's gain is per mm^2, the core's per reference^2.
+    per_reference = (estimator.reference_displacement_m / 1e-3) ** 2
+    gain = derived.gain_per_mm2_per_sample * per_reference
     return core.EstimatorConfig(
         law=law,
         estimate_beta=with_beta,
@@ -139,7 +146,7 @@ def _estimator_config(test: TestFile, derived: Derived) -> core.EstimatorConfig:
         alpha0=derived.alpha0,
         beta0=derived.beta0,
         reference_m=estimator.reference_displacement_m,
-        gain=derived.rate_per_sample if law == "robust" else derived.gain_per_mm2_per_sample,
+        gain=derived.rate_per_sample if law == "robust" else gain,
         memory_samples=derived.memory_s * core.FS_HZ,
         cutoff_hz=estimator.cutoff_hz,
         alpha_min=estimator.alpha_min,
@@ -161,10 +168,10 @@ def motion_config(test: TestFile, derived: Derived) -> core.MotionConfig:
     )
 
 
-def _limit(limit: Any) -> core.LimitConfig:
-    if not isinstance(limit, Limit) or not limit.enable:
+def _limit(limit: Limit | None) -> core.LimitConfig:
+    if limit is None or not limit.enable:
         return core.LimitConfig()
-    return core.LimitConfig(float(getattr(limit, "value")), limit.action)  # noqa: B009
+    return core.LimitConfig(limit.value, limit.action)
 
 
 def rig_config(rig: RigFile) -> core.RigConfig:

@@ -1,0 +1,278 @@
+"""What a test on a rig comes to: the figures that follow from both files together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rthyb_rt.config.fields import SAMPLE_RATE_HZ
+from rthyb_rt.config.rigfile import (
+    BoucWen,
+    PDeltaElement,
+    RigFile,
+    StiffnessElement,
+)
+from rthyb_rt.config.testfile import Numerical, TestFile
+from rthyb_rt.errors import InputError, Problem
+
+DEFAULT_WINDOW_PERIODS = 0.1
+"""The paper's conclusion: a tenth of the period."""
+DEFAULT_GAIN_PER_MM2_PER_SAMPLE = 0.03
+DEFAULT_RATE_PER_SAMPLE = 0.002
+DEFAULT_MEMORY_S = 6.0
+MAX_WINDOW_SAMPLES = 1024
+
+
+@dataclass(frozen=True)
+class Derived:
+    """Resolved figures of a test on a rig; nothing in it is absent.
+
+    Attributes:
+        fs_hz: sample rate.
+        k_e_n_per_m: elastic stiffness of the specimen, k_e.
+        stiffness_n_per_m: k_e plus the computed stiffness.
+        mass_kg, period_s: with m = k (T / 2 pi)^2 of the whole stiffness.
+        damping_n_s_per_m, damping_ratio: with c = 2 zeta sqrt(k m).
+        window_samples: T0 of Eqn 3.3.
+        alpha0, beta0: what the phase-lead compensator starts with, samples and samples^2.
+        plc_enabled, estimator_enabled, rfc_enabled: what runs; nothing does for type "none".
+        tangent: the tangent-stiffness formula.
+        gain_per_mm2_per_sample, rate_per_sample, memory_s: settings of the three adaptive laws.
+        rest_noise_displacement_m, rest_noise_force_n: noise at rest behind the excitation gate.
+        notes: what a user should know and need not act on.
+    """
+
+    fs_hz: float
+    k_e_n_per_m: float
+    stiffness_n_per_m: float
+    mass_kg: float
+    period_s: float
+    damping_n_s_per_m: float
+    damping_ratio: float
+    window_samples: int
+    alpha0: float
+    beta0: float
+    plc_enabled: bool
+    estimator_enabled: bool
+    rfc_enabled: bool
+    tangent: str
+    gain_per_mm2_per_sample: float
+    rate_per_sample: float
+    memory_s: float
+    rest_noise_displacement_m: float
+    rest_noise_force_n: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def k_e(self) -> float:
+        """The paper's name for the specimen's elastic stiffness, N/m."""
+        return self.k_e_n_per_m
+
+
+def derive(test: TestFile, rig: RigFile) -> Derived:
+    """Combine a test with a rig.
+
+    Raises:
+        InputError: with everything that does not fit together.
+    """
+    problems: list[Problem] = []
+    notes: list[str] = []
+    k_e = rig.rig.elastic_stiffness_n_per_m
+    stiffness = k_e + test.numerical.stiffness_n_per_m
+    mass, period = _mass_and_period(test.numerical, stiffness, problems)
+    damping, ratio = _damping(test.numerical, stiffness, mass)
+    _check_integration(test.numerical, period, ratio, problems, notes)
+    alpha0 = _alpha0(test, rig, problems)
+    beta0 = _beta0(test)
+    noise_m, noise_n = _rest_noise(test, rig, notes)
+    _note_stiffness(rig, notes)
+    _note_sensor_ranges(test, rig, notes)
+    controller = test.controller
+    estimator = controller.delay_estimator
+    window = _window_samples(test, period, problems)
+    if problems:
+        raise InputError(problems)
+    active = controller.type != "none"
+    default_tangent = "mean-of-ratios" if controller.type == "paper" else "least-squares"
+    return Derived(
+        fs_hz=SAMPLE_RATE_HZ,
+        k_e_n_per_m=k_e,
+        stiffness_n_per_m=stiffness,
+        mass_kg=mass,
+        period_s=period,
+        damping_n_s_per_m=damping,
+        damping_ratio=ratio,
+        window_samples=window,
+        alpha0=alpha0,
+        beta0=beta0,
+        plc_enabled=active and controller.plc_enabled,
+        estimator_enabled=active and estimator.enabled,
+        rfc_enabled=active and controller.rfc.enabled,
+        tangent=controller.rfc.tangent or default_tangent,
+        gain_per_mm2_per_sample=_given(
+            estimator.gain_per_mm2_per_sample, DEFAULT_GAIN_PER_MM2_PER_SAMPLE
+        ),
+        rate_per_sample=_given(estimator.rate_per_sample, DEFAULT_RATE_PER_SAMPLE),
+        memory_s=_given(estimator.memory_s, DEFAULT_MEMORY_S),
+        rest_noise_displacement_m=noise_m,
+        rest_noise_force_n=noise_n,
+        notes=tuple(notes),
+    )
+
+
+def _given(value: float | None, default: float) -> float:
+    return default if value is None else value
+
+
+def _mass_and_period(
+    numerical: Numerical, stiffness: float, problems: list[Problem]
+) -> tuple[float, float]:
+    if numerical.mass_kg is not None:
+        mass = numerical.mass_kg
+        period = 2 * math.pi * math.sqrt(mass / stiffness)
+        if not 0.01 <= period <= 100:
+            problems.append(
+                Problem(
+                    "numerical.mass_kg",
+                    f"{mass:g} kg on {stiffness:g} N/m has a period of {period:.3g} s; the period "
+                    "must be from 0.01 to 100 s; check the units of mass and k_e",
+                )
+            )
+        return mass, period
+    period = _given(numerical.period_s, math.nan)
+    return stiffness * (period / (2 * math.pi)) ** 2, period
+
+
+def _damping(numerical: Numerical, stiffness: float, mass: float) -> tuple[float, float]:
+    critical = 2 * math.sqrt(stiffness * mass)
+    if numerical.damping_n_s_per_m is not None:
+        return numerical.damping_n_s_per_m, numerical.damping_n_s_per_m / critical
+    ratio = _given(numerical.damping_ratio, math.nan)
+    return ratio * critical, ratio
+
+
+def _check_integration(
+    numerical: Numerical, period: float, ratio: float, problems: list[Problem], notes: list[str]
+) -> None:
+    if numerical.damping_n_s_per_m is not None and ratio > 2:
+        problems.append(
+            Problem(
+                "numerical.damping_n_s_per_m",
+                f"{numerical.damping_n_s_per_m:g} N s/m is {ratio:.3g} of critical; must be at "
+                "most 2; check the units of damping, mass and k_e",
+            )
+        )
+    if numerical.integrator == "forward-euler":
+        lost = math.pi / (period * SAMPLE_RATE_HZ)
+        notes.append(
+            f"forward Euler takes {lost:.2%} of damping away: {ratio:.2%} acts as "
+            f"{ratio - lost:.2%}" + (", so the motion grows by itself" if ratio < lost else "")
+        )
+
+
+def _alpha0(test: TestFile, rig: RigFile, problems: list[Problem]) -> float:
+    controller = test.controller
+    if controller.type == "none":
+        return 0.0
+    if controller.alpha0 is not None:
+        return controller.alpha0
+    if rig.identified is None:
+        if controller.plc_enabled:
+            problems.append(
+                Problem(
+                    "controller.alpha0",
+                    f'missing, and rig "{rig.rig.name}" has no identified.alpha to take; give '
+                    "controller.alpha0 in samples, or run `rthyb identify RIG`",
+                )
+            )
+        return 0.0
+    alpha, bounds = rig.identified.alpha, controller.delay_estimator
+    if not bounds.alpha_min <= alpha <= bounds.alpha_max:
+        problems.append(
+            Problem(
+                "controller.alpha0",
+                f'rig "{rig.rig.name}" gives identified.alpha = {alpha:g}; must be from '
+                f"alpha_min = {bounds.alpha_min:g} to alpha_max = {bounds.alpha_max:g} samples; "
+                "widen them in controller.delay_estimator, or identify the rig again",
+            )
+        )
+    return alpha
+
+
+def _beta0(test: TestFile) -> float:
+    """Return the curvature term to start with: 0 is right for a lag, and its gain is the smallest."""
+    controller = test.controller
+    return 0.0 if controller.type == "none" or controller.beta0 is None else controller.beta0
+
+
+def _window_samples(test: TestFile, period: float, problems: list[Problem]) -> int:
+    rfc = test.controller.rfc
+    if rfc.window_samples is not None:
+        return rfc.window_samples
+    if rfc.window_s is not None:
+        key, window_s = "window_s", rfc.window_s
+    else:
+        key = "window_periods"
+        window_s = _given(rfc.window_periods, DEFAULT_WINDOW_PERIODS) * period
+    samples = math.floor(window_s * SAMPLE_RATE_HZ + 0.5)
+    if not 1 <= samples <= MAX_WINDOW_SAMPLES:
+        problems.append(
+            Problem(
+                f"controller.rfc.{key}",
+                f"a window of {window_s:.4g} s is T0 = {samples} samples; must be from 1 to "
+                f"{MAX_WINDOW_SAMPLES}, which at a period of {period:.4g} s are "
+                f"{1 / SAMPLE_RATE_HZ / period:.2g} to "
+                f"{MAX_WINDOW_SAMPLES / SAMPLE_RATE_HZ / period:.2g} periods",
+            )
+        )
+    return samples
+
+
+def _rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, float]:
+    """Return measured noise, or what the sensors are said to have."""
+    identified, sensors = rig.identified, rig.sensors
+    noise_m = identified.rest_noise_displacement_m if identified else None
+    noise_n = identified.rest_noise_force_n if identified else None
+    noise_m = _given(noise_m, sensors.displacement.noise_std_m)
+    noise_n = _given(noise_n, sensors.force.noise_std_n)
+    if noise_m == 0 and test.controller.type in ("robust", "alpha-beta"):
+        notes.append(
+            f'rig "{rig.rig.name}" states no displacement noise at rest: 0 is used and the '
+            "excitation gate stays open; `rthyb identify RIG` measures it"
+        )
+    return noise_m, noise_n
+
+
+def _note_stiffness(rig: RigFile, notes: list[str]) -> None:
+    """Compare k_e with the initial stiffness that the elements of the specimen add up to."""
+    total = 0.0
+    for element in rig.specimen:
+        if isinstance(element, StiffnessElement):
+            total += element.k_n_per_m
+        elif isinstance(element, BoucWen):
+            ratio = element.post_yield_ratio
+            total += element.k_n_per_m * (ratio + (1 - ratio) * element.a)
+        elif isinstance(element, PDeltaElement):
+            total -= element.gravity_load_n / element.height_m
+    k_e = rig.rig.elastic_stiffness_n_per_m
+    if total > 0 and abs(k_e / total - 1) > 0.2:
+        notes.append(
+            f"k_e = {k_e:g} N/m, but the specimen's elements begin with {total:g} N/m: check "
+            "rig.elastic_stiffness_n_per_m"
+        )
+
+
+def _note_sensor_ranges(test: TestFile, rig: RigFile, notes: list[str]) -> None:
+    """A limit beyond the sensor's range is never reached."""
+    force_range, x_range = rig.sensors.force.range_n, rig.sensors.displacement.range_m
+    force, position = test.limits.force_n, test.limits.command_position_m
+    if force is not None and force_range is not None and force.value > force_range:
+        notes.append(
+            f"limits.force_n = {force.value:g} N lies beyond the load cell's range of "
+            f"{force_range:g} N and can never be seen"
+        )
+    if position is not None and x_range is not None and position.value > x_range:
+        notes.append(
+            f"limits.command_position_m = {position.value:g} m lies beyond the displacement "
+            f"sensor's range of {x_range:g} m"
+        )

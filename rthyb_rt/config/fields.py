@@ -1,0 +1,412 @@
+"""Building blocks of the configuration models: ranges with units, texts, tables that explain.
+
+Every message says what was found, what is allowed and, where it is not plain, what to do.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+import re
+import typing
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ModelWrapValidatorHandler,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
+from pydantic.fields import FieldInfo
+from pydantic_core import (
+    CoreSchema,
+    ErrorDetails,
+    InitErrorDetails,
+    PydanticCustomError,
+    core_schema,
+)
+
+from rthyb_rt.config import units
+
+SAMPLE_RATE_HZ = 1024.0
+"""The controller's one sample rate (the paper's Section 4)."""
+
+_EXPLAINED = "explained"
+
+
+def written(value: object) -> str:
+    """Return a value the way a TOML file would have it, short enough for a message."""
+    if isinstance(value, str):
+        return json.dumps(value if len(value) <= 60 else value[:57] + "...", ensure_ascii=False)
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, (list, tuple)):
+        return f"a list of {len(value)}"
+    text = str(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _short(number: float) -> str:
+    return re.sub(r"e([+-])0?", lambda match: "e" + match[1].strip("+"), f"{number:g}")
+
+
+def nearest(name: str, known: list[str]) -> str:
+    """Return `` (did you mean "x"?)`` for a misspelt name, or nothing when none is near."""
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    return f' (did you mean "{close[0]}"?)' if close else ""
+
+
+def explained(text: str, involved: tuple[str, ...] = ()) -> PydanticCustomError:
+    """Return the error of a message that is already complete.
+
+    ``involved`` names the keys of the same table that have a part in it.
+    """
+    return PydanticCustomError(_EXPLAINED, "{text}", {"text": text, "involved": involved})
+
+
+@dataclass(frozen=True)
+class Range:
+    """A finite number in the field's own unit, or a text with a unit that is converted to it.
+
+    Attributes:
+        unit: the field's unit, the one in its name; empty for a ratio or a plain number.
+        low: smallest value allowed.
+        high: largest value allowed.
+        what: what the number is, in a few words.
+        remedy: what to do when it is missing or wrong, if the range does not say it.
+    """
+
+    unit: str
+    low: float
+    high: float
+    what: str
+    remedy: str = ""
+
+    def allowed(self, kind: str = "") -> str:
+        """Return what is allowed, in words; ``kind`` says what is measured (``"a length "``)."""
+        limits = f"{_short(self.low)} to {_short(self.high)} {self.unit}"
+        text = f"{self.what} must be {kind}from {limits}".rstrip()
+        return f"{text}; {self.remedy}" if self.remedy else text
+
+    def read(self, value: object) -> float:
+        """Return the number in the field's unit; raise the explained error otherwise."""
+        number = math.nan
+        fault = ""
+        if isinstance(value, str):
+            try:
+                number = units.convert(value, self.unit)
+            except units.UnitError as error:
+                fault = f" ({error})"
+        elif isinstance(value, (int, float)) and not isinstance(value, bool):
+            try:
+                number = float(value)
+            except OverflowError:
+                number = math.inf
+        if not fault and self.low <= number <= self.high:
+            return number
+        kind = f"{units.dimension_name(self.unit)} " if fault else ""
+        raise explained(f"found {written(value)}{fault}; {self.allowed(kind)}")
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Validate with `read`."""
+        return core_schema.no_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the number, and the text with a unit that is taken as well."""
+        number = {"type": "number", "minimum": self.low, "maximum": self.high}
+        text = {"type": "string", "pattern": r"^\s*[+\-]?[0-9.]"}
+        unit = f" [{self.unit}]" if self.unit else ""
+        return {"anyOf": [number, text], "description": self.what + unit}
+
+
+@dataclass(frozen=True)
+class Count:
+    """A whole number.
+
+    Attributes:
+        low: smallest value allowed.
+        high: largest value allowed.
+        what: what is counted.
+    """
+
+    low: int
+    high: int
+    what: str
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return f"{self.what} must be a whole number from {self.low} to {self.high}"
+
+    def read(self, value: object) -> int:
+        """Return the number; raise the explained error otherwise."""
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if isinstance(value, int) and whole and self.low <= value <= self.high:
+            return value
+        raise explained(f"found {written(value)}; {self.allowed()}")
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Validate with `read`."""
+        return core_schema.no_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the whole number."""
+        return {
+            "type": "integer",
+            "minimum": self.low,
+            "maximum": self.high,
+            "description": self.what,
+        }
+
+
+@dataclass(frozen=True)
+class Text:
+    """A text of a given form.
+
+    Attributes:
+        what: what the text is.
+        pattern: regular expression of the whole text.
+        form: the form in words.
+    """
+
+    what: str
+    pattern: str = r"[\s\S]*"
+    form: str = "text in quotes"
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return f"{self.what} must be {self.form}"
+
+    def read(self, value: object) -> str:
+        """Return the text; raise the explained error otherwise."""
+        if isinstance(value, str) and re.fullmatch(self.pattern, value):
+            try:
+                value.encode()
+            except UnicodeEncodeError:
+                raise explained(f"found bytes that are not UTF-8; {self.allowed()}") from None
+            return value
+        raise explained(f"found {written(value)}; {self.allowed()}")
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Validate with `read`."""
+        return core_schema.no_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the text."""
+        return {"type": "string", "pattern": f"^{self.pattern}$", "description": self.what}
+
+
+SLUG = Text(
+    "a name",
+    r"[a-z0-9][a-z0-9._-]{0,63}",
+    "up to 64 of a-z 0-9 . _ - in quotes, the first one a letter or digit "
+    "(it becomes the name of a folder)",
+)
+SOME_TEXT = Text("the value", r"\S[\s\S]*", "text in quotes, not empty")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Keys of a table that stand for the same thing, so that only one may be given.
+
+    Attributes:
+        keys: the keys.
+        required: whether one of them must be given.
+    """
+
+    keys: tuple[str, ...]
+    required: bool
+
+
+@dataclass(frozen=True)
+class Check:
+    """A condition between several keys of a table, tried when all of them are valid.
+
+    Attributes:
+        key: the key that the message points at.
+        needs: the keys whose values the test takes, in this order.
+        test: returns the complaint, or nothing.
+    """
+
+    key: str
+    needs: tuple[str, ...]
+    test: Callable[..., str | None]
+
+
+class Table(BaseModel):
+    """A table of a configuration file: frozen, no unknown keys, every fault told at once."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
+
+    choices: ClassVar[tuple[Choice, ...]] = ()
+    checks: ClassVar[tuple[Check, ...]] = ()
+
+    @classmethod
+    def expand(cls, data: Any) -> Any:
+        """Return the full form of a table that may also be written in a short one."""
+        return data
+
+    def settle(self) -> None:
+        """Replace alternative inputs by the one form the rest of the program reads."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _explain_all(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        data = cls.expand(data)
+        keys = data if isinstance(data, dict) else {}
+        table: Self | None = None
+        found: list[InitErrorDetails] = []
+        try:
+            table = handler(data)
+        except ValidationError as error:
+            found = [cls._explained(fault) for fault in error.errors(include_url=False)]
+        failed = {str(fault["loc"][0]) for fault in found if fault["loc"]}
+        for loc, text in cls._choice_faults(keys):
+            found.append({"type": explained(text, loc), "loc": loc, "input": data})
+        for check, text in cls._check_faults(table, keys, failed):
+            error_type = explained(text, check.needs)
+            found.append({"type": error_type, "loc": (check.key,), "input": data})
+        if table is None or found:
+            raise ValidationError.from_exception_data(cls.__name__, found)
+        table.settle()
+        return table
+
+    @classmethod
+    def _explained(cls, fault: ErrorDetails) -> InitErrorDetails:
+        """Return a fault with its final place and message; those of inner tables have theirs."""
+        if fault["type"] == _EXPLAINED:
+            ctx = fault["ctx"]
+            error_type = explained(ctx["text"], ctx["involved"])
+            return {"type": error_type, "loc": fault["loc"], "input": fault["input"]}
+        loc, text = cls._explain(fault["type"], fault["loc"], fault["input"], fault)
+        return {"type": explained(text), "loc": loc, "input": fault["input"]}
+
+    @classmethod
+    def _explain(
+        cls, kind: str, loc: tuple[int | str, ...], value: object, fault: ErrorDetails
+    ) -> tuple[tuple[int | str, ...], str]:
+        """Return place and message of one fault that pydantic found."""
+        key = str(loc[0]) if loc else ""
+        fields = {info.alias or name: info for name, info in cls.model_fields.items()}
+        if kind == "extra_forbidden":
+            known = list(fields)
+            return loc, f"unknown key{nearest(key, known)}; allowed here: {', '.join(known)}"
+        info = fields.get(key)
+        if kind == "missing" and info is not None:
+            return loc, f"missing; {_allowed(info, key)}"
+        if kind in ("union_tag_invalid", "union_tag_not_found") and info is not None:
+            tag = str(fault["ctx"]["discriminator"]).strip("'")
+            return (*loc, tag), _one_of(
+                value.get(tag) if isinstance(value, dict) else None, _tags(info.annotation, tag)
+            )
+        if kind == "literal_error" and info is not None:
+            return loc, _one_of(value, _literals(info.annotation))
+        allowed = {
+            "bool_type": "must be true or false",
+            "list_type": "must be a list",
+            "too_short": "at least one is needed",
+            "too_long": f"must have at most {fault.get('ctx', {}).get('max_length')} entries",
+            "model_type": "must be a table of keys and values",
+            "dict_type": "must be a table of keys and values",
+            "model_attributes_type": "must be a table of keys and values",
+        }.get(kind, str(fault["msg"]))
+        return loc, f"found {written(value)}; {allowed}"
+
+    @classmethod
+    def _choice_faults(cls, keys: dict[str, Any]) -> Iterator[tuple[tuple[str, ...], str]]:
+        for choice in cls.choices:
+            given = [key for key in choice.keys if keys.get(key) is not None]
+            names = ", ".join(choice.keys)
+            if len(given) > 1:
+                yield (given[1],), f"{' and '.join(given)} are both given; keep one of {names}"
+            elif choice.required and not given:
+                yield (), f"missing; give exactly one of {names}"
+
+    @classmethod
+    def _check_faults(
+        cls, table: Self | None, keys: dict[str, Any], failed: set[str]
+    ) -> Iterator[tuple[Check, str]]:
+        for check in cls.checks:
+            if failed.intersection(check.needs):
+                continue
+            if table is not None:
+                values = [getattr(table, key) for key in check.needs]
+            else:
+                values = [_read_field(cls.model_fields[key], keys, key) for key in check.needs]
+            complaint = check.test(*values)
+            if complaint:
+                yield check, complaint
+
+
+def _read_field(info: FieldInfo, keys: dict[str, Any], key: str) -> Any:
+    """Return the value of one valid field of a table that has faults elsewhere."""
+    if key not in keys:
+        return info.get_default(call_default_factory=True)
+    return TypeAdapter[Any](info.rebuild_annotation()).validate_python(keys[key])
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    """Walk through Annotated, unions and lists down to their parts."""
+    if typing.get_origin(annotation) is Literal:
+        yield annotation
+        return
+    arguments = typing.get_args(annotation)
+    if not arguments:
+        yield annotation
+    for argument in arguments:
+        yield from _parts(argument)
+
+
+def _literals(annotation: Any) -> list[str]:
+    literals = (part for part in _parts(annotation) if typing.get_origin(part) is Literal)
+    return [str(name) for part in literals for name in typing.get_args(part)]
+
+
+def _tags(annotation: Any, key: str) -> list[str]:
+    tables = (part for part in _parts(annotation) if isinstance(part, type))
+    return [
+        name
+        for table in tables
+        if issubclass(table, Table)
+        for name in _literals(table.model_fields[key].annotation)
+    ]
+
+
+def _one_of(value: object, names: list[str]) -> str:
+    quoted = ", ".join(f'"{name}"' for name in names)
+    if value is None:
+        return f"missing; must be one of {quoted}"
+    return f"found {written(value)}{nearest(str(value), names)}; must be one of {quoted}"
+
+
+def _allowed(info: FieldInfo, key: str) -> str:
+    """Say what a required field takes."""
+    for limits in info.metadata:
+        if isinstance(limits, (Range, Count, Text)):
+            return limits.allowed()
+    names = _literals(info.annotation)
+    if names:
+        return "must be " + " or ".join(f'{key} = "{name}"' for name in names)
+    if typing.get_origin(info.annotation) is list:
+        return f"add at least one table [[{key}]]"
+    return f"add the table [{key}]"

@@ -1,0 +1,356 @@
+"""From TOML text and ``--set`` overrides to checked models, every fault at once with its place."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import ValidationError
+
+from rthyb_rt.config.fields import Table, nearest, written
+from rthyb_rt.config.lines import KeyLines
+from rthyb_rt.config.lines import Path as KeyPath
+from rthyb_rt.config.rigfile import RIG_SCHEMA, RigFile
+from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile
+from rthyb_rt.errors import InputError, Problem
+
+_Model = TypeVar("_Model", TestFile, RigFile)
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+_SYNTAX_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
+
+# Tables in which an override of one key replaces the others that stand for the same thing.
+_EXCLUSIVE: dict[KeyPath, type[Table]] = {
+    ("numerical",): Numerical,
+    ("ground_motion",): GroundMotion,
+    ("controller", "rfc"): Rfc,
+}
+
+
+def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> TestFile:
+    """Read a test file.
+
+    A ``rig`` or ``ground_motion.record`` that names a file beside the test file (or, when it comes
+    from an override, in the working directory) is returned as an absolute path.
+
+    Args:
+        path: the TOML file.
+        overrides: dotted key -> value as typed after ``--set``, for this file alone
+            (see `split_overrides`).
+
+    Raises:
+        InputError: with every fault of the file and the overrides.
+    """
+    overrides = overrides or {}
+    test = parse_test(_text(path, "test"), str(path), overrides)
+
+    def found(value: str | None, key: str) -> str | None:
+        folder = Path() if key in overrides else Path(path).parent
+        if value is None or not _is_file(folder / value):
+            return value
+        return str((folder / value).resolve())
+
+    motion = test.ground_motion
+    record = found(motion.record, "ground_motion.record")
+    return test.model_copy(
+        update={
+            "rig": found(test.rig, "rig"),
+            "ground_motion": motion.model_copy(update={"record": record}),
+        }
+    )
+
+
+def load_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> RigFile:
+    """Read a rig file; arguments and errors as for `load_test`.
+
+    Keys of overrides may carry the prefix ``rig.`` that a test's command line needs.
+    """
+    return parse_rig(_text(path, "rig"), str(path), overrides)
+
+
+def parse_test(
+    text: str, source: str = "test", overrides: Mapping[str, str] | None = None
+) -> TestFile:
+    """Check the text of a test file; ``source`` is its name in messages."""
+    return _parse(TestFile, TEST_SCHEMA, text, source, overrides or {})
+
+
+def parse_rig(
+    text: str, source: str = "rig", overrides: Mapping[str, str] | None = None
+) -> RigFile:
+    """Check the text of a rig file; ``source`` is its name in messages."""
+    return _parse(RigFile, RIG_SCHEMA, text, source, overrides or {})
+
+
+def split_overrides(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, str]]:
+    """Sort ``key=value`` settings into those of the test file and those of the rig file.
+
+    ``rig.actuator.kp_per_s=60`` belongs to the rig file; ``rig=NAME`` chooses the rig and belongs
+    to the test file. A later setting of the same key replaces an earlier one.
+
+    Raises:
+        InputError: when a setting has no ``=`` or no key.
+    """
+    test: dict[str, str] = {}
+    rig: dict[str, str] = {}
+    problems = []
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        key = key.strip()
+        if not equals or not key:
+            problems.append(
+                Problem("--set", f"found {written(setting)}; must be key=value (controller.w1=3)")
+            )
+        else:
+            (rig if key.startswith("rig.") else test)[key] = value.strip()
+    if problems:
+        raise InputError(problems)
+    return test, rig
+
+
+def json_schema(kind: Literal["test", "rig"]) -> dict[str, Any]:
+    """Return the JSON schema of test files or of rig files, for editors that complete TOML."""
+    models: dict[str, type[Table]] = {"test": TestFile, "rig": RigFile}
+    schema = models[kind].model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def builtin_test_path() -> Path:
+    """Return the test file that runs when none is named: Section 5, T = 0.5 s."""
+    return _shipped("examples") / "section5-T0.5.toml"
+
+
+def shipped_rig(name: str) -> Path:
+    """Return the file of a rig that comes with the program.
+
+    Raises:
+        InputError: when there is none of that name; the message lists those there are.
+    """
+    rigs = {path.stem: path for path in sorted(_shipped("rigs").glob("*.toml"))}
+    if name in rigs:
+        return rigs[name]
+    known = ", ".join(rigs) or "none"
+    raise InputError(
+        f"no file and no rig of that name{nearest(name, list(rigs))}; give the path of a rig file, "
+        f"or one of those that come with the program: {known}",
+        where=f"rig {written(name)}",
+    )
+
+
+def find_rig(name_or_path: str | None) -> Path:
+    """Return the file of a rig given by path or by the name of a shipped one.
+
+    Raises:
+        InputError: when nothing is given or nothing is found.
+    """
+    if name_or_path is None:
+        raise InputError(
+            'the test names no rig; add rig = "NAME" to the test file or give --rig RIG.toml',
+            where="rig",
+        )
+    return Path(name_or_path) if _is_file(Path(name_or_path)) else shipped_rig(name_or_path)
+
+
+def _shipped(what: str) -> Path:
+    """Return the folder of shipped files: package data of a wheel, or the repository's own."""
+    packaged = _PACKAGE / "_hw" / what
+    if packaged.is_dir():
+        return packaged
+    return _PACKAGE.parent / {"rigs": "hw/rigs", "examples": "examples"}[what]
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _text(path: str | Path, kind: str) -> str:
+    try:
+        data = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"no such file; give the path of a {kind} file", str(path)) from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise InputError(
+            f"cannot be read ({reason}); give the path of a readable {kind} file", str(path)
+        ) from None
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(
+            f"byte {data[error.start]:#04x} is not UTF-8 text; save the file as UTF-8",
+            f"{path}:{line}",
+        ) from None
+
+
+def _parse(
+    model: type[_Model], schema: str, text: str, source: str, overrides: Mapping[str, str]
+) -> _Model:
+    raw = _toml(text, source)
+    if isinstance(raw.get("schema"), str) and raw["schema"] != schema:
+        raise InputError(
+            _schema_message(raw["schema"], schema), f"{source}:{KeyLines(text).find(('schema',))}"
+        )
+    problems: list[Problem] = []
+    given: dict[KeyPath, str] = {}
+    for key, value in overrides.items():
+        path = _override_path(model, key)
+        complaint = _override(raw, path, value, set(given))
+        if complaint:
+            problems.append(Problem(f"--set {key}", complaint))
+        else:
+            given[path] = key
+    placed: list[tuple[int, Problem]] = []
+    try:
+        result = model.model_validate(raw)
+    except ValidationError as error:
+        lines = KeyLines(text)
+        for fault in error.errors(include_url=False, include_input=False):
+            place: KeyPath = _key_path(fault["loc"], raw)
+            message = str(fault["ctx"]["text"])
+            involved = [(*place[:-1], key) for key in fault["ctx"]["involved"]]
+            culprit = _override_to_blame(place, involved, given, lines)
+            if culprit:
+                problems.append(Problem(f"--set {culprit}", message))
+            else:
+                line = lines.find(place)
+                name = ".".join(str(part) for part in place)
+                where = f"{source}:{line}: {name}" if name else f"{source}:{line}"
+                placed.append((line, Problem(where, message)))
+    problems = [problem for _, problem in sorted(placed, key=lambda pair: pair[0])] + problems
+    if problems:
+        raise InputError(problems)
+    return result
+
+
+def _override_to_blame(
+    path: KeyPath, involved: list[KeyPath], given: dict[KeyPath, str], lines: KeyLines
+) -> str | None:
+    """Return the ``--set`` key that a fault at a place comes from, if it comes from one."""
+    for key in involved:
+        if key in given:
+            return given[key]
+    for size in range(len(path), 0, -1):
+        part = path[:size]
+        if part in given:
+            return given[part]
+        if lines.has(part):
+            return None
+        for key, name in given.items():
+            if key[:size] == part:
+                return name
+    return None
+
+
+def _schema_message(found: str, wanted: str) -> str:
+    kinds = {TEST_SCHEMA: "a test file", RIG_SCHEMA: "a rig file"}
+    if found in kinds:
+        return f"this is {kinds[found]}, and {kinds[wanted]} (schema = {written(wanted)}) is needed"
+    return (
+        f"found schema = {written(found)}; {kinds[wanted]} starts with schema = {written(wanted)}"
+    )
+
+
+def _toml(text: str, source: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise InputError("not valid TOML: nested too deeply", source) from None
+    except ValueError as error:
+        match = _SYNTAX_LINE.search(str(error))
+        rows = text.splitlines() or [""]
+        line = int(match[1]) if match and match[1] else len(rows)
+        what = str(error)[: match.start()] if match else str(error)
+        row = rows[min(line, len(rows)) - 1].strip()
+        raise InputError(
+            f"not valid TOML: {what}; found {written(row)}; keys are written as key = value, "
+            "text in double quotes",
+            f"{source}:{line}",
+        ) from None
+
+
+def _override_path(model: type[Table], key: str) -> KeyPath:
+    """Return the place a ``--set`` key means; a rig's key may have ``rig.`` before it."""
+    parts: list[str | int] = [int(part) if part.isdecimal() else part for part in key.split(".")]
+    if model is RigFile and len(parts) > 1 and parts[0] == "rig" and parts[1] in model.model_fields:
+        parts = parts[1:]
+    return tuple(parts)
+
+
+def _override(raw: dict[str, Any], path: KeyPath, text: str, given: set[KeyPath]) -> str | None:
+    """Put an override into the file's values; return the complaint when it has no place there."""
+    if "" in path:
+        return "the key has an empty part; keys are written as controller.w1"
+    place: Any = raw
+    for depth, part in enumerate(path):
+        last = depth == len(path) - 1
+        name = ".".join(str(key) for key in path[:depth])
+        if isinstance(place, list):
+            if not isinstance(part, int) or part >= len(place):
+                return f"{name} has the entries 0 to {len(place) - 1}; found {written(part)}"
+            if last:
+                place[part] = _override_value(text)
+            place = place[part]
+        elif isinstance(place, dict):
+            key = str(part)
+            if last:
+                _drop_alternatives(place, path, given)
+                place[key] = _override_value(text)
+            place = place.setdefault(key, {})
+        else:
+            return (
+                f"{name} is {written(place)}, which has no keys; set it as a whole: "
+                f"--set '{name}={{ {part} = {text} }}'"
+            )
+    return None
+
+
+def _drop_alternatives(table: dict[str, Any], path: KeyPath, given: set[KeyPath]) -> None:
+    """Let a period from the command line replace the mass in the file, and the like."""
+    model = _EXCLUSIVE.get(path[:-1])
+    for choice in model.choices if model else ():
+        if path[-1] in choice.keys:
+            for key in choice.keys:
+                if (*path[:-1], key) not in given:
+                    table.pop(key, None)
+
+
+def _override_value(text: str) -> Any:
+    """Read a value as TOML; what is not TOML is taken as text, so that names need no quotes."""
+    try:
+        values = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    value = values["value"]
+    plain = isinstance(value, (str, bool, int, float, list, dict))
+    return value if plain and len(values) == 1 else text
+
+
+def _key_path(loc: tuple[int | str, ...], raw: dict[str, Any]) -> KeyPath:
+    """Return the keys of the file for a place in the models: without the names of union members.
+
+    A short form, such as a limit given as a number, ends the path.
+    """
+    path: list[int | str] = []
+    place: Any = raw
+    tag_seen = False
+    for part in loc:
+        tags = (place.get("kind"), place.get("element")) if isinstance(place, dict) else ()
+        if part in tags and not tag_seen:
+            tag_seen = True
+            continue
+        if path and not isinstance(place, (dict, list)):
+            break
+        tag_seen = False
+        path.append(part)
+        if isinstance(place, dict):
+            place = place.get(str(part), {})
+        elif isinstance(part, int) and part < len(place):
+            place = place[part]
+    return tuple(path)

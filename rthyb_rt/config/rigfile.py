@@ -1,0 +1,399 @@
+"""The rig file: actuator, specimen, sensors, and what an identification found out about them."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from rthyb_rt.config.fields import SLUG, Check, Count, Range, Table, Text
+
+RIG_SCHEMA = "rthyb-rig/1"
+MAX_ELEMENTS = 16
+"""What the core keeps for one specimen (RTHYB_ELEMENTS_MAX)."""
+
+DelaySamples = Annotated[int, Count(0, 1000, "the delay in samples")]
+Stiffness = Annotated[float, Range("N/m", 0, 1e12, "the stiffness")]
+FrictionForce = Annotated[float, Range("N", 0, 1e8, "the friction force")]
+FrictionWidth = Annotated[
+    float, Range("m/s", 1e-7, 1, "the velocity over which friction changes sign")
+]
+
+
+class RigInfo(Table):
+    """Conventions of the rig.
+
+    ``command_hold``: the drive holds a command ("zoh") or interpolates to it ("foh").
+    ``elastic_stiffness_n_per_m`` is the paper's k_e, the upper bound of the tangent stiffness.
+    """
+
+    name: Annotated[str, SLUG]
+    description: Annotated[str, Text("a description")] = ""
+    elastic_stiffness_n_per_m: Annotated[
+        float,
+        Range(
+            "N/m",
+            1e-3,
+            1e12,
+            "the specimen's elastic stiffness k_e",
+            "the restoring-force compensator has no bound without it: run `rthyb identify RIG` "
+            "or write the value of an elastic test",
+        ),
+    ]
+    load_cell: Literal["actuator-end", "specimen"] = "actuator-end"
+    command_hold: Literal["zoh", "foh"] = "zoh"
+    command_shift_s: Annotated[
+        float, Range("s", -1, 1, "the shift between command and measured row")
+    ] = 0.0
+    seed: Annotated[int, Count(0, 2**32 - 1, "the seed of the sensor noise")] = 0
+
+
+class PureDelay(Table):
+    """x_m[n] = x_p[n - D]: the actuator of the paper's Section 4.2."""
+
+    kind: Literal["pure-delay"]
+    delay_samples: DelaySamples
+
+
+class FirstOrder(Table):
+    """x_m[n] = p x_m[n-1] + (1 - p) x_p[n-1], p = exp(-2 pi f / fs): Section 4.1."""
+
+    kind: Literal["first-order"]
+    roll_off_hz: Annotated[float, Range("Hz", 0.01, 500, "the roll-off frequency")]
+    extra_delay_samples: DelaySamples = 0
+
+
+class SecondOrder(Table):
+    """gain exp(-s delay) w^2 / (s^2 + 2 zeta w s + w^2)."""
+
+    kind: Literal["second-order"]
+    natural_frequency_hz: Annotated[float, Range("Hz", 0.1, 500, "the natural frequency")]
+    damping_ratio: Annotated[float, Range("", 0.01, 10, "the damping ratio")]
+    gain: Annotated[float, Range("", 0.01, 100, "the static gain")] = 1.0
+    delay_s: Annotated[float, Range("s", 0, 1, "the delay")] = 0.0
+
+
+class ServoHydraulic(Table):
+    """PI-controlled servo valve, square-root load flow, oil column and table."""
+
+    kind: Literal["servo-hydraulic"]
+    kp_per_s: Annotated[float, Range("1/s", 1e-2, 1e4, "the proportional gain")] = 63.5
+    ki_per_s2: Annotated[float, Range("1/s^2", 0, 1e6, "the integral gain")] = 6.0
+    valve_time_constant_s: Annotated[float, Range("s", 1e-5, 0.1, "the valve's lag")] = 0.0018
+    stall_force_n: Annotated[float, Range("N", 1, 1e9, "the stall force")] = 16000.0
+    flow_limit_m_per_s: Annotated[float, Range("m/s", 1e-4, 100, "the no-load velocity")] = 1.0
+    oil_stiffness_n_per_m: Annotated[
+        float, Range("N/m", 1e3, 1e12, "the oil column's stiffness")
+    ] = 2e7
+    oil_damping_n_s_per_m: Annotated[float, Range("N s/m", 0, 1e10, "the oil column's damping")] = (
+        1.2e4
+    )
+    moving_mass_kg: Annotated[float, Range("kg", 1e-3, 1e6, "the moving mass")] = 45.0
+    friction_n: FrictionForce = 80.0
+    friction_width_m_per_s: FrictionWidth = 0.0005
+    viscous_n_s_per_m: Annotated[float, Range("N s/m", 0, 1e9, "the viscous force")] = 600.0
+    substeps: Annotated[int, Count(1, 1024, "the substeps per sample")] = 16
+
+
+Actuator = PureDelay | FirstOrder | SecondOrder | ServoHydraulic
+
+
+class StiffnessElement(Table):
+    """f = k x; negative for what a model has too much of."""
+
+    element: Literal["stiffness"]
+    k_n_per_m: Annotated[float, Range("N/m", -1e12, 1e12, "the stiffness")]
+
+
+class ViscousElement(Table):
+    """f = c v; negative for what a model has too much of."""
+
+    element: Literal["viscous"]
+    c_n_s_per_m: Annotated[float, Range("N s/m", -1e10, 1e10, "the damping")]
+
+
+class CoulombElement(Table):
+    """Dry friction, smoothed around zero velocity."""
+
+    element: Literal["coulomb"]
+    fc_n: FrictionForce
+    width_m_per_s: FrictionWidth = 0.0005
+
+
+def _static_above_sliding(fc_n: float, fs_n: float) -> str | None:
+    if fs_n >= fc_n:
+        return None
+    return f"found {fs_n:g}; static friction must not be below sliding friction fc_n = {fc_n:g} N"
+
+
+_FRICTION_CHECKS = (Check("fs_n", ("fc_n", "fs_n"), _static_above_sliding),)
+
+
+class StribeckElement(Table):
+    """Friction that falls from fs to fc around the velocity vs."""
+
+    checks: ClassVar[tuple[Check, ...]] = _FRICTION_CHECKS
+
+    element: Literal["stribeck"]
+    fc_n: FrictionForce
+    fs_n: FrictionForce
+    vs_m_per_s: Annotated[float, Range("m/s", 1e-6, 10, "the Stribeck velocity")]
+    width_m_per_s: FrictionWidth = 0.0005
+
+
+class LugreElement(Table):
+    """LuGre bristle friction."""
+
+    checks: ClassVar[tuple[Check, ...]] = _FRICTION_CHECKS
+
+    element: Literal["lugre"]
+    fc_n: Annotated[float, Range("N", 1e-3, 1e8, "the sliding friction")]
+    fs_n: FrictionForce
+    vs_m_per_s: Annotated[float, Range("m/s", 1e-6, 10, "the Stribeck velocity")]
+    sigma0_n_per_m: Annotated[float, Range("N/m", 1, 1e12, "the bristle stiffness")]
+    sigma1_n_s_per_m: Annotated[float, Range("N s/m", 0, 1e9, "the bristle damping")]
+    sigma2_n_s_per_m: Annotated[float, Range("N s/m", 0, 1e9, "the viscous term")] = 0.0
+
+
+class QuadDampingElement(Table):
+    """f = c2 v |v|."""
+
+    element: Literal["quad_damping"]
+    c2_n_s2_per_m2: Annotated[float, Range("N s^2/m^2", -1e12, 1e12, "the quadratic damping")]
+
+
+class InertiaElement(Table):
+    """f = m a."""
+
+    element: Literal["inertia"]
+    m_kg: Annotated[float, Range("kg", 0, 1e7, "the mass")]
+
+
+class GapElement(Table):
+    """A spring behind a gap on both sides."""
+
+    element: Literal["gap"]
+    k_n_per_m: Stiffness
+    gap_m: Annotated[float, Range("m", 0, 10, "the gap")]
+
+
+class CubicElement(Table):
+    """f = k3 x^3."""
+
+    element: Literal["cubic"]
+    k3_n_per_m3: Annotated[float, Range("N/m^3", -1e15, 1e15, "the cubic stiffness")]
+
+
+class QuadraticElement(Table):
+    """f = k2 x^2."""
+
+    element: Literal["quadratic"]
+    k2_n_per_m2: Annotated[float, Range("N/m^2", -1e15, 1e15, "the quadratic stiffness")]
+
+
+class StopperElement(Table):
+    """A stop met at xs."""
+
+    element: Literal["stopper"]
+    ks_n_per_m: Stiffness
+    xs_m: Annotated[float, Range("m", 0, 10, "the stop's position")]
+
+
+def _loop_closed(xy_m: float | None, a: float, b: float, c: float, eta: float) -> str | None:
+    if xy_m is None:
+        if b + c > 0:
+            return None
+        return (
+            f"b + c = {b + c:g} must be above 0, else the hysteretic force has no bound (Eqn 4.2); "
+            "give b and c, or the yield displacement xy_m"
+        )
+    if b or c or a != 1:
+        return "xy_m stands for a = 1, b = c = 0.5 / xy_m^eta; give it or a, b, c, not both"
+    if math.log10(0.5) - eta * math.log10(xy_m) > 15:
+        return f"xy_m = {xy_m:g} with eta = {eta:g} is too sharp to compute; lower eta"
+    return None
+
+
+class BoucWen(Table):
+    """Parameters of Eqn 4.1-4.2, displacement in m; ``xy_m`` may stand for a, b and c.
+
+    A loop given by its yield displacement has a = 1, b = c = 0.5 / xy_m^eta, and is stored so.
+    """
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("b", ("xy_m", "a", "b", "c", "eta"), _loop_closed),
+    )
+
+    element: str
+    k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
+    post_yield_ratio: Annotated[float, Range("", 0, 1, "post-yield over elastic stiffness")]
+    eta: Annotated[float, Range("", 1, 20, "the sharpness eta of yielding")]
+    a: Annotated[float, Range("", 1e-3, 1e3, "A of Eqn 4.2")] = 1.0
+    b: Annotated[float, Range("", 0, 1e15, "B of Eqn 4.2")] = 0.0
+    c: Annotated[float, Range("", -1e15, 1e15, "C of Eqn 4.2")] = 0.0
+    xy_m: Annotated[float, Range("m", 1e-5, 10, "the yield displacement")] | None = None
+
+    def settle(self) -> None:
+        """Store a, b and c for a loop that was given by its yield displacement."""
+        if self.xy_m is not None:
+            half = 0.5 / self.xy_m**self.eta
+            self.__dict__.update(b=half, c=half, xy_m=None)
+
+
+class HysteresisElement(BoucWen):
+    """Yielding: Bouc-Wen as in Eqn 4.1-4.2."""
+
+    element: Literal["hysteresis"]
+
+
+class PinchingElement(BoucWen):
+    """Bouc-Wen with a loop pinched around zero."""
+
+    element: Literal["pinching"]
+    depth: Annotated[float, Range("", 0, 1, "the pinching depth")]
+    width_ratio: Annotated[float, Range("", 1e-3, 10, "pinched width over yield displacement")]
+
+
+class DegradationElement(BoucWen):
+    """Bouc-Wen that loses stiffness with travel."""
+
+    element: Literal["degradation"]
+    loss: Annotated[float, Range("", 0, 1, "the share lost in the end")]
+    travel_m: Annotated[float, Range("m", 1e-6, 1e6, "the travel of the loss")]
+
+
+class MaxwellElement(Table):
+    """Spring and dashpot in series."""
+
+    element: Literal["maxwell"]
+    km_n_per_m: Stiffness
+    tau_s: Annotated[float, Range("s", 1e-4, 1e4, "the relaxation time")]
+
+
+class SecondModeElement(Table):
+    """A mass on a spring that rides on the specimen."""
+
+    element: Literal["second_mode"]
+    m2_kg: Annotated[float, Range("kg", 1e-6, 1e8, "the mass")]
+    f2_hz: Annotated[float, Range("Hz", 0.01, 400, "the frequency")]
+    zeta2: Annotated[float, Range("", 0, 2, "the damping ratio")] = 0.02
+
+
+class PDeltaElement(Table):
+    """The negative stiffness of gravity load over height."""
+
+    element: Literal["p_delta"]
+    gravity_load_n: Annotated[float, Range("N", 0, 1e10, "the gravity load")]
+    height_m: Annotated[float, Range("m", 0.01, 1e3, "the height")]
+
+
+SpecimenElement = (
+    StiffnessElement
+    | ViscousElement
+    | CoulombElement
+    | StribeckElement
+    | LugreElement
+    | QuadDampingElement
+    | InertiaElement
+    | GapElement
+    | CubicElement
+    | QuadraticElement
+    | StopperElement
+    | HysteresisElement
+    | PinchingElement
+    | DegradationElement
+    | MaxwellElement
+    | SecondModeElement
+    | PDeltaElement
+)
+
+
+class DisplacementSensor(Table):
+    """The displacement channel: noise, resolution, offset, range (absent: none)."""
+
+    noise_std_m: Annotated[float, Range("m", 0, 0.1, "the noise")] = 0.0
+    lsb_m: Annotated[float, Range("m", 0, 0.1, "the resolution")] = 0.0
+    bias_m: Annotated[float, Range("m", -1, 1, "the offset")] = 0.0
+    range_m: Annotated[float, Range("m", 1e-6, 100, "the range to either side")] | None = None
+
+
+class ForceSensor(Table):
+    """The load cell: noise, resolution, offset, range (absent: none)."""
+
+    noise_std_n: Annotated[float, Range("N", 0, 1e7, "the noise")] = 0.0
+    lsb_n: Annotated[float, Range("N", 0, 1e7, "the resolution")] = 0.0
+    bias_n: Annotated[float, Range("N", -1e8, 1e8, "the offset")] = 0.0
+    range_n: Annotated[float, Range("N", 1e-3, 1e10, "the range to either side")] | None = None
+
+
+class Sensors(Table):
+    """What the controller sees of the specimen."""
+
+    displacement: DisplacementSensor = Field(default_factory=DisplacementSensor)
+    force: ForceSensor = Field(default_factory=ForceSensor)
+
+
+def _one_row_a_frequency(
+    frequency_hz: list[float], amplitude: list[float], delay_at_frequency_s: list[float]
+) -> str | None:
+    sizes = [len(frequency_hz), len(amplitude), len(delay_at_frequency_s)]
+    if len(set(sizes)) == 1:
+        return None
+    return (
+        f"frequency_hz, amplitude and delay_at_frequency_s have {sizes[0]}, {sizes[1]} and "
+        f"{sizes[2]} entries; they must have the same number"
+    )
+
+
+class Identified(Table):
+    """What `rthyb identify` measured; ``alpha`` is the delay estimate the next test starts with."""
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check(
+            "frequency_hz",
+            ("frequency_hz", "amplitude", "delay_at_frequency_s"),
+            _one_row_a_frequency,
+        ),
+    )
+
+    alpha: Annotated[float, Range("samples", 0, 1000, "the identified delay")]
+    delay_s: Annotated[float, Range("s", 0, 1, "the identified delay")]
+    gain: Annotated[float, Range("", 0.01, 100, "the amplitude ratio")] = 1.0
+    rest_noise_displacement_m: (
+        Annotated[float, Range("m", 0, 0.1, "the displacement noise at rest")] | None
+    ) = None
+    rest_noise_force_n: Annotated[float, Range("N", 0, 1e7, "the force noise at rest")] | None = (
+        None
+    )
+    date: Annotated[str, Text("the date")] = ""
+    frequency_hz: list[Annotated[float, Range("Hz", 1e-3, 512, "a frequency")]] = Field(
+        default_factory=list
+    )
+    amplitude: list[Annotated[float, Range("", 0, 100, "an amplitude ratio")]] = Field(
+        default_factory=list
+    )
+    delay_at_frequency_s: list[Annotated[float, Range("s", -1, 1, "a delay")]] = Field(
+        default_factory=list
+    )
+
+    @classmethod
+    def expand(cls, data: Any) -> Any:
+        """Take a date written as a TOML date."""
+        if isinstance(data, dict) and isinstance(data.get("date"), datetime.date):
+            return {**data, "date": data["date"].isoformat()}
+        return data
+
+
+class RigFile(Table):
+    """A rig: virtual, or the model of a real one."""
+
+    schema_: Literal["rthyb-rig/1"] = Field(alias="schema")
+    rig: RigInfo
+    actuator: Annotated[Actuator, Field(discriminator="kind")]
+    specimen: list[Annotated[SpecimenElement, Field(discriminator="element")]] = Field(
+        min_length=1, max_length=MAX_ELEMENTS
+    )
+    sensors: Sensors = Field(default_factory=Sensors)
+    identified: Identified | None = None

@@ -1,0 +1,248 @@
+"""The test file: which motion, which numerical part, which compensation, which limits."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, StrictBool
+
+from rthyb_rt.config.fields import SLUG, SOME_TEXT, Check, Choice, Count, Range, Table, Text
+
+TEST_SCHEMA = "rthyb-test/1"
+
+SampleCount = Annotated[
+    int, Count(1, 1024, "the number of samples T0 of the tangent-stiffness window (Eqn 3.3)")
+]
+
+
+class TestInfo(Table):
+    """Name and length of the test.
+
+    ``duration_s`` absent means the ground motion followed by ``free_vibration_s``.
+    """
+
+    __test__: ClassVar[bool] = False
+
+    name: Annotated[str, SLUG]
+    description: Annotated[str, Text("a description")] = ""
+    duration_s: Annotated[float, Range("s", 0.01, 3600, "the test's length")] | None = None
+    free_vibration_s: Annotated[
+        float, Range("s", 0, 600, "the free vibration after the motion")
+    ] = 10.0
+
+
+class GroundMotion(Table):
+    """The record and what is done to it; at most one of ``pga_g`` and ``factor``."""
+
+    choices: ClassVar[tuple[Choice, ...]] = (Choice(("pga_g", "factor"), required=False),)
+
+    record: Annotated[str, SOME_TEXT] = "elcentro-1940-ns"
+    format: Literal[
+        "auto", "at2", "cosmos-v1", "cosmos-v2", "csmip-v1", "csmip-v2", "knet", "columns"
+    ] = "auto"
+    units: Annotated[str, SOME_TEXT] | None = None
+    channel: Annotated[str, SOME_TEXT] | None = None
+    pga_g: (
+        Annotated[
+            float,
+            Range("g", 1e-6, 5, "the peak ground acceleration", "5 m/s2 is 0.51 g: check the unit"),
+        ]
+        | None
+    ) = None
+    factor: Annotated[float, Range("", -1e4, 1e4, "the scale factor")] | None = None
+    start_s: Annotated[float, Range("s", 0, 3600, "the start within the record")] = 0.0
+    duration_s: Annotated[float, Range("s", 0.01, 3600, "the length taken")] | None = None
+    interpolation: Literal["band-limited", "linear"] = "band-limited"
+
+    @classmethod
+    def expand(cls, data: Any) -> Any:
+        """Take a channel given by its number, as most record files count them."""
+        if isinstance(data, dict) and type(data.get("channel")) is int:
+            return {**data, "channel": str(data["channel"])}
+        return data
+
+
+class Numerical(Table):
+    """The computed part: mass or period, damping or damping ratio, stiffness beside the specimen.
+
+    ``rho_inf`` is read by the integrator ``kr-alpha`` alone.
+    """
+
+    choices: ClassVar[tuple[Choice, ...]] = (
+        Choice(("mass_kg", "period_s"), required=True),
+        Choice(("damping_n_s_per_m", "damping_ratio"), required=True),
+    )
+
+    mass_kg: Annotated[float, Range("kg", 1e-3, 1e9, "the mass")] | None = None
+    period_s: (
+        Annotated[float, Range("s", 0.01, 100, "the period of the whole structure")] | None
+    ) = None
+    damping_n_s_per_m: Annotated[float, Range("N s/m", 0, 1e12, "the damping")] | None = None
+    damping_ratio: Annotated[float, Range("", 0, 2, "the damping ratio")] | None = None
+    stiffness_n_per_m: Annotated[
+        float, Range("N/m", 0, 1e12, "the computed stiffness beside the specimen's")
+    ] = 0.0
+    integrator: Literal["central-difference", "forward-euler", "cr", "kr-alpha"] = (
+        "central-difference"
+    )
+    rho_inf: Annotated[float, Range("", 0, 1, "the spectral radius at high frequency")] = 1.0
+
+
+def _bounds_in_order(alpha_min: float, alpha_max: float) -> str | None:
+    if alpha_min < alpha_max:
+        return None
+    return f"found {alpha_max:g}; must be greater than alpha_min = {alpha_min:g} samples"
+
+
+class DelayEstimator(Table):
+    """The adaptive law for the delay alpha (Eqn 2.6-2.11 and its successors).
+
+    A file may hold the settings of several laws: ``gain_per_mm2_per_sample`` is read by the
+    controller ``paper``, ``rate_per_sample`` by ``robust``, ``memory_s`` by ``alpha-beta``.
+    """
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("alpha_max", ("alpha_min", "alpha_max"), _bounds_in_order),
+    )
+
+    enabled: StrictBool = True
+    gain_per_mm2_per_sample: (
+        Annotated[float, Range("", 0, 1e3, "the adaptive gain gamma (Eqn 2.11)")] | None
+    ) = None
+    rate_per_sample: Annotated[float, Range("", 0, 1, "the share learnt per sample")] | None = None
+    memory_s: Annotated[float, Range("s", 0.05, 600, "the memory of the estimator")] | None = None
+    alpha_min: Annotated[float, Range("samples", 0, 1000, "the smallest delay")] = 0.0
+    alpha_max: Annotated[float, Range("samples", 0, 1000, "the largest delay")] = 60.0
+    cutoff_hz: Annotated[float, Range("Hz", 0.5, 400, "the cut-off of the filter pair")] = 25.0
+    gate_factor: Annotated[
+        float, Range("", 0, 1e6, "the power over rest noise that opens the gate")
+    ] = 10.0
+    reference_displacement_m: Annotated[
+        float, Range("m", 1e-6, 10, "the displacement that makes the law unit-free")
+    ] = 0.001
+
+
+class Rfc(Table):
+    """The restoring-force compensator (Eqn 3.1-3.3); window absent means 0.1 periods.
+
+    ``divisor = "printed"`` divides the T0 + 1 terms of Eqn 3.3 by T0, ``"terms"`` by their number.
+    """
+
+    choices: ClassVar[tuple[Choice, ...]] = (
+        Choice(("window_periods", "window_s", "window_samples"), required=False),
+    )
+
+    enabled: StrictBool = True
+    window_periods: Annotated[float, Range("", 1e-4, 10, "the window in periods")] | None = None
+    window_s: Annotated[float, Range("s", 1e-4, 1, "the window")] | None = None
+    window_samples: SampleCount | None = None
+    tangent: Literal["mean-of-ratios", "least-squares"] | None = None
+    divisor: Literal["printed", "terms"] = "printed"
+
+
+def _alpha_in_bounds(alpha0: float | None, estimator: DelayEstimator) -> str | None:
+    if alpha0 is None or estimator.alpha_min <= alpha0 <= estimator.alpha_max:
+        return None
+    return (
+        f"found {alpha0:g}; must be from alpha_min = {estimator.alpha_min:g} to alpha_max = "
+        f"{estimator.alpha_max:g} samples of controller.delay_estimator"
+    )
+
+
+def _beta_in_bounds(beta0: float | None, estimator: DelayEstimator) -> str | None:
+    bound = estimator.alpha_max**2 / 2
+    if beta0 is None or abs(beta0) <= bound:
+        return None
+    return f"found {beta0:g}; must be from {-bound:g} to {bound:g} (half of alpha_max squared)"
+
+
+def _plc_stable(w1: float, w2: float) -> str | None:
+    """Poles of Eqn 2.5 inside the unit circle (Fig. 2.1)."""
+    if abs(w1) > 1 and abs(w2) < abs(w1 + 1):
+        return None
+    return (
+        f"w1 = {w1:g}, w2 = {w2:g} make the phase-lead compensator unstable; needed are |w1| > 1 "
+        f"and |w2| < |w1 + 1| = {abs(w1 + 1):g}; the paper uses w1 = 3, w2 = 2"
+    )
+
+
+class Controller(Table):
+    """The compensation: phase lead (Eqn 2.5), its delay estimator, restoring force (Eqn 3.2)."""
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("w1", ("w1", "w2"), _plc_stable),
+        Check("alpha0", ("alpha0", "delay_estimator"), _alpha_in_bounds),
+        Check("beta0", ("beta0", "delay_estimator"), _beta_in_bounds),
+    )
+
+    type: Literal["paper", "robust", "alpha-beta", "none"] = "paper"
+    plc_enabled: StrictBool = True
+    w1: Annotated[float, Range("", -1e3, 1e3, "the weighting W1 (Eqn 2.3)")] = 3.0
+    w2: Annotated[float, Range("", -1e3, 1e3, "the weighting W2 (Eqn 2.3)")] = 2.0
+    alpha0: Annotated[float, Range("samples", 0, 1000, "the initial delay")] | None = None
+    beta0: Annotated[float, Range("", -5e5, 5e5, "the initial curvature term")] | None = None
+    delay_estimator: DelayEstimator = Field(default_factory=DelayEstimator)
+    rfc: Rfc = Field(default_factory=Rfc)
+
+
+class Limit(Table):
+    """A limit that is watched; a plain number is short for ``{ value = ..., action = "trip" }``."""
+
+    value: float
+    enable: StrictBool = True
+    action: Literal["indicate", "trip"] = "trip"
+
+    @classmethod
+    def expand(cls, data: Any) -> Any:
+        """Take a bare value for the table around it."""
+        return {"value": data} if isinstance(data, (int, float, str)) else data
+
+
+class DisplacementLimit(Limit):
+    """A limit on a displacement."""
+
+    value: Annotated[float, Range("m", 1e-6, 100, "the limit")]
+
+
+class ForceLimit(Limit):
+    """A limit on a force."""
+
+    value: Annotated[float, Range("N", 1e-3, 1e10, "the limit")]
+
+
+class Limits(Table):
+    """What the test may not exceed.
+
+    Velocity and acceleration of the command act by limiting it, so they are plain numbers.
+    """
+
+    command_position_m: DisplacementLimit | None = None
+    command_velocity_m_per_s: (
+        Annotated[float, Range("m/s", 1e-6, 100, "the command's velocity limit")] | None
+    ) = None
+    command_acceleration_m_per_s2: (
+        Annotated[float, Range("m/s^2", 1e-3, 1e6, "the command's acceleration limit")] | None
+    ) = None
+    force_n: ForceLimit | None = None
+    tracking_error_m: DisplacementLimit | None = None
+
+
+class Reference(Table):
+    """The reference simulation; ``table_forces`` adds what the load cell sees of the table."""
+
+    table_forces: StrictBool = True
+
+
+class TestFile(Table):
+    """A hybrid test. ``rig`` is a path, or the name of a rig that comes with the program."""
+
+    __test__: ClassVar[bool] = False
+
+    schema_: Literal["rthyb-test/1"] = Field(alias="schema")
+    rig: Annotated[str, SOME_TEXT] | None = None
+    test: TestInfo
+    ground_motion: GroundMotion = Field(default_factory=GroundMotion)
+    numerical: Numerical
+    controller: Controller = Field(default_factory=Controller)
+    limits: Limits = Field(default_factory=Limits)
+    reference: Reference = Field(default_factory=Reference)

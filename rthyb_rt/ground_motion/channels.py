@@ -1,0 +1,70 @@
+"""Choice of one channel out of a file that holds several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rthyb_rt.ground_motion.record import FloatArray
+from rthyb_rt.ground_motion.text import Text, clean
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Where one channel of acceleration stands in its file.
+
+    Attributes:
+        number: the channel's number as the file gives it, else its place, from 1.
+        label: component in words (``90 Deg``, ``Up``), may be empty.
+        index: index of the line that announces the data.
+    """
+
+    number: int
+    label: str
+    index: int
+
+    def __str__(self) -> str:
+        """Return number and component as shown to people."""
+        return f"{self.number} ({self.label})" if self.label else str(self.number)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What a format's reader found.
+
+    Attributes:
+        dt_s: sampling interval, s.
+        values: samples in ``unit``, shape (n,).
+        unit: canonical unit of the values.
+        unit_from: where the unit was found, in words.
+        details: provenance from the header.
+    """
+
+    dt_s: float
+    values: FloatArray
+    unit: str
+    unit_from: str
+    details: dict[str, str]
+
+
+def choose_channel(text: Text, channels: Sequence[Channel], wanted: int | str | None) -> Channel:
+    """Return the channel asked for by number or by a part of its label.
+
+    Raises:
+        InputError: nothing asked for though there are several, no such channel, or more than one
+            that fits.
+    """
+    listed = ", ".join(str(c) for c in channels[:20]) + (", ..." if len(channels) > 20 else "")
+    if wanted is None:
+        if len(channels) == 1:
+            return channels[0]
+        raise text.error(f"holds {len(channels)} channels: {listed}; choose one with `channel`")
+    shown = clean(str(wanted), 40)
+    if shown.isdecimal():
+        fitting = [c for c in channels if c.number == int(shown)]
+    else:
+        fitting = [c for c in channels if shown and shown.lower() in c.label.lower()]
+    if len(fitting) == 1:
+        return fitting[0]
+    found = "no channel" if not fitting else f"{len(fitting)} channels"
+    raise text.error(f"{found} fit {shown!r}; the file holds {listed}")

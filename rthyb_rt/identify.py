@@ -1,0 +1,345 @@
+"""What a test must know of its rig: delay, amplitude, initial alpha, elastic stiffness, rest noise.
+
+The rig rests, then follows a row of sines, from slow to fast, small and under a velocity limit,
+without any compensation. Each sine is fitted to command, displacement and force by least squares:
+with whole cycles and the noise spread over thousands of samples, delay comes out to a hundredth
+of a sample.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core, experiment
+from rthyb_rt.config import Identified, RigFile
+from rthyb_rt.errors import InputError
+
+Floats = NDArray[np.float64]
+
+REST_S = 3.0
+RAMP_CYCLES = 1
+SETTLE_CYCLES = 2
+FIT_CYCLES = 4
+FIT_SECONDS = 2.0
+"""Each frequency is fitted over at least so many whole cycles and so long."""
+
+LOW_FREQUENCY_HZ = 2.0
+"""Delay and gain are stated for the motion up to here, where structures answer."""
+
+STIFFNESS_NONLINEAR = 0.05
+"""Share of the force that the linear fit may leave before k_e is called doubtful."""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The excitation of an identification.
+
+    Attributes:
+        frequencies_hz: one sine after the other.
+        amplitude_m: of the slow ones.
+        velocity_m_per_s: the fast ones are made smaller to stay below it.
+    """
+
+    frequencies_hz: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
+    amplitude_m: float = 2e-3
+    velocity_m_per_s: float = 0.05
+
+    def amplitude_at(self, frequency_hz: float) -> float:
+        """Return the amplitude at one frequency, m."""
+        return min(self.amplitude_m, self.velocity_m_per_s / (2 * np.pi * frequency_hz))
+
+
+@dataclass(frozen=True)
+class Tone:
+    """What one sine showed.
+
+    Attributes:
+        frequency_hz, amplitude_m: the command.
+        gain: amplitude of x_m over that of x_p.
+        delay_s: phase lag as time.
+        force_in_phase_n_per_m: force in phase with x_m, over its amplitude: stiffness less
+            (2 pi f)^2 times the mass that the load cell feels.
+        force_in_quadrature_n_per_m: the same a quarter period ahead: damping and friction.
+        distortion: share of the force (rms) that is no sine of this frequency.
+    """
+
+    frequency_hz: float
+    amplitude_m: float
+    gain: float
+    delay_s: float
+    force_in_phase_n_per_m: float
+    force_in_quadrature_n_per_m: float
+    distortion: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an identification found.
+
+    Attributes:
+        tones: by frequency.
+        alpha, beta: parameters of the compensator that undo this actuator best over the sweep:
+            least squares of Eqn 2.6-2.8 (beta: with its curvature term), samples, samples^2.
+        alpha_alone: the same without beta, what Eqn 2.5 wants: the alpha0 of a test.
+        delay_s, gain: mean up to `LOW_FREQUENCY_HZ`.
+        k_e_n_per_m: elastic stiffness.
+        moving_mass_kg: what else moves under the load cell.
+        rest_noise_m, rest_noise_n: standard deviations at rest.
+        offset_m, offset_n: means at rest.
+        notes: what the user should know.
+    """
+
+    tones: tuple[Tone, ...]
+    alpha: float
+    beta: float
+    alpha_alone: float
+    delay_s: float
+    gain: float
+    k_e_n_per_m: float
+    moving_mass_kg: float
+    rest_noise_m: float
+    rest_noise_n: float
+    offset_m: float
+    offset_n: float
+    notes: tuple[str, ...]
+
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Rows of one sine: all of it, and the settled whole cycles that are fitted."""
+
+    frequency_hz: float
+    start: int
+    fit: slice
+
+
+def identify(rig: RigFile, sweep: Sweep | None = None, progress: Progress | None = None) -> Result:
+    """Sweep the virtual rig of ``rig`` and work out what a test needs.
+
+    Raises:
+        InputError: a sweep that cannot be run, or a rig that does not follow it.
+    """
+    sweep = sweep or Sweep()
+    _check(sweep)
+    command, parts = _command(sweep)
+    x_m, f = _drive(rig, command, progress)
+    rest = slice(int(0.2 * core.FS_HZ), int(REST_S * core.FS_HZ))
+    offset_m, offset_n = float(x_m[rest].mean()), float(f[rest].mean())
+    noise_m = float(x_m[rest].std(ddof=1))
+    x_m, f = x_m - offset_m, f - offset_n
+    tones = tuple(_tone(part, command, x_m, f) for part in parts)
+    _check_followed(tones, noise_m)
+    moving = slice(parts[0].start, None)
+    alpha_alone, _ = _inverse(command[moving], x_m[moving], noise_m, with_beta=False)
+    alpha, beta = _inverse(command[moving], x_m[moving], noise_m, with_beta=True)
+    stiffness, mass = _stiffness_and_mass(tones)
+    slow = [tone for tone in tones if tone.frequency_hz <= LOW_FREQUENCY_HZ] or list(tones[:1])
+    return Result(
+        tones=tones,
+        alpha=alpha,
+        beta=beta,
+        alpha_alone=alpha_alone,
+        delay_s=float(np.mean([tone.delay_s for tone in slow])),
+        gain=float(np.mean([tone.gain for tone in slow])),
+        k_e_n_per_m=stiffness,
+        moving_mass_kg=mass,
+        rest_noise_m=noise_m,
+        rest_noise_n=float(f[rest].std(ddof=1)),
+        offset_m=offset_m,
+        offset_n=offset_n,
+        notes=tuple(_notes(tones, stiffness, offset_m, noise_m)),
+    )
+
+
+def identified_rig(rig: RigFile, result: Result) -> RigFile:
+    """Return the rig file with k_e and the section ``identified`` filled in."""
+    found = Identified(
+        alpha=max(_rounded(result.alpha_alone), 0.0),
+        delay_s=max(_rounded(result.delay_s), 0.0),
+        gain=_rounded(result.gain),
+        rest_noise_displacement_m=_rounded(result.rest_noise_m),
+        rest_noise_force_n=_rounded(result.rest_noise_n),
+        date=datetime.datetime.now(datetime.UTC).date().isoformat(),
+        frequency_hz=[tone.frequency_hz for tone in result.tones],
+        amplitude=[_rounded(tone.gain) for tone in result.tones],
+        delay_at_frequency_s=[_rounded(tone.delay_s) for tone in result.tones],
+    )
+    info = rig.rig.model_copy(
+        update={"elastic_stiffness_n_per_m": _rounded(result.k_e_n_per_m)}
+    )
+    return rig.model_copy(update={"rig": info, "identified": found})
+
+
+def _rounded(value: float) -> float:
+    """Five digits: more than any of this is good for, and readable in a file."""
+    return float(f"{value:.5g}")
+
+
+def _check(sweep: Sweep) -> None:
+    highest = core.FS_HZ / 8
+    bad = [f for f in sweep.frequencies_hz if not 0.05 <= f <= highest]
+    if bad or not sweep.frequencies_hz:
+        raise InputError(
+            f"frequencies {bad or 'none'}; each must be from 0.05 to {highest:g} Hz", "identify"
+        )
+    if not (0 < sweep.amplitude_m <= 1 and 0 < sweep.velocity_m_per_s <= 10):
+        raise InputError(
+            f"amplitude {sweep.amplitude_m} m at up to {sweep.velocity_m_per_s} m/s; both must be "
+            "positive, at most 1 m and 10 m/s; begin with a millimetre or two",
+            "identify",
+        )
+
+
+def _command(sweep: Sweep) -> tuple[Floats, list[_Part]]:
+    """Return x_c with rest, then sine after sine, each with a smooth start and end."""
+    pieces = [np.zeros(round(REST_S * core.FS_HZ))]
+    parts = []
+    at = pieces[0].size
+    for frequency in sweep.frequencies_hz:
+        fitted = max(FIT_CYCLES, int(np.ceil(FIT_SECONDS * frequency)))
+        ahead = RAMP_CYCLES + SETTLE_CYCLES + int(np.ceil(0.3 * frequency))
+        cycles = ahead + fitted + RAMP_CYCLES
+        n = round(cycles / frequency * core.FS_HZ)
+        turns = np.arange(n) * (frequency / core.FS_HZ)
+        envelope = np.clip(np.minimum(turns, cycles - turns) / RAMP_CYCLES, 0.0, 1.0)
+        smooth = 0.5 - 0.5 * np.cos(np.pi * envelope)
+        pieces.append(sweep.amplitude_at(frequency) * smooth * np.sin(2 * np.pi * turns))
+        first = at + round(ahead / frequency * core.FS_HZ)
+        last = first + round(fitted / frequency * core.FS_HZ)
+        parts.append(_Part(frequency, at, slice(first, last)))
+        at += n
+        # A pause lets the slow part of a servo's integrator die away before the next sine.
+        pause = np.zeros(round(0.5 * core.FS_HZ))
+        pieces.append(pause)
+        at += pause.size
+    return np.concatenate(pieces), parts
+
+
+def _drive(rig: RigFile, command: Floats, progress: Progress | None) -> tuple[Floats, Floats]:
+    virtual = core.Rig(experiment.rig_config(rig))
+    x_m, f = np.empty_like(command), np.empty_like(command)
+    for start in range(0, command.size, experiment.CHUNK_TICKS):
+        part = slice(start, start + experiment.CHUNK_TICKS)
+        x_m[part], f[part] = virtual.run(command[part])
+        if progress is not None:
+            progress(min(start + experiment.CHUNK_TICKS, command.size), command.size)
+    return x_m, f
+
+
+def _phasor(part: _Part, signal: Floats) -> tuple[complex, Floats]:
+    """Return the complex amplitude of the sine in a signal, and what is left of the signal."""
+    w = 2 * np.pi * part.frequency_hz / core.FS_HZ
+    angle = w * np.arange(part.fit.start, part.fit.stop)
+    basis = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
+    values = signal[part.fit]
+    fitted, *_ = np.linalg.lstsq(basis, values, rcond=None)
+    return complex(fitted[0], -fitted[1]), values - basis @ fitted
+
+
+def _tone(part: _Part, command: Floats, x_m: Floats, f: Floats) -> Tone:
+    sent, _ = _phasor(part, command)
+    moved, _ = _phasor(part, x_m)
+    force, rest = _phasor(part, f)
+    ratio = moved / sent
+    stiffness = force / moved if moved else complex(0)
+    total = float(np.sqrt(np.mean(f[part.fit] ** 2)))
+    # A lag of up to a whole cycle: the phase of a delay is negative.
+    lag = -np.angle(ratio) % (2 * np.pi)
+    if lag > 1.75 * np.pi:
+        lag -= 2 * np.pi
+    return Tone(
+        frequency_hz=part.frequency_hz,
+        amplitude_m=abs(sent),
+        gain=abs(ratio),
+        delay_s=float(lag / (2 * np.pi * part.frequency_hz)),
+        force_in_phase_n_per_m=stiffness.real,
+        force_in_quadrature_n_per_m=stiffness.imag,
+        distortion=float(np.sqrt(np.mean(rest**2))) / total if total else 0.0,
+    )
+
+
+def _inverse(
+    x_p: Floats, x_m: Floats, noise_m: float, *, with_beta: bool
+) -> tuple[float, float]:
+    """Least squares of Eqn 2.6-2.8 over the whole sweep, by the estimator itself."""
+    estimator = core.Estimator(
+        core.EstimatorConfig(
+            law="rls",
+            estimate_beta=with_beta,
+            memory_samples=1e8,
+            rest_noise_m=noise_m,
+            alpha_max=1000.0,
+        )
+    )
+    alpha, beta = estimator.run(x_p, x_m)
+    return float(alpha[-1]), float(beta[-1])
+
+
+def _stiffness_and_mass(tones: tuple[Tone, ...]) -> tuple[float, float]:
+    """In-phase force over frequency: k - m w^2, weighted by how much each sine moved."""
+    w2 = np.array([(2 * np.pi * tone.frequency_hz) ** 2 for tone in tones])
+    in_phase = np.array([tone.force_in_phase_n_per_m for tone in tones])
+    weight = np.array([tone.amplitude_m * tone.gain for tone in tones])
+    if len(tones) < 2:
+        return float(in_phase[0]), 0.0
+    basis = np.column_stack([np.ones_like(w2), -w2])
+    (stiffness, mass), *_ = np.linalg.lstsq(
+        basis * weight[:, None], in_phase * weight, rcond=None
+    )
+    return float(stiffness), float(mass)
+
+
+def _check_followed(tones: tuple[Tone, ...], noise_m: float) -> None:
+    still = [t for t in tones if not t.gain * t.amplitude_m > max(3 * noise_m / 10, 1e-12)]
+    if still:
+        raise InputError(
+            f"at {still[0].frequency_hz:g} Hz the displacement did not follow the command "
+            f"({still[0].gain * still[0].amplitude_m * 1e6:.3g} um of "
+            f"{still[0].amplitude_m * 1e6:.3g} um); is the actuator on, the sensor connected, the "
+            "amplitude above the noise?",
+            "identify",
+        )
+    if tones[0].force_in_phase_n_per_m <= 0:
+        raise InputError(
+            f"the force falls with displacement ({tones[0].force_in_phase_n_per_m:.4g} N/m at "
+            f"{tones[0].frequency_hz:g} Hz); check the polarity of the load cell, or that a "
+            "specimen is mounted",
+            "identify",
+        )
+
+
+def _notes(tones: tuple[Tone, ...], stiffness: float, offset_m: float, noise_m: float) -> list[str]:
+    notes = []
+    if abs(offset_m) > 5 * noise_m + 1e-9:
+        notes.append(
+            f"displacement reads {offset_m * 1e6:.3g} um at rest: tare it, the delay estimate "
+            "suffers from an offset"
+        )
+    worst = max(tones[: max(1, len(tones) // 2)], key=lambda tone: tone.distortion)
+    if worst.distortion > STIFFNESS_NONLINEAR:
+        notes.append(
+            f"{worst.distortion:.0%} of the force at {worst.frequency_hz:g} Hz is no sine: "
+            "friction, a gap or yielding; k_e is the mean slope at this amplitude"
+        )
+    lag = abs(tones[0].force_in_quadrature_n_per_m) / stiffness
+    if lag > 0.05:
+        notes.append(
+            f"the load cell sees {lag:.0%} of k_e in phase with velocity at "
+            f"{tones[0].frequency_hz:g} Hz: friction or damping beside the specimen"
+        )
+    delays = [tone.delay_s for tone in tones]
+    if max(delays) - min(delays) > 0.1 * abs(delays[0]) + 0.5 * core.PERIOD_S:
+        notes.append(
+            f"the delay runs from {delays[0] * 1e3:.1f} ms at {tones[0].frequency_hz:g} Hz to "
+            f"{delays[-1] * 1e3:.1f} ms at {tones[-1].frequency_hz:g} Hz: the actuator is a lag "
+            "rather than a delay"
+        )
+    return notes

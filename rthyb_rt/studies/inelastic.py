@@ -1,0 +1,356 @@
+"""Section 4.2: hybrid test of a yielding structure behind a ten-sample delay, Fig. 4.3 to 4.5."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib import util
+from pathlib import Path
+
+import numpy as np
+
+from rthyb_rt import core, ground_motion
+from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.studies.results import Curve, Floats, Panel, Row, Study, rms
+
+MASS_KG, DAMPING_N_S_PER_M, K_N_PER_M = 30000.0, 15080.0, 4737410.0
+PERIOD_S = 0.5
+MOTION_S, FREE_S = 50.0, 10.0
+PGA_G = 0.2
+WINDOW = 51
+DELAY = 10
+GAIN = 0.005
+
+BOUC_WEN = core.element(
+    "hysteresis", k_n_per_m=K_N_PER_M, post_yield_ratio=0.02, a=1.0, b=300.0, c=200.0, eta=1.5
+)
+ELASTIC = core.element("stiffness", k_n_per_m=K_N_PER_M)
+
+
+def tcu068(record: str | Path | None = None) -> GroundMotion | None:
+    """Return the first 50 s of Chi-Chi TCU068 EW, or None where it is not to be had.
+
+    The record may not be shipped: it is taken from ``record`` or from the package pyslammer.
+
+    Raises:
+        InputError: ``record`` cannot be read.
+    """
+    if record is None:
+        package = util.find_spec("pyslammer")
+        if package is None or package.origin is None:
+            return None
+        folder = Path(package.origin).parent / "sample_ground_motions"
+        record = folder / "Chi-Chi_1999_TCU068-090.csv"
+        if not record.is_file():
+            return None
+    return ground_motion.read(record).window(0.0, MOTION_S)
+
+
+def excitation(motion: GroundMotion) -> Floats:
+    """Return the motion at 0.2 g, then at rest, at 1024 Hz, m/s^2; joined by straight lines."""
+    return ground_motion.resample(
+        motion.scaled(pga_g=PGA_G), core.FS_HZ, method="linear", duration_s=MOTION_S + FREE_S
+    )
+
+
+def motion_config(integrator: core.Integrator) -> core.MotionConfig:
+    """Return the structure of Section 4.2."""
+    return core.MotionConfig(
+        integrator,
+        mass_kg=MASS_KG,
+        damping_n_s_per_m=DAMPING_N_S_PER_M,
+        k_e_n_per_m=K_N_PER_M,
+    )
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way of running the test; ``estimator`` None: no phase-lead compensator."""
+
+    estimator: core.EstimatorConfig | None
+    rfc: bool = False
+    tangent: core.Tangent = "mean-of-ratios"
+    integrator: core.Integrator = "forward-euler"
+    specimen: core.ElementConfig = BOUC_WEN
+    delay: int = DELAY
+    noise_std_m: float = 0.0
+    noise_std_n: float = 0.0
+
+
+def adaptive(gain: float = GAIN) -> core.EstimatorConfig:
+    """Return the paper's estimator from alpha = 0."""
+    return core.EstimatorConfig(law="gradient", gain=gain)
+
+
+def simulate(case: Case, ag: Floats) -> core.RecordArray:
+    """Return the records of the hybrid test."""
+    controller = core.Controller(
+        core.ControllerConfig(
+            estimator=case.estimator or core.EstimatorConfig(),
+            rfc=core.RfcConfig(
+                k_e_n_per_m=K_N_PER_M,
+                enabled=case.rfc,
+                tangent=case.tangent,
+                window=WINDOW,
+                end_tick=round(MOTION_S * core.FS_HZ),
+                rest_noise_m=case.noise_std_m,
+            ),
+            motion=motion_config(case.integrator),
+            plc_enabled=case.estimator is not None,
+        )
+    )
+    rig = core.Rig(
+        core.RigConfig(
+            core.ServoConfig("pure-delay", delay_samples=case.delay),
+            (case.specimen,),
+            displacement=core.SensorConfig(noise_std=case.noise_std_m),
+            force=core.SensorConfig(noise_std=case.noise_std_n),
+        )
+    )
+    records = np.zeros(ag.size, dtype=core.RECORD_DTYPE)
+    done, _ = controller.run_virtual(rig, ag, records)
+    return records[:done]
+
+
+def exact(ag: Floats, integrator: core.Integrator = "forward-euler") -> tuple[Floats, Floats]:
+    """Return displacement and force without delay: the paper's Exact."""
+    x, _, force = core.Motion(motion_config(integrator)).reference([BOUC_WEN], ag)
+    return x, force
+
+
+def free_decay_ratio(integrator: core.Integrator) -> float:
+    """Return the damping ratio of the elastic structure's free vibration by log decrement."""
+    ag = np.zeros(round(20 * core.FS_HZ))
+    motion = core.Motion(motion_config(integrator), 0.0)
+    ag[0] = 1.0  # a push of one sample
+    x, _, _ = motion.reference([ELASTIC], ag)
+    inner = np.nonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:]))[0] + 1
+    # Height of each peak from the parabola through its three samples.
+    curvature = x[inner - 1] - 2 * x[inner] + x[inner + 1]
+    heights = x[inner] - (x[inner + 1] - x[inner - 1]) ** 2 / (8 * curvature)
+    decrement = np.polyfit(np.arange(heights.size), np.log(heights), 1)[0]
+    return float(-decrement / math.hypot(decrement, 2 * math.pi))
+
+
+def largest_stable_delay(
+    integrator: core.Integrator, compensated: bool, search: range = range(61)
+) -> int:
+    """Return the longest pure delay, samples, at which the elastic structure does not grow."""
+    push = np.zeros(round(40 * core.FS_HZ))
+    push[:20] = 1.0
+    last = -1
+    for delay in search:
+        estimator = core.EstimatorConfig(alpha0=float(delay)) if compensated else None
+        x = simulate(
+            Case(estimator, specimen=ELASTIC, delay=delay, integrator=integrator), push
+        )["x_meas_m"]
+        if x.size < push.size or rms(x[-x.size // 4 :]) > rms(x[x.size // 4 : x.size // 2]):
+            break
+        last = delay
+    return last
+
+
+def study(record: str | Path | None = None) -> Study:
+    """Reproduce Section 4.2 with TCU068, or show it with El Centro where TCU068 is missing."""
+    motion = tcu068(record)
+    with_bands = motion is not None
+    used = motion if motion is not None else ground_motion.builtin("elcentro-1940-ns")
+    ag = excitation(used)
+    x_exact, f_exact = exact(ag)
+    cases = {
+        "none": Case(None),
+        "RFC": Case(None, rfc=True),
+        "PLC": Case(adaptive()),
+        "PLC + RFC": Case(adaptive(), rfc=True),
+        "PLC fixed 10": Case(core.EstimatorConfig(alpha0=10.0)),
+        "PLC fixed 10 + RFC": Case(core.EstimatorConfig(alpha0=10.0), rfc=True),
+    }
+    runs = {name: simulate(case, ag) for name, case in cases.items()}
+    rows = _paper_rows(runs, x_exact, ag)
+    if not with_bands:
+        rows = [Row(row.quantity, row.value, row.unit, paper=row.paper) for row in rows]
+    rows += _structure_rows()
+    rows += _side_by_side(ag, with_bands)
+    ambiguities = [
+        "The adaptive gain is not stated; γ = 0.005 per mm² per sample converges at 13 s, as the "
+        "paper's “more than 12 seconds”. The gain that Section 4.1 needs wrecks this test: one "
+        "fixed gain cannot serve both.",
+        "Forward Euler takes ωh/2 of damping away: 2 % act as 1.39 %, which costs more than all "
+        "that PLC and RFC leave. “Exact” is the same integrator without delay.",
+        "T0 is not stated here; 0.1 T = 51 samples is used.",
+    ]
+    if not with_bands:
+        ambiguities.insert(
+            0,
+            "Run with the built-in El Centro record, because TCU068 EW is not on this machine: no "
+            "band applies. Give the record with --record, or install the package pyslammer.",
+        )
+    return Study(
+        "4.2",
+        "Inelastic structure behind a delay of ten samples",
+        f"T = 0.5 s, 2 %, Bouc-Wen specimen, forward Euler, {used.name} at 0.2 g for 50 s, then 10 s "
+        "of free vibration; the estimator starts at α = 0.",
+        tuple(rows),
+        _panels(runs, x_exact, f_exact),
+        tuple(ambiguities),
+    )
+
+
+def _paper_rows(runs: dict[str, core.RecordArray], x_exact: Floats, ag: Floats) -> list[Row]:
+    accumulated = {
+        name: float(np.abs(r["x_meas_m"] - x_exact[: r.size]).sum()) for name, r in runs.items()
+    }
+    response = {
+        name: 100 * rms(r["x_meas_m"] - x_exact[: r.size]) / rms(x_exact[: r.size])
+        for name, r in runs.items()
+    }
+    alpha = runs["PLC"]["alpha"]
+    converged = np.nonzero(np.abs(alpha / alpha[-1] - 1.0) > 0.05)[0]
+    elastic = simulate(Case(None, specimen=ELASTIC), ag)["x_meas_m"]
+    past = np.nonzero(np.abs(elastic) > 0.1)[0]
+    better = "much larger with PLC only"
+    return [
+        Row("Exact peak displacement", float(np.abs(x_exact).max()) * 1e3, "mm", 36.24, 36.44),
+        Row("α converges to 5 %", float(converged.max(initial=0)) / core.FS_HZ, "s", 12.3, 14.3,
+            "more than 12 s"),
+        Row("α at the end, PLC", float(alpha[-1]), "samples", 9.93, 9.99, "the delay is 10"),
+        Row("Accumulated error, no compensation", accumulated["none"], "m"),
+        Row("Accumulated error, RFC only", accumulated["RFC"], "m"),
+        Row("Accumulated error, PLC", accumulated["PLC"], "m", 21.5, 23.5, better),
+        Row("Accumulated error, PLC + RFC", accumulated["PLC + RFC"], "m", 2.9, 3.7, better),
+        Row("Their ratio", accumulated["PLC"] / accumulated["PLC + RFC"], "", 5, None, better),
+        Row("Accumulated error, PLC fixed at 10", accumulated["PLC fixed 10"], "m"),
+        Row("Accumulated error, PLC fixed at 10 + RFC", accumulated["PLC fixed 10 + RFC"], "m"),
+        Row("Response NRMSE, no compensation", response["none"], "%", 50, None),
+        Row("Response NRMSE, PLC", response["PLC"], "%"),
+        Row("Response NRMSE, PLC + RFC", response["PLC + RFC"], "%", None, 1,
+            "agree rather well"),
+        Row("Elastic specimen, no compensation: passes 100 mm at",
+            float(past[0]) / core.FS_HZ if past.size else math.nan, "s", 11.0, 11.4),
+        Row("Response NRMSE, PLC with γ = 0.1", _plc_response(0.1, ag, x_exact), "%", None, 3),
+        Row("Response NRMSE, PLC with γ = 0.3", _plc_response(0.3, ag, x_exact), "%", 10, None),
+    ]  # fmt: skip
+
+
+def _plc_response(gain: float, ag: Floats, x_exact: Floats) -> float:
+    x = simulate(Case(adaptive(gain)), ag)["x_meas_m"]
+    return 100 * rms(x - x_exact[: x.size]) / rms(x_exact[: x.size])
+
+
+def _structure_rows() -> list[Row]:
+    rows = []
+    integrators: tuple[core.Integrator, ...] = (
+        "forward-euler", "central-difference", "cr", "kr-alpha",
+    )  # fmt: skip
+    for integrator in integrators:
+        expected = 1.3865 if integrator == "forward-euler" else 2.0
+        rows.append(
+            Row(f"Damping of the 2 % structure, {integrator}", 100 * free_decay_ratio(integrator),
+                "%", expected - 0.002, expected + 0.002)
+        )  # fmt: skip
+    for integrator, plain, compensated in (
+        ("central-difference", 3, 39),
+        ("forward-euler", 2, 34),
+    ):
+        kind: core.Integrator = integrator  # type: ignore[assignment]
+        rows.append(Row(f"Largest stable delay, elastic, no compensation, {integrator}",
+                        largest_stable_delay(kind, False, range(8)), "samples",
+                        plain - 1, plain + 1))  # fmt: skip
+        rows.append(Row(f"Largest stable delay, elastic, PLC, {integrator}",
+                        largest_stable_delay(kind, True, range(30, 48)), "samples",
+                        compensated - 1, compensated + 1))  # fmt: skip
+    return rows
+
+
+def _side_by_side(ag: Floats, with_bands: bool) -> list[Row]:
+    """Compare the controllers with central difference and sensor noise of 2 um and 20 N."""
+    x_exact, _ = exact(ag, "central-difference")
+    noise = 2e-6
+    estimators = {
+        "none": None,
+        "paper": adaptive(),
+        "robust": core.EstimatorConfig(law="robust", gain=0.002, rest_noise_m=noise),
+        "alpha-beta": core.EstimatorConfig(law="rls", estimate_beta=True, rest_noise_m=noise),
+    }
+    # All start from alpha = 8, as after an identification that is 20 % off.
+    rows = []
+    for name, estimator in estimators.items():
+        case = Case(
+            None if estimator is None else _started(estimator, 8.0),
+            rfc=estimator is not None,
+            tangent="mean-of-ratios" if name == "paper" else "least-squares",
+            integrator="central-difference",
+            noise_std_m=noise,
+            noise_std_n=20.0,
+        )
+        r = simulate(case, ag)
+        tracking = 100 * rms(r["x_meas_m"] - r["x_num_m"]) / rms(r["x_num_m"])
+        response = 100 * rms(r["x_meas_m"] - x_exact[: r.size]) / rms(x_exact[: r.size])
+        best = with_bands and name == "alpha-beta"
+        rows.append(Row(f"Tracking NRMSE with noise, α₀ = 8, controller {name}", tracking, "%",
+                        None, 0.05 if best else None))  # fmt: skip
+        rows.append(Row(f"Response NRMSE with noise, α₀ = 8, controller {name}", response, "%",
+                        None, 0.5 if best else None))  # fmt: skip
+    return rows
+
+
+def _started(estimator: core.EstimatorConfig, alpha0: float) -> core.EstimatorConfig:
+    from dataclasses import replace
+
+    return replace(estimator, alpha0=alpha0)
+
+
+def _panels(
+    runs: dict[str, core.RecordArray], x_exact: Floats, f_exact: Floats
+) -> tuple[Panel, ...]:
+    t = np.arange(x_exact.size) / core.FS_HZ
+    plc, both, none = runs["PLC"], runs["PLC + RFC"], runs["none"]
+
+    def over_time(r: core.RecordArray, field: str, factor: float) -> tuple[Floats, Floats]:
+        return t[: r.size], r[field] * factor
+
+    def accumulated(r: core.RecordArray) -> Floats:
+        return np.cumsum(np.abs(r["x_meas_m"] - x_exact[: r.size]))
+
+    displacement = Panel(
+        "fig-4-3", "Displacement (Fig. 4.3)", "time, s", "displacement, mm",
+        (
+            Curve("PLC", *over_time(plc, "x_meas_m", 1e3), "orange"),
+            Curve("PLC + RFC", *over_time(both, "x_meas_m", 1e3), "blue", width=1.4),
+            Curve("exact", t, x_exact * 1e3, "black", width=0.6),
+        ),
+    )  # fmt: skip
+    uncompensated = Panel(
+        "fig-4-3-none", "Without compensation", "time, s", "displacement, mm",
+        (
+            Curve("none", *over_time(none, "x_meas_m", 1e3), "red"),
+            Curve("exact", t, x_exact * 1e3, "black", width=0.6),
+        ),
+        "A bounded limit cycle: yielding takes out what the delay puts in.",
+    )  # fmt: skip
+    loops = Panel(
+        "fig-4-4", "Hysteresis (Fig. 4.4)", "displacement, mm", "force, kN",
+        (
+            Curve("PLC", plc["x_meas_m"] * 1e3, plc["f_meas_n"] / 1e3, "orange"),
+            Curve("PLC + RFC", both["x_meas_m"] * 1e3, both["f_meas_n"] / 1e3, "blue"),
+            Curve("exact", x_exact * 1e3, f_exact / 1e3, "black", width=0.6),
+        ),
+        half=True,
+    )  # fmt: skip
+    errors = Panel(
+        "fig-4-5", "Accumulated error (Fig. 4.5)", "time, s", "Σ |x_m − x_exact|, m",
+        (
+            Curve("PLC", t[: plc.size], accumulated(plc), "orange"),
+            Curve("PLC + RFC", t[: both.size], accumulated(both), "blue"),
+        ),
+        half=True,
+    )  # fmt: skip
+    delay = Panel(
+        "delay-4-2", "Delay estimate", "time, s", "α, samples",
+        (
+            Curve("PLC", *over_time(plc, "alpha", 1.0), "orange"),
+            Curve("PLC + RFC", *over_time(both, "alpha", 1.0), "blue", dashed=True),
+        ),
+        levels=((10.0, "delay of the plant: 10"),),
+    )  # fmt: skip
+    return displacement, uncompensated, loops, errors, delay

@@ -1,0 +1,301 @@
+"""Section 5: hybrid tests of a portal frame on a shaking table, Fig. 5.4 to 5.7."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rthyb_rt import config, core, experiment
+from rthyb_rt.recording import Recording
+from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Row, Study, rms
+
+RIG = "shaking-table-portal-frame"
+WINDOWS = (0.2, 0.1, 0.05)
+"""T0 dt over T, the three that the paper tried."""
+
+NOISE_M, NOISE_N = 10e-6, 20.0
+SEEDS = range(5)
+
+CALM = {"rig.sensors.displacement.noise_std_m": "2e-6", "rig.identified.rest_noise_displacement_m": "2e-6"}
+LOUD = {
+    "rig.sensors.displacement.noise_std_m": str(NOISE_M),
+    "rig.sensors.force.noise_std_n": str(NOISE_N),
+    "rig.identified.rest_noise_displacement_m": str(NOISE_M),
+    "rig.identified.rest_noise_force_n": str(NOISE_N),
+}
+
+
+@dataclass(frozen=True)
+class Structure:
+    """One of the two structures of Table 5.1, with what the paper and we expect of it."""
+
+    period_s: float
+    mass_kg: float
+    damping_n_s_per_m: float
+    pga_g: float
+    worst_mm: float
+    paper_mm: str
+
+
+STRUCTURES = (
+    Structure(0.5, 4220.0, 2121.0, 0.04, 0.25, "all close to the exact solution"),
+    Structure(1.0, 16880.0, 4242.0, 0.02, 0.20, "less than 0.8 mm"),
+)
+
+
+def setup(structure: Structure, changes: dict[str, str]) -> experiment.Setup:
+    """Return the hybrid test of one structure, the built-in test with changes as of ``--set``.
+
+    Raises:
+        InputError: a change that does not fit.
+    """
+    base = {
+        "test.name": f"section5-t{structure.period_s:g}",
+        "numerical.mass_kg": str(structure.mass_kg),
+        "numerical.damping_n_s_per_m": str(structure.damping_n_s_per_m),
+        "ground_motion.pga_g": str(structure.pga_g),
+    }
+    settings = [f"{key}={value}" for key, value in {**base, **CALM, **changes}.items()]
+    for_test, for_rig = config.split_overrides(settings)
+    test = config.load_test(config.builtin_test_path(), for_test)
+    rig = config.load_rig(config.shipped_rig(RIG), for_rig)
+    return experiment.prepare(test, rig)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A finished test beside both benchmarks."""
+
+    setup: experiment.Setup
+    rec: Recording
+    calibrated: Floats
+    naive: Floats
+
+    @property
+    def x_meas(self) -> Floats:
+        """Measured displacement, m."""
+        x: Floats = self.rec.samples["x_meas_m"]
+        return x
+
+    @property
+    def completed(self) -> bool:
+        """Whether no limit ended the test."""
+        return bool(self.rec.meta["end_reason"] == "completed")
+
+    def response(self, reference: Floats) -> float:
+        """Return the response NRMSE against a benchmark, per cent."""
+        x_ref = reference[: self.x_meas.size]
+        return 100 * rms(self.x_meas - x_ref) / rms(x_ref)
+
+    def tracking(self) -> float:
+        """Return the tracking NRMSE, per cent."""
+        x_num = self.rec.samples["x_num_m"]
+        return 100 * rms(self.x_meas - x_num) / rms(x_num)
+
+    def largest_mm(self) -> float:
+        """Return the largest difference from the calibrated benchmark, mm."""
+        return 1e3 * float(np.abs(self.x_meas - self.calibrated[: self.x_meas.size]).max())
+
+
+def perform(structure: Structure, changes: dict[str, str]) -> Outcome:
+    """Run one test and simulate both benchmarks."""
+    prepared = setup(structure, changes)
+    return Outcome(
+        prepared,
+        experiment.run(prepared),
+        experiment.reference(prepared, table_forces=True)["x_ref_m"],
+        experiment.reference(prepared, table_forces=False)["x_ref_m"],
+    )
+
+
+def cases() -> dict[str, dict[str, str]]:
+    """Return the tests of Section 5 by name, as changes of the built-in test."""
+    fixed = {"controller.delay_estimator.enabled": "false"}
+    named = {
+        "PI only": {"controller.type": "none"},
+        "PLC, α = 17": {**fixed, "controller.rfc.enabled": "false"},
+        "PLC + RFC, α = 17": fixed,
+        "adaptive PLC": {"controller.rfc.enabled": "false"},
+    }
+    for window in WINDOWS:
+        named[f"adaptive PLC + RFC, T0Δt = {window:g} T"] = {
+            "controller.rfc.window_periods": str(window)
+        }
+    return named
+
+
+def study() -> Study:
+    """Reproduce Section 5 on the virtual rig."""
+    rows: list[Row] = []
+    panels: list[Panel] = []
+    for structure in STRUCTURES:
+        outcomes = {name: perform(structure, changes) for name, changes in cases().items()}
+        rows += _rows(structure, outcomes)
+        panels += _panels(structure, outcomes)
+    rows += _side_by_side()
+    rows += _loud()
+    return Study(
+        "5",
+        "Hybrid tests on a shaking table",
+        "The built-in El Centro record at 0.04 g (T = 0.5 s) and 0.02 g (T = 1 s), 30 s and 10 s of "
+        "free vibration, on a virtual rig that behaves as the paper's: PI-controlled servo valve, "
+        "45 kg of table, friction and viscous force under the load cell, 2 µm and 5 N of noise.",
+        tuple(rows),
+        tuple(panels),
+        (
+            "“El Centro” exists in several processings whose response at equal PGA differs by up to "
+            "a quarter; here it is the 50 Hz table of 31.2 s.",
+            "The rig's gains, valve and friction are not stated: the virtual rig is chosen so that "
+            "its identified delay is the paper's 17 samples.",
+            "The adaptive gain is not stated: 0.03 per mm² per sample. With it the printed law "
+            "settles below 17 here, because noise on x_m pulls it towards −1/12 wherever the "
+            "structure is nearly still; the paper's 16 to 19 is reached by robust and alpha-beta.",
+            "“Differences below 0.8 mm” is taken as the largest difference between measured and "
+            "calibrated benchmark displacement.",
+        ),
+    )
+
+
+def _rows(structure: Structure, outcomes: dict[str, Outcome]) -> list[Row]:
+    head = f"T = {structure.period_s:g} s"
+    none = outcomes["PI only"]
+    rows = [
+        Row(f"{head}: PI only grows until a limit ends it", float(not none.completed), "", 1, 1,
+            "the one that is not close"),
+    ]  # fmt: skip
+    for name, outcome in outcomes.items():
+        if name == "PI only":
+            continue
+        rfc = "RFC" in name
+        high = structure.worst_mm if rfc else None
+        rows += [
+            Row(f"{head}, {name}: largest difference from the benchmark", outcome.largest_mm(),
+                "mm", None, high, structure.paper_mm if rfc else ""),
+            Row(f"{head}, {name}: response NRMSE", outcome.response(outcome.calibrated), "%"),
+            Row(f"{head}, {name}: tracking NRMSE", outcome.tracking(), "%"),
+        ]  # fmt: skip
+    fixed = outcomes["PLC, α = 17"]
+    rows.append(
+        Row(f"{head}: the same test against a benchmark without table inertia and friction",
+            fixed.response(fixed.naive), "%", 50 if structure.period_s == 0.5 else 35, None,
+            "the benchmark is calibrated with them")
+    )  # fmt: skip
+    adaptive = outcomes["adaptive PLC + RFC, T0Δt = 0.1 T"].rec.samples
+    rows += [
+        Row(f"{head}: smallest delay estimate", float(adaptive["alpha"].min()), "samples", None,
+            None, "16 to 19 samples"),
+        Row(f"{head}: largest delay estimate", float(adaptive["alpha"].max()), "samples", None,
+            None, "16 to 19 samples"),
+    ]  # fmt: skip
+    for window in WINDOWS:
+        k = outcomes[f"adaptive PLC + RFC, T0Δt = {window:g} T"].rec.samples["k_t_n_per_m"]
+        rows.append(
+            Row(f"{head}, T0Δt = {window:g} T: share of samples with tangent stiffness 0",
+                100 * float(np.mean(k == 0.0)), "%", None, None, "zero when responses are small")
+        )  # fmt: skip
+    return rows
+
+
+def _side_by_side() -> list[Row]:
+    rows = []
+    for structure in STRUCTURES:
+        for name in ("none", "paper", "robust", "alpha-beta"):
+            outcome = perform(structure, {"controller.type": name})
+            head = f"T = {structure.period_s:g} s, 2 µm noise, controller {name}"
+            if not outcome.completed:
+                seconds = outcome.x_meas.size / core.FS_HZ
+                rows.append(Row(f"{head}: ended by a limit after", seconds, "s"))
+                continue
+            band = None if name == "none" else structure.worst_mm
+            rows += [
+                Row(f"{head}: tracking NRMSE", outcome.tracking(), "%"),
+                Row(f"{head}: response NRMSE", outcome.response(outcome.calibrated), "%"),
+                Row(f"{head}: largest difference", outcome.largest_mm(), "mm", None, band),
+            ]
+    return rows
+
+
+def _loud() -> list[Row]:
+    """Run T = 0.5 s with 10 um and 20 N of noise, five seeds: where the printed law fails."""
+    bands = {"paper": (None, 1.0), "robust": (16.0, 17.4), "alpha-beta": (16.4, 17.3)}
+    rows = []
+    for name, (low, high) in bands.items():
+        alphas, responses = [], []
+        for seed in SEEDS:
+            changes = {**LOUD, "controller.type": name, "rig.rig.seed": str(seed)}
+            outcome = perform(STRUCTURES[0], changes)
+            alphas.append(float(outcome.rec.samples["alpha"][-1]))
+            responses.append(outcome.response(outcome.calibrated))
+        head = f"T = 0.5 s, 10 µm and 20 N noise, {len(SEEDS)} seeds, {name}"
+        worst = None if name == "paper" else 3.0
+        rows += [
+            Row(f"{head}: smallest α at the end", min(alphas), "samples", low, high),
+            Row(f"{head}: largest α at the end", max(alphas), "samples", low, high),
+            Row(f"{head}: largest response NRMSE", max(responses), "%", None, worst),
+        ]
+    return rows
+
+
+def _panels(structure: Structure, outcomes: dict[str, Outcome]) -> list[Panel]:
+    key = f"t{structure.period_s:g}".replace(".", "-")
+    figure = "5.4" if structure.period_s == 0.5 else "5.5"
+    head = f"T = {structure.period_s:g} s"
+    reference = outcomes["adaptive PLC"]
+    t = np.arange(reference.setup.ticks) / core.FS_HZ
+    colours: tuple[Colour, ...] = ("orange", "blue", "green")
+    windows = [f"adaptive PLC + RFC, T0Δt = {w:g} T" for w in WINDOWS]
+    tested = [
+        replace(_curve(f"T0Δt = {w:g} T", t, outcomes[name], "x_meas_m", 1e3), colour=colour)
+        for w, name, colour in zip(WINDOWS, windows, colours, strict=True)
+    ]
+    none = _curve("PI only", t, outcomes["PI only"], "x_meas_m", 1e3)
+    peak = 1.3e3 * float(np.abs(reference.calibrated).max())
+    return [
+        Panel(
+            f"fig-{figure}", f"Test and benchmark, {head} (Fig. {figure})", "time, s",
+            "displacement, mm",
+            (
+                *tested,
+                replace(none, colour="red"),
+                Curve("benchmark", t, reference.calibrated * 1e3, "black", width=0.6),
+            ),
+            "PI only leaves the frame and is ended by a limit.", y_range=(-peak, peak),
+        ),
+        Panel(
+            f"fig-{key}-difference", f"Difference from the benchmark, {head}", "time, s",
+            "x_m − benchmark, mm",
+            tuple(
+                replace(curve, y=curve.y - 1e3 * reference.calibrated[: curve.y.size])
+                for curve in tested
+            ),
+        ),
+        Panel(
+            f"fig-{key}-naive", f"What the benchmark must contain, {head}", "time, s",
+            "displacement, mm",
+            (
+                Curve("plate alone", t, reference.naive * 1e3, "red"),
+                replace(_curve("test", t, reference, "x_meas_m", 1e3), width=1.6),
+                Curve("with table inertia and friction", t, reference.calibrated * 1e3, "black",
+                      width=0.6),
+            ),
+        ),
+        Panel(
+            f"fig-5-6-{key}", f"Delay estimate, {head} (Fig. 5.6)", "time, s", "α, samples",
+            tuple(
+                replace(_curve(f"T0Δt = {w:g} T", t, outcomes[name], "alpha", 1.0), colour=colour)
+                for w, name, colour in zip(WINDOWS, windows, colours, strict=True)
+            ),
+            y_range=(12, 20), levels=((16.0, "paper: 16"), (19.0, "paper: 19")), half=True,
+        ),
+        Panel(
+            f"fig-5-7-{key}", f"Tangent stiffness, {head} (Fig. 5.7)", "time, s", "k_exp, kN/m",
+            (_curve("T0Δt = 0.1 T", t, outcomes[windows[1]], "k_t_n_per_m", 1e-3),),
+            "Bounded by 0 and k_e.", half=True,
+        ),
+    ]  # fmt: skip
+
+
+def _curve(label: str, t: Floats, outcome: Outcome, field: str, factor: float) -> Curve:
+    values = outcome.rec.samples[field]
+    return Curve(label, t[: values.size], values * factor)

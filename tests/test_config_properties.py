@@ -1,0 +1,299 @@
+"""Configuration by random files: round trips, line numbers, units, junk."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import typing
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from rthyb_rt import config
+from rthyb_rt.config import units
+from rthyb_rt.config.fields import Count, Range, Table, Text
+from rthyb_rt.config.lines import KeyLines
+from rthyb_rt.config.rigfile import BoucWen, RigFile
+from rthyb_rt.config.testfile import TestFile
+from rthyb_rt.errors import InputError
+
+relaxed = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+
+texts = st.text(st.characters(codec="utf-8"), max_size=20)
+
+
+def values_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> st.SearchStrategy[Any]:
+    """Values that a field's annotation allows."""
+    for limits in metadata:
+        if isinstance(limits, Range):
+            return st.floats(limits.low, limits.high)
+        if isinstance(limits, Count):
+            return st.integers(limits.low, limits.high)
+        if isinstance(limits, Text):
+            if limits.pattern == r"[\s\S]*":
+                return texts
+            return st.from_regex(r"\A[a-z0-9][a-z0-9._-]{0,20}\Z")
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is typing.Annotated:
+        return values_of(arguments[0], arguments[1:])
+    if origin is typing.Literal:
+        return st.sampled_from(arguments)
+    if origin is list:
+        return st.lists(values_of(arguments[0]), min_size=1, max_size=4)
+    if arguments:
+        return st.one_of([values_of(argument) for argument in arguments])
+    if annotation is type(None):
+        return st.none()
+    if annotation is bool:
+        return st.booleans()
+    assert issubclass(annotation, Table)
+    return tables(annotation)
+
+
+@st.composite
+def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
+    """Values of one table; keys that exclude each other and cross-checks are kept to."""
+    data = {
+        (info.alias or name): draw(values_of(info.annotation, tuple(info.metadata)))
+        for name, info in model.model_fields.items()
+    }
+    for choice in model.choices:
+        kept = draw(st.sampled_from(choice.keys))
+        for key in choice.keys:
+            if key != kept:
+                data[key] = None
+        if choice.required and data[kept] is None:
+            data[kept] = 1.0
+    if issubclass(model, BoucWen):
+        data.update(xy_m=None, b=draw(st.floats(1, 1e6)), c=draw(st.floats(0, 1e6)))
+    if "fs_n" in data:
+        data["fs_n"] = max(data["fs_n"], data["fc_n"])
+    if "frequency_hz" in data:
+        size = draw(st.integers(0, 3))
+        for key in ("frequency_hz", "amplitude", "delay_at_frequency_s"):
+            data[key] = [0.5] * size
+    if "alpha_min" in data:
+        data["alpha_min"], data["alpha_max"] = draw(st.floats(0, 20)), draw(st.floats(40, 1000))
+    if "w1" in data:
+        data["w1"] = draw(st.floats(1.001, 100))
+        data["w2"] = draw(st.floats(-data["w1"], data["w1"]))
+        data["alpha0"] = draw(st.none() | st.floats(20, 40))
+        data["beta0"] = draw(st.none() | st.floats(-800, 800))
+    return data
+
+
+@given(tables(TestFile))
+@relaxed
+def test_resolved_test_reads_back_equal(data: dict[str, Any]) -> None:
+    test = TestFile.model_validate(data)
+    assert config.parse_test(config.dump(test)) == test
+
+
+@given(tables(RigFile))
+@relaxed
+def test_resolved_rig_reads_back_equal(data: dict[str, Any]) -> None:
+    rig = RigFile.model_validate(data)
+    text = config.dump(rig)
+    assert config.parse_rig(text) == rig
+    assert config.dump(config.parse_rig(text)) == text
+
+
+junk = st.recursive(
+    st.one_of(
+        st.booleans(), st.integers(), st.floats(), texts, st.sampled_from([10**400, "1e999 m"])
+    ),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(texts, inner, max_size=3),
+    max_leaves=5,
+)
+
+
+@given(st.data())
+@relaxed
+def test_junk_in_any_place_is_refused_without_a_traceback(data: st.DataObject) -> None:
+    models: list[type[Table]] = [TestFile, RigFile]
+    model = data.draw(st.sampled_from(models))
+    good = data.draw(tables(model))
+    table = good
+    while True:
+        key = data.draw(st.sampled_from(sorted(table) or ["x"]))
+        if isinstance(table.get(key), dict) and data.draw(st.booleans()):
+            table = table[key]
+        else:
+            break
+    table[key] = data.draw(junk)
+    faults = []
+    try:
+        model.model_validate(good)
+    except ValidationError as error:
+        faults = error.errors()
+    assert {fault["type"] for fault in faults} <= {"explained"}
+    assert all(fault["ctx"]["text"] for fault in faults)
+
+
+@given(st.text(max_size=200) | st.lists(st.sampled_from(list("[]{}=\"'.,#\n\\ ab1")), max_size=60))
+@relaxed
+def test_any_text_is_read_or_refused(text: str | list[str]) -> None:
+    with pytest.raises(InputError):
+        config.parse_test("".join(text))
+
+
+# ---- line numbers --------------------------------------------------------------------------------
+
+
+@st.composite
+def numbered_files(draw: st.DrawFn) -> tuple[str, dict[tuple[str | int, ...], int]]:
+    """A TOML text written key by key in the forms TOML has, with the line of each key."""
+    rows: list[str] = []
+    lines: dict[tuple[str | int, ...], int] = {}
+    filler = ["", "# [x] = 1", "   ", '# "']
+    scalar = [
+        '"a = [1]"',
+        "'''\n[no]\nkey = 1 ''''",
+        '"""\n# \\""" no\n\\\\"""',
+        "1_000.5e3",
+        "2024-01-01 07:32:00",
+        "'C:\\'",
+        "true # ]",
+    ]
+
+    def write(text: str, *path: str | int) -> None:
+        for _ in range(draw(st.integers(0, 2))):
+            rows.extend(draw(st.sampled_from(filler)).split("\n"))
+        lines.setdefault(path, len(rows) + 1)
+        rows.extend(text.split("\n"))
+
+    def pairs(*path: str | int) -> None:
+        for name in draw(st.lists(st.sampled_from(["a", "b-1", "c d", "e"]), unique=True)):
+            key = f'"{name}"' if " " in name else name
+            form = draw(st.integers(0, 3))
+            if form == 0:
+                write(f"  {key} = {draw(st.sampled_from(scalar))}", *path, name)
+            elif form == 1:
+                write(f"{key} . x = 3", *path, name, "x")
+            elif form == 2:
+                write(f"{key} = {{ p = [ 1, 2 ], q.r = '}}' }}", *path, name)
+                for inner in (("p",), ("p", 1), ("q", "r")):
+                    lines[(*path, name, *inner)] = lines[(*path, name)]
+            else:
+                write(f"{key} = [ # list", *path, name)
+                for index in range(draw(st.integers(0, 3))):
+                    write("  { k = ']' },", *path, name, index)
+                    lines[(*path, name, index, "k")] = lines[(*path, name, index)]
+                write("]", *path, name)
+
+    pairs()
+    for table in draw(st.lists(st.sampled_from(["t1", "t2", "t3"]), unique=True)):
+        write(f"[{table}]", table)
+        pairs(table)
+        if draw(st.booleans()):
+            write(f"[ {table} . in ]", table, "in")
+            pairs(table, "in")
+    for index in range(draw(st.integers(0, 3))):
+        write("[[array]]", "array", index)
+        pairs("array", index)
+        if draw(st.booleans()):
+            write("[array.sub]", "array", index, "sub")
+            pairs("array", index, "sub")
+    return "\n".join(rows) + "\n", lines
+
+
+@given(numbered_files(), st.sampled_from(["\n", "\r\n"]))
+@settings(deadline=None, max_examples=300, suppress_health_check=[HealthCheck.too_slow])
+def test_each_key_is_found_on_its_line(
+    file: tuple[str, dict[tuple[str | int, ...], int]], line_end: str
+) -> None:
+    text, lines = file
+    found = KeyLines(text.replace("\n", line_end))
+    assert {path: found.lines.get(path) for path in lines} == lines
+
+
+def test_missing_key_points_at_its_table() -> None:
+    lines = KeyLines("a = 1\n\n[t.u]\nx = 1\n[t]\ny = 2\n")
+    assert lines.find(("t", "u", "missing")) == 3
+    assert lines.find(("t", "missing")) == 5
+    assert lines.find(("missing",)) == 1
+    assert lines.has(("t",))
+    assert not lines.has(("missing",))
+
+
+# ---- units ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("25 mm", "m", 0.025),
+        ("9mm", "m", 0.009),
+        ("0.04 g", "g", 0.04),
+        ("100 gal", "m/s^2", 1.0),
+        ("1 m/s2", "g", 1 / 9.80665),
+        ("9.80665 m/s^2", "g", 1.0),
+        ("666.4 kN/m", "N/m", 666400.0),
+        ("80 N", "N", 80.0),
+        ("2 kN", "N", 2000.0),
+        ("15 ms", "s", 0.015),
+        ("5 Hz", "Hz", 5.0),
+        ("31.4 1/s", "Hz", 31.4),
+        ("45 kg", "kg", 45.0),
+        ("4.22 t", "kg", 4220.0),
+        ("3 %", "", 0.03),
+        ("2121 N s/m", "N s/m", 2121.0),
+        ("2.121 kN*s/m", "N s/m", 2121.0),
+        ("2.121 kN·s/m", "N s/m", 2121.0),
+        ("2.121 kN/(m/s)", "N s/m", 2121.0),
+        ("1 N s² / m²", "N s^2/m^2", 1.0),
+        ("1 kN s m⁻¹", "N s/m", 1000.0),
+        ("-2 µm", "m", -2e-6),
+        ("1 kN/mm", "N/m", 1e6),
+        ("1e3 N/cm", "N/m", 1e5),
+        ("4.5 in", "m", 0.1143),
+        ("17 samples", "samples", 17.0),
+    ],
+)
+def test_units_of_a_laboratory(text: str, unit: str, value: float) -> None:
+    assert units.convert(text, unit) == value
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "complaint"),
+    [
+        ("25 kg", "m", "a mass"),
+        ("25", "m", "needs a unit"),
+        ("25 furlong", "m", '"furlong" is not known'),
+        ("25 mm mm", "m", "a quantity in mm mm"),
+        ("0,5 mm", "m", "point, not a comma"),
+        ("mm", "m", "not a number"),
+        ("1 N/(m", "N/m", '")" is missing'),
+        ("1 m^", "m", "exponent is missing"),
+        ("1 m^x", "m", "exponent is missing"),
+        ("1 N/", "N", "not known"),
+        ("1 m)", "m", "not known"),
+        ("1e999 km", "m", "too large"),
+        ("1e9999 m", "m", "not known"),
+        ("nan m", "m", "not a number"),
+        ("15 ms", "samples", "a time"),
+        ("1 °", "", "not known"),
+    ],
+)
+def test_text_that_is_no_such_quantity_is_refused(text: str, unit: str, complaint: str) -> None:
+    with pytest.raises(units.UnitError) as caught:
+        units.convert(text, unit)
+    assert complaint in str(caught.value)
+
+
+@given(st.floats(-1e12, 1e12))
+def test_millimetres_are_rounded_once(number: float) -> None:
+    text = f"{number:.6f}"
+    millimetres = units.convert(f"{text} mm", "m")
+    assert millimetres == pytest.approx(float(text) / 1000, rel=1e-15, abs=5e-324)
+    assert units.convert(f"{text} m", "m") == float(text)
+
+
+@given(st.text(max_size=12), st.text(alphabet="mkgsN/*^()23·² %", max_size=10))
+def test_any_text_is_a_quantity_or_refused(number: str, unit: str) -> None:
+    for text in (number, f"1 {unit}"):
+        with contextlib.suppress(units.UnitError):
+            assert math.isfinite(units.convert(text, "m"))
