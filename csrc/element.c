@@ -1,39 +1,39 @@
 /* The catalogue of specimen elements. Each gives the force that it resists motion with, from
  * displacement, velocity, acceleration and its own history; a specimen is the sum of its elements.
  * History is advanced by the increment of x, so a law without rate in it stays without rate. */
+#include <string.h>
+
 #include "numeric.h"
 
+#define PARAM_MAX 1e15
 #define VELOCITY_MAX 1e6
 #define ACCELERATION_MAX 1e9
 #define BOUC_WEN_STEPS_MAX 64
 
-static const struct {
-    int count;
-    uint32_t positive; /* bit i set: params[i] > 0 */
-    uint32_t signed_;  /* bit i set: params[i] may be negative; else >= 0 */
-} CATALOGUE[RTHYB_ELEMENT_KINDS] = {
-    [RTHYB_STIFFNESS] = {1, 0, 1},
-    [RTHYB_VISCOUS] = {1, 0, 1},
-    [RTHYB_COULOMB] = {2, 2, 0},
-    [RTHYB_STRIBECK] = {4, 4 | 8, 0},
-    [RTHYB_LUGRE] = {6, 1 | 2 | 4 | 8, 0},
-    [RTHYB_QUAD_DAMPING] = {1, 0, 1},
-    [RTHYB_INERTIA] = {1, 0, 0},
-    [RTHYB_GAP] = {2, 0, 0},
-    [RTHYB_CUBIC] = {1, 0, 1},
-    [RTHYB_QUADRATIC] = {1, 0, 1},
-    [RTHYB_STOPPER] = {2, 0, 0},
-    [RTHYB_HYSTERESIS] = {6, 1 | 4 | 32, 8 | 16},
-    [RTHYB_PINCHING] = {8, 1 | 4 | 32 | 128, 8 | 16},
-    [RTHYB_DEGRADATION] = {8, 1 | 4 | 32 | 128, 8 | 16},
-    [RTHYB_MAXWELL] = {2, 2, 0},
-    [RTHYB_SECOND_MODE] = {3, 2, 0},
-    [RTHYB_P_DELTA] = {2, 2, 0},
+/* One sign a parameter, in the order of enum rthyb_element_kind: '+' positive, '0' not negative,
+ * '-' any. */
+static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
+    [RTHYB_STIFFNESS] = "-",       [RTHYB_VISCOUS] = "-",
+    [RTHYB_COULOMB] = "0+",        [RTHYB_STRIBECK] = "00++",
+    [RTHYB_LUGRE] = "++++00",      [RTHYB_QUAD_DAMPING] = "-",
+    [RTHYB_INERTIA] = "0",         [RTHYB_GAP] = "00",
+    [RTHYB_CUBIC] = "-",           [RTHYB_QUADRATIC] = "-",
+    [RTHYB_STOPPER] = "00",        [RTHYB_HYSTERESIS] = "+0+--+",
+    [RTHYB_PINCHING] = "+0+--+0+", [RTHYB_DEGRADATION] = "+0+--+0+",
+    [RTHYB_MAXWELL] = "0+",        [RTHYB_SECOND_MODE] = "0+0",
+    [RTHYB_P_DELTA] = "0+",
 };
 
 int rthyb_element_param_count(int32_t kind)
 {
-    return kind >= 0 && kind < RTHYB_ELEMENT_KINDS ? CATALOGUE[kind].count : -1;
+    return kind >= 0 && kind < RTHYB_ELEMENT_KINDS ? (int)strlen(SIGNS[kind]) : -1;
+}
+
+static int param_ok(double value, char sign)
+{
+    if (!(fabs(value) <= PARAM_MAX))
+        return 0;
+    return sign == '-' || value > 0.0 || (sign == '0' && value == 0.0);
 }
 
 /* Where the hysteretic variable of Eqn 4.2 comes to rest: A = (B + C) |z|^eta. */
@@ -49,9 +49,7 @@ int rthyb_element_init(rthyb_element *element, int32_t kind, const double *param
     if (count < 0 || n != (size_t)count)
         return RTHYB_E_ELEMENT;
     for (int i = 0; i < count; i++) {
-        const uint32_t bit = 1u << i;
-        if (!(fabs(params[i]) <= 1e15) || ((CATALOGUE[kind].positive & bit) && params[i] <= 0.0) ||
-            (!(CATALOGUE[kind].signed_ & bit) && params[i] < 0.0))
+        if (!param_ok(params[i], SIGNS[kind][i]))
             return RTHYB_E_ELEMENT;
     }
     *element = (rthyb_element){.kind = kind};

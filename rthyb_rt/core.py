@@ -327,9 +327,7 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
     "second_mode": ("m2_kg", "f2_hz", "zeta2"),
     "p_delta": ("gravity_load_n", "height_m"),
 }
-_ELEMENT_KIND: Final = {
-    name: getattr(lib, f"RTHYB_{name.upper()}") for name in ELEMENT_PARAMS
-}
+_ELEMENT_KIND: Final = {name: getattr(lib, f"RTHYB_{name.upper()}") for name in ELEMENT_PARAMS}
 
 
 def element(kind: str, /, **params: float) -> ElementConfig:
@@ -670,7 +668,9 @@ def _struct(ctype: str, config: Any) -> Any:
 
 def _rig_struct(config: RigConfig) -> Any:
     if len(config.elements) > ELEMENTS_MAX:
-        raise CoreError(f"a specimen has at most {ELEMENTS_MAX} elements, got {len(config.elements)}")
+        raise CoreError(
+            f"a specimen has at most {ELEMENTS_MAX} elements, got {len(config.elements)}"
+        )
     plain: Mapping[str, Any] = {k: v for k, v in _mapping(config).items() if k != "elements"}
     struct = ffi.new("rthyb_rig_config *", dict(plain))
     struct.element_count = len(config.elements)

@@ -193,7 +193,7 @@ def rig_config(rig: RigFile) -> core.RigConfig:
 
 
 def _servo_config(rig: RigFile) -> core.ServoConfig:
-    """Translate the actuator; its transport delay is the core's ``delay_samples`` for every kind."""
+    """Translate the actuator; whatever its kind, transport is the core's ``delay_samples``."""
     given = rig.actuator.model_dump()
     delay = float(given.pop("extra_delay_samples", 0) or given.pop("delay_samples", 0))
     delay += given.pop("delay_s", 0.0) * core.FS_HZ
@@ -320,7 +320,9 @@ def _end_reason(samples: NDArray[np.void], status: int) -> str:
     if not status & core.STATUS["trip"]:
         return "completed"
     causes = [
-        name for name in core.status_names(int(samples["code"][-1])) if name not in ("trip", "limited")
+        name
+        for name in core.status_names(int(samples["code"][-1]))
+        if name not in ("trip", "limited")
     ]
     return "tripped: " + ", ".join(causes).replace("_", " ")
 

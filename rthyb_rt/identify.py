@@ -172,9 +172,7 @@ def identified_rig(rig: RigFile, result: Result) -> RigFile:
         amplitude=[_rounded(tone.gain) for tone in result.tones],
         delay_at_frequency_s=[_rounded(tone.delay_s) for tone in result.tones],
     )
-    info = rig.rig.model_copy(
-        update={"elastic_stiffness_n_per_m": _rounded(result.k_e_n_per_m)}
-    )
+    info = rig.rig.model_copy(update={"elastic_stiffness_n_per_m": _rounded(result.k_e_n_per_m)})
     return rig.model_copy(update={"rig": info, "identified": found})
 
 
@@ -266,9 +264,7 @@ def _tone(part: _Part, command: Floats, x_m: Floats, f: Floats) -> Tone:
     )
 
 
-def _inverse(
-    x_p: Floats, x_m: Floats, noise_m: float, *, with_beta: bool
-) -> tuple[float, float]:
+def _inverse(x_p: Floats, x_m: Floats, noise_m: float, *, with_beta: bool) -> tuple[float, float]:
     """Least squares of Eqn 2.6-2.8 over the whole sweep, by the estimator itself."""
     estimator = core.Estimator(
         core.EstimatorConfig(
@@ -291,9 +287,7 @@ def _stiffness_and_mass(tones: tuple[Tone, ...]) -> tuple[float, float]:
     if len(tones) < 2:
         return float(in_phase[0]), 0.0
     basis = np.column_stack([np.ones_like(w2), -w2])
-    (stiffness, mass), *_ = np.linalg.lstsq(
-        basis * weight[:, None], in_phase * weight, rcond=None
-    )
+    (stiffness, mass), *_ = np.linalg.lstsq(basis * weight[:, None], in_phase * weight, rcond=None)
     return float(stiffness), float(mass)
 
 

@@ -166,16 +166,20 @@ def _panels(by_gain: dict[float, core.RecordArray], delayed: core.RecordArray) -
         "The paper's curve ends at 34.", y_range=(0, 40), levels=((34.0, "paper: 34"),),
     )  # fmt: skip
     panels = [estimate]
-    for key, first, last, words in (("start", 2.0, 12.0, "at the start"), ("end", 60.0, 60.6, "later")):
+    for key, first, last, words in (
+        ("start", 2.0, 12.0, "at the start"),
+        ("end", 60.0, 60.6, "later"),
+    ):
         rows = slice(round(first * core.FS_HZ), round(last * core.FS_HZ))
+        shown = reference[rows]
         panels.append(
             Panel(
                 f"fig-4-2-{key}", f"Command, compensated command, feedback (Fig. 4.2), {words}",
                 "time, s", "displacement, mm",
                 (
-                    Curve("compensated", t[rows], reference["x_cmd_m"][rows] * 1e3, "orange"),
-                    Curve("feedback", t[rows], reference["x_meas_m"][rows] * 1e3, "blue", width=1.6),
-                    Curve("command", t[rows], reference["x_num_m"][rows] * 1e3, "black", width=0.6),
+                    Curve("compensated", t[rows], shown["x_cmd_m"] * 1e3, "orange"),
+                    Curve("feedback", t[rows], shown["x_meas_m"] * 1e3, "blue", width=1.6),
+                    Curve("command", t[rows], shown["x_num_m"] * 1e3, "black", width=0.6),
                 ),
                 half=True,
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import util
 from pathlib import Path
 
@@ -141,9 +141,9 @@ def largest_stable_delay(
     last = -1
     for delay in search:
         estimator = core.EstimatorConfig(alpha0=float(delay)) if compensated else None
-        x = simulate(
-            Case(estimator, specimen=ELASTIC, delay=delay, integrator=integrator), push
-        )["x_meas_m"]
+        x = simulate(Case(estimator, specimen=ELASTIC, delay=delay, integrator=integrator), push)[
+            "x_meas_m"
+        ]
         if x.size < push.size or rms(x[-x.size // 4 :]) > rms(x[x.size // 4 : x.size // 2]):
             break
         last = delay
@@ -188,8 +188,8 @@ def study(record: str | Path | None = None) -> Study:
     return Study(
         "4.2",
         "Inelastic structure behind a delay of ten samples",
-        f"T = 0.5 s, 2 %, Bouc-Wen specimen, forward Euler, {used.name} at 0.2 g for 50 s, then 10 s "
-        "of free vibration; the estimator starts at α = 0.",
+        f"T = 0.5 s, 2 %, Bouc-Wen specimen, forward Euler, {used.name} at 0.2 g for 50 s, then "
+        "10 s of free vibration; the estimator starts at α = 0.",
         tuple(rows),
         _panels(runs, x_exact, f_exact),
         tuple(ambiguities),
@@ -248,16 +248,16 @@ def _structure_rows() -> list[Row]:
             Row(f"Damping of the 2 % structure, {integrator}", 100 * free_decay_ratio(integrator),
                 "%", expected - 0.002, expected + 0.002)
         )  # fmt: skip
-    for integrator, plain, compensated in (
+    delays: tuple[tuple[core.Integrator, int, int], ...] = (
         ("central-difference", 3, 39),
         ("forward-euler", 2, 34),
-    ):
-        kind: core.Integrator = integrator  # type: ignore[assignment]
+    )
+    for integrator, plain, compensated in delays:
         rows.append(Row(f"Largest stable delay, elastic, no compensation, {integrator}",
-                        largest_stable_delay(kind, False, range(8)), "samples",
+                        largest_stable_delay(integrator, False, range(8)), "samples",
                         plain - 1, plain + 1))  # fmt: skip
         rows.append(Row(f"Largest stable delay, elastic, PLC, {integrator}",
-                        largest_stable_delay(kind, True, range(30, 48)), "samples",
+                        largest_stable_delay(integrator, True, range(30, 48)), "samples",
                         compensated - 1, compensated + 1))  # fmt: skip
     return rows
 
@@ -276,7 +276,7 @@ def _side_by_side(ag: Floats, with_bands: bool) -> list[Row]:
     rows = []
     for name, estimator in estimators.items():
         case = Case(
-            None if estimator is None else _started(estimator, 8.0),
+            None if estimator is None else replace(estimator, alpha0=8.0),
             rfc=estimator is not None,
             tangent="mean-of-ratios" if name == "paper" else "least-squares",
             integrator="central-difference",
@@ -292,12 +292,6 @@ def _side_by_side(ag: Floats, with_bands: bool) -> list[Row]:
         rows.append(Row(f"Response NRMSE with noise, α₀ = 8, controller {name}", response, "%",
                         None, 0.5 if best else None))  # fmt: skip
     return rows
-
-
-def _started(estimator: core.EstimatorConfig, alpha0: float) -> core.EstimatorConfig:
-    from dataclasses import replace
-
-    return replace(estimator, alpha0=alpha0)
 
 
 def _panels(

@@ -17,7 +17,10 @@ WINDOWS = (0.2, 0.1, 0.05)
 NOISE_M, NOISE_N = 10e-6, 20.0
 SEEDS = range(5)
 
-CALM = {"rig.sensors.displacement.noise_std_m": "2e-6", "rig.identified.rest_noise_displacement_m": "2e-6"}
+CALM = {
+    "rig.sensors.displacement.noise_std_m": "2e-6",
+    "rig.identified.rest_noise_displacement_m": "2e-6",
+}
 LOUD = {
     "rig.sensors.displacement.noise_std_m": str(NOISE_M),
     "rig.sensors.force.noise_std_n": str(NOISE_N),
@@ -138,14 +141,15 @@ def study() -> Study:
     return Study(
         "5",
         "Hybrid tests on a shaking table",
-        "The built-in El Centro record at 0.04 g (T = 0.5 s) and 0.02 g (T = 1 s), 30 s and 10 s of "
-        "free vibration, on a virtual rig that behaves as the paper's: PI-controlled servo valve, "
-        "45 kg of table, friction and viscous force under the load cell, 2 µm and 5 N of noise.",
+        "The built-in El Centro record at 0.04 g (T = 0.5 s) and 0.02 g (T = 1 s), 30 s and 10 s "
+        "of free vibration, on a virtual rig that behaves as the paper's: PI-controlled servo "
+        "valve, 45 kg of table, friction and viscous force under the load cell, 2 µm and 5 N of "
+        "noise.",
         tuple(rows),
         tuple(panels),
         (
-            "“El Centro” exists in several processings whose response at equal PGA differs by up to "
-            "a quarter; here it is the 50 Hz table of 31.2 s.",
+            "“El Centro” exists in several processings whose response at equal PGA differs by up "
+            "to a quarter; here it is the 50 Hz table of 31.2 s.",
             "The rig's gains, valve and friction are not stated: the virtual rig is chosen so that "
             "its identified delay is the paper's 17 samples.",
             "The adaptive gain is not stated: 0.03 per mm² per sample. With it the printed law "
