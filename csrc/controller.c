@@ -37,7 +37,8 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
 
 static int beyond_sensor(double value, double range)
 {
-    return range > 0.0 && fabs(value) > range;
+    /* A reading at the very end of the range is a sensor that cannot say more. */
+    return range > 0.0 && fabs(value) >= range;
 }
 
 /* Takes the pair of this tick, or makes one up at constant velocity. */

@@ -4,12 +4,14 @@
  *   phi1 = S (x_m[n] - x_m[n-1]),   phi2 = S (x_m[n] - 2 x_m[n-1] + x_m[n-2]),   S = W1+W2+1
  * in units of reference_m, so that the normalisation 1 + phi^2 of Eqn 2.9 has a stated unit.
  *
- * Robust and RLS see x_p and x_m through one and the same low-pass, which leaves the model true
- * and takes the noise out of phi that would pull alpha to -1/12 (errors in variables). */
+ * Robust and RLS see x_p and x_m through one and the same band-pass, which leaves the model true,
+ * takes the noise out of phi that would pull alpha to -1/12 (errors in variables), and the offset
+ * of an untared sensor out of mu. */
 #include "numeric.h"
 
 #define ALPHA_GUARD 1e4       /* the printed law has no projection; its state is still finite */
 #define POWER_TIME_S 2.0      /* mean of phi^2 in the normalisation of the robust law */
+#define OFFSET_TIME_S 3.2     /* lower end of the pair: 0.05 Hz */
 #define GATE_TIME_S 0.2       /* mean of phi^2 that the gate looks at */
 #define RESPONSE_SAMPLES 8192 /* length of the impulse response summed by _init */
 #define RIDGE_FLOOR 1e-9      /* reference^2: keeps the normal equations regular without noise */
@@ -45,6 +47,35 @@ static void lowpass_rest(const rthyb_lowpass *f, double *s, double x0)
     s[0] = (f->b1 - f->a1) * x0 + s[1];
 }
 
+/* The pair's band-pass: low-pass, then the slow mean taken off. */
+static double filter_step(const rthyb_estimator *est, double *s, double *level, double x)
+{
+    const double low = lowpass_step(&est->filter, s, x);
+    *level += (low - *level) * est->level_weight;
+    return low - *level;
+}
+
+/* The first pair is taken for rest, so that an offset between command and sensor starts no
+ * transient; the mean of all samples so far then wears the first one's noise away. */
+static void prime(rthyb_estimator *est, double p, double m)
+{
+    lowpass_rest(&est->filter, est->filter_p, p);
+    lowpass_rest(&est->filter, est->filter_m, m);
+    est->level_p = p;
+    est->level_m = m;
+    est->p1 = est->p2 = est->m1 = est->m2 = 0.0;
+}
+
+static void filter_pair(rthyb_estimator *est, double *p, double *m)
+{
+    if (est->level_weight == 1.0)
+        prime(est, *p, *m);
+    *p = filter_step(est, est->filter_p, &est->level_p, *p);
+    *m = filter_step(est, est->filter_m, &est->level_m, *m);
+    const double least = fmin(est->cfg.period_s / OFFSET_TIME_S, 1.0);
+    est->level_weight = fmax(est->level_weight / (1.0 + est->level_weight), least);
+}
+
 static int is_filtered(const rthyb_estimator *est)
 {
     return est->cfg.law == RTHYB_LAW_ROBUST || est->cfg.law == RTHYB_LAW_RLS;
@@ -72,13 +103,12 @@ static regressor form_regressor(rthyb_estimator *est, double p, double m)
 static void noise_moments(rthyb_estimator *est)
 {
     rthyb_estimator probe = *est;
-    lowpass_rest(&probe.filter, probe.filter_m, 0.0);
-    probe.p1 = probe.p2 = probe.m1 = probe.m2 = 0.0;
+    prime(&probe, 0.0, 0.0);
+    probe.level_weight = fmin(est->cfg.period_s / OFFSET_TIME_S, 1.0);
     double residual = 0.0;
     for (int i = 0; i < RESPONSE_SAMPLES; i++) {
-        double h = i == 0 ? est->cfg.rest_noise_m : 0.0;
-        if (is_filtered(est))
-            h = lowpass_step(&probe.filter, probe.filter_m, h);
+        const double impulse = i == 0 ? est->cfg.rest_noise_m : 0.0;
+        const double h = filter_step(&probe, probe.filter_m, &probe.level_m, impulse);
         const regressor g = form_regressor(&probe, 0.0, h);
         const double e = g.mu - est->cfg.alpha0 * g.phi1 - est->cfg.beta0 * g.phi2;
         residual += e * e;
@@ -92,7 +122,7 @@ static void noise_moments(rthyb_estimator *est)
     /* The starting values count as much as measurements that put alpha within 1 + alpha0/4 and
      * beta within the square of that. Filtered noise repeats itself over half a period of the
      * cut-off: so many samples are worth one. */
-    const double repeats = is_filtered(est) ? 0.5 / (est->cfg.cutoff_hz * est->cfg.period_s) : 1.0;
+    const double repeats = 0.5 / (est->cfg.cutoff_hz * est->cfg.period_s);
     const double sigma_alpha = 1.0 + 0.25 * fabs(est->cfg.alpha0);
     const double sigma_beta = sigma_alpha * sigma_alpha;
     est->ridge1 = fmax(repeats * residual / (sigma_alpha * sigma_alpha), RIDGE_FLOOR);
@@ -130,14 +160,13 @@ int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg
     if (error)
         return error;
     *est = (rthyb_estimator){.cfg = *cfg, .alpha = cfg->alpha0, .beta = cfg->beta0};
+    est->level_weight = 1.0;
     if (is_filtered(est)) {
         est->filter = lowpass_design(cfg->cutoff_hz, cfg->period_s);
         noise_moments(est);
     }
     if (cfg->law == RTHYB_LAW_RLS)
         est->forget = 1.0 - 1.0 / cfg->memory_samples;
-    lowpass_rest(&est->filter, est->filter_p, x0_m);
-    lowpass_rest(&est->filter, est->filter_m, x0_m);
     est->p1 = est->p2 = est->m1 = est->m2 = est->last_p = est->last_m = x0_m;
     return 0;
 }
@@ -219,8 +248,7 @@ int rthyb_estimator_step(rthyb_estimator *est, double x_p_m, double x_m_m, int f
     est->last_p = p;
     est->last_m = m;
     if (is_filtered(est)) {
-        p = lowpass_step(&est->filter, est->filter_p, p);
-        m = lowpass_step(&est->filter, est->filter_m, m);
+        filter_pair(est, &p, &m);
     }
     const regressor g = form_regressor(est, p, m);
     est->open = 1;

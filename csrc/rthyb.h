@@ -153,7 +153,9 @@ typedef struct {
 typedef struct {
     rthyb_estimator_config cfg;
     rthyb_lowpass filter;
-    double filter_p[2], filter_m[2]; /* states of the pair */
+    double filter_p[2], filter_m[2]; /* states of the pair: low-pass */
+    double level_p, level_m;         /* and what it takes away as offset */
+    double level_weight;             /* of a sample in that; 1 before the first */
     double p1, p2, m1, m2;           /* x_p[n-1], x_p[n-2], x_m[n-1], x_m[n-2], filtered */
     double last_p, last_m;           /* last good inputs */
     double alpha, beta;

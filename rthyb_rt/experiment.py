@@ -195,9 +195,9 @@ def rig_config(rig: RigFile) -> core.RigConfig:
 def _servo_config(rig: RigFile) -> core.ServoConfig:
     """Translate the actuator; whatever its kind, transport is the core's ``delay_samples``."""
     given = rig.actuator.model_dump()
-    delay = float(given.pop("extra_delay_samples", 0) or given.pop("delay_samples", 0))
-    delay += given.pop("delay_s", 0.0) * core.FS_HZ
-    return core.ServoConfig(hold=rig.rig.command_hold, delay_samples=delay, **given)
+    samples = given.pop("delay_samples", 0) + given.pop("extra_delay_samples", 0)
+    delay = samples + given.pop("delay_s", 0.0) * core.FS_HZ
+    return core.ServoConfig(hold=rig.rig.command_hold, delay_samples=float(delay), **given)
 
 
 def specimen_elements(rig: RigFile) -> tuple[core.ElementConfig, ...]:

@@ -1,0 +1,367 @@
+"""The recording of a hybrid test: one HDF5 file with all that is needed to judge and repeat it.
+
+Layout of the file (schema ``rthyb-recording/1``)::
+
+    /samples              one row a sample, the core's record as a compound; attrs fs_hz, units
+    /ground_motion/ag_mps2   the ground motion as the controller had it; attrs name, source, ...
+    /reference            reference simulation, x_ref_m, v_ref_mps, f_ref_n (optional)
+    /config/test_toml, /config/rig_toml     the resolved files as text
+    /replay/...           what a bit-identical replay needs besides
+    attributes of /       versions, test name, end reason, ...
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.errors import InputError, RthybError
+
+SCHEMA = "rthyb-recording/1"
+FILE_NAME = "recording.h5"
+
+UNITS: dict[str, str] = {
+    "tick": "1",
+    "due_ns": "ns",
+    "wake_late_ns": "ns",
+    "sent_late_ns": "ns",
+    "flags": "bits",
+    "generation": "1",
+    "x_raw": "counts",
+    "f_raw": "counts",
+    "state": "1",
+    "echo": "1",
+    "count": "1",
+    "code": "1",
+    "ag_mps2": "m/s^2",
+    "x_num_m": "m",
+    "x_plc_m": "m",
+    "x_cmd_m": "m",
+    "x_meas_m": "m",
+    "f_meas_n": "N",
+    "alpha": "samples",
+    "beta": "samples^2",
+    "k_t_n_per_m": "N/m",
+    "energy_error_j": "J",
+    "tracking_indicator_m2": "m^2",
+}
+"""Unit of each field of `Recording.samples`; a recording must have all of them."""
+
+REFERENCE_UNITS: dict[str, str] = {"x_ref_m": "m", "v_ref_mps": "m/s", "f_ref_n": "N"}
+"""Unit of each field of `Recording.reference`."""
+
+FLAGS: dict[str, int] = {
+    "fresh": 1 << 0,
+    "predicted": 1 << 1,
+    "blind": 1 << 2,
+    "frozen": 1 << 3,
+    "limited": 1 << 4,
+    "not_sent": 1 << 5,
+}
+"""Bits of the field ``flags``, written into every file."""
+
+STATES: tuple[str, ...] = (
+    "IDLE",
+    "ZEROED",
+    "ARMED",
+    "RAMP_IN",
+    "RUNNING",
+    "HOLD",
+    "RAMP_OUT",
+    "TRIPPED",
+)
+"""Names of the values of the field ``state``, written into every file."""
+
+RUNNING = STATES.index("RUNNING")
+
+
+@dataclass
+class ReplayData:
+    """What a bit-identical replay needs besides the samples and the configuration.
+
+    Attributes:
+        controller_state: the controller's whole state at the first record, as the core has it.
+        parameters: every parameter set, ``{"generation", "tick", "values"}``.
+        commands: every operator command, ``{"tick", "command"}``.
+        skips: first tick and length of every skip, shape (n, 2).
+        tares: offset taken off each channel at zeroing, in the channel's unit.
+    """
+
+    controller_state: bytes = b""
+    parameters: list[dict[str, Any]] = field(default_factory=list)
+    commands: list[dict[str, Any]] = field(default_factory=list)
+    skips: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    tares: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class Recording:
+    """A recorded hybrid test.
+
+    Row n holds the commands for instant t_n and what was measured at t_n.
+
+    Attributes:
+        samples: structured array with at least the fields of `UNITS`.
+        fs_hz: sampling rate, Hz.
+        ag_mps2: ground motion at the sampling rate as the controller had it, m/s^2.
+        ground_motion: provenance: name, source, pga_g, scale.
+        reference: structured array with the fields of `REFERENCE_UNITS`, or None; its row k
+            belongs to the k-th RUNNING row of ``samples`` and it may be longer.
+        test_toml: resolved test file.
+        rig_toml: resolved rig file.
+        replay: what a replay needs besides.
+        meta: rthyb_version, core_version, compiler, architecture, git_hash, test_name, clock,
+            created_utc, end_reason ("completed" or the reason), interrupted.
+    """
+
+    samples: NDArray[np.void]
+    fs_hz: float
+    ag_mps2: NDArray[np.float64]
+    ground_motion: dict[str, Any]
+    reference: NDArray[np.void] | None
+    test_toml: str
+    rig_toml: str
+    replay: ReplayData = field(default_factory=ReplayData)
+    meta: dict[str, Any] = field(default_factory=dict)
+
+    def running(self) -> NDArray[np.bool_]:
+        """Return which rows belong to the test proper, shape (n,): RUNNING, or all if none is."""
+        mask: NDArray[np.bool_] = self.samples["state"] == RUNNING
+        return mask if mask.any() else np.ones(len(self.samples), dtype=np.bool_)
+
+    def time_s(self) -> NDArray[np.float64]:
+        """Return the time of each row, shape (n,), s; zero at the first row of the test proper."""
+        tick = self.samples["tick"].astype(np.int64)
+        start = tick[np.argmax(self.running())] if tick.size else 0
+        return np.asarray((tick - start) / self.fs_hz, dtype=np.float64)
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary name beside ``path`` and move it there when the block ends well.
+
+    Whoever looks at ``path`` sees the old file or the whole new one; after a failure the
+    temporary file is gone.
+
+    Raises:
+        RthybError: the folder or the file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise RthybError(
+            f"{path}: cannot be written ({error.strerror or error}); "
+            "check the folder's permissions and the space on the disk"
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write(path: str | Path, rec: Recording) -> None:
+    """Write a recording in one piece: a temporary file in the same folder, then renamed.
+
+    Args:
+        path: file to write; folders are made, an older file is replaced.
+        rec: the recording.
+
+    Raises:
+        RthybError: the file cannot be written; nothing is left behind.
+    """
+    import h5py
+
+    # Built in memory: on a full disk the HDF5 library crashes, while a plain write says so.
+    with h5py.File("recording", "w", driver="core", backing_store=False) as file:
+        file.attrs["schema"] = SCHEMA
+        _set_attributes(file, rec.meta)
+        samples = _table(file, "samples", rec.samples)
+        samples.attrs["fs_hz"] = rec.fs_hz
+        samples.attrs["units"] = json.dumps(UNITS)
+        samples.attrs["flags"] = json.dumps(FLAGS)
+        samples.attrs["states"] = json.dumps(STATES)
+        motion = _table(file, "ground_motion/ag_mps2", np.asarray(rec.ag_mps2, dtype=np.float64))
+        motion.attrs["fs_hz"] = rec.fs_hz
+        _set_attributes(motion, rec.ground_motion)
+        if rec.reference is not None:
+            reference = _table(file, "reference", rec.reference)
+            reference.attrs["units"] = json.dumps(REFERENCE_UNITS)
+        _text(file, "config/test_toml", rec.test_toml)
+        _text(file, "config/rig_toml", rec.rig_toml)
+        replay = rec.replay
+        state = np.frombuffer(replay.controller_state, dtype=np.uint8)
+        file.create_dataset("replay/controller_state", data=state)
+        file.create_dataset("replay/skips", data=np.asarray(replay.skips).reshape(-1, 2))
+        _text(file, "replay/parameters", json.dumps(replay.parameters))
+        _text(file, "replay/commands", json.dumps(replay.commands))
+        _text(file, "replay/tares", json.dumps(replay.tares))
+        file.flush()
+        image = file.id.get_file_image()
+    with replacing(Path(path)) as temporary, temporary.open("wb") as out:
+        out.write(image)
+        out.flush()
+        os.fsync(out.fileno())
+
+
+def _set_attributes(owner: Any, values: dict[str, Any]) -> None:
+    """Store values as attributes: scalars as they are, structures as JSON, None not at all."""
+    for key, value in values.items():
+        if value is not None:
+            scalar = isinstance(value, (str, bool, int, float, np.generic))
+            owner.attrs[key] = value if scalar else json.dumps(value)
+
+
+def _table(file: Any, name: str, data: NDArray[Any]) -> Any:
+    if len(data) == 0:
+        return file.create_dataset(name, data=data)
+    # The checksum makes a damaged block an error instead of a number.
+    return file.create_dataset(
+        name,
+        data=data,
+        chunks=(min(len(data), 4096),),
+        compression="gzip",
+        compression_opts=1,
+        shuffle=True,
+        fletcher32=True,
+    )
+
+
+def _text(file: Any, name: str, text: str) -> None:
+    import h5py
+
+    file.create_dataset(name, data=text, dtype=h5py.string_dtype("utf-8"))
+
+
+def read(path: str | Path) -> Recording:
+    """Read a recording.
+
+    Args:
+        path: the HDF5 file.
+
+    Returns:
+        The recording, wholly in memory.
+
+    Raises:
+        InputError: the file is missing, is no recording, is damaged, or has another schema.
+    """
+    import h5py
+
+    path = Path(path)
+    if not path.is_file():
+        found = "is a folder" if path.is_dir() else "does not exist"
+        raise InputError(f"{found}; give the {FILE_NAME} of a run", str(path))
+    if not os.access(path, os.R_OK):
+        raise InputError("may not be read; check its permissions", str(path))
+    try:
+        with h5py.File(path, "r") as file:
+            return _load(file, str(path))
+    except InputError:
+        raise
+    except (OSError, KeyError, TypeError, ValueError, RuntimeError, UnicodeDecodeError) as error:
+        raise InputError(_why_unreadable(path, error), str(path)) from error
+
+
+def _why_unreadable(path: Path, error: Exception) -> str:
+    with path.open("rb") as file:
+        signature = file.read(8)
+    if not signature:
+        return "the file is empty; the run that wrote it did not get to its end"
+    if signature != b"\x89HDF\r\n\x1a\n":
+        return "not an HDF5 file, so no recording; give the recording.h5 of a run"
+    if "truncated" in str(error):
+        return "the file ends too early; the copy or the disk is at fault, copy it again"
+    detail = str(error).strip("'\"").splitlines()[0] if str(error) else type(error).__name__
+    return f"the file is damaged ({detail}); copy it again or take another run"
+
+
+def _load(file: Any, where: str) -> Recording:
+    """Turn the open file into a recording; what h5py raises tells of damage."""
+    schema = _plain(file.attrs.get("schema"))
+    if not isinstance(schema, str) or not schema.startswith("rthyb-recording/"):
+        raise InputError(
+            "an HDF5 file, but no recording: the attribute 'schema' "
+            + (f"is {schema!r}" if schema is not None else "is missing")
+            + f", allowed is {SCHEMA!r}",
+            where,
+        )
+    if schema != SCHEMA:
+        raise InputError(
+            f"schema {schema!r}, this version reads {SCHEMA!r}; "
+            "use the version of rthyb_rt that wrote the file",
+            where,
+        )
+    samples_set = file["samples"]
+    if samples_set.ndim != 1:
+        raise InputError(f"'samples' has shape {samples_set.shape}, allowed is (n,)", where)
+    _require_fields(samples_set.dtype, UNITS, "samples", where)
+    reference = None
+    if "reference" in file:
+        _require_fields(file["reference"].dtype, REFERENCE_UNITS, "reference", where)
+        reference = file["reference"][()]
+    motion = file["ground_motion/ag_mps2"]
+    replay = file["replay"]
+    return Recording(
+        samples=samples_set[()],
+        fs_hz=float(samples_set.attrs["fs_hz"]),
+        ag_mps2=motion[()],
+        ground_motion={k: _plain(v) for k, v in motion.attrs.items() if k != "fs_hz"},
+        reference=reference,
+        test_toml=file["config/test_toml"].asstr()[()],
+        rig_toml=file["config/rig_toml"].asstr()[()],
+        replay=ReplayData(
+            controller_state=replay["controller_state"][()].tobytes(),
+            parameters=json.loads(replay["parameters"].asstr()[()]),
+            commands=json.loads(replay["commands"].asstr()[()]),
+            skips=replay["skips"][()],
+            tares=json.loads(replay["tares"].asstr()[()]),
+        ),
+        meta={k: _plain(v) for k, v in file.attrs.items() if k != "schema"},
+    )
+
+
+def _require_fields(dtype: np.dtype[Any], needed: dict[str, str], name: str, where: str) -> None:
+    missing = sorted(set(needed) - set(dtype.names or ()))
+    if missing:
+        raise InputError(f"'{name}' lacks the fields {', '.join(missing)}", where)
+
+
+def _plain(value: Any) -> Any:
+    """Return an attribute as a Python value; text that holds JSON structures is parsed."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, bytes):
+        value = value.decode("utf-8")
+    if isinstance(value, str) and value[:1] in ("{", "["):
+        with contextlib.suppress(json.JSONDecodeError):
+            return json.loads(value)
+    return value
+
+
+def open_run(path: str | Path) -> Recording:
+    """Read the recording of a run.
+
+    Args:
+        path: the run's folder or the recording itself.
+
+    Raises:
+        InputError: there is no recording, or it cannot be read.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return read(path)
+    if (path / FILE_NAME).exists():
+        return read(path / FILE_NAME)
+    runs = [run.parent for run in path.glob(f"*/{FILE_NAME}")]
+    newest = max(runs, key=lambda run: (run / FILE_NAME).stat().st_mtime, default=None)
+    hint = f"; did you mean {newest}?" if newest else "; give the folder of a run"
+    raise InputError(f"no {FILE_NAME} in this folder{hint}", str(path))

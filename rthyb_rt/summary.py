@@ -1,0 +1,497 @@
+"""What a recording says, in numbers and in plain words; shared by command line and report."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import measures
+from rthyb_rt.recording import FLAGS, STATES, Recording
+
+Floats = NDArray[np.float64]
+NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What the measures and figures need from the test and rig file; None where it is not said.
+
+    Attributes:
+        controller: name of the controller.
+        plc_enabled: the delay was compensated.
+        estimator_enabled: the delay estimate was allowed to change.
+        rfc_enabled: force compensation was on.
+        alpha_min: lower bound of the delay estimate, samples.
+        alpha_max: upper bound of the delay estimate, samples.
+        alpha_identified: delay found by identification of the rig, samples.
+        k_e_n_per_m: elastic stiffness of the specimen, N/m.
+        mass_kg: mass of the numerical part, kg.
+        period_s: period of the whole structure, s.
+    """
+
+    controller: str | None
+    plc_enabled: bool
+    estimator_enabled: bool
+    rfc_enabled: bool
+    alpha_min: float | None
+    alpha_max: float | None
+    alpha_identified: float | None
+    k_e_n_per_m: float | None
+    mass_kg: float | None
+    period_s: float | None
+
+
+def setup(rec: Recording) -> Setup:
+    """Return what the measures need from the two resolved files.
+
+    Reads leniently: a recording of another version must still give a report.
+    """
+    test, rig = _parse(rec.test_toml), _parse(rec.rig_toml)
+    name = _get(test, "controller", "type")
+    controller = name if isinstance(name, str) else None
+    compensated = controller != "none"
+    k_e = _positive(_get(rig, "rig", "elastic_stiffness_n_per_m"))
+    mass = _positive(_get(test, "numerical", "mass_kg"))
+    period = _positive(_get(test, "numerical", "period_s"))
+    # One of mass and period is given, the other follows with the stiffness of both parts.
+    if k_e is not None:
+        k = k_e + (_number(_get(test, "numerical", "stiffness_n_per_m")) or 0.0)
+        if period is None and mass is not None and k > 0.0:
+            period = 2.0 * np.pi * float(np.sqrt(mass / k))
+        elif mass is None and period is not None:
+            mass = k * (period / (2.0 * np.pi)) ** 2
+    plc = compensated and _get(test, "controller", "plc_enabled") is not False
+    estimator = ("controller", "delay_estimator")
+    return Setup(
+        controller=controller,
+        plc_enabled=plc,
+        estimator_enabled=plc and _get(test, *estimator, "enabled") is not False,
+        rfc_enabled=compensated and _get(test, "controller", "rfc", "enabled") is not False,
+        alpha_min=_number(_get(test, *estimator, "alpha_min")),
+        alpha_max=_number(_get(test, *estimator, "alpha_max")),
+        alpha_identified=_number(_get(rig, "identified", "alpha")),
+        k_e_n_per_m=k_e,
+        mass_kg=mass,
+        period_s=period,
+    )
+
+
+def _parse(text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return {}
+
+
+def _get(tree: Any, *path: str) -> Any:
+    for key in path:
+        tree = tree.get(key) if isinstance(tree, dict) else None
+    return tree
+
+
+def _number(value: Any) -> float | None:
+    usable = isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
+    return float(value) if usable else None
+
+
+def _positive(value: Any) -> float | None:
+    number = _number(value)
+    return number if number is not None and number > 0.0 else None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The figures of a test; fractions and SI units, nan or None where there is nothing to say.
+
+    Errors and indices are taken over the rows of the test proper, the counts over all rows.
+    """
+
+    test_name: str
+    end_reason: str
+    interrupted: bool
+    clock: str
+    final_state: str
+    fs_hz: float
+    samples: int
+    duration_s: float
+    peak_command_m: float
+    peak_command_time_s: float
+    peak_measured_m: float
+    peak_force_n: float
+    tracking_nrmse: float
+    tracking_peak_difference_m: float
+    tracking_peak_error: float
+    response_nrmse: float | None
+    response_peak_difference_m: float | None
+    response_peak_error: float | None
+    accumulated_error_m: float | None
+    fei_amplitude: float
+    fei_delay_s: float
+    fei_frequency_hz: float
+    alpha_end: float
+    alpha_at_bound: float
+    k_t_at_zero: float
+    tracking_indicator_m2: float
+    energy_error_j: float
+    energy_error_relative: float | None
+    flags: dict[str, int]
+    skipped_ticks: int
+    not_finite_rows: int
+    setup: Setup = field(repr=False)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures for a JSON document: nan, which JSON has not, becomes None."""
+        return {key: _json_value(value) for key, value in asdict(self).items()}
+
+
+def _json_value(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _json_value(item) for key, item in value.items()}
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def reference_pair(rec: Recording) -> tuple[NDArray[np.intp], Floats] | None:
+    """Return the rows that have a reference and the reference displacement there, m.
+
+    Row k of the reference belongs to the k-th row of the test proper. None without a reference.
+    """
+    if rec.reference is None:
+        return None
+    rows = np.flatnonzero(rec.running())
+    length = min(rows.size, len(rec.reference))
+    return (rows[:length], rec.reference["x_ref_m"][:length]) if length else None
+
+
+def summarize(rec: Recording) -> Summary:
+    """Return the figures of a recording.
+
+    The energy error is taken from the recording's own signals, not from the core's running
+    value, so that recordings from elsewhere are judged alike.
+    """
+    given = setup(rec)
+    samples = rec.samples
+    run = samples[rec.running()]
+    x_num, x_meas, force = run["x_num_m"], run["x_meas_m"], run["f_meas_n"]
+    index = measures.fei(x_num, x_meas, rec.fs_hz)
+    peak_row = _peak_row(x_num)
+    error_j = measures.energy_error(force, x_num, x_meas)
+    relative = None
+    if given.k_e_n_per_m is not None:
+        input_j = None
+        if given.mass_kg is not None:
+            input_j = measures.input_energy(run["ag_mps2"], x_num, given.mass_kg)
+        relative = measures.hsem(error_j, input_j, force, given.k_e_n_per_m)
+    response: dict[str, float | None] = dict.fromkeys(("nrmse", "difference", "error", "sum"))
+    pair = reference_pair(rec)
+    if pair is not None:
+        measured = samples["x_meas_m"][pair[0]]
+        response = {
+            "nrmse": measures.response_nrmse(pair[1], measured),
+            "difference": measures.peak_difference(pair[1], measured),
+            "error": measures.peak_error(pair[1], measured),
+            "sum": float(measures.accumulated_error(pair[1], measured)[-1]),
+        }
+    signals = np.stack([samples[n] for n in ("x_num_m", "x_cmd_m", "x_meas_m", "f_meas_n")])
+    state = int(samples["state"][-1]) if len(samples) else 0
+    return Summary(
+        test_name=str(rec.meta.get("test_name", "")),
+        end_reason=str(rec.meta.get("end_reason", "unknown")),
+        interrupted=bool(rec.meta.get("interrupted", False)),
+        clock=str(rec.meta.get("clock", "unknown")),
+        final_state=STATES[state] if state < len(STATES) else str(state),
+        fs_hz=rec.fs_hz,
+        samples=len(samples),
+        duration_s=len(run) / rec.fs_hz,
+        peak_command_m=_peak(x_num),
+        peak_command_time_s=float(rec.time_s()[rec.running()][peak_row]) if len(run) else NAN,
+        peak_measured_m=_peak(x_meas),
+        peak_force_n=_peak(force),
+        tracking_nrmse=measures.tracking_nrmse(x_num, x_meas),
+        tracking_peak_difference_m=measures.peak_difference(x_num, x_meas),
+        tracking_peak_error=measures.peak_error(x_num, x_meas),
+        response_nrmse=response["nrmse"],
+        response_peak_difference_m=response["difference"],
+        response_peak_error=response["error"],
+        accumulated_error_m=response["sum"],
+        fei_amplitude=index.amplitude,
+        fei_delay_s=index.delay_s,
+        fei_frequency_hz=index.f_eq_hz,
+        alpha_end=float(run["alpha"][-1]) if len(run) else NAN,
+        alpha_at_bound=_share_at_bound(run["alpha"], given),
+        k_t_at_zero=_share(run["k_t_n_per_m"] <= 0.0),
+        tracking_indicator_m2=_last(measures.tracking_indicator(x_num, x_meas)),
+        energy_error_j=_last(error_j),
+        energy_error_relative=relative,
+        flags={name: int(np.count_nonzero(samples["flags"] & bit)) for name, bit in FLAGS.items()},
+        skipped_ticks=int(np.sum(rec.replay.skips[:, 1])) if rec.replay.skips.size else 0,
+        not_finite_rows=int(np.count_nonzero(~np.isfinite(signals).all(axis=0))),
+        setup=given,
+    )
+
+
+def _peak_row(x: Floats) -> int:
+    magnitude = np.where(np.isfinite(x), np.abs(x), -1.0)
+    return int(np.argmax(magnitude)) if x.size else 0
+
+
+def _peak(x: Floats) -> float:
+    finite = np.abs(x[np.isfinite(x)])
+    return float(np.max(finite)) if finite.size else NAN
+
+
+def _last(x: Floats) -> float:
+    return float(x[-1]) if x.size else NAN
+
+
+def _share(mask: NDArray[np.bool_]) -> float:
+    return float(np.mean(mask)) if mask.size else 0.0
+
+
+def _share_at_bound(alpha: Floats, given: Setup) -> float:
+    if not given.estimator_enabled:
+        return 0.0
+    at_bound = np.zeros(alpha.shape, dtype=np.bool_)
+    if given.alpha_min is not None:
+        at_bound |= alpha <= given.alpha_min
+    if given.alpha_max is not None:
+        at_bound |= alpha >= given.alpha_max
+    return _share(at_bound)
+
+
+# --- numbers for people -----------------------------------------------------------------------
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return ``value`` with that many significant digits, a dash where there is none."""
+    if value is None or np.isnan(value):
+        return "–"
+    if np.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    # Below a ten-billionth only round-off is left, in every unit that is shown.
+    if abs(value) < 1e-10:
+        return "0"
+    if not 1e-4 <= abs(value) < 1e5:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        text = f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    else:
+        decimals = digits - 1 - int(np.floor(np.log10(abs(float(f"{value:.{digits - 1}e}")))))
+        text = f"{value:.{max(decimals, 0)}f}"
+    return text.replace("-", "−", 1) if text.startswith("-") else text
+
+
+def percent(fraction: float | None, digits: int = 2) -> str:
+    """Return a fraction as per cent, ``2.1 %``; above ten times the exact figure says nothing."""
+    if fraction is None or np.isnan(fraction):
+        return "–"
+    if fraction > 10.0:
+        return "> 1000 %"
+    return f"{number(100.0 * fraction, 3 if abs(fraction) >= 0.1 else digits)} %"
+
+
+def quantity(value: float | None, unit: str, factor: float = 1.0, digits: int = 3) -> str:
+    """Return a value in a unit, ``0.12 mm``; ``factor`` turns SI into that unit."""
+    if value is None or np.isnan(value):
+        return "–"
+    return f"{number(value * factor, digits)} {unit}"
+
+
+def _count(n: int, noun: str) -> str:
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+# --- words ------------------------------------------------------------------------------------
+
+
+class Notice(NamedTuple):
+    """Something about the test that a reader must not miss.
+
+    Attributes:
+        level: "alarm" when the figures may not be what the test was meant to show, "note" else.
+        text: one plain sentence.
+    """
+
+    level: Literal["alarm", "note"]
+    text: str
+
+
+def verdict(s: Summary) -> str:
+    """Return the result in one plain sentence, the response never without the tracking."""
+    if np.isnan(s.peak_command_m):
+        return "The recording holds no finite command: there is nothing to judge."
+    if s.peak_command_m == 0.0:
+        still = np.isnan(s.peak_measured_m) or s.peak_measured_m == 0.0
+        moved = "" if still else f", while {_mm(s.peak_measured_m)} were measured"
+        return f"The command stayed at zero{moved}: there is no motion to judge."
+    tracking = (
+        f"The specimen followed the command within {_mm(s.tracking_peak_difference_m)} "
+        f"({percent(s.tracking_peak_error)})"
+    )
+    if s.response_peak_difference_m is None:
+        return f"{tracking}; there is no reference simulation to compare the response with."
+    return (
+        f"{tracking}; the response differs from the reference simulation by "
+        f"{_mm(s.response_peak_difference_m)} at most ({percent(s.response_peak_error)})."
+    )
+
+
+def _mm(value_m: float | None) -> str:
+    return quantity(value_m, "mm", 1e3, digits=2)
+
+
+def notices(s: Summary) -> list[Notice]:
+    """Return what a reader must not miss, the gravest first."""
+    found: list[Notice] = []
+    if s.end_reason != "completed":
+        text = f"The test did not complete: {s.end_reason} after {s.duration_s:.2f} s."
+        found.append(Notice("alarm", text))
+    if s.interrupted:
+        found.append(
+            Notice("alarm", "The test was held and resumed: it is not one continuous motion.")
+        )
+    if s.not_finite_rows:
+        found.append(
+            Notice(
+                "alarm",
+                f"{_count(s.not_finite_rows, 'row')} with values that are not finite; "
+                "the measures leave them out.",
+            )
+        )
+    flagged = {
+        "limited": "had the command held back by a limit: the actuator was sent less than asked",
+        "not_sent": "had a command that could not be sent",
+        "predicted": "had a predicted instead of a measured feedback",
+        "blind": "passed blind, without feedback and command, in a skip",
+        "frozen": "had the delay estimate and the stiffness frozen, feedback being away",
+    }
+    for name, text in flagged.items():
+        n = s.flags.get(name, 0)
+        if n:
+            share = percent(n / s.samples)
+            found.append(Notice("alarm", f"{_count(n, 'sample')} of {s.samples} ({share}) {text}."))
+    if s.skipped_ticks:
+        found.append(Notice("alarm", f"{_count(s.skipped_ticks, 'tick')} skipped."))
+    if s.alpha_at_bound > 0.01:
+        share = percent(s.alpha_at_bound)
+        found.append(
+            Notice(
+                "alarm", f"The delay estimate stood at one of its bounds for {share} of the test."
+            )
+        )
+    if s.setup.rfc_enabled and s.k_t_at_zero > 0.01:
+        share = percent(s.k_t_at_zero)
+        found.append(
+            Notice(
+                "note",
+                f"No force compensation for {share} of the test: the tangent stiffness was zero.",
+            )
+        )
+    return found
+
+
+class Row(NamedTuple):
+    """One row of the result table: what, how much, by which formula."""
+
+    label: str
+    value: str
+    formula: str
+
+
+def result_table(rec: Recording) -> list[Row]:
+    """Return the result table of a recording: label, value with unit, formula.
+
+    The formulas are explained, with their sources, in `rthyb_rt.measures`.
+    """
+    return table(summarize(rec))
+
+
+def table(s: Summary) -> list[Row]:
+    """Return the result table of a summary."""
+    rows = [
+        Row("End of the test", _end(s), ""),
+        Row("Peak of the command", quantity(s.peak_command_m, "mm", 1e3), "max |x_num|"),
+        Row("Peak measured", quantity(s.peak_measured_m, "mm", 1e3), "max |x_meas|"),
+        Row("Peak force", quantity(s.peak_force_n, "kN", 1e-3), "max |f|"),
+        Row("Tracking, NRMSE", percent(s.tracking_nrmse), "rms(x_meas − x_num) / rms(x_num)"),
+        Row(
+            "Tracking, largest difference",
+            f"{quantity(s.tracking_peak_difference_m, 'mm', 1e3)} "
+            f"({percent(s.tracking_peak_error)})",
+            "max |x_meas − x_num|, of max |x_num|",
+        ),
+    ]
+    if s.response_nrmse is None:
+        rows.append(Row("Response", "no reference simulation", ""))
+    else:
+        rows += [
+            Row("Response, NRMSE", percent(s.response_nrmse), "rms(x_meas − x_ref) / rms(x_ref)"),
+            Row(
+                "Response, largest difference",
+                f"{quantity(s.response_peak_difference_m, 'mm', 1e3)} "
+                f"({percent(s.response_peak_error)})",
+                "max |x_meas − x_ref|, of max |x_ref|",
+            ),
+            Row(
+                "Accumulated error",
+                quantity(s.accumulated_error_m, "m"),
+                "Σ |x_meas − x_ref| over samples, Eqn 4.3",
+            ),
+        ]
+    at = "" if np.isnan(s.fei_frequency_hz) else f" at {number(s.fei_frequency_hz)} Hz"
+    rows += [
+        Row(
+            "Delay left",
+            f"{quantity(s.fei_delay_s, 'ms', 1e3)} "
+            f"({quantity(s.fei_delay_s, 'samples', s.fs_hz)}){at}"
+            if at
+            else "–",
+            "frequency evaluation index of x_meas against x_num",
+        ),
+        Row("Amplitude", number(s.fei_amplitude, 4), "|FEI|; 1 is right"),
+        Row("Delay estimate at the end", _alpha(s), "alpha"),
+        Row(
+            "Energy error",
+            f"{quantity(s.energy_error_j, 'J')}"
+            + (
+                f", at most {percent(s.energy_error_relative)} of the energy in the test"
+                if s.energy_error_relative is not None
+                else ""
+            ),
+            "∫ f d(x_meas − x_num); positive feeds the structure",
+        ),
+        Row(
+            "Tracking indicator",
+            quantity(s.tracking_indicator_m2, "mm²", 1e6),
+            "½ ∫ (x_meas dx_num − x_num dx_meas); negative lags",
+        ),
+        Row("Samples", _samples(s), "rows of the recording, and those with a flag"),
+    ]
+    return rows
+
+
+def _end(s: Summary) -> str:
+    words = [s.end_reason, f"after {s.duration_s:.2f} s", f"state {s.final_state}"]
+    if s.interrupted:
+        words.insert(1, "interrupted")
+    return ", ".join(words)
+
+
+def _alpha(s: Summary) -> str:
+    if not s.setup.plc_enabled:
+        return "no compensation"
+    text = f"{quantity(s.alpha_end, 'samples')} ({quantity(s.alpha_end, 'ms', 1e3 / s.fs_hz)})"
+    return text if s.setup.estimator_enabled else f"{text}, fixed"
+
+
+def _samples(s: Summary) -> str:
+    flagged = [
+        f"{n} {name.replace('_', ' ')}" for name, n in s.flags.items() if n and name != "fresh"
+    ]
+    if s.skipped_ticks:
+        flagged.append(f"{_count(s.skipped_ticks, 'tick')} skipped")
+    return f"{s.samples}, " + (", ".join(flagged) if flagged else "none flagged")

@@ -1,0 +1,506 @@
+"""The report and the result table: right numbers, plain words, and no test too broken to show."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from recording_data import FS_HZ, K_E, recording
+
+from rthyb_rt import measures
+from rthyb_rt.errors import InputError
+from rthyb_rt.recording import FLAGS, STATES, UNITS, Recording
+from rthyb_rt.report import render, write_report
+from rthyb_rt.report.decimate import envelope, robust_limit, trace
+from rthyb_rt.summary import (
+    notices,
+    number,
+    percent,
+    quantity,
+    result_table,
+    setup,
+    summarize,
+    verdict,
+)
+
+pytest.importorskip("matplotlib")
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return render(recording())
+
+
+def rows(rec: Recording) -> dict[str, str]:
+    return {row.label: row.value for row in result_table(rec)}
+
+
+# --- result table -----------------------------------------------------------------------------
+
+
+def sine_test(delay_samples: float = 10.0, gain: float = 0.98, seconds: float = 10.0) -> Recording:
+    """A spring moved by a 2 Hz, 7 mm sine; the reference is 1 % larger than the command."""
+    rec = recording(seconds)
+    t = rec.time_s()
+    samples = rec.samples
+    samples["ag_mps2"] = 0.0
+    samples["x_num_m"] = 0.007 * np.sin(4.0 * np.pi * t)
+    samples["x_meas_m"] = 0.007 * gain * np.sin(4.0 * np.pi * (t - delay_samples / FS_HZ))
+    samples["f_meas_n"] = K_E * samples["x_meas_m"]
+    assert rec.reference is not None
+    rec.reference["x_ref_m"] = 1.01 * samples["x_num_m"]
+    return rec
+
+
+def test_result_table_of_a_sine_has_the_closed_form_values() -> None:
+    found = rows(sine_test())
+    phase = 4.0 * np.pi * 10.0 / FS_HZ
+    largest = 7.0 * abs(0.98 * np.exp(-1j * phase) - 1.0)
+    response = 7.0 * abs(0.98 * np.exp(-1j * phase) - 1.01)
+    assert found["Peak of the command"] == "7.00 mm"
+    assert found["Peak measured"] == "6.86 mm"
+    assert found["Peak force"] == "4.57 kN"
+    assert found["Tracking, NRMSE"] == f"{100.0 * largest / 7.0:.1f} %"
+    assert found["Tracking, largest difference"].startswith(
+        f"{largest:.3f} mm ({100.0 * largest / 7.0:.1f} %)"
+    )
+    assert found["Response, largest difference"].startswith(f"{response:.3f} mm")
+    assert found["Delay left"] == "9.77 ms (10.0 samples) at 2.00 Hz"
+    assert found["Amplitude"] == "0.9800"
+    energy = 20.0 * K_E * np.pi * 0.98 * 0.007**2 * np.sin(phase)
+    assert float(found["Energy error"].split(" J")[0]) == pytest.approx(energy, rel=0.03)
+
+
+def test_every_row_has_a_value_and_figures_have_a_formula() -> None:
+    table = result_table(sine_test())
+    assert all(row.label and row.value for row in table)
+    assert all(row.formula for row in table if row.label != "End of the test")
+
+
+def test_measures_leave_the_ramps_out() -> None:
+    whole = sine_test()
+    ramped = sine_test()
+    extra = np.zeros(500, dtype=ramped.samples.dtype)
+    extra["state"] = STATES.index("RAMP_IN")
+    extra["x_meas_m"] = 0.05
+    ramped.samples = np.concatenate([extra, ramped.samples])
+    ramped.samples["tick"] = np.arange(len(ramped.samples))
+    a, b = summarize(whole), summarize(ramped)
+    assert b.samples == a.samples + 500
+    for name in ("tracking_nrmse", "response_nrmse", "peak_measured_m", "peak_command_time_s"):
+        assert getattr(b, name) == getattr(a, name)
+
+
+def test_reference_follows_the_running_rows_through_a_hold() -> None:
+    rec = sine_test()
+    hold = np.repeat(rec.samples[3000:3001], 200)
+    hold["state"] = STATES.index("HOLD")
+    expected = summarize(rec).response_nrmse
+    rec.samples = np.concatenate([rec.samples[:3001], hold, rec.samples[3001:]])
+    rec.samples["tick"] = np.arange(len(rec.samples))
+    assert summarize(rec).response_nrmse == expected
+
+
+def test_test_that_tripped_early_is_compared_over_what_it_has() -> None:
+    rec = sine_test()
+    rec.samples = rec.samples[:1000]
+    assert rec.reference is not None
+    expected = measures.response_nrmse(rec.reference["x_ref_m"][:1000], rec.samples["x_meas_m"])
+    assert summarize(rec).response_nrmse == expected
+
+
+def test_mass_follows_from_the_period_and_the_stiffness() -> None:
+    rec = recording(1.0)
+    assert setup(rec).period_s == pytest.approx(0.5, rel=1e-5)
+    rec.test_toml = rec.test_toml.replace("mass_kg = 4220.0", "period_s = 0.5")
+    assert setup(rec).mass_kg == pytest.approx(4220.0, rel=1e-4)
+
+
+def test_summary_is_json_without_nan() -> None:
+    rec = recording(1.0)
+    rec.samples["x_num_m"] = 0.0
+    document = json.dumps(summarize(rec).as_json(), allow_nan=False)
+    assert json.loads(document)["tracking_nrmse"] is None
+    assert json.loads(document)["setup"]["k_e_n_per_m"] == K_E
+
+
+# --- words ------------------------------------------------------------------------------------
+
+
+def test_verdict_names_tracking_and_response_together() -> None:
+    assert verdict(summarize(sine_test(0.0, 1.0))) == (
+        "The specimen followed the command within 0 mm (0 %); the response differs from the "
+        "reference simulation by 0.070 mm at most (0.99 %)."
+    )
+
+
+def test_verdict_without_reference_says_so() -> None:
+    sentence = verdict(summarize(recording(2.0, reference=False)))
+    assert sentence.startswith("The specimen followed the command within ")
+    assert "no reference simulation" in sentence
+
+
+def test_verdict_of_no_motion_judges_nothing() -> None:
+    rec = recording(1.0)
+    rec.samples["x_num_m"] = 0.0
+    rec.samples["x_meas_m"] = 0.0
+    assert "no motion to judge" in verdict(summarize(rec))
+
+
+def spoil(rec: Recording) -> None:
+    rec.meta |= {"end_reason": "tracking error above 5 mm", "interrupted": True}
+    rec.samples["flags"][:50] |= FLAGS["limited"]
+    rec.samples["flags"][60:61] |= FLAGS["predicted"]
+    rec.samples["x_meas_m"][70:72] = np.nan
+    rec.samples["alpha"][:200] = 60.0
+    rec.replay.skips = np.array([[10, 2], [40, 3]])
+
+
+def test_everything_that_went_wrong_is_a_notice() -> None:
+    rec = recording(2.0)
+    spoil(rec)
+    text = "\n".join(notice.text for notice in notices(summarize(rec)))
+    assert "did not complete: tracking error above 5 mm after 2.00 s" in text
+    assert "held and resumed" in text
+    assert "50 samples of 2048 (2.4 %) had the command held back by a limit" in text
+    assert "1 sample of 2048" in text
+    assert "2 rows with values that are not finite" in text
+    assert "5 ticks skipped" in text
+    assert "one of its bounds for 9.8 % of the test" in text
+
+
+def test_flawless_test_has_no_notice() -> None:
+    rec = recording(2.0)
+    rec.samples["k_t_n_per_m"] = K_E
+    assert notices(summarize(rec)) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (0.12345, "0.123"),
+        (9.996, "10.0"),
+        (-17.04, "−17.0"),
+        (1234.6, "1235"),
+        (2.5e7, "2.50·10⁷"),
+        (-3e-6, "−3.00·10⁻⁶"),
+        (float("nan"), "–"),
+        (float("inf"), "∞"),
+        (None, "–"),
+    ],
+)
+def test_number_has_three_figures_that_count(value: float | None, text: str) -> None:
+    assert number(value) == text
+
+
+def test_percent_and_quantity_are_for_people() -> None:
+    assert percent(0.0091) == "0.91 %"
+    assert percent(0.167) == "16.7 %"
+    assert percent(1e9) == "> 1000 %"
+    assert quantity(0.000118, "mm", 1e3) == "0.118 mm"
+    assert quantity(None, "mm") == "–"
+
+
+# --- page -------------------------------------------------------------------------------------
+
+
+def drawings(page: str) -> list[ET.Element]:
+    return [ET.fromstring(text) for text in re.findall(r"<svg.*?</svg>", page, re.DOTALL)]
+
+
+class Links(HTMLParser):
+    """Whatever a browser would fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name in ("src", "href", "xlink:href", "data") and not (value or "").startswith("#"):
+                self.found.append(f"{tag} {name}={value}")
+
+
+def test_page_asks_nothing_of_the_network(page: str) -> None:
+    links = Links()
+    links.feed(page)
+    assert links.found == []
+    assert not re.search(r"@import|url\((?!#)", page)
+    assert "default-src 'none'" in page
+
+
+def test_page_is_small_and_has_all_figures(page: str) -> None:
+    assert len(page.encode()) < 2_000_000
+    assert len(drawings(page)) == 9
+    titles = re.findall(r"<b>Figure \d\. (.*?)\.</b>", page)
+    assert titles == [
+        "Command and measured displacement",
+        "At the peak",
+        "Hysteresis loop",
+        "Tracking error",
+        "Response against the reference simulation",
+        "Accumulated error",
+        "Energy error and tracking indicator",
+        "Delay estimate",
+        "Tangent stiffness",
+    ]
+
+
+def test_ids_are_unique_and_every_reference_has_its_target(page: str) -> None:
+    ids = re.findall(r'\bid="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    wanted = set(re.findall(r"url\(#([^)]+)\)", page)) | set(re.findall(r'href="#([^"]+)"', page))
+    assert wanted <= set(ids)
+
+
+def test_text_in_figures_is_text_in_the_fonts_of_the_page(page: str) -> None:
+    words = [
+        "".join(node.itertext())
+        for drawing in drawings(page)
+        for node in drawing.iter("{http://www.w3.org/2000/svg}text")
+    ]
+    for label in ("displacement, mm", "force, kN", "time, s", "tangent stiffness, kN/m", "ms"):
+        assert label in words
+    assert "DejaVu" not in page.split("</style>", 1)[1]
+
+
+def test_page_holds_settings_provenance_and_verdict(page: str) -> None:
+    assert "gain_per_mm2_per_sample = 0.03" in page
+    assert "Imperial Valley, 18 May 1940" in page
+    assert "0123abc" in page
+    assert "The specimen followed the command within" in page.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_settings_cannot_break_out_of_the_page() -> None:
+    rec = recording(1.0)
+    rec.test_toml += '\n# <script>alert("x")</script>'
+    rec.meta["test_name"] = "<b>bold</b>"
+    page = render(rec)
+    assert "<script>alert" not in page
+    assert "<b>bold" not in page
+
+
+def test_identified_delay_is_drawn_and_far_bounds_are_named(page: str) -> None:
+    assert "identified 17" in page
+    assert "Outside the picture: bounds 0 and 60." in page
+
+
+def test_bound_that_is_reached_is_drawn() -> None:
+    rec = recording(2.0)
+    rec.samples["alpha"][500:] = 60.0
+    page = render(rec)
+    assert "upper bound 60" in page
+    assert "lower bound 0" in page
+
+
+def test_test_without_compensation_has_no_empty_figures() -> None:
+    rec = recording(2.0)
+    rec.test_toml = rec.test_toml.replace('type = "paper"', 'type = "none"')
+    page = render(rec)
+    assert "The test ran without delay compensation." in page
+    assert "The test ran without force compensation." in page
+    assert len(drawings(page)) == 7
+
+
+def test_fixed_delay_is_told_in_words() -> None:
+    rec = recording(2.0)
+    rec.test_toml = rec.test_toml.replace(
+        "[controller.delay_estimator]\nenabled = true",
+        "[controller.delay_estimator]\nenabled = false",
+    )
+    rec.samples["alpha"] = 17.0
+    text = render(rec).replace("\N{NO-BREAK SPACE}", " ")
+    assert "The delay was fixed at 17.0 samples (16.6 ms)." in text
+
+
+# --- tests that went wrong --------------------------------------------------------------------
+
+
+def without_reference(rec: Recording) -> None:
+    rec.reference = None
+
+
+def three_samples(rec: Recording) -> None:
+    rec.samples = rec.samples[:3]
+
+
+def one_sample(rec: Recording) -> None:
+    rec.samples = rec.samples[:1]
+
+
+def no_sample(rec: Recording) -> None:
+    rec.samples = rec.samples[:0]
+
+
+def all_zero(rec: Recording) -> None:
+    for name in UNITS:
+        if name not in ("tick", "state"):
+            rec.samples[name] = 0
+    assert rec.reference is not None
+    rec.reference["x_ref_m"] = 0.0
+
+
+def all_nan(rec: Recording) -> None:
+    for name in UNITS:
+        if rec.samples.dtype[name].kind == "f":
+            rec.samples[name] = np.nan
+
+
+def diverged(rec: Recording) -> None:
+    growth = np.exp(np.arange(len(rec.samples)) / 60.0)
+    for name in ("x_num_m", "x_cmd_m", "x_meas_m", "f_meas_n"):
+        rec.samples[name] *= growth
+
+
+def spikes(rec: Recording) -> None:
+    rec.samples["x_num_m"][700] = 1e300
+    rec.samples["x_meas_m"][800] = -np.inf
+    rec.samples["f_meas_n"][900] *= 1e6
+    rec.samples["k_t_n_per_m"][5] = np.nan
+
+
+def nothing_known(rec: Recording) -> None:
+    rec.test_toml, rec.rig_toml, rec.meta, rec.ground_motion = "not toml [", "", {}, {}
+
+
+def curvature(rec: Recording) -> None:
+    rec.samples["beta"] = np.linspace(0.0, 144.5, len(rec.samples))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        without_reference,
+        three_samples,
+        one_sample,
+        no_sample,
+        all_zero,
+        all_nan,
+        diverged,
+        spikes,
+        nothing_known,
+        curvature,
+        spoil,
+    ],
+)
+def test_report_of_any_test_is_whole(change: Callable[[Recording], None]) -> None:
+    rec = recording(2.0)
+    change(rec)
+    page = render(rec)
+    assert page.rstrip().endswith("</html>")
+    for drawing in drawings(page):
+        paths = [path.get("d", "") for path in drawing.iter("{http://www.w3.org/2000/svg}path")]
+        assert not any("nan" in path or "inf" in path or "e+" in path for path in paths)
+    assert all(row.value for row in result_table(rec))
+
+
+def test_diverged_test_keeps_its_readable_part() -> None:
+    rec = recording(20.0)
+    clean = np.max(np.abs(rec.samples["x_num_m"]))
+    rec.samples["x_meas_m"][-2000:] *= 1e6
+    assert rec.reference is not None
+    limit = robust_limit(rec.samples["x_num_m"], rec.samples["x_meas_m"], anchor=clean)
+    assert 0.5 * clean < limit < 5.0 * clean
+    assert "The axis is cut: the largest value is" in render(rec)
+
+
+# --- fewer points -----------------------------------------------------------------------------
+
+
+@given(
+    n=st.integers(1, 4000),
+    columns=st.integers(1, 300),
+    seed=st.integers(0, 99),
+    gaps=st.booleans(),
+)
+def test_envelope_keeps_the_extremes_of_every_column(
+    n: int, columns: int, seed: int, gaps: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = np.arange(n) / FS_HZ, rng.standard_normal(n)
+    if gaps:
+        y[rng.random(n) < 0.3] = np.nan
+    thin_x, thin_y = envelope(x, y, columns)
+    assert thin_x.size <= max(2 * columns, 1) or thin_x.size == n
+    assert np.all(np.diff(thin_x) >= 0.0)
+    np.testing.assert_array_equal(thin_y, y[np.searchsorted(x, thin_x)])
+    width = -(-n // columns)
+    kept = set(thin_x.tolist())
+    for start in range(0, n, width):
+        column = y[start : start + width]
+        if np.isfinite(column).any():
+            for row in (np.nanargmin(column), np.nanargmax(column)):
+                at = np.flatnonzero(column == column[row]) + start
+                assert any(float(x[i]) in kept for i in at)
+
+
+def test_plain_striding_would_lose_a_spike_that_the_envelope_keeps() -> None:
+    y = np.zeros(40960)
+    y[12347] = 1.0
+    assert envelope(np.arange(40960.0), y, 900)[1].max() == 1.0
+
+
+@given(seed=st.integers(0, 50))
+def test_trace_leaves_nothing_out_that_a_pixel_shows(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = np.cumsum(rng.normal(0.0, 0.002, (2, 3000)), axis=1)
+    thin_x, thin_y = trace(x, y, 1.0, 1.0, 100)
+    assert thin_x.size < x.size
+    cells = set(zip(np.floor(thin_x * 100), np.floor(thin_y * 100), strict=True))
+    assert cells == set(zip(np.floor(x * 100), np.floor(y * 100), strict=True))
+
+
+def test_axis_takes_everything_that_is_not_far_off() -> None:
+    t = np.linspace(0.0, 1.0, 5000)
+    burst = 0.1 * np.sin(50.0 * t)
+    burst[3000:3020] = 0.9
+    assert robust_limit(burst) == 0.9
+    burst[3000:3020] = 900.0
+    assert 0.1 < robust_limit(burst) < 0.5
+    assert robust_limit(np.zeros(5)) == 1.0
+    assert robust_limit(np.full(3, np.nan)) == 1.0
+
+
+# --- surroundings -----------------------------------------------------------------------------
+
+
+def test_report_is_written_in_one_piece(tmp_path: Path) -> None:
+    write_report(recording(1.0), tmp_path / "run" / "report.html")
+    assert [file.name for file in (tmp_path / "run").iterdir()] == ["report.html"]
+
+
+def test_report_without_matplotlib_names_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(sys.modules, "rthyb_rt.report.figures", raising=False)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(InputError, match=r"needs matplotlib.*pip install 'rthyb-rt\[report\]'"):
+        write_report(recording(1.0), tmp_path / "report.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_result_table_needs_neither_matplotlib_nor_h5py() -> None:
+    code = (
+        "import sys, rthyb_rt.summary, rthyb_rt.recording, rthyb_rt.report; "
+        "print(sorted({'matplotlib', 'h5py', 'scipy', 'jinja2'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_two_reports_of_one_recording_are_the_same_bytes() -> None:
+    rec = recording(2.0)
+    assert render(rec) == render(rec)
