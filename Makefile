@@ -6,7 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 VERSION := $(shell sed -n 's/^.define RTHYB_VERSION "\(.*\)"/\1/p' csrc/rthyb.h)
 # A changed version or a moved repository asks for a new installation, as a changed build file does.
-KEY := $(VERSION)-$(word 1,$(shell pwd | cksum))
+# The editable install knows the modules that were there when it was made: a new one asks for another.
+KEY := $(VERSION)-$(word 1,$(shell { pwd; find rthyb_rt -name '*.py' | sort; } | cksum))
 READY := $(VENV)/.ready-$(KEY)
 TEST_READY := $(VENV)/.test-$(KEY)
 LINT_READY := $(VENV)/.lint-$(KEY)

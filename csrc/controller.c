@@ -16,7 +16,8 @@ static int limit_ok(const rthyb_limit *limit)
 
 int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cfg)
 {
-    if (!(cfg->period_s > 0.0 && cfg->period_s <= 1.0))
+    if (!(cfg->period_s > 0.0 && cfg->period_s <= 1.0) ||
+        cfg->estimator.period_s != cfg->period_s || cfg->motion.period_s != cfg->period_s)
         return RTHYB_E_PERIOD;
     if (!limit_ok(&cfg->position) || !limit_ok(&cfg->force) || !limit_ok(&cfg->tracking) ||
         !(cfg->velocity_limit_m_per_s >= 0.0 && cfg->acceleration_limit_m_per_s2 >= 0.0 &&
@@ -35,6 +36,20 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
     return error;
 }
 
+int rthyb_controller_adopt(rthyb_controller *c, const rthyb_controller *recorded)
+{
+    rthyb_controller fresh;
+    const int error = rthyb_controller_init(&fresh, &recorded->cfg);
+    if (error)
+        return error;
+    const uint32_t terms = (uint32_t)recorded->cfg.rfc.window + 1;
+    if (recorded->rfc.cfg.window != recorded->cfg.rfc.window || recorded->rfc.head >= terms ||
+        recorded->rfc.filled > terms)
+        return RTHYB_E_WINDOW;
+    *c = *recorded;
+    return 0;
+}
+
 static int beyond_sensor(double value, double range)
 {
     /* A reading at the very end of the range is a sensor that cannot say more. */
@@ -46,11 +61,11 @@ static int gate(const rthyb_controller *c, const rthyb_input *in, double *x, dou
 {
     int code =
         judge(in->x_meas_m, RTHYB_DISPLACEMENT_MAX_M) | judge(in->f_meas_n, RTHYB_FORCE_MAX_N);
-    if (beyond_sensor(in->x_meas_m, c->cfg.x_range_m) ||
-        beyond_sensor(in->f_meas_n, c->cfg.f_range_n))
-        code |= RTHYB_S_OUT_OF_RANGE;
+    if (code == RTHYB_OK && (beyond_sensor(in->x_meas_m, c->cfg.x_range_m) ||
+                             beyond_sensor(in->f_meas_n, c->cfg.f_range_n)))
+        code = RTHYB_S_OUT_OF_RANGE;
     if (in->lost)
-        code = RTHYB_OK;
+        code = in->lost & (RTHYB_S_NOT_FINITE | RTHYB_S_OUT_OF_RANGE);
     if (code == RTHYB_OK && !in->lost) {
         *x = in->x_meas_m;
         *f = in->f_meas_n;

@@ -133,7 +133,7 @@ static int config_error(const rthyb_estimator_config *c)
 {
     if (!(c->period_s > 0.0 && c->period_s <= 1.0))
         return RTHYB_E_PERIOD;
-    if (!rthyb_plc_is_stable(c->w1, c->w2))
+    if (!weights_ok(c->w1, c->w2))
         return RTHYB_E_WEIGHTS;
     const int law_ok = c->law >= RTHYB_LAW_FIXED && c->law <= RTHYB_LAW_RLS;
     const int start_ok = fabs(c->alpha0) <= ALPHA_GUARD && fabs(c->beta0) <= 1e8;
@@ -159,6 +159,8 @@ int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg
     const int error = config_error(cfg);
     if (error)
         return error;
+    if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
+        return RTHYB_E_LIMIT;
     *est = (rthyb_estimator){.cfg = *cfg, .alpha = cfg->alpha0, .beta = cfg->beta0};
     est->level_weight = 1.0;
     if (is_filtered(est)) {

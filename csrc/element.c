@@ -6,6 +6,8 @@
 #include "numeric.h"
 
 #define PARAM_MAX 1e15
+#define PARAM_MIN 1e-15 /* of a positive one: keeps every quotient finite */
+#define ETA_MAX 50.0    /* keeps |z|^eta finite for any z that is accepted */
 #define VELOCITY_MAX 1e6
 #define ACCELERATION_MAX 1e9
 #define BOUC_WEN_STEPS_MAX 64
@@ -33,7 +35,7 @@ static int param_ok(double value, char sign)
 {
     if (!(fabs(value) <= PARAM_MAX))
         return 0;
-    return sign == '-' || value > 0.0 || (sign == '0' && value == 0.0);
+    return sign == '-' || value >= (sign == '+' ? PARAM_MIN : 0.0);
 }
 
 /* Where the hysteretic variable of Eqn 4.2 comes to rest: A = (B + C) |z|^eta. */
@@ -59,7 +61,7 @@ int rthyb_element_init(rthyb_element *element, int32_t kind, const double *param
         kind == RTHYB_HYSTERESIS || kind == RTHYB_PINCHING || kind == RTHYB_DEGRADATION;
     if (hysteretic) {
         element->params[8] = fmin(bouc_wen_ceiling(params), RTHYB_DISPLACEMENT_MAX_M);
-        if (!(element->params[8] > 0.0 && params[5] >= 0.1 && params[5] <= 100.0))
+        if (!(element->params[8] > 0.0 && params[5] >= 0.1 && params[5] <= ETA_MAX))
             return RTHYB_E_ELEMENT;
     }
     return 0;
@@ -126,7 +128,7 @@ static double bouc_wen(rthyb_element *e, double x)
     const double h = du / steps;
     double z = s[1];
     for (int i = 0; i < steps && du != 0.0; i++) {
-        const double middle = z + 0.5 * h * bouc_wen_slope(e, z, du);
+        const double middle = clamp(z + 0.5 * h * bouc_wen_slope(e, z, du), -ceiling, ceiling);
         z = clamp(z + h * bouc_wen_slope(e, middle, du), -ceiling, ceiling);
     }
     s[0] = x;
@@ -162,16 +164,10 @@ static double second_mode(const double *p, double *s, double a, double dt)
     return -p[0] * (damping * s[1] + w * w * s[0]);
 }
 
-double rthyb_element_force(rthyb_element *element, double x_m, double v_m_per_s, double a_m_per_s2,
-                           double dt_s)
+static double law(rthyb_element *element, double x, double v, double a, double dt)
 {
-    int code = RTHYB_OK;
     const double *p = element->params;
     double *s = element->state;
-    const double x = confine(x_m, RTHYB_DISPLACEMENT_MAX_M, &code);
-    const double v = confine(v_m_per_s, VELOCITY_MAX, &code);
-    const double a = confine(a_m_per_s2, ACCELERATION_MAX, &code);
-    const double dt = dt_s > 0.0 && dt_s <= 1.0 ? dt_s : 0.0;
     switch (element->kind) {
     case RTHYB_STIFFNESS:
         return p[0] * x;
@@ -207,6 +203,17 @@ double rthyb_element_force(rthyb_element *element, double x_m, double v_m_per_s,
     default:
         return 0.0;
     }
+}
+
+double rthyb_element_force(rthyb_element *element, double x_m, double v_m_per_s, double a_m_per_s2,
+                           double dt_s)
+{
+    int code = RTHYB_OK;
+    element->x = accept(x_m, RTHYB_DISPLACEMENT_MAX_M, element->x, &code);
+    element->v = accept(v_m_per_s, VELOCITY_MAX, element->v, &code);
+    element->a = accept(a_m_per_s2, ACCELERATION_MAX, element->a, &code);
+    const double dt = dt_s > 0.0 && dt_s <= 1.0 ? dt_s : 0.0;
+    return law(element, element->x, element->v, element->a, dt);
 }
 
 int rthyb_element_run(rthyb_element *element, const double *x_m, const double *v_m_per_s,

@@ -44,7 +44,12 @@ static int config_error(const rthyb_motion_config *c)
     const int rest_ok = c->damping_n_s_per_m >= 0.0 && c->damping_n_s_per_m <= 1e15 &&
                         fabs(c->stiffness_n_per_m) <= 1e15 && c->k_e_n_per_m >= 0.0 &&
                         c->k_e_n_per_m <= 1e15 && c->rho_inf >= 0.0 && c->rho_inf <= 1.0;
-    return mass_ok && rest_ok ? 0 : RTHYB_E_MOTION;
+    if (!mass_ok || !rest_ok)
+        return RTHYB_E_MOTION;
+    /* A negative stiffness may not take the effective mass of an implicit step away. */
+    const double h = c->period_s, mass = c->mass_kg + c->added_mass_kg;
+    const double stiffness = c->stiffness_n_per_m + c->k_e_n_per_m;
+    return 4.0 * mass + h * h * fmin(stiffness, 0.0) > 0.0 ? 0 : RTHYB_E_MOTION;
 }
 
 int rthyb_motion_init(rthyb_motion *motion, const rthyb_motion_config *cfg, double x0_m)
@@ -53,7 +58,7 @@ int rthyb_motion_init(rthyb_motion *motion, const rthyb_motion_config *cfg, doub
     if (error)
         return error;
     if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
-        return RTHYB_E_MOTION;
+        return RTHYB_E_LIMIT;
     *motion = (rthyb_motion){.cfg = *cfg, .x = x0_m, .x1 = x0_m, .x2 = x0_m};
     if (cfg->integrator == RTHYB_PRESCRIBED)
         motion->last_excitation = x0_m;
@@ -161,9 +166,9 @@ int rthyb_motion_step(rthyb_motion *motion, double excitation, double force_n, d
 
 double rthyb_motion_velocity(const rthyb_motion *motion)
 {
-    /* Central difference has no velocity at t_n before x[n+1] is known: second-order backward. */
-    if (motion->cfg.integrator == RTHYB_CENTRAL_DIFFERENCE ||
-        motion->cfg.integrator == RTHYB_PRESCRIBED)
-        return (3.0 * motion->x - 4.0 * motion->x1 + motion->x2) / (2.0 * motion->cfg.period_s);
-    return motion->v;
+    if (motion->cfg.integrator == RTHYB_FORWARD_EULER)
+        return motion->v;
+    /* Central difference has no velocity at t_n before x[n+1] is known, and v of CR and KR-alpha is
+     * (x[n] - x[n-1]) / h, half a step old: second-order backward difference. */
+    return (3.0 * motion->x - 4.0 * motion->x1 + motion->x2) / (2.0 * motion->cfg.period_s);
 }

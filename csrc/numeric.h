@@ -10,11 +10,19 @@
  * squares and products of what is within it cannot overflow. */
 #define RTHYB_DISPLACEMENT_MAX_M 1e3
 #define RTHYB_FORCE_MAX_N 1e12
+#define RTHYB_WEIGHT_MAX 1e6
 #define RTHYB_PI 3.14159265358979323846
 
 static inline double clamp(double v, double low, double high)
 {
     return v < low ? low : (v > high ? high : v);
+}
+
+/* Stable, and small enough that no product of them overflows. */
+static inline int weights_ok(double w1, double w2)
+{
+    return rthyb_plc_is_stable(w1, w2) && fabs(w1) <= RTHYB_WEIGHT_MAX &&
+           fabs(w2) <= RTHYB_WEIGHT_MAX;
 }
 
 /* RTHYB_OK, NOT_FINITE or OUT_OF_RANGE. Written so that NaN fails the comparison. */

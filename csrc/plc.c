@@ -5,7 +5,6 @@
 
 #define ALPHA_MAX 1e5
 #define BETA_MAX 1e10
-#define WEIGHT_MAX 1e6
 
 int rthyb_plc_is_stable(double w1, double w2)
 {
@@ -15,7 +14,7 @@ int rthyb_plc_is_stable(double w1, double w2)
 
 int rthyb_plc_init(rthyb_plc *plc, double w1, double w2, double x0_m)
 {
-    if (!rthyb_plc_is_stable(w1, w2) || fabs(w1) > WEIGHT_MAX || fabs(w2) > WEIGHT_MAX)
+    if (!weights_ok(w1, w2))
         return RTHYB_E_WEIGHTS;
     if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
         return RTHYB_E_LIMIT;

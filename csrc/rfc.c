@@ -30,6 +30,9 @@ int rthyb_rfc_init(rthyb_rfc *rfc, const rthyb_rfc_config *cfg, double x0_m, dou
         cfg->tangent < RTHYB_TANGENT_MEAN_OF_RATIOS || cfg->tangent > RTHYB_TANGENT_LEAST_SQUARES ||
         cfg->divisor < RTHYB_DIVISOR_PRINTED || cfg->divisor > RTHYB_DIVISOR_TERMS)
         return RTHYB_E_STIFFNESS;
+    if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK ||
+        judge(f0_n, RTHYB_FORCE_MAX_N) != RTHYB_OK)
+        return RTHYB_E_LIMIT;
     *rfc = (rthyb_rfc){.cfg = *cfg, .k_n_per_m = cfg->k_e_n_per_m, .ratio = cfg->k_e_n_per_m};
     rfc->x1 = rfc->c1 = x0_m;
     rfc->f1 = f0_n;
@@ -38,7 +41,7 @@ int rthyb_rfc_init(rthyb_rfc *rfc, const rthyb_rfc_config *cfg, double x0_m, dou
 
 static void push(rthyb_rfc *rfc, double x, double f)
 {
-    const uint32_t length = rfc->cfg.window + 1; /* k = n-T0 ... n: T0 + 1 terms */
+    const uint32_t length = (uint32_t)rfc->cfg.window + 1; /* k = n-T0 ... n: T0 + 1 terms */
     rfc->head = rfc->head + 1 < length ? rfc->head + 1 : 0;
     rfc->x[rfc->head] = x;
     rfc->f[rfc->head] = f;

@@ -42,7 +42,8 @@ enum rthyb_status {
     RTHYB_S_POSITION_LIMIT = 8,  /* the command went past its position limit */
     RTHYB_S_FORCE_LIMIT = 16,    /* the measured force went past its limit */
     RTHYB_S_TRACKING_LIMIT = 32, /* |x_m - x_c| went past its limit */
-    RTHYB_S_TRIP = 128           /* one of the above is set to end the test */
+    RTHYB_S_TRIP = 128,          /* one of the above is set to end the test */
+    RTHYB_LOST = 256             /* of an input only: nothing arrived */
 };
 
 /* What an _init function refuses. */
@@ -56,7 +57,7 @@ enum rthyb_error {
     RTHYB_E_SERVO,
     RTHYB_E_ELEMENT,
     RTHYB_E_SENSOR,
-    RTHYB_E_LIMIT
+    RTHYB_E_LIMIT /* a limit, or a starting value beyond any sense */
 };
 
 /* ---- one record: ring slot, HDF5 row and replay input -------------------------------------- */
@@ -193,7 +194,7 @@ typedef struct {
     int32_t enabled;
     int32_t tangent;     /* enum rthyb_tangent */
     int32_t divisor;     /* enum rthyb_divisor; mean of ratios only */
-    uint32_t window;     /* T0, samples */
+    int32_t window;      /* T0, samples */
     double k_e_n_per_m;  /* elastic stiffness, upper bound */
     uint64_t end_tick;   /* t_ex: from this tick on k_exp = k_e again (stage 3) */
     double rest_noise_m; /* least squares holds k while x_m has moved less than this noise allows */
@@ -280,6 +281,7 @@ typedef struct {
     int32_t kind; /* enum rthyb_element_kind */
     double params[RTHYB_ELEMENT_PARAMS];
     double state[RTHYB_ELEMENT_STATES];
+    double x, v, a; /* last good motion: it stands in for a senseless one */
 } rthyb_element;
 
 /* Number of parameters that a kind takes, -1 for an unknown kind. */
@@ -312,7 +314,7 @@ typedef struct {
     double valve_time_constant_s, stall_force_n, flow_limit_m_per_s;
     double oil_stiffness_n_per_m, oil_damping_n_s_per_m;
     double moving_mass_kg, friction_n, friction_width_m_per_s, viscous_n_s_per_m;
-    uint32_t substeps;
+    int32_t substeps;
 } rthyb_servo_config;
 
 typedef struct {
@@ -400,10 +402,13 @@ typedef struct {
     double x_meas_m;
     double f_meas_n;
     double excitation; /* ag_mps2 of t_n; PRESCRIBED: x_num_m of t_{n+1} */
-    int32_t lost;      /* no pair arrived for this tick */
+    int32_t lost;      /* 0, or why there is no pair: RTHYB_LOST, or the bits that refused it */
 } rthyb_input;
 
 int rthyb_controller_init(rthyb_controller *controller, const rthyb_controller_config *cfg);
+/* Takes over a recorded state, unless its settings or indices could not have come from a
+ * controller: then RTHYB_E_*, and nothing is taken. A recording is a file, and files get damaged. */
+int rthyb_controller_adopt(rthyb_controller *controller, const rthyb_controller *recorded);
 /* Fills the record of tick n; controller->x_cmd is then the command for t_{n+1}. */
 int rthyb_controller_step(rthyb_controller *controller, const rthyb_input *input,
                           rthyb_record *record);

@@ -34,7 +34,7 @@ size_t rthyb_run_replay(rthyb_controller *controller, const rthyb_record *record
             .x_meas_m = recorded[i].x_meas_m,
             .f_meas_n = recorded[i].f_meas_n,
             .excitation = excitation_at(controller, excitation, n_total),
-            .lost = (recorded[i].flags & RTHYB_F_PREDICTED) != 0,
+            .lost = recorded[i].flags & RTHYB_F_PREDICTED ? RTHYB_LOST | recorded[i].code : 0,
         };
         rthyb_controller_step(controller, &in, &records[i]);
     }

@@ -177,7 +177,7 @@ static void advance_hydraulic(rthyb_servo *s, rthyb_element *elements, uint32_t 
     const double damping = 0.5 * h * (c->oil_damping_n_s_per_m + c->viscous_n_s_per_m);
     const uint32_t d = whole_delay(s);
     const double end = sent(s, d), start = c->hold == RTHYB_FOH ? sent(s, d + 1) : end;
-    for (uint32_t i = 0; i < c->substeps; i++) {
+    for (int i = 0; i < c->substeps; i++) {
         const double command = start + (end - start) * (i + 0.5) / c->substeps;
         const double error = command - s->x;
         s->integral = clamp(s->integral + h * error, -1e3, 1e3);
@@ -212,10 +212,11 @@ static void confine_state(rthyb_servo *s)
     s->v = confine(s->v, 1e9, &code);
     s->a = confine(s->a, 1e12, &code);
     s->piston = confine(s->piston, 1e2 * RTHYB_DISPLACEMENT_MAX_M, &code);
-    s->half_velocity = confine(s->half_velocity, 1e9, &code);
     s->oil_force = confine(s->oil_force, 1e15, &code);
+    (void)confine(s->half_velocity + s->piston_velocity + s->valve + s->integral, 1e9, &code);
     if (code != RTHYB_OK)
-        s->v = s->a = s->half_velocity = s->oil_force = 0.0;
+        s->v = s->a = s->half_velocity = s->piston_velocity = s->valve = s->integral =
+            s->oil_force = 0.0;
 }
 
 void rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count)

@@ -57,7 +57,7 @@ STATE_NAMES: Final[tuple[str, ...]] = (
 )
 
 _REFUSED: Final[dict[int, str]] = {
-    lib.RTHYB_E_PERIOD: "the sampling period must lie in (0, 1] s",
+    lib.RTHYB_E_PERIOD: "the sampling period must lie in (0, 1] s and be the same for all parts",
     lib.RTHYB_E_WEIGHTS: "W1, W2 lie outside the stable region |W1| > 1, |W2| < |W1 + 1|",
     lib.RTHYB_E_ESTIMATOR: "a setting of the delay estimator is out of range",
     lib.RTHYB_E_WINDOW: f"the window T0 must lie in 1 ... {WINDOW_MAX} samples",
@@ -66,7 +66,7 @@ _REFUSED: Final[dict[int, str]] = {
     lib.RTHYB_E_SERVO: "a setting of the actuator model is out of range",
     lib.RTHYB_E_ELEMENT: "an element's kind, parameter count or a parameter is out of range",
     lib.RTHYB_E_SENSOR: "a sensor's noise, lsb, bias or range is out of range",
-    lib.RTHYB_E_LIMIT: "a limit must be finite and >= 0",
+    lib.RTHYB_E_LIMIT: "a limit must be finite and >= 0, a starting value finite and sensible",
 }
 
 
@@ -561,7 +561,8 @@ class Controller:
     ) -> Sample:
         """Run one tick; ``excitation`` is ag in m/s^2, or the next command when prescribed."""
         i = self._input
-        i.x_meas_m, i.f_meas_n, i.excitation, i.lost = x_meas_m, f_meas_n, excitation, lost
+        i.x_meas_m, i.f_meas_n, i.excitation = x_meas_m, f_meas_n, excitation
+        i.lost = lib.RTHYB_LOST if lost else 0
         code = lib.rthyb_controller_step(self._c, i, self._record)
         return Sample(self._c.x_cmd, code, _numbers(self._record))
 
@@ -577,15 +578,17 @@ class Controller:
     def restore(self, state: bytes) -> None:
         """Take over a state from :meth:`state_bytes` of the same core.
 
-        Raises ``CoreError`` if the size differs.
+        Raises ``CoreError`` if the size differs or the bytes cannot be a controller's.
         """
-        buffer = ffi.buffer(self._c)
-        if len(state) != len(buffer):
+        size = ffi.sizeof("rthyb_controller")
+        if len(state) != size:
             raise CoreError(
-                f"controller state: {len(state)} bytes recorded, this core has {len(buffer)}; "
+                f"controller state: {len(state)} bytes recorded, this core has {size}; "
                 "replay with the version that recorded"
             )
-        buffer[:] = state
+        recorded = ffi.new("rthyb_controller *")
+        ffi.buffer(recorded)[:] = state
+        _check(lib.rthyb_controller_adopt(self._c, recorded))
 
     def run_virtual(
         self, rig: Rig, excitation: FloatArray, records: RecordArray
@@ -663,7 +666,12 @@ def _mapping(config: Any) -> dict[str, Any]:
 
 
 def _struct(ctype: str, config: Any) -> Any:
-    return ffi.new(f"{ctype} *", _mapping(config))
+    try:
+        return ffi.new(f"{ctype} *", _mapping(config))
+    except OverflowError as error:
+        raise CoreError(
+            f"{type(config).__name__}: a whole number is out of range ({error})"
+        ) from error
 
 
 def _rig_struct(config: RigConfig) -> Any:

@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rthyb_rt import __version__, config, core, ground_motion, recording
 from rthyb_rt.config import Derived, RigFile, TestFile
 from rthyb_rt.config.testfile import Limit
+from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
 
 CHUNK_TICKS = 8192
@@ -30,6 +31,9 @@ _LAWS: dict[str, tuple[core.Law, bool]] = {
 }
 
 Progress = Callable[[int, int], None]
+
+_A = TypeVar("_A")
+_B = TypeVar("_B")
 
 
 @dataclass(frozen=True)
@@ -65,8 +69,10 @@ def prepare(test: TestFile, rig: RigFile) -> Setup:
     Raises:
         InputError: with what is wrong in the files, the record, or between them.
     """
-    derived = config.derive(test, rig)
-    motion = _load_motion(test)
+    derived, motion = _both(
+        lambda: config.derive(test, rig),
+        lambda: _load_motion(test),
+    )
     lasts_s = test.test.duration_s
     if lasts_s is None:
         lasts_s = motion.duration_s + test.test.free_vibration_s
@@ -85,6 +91,19 @@ def prepare(test: TestFile, rig: RigFile) -> Setup:
         virtual_rig=rig_config(rig),
         notes=derived.notes + (() if baseline.ok else (baseline.message,)),
     )
+
+
+def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
+    """Return what both give, or raise the faults of both at once."""
+    try:
+        a = first()
+    except InputError as error:
+        try:
+            second()
+        except InputError as other:
+            raise InputError([*error.problems, *other.problems]) from None
+        raise
+    return a, second()
 
 
 def _load_motion(test: TestFile) -> GroundMotion:

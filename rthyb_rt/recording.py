@@ -200,7 +200,7 @@ def write(path: str | Path, rec: Recording) -> None:
         _text(file, "config/rig_toml", rec.rig_toml)
         replay = rec.replay
         state = np.frombuffer(replay.controller_state, dtype=np.uint8)
-        file.create_dataset("replay/controller_state", data=state)
+        _table(file, "replay/controller_state", state)
         file.create_dataset("replay/skips", data=np.asarray(replay.skips).reshape(-1, 2))
         _text(file, "replay/parameters", json.dumps(replay.parameters))
         _text(file, "replay/commands", json.dumps(replay.commands))

@@ -1,0 +1,340 @@
+"""``rthyb check``: is a test sound, and how far is it from trouble."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rthyb_rt.cli import terminal
+from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
+from rthyb_rt.errors import InputError
+
+if TYPE_CHECKING:
+    from rthyb_rt.experiment import Setup
+
+SCHEMA = "rthyb-check/1"
+
+
+def check(
+    test: Annotated[
+        Path, typer.Argument(metavar="TEST.toml", help="Test file.", show_default=False)
+    ],
+    rig: RigOption = None,
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check a test without running it, and show what follows from it.
+
+    Every fault of test file and rig file is named at once. For a test without fault: period and
+    mass, the compensator's gains, the delay that the structure survives, the margin of the delay
+    estimator, with notes and warnings where one of them is close.
+
+    \b
+    Examples:
+      rthyb check my-test.toml
+      rthyb check my-test.toml --rig my-rig.toml --set numerical.period_s=0.8
+    """
+    from rthyb_rt import experiment
+
+    try:
+        setup = experiment.prepare(*load(test, rig, settings))
+    except InputError as error:
+        if as_json:
+            problems = [asdict(problem) for problem in error.problems]
+            terminal.print_json({"schema": SCHEMA, "ok": False, "problems": problems})
+        raise
+    figures = _figures(setup)
+    notes, warnings = _remarks(setup, figures)
+    file = terminal.people(as_json)
+    print(f"{setup.test.test.name} on {setup.rig.rig.name}: no fault found\n", file=file)
+    terminal.print_table(_rows(setup, figures), file)
+    remarks = [f"Warning: {text}" for text in warnings] + [f"Note: {text}" for text in notes]
+    if remarks:
+        print("", *remarks, sep="\n", file=file)
+    if as_json:
+        terminal.print_json(
+            {
+                "schema": SCHEMA,
+                "ok": True,
+                "test_name": setup.test.test.name,
+                "rig_name": setup.rig.rig.name,
+                "figures": asdict(figures),
+                "notes": notes,
+                "warnings": warnings,
+            }
+        )
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What follows from a test on a rig; None where a figure does not apply.
+
+    Attributes:
+        critical_delay_samples: longest pure delay that the structure with an elastic specimen
+            survives without compensation; 0 if none.
+        critical_delay_with_lead_samples: the same with the phase lead at alpha0.
+        critical_delay_followed_samples: the same with a phase lead whose alpha is the delay.
+        identified_delay_samples: the rig's, as `rthyb identify` found it.
+        peak_phi: peak of the estimator's input, from the reference simulation or from one with an
+            elastic specimen, whichever is larger.
+        estimator_loop_gain: g of the controller ``paper``.
+    """
+
+    samples: int
+    duration_s: float
+    pga_g: float
+    mass_kg: float
+    period_s: float
+    damping_n_s_per_m: float
+    damping_ratio: float
+    k_e_n_per_m: float
+    window_samples: int
+    alpha0: float
+    beta0: float
+    lead_first_sample_gain: float | None
+    lead_nyquist_gain: float | None
+    critical_delay_samples: float
+    critical_delay_with_lead_samples: float | None
+    critical_delay_followed_samples: int | None
+    identified_delay_samples: float | None
+    rig_is_lag: bool
+    reference_peak_m: float
+    reference_peak_m_per_s: float
+    reference_peak_n: float
+    peak_phi: float
+    estimator_loop_gain: float | None
+
+
+def _figures(setup: Setup) -> Figures:
+    import numpy as np
+
+    from rthyb_rt import experiment, margins
+
+    derived, wanted = setup.derived, setup.test.controller
+    motion = setup.controller.motion
+    lead = margins.Lead(derived.alpha0, derived.beta0, wanted.w1, wanted.w2)
+    leads = derived.plc_enabled
+    most = math.floor(wanted.delay_estimator.alpha_max)
+    reference = experiment.reference(setup)
+    phi = max(
+        margins.peak_excitation(x, lead, wanted.delay_estimator.reference_displacement_m)
+        for x in (reference["x_ref_m"], margins.elastic_displacement_m(motion, setup.ag_mps2))
+    )
+    identified = setup.rig.identified.alpha if setup.rig.identified else None
+    loop_gain = None
+    if wanted.type == "paper" and derived.estimator_enabled:
+        delay = derived.alpha0 if identified is None else identified
+        loop_gain = margins.estimator_loop_gain(derived.gain_per_mm2_per_sample, delay, phi)
+    return Figures(
+        samples=setup.ticks,
+        duration_s=setup.ticks / derived.fs_hz,
+        pga_g=setup.motion.pga_g,
+        mass_kg=derived.mass_kg,
+        period_s=derived.period_s,
+        damping_n_s_per_m=derived.damping_n_s_per_m,
+        damping_ratio=derived.damping_ratio,
+        k_e_n_per_m=derived.k_e_n_per_m,
+        window_samples=derived.window_samples,
+        alpha0=derived.alpha0,
+        beta0=derived.beta0,
+        lead_first_sample_gain=lead.first_sample_gain if leads else None,
+        lead_nyquist_gain=lead.nyquist_gain if leads else None,
+        critical_delay_samples=margins.critical_delay(motion),
+        critical_delay_with_lead_samples=margins.critical_delay(motion, lead) if leads else None,
+        critical_delay_followed_samples=margins.largest_followed_delay(motion, lead, most)
+        if leads
+        else None,
+        identified_delay_samples=identified,
+        rig_is_lag=margins.is_lag(setup.rig),
+        reference_peak_m=float(np.abs(reference["x_ref_m"]).max()),
+        reference_peak_m_per_s=float(np.abs(reference["v_ref_mps"]).max()),
+        reference_peak_n=float(np.abs(reference["f_ref_n"]).max()),
+        peak_phi=phi,
+        estimator_loop_gain=loop_gain,
+    )
+
+
+# ---- remarks ------------------------------------------------------------------------------------
+
+
+def _remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
+    """Return notes and warnings."""
+    from rthyb_rt.ground_motion import baseline_check
+
+    notes, warnings = list(setup.derived.notes), list[str]()
+    baseline = baseline_check(setup.motion)
+    if not baseline.ok:
+        notes.append(f"ground motion: {baseline.message}")
+    if "warning" in setup.motion.details:
+        notes.append(f"ground motion: {setup.motion.details['warning']}")
+    for found in (_divergence(setup, f), _oscillation(setup, f)):
+        if found is not None:
+            is_warning, text = found
+            (warnings if is_warning else notes).append(text)
+    warnings += _limits_in_reach(setup, f)
+    return notes, warnings
+
+
+def _divergence(setup: Setup, f: Figures) -> tuple[bool, str] | None:
+    """Compare the rig's delay with what the structure survives."""
+    leads = f.critical_delay_with_lead_samples is not None
+    critical = f.critical_delay_with_lead_samples if leads else f.critical_delay_samples
+    delay = f.identified_delay_samples
+    # The estimator moves a lead that starts too short; force compensation removes the error.
+    helped = setup.derived.rfc_enabled or (leads and setup.derived.estimator_enabled)
+    if delay is None or critical is None or delay < critical:
+        return None
+    found = (
+        f"the rig's delay of {delay:g} samples is more than the {critical:.1f} that the structure "
+        f"survives with an elastic specimen {'at alpha0' if leads else 'without phase lead'}"
+    )
+    if helped:
+        return False, f"{found}: the test rests on delay estimate and force compensation"
+    return True, f"{found}: the motion will grow; compensate the delay, or set a limit that trips"
+
+
+def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
+    """Judge the loop of the paper's delay estimator."""
+    from rthyb_rt.margins import LITTLE_MARGIN, OSCILLATES
+
+    g = f.estimator_loop_gain
+    if g is None or g <= LITTLE_MARGIN:
+        return None
+    gain = setup.derived.gain_per_mm2_per_sample
+    remedy = (
+        f"lower controller.delay_estimator.gain_per_mm2_per_sample from {gain:g} to "
+        f"{LITTLE_MARGIN / g * gain:.2g} or less"
+    )
+    if g > OSCILLATES and not f.rig_is_lag:
+        return True, (
+            f"the delay estimate will oscillate on a pure delay: its loop gain is {g:.2f}, allowed "
+            f"is {OSCILLATES:.2f}; {remedy}"
+        )
+    lag = ", though a lag such as this rig's forgives more than a delay" if f.rig_is_lag else ""
+    return False, (
+        f"little margin for the delay estimate: its loop gain is {g:.2f}, advised is up to "
+        f"{LITTLE_MARGIN:g}{lag}; {remedy}"
+    )
+
+
+def _limits_in_reach(setup: Setup, f: Figures) -> list[str]:
+    """Name the limits that already the reference simulation exceeds."""
+    limits = setup.test.limits
+    pairs = [
+        ("command_position_m", limits.command_position_m, f.reference_peak_m, "m"),
+        ("force_n", limits.force_n, f.reference_peak_n, "N"),
+    ]
+    found = [
+        f"limits.{key} = {limit.value:g} {unit} is below the {peak:.3g} {unit} of the reference "
+        "simulation: the test will meet it"
+        for key, limit, peak, unit in pairs
+        if limit is not None and limit.enable and peak > limit.value
+    ]
+    velocity = limits.command_velocity_m_per_s
+    if velocity is not None and f.reference_peak_m_per_s > velocity:
+        found.append(
+            f"limits.command_velocity_m_per_s = {velocity:g} m/s is below the "
+            f"{f.reference_peak_m_per_s:.3g} m/s of the reference simulation: the command will be "
+            "held back"
+        )
+    return found
+
+
+# ---- for people ---------------------------------------------------------------------------------
+
+
+def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
+    from rthyb_rt.summary import number, percent, quantity
+
+    fs_hz = setup.derived.fs_hz
+
+    def samples(value: float | None) -> str:
+        if value is None:
+            return "none"
+        if math.isinf(value):
+            return "any"
+        count = f"{value:g}" if value == round(value) else number(value)
+        return f"{count} samples ({number(value / fs_hz * 1e3)} ms)"
+
+    rows = [
+        ("Ground motion", f"{setup.motion.name}, PGA {number(f.pga_g)} g", ""),
+        ("Length of the test", f"{f.duration_s:.2f} s ({f.samples} samples)", ""),
+        (
+            "Period",
+            f"{number(f.period_s)} s ({number(1 / f.period_s)} Hz)",
+            "of the whole structure",
+        ),
+        ("Mass", quantity(f.mass_kg, "kg", digits=4), "computed"),
+        (
+            "Damping",
+            f"{quantity(f.damping_n_s_per_m, 'N s/m', digits=4)} ({percent(f.damping_ratio, 3)})",
+            "computed; part of critical",
+        ),
+        ("Elastic stiffness", quantity(f.k_e_n_per_m, "kN/m", 1e-3, 4), "k_e of the specimen"),
+        ("Integrator", setup.test.numerical.integrator, ""),
+        ("Controller", _controller(setup), ""),
+    ]
+    if setup.derived.rfc_enabled:
+        rows.append(("Window T0", samples(f.window_samples), "of the tangent stiffness, Eqn 3.3"))
+    if f.lead_first_sample_gain is not None:
+        rows += [
+            ("alpha0", samples(f.alpha0), "delay that the phase lead begins with"),
+            ("beta0", f"{number(f.beta0)} samples²", "its curvature term"),
+            ("Lead, first sample", number(f.lead_first_sample_gain, 4), "gain on a step, C(∞)"),
+            ("Lead, Nyquist", number(f.lead_nyquist_gain, 4), "gain at 512 Hz, |C(−1)|"),
+        ]
+    rows.append(
+        ("Critical delay, none", samples(f.critical_delay_samples), "elastic specimen, no lead")
+    )
+    if f.critical_delay_with_lead_samples is not None:
+        rows += [
+            (
+                "Critical delay, alpha0",
+                samples(f.critical_delay_with_lead_samples),
+                "elastic specimen, lead at alpha0",
+            ),
+            (
+                "Critical delay, followed",
+                _followed(setup, f, samples),
+                "elastic specimen, alpha = delay",
+            ),
+        ]
+    if f.identified_delay_samples is not None:
+        kind = "answers as a lag" if f.rig_is_lag else "answers as a delay"
+        rows.append(("Delay of the rig", samples(f.identified_delay_samples), kind))
+    rows += [
+        ("Peak displacement", quantity(f.reference_peak_m, "mm", 1e3), "reference simulation"),
+        ("Peak velocity", quantity(f.reference_peak_m_per_s, "mm/s", 1e3), "reference simulation"),
+        ("Peak force", quantity(f.reference_peak_n, "kN", 1e-3), "reference simulation"),
+    ]
+    if f.estimator_loop_gain is not None:
+        rows.append(
+            (
+                "Estimator loop gain g",
+                number(f.estimator_loop_gain, 2),
+                f"γ α φ² / (1 + φ²), peak φ = {number(f.peak_phi)}; advised up to 0.5",
+            )
+        )
+    return rows
+
+
+def _followed(setup: Setup, f: Figures, samples: Any) -> str:
+    delay = f.critical_delay_followed_samples
+    most = math.floor(setup.test.controller.delay_estimator.alpha_max)
+    return f"above alpha_max = {most}" if delay == most else str(samples(delay))
+
+
+def _controller(setup: Setup) -> str:
+    derived = setup.derived
+    parts = {
+        "phase lead": derived.plc_enabled,
+        "delay estimator": derived.estimator_enabled,
+        "force compensation": derived.rfc_enabled,
+    }
+    active = [name for name, on in parts.items() if on]
+    name = setup.test.controller.type
+    return f"{name}: {', '.join(active)}" if active else name

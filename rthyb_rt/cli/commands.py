@@ -1,0 +1,68 @@
+"""The program ``rthyb`` and its commands: one module a command, registered here."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from rthyb_rt.cli import check, export, replay, report, run, schema
+
+app = typer.Typer(
+    name="rthyb",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    # Plain help: it costs a third of rich's, and stays as written here.
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(run.run)
+app.command()(check.check)
+app.command()(replay.replay)
+app.command()(export.export)
+app.command()(report.report)
+app.command()(schema.schema)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from rthyb_rt import __version__, core
+
+        facts = core.build_facts()
+        print(
+            f"rthyb {__version__} (core {facts['core_version']}, compiler {facts['compiler']}, "
+            f"{facts['architecture']})"
+        )
+        raise typer.Exit
+
+
+@app.callback()
+def _rthyb(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            help="Say the versions of program, core and compiler.",
+            callback=_version,
+            is_eager=True,
+        ),
+    ] = False,
+) -> None:
+    """Real-time hybrid testing: half the structure is computed, half is real.
+
+    A test file says what is tested, a rig file on what. Without a rig in the room, `rthyb run`
+    tests on a virtual one.
+
+    \b
+    Begin with:
+      rthyb run                          the built-in test, on a virtual shaking table
+      rthyb check my-test.toml           is the test sound, and how far is it from trouble
+      rthyb run my-test.toml             recording and report go to runs/
+
+    \b
+    Exit codes:
+      0  done                            6  a limit ended the test
+      2  command line not understood     8  a difference was found
+      3  fault in a file                 1  anything else
+    """

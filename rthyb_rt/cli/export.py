@@ -1,0 +1,54 @@
+"""``rthyb export``: a recording for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rthyb_rt.cli.inputs import RecordingArgument
+
+
+def export(
+    recording: RecordingArgument,
+    mat: Annotated[bool, typer.Option("--mat", help="MAT file (version 5), every field.")] = False,
+    csv: Annotated[
+        bool, typer.Option("--csv", help="CSV: t, ag, x_num, x_cmd, x_meas, f_meas, in SI units.")
+    ] = False,
+    full: Annotated[
+        bool, typer.Option("--full", help="With --csv: every row and every field.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="File to write, instead of one beside the recording.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Write a recording as MAT or CSV file.
+
+    \b
+    Examples:
+      rthyb export runs/section5-t0.5-20260301T101500Z --mat
+      rthyb export recording.h5 --csv --full --out test-7.csv
+    """
+    if mat == csv:
+        raise typer.BadParameter("choose one of the two", param_hint="--mat / --csv")
+    if full and mat:
+        raise typer.BadParameter(
+            "belongs to --csv; a MAT file has every field", param_hint="--full"
+        )
+    from rthyb_rt.export import to_csv, to_mat
+    from rthyb_rt.recording import open_run
+
+    rec = open_run(recording)
+    beside = recording / "recording" if recording.is_dir() else recording
+    path = out or beside.with_suffix(".mat" if mat else ".csv")
+    if mat:
+        to_mat(rec, path)
+    else:
+        to_csv(rec, path, full=full)
+    print(path)

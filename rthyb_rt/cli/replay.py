@@ -1,0 +1,55 @@
+"""``rthyb replay``: is the recording what this core computes from the same inputs?"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import typer
+
+from rthyb_rt.cli import terminal
+from rthyb_rt.cli.inputs import JsonOption, RecordingArgument
+
+SCHEMA = "rthyb-replay/1"
+DEPARTS = 8
+
+
+def replay(recording: RecordingArgument, as_json: JsonOption = False) -> None:
+    """Compute a recording again and compare bit for bit.
+
+    The measured displacement, force and the ground motion are taken from the recording; commands,
+    estimates and states are computed anew. Exit code 0 says bit-identical, 8 that it departs.
+
+    \b
+    Example:
+      rthyb replay runs/section5-t0.5-20260301T101500Z
+    """
+    from rthyb_rt import experiment
+    from rthyb_rt.recording import UNITS, open_run
+
+    rec = open_run(recording)
+    found = experiment.replay(rec)
+    file = terminal.people(as_json)
+    if found.identical:
+        print(f"bit-identical: {found.rows} samples, every field", file=file)
+    else:
+        print(
+            f"departs at sample {found.first_row} of {found.rows}, field {found.field}; "
+            "largest differences:",
+            file=file,
+        )
+        terminal.print_table(
+            [(f"  {name}", f"{gap:.3g} {UNITS[name]}") for name, gap in found.largest.items()], file
+        )
+    if not found.same_build:
+        made = ", ".join(
+            str(rec.meta.get(key, "?")) for key in ("core_version", "compiler", "architecture")
+        )
+        print(
+            f"Note: recorded with another build of the core ({made}); "
+            "identical bits are promised for the same build only.",
+            file=file,
+        )
+    if as_json:
+        terminal.print_json({"schema": SCHEMA, **dataclasses.asdict(found)})
+    if not found.identical:
+        raise typer.Exit(DEPARTS)

@@ -1,0 +1,39 @@
+"""``rthyb report``: the report of a recording, again or for the first time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rthyb_rt.cli.inputs import RecordingArgument
+
+
+def report(
+    recording: RecordingArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="File to write, instead of report.html beside the recording.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Write the report of a recording as HTML.
+
+    One file with verdict, figures, measures and settings, for the screen and for paper.
+
+    \b
+    Example:
+      rthyb report runs/section5-t0.5-20260301T101500Z
+    """
+    from rthyb_rt.recording import open_run
+    from rthyb_rt.report import write_report
+
+    rec = open_run(recording)
+    folder = recording if recording.is_dir() else recording.parent
+    path = out or folder / "report.html"
+    write_report(rec, path)
+    print(path)
