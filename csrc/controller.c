@@ -42,7 +42,7 @@ int rthyb_controller_adopt(rthyb_controller *c, const rthyb_controller *recorded
     const int error = rthyb_controller_init(&fresh, &recorded->cfg);
     if (error)
         return error;
-    const uint32_t terms = (uint32_t)recorded->cfg.rfc.window + 1;
+    const uint32_t terms = (uint32_t)recorded->cfg.rfc.window;
     if (recorded->rfc.cfg.window != recorded->cfg.rfc.window || recorded->rfc.head >= terms ||
         recorded->rfc.filled > terms)
         return RTHYB_E_WINDOW;
@@ -95,10 +95,20 @@ static void monitor(rthyb_controller *c, double x, double f)
 static void follow_estimate(rthyb_controller *c, double slope, double curvature)
 {
     const double allowed = c->cfg.velocity_limit_m_per_s * c->cfg.period_s;
-    const double d_alpha = c->estimator.alpha - c->alpha, d_beta = c->estimator.beta - c->beta;
+    const rthyb_estimator_config *bounds = &c->cfg.estimator;
+    /* The printed law knows no bounds; what the compensator is given has them. */
+    const double alpha = bounds->law == RTHYB_LAW_FIXED
+                             ? c->estimator.alpha
+                             : clamp(c->estimator.alpha, bounds->alpha_min, bounds->alpha_max);
+    const double d_alpha = alpha - c->alpha, d_beta = c->estimator.beta - c->beta;
+    if (!(allowed > 0.0)) {
+        c->alpha = alpha;
+        c->beta = c->estimator.beta;
+        return;
+    }
     const double s = (c->plc.w1 + c->plc.w2 + 1.0) / c->plc.w1;
     const double effect = fabs(s) * (fabs(d_alpha * slope) + fabs(d_beta * curvature));
-    const double share = allowed > 0.0 && effect > allowed ? allowed / effect : 1.0;
+    const double share = effect > allowed ? allowed / effect : 1.0;
     c->alpha += share * d_alpha;
     c->beta += share * d_beta;
 }
@@ -116,7 +126,8 @@ static double limit_command(const rthyb_controller *c, double wanted)
     if (v_max > 0.0)
         step = clamp(step, -v_max * h, v_max * h);
     const double command = step == wanted - c->x_cmd ? wanted : c->x_cmd + step;
-    const double most = x_max > 0.0 && c->cfg.position.action != RTHYB_NONE ? x_max : COMMAND_MAX_M;
+    const int hard = x_max > 0.0 && c->cfg.position.action == RTHYB_TRIP_TEST;
+    const double most = hard ? x_max : COMMAND_MAX_M;
     return clamp(command, -most, most);
 }
 
@@ -129,34 +140,34 @@ static int exceeds(const rthyb_limit *limit, double value, int bit)
 
 static int32_t raw(double value, double unit)
 {
-    return (int32_t)clamp(nearbyint(value / unit), -2147483648.0, 2147483647.0);
+    return (int32_t)lrint(clamp(value / unit, -2147483648.0, 2147483647.0));
 }
 
 static void write_record(const rthyb_controller *c, const rthyb_input *in, double x, double f,
                          uint32_t flags, int code, rthyb_record *record)
 {
     const uint64_t n = c->tick;
-    *record = (rthyb_record){
-        .tick = n,
-        .due_ns = (int64_t)nearbyint((double)n * c->cfg.period_s * 1e9),
-        .flags = flags,
-        .generation = c->generation,
-        .x_raw = raw(x, RAW_X_M),
-        .f_raw = raw(f, RAW_F_N),
-        .state = (uint8_t)c->state,
-        .code = (uint8_t)code,
-        .ag_mps2 = c->cfg.motion.integrator == RTHYB_PRESCRIBED ? 0.0 : in->excitation,
-        .x_num_m = c->x_num,
-        .x_plc_m = c->x_plc,
-        .x_cmd_m = c->x_cmd,
-        .x_meas_m = x,
-        .f_meas_n = f,
-        .alpha = c->alpha,
-        .beta = c->beta,
-        .k_t_n_per_m = c->rfc.k_n_per_m,
-        .energy_error_j = c->energy_error,
-        .tracking_indicator_m2 = c->tracking_indicator,
-    };
+    record->tick = n;
+    record->due_ns = llrint((double)n * c->cfg.period_s * 1e9);
+    record->flags = flags;
+    record->generation = c->generation;
+    record->x_raw = raw(x, RAW_X_M);
+    record->f_raw = raw(f, RAW_F_N);
+    record->state = (uint8_t)c->state;
+    record->code = (uint8_t)code;
+    record->ag_mps2 = c->cfg.motion.integrator == RTHYB_PRESCRIBED ? 0.0 : in->excitation;
+    record->x_num_m = c->x_num;
+    record->x_plc_m = c->x_plc;
+    record->x_cmd_m = c->x_cmd;
+    record->x_meas_m = x;
+    record->f_meas_n = f;
+    record->alpha = c->alpha;
+    record->beta = c->beta;
+    record->k_t_n_per_m = c->rfc.k_n_per_m;
+    record->energy_error_j = c->energy_error;
+    record->tracking_indicator_m2 = c->tracking_indicator;
+    record->wake_late_ns = record->sent_late_ns = 0;
+    record->echo = record->count = 0;
 }
 
 int rthyb_controller_step(rthyb_controller *c, const rthyb_input *in, rthyb_record *record)
@@ -182,6 +193,8 @@ int rthyb_controller_step(rthyb_controller *c, const rthyb_input *in, rthyb_reco
     code |= exceeds(&c->cfg.tracking, x - c->x_num, RTHYB_S_TRACKING_LIMIT);
     if (code & RTHYB_S_NOT_FINITE)
         code |= RTHYB_S_TRIP;
+    if (code & RTHYB_S_TRIP)
+        c->state = RTHYB_TRIPPED;
     const uint32_t flags = (made_up ? RTHYB_F_PREDICTED : RTHYB_F_FRESH) |
                            (frozen ? RTHYB_F_FROZEN : 0u) |
                            (code & RTHYB_S_LIMITED ? RTHYB_F_LIMITED : 0u);

@@ -85,7 +85,7 @@ static int is_filtered(const rthyb_estimator *est)
 static regressor form_regressor(rthyb_estimator *est, double p, double m)
 {
     const double w1 = est->cfg.w1, w2 = est->cfg.w2;
-    const double s = w1 + w2 + 1.0, unit = 1.0 / est->cfg.reference_m;
+    const double s = w1 + w2 + 1.0, unit = est->unit;
     const double slope = m - est->m1;
     const regressor g = {
         .mu = unit * (w1 * (p - m) + w2 * (est->p1 - est->m1) + (est->p2 - est->m2)),
@@ -161,7 +161,8 @@ int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg
         return error;
     if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
         return RTHYB_E_LIMIT;
-    *est = (rthyb_estimator){.cfg = *cfg, .alpha = cfg->alpha0, .beta = cfg->beta0};
+    *est = (rthyb_estimator){
+        .cfg = *cfg, .unit = 1.0 / cfg->reference_m, .alpha = cfg->alpha0, .beta = cfg->beta0};
     est->level_weight = 1.0;
     if (is_filtered(est)) {
         est->filter = lowpass_design(cfg->cutoff_hz, cfg->period_s);
@@ -196,7 +197,10 @@ static void robust_update(rthyb_estimator *est, regressor g)
 {
     const double phi_sq = g.phi1 * g.phi1;
     est->power += (phi_sq - est->power) * fmin(est->cfg.period_s / POWER_TIME_S, 1.0);
-    const double epsilon = residual_of(est, g) / fmax(est->power, phi_sq);
+    const double power = fmax(est->power, phi_sq);
+    if (!(power > 0.0))
+        return;
+    const double epsilon = residual_of(est, g) / power;
     est->alpha = project(est, est->alpha + est->cfg.gain * epsilon * g.phi1);
 }
 

@@ -61,6 +61,8 @@ int rthyb_element_init(rthyb_element *element, int32_t kind, const double *param
         kind == RTHYB_HYSTERESIS || kind == RTHYB_PINCHING || kind == RTHYB_DEGRADATION;
     if (hysteretic) {
         element->params[8] = fmin(bouc_wen_ceiling(params), RTHYB_DISPLACEMENT_MAX_M);
+        if (kind != RTHYB_HYSTERESIS && params[6] > 1.0) /* depth, loss: shares */
+            return RTHYB_E_ELEMENT;
         if (!(element->params[8] > 0.0 && params[5] >= 0.1 && params[5] <= ETA_MAX))
             return RTHYB_E_ELEMENT;
     }
@@ -123,9 +125,11 @@ static double bouc_wen(rthyb_element *e, double x)
     const double *p = e->params;
     double *s = e->state;
     const double du = x - s[0], ceiling = p[8];
-    const double wanted = ceil(fabs(du) / (0.05 * ceiling));
-    const int steps = (int)clamp(wanted, 1.0, BOUC_WEN_STEPS_MAX);
-    const double h = du / steps;
+    const double most = 0.05 * ceiling;
+    int steps = 1;
+    if (fabs(du) > most)
+        steps = (int)clamp(ceil(fabs(du) / most), 1.0, BOUC_WEN_STEPS_MAX);
+    const double h = steps > 1 ? du / steps : du;
     double z = s[1];
     for (int i = 0; i < steps && du != 0.0; i++) {
         const double middle = clamp(z + 0.5 * h * bouc_wen_slope(e, z, du), -ceiling, ceiling);

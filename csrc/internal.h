@@ -9,8 +9,9 @@ int rthyb_servo_init(rthyb_servo *servo, const rthyb_servo_config *cfg);
 /* The table at t_n, before x_p[n] is applied (pure delay: with it). */
 int rthyb_servo_latch(rthyb_servo *servo, double x_p_m);
 
-/* Moves on to t_{n+1}. Only the servo-hydraulic actuator feels the specimen. */
-void rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count);
+/* Moves on to t_{n+1}. Only the servo-hydraulic actuator feels the specimen. Status bits tell of a
+ * computation that has run off. */
+int rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count);
 
 double rthyb_specimen_force(rthyb_element *elements, uint32_t element_count, double x, double v,
                             double a, double dt);

@@ -60,6 +60,12 @@ int rthyb_motion_init(rthyb_motion *motion, const rthyb_motion_config *cfg, doub
     if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
         return RTHYB_E_LIMIT;
     *motion = (rthyb_motion){.cfg = *cfg, .x = x0_m, .x1 = x0_m, .x2 = x0_m};
+    const double mass = cfg->mass_kg + cfg->added_mass_kg;
+    const double half = cfg->integrator == RTHYB_CENTRAL_DIFFERENCE
+                            ? 0.5 * cfg->period_s * cfg->damping_n_s_per_m
+                            : 0.0;
+    motion->per_mass = 1.0 / (mass + half);
+    motion->per_step = 1.0 / cfg->period_s;
     if (cfg->integrator == RTHYB_PRESCRIBED)
         motion->last_excitation = x0_m;
     else if (cfg->integrator == RTHYB_CR)
@@ -73,26 +79,26 @@ int rthyb_motion_init(rthyb_motion *motion, const rthyb_motion_config *cfg, doub
 static double central_difference(rthyb_motion *s, double net, double mass)
 {
     const double h = s->cfg.period_s, half = 0.5 * h * s->cfg.damping_n_s_per_m;
-    const double next = s->x + ((mass - half) * (s->x - s->x1) + h * h * net) / (mass + half);
-    s->v = (next - s->x1) / (2.0 * h);
-    s->a = (next - 2.0 * s->x + s->x1) / (h * h);
+    const double next = s->x + ((mass - half) * (s->x - s->x1) + h * h * net) * s->per_mass;
+    s->v = 0.5 * s->per_step * (next - s->x1);
+    s->a = s->per_step * s->per_step * (next - 2.0 * s->x + s->x1);
     return next;
 }
 
 /* The paper's: both right-hand sides at t_n. Its damping is short of the true one by omega h/2. */
-static double forward_euler(rthyb_motion *s, double net, double mass)
+static double forward_euler(rthyb_motion *s, double net)
 {
     const double h = s->cfg.period_s;
-    s->a = (net - s->cfg.damping_n_s_per_m * s->v) / mass;
+    s->a = (net - s->cfg.damping_n_s_per_m * s->v) * s->per_mass;
     const double next = s->x + h * s->v;
     s->v += h * s->a;
     return next;
 }
 
-static double cr_step(rthyb_motion *s, double net, double mass)
+static double cr_step(rthyb_motion *s, double net)
 {
     const double h = s->cfg.period_s;
-    s->a = (net - s->cfg.damping_n_s_per_m * s->v) / mass;
+    s->a = (net - s->cfg.damping_n_s_per_m * s->v) * s->per_mass;
     const double next = s->x + h * s->v + h * h * s->a2c * s->a;
     s->v += h * s->a1c * s->a;
     return next;
@@ -148,10 +154,10 @@ int rthyb_motion_step(rthyb_motion *motion, double excitation, double force_n, d
         next = central_difference(motion, net, mass);
         break;
     case RTHYB_FORWARD_EULER:
-        next = forward_euler(motion, net, mass);
+        next = forward_euler(motion, net);
         break;
     case RTHYB_CR:
-        next = cr_step(motion, net, mass);
+        next = cr_step(motion, net);
         break;
     case RTHYB_KR_ALPHA:
         next = kr_step(motion, net, mass);

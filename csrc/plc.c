@@ -26,8 +26,8 @@ int rthyb_plc_step(rthyb_plc *plc, double alpha, double beta, double x_c_m, doub
 {
     int code = RTHYB_OK;
     const double x = accept(x_c_m, RTHYB_DISPLACEMENT_MAX_M, plc->x1, &code);
-    const double a = accept(alpha, ALPHA_MAX, 0.0, &code);
-    const double b = accept(beta, BETA_MAX, 0.0, &code);
+    const double a = plc->alpha = accept(alpha, ALPHA_MAX, plc->alpha, &code);
+    const double b = plc->beta = accept(beta, BETA_MAX, plc->beta, &code);
     const double w1 = plc->w1, w2 = plc->w2, s = w1 + w2 + 1.0;
     const double slope = x - plc->x1;
     const double curvature = slope - (plc->x1 - plc->x2);

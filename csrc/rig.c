@@ -46,14 +46,17 @@ static double sense(rthyb_rig *rig, const rthyb_sensor *sensor, double value)
 
 static int sensor_ok(const rthyb_sensor *s, double most)
 {
-    return s->noise_std >= 0.0 && s->noise_std <= most && s->lsb >= 0.0 && s->lsb <= most &&
-           fabs(s->bias) <= most && s->range >= 0.0 && s->range <= most;
+    const int lsb_ok = s->lsb == 0.0 || (s->lsb >= 1e-15 && s->lsb <= most);
+    return s->noise_std >= 0.0 && s->noise_std <= most && lsb_ok && fabs(s->bias) <= most &&
+           s->range >= 0.0 && s->range <= most;
 }
 
 int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg)
 {
     if (cfg->element_count > RTHYB_ELEMENTS_MAX)
         return RTHYB_E_ELEMENT;
+    if (cfg->load_cell != RTHYB_ACTUATOR_END && cfg->load_cell != RTHYB_SPECIMEN_END)
+        return RTHYB_E_SENSOR;
     if (!sensor_ok(&cfg->displacement, RTHYB_DISPLACEMENT_MAX_M) ||
         !sensor_ok(&cfg->force, RTHYB_FORCE_MAX_N))
         return RTHYB_E_SENSOR;
@@ -89,12 +92,12 @@ static double load_cell_force(rthyb_rig *rig)
 
 int rthyb_rig_step(rthyb_rig *rig, double x_p_m, double *x_m_m, double *f_n)
 {
-    const int code = rthyb_servo_latch(&rig->servo, x_p_m);
+    int code = rthyb_servo_latch(&rig->servo, x_p_m);
     rig->x_true_m = rig->servo.x;
     rig->f_true_n = load_cell_force(rig);
     *x_m_m = sense(rig, &rig->cfg.displacement, rig->x_true_m);
     *f_n = sense(rig, &rig->cfg.force, rig->f_true_n);
-    rthyb_servo_advance(&rig->servo, rig->cfg.elements, rig->cfg.element_count);
+    code |= rthyb_servo_advance(&rig->servo, rig->cfg.elements, rig->cfg.element_count);
     return code;
 }
 

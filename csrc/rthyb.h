@@ -112,8 +112,9 @@ typedef struct {
 
 typedef struct {
     double w1, w2;
-    double x1, x2; /* x_c[n-1], x_c[n-2] */
-    double y1, y2; /* x_p[n-1], x_p[n-2] */
+    double x1, x2;      /* x_c[n-1], x_c[n-2] */
+    double y1, y2;      /* x_p[n-1], x_p[n-2] */
+    double alpha, beta; /* last good ones */
 } rthyb_plc;
 
 /* 1 if the poles of Eqn 2.5 lie inside the unit circle (Fig. 2.1), else 0. */
@@ -154,6 +155,7 @@ typedef struct {
 typedef struct {
     rthyb_estimator_config cfg;
     rthyb_lowpass filter;
+    double unit;                     /* 1 / reference_m */
     double filter_p[2], filter_m[2]; /* states of the pair: low-pass */
     double level_p, level_m;         /* and what it takes away as offset */
     double level_weight;             /* of a sample in that; 1 before the first */
@@ -203,12 +205,12 @@ typedef struct {
 typedef struct {
     rthyb_rfc_config cfg;
     uint64_t tick;
-    uint32_t head, filled;
-    double k_n_per_m; /* bounded k_exp[n] */
-    double ratio;     /* last term of Eqn 3.3 */
+    uint32_t head, filled; /* next to be overwritten; samples in the window */
+    double k_n_per_m;      /* bounded k_exp[n] */
+    double ratio;          /* last term of Eqn 3.3 */
     double x1, f1, c1;
-    double x[RTHYB_WINDOW_MAX + 1]; /* window of x_m (least squares) or of ratios (Eqn 3.3) */
-    double f[RTHYB_WINDOW_MAX + 1];
+    double x[RTHYB_WINDOW_MAX]; /* the T0 samples before the newest: x_m, or ratios (Eqn 3.3) */
+    double f[RTHYB_WINDOW_MAX];
 } rthyb_rfc;
 
 int rthyb_rfc_init(rthyb_rfc *rfc, const rthyb_rfc_config *cfg, double x0_m, double f0_n);
@@ -245,6 +247,7 @@ typedef struct {
     double x1, x2;                 /* x[n-1], x[n-2] */
     double v1, net1;               /* KR-alpha: v[n-1] and (P - f)[n-1] */
     double a1c, a2c, a3c, alpha_f; /* CR and KR-alpha coefficients */
+    double per_mass, per_step;     /* 1 / mass (central difference: with its damping), 1 / h */
     double last_force, last_excitation;
 } rthyb_motion;
 
@@ -422,7 +425,9 @@ size_t rthyb_run_replay(rthyb_controller *controller, const rthyb_record *record
                         const double *excitation, size_t n_total, size_t count,
                         rthyb_record *records);
 /* The numerical structure and the specimen joined without actuator or sensor: the reference.
- * elements are advanced in place. Returns RTHYB_OK or status bits of the first bad sample. */
+ * elements are advanced in place. Returns RTHYB_OK or the status bits seen; with too many elements
+ * RTHYB_S_OUT_OF_RANGE at once. Mass belongs into added_mass_kg: an inertia element here has the
+ * acceleration of the step before. */
 int rthyb_run_reference(rthyb_motion *motion, rthyb_element *elements, size_t element_count,
                         const double *ag_mps2, size_t n, double *x_m, double *v_m_per_s,
                         double *force_n);

@@ -10,6 +10,7 @@ static int config_error(const rthyb_servo_config *c)
     if (!(c->period_s > 0.0 && c->period_s <= 1.0))
         return RTHYB_E_PERIOD;
     if (c->kind < RTHYB_PURE_DELAY || c->kind > RTHYB_SERVO_HYDRAULIC ||
+        (c->hold != RTHYB_ZOH && c->hold != RTHYB_FOH) ||
         !(c->delay_samples >= 0.0 && c->delay_samples <= RTHYB_DELAY_MAX))
         return RTHYB_E_SERVO;
     const int whole = c->delay_samples == floor(c->delay_samples);
@@ -38,6 +39,10 @@ static int config_error(const rthyb_servo_config *c)
                          c->friction_width_m_per_s > 0.0 && c->friction_width_m_per_s <= 1e3 &&
                          c->viscous_n_s_per_m >= 0.0 && c->viscous_n_s_per_m <= 1e12;
     const int steps_ok = c->substeps >= 1 && c->substeps <= SUBSTEPS_MAX && whole;
+    /* The oil column's period must be longer than pi substeps, or they run off. */
+    const double h = c->period_s / (c->substeps > 0 ? c->substeps : 1);
+    if (!(h * h * c->oil_stiffness_n_per_m < 4.0 * c->moving_mass_kg))
+        return RTHYB_E_SERVO;
     return loop_ok && power_ok && table_ok && steps_ok ? 0 : RTHYB_E_SERVO;
 }
 
@@ -175,27 +180,30 @@ static void advance_hydraulic(rthyb_servo *s, rthyb_element *elements, uint32_t 
     const rthyb_servo_config *c = &s->cfg;
     const double h = c->period_s / c->substeps;
     const double damping = 0.5 * h * (c->oil_damping_n_s_per_m + c->viscous_n_s_per_m);
+    /* Quotients stand outside the loop: four divisions in a row would be half of its time. */
+    const double per_h = 1.0 / h, per_stall = 1.0 / c->stall_force_n;
+    const double per_mass = 1.0 / (c->moving_mass_kg + damping);
+    const double per_width = 1.0 / c->friction_width_m_per_s;
     const uint32_t d = whole_delay(s);
     const double end = sent(s, d), start = c->hold == RTHYB_FOH ? sent(s, d + 1) : end;
+    const double rise = (end - start) / c->substeps;
     for (int i = 0; i < c->substeps; i++) {
-        const double command = start + (end - start) * (i + 0.5) / c->substeps;
+        const double command = start + rise * (i + 0.5);
         const double error = command - s->x;
         s->integral = clamp(s->integral + h * error, -1e3, 1e3);
         const double wanted = c->kp_per_s * error + c->ki_per_s2 * s->integral;
         s->valve += s->valve_gain * (wanted - s->valve);
         s->valve = clamp(s->valve, -c->flow_limit_m_per_s, c->flow_limit_m_per_s);
-        const double load = copysign(1.0, s->valve) * s->oil_force / c->stall_force_n;
+        const double load = copysign(per_stall, s->valve) * s->oil_force;
         s->piston_velocity = s->valve * sqrt(clamp(1.0 - load, 0.0, 2.0));
 
         const double spring = c->oil_stiffness_n_per_m * (s->piston - s->x);
         const double push = spring + c->oil_damping_n_s_per_m * s->piston_velocity;
         const double specimen = rthyb_specimen_force(elements, element_count, s->x, s->v, s->a, h);
-        const double net =
-            push - specimen - c->friction_n * smooth_sign(s->v / c->friction_width_m_per_s);
+        const double net = push - specimen - c->friction_n * smooth_sign(s->v * per_width);
         const double before = s->half_velocity;
-        s->half_velocity =
-            ((c->moving_mass_kg - damping) * before + h * net) / (c->moving_mass_kg + damping);
-        s->a = (s->half_velocity - before) / h;
+        s->half_velocity = ((c->moving_mass_kg - damping) * before + h * net) * per_mass;
+        s->a = (s->half_velocity - before) * per_h;
         s->v = s->half_velocity + 0.5 * h * s->a;
         s->x += h * s->half_velocity;
         s->piston += h * s->piston_velocity;
@@ -205,7 +213,7 @@ static void advance_hydraulic(rthyb_servo *s, rthyb_element *elements, uint32_t 
 }
 
 /* A virtual rig that has gone unstable stops at its guard instead of filling with inf. */
-static void confine_state(rthyb_servo *s)
+static int confine_state(rthyb_servo *s)
 {
     int code = RTHYB_OK;
     s->x = confine(s->x, 1e2 * RTHYB_DISPLACEMENT_MAX_M, &code);
@@ -217,9 +225,10 @@ static void confine_state(rthyb_servo *s)
     if (code != RTHYB_OK)
         s->v = s->a = s->half_velocity = s->piston_velocity = s->valve = s->integral =
             s->oil_force = 0.0;
+    return code;
 }
 
-void rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count)
+int rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count)
 {
     if (servo->cfg.kind == RTHYB_FIRST_ORDER)
         advance_first_order(servo);
@@ -227,5 +236,5 @@ void rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t e
         advance_second_order(servo);
     else if (servo->cfg.kind == RTHYB_SERVO_HYDRAULIC)
         advance_hydraulic(servo, elements, element_count);
-    confine_state(servo);
+    return confine_state(servo);
 }

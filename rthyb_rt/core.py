@@ -63,7 +63,8 @@ _REFUSED: Final[dict[int, str]] = {
     lib.RTHYB_E_WINDOW: f"the window T0 must lie in 1 ... {WINDOW_MAX} samples",
     lib.RTHYB_E_STIFFNESS: "the RFC needs an elastic stiffness k_e > 0 and a noise >= 0",
     lib.RTHYB_E_MOTION: "mass must be positive, damping >= 0, everything finite",
-    lib.RTHYB_E_SERVO: "a setting of the actuator model is out of range",
+    lib.RTHYB_E_SERVO: "a setting of the actuator model is out of range, or its oil column is too "
+    "stiff for its mass and substeps",
     lib.RTHYB_E_ELEMENT: "an element's kind, parameter count or a parameter is out of range",
     lib.RTHYB_E_SENSOR: "a sensor's noise, lsb, bias or range is out of range",
     lib.RTHYB_E_LIMIT: "a limit must be finite and >= 0, a starting value finite and sensible",
@@ -468,8 +469,15 @@ class Motion:
     def reference(
         self, elements: Sequence[ElementConfig], ag_mps2: npt.ArrayLike
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return displacement, velocity and specimen force, each (n,), without rig or delay."""
+        """Return displacement, velocity and specimen force, each (n,), without rig or delay.
+
+        Raises ``CoreError`` for too many elements or a ground motion that is not finite.
+        """
         ag = _doubles(ag_mps2)
+        if len(elements) > ELEMENTS_MAX:
+            raise CoreError(f"at most {ELEMENTS_MAX} elements, got {len(elements)}")
+        if not np.isfinite(ag).all():
+            raise CoreError("the ground acceleration holds a value that is not finite")
         array = ffi.new("rthyb_element[]", max(len(elements), 1))
         for slot, config in zip(array, elements, strict=False):
             _init_element(slot, config)
@@ -565,6 +573,11 @@ class Controller:
         i.lost = lib.RTHYB_LOST if lost else 0
         code = lib.rthyb_controller_step(self._c, i, self._record)
         return Sample(self._c.x_cmd, code, _numbers(self._record))
+
+    @property
+    def x_cmd_m(self) -> float:
+        """Command for the next sample."""
+        return float(self._c.x_cmd)
 
     @property
     def tick(self) -> int:

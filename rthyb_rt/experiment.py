@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import __version__, config, core, ground_motion, recording
 from rthyb_rt.config import Derived, RigFile, TestFile
+from rthyb_rt.config import testfile as test_file
 from rthyb_rt.config.testfile import Limit
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
@@ -41,7 +42,7 @@ class Setup:
     """A test with every figure resolved, ready to run.
 
     Attributes:
-        test, rig, derived: the files and what follows from them.
+        test, rig, derived: the files, the test with every default written out, and what follows.
         motion: the scaled record before resampling.
         ag_mps2: ground acceleration at every tick of the test, shape (n,).
         controller, virtual_rig: settings of the core.
@@ -69,17 +70,16 @@ def prepare(test: TestFile, rig: RigFile) -> Setup:
     Raises:
         InputError: with what is wrong in the files, the record, or between them.
     """
-    derived, motion = _both(
-        lambda: config.derive(test, rig),
-        lambda: _load_motion(test),
-    )
+    derived, record = _both(lambda: config.derive(test, rig), lambda: _load_motion(test))
+    test = config.resolve(test, derived)
+    baseline = ground_motion.baseline_check(record)
+    motion = _cut_and_scale(record, test.ground_motion)
     lasts_s = test.test.duration_s
     if lasts_s is None:
         lasts_s = motion.duration_s + test.test.free_vibration_s
     ag = ground_motion.resample(
         motion, core.FS_HZ, method=test.ground_motion.interpolation, duration_s=lasts_s
     )
-    baseline = ground_motion.baseline_check(motion)
     end_tick = round(min(motion.duration_s, lasts_s) * core.FS_HZ)
     return Setup(
         test=test,
@@ -89,7 +89,7 @@ def prepare(test: TestFile, rig: RigFile) -> Setup:
         ag_mps2=ag,
         controller=controller_config(test, rig, derived, end_tick),
         virtual_rig=rig_config(rig),
-        notes=derived.notes + (() if baseline.ok else (baseline.message,)),
+        notes=derived.notes + (() if baseline.ok else (f"ground motion: {baseline.message}",)),
     )
 
 
@@ -108,9 +108,12 @@ def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
 
 def _load_motion(test: TestFile) -> GroundMotion:
     wanted = test.ground_motion
-    motion = ground_motion.load(
+    return ground_motion.load(
         wanted.record, format=wanted.format, units=wanted.units, channel=wanted.channel
     )
+
+
+def _cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotion) -> GroundMotion:
     if wanted.start_s or wanted.duration_s is not None:
         motion = motion.window(wanted.start_s, wanted.duration_s)
     if wanted.pga_g is not None:

@@ -16,23 +16,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core, experiment
-from rthyb_rt.config import Identified, RigFile
+from rthyb_rt.config import Identified, RigFile, dump, parse_rig
 from rthyb_rt.errors import InputError
 
 Floats = NDArray[np.float64]
 
 REST_S = 3.0
 RAMP_CYCLES = 1
-SETTLE_CYCLES = 2
+SETTLE_CYCLES, SETTLE_S = 2, 1.2
+"""So many cycles and so long a sine is left alone: the longest delay of a rig is 1 s."""
+
 FIT_CYCLES = 4
 FIT_SECONDS = 2.0
 """Each frequency is fitted over at least so many whole cycles and so long."""
 
+FREQUENCIES_HZ = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 80.0)
+HIGHEST_HZ = 100.0
 LOW_FREQUENCY_HZ = 2.0
-"""Delay and gain are stated for the motion up to here, where structures answer."""
+"""Delay, gain and alpha are stated for the motion up to here, where structures answer."""
 
 STIFFNESS_NONLINEAR = 0.05
 """Share of the force that the linear fit may leave before k_e is called doubtful."""
+
+MASS_RESOLVED = 0.02
+"""Share of the force, at the highest frequency, that a mass needs to be told from rounding."""
+
+CERTAIN = 10.0
+"""An amplitude counts when it is so many times its own standard error."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +50,25 @@ class Sweep:
     """The excitation of an identification.
 
     Attributes:
-        frequencies_hz: one sine after the other.
+        frequencies_hz: one sine after the other, from slow to fast.
         amplitude_m: of the slow ones.
         velocity_m_per_s: the fast ones are made smaller to stay below it.
     """
 
-    frequencies_hz: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
+    frequencies_hz: tuple[float, ...] = FREQUENCIES_HZ[:9]
     amplitude_m: float = 2e-3
     velocity_m_per_s: float = 0.05
+
+    @classmethod
+    def up_to(cls, highest_hz: float, amplitude_m: float = 2e-3) -> Sweep:
+        """Return the usual frequencies up to ``highest_hz``, which closes them."""
+        below = tuple(f for f in FREQUENCIES_HZ if f < highest_hz)
+        return cls((*below, highest_hz), amplitude_m)
+
+    @property
+    def ticks(self) -> int:
+        """Samples of the whole sweep, with the rest before it."""
+        return int(_command(self)[0].size)
 
     def amplitude_at(self, frequency_hz: float) -> float:
         """Return the amplitude at one frequency, m."""
@@ -83,12 +104,13 @@ class Result:
 
     Attributes:
         tones: by frequency.
-        alpha, beta: parameters of the compensator that undo this actuator best over the sweep:
-            least squares of Eqn 2.6-2.8 (beta: with its curvature term), samples, samples^2.
-        alpha_alone: the same without beta, what Eqn 2.5 wants: the alpha0 of a test.
+        alpha: parameter of Eqn 2.5 that undoes this actuator best up to `LOW_FREQUENCY_HZ`, the
+            alpha0 of a test: least squares of Eqn 2.6-2.8, samples.
+        alpha_with_beta, beta: the same with the curvature term and over the whole sweep, samples
+            and samples^2.
         delay_s, gain: mean up to `LOW_FREQUENCY_HZ`.
         k_e_n_per_m: elastic stiffness.
-        moving_mass_kg: what else moves under the load cell.
+        moving_mass_kg: what else moves under the load cell; None where it is too small to tell.
         rest_noise_m, rest_noise_n: standard deviations at rest.
         offset_m, offset_n: means at rest.
         notes: what the user should know.
@@ -96,12 +118,12 @@ class Result:
 
     tones: tuple[Tone, ...]
     alpha: float
+    alpha_with_beta: float
     beta: float
-    alpha_alone: float
     delay_s: float
     gain: float
     k_e_n_per_m: float
-    moving_mass_kg: float
+    moving_mass_kg: float | None
     rest_noise_m: float
     rest_noise_n: float
     offset_m: float
@@ -131,38 +153,50 @@ def identify(rig: RigFile, sweep: Sweep | None = None, progress: Progress | None
     _check(sweep)
     command, parts = _command(sweep)
     x_m, f = _drive(rig, command, progress)
+    _check_ranges(rig, x_m, f)
     rest = slice(int(0.2 * core.FS_HZ), int(REST_S * core.FS_HZ))
     offset_m, offset_n = float(x_m[rest].mean()), float(f[rest].mean())
-    noise_m = float(x_m[rest].std(ddof=1))
+    noise_m, noise_n = float(x_m[rest].std(ddof=1)), float(f[rest].std(ddof=1))
     x_m, f = x_m - offset_m, f - offset_n
-    tones = tuple(_tone(part, command, x_m, f) for part in parts)
-    _check_followed(tones, noise_m)
-    moving = slice(parts[0].start, None)
-    alpha_alone, _ = _inverse(command[moving], x_m[moving], noise_m, with_beta=False)
-    alpha, beta = _inverse(command[moving], x_m[moving], noise_m, with_beta=True)
+    tones: list[Tone] = []
+    for part in parts:
+        before = tones[-1].delay_s if tones else None
+        tones.append(_tone(part, command, x_m, f, before))
+        _check_followed(part, tones[-1], noise_m)
+    _check_specimen(parts[0], tones[0], noise_n)
+    slow = [tone for tone in tones if tone.frequency_hz <= LOW_FREQUENCY_HZ] or tones[:1]
+    begin = parts[0].start
+    end = parts[len(slow)].start if len(slow) < len(parts) else command.size
+    alpha, _ = _inverse(command[begin:end], x_m[begin:end], noise_m, with_beta=False)
+    alpha_with_beta, beta = _inverse(command[begin:], x_m[begin:], noise_m, with_beta=True)
     stiffness, mass = _stiffness_and_mass(tones)
-    slow = [tone for tone in tones if tone.frequency_hz <= LOW_FREQUENCY_HZ] or list(tones[:1])
     return Result(
-        tones=tones,
+        tones=tuple(tones),
         alpha=alpha,
+        alpha_with_beta=alpha_with_beta,
         beta=beta,
-        alpha_alone=alpha_alone,
         delay_s=float(np.mean([tone.delay_s for tone in slow])),
         gain=float(np.mean([tone.gain for tone in slow])),
         k_e_n_per_m=stiffness,
         moving_mass_kg=mass,
         rest_noise_m=noise_m,
-        rest_noise_n=float(f[rest].std(ddof=1)),
+        rest_noise_n=noise_n,
         offset_m=offset_m,
         offset_n=offset_n,
-        notes=tuple(_notes(tones, stiffness, offset_m, noise_m)),
+        notes=tuple(
+            _notes(tones, stiffness, alpha, (offset_m, noise_m), (offset_n, noise_n)),
+        ),
     )
 
 
 def identified_rig(rig: RigFile, result: Result) -> RigFile:
-    """Return the rig file with k_e and the section ``identified`` filled in."""
-    found = Identified(
-        alpha=max(_rounded(result.alpha_alone), 0.0),
+    """Return the rig file with k_e and the section ``identified`` filled in.
+
+    Raises:
+        InputError: a figure that a rig file does not allow.
+    """
+    found = Identified.model_construct(
+        alpha=max(_rounded(result.alpha), 0.0),
         delay_s=max(_rounded(result.delay_s), 0.0),
         gain=_rounded(result.gain),
         rest_noise_displacement_m=_rounded(result.rest_noise_m),
@@ -170,10 +204,12 @@ def identified_rig(rig: RigFile, result: Result) -> RigFile:
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         frequency_hz=[tone.frequency_hz for tone in result.tones],
         amplitude=[_rounded(tone.gain) for tone in result.tones],
-        delay_at_frequency_s=[_rounded(tone.delay_s) for tone in result.tones],
+        delay_at_frequency_s=[max(_rounded(tone.delay_s), 0.0) for tone in result.tones],
     )
     info = rig.rig.model_copy(update={"elastic_stiffness_n_per_m": _rounded(result.k_e_n_per_m)})
-    return rig.model_copy(update={"rig": info, "identified": found})
+    filled = rig.model_copy(update={"rig": info, "identified": found})
+    # Read back, so that whatever is written is a rig file.
+    return parse_rig(dump(filled), "identified rig")
 
 
 def _rounded(value: float) -> float:
@@ -182,16 +218,19 @@ def _rounded(value: float) -> float:
 
 
 def _check(sweep: Sweep) -> None:
-    highest = core.FS_HZ / 8
-    bad = [f for f in sweep.frequencies_hz if not 0.05 <= f <= highest]
+    bad = [f for f in sweep.frequencies_hz if not 0.05 <= f <= HIGHEST_HZ]
     if bad or not sweep.frequencies_hz:
+        found = ", ".join(f"{f:g} Hz" for f in bad) or "none"
         raise InputError(
-            f"frequencies {bad or 'none'}; each must be from 0.05 to {highest:g} Hz", "identify"
+            f"found the frequencies {found}; each must be from 0.05 to {HIGHEST_HZ:g} Hz",
+            "identify",
         )
+    if any(np.diff(sweep.frequencies_hz) <= 0.0):
+        raise InputError("the frequencies must rise from one sine to the next", "identify")
     if not (0 < sweep.amplitude_m <= 1 and 0 < sweep.velocity_m_per_s <= 10):
         raise InputError(
-            f"amplitude {sweep.amplitude_m} m at up to {sweep.velocity_m_per_s} m/s; both must be "
-            "positive, at most 1 m and 10 m/s; begin with a millimetre or two",
+            f"found an amplitude of {sweep.amplitude_m:g} m at up to {sweep.velocity_m_per_s:g} "
+            "m/s; both must be positive, at most 1 m and 10 m/s; begin with a millimetre or two",
             "identify",
         )
 
@@ -203,7 +242,7 @@ def _command(sweep: Sweep) -> tuple[Floats, list[_Part]]:
     at = pieces[0].size
     for frequency in sweep.frequencies_hz:
         fitted = max(FIT_CYCLES, int(np.ceil(FIT_SECONDS * frequency)))
-        ahead = RAMP_CYCLES + SETTLE_CYCLES + int(np.ceil(0.3 * frequency))
+        ahead = RAMP_CYCLES + max(SETTLE_CYCLES, int(np.ceil(SETTLE_S * frequency)))
         cycles = ahead + fitted + RAMP_CYCLES
         n = round(cycles / frequency * core.FS_HZ)
         turns = np.arange(n) * (frequency / core.FS_HZ)
@@ -242,22 +281,25 @@ def _phasor(part: _Part, signal: Floats) -> tuple[complex, Floats]:
     return complex(fitted[0], -fitted[1]), values - basis @ fitted
 
 
-def _tone(part: _Part, command: Floats, x_m: Floats, f: Floats) -> Tone:
+def _tone(part: _Part, command: Floats, x_m: Floats, f: Floats, before_s: float | None) -> Tone:
+    """Fit one sine; ``before_s`` is the delay at the frequency before."""
     sent, _ = _phasor(part, command)
     moved, _ = _phasor(part, x_m)
     force, rest = _phasor(part, f)
     ratio = moved / sent
     stiffness = force / moved if moved else complex(0)
     total = float(np.sqrt(np.mean(f[part.fit] ** 2)))
-    # A lag of up to a whole cycle: the phase of a delay is negative.
-    lag = -np.angle(ratio) % (2 * np.pi)
-    if lag > 1.75 * np.pi:
-        lag -= 2 * np.pi
+    period = 1.0 / part.frequency_hz
+    delay = float(-np.angle(ratio)) / (2 * np.pi) * period
+    # A phase leaves whole periods open: the delay nearest to the one before; the first may be a
+    # small lead, from noise, but no large one.
+    nearest = 0.375 * period if before_s is None else before_s
+    delay += round((nearest - delay) / period) * period
     return Tone(
         frequency_hz=part.frequency_hz,
         amplitude_m=abs(sent),
         gain=abs(ratio),
-        delay_s=float(lag / (2 * np.pi * part.frequency_hz)),
+        delay_s=delay,
         force_in_phase_n_per_m=stiffness.real,
         force_in_quadrature_n_per_m=stiffness.imag,
         distortion=float(np.sqrt(np.mean(rest**2))) / total if total else 0.0,
@@ -279,44 +321,87 @@ def _inverse(x_p: Floats, x_m: Floats, noise_m: float, *, with_beta: bool) -> tu
     return float(alpha[-1]), float(beta[-1])
 
 
-def _stiffness_and_mass(tones: tuple[Tone, ...]) -> tuple[float, float]:
+def _stiffness_and_mass(tones: list[Tone]) -> tuple[float, float | None]:
     """In-phase force over frequency: k - m w^2, weighted by how much each sine moved."""
     w2 = np.array([(2 * np.pi * tone.frequency_hz) ** 2 for tone in tones])
     in_phase = np.array([tone.force_in_phase_n_per_m for tone in tones])
     weight = np.array([tone.amplitude_m * tone.gain for tone in tones])
     if len(tones) < 2:
-        return float(in_phase[0]), 0.0
+        return float(in_phase[0]), None
     basis = np.column_stack([np.ones_like(w2), -w2])
     (stiffness, mass), *_ = np.linalg.lstsq(basis * weight[:, None], in_phase * weight, rcond=None)
-    return float(stiffness), float(mass)
+    resolved = mass * w2[-1] > MASS_RESOLVED * stiffness
+    return float(stiffness), float(mass) if resolved else None
 
 
-def _check_followed(tones: tuple[Tone, ...], noise_m: float) -> None:
-    still = [t for t in tones if not t.gain * t.amplitude_m > max(3 * noise_m / 10, 1e-12)]
-    if still:
+def _standard_error(part: _Part, noise: float) -> float:
+    """Return the standard error of a fitted amplitude in white noise."""
+    return noise * float(np.sqrt(2.0 / (part.fit.stop - part.fit.start)))
+
+
+def _check_ranges(rig: RigFile, x_m: Floats, f: Floats) -> None:
+    """Refuse a sweep that drove a sensor to its end, where it says nothing more."""
+    displacement, force = rig.sensors.displacement.range_m, rig.sensors.force.range_n
+    for name, signal, limit, unit in (
+        ("displacement", x_m, displacement, "m"),
+        ("force", f, force, "N"),
+    ):
+        if limit is not None and float(np.abs(signal).max()) >= limit:
+            raise InputError(
+                f"the {name} sensor reached the end of its range, {limit:g} {unit}; identify with "
+                "a smaller amplitude (--amplitude), or check the sensor",
+                "identify",
+            )
+
+
+def _check_followed(part: _Part, tone: Tone, noise_m: float) -> None:
+    moved = tone.gain * tone.amplitude_m
+    if moved <= max(CERTAIN * _standard_error(part, noise_m), 1e-3 * tone.amplitude_m, 1e-12):
         raise InputError(
-            f"at {still[0].frequency_hz:g} Hz the displacement did not follow the command "
-            f"({still[0].gain * still[0].amplitude_m * 1e6:.3g} um of "
-            f"{still[0].amplitude_m * 1e6:.3g} um); is the actuator on, the sensor connected, the "
-            "amplitude above the noise?",
+            f"at {tone.frequency_hz:g} Hz the displacement did not follow the command "
+            f"({moved * 1e6:.3g} um of {tone.amplitude_m * 1e6:.3g} um); is the actuator on, the "
+            "sensor connected, the amplitude above the noise?",
             "identify",
         )
-    if tones[0].force_in_phase_n_per_m <= 0:
+
+
+def _check_specimen(part: _Part, slowest: Tone, noise_n: float) -> None:
+    in_phase = slowest.force_in_phase_n_per_m
+    moved = slowest.gain * slowest.amplitude_m
+    if abs(in_phase) * moved <= max(CERTAIN * _standard_error(part, noise_n), 1e-9):
         raise InputError(
-            f"the force falls with displacement ({tones[0].force_in_phase_n_per_m:.4g} N/m at "
-            f"{tones[0].frequency_hz:g} Hz); check the polarity of the load cell, or that a "
+            f"no force in phase with the displacement at {slowest.frequency_hz:g} Hz "
+            f"({in_phase * moved:.3g} N); is a specimen mounted, the load cell connected, the "
+            "amplitude large enough?",
+            "identify",
+        )
+    if in_phase < 0:
+        raise InputError(
+            f"the force falls with displacement ({in_phase:.4g} N/m at "
+            f"{slowest.frequency_hz:g} Hz); check the polarity of the load cell, or that a "
             "specimen is mounted",
             "identify",
         )
 
 
-def _notes(tones: tuple[Tone, ...], stiffness: float, offset_m: float, noise_m: float) -> list[str]:
+def _notes(
+    tones: list[Tone],
+    stiffness: float,
+    alpha: float,
+    displacement: tuple[float, float],
+    force: tuple[float, float],
+) -> list[str]:
+    """Say what the user should know; displacement and force as offset and noise at rest."""
     notes = []
-    if abs(offset_m) > 5 * noise_m + 1e-9:
-        notes.append(
-            f"displacement reads {offset_m * 1e6:.3g} um at rest: tare it, the delay estimate "
-            "suffers from an offset"
-        )
+    for name, (offset, noise), factor, unit, harm in (
+        ("displacement", displacement, 1e6, "um", "disturbs the delay estimate"),
+        ("force", force, 1.0, "N", "pushes the structure aside"),
+    ):
+        if abs(offset) > 5 * noise + 1e-9:
+            notes.append(
+                f"{name} reads {offset * factor:.3g} {unit} at rest: tare the sensor, such an "
+                f"offset {harm}"
+            )
     worst = max(tones[: max(1, len(tones) // 2)], key=lambda tone: tone.distortion)
     if worst.distortion > STIFFNESS_NONLINEAR:
         notes.append(
@@ -335,5 +420,11 @@ def _notes(tones: tuple[Tone, ...], stiffness: float, offset_m: float, noise_m: 
             f"the delay runs from {delays[0] * 1e3:.1f} ms at {tones[0].frequency_hz:g} Hz to "
             f"{delays[-1] * 1e3:.1f} ms at {tones[-1].frequency_hz:g} Hz: the actuator is a lag "
             "rather than a delay"
+        )
+    samples = delays[0] * core.FS_HZ
+    if abs(alpha - samples) > 0.1 * samples + 0.5:
+        notes.append(
+            f"alpha is {alpha:.4g} samples, though the delay at {tones[0].frequency_hz:g} Hz is "
+            f"{samples:.4g}: no phase lead undoes this actuator"
         )
     return notes

@@ -6,8 +6,9 @@ from importlib import resources
 
 import pytest
 
-from rthyb_rt import ground_motion
+from rthyb_rt import ground_motion, studies
 from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.studies.results import Study
 
 
 @pytest.fixture(scope="session")
@@ -24,3 +25,9 @@ def tcu068_first_50_s() -> GroundMotion:
         if not path.is_file():
             pytest.skip(f"this version of pyslammer does not have {name}")
         return ground_motion.read(path).window(0.0, 50.0)
+
+
+@pytest.fixture(scope="session")
+def paper() -> list[Study]:
+    """The whole paper reproduced, once; Section 4.2 with TCU068 where pyslammer has it."""
+    return studies.run()

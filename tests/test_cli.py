@@ -582,9 +582,16 @@ def test_limit_below_the_expected_response_is_warned_of(
     assert f"Warning: limits.{words}" in answer.out
 
 
-def test_record_that_ends_in_motion_is_noted(rthyb: Rthyb) -> None:
-    answer = rthyb("check", example("section5-T0.5.toml"), "--set", "ground_motion.duration_s=3")
+def test_record_that_ends_in_motion_is_noted_and_a_part_of_a_good_one_is_not(
+    rthyb: Rthyb, tmp_path: Path
+) -> None:
+    drifting = tmp_path / "drifting.txt"
+    drifting.write_text("# time_s acc_g\n" + "".join(f"{0.01 * i:.2f} 0.1\n" for i in range(500)))
+    test = example("section5-T0.5.toml")
+    answer = rthyb("check", test, "--set", f"ground_motion.record={drifting}")
     assert "Note: ground motion: final velocity" in answer.out
+    part = rthyb("check", test, "--set", "ground_motion.duration_s=3")
+    assert "final velocity" not in part.out
 
 
 # ---- replay, export, report, schema -------------------------------------------------------------

@@ -163,12 +163,8 @@ def _figures(setup: Setup) -> Figures:
 
 def _remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
     """Return notes and warnings."""
-    from rthyb_rt.ground_motion import baseline_check
 
-    notes, warnings = list(setup.derived.notes), list[str]()
-    baseline = baseline_check(setup.motion)
-    if not baseline.ok:
-        notes.append(f"ground motion: {baseline.message}")
+    notes, warnings = list(setup.notes), list[str]()
     if "warning" in setup.motion.details:
         notes.append(f"ground motion: {setup.motion.details['warning']}")
     for found in (_divergence(setup, f), _oscillation(setup, f)):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from rthyb_rt.cli import check, export, replay, report, run, schema
+from rthyb_rt.cli import check, export, identify, replay, report, reproduce, run, schema
 
 app = typer.Typer(
     name="rthyb",
@@ -19,6 +19,8 @@ app = typer.Typer(
 )
 app.command()(run.run)
 app.command()(check.check)
+app.command()(identify.identify)
+app.command()(reproduce.reproduce)
 app.command()(replay.replay)
 app.command()(export.export)
 app.command()(report.report)

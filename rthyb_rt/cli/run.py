@@ -66,7 +66,7 @@ def run(
     started = datetime.datetime.now(datetime.UTC)
     test_file, rig_file = load(test, rig, settings)
     setup = experiment.prepare(test_file, rig_file)
-    for note in setup.derived.notes:
+    for note in setup.notes:
         terminal.tell(f"note: {note}")
     refuse_taken(out)
     target = out or Path("runs") / f"{test_file.test.name}-{started:%Y%m%dT%H%M%SZ}"

@@ -149,7 +149,7 @@ def sections(description: str) -> Iterator[Callable[[int, int, str], None]]:
         console=console,
         disable=not console.is_terminal,
     ) as bar:
-        task = bar.add_task(description)
+        task = bar.add_task(description, total=1)
 
         def update(done: int, total: int, part: str) -> None:
             bar.update(task, completed=done, total=total, description=f"{description}: {part}")

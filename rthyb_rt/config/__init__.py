@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rthyb_rt.config.deriving import Derived, derive
+from rthyb_rt.config.deriving import Derived, derive, resolve
 from rthyb_rt.config.loading import (
     builtin_test_path,
     find_rig,
@@ -33,6 +33,7 @@ __all__ = [
     "load_test",
     "parse_rig",
     "parse_test",
+    "resolve",
     "shipped_rig",
     "split_overrides",
 ]

@@ -120,6 +120,38 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     )
 
 
+def resolve(test: TestFile, derived: Derived) -> TestFile:
+    """Return the test with every setting written out that came from the rig or from a default.
+
+    It runs the same with another version's defaults.
+    """
+    controller = test.controller
+    estimator = controller.delay_estimator.model_copy(
+        update={
+            "gain_per_mm2_per_sample": derived.gain_per_mm2_per_sample,
+            "rate_per_sample": derived.rate_per_sample,
+            "memory_s": derived.memory_s,
+        }
+    )
+    rfc = controller.rfc.model_copy(
+        update={
+            "window_periods": None,
+            "window_s": None,
+            "window_samples": derived.window_samples,
+            "tangent": derived.tangent,
+        }
+    )
+    resolved = controller.model_copy(
+        update={
+            "alpha0": derived.alpha0,
+            "beta0": derived.beta0,
+            "delay_estimator": estimator,
+            "rfc": rfc,
+        }
+    )
+    return test.model_copy(update={"controller": resolved})
+
+
 def _given(value: float | None, default: float) -> float:
     return default if value is None else value
 
@@ -200,7 +232,7 @@ def _alpha0(test: TestFile, rig: RigFile, problems: list[Problem]) -> float:
 
 
 def _beta0(test: TestFile) -> float:
-    """Return the curvature term to start with: 0 is right for a lag, and its gain is the smallest."""
+    """Return the curvature term to start with; 0 is right for a lag and has the smallest gain."""
     controller = test.controller
     return 0.0 if controller.type == "none" or controller.beta0 is None else controller.beta0
 

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from rthyb_rt.errors import InputError
 from rthyb_rt.recording import Recording, replacing
+from rthyb_rt.report.html import environment, extra_needed, sheets
 from rthyb_rt.summary import Summary, notices, percent, quantity, summarize, table, verdict
-
-if TYPE_CHECKING:
-    from rthyb_rt.report.figures import Plate
-
-_HERE = Path(__file__).parent
 
 _MOTION_NAMES = {"name": "Record", "source": "Source", "pga_g": "Peak, g", "scale": "Scale factor"}
 _META_NAMES = {
@@ -49,41 +43,23 @@ def render(rec: Recording) -> str:
     Raises:
         InputError: matplotlib or jinja2 is not installed.
     """
-    try:
-        import jinja2
-        from markupsafe import Markup
-
+    with extra_needed("a report"):
         from rthyb_rt.report.figures import draw_all
-    except ImportError as error:
-        raise InputError(
-            f"a report needs {error.name}; install it with pip install 'rthyb-rt[report]'"
-        ) from error
+
+        template = environment().get_template("report.html.j2")
     summary = summarize(rec)
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
-    environment.filters["tied"] = _tied
-    template = environment.from_string((_HERE / "report.html.j2").read_text(encoding="utf-8"))
     return template.render(
-        style=Markup((_HERE / "report.css").read_text(encoding="utf-8")),
-        markup=Markup,
         s=summary,
         title=summary.test_name or "Hybrid test",
         verdict=verdict(summary),
         notices=notices(summary),
         pairs=_pairs(summary),
         rows=_rest(summary),
-        sheets=_sheets(draw_all(rec, summary)),
+        sheets=sheets(draw_all(rec, summary)),
         motion=_named(rec.ground_motion, _MOTION_NAMES),
         versions=_named(rec.meta, _META_NAMES),
         settings=[("Test file", rec.test_toml), ("Rig file", rec.rig_toml)],
     )
-
-
-def _tied(text: str) -> str:
-    """Keep a number and its unit on one line."""
-    text = text.replace("> ", ">\u00a0")
-    return re.sub(r"(?<=\d) (?=(?:%|mm²?|ms|m|s|kN|kN/m|J|Hz|samples)(?:\W|$))", "\u00a0", text)
 
 
 def _pairs(s: Summary) -> list[tuple[str, str, str]]:
@@ -102,18 +78,6 @@ def _pairs(s: Summary) -> list[tuple[str, str, str]]:
 def _rest(s: Summary) -> list[tuple[str, str, str]]:
     """Return the rows of the result table that the pairs do not show."""
     return [row for row in table(s) if not row.label.startswith(("Tracking,", "Response"))]
-
-
-def _sheets(plates: list[Plate]) -> list[list[tuple[int, Plate]]]:
-    """Number the figures and put those of half width two to a row."""
-    sheets: list[list[tuple[int, Plate]]] = []
-    for number, plate in enumerate(plates, start=1):
-        last = sheets[-1] if sheets else []
-        if plate.half and len(last) == 1 and last[0][1].half:
-            last.append((number, plate))
-        else:
-            sheets.append([(number, plate)])
-    return sheets
 
 
 def _named(values: dict[str, Any], names: dict[str, str]) -> list[tuple[str, str]]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rthyb_rt.summary import number
 
 Floats = NDArray[np.float64]
 Colour = Literal["black", "orange", "green", "blue", "red", "purple", "grey"]
@@ -22,6 +25,9 @@ class Row:
         unit: of value and band; "" for a plain number.
         low, high: accepted band, both None where none is stated.
         paper: what Chen & Tsai (2012) say about it; "" where they are silent.
+        group: rows of one group make one table, under this heading.
+        case: which of several side by side it belongs to: a column of the group's table; "" where
+            nothing is compared.
     """
 
     quantity: str
@@ -30,6 +36,8 @@ class Row:
     low: float | None = None
     high: float | None = None
     paper: str = ""
+    group: str = ""
+    case: str = ""
 
     @property
     def inside(self) -> bool | None:
@@ -43,7 +51,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Curve:
-    """A line of a panel; ``filled`` shades the points instead of joining them."""
+    """A line of a panel; ``filled`` shades what it goes around."""
 
     label: str
     x: Floats
@@ -51,6 +59,7 @@ class Curve:
     colour: Colour = "blue"
     dashed: bool = False
     width: float = 0.9
+    filled: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,6 +88,7 @@ class Study:
         rows: figures with their bands.
         panels: pictures.
         ambiguities: what the paper leaves open, and what was assumed.
+        notice: what to know before reading any figure; "" mostly.
     """
 
     key: str
@@ -87,11 +97,97 @@ class Study:
     rows: tuple[Row, ...]
     panels: tuple[Panel, ...]
     ambiguities: tuple[str, ...] = field(default=())
+    notice: str = ""
+
+    @property
+    def banded(self) -> list[Row]:
+        """Rows that have a band."""
+        return [row for row in self.rows if row.inside is not None]
 
     @property
     def missed(self) -> list[Row]:
         """Rows whose value lies outside its band."""
         return [row for row in self.rows if row.inside is False]
+
+
+# --- tables -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a table: one quantity, one cell a case; None where a case has no such figure."""
+
+    quantity: str
+    unit: str
+    paper: str
+    cells: tuple[Row | None, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """The rows of one group; ``cases`` heads the cells, (), where nothing is compared."""
+
+    title: str
+    cases: tuple[str, ...]
+    lines: tuple[Line, ...]
+
+    @property
+    def has_units(self) -> bool:
+        """Whether any line has a unit."""
+        return any(line.unit for line in self.lines)
+
+    @property
+    def has_statements(self) -> bool:
+        """Whether the paper says anything about any line."""
+        return any(line.paper for line in self.lines)
+
+
+def grouped(group: str, rows: Iterable[Row], case: str = "") -> list[Row]:
+    """Return the rows as part of a group, and of a case where one is given."""
+    return [replace(row, group=group, case=case or row.case) for row in rows]
+
+
+def tables(study: Study) -> list[Table]:
+    """Return the rows of a study as one table a group, cases side by side."""
+    groups: dict[str, list[Row]] = {}
+    for row in study.rows:
+        groups.setdefault(row.group, []).append(row)
+    return [_table(group, rows) for group, rows in groups.items()]
+
+
+def _table(title: str, rows: list[Row]) -> Table:
+    cases = tuple(dict.fromkeys(row.case for row in rows))
+    lines = []
+    for quantity in dict.fromkeys(row.quantity for row in rows):
+        cells = {row.case: row for row in rows if row.quantity == quantity}
+        said = dict.fromkeys(row.paper for row in cells.values() if row.paper)
+        unit = next(iter(cells.values())).unit
+        lines.append(
+            Line(quantity, unit, "; ".join(said), tuple(cells.get(case) for case in cases))
+        )
+    return Table(title, cases if cases != ("",) else (), tuple(lines))
+
+
+def value_text(row: Row) -> str:
+    """Return the value with four significant digits, a count without decimals."""
+    if float(row.value).is_integer() and abs(row.value) < 1e5:
+        return f"{row.value:.0f}".replace("-", "−")
+    return number(row.value, 4)
+
+
+def band_text(row: Row) -> str:
+    """Return the accepted band, ``11 – 13``, ``≤ 0.25``; "" without one."""
+    if row.low is not None and row.high is not None:
+        if row.low == row.high:
+            return _bound(row.low)
+        return f"{_bound(row.low)} – {_bound(row.high)}"
+    if row.low is not None:
+        return f"≥ {_bound(row.low)}"
+    return f"≤ {_bound(row.high)}" if row.high is not None else ""
+
+
+def _bound(value: float) -> str:
+    return f"{value:.6g}".replace("-", "−")
 
 
 def rms(x: Floats) -> float:

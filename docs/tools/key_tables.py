@@ -1,0 +1,305 @@
+"""Write the tables of docs/file-formats.md from the program itself.
+
+What a key is called, its unit, default and range stand in the models of `rthyb_rt.config`, the
+fields of a recording in `rthyb_rt.recording`. Between a pair of markers in the page
+
+    <!-- generated: NAME -->  ...  <!-- end -->
+
+stands what this script prints for that name; ``python docs/tools/key_tables.py`` renews it.
+"""
+
+from __future__ import annotations
+
+import re
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic.fields import FieldInfo
+
+from rthyb_rt import core, recording
+from rthyb_rt.config import deriving, rigfile, testfile
+from rthyb_rt.config.fields import Count, Range, Table, Text
+
+PAGE = Path(__file__).resolve().parents[1] / "file-formats.md"
+_PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+MEANINGS: dict[str, str] = {
+    "GroundMotion.format": 'format of the file; "auto" tells by the content, not by the name',
+    "GroundMotion.record": "name of a built-in record, or path of a file (beside the test file)",
+    "GroundMotion.units": "unit of the file's numbers, for a file that does not say it",
+    "GroundMotion.channel": "number, or part of the name, of one component of several",
+    "GroundMotion.interpolation": "how the record is brought to 1024 Hz",
+    "Numerical.integrator": "integrator of the equation of motion",
+    "DelayEstimator.enabled": "false: alpha stays at alpha0, beta at beta0",
+    "Rfc.enabled": "false: the measured force goes uncorrected into the equation of motion",
+    "Rfc.tangent": 'formula; absent: "mean-of-ratios" for "paper", else "least-squares"',
+    "Rfc.divisor": "by what Eqn 3.3 divides its T0 + 1 terms: T0, or their number",
+    "Controller.type": "which compensation, see tuning",
+    "Controller.plc_enabled": "false: no phase lead (force compensation alone)",
+    "Reference.table_forces": "true: the reference has the table's mass and friction as well",
+    "RigInfo.load_cell": "what the load cell is under: table and specimen, or the specimen alone",
+    "RigInfo.command_hold": "the drive holds a command, or runs up to it in a straight line",
+    "Limit.enable": "false: the limit is ignored",
+    "Limit.action": "what happens beyond it",
+    "TestInfo.name": "name of the test; its run's folder begins with it",
+    "TestInfo.duration_s": "length of the test; absent: ground motion and free vibration",
+    "GroundMotion.pga_g": "peak to which the record is scaled",
+    "GroundMotion.factor": "factor by which the record is multiplied, instead",
+    "GroundMotion.duration_s": "length taken; absent: to the end",
+    "Numerical.mass_kg": "computed mass; the ground motion acts on it",
+    "Numerical.period_s": "period of the whole structure, instead of the mass",
+    "Numerical.damping_n_s_per_m": "computed damping",
+    "Numerical.damping_ratio": "the same as a part of critical, instead",
+    "Numerical.rho_inf": "spectral radius at infinite frequency; kr-alpha only",
+    "Controller.alpha0": "delay to start with; absent: the rig's identified.alpha",
+    "Controller.beta0": "curvature term to start with, samples²; absent: 0",
+    "DelayEstimator.gain_per_mm2_per_sample": 'adaptive gain γ of "paper" (Eqn 2.11); absent: '
+    f"{deriving.DEFAULT_GAIN_PER_MM2_PER_SAMPLE:g}",
+    "DelayEstimator.rate_per_sample": 'gain of "robust"; absent: '
+    f"{deriving.DEFAULT_RATE_PER_SAMPLE:g}",
+    "DelayEstimator.memory_s": f'memory of "alpha-beta"; absent: {deriving.DEFAULT_MEMORY_S:g}',
+    "DelayEstimator.alpha_min": "smallest delay; bounds alpha0, robust and alpha-beta",
+    "DelayEstimator.alpha_max": "largest delay; bounds alpha0, robust and alpha-beta",
+    "DelayEstimator.gate_factor": "power over that of rest noise at which adaptation begins",
+    "DelayEstimator.reference_displacement_m": "unit of μ and φ in 1 + φ² (Eqn 2.9)",
+    "Rfc.window_periods": f"window T0 in periods; absent: {deriving.DEFAULT_WINDOW_PERIODS:g}",
+    "Rfc.window_s": "window T0 in seconds, instead",
+    "Rfc.window_samples": "window T0 in samples, instead",
+    "Limits.command_position_m": "size of the compensated command; beyond it the command is held",
+    "Limits.command_velocity_m_per_s": "the command changes no faster; no trip",
+    "Limits.command_acceleration_m_per_s2": "the command's velocity changes no faster; no trip",
+    "Limits.force_n": "size of the measured force",
+    "Limits.tracking_error_m": "size of measured less wanted displacement",
+    "RigInfo.name": "name of the rig",
+    "FirstOrder.extra_delay_samples": "transport delay before the lag, samples",
+    "ServoHydraulic.flow_limit_m_per_s": "largest velocity without load",
+    "ServoHydraulic.moving_mass_kg": "table, fixtures and piston",
+    "StribeckElement.fs_n": "the static friction",
+    "LugreElement.fs_n": "the static friction",
+    "Identified.alpha": "delay as the compensator wants it; the next test's alpha0",
+    "Identified.delay_s": "mean delay of the slow sines",
+    "Identified.gain": "mean amplitude ratio of the slow sines",
+    "Identified.date": "date of the identification, text or TOML date",
+    "Identified.frequency_hz": "frequencies of the sweep",
+    "Identified.amplitude": "amplitude ratio at each",
+    "Identified.delay_at_frequency_s": "delay at each",
+    "TestFile.schema": "first line of the file",
+    "RigFile.schema": "first line of the file",
+    "TestFile.rig": "path of a rig file (beside the test file), or name of a shipped rig",
+}
+"""What a key is for, where its model does not say it in a range."""
+
+_TAGS = ("kind", "element")
+
+FIELD_MEANINGS: dict[str, str] = {
+    "tick": "n, counted from the first sample",
+    "due_ns": "when the tick was due, from the start of the test",
+    "wake_late_ns": "woken after that; 0 in virtual time",
+    "sent_late_ns": "command sent after that; 0 in virtual time",
+    "flags": "what the sample was like, see below",
+    "generation": "set of parameters in force",
+    "x_raw": "displacement, whole nanometres, saturates",
+    "f_raw": "force, whole millinewtons, saturates",
+    "state": "state of the test, see below",
+    "echo": "low byte of the command number that the drive applied; 0 in virtual time",
+    "count": "the drive's sample count; 0 in virtual time",
+    "code": "status bits: 1 not finite, 2 out of range, 4 limited, 8 position limit, "
+    "16 force limit, 32 tracking limit, 128 trip",
+    "ag_mps2": "ground acceleration at $t_n$",
+    "x_num_m": "$x_c[n]$, command of the integration",
+    "x_plc_m": "output of the phase-lead compensator for $t_n$",
+    "x_cmd_m": "$x_p[n]$, the command as sent, after the limiter",
+    "x_meas_m": "$x_m[n]$, measured displacement",
+    "f_meas_n": "$f[n]$, measured force",
+    "alpha": "delay after the update of tick n",
+    "beta": "curvature term after the update of tick n",
+    "k_t_n_per_m": "tangent stiffness that the force compensation used",
+    "energy_error_j": "running energy error",
+    "tracking_indicator_m2": "running tracking indicator",
+}
+
+
+def tables() -> dict[str, str]:
+    """Return every generated part of the page by its name."""
+    parts: dict[str, str] = {}
+    for prefix, file in (("test", testfile.TestFile), ("rig", rigfile.RigFile)):
+        for key, models in _sections(file):
+            parts[f"{prefix}.{key}"] = _choices(models) if len(models) > 1 else _table(models[0])
+    parts["test.limits.KEY"] = _table(testfile.Limit)
+    parts["samples"] = _samples()
+    return parts
+
+
+def renewed(page: str, parts: dict[str, str]) -> str:
+    """Return the text of a page with its generated parts as they should be."""
+    return _PART.sub(lambda m: f"{m[1]}\n{parts[m[2]]}\n\n{m[3]}", page)
+
+
+def names(page: str) -> list[str]:
+    """Return the names of the generated parts of a page."""
+    return [match[2] for match in _PART.finditer(page)]
+
+
+# ---- models -------------------------------------------------------------------------------------
+
+
+def _sections(file: type[Table]) -> Iterator[tuple[str, list[type[Table]]]]:
+    """Walk through a file's tables that hold plain values: ("controller.rfc", [Rfc])."""
+    yield "top", [file]
+    yield from _inner(file, "")
+
+
+def _inner(model: type[Table], prefix: str) -> Iterator[tuple[str, list[type[Table]]]]:
+    for name, info in model.model_fields.items():
+        found = [p for p in _parts(info.annotation) if _is_table(p) and not _is_limit(p)]
+        if found and (len(found) > 1 or _plain(found[0])):
+            yield prefix + name, found
+        for inner in found:
+            yield from _inner(inner, f"{prefix}{name}.")
+
+
+def _plain(model: type[Table]) -> list[str]:
+    """Return the keys of a table that hold plain values or limits."""
+    fields = model.model_fields.items()
+    return [n for n, i in fields if not any(map(_is_section, _parts(i.annotation)))]
+
+
+def _is_section(part: Any) -> bool:
+    return _is_table(part) and not _is_limit(part)
+
+
+def _is_limit(part: Any) -> bool:
+    return _is_table(part) and issubclass(part, testfile.Limit)
+
+
+def _tag(model: type[Table]) -> str:
+    for key in _TAGS:
+        if key in model.model_fields:
+            return str(typing.get_args(model.model_fields[key].annotation)[0])
+    raise LookupError(f"{model.__name__} has no tag")
+
+
+def _is_table(part: Any) -> bool:
+    return isinstance(part, type) and issubclass(part, Table)
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    """Walk through Annotated, unions and lists: types, and the ranges that annotate them."""
+    if typing.get_origin(annotation) is Literal:
+        yield annotation
+        return
+    if typing.get_origin(annotation) is typing.Annotated:
+        first, *rest = typing.get_args(annotation)
+        yield from _parts(first)
+        yield from rest
+        return
+    inner = typing.get_args(annotation)
+    if not inner:
+        yield annotation
+    for part in inner:
+        yield from _parts(part)
+
+
+def _table(model: type[Table]) -> str:
+    """Return the keys of one table, those with plain values."""
+    return "\n".join(
+        ["| key | unit | default | allowed | meaning |", "|---|---|---|---|---|"]
+        + [f"| {cells}" for cells in _rows(model)]
+    )
+
+
+def _choices(models: list[type[Table]]) -> str:
+    """Return the keys of tables that stand for one another, told apart by ``kind`` or such."""
+    lines = ["|  | key | unit | default | allowed | meaning |", "|---|---|---|---|---|---|"]
+    for model in models:
+        for index, cells in enumerate(_rows(model)):
+            name = f"`{_tag(model)}`" if index == 0 else ""
+            lines.append(f"| {name} | {cells}")
+    return "\n".join(lines)
+
+
+def _rows(model: type[Table]) -> Iterator[str]:
+    for name in _plain(model):
+        if name in _TAGS:
+            continue
+        info = model.model_fields[name]
+        parts = [*_parts(info.annotation), *info.metadata]
+        limits = [part for part in parts if _is_limit(part)]
+        if limits:
+            value = limits[0].model_fields["value"]
+            parts = [*_parts(value.annotation), *value.metadata]
+        yield _row(model, info.alias or name, info, parts)
+
+
+def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str:
+    unit, allowed, meaning = "", "", ""
+    for part in parts:
+        if isinstance(part, Range):
+            unit = part.unit
+            allowed = f"{_number(part.low)} to {_number(part.high)}"
+            meaning = part.what
+        elif isinstance(part, Count):
+            allowed, meaning = f"whole, {part.low} to {part.high}", part.what
+        elif isinstance(part, Text):
+            allowed, meaning = _form(part), part.what
+        elif typing.get_origin(part) is Literal:
+            allowed = ", ".join(f'`"{word}"`' for word in typing.get_args(part))
+        elif part is bool:
+            allowed = "`true`, `false`"
+    meaning = MEANINGS.get(_owner(model, key), meaning)
+    if model is testfile.Limit and key == "value":
+        allowed, meaning = "as its key", "the limit"
+    if not meaning:
+        raise LookupError(f"{model.__name__}.{key}: say in MEANINGS what it is for")
+    is_list = typing.get_origin(info.annotation) is list
+    allowed = f"list, each {allowed}" if is_list else allowed
+    return f"`{key}` | {unit} | {_default(info)} | {allowed} | {meaning} |"
+
+
+def _owner(model: type[Table], key: str) -> str:
+    """Return the name under which MEANINGS may hold a key."""
+    return f"{model.__name__}.{key}"
+
+
+def _form(text: Text) -> str:
+    return "up to 64 of `a-z 0-9 . _ -`" if "[a-z0-9]" in text.pattern else "text"
+
+
+def _default(info: FieldInfo) -> str:
+    if info.is_required():
+        return "required"
+    value = info.get_default(call_default_factory=True)
+    if value is None:
+        return "absent"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    if isinstance(value, str):
+        return f'`"{value}"`'
+    return f"`{value}`" if isinstance(value, list) else f"`{_number(value)}`"
+
+
+def _number(value: float) -> str:
+    text = f"{value:.10g}"
+    return re.sub(
+        r"e([+-])0?",
+        lambda m: "e" + m[1].strip("+"),
+        f"{value:g}" if "e" in text or abs(value) >= 1e6 else text,
+    )
+
+
+# ---- the recording ------------------------------------------------------------------------------
+
+
+def _samples() -> str:
+    rows = ["| field | type | unit | meaning |", "|---|---|---|---|"]
+    for name in core.RECORD_DTYPE.names or ():
+        kind = core.RECORD_DTYPE[name].str.lstrip("<|")
+        unit = recording.UNITS[name]
+        rows.append(f"| `{name}` | {kind} | {unit} | {FIELD_MEANINGS[name]} |")
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(renewed(PAGE.read_text(encoding="utf-8"), tables()), encoding="utf-8")

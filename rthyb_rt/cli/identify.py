@@ -1,0 +1,182 @@
+"""``rthyb identify``: what a test must know of its rig."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import tomllib
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Annotated
+
+import typer
+
+from rthyb_rt.cli import terminal
+from rthyb_rt.cli.folders import publish, staged
+from rthyb_rt.cli.inputs import JsonOption
+
+if TYPE_CHECKING:
+    from rthyb_rt.config import RigFile
+    from rthyb_rt.identify import Result
+
+SCHEMA = "rthyb-identify/1"
+K_E = "elastic_stiffness_n_per_m"
+
+
+def identify(
+    rig: Annotated[
+        str,
+        typer.Argument(
+            metavar="RIG",
+            help="Rig file, or the name of a shipped rig; it need not have an elastic stiffness.",
+            show_default=False,
+        ),
+    ],
+    amplitude: Annotated[
+        str, typer.Option(metavar="LENGTH", help="Of the slow sines; fast ones are smaller.")
+    ] = "2 mm",
+    max_frequency: Annotated[
+        str, typer.Option(metavar="FREQUENCY", help="Of the last sine, at most 100 Hz.")
+    ] = "10 Hz",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change one value of the rig file. Can be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Rig file to write, instead of runs/identify-RIG-UTC/rig.toml. "
+            "An older one is replaced.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find out delay, amplitude, stiffness and noise of a rig, and write them into a rig file.
+
+    The rig rests, then follows sines from slow to fast without compensation. From these come the
+    delay estimate that a test starts with, the elastic stiffness that bounds the tangent
+    stiffness, and the noise at rest that the estimator must not mistake for motion.
+
+    \b
+    Examples:
+      rthyb identify shaking-table-portal-frame
+      rthyb identify my-rig.toml --amplitude "1 mm" --out my-rig-identified.toml
+    """
+    from rthyb_rt import config
+    from rthyb_rt.core import FS_HZ
+    from rthyb_rt.identify import Sweep, identified_rig
+    from rthyb_rt.identify import identify as sweep_rig
+    from rthyb_rt.recording import replacing
+
+    sweep = Sweep.up_to(
+        _quantity(max_frequency, "Hz", "--max-frequency", "5 Hz"),
+        _quantity(amplitude, "m", "--amplitude", "1 mm"),
+    )
+    given = _load(rig, settings or [])
+    started = datetime.datetime.now(datetime.UTC)
+    with terminal.progress("Identifying", sweep.ticks, FS_HZ) as progress:
+        result = sweep_rig(given, sweep, progress)
+    text = config.dump(identified_rig(given, result))
+    if out is None:
+        target = Path("runs") / f"identify-{given.rig.name}-{started:%Y%m%dT%H%M%SZ}"
+        with staged(target) as stage:
+            (stage / "rig.toml").write_text(text, encoding="utf-8")
+            path = publish(stage, target, numbered=True) / "rig.toml"
+    else:
+        path = out
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    file = terminal.people(as_json)
+    _print_result(given, result, file)
+    print(f"\nRig file  {path}\nNext      rthyb run TEST.toml --rig {path}", file=file)
+    if as_json:
+        found = dataclasses.asdict(result)
+        terminal.print_json(
+            {"schema": SCHEMA, "rig_name": given.rig.name, **found, "paths": {"rig": str(path)}}
+        )
+
+
+def _quantity(text: str, unit: str, option: str, example: str) -> float:
+    from rthyb_rt.config.units import UnitError, convert
+
+    try:
+        return convert(text, unit)
+    except UnitError as error:
+        raise typer.BadParameter(
+            f'found "{text}": {error}; write it as "{example}"', param_hint=option
+        ) from None
+
+
+def _load(rig: str, settings: list[str]) -> RigFile:
+    """Read the rig file; a missing elastic stiffness, which is to be found, is no fault here."""
+    from rthyb_rt import config
+
+    path = config.find_rig(rig)
+    overrides: dict[str, str] = {}
+    for part in config.split_overrides(settings):
+        overrides.update(part)
+    if not _has_stiffness(path) and not any(key.endswith(K_E) for key in overrides):
+        # Any value does: the one that is found takes its place.
+        overrides[f"rig.{K_E}"] = "1"
+    return config.load_rig(path, overrides)
+
+
+def _has_stiffness(path: Path) -> bool:
+    """Return whether the file states k_e; True where it cannot be read, which is said later."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8-sig")).get("rig")
+    except (OSError, ValueError, RecursionError):
+        return True
+    return not isinstance(table, dict) or K_E in table
+
+
+def _print_result(rig: RigFile, result: Result, file: IO[str]) -> None:
+    from rich import box
+    from rich.table import Table as Grid
+
+    from rthyb_rt.core import FS_HZ
+    from rthyb_rt.summary import number, quantity
+
+    print(f"{rig.rig.name}: {rig.rig.description or rig.actuator.kind}\n", file=file)
+    grid = Grid(
+        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, header_style="dim"
+    )
+    for head in ("frequency, Hz", "amplitude, mm", "gain", "delay, ms", "delay, samples"):
+        grid.add_column(head, justify="right")
+    for tone in result.tones:
+        grid.add_row(
+            f"{tone.frequency_hz:g}", number(tone.amplitude_m * 1e3), f"{tone.gain:.4f}",
+            f"{tone.delay_s * 1e3:.2f}", f"{tone.delay_s * FS_HZ:.2f}",
+        )  # fmt: skip
+    terminal.show(grid, file)
+    print("", file=file)
+    mass = "too small to tell"
+    if result.moving_mass_kg is not None:
+        mass = quantity(result.moving_mass_kg, "kg")
+    delay = f"{number(result.delay_s * 1e3, 4)} ms ({number(result.delay_s * FS_HZ, 4)} samples)"
+    slow = "mean of the slow sines"
+    terminal.print_table(
+        [
+            ("α", quantity(result.alpha, "samples", digits=4), "initial delay estimate of a test"),
+            ("α with β", quantity(result.alpha_with_beta, "samples", digits=4), "whole sweep"),
+            ("β", quantity(result.beta, "samples²", digits=4), "curvature term, whole sweep"),
+            ("Delay", delay, slow),
+            ("Gain", number(result.gain, 4), slow),
+            ("Elastic stiffness k_e", quantity(result.k_e_n_per_m, "kN/m", 1e-3, 4),
+             "bound of the tangent stiffness"),
+            ("Moving mass", mass, "felt by the load cell beside the specimen"),
+            ("Noise at rest", f"{quantity(result.rest_noise_m, 'µm', 1e6)}, "
+             f"{quantity(result.rest_noise_n, 'N')}", "standard deviation"),
+            ("Offset at rest", f"{quantity(result.offset_m, 'µm', 1e6)}, "
+             f"{quantity(result.offset_n, 'N')}", "mean; large ones want a tare"),
+        ],
+        file,
+    )  # fmt: skip
+    for note in result.notes:
+        print(f"Note: {note}", file=file)

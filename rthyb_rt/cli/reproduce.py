@@ -1,0 +1,195 @@
+"""``rthyb reproduce``: the paper's studies with their accepted bands."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Annotated
+
+import typer
+
+from rthyb_rt.cli import terminal
+from rthyb_rt.cli.folders import publish, refuse_taken, staged
+from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    from rthyb_rt.studies.results import Line, Row, Study, Table
+
+BAND_MISSED = 8
+ROOM_FOR_PAPER = 116
+"""Characters of a line from which on the statements of the paper are printed too."""
+
+
+class Section(StrEnum):
+    """What can be reproduced."""
+
+    PLC = "2.1"
+    ESTIMATOR = "4.1"
+    INELASTIC = "4.2"
+    TABLE = "5"
+    ALL = "all"
+
+
+def reproduce(
+    section: Annotated[
+        Section,
+        typer.Argument(metavar="SECTION", help="2.1, 4.1, 4.2, 5 or all of them."),
+    ] = Section.ALL,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Ground motion TCU068 EW for Section 4.2; without it the package pyslammer's, "
+            "else El Centro without accepted bands.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder for page and results, instead of runs/reproduce-UTC.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Reproduce the studies of Chen & Tsai (2012), figure by figure.
+
+    2.1 stability of the compensator, 4.1 delay estimator, 4.2 inelastic structure, 5 shaking
+    table. Every figure is held against its accepted band and what the paper states.
+
+    \b
+    Examples:
+      rthyb reproduce
+      rthyb reproduce 4.2 --record TCU068-E.AT2
+
+    Exit code 8 says that a band was missed.
+    """
+    from rthyb_rt import studies
+    from rthyb_rt.studies import page
+
+    if record is not None and section not in (Section.INELASTIC, Section.ALL):
+        raise typer.BadParameter("belongs to Section 4.2", param_hint="--record")
+    refuse_taken(out)
+    started = datetime.datetime.now(datetime.UTC)
+    with terminal.sections("Reproducing") as progress:
+        found = studies.run(section.value, record, progress)
+    file = terminal.people(as_json)
+    for study in found:
+        _print_study(study, file)
+    missed = _print_verdict(found, file)
+    target = out or Path("runs") / f"reproduce-{started:%Y%m%dT%H%M%SZ}"
+    with staged(target) as stage:
+        try:
+            page.write_page(found, stage)
+        except InputError as error:
+            terminal.tell(f"no page written: {error}")
+        has_page = (stage / page.PAGE).exists()
+        folder = publish(stage, target, numbered=out is None)
+    paths = {"results": str(folder / page.RESULTS)}
+    if has_page:
+        paths["page"] = str(folder / page.PAGE)
+    print(
+        "", *(f"{name.capitalize():9}{path}" for name, path in paths.items()), sep="\n", file=file
+    )
+    if as_json:
+        terminal.print_json({**page.document(found), "paths": paths})
+    if missed:
+        raise typer.Exit(BAND_MISSED)
+
+
+def _print_study(study: Study, file: IO[str]) -> None:
+    from rich.text import Text
+
+    from rthyb_rt.studies.results import tables
+
+    met = len(study.banded) - len(study.missed)
+    head = f"Section {study.key}: {study.title}"
+    terminal.show(Text(f"{head} ({met} of {len(study.banded)} bands met)", style="bold"), file)
+    if study.notice:
+        print(f"Note: {study.notice}", file=file)
+    for table in tables(study):
+        terminal.show(Text(f"\n{table.title}", style="bold"), file)
+        terminal.show(_grid(table, terminal.width(file)), file)
+    print("", file=file)
+
+
+def _grid(table: Table, width: int) -> Grid:
+    from rich import box
+    from rich.table import Table as Grid
+
+    grid = Grid(
+        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, header_style="dim"
+    )
+    grid.add_column("", overflow="fold")
+    if table.has_units:
+        grid.add_column("unit", style="dim")
+    for case in table.cases or ("value",):
+        grid.add_column(case, justify="right", overflow="fold")
+    if not table.cases:
+        grid.add_column("accepted")
+    with_paper = table.has_statements and width >= ROOM_FOR_PAPER
+    if with_paper:
+        grid.add_column("the paper", style="dim")
+    for line in table.lines:
+        grid.add_row(*_cells(table, line, with_paper))
+    return grid
+
+
+def _cells(table: Table, line: Line, with_paper: bool) -> list[Text]:
+    from rich.text import Text
+
+    from rthyb_rt.studies.results import value_text
+
+    cells = [Text(line.quantity)]
+    if table.has_units:
+        cells.append(Text(line.unit))
+    for row in line.cells:
+        if row is None:
+            cells.append(Text("–", style="dim"))
+            continue
+        band = _band(row)
+        value = Text(value_text(row), style="bold")
+        if table.cases:
+            cells.append(Text("\n").join([value, band]) if band else value)
+        else:
+            cells += [value, band]
+    if with_paper:
+        cells.append(Text(line.paper))
+    return cells
+
+
+def _band(row: Row) -> Text:
+    """Return the mark and the accepted band; nothing for a row without one."""
+    from rich.text import Text
+
+    from rthyb_rt.studies.results import band_text
+
+    if row.inside is None:
+        return Text("")
+    mark = ("✓", "green") if row.inside else ("✗ missed", "bold red")
+    return Text.assemble(mark, " ", (band_text(row).replace(" – ", "–"), "dim"))
+
+
+def _print_verdict(found: Sequence[Study], file: IO[str]) -> int:
+    """Print how many bands are met and which are not; return how many are not."""
+    from rthyb_rt.studies.results import band_text, value_text
+
+    missed = [(study, row) for study in found for row in study.missed]
+    banded = sum(len(study.banded) for study in found)
+    print(f"{banded - len(missed)} of {banded} accepted bands are met", file=file)
+    for study, row in missed:
+        what = ", ".join(part for part in (row.group, row.case, row.quantity) if part)
+        print(
+            f"✗ missed: Section {study.key}, {what}: {value_text(row)} {row.unit}, accepted is "
+            f"{band_text(row)}",
+            file=file,
+        )
+    return len(missed)

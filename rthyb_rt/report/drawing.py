@@ -1,0 +1,284 @@
+"""How figures are drawn: paper, curves, axes, and inline SVG by matplotlib without pyplot.
+
+Curves are thinned to what their pixels can show; the texts stay text, in the fonts of the page.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.transforms import offset_copy
+from numpy.typing import NDArray
+
+from rthyb_rt.report.decimate import envelope, robust_limit, trace
+from rthyb_rt.summary import number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Floats = NDArray[np.float64]
+
+# Okabe & Ito (2008): told apart with any kind of colour vision; dashes help in black and white.
+BLACK, ORANGE, GREEN, BLUE, RED, PURPLE = (
+    "#1a1a1a",
+    "#e69f00",
+    "#009e73",
+    "#0072b2",
+    "#d55e00",
+    "#cc79a7",
+)
+GREY, PALE = "#7a7a7a", "#f1f1ee"
+
+FULL_WIDTH_IN, HALF_WIDTH_IN = 7.1, 3.45
+LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.46, 0.12, 0.24, 0.34
+LEGEND_IN = 0.52
+COLUMNS_PER_IN = 150.0
+LOOP_CELLS = 700
+"""Pixels across a loop in either direction."""
+
+STYLE: Any = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "rthyb_rt",
+    "font.family": "sans-serif",
+    "font.size": 8.0,
+    "axes.linewidth": 0.5,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": BLACK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.unicode_minus": True,
+    "axes.axisbelow": True,
+    "axes.xmargin": 0.0,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-99, 99),
+    "grid.color": "#e7e7e3",
+    "grid.linewidth": 0.5,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": BLACK,
+    "ytick.labelcolor": BLACK,
+    "xtick.major.width": 0.5,
+    "ytick.major.width": 0.5,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 0.0,
+    "lines.linewidth": 0.8,
+    "lines.solid_joinstyle": "round",
+    "path.simplify": True,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "legend.handlelength": 1.6,
+    "legend.columnspacing": 1.4,
+    "legend.handletextpad": 0.5,
+    "legend.borderaxespad": 0.0,
+    "legend.borderpad": 0.0,
+}
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A finished figure as a page shows it.
+
+    Attributes:
+        key: name in links and ids.
+        title: what it shows.
+        svg: the drawing; empty when there is nothing to draw, and ``note`` says why.
+        note: what to know when reading it.
+        half: two of these stand side by side.
+    """
+
+    key: str
+    title: str
+    svg: str
+    note: str
+    half: bool
+
+
+class Paper:
+    """A sheet with axes below one another, placed in inches."""
+
+    def __init__(
+        self, key: str, width_in: float, heights_in: tuple[float, ...], *,
+        right_in: float = RIGHT_IN, bottom_in: float = BOTTOM_IN,
+    ) -> None:  # fmt: skip
+        self.key, self.half = key, width_in == HALF_WIDTH_IN
+        gap_in = 0.30
+        height_in = TOP_IN + sum(heights_in) + gap_in * (len(heights_in) - 1) + bottom_in
+        self.figure = Figure(figsize=(width_in, height_in))
+        self.figure.patch.set_visible(False)
+        self.axes: list[Axes] = []
+        top = height_in - TOP_IN
+        for height in heights_in:
+            box = (LEFT_IN, top - height, width_in - LEFT_IN - right_in, height)
+            fraction = np.array(box) / np.array([width_in, height_in, width_in, height_in])
+            axes = self.figure.add_axes(
+                (fraction[0], fraction[1], fraction[2], fraction[3]),
+                sharex=self.axes[0] if self.axes else None,
+            )
+            axes.patch.set_visible(False)
+            axes.grid(axis="y")
+            self.axes.append(axes)
+            top -= height + gap_in
+        for axes in self.axes[:-1]:
+            axes.tick_params(axis="x", labelbottom=False)
+
+    def plate(self, title: str, note: str) -> Plate:
+        """Return the finished figure."""
+        return Plate(self.key, title, to_svg(self.figure, self.key, title), note, self.half)
+
+
+def curve(
+    axes: Axes, x: Floats, y: Floats, colour: str, width: float, label: str = "",
+    dashes: tuple[float, float] | None = None,
+) -> None:  # fmt: skip
+    """Draw a curve over time, thinned to what the paper shows."""
+    width_in = axes.get_position().width * axes.figure.get_figwidth()  # type: ignore[union-attr]
+    x, y = envelope(x, np.where(np.isfinite(y), y, np.nan), int(width_in * COLUMNS_PER_IN))
+    # A curve far beyond the frame would overflow the coordinates of the drawing.
+    finite = np.abs(y[np.isfinite(y)])
+    if finite.size and finite.max() > 0.0:
+        y = clip(y, robust_limit(y) * 5.0)
+    kind: dict[str, Any] = {"dashes": dashes} if dashes else {}
+    if label:
+        kind["label"] = label
+    axes.plot(x, y, color=colour, linewidth=width, **kind)
+
+
+def loop(
+    axes: Axes, x: Floats, y: Floats, colour: str, width: float, label: str = "", *,
+    x_limit: float, y_limit: float,
+) -> None:  # fmt: skip
+    """Draw a curve that turns back on itself, in a frame of ``limit`` either side of zero."""
+    x, y = trace(clip(x, x_limit), clip(y, y_limit), 2 * x_limit, 2 * y_limit, LOOP_CELLS)
+    axes.plot(x, y, color=colour, linewidth=width, label=label)
+
+
+def clip(y: Floats, limit: float) -> Floats:
+    """Keep a signal within what a picture of ``limit`` either side can hold."""
+    return np.clip(y, -1.5 * limit, 1.5 * limit)
+
+
+def largest(x: Floats) -> float:
+    """Return the largest size of the finite values; 0 where there is none."""
+    finite = np.abs(x[np.isfinite(x)])
+    return float(finite.max()) if finite.size else 0.0
+
+
+def symmetric(axes: Axes, limit: float, margin: float = 1.06, ticks: int = 5) -> None:
+    """Set the range of the ordinate to ``limit`` either side of zero, and a margin."""
+    set_range(axes, -margin * limit, margin * limit, ticks)
+
+
+def set_range(axes: Axes, low: float, high: float, ticks: int = 5) -> None:
+    """Set the range of the ordinate with plain numbers, powers of ten only where there must be."""
+    axes.set_ylim(low, high)
+    axes.yaxis.set_major_locator(MaxNLocator(ticks, min_n_ticks=3))
+    if not 1e-3 <= max(abs(low), abs(high)) < 1e5:
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 2)))
+
+
+def fit_range(axes: Axes, *signals: Floats, limit: float, ticks: int = 6) -> None:
+    """Fit the ordinate to the signals, but not beyond ``limit`` either side."""
+    values = np.concatenate(signals)
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
+    low, high = max(low, -limit), min(high, limit)
+    if not high > low:
+        low, high = low - 1.0, low + 1.0
+    margin = 0.06 * (high - low)
+    set_range(axes, low - margin, high + margin, ticks)
+
+
+def span(first: float, last: float) -> tuple[float, float]:
+    """Return a range of time that is never empty."""
+    if not (np.isfinite(first) and np.isfinite(last)):
+        return 0.0, 1.0
+    return (float(first), float(last)) if last > first else (float(first), float(first) + 1e-3)
+
+
+def level(axes: Axes, y: float, text: str, colour: str, *, above: bool = True) -> None:
+    """Draw a dashed level and write its name on it."""
+    axes.axhline(y, color=colour, linewidth=0.7, dashes=(5, 2))
+    axes.annotate(
+        text, (1.0, y), xycoords=axes.get_yaxis_transform(), xytext=(-2, 2 if above else -2),
+        textcoords="offset points", ha="right", va="bottom" if above else "top",
+        fontsize=7.0, color=colour,
+        bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "alpha": 0.8, "linewidth": 0},
+    )  # fmt: skip
+
+
+def head(
+    axes: Axes, label: str, *, order: tuple[int, ...] | None = None, below: bool = False,
+    right: str = "",
+) -> None:  # fmt: skip
+    """Write what the ordinate is, upright above the axis, and the legend at its right."""
+    axes.annotate(
+        label, (0.0, 1.0), xycoords=("figure points", "axes fraction"), xytext=(0, 5),
+        textcoords="offset points", ha="left", va="bottom", color=BLACK,
+    )  # fmt: skip
+    if right:
+        axes.annotate(
+            right, (1.0, 1.0), xycoords="axes fraction", xytext=(6, 5),
+            textcoords="offset points", ha="left", va="bottom", color=BLACK,
+        )  # fmt: skip
+    handles, labels = axes.get_legend_handles_labels()
+    if order:
+        handles, labels = [handles[i] for i in order], [labels[i] for i in order]
+    if handles:
+        # Beside the label where there is room, else in the line of the abscissa's label.
+        corner, y, shift = (0.0, 0.0, -27.0) if below else (1.0, 1.0, 6.0)
+        axes.legend(
+            handles, labels, ncols=len(handles), loc="upper left" if below else "lower right",
+            bbox_to_anchor=(corner, y),
+            bbox_transform=offset_copy(
+                axes.transAxes, axes.get_figure(root=True), 0, shift, "points"
+            ),
+        )  # fmt: skip
+
+
+def x_label(axes: Axes, text: str) -> None:
+    """Write what the abscissa is, at the right below it."""
+    axes.annotate(
+        text, (1.0, 0.0), xycoords="axes fraction", xytext=(0, -15), textcoords="offset points",
+        ha="right", va="top", color=BLACK,
+    )  # fmt: skip
+
+
+# --- SVG --------------------------------------------------------------------------------------
+
+_DECIMALS = re.compile(r"(\d+\.\d\d)\d+")
+_PATH = re.compile(r' d="[^"]*"')
+_ID = re.compile(r'( id="|url\(#|href="#)')
+_FONT = re.compile(r"font-family: [^;\"]*;? ?")
+_UPRIGHT = re.compile(r' transform="rotate\(-0 [^"]*"')
+
+
+def to_svg(figure: Figure, key: str, title: str) -> str:
+    """Return the figure as an element to put into a page: own ids, the page's fonts, no header."""
+    FigureCanvasSVG(figure)
+    out = io.StringIO()
+    empty = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    figure.savefig(out, format="svg", metadata=empty)
+    text = out.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = _PATH.sub(_shorten, text)
+    text = _UPRIGHT.sub("", _FONT.sub("", text))
+    text = _ID.sub(rf"\g<1>{key}-", text)
+    width, height = figure.get_size_inches() * 72.0
+    head = (
+        f'<svg viewBox="0 0 {width:.1f} {height:.1f}" role="img" aria-label="{title}" '
+        'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
+    )
+    return head + text[text.index(">") + 1 :]
+
+
+def _shorten(match: re.Match[str]) -> str:
+    """Cut coordinates to a hundredth of a point."""
+    return _DECIMALS.sub(r"\1", match.group().replace("\n", ""))

@@ -1,0 +1,73 @@
+"""What the pages of this program share: templates, style, figures side by side."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rthyb_rt.errors import InputError
+
+if TYPE_CHECKING:
+    import jinja2
+
+    from rthyb_rt.report.drawing import Plate
+
+_HERE = Path(__file__).parent
+
+
+@contextmanager
+def extra_needed(what: str) -> Iterator[None]:
+    """Name the remedy when a package of the extra ``report`` is missing inside the block.
+
+    Raises:
+        InputError: instead of ImportError.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(
+            f"{what} needs {error.name}; install it with pip install 'rthyb-rt[report]'"
+        ) from error
+
+
+def environment(*folders: Path) -> jinja2.Environment:
+    """Return the template engine for the templates beside this file and in further folders.
+
+    Style sheets of those folders follow the report's own in the global ``style``.
+    """
+    import jinja2
+    from markupsafe import Markup
+
+    result = jinja2.Environment(
+        loader=jinja2.FileSystemLoader([_HERE, *folders]),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    result.filters["tied"] = tied
+    result.globals["markup"] = Markup
+    styles = [sheet for folder in (_HERE, *folders) for sheet in sorted(folder.glob("*.css"))]
+    result.globals["style"] = Markup("".join(s.read_text(encoding="utf-8") for s in styles))
+    return result
+
+
+def tied(text: str) -> str:
+    """Keep a number and its unit on one line."""
+    text = text.replace("> ", ">\u00a0")
+    return re.sub(r"(?<=\d) (?=(?:%|mm²?|µm|ms|m|s|kN|kN/m|J|Hz|samples)(?:\W|$))", "\u00a0", text)
+
+
+def sheets(plates: list[Plate], first: int = 1) -> list[list[tuple[int, Plate]]]:
+    """Number the figures and put those of half width two to a row."""
+    rows: list[list[tuple[int, Plate]]] = []
+    for number, plate in enumerate(plates, start=first):
+        last = rows[-1] if rows else []
+        if plate.half and len(last) == 1 and last[0][1].half:
+            last.append((number, plate))
+        else:
+            rows.append([(number, plate)])
+    return rows

@@ -1,0 +1,254 @@
+/* Counts what the per-sample path of the core asks of the allocator and of the kernel: every
+ * controller, integrator, actuator and specimen element, with lost and absurd samples among the good
+ * ones. Every allocation function of the C library is replaced by one that counts; and after the
+ * set-up the process gives up all system calls but write and exit, so that any other kills it.
+ *
+ * Prints "CASES SAMPLES ALLOCATIONS WATCHED", WATCHED being 1 where this system can forbid calls.
+ * The arguments "allocate" and "call" break the rule once, to show that it is watched. */
+#define _GNU_SOURCE
+#include <errno.h>
+#include <linux/seccomp.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/prctl.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include "rthyb.h"
+
+#define PERIOD_S (1.0 / 1024.0)
+#define SAMPLES 600 /* more than twice the window: all three stages of the tangent stiffness */
+#define K_E 666400.0
+
+static volatile unsigned long allocations;
+
+void *__libc_malloc(size_t size);
+void *__libc_calloc(size_t count, size_t size);
+void *__libc_realloc(void *block, size_t size);
+void *__libc_memalign(size_t alignment, size_t size);
+void __libc_free(void *block);
+
+void *malloc(size_t size)
+{
+    allocations++;
+    return __libc_malloc(size);
+}
+
+void *calloc(size_t count, size_t size)
+{
+    allocations++;
+    return __libc_calloc(count, size);
+}
+
+void *realloc(void *block, size_t size)
+{
+    allocations++;
+    return __libc_realloc(block, size);
+}
+
+void *memalign(size_t alignment, size_t size)
+{
+    allocations++;
+    return __libc_memalign(alignment, size);
+}
+
+void *aligned_alloc(size_t alignment, size_t size)
+{
+    return memalign(alignment, size);
+}
+
+int posix_memalign(void **block, size_t alignment, size_t size)
+{
+    *block = memalign(alignment, size);
+    return *block ? 0 : ENOMEM;
+}
+
+void free(void *block)
+{
+    allocations++;
+    __libc_free(block);
+}
+
+void *mmap(void *address, size_t length, int protection, int flags, int file, off_t offset)
+{
+    allocations++;
+    return (void *)syscall(SYS_mmap, address, length, protection, flags, file, offset);
+}
+
+int munmap(void *address, size_t length)
+{
+    allocations++;
+    return (int)syscall(SYS_munmap, address, length);
+}
+
+void *sbrk(intptr_t increment)
+{
+    (void)increment;
+    allocations++;
+    errno = ENOMEM;
+    return (void *)-1;
+}
+
+static const struct {
+    int32_t kind;
+    size_t n;
+    double params[8];
+} ELEMENTS[] = {
+    {RTHYB_STIFFNESS, 1, {K_E}},
+    {RTHYB_VISCOUS, 1, {2000.0}},
+    {RTHYB_COULOMB, 2, {80.0, 5e-4}},
+    {RTHYB_STRIBECK, 4, {80.0, 120.0, 0.01, 5e-4}},
+    {RTHYB_LUGRE, 6, {80.0, 120.0, 0.01, 1e6, 300.0, 10.0}},
+    {RTHYB_QUAD_DAMPING, 1, {500.0}},
+    {RTHYB_INERTIA, 1, {45.0}},
+    {RTHYB_GAP, 2, {K_E, 1e-3}},
+    {RTHYB_CUBIC, 1, {1e9}},
+    {RTHYB_QUADRATIC, 1, {1e7}},
+    {RTHYB_STOPPER, 2, {1e5, 2e-3}},
+    {RTHYB_HYSTERESIS, 6, {K_E, 0.02, 1.0, 300.0, 200.0, 1.3}},
+    {RTHYB_PINCHING, 8, {K_E, 0.02, 1.0, 300.0, 200.0, 1.5, 0.6, 0.2}},
+    {RTHYB_DEGRADATION, 8, {K_E, 0.02, 1.0, 300.0, 200.0, 1.5, 0.3, 1.0}},
+    {RTHYB_MAXWELL, 2, {1e5, 0.1}},
+    {RTHYB_SECOND_MODE, 3, {500.0, 12.0, 0.02}},
+    {RTHYB_P_DELTA, 2, {4e4, 3.0}},
+};
+enum { ELEMENT_COUNT = sizeof ELEMENTS / sizeof *ELEMENTS, HALF = (ELEMENT_COUNT + 1) / 2 };
+
+typedef struct {
+    int law, tangent, integrator, servo, hold, half;
+} choice;
+
+static int set_up_controller(rthyb_controller *controller, const choice *c)
+{
+    const rthyb_controller_config cfg = {
+        .period_s = PERIOD_S,
+        .plc_enabled = 1,
+        .estimator = {.law = c->law,
+                      .estimate_beta = 1,
+                      .w1 = 3.0,
+                      .w2 = 2.0,
+                      .alpha0 = 17.0,
+                      .period_s = PERIOD_S,
+                      .reference_m = 1e-3,
+                      .gain = 0.03,
+                      .memory_samples = 6144.0,
+                      .cutoff_hz = 25.0,
+                      .alpha_max = 60.0,
+                      .rest_noise_m = 2e-6,
+                      .gate_factor = 10.0},
+        .rfc = {.enabled = 1,
+                .tangent = c->tangent,
+                .window = 51,
+                .k_e_n_per_m = K_E,
+                .end_tick = 500,
+                .rest_noise_m = 2e-6},
+        .motion = {.integrator = c->integrator,
+                   .period_s = PERIOD_S,
+                   .mass_kg = 4220.0,
+                   .damping_n_s_per_m = 2121.0,
+                   .k_e_n_per_m = K_E,
+                   .rho_inf = 0.8},
+        .x_range_m = 0.1,
+        .position = {0.02, RTHYB_INDICATE},
+        .force = {15e3, RTHYB_INDICATE},
+        .tracking = {0.001, RTHYB_INDICATE},
+        .velocity_limit_m_per_s = 1.0,
+        .acceleration_limit_m_per_s2 = 50.0,
+    };
+    return rthyb_controller_init(controller, &cfg);
+}
+
+static int set_up_rig(rthyb_rig *rig, const choice *c)
+{
+    rthyb_rig_config cfg = {
+        .servo = {.kind = c->servo,
+                  .hold = c->hold,
+                  .period_s = PERIOD_S,
+                  .delay_samples = 1.0,
+                  .roll_off_hz = 10.0,
+                  .natural_frequency_hz = 12.0,
+                  .damping_ratio = 0.7,
+                  .gain = 1.0,
+                  .kp_per_s = 63.5,
+                  .ki_per_s2 = 6.0,
+                  .valve_time_constant_s = 0.0018,
+                  .stall_force_n = 16000.0,
+                  .flow_limit_m_per_s = 1.0,
+                  .oil_stiffness_n_per_m = 2e7,
+                  .oil_damping_n_s_per_m = 1.2e4,
+                  .moving_mass_kg = 45.0,
+                  .friction_n = 80.0,
+                  .friction_width_m_per_s = 5e-4,
+                  .viscous_n_s_per_m = 600.0,
+                  .substeps = 16},
+        .displacement = {.noise_std = 2e-6, .lsb = 5e-7, .range = 0.075},
+        .force = {.noise_std = 5.0, .lsb = 1.0, .range = 25e3},
+        .seed = 1,
+    };
+    int error = 0;
+    for (int i = c->half ? HALF : 0; i < (c->half ? ELEMENT_COUNT : HALF); i++)
+        error |= rthyb_element_init(&cfg.elements[cfg.element_count++], ELEMENTS[i].kind,
+                                    ELEMENTS[i].params, ELEMENTS[i].n);
+    return error | rthyb_rig_init(rig, &cfg);
+}
+
+/* Set-up and run of one test; 0, or what was refused. */
+static int run_case(const choice *c)
+{
+    static rthyb_controller controller;
+    static rthyb_rig rig;
+    static rthyb_record record;
+    const int error = set_up_controller(&controller, c) | set_up_rig(&rig, c);
+    for (int n = 0; n < SAMPLES && !error; n++) {
+        const double t = n * PERIOD_S;
+        rthyb_input in = {.excitation = 0.4 * sin(20.0 * t) + 0.3 * sin(55.0 * t)};
+        if (c->integrator == RTHYB_PRESCRIBED)
+            in.excitation *= 0.01;
+        rthyb_rig_step(&rig, controller.x_cmd, &in.x_meas_m, &in.f_meas_n);
+        in.lost = n % 97 < 4;
+        if (n % 131 == 0)
+            in.x_meas_m = n % 2 ? NAN : 1e300;
+        if (n % 173 == 0)
+            in.f_meas_n = INFINITY;
+        rthyb_controller_step(&controller, &in, &record);
+    }
+    return error;
+}
+
+static void finish(int status)
+{
+    syscall(SYS_exit, status);
+}
+
+int main(int argc, char **argv)
+{
+    const char *wrong = argc > 1 ? argv[1] : "";
+    free(malloc(64)); /* so that the allocator itself is set up */
+    const int watched = prctl(PR_SET_SECCOMP, SECCOMP_MODE_STRICT) == 0;
+    const unsigned long before = allocations;
+    unsigned long cases = 0;
+    int error = 0;
+    choice c;
+    for (c.law = RTHYB_LAW_FIXED; c.law <= RTHYB_LAW_RLS; c.law++)
+        for (c.tangent = 0; c.tangent <= RTHYB_TANGENT_LEAST_SQUARES; c.tangent++)
+            for (c.integrator = 0; c.integrator <= RTHYB_PRESCRIBED; c.integrator++)
+                for (c.servo = 0; c.servo <= RTHYB_SERVO_HYDRAULIC; c.servo++)
+                    for (c.hold = 0; c.hold <= RTHYB_FOH; c.hold++)
+                        for (c.half = 0; c.half <= 1; c.half++, cases++)
+                            error |= run_case(&c);
+    if (!strcmp(wrong, "allocate")) {
+        void *volatile block = malloc(64);
+        free(block);
+    }
+    if (!strcmp(wrong, "call"))
+        syscall(SYS_getpid);
+    char line[128];
+    const int length = snprintf(line, sizeof line, "%lu %lu %lu %d\n", cases, cases * SAMPLES,
+                                allocations - before, watched);
+    if (write(1, line, (size_t)length) != length)
+        error = 1;
+    finish(error);
+}

@@ -1,0 +1,321 @@
+"""Computing times of rthyb on this machine, beside what they are meant to be.
+
+Prints the machine's facts and a table, and writes both to runs/bench-<UTC>.json. An absolute time
+says as much about the machine as about the program, so a figure over its target is shown and
+nothing more; what must hold on any machine stands in tests/test_speed.py.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import loops
+import numpy as np
+from rthyb_rt._core import ffi, lib
+
+from rthyb_rt import config, core, experiment
+
+ROOT = Path(__file__).resolve().parents[2]
+BUILD = ROOT / "build" / "bench"
+EXAMPLE = ROOT / "examples" / "section5-T0.5.toml"
+MIB = 2**20
+
+# Targets: ns for one sample, ms for a test of 60 s. Keys are (group, name) of the C driver.
+SAMPLE_TARGETS_NS = {("sample", "paper"): 60.0, ("sample", "alpha-beta"): 150.0}
+TEST_TARGETS_MS = {"pure delay": 15.0, "first order": 15.0, "servo-hydraulic": 60.0}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One line of the table; ``target`` is a most, or with ``at_least`` a least."""
+
+    name: str
+    measured: float
+    unit: str
+    target: float | None = None
+    at_least: bool = False
+    note: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """Return "ok", "over", or nothing where no target is set."""
+        if self.target is None:
+            return ""
+        good = self.measured >= self.target if self.at_least else self.measured <= self.target
+        return "ok" if good else ("under" if self.at_least else "over")
+
+
+# ---- the machine --------------------------------------------------------------------------------
+
+
+def machine_facts() -> dict[str, Any]:
+    """Return what a computing time depends on."""
+    return {
+        "cpu": _cpu_model(),
+        "cores": os.cpu_count(),
+        "kernel": platform.release(),
+        "architecture": platform.machine(),
+        "governor": _read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
+        or "not readable",
+        "hypervisor": _read("/sys/hypervisor/type") or _hypervisor_flag(),
+        "load_1_min": round(os.getloadavg()[0], 2),
+        "compiler": core.build_facts()["compiler"],
+        "core": core.version(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+    }
+
+
+def _read(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
+
+
+def _cpu_model() -> str:
+    for line in _read("/proc/cpuinfo").splitlines():
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _hypervisor_flag() -> str:
+    return "virtual machine" if " hypervisor" in _read("/proc/cpuinfo") else "none seen"
+
+
+# ---- the C driver -------------------------------------------------------------------------------
+
+
+def run_c_driver() -> list[dict[str, Any]]:
+    """Build tests/bench/bench_core.c with the core's own flags and run it; return its rows."""
+    path = os.pathsep.join((os.environ.get("PATH", os.defpath), str(Path(sys.executable).parent)))
+    for command in (
+        ["cmake", "-S", ROOT / "csrc", "-B", BUILD, "-DRTHYB_PYTHON=OFF", "-DRTHYB_BENCH=ON"],
+        ["cmake", "--build", BUILD],
+    ):
+        done = subprocess.run(
+            command, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False
+        )
+        if done.returncode:
+            raise SystemExit(f"the C driver was not built:\n{done.stdout}{done.stderr}")
+    out = subprocess.run([BUILD / "bench_core"], capture_output=True, text=True, check=True)
+    return json.loads(out.stdout)["rows"]
+
+
+def c_figures(rows: list[dict[str, Any]]) -> list[Figure]:
+    """Turn the driver's rows into lines of the table."""
+    figures = []
+    for row in rows:
+        group, name, median = row["group"], row["name"], row["median_ns"]
+        if group == "length":
+            continue
+        if group == "test of 60 s":
+            target = next((t for k, t in TEST_TARGETS_MS.items() if name.startswith(k)), None)
+            note = f"p10 {row['p10_ns'] / 1e6:.1f}"
+            figures.append(Figure(f"{group}: {name}", median / 1e6, "ms", target, note=note))
+        else:
+            target = SAMPLE_TARGETS_NS.get((group, name))
+            note = f"p10 {row['p10_ns']:.1f}"
+            figures.append(Figure(f"{group}: {name}", median, "ns", target, note=note))
+    cost = {
+        float(row["name"].split()[0]): row["least_ns"] for row in rows if row["group"] == "length"
+    }
+    shortest, longest = min(cost), max(cost)
+    ratio = (cost[longest] / longest) / (cost[shortest] / shortest)
+    figures.append(
+        Figure(
+            f"length: cost of a second, {longest:.0f} s test over {shortest:.0f} s test",
+            ratio,
+            "x",
+            1.3,
+        )
+    )
+    return figures
+
+
+# ---- from Python --------------------------------------------------------------------------------
+
+
+def call_figure() -> Figure:
+    """Time rthyb_controller_step called from Python, one sample a call."""
+    controller, _ = loops.core_pair()
+    struct = controller._c
+    sample = ffi.new("rthyb_input *")
+    record = ffi.new("rthyb_record *")
+    step, calls = lib.rthyb_controller_step, 20_000
+
+    def once() -> float:
+        start = time.perf_counter_ns()
+        for _ in range(calls):
+            step(struct, sample, record)
+        return (time.perf_counter_ns() - start) / calls
+
+    times = sorted(once() for _ in range(50))
+    note = f"p10 {times[5]:.0f}; the sample and the loop around the call included"
+    return Figure("one call from Python, paper", statistics.median(times), "ns", 250.0, note=note)
+
+
+def virtual_time_figures() -> list[Figure]:
+    """Time a test of 60 s in virtual time, as the rest of the program runs it."""
+    hydraulic = experiment.rig_config(
+        config.load_rig(ROOT / "hw/rigs/shaking-table-portal-frame.toml")
+    )
+    figures = []
+    for name, rig, target in (
+        ("pure delay, Bouc-Wen", None, 15.0),
+        ("shaking table, 16 substeps", hydraulic, 60.0),
+    ):
+        ag = loops.excitation(60.0)
+        if rig is not None:
+            ag = ag * 0.1
+        records = np.zeros(ag.size, core.RECORD_DTYPE)
+        median = statistics.median(loops.in_core(ag, records, rig) for _ in range(21))
+        figures.append(Figure(f"test of 60 s from Python: {name}", median * 1e3, "ms", target))
+    test = config.load_test(EXAMPLE, {"test.duration_s": "60"})
+    setup = experiment.prepare(
+        test, config.load_rig(ROOT / "hw/rigs/shaking-table-portal-frame.toml")
+    )
+    whole = statistics.median(loops.timed(lambda: experiment.run(setup)) for _ in range(7))
+    figures.append(
+        Figure(
+            "experiment.run of 60 s", whole * 1e3, "ms", note="with reference simulation, TOML, git"
+        )
+    )
+    return figures
+
+
+def loop_figures() -> list[Figure]:
+    """Time one test of 60 s in the core, in NumPy-Python and in numba, and compare the results."""
+    c = loops.compare(60.0)
+    return [
+        Figure("same test: C core", c.core_s * 1e3, "ms"),
+        Figure("same test: NumPy-Python loop", c.numpy_s * 1e3, "ms"),
+        Figure("same test: numba loop", c.numba_s * 1e3, "ms", note="compiled beforehand"),
+        Figure("NumPy-Python over core", c.numpy_s / c.core_s, "x", 20.0, at_least=True),
+        Figure("core over numba", c.core_s / c.numba_s, "x", 3.0),
+        Figure(
+            "largest difference of the three",
+            c.difference,
+            "of peak",
+            1e-9,
+            note=f"x_num, x_meas, alpha; peak {c.peak_m * 1e3:.0f} mm",
+        ),
+    ]
+
+
+# ---- the command line ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Command:
+    """What one command took."""
+
+    seconds: float
+    table_s: float
+    cpu_s: float
+    peak_mib: float
+
+
+def run_command(arguments: list[str], folder: Path, last_table_line: str) -> Command:
+    """Run ``rthyb`` as a shell would; ``last_table_line`` begins the line that ends its table."""
+    start = time.perf_counter()
+    rthyb = Path(sys.executable).with_name("rthyb")
+    with subprocess.Popen(
+        [rthyb, *arguments],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        table_s = 0.0
+        for line in process.stdout or ():
+            if line.startswith(last_table_line):
+                table_s = time.perf_counter() - start
+        # wait4 knows this child's own processor time and peak; Popen.wait would forget them.
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"rthyb {' '.join(arguments)} ended with {process.returncode}")
+    return Command(
+        seconds=time.perf_counter() - start,
+        table_s=table_s,
+        cpu_s=usage.ru_utime + usage.ru_stime,
+        peak_mib=usage.ru_maxrss * 1024 / MIB,
+    )
+
+
+def command_figures() -> list[Figure]:
+    """Time `rthyb run` and `rthyb --help`, the first call of each left out."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        runs = [run_command(["run"], folder, "Recording") for _ in range(4)][1:]
+        helps = [run_command(["--help"], folder, "Usage") for _ in range(6)][1:]
+    table_s = statistics.median(r.table_s for r in runs)
+    total_s = statistics.median(r.seconds for r in runs)
+    return [
+        Figure("rthyb run: shell to table", table_s, "s", 3.0),
+        Figure("rthyb run: with the report", total_s, "s"),
+        Figure("rthyb run: peak memory with report", max(r.peak_mib for r in runs), "MiB", 400.0),
+        Figure("rthyb --help: processor time", statistics.median(h.cpu_s for h in helps), "s", 0.4),
+    ]
+
+
+# ---- the table ----------------------------------------------------------------------------------
+
+
+def print_table(figures: list[Figure]) -> None:
+    """Print figure, measured, target and ok or over."""
+    width = max(len(f.name) for f in figures)
+    print(f"{'figure':{width}}  {'measured':>10}  {'target':>14}")
+    for f in figures:
+        measured = f"{f.measured:.3g}" if f.measured < 1000 else f"{f.measured:.0f}"
+        bound = "" if f.target is None else f"{'≥' if f.at_least else '≤'} {f.target:g} {f.unit}"
+        line = f"{f.name:{width}}  {measured:>10} {f.unit:7} {bound:>12}  {f.verdict:5} {f.note}"
+        print(line.rstrip())
+
+
+def main() -> None:
+    """Measure everything, print the table, write the JSON file."""
+    facts = machine_facts()
+    for key, value in facts.items():
+        print(f"{key:13} {value}")
+    print("\nMeasuring for about half a minute ...\n", flush=True)
+    rows = run_c_driver()
+    ratio = loops.counting_ratio()
+    figures = [
+        *c_figures(rows),
+        call_figure(),
+        *virtual_time_figures(),
+        Figure("GIL: a thread counts during a test", ratio, "x", 0.5, True, "of its speed alone"),
+        *loop_figures(),
+        *command_figures(),
+    ]
+    print_table(figures)
+    now = datetime.datetime.now(datetime.UTC)
+    path = ROOT / "runs" / f"bench-{now:%Y%m%dT%H%M%SZ}.json"
+    path.parent.mkdir(exist_ok=True)
+    document = {
+        "schema": "rthyb-bench/1",
+        "created_utc": now.isoformat(timespec="seconds"),
+        "machine": facts,
+        "figures": [{**asdict(f), "verdict": f.verdict} for f in figures],
+        "c_driver": rows,
+    }
+    path.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    print(f"\n{path.relative_to(ROOT)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""What the tests of the C core share: the numbers of a kernel's memory, signals, tracking runs."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rthyb_rt._core import ffi
+
+from rthyb_rt import core
+
+Floats = NDArray[np.float64]
+
+FS_HZ = 1024.0
+H = 1.0 / FS_HZ
+G = 9.80665
+
+# Section 5's actuator, as the field notes give it.
+HYDRAULIC: dict[str, Any] = {
+    "kind": "servo-hydraulic",
+    "kp_per_s": 63.5,
+    "ki_per_s2": 6.0,
+    "valve_time_constant_s": 0.0018,
+    "stall_force_n": 16000.0,
+    "flow_limit_m_per_s": 1.0,
+    "oil_stiffness_n_per_m": 2e7,
+    "oil_damping_n_s_per_m": 1.2e4,
+    "moving_mass_kg": 45.0,
+    "friction_n": 80.0,
+    "friction_width_m_per_s": 5e-4,
+    "viscous_n_s_per_m": 600.0,
+    "delay_samples": 0,
+}
+K_PLATE = 666400.0
+
+
+@cache
+def _double_offsets(ctype: Any) -> tuple[int, ...]:
+    """Byte offsets of every double in a C type."""
+    if ctype.kind == "primitive":
+        return (0,) if ctype.cname == "double" else ()
+    if ctype.kind == "array":
+        size = ffi.sizeof(ctype.item)
+        inner = _double_offsets(ctype.item)
+        return tuple(i * size + o for i in range(ctype.length) for o in inner)
+    return tuple(f.offset + o for _, f in ctype.fields for o in _double_offsets(f.type))
+
+
+def doubles(kernel: Any) -> Floats:
+    """Every double of a kernel's memory, configuration included, as a copy."""
+    struct = kernel._c
+    offsets = np.asarray(_double_offsets(ffi.typeof(struct).item))
+    return np.frombuffer(bytes(ffi.buffer(struct)), np.float64)[offsets // 8]
+
+
+def time_s(duration_s: float) -> Floats:
+    """The instants t_n of a test."""
+    return np.arange(round(duration_s * FS_HZ)) / FS_HZ
+
+
+def rms(x: Floats) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+def smooth_motion(duration_s: float, seed: int = 0, peak_m: float = 0.01) -> Floats:
+    """A sum of seven sines up to 8 Hz that starts at rest."""
+    rng = np.random.default_rng(seed)
+    t = time_s(duration_s)
+    x = sum(
+        rng.normal() * np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi))
+        for f in rng.uniform(0.3, 8.0, 7)
+    )
+    x = x * (1.0 - np.exp(-((t / 0.3) ** 3)))
+    return np.asarray(x * peak_m / np.max(np.abs(x)))
+
+
+def controller(
+    motion: core.MotionConfig,
+    *,
+    k_e: float = K_PLATE,
+    estimator: core.EstimatorConfig | None = None,
+    rfc: dict[str, Any] | None = None,
+    **settings: Any,
+) -> core.Controller:
+    """A controller, without adaptation unless asked for."""
+    return core.Controller(
+        core.ControllerConfig(
+            estimator=estimator or core.EstimatorConfig(),
+            rfc=core.RfcConfig(**({"k_e_n_per_m": k_e} | (rfc or {}))),
+            motion=motion,
+            **settings,
+        )
+    )
+
+
+def run_virtual(
+    controller: core.Controller, rig: core.Rig, excitation: Floats, ticks: int | None = None
+) -> Any:
+    """The records of a test against a rig, as many as there were."""
+    records = np.zeros(excitation.size if ticks is None else ticks, core.RECORD_DTYPE)
+    done, _ = controller.run_virtual(rig, excitation, records)
+    return records[:done]
+
+
+def track(command_m: Floats, servo: core.ServoConfig, estimator: core.EstimatorConfig) -> Any:
+    """The records of a prescribed motion through the compensator and an unloaded actuator."""
+    motion = core.MotionConfig("prescribed")
+    c = controller(motion, k_e=1.0, estimator=estimator, rfc={"enabled": False})
+    return run_virtual(c, core.Rig(core.RigConfig(servo)), command_m)
+
+
+def resonance(sequence: Floats, order: int) -> NDArray[np.complex128]:
+    """Poles of the linear recurrence of the given order that a free decay obeys (Prony)."""
+    columns = [sequence[order - 1 - i : sequence.size - 1 - i] for i in range(order)]
+    a = np.column_stack(columns)
+    scale = np.max(np.abs(sequence))
+    coefficients = np.linalg.lstsq(a / scale, sequence[order:] / scale, rcond=None)[0]
+    return np.asarray(np.roots(np.concatenate([[1.0], -coefficients])), dtype=np.complex128)
+
+
+def damping_ratio(pole: complex) -> float:
+    """The damping ratio that a discrete pole stands for."""
+    s = np.log(pole)
+    return float(-s.real / abs(s))

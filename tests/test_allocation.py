@@ -1,0 +1,136 @@
+"""One sample asks nothing of the allocator or the kernel, holds no lock and keeps no global."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).resolve().parent
+CORE = TESTS.parent / "csrc"
+FLAGS = ("-std=c11", "-O3", "-DNDEBUG", "-ffp-contract=off", "-fno-math-errno", f"-I{CORE}")
+
+# What the arithmetic of a sample may call beside the core's own functions.
+HARMLESS = re.compile(
+    r"(a?sin|a?cos|a?tan|tanh|exp|expm1|log|log1p|pow|sqrt|hypot|floor|ceil|fmin|fmax|fabs|copysign"
+    r"|l?l?rint|nearbyint|sincos|memcpy|memset|memmove|strlen|__(memcpy|memset|memmove)_chk"
+    r"|__stack_chk_fail|_GLOBAL_OFFSET_TABLE_)"
+)
+
+
+def gcc(*arguments: str | Path) -> None:
+    done = subprocess.run(["gcc", *FLAGS, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def run(program: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    # A preloaded library, such as a sanitizer's, would bring its own allocator.
+    environment = {key: value for key, value in os.environ.items() if key != "LD_PRELOAD"}
+    return subprocess.run(
+        [program, *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """tests/allocation.c with the core, all symbols bound before it starts."""
+    path = tmp_path_factory.mktemp("allocation") / "allocation"
+    gcc(TESTS / "allocation.c", *sorted(CORE.glob("*.c")), "-lm", "-Wl,-z,now", "-o", path)
+    return path
+
+
+def test_no_sample_of_any_controller_on_any_rig_allocates_or_calls_the_kernel(
+    program: Path,
+) -> None:
+    done = run(program)
+    assert done.returncode == 0, "a system call was made, or a set-up was refused"
+    cases, samples, allocations, _ = map(int, done.stdout.split())
+    assert cases == 4 * 2 * 5 * 4 * 2 * 2
+    assert samples == 600 * cases
+    assert allocations == 0
+
+
+def test_an_allocation_would_have_been_counted(program: Path) -> None:
+    done = run(program, "allocate")
+    assert done.returncode == 0
+    _, _, allocations, _ = map(int, done.stdout.split())
+    assert allocations == 2  # malloc and free
+
+
+def test_a_system_call_would_have_ended_the_program(program: Path) -> None:
+    _, _, _, watched = map(int, run(program).stdout.split())
+    expected = -signal.SIGKILL if watched else 0
+    assert run(program, "call").returncode == expected
+
+
+class Symbols:
+    """What the objects of the core define, need and keep in writable memory, from nm."""
+
+    def __init__(self, folder: Path) -> None:
+        self.home: dict[str, str] = {}
+        self.needs: defaultdict[str, set[str]] = defaultdict(set)
+        self.writable: defaultdict[str, set[str]] = defaultdict(set)
+        for source in sorted(CORE.glob("*.c")):
+            target = folder / f"{source.stem}.o"
+            gcc("-fno-pic", "-fno-stack-protector", "-c", source, "-o", target)
+            listing = subprocess.run(["nm", target], capture_output=True, text=True, check=True)
+            for line in listing.stdout.splitlines():
+                kind, name = line.split()[-2:]
+                self._take(source.name, kind, name)
+
+    def _take(self, source: str, kind: str, name: str) -> None:
+        if kind in "UwWvV" and kind != "W":
+            self.needs[source].add(name)
+        elif kind in "BbDdCSsGg":
+            self.writable[source].add(name)
+        if kind in "TW":
+            self.home[name] = source
+
+    def reached_from(self, *functions: str) -> set[str]:
+        """Return the source files that calling these functions can lead to."""
+        reached: set[str] = set()
+        waiting = [self.home[function] for function in functions]
+        while waiting:
+            source = waiting.pop()
+            if source not in reached:
+                reached.add(source)
+                waiting += [self.home[n] for n in self.needs[source] if n in self.home]
+        return reached
+
+
+@pytest.fixture(scope="module")
+def symbols(tmp_path_factory: pytest.TempPathFactory) -> Symbols:
+    return Symbols(tmp_path_factory.mktemp("symbols"))
+
+
+@pytest.fixture(scope="module")
+def sample_path(symbols: Symbols) -> set[str]:
+    files = symbols.reached_from("rthyb_controller_step", "rthyb_rig_step")
+    assert {"controller.c", "plc.c", "rfc.c", "motion.c", "rig.c", "element.c"} <= files
+    return files
+
+
+def test_the_sample_path_calls_nothing_but_arithmetic_and_copies(
+    symbols: Symbols, sample_path: set[str]
+) -> None:
+    outside = {
+        (source, name)
+        for source in sample_path
+        for name in symbols.needs[source]
+        if name not in symbols.home and not HARMLESS.fullmatch(name)
+    }
+    assert outside == set()
+
+
+def test_the_sample_path_keeps_no_global(symbols: Symbols, sample_path: set[str]) -> None:
+    assert {s: symbols.writable[s] for s in sample_path if symbols.writable[s]} == {}

@@ -1,0 +1,388 @@
+"""The README and the guide say what is true of this tree: links, files, commands, keys, figures."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
+
+from rthyb_rt import cli, config, experiment, identify, recording, studies, summary
+from rthyb_rt.cli import commands
+from rthyb_rt.errors import InputError
+from rthyb_rt.studies.results import Study
+
+ROOT = Path(__file__).resolve().parents[1]
+TOOLS = ROOT / "docs" / "tools"
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+sys.path.insert(0, str(TOOLS))
+
+import key_tables  # noqa: E402
+import study_tables  # noqa: E402
+
+_FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_LINK = re.compile(r"\]\(([^()\s]+)\)")
+_NUMBER = re.compile(r"(?<![\w.])[-−]?\d+(?:\.\d+)?")
+
+IDENTIFIED = "my-rig-identified.toml"
+"""The rig file that the guide has its reader make by `rthyb identify`."""
+
+by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+
+def read(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> Iterator[tuple[str, str]]:
+    """Give (page name, text) of every fenced block in a language."""
+    for page in PAGES:
+        for match in _FENCE.finditer(read(page)):
+            if match[1] == language:
+                yield page.name, match[2]
+
+
+def prose(page: Path) -> str:
+    """Return the page without fenced blocks."""
+    return _FENCE.sub("", read(page))
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as web sites make them."""
+    found = set()
+    for heading in re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE):
+        plain = re.sub(r"[^\w\- ]", "", heading.lower())
+        found.add(plain.replace(" ", "-"))
+    return found
+
+
+# ---- pages --------------------------------------------------------------------------------------
+
+
+@by_page
+def test_every_link_and_picture_exists(page: Path) -> None:
+    links = _LINK.findall(prose(page))
+    for link in links:
+        if "://" in link:
+            continue
+        name, _, anchor = link.partition("#")
+        target = page.parent / name if name else page
+        assert target.is_file(), f"{page.name}: {link}"
+        if anchor:
+            assert anchor in anchors(target), f"{page.name}: {link}"
+
+
+@by_page
+def test_no_page_is_lost(page: Path) -> None:
+    if page.name in ("README.md", "index.md"):
+        return
+    assert f"({page.name})" in read(ROOT / "docs" / "index.md")
+    assert f"(docs/{page.name})" in read(ROOT / "README.md")
+    assert f"- {page.name}\n" in read(ROOT / "mkdocs.yml")
+
+
+def test_pictures_are_small_and_shown() -> None:
+    pages = "".join(read(page) for page in PAGES)
+    for picture in (ROOT / "docs" / "images").iterdir():
+        assert picture.stat().st_size < 200_000, picture.name
+        assert picture.name in pages, picture.name
+
+
+@by_page
+def test_files_named_in_the_text_exist(page: Path) -> None:
+    for name in re.findall(r"`((?:examples|hw|csrc|rthyb_rt|docs|tests)/[\w./-]*)`", read(page)):
+        assert (ROOT / name).exists(), f"{page.name}: {name}"
+
+
+def test_safety_note_is_in_readme_and_guide() -> None:
+    note = (
+        "software limits protect a test, never a person; the hard-wired emergency stop is "
+        "outside this software."
+    )
+    for page in (ROOT / "README.md", ROOT / "docs" / "safety.md"):
+        assert note in " ".join(read(page).lower().replace("*", "").split())
+
+
+# ---- the outline of the house -------------------------------------------------------------------
+
+
+def outline() -> list[str]:
+    text = read(ROOT / "README.md").split("## Outline of the house")[1]
+    block = _FENCE.search(text)
+    assert block is not None
+    return [line.split()[0] for line in block[2].splitlines()]
+
+
+def test_outline_names_only_what_is_there() -> None:
+    for name in outline():
+        path = ROOT / name
+        assert path.is_dir() if name.endswith("/") else path.is_file(), name
+
+
+def test_outline_has_every_top_level_folder() -> None:
+    command = ["git", "-C", str(ROOT), "ls-files", "-co", "--exclude-standard"]
+    try:
+        listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("not a git checkout")
+    folders = {name.split("/")[0] + "/" for name in listed.splitlines() if "/" in name}
+    assert folders <= set(outline())
+
+
+# ---- configuration ------------------------------------------------------------------------------
+
+
+def test_files_that_claim_a_schema_load_and_fit_a_rig(tmp_path: Path) -> None:
+    rigs = {IDENTIFIED: tmp_path / IDENTIFIED}
+    tests = []
+    for page, text in blocks("toml"):
+        schema = tomllib.loads(text).get("schema", "")
+        if schema == config.rigfile.RIG_SCHEMA:
+            rig = config.parse_rig(text, page)
+            experiment.rig_config(rig)
+            if page == "own-specimen.md":
+                found = identify.identified_rig(rig, identify.identify(rig))
+                rigs[IDENTIFIED].write_text(config.dump(found), encoding="utf-8")
+        elif schema:
+            tests.append((page, text))
+    assert tests
+    assert rigs[IDENTIFIED].is_file()
+    for page, text in tests:
+        test = config.parse_test(text, page)
+        assert test.rig is not None
+        path = rigs.get(test.rig) or config.shipped_rig(test.rig)
+        assert experiment.prepare(test, config.load_rig(path)).ticks > 0
+
+
+def test_parts_of_files_are_valid_where_they_stand() -> None:
+    head = 'schema = "rthyb-test/1"\n[test]\nname = "part"\n'
+    parts = [(p, t) for p, t in blocks("toml") if "schema" not in tomllib.loads(t)]
+    assert parts
+    for page, text in parts:
+        if not text.startswith("["):
+            _valid_values(text)
+        else:
+            config.parse_test(head + "[numerical]\nperiod_s=1\ndamping_ratio=0\n" + text, page)
+
+
+def _valid_values(text: str) -> None:
+    """Every key with its value must be taken by some table of the models."""
+    ranges: dict[str, Any] = {}
+    for model in (*_tables(config.TestFile), *_tables(config.RigFile)):
+        for key, info in model.model_fields.items():
+            parts = [*key_tables._parts(info.annotation), *info.metadata]
+            for part in parts:
+                if key_tables._is_limit(part):
+                    part = part.model_fields["value"].metadata[0]
+                if isinstance(part, config.fields.Range):
+                    ranges[key] = part
+    for key, value in tomllib.loads(text).items():
+        assert ranges[key].read(value) > 0.0
+
+
+def _tables(model: Any) -> Iterator[Any]:
+    for _, found in key_tables._sections(model):
+        yield from found
+
+
+def test_messages_of_the_guide_are_those_of_the_program() -> None:
+    """The longest fixed part of a message tells that it still reads so."""
+    found = "".join(_messages())
+    listed = [line for _, text in blocks("text") for line in text.splitlines()]
+    listed = [line for line in listed if line.startswith("rthyb: ")]
+    assert len(listed) >= 8
+    for line in listed:
+        message = line.rsplit(": ", 1)[1] if "did you mean" not in line else line
+        kernel = message.split("; ")[-1].removesuffix(", ...")
+        assert kernel in found, line
+
+
+def _messages() -> Iterator[str]:
+    test = """schema = "rthyb-test/1"
+    test.name = "t"
+    ground_motion.pga_g = 9.8
+    [numerical]
+    mass_kg = "4220 N"
+    period_s = 0.5
+    damping_ratio = "2 %"
+    [controller]
+    type = "papr"
+    w1 = 0.5
+    alfa0 = 17
+    """
+    rig = """schema = "rthyb-rig/1"
+    rig.name = "r"
+    actuator = { kind = "pure-delay", delay_samples = 10.5 }
+    [[specimen]]
+    element = "stifness"
+    """
+    for parse, text in ((config.parse_test, test), (config.parse_rig, rig)):
+        with pytest.raises(InputError) as caught:
+            parse(text)
+        yield str(caught.value)
+    minimal = 'test.name="t"\nnumerical={period_s=1, damping_ratio=0}\n'
+    rig_file = config.load_rig(config.shipped_rig("delay-10-elastic"))
+    with pytest.raises(InputError) as caught:
+        config.derive(
+            config.parse_test('schema="rthyb-test/1"\n' + minimal),
+            rig_file.model_copy(update={"identified": None}),
+        )
+    yield str(caught.value)
+
+
+# ---- generated tables ---------------------------------------------------------------------------
+
+
+def test_tables_of_keys_and_fields_are_up_to_date() -> None:
+    page = read(ROOT / "docs" / "file-formats.md")
+    assert sorted(key_tables.names(page)) == sorted(key_tables.tables())
+    assert key_tables.renewed(page, key_tables.tables()) == page, "run docs/tools/key_tables.py"
+
+
+def test_flags_and_states_of_the_guide_are_those_of_the_core() -> None:
+    page = read(ROOT / "docs" / "file-formats.md")
+    for name, bit in recording.FLAGS.items():
+        assert f"| {bit} | {name} |" in page
+    assert ", ".join(f"{i} {name}" for i, name in enumerate(recording.STATES)) in page
+
+
+@cache
+def reproduced() -> dict[str, Study]:
+    pytest.importorskip("pyslammer", reason="Section 4.2 needs the record TCU068")
+    return {study.key: study for study in studies.run("all")}
+
+
+@pytest.mark.parametrize("section", studies.SECTIONS)
+def test_paper_tables_are_what_the_studies_compute(section: str) -> None:
+    page = read(ROOT / "docs" / "paper.md")
+    wanted = study_tables._section(reproduced()[section])
+    shown = page.split(f"<!-- generated: {section} -->\n\n")[1].split("\n\n<!-- end -->")[0]
+    same_but_for_digits(shown, wanted, "run docs/tools/study_tables.py")
+
+
+def same_but_for_digits(shown: str, wanted: str, hint: str) -> None:
+    """Compare words exactly, numbers to 2 %: another compiler may round otherwise."""
+    assert _NUMBER.sub("0", shown) == _NUMBER.sub("0", wanted), hint
+    for a, b in zip(_NUMBER.findall(shown), _NUMBER.findall(wanted), strict=True):
+        x, y = float(a.replace("−", "-")), float(b.replace("−", "-"))
+        assert x == pytest.approx(y, rel=0.02, abs=0.02), f"{a}, now {b}; {hint}"
+
+
+# ---- what the program prints --------------------------------------------------------------------
+
+
+@cache
+def built_in_table() -> dict[str, str]:
+    test = config.load_test(config.builtin_test_path())
+    rig = config.load_rig(config.find_rig(test.rig))
+    return {
+        row.label: row.value
+        for row in summary.result_table(experiment.run(experiment.prepare(test, rig)))
+    }
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/first-test.md"])
+def test_result_table_is_that_of_the_built_in_test(name: str) -> None:
+    table = built_in_table()
+    compared = 0
+    for match in _FENCE.finditer(read(ROOT / name)):
+        for line in match[2].splitlines():
+            label = next((label for label in table if line.startswith(label + "  ")), None)
+            if label is not None:
+                value = line[len(label) :].strip()[: len(table[label])]
+                same_but_for_digits(value, table[label], f"{name}: {label}")
+                compared += 1
+    assert compared >= 5
+
+
+def test_check_table_is_that_of_the_specimen_of_the_guide(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = "own-specimen.md"
+    rig, test = (text for name, text in blocks("toml") if name == page)
+    rig_file = config.parse_rig(rig, page)
+    found = identify.identified_rig(rig_file, identify.identify(rig_file))
+    (tmp_path / IDENTIFIED).write_text(config.dump(found), encoding="utf-8")
+    (tmp_path / "my-test.toml").write_text(test, encoding="utf-8")
+    assert cli.main(["check", str(tmp_path / "my-test.toml")]) == 0
+    printed = {line.split("  ")[0]: line for line in capsys.readouterr().out.splitlines()}
+    shown = [text for name, text in blocks("text") if name == page and "Critical delay" in text]
+    for line in shown[0].splitlines():
+        same_but_for_digits(
+            " ".join(line.split()), " ".join(printed[line.split("  ")[0]].split()), page
+        )
+
+
+# ---- the command line ---------------------------------------------------------------------------
+
+PROGRAM: Any = typer.main.get_command(commands.app)
+
+
+def command_lines() -> list[tuple[str, str]]:
+    lines = [(page, line) for page, text in blocks("sh") for line in text.splitlines()]
+    return [(page, line) for page, line in lines if line.startswith("rthyb ")]
+
+
+@pytest.mark.parametrize(("page", "line"), command_lines())
+def test_command_line_is_understood(page: str, line: str) -> None:
+    words = shlex.split(line.split(" > ")[0])[1:]
+    assert words[0] in PROGRAM.commands, f"{page}: {line}"
+    context = PROGRAM.commands[words[0]].make_context(words[0], list(words[1:]))
+    for_test, for_rig = config.split_overrides(context.params.get("settings") or ())
+    config.load_test(config.builtin_test_path(), for_test)
+    config.load_rig(config.shipped_rig("shaking-table-portal-frame"), for_rig)
+    for word in words[1:]:
+        if word.startswith("examples/"):
+            assert (ROOT / word).is_file(), f"{page}: {line}"
+
+
+def test_readme_and_reference_list_every_command_and_no_other() -> None:
+    readme = set(re.findall(r"^\| `rthyb (\w+)", read(ROOT / "README.md"), re.MULTILINE))
+    page = read(ROOT / "docs" / "command-line.md")
+    sections = set(re.findall(r"^## `rthyb (\w+)`", page, re.MULTILINE))
+    assert readme == sections == set(PROGRAM.commands)
+
+
+@pytest.mark.parametrize("name", sorted(PROGRAM.commands))
+def test_reference_names_every_option(name: str) -> None:
+    page = read(ROOT / "docs" / "command-line.md")
+    section = page.split(f"## `rthyb {name}`")[1].split("\n## ")[0]
+    options = {option for item in PROGRAM.commands[name].params for option in item.opts}
+    options = {option for option in options if option.startswith("--")} - {"--help"}
+    listed = set(re.findall(r"--[a-z][a-z-]*", section))
+    assert listed - {"--help"} == options
+
+
+def test_make_targets_of_the_guide_exist() -> None:
+    makefile = read(ROOT / "Makefile")
+    targets = {target for page in PAGES for target in re.findall(r"`make (\w+)`", read(page))}
+    assert targets
+    for target in targets:
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+
+
+# ---- equations ----------------------------------------------------------------------------------
+
+
+def test_functions_named_beside_the_equations_exist() -> None:
+    sources = [*(ROOT / "csrc").glob("*.[ch]"), *(ROOT / "rthyb_rt").rglob("*.py")]
+    code = "\n".join(read(source) for source in sources)
+    names = set(re.findall(r"`([a-z]\w*_\w+)`", read(ROOT / "docs" / "equations.md")))
+    assert len(names) > 30
+    for name in names:
+        assert re.search(rf"\b{name}\b", code), name
+
+
+def test_every_element_and_actuator_has_its_formula() -> None:
+    page = read(ROOT / "docs" / "equations.md")
+    kinds = dict(key_tables._sections(config.RigFile))
+    for model in (*kinds["specimen"], *kinds["actuator"]):
+        assert f"| `{key_tables._tag(model)}` |" in page

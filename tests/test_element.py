@@ -1,0 +1,432 @@
+"""The catalogue of specimen elements: against closed forms and scipy.integrate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.signal
+from kernels import Floats, H, smooth_motion, time_s
+
+from rthyb_rt import core
+
+K = 4737410.0
+SECTION_4_2 = {"k_n_per_m": K, "post_yield_ratio": 0.02, "a": 1.0, "b": 300.0, "c": 200.0}
+LUGRE = {
+    "fc_n": 80.0,
+    "fs_n": 120.0,
+    "vs_m_per_s": 2e-3,
+    "sigma0_n_per_m": 4e5,
+    "sigma1_n_s_per_m": 500.0,
+    "sigma2_n_s_per_m": 60.0,
+}
+ONE_OF_EACH = {
+    "stiffness": {"k_n_per_m": 1e5},
+    "viscous": {"c_n_s_per_m": 600.0},
+    "coulomb": {"fc_n": 80.0, "width_m_per_s": 5e-4},
+    "stribeck": {"fc_n": 80.0, "fs_n": 120.0, "vs_m_per_s": 2e-3, "width_m_per_s": 5e-4},
+    "lugre": LUGRE,
+    "quad_damping": {"c2_n_s2_per_m2": 900.0},
+    "inertia": {"m_kg": 45.0},
+    "gap": {"k_n_per_m": 1e6, "gap_m": 1e-3},
+    "cubic": {"k3_n_per_m3": 1e10},
+    "quadratic": {"k2_n_per_m2": 1e7},
+    "stopper": {"ks_n_per_m": 1e7, "xs_m": 8e-3},
+    "hysteresis": SECTION_4_2 | {"eta": 1.5},
+    "pinching": SECTION_4_2 | {"eta": 1.5, "depth": 0.7, "width_ratio": 0.3},
+    "degradation": SECTION_4_2 | {"eta": 1.5, "loss": 0.4, "travel_m": 0.5},
+    "maxwell": {"km_n_per_m": 2e5, "tau_s": 0.05},
+    "second_mode": {"m2_kg": 20.0, "f2_hz": 12.0, "zeta2": 0.02},
+    "p_delta": {"gravity_load_n": 5e4, "height_m": 0.63},
+}
+
+
+def make(kind: str) -> core.Element:
+    return core.Element(core.element(kind, **ONE_OF_EACH[kind]))
+
+
+def derivatives(x: Floats) -> tuple[Floats, Floats]:
+    v = np.gradient(x, H)
+    return v, np.gradient(v, H)
+
+
+def run(kind: str, x: Floats, **params: float) -> Floats:
+    v, a = derivatives(x)
+    return core.Element(core.element(kind, **(params or ONE_OF_EACH[kind]))).run(x, v, a)
+
+
+# --- laws without memory -------------------------------------------------------------------------
+
+FORMULA: dict[str, Callable[[Floats, Floats, Floats], Floats]] = {
+    "stiffness": lambda x, v, a: 1e5 * x,
+    "viscous": lambda x, v, a: 600.0 * v,
+    "coulomb": lambda x, v, a: 80.0 * np.tanh(v / 5e-4),
+    "stribeck": lambda x, v, a: (80.0 + 40.0 * np.exp(-((v / 2e-3) ** 2))) * np.tanh(v / 5e-4),
+    "quad_damping": lambda x, v, a: 900.0 * v * np.abs(v),
+    "inertia": lambda x, v, a: 45.0 * a,
+    "gap": lambda x, v, a: 1e6 * (x - np.clip(x, -1e-3, 1e-3)),
+    "cubic": lambda x, v, a: 1e10 * x**3,
+    "quadratic": lambda x, v, a: 1e7 * x**2,
+    "stopper": lambda x, v, a: 1e7 * np.sign(x) * np.maximum(np.abs(x) - 8e-3, 0.0),
+    "p_delta": lambda x, v, a: -5e4 / 0.63 * x,
+}
+
+
+@pytest.mark.parametrize("kind", FORMULA)
+def test_law_without_memory_is_its_formula(kind: str) -> None:
+    x = smooth_motion(3.0, 1, peak_m=0.02)
+    v, a = derivatives(x)
+    expected = FORMULA[kind](x, v, a)
+    np.testing.assert_allclose(
+        run(kind, x), expected, rtol=1e-12, atol=1e-12 * np.max(np.abs(expected))
+    )
+
+
+def test_friction_far_from_zero_velocity_is_the_coulomb_level_with_its_sign() -> None:
+    friction = make("coulomb")
+    assert friction.force(0.0, 1.0, 0.0, H) == 80.0
+    assert friction.force(0.0, -1.0, 0.0, H) == -80.0
+    assert friction.force(0.0, 0.0, 0.0, H) == 0.0
+
+
+# --- Bouc-Wen, Eqn 4.1-4.2 -----------------------------------------------------------------------
+
+
+def bouc_wen_by_scipy(
+    motion: Callable[[float], tuple[float, float]],
+    t: Floats,
+    eta: float,
+    shape: Callable[[float], float] = lambda z: 1.0,
+) -> Floats:
+    """z of Eqn 4.2 as it is printed, B, C and A of Section 4.2."""
+
+    def slope(time: float, y: Floats) -> list[float]:
+        v, z = motion(time)[1], y[0]
+        rate = v - 300.0 * abs(v) * abs(z) ** (eta - 1.0) * z - 200.0 * v * abs(z) ** eta
+        return [rate * shape(z)]
+
+    solution = scipy.integrate.solve_ivp(
+        slope, (0.0, t[-1]), [0.0], "DOP853", t_eval=t, rtol=1e-9, atol=1e-12, max_step=0.01
+    )
+    return np.asarray(solution.y[0])
+
+
+def two_sines(time: float) -> tuple[float, float]:
+    """Displacement and velocity of a motion that runs well past yield."""
+    a, b = 2.0 * np.pi * 1.1, 2.0 * np.pi * 2.7
+    x = 0.02 * np.sin(a * time) + 0.012 * np.sin(b * time)
+    return x, 0.02 * a * np.cos(a * time) + 0.012 * b * np.cos(b * time)
+
+
+@pytest.mark.parametrize("eta", [1.0, 1.5, 2.0, 3.3])
+def test_hysteresis_is_eqn_4_1_and_4_2_by_scipy(eta: float) -> None:
+    t = time_s(3.0)
+    x = np.array([two_sines(time)[0] for time in t])
+    expected = 0.02 * K * x + 0.98 * K * bouc_wen_by_scipy(two_sines, t, eta)
+    found = core.Element(core.element("hysteresis", **SECTION_4_2, eta=eta)).run(x)
+    assert np.max(np.abs(found - expected)) < 1e-3 * np.max(np.abs(expected))
+
+
+def test_pinching_slackens_the_loop_near_zero_as_by_scipy() -> None:
+    t = time_s(3.0)
+    x = np.array([two_sines(time)[0] for time in t])
+    ultimate = (1.0 / 500.0) ** (1.0 / 1.5)
+    z = bouc_wen_by_scipy(
+        two_sines, t, 1.5, lambda z: 1.0 - 0.7 * np.exp(-((z / (0.3 * ultimate)) ** 2))
+    )
+    expected = 0.02 * K * x + 0.98 * K * z
+    assert np.max(np.abs(run("pinching", x) - expected)) < 2e-3 * np.max(np.abs(expected))
+
+
+def test_degradation_takes_strength_away_with_the_distance_travelled() -> None:
+    t = time_s(3.0)
+    x = np.array([two_sines(time)[0] for time in t])
+    z = bouc_wen_by_scipy(two_sines, t, 1.5)
+    travel = np.cumsum(np.abs(np.diff(x, prepend=0.0)))
+    strength = 1.0 - 0.4 * (1.0 - np.exp(-travel / 0.5))
+    expected = 0.02 * K * x + 0.98 * K * strength * z
+    found = run("degradation", x)
+    assert np.max(np.abs(found - expected)) < 1e-3 * np.max(np.abs(expected))
+    assert strength[-1] < 0.8
+
+
+def test_first_loading_with_eta_1_is_an_exponential_and_unloading_another() -> None:
+    u = np.linspace(0.0, 0.02, 2001)
+    plastic = SECTION_4_2 | {"post_yield_ratio": 0.0, "eta": 1.0}
+    element = core.Element(core.element("hysteresis", **plastic))
+    loading = element.run(u)
+    np.testing.assert_allclose(loading, K / 500.0 * -np.expm1(-500.0 * u), rtol=1e-5, atol=1e-2)
+    back = u[::-1][1:180]  # while z > 0, du < 0: dz/du = A + (B - C) z
+    z0 = loading[-1] / K
+    expected = K * ((z0 + 0.01) * np.exp(100.0 * (back - u[-1])) - 0.01)
+    np.testing.assert_allclose(element.run(back), expected, rtol=0, atol=1e-5 * K * 0.002)
+
+
+def test_first_loading_with_eta_2_is_a_hyperbolic_tangent() -> None:
+    u = np.linspace(0.0, 0.1, 1001)
+    plastic = SECTION_4_2 | {"post_yield_ratio": 0.0, "eta": 2.0}
+    found = core.Element(core.element("hysteresis", **plastic)).run(u)
+    ultimate = np.sqrt(1.0 / 500.0)
+    np.testing.assert_allclose(found, K * ultimate * np.tanh(u / ultimate), rtol=2e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["hysteresis", "pinching", "degradation"])
+def test_loop_does_not_depend_on_the_rate(kind: str) -> None:
+    x = smooth_motion(2.0, 2, peak_m=0.03)
+    slow, fast = make(kind).run(x, dt_s=0.5), make(kind).run(x, 5.0, 100.0, dt_s=1e-4)
+    np.testing.assert_array_equal(slow, fast)
+    dense = np.interp(np.arange(0.0, x.size - 1, 0.125), np.arange(x.size), x)
+    finely = make(kind).run(dense)[::8]
+    assert np.max(np.abs(finely - slow[: finely.size])) < 1e-3 * np.max(np.abs(slow))
+
+
+@pytest.mark.parametrize("kind", ["hysteresis", "pinching", "degradation"])
+def test_closed_loop_dissipates_and_never_passes_the_ultimate_strength(kind: str) -> None:
+    x = 0.04 * np.sin(2 * np.pi * np.linspace(0.0, 3.0, 6001))
+    f = run(kind, x)
+    hysteretic = f - 0.02 * K * x
+    ultimate = 0.98 * K * (1.0 / 500.0) ** (1.0 / 1.5)
+    assert np.max(np.abs(hysteretic)) <= ultimate * (1.0 + 1e-12)
+    cycle = slice(4000, 6001)
+    assert scipy.integrate.trapezoid(f[cycle], x[cycle]) > 0.5 * ultimate * 0.04
+
+
+def test_small_steps_start_at_the_elastic_stiffness() -> None:
+    assert make("hysteresis").force(1e-9, 0.0, 0.0, H) == pytest.approx(K * 1e-9, rel=1e-6)
+
+
+def test_one_jump_across_the_whole_loop_lands_where_many_small_steps_land() -> None:
+    jump, walk = make("hysteresis"), make("hysteresis")
+    walk.run(np.linspace(0.0, 0.04, 4000))
+    jump.force(0.04, 0.0, 0.0, H)
+    assert jump.state()[1] == pytest.approx(walk.state()[1], rel=1e-3)
+    assert jump.force(-0.04, 0.0, 0.0, H) == pytest.approx(
+        walk.run(np.linspace(0.04, -0.04, 8000))[-1], rel=1e-3
+    )
+
+
+# --- LuGre, Maxwell, second mode -----------------------------------------------------------------
+
+
+def test_lugre_at_constant_velocity_builds_up_by_the_closed_form() -> None:
+    friction = make("lugre")
+    v = 1.5e-3
+    level = 80.0 + 40.0 * np.exp(-((v / 2e-3) ** 2))
+    rate = 4e5 * v / level
+    t = (1.0 + np.arange(4000)) * H
+    z = level / 4e5 * -np.expm1(-rate * t)
+    expected = 4e5 * z + 500.0 * (v - rate * z) + 60.0 * v
+    found = friction.run(v * t, v)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert found[-1] == pytest.approx(level + 60.0 * v, rel=1e-3)
+
+
+def test_lugre_in_motion_converges_to_scipy() -> None:
+    def velocity(time: float) -> float:
+        return float(0.004 * np.sin(7.0 * time) + 0.002 * np.sin(19.0 * time))
+
+    def slope(time: float, y: Floats) -> list[float]:
+        v = velocity(time)
+        level = 80.0 + 40.0 * np.exp(-((v / 2e-3) ** 2))
+        return [v - 4e5 * abs(v) / level * y[0]]
+
+    t = np.arange(0.0, 2.0, H)
+    z = scipy.integrate.solve_ivp(
+        slope, (0.0, 2.0), [0.0], "LSODA", t_eval=t, rtol=1e-8, atol=1e-12, max_step=0.005
+    ).y[0]
+    v = np.array([velocity(time) for time in t])
+    z_rate = np.array([slope(time, np.array([y]))[0] for time, y in zip(t, z, strict=True)])
+    expected = 4e5 * z + 500.0 * z_rate + 60.0 * v
+    errors = []
+    for factor in (1, 4, 16):
+        fine = np.arange(t.size * factor) * H / factor
+        v_fine = 0.004 * np.sin(7.0 * fine) + 0.002 * np.sin(19.0 * fine)
+        found = make("lugre").run(np.zeros_like(fine), v_fine, dt_s=H / factor)[::factor]
+        errors.append(np.max(np.abs(found - expected)) / 120.0)
+    assert errors[0] < 0.15
+    assert errors[1] < 0.4 * errors[0]
+    assert errors[2] < 0.4 * errors[1]
+
+
+def test_maxwell_under_a_ramp_follows_the_closed_form_and_then_relaxes() -> None:
+    t = H * (1.0 + np.arange(300))
+    element = make("maxwell")
+    ramp = element.run(0.02 * t)
+    np.testing.assert_allclose(ramp, 2e5 * 0.05 * 0.02 * -np.expm1(-t / 0.05), rtol=1e-12)
+    held = element.run(np.full(300, 0.02 * t[-1]))
+    np.testing.assert_allclose(held, ramp[-1] * np.exp(-t / 0.05), rtol=1e-12)
+
+
+def test_maxwell_in_motion_is_the_linear_system_of_scipy() -> None:
+    x = smooth_motion(3.0, 3)
+    system = scipy.signal.lti([2e5 * 0.05, 0.0], [0.05, 1.0])
+    _, expected, _ = scipy.signal.lsim(system, x, time_s(3.0))
+    np.testing.assert_allclose(run("maxwell", x), expected, rtol=0, atol=1e-9 * 2e5 * 0.01)
+
+
+def test_second_mode_is_a_mass_on_a_spring_by_scipy() -> None:
+    # From the specimen's acceleration to m2 times the absolute acceleration of the second mass.
+    def acceleration(t: Floats) -> Floats:
+        return 3.0 * np.sin(2 * np.pi * 3.0 * t) * (1.0 - np.exp(-((t / 0.3) ** 3)))
+
+    w, zeta, m2 = 2 * np.pi * 12.0, 0.02, 20.0
+    system = scipy.signal.lti([m2 * 2 * zeta * w, m2 * w**2], [1.0, 2 * zeta * w, w**2])
+    dense = np.arange(4096 * 32) * H / 32
+    expected = scipy.signal.lsim(system, acceleration(dense), dense)[1][::32]
+    errors = []
+    for factor in (1, 4):
+        a = acceleration(np.arange(4096 * factor) * H / factor)
+        found = make("second_mode").run(np.zeros_like(a), 0.0, a, dt_s=H / factor)[::factor]
+        errors.append(np.max(np.abs(found - expected)) / np.max(np.abs(expected)))
+    assert errors[0] < 5e-3
+    assert errors[1] < 0.1 * errors[0]
+
+
+def test_second_mode_rides_along_as_plain_mass_when_the_motion_is_slow() -> None:
+    t = time_s(20.0)
+    a = 0.5 * np.sin(2 * np.pi * 0.2 * t)
+    found = make("second_mode").run(np.zeros_like(a), 0.0, a)
+    steady = slice(15 * 1024, None)
+    assert np.max(np.abs(found[steady] - 20.0 * a[steady])) < 0.03 * 20.0 * 0.5
+
+
+# --- every element -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", core.ELEMENT_PARAMS)
+def test_element_that_moves_not_at_all_gives_no_force(kind: str) -> None:
+    element = make(kind)
+    for _ in range(2000):
+        assert element.force(0.0, 0.0, 0.0, H) == 0.0
+    assert all(value == 0.0 for value in element.state())
+
+
+@pytest.mark.parametrize("kind", core.ELEMENT_PARAMS)
+def test_wild_motion_leaves_force_and_history_finite(kind: str) -> None:
+    rng = np.random.default_rng(4)
+    element = make(kind)
+    sizes = 10.0 ** rng.uniform(-320.0, 300.0, (3, 4000)) * rng.choice([-1.0, 0.0, 1.0], (3, 4000))
+    assert np.all(np.isfinite(element.run(*sizes)))
+    assert np.all(np.isfinite(element.state()))
+
+
+@pytest.mark.parametrize("kind", core.ELEMENT_PARAMS)
+@pytest.mark.parametrize("dt_s", [0.0, -1.0, np.nan, np.inf, 5e-324])
+def test_time_step_without_sense_counts_as_no_time(kind: str, dt_s: float) -> None:
+    element = make(kind)
+    for x in (0.0, 0.003, -0.002):
+        assert np.isfinite(element.force(x, 0.01, 1.0, dt_s))
+    assert np.all(np.isfinite(element.state()))
+
+
+# --- refusals ------------------------------------------------------------------------------------
+
+MUST_BE_POSITIVE = [
+    ("coulomb", "width_m_per_s"),
+    ("stribeck", "vs_m_per_s"),
+    ("stribeck", "width_m_per_s"),
+    ("lugre", "fc_n"),
+    ("lugre", "fs_n"),
+    ("lugre", "vs_m_per_s"),
+    ("lugre", "sigma0_n_per_m"),
+    ("hysteresis", "k_n_per_m"),
+    ("hysteresis", "a"),
+    ("hysteresis", "eta"),
+    ("pinching", "width_ratio"),
+    ("degradation", "travel_m"),
+    ("maxwell", "tau_s"),
+    ("second_mode", "f2_hz"),
+    ("p_delta", "height_m"),
+]
+NOT_NEGATIVE = [
+    ("coulomb", "fc_n"),
+    ("stribeck", "fs_n"),
+    ("lugre", "sigma1_n_s_per_m"),
+    ("inertia", "m_kg"),
+    ("gap", "k_n_per_m"),
+    ("gap", "gap_m"),
+    ("stopper", "xs_m"),
+    ("hysteresis", "post_yield_ratio"),
+    ("pinching", "depth"),
+    ("degradation", "loss"),
+    ("maxwell", "km_n_per_m"),
+    ("second_mode", "m2_kg"),
+    ("second_mode", "zeta2"),
+    ("p_delta", "gravity_load_n"),
+]
+
+
+@pytest.mark.parametrize(("kind", "name"), MUST_BE_POSITIVE)
+def test_parameter_that_divides_must_be_positive(kind: str, name: str) -> None:
+    for value in (0.0, -1.0):
+        with pytest.raises(core.CoreError):
+            core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: value})))
+
+
+@pytest.mark.parametrize(("kind", "name"), NOT_NEGATIVE)
+def test_parameter_that_cannot_be_negative_is_refused(kind: str, name: str) -> None:
+    core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: 0.0})))
+    with pytest.raises(core.CoreError):
+        core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: -1.0})))
+
+
+@pytest.mark.parametrize("kind", core.ELEMENT_PARAMS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
+def test_no_parameter_may_be_without_end_or_sense(kind: str, value: float) -> None:
+    for name in core.ELEMENT_PARAMS[kind]:
+        with pytest.raises(core.CoreError):
+            core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: value})))
+
+
+def test_hysteresis_that_never_yields_or_is_too_sharp_is_refused_or_bounded() -> None:
+    for eta in (0.05, 150.0):
+        with pytest.raises(core.CoreError):
+            core.Element(core.element("hysteresis", **SECTION_4_2, eta=eta))
+    endless = core.Element(core.element("hysteresis", **(SECTION_4_2 | {"b": -200.0}), eta=1.5))
+    assert np.all(np.isfinite(endless.run(np.linspace(0.0, 900.0, 5000))))
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        ("lugre", {"fc_n": 1e-300, "fs_n": 1e-300}),
+        ("p_delta", {"height_m": 1e-300}),
+        ("hysteresis", {"b": 1e15, "c": -1e15, "eta": 100.0}),
+    ],
+)
+def test_parameters_at_the_end_of_what_is_accepted_still_give_finite_forces(
+    kind: str, change: dict[str, float]
+) -> None:
+    try:
+        element = core.Element(core.element(kind, **(ONE_OF_EACH[kind] | change)))
+    except core.CoreError:
+        return  # refusing them is as good
+    for x in (0.0, 1.0, -900.0, 900.0, 0.0):
+        assert np.isfinite(element.force(x, 1e5 * x, 0.0, H))
+    assert np.all(np.isfinite(element.state()))
+
+
+def test_unknown_kind_and_wrong_names_are_refused_by_name() -> None:
+    with pytest.raises(core.CoreError, match="rubber"):
+        core.element("rubber", k_n_per_m=1.0)
+    with pytest.raises(core.CoreError, match="takes k_n_per_m"):
+        core.element("stiffness", k=1.0)
+    for wrong in (
+        core.ElementConfig("rubber", (1.0,)),
+        core.ElementConfig("stiffness", (1.0, 2.0)),
+    ):
+        with pytest.raises(core.CoreError):
+            core.Element(wrong)
+
+
+def test_reference_structure_carries_a_specimen_as_the_sum_of_its_elements() -> None:
+    t = time_s(2.0)
+    ag = np.sin(9.0 * t)
+    motion = core.MotionConfig("central-difference", mass_kg=1000.0, damping_n_s_per_m=300.0)
+    one, _, f_one = core.Motion(motion).reference([core.element("stiffness", k_n_per_m=3e5)], ag)
+    parts = [core.element("stiffness", k_n_per_m=k) for k in (1e5, 1.5e5, 0.5e5)]
+    sum_of_parts, _, f_sum = core.Motion(motion).reference(parts, ag)
+    np.testing.assert_allclose(sum_of_parts, one, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(f_sum, f_one, rtol=1e-9, atol=1e-9)
