@@ -113,19 +113,31 @@ static void follow_estimate(rthyb_controller *c, double slope, double curvature)
     c->beta += share * d_beta;
 }
 
-/* Acceleration, velocity, position: the last one wins. */
+/* The step that closes a lag and can still be braked away with half the acceleration limit. */
+static double catch_up(double lag, double a_max, double h)
+{
+    const double brake = 0.5 * a_max, half = 0.5 * brake * h;
+    return copysign(h * (sqrt(2.0 * brake * fabs(lag) + half * half) - half), lag);
+}
+
+/* Acceleration, velocity, position: the last one wins. A command that has fallen behind catches up
+ * no faster than it can brake, or it would swing about what is wanted for ever. */
 static double limit_command(const rthyb_controller *c, double wanted)
 {
     const double h = c->cfg.period_s, v_max = c->cfg.velocity_limit_m_per_s;
     const double a_max = c->cfg.acceleration_limit_m_per_s2, x_max = c->cfg.position.value;
-    double step = wanted - c->x_cmd;
+    const double whole = wanted - c->x_cmd;
+    double step = whole;
     if (a_max > 0.0) {
+        const double lag = c->x_plc - c->x_cmd, closing = catch_up(lag, a_max, h);
+        if (fabs(closing) < fabs(lag))
+            step = wanted - c->x_plc + closing;
         const double before = c->x_cmd - c->x_cmd1;
         step = clamp(step, before - a_max * h * h, before + a_max * h * h);
     }
     if (v_max > 0.0)
         step = clamp(step, -v_max * h, v_max * h);
-    const double command = step == wanted - c->x_cmd ? wanted : c->x_cmd + step;
+    const double command = step == whole ? wanted : c->x_cmd + step;
     const int hard = x_max > 0.0 && c->cfg.position.action == RTHYB_TRIP_TEST;
     const double most = hard ? x_max : COMMAND_MAX_M;
     return clamp(command, -most, most);

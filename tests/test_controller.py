@@ -249,6 +249,24 @@ def test_limiter_that_has_nothing_to_do_leaves_every_bit_alone() -> None:
     assert bits(run_virtual(limited, delay_rig(), command)) == bits(free)
 
 
+@pytest.mark.parametrize("acceleration", [1.0, 5.0, 100.0])
+@pytest.mark.parametrize("velocity", [0.0, 0.05, 0.3])
+def test_limited_command_comes_to_rest_on_a_step_without_swinging_past(
+    acceleration: float, velocity: float
+) -> None:
+    limited = controller(
+        core.MotionConfig("prescribed"),
+        plc_enabled=False,
+        velocity_limit_m_per_s=velocity,
+        acceleration_limit_m_per_s2=acceleration,
+    )
+    command = np.where(time_s(3.0) < 0.1, 0.0, 0.02)
+    x_cmd = run_virtual(limited, delay_rig(), command)["x_cmd_m"]
+    assert np.max(x_cmd) <= 0.02
+    assert np.all(x_cmd[-1000:] == 0.02)
+    assert np.max(np.abs(np.diff(x_cmd, 2))) <= acceleration * H**2 * (1.0 + 1e-9)
+
+
 @pytest.mark.parametrize("action", ["indicate", "trip"])
 def test_position_limit_is_told_and_holds_the_command_where_it_trips(action: Any) -> None:
     c = controller(core.MotionConfig("prescribed"), position=core.LimitConfig(0.004, action))
