@@ -22,13 +22,14 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help run reproduce test sanitize bench lint clean
+.PHONY: help run reproduce test sanitize fuzz bench lint clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
 	@echo "make reproduce  the paper's studies: figures, tables, accepted bands"
 	@echo 'make test       the test suite'
 	@echo 'make sanitize   the test suite on a core built with ASan and UBSan'
+	@echo 'make fuzz       a minute of libFuzzer on the decoding of frames (SECONDS=60)'
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
 	@echo 'make clean      remove .venv, build and caches; runs/ stays'
@@ -36,7 +37,8 @@ help:
 run: $(READY)
 	@$(BIN)/rthyb run
 
-reproduce: $(READY)
+# The record of Section 4.2, TCU068, comes with a package of the test group.
+reproduce: $(TEST_READY)
 	@$(BIN)/rthyb reproduce
 
 test: $(TEST_READY)
@@ -71,6 +73,20 @@ sanitize: $(TEST_READY)
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so.6)" \
 	    ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
 	    $(OVERLAY)/bin/python -m pytest -p no:cacheprovider --capture=sys -m 'not speed'
+
+# clang and its run-time library (Debian: clang, libclang-rt-14-dev) are asked for here only. What was
+# found stays in build/fuzz and is where the next run begins.
+SECONDS := 60
+FUZZ := build/fuzz
+fuzz: $(READY)
+	@command -v clang >/dev/null || { echo 'Install clang: sudo apt-get install clang libclang-rt-14-dev'; exit 1; }
+	@mkdir -p $(FUZZ)/corpus && { cmake -S csrc -B $(FUZZ) -DCMAKE_C_COMPILER=clang -DRTHYB_PYTHON=OFF \
+	    -DRTHYB_FUZZ=ON -DRTHYB_SANITIZE=address,undefined && cmake --build $(FUZZ) -j 2; \
+	    } >build/fuzz.log 2>&1 || { cat build/fuzz.log; exit 1; }
+	@$(FUZZ)/fuzz_wire -max_total_time=$(SECONDS) -max_len=4096 -print_final_stats=1 \
+	    -artifact_prefix=$(FUZZ)/ $(FUZZ)/corpus >$(FUZZ)/run.log 2>&1 \
+	    || { tail -n 60 $(FUZZ)/run.log; exit 1; }
+	@sed -n 's/^stat::number_of_executed_units: */inputs without a finding: /p' $(FUZZ)/run.log
 
 clean:
 	@rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

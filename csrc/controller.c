@@ -1,5 +1,6 @@
 /* One sample of the controller: gate -> estimator -> RFC -> motion -> PLC -> limiter. A pure
  * function of (state, input). */
+#include "internal.h"
 #include "numeric.h"
 
 #define FREEZE_AFTER 3       /* lost samples in a row after which alpha and k_t are held */
@@ -21,7 +22,7 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
         return RTHYB_E_PERIOD;
     if (!limit_ok(&cfg->position) || !limit_ok(&cfg->force) || !limit_ok(&cfg->tracking) ||
         !(cfg->velocity_limit_m_per_s >= 0.0 && cfg->acceleration_limit_m_per_s2 >= 0.0 &&
-          cfg->x_range_m >= 0.0 && cfg->f_range_n >= 0.0))
+          cfg->x_range_m >= 0.0 && cfg->f_range_n >= 0.0 && cfg->clamp_m >= 0.0))
         return RTHYB_E_LIMIT;
     *c = (rthyb_controller){.cfg = *cfg, .state = RTHYB_RUNNING};
     int error = rthyb_plc_init(&c->plc, cfg->estimator.w1, cfg->estimator.w2, 0.0);
@@ -56,7 +57,7 @@ static int beyond_sensor(double value, double range)
     return range > 0.0 && fabs(value) >= range;
 }
 
-/* Takes the pair of this tick, or makes one up at constant velocity. */
+/* Takes the pair of this tick, or makes one up from the command. */
 static int gate(const rthyb_controller *c, const rthyb_input *in, double *x, double *f)
 {
     int code =
@@ -71,10 +72,11 @@ static int gate(const rthyb_controller *c, const rthyb_input *in, double *x, dou
         *f = in->f_meas_n;
         return code;
     }
-    const double ahead = c->missing < EXTRAPOLATE_UNTIL ? 1.0 : 0.0;
-    *x = clamp(c->x_m1 + ahead * (c->x_m1 - c->x_m2), -RTHYB_DISPLACEMENT_MAX_M,
-               RTHYB_DISPLACEMENT_MAX_M);
-    *f = clamp(c->f1 + ahead * (c->f1 - c->f2), -RTHYB_FORCE_MAX_N, RTHYB_FORCE_MAX_N);
+    /* The specimen goes on as its command does, the force along the tangent stiffness. The noise of
+     * two samples, run out over twenty, would be more than the motion. */
+    const double ahead = c->missing < EXTRAPOLATE_UNTIL ? c->x_num - c->x_num1 : 0.0;
+    *x = clamp(c->x_m1 + ahead, -RTHYB_DISPLACEMENT_MAX_M, RTHYB_DISPLACEMENT_MAX_M);
+    *f = clamp(c->f1 + c->rfc.k_n_per_m * ahead, -RTHYB_FORCE_MAX_N, RTHYB_FORCE_MAX_N);
     return code;
 }
 
@@ -139,7 +141,8 @@ static double limit_command(const rthyb_controller *c, double wanted)
         step = clamp(step, -v_max * h, v_max * h);
     const double command = step == whole ? wanted : c->x_cmd + step;
     const int hard = x_max > 0.0 && c->cfg.position.action == RTHYB_TRIP_TEST;
-    const double most = hard ? x_max : COMMAND_MAX_M;
+    const double clamped = c->cfg.clamp_m > 0.0 ? c->cfg.clamp_m : COMMAND_MAX_M;
+    const double most = hard ? fmin(x_max, clamped) : clamped;
     return clamp(command, -most, most);
 }
 
@@ -152,6 +155,8 @@ static int exceeds(const rthyb_limit *limit, double value, int bit)
 
 static int32_t raw(double value, double unit)
 {
+    if (isnan(value))
+        return INT32_MIN;
     return (int32_t)lrint(clamp(value / unit, -2147483648.0, 2147483647.0));
 }
 
@@ -163,8 +168,8 @@ static void write_record(const rthyb_controller *c, const rthyb_input *in, doubl
     record->due_ns = llrint((double)n * c->cfg.period_s * 1e9);
     record->flags = flags;
     record->generation = c->generation;
-    record->x_raw = raw(x, RAW_X_M);
-    record->f_raw = raw(f, RAW_F_N);
+    record->x_raw = in->lost ? 0 : raw(in->x_meas_m, RAW_X_M);
+    record->f_raw = in->lost ? 0 : raw(in->f_meas_n, RAW_F_N);
     record->state = (uint8_t)c->state;
     record->code = (uint8_t)code;
     record->ag_mps2 = c->cfg.motion.integrator == RTHYB_PRESCRIBED ? 0.0 : in->excitation;
@@ -182,38 +187,67 @@ static void write_record(const rthyb_controller *c, const rthyb_input *in, doubl
     record->echo = record->count = 0;
 }
 
+/* The next displacement by the equation of motion, with estimator, RFC and monitors. */
+static int compute_motion(rthyb_controller *c, const rthyb_input *in, double x, double f,
+                          int frozen, double *x_num)
+{
+    double force;
+    monitor(c, x, f);
+    int code = rthyb_estimator_step(&c->estimator, c->x_cmd, x, frozen);
+    code |= rthyb_rfc_step(&c->rfc, c->x_num, x, f, frozen, &force);
+    code |= rthyb_motion_step(&c->motion, in->excitation, force, x_num);
+    follow_estimate(c, *x_num - c->plc.x1, *x_num - 2.0 * c->plc.x1 + c->plc.x2);
+    return code;
+}
+
+/* The next displacement from a path: estimator and RFC see the motion and learn nothing from it. */
+static int follow_path(rthyb_controller *c, double x, double f, double path_m, double *x_num)
+{
+    int code = rthyb_estimator_step(&c->estimator, c->x_cmd, x, 1);
+    c->rfc.x1 = x;
+    c->rfc.f1 = f;
+    *x_num = accept(path_m, RTHYB_DISPLACEMENT_MAX_M, c->x_num, &code);
+    return code;
+}
+
 int rthyb_controller_step(rthyb_controller *c, const rthyb_input *in, rthyb_record *record)
 {
-    double x, f, force, x_num, x_plc;
+    return rthyb_controller_sample(c, in, NULL, 0, record);
+}
+
+int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
+                            int blind, rthyb_record *record)
+{
+    double x, f, x_num, x_plc;
     int code = gate(c, in, &x, &f);
     const int made_up = in->lost || code != RTHYB_OK;
     c->missing = made_up ? c->missing + (c->missing < UINT32_MAX) : 0;
-    const int frozen = c->missing >= FREEZE_AFTER;
-    monitor(c, x, f);
-    code |= rthyb_estimator_step(&c->estimator, c->x_cmd, x, frozen);
-    code |= rthyb_rfc_step(&c->rfc, c->x_num, x, f, frozen, &force);
-    code |= rthyb_motion_step(&c->motion, in->excitation, force, &x_num);
-    follow_estimate(c, x_num - c->plc.x1, x_num - 2.0 * c->plc.x1 + c->plc.x2);
+    const int frozen = blind || c->missing >= FREEZE_AFTER;
+    if (path_m)
+        code |= follow_path(c, x, f, *path_m, &x_num);
+    else
+        code |= compute_motion(c, in, x, f, frozen, &x_num);
     code |= rthyb_plc_step(&c->plc, c->alpha, c->beta, x_num, &x_plc);
     if (!c->cfg.plc_enabled)
         x_plc = x_num;
-    const double x_cmd = limit_command(c, x_plc);
-    if (x_cmd != x_plc)
+    const double x_cmd = blind ? c->x_cmd : limit_command(c, x_plc);
+    if (x_cmd != x_plc && !blind)
         code |= RTHYB_S_LIMITED;
     code |= exceeds(&c->cfg.position, x_plc, RTHYB_S_POSITION_LIMIT);
     code |= exceeds(&c->cfg.force, f, RTHYB_S_FORCE_LIMIT);
     code |= exceeds(&c->cfg.tracking, x - c->x_num, RTHYB_S_TRACKING_LIMIT);
+    if (c->missing >= EXTRAPOLATE_UNTIL && c->state == RTHYB_RUNNING)
+        code |= RTHYB_S_LINK_LOST | RTHYB_S_TRIP;
     if (code & RTHYB_S_NOT_FINITE)
         code |= RTHYB_S_TRIP;
     if (code & RTHYB_S_TRIP)
         c->state = RTHYB_TRIPPED;
     const uint32_t flags = (made_up ? RTHYB_F_PREDICTED : RTHYB_F_FRESH) |
-                           (frozen ? RTHYB_F_FROZEN : 0u) |
+                           (frozen || path_m ? RTHYB_F_FROZEN : 0u) |
+                           (blind ? RTHYB_F_BLIND | RTHYB_F_NOT_SENT : 0u) |
                            (code & RTHYB_S_LIMITED ? RTHYB_F_LIMITED : 0u);
     write_record(c, in, x, f, flags, code, record);
-    c->x_m2 = c->x_m1;
     c->x_m1 = x;
-    c->f2 = c->f1;
     c->f1 = f;
     c->x_num1 = c->x_num;
     c->x_num = x_num;

@@ -4,6 +4,12 @@
 
 #include "rthyb.h"
 
+/* One sample. path_m: the next displacement where it does not come from the equation of motion;
+ * estimator, RFC and monitors then stand still. blind: a skipped tick made up for, nothing is sent
+ * and the drive still has the command of before. */
+int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
+                            int blind, rthyb_record *record);
+
 int rthyb_servo_init(rthyb_servo *servo, const rthyb_servo_config *cfg);
 
 /* The table at t_n, before x_p[n] is applied (pure delay: with it). */

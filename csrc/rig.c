@@ -68,10 +68,11 @@ int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg)
         for (uint32_t i = 0; i < cfg->element_count; i++) {
             if (cfg->elements[i].kind != RTHYB_INERTIA)
                 continue;
-            servo.moving_mass_kg += cfg->elements[i].params[0];
+            rig->ridden_kg += cfg->elements[i].params[0];
             rig->cfg.elements[i].params[0] = 0.0;
         }
     }
+    servo.moving_mass_kg += rig->ridden_kg;
     uint64_t seed = cfg->seed;
     rig->random[0] = splitmix(&seed);
     rig->random[1] = splitmix(&seed);
@@ -86,7 +87,8 @@ static double load_cell_force(rthyb_rig *rig)
     const int hydraulic = servo->cfg.kind == RTHYB_SERVO_HYDRAULIC;
     if (hydraulic && rig->cfg.load_cell == RTHYB_ACTUATOR_END)
         return servo->oil_force;
-    return rthyb_specimen_force(rig->cfg.elements, rig->cfg.element_count, servo->x, servo->v,
+    return rig->ridden_kg * servo->a +
+           rthyb_specimen_force(rig->cfg.elements, rig->cfg.element_count, servo->x, servo->v,
                                 servo->a, hydraulic ? 0.0 : servo->cfg.period_s);
 }
 

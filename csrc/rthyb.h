@@ -42,6 +42,7 @@ enum rthyb_status {
     RTHYB_S_POSITION_LIMIT = 8,  /* the command went past its position limit */
     RTHYB_S_FORCE_LIMIT = 16,    /* the measured force went past its limit */
     RTHYB_S_TRACKING_LIMIT = 32, /* |x_m - x_c| went past its limit */
+    RTHYB_S_LINK_LOST = 64,      /* twenty samples in a row without an accepted pair */
     RTHYB_S_TRIP = 128,          /* one of the above is set to end the test */
     RTHYB_LOST = 256             /* of an input only: nothing arrived */
 };
@@ -89,21 +90,21 @@ typedef struct {
     int32_t sent_late_ns; /* command sent after due */
     uint32_t flags;       /* enum rthyb_flag */
     uint32_t generation;  /* parameter generation in force */
-    int32_t x_raw;        /* displacement as on the wire, 1 nm; saturates */
-    int32_t f_raw;        /* force as on the wire, 1 mN; saturates */
-    uint8_t state;        /* enum rthyb_state */
-    uint8_t echo;         /* low byte of the command sequence number the drive had applied */
-    uint8_t count;        /* the drive's own sample count */
-    uint8_t code;         /* enum rthyb_status */
-    double ag_mps2;       /* ground acceleration at t_n */
-    double x_num_m;       /* x_c[n], command of the integration */
-    double x_plc_m;       /* output of the phase-lead compensator */
-    double x_cmd_m;       /* x_p[n], as the drive has it */
-    double x_meas_m;      /* x_m[n], accepted or predicted, after tare */
-    double f_meas_n;      /* f[n], accepted or predicted, after tare */
-    double alpha;         /* samples, after the update of tick n */
-    double beta;          /* samples squared */
-    double k_t_n_per_m;   /* tangent stiffness that the RFC used */
+    int32_t x_raw;  /* reading as it came, taken or not, 1 nm; saturates; lowest value: no number */
+    int32_t f_raw;  /* the same of the force, 1 mN; both 0 where nothing came */
+    uint8_t state;  /* enum rthyb_state */
+    uint8_t echo;   /* low byte of the command sequence number the drive had applied */
+    uint8_t count;  /* the drive's own sample count */
+    uint8_t code;   /* enum rthyb_status */
+    double ag_mps2; /* ground acceleration at t_n */
+    double x_num_m; /* x_c[n], command of the integration */
+    double x_plc_m; /* output of the phase-lead compensator */
+    double x_cmd_m; /* x_p[n], as the drive has it */
+    double x_meas_m;    /* x_m[n], accepted or predicted, after tare */
+    double f_meas_n;    /* f[n], accepted or predicted, after tare */
+    double alpha;       /* samples, after the update of tick n */
+    double beta;        /* samples squared */
+    double k_t_n_per_m; /* tangent stiffness that the RFC used */
     double energy_error_j;
     double tracking_indicator_m2;
 } rthyb_record;
@@ -357,6 +358,7 @@ typedef struct {
     double spare;
     int32_t has_spare;
     double x_true_m, f_true_n; /* what the sensors saw without their errors */
+    double ridden_kg;          /* of the specimen's own mass, which rides on the table */
 } rthyb_rig;
 
 int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg);
@@ -382,6 +384,7 @@ typedef struct {
     double x_range_m, f_range_n; /* a reading beyond its sensor's range is not taken; 0 = off */
     rthyb_limit position, force, tracking;
     double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* 0 = off */
+    double clamp_m; /* the command never leaves +-clamp_m; 0 = off */
 } rthyb_controller_config;
 
 typedef struct {
@@ -394,7 +397,7 @@ typedef struct {
     double x_num, x_plc, x_cmd; /* commands for t_n */
     double x_cmd1;              /* command for t_{n-1} */
     double alpha, beta;         /* as the PLC has them, rate-limited */
-    double x_m1, x_m2, f1, f2, x_num1;
+    double x_m1, f1, x_num1;
     double energy_error, tracking_indicator;
     uint32_t missing; /* samples in a row without an accepted pair */
     uint32_t generation;
@@ -431,6 +434,773 @@ size_t rthyb_run_replay(rthyb_controller *controller, const rthyb_record *record
 int rthyb_run_reference(rthyb_motion *motion, rthyb_element *elements, size_t element_count,
                         const double *ag_mps2, size_t n, double *x_m, double *v_m_per_s,
                         double *force_n);
+
+/* ---- states, limits, faults (station.c) ------------------------------------------------------ */
+
+enum rthyb_command {
+    RTHYB_CMD_NONE,
+    RTHYB_CMD_ZERO,   /* IDLE -> ZEROED: tare over tare_ticks at rest */
+    RTHYB_CMD_ARM,    /* ZEROED -> ARMED */
+    RTHYB_CMD_START,  /* ARMED -> RAMP_IN -> RUNNING */
+    RTHYB_CMD_HOLD,   /* RUNNING -> HOLD */
+    RTHYB_CMD_RESUME, /* HOLD -> RUNNING */
+    RTHYB_CMD_STOP,   /* anything that moves -> RAMP_OUT; ZEROED, ARMED -> IDLE */
+    RTHYB_CMD_RESET,  /* TRIPPED -> IDLE */
+    RTHYB_CMD_TRIP,   /* anything -> TRIPPED: a second signal, a broken link */
+    RTHYB_CMD_COUNT
+};
+
+/* Why a test left its course; the first one since START (or RESET) is latched. */
+enum rthyb_cause {
+    RTHYB_CAUSE_NONE,
+    RTHYB_CAUSE_COMPLETED,
+    RTHYB_CAUSE_OPERATOR,
+    RTHYB_CAUSE_SIGNAL,
+    RTHYB_CAUSE_NOT_FINITE,
+    RTHYB_CAUSE_LINK_LOST,
+    RTHYB_CAUSE_LINK_DOWN,
+    RTHYB_CAUSE_STALLED,
+    RTHYB_CAUSE_SKIPS,
+    RTHYB_CAUSE_HEARTBEAT,
+    RTHYB_CAUSE_SENSOR_STUCK,
+    RTHYB_CAUSE_SENSOR_JUMP,
+    RTHYB_CAUSE_POSITION,
+    RTHYB_CAUSE_VELOCITY,
+    RTHYB_CAUSE_INCREMENT,
+    RTHYB_CAUSE_FORCE,
+    RTHYB_CAUSE_TRACKING,
+    RTHYB_CAUSE_INDICATOR,
+    RTHYB_CAUSE_ENERGY,
+    RTHYB_CAUSE_COUNT
+};
+
+enum rthyb_reaction {
+    RTHYB_REACT_NONE,
+    RTHYB_REACT_INDICATE,
+    RTHYB_REACT_HOLD,
+    RTHYB_REACT_RAMP_OUT,
+    RTHYB_REACT_TRIP
+};
+
+typedef struct {
+    double value;     /* 0 = off */
+    int32_t reaction; /* enum rthyb_reaction */
+} rthyb_watch;
+
+typedef struct {
+    rthyb_controller_config controller;
+    rthyb_watch watch[RTHYB_CAUSE_COUNT]; /* POSITION and what follows it; stuck: ticks, jump: m */
+    double path_velocity_m_per_s;         /* of ramps, HOLD and RESUME */
+    double path_acceleration_m_per_s2;
+    double rest_spread_m; /* ZERO refuses a displacement that moves by more */
+    int32_t tare_ticks, ramp_in_ticks, armed_ticks;
+} rthyb_station_config;
+
+/* Displacement over a whole number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u); u = 0 ... 1. */
+typedef struct {
+    double c[6];
+    double end; /* where it ends, to the last digit */
+    int64_t ticks, elapsed;
+    int32_t cosine;
+} rthyb_path;
+
+typedef struct {
+    rthyb_station_config cfg;
+    rthyb_controller controller;
+    int32_t state; /* enum rthyb_state */
+    int32_t cause; /* enum rthyb_cause, latched */
+    uint64_t cause_tick;
+    uint32_t indicated; /* bit 1 << cause: seen, not acted on */
+    int32_t interrupted;
+    uint64_t tick;      /* ticks of the station */
+    uint64_t in_state;  /* ticks since the state was entered */
+    uint64_t test_tick; /* n of the ground motion: RUNNING ticks so far */
+    rthyb_path path;
+    int32_t leg; /* 0 decelerating, 1 on the way, 2 there */
+    double resume_x, resume_v, resume_a;
+    int32_t zeroing; /* 0 no, 1 under way, 2 failed: the reading moved */
+    double tare_x, tare_f, sum_x, sum_f, low_x, high_x;
+    double still_x, still_cmd; /* reading that a stuck sensor repeats, command when it began */
+    uint64_t still_ticks;
+    double seen_x;          /* last reading, before tare */
+    int32_t seen;           /* there is one */
+    double indicator_slope; /* of the tracking indicator, mean of 0.25 s, m^2/s */
+    uint64_t skip_map[16];  /* one bit a tick: skipped, of the last 1024 */
+    uint32_t recent_skips;  /* bits set in it */
+    uint64_t skipped;       /* all of them */
+    int32_t trip_frames;    /* trip frames still to be sent */
+} rthyb_station;
+
+typedef struct {
+    double x_m, f_n;        /* newest pair, before tare */
+    int32_t lost;           /* as in rthyb_input */
+    uint32_t skipped;       /* ticks that were skipped before this one */
+    int32_t command;        /* enum rthyb_command */
+    int32_t link_down;      /* the link itself reports a failure */
+    int32_t heartbeat_late; /* Python has been silent for a second */
+} rthyb_station_input;
+
+typedef struct {
+    double x_cmd_m; /* for the wire: with tare */
+    int32_t send;   /* 0: silence */
+    int32_t state;
+    int32_t refused; /* the command was refused: it is not for this state */
+    uint32_t records;
+} rthyb_station_output;
+
+enum rthyb_station_size { RTHYB_BLIND_MAX = 20 };
+
+int rthyb_station_init(rthyb_station *station, const rthyb_station_config *cfg);
+/* One executed tick: blind steps for what was skipped, then the sample. records takes up to
+ * RTHYB_BLIND_MAX + 1 of them. ag_mps2 is the ground motion of the whole test, n of it. */
+int rthyb_station_tick(rthyb_station *station, const rthyb_station_input *in, const double *ag_mps2,
+                       size_t n, rthyb_record *records, rthyb_station_output *out);
+/* 1 if a command may be given in a state. */
+int rthyb_command_allowed(int32_t state, int32_t command);
+
+/* ---- time (latency.c, ticker.c, thread.c, jitter.c) ------------------------------------------ */
+
+/* The one part of the core that waits and, for measuring, starts threads. All of it without
+ * allocation, and none of it is reached from a _step function. */
+
+enum rthyb_time_size {
+    RTHYB_LATENCY_BUCKETS = 1024, /* and one more for what is longer than 2^36 ns */
+    RTHYB_TRIM_MAX_NS = 195       /* 200 ppm of one period */
+};
+
+/* Histogram of times in ns: every ns of its own below 32, then 32 buckets to each doubling (3 %).
+ * One thread records; any thread may read at the same time and sees each number whole. */
+typedef struct {
+    uint64_t count, sum_ns, max_ns;
+    uint64_t bucket[RTHYB_LATENCY_BUCKETS + 1]; /* the last one: 2^36 ns (69 s) and longer */
+} rthyb_latency;
+
+/* Less than zero counts as zero. */
+void rthyb_latency_record(rthyb_latency *latency, int64_t ns);
+/* What the fraction of the times recorded did not exceed: never less than the true value, at most
+ * 3 % more. 0 while there is none. */
+uint64_t rthyb_latency_percentile(const rthyb_latency *latency, double fraction);
+/* Shortest time of a bucket; of bucket i + 1: where bucket i ends. */
+uint64_t rthyb_latency_edge_ns(uint32_t bucket);
+/* Adds what from has seen; into a zeroed one: a copy of one that is in use. */
+void rthyb_latency_merge(rthyb_latency *into, const rthyb_latency *from);
+
+enum rthyb_clock {
+    RTHYB_CLOCK_HOST,   /* CLOCK_MONOTONIC */
+    RTHYB_CLOCK_STEPPED /* no wall clock: a tick comes on the caller's word */
+};
+
+/* Tick k is due at t0 + k 1953125/2 ns, rounded down; a rounded period is never added up. Woken
+ * later than the next due time, the ticks in between are skipped: phase is kept, and no two ticks
+ * ever run between one due time and the next. */
+typedef struct {
+    int64_t t0_ns;    /* on CLOCK_MONOTONIC */
+    int64_t shift_ns; /* sum of all trims */
+    int32_t clock;    /* enum rthyb_clock */
+    uint32_t stop, bell;
+    uint64_t granted, missed, missed_taken; /* stepped: what was said, and how much of it is done */
+    uint64_t elapsed, executed, skipped, longest_skip;
+    rthyb_latency wake; /* host: woken after the due time of the tick that was waited for */
+} rthyb_ticker;
+
+typedef struct {
+    uint64_t k;
+    uint64_t skipped; /* ticks just before k that nobody executed */
+    int64_t due_ns;   /* of tick k; woken_ns - due_ns is less than a period */
+    int64_t woken_ns; /* stepped: due_ns */
+} rthyb_tick;
+
+/* executed + skipped == elapsed after every tick; read from another thread while the ticker runs,
+ * they may be those of two successive ticks. */
+typedef struct {
+    uint64_t elapsed, executed, skipped, longest_skip;
+} rthyb_ticker_counts;
+
+/* Refuses an unknown clock and a t0 before the clock's own zero with RTHYB_E_PERIOD. */
+int rthyb_ticker_init(rthyb_ticker *ticker, int32_t clock, int64_t t0_ns);
+int64_t rthyb_ticker_due_ns(const rthyb_ticker *ticker, uint64_t k);
+/* Waits for the next tick, signals or not. 1: here it is; 0: the ticker was stopped. */
+int rthyb_ticker_wait(rthyb_ticker *ticker, rthyb_tick *tick);
+/* What _wait does after waiting: which tick is it at now_ns? */
+void rthyb_ticker_woken(rthyb_ticker *ticker, int64_t now_ns, rthyb_tick *tick);
+/* Takes the next tick without waiting, on the word of the calling thread. */
+void rthyb_ticker_step(rthyb_ticker *ticker, rthyb_tick *tick);
+/* Moves all later due times; at most RTHYB_TRIM_MAX_NS a call, once a tick. For a ticker's own
+ * thread: what follows the drive's clock. */
+void rthyb_ticker_trim(rthyb_ticker *ticker, int64_t ns);
+/* From any thread. Stepped: lets so many more ticks run; has the next one skip so many first. */
+void rthyb_ticker_grant(rthyb_ticker *ticker, uint64_t ticks);
+void rthyb_ticker_miss(rthyb_ticker *ticker, uint64_t ticks);
+/* From any thread, for good: _wait returns 0 within a period. */
+void rthyb_ticker_stop(rthyb_ticker *ticker);
+void rthyb_ticker_read(const rthyb_ticker *ticker, rthyb_ticker_counts *counts);
+int64_t rthyb_now_ns(void); /* CLOCK_MONOTONIC */
+
+/* What a thread has obtained, by the kernel's answer and not by what was asked for. */
+enum rthyb_privilege {
+    RTHYB_P_FIFO = 1,    /* SCHED_FIFO at the priority asked for */
+    RTHYB_P_CPU = 2,     /* runs on its one processor only */
+    RTHYB_P_MEMORY = 4,  /* all pages of the process locked, present and future */
+    RTHYB_P_AWAKE = 8,   /* processors do not sleep: /dev/cpu_dma_latency held at 0 */
+    RTHYB_P_SIGNALS = 16 /* all of them blocked */
+};
+
+/* Makes the calling thread, and no other, as punctual as the system lets it. priority 0 leaves the
+ * scheduling alone, cpu -1 the processor; latency_fd: /dev/cpu_dma_latency with 0 written to it and
+ * kept open by the caller, or -1. Touches stack_bytes of stack, which must be there. */
+uint32_t rthyb_thread_become_real_time(int32_t priority, int32_t cpu, int32_t latency_fd,
+                                       size_t stack_bytes);
+/* Undoes what RTHYB_P_MEMORY did to the whole process. */
+void rthyb_memory_unlock(void);
+
+/* What the system did to a thread. */
+typedef struct {
+    uint64_t major_faults, minor_faults;
+    uint64_t waits;       /* times it gave the processor away itself */
+    uint64_t preemptions; /* times it was taken away */
+} rthyb_usage;
+
+/* Of the calling thread since it began. */
+void rthyb_thread_usage(rthyb_usage *usage);
+
+enum rthyb_payload {
+    RTHYB_PAYLOAD_NONE,
+    RTHYB_PAYLOAD_SAMPLE,  /* one sample of controller and virtual rig */
+    RTHYB_PAYLOAD_EXCHANGE /* the rig in a thread of its own, behind an AF_UNIX socket pair */
+};
+
+typedef struct {
+    rthyb_ticker ticker;
+    rthyb_latency sent;  /* from wake-up to the command being sent; without payload empty */
+    uint32_t privileges; /* enum rthyb_privilege */
+    uint64_t lost;       /* exchange: ticks without a fresh pair */
+    uint64_t not_sent;   /* exchange: commands for which there was no room */
+    rthyb_usage usage;   /* from the first tick to the last */
+} rthyb_timing;
+
+/* Set up by the caller, everything not named here zeroed. Without payload neither controller nor
+ * rig nor excitation is needed. */
+typedef struct {
+    int32_t payload;         /* enum rthyb_payload */
+    int32_t priority;        /* of the three threads, as in rthyb_thread_become_real_time */
+    int32_t cpu, latency_fd; /* cpu of the two that are timed */
+    uint64_t ticks;          /* 1024 a second */
+    rthyb_controller *controller;
+    rthyb_rig *rig;
+    const double *excitation; /* repeated as long as the run lasts */
+    size_t excitation_count;
+    rthyb_timing measured;  /* carries the payload */
+    rthyb_timing reference; /* bare, half a period later, in the same seconds */
+    uint32_t stop;
+} rthyb_jitter;
+
+/* Starts the threads, waits for their end. 0, or errno of what the system refused. */
+int rthyb_jitter_run(rthyb_jitter *jitter);
+/* From any thread: ends the run early. */
+void rthyb_jitter_stop(rthyb_jitter *jitter);
+
+/* ---- the wire: frames, serial framing, bookkeeping (codec.c, framing.c, wire.c) -------------- */
+
+enum rthyb_wire_size {
+    RTHYB_FRAME_MAX = 64,       /* data of a CAN FD frame, bytes */
+    RTHYB_SERIAL_COMMAND = 12,  /* a command on the serial line, with the 0 that ends it */
+    RTHYB_SERIAL_FEEDBACK = 16, /* the same of a feedback */
+    RTHYB_PACKET_MAX = 14       /* what COBS unpacks to, with its CRC */
+};
+
+enum rthyb_can_id { RTHYB_ACT_CMD = 0x101, RTHYB_ACT_FB = 0x181, RTHYB_LC_FB = 0x182 };
+/* Added to a 29-bit identifier, as in SocketCAN. */
+#define RTHYB_ID_EXTENDED 0x80000000
+
+/* Bits of the status byte that the drive or the load cell sends. */
+enum rthyb_device {
+    RTHYB_DEVICE_STOPPED = 1, /* its own stop has begun or is done; latched there */
+    RTHYB_DEVICE_INVALID = 2  /* this reading is not to be used */
+};
+
+/* What became of a frame. Above HALF: the frame was not taken. */
+enum rthyb_verdict {
+    RTHYB_W_PAIR = 1,         /* displacement and force of one instant are complete */
+    RTHYB_W_HALF = 2,         /* one of them; it waits for the other */
+    RTHYB_W_ID = 4,           /* not a frame for us */
+    RTHYB_W_LENGTH = 8,       /* too short or too long */
+    RTHYB_W_CRC = 16,         /* damaged */
+    RTHYB_W_FRAMING = 32,     /* serial: not COBS */
+    RTHYB_W_NOT_FINITE = 64,  /* says that it has no number, or holds NaN or inf */
+    RTHYB_W_RANGE = 128,      /* beyond the range in the DBC */
+    RTHYB_W_INVALID = 256,    /* RTHYB_DEVICE_INVALID */
+    RTHYB_W_DUPLICATE = 512,  /* of a sample that is here already */
+    RTHYB_W_REORDERED = 1024, /* older than what is here already */
+    RTHYB_W_STUCK = 2048,     /* the drive repeats one sample again and again */
+    RTHYB_W_PACKET = 4096     /* of a deframer: a whole packet, CRC good */
+};
+
+typedef struct {
+    uint32_t id;    /* as in SocketCAN, flags included; serial: 0 */
+    int32_t fd;     /* to be sent as CAN FD */
+    int32_t length; /* bytes in data */
+    uint8_t data[RTHYB_FRAME_MAX];
+} rthyb_frame;
+
+enum rthyb_signal_kind { RTHYB_UNSIGNED, RTHYB_SIGNED, RTHYB_FLOAT };
+
+/* Where a number stands in a frame. Its value in SI is raw * scale + offset. */
+typedef struct {
+    int32_t kind;   /* enum rthyb_signal_kind */
+    int32_t length; /* bits; 0: the frame does not have it */
+    int32_t start;  /* 8 byte + bit of its lowest bit; big-endian: of its highest */
+    int32_t big_endian;
+    int32_t has_none; /* raw value `none` says that there is no number */
+    int64_t none;
+    double scale, offset;
+    double low, high; /* range of the raw value, as the DBC has it */
+} rthyb_signal;
+
+enum rthyb_field {
+    RTHYB_FIELD_X,
+    RTHYB_FIELD_F,
+    RTHYB_FIELD_SEQ,
+    RTHYB_FIELD_STATE,
+    RTHYB_FIELD_ECHO,
+    RTHYB_FIELD_COUNT,
+    RTHYB_FIELD_STATUS,
+    RTHYB_FIELDS
+};
+
+typedef struct {
+    uint32_t id;
+    int32_t fd, length;
+    int32_t crc_at; /* byte with CRC-8/SAE-J1850 of the id's low byte and all others; -1: none */
+    rthyb_signal field[RTHYB_FIELDS];
+    uint8_t fill[RTHYB_FRAME_MAX]; /* the bits that belong to no field */
+} rthyb_message;
+
+enum rthyb_wire_format {
+    RTHYB_WIRE_CAN,    /* hw/rthyb.dbc, its code written by hand */
+    RTHYB_WIRE_SERIAL, /* the same numbers in COBS packets */
+    RTHYB_WIRE_TABLE   /* any DBC, by table */
+};
+
+typedef struct {
+    int32_t format; /* enum rthyb_wire_format; only TABLE needs the messages */
+    /* displacement and force with one id: one frame holds both. */
+    rthyb_message command, displacement, force;
+} rthyb_codec;
+
+enum rthyb_wire_error { RTHYB_E_CODEC = 64 };
+
+typedef struct {
+    double x_m;
+    uint32_t seq;   /* one more with every command */
+    uint32_t state; /* enum rthyb_state */
+} rthyb_setpoint;
+
+enum rthyb_reading_part { RTHYB_HAS_X = 1, RTHYB_HAS_F = 2 };
+
+typedef struct {
+    uint32_t has;    /* enum rthyb_reading_part */
+    uint32_t echo;   /* low bits of the seq of the command applied at the instant of this sample */
+    uint32_t count;  /* the drive's samples */
+    uint32_t status; /* enum rthyb_device */
+    double x_m, f_n;
+} rthyb_reading;
+
+/* 0, or RTHYB_E_CODEC for a table that does not fit its frames. The functions below trust a codec
+ * that passed. */
+int rthyb_codec_check(const rthyb_codec *codec);
+
+/* A command as bytes; CAN: a frame, serial: what is to be written. *sent_m is the displacement as
+ * the drive will read it. RTHYB_OK; RTHYB_S_OUT_OF_RANGE for one that the frame cannot hold, sent as
+ * the nearest that it can; RTHYB_S_NOT_FINITE: there is no frame, its length is 0. */
+int rthyb_encode_setpoint(const rthyb_codec *codec, const rthyb_setpoint *setpoint,
+                          rthyb_frame *frame, double *sent_m);
+/* A sample of the drive as one or two frames; returns how many. 0 if a value is not finite and the
+ * table has no way to say so. */
+int rthyb_encode_feedback(const rthyb_codec *codec, const rthyb_reading *reading,
+                          rthyb_frame frames[2]);
+/* 0, or why the frame is not taken (enum rthyb_verdict). serial: the frame is a deframer's packet.
+ * After NOT_FINITE, RANGE and INVALID the reading's count is good, its values are not. */
+int rthyb_decode_setpoint(const rthyb_codec *codec, const rthyb_frame *frame,
+                          rthyb_setpoint *setpoint);
+int rthyb_decode_feedback(const rthyb_codec *codec, const rthyb_frame *frame,
+                          rthyb_reading *reading);
+
+/* CRC-8/SAE-J1850 and CRC-16/CCITT-FALSE. */
+uint8_t rthyb_crc8(const uint8_t *bytes, size_t n);
+uint16_t rthyb_crc16(const uint8_t *bytes, size_t n);
+/* Fewer than 254 bytes -> n + 2 bytes without a 0 but the last, which ends the packet. */
+size_t rthyb_cobs_encode(const uint8_t *bytes, size_t n, uint8_t *out);
+
+/* Finds packets in a stream of bytes; after damage it is in step again at the next 0. All zero is
+ * its start. */
+typedef struct {
+    uint8_t data[RTHYB_PACKET_MAX];
+    uint8_t length;   /* bytes in data */
+    uint8_t left;     /* bytes until the next code byte */
+    uint8_t begun;    /* a byte came since the last 0 */
+    uint8_t too_long; /* nothing fits any more: wait for the 0 */
+} rthyb_deframer;
+
+/* 0: nothing yet. RTHYB_W_PACKET: *packet has the bytes without their CRC. Else what was damaged. */
+int rthyb_deframer_byte(rthyb_deframer *deframer, uint8_t byte, rthyb_frame *packet);
+
+/* May be read while the wire is in use. */
+typedef struct {
+    uint64_t sent;   /* commands */
+    uint64_t frames; /* frames and packets that came, good or bad */
+    uint64_t pairs;  /* taken */
+    uint64_t other_id, bad_length, bad_crc, bad_framing, not_finite, out_of_range, invalid;
+    uint64_t duplicate, reordered;
+    uint64_t stuck;      /* duplicates after many others */
+    uint64_t lone;       /* halves whose other half did not come */
+    uint64_t missed;     /* samples that the drive's count skips */
+    uint64_t superseded; /* pairs followed by another within one tick */
+    uint64_t stale;      /* ticks without a new pair */
+} rthyb_wire_counters;
+
+/* One end of the wire, the controller's. */
+typedef struct {
+    rthyb_codec codec;
+    rthyb_deframer deframer;
+    uint32_t seq; /* of the last command */
+    uint32_t echo_mask, count_mask;
+    rthyb_reading half[2]; /* displacement, force: what waits for its other half; has 0: none */
+    uint32_t half_age[2];  /* ticks */
+    rthyb_reading pair;    /* newest */
+    uint64_t samples;      /* its count, unwrapped */
+    uint32_t age;          /* ticks since it came */
+    uint32_t repeats;      /* frames in a row that bring nothing new */
+    int32_t synced;        /* pair.count says which count comes next */
+    int32_t fresh;         /* pair came since the last take */
+    int32_t refused;       /* enum rthyb_status: readings refused since the last take */
+    rthyb_wire_counters counters;
+} rthyb_wire;
+
+typedef struct {
+    double x_m, f_n;      /* newest pair, 0 before the first */
+    int32_t x_raw, f_raw; /* the same in 1 nm and 1 mN, saturating */
+    uint32_t echo, count, status;
+    /* Samples between the command for this tick and the one that the drive had applied at the
+     * instant of the pair; -1: not known. */
+    int32_t delay;
+    uint32_t age; /* ticks since the pair came, 0: fresh */
+    uint64_t
+        samples; /* the drive's count, unwrapped; after 20 ticks of silence only modulo 2^bits */
+} rthyb_feedback;
+
+/* 0 or RTHYB_E_CODEC. */
+int rthyb_wire_init(rthyb_wire *wire, const rthyb_codec *codec);
+/* The next command, with the next seq; as rthyb_encode_setpoint. */
+int rthyb_wire_command(rthyb_wire *wire, double x_m, int32_t state, rthyb_frame *frame,
+                       double *sent_m);
+/* A CAN frame that came. Returns its enum rthyb_verdict. One with ID, LENGTH, CRC or FRAMING
+ * changes nothing but its counter. */
+int rthyb_wire_receive(rthyb_wire *wire, const rthyb_frame *frame);
+/* Bytes that came from the serial line, in pieces of any size; all verdicts together. */
+int rthyb_wire_feed(rthyb_wire *wire, const uint8_t *bytes, size_t n);
+/* Once a tick, after all that came was taken in and before the command is made: the newest pair.
+ * RTHYB_OK, or why there is none: for rthyb_input.lost. */
+int rthyb_wire_take(rthyb_wire *wire, rthyb_feedback *feedback);
+
+/* ---- telemetry ring (ring.c) ------------------------------------------------------------------ */
+
+enum rthyb_ring_size {
+    RTHYB_RING_LAYOUT = 1,       /* version of the layout below */
+    RTHYB_RING_CAPACITY = 65536, /* records of a ring: 64 s */
+    RTHYB_RING_WORDS = 17,       /* words of a record */
+    RTHYB_RING_AFTER_TRIP = 1024 /* records kept of a TRIP before the ring stands still */
+};
+
+/* Bits. */
+enum rthyb_ring_phase {
+    RTHYB_RING_OPEN = 0,
+    RTHYB_RING_FROZEN = 1, /* stands still after a TRIP, until the state is another */
+    RTHYB_RING_CLOSED = 2  /* its producer ended in good order */
+};
+
+/* What rthyb_ring_attach refuses. */
+enum rthyb_ring_refusal {
+    RTHYB_RING_FOREIGN = 1, /* no ring at all */
+    RTHYB_RING_UNFINISHED,  /* its producer did not get as far as the start */
+    RTHYB_RING_OTHER_LAYOUT,
+    RTHYB_RING_OTHER_RECORD,
+    RTHYB_RING_TRUNCATED, /* shorter than it says */
+    RTHYB_RING_DAMAGED    /* sizes that contradict one another */
+};
+
+/* What rthyb_ring_settle reached; bits. */
+enum rthyb_ring_fact {
+    RTHYB_RING_LOCKED = 1,   /* cannot be paged out */
+    RTHYB_RING_IN_MEMORY = 2 /* on tmpfs: no write-back ever makes the producer wait */
+};
+
+/* One record with its stamp: 2 n + 1 while record number n is being written, 2 n + 2 when it is
+ * there. 0: never written. */
+typedef struct {
+    uint64_t stamp;
+    uint64_t words[RTHYB_RING_WORDS];
+} rthyb_ring_slot;
+
+/* Beginning of the file. magic to about_bytes have their place in every layout. */
+typedef struct {
+    uint64_t magic;
+    uint32_t layout, record_bytes;
+    uint64_t about_at, about_bytes; /* JSON: fields, units, versions, process */
+    uint64_t slots_at, file_bytes;
+    uint32_t capacity, slot_bytes;
+    uint64_t spare[1];
+    uint64_t pushed;        /* records so far: the next one has this number */
+    uint64_t phase;         /* enum rthyb_ring_phase bits */
+    uint64_t apart[6];      /* what follows begins a cache line */
+    rthyb_ring_slot newest; /* status page: the newest record while the ring is frozen */
+} rthyb_ring_header;
+
+/* The producer's own side; one thread at a time. */
+typedef struct {
+    rthyb_ring_header *header;
+    rthyb_ring_slot *slots;
+    uint64_t mask;
+    uint64_t pushed, shown; /* records in the ring, records on the status page */
+    uint32_t tripped;       /* records taken since the TRIP */
+} rthyb_ring;
+
+/* One reader of a mapping that may be read-only. Readers do not know of one another, and the
+ * producer knows of none. */
+typedef struct {
+    const rthyb_ring_header *header;
+    const rthyb_ring_slot *slots;
+    uint64_t capacity, mask;
+    uint64_t next; /* number of the record to be read next */
+    uint64_t lost; /* records overwritten, or half written, before they were read */
+} rthyb_ring_reader;
+
+/* Size of the file for a capacity, a power of two, and so many bytes of description. */
+size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes);
+/* Where the description begins, bytes from the start of the file. */
+size_t rthyb_ring_about_at(void);
+/* Locks the mapping and writes all of it once; returns enum rthyb_ring_fact bits. The file must
+ * have its blocks already (posix_fallocate). Before the start only. */
+int rthyb_ring_settle(int fd, void *map, size_t bytes);
+/* Writes the header over a settled mapping of rthyb_ring_bytes() bytes whose description is in its
+ * place; from then on readers find a ring. */
+void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t about_bytes);
+/* Never waits, fails or calls the kernel. RTHYB_RING_AFTER_TRIP records in state TRIPPED are taken,
+ * further ones go to the status page alone until the state is another. */
+void rthyb_ring_push(rthyb_ring *ring, const rthyb_record *record);
+void rthyb_ring_push_run(rthyb_ring *ring, const rthyb_record *records, size_t n);
+void rthyb_ring_close(rthyb_ring *ring);
+
+/* Takes a mapping of a whole file and stands before its oldest record; 0 or enum
+ * rthyb_ring_refusal. Nothing outside bytes is read, whatever the file holds. */
+int rthyb_ring_attach(rthyb_ring_reader *reader, const void *map, size_t bytes);
+/* Up to n records without a gap between them, the first with the number next - (returned count).
+ * A gap before them shows in lost. 0: nothing new. */
+size_t rthyb_ring_read(rthyb_ring_reader *reader, rthyb_record *records, size_t n);
+/* The newest record, also while the ring is frozen; 0 if there is none. */
+int rthyb_ring_newest(const rthyb_ring_reader *reader, rthyb_record *record);
+uint64_t rthyb_ring_pushed(const rthyb_ring_reader *reader);
+/* enum rthyb_ring_phase bits. */
+int rthyb_ring_phase(const rthyb_ring_reader *reader);
+
+/* ---- link, tick thread, virtual drive (link.c, loop.c, drive.c) ------------------------------- */
+
+enum rthyb_link_kind {
+    RTHYB_LINK_CAN,   /* SocketCAN; or a SOCK_SEQPACKET socket, each packet a struct can_frame */
+    RTHYB_LINK_STREAM /* tty in raw mode, or a stream socket: serial packets */
+};
+
+/* Why a link is down. */
+enum rthyb_link_fault {
+    RTHYB_LINK_UP,
+    RTHYB_LINK_NETWORK_DOWN, /* ENETDOWN: the interface was set down, or the cable pulled */
+    RTHYB_LINK_DEVICE_GONE,  /* ENODEV, ENXIO, EIO and other errors that do not pass */
+    RTHYB_LINK_BUS_OFF,      /* the CAN controller has left the bus */
+    RTHYB_LINK_HUNG_UP       /* the other end is closed */
+};
+
+/* May be read while the link is in use. */
+typedef struct {
+    uint64_t pieces_in, bytes_in; /* frames; stream: what one read gave */
+    uint64_t pieces_out, bytes_out;
+    uint64_t no_room;      /* not sent: the queue was full (ENOBUFS, EAGAIN) */
+    uint64_t error_frames; /* CAN: reports of the controller, bus-off among them */
+    uint64_t times_down;
+} rthyb_link_counters;
+
+/* A descriptor of its own on what the caller opened and set up; nothing here ever waits. */
+typedef struct {
+    int32_t kind, fd;
+    int32_t down; /* enum rthyb_link_fault; until something comes or goes again */
+    int32_t torn; /* stream: half of a packet was written, the next one begins with a 0 */
+    rthyb_link_counters counters;
+} rthyb_link;
+
+enum rthyb_link_size { RTHYB_LINK_PIECES_MAX = 256 }; /* taken in one tick */
+
+/* 0 or errno. Refuses with EINVAL an unknown kind, and a stream without O_NONBLOCK: a tty has no
+ * other way not to wait. The caller may close its own descriptor. */
+int rthyb_link_open(rthyb_link *link, int32_t kind, int32_t fd);
+void rthyb_link_close(rthyb_link *link);
+/* 1: a frame, or some bytes of a stream; 0: nothing more, or down. */
+int rthyb_link_receive(rthyb_link *link, rthyb_frame *frame);
+/* 1: sent; 0: lost, counted, for want of room or because the link is down. */
+int rthyb_link_send(rthyb_link *link, const rthyb_frame *frame);
+/* Everything that came, into the wire; RTHYB_LINK_PIECES_MAX pieces at most. */
+void rthyb_link_drain(rthyb_link *link, rthyb_wire *wire);
+
+enum rthyb_loop_size { RTHYB_HEARTBEAT_TICKS = 1024 /* of silence, then RAMP_OUT */ };
+
+/* May be read while the loop runs. */
+typedef struct {
+    uint64_t records;
+    uint64_t sent;     /* commands */
+    uint64_t not_sent; /* commands that the link did not take */
+    uint64_t down;     /* ticks with the link down or the drive stopped */
+    uint64_t late_heartbeats;
+    uint64_t refused; /* operator's commands */
+    uint64_t slips;   /* changes of (drive's count - tick); none while frames are lost one by one */
+} rthyb_loop_counters;
+
+/* The tick: link -> wire -> station -> wire -> link -> record -> ring. The caller sets up what the
+ * pointers point to, and leaves all of it but the counters alone while the thread runs. */
+typedef struct {
+    rthyb_station *station;
+    rthyb_wire *wire;
+    rthyb_link *link;
+    rthyb_ring *ring;      /* NULL: no ring */
+    const double *ag_mps2; /* ground motion of the test */
+    size_t ag_count;
+    rthyb_ticker ticker;
+    rthyb_latency sent; /* host clock: from wake-up to the command being sent */
+    rthyb_loop_counters counters;
+    rthyb_record records[RTHYB_BLIND_MAX + 1]; /* of the last tick, record_count of them */
+    uint32_t record_count;
+    int32_t delay; /* as in rthyb_feedback, of the last fresh pair */
+    /* The same as words that any thread may read. */
+    uint64_t state, cause;
+    /* Mailbox: generation << 8 | command, and what became of it: generation << 8 | refused. */
+    uint64_t mail, answer, answer_tick;
+    uint64_t heartbeat, heard, silence; /* word of the other side, last seen, ticks since */
+    uint64_t downs_seen;                /* of the link's times_down */
+    int64_t offset;                     /* drive's count - tick */
+    int32_t offset_known;
+    int32_t priority, cpu, latency_fd; /* of the thread, as in rthyb_thread_become_real_time */
+    uint32_t privileges;               /* obtained: enum rthyb_privilege */
+    rthyb_usage usage;                 /* of the thread, from the first tick to the last */
+    uint64_t thread;
+} rthyb_loop;
+
+/* The members up to ag_count are the caller's; the rest becomes new. 0, or RTHYB_E_PERIOD for an
+ * unknown clock. */
+int rthyb_loop_init(rthyb_loop *loop, int32_t clock);
+/* One tick on the calling thread, on its word: the stepped clock. */
+void rthyb_loop_step(rthyb_loop *loop);
+/* A thread that ticks until rthyb_ticker_stop; 0 or errno. With the host clock the first tick is due
+ * a little later than now. */
+int rthyb_loop_start(rthyb_loop *loop);
+/* Waits for the thread's end. */
+int rthyb_loop_join(rthyb_loop *loop);
+/* Leaves an operator's command for the next tick; one thread at a time. Returns its generation, 0
+ * while the last one is not answered: only RTHYB_CMD_TRIP takes its place. */
+uint64_t rthyb_loop_command(rthyb_loop *loop, int32_t command);
+/* 0: not answered yet; 1: obeyed; 2: refused. *tick is that of the answer. */
+int rthyb_loop_answered(const rthyb_loop *loop, uint64_t generation, uint64_t *tick);
+/* A sign of life of the side that has the operator. */
+void rthyb_loop_beat(rthyb_loop *loop);
+
+/* What may be made to go wrong at the drive's side of the wire. */
+enum rthyb_drive_fault {
+    RTHYB_FAULT_DROP,         /* a feedback is lost, with a probability of value */
+    RTHYB_FAULT_DROP_COMMAND, /* the same of commands */
+    RTHYB_FAULT_DROP_FORCE,   /* CAN: the second frame of a feedback is lost */
+    RTHYB_FAULT_DELAY,        /* feedback held back for value ticks */
+    RTHYB_FAULT_REORDER,      /* every other feedback comes after its successor */
+    RTHYB_FAULT_DUPLICATE,    /* each frame twice */
+    RTHYB_FAULT_CORRUPT,      /* one bit of each frame is wrong */
+    RTHYB_FAULT_STUCK,        /* displacement repeats its first value */
+    RTHYB_FAULT_JUMP,         /* value added to the displacement */
+    RTHYB_FAULT_FORCE,        /* value added to the force */
+    RTHYB_FAULT_NOT_FINITE,   /* displacement is no number */
+    RTHYB_FAULT_SILENCE,      /* neither sends nor hears */
+    RTHYB_FAULTS
+};
+
+typedef struct {
+    int32_t kind;          /* enum rthyb_drive_fault */
+    uint64_t first, ticks; /* of the drive: from first on, so many */
+    double value;
+} rthyb_fault;
+
+enum rthyb_drive_phase {
+    RTHYB_DRIVE_STOPPED, /* stands, whatever it is told, until a fresh command in state IDLE */
+    RTHYB_DRIVE_FOLLOWING,
+    RTHYB_DRIVE_STOPPING
+};
+
+/* What the drive saw and did in one of its ticks. */
+typedef struct {
+    double x_m;       /* newest command that came, as decoded */
+    double target_m;  /* what the actuator was told */
+    uint32_t seq;     /* of that command */
+    uint32_t state;   /* in that command */
+    uint32_t frames;  /* commands in this tick, whatever became of them; 0: the above are old */
+    uint32_t refused; /* of those: damaged, not finite, or no command */
+    uint32_t phase;   /* enum rthyb_drive_phase, after the tick */
+    uint32_t silent;  /* ticks since the last fresh sequence number */
+} rthyb_drive_entry;
+
+enum rthyb_drive_size {
+    RTHYB_DRIVE_WATCHDOG = 20, /* ticks without a fresh sequence number, then it stops */
+    RTHYB_DRIVE_HELD_MAX = 64  /* feedbacks on their way; RTHYB_FAULT_DELAY is less */
+};
+
+/* Frames of one sample that wait until a tick. */
+typedef struct {
+    rthyb_frame frames[2];
+    int32_t count; /* 0: free */
+    int32_t after; /* leaves after the others of that tick */
+    uint64_t due;
+} rthyb_held;
+
+/* An actuator controller with load cell: rig, wire and a watchdog that counts its own ticks. It
+ * begins STOPPED. */
+typedef struct {
+    rthyb_rig *rig;
+    rthyb_link *link;
+    rthyb_codec codec;
+    double origin_m; /* where the rig's zero lies on the wire */
+    double stop_decel_m_per_s2;
+    rthyb_drive_entry *log; /* the caller's; entry of tick n in log[n] while there is room */
+    size_t log_size;
+    uint64_t seed;
+    double drift_ppm; /* its clock is fast by so much; rthyb_drive_run alone */
+    double gained_ns;
+    uint64_t tick;
+    const rthyb_fault *faults; /* the caller's */
+    size_t fault_count;
+    int32_t phase; /* enum rthyb_drive_phase */
+    uint32_t seq, seq_mask, silent;
+    uint32_t state;             /* of the last fresh command */
+    double wanted_m;            /* of the last fresh command */
+    double target_m, target1_m; /* what the actuator is told, and was told before */
+    double stuck_m;
+    int32_t stuck; /* stuck_m is in force */
+    uint64_t random;
+    rthyb_deframer deframer;
+    rthyb_drive_entry now;
+    rthyb_held held[RTHYB_DRIVE_HELD_MAX];
+} rthyb_drive;
+
+/* The members up to drift_ppm are the caller's; the rest becomes new. 0; RTHYB_E_CODEC; RTHYB_E_LIMIT
+ * for a deceleration that is not positive, or a drift beyond 199 ppm. */
+int rthyb_drive_init(rthyb_drive *drive);
+/* What goes wrong from now on; faults stay the caller's. 0, or RTHYB_E_LIMIT for a kind or a delay
+ * that does not exist: then nothing changes. Between two ticks. */
+int rthyb_drive_schedule(rthyb_drive *drive, const rthyb_fault *faults, size_t n);
+/* One sample: takes commands in, latches, applies, answers. */
+void rthyb_drive_tick(rthyb_drive *drive);
+/* Ticks until the ticker is stopped; a tick slept through does not happen. */
+void rthyb_drive_run(rthyb_drive *drive, rthyb_ticker *ticker);
 
 const char *rthyb_version(void);
 const char *rthyb_compiler(void);

@@ -37,6 +37,9 @@ size_t rthyb_run_replay(rthyb_controller *controller, const rthyb_record *record
             .lost = recorded[i].flags & RTHYB_F_PREDICTED ? RTHYB_LOST | recorded[i].code : 0,
         };
         rthyb_controller_step(controller, &in, &records[i]);
+        /* What came over the wire is input, even where it was refused. */
+        records[i].x_raw = recorded[i].x_raw;
+        records[i].f_raw = recorded[i].f_raw;
     }
     return count;
 }

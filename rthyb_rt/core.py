@@ -16,6 +16,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from rthyb_rt import recording
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.errors import RthybError
 
@@ -35,26 +36,11 @@ STATUS: Final[dict[str, int]] = {
     "position_limit": lib.RTHYB_S_POSITION_LIMIT,
     "force_limit": lib.RTHYB_S_FORCE_LIMIT,
     "tracking_limit": lib.RTHYB_S_TRACKING_LIMIT,
+    "link_lost": lib.RTHYB_S_LINK_LOST,
     "trip": lib.RTHYB_S_TRIP,
 }
-FLAG_NAMES: Final[tuple[str, ...]] = (
-    "fresh",
-    "predicted",
-    "blind",
-    "frozen",
-    "limited",
-    "not_sent",
-)
-STATE_NAMES: Final[tuple[str, ...]] = (
-    "IDLE",
-    "ZEROED",
-    "ARMED",
-    "RAMP_IN",
-    "RUNNING",
-    "HOLD",
-    "RAMP_OUT",
-    "TRIPPED",
-)
+FLAG_NAMES: Final = tuple(recording.FLAGS)
+STATE_NAMES: Final = recording.STATES
 
 _REFUSED: Final[dict[int, str]] = {
     lib.RTHYB_E_PERIOD: "the sampling period must lie in (0, 1] s and be the same for all parts",
@@ -185,7 +171,7 @@ class EstimatorConfig:
     period_s: float = PERIOD_S
     reference_m: float = 1e-3
     gain: float = 0.0
-    memory_samples: float = 6144.0
+    memory_samples: float = 2048.0
     cutoff_hz: float = 25.0
     alpha_min: float = 0.0
     alpha_max: float = 60.0
@@ -300,6 +286,7 @@ class ControllerConfig:
     tracking: LimitConfig = LimitConfig()
     velocity_limit_m_per_s: float = 0.0
     acceleration_limit_m_per_s2: float = 0.0
+    clamp_m: float = 0.0
 
 
 ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
@@ -627,6 +614,182 @@ class Controller:
         return out
 
 
+# ---- states, limits, faults ----------------------------------------------------------------------
+
+Reaction = Literal["none", "indicate", "hold", "ramp-out", "trip"]
+Command = Literal["none", "zero", "arm", "start", "hold", "resume", "stop", "reset", "trip"]
+
+REACTIONS: Final[tuple[Reaction, ...]] = ("none", "indicate", "hold", "ramp-out", "trip")
+COMMANDS: Final[tuple[Command, ...]] = (
+    "none",
+    "zero",
+    "arm",
+    "start",
+    "hold",
+    "resume",
+    "stop",
+    "reset",
+    "trip",
+)
+CAUSES: Final[tuple[str, ...]] = (
+    "none",
+    "completed",
+    "operator",
+    "signal",
+    "not_finite",
+    "link_lost",
+    "link_down",
+    "stalled",
+    "skips",
+    "heartbeat",
+    "sensor_stuck",
+    "sensor_jump",
+    "position",
+    "velocity",
+    "increment",
+    "force",
+    "tracking",
+    "indicator",
+    "energy",
+)
+BLIND_MAX: Final[int] = lib.RTHYB_BLIND_MAX
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What is done when a watched quantity goes past ``value``; 0 switches the watch off."""
+
+    value: float
+    reaction: Reaction
+
+
+@dataclass(frozen=True)
+class StationConfig:
+    """Settings of the station.
+
+    ``watches`` has a :class:`Watch` by cause: position (m), velocity (m/s), increment (m a tick),
+    force (N), tracking (m), indicator (m^2/s), energy (J), sensor_stuck (ticks), sensor_jump (m).
+    """
+
+    controller: ControllerConfig
+    watches: Mapping[str, Watch] = field(default_factory=dict)
+    path_velocity_m_per_s: float = 0.02
+    path_acceleration_m_per_s2: float = 0.2
+    rest_spread_m: float = 1e-4
+    tare_ticks: int = 1024
+    ramp_in_ticks: int = 2048
+    armed_ticks: int = 30720
+
+
+@dataclass(frozen=True)
+class StationTick:
+    """What one tick of the station came to."""
+
+    x_cmd_m: float
+    sent: bool
+    state: str
+    refused: bool
+    records: RecordArray = field(repr=False)
+
+
+class Station:
+    """States, limits and faults around the controller; raises ``CoreError``."""
+
+    def __init__(self, config: StationConfig, ag_mps2: npt.ArrayLike) -> None:
+        unknown = set(config.watches) - set(CAUSES[CAUSES.index("sensor_stuck") :])
+        if unknown:
+            raise CoreError(f"nothing to watch under the name {', '.join(sorted(unknown))}")
+        plain = {k: v for k, v in _mapping_of(config).items() if k != "watches"}
+        struct = ffi.new("rthyb_station_config *", plain)
+        for name, watch in config.watches.items():
+            slot = struct.watch[CAUSES.index(name)]
+            slot.value, slot.reaction = watch.value, REACTIONS.index(watch.reaction)
+        self._c = ffi.new("rthyb_station *")
+        _check(lib.rthyb_station_init(self._c, struct))
+        self._ag = _doubles(ag_mps2)
+        self._in, self._out = ffi.new("rthyb_station_input *"), ffi.new("rthyb_station_output *")
+
+    def tick(
+        self,
+        x_m: float = 0.0,
+        f_n: float = 0.0,
+        *,
+        lost: bool = False,
+        command: Command = "none",
+        skipped: int = 0,
+        link_down: bool = False,
+        heartbeat_late: bool = False,
+    ) -> StationTick:
+        """Run one executed tick with the newest pair (before tare), or without one."""
+        i = self._in
+        i.x_m, i.f_n, i.lost = x_m, f_n, lib.RTHYB_LOST if lost else 0
+        i.skipped, i.command = skipped, COMMANDS.index(command)
+        i.link_down, i.heartbeat_late = link_down, heartbeat_late
+        records = np.zeros(BLIND_MAX + 1, dtype=RECORD_DTYPE)
+        lib.rthyb_station_tick(
+            self._c, i, _in(self._ag), self._ag.size, _records(records), self._out
+        )
+        out = self._out
+        return StationTick(
+            x_cmd_m=out.x_cmd_m,
+            sent=bool(out.send),
+            state=STATE_NAMES[out.state],
+            refused=bool(out.refused),
+            records=records[: out.records],
+        )
+
+    @property
+    def state(self) -> str:
+        """Name of the present state."""
+        return STATE_NAMES[int(self._c.state)]
+
+    @property
+    def cause(self) -> str:
+        """First cause that took the test off its course, latched."""
+        return CAUSES[int(self._c.cause)]
+
+    @property
+    def indicated(self) -> list[str]:
+        """Causes that were seen and only indicated."""
+        return [name for bit, name in enumerate(CAUSES) if self._c.indicated >> bit & 1]
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the test was held."""
+        return bool(self._c.interrupted)
+
+    @property
+    def zeroing_failed(self) -> bool:
+        """Whether the last tare was refused because the reading moved."""
+        return bool(self._c.zeroing == 2)
+
+    @property
+    def ticks(self) -> int:
+        """Ticks so far, executed and skipped."""
+        return int(self._c.tick)
+
+    @property
+    def skipped(self) -> int:
+        """Ticks skipped so far."""
+        return int(self._c.skipped)
+
+    @property
+    def test_tick(self) -> int:
+        """Index of the ground motion's next sample."""
+        return int(self._c.test_tick)
+
+    @property
+    def tare(self) -> tuple[float, float]:
+        """Offsets taken off displacement (m) and force (N)."""
+        return self._c.tare_x, self._c.tare_f
+
+
+def command_allowed(state: str, command: Command) -> bool:
+    """Return whether an operator may give a command in a state."""
+    code = COMMANDS.index(command)
+    return bool(lib.rthyb_command_allowed(STATE_NAMES.index(state), code))
+
+
 # ---- crossing the boundary ----------------------------------------------------------------------
 
 
@@ -672,6 +835,11 @@ def _value(name: str, value: Any) -> Any:
     if isinstance(value, str):
         return _ENUMS[name][value]
     return _mapping(value) if dataclasses.is_dataclass(value) else value
+
+
+def _mapping_of(config: StationConfig) -> dict[str, Any]:
+    own = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
+    return own | {"controller": _mapping(config.controller)}
 
 
 def _mapping(config: Any) -> dict[str, Any]:

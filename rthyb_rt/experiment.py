@@ -81,7 +81,7 @@ def prepare(test: TestFile, rig: RigFile) -> Setup:
         motion, core.FS_HZ, method=test.ground_motion.interpolation, duration_s=lasts_s
     )
     end_tick = round(min(motion.duration_s, lasts_s) * core.FS_HZ)
-    return Setup(
+    setup = Setup(
         test=test,
         rig=rig,
         derived=derived,
@@ -91,6 +91,36 @@ def prepare(test: TestFile, rig: RigFile) -> Setup:
         virtual_rig=rig_config(rig),
         notes=derived.notes + (() if baseline.ok else (f"ground motion: {baseline.message}",)),
     )
+    try:
+        core.Controller(setup.controller)
+        core.Rig(setup.virtual_rig)
+        expected = reference(setup)
+    except core.CoreError as error:
+        # The files' own checks come first; what is left is a combination that they do not know.
+        raise InputError(
+            f"{error}; look at the largest and smallest values of both files",
+            f'test "{test.test.name}" on rig "{rig.rig.name}"',
+        ) from error
+    return replace(setup, notes=(*setup.notes, *_range_notes(rig, expected)))
+
+
+def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
+    """Name the sensors that the reference simulation already drives to their stop."""
+    displacement, force = rig.sensors.displacement, rig.sensors.force
+    channels = (
+        ("displacement.range_m", displacement.range_m, displacement.bias_m, "x_ref_m", "mm", 1e3),
+        ("force.range_n", force.range_n, force.bias_n, "f_ref_n", "kN", 1e-3),
+    )
+    notes = []
+    for key, reach, bias, field, unit, factor in channels:
+        peak = float(np.abs(expected[field] + bias).max())
+        if reach is not None and peak >= reach:
+            notes.append(
+                f"sensors.{key} = {reach * factor:g} {unit} is less than the peak of "
+                f"{peak * factor:.3g} {unit} that the reference simulation brings: samples beyond "
+                "it are lost; take a sensor of longer range, or less ground motion"
+            )
+    return notes
 
 
 def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:

@@ -199,8 +199,8 @@ def identified_rig(rig: RigFile, result: Result) -> RigFile:
         alpha=max(_rounded(result.alpha), 0.0),
         delay_s=max(_rounded(result.delay_s), 0.0),
         gain=_rounded(result.gain),
-        rest_noise_displacement_m=_rounded(result.rest_noise_m),
-        rest_noise_force_n=_rounded(result.rest_noise_n),
+        rest_noise_displacement_m=_rounded(result.rest_noise_m, 3),
+        rest_noise_force_n=_rounded(result.rest_noise_n, 3),
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         frequency_hz=[tone.frequency_hz for tone in result.tones],
         amplitude=[_rounded(tone.gain) for tone in result.tones],
@@ -212,9 +212,9 @@ def identified_rig(rig: RigFile, result: Result) -> RigFile:
     return parse_rig(dump(filled), "identified rig")
 
 
-def _rounded(value: float) -> float:
-    """Five digits: more than any of this is good for, and readable in a file."""
-    return float(f"{value:.5g}")
+def _rounded(value: float, digits: int = 4) -> float:
+    """As many digits as a sweep is good for; noise has fewer."""
+    return float(f"{value:.{digits}g}")
 
 
 def _check(sweep: Sweep) -> None:
@@ -405,13 +405,13 @@ def _notes(
     worst = max(tones[: max(1, len(tones) // 2)], key=lambda tone: tone.distortion)
     if worst.distortion > STIFFNESS_NONLINEAR:
         notes.append(
-            f"{worst.distortion:.0%} of the force at {worst.frequency_hz:g} Hz is no sine: "
+            f"{100 * worst.distortion:.0f} % of the force at {worst.frequency_hz:g} Hz is no sine: "
             "friction, a gap or yielding; k_e is the mean slope at this amplitude"
         )
     lag = abs(tones[0].force_in_quadrature_n_per_m) / stiffness
     if lag > 0.05:
         notes.append(
-            f"the load cell sees {lag:.0%} of k_e in phase with velocity at "
+            f"the load cell sees {100 * lag:.0f} % of k_e in phase with velocity at "
             f"{tones[0].frequency_hz:g} Hz: friction or damping beside the specimen"
         )
     delays = [tone.delay_s for tone in tones]

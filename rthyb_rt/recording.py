@@ -258,7 +258,8 @@ def read(path: str | Path) -> Recording:
 
     path = Path(path)
     if not path.is_file():
-        found = "is a folder" if path.is_dir() else "does not exist"
+        found = "is no regular file" if path.exists() else "does not exist"
+        found = "is a folder" if path.is_dir() else found
         raise InputError(f"{found}; give the {FILE_NAME} of a run", str(path))
     if not os.access(path, os.R_OK):
         raise InputError("may not be read; check its permissions", str(path))

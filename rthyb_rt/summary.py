@@ -15,6 +15,13 @@ from rthyb_rt.recording import FLAGS, STATES, Recording
 Floats = NDArray[np.float64]
 NAN = float("nan")
 
+USELESS_NRMSE = 0.5
+"""Above half of the motion as error nothing of a test can be used."""
+FARTHEST_M = 2.0
+"""No laboratory's actuator goes farther: a motion beyond it has run away."""
+OUT_OF_RANGE = 1 << 1
+"""Bit of the field ``code``: a value was beyond any sense and was held back."""
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -31,6 +38,12 @@ class Setup:
         k_e_n_per_m: elastic stiffness of the specimen, N/m.
         mass_kg: mass of the numerical part, kg.
         period_s: period of the whole structure, s.
+        damping_n_s_per_m: damping of the numerical part, N s/m.
+        damping_ratio: the same as a part of critical.
+        window_samples: window T0 of the tangent stiffness.
+        gain: what the delay estimator adapts by, in words with its unit.
+        description: the test file's.
+        rig_name: name of the rig.
     """
 
     controller: str | None
@@ -43,6 +56,12 @@ class Setup:
     k_e_n_per_m: float | None
     mass_kg: float | None
     period_s: float | None
+    damping_n_s_per_m: float | None
+    damping_ratio: float | None
+    window_samples: int | None
+    gain: str | None
+    description: str
+    rig_name: str
 
 
 def setup(rec: Recording) -> Setup:
@@ -57,6 +76,8 @@ def setup(rec: Recording) -> Setup:
     k_e = _positive(_get(rig, "rig", "elastic_stiffness_n_per_m"))
     mass = _positive(_get(test, "numerical", "mass_kg"))
     period = _positive(_get(test, "numerical", "period_s"))
+    damping = _number(_get(test, "numerical", "damping_n_s_per_m"))
+    ratio = _number(_get(test, "numerical", "damping_ratio"))
     # One of mass and period is given, the other follows with the stiffness of both parts.
     if k_e is not None:
         k = k_e + (_number(_get(test, "numerical", "stiffness_n_per_m")) or 0.0)
@@ -64,6 +85,13 @@ def setup(rec: Recording) -> Setup:
             period = 2.0 * np.pi * float(np.sqrt(mass / k))
         elif mass is None and period is not None:
             mass = k * (period / (2.0 * np.pi)) ** 2
+    if mass is not None and period is not None:
+        critical = 4.0 * np.pi * mass / period
+        if damping is None and ratio is not None:
+            damping = ratio * critical
+        elif damping is not None:
+            ratio = damping / critical
+    window = _number(_get(test, "controller", "rfc", "window_samples"))
     plc = compensated and _get(test, "controller", "plc_enabled") is not False
     estimator = ("controller", "delay_estimator")
     return Setup(
@@ -77,7 +105,31 @@ def setup(rec: Recording) -> Setup:
         k_e_n_per_m=k_e,
         mass_kg=mass,
         period_s=period,
+        damping_n_s_per_m=damping,
+        damping_ratio=ratio,
+        window_samples=None if window is None else round(window),
+        gain=_gain(controller, _get(test, *estimator)),
+        description=_words(_get(test, "test", "description")),
+        rig_name=_words(_get(rig, "rig", "name")),
     )
+
+
+_GAINS = {
+    "paper": ("gain_per_mm2_per_sample", "γ = {} per mm² per sample"),
+    "robust": ("rate_per_sample", "rate {} per sample"),
+    "alpha-beta": ("memory_s", "memory {} s"),
+}
+
+
+def _gain(controller: str | None, estimator: Any) -> str | None:
+    """Return the one setting of a controller's adaptive law in words."""
+    key, words = _GAINS.get(controller or "", ("", ""))
+    value = _number(_get(estimator, key))
+    return None if value is None else words.format(f"{value:g}")
+
+
+def _words(value: Any) -> str:
+    return value if isinstance(value, str) else ""
 
 
 def _parse(text: str) -> dict[str, Any]:
@@ -137,7 +189,10 @@ class Summary:
     k_t_at_zero: float
     tracking_indicator_m2: float
     energy_error_j: float
+    energy_error_largest_j: float
     energy_error_relative: float | None
+    input_energy_j: float | None
+    clamped_rows: int
     flags: dict[str, int]
     skipped_ticks: int
     not_finite_rows: int
@@ -179,11 +234,10 @@ def summarize(rec: Recording) -> Summary:
     index = measures.fei(x_num, x_meas, rec.fs_hz)
     peak_row = _peak_row(x_num)
     error_j = measures.energy_error(force, x_num, x_meas)
-    relative = None
+    relative = input_j = None
+    if given.mass_kg is not None:
+        input_j = measures.input_energy(run["ag_mps2"], x_num, given.mass_kg)
     if given.k_e_n_per_m is not None:
-        input_j = None
-        if given.mass_kg is not None:
-            input_j = measures.input_energy(run["ag_mps2"], x_num, given.mass_kg)
         relative = measures.hsem(error_j, input_j, force, given.k_e_n_per_m)
     response: dict[str, float | None] = dict.fromkeys(("nrmse", "difference", "error", "sum"))
     pair = reference_pair(rec)
@@ -225,12 +279,49 @@ def summarize(rec: Recording) -> Summary:
         k_t_at_zero=_share(run["k_t_n_per_m"] <= 0.0),
         tracking_indicator_m2=_last(measures.tracking_indicator(x_num, x_meas)),
         energy_error_j=_last(error_j),
+        energy_error_largest_j=float(np.max(np.abs(error_j), initial=0.0)),
         energy_error_relative=relative,
+        input_energy_j=None if input_j is None else float(np.max(input_j, initial=0.0)),
+        clamped_rows=_clamped_rows(samples),
         flags={name: int(np.count_nonzero(samples["flags"] & bit)) for name, bit in FLAGS.items()},
         skipped_ticks=int(np.sum(rec.replay.skips[:, 1])) if rec.replay.skips.size else 0,
         not_finite_rows=int(np.count_nonzero(~np.isfinite(signals).all(axis=0))),
         setup=given,
     )
+
+
+def stiffness_shares(
+    k_t: Floats, k_e: float | None, fs_hz: float, step_s: float = 1.0
+) -> tuple[Floats, Floats]:
+    """Return where the tangent stiffness stood, step by step of the test.
+
+    Args:
+        k_t: tangent stiffness, shape (n,); values that are not finite count as between.
+        k_e: its upper bound in the same unit, None where it is not known.
+        fs_hz: sample rate.
+        step_s: length of a step, s.
+
+    Returns:
+        Edges of the steps from the first sample on, s, shape (m + 1,), and the share of the samples
+        of each step at 0, between the bounds, and at k_e, shape (3, m). The last step may be short.
+    """
+    width = max(round(step_s * fs_hz), 1)
+    starts = np.arange(0, k_t.size, width)
+    edges = np.append(starts, k_t.size) / fs_hz
+    if not k_t.size:
+        return edges, np.zeros((3, 0))
+    at_zero = k_t <= 0.0
+    at_top = np.zeros(k_t.shape, dtype=np.bool_) if k_e is None else k_t >= k_e * (1.0 - 1e-9)
+    counts = np.diff(np.append(starts, k_t.size))
+    low, high = (np.add.reduceat(mask.astype(np.float64), starts) / counts
+                 for mask in (at_zero, at_top))  # fmt: skip
+    return edges, np.stack([low, 1.0 - low - high, high])
+
+
+def _clamped_rows(samples: NDArray[np.void]) -> int:
+    """Count the rows in which a computed value was held back; a lost feedback is told elsewhere."""
+    held = (samples["code"] & OUT_OF_RANGE) != 0
+    return int(np.count_nonzero(held & ((samples["flags"] & FLAGS["predicted"]) == 0)))
 
 
 def _peak_row(x: Floats) -> int:
@@ -362,6 +453,7 @@ def notices(s: Summary) -> list[Notice]:
                 "the measures leave them out.",
             )
         )
+    found += _useless(s)
     flagged = {
         "limited": "had the command held back by a limit: the actuator was sent less than asked",
         "not_sent": "had a command that could not be sent",
@@ -391,6 +483,56 @@ def notices(s: Summary) -> list[Notice]:
                 f"No force compensation for {share} of the test: the tangent stiffness was zero.",
             )
         )
+    return found
+
+
+def _useless(s: Summary) -> list[Notice]:
+    """Return why the figures of a test that ran away or missed everything say nothing."""
+    texts = []
+    peak_m = max(np.nan_to_num([s.peak_command_m, s.peak_measured_m], nan=0.0))
+    if peak_m > FARTHEST_M:
+        texts.append(
+            f"The motion ran away: {quantity(float(peak_m), 'm')}, farther than any laboratory's "
+            "actuator."
+        )
+    if s.clamped_rows:
+        texts.append(
+            f"{_count(s.clamped_rows, 'sample')} of {s.samples} had a value beyond any sense, "
+            "which was held back: the motion is not that of the structure."
+        )
+    for name, of, value in (
+        ("Response", "reference simulation", s.response_nrmse),
+        ("Tracking", "command", s.tracking_nrmse),
+    ):
+        if value is not None and value > USELESS_NRMSE:
+            texts.append(
+                f"{name} NRMSE {percent(value)}: the measured motion is not that of the {of}."
+            )
+    input_j = s.input_energy_j
+    if input_j is not None and 0.0 < input_j < s.energy_error_largest_j:
+        texts.append(
+            f"The tracking error moved {quantity(s.energy_error_largest_j, 'J')}, more than the "
+            f"{quantity(input_j, 'J')} that the ground motion put in."
+        )
+    return [Notice("alarm", text) for text in texts]
+
+
+def key_figures(s: Summary) -> list[str]:
+    """Return what was tested in a few words: structure, controller, window."""
+    given = s.setup
+    figures = [
+        ("T = ", quantity(given.period_s, "s")),
+        ("m = ", quantity(given.mass_kg, "kg", digits=4)),
+        ("c = ", quantity(given.damping_n_s_per_m, "N s/m", digits=4)),
+        ("ζ = ", percent(given.damping_ratio, 3)),
+        ("k_e = ", quantity(given.k_e_n_per_m, "kN/m", 1e-3, 4)),
+    ]
+    found = [name + value for name, value in figures if value != "–"]
+    if given.controller is not None:
+        adapts = given.gain is not None and given.estimator_enabled
+        found.append(f"controller {given.controller}" + (f", {given.gain}" if adapts else ""))
+    if given.rfc_enabled and given.window_samples is not None:
+        found.append(f"T0 = {_count(given.window_samples, 'sample')}")
     return found
 
 

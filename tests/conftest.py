@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from importlib import resources
+from pathlib import Path
 
 import pytest
+from command_line import Answer, Rthyb
 
-from rthyb_rt import ground_motion, studies
+from rthyb_rt import cli, ground_motion, studies
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.studies.results import Study
 
@@ -31,3 +34,24 @@ def tcu068_first_50_s() -> GroundMotion:
 def paper() -> list[Study]:
     """The whole paper reproduced, once; Section 4.2 with TCU068 where pyslammer has it."""
     return studies.run()
+
+
+@pytest.fixture
+def rthyb(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Rthyb:
+    """Run a command in this process, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("FORCE_COLOR", raising=False)
+
+    def call(*arguments: object) -> Answer:
+        capsys.readouterr()
+        code = cli.main([str(argument) for argument in arguments])
+        streams = capsys.readouterr()
+        answer = Answer(code, streams.out, streams.err)
+        assert "\x1b" not in answer.out + answer.err
+        if not os.environ.get("RTHYB_TRACEBACK"):
+            assert "Traceback" not in answer.out + answer.err
+        return answer
+
+    return call

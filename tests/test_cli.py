@@ -11,14 +11,14 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from command_line import Answer, Rthyb
 
-from rthyb_rt import cli, config, experiment, recording
+from rthyb_rt import cli, config, core, experiment, recording
 from rthyb_rt.cli import folders
 from rthyb_rt.errors import RthybError
 
@@ -35,43 +35,6 @@ pga_g = 0.04
 period_s = 0.5
 damping_ratio = 0.02
 """
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What a command left: exit code, stdout, stderr."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> dict[str, object]:
-        return dict(json.loads(self.out))
-
-
-Rthyb = Callable[..., Answer]
-
-
-@pytest.fixture
-def rthyb(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> Rthyb:
-    """Run a command in this process, in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("FORCE_COLOR", raising=False)
-
-    def call(*arguments: object) -> Answer:
-        capsys.readouterr()
-        code = cli.main([str(argument) for argument in arguments])
-        streams = capsys.readouterr()
-        answer = Answer(code, streams.out, streams.err)
-        assert "\x1b" not in answer.out + answer.err
-        if not os.environ.get("RTHYB_TRACEBACK"):
-            assert "Traceback" not in answer.out + answer.err
-        return answer
-
-    return call
 
 
 def shell(*arguments: str, folder: Path, **environment: str) -> Answer:
@@ -562,8 +525,65 @@ def test_other_estimators_have_no_loop_gain_to_judge(rthyb: Rthyb) -> None:
 def test_uncompensated_test_beyond_its_critical_delay_is_warned_of(rthyb: Rthyb) -> None:
     answer = rthyb("check", example("section4.2.toml"), "--set", "controller.type=none")
     assert answer.code == 0
-    assert "Warning: the rig's delay of 10 samples is more than the 2.3" in answer.out
+    assert "survives a delay of 2.3 samples, and the rig has 10: the motion will grow" in answer.out
     assert "Lead, Nyquist" not in answer.out
+
+
+def test_test_without_any_limit_is_warned_of(rthyb: Rthyb, tmp_path: Path) -> None:
+    (tmp_path / "test.toml").write_text(TEST)
+    warning = "Warning: nothing ends a test that grows"
+    assert warning in rthyb("check", "test.toml").out
+    assert warning not in rthyb("check", "test.toml", "--set", "limits.force_n=20 kN").out
+    off = ("--set", "limits.force_n={ value = 20000, enable = false }")
+    assert warning in rthyb("check", "test.toml", *off).out
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_sensor_that_ends_before_the_expected_peak_is_noted(
+    rthyb: Rthyb, tmp_path: Path, command: str
+) -> None:
+    (tmp_path / "test.toml").write_text(TEST)
+    short = ("--set", "rig.sensors.displacement.range_m=2 mm", "--set", "test.duration_s=3")
+    extra = ("--no-report",) if command == "run" else ()
+    answer = rthyb(command, "test.toml", *short, *extra)
+    found = "sensors.displacement.range_m = 2 mm is less than the peak of"
+    assert found in (answer.out + answer.err)
+
+
+@pytest.mark.parametrize("command", ["check", "run", "identify"])
+def test_oil_column_that_cannot_be_computed_is_refused_before_anything_runs(
+    rthyb: Rthyb, tmp_path: Path, command: str
+) -> None:
+    table = "shaking-table-portal-frame"
+    (tmp_path / "test.toml").write_text(TEST.replace("delay-10-elastic", table))
+    stiff = ("--set", "rig.actuator.oil_stiffness_n_per_m=1e12")
+    answer = rthyb(command, table if command == "identify" else "test.toml", *stiff)
+    assert answer.code == 3
+    assert "rig.actuator.oil_stiffness_n_per_m: found 1e+12 N/m" in answer.err
+    assert "at least substeps = 73" in answer.err
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_setting_that_only_the_core_refuses_is_a_fault_of_the_files(
+    rthyb: Rthyb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    def refuse(config: object) -> None:
+        raise core.CoreError("a limit must be finite and >= 0")
+
+    (tmp_path / "test.toml").write_text(TEST)
+    monkeypatch.setattr(core, "Controller", refuse)
+    answer = rthyb(command, "test.toml")
+    assert answer.code == 3
+    assert 'test "plate" on rig "delay-10-elastic": a limit must be finite' in answer.err
+
+
+def test_run_that_diverges_without_limits_is_not_reported_as_fine(rthyb: Rthyb) -> None:
+    settings = ("controller.type=none", "rig=delay-10-elastic", "limits={}")
+    answer = rthyb("run", "--no-report", *(word for s in settings for word in ("--set", s)))
+    assert answer.code == 0
+    for alarm in ("The motion ran away", "Response NRMSE", "The tracking error moved"):
+        assert f"Attention: {alarm}" in answer.out
 
 
 @pytest.mark.parametrize(

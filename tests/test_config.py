@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rthyb_rt import config
-from rthyb_rt.config.rigfile import HysteresisElement, ServoHydraulic
+from rthyb_rt.config.rigfile import HysteresisElement, RigFile, ServoHydraulic
 from rthyb_rt.errors import InputError, Problem
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -106,7 +106,9 @@ def test_section_4_2_is_set_up_as_the_paper_states_it() -> None:
     assert (derived.mass_kg, derived.damping_n_s_per_m) == (30000, 15080)
     assert (derived.window_samples, derived.alpha0) == (51, 0)
     assert derived.gain_per_mm2_per_sample == 0.005
-    assert any("1.39%" in note for note in derived.notes)  # forward Euler, as measured: 1.3865 %
+    assert any(
+        "2.00 % acts as 1.39 %" in note for note in derived.notes
+    )  # forward Euler, as measured: 1.3865 %
 
 
 def test_virtual_table_is_the_one_of_section_5() -> None:
@@ -617,7 +619,7 @@ def test_defaults_of_the_laws_and_tangents_are_resolved() -> None:
     assert (paper.gain_per_mm2_per_sample, paper.rate_per_sample, paper.memory_s) == (
         0.03,
         0.002,
-        6,
+        2,
     )
 
 
@@ -650,6 +652,52 @@ def test_elastic_stiffness_unlike_the_specimen_is_noted() -> None:
     assert derived_of(TEST, rig).notes == ()
     rig = rig.replace('"666400 N/m"', '"66.64 kN/m"')
     assert any("666400 N/m" in note for note in derived_of(TEST, rig).notes)
+
+
+def table_rig(**overrides: str) -> RigFile:
+    """The shipped shaking table with changes of its actuator."""
+    changes = {f"actuator.{key}": value for key, value in overrides.items()}
+    return config.load_rig(config.shipped_rig("shaking-table-portal-frame"), changes)
+
+
+def test_oil_column_too_stiff_for_its_substeps_is_refused_with_the_substeps_it_needs() -> None:
+    with pytest.raises(InputError) as caught:
+        table_rig(oil_stiffness_n_per_m="1e12")
+    assert "found 1e+12 N/m" in str(caught.value)
+    assert "at least substeps = 73" in str(caught.value)
+    assert table_rig(oil_stiffness_n_per_m="1e12", substeps="73").rig.name
+    with pytest.raises(InputError, match="at least substeps = 73"):
+        table_rig(oil_stiffness_n_per_m="1e12", substeps="72")
+    with pytest.raises(InputError, match=r"less than 4\.4e\+09 N/m even at substeps = 1024"):
+        table_rig(oil_stiffness_n_per_m="1e12", moving_mass_kg="0.001")
+
+
+def built_in_notes(rig: RigFile) -> list[str]:
+    test = config.load_test(config.builtin_test_path())
+    return [*config.derive(test, rig).notes]
+
+
+def test_few_substeps_for_the_oil_column_are_noted() -> None:
+    assert built_in_notes(table_rig(substeps="8")) == []
+    (note,) = built_in_notes(table_rig(substeps="7"))
+    assert note.startswith("actuator.substeps = 7 is coarse for a table that swings at 108 Hz")
+    assert note.endswith("take 8 or more")
+
+
+def test_friction_too_steep_for_the_reference_simulation_is_noted_with_the_width_it_needs() -> None:
+    spring = config.shipped_rig("delay-10-elastic").read_text(encoding="utf-8")
+    test = config.load_test(ROOT / "examples" / "section5-T0.5.toml")
+
+    def notes(width: str) -> list[str]:
+        element = f'[[specimen]]\nelement = "coulomb"\nfc_n = 400\nwidth_m_per_s = {width}\n'
+        rig = config.parse_rig(spring.replace("[identified]", element + "[identified]"))
+        return [n for n in config.derive(test, rig).notes if "chatters" in n]
+
+    # F_c h / m = 400 / 1024 / 4220
+    (note,) = notes('"10 um/s"')
+    assert "rig specimen.1: fc_n = 400 N over width_m_per_s = 1e-05 m/s" in note
+    assert "at least 9.3e-05 m/s" in note
+    assert notes("9.3e-5") == []
 
 
 def test_limit_beyond_the_sensor_is_noted() -> None:

@@ -53,8 +53,8 @@ def bits(*parts: Any) -> bytes:
 
 
 def hybrid_test_in_python(ag: Floats, delay: int) -> dict[str, Floats]:
-    """The whole loop of DESIGN.md's sample order in plain Python: delay, elastic specimen,
-    gradient law, Eqn 3.3, central difference, Eqn 2.5."""
+    """The order of one sample in controller.c, in plain Python: delay, elastic specimen, gradient
+    law, Eqn 3.3, central difference, Eqn 2.5."""
     n_total, k, window = ag.size, 0.8 * K_PLATE, 20
     names = ("x_num_m", "x_plc_m", "x_meas_m", "f_meas_n", "alpha", "k_t_n_per_m")
     rec = {name: np.zeros(n_total + 1) for name in names}
@@ -380,24 +380,42 @@ def feed(c: core.Controller, count: int, start: int = 0, lost: bool = False) -> 
     ]
 
 
-def test_lost_samples_go_on_in_a_straight_line_and_freeze_from_the_third() -> None:
+def test_lost_samples_follow_the_command_and_freeze_from_the_third() -> None:
     law = core.EstimatorConfig(law="gradient", gain=1e4, alpha0=3.0, alpha_min=-1e4, alpha_max=1e4)
     c = controller(core.MotionConfig("prescribed"), estimator=law, rfc={"window": 2})
     before = feed(c, 50)[-1].record
     rows = [s.record for s in feed(c, 30, start=50, lost=True)]
     ahead = np.minimum(np.arange(1, 31), 20)
     np.testing.assert_allclose([r["x_meas_m"] for r in rows], 1e-6 * (49 + ahead), rtol=1e-9)
-    np.testing.assert_allclose([r["f_meas_n"] for r in rows], 0.5 * (49 + ahead), rtol=1e-9)
+    force = 0.5 * 49 + before["k_t_n_per_m"] * 1e-6 * ahead
+    np.testing.assert_allclose([r["f_meas_n"] for r in rows], force, rtol=1e-9)
     flags = [int(r["flags"]) for r in rows]
     assert flags == [FLAG["predicted"]] * 2 + [FLAG["predicted"] | FLAG["frozen"]] * 28
     assert rows[0]["alpha"] != before["alpha"]
     assert len({r["alpha"] for r in rows[1:]}) == 1
     assert len({r["k_t_n_per_m"] for r in rows[1:]}) == 1
-    assert {int(r["code"]) for r in rows} == {0}
+    assert {int(r["code"]) for r in rows[:19]} == {0}
+    assert {int(r["code"]) for r in rows[19:]} == {STATUS["link_lost"] | STATUS["trip"], 0}
     after = feed(c, 1, start=80)[0].record
     assert after["flags"] == FLAG["fresh"]
     assert after["x_meas_m"] == 1e-6 * 80
     assert after["alpha"] != rows[-1]["alpha"]
+
+
+def test_noise_is_not_run_out_over_a_gap() -> None:
+    noise_m, noise_n = 1e-5, 20.0
+    sensors = {
+        "displacement": core.SensorConfig(noise_std=noise_m),
+        "force": core.SensorConfig(noise_std=noise_n),
+    }
+    c = controller(structure(), estimator=core.EstimatorConfig(alpha0=10.0))
+    rig, x_cmd, worst = delay_rig(**sensors), 0.0, 0.0
+    for n, acceleration in enumerate(shaking(20.0)):
+        x, f, _ = rig.step(x_cmd)
+        sample = c.step(x, f, acceleration, lost=n % 1024 >= 1005)
+        x_cmd = sample.x_cmd_next_m
+        worst = max(worst, abs(float(sample.record["x_meas_m"]) - rig.true_displacement_m))
+    assert worst < 6 * noise_m + 2e-5  # 19 samples of constant velocity: 19 sqrt(2) times the noise
 
 
 def test_single_lost_samples_here_and_there_do_not_freeze() -> None:
@@ -432,7 +450,8 @@ def test_bad_pair_counts_as_a_lost_one_and_is_told(x: float, f: float, code: int
     told, lost = c.step(x, f, 0.1), lossy.step(0.0, 0.0, 0.1, lost=True)
     assert told.status == code
     assert lost.status == 0
-    same = {"code": 0, "state": 0}  # a value that is not finite trips, a lost pair does not
+    # A value that is not finite trips, a lost pair does not; what was refused is still on record.
+    same = {"code": 0, "state": 0, "x_raw": 0, "f_raw": 0}
     assert told.record | same == lost.record | same
     assert c.step(0.0, 0.0, 0.0).record | same == lossy.step(0.0, 0.0, 0.0).record | same
 

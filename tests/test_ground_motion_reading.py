@@ -214,7 +214,7 @@ def test_shared_record_has_its_stated_peak(
 ) -> None:
     path = RECORDS / f"{name}.txt"
     if not path.is_file():
-        pytest.skip("the folder of shared records is not beside this repository")
+        pytest.skip("this machine has no further copy of the record")
     motion = ground_motion.read(path)
     assert motion.pga_g == pytest.approx(pga_g, abs=6e-5)
     assert motion.acceleration_mps2.size == points
@@ -224,7 +224,7 @@ def test_shared_record_has_its_stated_peak(
 def test_built_in_record_equals_the_shared_copy() -> None:
     path = RECORDS / "elcentro1940_NS_Chopra_50Hz_g.txt"
     if not path.is_file():
-        pytest.skip("the folder of shared records is not beside this repository")
+        pytest.skip("this machine has no further copy of the record")
     built_in = ground_motion.builtin("elcentro-1940-ns")
     np.testing.assert_array_equal(
         built_in.acceleration_mps2, ground_motion.read(path).acceleration_mps2
@@ -240,7 +240,7 @@ def test_tcu068_is_50_s_at_200_hz(tcu068_first_50_s: GroundMotion) -> None:
 def test_tcu068_equals_the_shared_copy(tcu068_first_50_s: GroundMotion) -> None:
     path = RECORDS / "chichi1999_TCU068_EW_200Hz_g.txt"
     if not path.is_file():
-        pytest.skip("the folder of shared records is not beside this repository")
+        pytest.skip("this machine has no further copy of the record")
     shared = ground_motion.read(path).window(0.0, 50.0)
     np.testing.assert_allclose(
         tcu068_first_50_s.acceleration_mps2, shared.acceleration_mps2, atol=1e-8 * 9.80665
@@ -639,3 +639,21 @@ def test_absurd_headers_are_a_motion_or_a_clear_refusal(
 )
 def test_large_and_repetitive_content_is_refused(tmp_path: Path, content: bytes) -> None:
     read_or_refuse(tmp_path / "f", content)
+
+
+# --- provenance ----------------------------------------------------------------------------------
+
+
+def test_header_of_the_built_in_record_is_told_in_whole_sentences() -> None:
+    header = ground_motion.builtin("elcentro-1940-ns").details["header"]
+    assert header.startswith("Ground acceleration, El Centro, California, component north-south, I")
+    assert header.endswith("PGA 0.3188 g.")
+    assert ";" not in header
+
+
+def test_long_header_without_sentences_ends_with_dots(written: Callable[..., Path]) -> None:
+    header = "# station one\n# channel two" + " record" * 60
+    motion = ground_motion.read(written(f"{header}\ntime_s,acc_g\n0,0.1\n0.01,-0.2\n0.02,0\n"))
+    assert 290 < len(motion.details["header"]) <= 300
+    assert motion.details["header"].startswith("station one; channel two record ")
+    assert motion.details["header"].endswith(" record …")

@@ -12,11 +12,13 @@ import h5py
 import numpy as np
 import pytest
 from recording_data import FS_HZ, RECORD_DTYPE, recording
+from rthyb_rt._core import lib
 from scipy.io import loadmat
 
-from rthyb_rt import export
+from rthyb_rt import core, export
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.recording import (
+    FLAGS,
     SCHEMA,
     STATES,
     UNITS,
@@ -27,6 +29,7 @@ from rthyb_rt.recording import (
     replacing,
     write,
 )
+from rthyb_rt.summary import OUT_OF_RANGE
 
 
 @pytest.fixture
@@ -102,6 +105,14 @@ def test_file_explains_itself_to_other_programs(path: Path) -> None:
         assert '"limited": 16' in file["samples"].attrs["flags"]
         assert '"RUNNING"' in file["samples"].attrs["states"]
         assert file["ground_motion/ag_mps2"].attrs["fs_hz"] == FS_HZ
+
+
+def test_flags_states_and_status_have_the_numbers_of_the_core() -> None:
+    for name, bit in FLAGS.items():
+        assert getattr(lib, f"RTHYB_F_{name.upper()}") == bit
+    for number, name in enumerate(STATES):
+        assert getattr(lib, f"RTHYB_{name}") == number
+    assert core.STATUS["out_of_range"] == OUT_OF_RANGE
 
 
 def test_every_field_of_the_record_has_a_unit() -> None:

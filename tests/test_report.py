@@ -23,12 +23,14 @@ from rthyb_rt.recording import FLAGS, STATES, UNITS, Recording
 from rthyb_rt.report import render, write_report
 from rthyb_rt.report.decimate import envelope, robust_limit, trace
 from rthyb_rt.summary import (
+    OUT_OF_RANGE,
     notices,
     number,
     percent,
     quantity,
     result_table,
     setup,
+    stiffness_shares,
     summarize,
     verdict,
 )
@@ -185,6 +187,50 @@ def test_flawless_test_has_no_notice() -> None:
     assert notices(summarize(rec)) == []
 
 
+def alarms(rec: Recording) -> str:
+    return "\n".join(n.text for n in notices(summarize(rec)) if n.level == "alarm")
+
+
+def test_response_or_tracking_off_by_more_than_half_is_an_alarm() -> None:
+    lagging = sine_test(delay_samples=1024.0 / 2.0 / 4.0)  # a quarter of the period
+    assert "Tracking NRMSE 140 %: the measured motion is not that of the command" in alarms(lagging)
+    assert "Response NRMSE" in alarms(lagging)
+    within = sine_test(0.0, 0.6)
+    assert rows(within)["Tracking, NRMSE"] == "40.0 %"
+    assert alarms(within) == ""
+
+
+def test_error_that_moves_more_energy_than_the_earthquake_is_an_alarm() -> None:
+    rec = recording(10.0)
+    assert alarms(rec) == ""
+    rec.samples["ag_mps2"] *= 1e-3
+    assert re.search(r"tracking error moved .* J, more than the .* J that the", alarms(rec))
+
+
+def test_motion_that_ran_away_is_an_alarm() -> None:
+    rec = recording(2.0)
+    rec.samples["x_num_m"][-1] = rec.samples["x_meas_m"][-1] = 3.0
+    assert "The motion ran away: 3.00 m, farther than any laboratory's actuator." in alarms(rec)
+
+
+def test_clamp_that_acted_is_an_alarm_and_a_lost_feedback_is_told_as_such() -> None:
+    rec = recording(2.0)
+    rec.samples["code"][100:103] |= OUT_OF_RANGE
+    assert "3 samples of 2048 had a value beyond any sense" in alarms(rec)
+    rec.samples["flags"][100:103] = FLAGS["predicted"]
+    assert "beyond any sense" not in alarms(rec)
+
+
+def test_tangent_stiffness_is_told_second_by_second() -> None:
+    k = np.full(2560, 0.5 * K_E)
+    k[:512] = 0.0
+    k[1024:2048] = K_E
+    edges, shares = stiffness_shares(k, K_E, FS_HZ)
+    np.testing.assert_allclose(edges, [0.0, 1.0, 2.0, 2.5])
+    np.testing.assert_allclose(shares, [[0.5, 0, 0], [0.5, 0, 1], [0, 1, 0]])
+    assert stiffness_shares(k[:0], K_E, FS_HZ)[1].shape == (3, 0)
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [
@@ -257,6 +303,10 @@ def test_page_is_small_and_has_all_figures(page: str) -> None:
     ]
 
 
+def test_compensated_command_is_drawn_where_there_is_one(page: str) -> None:
+    assert "compensated command" in page.split("</header>")[1]
+
+
 def test_ids_are_unique_and_every_reference_has_its_target(page: str) -> None:
     ids = re.findall(r'\bid="([^"]+)"', page)
     assert len(ids) == len(set(ids))
@@ -270,7 +320,7 @@ def test_text_in_figures_is_text_in_the_fonts_of_the_page(page: str) -> None:
         for drawing in drawings(page)
         for node in drawing.iter("{http://www.w3.org/2000/svg}text")
     ]
-    for label in ("displacement, mm", "force, kN", "time, s", "tangent stiffness, kN/m", "ms"):
+    for label in ("displacement, mm", "force, kN", "time, s", "samples of each second, %", "ms"):
         assert label in words
     assert "DejaVu" not in page.split("</style>", 1)[1]
 
@@ -280,6 +330,27 @@ def test_page_holds_settings_provenance_and_verdict(page: str) -> None:
     assert "Imperial Valley, 18 May 1940" in page
     assert "0123abc" in page
     assert "The specimen followed the command within" in page.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_head_of_the_page_says_what_was_tested_on_what(page: str) -> None:
+    head = page.split("<header>")[1].split("</header>")[0].replace("\N{NO-BREAK SPACE}", " ")
+    assert "Portal frame, T = 0.5 s, El Centro 1940 NS at 0.04 g" in head
+    assert "rig table-and-plate" in head
+    structure = ("T = 0.500 s", "m = 4220 kg", "c = 2121 N s/m", "ζ = 2.00 %", "k_e = 666.4 kN/m")
+    for figure in (*structure, "controller paper, γ = 0.03 per mm² per sample"):
+        assert f"<span>{figure}</span>" in head
+
+
+def test_window_of_the_tangent_stiffness_stands_in_the_head() -> None:
+    rec = recording(1.0)
+    rec.test_toml = rec.test_toml.replace("window_periods = 0.1", "window_samples = 51")
+    assert "T0 = 51 samples" in render(rec).replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_scale_kept_as_text_has_no_more_digits_than_a_reader_wants() -> None:
+    rec = recording(1.0)
+    rec.ground_motion["scale"] = "0.1254626434978985"
+    assert "<td>0.125463</td>" in render(rec)
 
 
 def test_settings_cannot_break_out_of_the_page() -> None:
@@ -310,6 +381,7 @@ def test_test_without_compensation_has_no_empty_figures() -> None:
     page = render(rec)
     assert "The test ran without delay compensation." in page
     assert "The test ran without force compensation." in page
+    assert "compensated" not in "".join(re.findall(r"<svg.*?</svg>", page, re.DOTALL))
     assert len(drawings(page)) == 7
 
 

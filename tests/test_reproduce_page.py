@@ -130,6 +130,7 @@ def test_results_hold_every_row_with_its_place(paper: list[Study], tmp_path: Pat
     assert len(found["rows"]) == sum(len(study.rows) for study in paper)
     assert set(found["rows"][0]) == {
         "section", "group", "case", "quantity", "value", "unit", "band", "inside", "paper",
+        "as_stated",
     }  # fmt: skip
     places = [(r["section"], r["group"], r["case"], r["quantity"]) for r in found["rows"]]
     assert len(set(places)) == len(places)
@@ -150,3 +151,14 @@ def test_page_without_matplotlib_names_the_remedy_and_leaves_the_results(
     with pytest.raises(InputError, match=r"needs matplotlib.*pip install 'rthyb-rt\[report\]'"):
         write_page([small(Row("Peak", 1.0))], tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["results.json"]
+
+
+def test_short_window_of_a_long_test_is_drawn_as_it_was() -> None:
+    t = np.arange(40 * 1024) / 1024.0
+    curve = Curve("", t, np.sin(2 * np.pi * 50.0 * t))
+    panel = Panel("short", "Short", "time, s", "y", (curve,), x_range=(2.0, 2.5))
+    from rthyb_rt.studies.figures import draw_all
+
+    (plate,) = draw_all(small(Row("Peak", 1.0), panels=(panel,)))
+    path = max(re.findall(r' d="([^"]*)"', plate.svg), key=len)
+    assert len(re.findall(r"[ML]", path)) > 300

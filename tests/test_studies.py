@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from importlib import util
 
 import numpy as np
@@ -136,6 +137,25 @@ def test_robust_controller_keeps_the_delay_within_what_the_paper_saw(paper: list
     for head in ("T = 0.5 s: controllers", "T = 1 s: controllers"):
         assert value(study, "Smallest delay estimate", "robust", head) >= 16.0
         assert value(study, "Largest delay estimate", "robust", head) <= 19.0
+
+
+def test_delay_outside_what_the_paper_saw_is_shown_and_is_no_missed_band(
+    paper: list[Study],
+) -> None:
+    study = section(paper, "5")
+    rows = [row for row in study.rows if row.quantity == "Smallest delay estimate"]
+    printed = [row for row in rows if row.case == "paper"]
+    assert len(printed) == 2
+    assert all(row.value < 16.0 and row.as_stated is False for row in printed)
+    assert all(row.inside is None for row in rows)
+    assert all(row.as_stated for row in rows if row.case == "robust")
+
+
+def test_uncompensated_test_must_end_when_it_was_seen_to_end(paper: list[Study]) -> None:
+    study = section(paper, "5")
+    rows = [row for row in study.rows if row.quantity.startswith("Grows until")]
+    assert {(row.low, row.high) for row in rows} == {(2.1, 4.1), (9.4, 11.4)}
+    assert replace(rows[0], value=39.0).inside is False
 
 
 def test_table_5_1_has_the_periods_it_names() -> None:

@@ -60,8 +60,8 @@ MEANINGS: dict[str, str] = {
     "DelayEstimator.rate_per_sample": 'gain of "robust"; absent: '
     f"{deriving.DEFAULT_RATE_PER_SAMPLE:g}",
     "DelayEstimator.memory_s": f'memory of "alpha-beta"; absent: {deriving.DEFAULT_MEMORY_S:g}',
-    "DelayEstimator.alpha_min": "smallest delay; bounds alpha0, robust and alpha-beta",
-    "DelayEstimator.alpha_max": "largest delay; bounds alpha0, robust and alpha-beta",
+    "DelayEstimator.alpha_min": "smallest alpha that the compensator is given",
+    "DelayEstimator.alpha_max": "largest alpha that the compensator is given",
     "DelayEstimator.gate_factor": "power over that of rest noise at which adaptation begins",
     "DelayEstimator.reference_displacement_m": "unit of μ and φ in 1 + φ² (Eqn 2.9)",
     "Rfc.window_periods": f"window T0 in periods; absent: {deriving.DEFAULT_WINDOW_PERIODS:g}",

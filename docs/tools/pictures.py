@@ -54,6 +54,8 @@ def photograph(rec: Recording) -> None:
         report.write_report(rec, page)
         subprocess.run(
             [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+             "--no-first-run", "--disable-quic", "--disable-background-networking",
+             "--disable-component-update", "--disable-sync", f"--user-data-dir={folder}/profile",
              "--force-device-scale-factor=1.5", "--window-size=1000,1330",
              f"--screenshot={shot}", page.as_uri()],
             check=True, capture_output=True,

@@ -48,7 +48,10 @@ def _cell(row: Row | None) -> str:
     if row is None:
         return ""
     band = band_text(row)
-    return f"{value_text(row)} ({band})" if band else value_text(row)
+    said = [band] if band else []
+    if row.as_stated is False:
+        said.append("not as the paper")
+    return f"{value_text(row)} ({', '.join(said)})" if said else value_text(row)
 
 
 def _text(text: str) -> str:

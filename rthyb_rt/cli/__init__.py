@@ -5,13 +5,16 @@ What a command needs to compute is imported inside it, so that help comes at onc
 
 from __future__ import annotations
 
-import contextlib
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
 
-from rthyb_rt.errors import RthybError
+from rthyb_rt.cli import interrupts, streams
+from rthyb_rt.errors import InputError, Problem, RthybError
+
+INTERRUPTED = 128 + signal.SIGINT
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -20,51 +23,70 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: what follows the program's name; None takes the process's own.
     """
-    _settle_streams()
-    try:
-        status = _status(arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    with streams.settled() as outlet, interrupts.orderly():
+        status = _status(given)
+        signum = interrupts.received()
+        if signum is not None or status == INTERRUPTED:
+            signum = signum or signal.SIGINT
+            how = "interrupted" if signum == signal.SIGINT else f"ended by {_name(signum)}"
+            print(f"rthyb: {how}; {interrupts.written()}", file=sys.stderr)
+            return 128 + signum
         sys.stdout.flush()
-    except OSError as error:
-        # What is still buffered can go nowhere; Python must not try again at its end.
-        with contextlib.suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         # A reader that has seen enough is no error to speak of.
-        if not isinstance(error, BrokenPipeError):
-            _trace()
-            print(f"rthyb: {error}", file=sys.stderr)
-        return 1
+        if outlet is not None and outlet.fault and not isinstance(outlet.fault, BrokenPipeError):
+            print(
+                f"rthyb: stdout cannot be written ({outlet.fault.strerror}); "
+                f"{interrupts.written()}",
+                file=sys.stderr,
+            )
+            return status or 1
     return status
 
 
-def _settle_streams() -> None:
-    """Make printing safe: a closed stream or a character it does not know must not end a test."""
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, name)
-        if stream is None:
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
-        elif hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
+def _name(signum: int) -> str:
+    return signal.Signals(signum).name
 
 
-def _status(arguments: Sequence[str] | None) -> int:
+def _status(arguments: list[str]) -> int:
+    as_json = "--json" in arguments
     try:
         # In here, so that an interrupt during the import ends as quietly as any other.
         from rthyb_rt.cli.commands import app
 
-        app(args=arguments, prog_name="rthyb")
+        status = app(args=arguments, prog_name="rthyb", standalone_mode=False)
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0
     except KeyboardInterrupt:
-        return 130
-    except OSError:
-        raise
+        return INTERRUPTED
+    except OSError as error:
+        _trace()
+        print(f"rthyb: {_about_build(error) or error}", file=sys.stderr)
+        return 1
     except RthybError as error:
         _trace()
         for line in str(error).splitlines():
             print(f"rthyb: {line}", file=sys.stderr)
+        if as_json:
+            _print_problems(
+                error.problems if isinstance(error, InputError) else [Problem("", str(error))]
+            )
         return error.exit_code
     except Exception as error:
+        # What the parser of the command line raises shows itself.
+        if hasattr(error, "show") and hasattr(error, "exit_code"):
+            # Its prefix for a word that is none of a choice.
+            message = str(getattr(error, "message", "")).removeprefix("Value error, ")
+            vars(error)["message"] = message
+            error.show()
+            if as_json:
+                _print_problems([Problem("", message)])
+            return int(error.exit_code)
         _trace()
+        build = _about_build(error)
+        if build is not None:
+            print(f"rthyb: {build}", file=sys.stderr)
+            return 1
         print(
             f"rthyb: internal error: {type(error).__name__}: {error}\n"
             "rthyb: this is a fault of the program, please report it together with what the same "
@@ -72,7 +94,28 @@ def _status(arguments: Sequence[str] | None) -> int:
             file=sys.stderr,
         )
         return 1
-    return 0
+    return status if isinstance(status, int) else 0
+
+
+def _about_build(error: Exception) -> str | None:
+    """Say what is the matter when an editable installation cannot rebuild its core on import."""
+    import subprocess
+
+    if isinstance(error, OSError) and str(error.filename).endswith("editable_rebuild.lock"):
+        return (
+            "the core is rebuilt from sources that you may not write: run as their owner, or "
+            "install the wheel"
+        )
+    if isinstance(error, subprocess.CalledProcessError) and "cmake" in str(error.cmd):
+        return "the C core does not build, see above"
+    return None
+
+
+def _print_problems(problems: Sequence[Problem]) -> None:
+    from rthyb_rt.cli import terminal
+
+    found = [{"where": problem.where, "message": problem.message} for problem in problems]
+    terminal.print_json({"schema": "rthyb-problems/1", "ok": False, "problems": found})
 
 
 def _trace() -> None:

@@ -11,7 +11,6 @@ import typer
 
 from rthyb_rt.cli import terminal
 from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
-from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.experiment import Setup
@@ -40,13 +39,7 @@ def check(
     """
     from rthyb_rt import experiment
 
-    try:
-        setup = experiment.prepare(*load(test, rig, settings))
-    except InputError as error:
-        if as_json:
-            problems = [asdict(problem) for problem in error.problems]
-            terminal.print_json({"schema": SCHEMA, "ok": False, "problems": problems})
-        raise
+    setup = experiment.prepare(*load(test, rig, settings))
     figures = _figures(setup)
     notes, warnings = _remarks(setup, figures)
     file = terminal.people(as_json)
@@ -172,6 +165,12 @@ def _remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
             is_warning, text = found
             (warnings if is_warning else notes).append(text)
     warnings += _limits_in_reach(setup, f)
+    limits = setup.test.limits
+    if not any(limit and limit.enable for limit in (limits.command_position_m, limits.force_n)):
+        warnings.append(
+            "nothing ends a test that grows: neither limits.command_position_m nor limits.force_n "
+            "is set"
+        )
     return notes, warnings
 
 
@@ -184,9 +183,14 @@ def _divergence(setup: Setup, f: Figures) -> tuple[bool, str] | None:
     helped = setup.derived.rfc_enabled or (leads and setup.derived.estimator_enabled)
     if delay is None or critical is None or delay < critical:
         return None
+    how = "with the phase lead at alpha0" if leads else "without phase lead"
     found = (
-        f"the rig's delay of {delay:g} samples is more than the {critical:.1f} that the structure "
-        f"survives with an elastic specimen {'at alpha0' if leads else 'without phase lead'}"
+        f"{how} the structure on an elastic specimen survives a delay of {critical:.2g} samples, "
+        f"and the rig has {delay:g}"
+        if critical
+        else f"{how} the structure on an elastic specimen is unstable"
+        f"{' even at a delay of alpha0' if leads else ' at any delay'}, and the rig has {delay:g} "
+        "samples"
     )
     if helped:
         return False, f"{found}: the test rests on delay estimate and force compensation"

@@ -6,7 +6,18 @@ from typing import Annotated
 
 import typer
 
-from rthyb_rt.cli import check, export, identify, replay, report, reproduce, run, schema
+from rthyb_rt.cli import (
+    check,
+    export,
+    identify,
+    jitter,
+    recover,
+    replay,
+    report,
+    reproduce,
+    run,
+    schema,
+)
 
 app = typer.Typer(
     name="rthyb",
@@ -22,8 +33,10 @@ app.command()(check.check)
 app.command()(identify.identify)
 app.command()(reproduce.reproduce)
 app.command()(replay.replay)
+app.command()(recover.recover)
 app.command()(export.export)
 app.command()(report.report)
+app.command()(jitter.jitter)
 app.command()(schema.schema)
 
 
@@ -65,6 +78,7 @@ def _rthyb(
     \b
     Exit codes:
       0  done                            6  a limit ended the test
-      2  command line not understood     8  a difference was found
-      3  fault in a file                 1  anything else
+      2  command line not understood     7  this PC is not punctual enough
+      3  fault in a file                 8  a difference was found
+      1  anything else                 130  interrupted (128 + n: by signal n)
     """

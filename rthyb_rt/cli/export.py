@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from rthyb_rt.cli import interrupts
 from rthyb_rt.cli.inputs import RecordingArgument
 
 
@@ -46,9 +47,11 @@ def export(
 
     rec = open_run(recording)
     beside = recording / "recording" if recording.is_dir() else recording
-    path = out or beside.with_suffix(".mat" if mat else ".csv")
+    kind = ".mat" if mat else "-full.csv" if full else ".csv"
+    path = out or beside.with_name(beside.stem + kind)
     if mat:
         to_mat(rec, path)
     else:
         to_csv(rec, path, full=full)
+    interrupts.wrote(path)
     print(path)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,9 +13,11 @@ from pathlib import Path
 
 import typer
 
+from rthyb_rt.cli import interrupts
 from rthyb_rt.errors import RthybError
 
 _TAKEN = (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR)
+_STAGE = re.compile(r"\..+\.(\d{1,9})\.part", re.DOTALL)
 
 
 def refuse_taken(out: Path | None) -> None:
@@ -39,18 +43,65 @@ def _unwritable(folder: Path, error: OSError) -> RthybError:
 
 @contextmanager
 def staged(target: Path) -> Iterator[Path]:
-    """Give a hidden folder beside the target; what was not published is gone afterwards."""
+    """Give a hidden folder beside the target; what was not published is gone afterwards.
+
+    So are the hidden folders of commands that were killed.
+    """
+    _sweep(target.parent)
     stage = target.with_name(f".{target.name}.{os.getpid()}.part")
+    lock: int | None = None
     made = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
     try:
         stage.mkdir(parents=True)
+        lock = _locked(stage)
         yield stage
     except OSError as error:
         raise _unwritable(target.parent, error) from error
     finally:
+        if lock is not None:
+            os.close(lock)
         shutil.rmtree(stage, ignore_errors=True)
         for folder in made:
             _remove_if_empty(folder)
+
+
+def _sweep(parent: Path) -> None:
+    """Remove the hidden folders of processes that are no more.
+
+    A lock tells that a process lives that cannot be seen from here, such as in a container.
+    """
+    for folder in parent.glob(".*.part"):
+        match = _STAGE.fullmatch(folder.name)
+        if match is None or not folder.is_dir() or _lives(int(match[1])):
+            continue
+        lock = _locked(folder)
+        if lock is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+            os.close(lock)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _locked(folder: Path) -> int | None:
+    """Lock a folder until the returned descriptor is closed; None where that cannot be had."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        return None
+    return descriptor
 
 
 def _remove_if_empty(folder: Path) -> None:
@@ -66,7 +117,9 @@ def publish(stage: Path, target: Path, *, numbered: bool) -> Path:
     while True:
         place = target if number == 1 else target.with_name(f"{target.name}-{number}")
         try:
-            stage.rename(place)
+            with interrupts.held():
+                stage.rename(place)
+                interrupts.wrote(place)
             return place
         except OSError as error:
             if not numbered or error.errno not in _TAKEN:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import re
 import tomllib
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from rthyb_rt.cli import terminal
+from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.folders import publish, staged
 from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.config import RigFile
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 
 SCHEMA = "rthyb-identify/1"
 K_E = "elastic_stiffness_n_per_m"
+
+_PLAIN = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
 
 
 def identify(
@@ -32,10 +36,13 @@ def identify(
         ),
     ],
     amplitude: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Of the slow sines; fast ones are smaller.")
+        str,
+        typer.Option(
+            metavar="LENGTH", help="Of the slow sines, 0.01 mm to 1 m; fast ones are smaller."
+        ),
     ] = "2 mm",
     max_frequency: Annotated[
-        str, typer.Option(metavar="FREQUENCY", help="Of the last sine, at most 100 Hz.")
+        str, typer.Option(metavar="FREQUENCY", help="Of the last sine, 0.05 Hz to 100 Hz.")
     ] = "10 Hz",
     settings: Annotated[
         list[str] | None,
@@ -57,7 +64,7 @@ def identify(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find out delay, amplitude, stiffness and noise of a rig, and write them into a rig file.
+    """Find delay, gain, stiffness and noise of a rig for its file.
 
     The rig rests, then follows sines from slow to fast without compensation. From these come the
     delay estimate that a test starts with, the elastic stiffness that bounds the tangent
@@ -75,8 +82,8 @@ def identify(
     from rthyb_rt.recording import replacing
 
     sweep = Sweep.up_to(
-        _quantity(max_frequency, "Hz", "--max-frequency", "5 Hz"),
-        _quantity(amplitude, "m", "--amplitude", "1 mm"),
+        _quantity(max_frequency, "--max-frequency", FREQUENCY),
+        _quantity(amplitude, "--amplitude", AMPLITUDE),
     )
     given = _load(rig, settings or [])
     started = datetime.datetime.now(datetime.UTC)
@@ -92,6 +99,7 @@ def identify(
         path = out
         with replacing(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
+        interrupts.wrote(path)
     file = terminal.people(as_json)
     _print_result(given, result, file)
     print(f"\nRig file  {path}\nNext      rthyb run TEST.toml --rig {path}", file=file)
@@ -102,15 +110,39 @@ def identify(
         )
 
 
-def _quantity(text: str, unit: str, option: str, example: str) -> float:
+@dataclasses.dataclass(frozen=True)
+class _Allowed:
+    """What an option takes: from ``low`` to ``high`` in ``unit``, a plain number in ``plain``."""
+
+    unit: str
+    plain: str
+    low: float
+    high: float
+    words: str
+    example: str
+
+
+FREQUENCY = _Allowed("Hz", "Hz", 0.05, 100.0, "a frequency from 0.05 Hz to 100 Hz", "5 Hz")
+# So far up that metres without their unit, 0.002, are not taken for millimetres.
+AMPLITUDE = _Allowed("m", "mm", 1e-5, 1.0, "a length from 0.01 mm to 1 m", "1 mm")
+
+
+def _quantity(text: str, option: str, allowed: _Allowed) -> float:
+    """Return what was given for an option, in its unit."""
     from rthyb_rt.config.units import UnitError, convert
 
+    plain = _PLAIN.fullmatch(text)
+    fault = f", read in {allowed.plain}" if plain else ""
     try:
-        return convert(text, unit)
+        value = convert(f"{text} {allowed.plain}" if plain else text, allowed.unit)
+        if allowed.low <= value <= allowed.high:
+            return value
     except UnitError as error:
-        raise typer.BadParameter(
-            f'found "{text}": {error}; write it as "{example}"', param_hint=option
-        ) from None
+        fault = f" ({error})"
+    raise typer.BadParameter(
+        f'found "{text}"{fault}; it takes {allowed.words}, as in {option} "{allowed.example}"',
+        param_hint=option,
+    )
 
 
 def _load(rig: str, settings: list[str]) -> RigFile:
@@ -129,9 +161,11 @@ def _load(rig: str, settings: list[str]) -> RigFile:
 
 def _has_stiffness(path: Path) -> bool:
     """Return whether the file states k_e; True where it cannot be read, which is said later."""
+    from rthyb_rt import config
+
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8-sig")).get("rig")
-    except (OSError, ValueError, RecursionError):
+        table = tomllib.loads(config.read_text(path, "rig")).get("rig")
+    except (InputError, ValueError, RecursionError):
         return True
     return not isinstance(table, dict) or K_E in table
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from rthyb_rt.cli import interrupts
 from rthyb_rt.cli.inputs import RecordingArgument
 
 
@@ -36,4 +37,5 @@ def report(
     folder = recording if recording.is_dir() else recording.parent
     path = out or folder / "report.html"
     write_report(rec, path)
+    interrupts.wrote(path)
     print(path)

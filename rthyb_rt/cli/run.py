@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rthyb_rt.cli import terminal
+from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.folders import publish, refuse_taken, staged
 from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
 from rthyb_rt.errors import InputError
@@ -73,9 +73,11 @@ def run(
     with staged(target) as stage:
         with terminal.progress("Testing", setup.ticks, setup.derived.fs_hz) as progress:
             rec = experiment.run(setup, progress)
-        recording.write(stage / recording.FILE_NAME, rec)
-        _write_settings(stage, setup, rec)
-        folder = publish(stage, target, numbered=out is None)
+        # A test that has been carried out is kept; and HDF5's callbacks would swallow a Ctrl-C.
+        with interrupts.held():
+            recording.write(stage / recording.FILE_NAME, rec)
+            _write_settings(stage, setup, rec)
+            folder = publish(stage, target, numbered=out is None)
     result = summary.summarize(rec)
     file = terminal.people(as_json)
     _print_result(setup, result, folder / recording.FILE_NAME, as_json)

@@ -6,19 +6,32 @@ import json
 import math
 import os
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any
 
+from rthyb_rt.cli import streams
+
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
+    from rich.table import Table
 
 OnProgress = Callable[[int, int], None]
+
+_BAR_ROOM = 64
+"""Characters of a line from which on progress has a bar and a rate."""
+
+_VALUE_ROOM = 28
+"""Characters that a value needs beside its label, unless it is shorter."""
 
 
 def print_json(document: dict[str, Any]) -> None:
     """Print a document on stdout; numbers that JSON does not have become null."""
-    print(json.dumps(_finite(document), indent=2, ensure_ascii=False, allow_nan=False))
+    text = json.dumps(_finite(document), indent=2, ensure_ascii=False, allow_nan=False)
+    if streams.shown(sys.stdout, text) != text:
+        text = json.dumps(_finite(document), indent=2, allow_nan=False)
+    print(text)
 
 
 def _finite(value: Any) -> Any:
@@ -40,29 +53,66 @@ def tell(text: str) -> None:
 
 
 def print_table(rows: Iterable[Sequence[str]], file: IO[str]) -> None:
-    """Print rows of label, value and, dimmed where there is room for it, an explanation."""
+    """Print rows of label, value and, dimmed where there is room for it, an explanation.
+
+    Where not even label and value have room, the value stands below its label.
+    """
     from rich.table import Table
     from rich.text import Text
 
     console = _console(file)
-    rows = list(rows)
-    needed = sum(max((len(row[i]) for row in rows), default=0) + 2 for i in range(len(rows[0])))
-    columns = 2 if needed > console.width else 3
+    rows = [[streams.shown(file, cell) for cell in row] for row in rows]
+    widths = [max(len(row[i]) for row in rows) + 2 for i in range(len(rows[0]))]
+    columns = 2 if sum(widths) > console.width else 3
     table = Table.grid(padding=(0, 2, 0, 0))
     for style in ("", "bold", "dim")[:columns]:
-        table.add_column(style=style, overflow="fold")
+        table.add_column(style=style, overflow="fold", no_wrap=not style)
     for row in rows:
         table.add_row(*(Text(cell) for cell in row[:columns]))
-    show(table, file)
+    if widths[0] + min(widths[1], _VALUE_ROOM) > console.width:
+        _print_stacked(table, console.width, file)
+    else:
+        show(table, file)
 
 
 def show(text: RenderableType, file: IO[str]) -> None:
-    """Print what rich lays out, without the blanks at the ends of lines."""
+    """Print what rich lays out, without the blanks at the ends of lines.
+
+    A table that the terminal is too narrow for is told row by row.
+    """
+    from rich.measure import Measurement
+    from rich.table import Table
+
     console = _console(file)
+    free = console.options.update(width=1000)
+    if isinstance(text, Table) and Measurement.get(console, free, text).minimum > console.width:
+        _print_stacked(text, console.width, file)
+        return
     with console.capture() as capture:
         console.print(text)
     for line in capture.get().splitlines():
         print(line.rstrip(), file=file)
+
+
+def _print_stacked(table: Table, room: int, file: IO[str]) -> None:
+    """Print the first cell of each row, and below it the others with their heads."""
+    for cells in zip(*(column.cells for column in table.columns), strict=True):
+        for number, (column, cell) in enumerate(zip(table.columns, cells, strict=True)):
+            text = " ".join(str(cell).split())
+            head = str(column.header)
+            if not text:
+                continue
+            print(
+                textwrap.fill(
+                    f"{head}: {text}" if head else text,
+                    room,
+                    initial_indent="  " if number else "",
+                    subsequent_indent="    " if number else "",
+                    break_long_words=False,
+                    break_on_hyphens=False,
+                ),
+                file=file,
+            )
 
 
 def width(file: IO[str]) -> int:
@@ -100,6 +150,7 @@ def progress(description: str, ticks: int, fs_hz: float) -> Iterator[OnProgress]
         TextColumn,
         TimeRemainingColumn,
     )
+    from rich.table import Column
     from rich.text import Text
 
     class Rate(ProgressColumn):
@@ -111,12 +162,17 @@ def progress(description: str, ticks: int, fs_hz: float) -> Iterator[OnProgress]
             return Text(f"{rate:.0f} x real time")
 
     console = _console(sys.stderr)
-    with Progress(
+    whole = Column(no_wrap=True)
+    columns = [
         TextColumn("{task.description}", markup=False),
-        BarColumn(),
         TextColumn("{task.completed:.0f} of {task.total:.0f} s"),
-        Rate(),
-        TimeRemainingColumn(),
+        TimeRemainingColumn(table_column=whole),
+    ]
+    if console.width >= _BAR_ROOM:
+        columns.insert(1, BarColumn(min(40, console.width - _BAR_ROOM + 10)))
+        columns.insert(3, Rate(table_column=whole))
+    with Progress(
+        *columns,
         console=console,
         disable=not console.is_terminal,
     ) as bar:
@@ -139,13 +195,18 @@ def sections(description: str) -> Iterator[Callable[[int, int, str], None]]:
         a function of (parts done, parts in all, the part that begins).
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.table import Column
 
     console = _console(sys.stderr)
-    with Progress(
+    columns = [
         TextColumn("{task.description}", markup=False),
-        BarColumn(),
         TextColumn("{task.completed:.0f} of {task.total:.0f}"),
-        TimeElapsedColumn(),
+        TimeElapsedColumn(table_column=Column(no_wrap=True)),
+    ]
+    if console.width >= _BAR_ROOM:
+        columns.insert(1, BarColumn(min(40, console.width - _BAR_ROOM + 10)))
+    with Progress(
+        *columns,
         console=console,
         disable=not console.is_terminal,
     ) as bar:

@@ -11,6 +11,7 @@ from rthyb_rt.config.loading import (
     load_test,
     parse_rig,
     parse_test,
+    read_text,
     shipped_rig,
     split_overrides,
 )
@@ -33,6 +34,7 @@ __all__ = [
     "load_test",
     "parse_rig",
     "parse_test",
+    "read_text",
     "resolve",
     "shipped_rig",
     "split_overrides",

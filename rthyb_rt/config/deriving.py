@@ -8,9 +8,13 @@ from dataclasses import dataclass
 from rthyb_rt.config.fields import SAMPLE_RATE_HZ
 from rthyb_rt.config.rigfile import (
     BoucWen,
+    CoulombElement,
+    InertiaElement,
     PDeltaElement,
     RigFile,
+    ServoHydraulic,
     StiffnessElement,
+    StribeckElement,
 )
 from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError, Problem
@@ -19,8 +23,11 @@ DEFAULT_WINDOW_PERIODS = 0.1
 """The paper's conclusion: a tenth of the period."""
 DEFAULT_GAIN_PER_MM2_PER_SAMPLE = 0.03
 DEFAULT_RATE_PER_SAMPLE = 0.002
-DEFAULT_MEMORY_S = 6.0
+DEFAULT_MEMORY_S = 2.0
 MAX_WINDOW_SAMPLES = 1024
+OIL_SUBSTEPS = 75
+"""Substeps that a period of the table on its oil column needs: with fewer the response to friction
+and valve changes with their number."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +94,8 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     noise_m, noise_n = _rest_noise(test, rig, notes)
     _note_stiffness(rig, notes)
     _note_sensor_ranges(test, rig, notes)
+    _note_friction(test, rig, mass, notes)
+    _note_substeps(rig, notes)
     controller = test.controller
     estimator = controller.delay_estimator
     window = _window_samples(test, period, problems)
@@ -197,8 +206,9 @@ def _check_integration(
     if numerical.integrator == "forward-euler":
         lost = math.pi / (period * SAMPLE_RATE_HZ)
         notes.append(
-            f"forward Euler takes {lost:.2%} of damping away: {ratio:.2%} acts as "
-            f"{ratio - lost:.2%}" + (", so the motion grows by itself" if ratio < lost else "")
+            f"forward Euler takes {100 * lost:.2f} percentage points of the damping ratio away: "
+            f"{100 * ratio:.2f} % acts as {100 * (ratio - lost):.2f} %"
+            + (", so the motion grows by itself" if ratio < lost else "")
         )
 
 
@@ -267,6 +277,9 @@ def _rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, 
     noise_n = identified.rest_noise_force_n if identified else None
     noise_m = _given(noise_m, sensors.displacement.noise_std_m)
     noise_n = _given(noise_n, sensors.force.noise_std_n)
+    # A quiet sensor may stand on one step at rest; its rounding is noise as soon as it moves.
+    noise_m = max(noise_m, sensors.displacement.lsb_m / math.sqrt(12))
+    noise_n = max(noise_n, sensors.force.lsb_n / math.sqrt(12))
     if noise_m == 0 and test.controller.type in ("robust", "alpha-beta"):
         notes.append(
             f'rig "{rig.rig.name}" states no displacement noise at rest: 0 is used and the '
@@ -307,4 +320,45 @@ def _note_sensor_ranges(test: TestFile, rig: RigFile, notes: list[str]) -> None:
         notes.append(
             f"limits.command_position_m = {position.value:g} m lies beyond the displacement "
             f"sensor's range of {x_range:g} m"
+        )
+
+
+def _note_friction(test: TestFile, rig: RigFile, mass: float, notes: list[str]) -> None:
+    """Name friction that changes sign faster than an explicit step can follow: F_c h > m w."""
+    found = [
+        (f"specimen.{i}", element.fc_n if isinstance(element, CoulombElement) else element.fs_n,
+         "fc_n" if isinstance(element, CoulombElement) else "fs_n", element.width_m_per_s)
+        for i, element in enumerate(rig.specimen)
+        if isinstance(element, (CoulombElement, StribeckElement))
+    ]  # fmt: skip
+    moving = mass + sum(e.m_kg for e in rig.specimen if isinstance(e, InertiaElement))
+    table = rig.actuator
+    seen = test.reference.table_forces and rig.rig.load_cell == "actuator-end"
+    if isinstance(table, ServoHydraulic) and seen:
+        found.append(("actuator", table.friction_n, "friction_n", table.friction_width_m_per_s))
+        moving += table.moving_mass_kg
+    for place, force, key, width in found:
+        needed = force / (SAMPLE_RATE_HZ * moving)
+        if width < needed:
+            name = "friction_width_m_per_s" if place == "actuator" else "width_m_per_s"
+            notes.append(
+                f"rig {place}: {key} = {force:g} N over {name} = {width:g} m/s is too steep for a "
+                f"step of the reference simulation, which chatters on {moving:.4g} kg and must not "
+                f"be trusted; give it a width of at least {needed:.2g} m/s ({key} h / m)"
+            )
+
+
+def _note_substeps(rig: RigFile, notes: list[str]) -> None:
+    """Ask for substeps that resolve the table between oil column and specimen."""
+    actuator = rig.actuator
+    if not isinstance(actuator, ServoHydraulic):
+        return
+    stiffness = actuator.oil_stiffness_n_per_m + rig.rig.elastic_stiffness_n_per_m
+    omega = math.sqrt(stiffness / actuator.moving_mass_kg)
+    needed = math.ceil(OIL_SUBSTEPS * omega / (2 * math.pi * SAMPLE_RATE_HZ))
+    if actuator.substeps < needed:
+        notes.append(
+            f"actuator.substeps = {actuator.substeps} is coarse for a table that swings at "
+            f"{omega / (2 * math.pi):.0f} Hz on its oil column: the response changes with the "
+            f"substeps; take {needed} or more"
         )

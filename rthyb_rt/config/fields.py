@@ -73,8 +73,22 @@ def explained(text: str, involved: tuple[str, ...] = ()) -> PydanticCustomError:
     return PydanticCustomError(_EXPLAINED, "{text}", {"text": text, "involved": involved})
 
 
+class _Limits:
+    """What a field takes; pydantic validates with `read`."""
+
+    def read(self, value: object) -> Any:
+        """Return the value as the field holds it; raise the explained error otherwise."""
+        raise NotImplementedError
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Validate with `read`."""
+        return core_schema.no_info_plain_validator_function(self.read)
+
+
 @dataclass(frozen=True)
-class Range:
+class Range(_Limits):
     """A finite number in the field's own unit, or a text with a unit that is converted to it.
 
     Attributes:
@@ -116,12 +130,6 @@ class Range:
         kind = f"{units.dimension_name(self.unit)} " if fault else ""
         raise explained(f"found {written(value)}{fault}; {self.allowed(kind)}")
 
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        """Validate with `read`."""
-        return core_schema.no_info_plain_validator_function(self.read)
-
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
@@ -133,7 +141,7 @@ class Range:
 
 
 @dataclass(frozen=True)
-class Count:
+class Count(_Limits):
     """A whole number.
 
     Attributes:
@@ -157,12 +165,6 @@ class Count:
             return value
         raise explained(f"found {written(value)}; {self.allowed()}")
 
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        """Validate with `read`."""
-        return core_schema.no_info_plain_validator_function(self.read)
-
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
@@ -176,7 +178,7 @@ class Count:
 
 
 @dataclass(frozen=True)
-class Text:
+class Text(_Limits):
     """A text of a given form.
 
     Attributes:
@@ -202,12 +204,6 @@ class Text:
                 raise explained(f"found bytes that are not UTF-8; {self.allowed()}") from None
             return value
         raise explained(f"found {written(value)}; {self.allowed()}")
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        """Validate with `read`."""
-        return core_schema.no_info_plain_validator_function(self.read)
 
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import re
+import stat
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import ValidationError
 
 from rthyb_rt.config.fields import Table, nearest, written
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
-from rthyb_rt.config.rigfile import RIG_SCHEMA, RigFile
+from rthyb_rt.config.rigfile import RIG_SCHEMA, RigFile, kinds
 from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile
 from rthyb_rt.errors import InputError, Problem
 
 _Model = TypeVar("_Model", TestFile, RigFile)
+
+MAX_BYTES = 10 * 10**6
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SYNTAX_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
@@ -45,7 +48,7 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
         InputError: with every fault of the file and the overrides.
     """
     overrides = overrides or {}
-    test = parse_test(_text(path, "test"), str(path), overrides)
+    test = parse_test(read_text(path, "test"), str(path), overrides)
 
     def found(value: str | None, key: str) -> str | None:
         folder = Path() if key in overrides else Path(path).parent
@@ -68,7 +71,7 @@ def load_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> Ri
 
     Keys of overrides may carry the prefix ``rig.`` that a test's command line needs.
     """
-    return parse_rig(_text(path, "rig"), str(path), overrides)
+    return parse_rig(read_text(path, "rig"), str(path), overrides)
 
 
 def parse_test(
@@ -163,15 +166,28 @@ def _shipped(what: str) -> Path:
 
 
 def _is_file(path: Path) -> bool:
+    """Tell whether a path is no folder; a device or a pipe is refused when it is read."""
     try:
-        return path.is_file()
+        return path.exists() and not path.is_dir()
     except (OSError, ValueError):
         return False
 
 
-def _text(path: str | Path, kind: str) -> str:
+def read_text(path: str | Path, kind: str) -> str:
+    """Return the text of a ``kind`` ("test" or "rig") file.
+
+    Raises:
+        InputError: there is no regular file of at most 10 MB, or it is not UTF-8.
+    """
     try:
-        data = Path(path).read_bytes()
+        # A pipe would be waited for, and a device has no end.
+        if not stat.S_ISREG(Path(path).stat().st_mode):
+            raise InputError(
+                f"cannot be read (it is not a regular file); give the path of a {kind} file",
+                str(path),
+            )
+        with Path(path).open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
         raise InputError(f"no such file; give the path of a {kind} file", str(path)) from None
     except (OSError, ValueError) as error:
@@ -179,6 +195,12 @@ def _text(path: str | Path, kind: str) -> str:
         raise InputError(
             f"cannot be read ({reason}); give the path of a readable {kind} file", str(path)
         ) from None
+    if len(data) > MAX_BYTES:
+        raise InputError(
+            f"is larger than {MAX_BYTES // 10**6} MB, which no {kind} file is; give the path of a "
+            f"{kind} file",
+            str(path),
+        )
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -206,6 +228,11 @@ def _parse(
             problems.append(Problem(f"--set {key}", complaint))
         else:
             given[path] = key
+    # Tables that were given another kind, and those whose other keys do not fit it.
+    new_kinds: dict[KeyPath, int | str] = {
+        key[:-1]: key[-1] for key in given if key[-1] in ("kind", "element")
+    }
+    unfit: set[KeyPath] = set()
     placed: list[tuple[int, Problem]] = []
     try:
         result = model.model_validate(raw)
@@ -214,6 +241,9 @@ def _parse(
         for fault in error.errors(include_url=False, include_input=False):
             place: KeyPath = _key_path(fault["loc"], raw)
             message = str(fault["ctx"]["text"])
+            if place[:-1] in new_kinds and message.startswith(("unknown key", "missing")):
+                unfit.add(place[:-1])
+                continue
             involved = [(*place[:-1], key) for key in fault["ctx"]["involved"]]
             culprit = _override_to_blame(place, involved, given, lines)
             if culprit:
@@ -223,10 +253,38 @@ def _parse(
                 name = ".".join(str(part) for part in place)
                 where = f"{source}:{line}: {name}" if name else f"{source}:{line}"
                 placed.append((line, Problem(where, message)))
+    changed: KeyPath
+    for changed in sorted(unfit, key=str):
+        name = given[(*changed, new_kinds[changed])]
+        problems.append(Problem(f"--set {name}", _kind_message(raw, changed, name)))
     problems = [problem for _, problem in sorted(placed, key=lambda pair: pair[0])] + problems
     if problems:
         raise InputError(problems)
     return result
+
+
+def _kind_message(raw: dict[str, Any], path: KeyPath, override: str) -> str:
+    """Say how a table gets another kind, with the keys that this one needs."""
+    values: Any = raw
+    for part in path:
+        values = values[part]
+    name, tag = override.rpartition(".")[::2]
+    kind = values[tag]
+    (model,) = (
+        model
+        for model in kinds()
+        if tag in model.model_fields and kind in get_args(model.model_fields[tag].annotation)
+    )
+    needed = {
+        key: written(values[key]) if key in values else "..."
+        for key, info in model.model_fields.items()
+        if info.is_required()
+    }
+    table = ", ".join(f"{key} = {value}" for key, value in needed.items())
+    return (
+        f"{written(kind)} takes other keys than those of the file; set the whole table: "
+        f"--set '{name}={{ {table} }}' (allowed: {', '.join(model.model_fields)})"
+    )
 
 
 def _override_to_blame(

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import datetime
 import math
+from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from rthyb_rt.config.fields import SLUG, Check, Count, Range, Table, Text
+from rthyb_rt.config.fields import SAMPLE_RATE_HZ, SLUG, Check, Count, Range, Table, Text
 
 RIG_SCHEMA = "rthyb-rig/1"
+MAX_SUBSTEPS = 1024
 MAX_ELEMENTS = 16
 """What the core keeps for one specimen (RTHYB_ELEMENTS_MAX)."""
 
@@ -75,8 +77,31 @@ class SecondOrder(Table):
     delay_s: Annotated[float, Range("s", 0, 1, "the delay")] = 0.0
 
 
+def _oil_column_resolved(oil: float, mass: float, substeps: int) -> str | None:
+    """The table on its oil column, stepped explicitly: h^2 k < 4 m, as the core demands."""
+    if (1 / (SAMPLE_RATE_HZ * substeps)) ** 2 * oil < 4 * mass:
+        return None
+    needed = math.floor(math.sqrt(oil / (4 * mass)) / SAMPLE_RATE_HZ) + 1
+    remedy = f"at least substeps = {needed}"
+    if needed > MAX_SUBSTEPS:
+        softest = 4 * mass * (SAMPLE_RATE_HZ * MAX_SUBSTEPS) ** 2
+        remedy = f"less than {softest:.3g} N/m even at substeps = {MAX_SUBSTEPS}"
+    return (
+        f"found {oil:g} N/m; on moving_mass_kg = {mass:g} kg with substeps = {substeps} the oil "
+        f"column cannot be computed; needed is {remedy}; check the unit of the stiffness"
+    )
+
+
 class ServoHydraulic(Table):
     """PI-controlled servo valve, square-root load flow, oil column and table."""
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check(
+            "oil_stiffness_n_per_m",
+            ("oil_stiffness_n_per_m", "moving_mass_kg", "substeps"),
+            _oil_column_resolved,
+        ),
+    )
 
     kind: Literal["servo-hydraulic"]
     kp_per_s: Annotated[float, Range("1/s", 1e-2, 1e4, "the proportional gain")] = 63.5
@@ -94,7 +119,7 @@ class ServoHydraulic(Table):
     friction_n: FrictionForce = 80.0
     friction_width_m_per_s: FrictionWidth = 0.0005
     viscous_n_s_per_m: Annotated[float, Range("N s/m", 0, 1e9, "the viscous force")] = 600.0
-    substeps: Annotated[int, Count(1, 1024, "the substeps per sample")] = 16
+    substeps: Annotated[int, Count(1, MAX_SUBSTEPS, "the substeps per sample")] = 16
 
 
 Actuator = PureDelay | FirstOrder | SecondOrder | ServoHydraulic
@@ -384,6 +409,12 @@ class Identified(Table):
         if isinstance(data, dict) and isinstance(data.get("date"), datetime.date):
             return {**data, "date": data["date"].isoformat()}
         return data
+
+
+def kinds() -> Iterator[type[Table]]:
+    """Give the tables of every kind of actuator and specimen element."""
+    for union in (Actuator, SpecimenElement):
+        yield from union.__args__
 
 
 class RigFile(Table):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 
 from rthyb_rt.ground_motion.channels import Samples
-from rthyb_rt.ground_motion.text import Text, clean, parse_float, read_block
+from rthyb_rt.ground_motion.text import Text, clean, header_text, parse_float, read_block
 from rthyb_rt.ground_motion.units import canonical_unit, find_unit
 
 _HEADER_LINES = 20
@@ -25,6 +25,13 @@ def is_at2(text: Text) -> bool:
     return _points_line(text) is not None
 
 
+def resembles_at2(text: Text) -> bool:
+    """Tell whether the text lacks nothing of a PEER file but its NPTS line."""
+    head = " ".join(text.header(i) for i in range(min(_HEADER_LINES, len(text.lines)))).upper()
+    named = text.path.upper().endswith(".AT2")
+    return not is_at2(text) and (named or "PEER" in head or "IN UNITS OF" in head)
+
+
 def read_at2(text: Text, units: str | None) -> Samples:
     """Read a PEER AT2 file; ``units`` holds where the header names none, else g.
 
@@ -35,8 +42,9 @@ def read_at2(text: Text, units: str | None) -> Samples:
     index = _points_line(text)
     if index is None:
         raise text.error(
-            "is not a PEER AT2 file: no line with NPTS and DT among the first"
-            f" {_HEADER_LINES} lines"
+            "is not a PEER AT2 file as it comes from the database: no line with NPTS and DT among"
+            f" the first {_HEADER_LINES} lines; put back 'NPTS= 4000, DT= .01000 SEC' with the"
+            " record's own numbers, or download it again"
         )
     points, dt_s = _points_and_step(text, index)
     header = [text.header(i) for i in range(index)]
@@ -49,7 +57,7 @@ def read_at2(text: Text, units: str | None) -> Samples:
         unit = find_unit(line) or (canonical_unit(match.group(1)) if match else None)
         if unit is not None:
             break
-    details = {"header": clean("; ".join(line.strip() for line in header), 300)}
+    details = {"header": header_text(header)}
     if index >= 2:
         details["event"] = clean(header[index - 2])
     return Samples(

@@ -20,6 +20,7 @@ from rthyb_rt.ground_motion.text import (
     MAX_POINTS,
     Text,
     clean,
+    header_text,
     limited,
     not_a_number,
     parse_float,
@@ -78,7 +79,7 @@ def read_columns(text: Text, units: str | None, channel: int | str | None) -> Sa
     )
     details = {"first_time_s": f"{start_s:.9g}"}
     if table.headers:
-        details["header"] = clean("; ".join(line.strip() for line in table.headers[:6]), 300)
+        details["header"] = header_text(table.headers[:6])
     return Samples(
         dt_s,
         table.values[:, column].copy(),

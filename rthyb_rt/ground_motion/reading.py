@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from rthyb_rt.errors import InputError
-from rthyb_rt.ground_motion.at2 import is_at2, read_at2
+from rthyb_rt.ground_motion.at2 import is_at2, read_at2, resembles_at2
 from rthyb_rt.ground_motion.channels import Samples
 from rthyb_rt.ground_motion.columns import read_columns
 from rthyb_rt.ground_motion.cosmos import cosmos_volume, read_cosmos
@@ -171,6 +171,16 @@ def _at2(text: Text, units: str | None, channel: int | str | None) -> Samples:
     return read_at2(text, units)
 
 
+def _columns(text: Text, units: str | None, channel: int | str | None) -> Samples:
+    try:
+        return read_columns(text, units, channel)
+    except InputError:
+        # Its rows of five or eight values are no columns; what is missing is a line of its header.
+        if resembles_at2(text):
+            return read_at2(text, units)
+        raise
+
+
 def _knet(text: Text, _units: str | None, channel: int | str | None) -> Samples:
     _only_channel(text, channel)
     return read_knet(text)
@@ -191,7 +201,7 @@ _READERS: dict[str, Callable[[Text, str | None, int | str | None], Samples]] = {
     "cosmos-v2": _cosmos,
     "csmip-v1": _csmip,
     "csmip-v2": _csmip,
-    "columns": read_columns,
+    "columns": _columns,
 }
 
 

@@ -125,6 +125,25 @@ def clean(text: str, length: int = 200) -> str:
     return " ".join(shown.split())[:length]
 
 
+_GOES_ON = re.compile(r"([.,;:]| (in|of|the|and|by|at|to|for|from|with))$")
+
+
+def header_text(lines: Iterable[str], length: int = 300) -> str:
+    """Return the header of a file on one line; what is too long ends with a sentence or with "…".
+
+    Lines are joined as they read: a sentence goes on, an entry of its own follows after ";".
+    """
+    whole = ""
+    for line in filter(None, (clean(line, 400).lstrip("# ") for line in lines)):
+        joint = " " if _GOES_ON.search(whole) else "; "
+        whole += (joint if whole else "") + line
+    if len(whole) <= length:
+        return whole
+    cut = whole[: length - 1]
+    sentence = cut.rfind(". ") + 1
+    return cut[:sentence] if sentence > length // 3 else cut[: cut.rfind(" ")].rstrip(" ,;") + " …"
+
+
 def parse_float(token: str) -> float | None:
     """Return a number written as C, Python or Fortran (1.5D-3) do, or None."""
     if not _NUMBER.fullmatch(token):

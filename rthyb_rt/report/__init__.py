@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 from rthyb_rt.recording import Recording, replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
-from rthyb_rt.summary import Summary, notices, percent, quantity, summarize, table, verdict
+from rthyb_rt.summary import (
+    Summary,
+    key_figures,
+    notices,
+    percent,
+    quantity,
+    summarize,
+    table,
+    verdict,
+)
 
 _MOTION_NAMES = {"name": "Record", "source": "Source", "pga_g": "Peak, g", "scale": "Scale factor"}
 _META_NAMES = {
@@ -51,6 +61,7 @@ def render(rec: Recording) -> str:
     return template.render(
         s=summary,
         title=summary.test_name or "Hybrid test",
+        figures_of_test=key_figures(summary),
         verdict=verdict(summary),
         notices=notices(summary),
         pairs=_pairs(summary),
@@ -88,8 +99,11 @@ def _named(values: dict[str, Any], names: dict[str, str]) -> list[tuple[str, str
         for key, value in values.items()
         if key not in names and key not in ("test_name", "end_reason", "interrupted")
     ]
-    return [
-        (name, f"{value:.6g}" if isinstance(value, float) else str(value))
-        for name, value in known + more
-        if value not in (None, "")
-    ]
+    return [(name, _shown(value)) for name, value in known + more if value not in (None, "")]
+
+
+def _shown(value: Any) -> str:
+    """Return a value with no more digits than a reader wants, also where it was kept as text."""
+    if isinstance(value, str) and re.fullmatch(r"-?\d+\.\d{7,}", value):
+        value = float(value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

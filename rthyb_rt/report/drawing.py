@@ -105,10 +105,10 @@ class Paper:
 
     def __init__(
         self, key: str, width_in: float, heights_in: tuple[float, ...], *,
-        right_in: float = RIGHT_IN, bottom_in: float = BOTTOM_IN,
+        right_in: float = RIGHT_IN, bottom_in: float = BOTTOM_IN, one_abscissa: bool = True,
     ) -> None:  # fmt: skip
         self.key, self.half = key, width_in == HALF_WIDTH_IN
-        gap_in = 0.30
+        gap_in = 0.30 if one_abscissa else 0.30 + BOTTOM_IN
         height_in = TOP_IN + sum(heights_in) + gap_in * (len(heights_in) - 1) + bottom_in
         self.figure = Figure(figsize=(width_in, height_in))
         self.figure.patch.set_visible(False)
@@ -119,13 +119,13 @@ class Paper:
             fraction = np.array(box) / np.array([width_in, height_in, width_in, height_in])
             axes = self.figure.add_axes(
                 (fraction[0], fraction[1], fraction[2], fraction[3]),
-                sharex=self.axes[0] if self.axes else None,
+                sharex=self.axes[0] if self.axes and one_abscissa else None,
             )
             axes.patch.set_visible(False)
             axes.grid(axis="y")
             self.axes.append(axes)
             top -= height + gap_in
-        for axes in self.axes[:-1]:
+        for axes in self.axes[:-1] if one_abscissa else ():
             axes.tick_params(axis="x", labelbottom=False)
 
     def plate(self, title: str, note: str) -> Plate:

@@ -13,7 +13,7 @@ from rthyb_rt import measures
 from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
 from rthyb_rt.report import drawing as draw
 from rthyb_rt.report.decimate import robust_limit
-from rthyb_rt.summary import Summary, number, quantity, reference_pair
+from rthyb_rt.summary import Summary, number, quantity, reference_pair, stiffness_shares
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -84,12 +84,15 @@ class _Figures:
         draw.symmetric(ground, robust_limit(g), margin=1.1, ticks=2)
         draw.head(ground, "ground acceleration, g")
         axes.axvspan(*self.window, color="#fbf0d9", linewidth=0)
-        draw.curve(axes, self.t, self.x_cmd, draw.ORANGE, 0.6, "compensated command")
+        compensated = self.s.setup.plc_enabled
+        if compensated:
+            draw.curve(axes, self.t, self.x_cmd, draw.ORANGE, 0.6, "compensated command")
         # What was wanted is a fine line on a broader one of what came: both show everywhere.
         draw.curve(axes, self.t, self.x_meas, draw.BLUE, 1.2, "measured")
         draw.curve(axes, self.t, self.x_num, draw.BLACK, 0.5, "command")
-        draw.symmetric(axes, max(self.x_limit, min(draw.largest(self.x_cmd), 1.5 * self.x_limit)))
-        draw.head(axes, "displacement, mm", order=(2, 0, 1))
+        lead = min(draw.largest(self.x_cmd), 1.5 * self.x_limit) if compensated else 0.0
+        draw.symmetric(axes, max(self.x_limit, lead))
+        draw.head(axes, "displacement, mm", order=(2, 0, 1) if compensated else (1, 0))
         self._states(axes)
         self._time_axis(axes)
         note = "Shaded: the window of the next figure."
@@ -100,12 +103,18 @@ class _Figures:
         (axes,) = paper.axes
         inside = (self.t >= self.window[0]) & (self.t <= self.window[1])
         t = self.t[inside]
-        shown = self.x_num[inside], self.x_cmd[inside], self.x_meas[inside]
-        draw.curve(axes, t, shown[1], draw.ORANGE, 0.9, "compensated")
-        draw.curve(axes, t, shown[2], draw.BLUE, 2.0, "measured")
+        shown = [self.x_num[inside], self.x_meas[inside]]
+        limit = 1.3 * robust_limit(*shown)
+        compensated = self.s.setup.plc_enabled
+        if compensated:
+            draw.curve(axes, t, self.x_cmd[inside], draw.ORANGE, 0.9, "compensated")
+        draw.curve(axes, t, shown[1], draw.BLUE, 2.0, "measured")
         draw.curve(axes, t, shown[0], draw.BLACK, 0.7, "command")
-        draw.fit_range(axes, *shown, limit=1.3 * robust_limit(shown[0], shown[2]))
-        draw.head(axes, "displacement, mm", order=(2, 0, 1), below=True)
+        if compensated:
+            shown.append(self.x_cmd[inside])
+        draw.fit_range(axes, *shown, limit=limit)
+        order = (2, 0, 1) if compensated else (1, 0)
+        draw.head(axes, "displacement, mm", order=order, below=True)
         draw.x_label(axes, "time, s")
         axes.set_xlim(*draw.span(*self.window))
         axes.xaxis.set_major_locator(MaxNLocator(5))
@@ -285,20 +294,40 @@ class _Figures:
                 "stiffness", title, "", "The test ran without force compensation.", False
             )
         k = self.rec.samples["k_t_n_per_m"] * 1e-3
-        paper = draw.Paper("stiffness", draw.FULL_WIDTH_IN, (1.0,))
-        (axes,) = paper.axes
-        draw.curve(axes, self.t, k, draw.BLUE, 0.7)
         k_e = given.k_e_n_per_m
-        top = max(robust_limit(k), (k_e or 0.0) * 1e-3)
-        draw.set_range(axes, -0.06 * top, 1.1 * top)
+        paper = draw.Paper("stiffness", draw.FULL_WIDTH_IN, (0.6, 1.0), one_abscissa=False)
+        band, axes = paper.axes
+        # It jumps between its bounds within milliseconds: over the whole test only shares show.
+        edges, shares = stiffness_shares(k, None if k_e is None else k_e * 1e-3, self.rec.fs_hz)
+        start = self.t[0] if self.t.size else 0.0
+        foot = np.zeros(edges.size)
+        for share, colour, label in zip(
+            shares, (draw.RED, draw.BLUE, draw.GREY), ("at 0", "between", "at k_e"), strict=True
+        ):
+            top = foot + 100.0 * np.append(share, share[-1:])
+            if share.any():
+                band.fill_between(
+                    start + edges, foot, top, step="post", facecolor=colour, alpha=0.75,
+                    linewidth=0, label=label,
+                )  # fmt: skip
+            foot = top
+        draw.set_range(band, 0.0, 100.0, 2)
+        draw.head(band, "samples of each second, %")
+        self._time_axis(band)
+        inside = (self.t >= self.window[0]) & (self.t <= self.window[1])
+        draw.curve(axes, self.t[inside], k[inside], draw.BLUE, 0.9)
+        top_k = max(robust_limit(k), (k_e or 0.0) * 1e-3)
+        draw.set_range(axes, -0.06 * top_k, 1.15 * top_k)
         draw.level(axes, 0.0, "lower bound 0", draw.RED, above=True)
         note = "Corrects the force for the tracking error"
         if k_e is not None:
             draw.level(axes, k_e * 1e-3, f"elastic stiffness {number(k_e * 1e-3)} kN/m", draw.RED)
-            note += "; bounds 0 and the elastic stiffness"
-        draw.head(axes, "tangent stiffness, kN/m")
-        self._time_axis(axes)
-        return paper.plate(title, note + ".")
+            note += "; its bounds are 0 and the elastic stiffness"
+        draw.head(axes, "tangent stiffness at the peak, kN/m")
+        draw.x_label(axes, "time, s")
+        axes.set_xlim(*draw.span(*self.window))
+        note += ". Above, where it stood in each second; below, in the window of the peak."
+        return paper.plate(title, note)
 
     # --- parts --------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,12 +26,18 @@ def extra_needed(what: str) -> Iterator[None]:
     Raises:
         InputError: instead of ImportError.
     """
+    log = logging.getLogger("matplotlib")
+    level = log.level
+    # That its cache goes to a temporary folder, where no home can be written, changes no figure.
+    log.setLevel(logging.ERROR)
     try:
         yield
     except ImportError as error:
         raise InputError(
             f"{what} needs {error.name}; install it with pip install 'rthyb-rt[report]'"
         ) from error
+    finally:
+        log.setLevel(level)
 
 
 def environment(*folders: Path) -> jinja2.Environment:
@@ -58,7 +65,9 @@ def environment(*folders: Path) -> jinja2.Environment:
 def tied(text: str) -> str:
     """Keep a number and its unit on one line."""
     text = text.replace("> ", ">\u00a0")
-    return re.sub(r"(?<=\d) (?=(?:%|mm²?|µm|ms|m|s|kN|kN/m|J|Hz|samples)(?:\W|$))", "\u00a0", text)
+    units = "%|mm²?|µm|ms|m|s|kg|N|kN|kN/m|J|Hz|samples?|percentage"
+    text = re.sub(r"(?<=\d) N s/m", "\u00a0N\u00a0s/m", text)
+    return re.sub(rf"(?<=\d) (?=(?:{units})(?:\W|$))", "\u00a0", text)
 
 
 def sheets(plates: list[Plate], first: int = 1) -> list[list[tuple[int, Plate]]]:

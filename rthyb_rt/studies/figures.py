@@ -42,11 +42,19 @@ def _plate(panel: Panel) -> draw.Plate:
         draw.level(axes, value, text, draw.GREY)
     for curve in panel.curves:
         colour = _COLOURS[curve.colour]
+        if curve.filled and not curve.width:
+            axes.fill(curve.x, curve.y, facecolor=colour, alpha=0.75, lw=0, label=curve.label)
+            continue
         if curve.filled:
             axes.fill(curve.x, curve.y, facecolor=colour, alpha=0.15, linewidth=0)
         if np.all(np.diff(curve.x) > 0.0):
             dashes = (4, 1.5) if curve.dashed else None
-            draw.curve(axes, curve.x, curve.y, colour, curve.width, curve.label, dashes)
+            # Cut before it is thinned, or a short window shows what a long test left of it.
+            first, last = panel.x_range or (-np.inf, np.inf)
+            shown = (curve.x >= first) & (curve.x <= last)
+            draw.curve(
+                axes, curve.x[shown], curve.y[shown], colour, curve.width, curve.label, dashes
+            )
         else:
             draw.loop(
                 axes, curve.x, curve.y, colour, curve.width, curve.label,

@@ -74,6 +74,7 @@ def _row(study: Study, row: Row) -> dict[str, Any]:
         "band": band,
         "inside": row.inside,
         "paper": row.paper,
+        "as_stated": row.as_stated,
     }
 
 

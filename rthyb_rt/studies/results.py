@@ -25,6 +25,8 @@ class Row:
         unit: of value and band; "" for a plain number.
         low, high: accepted band, both None where none is stated.
         paper: what Chen & Tsai (2012) say about it; "" where they are silent.
+        stated: the same as a range where it is one; a value outside it is shown as such, which is
+            no fault of a method that is reproduced on another rig.
         group: rows of one group make one table, under this heading.
         case: which of several side by side it belongs to: a column of the group's table; "" where
             nothing is compared.
@@ -38,6 +40,14 @@ class Row:
     paper: str = ""
     group: str = ""
     case: str = ""
+    stated: tuple[float, float] | None = None
+
+    @property
+    def as_stated(self) -> bool | None:
+        """Whether the value lies in the range that the paper states; None where it states none."""
+        if self.stated is None:
+            return None
+        return bool(self.stated[0] <= self.value <= self.stated[1])
 
     @property
     def inside(self) -> bool | None:
@@ -51,7 +61,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Curve:
-    """A line of a panel; ``filled`` shades what it goes around."""
+    """A line of a panel; ``filled`` shades what it goes around, alone where the width is 0."""
 
     label: str
     x: Floats

@@ -11,6 +11,7 @@ import numpy as np
 from rthyb_rt import config, core, experiment
 from rthyb_rt.recording import Recording
 from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Row, Study, grouped, rms
+from rthyb_rt.summary import stiffness_shares
 
 RIG = "shaking-table-portal-frame"
 WINDOWS = (0.2, 0.1, 0.05)
@@ -42,14 +43,15 @@ class Structure:
     worst_mm: float
     paper_mm: str
     paper_none: str
+    none_ends_s: float
 
 
 STRUCTURES = (
     Structure(
         0.5, 4220.0, 2121.0, 0.04, 0.25,
-        "all close to the exact solution", "the only one that is not close",
+        "all close to the exact solution", "the only one that is not close", 3.1,
     ),
-    Structure(1.0, 16880.0, 4242.0, 0.02, 0.20, "less than 0.8 mm", ""),
+    Structure(1.0, 16880.0, 4242.0, 0.02, 0.20, "less than 0.8 mm", "", 10.4),
 )  # fmt: skip
 
 
@@ -216,11 +218,10 @@ def _rows(
 def _measures(outcome: Outcome, structure: Structure, *, banded: bool) -> list[Row]:
     """Return the errors of a test; of one without compensation, when a limit ended it."""
     if outcome.setup.test.controller.type == "none":
-        length = outcome.setup.ticks / core.FS_HZ
         ended = math.nan if outcome.completed else outcome.x_meas.size / core.FS_HZ
         return [
-            Row("Grows until a limit ends it after", ended, "s", None, length,
-                structure.paper_none),
+            Row("Grows until a limit ends it after", ended, "s", structure.none_ends_s - 1.0,
+                structure.none_ends_s + 1.0, structure.paper_none),
         ]  # fmt: skip
     return [
         Row("Largest difference from the benchmark", outcome.largest_mm(), "mm", None,
@@ -232,10 +233,10 @@ def _measures(outcome: Outcome, structure: Structure, *, banded: bool) -> list[R
 
 def _delays(outcome: Outcome) -> list[Row]:
     alpha = outcome.rec.samples["alpha"]
-    paper = "16 to 19"
+    paper, stated = "16 to 19", (16.0, 19.0)
     return [
-        Row("Smallest delay estimate", float(alpha.min()), "samples", paper=paper),
-        Row("Largest delay estimate", float(alpha.max()), "samples", paper=paper),
+        Row("Smallest delay estimate", float(alpha.min()), "samples", paper=paper, stated=stated),
+        Row("Largest delay estimate", float(alpha.max()), "samples", paper=paper, stated=stated),
     ]
 
 
@@ -326,12 +327,44 @@ def _panels(
             **delays,
         ),
         Panel(
-            f"fig-5-7-{key}", f"Tangent stiffness, {head} (Fig. 5.7)", "time, s", "k_exp, kN/m",
+            f"fig-5-7-{key}", f"Tangent stiffness, {head} (Fig. 5.7)", "time, s",
+            "samples of k_exp, %",
+            _shares(outcomes[windows[1]]),
+            "T0Δt = 0.1 T; where it stood, samples of each second.", y_range=(0, 100), half=True,
+        ),
+        Panel(
+            f"fig-5-7-{key}-peak", f"The same at the peak, {head}", "time, s", "k_exp, kN/m",
             (_curve("", t, outcomes[windows[1]], "k_t_n_per_m", 1e-3),),
-            "T0Δt = 0.1 T; bounded by 0 and the elastic stiffness.", y_range=(-30, 760),
+            "Bounded by 0 and the elastic stiffness.", y_range=(-30, 760), half=True,
+            x_range=_at_peak(structure, t, reference.calibrated),
             levels=((666.4, "k_e"),),
         ),
     ]  # fmt: skip
+
+
+def _at_peak(structure: Structure, t: Floats, x: Floats) -> tuple[float, float]:
+    """Return one and a half periods around the peak, s."""
+    centre = float(t[np.argmax(np.abs(x))])
+    return centre - 0.75 * structure.period_s, centre + 0.75 * structure.period_s
+
+
+def _shares(outcome: Outcome) -> tuple[Curve, ...]:
+    """Return the shares of the tangent stiffness at its bounds as areas on top of one another."""
+    k_t = outcome.rec.samples["k_t_n_per_m"]
+    edges, shares = stiffness_shares(k_t, outcome.setup.derived.k_e_n_per_m, core.FS_HZ)
+    x = np.repeat(edges, 2)[1:-1]
+    levels = 100.0 * np.vstack([np.zeros(shares.shape[1]), np.cumsum(shares, axis=0)])
+    colours: tuple[Colour, ...] = ("red", "blue", "grey")
+    return tuple(
+        Curve(
+            label, np.concatenate([x, x[::-1]]),
+            np.concatenate([np.repeat(low, 2), np.repeat(high, 2)[::-1]]), colour, width=0.0,
+            filled=True,
+        )
+        for label, colour, low, high in zip(
+            ("at 0", "between", "at k_e"), colours, levels[:-1], levels[1:], strict=True
+        )
+    )  # fmt: skip
 
 
 def _curve(label: str, t: Floats, outcome: Outcome, field: str, factor: float) -> Curve:

@@ -1,0 +1,310 @@
+/* The other end of the wire: an actuator controller with its load cell, their watchdog, and all that
+ * can go wrong with them and with the cable. */
+#include "numeric.h"
+
+#define SEQ_BITS 16         /* of our own frames */
+#define DRIFT_MAX_PPM 199.0 /* what a ticker can be trimmed by */
+#define TWO_TO_53 9007199254740992.0
+
+/* ---- faults ----------------------------------------------------------------------------------- */
+
+/* splitmix64: the same faults for the same seed */
+static uint64_t random_bits(rthyb_drive *d)
+{
+    d->random += 0x9e3779b97f4a7c15u;
+    uint64_t z = d->random;
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+    return z ^ (z >> 31);
+}
+
+static int happens(rthyb_drive *d, double probability)
+{
+    return (double)(random_bits(d) >> 11) / TWO_TO_53 < probability;
+}
+
+/* The fault of a kind that is in force in this tick, NULL for none. */
+static const rthyb_fault *fault(const rthyb_drive *d, int kind)
+{
+    for (size_t i = 0; i < d->fault_count; i++) {
+        const rthyb_fault *f = &d->faults[i];
+        if (f->kind == kind && d->tick >= f->first && d->tick - f->first < f->ticks)
+            return f;
+    }
+    return NULL;
+}
+
+static double fault_value(const rthyb_drive *d, int kind)
+{
+    const rthyb_fault *f = fault(d, kind);
+    return f ? f->value : 0.0;
+}
+
+static int is_lost(rthyb_drive *d, int kind)
+{
+    return fault(d, RTHYB_FAULT_SILENCE) || (fault(d, kind) && happens(d, fault_value(d, kind)));
+}
+
+static int fault_ok(const rthyb_fault *f)
+{
+    const double most = f->kind == RTHYB_FAULT_DELAY ? RTHYB_DRIVE_HELD_MAX - 1 : HUGE_VAL;
+    return f->kind >= 0 && f->kind < RTHYB_FAULTS && f->value <= most;
+}
+
+int rthyb_drive_schedule(rthyb_drive *drive, const rthyb_fault *faults, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        if (!fault_ok(&faults[i]))
+            return RTHYB_E_LIMIT;
+    drive->faults = faults;
+    drive->fault_count = n;
+    return 0;
+}
+
+int rthyb_drive_init(rthyb_drive *drive)
+{
+    const int error = rthyb_codec_check(&drive->codec);
+    if (error)
+        return error;
+    if (!(drive->stop_decel_m_per_s2 > 0.0) || !(fabs(drive->drift_ppm) <= DRIFT_MAX_PPM))
+        return RTHYB_E_LIMIT;
+    const int table = drive->codec.format == RTHYB_WIRE_TABLE;
+    const int32_t bits = table ? drive->codec.command.field[RTHYB_FIELD_SEQ].length : SEQ_BITS;
+    *drive = (rthyb_drive){
+        .rig = drive->rig,
+        .link = drive->link,
+        .codec = drive->codec,
+        .origin_m = drive->origin_m,
+        .stop_decel_m_per_s2 = drive->stop_decel_m_per_s2,
+        .log = drive->log,
+        .log_size = drive->log_size,
+        .seed = drive->seed,
+        .drift_ppm = drive->drift_ppm,
+        .random = drive->seed,
+        .seq_mask = bits >= 32 ? UINT32_MAX : (1u << bits) - 1u,
+        .target_m = drive->origin_m,
+        .target1_m = drive->origin_m,
+        .wanted_m = drive->origin_m,
+    };
+    return 0;
+}
+
+/* ---- commands --------------------------------------------------------------------------------- */
+
+/* Newer than the last one; to a drive that stands, a controller that begins anew is as fresh. */
+static int is_fresh(const rthyb_drive *d, uint32_t seq)
+{
+    const uint32_t steps = (seq - d->seq) & d->seq_mask;
+    return steps != 0 && (d->phase == RTHYB_DRIVE_STOPPED || steps <= d->seq_mask / 2);
+}
+
+static void take_setpoint(rthyb_drive *d, const rthyb_setpoint *setpoint)
+{
+    if (!is_fresh(d, setpoint->seq))
+        return;
+    d->seq = setpoint->seq;
+    d->state = setpoint->state;
+    d->wanted_m = setpoint->x_m;
+    d->silent = 0;
+    if (d->phase == RTHYB_DRIVE_STOPPED && setpoint->state == RTHYB_IDLE)
+        d->phase = RTHYB_DRIVE_FOLLOWING;
+}
+
+static void take_command(rthyb_drive *d, const rthyb_frame *frame)
+{
+    rthyb_setpoint setpoint;
+    d->now.frames++;
+    if (rthyb_decode_setpoint(&d->codec, frame, &setpoint)) {
+        d->now.refused++;
+        return;
+    }
+    d->now.x_m = setpoint.x_m;
+    d->now.seq = setpoint.seq;
+    d->now.state = setpoint.state;
+    take_setpoint(d, &setpoint);
+}
+
+static void take_bytes(rthyb_drive *d, const rthyb_frame *bytes, int lost)
+{
+    rthyb_frame packet;
+    for (int32_t i = 0; i < bytes->length; i++) {
+        const int verdict = rthyb_deframer_byte(&d->deframer, bytes->data[i], &packet);
+        if (lost || !verdict)
+            continue;
+        if (verdict == RTHYB_W_PACKET) {
+            take_command(d, &packet);
+        } else {
+            d->now.frames++;
+            d->now.refused++;
+        }
+    }
+}
+
+static void take_commands(rthyb_drive *d)
+{
+    rthyb_frame frame;
+    const int lost = is_lost(d, RTHYB_FAULT_DROP_COMMAND);
+    d->now.frames = d->now.refused = 0;
+    d->silent++;
+    for (int i = 0; i < RTHYB_LINK_PIECES_MAX && rthyb_link_receive(d->link, &frame); i++) {
+        if (d->codec.format == RTHYB_WIRE_SERIAL)
+            take_bytes(d, &frame, lost);
+        else if (!lost)
+            take_command(d, &frame);
+    }
+}
+
+/* ---- motion ----------------------------------------------------------------------------------- */
+
+static void watch(rthyb_drive *d)
+{
+    const int told = d->state == RTHYB_TRIPPED;
+    if (d->phase == RTHYB_DRIVE_FOLLOWING && (told || d->silent >= RTHYB_DRIVE_WATCHDOG))
+        d->phase = RTHYB_DRIVE_STOPPING;
+}
+
+/* One tick of braking from the velocity of the last two targets. */
+static double brake(rthyb_drive *d)
+{
+    const double h = d->rig->cfg.servo.period_s;
+    const double step = d->target_m - d->target1_m, less = d->stop_decel_m_per_s2 * h * h;
+    if (fabs(step) <= less) {
+        d->phase = RTHYB_DRIVE_STOPPED;
+        return d->target_m;
+    }
+    return d->target_m + step - copysign(less, step);
+}
+
+static void move(rthyb_drive *d)
+{
+    double target = d->target_m;
+    if (d->phase == RTHYB_DRIVE_FOLLOWING)
+        target = d->wanted_m;
+    else if (d->phase == RTHYB_DRIVE_STOPPING)
+        target = brake(d);
+    d->target1_m = d->target_m;
+    d->target_m = target;
+}
+
+/* ---- feedback --------------------------------------------------------------------------------- */
+
+static double stuck(rthyb_drive *d, double x_m)
+{
+    const int in_force = fault(d, RTHYB_FAULT_STUCK) != NULL;
+    if (!in_force || !d->stuck)
+        d->stuck_m = x_m;
+    d->stuck = in_force;
+    return d->stuck_m;
+}
+
+static rthyb_reading measure(rthyb_drive *d)
+{
+    rthyb_reading r = {.has = RTHYB_HAS_X | RTHYB_HAS_F, .echo = d->seq};
+    (void)rthyb_rig_step(d->rig, d->target_m - d->origin_m, &r.x_m, &r.f_n);
+    r.x_m = stuck(d, r.x_m + d->origin_m) + fault_value(d, RTHYB_FAULT_JUMP);
+    r.f_n += fault_value(d, RTHYB_FAULT_FORCE);
+    if (fault(d, RTHYB_FAULT_NOT_FINITE))
+        r.x_m = (double)NAN;
+    r.count = (uint32_t)d->tick;
+    r.status = d->phase == RTHYB_DRIVE_FOLLOWING ? 0u : RTHYB_DEVICE_STOPPED;
+    return r;
+}
+
+static void damage(rthyb_drive *d, rthyb_frame *frame)
+{
+    if (!fault(d, RTHYB_FAULT_CORRUPT) || frame->length < 1)
+        return;
+    const uint64_t bit = random_bits(d) % (8u * (uint64_t)frame->length);
+    frame->data[bit / 8] ^= (uint8_t)(1u << (bit % 8));
+}
+
+static rthyb_held *free_place(rthyb_drive *d)
+{
+    for (int i = 0; i < RTHYB_DRIVE_HELD_MAX; i++)
+        if (d->held[i].count == 0)
+            return &d->held[i];
+    return NULL;
+}
+
+static void enqueue(rthyb_drive *d, const rthyb_reading *reading)
+{
+    rthyb_held *place = free_place(d);
+    if (!place || is_lost(d, RTHYB_FAULT_DROP))
+        return;
+    const rthyb_fault *swap = fault(d, RTHYB_FAULT_REORDER);
+    place->after = swap && (d->tick - swap->first) % 2 == 0;
+    place->due = d->tick + (uint64_t)fault_value(d, RTHYB_FAULT_DELAY) + (uint64_t)place->after;
+    place->count = rthyb_encode_feedback(&d->codec, reading, place->frames);
+    for (int i = 0; i < place->count; i++)
+        damage(d, &place->frames[i]);
+    if (place->count == 2 && fault(d, RTHYB_FAULT_DROP_FORCE))
+        place->count = 1;
+}
+
+static void send_held(rthyb_drive *d, rthyb_held *h)
+{
+    const int times = fault(d, RTHYB_FAULT_DUPLICATE) ? 2 : 1;
+    for (int i = 0; i < h->count; i++)
+        for (int j = 0; j < times; j++)
+            (void)rthyb_link_send(d->link, &h->frames[i]);
+    h->count = 0;
+}
+
+/* What is due, in the order of due times; held-back ones after the others of their tick. */
+static void send_due(rthyb_drive *d)
+{
+    for (;;) {
+        rthyb_held *first = NULL;
+        for (int i = 0; i < RTHYB_DRIVE_HELD_MAX; i++) {
+            rthyb_held *h = &d->held[i];
+            if (h->count == 0 || h->due > d->tick)
+                continue;
+            if (!first || 2 * h->due + (uint64_t)h->after < 2 * first->due + (uint64_t)first->after)
+                first = h;
+        }
+        if (!first)
+            return;
+        send_held(d, first);
+    }
+}
+
+/* ---- one sample ------------------------------------------------------------------------------- */
+
+static void note(rthyb_drive *d)
+{
+    d->now.target_m = d->target_m;
+    d->now.phase = (uint32_t)d->phase;
+    d->now.silent = d->silent;
+    if (d->tick < d->log_size)
+        d->log[d->tick] = d->now;
+}
+
+void rthyb_drive_tick(rthyb_drive *drive)
+{
+    take_commands(drive);
+    watch(drive);
+    move(drive);
+    const rthyb_reading reading = measure(drive);
+    enqueue(drive, &reading);
+    send_due(drive);
+    note(drive);
+    drive->tick++;
+}
+
+/* Whole ns of what its clock gains in a tick; the rest waits for the next. */
+static void drift(rthyb_drive *d, rthyb_ticker *ticker)
+{
+    d->gained_ns += d->drift_ppm * d->rig->cfg.servo.period_s * 1e3;
+    const double whole = trunc(d->gained_ns);
+    rthyb_ticker_trim(ticker, -(int64_t)whole);
+    d->gained_ns -= whole;
+}
+
+void rthyb_drive_run(rthyb_drive *drive, rthyb_ticker *ticker)
+{
+    rthyb_tick tick;
+    while (rthyb_ticker_wait(ticker, &tick)) {
+        rthyb_drive_tick(drive);
+        drift(drive, ticker);
+    }
+}

@@ -1,0 +1,277 @@
+/* Telemetry ring: one producer that never waits, any number of readers, in a mapped file.
+ *
+ * Every slot is a seqlock of its own. The producer makes the stamp odd, stores the words, makes the
+ * stamp even; a reader takes the words between two looks at the stamp. Words are stored with
+ * release and loaded with acquire, so that a reader that saw one word of a newer record also sees
+ * that record's odd stamp, or a later one, at its second look: the copy is thrown away. That is all
+ * the order needed, without a fence, and on x86-64 and for the compiler alike it costs a plain move.
+ *
+ * Stamps alone say what a slot holds; the count in the header only tells where to look. A producer
+ * killed between any two instructions leaves at most one slot with an odd stamp. */
+#include "rthyb.h"
+
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/vfs.h>
+
+#define MAGIC UINT64_C(0x676e726279687472) /* "rthybrng" where the low byte comes first */
+#define PAGE 4096u
+#define TMPFS 0x01021994
+#define CAPACITY_MAX (1u << 24)
+#define NEWEST_TRIES 1000 /* a killed producer may have left the status page half written */
+#define LEAP_ROOM 64      /* a lapped reader goes on this part of the ring ahead of the oldest */
+
+_Static_assert(sizeof(rthyb_record) == RTHYB_RING_WORDS * sizeof(uint64_t),
+               "RTHYB_RING_WORDS is not the record's");
+_Static_assert(sizeof(rthyb_ring_header) <= PAGE, "the header is one page");
+_Static_assert(offsetof(rthyb_ring_header, pushed) == 64, "the fixed fields are one cache line");
+_Static_assert(__atomic_always_lock_free(sizeof(uint64_t), 0),
+               "a read-only map cannot hold a lock");
+
+/* ---- the file --------------------------------------------------------------------------------- */
+
+size_t rthyb_ring_about_at(void)
+{
+    return PAGE;
+}
+
+static size_t slots_at(size_t about_bytes)
+{
+    return PAGE + (about_bytes + PAGE - 1) / PAGE * PAGE;
+}
+
+size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes)
+{
+    return slots_at(about_bytes) + (size_t)capacity * sizeof(rthyb_ring_slot);
+}
+
+int rthyb_ring_settle(int fd, void *map, size_t bytes)
+{
+    struct statfs system;
+    const int locked = mlock(map, bytes) == 0;
+    const int in_memory = fstatfs(fd, &system) == 0 && system.f_type == TMPFS;
+    memset(map, 0, bytes);
+    return (locked ? RTHYB_RING_LOCKED : 0) | (in_memory ? RTHYB_RING_IN_MEMORY : 0);
+}
+
+void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t about_bytes)
+{
+    rthyb_ring_header *header = map;
+    header->layout = RTHYB_RING_LAYOUT;
+    header->about_at = PAGE;
+    header->about_bytes = about_bytes;
+    header->slots_at = slots_at(about_bytes);
+    header->file_bytes = rthyb_ring_bytes(capacity, about_bytes);
+    header->capacity = capacity;
+    header->slot_bytes = sizeof(rthyb_ring_slot);
+    header->record_bytes = sizeof(rthyb_record);
+    *ring = (rthyb_ring){
+        .header = header,
+        .slots = (void *)((char *)map + header->slots_at),
+        .mask = capacity - 1,
+    };
+    /* Last, so that nobody takes half a header for a ring. */
+    __atomic_store_n(&header->magic, MAGIC, __ATOMIC_RELEASE);
+}
+
+/* ---- producer --------------------------------------------------------------------------------- */
+
+static void store(rthyb_ring_slot *slot, uint64_t number, const rthyb_record *record)
+{
+    const char *bytes = (const char *)record;
+    __atomic_store_n(&slot->stamp, 2 * number + 1, __ATOMIC_RELAXED);
+    for (size_t i = 0; i < RTHYB_RING_WORDS; i++) {
+        uint64_t word;
+        memcpy(&word, bytes + i * sizeof word, sizeof word);
+        __atomic_store_n(&slot->words[i], word, __ATOMIC_RELEASE);
+    }
+    __atomic_store_n(&slot->stamp, 2 * number + 2, __ATOMIC_RELEASE);
+}
+
+static void set_phase(rthyb_ring *ring, uint64_t phase)
+{
+    __atomic_store_n(&ring->header->phase, phase, __ATOMIC_RELEASE);
+}
+
+static void append(rthyb_ring *ring, const rthyb_record *record)
+{
+    store(&ring->slots[ring->pushed & ring->mask], ring->pushed, record);
+    ring->pushed++;
+    __atomic_store_n(&ring->header->pushed, ring->pushed, __ATOMIC_RELEASE);
+}
+
+static void show(rthyb_ring *ring, const rthyb_record *record)
+{
+    store(&ring->header->newest, ring->shown++, record);
+}
+
+/* The black box: what led to a TRIP, and a second of what came after. */
+static void push_tripped(rthyb_ring *ring, const rthyb_record *record)
+{
+    if (ring->tripped == RTHYB_RING_AFTER_TRIP) {
+        show(ring, record);
+        return;
+    }
+    append(ring, record);
+    if (++ring->tripped < RTHYB_RING_AFTER_TRIP)
+        return;
+    /* Page before phase, here and below record before phase: what a reader finds never gets older. */
+    show(ring, record);
+    set_phase(ring, RTHYB_RING_FROZEN);
+}
+
+static void forget_trip(rthyb_ring *ring)
+{
+    ring->tripped = 0;
+    set_phase(ring, RTHYB_RING_OPEN);
+}
+
+void rthyb_ring_push(rthyb_ring *ring, const rthyb_record *record)
+{
+    if (record->state == RTHYB_TRIPPED) {
+        push_tripped(ring, record);
+        return;
+    }
+    append(ring, record);
+    if (ring->tripped)
+        forget_trip(ring);
+}
+
+void rthyb_ring_push_run(rthyb_ring *ring, const rthyb_record *records, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        rthyb_ring_push(ring, &records[i]);
+}
+
+void rthyb_ring_close(rthyb_ring *ring)
+{
+    set_phase(ring, ring->header->phase | RTHYB_RING_CLOSED);
+}
+
+/* ---- reader ----------------------------------------------------------------------------------- */
+
+static int sizes_agree(const rthyb_ring_header *h)
+{
+    const int capacity_ok =
+        h->capacity > 0 && h->capacity <= CAPACITY_MAX && (h->capacity & (h->capacity - 1)) == 0;
+    const int about_ok = h->about_at == PAGE && h->about_bytes <= CAPACITY_MAX;
+    return capacity_ok && about_ok && h->slots_at == slots_at(h->about_bytes) &&
+           h->file_bytes == rthyb_ring_bytes(h->capacity, h->about_bytes);
+}
+
+static int refusal(const rthyb_ring_header *h, size_t bytes)
+{
+    if (bytes < sizeof *h)
+        return RTHYB_RING_FOREIGN;
+    const uint64_t magic = __atomic_load_n(&h->magic, __ATOMIC_ACQUIRE);
+    if (magic != MAGIC)
+        return magic == 0 ? RTHYB_RING_UNFINISHED : RTHYB_RING_FOREIGN;
+    if (h->layout != RTHYB_RING_LAYOUT)
+        return RTHYB_RING_OTHER_LAYOUT;
+    if (h->record_bytes != sizeof(rthyb_record) || h->slot_bytes != sizeof(rthyb_ring_slot))
+        return RTHYB_RING_OTHER_RECORD;
+    if (!sizes_agree(h))
+        return RTHYB_RING_DAMAGED;
+    return bytes < h->file_bytes ? RTHYB_RING_TRUNCATED : 0;
+}
+
+uint64_t rthyb_ring_pushed(const rthyb_ring_reader *reader)
+{
+    return __atomic_load_n(&reader->header->pushed, __ATOMIC_ACQUIRE);
+}
+
+static uint64_t oldest(const rthyb_ring_reader *reader)
+{
+    const uint64_t pushed = rthyb_ring_pushed(reader);
+    return pushed > reader->capacity ? pushed - reader->capacity : 0;
+}
+
+int rthyb_ring_attach(rthyb_ring_reader *reader, const void *map, size_t bytes)
+{
+    const rthyb_ring_header *header = map;
+    const int refused = refusal(header, bytes);
+    if (refused)
+        return refused;
+    *reader = (rthyb_ring_reader){
+        .header = header,
+        .slots = (const void *)((const char *)map + header->slots_at),
+        .capacity = header->capacity,
+        .mask = header->capacity - 1,
+    };
+    reader->next = oldest(reader);
+    return 0;
+}
+
+/* Copies the words; 0, and nonsense in the record, if the slot did not keep that stamp meanwhile. */
+static int copy(const rthyb_ring_slot *slot, uint64_t stamp, rthyb_record *record)
+{
+    char *bytes = (char *)record;
+    for (size_t i = 0; i < RTHYB_RING_WORDS; i++) {
+        const uint64_t word = __atomic_load_n(&slot->words[i], __ATOMIC_ACQUIRE);
+        memcpy(bytes + i * sizeof word, &word, sizeof word);
+    }
+    return __atomic_load_n(&slot->stamp, __ATOMIC_RELAXED) == stamp;
+}
+
+enum found { HERE, NOT_YET, GONE };
+
+static enum found look(const rthyb_ring_reader *reader, rthyb_record *record)
+{
+    const rthyb_ring_slot *slot = &reader->slots[reader->next & reader->mask];
+    const uint64_t wanted = 2 * reader->next + 2;
+    const uint64_t stamp = __atomic_load_n(&slot->stamp, __ATOMIC_ACQUIRE);
+    if (stamp < wanted)
+        return NOT_YET;
+    return stamp == wanted && copy(slot, stamp, record) ? HERE : GONE;
+}
+
+/* Past a half-written record by one; a lapped reader to where it is not lapped again at once. */
+static void leap(rthyb_ring_reader *reader)
+{
+    const uint64_t first = oldest(reader);
+    const uint64_t to =
+        first > reader->next ? first + reader->capacity / LEAP_ROOM : reader->next + 1;
+    reader->lost += to - reader->next;
+    reader->next = to;
+}
+
+size_t rthyb_ring_read(rthyb_ring_reader *reader, rthyb_record *records, size_t n)
+{
+    if (n == 0)
+        return 0;
+    enum found found = look(reader, records);
+    while (found == GONE && reader->next <= rthyb_ring_pushed(reader)) {
+        leap(reader);
+        found = look(reader, records);
+    }
+    size_t count = 0;
+    while (found == HERE) {
+        reader->next++;
+        if (++count == n)
+            break;
+        found = look(reader, &records[count]);
+    }
+    return count;
+}
+
+int rthyb_ring_phase(const rthyb_ring_reader *reader)
+{
+    return (int)(__atomic_load_n(&reader->header->phase, __ATOMIC_ACQUIRE) &
+                 (RTHYB_RING_FROZEN | RTHYB_RING_CLOSED));
+}
+
+int rthyb_ring_newest(const rthyb_ring_reader *reader, rthyb_record *record)
+{
+    for (int i = 0; i < NEWEST_TRIES; i++) {
+        const int frozen = rthyb_ring_phase(reader) & RTHYB_RING_FROZEN;
+        const uint64_t last = rthyb_ring_pushed(reader) - 1;
+        const rthyb_ring_slot *slot =
+            frozen ? &reader->header->newest : &reader->slots[last & reader->mask];
+        const uint64_t stamp = __atomic_load_n(&slot->stamp, __ATOMIC_ACQUIRE);
+        if (stamp == 0)
+            return 0;
+        if (stamp % 2 == 0 && copy(slot, stamp, record))
+            return 1;
+    }
+    return 0;
+}

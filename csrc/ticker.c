@@ -1,0 +1,142 @@
+/* The ticker: 1024 due times a second, exactly, and what to do when one was slept through. */
+#define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp) */
+
+#include <errno.h>
+#include <limits.h>
+#include <linux/futex.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "relaxed.h"
+#include "rthyb.h"
+
+#define SECOND_NS 1000000000
+#define TWO_PERIODS_NS 1953125 /* 2/1024 s: the period itself is no whole number of ns */
+
+int64_t rthyb_now_ns(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (int64_t)now.tv_sec * SECOND_NS + now.tv_nsec;
+}
+
+int rthyb_ticker_init(rthyb_ticker *ticker, int32_t clock, int64_t t0_ns)
+{
+    if ((clock != RTHYB_CLOCK_HOST && clock != RTHYB_CLOCK_STEPPED) || t0_ns < 0)
+        return RTHYB_E_PERIOD;
+    *ticker = (rthyb_ticker){.clock = clock, .t0_ns = t0_ns};
+    return 0;
+}
+
+int64_t rthyb_ticker_due_ns(const rthyb_ticker *ticker, uint64_t k)
+{
+    return ticker->t0_ns + ticker->shift_ns + (int64_t)(k * TWO_PERIODS_NS / 2u);
+}
+
+/* The last tick that is due at now: the largest k with floor(k 1953125/2) <= now - t0. */
+static uint64_t newest_due(const rthyb_ticker *ticker, int64_t now_ns)
+{
+    const int64_t since = now_ns - ticker->t0_ns - ticker->shift_ns;
+    return since < 0 ? 0u : (2u * (uint64_t)since + 1u) / TWO_PERIODS_NS;
+}
+
+/* Makes k the tick at hand; what lies between it and the last one is skipped. */
+static void take(rthyb_ticker *ticker, uint64_t k, rthyb_tick *tick)
+{
+    const uint64_t skipped = k - ticker->elapsed;
+    *tick = (rthyb_tick){.k = k, .skipped = skipped, .due_ns = rthyb_ticker_due_ns(ticker, k)};
+    tick->woken_ns = tick->due_ns;
+    add(&ticker->skipped, skipped);
+    raise_to(&ticker->longest_skip, skipped);
+    add(&ticker->executed, 1u);
+    put(&ticker->elapsed, k + 1u);
+}
+
+void rthyb_ticker_woken(rthyb_ticker *ticker, int64_t now_ns, rthyb_tick *tick)
+{
+    const uint64_t waited_for = ticker->elapsed, newest = newest_due(ticker, now_ns);
+    /* After a skip too: how late the thread was, not how late it is for the tick it can still do. */
+    rthyb_latency_record(&ticker->wake, now_ns - rthyb_ticker_due_ns(ticker, waited_for));
+    take(ticker, newest > waited_for ? newest : waited_for, tick);
+    tick->woken_ns = now_ns;
+}
+
+void rthyb_ticker_step(rthyb_ticker *ticker, rthyb_tick *tick)
+{
+    const uint64_t missed = peek(&ticker->missed) - ticker->missed_taken;
+    ticker->missed_taken += missed;
+    take(ticker, ticker->elapsed + missed, tick);
+}
+
+static int stopped(const rthyb_ticker *ticker)
+{
+    return __atomic_load_n(&ticker->stop, __ATOMIC_ACQUIRE) != 0;
+}
+
+/* The bell is read before what it announces: whoever rings in between finds nobody asleep. */
+static int wait_for_word(rthyb_ticker *ticker, rthyb_tick *tick)
+{
+    for (;;) {
+        const uint32_t bell = __atomic_load_n(&ticker->bell, __ATOMIC_ACQUIRE);
+        if (stopped(ticker))
+            return 0;
+        if (__atomic_load_n(&ticker->granted, __ATOMIC_ACQUIRE) > ticker->executed)
+            break;
+        syscall(SYS_futex, &ticker->bell, FUTEX_WAIT_PRIVATE, bell, NULL, NULL, 0);
+    }
+    rthyb_ticker_step(ticker, tick);
+    return 1;
+}
+
+int rthyb_ticker_wait(rthyb_ticker *ticker, rthyb_tick *tick)
+{
+    if (ticker->clock == RTHYB_CLOCK_STEPPED)
+        return wait_for_word(ticker, tick);
+    const int64_t due_ns = rthyb_ticker_due_ns(ticker, ticker->elapsed);
+    const struct timespec due = {.tv_sec = due_ns / SECOND_NS, .tv_nsec = due_ns % SECOND_NS};
+    int error = EINTR;
+    while (error == EINTR && !stopped(ticker))
+        error = clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &due, NULL);
+    if (error || stopped(ticker))
+        return 0;
+    rthyb_ticker_woken(ticker, rthyb_now_ns(), tick);
+    return 1;
+}
+
+void rthyb_ticker_trim(rthyb_ticker *ticker, int64_t ns)
+{
+    const int64_t most = RTHYB_TRIM_MAX_NS;
+    ticker->shift_ns += ns < -most ? -most : (ns > most ? most : ns);
+}
+
+static void ring(rthyb_ticker *ticker)
+{
+    __atomic_fetch_add(&ticker->bell, 1u, __ATOMIC_RELEASE);
+    syscall(SYS_futex, &ticker->bell, FUTEX_WAKE_PRIVATE, INT_MAX, NULL, NULL, 0);
+}
+
+void rthyb_ticker_grant(rthyb_ticker *ticker, uint64_t ticks)
+{
+    __atomic_fetch_add(&ticker->granted, ticks, __ATOMIC_RELEASE);
+    ring(ticker);
+}
+
+void rthyb_ticker_miss(rthyb_ticker *ticker, uint64_t ticks)
+{
+    __atomic_fetch_add(&ticker->missed, ticks, __ATOMIC_RELAXED);
+}
+
+void rthyb_ticker_stop(rthyb_ticker *ticker)
+{
+    __atomic_store_n(&ticker->stop, 1u, __ATOMIC_RELEASE);
+    ring(ticker);
+}
+
+void rthyb_ticker_read(const rthyb_ticker *ticker, rthyb_ticker_counts *counts)
+{
+    counts->elapsed = peek(&ticker->elapsed);
+    counts->executed = peek(&ticker->executed);
+    counts->skipped = peek(&ticker->skipped);
+    counts->longest_skip = peek(&ticker->longest_skip);
+}

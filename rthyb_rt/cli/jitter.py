@@ -1,0 +1,163 @@
+"""``rthyb jitter``: how punctual is this PC?"""
+
+from __future__ import annotations
+
+import datetime
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rthyb_rt.cli import terminal
+from rthyb_rt.cli.folders import publish, refuse_taken, staged
+from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.errors import InputError
+
+if TYPE_CHECKING:
+    from rthyb_rt.jitter import Result, Verdict
+
+UNFIT = 7
+PAGE, RESULTS = "jitter.html", "jitter.json"
+LONGEST_S = 86400.0
+
+
+def jitter(
+    seconds: Annotated[
+        float, typer.Option(metavar="N", help="Length of each of the four runs, s.")
+    ] = 15.0,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder for page and results, instead of runs/jitter-UTC.",
+            show_default=False,
+        ),
+    ] = None,
+    require: Annotated[
+        bool, typer.Option("--require", help="Leave with exit code 7 if this PC is not fit.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how punctual this PC is, and say what to change.
+
+    A thread computes one sample of the built-in test a tick, at 1024 Hz, with and without exchange
+    over a link, with and without busy Python beside it; a bare reference thread runs in the same
+    seconds. Run it as the user, and under the load, that your tests will have. The longer, the
+    rarer the disturbances that it can see.
+
+    \b
+    Examples:
+      rthyb jitter
+      rthyb jitter --seconds 900 --require
+    """
+    from rthyb_rt import jitter as timing
+    from rthyb_rt.core import FS_HZ
+
+    if not 1.0 / FS_HZ <= seconds <= LONGEST_S:
+        raise typer.BadParameter(
+            f"found {seconds:g}, allowed is one tick to {LONGEST_S:g} s (a day)",
+            param_hint="--seconds",
+        )
+    refuse_taken(out)
+    started = datetime.datetime.now(datetime.UTC)
+    facts = timing.machine_facts()
+    results = _measure_all(round(seconds * FS_HZ), timing.choose_cpu(facts))
+    verdict = timing.judge(results, facts)
+    document = {
+        "created_utc": started.isoformat(timespec="seconds"),
+        **timing.document(results, facts, verdict),
+    }
+    target = out or Path("runs") / f"jitter-{started:%Y%m%dT%H%M%SZ}"
+    with staged(target) as stage:
+        has_page = _write(stage, document, results, facts, verdict)
+        folder = publish(stage, target, numbered=out is None)
+    paths = {"results": str(folder / RESULTS)}
+    if has_page:
+        paths["page"] = str(folder / PAGE)
+    file = terminal.people(as_json)
+    _print_result(results, facts, verdict, file)
+    print(
+        "", *(f"{name.capitalize():9}{path}" for name, path in paths.items()), sep="\n", file=file
+    )
+    if as_json:
+        terminal.print_json({**document, "paths": paths})
+    if require and not verdict.fit:
+        raise typer.Exit(UNFIT)
+
+
+def _measure_all(ticks: int, cpu: int) -> list[Result]:
+    from rthyb_rt import jitter as timing
+    from rthyb_rt.core import FS_HZ
+
+    load = timing.Load.built_in()
+    results: list[Result] = []
+    total = ticks * len(timing.CASES)
+    with terminal.progress("Timing", total, FS_HZ) as progress:
+        for case in timing.CASES:
+
+            def follow(done: int, _: int, before: int = ticks * len(results)) -> None:
+                progress(before + min(done, ticks), total)
+
+            results.append(timing.measure(case, ticks, load, cpu, follow))
+    return results
+
+
+def _write(
+    folder: Path,
+    document: dict[str, Any],
+    results: Sequence[Result],
+    facts: dict[str, Any],
+    verdict: Verdict,
+) -> bool:
+    """Write the results, then the page; False if the packages that it needs are missing."""
+    from rthyb_rt.report.jitter import write_page
+
+    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / RESULTS).write_text(text + "\n", encoding="utf-8")
+    try:
+        write_page(results, facts, verdict, folder / PAGE)
+    except InputError as error:
+        terminal.tell(f"no page written: {error}")
+        return False
+    return True
+
+
+# ---- for people ---------------------------------------------------------------------------------
+
+
+def _print_result(
+    results: Sequence[Result], facts: dict[str, Any], verdict: Verdict, file: IO[str]
+) -> None:
+    from rich import box
+    from rich.table import Table as Grid
+
+    from rthyb_rt.jitter import CRITERION
+    from rthyb_rt.report.jitter import fact_rows, figure_row, obtained
+
+    shown = ("kernel", "preemption", "cpu", "virtual machine", "governor", "isolated cpus")
+    rows = [row for row in fact_rows(facts) if row[0] in shown]
+    terminal.print_table([(*row, "") for row in (*rows, obtained(results))], file)
+    grid = Grid(
+        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, header_style="dim"
+    )
+    grid.add_column("times in µs", overflow="fold")
+    for head in ("p50", "p99", "longest", "reference p99", "ratio", "to sent p99", "skipped"):
+        grid.add_column(head, justify="right")
+    for result in results:
+        grid.add_row(*figure_row(result))
+    print("", file=file)
+    terminal.show(grid, file)
+    for result in results:
+        if result.attempts > 1:
+            late = "in each of them" if result.disturbed else "before"
+            print(
+                f"Note: {result.case.title}: run {result.attempts} times, the reference thread was "
+                f"over 10 ms late {late}",
+                file=file,
+            )
+    print(f"\n{verdict.sentence}", file=file)
+    for what, how in verdict.remedies:
+        print(f"  {what}: {how}", file=file)
+    print(f"Fit means: {CRITERION}.", file=file)

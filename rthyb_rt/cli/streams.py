@@ -1,0 +1,106 @@
+"""stdout and stderr as they are found: closed, full, left by their reader, or without Greek."""
+
+from __future__ import annotations
+
+import codecs
+import contextlib
+import io
+import os
+import re
+import sys
+from collections.abc import Iterator
+from typing import IO, Any
+
+ERRORS = "rthyb-ascii"
+
+# Signs of one place where there is a fair one, so that columns stay columns.
+_SIGNS = {
+    "½": "1/2", "µ": "u", "μ": "u", "·": "*", "⋅": "*", "×": "x", "–": "-", "−": "-", "…": "...",
+    "“": '"', "”": '"', "≤": "<=", "≥": ">=", "∞": "inf", "∫": "integral of", "✓": "+", "✗": "x",
+    "Δ": "Delta", "Σ": "sum of", "α": "alpha", "β": "beta", "γ": "gamma", "ζ": "zeta", "φ": "phi",
+    "ω": "omega", "₀": "0", "\u00a0": " ",
+}  # fmt: skip
+_RAISED = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻"
+_RAISED_RUN = re.compile(f"[{_RAISED}]+")
+_LOWERED = str.maketrans(_RAISED, "0123456789-")
+
+
+def in_ascii(text: str) -> str:
+    """Return a text with the signs that this program prints written in ASCII."""
+    text = _RAISED_RUN.sub(lambda run: "^" + run[0].translate(_LOWERED), text)
+    return "".join(_SIGNS.get(sign, sign) for sign in text)
+
+
+def shown(stream: IO[str], text: str) -> str:
+    """Return a text as a stream will show it."""
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    return text.encode(encoding, ERRORS).decode(encoding)
+
+
+def _replaced(error: UnicodeError) -> tuple[str | bytes, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    part = in_ascii(error.object[error.start : error.end])
+    return part.encode("ascii", "backslashreplace").decode("ascii"), error.end
+
+
+codecs.register_error(ERRORS, _replaced)
+
+
+class Outlet(io.FileIO):
+    """Where a stream's bytes go; after the first that cannot be written the rest is dropped.
+
+    Nothing that a command still has to do, its report for one, ends because nobody reads.
+
+    Attributes:
+        fault: why writing failed, if it did.
+    """
+
+    fault: OSError | None = None
+
+    def write(self, data: Any, /) -> int:
+        """Write bytes, or drop them."""
+        if self.fault is None:
+            try:
+                return super().write(data)
+            except OSError as error:
+                self.fault = error
+        return len(data)
+
+
+@contextlib.contextmanager
+def settled() -> Iterator[Outlet | None]:
+    """Make printing safe in the block; give the outlet behind stdout, where there is one."""
+    before = sys.stdout, sys.stderr
+    outlets = {name: _settle(name) for name in ("stdout", "stderr")}
+    try:
+        yield outlets["stdout"]
+    finally:
+        for name, stream in zip(outlets, before, strict=True):
+            if outlets[name] is not None:
+                getattr(sys, name).flush()
+                setattr(sys, name, stream)
+
+
+def _settle(name: str) -> Outlet | None:
+    stream = getattr(sys, name)
+    if stream is None:
+        setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
+        return None
+    if not hasattr(stream, "reconfigure"):
+        return None
+    stream.reconfigure(errors=ERRORS)
+    # A stream that somebody has put there, such as a test, stays theirs.
+    if stream is not getattr(sys, f"__{name}__"):
+        return None
+    stream.flush()
+    outlet = Outlet(stream.fileno(), "wb", closefd=False)
+    settled = io.TextIOWrapper(
+        io.BufferedWriter(outlet),
+        encoding=stream.encoding,
+        errors=ERRORS,
+        line_buffering=stream.line_buffering,
+        write_through=stream.write_through,
+    )
+    setattr(sys, name, settled)
+    return outlet

@@ -1,0 +1,337 @@
+"""The thin face of the tick: a link, the loop that exchanges one sample a tick, the virtual drive.
+
+Names follow ``csrc/rthyb.h``, where the contract stands. Calls that run or wait do so without the
+GIL. What a loop is made of belongs to its thread while that runs: only what is said to be readable
+may then be asked.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from rthyb_rt import core
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.errors import RthybError
+from rthyb_rt.links.wire import Codec, Wire
+from rthyb_rt.ring import Ring
+from rthyb_rt.ticker import PRIORITY, Clock, Counts, Latency, Ticker, privilege_names
+
+Kind = Literal["can", "stream"]
+FaultKind = Literal[
+    "drop",
+    "drop-command",
+    "drop-force",
+    "delay",
+    "reorder",
+    "duplicate",
+    "corrupt",
+    "stuck",
+    "jump",
+    "force",
+    "not-finite",
+    "silence",
+]
+
+HEARTBEAT_TICKS: Final[int] = lib.RTHYB_HEARTBEAT_TICKS
+WATCHDOG_TICKS: Final[int] = lib.RTHYB_DRIVE_WATCHDOG
+PHASES: Final = ("stopped", "following", "stopping")
+LINK_FAULTS: Final = ("up", "network-down", "device-gone", "bus-off", "hung-up")
+
+_KINDS: Final[dict[Kind, int]] = {"can": lib.RTHYB_LINK_CAN, "stream": lib.RTHYB_LINK_STREAM}
+_CLOCKS: Final[dict[Clock, int]] = {
+    "host": lib.RTHYB_CLOCK_HOST,
+    "stepped": lib.RTHYB_CLOCK_STEPPED,
+}
+_FAULTS: Final[dict[FaultKind, int]] = {
+    "drop": lib.RTHYB_FAULT_DROP,
+    "drop-command": lib.RTHYB_FAULT_DROP_COMMAND,
+    "drop-force": lib.RTHYB_FAULT_DROP_FORCE,
+    "delay": lib.RTHYB_FAULT_DELAY,
+    "reorder": lib.RTHYB_FAULT_REORDER,
+    "duplicate": lib.RTHYB_FAULT_DUPLICATE,
+    "corrupt": lib.RTHYB_FAULT_CORRUPT,
+    "stuck": lib.RTHYB_FAULT_STUCK,
+    "jump": lib.RTHYB_FAULT_JUMP,
+    "force": lib.RTHYB_FAULT_FORCE,
+    "not-finite": lib.RTHYB_FAULT_NOT_FINITE,
+    "silence": lib.RTHYB_FAULT_SILENCE,
+}
+
+LOG_DTYPE: Final = core._dtype_of("rthyb_drive_entry")
+"""What a drive saw and did in one of its ticks: the fields of ``rthyb_drive_entry``."""
+
+
+class Link:
+    """Frames over a descriptor that the caller opened and set up, without ever waiting.
+
+    Args:
+        kind: "can": a SocketCAN socket, or a SOCK_SEQPACKET socket that carries its frames;
+            "stream": a tty in raw mode or a stream socket, with O_NONBLOCK.
+        fd: the descriptor; the link has its own from then on.
+
+    Raises:
+        RthybError: the descriptor is closed, or a stream that would make a reader wait.
+    """
+
+    def __init__(self, kind: Kind, fd: int) -> None:
+        self.struct = ffi.new("rthyb_link *", {"fd": -1})
+        error = lib.rthyb_link_open(self.struct, _KINDS[kind], fd)
+        if error:
+            raise RthybError(
+                f"descriptor {fd} is of no use as a {kind} link: {os.strerror(error)}; "
+                "it must be open, and a stream needs O_NONBLOCK"
+            )
+
+    def close(self) -> None:
+        """Close the link's own descriptor; twice does no harm."""
+        lib.rthyb_link_close(self.struct)
+
+    @property
+    def fd(self) -> int:
+        """The link's own descriptor."""
+        return int(self.struct.fd)
+
+    @property
+    def down(self) -> str:
+        """One of `LINK_FAULTS`; readable at any time."""
+        return LINK_FAULTS[self.struct.down]
+
+    def counters(self) -> dict[str, int]:
+        """Return every counter of ``rthyb_link_counters`` by name; readable at any time."""
+        return _by_name(self.struct.counters)
+
+
+class Loop:
+    """Link -> wire -> station -> wire -> link -> record -> ring, once a tick.
+
+    Args:
+        station: states, limits, controller.
+        wire: the controller's end of the frames.
+        link: where they come from and go to.
+        ring: takes every record; without one, `records` has those of the last tick.
+        clock: "host": `start` a thread; "stepped": `step` for each tick, or a thread that `ticker`
+            grants ticks to.
+    """
+
+    def __init__(
+        self,
+        station: core.Station,
+        wire: Wire,
+        link: Link,
+        ring: Ring | None = None,
+        clock: Clock = "stepped",
+    ) -> None:
+        self._kept = (station, wire, link, ring)
+        self._c = ffi.new("rthyb_loop *")
+        self._ag = ffi.from_buffer("double[]", station._ag)
+        self._c.station, self._c.wire, self._c.link = station._c, wire.struct, link.struct
+        self._c.ring = ffi.NULL if ring is None else ring.pointer
+        self._c.ag_mps2, self._c.ag_count = self._ag, station._ag.size
+        lib.rthyb_loop_init(self._c, _CLOCKS[clock])
+        self._running = False
+
+    def step(self, skipped: int = 0) -> None:
+        """Run one tick of the stepped clock, after ``skipped`` that nobody executes."""
+        if skipped:
+            lib.rthyb_ticker_miss(self._ticker, skipped)
+        lib.rthyb_loop_step(self._c)
+
+    def start(self, priority: int = PRIORITY, cpu: int = -1, latency_fd: int = -1) -> None:
+        """Start the tick thread, as punctual as the system lets it be.
+
+        Arguments are those of `rthyb_rt.ticker.become_real_time`.
+
+        Raises:
+            RthybError: the system refused a thread.
+        """
+        self._c.priority, self._c.cpu, self._c.latency_fd = priority, cpu, latency_fd
+        error = lib.rthyb_loop_start(self._c)
+        if error:
+            raise RthybError(f"the tick thread was not started: {os.strerror(error)}")
+        self._running = True
+
+    def stop(self) -> None:
+        """End the thread, for good; what moves is then stopped by the drive's own watchdog."""
+        lib.rthyb_ticker_stop(self._ticker)
+        if self._running:
+            lib.rthyb_loop_join(self._c)
+        self._running = False
+
+    def grant(self, ticks: int) -> None:
+        """Let a thread with the stepped clock run so many more ticks."""
+        lib.rthyb_ticker_grant(self._ticker, ticks)
+
+    def command(self, command: core.Command) -> int | None:
+        """Leave an operator's command for the next tick; return its generation.
+
+        None: the last one is not answered yet, and only "trip" takes its place.
+        """
+        return lib.rthyb_loop_command(self._c, core.COMMANDS.index(command)) or None
+
+    def answer(self, generation: int) -> tuple[bool, int] | None:
+        """Return whether a command was obeyed and in which tick; None: not answered yet."""
+        tick = ffi.new("uint64_t *")
+        answer = lib.rthyb_loop_answered(self._c, generation, tick)
+        return (answer == 1, tick[0]) if answer else None
+
+    def beat(self) -> None:
+        """Give a sign of life; after 1024 ticks without one the test ramps out."""
+        lib.rthyb_loop_beat(self._c)
+
+    @property
+    def state(self) -> str:
+        """Name of the station's state after the last tick; readable at any time."""
+        return str(core.STATE_NAMES[self._c.state])
+
+    @property
+    def cause(self) -> str:
+        """The station's latched first cause; readable at any time."""
+        return str(core.CAUSES[self._c.cause])
+
+    @property
+    def records(self) -> core.RecordArray:
+        """Records of the last tick, a copy; not while a thread runs."""
+        raw = ffi.buffer(self._c.records, self._c.record_count * core.RECORD_DTYPE.itemsize)
+        return np.frombuffer(bytes(raw), core.RECORD_DTYPE)
+
+    @property
+    def link_delay(self) -> int | None:
+        """Samples from command to feedback that the wire takes, by the last echo."""
+        return None if self._c.delay < 0 else int(self._c.delay)
+
+    @property
+    def counts(self) -> Counts:
+        """Ticks so far; readable at any time."""
+        out = ffi.new("rthyb_ticker_counts *")
+        lib.rthyb_ticker_read(self._ticker, out)
+        return Counts(out.elapsed, out.executed, out.skipped, out.longest_skip)
+
+    def counters(self) -> dict[str, int]:
+        """Return every counter of ``rthyb_loop_counters`` by name; readable at any time."""
+        return _by_name(self._c.counters)
+
+    @property
+    def wake(self) -> Latency:
+        """Histogram of the wake-up latency; readable at any time."""
+        return Latency(ffi.addressof(self._c.ticker, "wake"), self._c)
+
+    @property
+    def sent(self) -> Latency:
+        """Histogram of the time from wake-up to the command being sent; readable at any time."""
+        return Latency(ffi.addressof(self._c, "sent"), self._c)
+
+    @property
+    def privileges(self) -> list[str]:
+        """What the thread obtained; names of `rthyb_rt.ticker.PRIVILEGES`."""
+        return privilege_names(self._c.privileges)
+
+    def usage(self) -> dict[str, int]:
+        """Return what the system did to the thread, once it has ended: ``rthyb_usage`` by name."""
+        return _by_name(self._c.usage)
+
+    @property
+    def _ticker(self) -> Any:
+        return ffi.addressof(self._c, "ticker")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What goes wrong at the drive, from its tick ``first`` on for ``ticks`` ticks.
+
+    ``value``: of drop and drop-command the probability, of delay ticks, of jump m, of force N.
+    """
+
+    kind: FaultKind
+    first: int
+    ticks: int
+    value: float = 1.0
+
+
+class Drive:
+    """Actuator controller and load cell at the other end of the wire, with a watchdog of their own.
+
+    Args:
+        rig: what moves and measures.
+        codec: the frames.
+        link: their other end.
+        origin_m: where the rig's zero lies on the wire.
+        stop_decel_m_per_s2: how it brakes on its own.
+        log_ticks: how many ticks `log` has room for.
+        seed: of the faults.
+        drift_ppm: how much the clock of `run` is fast, 199 at most.
+
+    Raises:
+        core.CoreError: the deceleration is not positive, or the drift too large.
+    """
+
+    def __init__(
+        self,
+        rig: core.Rig,
+        codec: Codec,
+        link: Link,
+        *,
+        origin_m: float = 0.0,
+        stop_decel_m_per_s2: float = 1.0,
+        log_ticks: int = 0,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+    ) -> None:
+        self._c = ffi.new("rthyb_drive *")
+        self._kept = (rig, codec, link)
+        self._log: npt.NDArray[np.void] = np.zeros(log_ticks, LOG_DTYPE)
+        self._c.rig, self._c.link, self._c.codec = rig._c, link.struct, codec.struct[0]
+        self._c.origin_m, self._c.stop_decel_m_per_s2 = origin_m, stop_decel_m_per_s2
+        self._c.log = ffi.cast("rthyb_drive_entry *", ffi.from_buffer(self._log))
+        self._c.log_size, self._c.seed, self._c.drift_ppm = log_ticks, seed, drift_ppm
+        self._faults: Any = None
+        if lib.rthyb_drive_init(self._c):
+            raise core.CoreError(
+                f"the drive brakes with {stop_decel_m_per_s2} m/s^2, more than 0 is needed, and "
+                f"its clock is {drift_ppm} ppm fast, 199 is the most"
+            )
+
+    def schedule(self, faults: Sequence[Fault]) -> None:
+        """Put a schedule of faults in force, in place of the one before; between two ticks.
+
+        Raises:
+            core.CoreError: a fault is out of range; the schedule of before stays.
+        """
+        table = ffi.new(
+            "rthyb_fault[]", [(_FAULTS[f.kind], f.first, f.ticks, f.value) for f in faults]
+        )
+        if lib.rthyb_drive_schedule(self._c, table, len(faults)):
+            raise core.CoreError("a fault of the drive is out of range")
+        self._faults = table
+
+    def tick(self) -> None:
+        """Run one sample: take commands in, latch, apply, answer."""
+        lib.rthyb_drive_tick(self._c)
+
+    def run(self, ticker: Ticker) -> None:
+        """Tick until the ticker is stopped from another thread."""
+        lib.rthyb_drive_run(self._c, ticker._c)
+
+    @property
+    def ticks(self) -> int:
+        """Samples so far."""
+        return int(self._c.tick)
+
+    @property
+    def phase(self) -> str:
+        """One of `PHASES`."""
+        return PHASES[self._c.phase]
+
+    @property
+    def log(self) -> npt.NDArray[np.void]:
+        """What it saw and did, `LOG_DTYPE`, (ticks,): row n is its tick n."""
+        return self._log[: self.ticks].copy()
+
+
+def _by_name(struct: Any) -> dict[str, int]:
+    return {name: int(getattr(struct, name)) for name, _ in ffi.typeof(struct).fields}

@@ -1,0 +1,570 @@
+"""The telemetry ring: the last 64 s of a test in a file in memory that outlives its process.
+
+The tick thread pushes one record a tick and never waits. Recorder, dashboard and black box read the
+same ring, each from a read-only mapping. Beside the ring stands its session file, a recording
+without samples; ring and session together are a recording (`recover`), also after ``kill -9``.
+A ring does not survive a reboot.
+
+Layout of the file, every number with its low byte first::
+
+    0        header, see rthyb_ring_header in csrc/rthyb.h; from byte 128 the status page
+    4096     description as JSON: fields with type, offset and unit, versions, boot, process
+    then     the slots, at a whole page: a stamp and the record's words
+"""
+
+from __future__ import annotations
+
+import datetime
+import fcntl
+import json
+import mmap
+import os
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import __version__, recording
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core import RECORD_DTYPE, RecordArray
+from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
+
+CAPACITY: Final[int] = lib.RTHYB_RING_CAPACITY
+AFTER_TRIP: Final[int] = lib.RTHYB_RING_AFTER_TRIP
+LAYOUT: Final[int] = lib.RTHYB_RING_LAYOUT
+
+_HEADER_BYTES: Final[int] = ffi.sizeof("rthyb_ring_header")
+_MODE = 0o640
+_SESSION = ".session.h5"
+_PRIVATE = 0o700
+
+_OTHER_VERSION = "use the version of rthyb_rt that wrote it"
+_REFUSED: Final[dict[int, str]] = {
+    lib.RTHYB_RING_FOREIGN: "not a telemetry ring; give a file ring.* of a real-time test",
+    lib.RTHYB_RING_UNFINISHED: "the ring was not set up to its end, so no tick was ever recorded",
+    lib.RTHYB_RING_OTHER_RECORD: f"the records are of another size; {_OTHER_VERSION}",
+    lib.RTHYB_RING_TRUNCATED: "the file ends too early; the copy is at fault, copy it again",
+    lib.RTHYB_RING_DAMAGED: "the header is damaged: its sizes contradict one another; copy the "
+    "ring again",
+}
+
+
+def default_folder() -> Path:
+    """Return where rings belong: in memory, and where this user may write.
+
+    ``/run/rthyb`` where the service's installation made it, else the user's runtime folder, else a
+    folder of the user's own in ``/dev/shm``.
+    """
+    service = Path("/run/rthyb")
+    if service.is_dir() and os.access(service, os.W_OK | os.X_OK):
+        return service
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    if runtime:
+        return Path(runtime) / "rthyb"
+    return Path("/dev/shm") / f"rthyb-{os.geteuid()}"
+
+
+def session_path(ring: Path) -> Path:
+    """Return the name of the session file that belongs to a ring."""
+    return ring.with_name(ring.name + _SESSION)
+
+
+def find(folder: Path) -> list[Path]:
+    """Return the rings in a folder, the newest last."""
+    rings = [path for path in folder.glob("ring.*") if _is_ring_name(path.name)]
+    return sorted(rings, key=lambda path: path.stat().st_mtime)
+
+
+def _is_ring_name(name: str) -> bool:
+    return len(name.split(".")) == 3 and name.rsplit(".", 1)[1].isdigit()
+
+
+# ---- the producer's side ------------------------------------------------------------------------
+
+
+class Ring:
+    """A ring that this process fills; made by `create`.
+
+    The object owns the memory that the tick thread writes to: it must outlive that thread.
+
+    Attributes:
+        path: the ring's file.
+        locked: the ring cannot be paged out.
+        in_memory: the ring lies on tmpfs. Elsewhere the write-back of the disk can make the
+            producer wait.
+    """
+
+    def __init__(self, path: Path, owned: ExitStack, core: Any, facts: int) -> None:
+        """Take over what `create` made."""
+        self.path = path
+        self.locked = bool(facts & lib.RTHYB_RING_LOCKED)
+        self.in_memory = bool(facts & lib.RTHYB_RING_IN_MEMORY)
+        self._owned = owned
+        self._c = core
+
+    @classmethod
+    def create(cls, folder: Path, session: Recording, capacity: int = CAPACITY) -> Ring:
+        """Make a ring and its session file, all memory taken, locked and written once.
+
+        Args:
+            folder: where; made if it is missing, for this user alone.
+            session: all that the recording will hold but the samples, which are left out.
+            capacity: records, a power of two.
+
+        Raises:
+            RthybError: the folder cannot be written or has no room; nothing is left behind.
+            ValueError: ``capacity`` is no power of two.
+        """
+        if capacity < 1 or capacity & (capacity - 1):
+            raise ValueError(f"capacity must be a power of two, got {capacity}")
+        about = json.dumps(_description(session.fs_hz)).encode()
+        size = int(lib.rthyb_ring_bytes(capacity, len(about)))
+        with ExitStack() as undo:
+            path, fd = _reserve(folder)
+            undo.callback(path.unlink, missing_ok=True)
+            owned = undo.enter_context(ExitStack())
+            owned.callback(os.close, fd)
+            memory = _take_memory(fd, path, size)
+            owned.callback(memory.close)
+            undo.callback(session_path(path).unlink, missing_ok=True)
+            _write_session(path, session)
+            view = ffi.from_buffer(memory, require_writable=True)
+            owned.callback(ffi.release, view)
+            facts = lib.rthyb_ring_settle(fd, view, size)
+            start = lib.rthyb_ring_about_at()
+            memory[start : start + len(about)] = about
+            core = ffi.new("rthyb_ring *")
+            lib.rthyb_ring_init(core, view, capacity, len(about))
+            ring = cls(path, owned.pop_all(), core, facts)
+            undo.pop_all()
+        return ring
+
+    @property
+    def pointer(self) -> Any:
+        """``rthyb_ring *`` for the tick thread.
+
+        Raises:
+            RthybError: the ring is closed.
+        """
+        if self._c is None:
+            raise RthybError(f"{self.path}: the ring is closed")
+        return self._c
+
+    def push(self, records: RecordArray) -> None:
+        """Push records of ``RECORD_DTYPE``, shape (n,), as the tick thread does in C.
+
+        For exchange threads in Python; one thread at a time.
+        """
+        source = np.ascontiguousarray(records, dtype=RECORD_DTYPE)
+        lib.rthyb_ring_push_run(self.pointer, _records(source), source.size)
+
+    def renew_session(self, session: Recording) -> None:
+        """Replace the session file in one piece: what tares, commands and parameters have become.
+
+        Raises:
+            RthybError: it cannot be written; the old one is still there.
+        """
+        _write_session(self.path, session)
+
+    def close(self) -> None:
+        """Say that the test ended in good order, and let go of the file; twice does no harm.
+
+        The tick thread must have ended.
+        """
+        if self._c is not None:
+            lib.rthyb_ring_close(self._c)
+            self._c = None
+            self._owned.close()
+
+    def remove(self) -> None:
+        """Close the ring and delete it with its session: the recording has all of it."""
+        self.close()
+        for path in (self.path, session_path(self.path)):
+            path.unlink(missing_ok=True)
+
+
+def _description(fs_hz: float) -> dict[str, Any]:
+    return {
+        "rthyb_version": __version__,
+        "fields": _fields(RECORD_DTYPE),
+        "record_bytes": RECORD_DTYPE.itemsize,
+        "fs_hz": fs_hz,
+        "boot_id": _boot_id(),
+        "pid": os.getpid(),
+        "started_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _fields(dtype: np.dtype[np.void]) -> list[dict[str, Any]]:
+    fields: Mapping[str, Any] = dtype.fields or {}
+    return [
+        {"name": name, "type": field[0].str, "offset": field[1], "unit": recording.UNITS[name]}
+        for name, field in fields.items()
+    ]
+
+
+def _boot_id() -> str:
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return "unknown"
+
+
+def _reserve(folder: Path) -> tuple[Path, int]:
+    """Make and lock an empty file of a new name."""
+    stem = f"ring.{_boot_id()[:8]}"
+    try:
+        folder.mkdir(mode=_PRIVATE, parents=True, exist_ok=True)
+        number = 1
+        while True:
+            path = folder / f"{stem}.{number}"
+            with suppress(FileExistsError):
+                fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, _MODE)
+                break
+            number += 1
+        # The lock goes with the process, however that ends: so readers know whether it lives.
+        fcntl.flock(fd, fcntl.LOCK_EX)
+        os.fchmod(fd, _MODE)
+    except OSError as error:
+        raise RthybError(
+            f"{folder}: no telemetry ring can be made here ({error.strerror or error}); "
+            "check the folder's permissions"
+        ) from error
+    return path, fd
+
+
+def _take_memory(fd: int, path: Path, size: int) -> mmap.mmap:
+    """Have every block now: on a full tmpfs the tick thread would die of SIGBUS."""
+    try:
+        os.posix_fallocate(fd, 0, size)
+        return mmap.mmap(fd, size)
+    except OSError as error:
+        free = os.fstatvfs(fd)
+        raise RthybError(
+            f"{path.parent}: no room for the telemetry ring ({error.strerror or error}): "
+            f"{size / 1e6:.1f} MB needed, {free.f_bavail * free.f_frsize / 1e6:.1f} MB free; "
+            "delete the rings of tests that are recovered (ring.*)"
+        ) from error
+
+
+def _write_session(ring: Path, session: Recording) -> None:
+    bare = replace(session, samples=np.zeros(0, dtype=RECORD_DTYPE))
+    recording.write(session_path(ring), bare)
+    session_path(ring).chmod(_MODE)
+
+
+def _records(array: RecordArray) -> Any:
+    return ffi.cast("rthyb_record *", ffi.from_buffer(array))
+
+
+# ---- readers ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Records that followed one another without a gap.
+
+    Attributes:
+        first: number of the first of them; the ring's first record ever has number 0.
+        samples: the records, shape (n,).
+    """
+
+    first: int
+    samples: RecordArray
+
+
+class Reader:
+    """One reader of a ring, at its own pace; begins with the oldest record.
+
+    Attributes:
+        path: the ring's file.
+        about: the description in the file: fields, versions, boot, process.
+
+    Raises:
+        InputError: the file is missing, no ring, of another version, truncated or damaged.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Map the ring read-only."""
+        self.path = Path(path)
+        with ExitStack() as owned:
+            self._fd = _open(self.path)
+            owned.callback(os.close, self._fd)
+            if os.fstat(self._fd).st_size < _HEADER_BYTES:
+                raise InputError("too short for a telemetry ring", str(path))
+            memory = mmap.mmap(self._fd, 0, access=mmap.ACCESS_READ)
+            owned.callback(memory.close)
+            view = ffi.from_buffer(memory)
+            owned.callback(ffi.release, view)
+            self._c = ffi.new("rthyb_ring_reader *")
+            refused = lib.rthyb_ring_attach(self._c, view, len(memory))
+            self.about = _about(memory, self.path, refused)
+            self._owned = owned.pop_all()
+
+    def __enter__(self) -> Reader:
+        """Return the reader itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let go of the file."""
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file; the reader is of no more use."""
+        self._owned.close()
+
+    @property
+    def next(self) -> int:
+        """Number of the record to be read next."""
+        return int(self._c.next)
+
+    @property
+    def lost(self) -> int:
+        """Records that this reader came too late for, and those that were half written."""
+        return int(self._c.lost)
+
+    @property
+    def pushed(self) -> int:
+        """Records that the ring has taken so far."""
+        return int(lib.rthyb_ring_pushed(self._c))
+
+    @property
+    def frozen(self) -> bool:
+        """Whether the ring stands still after a TRIP."""
+        return bool(lib.rthyb_ring_phase(self._c) & lib.RTHYB_RING_FROZEN)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the producer ended in good order."""
+        return bool(lib.rthyb_ring_phase(self._c) & lib.RTHYB_RING_CLOSED)
+
+    @property
+    def alive(self) -> bool:
+        """Whether a process still holds the ring to fill it."""
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        fcntl.flock(self._fd, fcntl.LOCK_UN)
+        return False
+
+    def read(self, most: int = 8192) -> Rows:
+        """Return the next records, at most so many, without waiting.
+
+        Records that were overwritten meanwhile are passed over: `Rows.first` then lies beyond the
+        last ``next``. No records: there is nothing new.
+        """
+        buffer = np.empty(most, dtype=RECORD_DTYPE)
+        count = int(lib.rthyb_ring_read(self._c, _records(buffer), most))
+        return Rows(self.next - count, buffer[:count])
+
+    def newest(self) -> np.void | None:
+        """Return the record of the last tick, also of a frozen ring, or None before the first."""
+        buffer = np.empty(1, dtype=RECORD_DTYPE)
+        return buffer[0] if lib.rthyb_ring_newest(self._c, _records(buffer)) else None
+
+
+def _open(path: Path) -> int:
+    if path.is_dir():
+        rings = find(path)
+        hint = f"; did you mean {rings[-1]}?" if rings else ""
+        raise InputError(f"is a folder; give a ring in it (ring.*){hint}", str(path))
+    if not path.is_file():
+        raise InputError("no such file; a ring is gone after a reboot", str(path))
+    try:
+        return os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError as error:
+        raise InputError(
+            f"cannot be opened ({error.strerror}); its owner and its group may read it",
+            str(path),
+        ) from error
+
+
+def _about(memory: mmap.mmap, path: Path, refused: int) -> dict[str, Any]:
+    """Return the description, or refuse the ring in words."""
+    if refused and refused != lib.RTHYB_RING_OTHER_LAYOUT:
+        raise InputError(_REFUSED[refused], str(path))
+    layout, about = _description_in(memory)
+    version = about.get("rthyb_version")
+    writer = f" of rthyb_rt {version}" if version else ""
+    if refused:
+        raise InputError(
+            f"layout {layout} of the ring{writer}, this version reads layout {LAYOUT}; "
+            + _OTHER_VERSION,
+            str(path),
+        )
+    if about.get("fields") != _fields(RECORD_DTYPE):
+        found = "has other fields" if about else "is damaged in its description"
+        raise InputError(f"the ring{writer} {found}; {_OTHER_VERSION}", str(path))
+    return about
+
+
+def _description_in(memory: mmap.mmap) -> tuple[int, dict[str, Any]]:
+    """Return layout and description of a ring of any layout; empty if it cannot be read."""
+    header = ffi.from_buffer("rthyb_ring_header *", memory)
+    layout, start, size = int(header.layout), int(header.about_at), int(header.about_bytes)
+    ffi.release(header)
+    with suppress(ValueError):
+        about = json.loads(memory[start : start + size].decode())
+        return layout, about if isinstance(about, dict) else {}
+    return layout, {}
+
+
+# ---- from the ring to a recording ---------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What a ring and its session gave.
+
+    Attributes:
+        recording: rows from the oldest record that the ring still had. Its ``meta`` states the
+            other attributes too.
+        rows: first and last ring row held, counted from the ring's start.
+        missing_rows: ranges [first, last] of ring rows that were overwritten or half written.
+        missing_ticks: ranges [first, last] of ticks between two rows: of missing rows, or of the
+            time that the ring was frozen.
+        alive: the test was still running.
+    """
+
+    recording: Recording
+    rows: tuple[int, int]
+    missing_rows: list[list[int]]
+    missing_ticks: list[list[int]]
+    alive: bool
+
+
+def recover(path: str | Path) -> Recovered:
+    """Make a recording of a ring and the session beside it, whatever became of the process.
+
+    Nothing is changed or deleted, and a test that is running does not notice.
+
+    Args:
+        path: the ring.
+
+    Raises:
+        InputError: one of the two cannot be read, or the ring has no record.
+    """
+    path = Path(path)
+    with Reader(path) as reader:
+        alive = reader.alive
+        parts = _read_all(reader)
+        ended = _end_reason(reader, parts, alive)
+    if not parts:
+        raise InputError(
+            "the ring has no record: its process ended before the first tick", str(path)
+        )
+    samples = _joined(parts)
+    found = Recovered(
+        recording=_join(_session(path), samples, parts[0].first),
+        rows=(parts[0].first, parts[-1].first + len(parts[-1].samples) - 1),
+        missing_rows=_missing_rows(parts),
+        missing_ticks=_missing_ticks(samples["tick"]),
+        alive=alive,
+    )
+    now = datetime.datetime.now(datetime.UTC)
+    found.recording.meta |= {
+        "end_reason": f"{ended} (recovered from the telemetry ring)",
+        "recovered_from": path.name,
+        "recovered_utc": now.isoformat(timespec="seconds"),
+        "recovered_rows": list(found.rows),
+        "missing_rows": found.missing_rows,
+        "missing_ticks": found.missing_ticks,
+    }
+    return found
+
+
+def _session(ring: Path) -> Recording:
+    path = session_path(ring)
+    if not path.is_file():
+        raise InputError(
+            f"the session file {path.name} is not beside the ring; copy both together", str(ring)
+        )
+    return recording.read(path)
+
+
+def _join(session: Recording, samples: RecordArray, first_row: int) -> Recording:
+    """Return the session with its samples, and without what no longer fits them."""
+    replay = replace(
+        session.replay,
+        # The state before the ring's first row is not the state before a later one.
+        controller_state=session.replay.controller_state if first_row == 0 else b"",
+        skips=_skips(samples),
+    )
+    held = bool((samples["state"] == STATES.index("HOLD")).any())
+    return replace(
+        session,
+        samples=samples,
+        reference=session.reference if _reference_fits(samples, first_row) else None,
+        replay=replay,
+        meta=session.meta | {"interrupted": held},
+    )
+
+
+def _read_all(reader: Reader) -> list[Rows]:
+    """Return everything up to the present; a running test may go on meanwhile."""
+    end = reader.pushed + 1  # a process may have died between a record and its count
+    parts = []
+    while reader.next < end:
+        rows = reader.read(end - reader.next)
+        if not rows.samples.size:
+            break
+        parts.append(rows)
+    return parts
+
+
+def _end_reason(reader: Reader, parts: list[Rows], alive: bool) -> str:
+    if parts and parts[-1].samples["state"][-1] == STATES.index("TRIPPED"):
+        return "tripped"
+    if alive:
+        return "still running"
+    return "closed" if reader.closed else "its process ended early"
+
+
+def _joined(parts: list[Rows]) -> RecordArray:
+    # np.concatenate would take the padding out of the records.
+    samples = np.zeros(sum(part.samples.size for part in parts), dtype=RECORD_DTYPE)
+    done = 0
+    for part in parts:
+        samples[done : done + part.samples.size] = part.samples
+        done += part.samples.size
+    return samples
+
+
+def _missing_rows(parts: list[Rows]) -> list[list[int]]:
+    missing, wanted = [], 0
+    for part in parts:
+        if part.first > wanted:
+            missing.append([wanted, part.first - 1])
+        wanted = part.first + len(part.samples)
+    return missing
+
+
+def _missing_ticks(tick: NDArray[np.uint64]) -> list[list[int]]:
+    at = np.flatnonzero(tick[1:] > tick[:-1] + np.uint64(1))
+    return [[int(tick[i]) + 1, int(tick[i + 1]) - 1] for i in at]
+
+
+def _reference_fits(samples: RecordArray, first_row: int) -> bool:
+    """Whether the first RUNNING row is the test's first, and no tick is missing from there on."""
+    running = np.flatnonzero(samples["state"] == RUNNING)
+    if not running.size:
+        return False
+    begin = int(running[0])
+    return (begin > 0 or first_row == 0) and not _missing_ticks(samples["tick"][begin:])
+
+
+def _skips(samples: RecordArray) -> NDArray[np.int64]:
+    """Return first tick and length of every run of blind rows, shape (n, 2)."""
+    blind = (samples["flags"] & FLAGS["blind"]) != 0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], blind, [False]]).astype(np.int8)))
+    first, end = edges[::2], edges[1::2]
+    tick = samples["tick"].astype(np.int64)
+    return (
+        np.stack([tick[first], end - first], axis=1) if first.size else np.zeros((0, 2), np.int64)
+    )

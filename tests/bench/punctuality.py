@@ -1,0 +1,59 @@
+"""1024 ticks a second three ways: in C, bare, and as a Python loop; with and without busy Python.
+
+The Python loop is written as a laboratory would: sleep until the tick is due, one sample of rig and
+controller, again. It has the same priority, skips as the C loop does, and is timed by the same
+histogram.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+
+from rthyb_rt import core, jitter, ticker
+
+SECONDS = 5.0
+TICKS = round(SECONDS * core.FS_HZ)
+
+
+def in_core() -> list[jitter.Result]:
+    """Return the runs of `rthyb jitter`."""
+    load, cpu = jitter.Load.built_in(), jitter.choose_cpu(jitter.machine_facts())
+    return [jitter.measure(case, TICKS, load, cpu) for case in jitter.CASES]
+
+
+def in_python() -> dict[str, ticker.Ticker]:
+    """Return the clock of each Python loop after its run."""
+    load = jitter.Load.built_in()
+    return {
+        "Python loop": _timed(load, busy=False),
+        "Python loop, beside busy Python": _timed(load, busy=True),
+    }
+
+
+def _timed(load: jitter.Load, *, busy: bool) -> ticker.Ticker:
+    clocks: list[ticker.Ticker] = []
+    thread = threading.Thread(target=lambda: clocks.append(_loop(load)))
+    with jitter.busy_python() if busy else contextlib.nullcontext():
+        thread.start()
+        thread.join()
+    ticker.unlock_memory()
+    return clocks[0]
+
+
+def _loop(load: jitter.Load) -> ticker.Ticker:
+    controller, rig = core.Controller(load.controller), core.Rig(load.rig)
+    excitation = load.excitation.tolist()
+    ticker.become_real_time()
+    clock = ticker.Ticker(t0_ns=ticker.now_ns() + 10_000_000)
+    elapsed = 0
+    while elapsed < TICKS:
+        ahead_ns = clock.due_ns(elapsed) - time.monotonic_ns()
+        if ahead_ns > 0:
+            time.sleep(ahead_ns / 1e9)
+        tick = clock.woken(time.monotonic_ns())
+        x_m, f_n, _ = rig.step(controller.x_cmd_m)
+        controller.step(x_m, f_n, excitation[tick.k % len(excitation)])
+        elapsed = tick.k + 1
+    return clock

@@ -1,0 +1,448 @@
+"""The command line when somebody pulls the plug: signals, full disks, pipes, narrow terminals."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+from pathlib import Path
+
+import pytest
+from command_line import Answer, Rthyb
+
+from rthyb_rt import cli, config, ground_motion, recording
+from rthyb_rt.cli import folders, streams
+from rthyb_rt.errors import InputError
+
+SHORT = ("run", "--no-report", "--set", "test.duration_s=3")
+PROGRAM = Path(sys.executable).with_name("rthyb")
+
+
+def python(code: str, *arguments: str, folder: Path, **environment: str) -> Answer:
+    """Run the command line in a process of its own, after some lines of Python."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\nimport sys\nfrom rthyb_rt import cli\n"
+         "sys.exit(cli.main(sys.argv[1:]))", *arguments],
+        cwd=folder, env={**os.environ, "FORCE_COLOR": "", **environment}, capture_output=True,
+        text=True, encoding="utf-8", timeout=60, check=False,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr
+    return Answer(done.returncode, done.stdout, done.stderr)
+
+
+def signalled(module: str, name: str, signal: str) -> str:
+    """Return lines that send a signal at the beginning of a function."""
+    return (
+        f"import os, signal\nfrom rthyb_rt import {module}\nreal = {module}.{name}\n"
+        "def changed(*arguments, **options):\n"
+        f"    os.kill(os.getpid(), signal.{signal})\n"
+        "    return real(*arguments, **options)\n"
+        f"{module}.{name} = changed\n"
+    )
+
+
+# ---- signals ------------------------------------------------------------------------------------
+
+
+def test_ctrl_c_while_the_recording_is_written_keeps_the_recording(tmp_path: Path) -> None:
+    answer = python(signalled("recording", "write", "SIGINT"), *SHORT, folder=tmp_path)
+    assert answer.code == 130
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert recording.open_run(folder).meta["end_reason"] == "completed"
+    (line,) = answer.err.splitlines()
+    assert line.startswith("rthyb: interrupted; written: ")
+    assert f"runs/{folder.name}/recording.h5" in line
+    assert "report.html" not in line
+
+
+@pytest.mark.parametrize(
+    ("signal", "code", "words"),
+    [
+        ("SIGINT", 130, "interrupted"),
+        ("SIGTERM", 143, "ended by SIGTERM"),
+        ("SIGHUP", 129, "ended by SIGHUP"),
+    ],
+)
+def test_test_that_is_stopped_leaves_no_half_folder(
+    tmp_path: Path, signal: str, code: int, words: str
+) -> None:
+    answer = python(signalled("experiment", "run", signal), *SHORT, folder=tmp_path)
+    assert answer.code == code
+    assert answer.err == f"rthyb: {words}; nothing was written\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_test_under_nohup_survives_the_closed_terminal(tmp_path: Path) -> None:
+    ignore = "import signal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+    code = ignore + signalled("experiment", "run", "SIGHUP")
+    assert python(code, *SHORT, folder=tmp_path).code == 0
+
+
+def test_ctrl_c_that_a_library_swallows_is_obeyed_all_the_same(tmp_path: Path) -> None:
+    swallow = (
+        "import os, signal, weakref\nfrom rthyb_rt import experiment\nreal = experiment.prepare\n"
+        "class Thing: pass\n"
+        "def callback(_):\n    os.kill(os.getpid(), signal.SIGINT)\n    [None for _ in range(9)]\n"
+        "def changed(*arguments):\n    thing = Thing()\n    watch = weakref.ref(thing, callback)\n"
+        "    del thing\n    return real(*arguments)\n"
+        "experiment.prepare = changed\n"
+    )
+    answer = python(swallow, *SHORT, folder=tmp_path)
+    assert answer.code == 130
+    assert answer.err.startswith("rthyb: interrupted; written: runs/")
+    assert len(answer.err.splitlines()) == 1
+
+
+def _stage(parent: Path, pid: int) -> Path:
+    folder = parent / f".plate-20260301T101500Z.{pid}.part"
+    folder.mkdir(parents=True)
+    (folder / "recording.h5").write_text("half")
+    return folder
+
+
+def test_folder_of_a_killed_run_is_swept_by_the_next(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        pass
+    killed, lives = _stage(tmp_path, ended.pid), _stage(tmp_path, os.getppid())
+    other = tmp_path / ".holiday.part"
+    other.mkdir()
+    with folders.staged(tmp_path / "next"):
+        assert not killed.exists()
+    assert lives.exists()
+    assert other.exists()
+
+
+def test_folder_of_a_run_in_another_container_is_not_swept(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        pass
+    folder = _stage(tmp_path, ended.pid)
+    descriptor = os.open(folder, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    with folders.staged(tmp_path / "next"):
+        assert folder.exists()
+    os.close(descriptor)
+
+
+# ---- files that are none ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("load", [config.load_test, config.load_rig])
+def test_device_pipe_or_huge_file_is_no_configuration(load: object, tmp_path: Path) -> None:
+    assert callable(load)
+    os.mkfifo(tmp_path / "pipe.toml")
+    with (tmp_path / "huge.toml").open("wb") as file:
+        file.truncate(10**7 + 1)
+    for path, words in (
+        ("/dev/zero", "/dev/zero: cannot be read .it is not a regular file"),
+        (tmp_path / "pipe.toml", "pipe.toml: cannot be read .it is not a regular file"),
+        (tmp_path / "huge.toml", "huge.toml: is larger than 10 MB"),
+    ):
+        with pytest.raises(InputError, match=words):
+            load(path)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("run",), ("check",), ("identify",), ("run", "--rig"), ("replay",)],
+)
+def test_device_in_place_of_a_file_is_refused(rthyb: Rthyb, command: tuple[str, ...]) -> None:
+    answer = rthyb(*command, "/dev/zero")
+    assert answer.code == 3
+    assert re.fullmatch(r"rthyb: /dev/zero: .*no.* regular file.*\n", answer.err)
+
+
+def test_at2_file_without_its_npts_line_is_told_so(tmp_path: Path) -> None:
+    rows = "  .1000E-02  .2000E-02 -.1000E-02  .3000E-02  .1000E-02\n" * 40
+    head = "PEER STRONG MOTION DATABASE RECORD\nCHI-CHI, TCU068\nACCELERATION IN UNITS OF G\n"
+    (tmp_path / "a.txt").write_text(head + rows)
+    (tmp_path / "b.AT2").write_text(rows)
+    for name in ("a.txt", "b.AT2"):
+        with pytest.raises(InputError, match="no line with NPTS and DT") as refused:
+            ground_motion.read(tmp_path / name)
+        assert "columns" not in str(refused.value)
+
+
+def test_two_columns_in_a_file_named_at2_are_read(tmp_path: Path) -> None:
+    rows = "".join(f"{0.01 * n:.2f} {0.1 * (-1) ** n}\n" for n in range(100))
+    (tmp_path / "a.AT2").write_text("# time_s acc_g\n" + rows)
+    assert ground_motion.read(tmp_path / "a.AT2").dt_s == pytest.approx(0.01)
+
+
+# ---- the core that is rebuilt on import ---------------------------------------------------------
+
+NO_CORE = """
+import subprocess, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "rthyb_rt._core":
+            raise {fault}
+sys.meta_path.insert(0, Finder())
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (
+            "PermissionError(13, 'Permission denied', '/lab/build/editable_rebuild.lock')",
+            "sources that you may not write: run as their owner, or install the wheel",
+        ),
+        (
+            "subprocess.CalledProcessError(1, ['cmake', '--build', '.'])",
+            "the C core does not build, see above",
+        ),
+    ],
+)
+@pytest.mark.parametrize("command", [("run",), ("--version",)])
+def test_core_that_cannot_be_rebuilt_is_explained(
+    tmp_path: Path, fault: str, words: str, command: tuple[str, ...]
+) -> None:
+    answer = python(NO_CORE.format(fault=fault), *command, folder=tmp_path)
+    assert answer.code == 1
+    (line,) = answer.err.splitlines()
+    assert words in line
+    assert "report" not in line
+
+
+# ---- options ------------------------------------------------------------------------------------
+
+
+def test_plain_numbers_of_identify_are_millimetres_and_hertz(rthyb: Rthyb) -> None:
+    plain = rthyb(
+        "identify", "delay-10-elastic", "--amplitude", "1.5", "--max-frequency", "2", "--json"
+    )
+    tones = json.loads(plain.out)["tones"]
+    assert [tone["frequency_hz"] for tone in tones] == [0.5, 1.0, 1.5, 2.0]
+    assert tones[0]["amplitude_m"] == pytest.approx(1.5e-3, rel=1e-3)
+
+
+def test_word_that_is_none_of_a_choice_is_answered_with_the_choice(rthyb: Rthyb) -> None:
+    for command in (("reproduce", "3"), ("schema", "rigg")):
+        answer = rthyb(*command)
+        assert answer.code == 2
+        assert f"'{command[1]}' is not one of" in answer.err
+        assert "Value error" not in answer.err
+
+
+def test_full_and_short_csv_do_not_replace_each_other(rthyb: Rthyb, tmp_path: Path) -> None:
+    assert rthyb(*SHORT, "--out", "x").code == 0
+    assert rthyb("export", "x", "--csv").out == "x/recording.csv\n"
+    assert rthyb("export", "x", "--csv", "--full").out == "x/recording-full.csv\n"
+    assert rthyb("export", "x/recording.h5", "--csv", "--full").out == "x/recording-full.csv\n"
+    short = (tmp_path / "x" / "recording.csv").read_text().splitlines()[0]
+    assert short == "t,ag,x_num,x_cmd,x_meas,f_meas"
+
+
+@pytest.mark.parametrize(
+    ("setting", "example"),
+    [
+        ("rig.actuator.kind=pure-delay", "rig.actuator={ kind = \"pure-delay\", delay_samples ="),
+        ("rig.specimen.0.element=gap", "rig.specimen.0={ element = \"gap\", k_n_per_m ="),
+    ],
+)  # fmt: skip
+def test_new_kind_of_actuator_gets_one_hint_to_set_the_whole_table(
+    rthyb: Rthyb, setting: str, example: str
+) -> None:
+    answer = rthyb(*SHORT, "--set", setting)
+    assert answer.code == 3
+    (line,) = answer.err.splitlines()
+    assert f"--set '{example}" in line
+
+
+def test_hinted_table_with_its_values_runs(rthyb: Rthyb) -> None:
+    hint = rthyb(*SHORT, "--set", "rig.actuator.kind=pure-delay").err
+    found = re.search(r"--set '(.*?)'", hint)
+    assert found
+    assert rthyb(*SHORT, "--set", found[1].replace("...", "3")).code == 0
+
+
+def test_help_cuts_no_summary_and_has_the_code_of_an_interrupt(rthyb: Rthyb) -> None:
+    text = rthyb("--help").out
+    assert not [line for line in text.splitlines() if re.search(r"[a-z]\.\.\.$", line)]
+    assert " 130  interrupted" in text
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "words"),
+    [
+        (("run", "nowhere.toml"), 3, "no such file"),
+        (("check", "nowhere.toml"), 3, "no such file"),
+        (("replay", "nowhere"), 3, "does not exist"),
+        (("identify", "nowhere.toml"), 3, "come with the program"),
+        (("reproduce", "4.2", "--record", "nowhere.txt"), 3, "no such file"),
+        (("reproduce", "3"), 2, "is not one of"),
+        (("identify", "delay-10-elastic", "--amplitude", "0"), 2, "0.01 mm to 1 m"),
+    ],
+)
+def test_refusal_is_a_json_document_for_programs(
+    rthyb: Rthyb, command: tuple[str, ...], code: int, words: str
+) -> None:
+    plain = rthyb(*command)
+    answer = rthyb(*command, "--json")
+    assert answer.code == plain.code == code
+    assert plain.out == ""
+    document = json.loads(answer.out)
+    assert document["ok"] is False
+    assert words in document["problems"][0]["message"]
+    assert set(document["problems"][0]) == {"where", "message"}
+
+
+# ---- streams ------------------------------------------------------------------------------------
+
+
+def test_reader_of_the_first_line_does_not_cost_the_report(tmp_path: Path) -> None:
+    done = subprocess.run(
+        ["bash", "-c", f'"{PROGRAM}" run --set test.duration_s=3 --out x | head -c 1;'
+         "exit ${PIPESTATUS[0]}"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "x" / "report.html").exists()
+
+
+def test_gone_reader_is_no_error_and_the_command_goes_on(tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [str(PROGRAM), *SHORT, "--set", "limits.force_n=1000", "--out", "x"],
+        cwd=tmp_path, stdout=writer, stderr=subprocess.PIPE, timeout=60, check=False,
+    )  # fmt: skip
+    os.close(writer)
+    # Code 6, the limit, is the command's own.
+    assert (done.returncode, done.stderr) == (6, b"")
+
+
+def test_full_device_behind_stdout_is_told_with_the_place_of_the_recording(tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [str(PROGRAM), "run", "--set", "test.duration_s=3", "--out", "x"],
+            cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False,
+        )  # fmt: skip
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("rthyb: stdout cannot be written (No space left on device); written: ")
+    assert "x/recording.h5" in line
+    assert "x/report.html" in line
+
+
+def test_home_that_cannot_be_written_is_no_news(tmp_path: Path) -> None:
+    home = {"HOME": "/dev/null/nobody", "XDG_CONFIG_HOME": "", "XDG_CACHE_HOME": ""}
+    answer = python("", "run", "--set", "test.duration_s=3", "--out", "x", folder=tmp_path, **home)
+    assert (answer.code, answer.err) == (0, "")
+    assert (tmp_path / "x" / "report.html").exists()
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_terminal_without_greek_letters_reads_ascii_in_their_place(
+    tmp_path: Path, encoding: str
+) -> None:
+    done = subprocess.run(
+        [str(PROGRAM), "check", str(config.builtin_test_path().with_name("section4.2.toml"))],
+        cwd=tmp_path, env={**os.environ, "PYTHONIOENCODING": encoding}, capture_output=True,
+        timeout=60, check=False,
+    )  # fmt: skip
+    text = done.stdout.decode(encoding)
+    assert "\\" not in text
+    assert "|C(-1)|" in text
+    squared = "^2" if encoding == "ascii" else "²"
+    assert f"gamma alpha phi{squared} / (1 + phi{squared})" in text
+
+
+def test_columns_stay_columns_without_greek_letters(tmp_path: Path) -> None:
+    answer = python(
+        "", "identify", "delay-10-elastic", "--max-frequency", "2", folder=tmp_path,
+        PYTHONIOENCODING="ascii",
+    )  # fmt: skip
+    rows = answer.out[answer.out.index("alpha ") :].splitlines()[:9]
+    assert "samples^2" in rows[2]
+    for gap in (r"  +(?=\S)", r"  +\S.*?  +(?=\S)"):
+        assert len({match.end() for row in rows if (match := re.search(gap, row))}) == 1
+
+
+def test_every_sign_of_the_program_has_one_in_ascii() -> None:
+    package = Path(cli.__file__).parents[1]
+    sources = [
+        *(package / "cli").glob("*.py"), *(package / "studies").glob("*.py"),
+        package / "summary.py", package / "identify.py", package / "jitter.py",
+    ]  # fmt: skip
+    left = {
+        sign
+        for source in sources
+        for sign in streams.in_ascii(source.read_text(encoding="utf-8"))
+        if not sign.isascii()
+    }
+    assert left <= {"\u00ef"}
+
+
+def test_json_is_the_same_document_on_a_stream_without_greek_letters(tmp_path: Path) -> None:
+    arguments = ("reproduce", "2.1", "--json", "--out")
+    plain = python("", *arguments, "a", folder=tmp_path, PYTHONIOENCODING="ascii")
+    rich = python("", *arguments, "b", folder=tmp_path)
+    assert plain.out.isascii()
+    assert json.loads(plain.out)["rows"] == json.loads(rich.out)["rows"]
+
+
+# ---- narrow terminals ---------------------------------------------------------------------------
+
+
+def on_a_terminal(columns: int, *arguments: str, folder: Path) -> str:
+    """Return what a command writes to a terminal of so many columns."""
+    outer, inner = pty.openpty()
+    fcntl.ioctl(inner, termios.TIOCSWINSZ, struct.pack("HHHH", 30, columns, 0, 0))
+    env = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "FORCE_COLOR")}
+    with subprocess.Popen(
+        [str(PROGRAM), *arguments], cwd=folder, stdout=inner, stderr=inner,
+        env={**env, "TERM": "xterm", "NO_COLOR": "1"},
+    ):  # fmt: skip
+        os.close(inner)
+        text = b""
+        try:
+            while block := os.read(outer, 65536):
+                text += block
+        except OSError:
+            # A terminal whose other side has closed reads as an error.
+            pass
+    os.close(outer)
+    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text.decode()).replace("\r\n", "\n")
+
+
+@pytest.mark.parametrize("columns", [40, 60, 80])
+def test_progress_stays_on_one_line(tmp_path: Path, columns: int) -> None:
+    shown = on_a_terminal(columns, *SHORT, folder=tmp_path).split("section5")[0]
+    states = [state for state in re.split(r"[\r\n]", shown) if state.strip()]
+    assert states
+    for state in states:
+        assert state.startswith("Testing")
+        assert len(state) <= columns
+        assert re.search(r"\d of 3 s", state)
+        assert re.search(r"(\d|--):\S\S$", state.rstrip())
+
+
+@pytest.mark.parametrize("columns", [40, 60, 80])
+def test_result_on_a_narrow_terminal_breaks_no_word(tmp_path: Path, columns: int) -> None:
+    wide = on_a_terminal(200, *SHORT, "--out", "a", folder=tmp_path)
+    narrow = on_a_terminal(columns, *SHORT, "--out", "b", folder=tmp_path)
+    table = narrow.split("\n\n")[1]
+    assert max(len(line) for line in table.splitlines()) <= columns
+    assert set(table.split()) <= set(wide.split())
+    assert "Tracking, largest difference" in table
+
+
+def test_table_of_many_columns_on_a_narrow_terminal_is_told_row_by_row(tmp_path: Path) -> None:
+    text = on_a_terminal(
+        40, "identify", "delay-10-elastic", "--max-frequency", "1", folder=tmp_path
+    )
+    assert "frequency, Hz: 0.5\n  amplitude, mm: 2.00\n  gain: " in text
+    assert "  delay, samples: 10.00\n" in text
+
+
+def test_closed_stdout_is_left_as_it_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = sys.stdout, sys.stderr
+    assert cli.main(["schema", "rig"]) == 0
+    assert (sys.stdout, sys.stderr) == before

@@ -1,0 +1,863 @@
+"""The tick from wire to wire: loop, link and virtual drive, on the stepped clock.
+
+Controller and drive speak real frames over an AF_UNIX socket pair (CAN frames) and over a pty
+(serial packets). Every fault is asserted with the state, the first cause, the counters and the
+frames that the drive saw.
+"""
+
+from __future__ import annotations
+
+import array
+import fcntl
+import os
+import socket
+import struct
+import termios
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recording_data import recording as made_up_recording
+from rthyb_rt._core import lib
+
+from rthyb_rt import core, loop, ticker
+from rthyb_rt.errors import RthybError
+from rthyb_rt.links import wire
+from rthyb_rt.ring import Reader, Ring
+
+H = core.PERIOD_S
+K_N_PER_M, MASS_KG, DELAY = 666400.0, 4220.0, 6
+ORIGIN_M, FORCE_BIAS_N = 0.0123, 45.0
+FLAGS = {name: 1 << bit for bit, name in enumerate(core.FLAG_NAMES)}
+STATE = {name: number for number, name in enumerate(core.STATE_NAMES)}
+CAN_FRAME: Final = struct.Struct("=IB3x8s")
+BUS_OFF: Final = 0x2000_0040
+BUS_STATE: Final = 0x2000_0200
+
+
+def shaking(seconds: float) -> np.ndarray:
+    t = np.arange(round(seconds * core.FS_HZ)) * H
+    return np.asarray(0.3 * np.sin(2 * np.pi * 1.7 * t) * np.sin(np.pi * t / seconds) ** 2)
+
+
+def config(**changes: Any) -> core.StationConfig:
+    law = changes.pop("estimator", core.EstimatorConfig(law="gradient", gain=0.03, alpha0=6.0))
+    controller = core.ControllerConfig(
+        estimator=law,
+        rfc=core.RfcConfig(k_e_n_per_m=K_N_PER_M, window=51),
+        motion=core.MotionConfig(
+            "central-difference", mass_kg=MASS_KG, damping_n_s_per_m=2121.0, k_e_n_per_m=K_N_PER_M
+        ),
+        velocity_limit_m_per_s=0.5,
+    )
+    base: dict[str, Any] = {"tare_ticks": 64, "ramp_in_ticks": 256, "armed_ticks": 500}
+    return core.StationConfig(controller=controller, **(base | changes))
+
+
+def watched(name: str, value: float, reaction: core.Reaction) -> dict[str, Any]:
+    return {"watches": {name: core.Watch(value, reaction)}}
+
+
+def rig(bias_n: float = FORCE_BIAS_N) -> core.Rig:
+    return core.Rig(
+        core.RigConfig(
+            core.ServoConfig("pure-delay", delay_samples=DELAY),
+            (core.element("stiffness", k_n_per_m=K_N_PER_M),),
+            force=core.SensorConfig(bias=bias_n),
+        )
+    )
+
+
+class Bench:
+    """Controller and drive in lockstep; what both of them wrote down."""
+
+    def __init__(
+        self,
+        medium: str = "socketpair",
+        *,
+        seconds: float = 2.0,
+        send_buffer: int = 0,
+        ring: Ring | None = None,
+        clock: ticker.Clock = "stepped",
+        **changes: Any,
+    ) -> None:
+        self.owned = ExitStack()
+        self.is_pty = medium == "pty"
+        ours, theirs = self._pty() if self.is_pty else self._sockets(send_buffer)
+        kind: loop.Kind = "stream" if self.is_pty else "can"
+        codec = wire.serial() if self.is_pty else wire.can()
+        self.link, self.far = loop.Link(kind, ours), loop.Link(kind, theirs)
+        self.owned.callback(self.link.close)
+        self.owned.callback(self.far.close)
+        self.station = core.Station(config(**changes), shaking(seconds))
+        self.wire = wire.Wire(codec)
+        self.loop = loop.Loop(self.station, self.wire, self.link, ring, clock)
+        self.drive = loop.Drive(rig(), codec, self.far, origin_m=ORIGIN_M, log_ticks=60000, seed=1)
+        self.records: list[np.ndarray] = []
+
+    def _pty(self) -> tuple[int, int]:
+        master, slave = os.openpty()
+        for fd in (master, slave):
+            tty.setraw(fd)
+            os.set_blocking(fd, False)
+        self.ends = [slave, master]
+        self.owned.callback(self.unplug)
+        return slave, master
+
+    def _sockets(self, send_buffer: int) -> tuple[int, int]:
+        pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        if send_buffer:
+            pair[0].setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer)
+        self.ends = [end.detach() for end in pair]
+        self.owned.callback(self.unplug)
+        return self.ends[0], self.ends[1]
+
+    def unplug(self) -> None:
+        """Close what the links were opened on."""
+        while self.ends:
+            os.close(self.ends.pop())
+
+    def __enter__(self) -> Bench:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.owned.close()
+
+    def arrived(self, at: loop.Link, from_: loop.Link) -> None:
+        """A pty moves its bytes when the kernel likes: wait for them, however late."""
+        if not self.is_pty or at.fd < 0 or from_.fd < 0:
+            return
+        waiting, end = array.array("i", [0]), time.monotonic() + 10.0
+        wanted = from_.counters()["bytes_out"] - at.counters()["bytes_in"]
+        while waiting[0] < wanted:
+            fcntl.ioctl(at.fd, termios.FIONREAD, waiting)
+            assert time.monotonic() < end, f"{waiting[0]} of {wanted} bytes came"
+
+    def drive_ticks(self, n: int = 1) -> None:
+        for _ in range(n):
+            self.arrived(self.far, self.link)
+            self.drive.tick()
+
+    def step(self, command: core.Command = "none", *, skipped: int = 0, beat: bool = True) -> None:
+        """One executed tick; the drive lives through the skipped ones as well."""
+        self.drive_ticks(skipped + 1)
+        self.tick(command, skipped=skipped, beat=beat)
+
+    def tick(self, command: core.Command = "none", *, skipped: int = 0, beat: bool = True) -> None:
+        """One tick of the controller alone."""
+        if beat:
+            self.loop.beat()
+        generation = None if command == "none" else self.loop.command(command)
+        self.arrived(self.link, self.far)
+        self.loop.step(skipped)
+        self.records.append(self.loop.records)
+        self.refused = False
+        if generation is not None:
+            answer = self.loop.answer(generation)
+            assert answer is not None
+            assert answer[1] == self.loop.counts.elapsed - 1
+            self.refused = not answer[0]
+
+    def steps(self, n: int) -> None:
+        for _ in range(n):
+            self.step()
+
+    def until(self, state: str, most: int = 20000) -> None:
+        for _ in range(most):
+            if self.loop.state == state:
+                return
+            self.step()
+        raise AssertionError(f"never reached {state}, stayed in {self.loop.state}")
+
+    def running(self, ticks: int = 300) -> Bench:
+        self.steps(3)
+        self.step("zero")
+        self.until("ZEROED")
+        self.step("arm")
+        self.step("start")
+        self.until("RUNNING")
+        self.steps(ticks)
+        assert self.loop.state == "RUNNING"
+        return self
+
+    def fault(self, kind: loop.FaultKind, ticks: int = 1, value: float = 1.0) -> None:
+        """From the drive's next tick on."""
+        self.drive.schedule([loop.Fault(kind, self.drive.ticks, ticks, value)])
+
+    def rows(self) -> np.ndarray:
+        return np.concatenate(self.records)
+
+    def last_flags(self) -> int:
+        return int(self.records[-1]["flags"][-1])
+
+
+@pytest.fixture(params=["socketpair", "pty"])
+def medium(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def bench(medium: str) -> Iterator[Bench]:
+    with Bench(medium) as made:
+        yield made
+
+
+def assert_adds_up(bench: Bench) -> None:
+    """No tick without its record, no record without its tick, no command without a sender."""
+    counts, counters, rows = bench.loop.counts, bench.loop.counters(), bench.rows()
+    assert counts.executed + counts.skipped == counts.elapsed
+    assert counters["records"] == rows.size
+    assert counters["sent"] == bench.link.counters()["pieces_out"]
+    not_sent = np.count_nonzero(rows["flags"] & FLAGS["not_sent"])
+    assert counters["sent"] == rows.size - not_sent
+
+
+def assert_drive_was_treated_well(bench: Bench) -> None:
+    """Never a burst, never a number that is none, three frames with one position after a trip."""
+    log = bench.drive.log
+    heard = log[log["frames"] > 0]
+    assert heard["frames"].max() == 1
+    assert log["refused"].max() == 0
+    assert np.isfinite(log["target_m"]).all()
+    assert np.isfinite(heard["x_m"]).all()
+    tripped = np.flatnonzero(heard["state"] == STATE["TRIPPED"])
+    if tripped.size:
+        first = tripped[0]
+        assert tripped.size == 3
+        assert heard.size == first + 3
+        assert np.ptp(heard["x_m"][first - 1 :]) == 0.0
+
+
+def stop_begins(bench: Bench) -> int:
+    """The drive's tick in which its stop began."""
+    log = bench.drive.log
+    following = np.flatnonzero(log["phase"] == loop.PHASES.index("following"))
+    return int(following[-1]) + 1
+
+
+def assert_tripped(bench: Bench, cause: str, drive_listens: bool = True) -> None:
+    """Latched, with its first cause; three frames, then silence; the drive stands."""
+    assert bench.loop.state == "TRIPPED"
+    assert bench.loop.cause == cause
+    bench.steps(60)
+    for command in ("start", "stop", "arm", "zero"):
+        bench.step(command)  # type: ignore[arg-type]
+        assert bench.refused
+    assert (bench.loop.state, bench.loop.cause) == ("TRIPPED", cause)
+    assert_adds_up(bench)
+    assert_drive_was_treated_well(bench)
+    assert bench.drive.phase == "stopped"
+    log = bench.drive.log
+    told = np.flatnonzero((log["state"] == STATE["TRIPPED"]) & (log["frames"] > 0))
+    assert told.size == (3 if drive_listens else 0)
+    if drive_listens:
+        assert stop_begins(bench) <= told[0] + 1
+    assert log["silent"][stop_begins(bench)] <= loop.WATCHDOG_TICKS
+
+
+# ---- an ordinary day ----------------------------------------------------------------------------
+
+
+def test_sunny_day_over_the_wire_goes_from_idle_back_to_idle(bench: Bench) -> None:
+    bench.running(0)
+    bench.until("RAMP_OUT")
+    assert bench.loop.cause == "completed"
+    bench.until("IDLE")
+    bench.steps(50)
+    rows = bench.rows()
+    np.testing.assert_array_equal(rows["tick"], np.arange(rows.size))
+    assert set(rows["state"]) == {STATE[s] for s in core.STATE_NAMES} - {
+        STATE["HOLD"],
+        STATE["TRIPPED"],
+    }
+    assert bench.station.tare == pytest.approx((ORIGIN_M, FORCE_BIAS_N), abs=1e-8)
+    assert rows["x_num_m"][-1] == 0.0
+    assert bench.drive.phase == "following"
+    assert bench.loop.counters()["slips"] == 0
+    assert bench.wire.counters()["pairs"] == rows.size
+    assert_adds_up(bench)
+    assert_drive_was_treated_well(bench)
+
+
+def test_recorded_command_is_what_the_drive_decoded_to_the_last_bit(bench: Bench) -> None:
+    bench.running(700)
+    rows, log = bench.rows(), bench.drive.log
+    begin = int(np.flatnonzero(rows["state"] == STATE["ARMED"])[0])
+    decoded = log["x_m"][begin:] - bench.station.tare[0]
+    np.testing.assert_array_equal(rows["x_cmd_m"][begin:], decoded)
+    np.testing.assert_array_equal(log["target_m"][begin:], log["x_m"][begin:])
+    assert np.ptp(decoded) > 1e-3
+
+
+def test_record_has_due_time_echo_count_and_raw_reading_of_its_tick(bench: Bench) -> None:
+    bench.running(100)
+    rows, log = bench.rows(), bench.drive.log
+    due = [n * 1953125 // 2 for n in range(rows.size)]
+    np.testing.assert_array_equal(rows["due_ns"], due)
+    np.testing.assert_array_equal(rows["count"], np.arange(rows.size) % 256)
+    np.testing.assert_array_equal(rows["echo"], log["seq"] % 256)
+    running = rows[rows["state"] == STATE["RUNNING"]]
+    np.testing.assert_allclose(
+        running["x_raw"] * 1e-9 - bench.station.tare[0], running["x_meas_m"], atol=1e-15
+    )
+    np.testing.assert_allclose(
+        running["f_raw"] * 1e-3 - bench.station.tare[1], running["f_meas_n"], atol=1e-9
+    )
+
+
+def test_running_part_is_what_the_virtual_test_computes(bench: Bench) -> None:
+    bench.running(0)
+    bench.until("RAMP_OUT")
+    rows = bench.rows()
+    rows = rows[rows["state"] == STATE["RUNNING"]]
+    expected = np.zeros(rows.size, core.RECORD_DTYPE)
+    core.Controller(config().controller).run_virtual(rig(0.0), shaking(2.0), expected)
+    # The wire rounds displacement to 1 nm and force to 1 mN.
+    np.testing.assert_allclose(rows["x_meas_m"], expected["x_meas_m"], atol=3e-7)
+    np.testing.assert_array_equal(rows["ag_mps2"], expected["ag_mps2"])
+
+
+@pytest.mark.parametrize("late", [0, 1, 3])
+def test_alpha_minus_link_delay_is_the_rigs_own_delay(medium: str, late: int) -> None:
+    law = core.EstimatorConfig(law="rls", estimate_beta=True, alpha0=4.0, beta0=8.0)
+    with Bench(medium, seconds=4.0, estimator=law) as bench:
+        bench.drive.schedule([loop.Fault("delay", 0, 100000, late)])
+        bench.running(0)
+        bench.until("RAMP_OUT")
+        running = bench.rows()[bench.rows()["state"] == STATE["RUNNING"]]
+        assert bench.loop.link_delay == late
+        assert running["alpha"][-1] - late == pytest.approx(DELAY, abs=0.1)
+
+
+def test_every_record_reaches_the_ring(medium: str, tmp_path: Path) -> None:
+    ring = Ring.create(tmp_path, made_up_recording(), capacity=4096)
+    with Bench(medium, ring=ring) as bench, Reader(ring.path) as reader:
+        bench.running(50)
+        bench.step(skipped=3)
+        np.testing.assert_array_equal(reader.read().samples, bench.rows())
+    ring.remove()
+
+
+# ---- commands -----------------------------------------------------------------------------------
+
+
+def test_command_is_answered_once_with_its_tick() -> None:
+    with Bench() as bench:
+        bench.steps(3)
+        generation = bench.loop.command("start")
+        assert generation == 1
+        assert bench.loop.answer(1) is None
+        assert bench.loop.command("zero") is None
+        bench.step()
+        assert bench.loop.answer(1) == (False, 3)
+        assert bench.loop.counters()["refused"] == 1
+        assert bench.loop.command("zero") == 2
+        bench.step()
+        assert bench.loop.answer(2) == (True, 4)
+
+
+def test_trip_takes_the_place_of_a_command_that_waits() -> None:
+    with Bench() as bench:
+        bench.running()
+        assert bench.loop.command("hold")
+        assert bench.loop.command("trip")
+        bench.step()
+        assert_tripped(bench, "signal")
+
+
+# ---- faults, row by row -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "counter"),
+    [
+        ("drop", "missed"),
+        ("delay", "superseded"),
+        ("duplicate", "duplicate"),
+        ("reorder", "reordered"),
+        ("corrupt", "bad_crc"),
+    ],
+)
+def test_one_bad_feedback_is_predicted_counted_and_flagged(
+    bench: Bench, kind: loop.FaultKind, counter: str
+) -> None:
+    bench.running()
+    before = bench.wire.counters()[counter]
+    bench.fault(kind, 1)
+    bench.step()
+    predicted = kind != "duplicate"
+    assert bool(bench.last_flags() & FLAGS["predicted"]) == predicted
+    bench.step()
+    assert bench.last_flags() & FLAGS["fresh"]
+    bench.steps(20)
+    assert bench.loop.state == "RUNNING"
+    assert bench.loop.cause == "none"
+    assert bench.wire.counters()[counter] > before
+    assert bench.loop.counters()["slips"] == 0
+    running = bench.rows()[bench.rows()["state"] == STATE["RUNNING"]]
+    np.testing.assert_array_equal(running["ag_mps2"], shaking(2.0)[: running.size])
+    assert_adds_up(bench)
+    assert_drive_was_treated_well(bench)
+
+
+def test_lone_displacement_frame_is_a_lost_sample() -> None:
+    with Bench() as bench:
+        bench.running()
+        bench.fault("drop-force", 1)
+        bench.step()
+        assert bench.last_flags() & FLAGS["predicted"]
+        bench.step()
+        assert bench.last_flags() & FLAGS["fresh"]
+        assert bench.wire.counters()["lone"] == 1
+        assert bench.loop.state == "RUNNING"
+
+
+@pytest.mark.parametrize("kind", ["drop", "corrupt"])
+def test_three_to_nineteen_bad_feedbacks_freeze_alpha(bench: Bench, kind: loop.FaultKind) -> None:
+    bench.running()
+    bench.fault(kind, 19)
+    for n in range(19):
+        bench.step()
+        assert bool(bench.last_flags() & FLAGS["frozen"]) == (n >= 2)
+    bench.step()
+    assert bench.last_flags() & FLAGS["fresh"]
+    assert bench.loop.state == "RUNNING"
+    assert_drive_was_treated_well(bench)
+
+
+@pytest.mark.parametrize("kind", ["drop", "corrupt"])
+def test_twenty_bad_feedbacks_trip_link_lost(bench: Bench, kind: loop.FaultKind) -> None:
+    bench.running()
+    bench.fault(kind, 20)
+    bench.steps(19)
+    assert bench.loop.state == "RUNNING"
+    bench.step()
+    assert_tripped(bench, "link_lost")
+
+
+def test_drive_without_power_for_long_trips_link_lost(bench: Bench) -> None:
+    bench.running()
+    bench.fault("silence", 40)
+    bench.steps(20)
+    assert_tripped(bench, "link_lost", drive_listens=False)
+
+
+def test_reading_that_is_no_number_trips_and_is_never_sent(bench: Bench) -> None:
+    bench.running()
+    bench.fault("not-finite", 1)
+    bench.step()
+    last = bench.records[-1][-1]
+    assert last["x_raw"] == np.iinfo(np.int32).min
+    assert bench.wire.counters()["not_finite"] == 1
+    assert np.isfinite(last["x_meas_m"])
+    assert_tripped(bench, "not_finite")
+
+
+def test_stuck_sensor_ramps_out(medium: str) -> None:
+    with Bench(medium, **watched("sensor_stuck", 100, "ramp-out")) as bench:
+        bench.running(700)
+        bench.fault("stuck", 120)
+        bench.steps(120)
+        assert bench.loop.state == "RAMP_OUT"
+        assert bench.loop.cause == "sensor_stuck"
+        bench.until("IDLE")
+        assert_drive_was_treated_well(bench)
+
+
+def test_jumping_sensor_ramps_out_and_the_jump_is_not_taken(medium: str) -> None:
+    with Bench(medium, **watched("sensor_jump", 0.003, "ramp-out")) as bench:
+        bench.running()
+        bench.fault("jump", 1, 0.05)
+        bench.step()
+        assert bench.loop.state == "RAMP_OUT"
+        assert bench.loop.cause == "sensor_jump"
+        assert abs(bench.records[-1]["x_meas_m"][-1]) < 0.02
+        bench.until("IDLE")
+        assert_drive_was_treated_well(bench)
+
+
+def test_force_limit_trips(medium: str) -> None:
+    with Bench(medium, **watched("force", 5e4, "trip")) as bench:
+        bench.running()
+        bench.fault("force", 1, 6e4)
+        bench.step()
+        assert_tripped(bench, "force")
+
+
+def test_other_end_that_closes_trips_link_down(bench: Bench) -> None:
+    bench.running()
+    bench.unplug()
+    bench.far.close()
+    for _ in range(3):
+        bench.tick()
+    assert bench.loop.state == "TRIPPED"
+    assert bench.loop.cause == "link_down"
+    assert bench.link.down in ("hung-up", "device-gone")
+    for _ in range(50):
+        bench.tick()
+    assert (bench.loop.state, bench.loop.cause) == ("TRIPPED", "link_down")
+    counters = bench.loop.counters()
+    assert counters["not_sent"] == 3
+    assert counters["down"] > 50
+    assert_adds_up(bench)
+    assert_drive_was_treated_well(bench)
+
+
+def test_bus_off_trips_and_stays_tripped_when_the_bus_is_back() -> None:
+    with Bench() as bench:
+        bench.running()
+        bench.drive_ticks()
+        os.write(bench.ends[1], CAN_FRAME.pack(BUS_OFF, 8, bytes(8)))
+        bench.tick()
+        assert bench.link.down == "bus-off"
+        assert bench.link.counters()["error_frames"] == 1
+        assert bench.loop.state == "TRIPPED"
+        bench.step()
+        assert bench.link.down == "up"
+        assert_tripped(bench, "link_down")
+
+
+def test_bus_off_that_is_over_within_a_tick_trips_all_the_same() -> None:
+    with Bench() as bench:
+        bench.running()
+        os.write(bench.ends[1], CAN_FRAME.pack(BUS_OFF, 8, bytes(8)))
+        bench.step()
+        assert bench.link.down == "up"
+        assert_tripped(bench, "link_down")
+
+
+@pytest.mark.parametrize("size", [1, 15, 17, 71, 73, 100])
+def test_packet_that_is_no_can_frame_is_passed_over(size: int) -> None:
+    with Bench() as bench:
+        bench.running()
+        os.write(bench.ends[1], bytes(size))
+        bench.steps(5)
+        assert bench.loop.state == "RUNNING"
+        assert bench.wire.counters()["other_id"] == 0
+
+
+def test_frame_whose_length_is_a_lie_is_not_read_beyond_its_end() -> None:
+    with Bench() as bench:
+        bench.running()
+        os.write(bench.ends[1], CAN_FRAME.pack(wire.ACT_FB, 255, bytes(8)))
+        bench.steps(5)
+        assert bench.wire.counters()["bad_length"] == 1
+        assert bench.loop.state == "RUNNING"
+
+
+def test_error_report_that_is_not_bus_off_is_counted_and_nothing_else() -> None:
+    with Bench() as bench:
+        bench.running()
+        before = bench.loop.counters()["down"]
+        os.write(bench.ends[1], CAN_FRAME.pack(BUS_STATE, 8, bytes(8)))
+        bench.steps(5)
+        assert bench.link.counters()["error_frames"] == 1
+        assert bench.loop.state == "RUNNING"
+        assert bench.loop.counters()["down"] == before
+
+
+def test_full_send_queue_is_a_lost_command_and_never_blocks() -> None:
+    with Bench(send_buffer=1) as bench:
+        bench.running(700)
+        for _ in range(15):  # the drive does not read meanwhile
+            bench.tick()
+        assert bench.loop.state == "RUNNING"
+        lost = bench.link.counters()["no_room"]
+        assert 0 < lost < 15
+        assert bench.loop.counters()["not_sent"] == lost
+        flagged = bench.rows()[-lost:]
+        assert (flagged["flags"] & FLAGS["not_sent"]).all()
+        assert np.ptp(flagged["x_cmd_m"][1:]) == 0.0
+        bench.steps(30)
+        rows, log = bench.rows(), bench.drive.log
+        assert rows["x_cmd_m"][-1] == log["x_m"][-1] - bench.station.tare[0]
+        steps = np.abs(np.diff(log["target_m"][log["frames"] == 1]))
+        assert steps.max() <= 0.5 * H + 2e-9
+        assert bench.loop.state == "RUNNING"
+        assert_adds_up(bench)
+
+
+def test_drive_that_hears_nothing_stops_and_the_controller_trips(bench: Bench) -> None:
+    bench.running()
+    bench.fault("drop-command", 40)
+    bench.steps(19)
+    assert bench.drive.phase == "following"
+    bench.step()
+    assert bench.drive.phase in ("stopping", "stopped")
+    assert bench.loop.state == "TRIPPED"
+    bench.steps(40)
+    assert bench.loop.cause == "link_down"
+    assert bench.drive.phase == "stopped"
+
+
+def test_controller_that_is_killed_leaves_a_drive_that_stops_by_its_20th_tick(bench: Bench) -> None:
+    bench.running(700)
+    last = bench.drive.ticks
+    bench.drive_ticks(100)
+    assert stop_begins(bench) == last + loop.WATCHDOG_TICKS
+    assert bench.drive.phase == "stopped"
+
+
+def test_drive_brakes_at_its_own_deceleration_when_told_of_a_trip(bench: Bench) -> None:
+    bench.running(700)
+    bench.step("trip")
+    assert_tripped(bench, "signal")
+    log = bench.drive.log
+    begin = stop_begins(bench)
+    velocity = np.diff(log["target_m"])[begin - 2 : begin + 60] / H
+    assert abs(velocity[0]) > 5e-3
+    braking = velocity[: np.argmax(velocity == 0.0)]
+    np.testing.assert_allclose(np.diff(np.abs(braking[:-1])), -1.0 * H, atol=1e-9)
+
+
+def tell(bench: Bench, seq: int, state: str, x_m: float = 0.05) -> None:
+    """A command that does not come from the loop."""
+    frame, _ = wire.can().encode_setpoint(wire.Setpoint(x_m, seq % 65536, STATE[state]))
+    os.write(bench.ends[0], CAN_FRAME.pack(frame.id, len(frame.data), frame.data))
+
+
+def test_old_and_repeated_commands_neither_move_the_drive_nor_keep_it_going() -> None:
+    with Bench() as bench:
+        bench.running(700)
+        bench.drive_ticks()
+        last, begin = int(bench.drive.log["seq"][-1]), bench.drive.ticks
+        for n in range(30):
+            tell(bench, last - n, "RUNNING")
+            bench.drive_ticks()
+        assert stop_begins(bench) == begin - 1 + loop.WATCHDOG_TICKS
+        assert np.abs(np.diff(bench.drive.log["target_m"][begin - 1 :])).max() < 1e-4
+
+
+def test_drive_that_stands_waits_for_a_fresh_command_in_state_idle() -> None:
+    with Bench() as bench:
+        bench.running(700)
+        bench.drive_ticks(100)
+        stands, last = bench.drive.log["target_m"][-1], int(bench.drive.log["seq"][-1])
+        for n, state in enumerate(("RUNNING", "TRIPPED", "ZEROED", "RAMP_IN")):
+            tell(bench, last + 1 + n, state)
+            bench.drive_ticks()
+            assert bench.drive.phase == "stopped"
+        tell(bench, last + 4, "IDLE")
+        bench.drive_ticks()
+        assert bench.drive.phase == "stopped"
+        assert bench.drive.log["target_m"][-1] == stands
+        tell(bench, 1, "IDLE", x_m=float(stands))
+        bench.drive_ticks()
+        assert bench.drive.phase == "following"
+
+
+# ---- overruns -----------------------------------------------------------------------------------
+
+
+def test_one_overrun_is_skipped_and_counted(bench: Bench) -> None:
+    bench.running()
+    bench.step(skipped=1)
+    last = bench.records[-1]
+    assert last.size == 2
+    assert last["flags"][0] & FLAGS["blind"]
+    assert last["flags"][0] & FLAGS["not_sent"]
+    bench.steps(20)
+    rows = bench.rows()
+    np.testing.assert_array_equal(rows["tick"], np.arange(rows.size))
+    np.testing.assert_array_equal(rows["due_ns"], rows["tick"].astype(np.int64) * 1953125 // 2)
+    assert bench.loop.state == "RUNNING"
+    assert bench.loop.counters()["slips"] == 0
+    assert_adds_up(bench)
+    assert_drive_was_treated_well(bench)
+
+
+def test_burst_of_stalls_ramps_out(bench: Bench) -> None:
+    bench.running()
+    for _ in range(8):
+        bench.step(skipped=8)
+    assert bench.loop.cause == "skips"
+    assert bench.loop.state == "RAMP_OUT"
+    bench.until("IDLE")
+    assert_adds_up(bench)
+    assert_drive_was_treated_well(bench)
+
+
+@pytest.mark.parametrize("skipped", [20, 60])
+def test_stopped_process_trips_stalled_without_a_burst(bench: Bench, skipped: int) -> None:
+    bench.running()
+    bench.step(skipped=skipped)
+    assert bench.loop.state == "TRIPPED"
+    assert bench.loop.cause == "stalled"
+    bench.steps(60)
+    counts = bench.loop.counts
+    assert counts.executed + counts.skipped == counts.elapsed
+    assert counts.longest_skip == skipped
+    assert_drive_was_treated_well(bench)
+    assert bench.drive.phase == "stopped"
+    assert bench.drive.log["silent"][stop_begins(bench)] == loop.WATCHDOG_TICKS
+
+
+def test_silent_operators_side_ramps_out_after_a_second(medium: str) -> None:
+    with Bench(medium, seconds=4.0) as bench:
+        bench.running()
+        for _ in range(loop.HEARTBEAT_TICKS):
+            bench.step(beat=False)
+        assert bench.loop.state == "RUNNING"
+        bench.step(beat=False)
+        assert bench.loop.state == "RAMP_OUT"
+        assert bench.loop.cause == "heartbeat"
+        assert bench.loop.counters()["late_heartbeats"] == 1
+        bench.until("IDLE")
+
+
+def test_after_reset_the_drive_follows_again_and_a_test_can_be_run(bench: Bench) -> None:
+    bench.running()
+    bench.step("trip")
+    bench.steps(100)
+    stands = bench.drive.log["target_m"][-1]
+    bench.step("reset")
+    bench.steps(20)
+    assert bench.loop.state == "IDLE"
+    assert bench.drive.phase == "following"
+    assert bench.drive.log["target_m"][-1] == pytest.approx(stands, abs=1e-8)
+    bench.running(0)
+    bench.until("IDLE")
+    assert bench.loop.cause == "completed"
+
+
+@given(
+    script=st.lists(
+        st.tuples(
+            st.sampled_from(["none", "zero", "arm", "start", "hold", "resume", "stop", "reset"]),
+            st.integers(0, 24),
+            st.sampled_from(["drop", "corrupt", "duplicate", "reorder", "jump", "delay"]),
+            st.integers(1, 30),
+        ),
+        max_size=12,
+    )
+)
+@settings(max_examples=40, deadline=None)
+def test_any_script_adds_up_and_no_burst_ever_leaves(script: list[Any]) -> None:
+    with Bench(seconds=0.5, tare_ticks=4, ramp_in_ticks=8) as bench:
+        bench.steps(3)
+        for command, skipped, kind, ticks in script:
+            bench.fault(kind, ticks, 2.0)
+            bench.step(command, skipped=skipped)
+            bench.steps(40)
+            log = bench.drive.log
+            assert log["frames"].max() <= 1
+            assert np.isfinite(log["target_m"]).all()
+        counts = bench.loop.counts
+        assert counts.executed + counts.skipped == counts.elapsed
+        assert counts.elapsed == bench.drive.ticks
+
+
+# ---- the link alone -----------------------------------------------------------------------------
+
+
+def test_stream_that_would_make_a_reader_wait_is_refused() -> None:
+    ours, theirs = socket.socketpair()
+    with ours, theirs, pytest.raises(RthybError, match="O_NONBLOCK"):
+        loop.Link("stream", ours.fileno())
+
+
+def test_closed_descriptor_is_refused() -> None:
+    with pytest.raises(RthybError, match="Bad file descriptor"):
+        loop.Link("can", 9999)
+
+
+def test_packet_torn_by_a_full_queue_costs_that_packet_alone() -> None:
+    with Bench("pty") as bench:
+        bench.steps(3)
+        while bench.link.counters()["no_room"] == 0:  # nobody reads
+            bench.tick()
+        sent, total = bench.link.counters()["pieces_out"], bench.link.counters()["bytes_out"]
+        assert total > lib.RTHYB_SERIAL_COMMAND * sent, "the queue took whole packets only"
+        theirs, got = bench.ends[1], bytearray()
+        got += read_all(theirs, total - bench.far.counters()["bytes_in"])
+        for _ in range(5):
+            bench.tick()
+        got += read_all(theirs, bench.link.counters()["bytes_out"] - total)
+        verdicts = [verdict for verdict, _ in wire.Deframer().feed(bytes(got))]
+        assert verdicts[-5:] == [wire.VERDICTS["packet"]] * 5
+        bad = [verdict for verdict in verdicts if verdict != wire.VERDICTS["packet"]]
+        assert len(bad) == 1
+        assert_adds_up(bench)
+
+
+def read_all(fd: int, size: int) -> bytes:
+    """So many bytes of a pty, whenever the kernel brings them."""
+    got, end = bytearray(), time.monotonic() + 10.0
+    while len(got) < size:
+        assert time.monotonic() < end, f"{len(got)} of {size} bytes came"
+        try:
+            got += os.read(fd, size - len(got))
+        except BlockingIOError:
+            time.sleep(0.001)
+    return bytes(got)
+
+
+def test_senseless_fault_is_refused_and_the_old_schedule_stays() -> None:
+    with Bench() as bench, pytest.raises(core.CoreError):
+        bench.fault("delay", 1, 64.0)
+
+
+def test_drive_that_cannot_brake_is_refused() -> None:
+    with Bench() as bench, pytest.raises(core.CoreError):
+        loop.Drive(rig(), wire.can(), bench.far, stop_decel_m_per_s2=0.0)
+
+
+@pytest.mark.parametrize("ppm", [100.0, -100.0, 0.3])
+def test_clock_of_the_drive_drifts_by_so_many_ppm(ppm: float) -> None:
+    with Bench() as bench:
+        drive = loop.Drive(rig(), wire.can(), bench.far, drift_ppm=ppm)
+        clock = ticker.Ticker("stepped", 1_000_000_000)
+        thread = threading.Thread(target=drive.run, args=(clock,))
+        thread.start()
+        clock.grant(1024)
+        while drive.ticks < 1024:
+            time.sleep(0.001)
+        clock.stop()
+        thread.join()
+        assert clock.due_ns(1024) == pytest.approx(2_000_000_000 - ppm * 1e3, abs=1.0)
+
+
+@pytest.mark.parametrize("ppm", [200.0, float("nan")])
+def test_clock_that_drifts_beyond_what_can_be_followed_is_refused(ppm: float) -> None:
+    with Bench() as bench, pytest.raises(core.CoreError, match="ppm"):
+        loop.Drive(rig(), wire.can(), bench.far, drift_ppm=ppm)
+
+
+# ---- the host clock -----------------------------------------------------------------------------
+
+
+def test_two_threads_with_clocks_of_their_own_exchange_for_two_seconds() -> None:
+    with Bench(clock="host") as bench:
+        clock = ticker.Ticker("host", ticker.now_ns() + 10_000_000)
+        drive = threading.Thread(target=bench.drive.run, args=(clock,))
+        drive.start()
+        bench.loop.start(priority=0)
+        end = time.monotonic() + 2.0
+        while time.monotonic() < end:
+            bench.loop.beat()
+            time.sleep(0.05)
+        bench.loop.stop()
+        time.sleep(0.05)
+        clock.stop()
+        drive.join()
+        ticker.unlock_memory()
+        counts, counters = bench.loop.counts, bench.loop.counters()
+        assert counts.elapsed > 1000
+        assert counts.executed + counts.skipped == counts.elapsed
+        assert counters["sent"] == bench.link.counters()["pieces_out"]
+        assert bench.loop.wake.count == counts.executed
+        assert bench.loop.sent.count == counters["sent"]
+        assert bench.loop.usage()["major_faults"] == 0
+        log = bench.drive.log
+        # A drive that was asleep itself finds what came meanwhile; the controller never sends two.
+        assert int(log["frames"].sum()) == counters["sent"]
+        assert counters["sent"] <= counts.executed
+        assert log["refused"].max() == 0

@@ -1,0 +1,675 @@
+"""The station: states, limits, fault reactions, on the stepped clock against a small rig."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from rthyb_rt import core
+
+K_N_PER_M, MASS_KG = 666400.0, 4220.0
+H = core.PERIOD_S
+OFFSET_M, OFFSET_N = 0.0123, 45.0
+FLAGS = {name: 1 << bit for bit, name in enumerate(core.FLAG_NAMES)}
+
+
+def shaking(seconds: float) -> np.ndarray:
+    """A gentle burst of ground motion."""
+    t = np.arange(round(seconds * core.FS_HZ)) * H
+    return np.asarray(0.3 * np.sin(2 * np.pi * 1.7 * t) * np.sin(np.pi * t / seconds) ** 2)
+
+
+def config(**changes: Any) -> core.StationConfig:
+    controller = core.ControllerConfig(
+        estimator=core.EstimatorConfig(law="gradient", gain=0.03, alpha0=6.0),
+        rfc=core.RfcConfig(k_e_n_per_m=K_N_PER_M, window=51),
+        motion=core.MotionConfig(
+            "central-difference", mass_kg=MASS_KG, damping_n_s_per_m=2121.0, k_e_n_per_m=K_N_PER_M
+        ),
+        velocity_limit_m_per_s=0.5,
+    )
+    base: dict[str, Any] = {
+        "controller": controller,
+        "tare_ticks": 64,
+        "ramp_in_ticks": 256,
+        "armed_ticks": 500,
+    }
+    return core.StationConfig(**(base | changes))
+
+
+@dataclass
+class Bench:
+    """A station joined to a rig that is offset from zero, and a log of what the drive saw."""
+
+    seconds: float = 2.0
+    changes: dict[str, Any] = field(default_factory=dict)
+    records: list[np.ndarray] = field(default_factory=list)
+    sent: list[tuple[float, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.station = core.Station(config(**self.changes), shaking(self.seconds))
+        specimen = core.element("stiffness", k_n_per_m=K_N_PER_M)
+        self.rig = core.Rig(
+            core.RigConfig(core.ServoConfig("pure-delay", delay_samples=6), (specimen,))
+        )
+        self.at_drive = OFFSET_M
+
+    def step(self, command: core.Command = "none", **faults: Any) -> core.StationTick:
+        """One tick: the rig answers to the last command that reached it."""
+        x, f, _ = self.rig.step(self.at_drive - OFFSET_M)
+        pair = {"x_m": x + OFFSET_M, "f_n": f + OFFSET_N} | faults
+        tick = self.station.tick(command=command, **pair)
+        self.records.append(tick.records.copy())
+        if tick.sent:
+            self.sent.append((tick.x_cmd_m, tick.state))
+            self.at_drive = tick.x_cmd_m
+        return tick
+
+    def until(self, state: str, most: int = 20000) -> int:
+        for n in range(most):
+            if self.station.state == state:
+                return n
+            self.step()
+        raise AssertionError(f"never reached {state}, stayed in {self.station.state}")
+
+    def running(self, ticks: int = 300) -> Bench:
+        self.step()
+        self.step("zero")
+        self.until("ZEROED")
+        self.step("arm")
+        self.step("start")
+        self.until("RUNNING")
+        for _ in range(ticks):
+            self.step()
+        assert self.station.state == "RUNNING"
+        return self
+
+    def rows(self) -> np.ndarray:
+        return np.concatenate(self.records)
+
+    def last_flags(self) -> int:
+        return int(self.records[-1]["flags"][-1])
+
+
+def watched(name: str, value: float, reaction: core.Reaction) -> dict[str, Any]:
+    return {"watches": {name: core.Watch(value, reaction)}}
+
+
+# ---- an ordinary day ----------------------------------------------------------------------------
+
+
+def test_sunny_day_goes_from_idle_through_the_test_back_to_idle_at_rest() -> None:
+    bench = Bench().running(0)
+    assert bench.station.tare == pytest.approx((OFFSET_M, OFFSET_N), abs=1e-12)
+    bench.until("RAMP_OUT")
+    assert bench.station.cause == "completed"
+    assert bench.station.test_tick == round(2.0 * core.FS_HZ)
+    bench.until("IDLE")
+    for _ in range(50):
+        bench.step()
+    rows = bench.rows()
+    assert rows["x_num_m"][-1] == 0.0
+    assert rows["x_cmd_m"][-1] == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_array_equal(rows["tick"], np.arange(rows.size))
+    assert not bench.station.interrupted
+
+
+def test_running_part_is_what_the_controller_alone_computes() -> None:
+    bench = Bench().running(0)
+    bench.until("RAMP_OUT")
+    rows = bench.rows()
+    rows = rows[rows["state"] == core.STATE_NAMES.index("RUNNING")]
+    alone = core.Controller(config().controller)
+    rig = core.Rig(
+        core.RigConfig(
+            core.ServoConfig("pure-delay", delay_samples=6),
+            (core.element("stiffness", k_n_per_m=K_N_PER_M),),
+        )
+    )
+    expected = np.zeros(rows.size, dtype=core.RECORD_DTYPE)
+    alone.run_virtual(rig, shaking(2.0), expected)
+    np.testing.assert_allclose(rows["x_meas_m"], expected["x_meas_m"], atol=1e-9)
+    np.testing.assert_allclose(rows["alpha"], expected["alpha"], atol=1e-5)
+    np.testing.assert_array_equal(rows["ag_mps2"], expected["ag_mps2"])
+
+
+def test_ramp_in_is_half_a_wave_of_a_raised_cosine() -> None:
+    bench = Bench()
+    bench.step()
+    bench.step("zero")
+    bench.until("ZEROED")
+    bench.step("arm")
+    # The actuator has crept away by 2 mm since the tare.
+    crept = OFFSET_M + 0.002
+    bench.station.tick(crept, 0.0)
+    bench.station.tick(crept, 0.0, command="start")
+    x = [bench.station.tick(crept, 0.0).records["x_num_m"][-1] for _ in range(255)]
+    u = np.arange(1, 256) / 256
+    np.testing.assert_allclose(x, 0.001 * (1 + np.cos(np.pi * u)), atol=1e-15)
+
+
+def test_the_drive_never_moves_before_start() -> None:
+    bench = Bench()
+    for command in ("none", "zero", "none", "none"):
+        bench.step(command)  # type: ignore[arg-type]
+    bench.until("ZEROED")
+    bench.step("arm")
+    for _ in range(100):
+        bench.step()
+    positions = {round(x, 12) for x, _ in bench.sent}
+    assert positions == {OFFSET_M}
+
+
+def test_armed_too_long_goes_back_to_zeroed() -> None:
+    bench = Bench()
+    bench.step()
+    bench.step("zero")
+    bench.until("ZEROED")
+    bench.step("arm")
+    assert bench.until("ZEROED") == 500
+
+
+def test_tare_of_a_moving_specimen_is_refused() -> None:
+    bench = Bench()
+    bench.step("zero")
+    for n in range(200):
+        bench.step(x_m=1e-5 * n)
+    assert bench.station.state == "IDLE"
+    assert bench.station.zeroing_failed
+
+
+# ---- what is allowed when -----------------------------------------------------------------------
+
+ALLOWED = {
+    "zero": {"IDLE", "ZEROED"},
+    "arm": {"ZEROED"},
+    "start": {"ARMED"},
+    "hold": {"RUNNING"},
+    "resume": {"HOLD"},
+    "stop": set(core.STATE_NAMES) - {"TRIPPED"},
+    "reset": {"TRIPPED"},
+    "trip": set(core.STATE_NAMES),
+}
+
+
+@pytest.mark.parametrize("command", ALLOWED)
+@pytest.mark.parametrize("state", core.STATE_NAMES)
+def test_each_command_is_for_its_states_alone(state: str, command: core.Command) -> None:
+    assert core.command_allowed(state, command) == (state in ALLOWED[command])
+
+
+def test_start_without_zero_and_arm_is_refused_and_nothing_moves() -> None:
+    bench = Bench()
+    bench.step()
+    assert bench.step("start").refused
+    assert bench.step("arm").refused
+    assert bench.station.state == "IDLE"
+
+
+def test_start_while_the_link_is_silent_is_refused() -> None:
+    bench = Bench()
+    bench.step()
+    bench.step("zero")
+    bench.until("ZEROED")
+    bench.step("arm")
+    assert bench.step("start", lost=True).refused is False or bench.station.state == "ARMED"
+    bench = Bench()
+    bench.step()
+    bench.step("zero")
+    bench.until("ZEROED")
+    bench.step("arm")
+    bench.step(lost=True)
+    assert bench.step("start", lost=True).refused
+
+
+# ---- hold, resume, stop -------------------------------------------------------------------------
+
+
+def largest_acceleration(rows: np.ndarray) -> float:
+    return float(np.abs(np.diff(rows["x_num_m"], 2)).max() / H**2)
+
+
+def test_hold_brakes_at_the_limit_stands_and_resumes_where_it_left() -> None:
+    bench = Bench().running(700)
+    before = bench.station.test_tick
+    bench.step("hold")
+    held_from = len(bench.records)
+    for _ in range(2000):
+        bench.step()
+    assert bench.station.state == "HOLD"
+    assert bench.station.test_tick == before
+    standing = bench.rows()[-500:]
+    assert np.ptp(standing["x_num_m"]) == 0.0
+    assert np.ptp(standing["alpha"]) == 0.0
+    braking = np.concatenate(bench.records[held_from : held_from + 1000])
+    assert largest_acceleration(braking) <= 0.2 * 1.02
+    bench.step("resume")
+    bench.until("RUNNING")
+    assert bench.station.test_tick == before
+    assert bench.station.interrupted
+    bench.until("RAMP_OUT")
+    assert bench.station.cause == "completed"
+
+
+def test_resume_is_refused_while_still_braking() -> None:
+    bench = Bench().running(700)
+    bench.step("hold")
+    assert bench.step("resume").refused
+
+
+def test_resumed_motion_has_no_kink() -> None:
+    bench = Bench().running(700)
+    before = bench.rows()["x_num_m"][-60:]
+    bench.step("hold")
+    for _ in range(2000):
+        bench.step()
+    bench.step("resume")
+    bench.until("RUNNING")
+    for _ in range(30):
+        bench.step()
+    after = bench.rows()["x_num_m"][-60:]
+
+    def jerkiest(x: np.ndarray) -> float:
+        """Largest change of the acceleration from one tick to the next, m/s^2."""
+        return float(np.abs(np.diff(x, 3)).max() / H**2)
+
+    assert jerkiest(after) <= 2.0 * jerkiest(before)
+
+
+def test_operator_stop_ramps_out_to_rest_with_alpha_frozen() -> None:
+    bench = Bench().running(700)
+    alpha = bench.rows()["alpha"][-1]
+    bench.step("stop")
+    assert bench.station.state == "RAMP_OUT"
+    bench.until("IDLE")
+    bench.step()
+    rows = bench.rows()
+    out = rows[rows["state"] == core.STATE_NAMES.index("RAMP_OUT")]
+    assert bench.station.cause == "operator"
+    assert np.all(np.abs(out["alpha"] - alpha) < 0.05)
+    assert np.ptp(out["alpha"][1:]) == 0.0
+    assert largest_acceleration(out[2:]) <= 0.2 * 1.02
+    assert np.max(np.abs(np.diff(out["x_num_m"]))) <= 0.06 * H
+    assert rows["x_num_m"][-1] == 0.0
+
+
+def test_stop_during_hold_ramps_out() -> None:
+    bench = Bench().running(500)
+    bench.step("hold")
+    for _ in range(2000):
+        bench.step()
+    bench.step("stop")
+    bench.until("IDLE")
+    assert bench.station.cause == "operator"
+
+
+# ---- faults, row by row -------------------------------------------------------------------------
+
+
+def assert_tripped(bench: Bench, cause: str) -> None:
+    """Three frames with one position, the last one sent before, then silence; latched."""
+    assert bench.station.state == "TRIPPED"
+    assert bench.station.cause == cause
+    frames = [x for x, state in bench.sent if state == "TRIPPED"]
+    before = [x for x, state in bench.sent if state != "TRIPPED"][-1]
+    for _ in range(40):
+        bench.step()
+    frames = [x for x, state in bench.sent if state == "TRIPPED"]
+    assert frames == [before] * 3
+    assert bench.station.state == "TRIPPED"
+    assert bench.step("start").refused
+    assert bench.step("stop").refused
+    assert bench.station.cause == cause
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_one_or_two_lost_pairs_are_predicted_and_flagged(lost: int) -> None:
+    bench = Bench().running()
+    for _ in range(lost):
+        bench.step(lost=True)
+        assert bench.last_flags() & FLAGS["predicted"]
+        assert not bench.last_flags() & FLAGS["frozen"]
+    assert bench.station.state == "RUNNING"
+
+
+def test_three_to_nineteen_lost_pairs_freeze_alpha_and_stiffness() -> None:
+    bench = Bench().running()
+    for n in range(19):
+        bench.step(lost=True)
+        assert bool(bench.last_flags() & FLAGS["frozen"]) == (n >= 2)
+    assert bench.station.state == "RUNNING"
+    bench.step()
+    assert bench.station.state == "RUNNING"
+    assert bench.last_flags() & FLAGS["fresh"]
+
+
+def test_twenty_lost_pairs_in_a_row_trip() -> None:
+    bench = Bench().running()
+    for _ in range(20):
+        bench.step(lost=True)
+    assert_tripped(bench, "link_lost")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("where", ["x_m", "f_n"])
+def test_value_that_is_not_finite_is_never_sent_and_trips(where: str, bad: float) -> None:
+    bench = Bench().running()
+    bench.step(**{where: bad})
+    assert_tripped(bench, "not_finite")
+    assert all(np.isfinite(x) for x, _ in bench.sent)
+
+
+def test_absurd_but_finite_value_counts_as_a_lost_pair() -> None:
+    bench = Bench().running()
+    bench.step(x_m=1e300)
+    assert bench.station.state == "RUNNING"
+    assert bench.last_flags() & FLAGS["predicted"]
+
+
+def test_stuck_sensor_ramps_out() -> None:
+    bench = Bench(changes=watched("sensor_stuck", 100, "ramp-out")).running(700)
+    for _ in range(150):
+        bench.step(x_m=OFFSET_M + 0.001, f_n=OFFSET_N)
+    assert bench.station.cause == "sensor_stuck"
+    assert bench.station.state in ("RAMP_OUT", "IDLE")
+
+
+def test_specimen_at_rest_is_not_a_stuck_sensor() -> None:
+    bench = Bench(changes=watched("sensor_stuck", 100, "ramp-out")).running(0)
+    bench.step("hold")
+    for _ in range(500):
+        bench.step()
+    assert bench.station.state == "HOLD"
+
+
+def test_jumping_sensor_ramps_out_and_the_jump_is_not_taken() -> None:
+    bench = Bench(changes=watched("sensor_jump", 0.003, "ramp-out")).running()
+    bench.step(x_m=0.05)
+    assert bench.station.cause == "sensor_jump"
+    assert abs(bench.rows()["x_meas_m"][-1]) < 0.02
+
+
+def test_force_limit_trips() -> None:
+    bench = Bench(changes=watched("force", 5e4, "trip")).running()
+    bench.step(f_n=6e4)
+    assert_tripped(bench, "force")
+
+
+@pytest.mark.parametrize(
+    ("reaction", "state"),
+    [("indicate", "RUNNING"), ("hold", "HOLD"), ("ramp-out", "RAMP_OUT"), ("trip", "TRIPPED")],
+)
+@pytest.mark.parametrize("name", ["position", "velocity", "increment", "tracking", "energy"])
+def test_each_limit_does_what_it_is_set_to(name: str, reaction: core.Reaction, state: str) -> None:
+    bench = Bench(changes=watched(name, 1e-9, reaction))
+    bench.step()
+    bench.step("zero")
+    bench.until("ZEROED")
+    bench.step("arm")
+    bench.step("start")
+    seen = set()
+    for _ in range(900):
+        seen.add(bench.step().state)
+    if reaction == "indicate":
+        assert bench.station.indicated == [name]
+        assert bench.station.state == state
+    else:
+        assert state in seen
+        assert bench.station.cause == name
+
+
+def test_indicator_that_falls_for_long_is_seen() -> None:
+    lagging = dataclasses.replace(config().controller, plc_enabled=False)
+    changes = watched("indicator", 1e-7, "ramp-out") | {"controller": lagging}
+    bench = Bench(changes=changes).running(0)
+    bench.until("RAMP_OUT")
+    assert bench.station.cause == "indicator"
+
+
+def test_command_never_leaves_the_position_limit_whatever_the_reaction() -> None:
+    for reaction in ("hold", "ramp-out", "trip"):
+        bench = Bench(changes=watched("position", 2e-4, reaction)).running(0)
+        for _ in range(2500):
+            bench.step()
+        assert max(abs(x - OFFSET_M) for x, _ in bench.sent) <= 2e-4 + 1e-12
+
+
+def test_cable_pulled_trips_and_stays_tripped_when_the_link_returns() -> None:
+    bench = Bench().running()
+    bench.step(lost=True, link_down=True)
+    assert_tripped(bench, "link_down")
+
+
+def test_one_overrun_is_made_up_for_and_counted() -> None:
+    bench = Bench().running()
+    before, n = bench.station.test_tick, bench.station.ticks
+    tick = bench.step(skipped=3)
+    assert tick.records.size == 4
+    flags = tick.records["flags"]
+    assert np.all(flags[:3] & FLAGS["blind"])
+    assert np.all(flags[:3] & FLAGS["not_sent"])
+    assert not flags[3] & FLAGS["blind"]
+    assert bench.station.test_tick == before + 4
+    assert bench.station.ticks == n + 4
+    assert bench.station.skipped == 3
+    np.testing.assert_array_equal(tick.records["tick"], np.arange(n, n + 4))
+    assert bench.station.state == "RUNNING"
+
+
+def test_gap_is_caught_up_at_the_velocity_limit_and_not_in_one_step() -> None:
+    slow = config().controller
+    limited = core.ControllerConfig(
+        estimator=slow.estimator, rfc=slow.rfc, motion=slow.motion, velocity_limit_m_per_s=0.05
+    )
+    bench = Bench(changes={"controller": limited}).running(700)
+    for _ in range(3):
+        bench.step(skipped=9)
+    for _ in range(200):
+        bench.step()
+    steps = np.abs(np.diff([x for x, _ in bench.sent]))
+    assert steps.max() <= 0.05 * H * (1 + 1e-9)
+
+
+def test_more_than_ten_skips_in_a_row_ramp_out() -> None:
+    bench = Bench().running()
+    bench.step(skipped=10)
+    assert bench.station.state == "RUNNING"
+    bench.step(skipped=11)
+    assert bench.station.state == "RAMP_OUT"
+    assert bench.station.cause == "skips"
+
+
+def test_fifty_one_skips_within_a_second_ramp_out_and_fifty_do_not() -> None:
+    bench = Bench(seconds=4.0).running()
+    for _ in range(5):
+        bench.step(skipped=10)
+        bench.step()
+    assert bench.station.state == "RUNNING"
+    bench.step(skipped=1)
+    assert bench.station.cause == "skips"
+
+
+def test_skips_of_long_ago_are_forgotten() -> None:
+    bench = Bench(seconds=6.0).running()
+    for _ in range(4):
+        for _ in range(5):
+            bench.step(skipped=10)
+        for _ in range(1024):
+            bench.step()
+    assert bench.station.state == "RUNNING"
+    assert bench.station.skipped == 200
+
+
+@pytest.mark.parametrize("skipped", [20, 21, 500, 100000])
+def test_stall_of_twenty_ticks_trips_without_a_burst(skipped: int) -> None:
+    bench = Bench().running()
+    before = bench.station.ticks
+    tick = bench.step(skipped=skipped)
+    assert tick.records.size <= core.BLIND_MAX + 1
+    assert bench.station.ticks == before + skipped + 1
+    assert bench.station.skipped == skipped
+    assert_tripped(bench, "stalled")
+    silent = [bool(rows["flags"][-1] & FLAGS["not_sent"]) for rows in bench.records]
+    assert silent[-43:] == [False] * 3 + [True] * 40
+
+
+def test_python_hung_ramps_out() -> None:
+    bench = Bench().running()
+    bench.step(heartbeat_late=True)
+    assert bench.station.state == "RAMP_OUT"
+    assert bench.station.cause == "heartbeat"
+    bench.until("IDLE")
+
+
+def test_signal_twice_trips() -> None:
+    bench = Bench().running()
+    bench.step("stop")
+    bench.step("trip")
+    assert bench.station.state == "TRIPPED"
+    assert bench.station.cause == "operator"  # the first one stays
+
+
+def test_reset_stands_where_the_specimen_is_and_a_new_test_can_start() -> None:
+    bench = Bench().running(700)
+    bench.step(f_n=np.nan)
+    for _ in range(30):
+        bench.step()
+    bench.step("reset")
+    assert bench.station.state == "IDLE"
+    assert bench.station.cause == "none"
+    tick = bench.step()
+    assert tick.x_cmd_m == pytest.approx(bench.at_drive)
+    bench.running(200)
+
+
+def test_first_cause_is_kept() -> None:
+    watches = {"force": core.Watch(5e4, "ramp-out"), "tracking": core.Watch(1e-3, "trip")}
+    bench = Bench(changes={"watches": watches}).running()
+    bench.step(f_n=6e4)
+    assert bench.station.cause == "force"
+    bench.step("trip")
+    assert bench.station.cause == "force"
+    assert bench.station.state == "TRIPPED"
+
+
+# ---- settings -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"tare_ticks": 0},
+        {"ramp_in_ticks": 0},
+        {"path_velocity_m_per_s": 0.0},
+        {"path_acceleration_m_per_s2": float("nan")},
+        {"rest_spread_m": 0.0},
+        {"watches": {"force": core.Watch(-1.0, "trip")}},
+        {"watches": {"completed": core.Watch(1.0, "trip")}},
+    ],
+)
+def test_senseless_setting_is_refused(changes: dict[str, Any]) -> None:
+    with pytest.raises(core.CoreError):
+        core.Station(config(**changes), shaking(1.0))
+
+
+# ---- any script at all --------------------------------------------------------------------------
+
+LIMIT_M = 0.004
+
+
+class AnyScript(RuleBasedStateMachine):
+    """Commands, faults and stalls in any order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        watches = {
+            "position": core.Watch(LIMIT_M, "ramp-out"),
+            "force": core.Watch(1e4, "trip"),
+            "sensor_jump": core.Watch(0.01, "ramp-out"),
+        }
+        self.bench = Bench(changes={"watches": watches, "tare_ticks": 4, "ramp_in_ticks": 8})
+        self.was_tripped = False
+        self.bench.step()
+
+    def note(self, action: Callable[[], core.StationTick], resets: bool = False) -> None:
+        before = self.bench.station.state
+        action()
+        after = self.bench.station.state
+        if before == "TRIPPED" and not resets:
+            assert after == "TRIPPED"
+
+    @rule(command=st.sampled_from(core.COMMANDS))
+    def operator(self, command: core.Command) -> None:
+        self.note(lambda: self.bench.step(command), resets=command == "reset")
+
+    @rule(n=st.integers(1, 200))
+    def wait(self, n: int) -> None:
+        for _ in range(n):
+            self.note(self.bench.step)
+
+    @rule()
+    def full_start(self) -> None:
+        for command in ("zero", "none", "none", "none", "none", "none", "arm", "start"):
+            self.note(lambda c=command: self.bench.step(c))  # type: ignore[misc]
+        for _ in range(20):
+            self.note(self.bench.step)
+
+    @rule(n=st.integers(1, 25))
+    def lose(self, n: int) -> None:
+        for _ in range(n):
+            self.note(lambda: self.bench.step(lost=True))
+
+    @rule(n=st.integers(1, 40))
+    def stall(self, n: int) -> None:
+        self.note(lambda: self.bench.step(skipped=n))
+
+    @rule(value=st.sampled_from([np.nan, np.inf, -np.inf, 1e300, 0.03, -0.5]))
+    def bad_displacement(self, value: float) -> None:
+        self.note(lambda: self.bench.step(x_m=value))
+
+    @rule(value=st.sampled_from([np.nan, np.inf, 1e300, 2e4]))
+    def bad_force(self, value: float) -> None:
+        self.note(lambda: self.bench.step(f_n=value))
+
+    @precondition(lambda self: self.bench.station.state != "TRIPPED")
+    @rule()
+    def cable(self) -> None:
+        self.note(lambda: self.bench.step(lost=True, link_down=True))
+
+    @invariant()
+    def commands_are_finite(self) -> None:
+        assert all(np.isfinite(x) for x, _ in self.bench.sent[-50:])
+
+    @invariant()
+    def ticks_add_up(self) -> None:
+        station = self.bench.station
+        assert station.ticks == len(self.bench.records) + station.skipped
+
+    @invariant()
+    def running_commands_stay_within_the_limit(self) -> None:
+        tare = self.bench.station.tare[0]
+        for x, state in self.bench.sent[-50:]:
+            if state == "RUNNING":
+                assert abs(x - tare) <= LIMIT_M + 1e-12
+
+
+TestAnyScript = AnyScript.TestCase
+TestAnyScript.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+
+
+@given(skips=st.lists(st.integers(0, 30), min_size=1, max_size=60))
+@settings(max_examples=50, deadline=None)
+def test_executed_and_skipped_ticks_are_all_ticks(skips: list[int]) -> None:
+    bench = Bench()
+    for skipped in skips:
+        bench.step(skipped=skipped)
+    assert bench.station.ticks == len(skips) + sum(skips)
+    assert bench.station.skipped == sum(skips)
