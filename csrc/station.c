@@ -235,15 +235,16 @@ static void resume(rthyb_station *s)
 
 static void react(rthyb_station *s, int cause, int reaction)
 {
-    if (reaction == RTHYB_REACT_TRIP)
+    if (reaction == RTHYB_REACT_TRIP) {
         trip(s, cause);
-    else if (reaction == RTHYB_REACT_RAMP_OUT)
+    } else if (reaction == RTHYB_REACT_RAMP_OUT) {
         ramp_out(s, cause);
-    else if (reaction == RTHYB_REACT_HOLD && s->state == RTHYB_RUNNING) {
+    } else if (reaction == RTHYB_REACT_HOLD && s->state == RTHYB_RUNNING) {
         blame(s, cause);
         hold(s);
-    } else if (reaction != RTHYB_REACT_NONE)
+    } else if (reaction != RTHYB_REACT_NONE) {
         s->indicated |= 1u << cause;
+    }
 }
 
 /* Back to the state of a fresh start; what a recording needs of the last test stays readable until
@@ -307,9 +308,9 @@ static int obey(rthyb_station *s, int command)
         resume(s);
         break;
     case RTHYB_CMD_STOP:
-        if (is_moving(s->state))
+        if (is_moving(s->state)) {
             ramp_out(s, RTHYB_CAUSE_OPERATOR);
-        else if (s->state != RTHYB_RAMP_OUT) {
+        } else if (s->state != RTHYB_RAMP_OUT) {
             s->zeroing = 0;
             enter(s, RTHYB_IDLE);
         }
@@ -380,16 +381,17 @@ static void arrive(rthyb_station *s)
 {
     if (!path_done(&s->path))
         return;
-    if (s->state == RTHYB_RAMP_IN || (s->state == RTHYB_HOLD && s->leg == 2))
+    if (s->state == RTHYB_RAMP_IN || (s->state == RTHYB_HOLD && s->leg == 2)) {
         enter(s, RTHYB_RUNNING);
-    else if (s->state == RTHYB_HOLD)
+    } else if (s->state == RTHYB_HOLD) {
         s->leg = 1;
-    else if (s->state == RTHYB_RAMP_OUT && s->leg == 0) {
+    } else if (s->state == RTHYB_RAMP_OUT && s->leg == 0) {
         const double from[3] = {s->controller.x_num, 0.0, 0.0}, rest[3] = {0.0, 0.0, 0.0};
         s->path = plan(s, from, rest);
         s->leg = 1;
-    } else if (s->state == RTHYB_RAMP_OUT)
+    } else if (s->state == RTHYB_RAMP_OUT) {
         enter(s, RTHYB_IDLE);
+    }
 }
 
 static void check(rthyb_station *s, int cause, double value)
