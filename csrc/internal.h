@@ -10,6 +10,9 @@
 int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
                             int blind, rthyb_record *record);
 
+/* What the calling thread has used since `before`. */
+void rthyb_usage_since(rthyb_usage *usage, const rthyb_usage *before);
+
 int rthyb_servo_init(rthyb_servo *servo, const rthyb_servo_config *cfg);
 
 /* The table at t_n, before x_p[n] is applied (pure delay: with it). */

@@ -8,7 +8,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "rthyb.h"
+#include "internal.h"
 
 #define HALF_PERIOD_NS 488281
 #define HEAD_START_NS 20000000 /* from the last thread being ready to the first tick */
@@ -108,15 +108,6 @@ static void carry(meeting *m, const rthyb_tick *tick)
 
 /* ---- threads --------------------------------------------------------------------------------- */
 
-static void count_usage(rthyb_usage *usage, const rthyb_usage *before)
-{
-    rthyb_thread_usage(usage);
-    usage->major_faults -= before->major_faults;
-    usage->minor_faults -= before->minor_faults;
-    usage->waits -= before->waits;
-    usage->preemptions -= before->preemptions;
-}
-
 static void keep_time(meeting *m, rthyb_timing *timing, int64_t offset_ns)
 {
     rthyb_tick tick;
@@ -132,7 +123,7 @@ static void keep_time(meeting *m, rthyb_timing *timing, int64_t offset_ns)
         if (timing == &m->jitter->measured)
             carry(m, &tick);
     }
-    count_usage(&timing->usage, &before);
+    rthyb_usage_since(&timing->usage, &before);
 }
 
 static void *measured_thread(void *shared)

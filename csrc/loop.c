@@ -6,8 +6,8 @@
 #include <pthread.h>
 #include <string.h>
 
+#include "internal.h"
 #include "relaxed.h"
-#include "rthyb.h"
 
 #define HEAD_START_NS 20000000 /* from the thread being ready to the first tick */
 #define STACK_BYTES (1u << 18)
@@ -233,15 +233,6 @@ void rthyb_loop_step(rthyb_loop *loop)
 
 /* ---- its thread ------------------------------------------------------------------------------- */
 
-static void count_usage(rthyb_usage *usage, const rthyb_usage *before)
-{
-    rthyb_thread_usage(usage);
-    usage->major_faults -= before->major_faults;
-    usage->minor_faults -= before->minor_faults;
-    usage->waits -= before->waits;
-    usage->preemptions -= before->preemptions;
-}
-
 static void *tick_thread(void *shared)
 {
     rthyb_loop *loop = shared;
@@ -254,7 +245,7 @@ static void *tick_thread(void *shared)
     rthyb_thread_usage(&before);
     while (rthyb_ticker_wait(&loop->ticker, &tick))
         execute(loop, &tick);
-    count_usage(&loop->usage, &before);
+    rthyb_usage_since(&loop->usage, &before);
     return NULL;
 }
 

@@ -10,7 +10,7 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
-#include "rthyb.h"
+#include "internal.h"
 
 #define PAGE_BYTES 4096
 
@@ -99,4 +99,13 @@ void rthyb_thread_usage(rthyb_usage *usage)
         .waits = (uint64_t)found.ru_nvcsw,
         .preemptions = (uint64_t)found.ru_nivcsw,
     };
+}
+
+void rthyb_usage_since(rthyb_usage *usage, const rthyb_usage *before)
+{
+    rthyb_thread_usage(usage);
+    usage->major_faults -= before->major_faults;
+    usage->minor_faults -= before->minor_faults;
+    usage->waits -= before->waits;
+    usage->preemptions -= before->preemptions;
 }

@@ -35,7 +35,7 @@ def files(folder: Path) -> list[str]:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, paper: list[Study]) -> None:
-    """Let the command take the studies that this session has already computed."""
+    """Let the command take the studies that this test run has already computed."""
 
     def run(which: str = "all", record: object = None, progress: Any = None) -> list[Study]:
         if progress is not None:

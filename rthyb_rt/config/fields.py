@@ -10,6 +10,7 @@ import json
 import math
 import re
 import typing
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
@@ -73,12 +74,12 @@ def explained(text: str, involved: tuple[str, ...] = ()) -> PydanticCustomError:
     return PydanticCustomError(_EXPLAINED, "{text}", {"text": text, "involved": involved})
 
 
-class _Limits:
+class _Limits(ABC):
     """What a field takes; pydantic validates with `read`."""
 
+    @abstractmethod
     def read(self, value: object) -> Any:
         """Return the value as the field holds it; raise the explained error otherwise."""
-        raise NotImplementedError
 
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
