@@ -1,6 +1,7 @@
 """The thin face of the C core: ndarrays and dataclasses in, ndarrays out.
 
-Nothing above this module touches cffi. Every class owns the memory of one C struct; its methods
+Only this module and the faces of the parts that wait or talk (`ticker`, `ring`, `links.wire`,
+`loop`) touch cffi. Every class owns the memory of one C struct; its methods
 are named after the functions of ``csrc/rthyb.h``, where the contract stands. SI units throughout;
 ``alpha`` is in samples, ``beta`` in samples squared. Calls over arrays run without the GIL.
 """
