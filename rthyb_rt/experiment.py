@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -47,6 +47,7 @@ class Setup:
         ag_mps2: ground acceleration at every tick of the test, shape (n,).
         controller, virtual_rig: settings of the core.
         notes: what the user should know and need not act on.
+        reference: the reference simulation as the test file wants it, shape (n,).
     """
 
     test: TestFile
@@ -57,6 +58,7 @@ class Setup:
     controller: core.ControllerConfig
     virtual_rig: core.RigConfig
     notes: tuple[str, ...] = ()
+    reference: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, REFERENCE_DTYPE))
 
     @property
     def ticks(self) -> int:
@@ -101,7 +103,8 @@ def prepare(test: TestFile, rig: RigFile) -> Setup:
             f"{error}; look at the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
-    return replace(setup, notes=(*setup.notes, *_range_notes(rig, expected)))
+    notes = (*setup.notes, *_range_notes(rig, expected))
+    return replace(setup, notes=notes, reference=expected)
 
 
 def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
@@ -112,8 +115,8 @@ def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
         ("force.range_n", force.range_n, force.bias_n, "f_ref_n", "kN", 1e-3),
     )
     notes = []
-    for key, reach, bias, field, unit, factor in channels:
-        peak = float(np.abs(expected[field] + bias).max())
+    for key, reach, bias, column, unit, factor in channels:
+        peak = float(np.abs(expected[column] + bias).max())
         if reach is not None and peak >= reach:
             notes.append(
                 f"sensors.{key} = {reach * factor:g} {unit} is less than the peak of "
@@ -340,7 +343,7 @@ def run(setup: Setup, progress: Progress | None = None) -> recording.Recording:
         fs_hz=core.FS_HZ,
         ag_mps2=setup.ag_mps2,
         ground_motion=_provenance(setup),
-        reference=reference(setup),
+        reference=setup.reference,
         test_toml=config.dump(setup.test),
         rig_toml=config.dump(setup.rig),
         replay=recording.ReplayData(controller_state=state0),

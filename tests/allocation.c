@@ -18,6 +18,7 @@
 #include <unistd.h>
 
 #include "rthyb.h"
+#include "servo_example.h"
 
 #define PERIOD_S (1.0 / 1024.0)
 #define SAMPLES 600 /* more than twice the window: all three stages of the tangent stiffness */
@@ -164,26 +165,7 @@ static int set_up_controller(rthyb_controller *controller, const choice *c)
 static int set_up_rig(rthyb_rig *rig, const choice *c)
 {
     rthyb_rig_config cfg = {
-        .servo = {.kind = c->servo,
-                  .hold = c->hold,
-                  .period_s = PERIOD_S,
-                  .delay_samples = 1.0,
-                  .roll_off_hz = 10.0,
-                  .natural_frequency_hz = 12.0,
-                  .damping_ratio = 0.7,
-                  .gain = 1.0,
-                  .kp_per_s = 63.5,
-                  .ki_per_s2 = 6.0,
-                  .valve_time_constant_s = 0.0018,
-                  .stall_force_n = 16000.0,
-                  .flow_limit_m_per_s = 1.0,
-                  .oil_stiffness_n_per_m = 2e7,
-                  .oil_damping_n_s_per_m = 1.2e4,
-                  .moving_mass_kg = 45.0,
-                  .friction_n = 80.0,
-                  .friction_width_m_per_s = 5e-4,
-                  .viscous_n_s_per_m = 600.0,
-                  .substeps = 16},
+        .servo = servo_example(c->servo, c->hold, 1.0),
         .displacement = {.noise_std = 2e-6, .lsb = 5e-7, .range = 0.075},
         .force = {.noise_std = 5.0, .lsb = 1.0, .range = 25e3},
         .seed = 1,

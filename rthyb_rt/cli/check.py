@@ -105,14 +105,14 @@ class Figures:
 def _figures(setup: Setup) -> Figures:
     import numpy as np
 
-    from rthyb_rt import experiment, margins
+    from rthyb_rt import margins
 
     derived, wanted = setup.derived, setup.test.controller
     motion = setup.controller.motion
     lead = margins.Lead(derived.alpha0, derived.beta0, wanted.w1, wanted.w2)
     leads = derived.plc_enabled
     most = math.floor(wanted.delay_estimator.alpha_max)
-    reference = experiment.reference(setup)
+    reference = setup.reference
     phi = max(
         margins.peak_excitation(x, lead, wanted.delay_estimator.reference_displacement_m)
         for x in (reference["x_ref_m"], margins.elastic_displacement_m(motion, setup.ag_mps2))

@@ -12,6 +12,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "../servo_example.h"
 #include "rthyb.h"
 
 #define FS_HZ 1024
@@ -138,27 +139,7 @@ static rthyb_motion_config motion_config(enum rthyb_integrator integrator)
 
 static rthyb_servo_config servo_config(enum rthyb_servo_kind kind)
 {
-    return (rthyb_servo_config){
-        .kind = kind,
-        .period_s = PERIOD_S,
-        .delay_samples = kind == RTHYB_PURE_DELAY ? 10.0 : 1.0,
-        .roll_off_hz = 10.0,
-        .natural_frequency_hz = 12.0,
-        .damping_ratio = 0.7,
-        .gain = 1.0,
-        .kp_per_s = 63.5,
-        .ki_per_s2 = 6.0,
-        .valve_time_constant_s = 0.0018,
-        .stall_force_n = 16000.0,
-        .flow_limit_m_per_s = 1.0,
-        .oil_stiffness_n_per_m = 2e7,
-        .oil_damping_n_s_per_m = 1.2e4,
-        .moving_mass_kg = 45.0,
-        .friction_n = 80.0,
-        .friction_width_m_per_s = 0.0005,
-        .viscous_n_s_per_m = 600.0,
-        .substeps = 16,
-    };
+    return servo_example((int32_t)kind, RTHYB_ZOH, kind == RTHYB_PURE_DELAY ? 10.0 : 1.0);
 }
 
 static void set_up_rig(rthyb_rig *rig, enum rthyb_servo_kind kind, int noisy, int inelastic)
