@@ -22,14 +22,17 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help run reproduce test sanitize fuzz bench lint clean
+.PHONY: help run reproduce test test-vm sanitize fuzz tsan proof bench lint clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
 	@echo "make reproduce  the paper's studies: figures, tables, accepted bands"
 	@echo 'make test       the test suite'
+	@echo 'make test-vm    the tests that need a kernel with SocketCAN, in a guest machine'
 	@echo 'make sanitize   the test suite on a core built with ASan and UBSan'
 	@echo 'make fuzz       a minute of libFuzzer on the decoding of frames (SECONDS=60)'
+	@echo 'make tsan       ring, mailbox, parameters and counters under ThreadSanitizer'
+	@echo 'make proof      the long proofs of real time: stalls, drifting clocks, jitter; minutes'
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
 	@echo 'make clean      remove .venv, build and caches; runs/ stays'
@@ -43,6 +46,14 @@ reproduce: $(TEST_READY)
 
 test: $(TEST_READY)
 	@$(BIN)/python -m pytest
+
+# The guest is Debian's user-mode Linux, fetched into build/vm (Debian: user-mode-linux,
+# busybox-static, can-utils, iproute2). The core is built here first: in the guest nothing is.
+VM_TESTS := tests/vm $(wildcard $(addprefix tests/test_,loop.py links_socketcan.py realtime_vcan.py))
+test-vm: $(TEST_READY)
+	@$(BIN)/python -c 'import rthyb_rt._core'
+	@$(BIN)/python tests/vm/guest.py -- python -m pytest -p no:cacheprovider -rs \
+	    -o faulthandler_timeout=60 $(VM_TESTS)
 
 bench: $(TEST_READY)
 	@$(BIN)/python tests/bench/bench.py
@@ -73,6 +84,25 @@ sanitize: $(TEST_READY)
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so.6)" \
 	    ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
 	    $(OVERLAY)/bin/python -m pytest -p no:cacheprovider --capture=sys -m 'not speed'
+
+# Plain C, since the interpreter is not instrumented. Some kernels place memory where the detector cannot
+# follow, hence setarch. The last run has a race on purpose, and must be told of.
+TSAN := build/tsan
+STRESS := ring_stress loop_stress
+tsan: $(READY)
+	@mkdir -p $(TSAN) && cd $(TSAN) && for name in $(STRESS); do \
+	    gcc -std=c11 -O1 -g -fsanitize=thread -I../../csrc ../../tests/$$name.c $(C_SOURCES:%=../../%) \
+	        -lm -lpthread -o $$name || exit 1; done
+	@fixed=$$(setarch -R true 2>/dev/null && echo setarch -R) || true; \
+	    export TSAN_OPTIONS=halt_on_error=1; \
+	    for name in $(STRESS); do echo "$$name" && $$fixed $(TSAN)/$$name || exit 1; done; \
+	    if $$fixed $(TSAN)/loop_stress race >$(TSAN)/race.log 2>&1; then \
+	        echo 'a race made on purpose was not reported'; exit 1; fi; \
+	    grep -q 'WARNING: ThreadSanitizer: data race' $(TSAN)/race.log && echo 'no data race'
+
+# Needs a quiet machine; figures go to build/proof.json.
+proof: $(TEST_READY)
+	@$(BIN)/python -m pytest -p no:cacheprovider -o python_files="proof_*.py" tests/proof
 
 # clang and its run-time library (Debian: clang, libclang-rt-14-dev) are asked for here only. What was
 # found stays in build/fuzz and is where the next run begins.

@@ -5,8 +5,8 @@
 
 #include "numeric.h"
 
-#define UNIT_X_M 1e-9
-#define UNIT_F_N 1e-3
+#define UNIT_X_M RTHYB_RAW_X_M
+#define UNIT_F_N RTHYB_RAW_F_N
 #define NO_NUMBER INT32_MIN /* of a displacement or force on our own wire */
 #define CAN_LENGTH 8
 #define CAN_CRC_AT 7

@@ -5,8 +5,6 @@
 
 #define FREEZE_AFTER 3       /* lost samples in a row after which alpha and k_t are held */
 #define EXTRAPOLATE_UNTIL 20 /* lost samples in a row until which the measurement is extrapolated */
-#define RAW_X_M 1e-9
-#define RAW_F_N 1e-3
 #define COMMAND_MAX_M (1e2 * RTHYB_DISPLACEMENT_MAX_M)
 
 static int limit_ok(const rthyb_limit *limit)
@@ -142,7 +140,9 @@ static double limit_command(const rthyb_controller *c, double wanted)
     const double command = step == whole ? wanted : c->x_cmd + step;
     const int hard = x_max > 0.0 && c->cfg.position.action == RTHYB_TRIP_TEST;
     const double clamped = c->cfg.clamp_m > 0.0 ? c->cfg.clamp_m : COMMAND_MAX_M;
-    const double most = hard ? fmin(x_max, clamped) : clamped;
+    const double limit = hard ? fmin(x_max, clamped) : clamped;
+    /* Of a limit that was drawn in behind it the command comes back on its own course, not at once. */
+    const double most = fmax(limit, fabs(c->x_cmd));
     return clamp(command, -most, most);
 }
 
@@ -157,7 +157,7 @@ static int32_t raw(double value, double unit)
 {
     if (isnan(value))
         return INT32_MIN;
-    return (int32_t)lrint(clamp(value / unit, -2147483648.0, 2147483647.0));
+    return (int32_t)lrint(clamp(value / unit, -2147483647.0, 2147483647.0));
 }
 
 static void write_record(const rthyb_controller *c, const rthyb_input *in, double x, double f,
@@ -168,8 +168,8 @@ static void write_record(const rthyb_controller *c, const rthyb_input *in, doubl
     record->due_ns = llrint((double)n * c->cfg.period_s * 1e9);
     record->flags = flags;
     record->generation = c->generation;
-    record->x_raw = in->lost ? 0 : raw(in->x_meas_m, RAW_X_M);
-    record->f_raw = in->lost ? 0 : raw(in->f_meas_n, RAW_F_N);
+    record->x_raw = in->lost ? 0 : raw(in->x_meas_m, RTHYB_RAW_X_M);
+    record->f_raw = in->lost ? 0 : raw(in->f_meas_n, RTHYB_RAW_F_N);
     record->state = (uint8_t)c->state;
     record->code = (uint8_t)code;
     record->ag_mps2 = c->cfg.motion.integrator == RTHYB_PRESCRIBED ? 0.0 : in->excitation;
@@ -193,7 +193,8 @@ static int compute_motion(rthyb_controller *c, const rthyb_input *in, double x, 
 {
     double force;
     monitor(c, x, f);
-    int code = rthyb_estimator_step(&c->estimator, c->x_cmd, x, frozen);
+    const int held = frozen || c->cfg.estimate_held;
+    int code = rthyb_estimator_step(&c->estimator, c->x_cmd, x, held);
     code |= rthyb_rfc_step(&c->rfc, c->x_num, x, f, frozen, &force);
     code |= rthyb_motion_step(&c->motion, in->excitation, force, x_num);
     follow_estimate(c, *x_num - c->plc.x1, *x_num - 2.0 * c->plc.x1 + c->plc.x2);

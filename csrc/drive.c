@@ -1,5 +1,6 @@
 /* The other end of the wire: an actuator controller with its load cell, their watchdog, and all that
  * can go wrong with them and with the cable. */
+#include "internal.h"
 #include "numeric.h"
 
 #define SEQ_BITS 16         /* of our own frames */
@@ -63,7 +64,9 @@ int rthyb_drive_schedule(rthyb_drive *drive, const rthyb_fault *faults, size_t n
 
 int rthyb_drive_init(rthyb_drive *drive)
 {
-    const int error = rthyb_codec_check(&drive->codec);
+    int error = rthyb_codec_check(&drive->codec);
+    if (!error)
+        error = rthyb_calibration_check(&drive->calibration);
     if (error)
         return error;
     if (!(drive->stop_decel_m_per_s2 > 0.0) || !(fabs(drive->drift_ppm) <= DRIFT_MAX_PPM))
@@ -74,6 +77,7 @@ int rthyb_drive_init(rthyb_drive *drive)
         .rig = drive->rig,
         .link = drive->link,
         .codec = drive->codec,
+        .calibration = drive->calibration,
         .origin_m = drive->origin_m,
         .stop_decel_m_per_s2 = drive->stop_decel_m_per_s2,
         .log = drive->log,
@@ -104,7 +108,7 @@ static void take_setpoint(rthyb_drive *d, const rthyb_setpoint *setpoint)
         return;
     d->seq = setpoint->seq;
     d->state = setpoint->state;
-    d->wanted_m = setpoint->x_m;
+    d->wanted_m = command_from_wire(&d->calibration, setpoint->x_m);
     d->silent = 0;
     if (d->phase == RTHYB_DRIVE_STOPPED && setpoint->state == RTHYB_IDLE)
         d->phase = RTHYB_DRIVE_FOLLOWING;
@@ -197,12 +201,20 @@ static double stuck(rthyb_drive *d, double x_m)
     return d->stuck_m;
 }
 
+/* Displacement and force as sensors that are mounted as the calibration says have them. */
+static void to_wire(const rthyb_calibration *c, rthyb_reading *r)
+{
+    r->x_m = (r->x_m - c->x_offset_m) / c->x_gain;
+    r->f_n = (r->f_n - c->f_offset_n) / c->f_gain;
+}
+
 static rthyb_reading measure(rthyb_drive *d)
 {
     rthyb_reading r = {.has = RTHYB_HAS_X | RTHYB_HAS_F, .echo = d->seq};
     (void)rthyb_rig_step(d->rig, d->target_m - d->origin_m, &r.x_m, &r.f_n);
     r.x_m = stuck(d, r.x_m + d->origin_m) + fault_value(d, RTHYB_FAULT_JUMP);
     r.f_n += fault_value(d, RTHYB_FAULT_FORCE);
+    to_wire(&d->calibration, &r);
     if (fault(d, RTHYB_FAULT_NOT_FINITE))
         r.x_m = (double)NAN;
     r.count = (uint32_t)d->tick;

@@ -10,6 +10,53 @@
 int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
                             int blind, rthyb_record *record);
 
+/* Readings in the structure's own numbers, and the way of a command to the wire and back. The station
+ * sees nothing else, live or replayed. */
+static inline double calibrated_x(const rthyb_calibration *c, double wire_m)
+{
+    return c->x_gain * wire_m + c->x_offset_m;
+}
+
+static inline double calibrated_f(const rthyb_calibration *c, double wire_n)
+{
+    return c->f_gain * wire_n + c->f_offset_n;
+}
+
+static inline double command_to_wire(const rthyb_calibration *c, double x_m)
+{
+    return c->cmd_gain * x_m + c->cmd_offset_m;
+}
+
+static inline double command_from_wire(const rthyb_calibration *c, double wire_m)
+{
+    return (wire_m - c->cmd_offset_m) / c->cmd_gain;
+}
+
+/* Tells the station which displacement the drive has for the next tick: the one on the wire, to its
+ * last digit, or the one before where none has left. */
+static inline void note_command(rthyb_station *s, const rthyb_calibration *c, int sent,
+                                double wire_m)
+{
+    rthyb_controller *controller = &s->controller;
+    controller->x_cmd = sent ? command_from_wire(c, wire_m) - s->tare_x : controller->x_cmd1;
+}
+
+/* The raw reading of a tick: 0 where nothing came, the lowest value for no number. */
+static inline int32_t raw_reading(int32_t value, int lost)
+{
+    if (!lost)
+        return value;
+    return lost & RTHYB_S_NOT_FINITE ? INT32_MIN : 0;
+}
+
+/* 0 or RTHYB_E_LIMIT. */
+int rthyb_watches_check(const rthyb_watch watch[RTHYB_CAUSE_COUNT]);
+int rthyb_path_limits_check(double velocity_m_per_s, double acceleration_m_per_s2);
+
+/* Neither waits. _read: 1 for a set that is new; one half written is left for the next time. */
+void rthyb_handover_write(rthyb_handover *handover, const rthyb_parameters *parameters);
+int rthyb_handover_read(rthyb_handover *handover, rthyb_parameters *parameters);
+
 /* What the calling thread has used since `before`. */
 void rthyb_usage_since(rthyb_usage *usage, const rthyb_usage *before);
 

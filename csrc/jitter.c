@@ -68,6 +68,13 @@ static double excitation_at(const rthyb_jitter *jitter, uint64_t k)
     return jitter->excitation[k % jitter->excitation_count];
 }
 
+/* What the tick thread does with its record as well. */
+static void keep(const rthyb_jitter *jitter, const rthyb_record *record)
+{
+    if (jitter->ring)
+        rthyb_ring_push(jitter->ring, record);
+}
+
 /* The ticks that were skipped do not happen: timing is asked for here, not motion. */
 static void sample(rthyb_jitter *jitter, const rthyb_tick *tick)
 {
@@ -75,6 +82,7 @@ static void sample(rthyb_jitter *jitter, const rthyb_tick *tick)
     rthyb_input in = {.excitation = excitation_at(jitter, tick->k)};
     rthyb_rig_step(jitter->rig, jitter->controller->x_cmd, &in.x_meas_m, &in.f_meas_n);
     rthyb_controller_step(jitter->controller, &in, &record);
+    keep(jitter, &record);
 }
 
 /* Drain, newest wins; compute; send. None of it waits. */
@@ -90,6 +98,7 @@ static void exchange(rthyb_jitter *jitter, const rthyb_tick *tick, int socket)
     rthyb_controller_step(jitter->controller, &in, &record);
     const double command = jitter->controller->x_cmd;
     const ssize_t sent = send(socket, &command, sizeof command, MSG_DONTWAIT | MSG_NOSIGNAL);
+    keep(jitter, &record);
     jitter->measured.lost += in.lost ? 1u : 0u;
     jitter->measured.not_sent += sent == (ssize_t)sizeof command ? 0u : 1u;
 }

@@ -1,5 +1,5 @@
-/* Exchange of frames over a descriptor that somebody else opened. Nothing here waits, and what the
- * kernel says of a broken link is kept until something comes or goes again. */
+/* Exchange of frames over a descriptor that somebody else opened. Nothing here but rthyb_link_wait
+ * waits, and what the kernel says of a broken link is kept until something comes or goes again. */
 #define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp) */
 
 #include <errno.h>
@@ -13,6 +13,8 @@
 
 #include "relaxed.h"
 #include "rthyb.h"
+
+#define SECOND_NS 1000000000
 
 int rthyb_link_open(rthyb_link *link, int32_t kind, int32_t fd)
 {
@@ -184,6 +186,15 @@ int rthyb_link_send(rthyb_link *link, const rthyb_frame *frame)
     else
         add(&link->counters.no_room, 1);
     return 0;
+}
+
+int rthyb_link_wait(const rthyb_link *link, int64_t most_ns)
+{
+    struct pollfd look = {.fd = link->fd, .events = POLLIN};
+    const struct timespec most = {.tv_sec = most_ns / SECOND_NS, .tv_nsec = most_ns % SECOND_NS};
+    if (most_ns <= 0 || ppoll(&look, 1, &most, NULL) <= 0)
+        return 0;
+    return look.revents == POLLIN;
 }
 
 void rthyb_link_drain(rthyb_link *link, rthyb_wire *wire)

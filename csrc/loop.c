@@ -3,6 +3,7 @@
 #define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp) */
 
 #include <limits.h>
+#include <math.h>
 #include <pthread.h>
 #include <string.h>
 
@@ -13,7 +14,9 @@
 #define STACK_BYTES (1u << 18)
 #define STACK_TOUCHED (1u << 16)
 #define COMMAND_BITS 8
-#define RESYNC_AGE 20 /* ticks of silence after which the drive's count may have wrapped */
+#define HALF_PERIOD_NS 488281
+#define NS_TO_PPB 1024.0 /* of a period */
+#define RESYNC_AGE 20    /* ticks of silence after which the drive's count may have wrapped */
 
 _Static_assert(sizeof(pthread_t) <= sizeof(uint64_t), "a thread's name fits rthyb_loop.thread");
 
@@ -26,11 +29,16 @@ int rthyb_loop_init(rthyb_loop *loop, int32_t clock)
         .ring = loop->ring,
         .ag_mps2 = loop->ag_mps2,
         .ag_count = loop->ag_count,
+        .calibration = loop->calibration,
+        .lead_ns = loop->lead_ns,
         .delay = -1,
         .cpu = -1,
         .latency_fd = -1,
     };
-    return rthyb_ticker_init(&loop->ticker, clock, 0);
+    int error = rthyb_calibration_check(&loop->calibration);
+    if (!error && clock == RTHYB_CLOCK_LINK)
+        error = rthyb_phase_init(&loop->phase, loop->lead_ns);
+    return error ? error : rthyb_ticker_init(&loop->ticker, clock, 0);
 }
 
 /* ---- mailbox and heartbeat -------------------------------------------------------------------- */
@@ -67,6 +75,59 @@ int rthyb_loop_answered(const rthyb_loop *loop, uint64_t generation, uint64_t *t
     return answer & 1u ? 2 : 1;
 }
 
+uint64_t rthyb_loop_load(rthyb_loop *loop, const rthyb_load *load)
+{
+    const uint64_t generation = peek(&loop->loads) + 1;
+    loop->load = *load;
+    release(&loop->loads, generation);
+    return generation;
+}
+
+int rthyb_loop_loaded(const rthyb_loop *loop, uint64_t generation)
+{
+    const uint64_t answer = acquire(&loop->load_answer);
+    if (answer >> 1 < generation)
+        return 0;
+    return answer & 1u ? 2 : 1;
+}
+
+static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
+{
+    const uint64_t generation = acquire(&loop->loads);
+    if (generation == loop->load_answer >> 1)
+        return;
+    const rthyb_load *load = &loop->load;
+    const int refused = load->station != loop->station && loop->station->state != RTHYB_IDLE;
+    if (!refused) {
+        if (load->station != loop->station)
+            put(&loop->load_tick, tick->k - tick->skipped);
+        loop->station = load->station;
+        loop->ring = load->ring;
+        loop->ag_mps2 = load->ag_mps2;
+        loop->ag_count = load->ag_count;
+    }
+    release(&loop->load_answer, generation << 1 | (uint64_t)refused);
+}
+
+int rthyb_loop_set_parameters(rthyb_loop *loop, rthyb_parameters *parameters)
+{
+    const int error = rthyb_parameters_check(parameters);
+    if (error)
+        return error;
+    parameters->generation = ++loop->generation;
+    rthyb_handover_write(&loop->handover, parameters);
+    return 0;
+}
+
+static void take_parameters(rthyb_loop *loop)
+{
+    rthyb_parameters parameters;
+    if (!rthyb_handover_read(&loop->handover, &parameters))
+        return;
+    rthyb_station_adopt(loop->station, &parameters);
+    add(&loop->counters.parameters, 1);
+}
+
 void rthyb_loop_beat(rthyb_loop *loop)
 {
     __atomic_fetch_add(&loop->heartbeat, 1u, __ATOMIC_RELAXED);
@@ -84,39 +145,76 @@ static int heartbeat_late(rthyb_loop *loop, uint64_t ticks)
 
 /* ---- one tick --------------------------------------------------------------------------------- */
 
-/* The two clocks against each other. A lost pair changes nothing, one that comes late for good is a
- * slip as much as one that comes early. */
-static void watch_slip(rthyb_loop *loop, const rthyb_feedback *feedback, uint64_t k, uint32_t age)
+/* A tick that woke late, or after others that it slept through, says nothing about the drive's clock: it
+ * may have taken a sample that was the next one's. */
+static int is_punctual(const rthyb_tick *tick)
+{
+    return !tick->skipped && tick->woken_ns - tick->due_ns < HALF_PERIOD_NS;
+}
+
+static void know_offset(rthyb_loop *loop, int64_t offset)
+{
+    loop->offset = loop->offset_seen = offset;
+    loop->offset_known = 1;
+    loop->votes = 0;
+}
+
+/* The two clocks against each other; 1 for a slip. A lost or a late pair changes nothing. Where a
+ * sample arrives as the tick is due, jitter decides on which side it falls, now here, now there: a
+ * slip is one that stays, and every tick that sees another offset speaks against it. */
+static int has_slipped(rthyb_loop *loop, const rthyb_feedback *feedback, uint64_t k, uint32_t age)
 {
     const int64_t offset = (int64_t)(feedback->samples - k);
-    if (loop->offset_known && age < RESYNC_AGE && offset != loop->offset)
-        add(&loop->counters.slips, 1);
-    loop->offset = offset;
-    loop->offset_known = 1;
+    if (!loop->offset_known || age >= RESYNC_AGE) {
+        know_offset(loop, offset);
+    } else if (offset != loop->offset && (offset == loop->offset_seen || loop->votes == 0)) {
+        loop->offset_seen = offset;
+        loop->votes++;
+    } else {
+        loop->votes -= loop->votes > 0;
+    }
+    if (loop->votes < RTHYB_SLIP_VOTES)
+        return 0;
+    know_offset(loop, offset);
+    add(&loop->counters.slips, 1);
+    return 1;
 }
 
-static int take_feedback(rthyb_loop *loop, const rthyb_tick *tick, rthyb_feedback *feedback)
+typedef struct {
+    rthyb_feedback feedback;
+    int lost, slipped;
+} arrival;
+
+/* What came at this instant or before it. */
+static void take_in(rthyb_loop *loop, int64_t now_ns)
+{
+    const uint64_t pairs = peek(&loop->wire->counters.pairs);
+    rthyb_link_drain(loop->link, loop->wire);
+    if (peek(&loop->wire->counters.pairs) != pairs)
+        loop->arrived_ns = now_ns;
+}
+
+static void take_feedback(rthyb_loop *loop, const rthyb_tick *tick, arrival *found)
 {
     const uint32_t age = loop->wire->age;
-    rthyb_link_drain(loop->link, loop->wire);
-    const int lost = rthyb_wire_take(loop->wire, feedback);
-    if (!lost) {
-        loop->delay = feedback->delay;
-        watch_slip(loop, feedback, tick->k, age);
-    }
-    return lost;
+    take_in(loop, tick->woken_ns);
+    found->lost = rthyb_wire_take(loop->wire, &found->feedback);
+    found->slipped = 0;
+    if (found->lost)
+        return;
+    loop->delay = found->feedback.delay;
+    if (is_punctual(tick))
+        found->slipped = has_slipped(loop, &found->feedback, tick->k, age);
 }
 
-/* The displacement that the drive has for the next tick: the one on the wire, to its last digit, or
- * the one before where none has left. */
 static int send_command(rthyb_loop *loop, const rthyb_station_output *out)
 {
     rthyb_frame frame;
     double sent_m = 0.0;
-    rthyb_station *station = loop->station;
-    const int code = rthyb_wire_command(loop->wire, out->x_cmd_m, out->state, &frame, &sent_m);
+    const double wanted_m = command_to_wire(&loop->calibration, out->x_cmd_m);
+    const int code = rthyb_wire_command(loop->wire, wanted_m, out->state, &frame, &sent_m);
     const int sent = !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->link, &frame);
-    station->controller.x_cmd = sent ? sent_m - station->tare_x : station->controller.x_cmd1;
+    note_command(loop->station, &loop->calibration, sent, sent_m);
     add(sent ? &loop->counters.sent : &loop->counters.not_sent, 1);
     return sent;
 }
@@ -126,16 +224,7 @@ static int32_t short_ns(int64_t ns)
     return ns > INT32_MAX ? INT32_MAX : (int32_t)ns;
 }
 
-/* The raw reading of a tick without a pair: 0 where nothing came, the lowest value for no number. */
-static int32_t raw(int32_t value, int lost)
-{
-    if (!lost)
-        return value;
-    return lost & RTHYB_S_NOT_FINITE ? INT32_MIN : 0;
-}
-
-static void complete(rthyb_loop *loop, const rthyb_tick *tick, const rthyb_feedback *feedback,
-                     int lost)
+static void complete(rthyb_loop *loop, const rthyb_tick *tick, const arrival *found)
 {
     rthyb_record *last = &loop->records[loop->record_count - 1];
     for (uint32_t i = 0; i < loop->record_count; i++) {
@@ -144,10 +233,11 @@ static void complete(rthyb_loop *loop, const rthyb_tick *tick, const rthyb_feedb
         record->due_ns = rthyb_ticker_due_ns(&loop->ticker, k) - loop->ticker.t0_ns;
     }
     last->wake_late_ns = short_ns(tick->woken_ns - tick->due_ns);
-    last->x_raw = raw(feedback->x_raw, lost);
-    last->f_raw = raw(feedback->f_raw, lost);
-    last->echo = (uint8_t)feedback->echo;
-    last->count = (uint8_t)feedback->count;
+    last->x_raw = raw_reading(found->feedback.x_raw, found->lost);
+    last->f_raw = raw_reading(found->feedback.f_raw, found->lost);
+    last->echo = (uint8_t)found->feedback.echo;
+    last->count = (uint8_t)found->feedback.count;
+    last->flags |= found->slipped ? (uint32_t)RTHYB_F_SLIP : 0u;
 }
 
 static void note_sent(rthyb_loop *loop, const rthyb_tick *tick, int sent)
@@ -160,6 +250,17 @@ static void note_sent(rthyb_loop *loop, const rthyb_tick *tick, int sent)
     const int64_t now_ns = rthyb_now_ns();
     record->sent_late_ns = short_ns(now_ns - tick->due_ns);
     rthyb_latency_record(&loop->sent, now_ns - tick->woken_ns);
+}
+
+static void follow_drive(rthyb_loop *loop, const rthyb_tick *tick, const arrival *found)
+{
+    const int came = !found->lost && is_punctual(tick);
+    const double after_due_ns = (double)(loop->arrived_ns - tick->due_ns);
+    rthyb_phase *phase = &loop->phase;
+    rthyb_ticker_trim(&loop->ticker, rthyb_phase_step(phase, came, after_due_ns));
+    put_signed(&loop->arrival_error_ns, llrint(phase->error_ns));
+    put_signed(&loop->trim_ppb, llrint(phase->trim_ns * NS_TO_PPB));
+    put(&loop->locked, (uint64_t)phase->locked);
 }
 
 static void answer(rthyb_loop *loop, uint64_t mail, int refused, uint64_t tick)
@@ -176,6 +277,7 @@ static void publish(rthyb_loop *loop)
 {
     put(&loop->state, (uint64_t)loop->station->state);
     put(&loop->cause, (uint64_t)loop->station->cause);
+    put(&loop->cause_tick, loop->station->cause_tick);
     add(&loop->counters.records, loop->record_count);
     if (loop->ring)
         rthyb_ring_push_run(loop->ring, loop->records, loop->record_count);
@@ -191,35 +293,41 @@ static int is_down(rthyb_loop *loop)
 }
 
 static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint64_t mail,
-                                  rthyb_feedback *feedback)
+                                  arrival *found)
 {
-    const int lost = take_feedback(loop, tick, feedback);
-    const int stopped = !lost && feedback->status & RTHYB_DEVICE_STOPPED;
-    const int down = is_down(loop) || stopped;
+    take_feedback(loop, tick, found);
+    const int stopped = (found->feedback.status & RTHYB_DEVICE_STOPPED) != 0;
+    const int down = is_down(loop);
     const int waiting = mail >> COMMAND_BITS != loop->answer >> COMMAND_BITS;
     add(&loop->counters.down, (uint64_t)down);
+    add(&loop->counters.stopped, (uint64_t)stopped);
     return (rthyb_station_input){
-        .x_m = feedback->x_m,
-        .f_n = feedback->f_n,
-        .lost = lost,
+        .x_m = calibrated_x(&loop->calibration, found->feedback.x_m),
+        .f_n = calibrated_f(&loop->calibration, found->feedback.f_n),
+        .lost = found->lost,
         .skipped = tick->skipped < UINT32_MAX ? (uint32_t)tick->skipped : UINT32_MAX,
         .command = waiting ? (int32_t)(mail & ((1u << COMMAND_BITS) - 1u)) : RTHYB_CMD_NONE,
         .link_down = down,
+        .drive_stopped = stopped,
         .heartbeat_late = heartbeat_late(loop, 1 + tick->skipped),
     };
 }
 
 static void execute(rthyb_loop *loop, const rthyb_tick *tick)
 {
-    rthyb_feedback feedback;
+    arrival found;
     rthyb_station_output out;
+    take_load(loop, tick);
+    take_parameters(loop);
     const uint64_t mail = acquire(&loop->mail);
-    const rthyb_station_input in = gather(loop, tick, mail, &feedback);
+    const rthyb_station_input in = gather(loop, tick, mail, &found);
     rthyb_station_tick(loop->station, &in, loop->ag_mps2, loop->ag_count, loop->records, &out);
     loop->record_count = out.records;
-    complete(loop, tick, &feedback, in.lost);
+    complete(loop, tick, &found);
     if (out.send)
         note_sent(loop, tick, send_command(loop, &out));
+    if (loop->ticker.clock == RTHYB_CLOCK_LINK)
+        follow_drive(loop, tick, &found);
     publish(loop);
     answer(loop, mail, out.refused, tick->k);
 }
@@ -233,6 +341,26 @@ void rthyb_loop_step(rthyb_loop *loop)
 
 /* ---- its thread ------------------------------------------------------------------------------- */
 
+/* Until the tick is due: takes in what comes, and notes when. A link that babbles wakes it so many
+ * times and no more. */
+static void listen(rthyb_loop *loop)
+{
+    const int64_t due_ns = rthyb_ticker_due_ns(&loop->ticker, loop->ticker.elapsed);
+    for (int i = 0; i < RTHYB_WAKE_UPS_MAX; i++) {
+        if (!rthyb_link_wait(loop->link, due_ns - rthyb_now_ns()))
+            return;
+        add(&loop->counters.wake_ups, 1);
+        take_in(loop, rthyb_now_ns());
+    }
+}
+
+static int wait_for_tick(rthyb_loop *loop, rthyb_tick *tick)
+{
+    if (loop->ticker.clock == RTHYB_CLOCK_LINK)
+        listen(loop);
+    return rthyb_ticker_wait(&loop->ticker, tick);
+}
+
 static void *tick_thread(void *shared)
 {
     rthyb_loop *loop = shared;
@@ -240,10 +368,10 @@ static void *tick_thread(void *shared)
     rthyb_usage before;
     loop->privileges =
         rthyb_thread_become_real_time(loop->priority, loop->cpu, loop->latency_fd, STACK_TOUCHED);
-    if (loop->ticker.clock == RTHYB_CLOCK_HOST)
+    if (loop->ticker.clock != RTHYB_CLOCK_STEPPED)
         loop->ticker.t0_ns = rthyb_now_ns() + HEAD_START_NS;
     rthyb_thread_usage(&before);
-    while (rthyb_ticker_wait(&loop->ticker, &tick))
+    while (wait_for_tick(loop, &tick))
         execute(loop, &tick);
     rthyb_usage_since(&loop->usage, &before);
     return NULL;

@@ -15,6 +15,12 @@ static inline void put(uint64_t *number, uint64_t value)
     __atomic_store_n(number, value, __ATOMIC_RELAXED);
 }
 
+/* NOLINTNEXTLINE(readability-non-const-parameter): the store is a builtin */
+static inline void put_signed(int64_t *number, int64_t value)
+{
+    __atomic_store_n(number, value, __ATOMIC_RELAXED);
+}
+
 /* For the writer only: no other thread can come between load and store. */
 static inline void add(uint64_t *number, uint64_t more)
 {

@@ -80,7 +80,17 @@ enum rthyb_flag {
     RTHYB_F_BLIND = 4,     /* a skipped tick, made up for later */
     RTHYB_F_FROZEN = 8,    /* alpha and k_t held */
     RTHYB_F_LIMITED = 16,  /* the limiter changed the command */
-    RTHYB_F_NOT_SENT = 32
+    RTHYB_F_NOT_SENT = 32,
+    /* From here on: what the station was told in this tick, in its last record alone, never in a
+     * blind one. With the raw reading it is all that a replay needs. */
+    RTHYB_F_SLIP = 1 << 6,     /* the drive's count has slipped against the tick, 128 ticks ago */
+    RTHYB_F_LOST = 1 << 7,     /* the wire had no new pair; PREDICTED without it: the station
+                                * refused the pair that came */
+    RTHYB_F_DOWN = 1 << 8,     /* the link reported a failure */
+    RTHYB_F_STOPPED = 1 << 9,  /* the drive's last word is that it has stopped by itself */
+    RTHYB_F_SILENT = 1 << 10,  /* the operator's side has been silent for too long */
+    RTHYB_F_REFUSED = 1 << 23, /* the operator's command of this tick was refused */
+    RTHYB_F_COMMAND_BIT = 24   /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
 };
 
 typedef struct {
@@ -90,21 +100,22 @@ typedef struct {
     int32_t sent_late_ns; /* command sent after due */
     uint32_t flags;       /* enum rthyb_flag */
     uint32_t generation;  /* parameter generation in force */
-    int32_t x_raw;  /* reading as it came, taken or not, 1 nm; saturates; lowest value: no number */
-    int32_t f_raw;  /* the same of the force, 1 mN; both 0 where nothing came */
-    uint8_t state;  /* enum rthyb_state */
-    uint8_t echo;   /* low byte of the command sequence number the drive had applied */
-    uint8_t count;  /* the drive's own sample count */
-    uint8_t code;   /* enum rthyb_status */
-    double ag_mps2; /* ground acceleration at t_n */
-    double x_num_m; /* x_c[n], command of the integration */
-    double x_plc_m; /* output of the phase-lead compensator */
-    double x_cmd_m; /* x_p[n], as the drive has it */
-    double x_meas_m;    /* x_m[n], accepted or predicted, after tare */
-    double f_meas_n;    /* f[n], accepted or predicted, after tare */
-    double alpha;       /* samples, after the update of tick n */
-    double beta;        /* samples squared */
-    double k_t_n_per_m; /* tangent stiffness that the RFC used */
+    int32_t x_raw;        /* reading as it came, taken or not, before calibration and tare, 1 nm;
+                           * saturates one short of the lowest value, which means: no number */
+    int32_t f_raw;        /* the same of the force, 1 mN; both 0 where nothing came */
+    uint8_t state;        /* enum rthyb_state */
+    uint8_t echo;         /* low byte of the command sequence number the drive had applied */
+    uint8_t count;        /* the drive's own sample count */
+    uint8_t code;         /* enum rthyb_status */
+    double ag_mps2;       /* ground acceleration at t_n */
+    double x_num_m;       /* x_c[n], command of the integration */
+    double x_plc_m;       /* output of the phase-lead compensator */
+    double x_cmd_m;       /* x_p[n], as the drive has it */
+    double x_meas_m;      /* x_m[n], accepted or predicted, after tare */
+    double f_meas_n;      /* f[n], accepted or predicted, after tare */
+    double alpha;         /* samples, after the update of tick n */
+    double beta;          /* samples squared */
+    double k_t_n_per_m;   /* tangent stiffness that the RFC used */
     double energy_error_j;
     double tracking_indicator_m2;
 } rthyb_record;
@@ -384,7 +395,8 @@ typedef struct {
     double x_range_m, f_range_n; /* a reading beyond its sensor's range is not taken; 0 = off */
     rthyb_limit position, force, tracking;
     double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* 0 = off */
-    double clamp_m; /* the command never leaves +-clamp_m; 0 = off */
+    double clamp_m;        /* the command never leaves +-clamp_m; 0 = off */
+    int32_t estimate_held; /* alpha and beta stay where they are */
 } rthyb_controller_config;
 
 typedef struct {
@@ -450,7 +462,8 @@ enum rthyb_command {
     RTHYB_CMD_COUNT
 };
 
-/* Why a test left its course; the first one since START (or RESET) is latched. */
+/* Why a test left its course; the first one since START (or RESET) is latched, but a fault takes the
+ * place of COMPLETED and OPERATOR. */
 enum rthyb_cause {
     RTHYB_CAUSE_NONE,
     RTHYB_CAUSE_COMPLETED,
@@ -459,6 +472,7 @@ enum rthyb_cause {
     RTHYB_CAUSE_NOT_FINITE,
     RTHYB_CAUSE_LINK_LOST,
     RTHYB_CAUSE_LINK_DOWN,
+    RTHYB_CAUSE_DRIVE_STOPPED,
     RTHYB_CAUSE_STALLED,
     RTHYB_CAUSE_SKIPS,
     RTHYB_CAUSE_HEARTBEAT,
@@ -494,6 +508,7 @@ typedef struct {
     double path_acceleration_m_per_s2;
     double rest_spread_m; /* ZERO refuses a displacement that moves by more */
     int32_t tare_ticks, ramp_in_ticks, armed_ticks;
+    int32_t stay; /* RAMP_OUT ends where its deceleration does, and not at 0 */
 } rthyb_station_config;
 
 /* Displacement over a whole number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u); u = 0 ... 1. */
@@ -507,10 +522,10 @@ typedef struct {
 typedef struct {
     rthyb_station_config cfg;
     rthyb_controller controller;
-    int32_t state; /* enum rthyb_state */
-    int32_t cause; /* enum rthyb_cause, latched */
-    uint64_t cause_tick;
-    uint32_t indicated; /* bit 1 << cause: seen, not acted on */
+    int32_t state;       /* enum rthyb_state */
+    int32_t cause;       /* enum rthyb_cause, latched */
+    uint64_t cause_tick; /* when the cause came up */
+    uint32_t indicated;  /* bit 1 << cause: seen, not acted on */
     int32_t interrupted;
     uint64_t tick;      /* ticks of the station */
     uint64_t in_state;  /* ticks since the state was entered */
@@ -537,6 +552,7 @@ typedef struct {
     uint32_t skipped;       /* ticks that were skipped before this one */
     int32_t command;        /* enum rthyb_command */
     int32_t link_down;      /* the link itself reports a failure */
+    int32_t drive_stopped;  /* the drive says that it has stopped by itself */
     int32_t heartbeat_late; /* Python has been silent for a second */
 } rthyb_station_input;
 
@@ -544,7 +560,7 @@ typedef struct {
     double x_cmd_m; /* for the wire: with tare */
     int32_t send;   /* 0: silence */
     int32_t state;
-    int32_t refused; /* the command was refused: it is not for this state */
+    int32_t refused; /* the command was refused: not for this state, or nobody there to obey */
     uint32_t records;
 } rthyb_station_output;
 
@@ -552,9 +568,29 @@ enum rthyb_station_size { RTHYB_BLIND_MAX = 20 };
 
 int rthyb_station_init(rthyb_station *station, const rthyb_station_config *cfg);
 /* One executed tick: blind steps for what was skipped, then the sample. records takes up to
- * RTHYB_BLIND_MAX + 1 of them. ag_mps2 is the ground motion of the whole test, n of it. */
+ * RTHYB_BLIND_MAX + 1 of them; the last one has what the station was told as flags. ag_mps2 is the
+ * ground motion of the whole test, n of it. While the link is down or the drive stopped, ZERO, ARM
+ * and START are refused. */
 int rthyb_station_tick(rthyb_station *station, const rthyb_station_input *in, const double *ag_mps2,
                        size_t n, rthyb_record *records, rthyb_station_output *out);
+
+enum rthyb_parameters_size { RTHYB_PARAMETER_WORDS = 45 };
+
+/* What may be changed while a test runs. Generation 0 is what the station was set up with. */
+typedef struct {
+    uint32_t generation;
+    int32_t adapt;                        /* 0: alpha and beta stay where they are */
+    rthyb_watch watch[RTHYB_CAUSE_COUNT]; /* as in rthyb_station_config */
+    double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* of the command; 0 = off */
+    double path_velocity_m_per_s, path_acceleration_m_per_s2; /* of paths that begin from now on */
+} rthyb_parameters;
+
+/* 0 or RTHYB_E_LIMIT. */
+int rthyb_parameters_check(const rthyb_parameters *parameters);
+/* Before a tick: puts a set that passed in force, with its generation, in this test and the next. A
+ * command beyond a new position limit does not jump there: it may not go further out. */
+void rthyb_station_adopt(rthyb_station *station, const rthyb_parameters *parameters);
+
 /* 1 if a command may be given in a state. */
 int rthyb_command_allowed(int32_t state, int32_t command);
 
@@ -586,8 +622,9 @@ uint64_t rthyb_latency_edge_ns(uint32_t bucket);
 void rthyb_latency_merge(rthyb_latency *into, const rthyb_latency *from);
 
 enum rthyb_clock {
-    RTHYB_CLOCK_HOST,   /* CLOCK_MONOTONIC */
-    RTHYB_CLOCK_STEPPED /* no wall clock: a tick comes on the caller's word */
+    RTHYB_CLOCK_HOST,    /* CLOCK_MONOTONIC */
+    RTHYB_CLOCK_STEPPED, /* no wall clock: a tick comes on the caller's word */
+    RTHYB_CLOCK_LINK     /* CLOCK_MONOTONIC, trimmed by a loop to the drive's samples */
 };
 
 /* Tick k is due at t0 + k 1953125/2 ns, rounded down; a rounded period is never added up. Woken
@@ -600,7 +637,7 @@ typedef struct {
     uint32_t stop, bell;
     uint64_t granted, missed, missed_taken; /* stepped: what was said, and how much of it is done */
     uint64_t elapsed, executed, skipped, longest_skip;
-    rthyb_latency wake; /* host: woken after the due time of the tick that was waited for */
+    rthyb_latency wake; /* host, link: woken after the due time of the tick that was waited for */
 } rthyb_ticker;
 
 typedef struct {
@@ -635,6 +672,29 @@ void rthyb_ticker_miss(rthyb_ticker *ticker, uint64_t ticks);
 void rthyb_ticker_stop(rthyb_ticker *ticker);
 void rthyb_ticker_read(const rthyb_ticker *ticker, rthyb_ticker_counts *counts);
 int64_t rthyb_now_ns(void); /* CLOCK_MONOTONIC */
+
+/* The link clock's loop (phase.c). Error is how long after the instant that is lead_ns before the
+ * tick the pair of that tick arrived. */
+typedef struct {
+    double lead_ns;
+    double error_ns; /* smoothed */
+    double drift_ns; /* the integral: what the drive's clock is slow, ns a tick */
+    double trim_ns;  /* mean of the last 4 s, ns a tick */
+    double carry_ns; /* of the trim, less than one */
+    double mark_ns;  /* error when the speed of approach began to be measured */
+    uint32_t ticks;  /* since pairs began to be followed, or the speed of approach was looked at */
+    uint32_t silent; /* ticks without a pair, in a row */
+    uint32_t near;   /* ticks in a row with a small error */
+    int32_t following;
+    int32_t locked; /* the error has been small for a quarter of a second */
+} rthyb_phase;
+
+/* 0, or RTHYB_E_PERIOD for a lead beyond 10 us to half a period. */
+int rthyb_phase_init(rthyb_phase *phase, double lead_ns);
+/* Once an executed tick. came != 0: the tick took a pair that arrived so long after its due time (mostly
+ * before it: less than 0). Returns what rthyb_ticker_trim is to be given: never more than
+ * RTHYB_TRIM_MAX_NS either way. A tick without a pair, or with an outlier, changes next to nothing. */
+int64_t rthyb_phase_step(rthyb_phase *phase, int came, double after_due_ns);
 
 /* What a thread has obtained, by the kernel's answer and not by what was asked for. */
 enum rthyb_privilege {
@@ -678,6 +738,8 @@ typedef struct {
     rthyb_usage usage;   /* from the first tick to the last */
 } rthyb_timing;
 
+typedef struct rthyb_ring rthyb_ring;
+
 /* Set up by the caller, everything not named here zeroed. Without payload neither controller nor
  * rig nor excitation is needed. */
 typedef struct {
@@ -689,6 +751,7 @@ typedef struct {
     rthyb_rig *rig;
     const double *excitation; /* repeated as long as the run lasts */
     size_t excitation_count;
+    rthyb_ring *ring;       /* takes the record of every sample; NULL: none does */
     rthyb_timing measured;  /* carries the payload */
     rthyb_timing reference; /* bare, half a period later, in the same seconds */
     uint32_t stop;
@@ -877,8 +940,8 @@ typedef struct {
 } rthyb_wire;
 
 typedef struct {
-    double x_m, f_n;      /* newest pair, 0 before the first */
-    int32_t x_raw, f_raw; /* the same in 1 nm and 1 mN, saturating */
+    double x_m, f_n; /* newest pair, 0 before the first: whole nm and mN, unless raw saturates */
+    int32_t x_raw, f_raw; /* the same in 1 nm and 1 mN, saturating one short of the lowest value */
     uint32_t echo, count, status;
     /* Samples between the command for this tick and the one that the drive had applied at the
      * instant of the pair; -1: not known. */
@@ -956,13 +1019,13 @@ typedef struct {
 } rthyb_ring_header;
 
 /* The producer's own side; one thread at a time. */
-typedef struct {
+struct rthyb_ring {
     rthyb_ring_header *header;
     rthyb_ring_slot *slots;
     uint64_t mask;
     uint64_t pushed, shown; /* records in the ring, records on the status page */
     uint32_t tripped;       /* records taken since the TRIP */
-} rthyb_ring;
+};
 
 /* One reader of a mapping that may be read-only. Readers do not know of one another, and the
  * producer knows of none. */
@@ -1027,7 +1090,7 @@ typedef struct {
     uint64_t times_down;
 } rthyb_link_counters;
 
-/* A descriptor of its own on what the caller opened and set up; nothing here ever waits. */
+/* A descriptor of its own on what the caller opened and set up. */
 typedef struct {
     int32_t kind, fd;
     int32_t down; /* enum rthyb_link_fault; until something comes or goes again */
@@ -1045,21 +1108,59 @@ void rthyb_link_close(rthyb_link *link);
 int rthyb_link_receive(rthyb_link *link, rthyb_frame *frame);
 /* 1: sent; 0: lost, counted, for want of room or because the link is down. */
 int rthyb_link_send(rthyb_link *link, const rthyb_frame *frame);
+/* Waits for something to come, so long at most. 1: it did; 0: not, or nothing ever will, because the
+ * descriptor is in error or its other end closed: then it does not wait. The one function here that
+ * waits. */
+int rthyb_link_wait(const rthyb_link *link, int64_t most_ns);
 /* Everything that came, into the wire; RTHYB_LINK_PIECES_MAX pieces at most. */
 void rthyb_link_drain(rthyb_link *link, rthyb_wire *wire);
 
-enum rthyb_loop_size { RTHYB_HEARTBEAT_TICKS = 1024 /* of silence, then RAMP_OUT */ };
+enum rthyb_loop_size {
+    RTHYB_HEARTBEAT_TICKS = 1024, /* of silence, then RAMP_OUT */
+    RTHYB_SLIP_VOTES = 128,       /* ticks after which a changed count is a slip */
+    RTHYB_WAKE_UPS_MAX = 8        /* link clock: by what comes, in one tick */
+};
+
+/* Between the numbers on the wire and the structure's own: what sensors are mounted the other way
+ * round, scaled or offset, and the similitude. All gains 1 and offsets 0: exactly nothing changes. */
+typedef struct {
+    double x_gain, x_offset_m;     /* x = x_gain wire + x_offset_m */
+    double f_gain, f_offset_n;     /* f = f_gain wire + f_offset_n */
+    double cmd_gain, cmd_offset_m; /* wire = cmd_gain x + cmd_offset_m */
+} rthyb_calibration;
+
+/* 0; RTHYB_E_LIMIT for a gain that is not within 1e-9 to 1e9 either way, or an offset beyond any
+ * sense. */
+int rthyb_calibration_check(const rthyb_calibration *calibration);
 
 /* May be read while the loop runs. */
 typedef struct {
     uint64_t records;
-    uint64_t sent;     /* commands */
-    uint64_t not_sent; /* commands that the link did not take */
-    uint64_t down;     /* ticks with the link down or the drive stopped */
-    uint64_t late_heartbeats;
-    uint64_t refused; /* operator's commands */
-    uint64_t slips;   /* changes of (drive's count - tick); none while frames are lost one by one */
+    uint64_t sent;            /* commands */
+    uint64_t not_sent;        /* commands that the link did not take */
+    uint64_t down;            /* ticks with the link down */
+    uint64_t stopped;         /* ticks in which the drive's last word was that it has stopped */
+    uint64_t late_heartbeats; /* ticks */
+    uint64_t refused;         /* operator's commands */
+    uint64_t slips;           /* lasting changes of (drive's count - tick) */
+    uint64_t wake_ups;        /* link clock: by what came, beside the ticks */
+    uint64_t parameters;      /* sets taken */
 } rthyb_loop_counters;
+
+/* A set of parameters on its way from the operator's side to the tick. */
+typedef struct {
+    uint64_t stamp; /* odd while it is being written; 0: none yet */
+    uint64_t taken; /* the tick's own: stamp of the set that it took last */
+    uint64_t words[RTHYB_PARAMETER_WORDS];
+} rthyb_handover;
+
+/* What a loop goes on with: another test at the same link. */
+typedef struct {
+    rthyb_station *station;
+    rthyb_ring *ring; /* NULL: no ring */
+    const double *ag_mps2;
+    size_t ag_count;
+} rthyb_load;
 
 /* The tick: link -> wire -> station -> wire -> link -> record -> ring. The caller sets up what the
  * pointers point to, and leaves all of it but the counters alone while the thread runs. */
@@ -1070,6 +1171,8 @@ typedef struct {
     rthyb_ring *ring;      /* NULL: no ring */
     const double *ag_mps2; /* ground motion of the test */
     size_t ag_count;
+    rthyb_calibration calibration;
+    double lead_ns; /* link clock: the pair arrives so long before the tick */
     rthyb_ticker ticker;
     rthyb_latency sent; /* host clock: from wake-up to the command being sent */
     rthyb_loop_counters counters;
@@ -1077,26 +1180,37 @@ typedef struct {
     uint32_t record_count;
     int32_t delay; /* as in rthyb_feedback, of the last fresh pair */
     /* The same as words that any thread may read. */
-    uint64_t state, cause;
+    uint64_t state, cause, cause_tick;
+    /* Of the link clock, to be read by any thread: error of the arrival, trim in parts per 1e9. */
+    int64_t arrival_error_ns, trim_ppb;
+    uint64_t locked;
+    int64_t arrived_ns; /* when the newest pair did, on CLOCK_MONOTONIC */
+    rthyb_phase phase;
+    rthyb_handover handover;
+    uint32_t generation; /* of the last set that was published */
     /* Mailbox: generation << 8 | command, and what became of it: generation << 8 | refused. */
     uint64_t mail, answer, answer_tick;
+    rthyb_load load;
+    uint64_t loads, load_answer; /* generation of the load; what became of it: << 1 | refused */
+    uint64_t load_tick; /* of the loop: where tick 0 of the station is that was taken last */
     uint64_t heartbeat, heard, silence; /* word of the other side, last seen, ticks since */
     uint64_t downs_seen;                /* of the link's times_down */
     int64_t offset;                     /* drive's count - tick */
-    int32_t offset_known;
+    int64_t offset_seen;                /* another one, that votes ticks more have seen than not */
+    int32_t offset_known, votes;
     int32_t priority, cpu, latency_fd; /* of the thread, as in rthyb_thread_become_real_time */
     uint32_t privileges;               /* obtained: enum rthyb_privilege */
     rthyb_usage usage;                 /* of the thread, from the first tick to the last */
     uint64_t thread;
 } rthyb_loop;
 
-/* The members up to ag_count are the caller's; the rest becomes new. 0, or RTHYB_E_PERIOD for an
- * unknown clock. */
+/* The members up to lead_ns are the caller's; the rest becomes new. 0; RTHYB_E_PERIOD for an unknown
+ * clock, or a lead that the link clock refuses; RTHYB_E_LIMIT for the calibration. */
 int rthyb_loop_init(rthyb_loop *loop, int32_t clock);
 /* One tick on the calling thread, on its word: the stepped clock. */
 void rthyb_loop_step(rthyb_loop *loop);
-/* A thread that ticks until rthyb_ticker_stop; 0 or errno. With the host clock the first tick is due
- * a little later than now. */
+/* A thread that ticks until rthyb_ticker_stop; 0 or errno. But for the stepped clock the first tick is
+ * due a little later than now. */
 int rthyb_loop_start(rthyb_loop *loop);
 /* Waits for the thread's end. */
 int rthyb_loop_join(rthyb_loop *loop);
@@ -1105,8 +1219,35 @@ int rthyb_loop_join(rthyb_loop *loop);
 uint64_t rthyb_loop_command(rthyb_loop *loop, int32_t command);
 /* 0: not answered yet; 1: obeyed; 2: refused. *tick is that of the answer. */
 int rthyb_loop_answered(const rthyb_loop *loop, uint64_t generation, uint64_t *tick);
+/* Has the next tick go on with another station, ring and ground motion; ticks, wire, link and what is
+ * known of the drive's clock stay. Refused unless the station that goes is in IDLE; the same station may
+ * get another ring in any state. One thread at a time, and one load. Returns its generation. */
+uint64_t rthyb_loop_load(rthyb_loop *loop, const rthyb_load *load);
+/* 0: not answered yet; 1: taken, what was there before is no longer touched; 2: refused, what was to be
+ * loaded is not touched. */
+int rthyb_loop_loaded(const rthyb_loop *loop, uint64_t generation);
+/* Publishes a set and gives it its generation; the next tick takes it whole, before anything else. One
+ * thread at a time. 0, or RTHYB_E_LIMIT: then nothing is published. */
+int rthyb_loop_set_parameters(rthyb_loop *loop, rthyb_parameters *parameters);
 /* A sign of life of the side that has the operator. */
 void rthyb_loop_beat(rthyb_loop *loop);
+
+/* What a recording is replayed from: all its rows, from the station's first tick on. */
+typedef struct {
+    const rthyb_record *rows;
+    size_t count;
+    const double *ag_mps2; /* as in rthyb_loop */
+    size_t ag_count;
+    const rthyb_codec *codec; /* that sent the commands; NULL: the rows tell what was sent */
+    rthyb_calibration calibration;
+    const rthyb_parameters *parameters; /* every set but that of generation 0 */
+    size_t parameter_count;
+} rthyb_replay;
+
+/* Through a fresh station; what the clock and the link added to the rows is copied. Returns how many
+ * rows came out: fewer than count where the rows do not make ticks. A reading that saturated in its
+ * row cannot be had back. */
+size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, rthyb_record *out);
 
 /* What may be made to go wrong at the drive's side of the wire. */
 enum rthyb_drive_fault {
@@ -1140,7 +1281,7 @@ enum rthyb_drive_phase {
 /* What the drive saw and did in one of its ticks. */
 typedef struct {
     double x_m;       /* newest command that came, as decoded */
-    double target_m;  /* what the actuator was told */
+    double target_m;  /* what the actuator was told, behind the calibration */
     uint32_t seq;     /* of that command */
     uint32_t state;   /* in that command */
     uint32_t frames;  /* commands in this tick, whatever became of them; 0: the above are old */
@@ -1168,7 +1309,8 @@ typedef struct {
     rthyb_rig *rig;
     rthyb_link *link;
     rthyb_codec codec;
-    double origin_m; /* where the rig's zero lies on the wire */
+    rthyb_calibration calibration; /* the controller's; the drive applies its inverse */
+    double origin_m;               /* where the rig's zero lies, behind the calibration */
     double stop_decel_m_per_s2;
     rthyb_drive_entry *log; /* the caller's; entry of tick n in log[n] while there is room */
     size_t log_size;
@@ -1192,7 +1334,7 @@ typedef struct {
 } rthyb_drive;
 
 /* The members up to drift_ppm are the caller's; the rest becomes new. 0; RTHYB_E_CODEC; RTHYB_E_LIMIT
- * for a deceleration that is not positive, or a drift beyond 199 ppm. */
+ * for the calibration, a deceleration that is not positive, or a drift beyond 199 ppm. */
 int rthyb_drive_init(rthyb_drive *drive);
 /* What goes wrong from now on; faults stay the caller's. 0, or RTHYB_E_LIMIT for a kind or a delay
  * that does not exist: then nothing changes. Between two ticks. */
@@ -1201,6 +1343,48 @@ int rthyb_drive_schedule(rthyb_drive *drive, const rthyb_fault *faults, size_t n
 void rthyb_drive_tick(rthyb_drive *drive);
 /* Ticks until the ticker is stopped; a tick slept through does not happen. */
 void rthyb_drive_run(rthyb_drive *drive, rthyb_ticker *ticker);
+
+/* ---- simulators of the diagnosis (simulate.c) ------------------------------------------------- */
+
+/* gain exp(-s delay) w^2 / (s^2 + 2 zeta w s + w^2) along a recorded command. */
+typedef struct {
+    double period_s;
+    double delay_s, natural_frequency_hz, damping_ratio, gain;
+    double shift_s;                /* of the command against the rows, beside the delay */
+    double delay_rate_s2_per_m;    /* delay that comes with each m/s */
+    double velocity_limit_m_per_s; /* 0 = none */
+    int32_t limit_at;              /* 0: of the command, 1: of the actuator itself */
+    int32_t rate_of; /* delay_rate with 0: the actuator's velocity, 1: the command's */
+    int32_t hold;    /* RTHYB_ZOH, RTHYB_FOH */
+} rthyb_actuator_model;
+
+/* Displacement, velocity and acceleration at the rows, begun at rest where the first command is.
+ * 0 or RTHYB_E_SERVO; RTHYB_E_LIMIT when it ran off. */
+int rthyb_simulate_actuator(const rthyb_actuator_model *model, const double *x_cmd_m, size_t n,
+                            double *x_m, double *v_m_per_s, double *a_m_per_s2);
+
+typedef struct {
+    double period_s, mass_kg;
+    double x0_m, v0_m_per_s;
+    int32_t hold; /* of the force between the rows */
+    int32_t substeps;
+} rthyb_body_model;
+
+/* mass a + sum of elements = force; second order in the substep. An inertia belongs into mass_kg:
+ * elements have the acceleration of the substep before. Elements are advanced in place. 0,
+ * RTHYB_E_MOTION, or RTHYB_E_LIMIT when it ran off. */
+int rthyb_simulate_body(const rthyb_body_model *model, rthyb_element *elements,
+                        size_t element_count, const double *force_n, size_t n, double *x_m,
+                        double *v_m_per_s, double *a_m_per_s2);
+
+enum rthyb_iwan_size { RTHYB_IWAN_MAX = 32 };
+
+/* What follows x behind a play of +-half. */
+int rthyb_simulate_play(double half_m, const double *x_m, size_t n, double *y_m);
+/* Sum of share[j] times an elastic, perfectly plastic displacement that yields at yield_m[j]; count
+ * up to RTHYB_IWAN_MAX, else RTHYB_E_ELEMENT. */
+int rthyb_simulate_iwan(const double *yield_m, const double *share, size_t count, const double *x_m,
+                        size_t n, double *force);
 
 const char *rthyb_version(void);
 const char *rthyb_compiler(void);

@@ -6,6 +6,8 @@
  * The station decides which displacement comes next: the equation of motion while RUNNING, a path
  * of limited velocity and acceleration otherwise. The first cause that took a test off its course
  * is latched. Everything is a function of (state, input); the clock and the wire are elsewhere. */
+#include <string.h>
+
 #include "internal.h"
 #include "numeric.h"
 
@@ -42,17 +44,12 @@ int rthyb_command_allowed(int32_t state, int32_t command)
 
 static int config_error(const rthyb_station_config *c)
 {
-    for (int i = 0; i < RTHYB_CAUSE_COUNT; i++) {
-        if (!(c->watch[i].value >= 0.0 && c->watch[i].value <= RTHYB_FORCE_MAX_N) ||
-            c->watch[i].reaction < RTHYB_REACT_NONE || c->watch[i].reaction > RTHYB_REACT_TRIP)
-            return RTHYB_E_LIMIT;
-    }
-    const int paths_ok = c->path_velocity_m_per_s >= 1e-9 && c->path_velocity_m_per_s <= 1e3 &&
-                         c->path_acceleration_m_per_s2 >= 1e-9 &&
-                         c->path_acceleration_m_per_s2 <= 1e6;
+    if (rthyb_watches_check(c->watch) ||
+        rthyb_path_limits_check(c->path_velocity_m_per_s, c->path_acceleration_m_per_s2))
+        return RTHYB_E_LIMIT;
     const int ticks_ok = c->tare_ticks >= 1 && c->tare_ticks <= 1 << 20 && c->ramp_in_ticks >= 1 &&
                          c->ramp_in_ticks <= 1 << 24 && c->armed_ticks >= 1;
-    return paths_ok && ticks_ok && c->rest_spread_m > 0.0 ? 0 : RTHYB_E_LIMIT;
+    return ticks_ok && c->rest_spread_m > 0.0 ? 0 : RTHYB_E_LIMIT;
 }
 
 int rthyb_station_init(rthyb_station *s, const rthyb_station_config *cfg)
@@ -64,6 +61,20 @@ int rthyb_station_init(rthyb_station *s, const rthyb_station_config *cfg)
     error = rthyb_controller_init(&s->controller, &s->cfg.controller);
     s->controller.state = RTHYB_IDLE;
     return error;
+}
+
+void rthyb_station_adopt(rthyb_station *s, const rthyb_parameters *p)
+{
+    rthyb_controller_config *both[] = {&s->cfg.controller, &s->controller.cfg};
+    for (int i = 0; i < 2; i++) {
+        both[i]->velocity_limit_m_per_s = p->velocity_limit_m_per_s;
+        both[i]->acceleration_limit_m_per_s2 = p->acceleration_limit_m_per_s2;
+        both[i]->estimate_held = !p->adapt;
+    }
+    memcpy(s->cfg.watch, p->watch, sizeof s->cfg.watch);
+    s->cfg.path_velocity_m_per_s = p->path_velocity_m_per_s;
+    s->cfg.path_acceleration_m_per_s2 = p->path_acceleration_m_per_s2;
+    s->controller.generation = p->generation;
 }
 
 /* ---- paths ------------------------------------------------------------------------------------ */
@@ -167,9 +178,11 @@ static void enter(rthyb_station *s, int state)
     s->leg = 0;
 }
 
+/* The first cause stays. That a test was over, or that the operator wanted it to be, is none that a
+ * fault on the way out would hide behind. */
 static void blame(rthyb_station *s, int cause)
 {
-    if (s->cause != RTHYB_CAUSE_NONE)
+    if (s->cause > RTHYB_CAUSE_OPERATOR)
         return;
     s->cause = cause;
     s->cause_tick = s->tick;
@@ -251,7 +264,9 @@ static void react(rthyb_station *s, int cause, int reaction)
  * then. Tare survives, the reading survives. */
 static void begin_test(rthyb_station *s)
 {
+    const uint32_t generation = s->controller.generation;
     (void)rthyb_controller_init(&s->controller, &s->cfg.controller);
+    s->controller.generation = generation;
     s->test_tick = 0;
     s->interrupted = 0;
     s->cause = RTHYB_CAUSE_NONE;
@@ -280,14 +295,21 @@ static int out_of_reach(const rthyb_station *s)
            fabs(s->seen_x - s->tare_x) > watch->value;
 }
 
-/* Obeys an operator; 0 if the command is not for this state. */
-static int obey(rthyb_station *s, int command)
+/* What leads to motion needs a drive at the other end that follows. */
+static int needs_drive(int command)
 {
-    if (command == RTHYB_CMD_NONE)
+    return command == RTHYB_CMD_ZERO || command == RTHYB_CMD_ARM || command == RTHYB_CMD_START;
+}
+
+/* Obeys an operator; 0 if the command is not for this state, or cannot be carried out. */
+static int obey(rthyb_station *s, const rthyb_station_input *in)
+{
+    if (in->command == RTHYB_CMD_NONE)
         return 1;
-    if (!rthyb_command_allowed(s->state, command))
+    if (!rthyb_command_allowed(s->state, in->command) ||
+        (needs_drive(in->command) && (in->link_down || in->drive_stopped)))
         return 0;
-    switch (command) {
+    switch (in->command) {
     case RTHYB_CMD_ZERO:
         begin_zero(s);
         break;
@@ -385,7 +407,7 @@ static void arrive(rthyb_station *s)
         enter(s, RTHYB_RUNNING);
     } else if (s->state == RTHYB_HOLD) {
         s->leg = 1;
-    } else if (s->state == RTHYB_RAMP_OUT && s->leg == 0) {
+    } else if (s->state == RTHYB_RAMP_OUT && s->leg == 0 && !s->cfg.stay) {
         const double from[3] = {s->controller.x_num, 0.0, 0.0}, rest[3] = {0.0, 0.0, 0.0};
         s->path = plan(s, from, rest);
         s->leg = 1;
@@ -394,27 +416,33 @@ static void arrive(rthyb_station *s)
     }
 }
 
-static void check(rthyb_station *s, int cause, double value)
+/* Reacts to a limit that is exceeded; returns what the record says of that: `bit`, and the trip. */
+static int check(rthyb_station *s, int cause, double value, int bit)
 {
     const rthyb_watch *watch = &s->cfg.watch[cause];
-    if (watch->value > 0.0 && fabs(value) > watch->value)
-        react(s, cause, watch->reaction);
+    if (watch->reaction == RTHYB_REACT_NONE || !(watch->value > 0.0) ||
+        !(fabs(value) > watch->value))
+        return RTHYB_OK;
+    react(s, cause, watch->reaction);
+    return watch->reaction == RTHYB_REACT_TRIP ? bit | RTHYB_S_TRIP : bit;
 }
 
 /* The limits that are watched while something moves. */
-static void watch_limits(rthyb_station *s, const rthyb_record *r, double indicator_before)
+static void watch_limits(rthyb_station *s, rthyb_record *r, double indicator_before)
 {
     const rthyb_controller *c = &s->controller;
     const double h = s->cfg.controller.period_s;
     const double slope = (r->tracking_indicator_m2 - indicator_before) / h;
     s->indicator_slope += (slope - s->indicator_slope) * fmin(h / 0.25, 1.0);
-    check(s, RTHYB_CAUSE_POSITION, c->x_plc);
-    check(s, RTHYB_CAUSE_VELOCITY, (c->x_plc - r->x_plc_m) / h);
-    check(s, RTHYB_CAUSE_INCREMENT, c->x_cmd - r->x_cmd_m);
-    check(s, RTHYB_CAUSE_FORCE, r->f_meas_n);
-    check(s, RTHYB_CAUSE_TRACKING, r->x_meas_m - r->x_num_m);
-    check(s, RTHYB_CAUSE_INDICATOR, s->indicator_slope);
-    check(s, RTHYB_CAUSE_ENERGY, r->energy_error_j);
+    int code = r->code;
+    code |= check(s, RTHYB_CAUSE_POSITION, c->x_plc, RTHYB_S_POSITION_LIMIT);
+    code |= check(s, RTHYB_CAUSE_VELOCITY, (c->x_plc - r->x_plc_m) / h, RTHYB_OK);
+    code |= check(s, RTHYB_CAUSE_INCREMENT, c->x_cmd - r->x_cmd_m, RTHYB_OK);
+    code |= check(s, RTHYB_CAUSE_FORCE, r->f_meas_n, RTHYB_S_FORCE_LIMIT);
+    code |= check(s, RTHYB_CAUSE_TRACKING, r->x_meas_m - r->x_num_m, RTHYB_S_TRACKING_LIMIT);
+    code |= check(s, RTHYB_CAUSE_INDICATOR, s->indicator_slope, RTHYB_OK);
+    code |= check(s, RTHYB_CAUSE_ENERGY, r->energy_error_j, RTHYB_OK);
+    r->code = (uint8_t)code;
 }
 
 /* A sensor that repeats itself while the command has moved on. */
@@ -479,7 +507,7 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
         record->flags &= ~(uint32_t)RTHYB_F_BLIND;
     if (running)
         s->test_tick++;
-    if (is_moving(s->state) && !blind)
+    if ((is_moving(s->state) || s->state == RTHYB_RAMP_OUT) && !blind)
         watch_limits(s, record, indicator);
     record->tick = s->tick;
     if (!blind && s->controller.missing >= LOST_TRIP && s->state != RTHYB_IDLE)
@@ -527,6 +555,8 @@ static void watch_surroundings(rthyb_station *s, const rthyb_station_input *in, 
 {
     if (in->link_down && s->state != RTHYB_IDLE)
         trip(s, RTHYB_CAUSE_LINK_DOWN);
+    if (in->drive_stopped && s->state != RTHYB_IDLE)
+        trip(s, RTHYB_CAUSE_DRIVE_STOPPED);
     if (in->heartbeat_late)
         ramp_out(s, RTHYB_CAUSE_HEARTBEAT);
     if (s->state == RTHYB_RUNNING && s->test_tick >= n)
@@ -535,11 +565,22 @@ static void watch_surroundings(rthyb_station *s, const rthyb_station_input *in, 
         enter(s, RTHYB_ZEROED);
 }
 
+/* What the station was told in this tick, as the record shows it. */
+static uint32_t told(const rthyb_station_input *in, int refused)
+{
+    return (in->lost ? (uint32_t)RTHYB_F_LOST : 0u) |
+           (in->link_down ? (uint32_t)RTHYB_F_DOWN : 0u) |
+           (in->drive_stopped ? (uint32_t)RTHYB_F_STOPPED : 0u) |
+           (in->heartbeat_late ? (uint32_t)RTHYB_F_SILENT : 0u) |
+           (refused ? (uint32_t)RTHYB_F_REFUSED : 0u) |
+           ((uint32_t)in->command & UINT8_MAX) << RTHYB_F_COMMAND_BIT;
+}
+
 int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const double *ag_mps2,
                        size_t n, rthyb_record *records, rthyb_station_output *out)
 {
     const uint32_t made_up = blind_steps(s, in->skipped, ag_mps2, n, records);
-    const int refused = !obey(s, in->command);
+    const int refused = !obey(s, in);
     watch_surroundings(s, in, n);
     rthyb_input pair = at_tick(s, ag_mps2, n);
     pair.lost = in->lost;
@@ -567,6 +608,6 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
         s->trip_frames--;
     rthyb_record *last = &records[made_up];
     last->flags &= ~(uint32_t)RTHYB_F_NOT_SENT;
-    last->flags |= out->send ? 0u : (uint32_t)RTHYB_F_NOT_SENT;
+    last->flags |= (out->send ? 0u : (uint32_t)RTHYB_F_NOT_SENT) | told(in, refused);
     return 0;
 }

@@ -23,7 +23,7 @@ int64_t rthyb_now_ns(void)
 
 int rthyb_ticker_init(rthyb_ticker *ticker, int32_t clock, int64_t t0_ns)
 {
-    if ((clock != RTHYB_CLOCK_HOST && clock != RTHYB_CLOCK_STEPPED) || t0_ns < 0)
+    if (clock < RTHYB_CLOCK_HOST || clock > RTHYB_CLOCK_LINK || t0_ns < 0)
         return RTHYB_E_PERIOD;
     *ticker = (rthyb_ticker){.clock = clock, .t0_ns = t0_ns};
     return 0;

@@ -178,9 +178,15 @@ static int32_t delay(const rthyb_wire *w)
     return known ? (int32_t)(steps & INT32_MAX) : -1;
 }
 
-static int32_t record_raw(double value, double unit)
+/* In the unit of the record, and the value becomes just that, so that a record says all that the
+ * station saw; beyond what a record can hold it stays what it is. */
+static int32_t record_raw(double *value, double unit)
 {
-    return (int32_t)lrint(clamp(value / unit, -2147483648.0, 2147483647.0));
+    const double wanted = *value / unit;
+    const int32_t raw = (int32_t)lrint(clamp(wanted, -(double)INT32_MAX, (double)INT32_MAX));
+    if (fabs(wanted) <= (double)INT32_MAX)
+        *value = (double)raw * unit;
+    return raw;
 }
 
 int rthyb_wire_take(rthyb_wire *w, rthyb_feedback *feedback)
@@ -193,11 +199,13 @@ int rthyb_wire_take(rthyb_wire *w, rthyb_feedback *feedback)
         add(&w->counters.stale, 1);
     if (w->age >= RESYNC_AFTER)
         w->synced = 0;
+    double x_m = w->pair.x_m, f_n = w->pair.f_n;
+    const int32_t x_raw = record_raw(&x_m, RTHYB_RAW_X_M), f_raw = record_raw(&f_n, RTHYB_RAW_F_N);
     *feedback = (rthyb_feedback){
-        .x_m = w->pair.x_m,
-        .f_n = w->pair.f_n,
-        .x_raw = record_raw(w->pair.x_m, 1e-9),
-        .f_raw = record_raw(w->pair.f_n, 1e-3),
+        .x_m = x_m,
+        .f_n = f_n,
+        .x_raw = x_raw,
+        .f_raw = f_raw,
         .echo = w->pair.echo,
         .count = w->pair.count,
         .status = w->pair.status,

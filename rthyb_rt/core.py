@@ -12,7 +12,7 @@ import dataclasses
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,9 @@ import numpy.typing as npt
 from rthyb_rt import recording
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.errors import RthybError
+
+if TYPE_CHECKING:
+    from rthyb_rt.links.wire import Codec
 
 FS_HZ: Final = 1024.0
 PERIOD_S: Final = 1.0 / FS_HZ
@@ -40,7 +43,8 @@ STATUS: Final[dict[str, int]] = {
     "link_lost": lib.RTHYB_S_LINK_LOST,
     "trip": lib.RTHYB_S_TRIP,
 }
-FLAG_NAMES: Final = tuple(recording.FLAGS)
+FLAGS: Final = recording.FLAGS
+FLAG_NAMES: Final = tuple(FLAGS)
 STATE_NAMES: Final = recording.STATES
 
 _REFUSED: Final[dict[int, str]] = {
@@ -640,6 +644,7 @@ CAUSES: Final[tuple[str, ...]] = (
     "not_finite",
     "link_lost",
     "link_down",
+    "drive_stopped",
     "stalled",
     "skips",
     "heartbeat",
@@ -670,6 +675,7 @@ class StationConfig:
 
     ``watches`` has a :class:`Watch` by cause: position (m), velocity (m/s), increment (m a tick),
     force (N), tracking (m), indicator (m^2/s), energy (J), sensor_stuck (ticks), sensor_jump (m).
+    ``stay``: RAMP_OUT ends where it comes to rest, and not at 0.
     """
 
     controller: ControllerConfig
@@ -680,6 +686,40 @@ class StationConfig:
     tare_ticks: int = 1024
     ramp_in_ticks: int = 2048
     armed_ticks: int = 30720
+    stay: bool = False
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Between the numbers on the wire and the structure's own; as it stands it changes nothing.
+
+    x = ``x_gain`` wire + ``x_offset_m``, f = ``f_gain`` wire + ``f_offset_n``, and the command goes
+    out as ``cmd_gain`` x + ``cmd_offset_m``.
+    """
+
+    x_gain: float = 1.0
+    x_offset_m: float = 0.0
+    f_gain: float = 1.0
+    f_offset_n: float = 0.0
+    cmd_gain: float = 1.0
+    cmd_offset_m: float = 0.0
+
+    def struct(self) -> Any:
+        """Return the ``rthyb_calibration`` of the C core.
+
+        Raises:
+            CoreError: a gain is 0, not finite or senseless, or an offset is.
+        """
+        struct = _struct("rthyb_calibration", self)
+        if lib.rthyb_calibration_check(struct):
+            raise CoreError(
+                f"{self}: the size of a gain must lie in 1e-9 ... 1e9, of an offset of "
+                "displacement in 0 ... 1e3 m, of force in 0 ... 1e12 N"
+            )
+        return struct
+
+
+IDENTITY: Final = Calibration()
 
 
 @dataclass(frozen=True)
@@ -693,18 +733,53 @@ class StationTick:
     records: RecordArray = field(repr=False)
 
 
+@dataclass(frozen=True)
+class Parameters:
+    """What may be changed while a test runs; always a whole set.
+
+    ``watches`` as in :class:`StationConfig`, and what it does not name is not watched; limits of
+    the command with 0 for off; path limits are for paths that begin from then on. ``adapt`` False:
+    alpha and beta stay where they are.
+    """
+
+    watches: Mapping[str, Watch] = field(default_factory=dict)
+    velocity_limit_m_per_s: float = 0.0
+    acceleration_limit_m_per_s2: float = 0.0
+    path_velocity_m_per_s: float = 0.02
+    path_acceleration_m_per_s2: float = 0.2
+    adapt: bool = True
+
+    @classmethod
+    def of(cls, config: StationConfig) -> Parameters:
+        """Return the set that a station begins with, generation 0."""
+        return cls(
+            watches=config.watches,
+            velocity_limit_m_per_s=config.controller.velocity_limit_m_per_s,
+            acceleration_limit_m_per_s2=config.controller.acceleration_limit_m_per_s2,
+            path_velocity_m_per_s=config.path_velocity_m_per_s,
+            path_acceleration_m_per_s2=config.path_acceleration_m_per_s2,
+        )
+
+    def struct(self, generation: int = 0) -> Any:
+        """Return the ``rthyb_parameters`` of the C core.
+
+        Raises:
+            CoreError: there is nothing to watch under a name.
+        """
+        own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        own.pop("watches")
+        struct = ffi.new("rthyb_parameters *", own | {"generation": generation})
+        _fill_watches(struct.watch, self.watches)
+        return struct
+
+
 class Station:
     """States, limits and faults around the controller; raises ``CoreError``."""
 
     def __init__(self, config: StationConfig, ag_mps2: npt.ArrayLike) -> None:
-        unknown = set(config.watches) - set(CAUSES[CAUSES.index("sensor_stuck") :])
-        if unknown:
-            raise CoreError(f"nothing to watch under the name {', '.join(sorted(unknown))}")
         plain = {k: v for k, v in _mapping_of(config).items() if k != "watches"}
         struct = ffi.new("rthyb_station_config *", plain)
-        for name, watch in config.watches.items():
-            slot = struct.watch[CAUSES.index(name)]
-            slot.value, slot.reaction = watch.value, REACTIONS.index(watch.reaction)
+        _fill_watches(struct.watch, config.watches)
         self._c = ffi.new("rthyb_station *")
         _check(lib.rthyb_station_init(self._c, struct))
         self._ag = _doubles(ag_mps2)
@@ -719,13 +794,14 @@ class Station:
         command: Command = "none",
         skipped: int = 0,
         link_down: bool = False,
+        drive_stopped: bool = False,
         heartbeat_late: bool = False,
     ) -> StationTick:
         """Run one executed tick with the newest pair (before tare), or without one."""
         i = self._in
         i.x_m, i.f_n, i.lost = x_m, f_n, lib.RTHYB_LOST if lost else 0
         i.skipped, i.command = skipped, COMMANDS.index(command)
-        i.link_down, i.heartbeat_late = link_down, heartbeat_late
+        i.link_down, i.drive_stopped, i.heartbeat_late = link_down, drive_stopped, heartbeat_late
         records = np.zeros(BLIND_MAX + 1, dtype=RECORD_DTYPE)
         lib.rthyb_station_tick(
             self._c, i, _in(self._ag), self._ag.size, _records(records), self._out
@@ -739,6 +815,50 @@ class Station:
             records=records[: out.records],
         )
 
+    def replay(
+        self,
+        rows: RecordArray,
+        codec: Codec | None = None,
+        calibration: Calibration = IDENTITY,
+        parameters: Sequence[tuple[int, Parameters]] = (),
+    ) -> RecordArray:
+        """Return the rows that this station, a fresh one, computes from recorded inputs.
+
+        With the station's settings and ground motion those of the recording, every byte is the same
+        again; the first row that differs, or is missing, is where the recording and the core part.
+        What clock and link added (times, echo, count, slips) is copied. A reading beyond what its
+        raw field can hold, 2.147 m or 2.147 MN, cannot be had back.
+
+        Args:
+            rows: every row from the station's first tick on, (n,).
+            codec: of the link that sent the commands; None: the rows tell what was sent.
+            calibration: of the loop.
+            parameters: every set that was published, with its generation.
+
+        Returns:
+            The rows, (n,); fewer where those given do not make whole ticks.
+
+        Raises:
+            CoreError: the station has ticked already.
+        """
+        if self.ticks:
+            raise CoreError(
+                f"only a fresh station replays; this one has {self.ticks} ticks behind it"
+            )
+        recorded = np.ascontiguousarray(rows, dtype=RECORD_DTYPE)
+        out = np.zeros(recorded.size, dtype=RECORD_DTYPE)
+        sets = ffi.new("rthyb_parameters[]", len(parameters))
+        for slot, (generation, one) in enumerate(parameters):
+            sets[slot] = one.struct(generation)[0]
+        source = ffi.new("rthyb_replay *")
+        source.rows, source.count = _records(recorded), recorded.size
+        ag = _in(self._ag)
+        source.ag_mps2, source.ag_count = ag, self._ag.size
+        source.codec = ffi.NULL if codec is None else codec.struct
+        source.calibration = calibration.struct()[0]
+        source.parameters, source.parameter_count = sets, len(parameters)
+        return out[: lib.rthyb_station_replay(self._c, source, _records(out))]
+
     @property
     def state(self) -> str:
         """Name of the present state."""
@@ -748,6 +868,11 @@ class Station:
     def cause(self) -> str:
         """First cause that took the test off its course, latched."""
         return CAUSES[int(self._c.cause)]
+
+    @property
+    def cause_tick(self) -> int:
+        """Tick in which that cause came up; without one it means nothing."""
+        return int(self._c.cause_tick)
 
     @property
     def indicated(self) -> list[str]:
@@ -783,6 +908,18 @@ class Station:
     def tare(self) -> tuple[float, float]:
         """Offsets taken off displacement (m) and force (N)."""
         return self._c.tare_x, self._c.tare_f
+
+
+def command_of(flags: int) -> Command:
+    """Return the operator's command in a record's flags; "none" if there was none.
+
+    Raises:
+        CoreError: no command has that number.
+    """
+    number = int(flags) >> recording.COMMAND_BIT
+    if not 0 <= number < len(COMMANDS):
+        raise CoreError(f"flags {int(flags):#x} hold no command: {number} is beyond the last one")
+    return COMMANDS[number]
 
 
 def command_allowed(state: str, command: Command) -> bool:
@@ -836,6 +973,15 @@ def _value(name: str, value: Any) -> Any:
     if isinstance(value, str):
         return _ENUMS[name][value]
     return _mapping(value) if dataclasses.is_dataclass(value) else value
+
+
+def _fill_watches(slots: Any, watches: Mapping[str, Watch]) -> None:
+    unknown = set(watches) - set(CAUSES[CAUSES.index("sensor_stuck") :])
+    if unknown:
+        raise CoreError(f"nothing to watch under the name {', '.join(sorted(unknown))}")
+    for name, watch in watches.items():
+        slot = slots[CAUSES.index(name)]
+        slot.value, slot.reaction = watch.value, REACTIONS.index(watch.reaction)
 
 
 def _mapping_of(config: StationConfig) -> dict[str, Any]:

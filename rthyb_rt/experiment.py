@@ -1,4 +1,4 @@
-"""One hybrid test from its files to its recording, in virtual time."""
+"""One hybrid test from its files to the core's settings, and to its recording in virtual time."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import __version__, config, core, ground_motion, recording
-from rthyb_rt.config import Derived, RigFile, TestFile
+from rthyb_rt.config import Derived, Limit, Limits, RigFile, TestFile
+from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import testfile as test_file
-from rthyb_rt.config.testfile import Limit
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
 
@@ -66,16 +66,32 @@ class Setup:
         return int(self.ag_mps2.size)
 
 
-def prepare(test: TestFile, rig: RigFile) -> Setup:
+def prepare(
+    test: TestFile,
+    rig: RigFile,
+    *,
+    real_time: bool = False,
+    record: GroundMotion | None = None,
+) -> Setup:
     """Read the ground motion and work out every setting of the core.
+
+    Args:
+        test, rig: the two files.
+        record: the ground motion as it was read already, not cut, not scaled; None reads it.
+        real_time: the test will run in real time: no note on limits that virtual time does not
+            watch.
 
     Raises:
         InputError: with what is wrong in the files, the record, or between them.
     """
-    derived, record = _both(lambda: config.derive(test, rig), lambda: _load_motion(test))
+
+    def read() -> GroundMotion:
+        return load_motion(test) if record is None else record
+
+    derived, whole = _both(lambda: config.derive(test, rig), read)
     test = config.resolve(test, derived)
-    baseline = ground_motion.baseline_check(record)
-    motion = _cut_and_scale(record, test.ground_motion)
+    baseline = ground_motion.baseline_check(whole)
+    motion = _cut_and_scale(whole, test.ground_motion)
     lasts_s = test.test.duration_s
     if lasts_s is None:
         lasts_s = motion.duration_s + test.test.free_vibration_s
@@ -103,7 +119,8 @@ def prepare(test: TestFile, rig: RigFile) -> Setup:
             f"{error}; look at the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
-    notes = (*setup.notes, *_range_notes(rig, expected))
+    unwatched = [] if real_time else _unwatched_notes(test.limits)
+    notes = (*setup.notes, *_range_notes(rig, expected), *unwatched)
     return replace(setup, notes=notes, reference=expected)
 
 
@@ -126,6 +143,19 @@ def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
     return notes
 
 
+def _unwatched_notes(limits: Limits) -> list[str]:
+    """Name the limits that nobody watches in virtual time."""
+    given = {key: getattr(limits, key) for key in limits_file.WATCHED}
+    names = [
+        f"limits.{key}{' (its action)' if key == 'command_velocity_m_per_s' else ''}"
+        for key, limit in given.items()
+        if limit is not None and limit.acts and key not in limits_file.VIRTUAL
+    ]
+    if not names:
+        return []
+    return [f"watched in real time alone, not in virtual time: {', '.join(names)}"]
+
+
 def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
     """Return what both give, or raise the faults of both at once."""
     try:
@@ -139,7 +169,8 @@ def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
     return a, second()
 
 
-def _load_motion(test: TestFile) -> GroundMotion:
+def load_motion(test: TestFile) -> GroundMotion:
+    """Read the ground motion that a test names, as it stands in its file."""
     wanted = test.ground_motion
     return ground_motion.load(
         wanted.record, format=wanted.format, units=wanted.units, channel=wanted.channel
@@ -160,9 +191,12 @@ def _cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotion) -> Grou
 def controller_config(
     test: TestFile, rig: RigFile, derived: Derived, end_tick: int
 ) -> core.ControllerConfig:
-    """Return the core's settings; ``end_tick`` is t_ex, where stage 3 of the RFC begins."""
+    """Return the core's settings; ``end_tick`` is t_ex, where stage 3 of the RFC begins.
+
+    The limits are those of virtual time, where hold and ramp-out end the test as trip does.
+    """
     wanted, limits = test.controller, test.limits
-    sensors = rig.sensors
+    sensors, velocity = rig.sensors, limits.command_velocity_m_per_s
     return core.ControllerConfig(
         plc_enabled=derived.plc_enabled,
         estimator=_estimator_config(test, derived),
@@ -181,7 +215,7 @@ def controller_config(
         position=_limit(limits.command_position_m),
         force=_limit(limits.force_n),
         tracking=_limit(limits.tracking_error_m),
-        velocity_limit_m_per_s=limits.command_velocity_m_per_s or 0.0,
+        velocity_limit_m_per_s=velocity.value if velocity and velocity.enable else 0.0,
         acceleration_limit_m_per_s2=limits.command_acceleration_m_per_s2 or 0.0,
     )
 
@@ -224,9 +258,72 @@ def motion_config(test: TestFile, derived: Derived) -> core.MotionConfig:
 
 
 def _limit(limit: Limit | None) -> core.LimitConfig:
-    if limit is None or not limit.enable:
+    if limit is None or not limit.acts:
         return core.LimitConfig()
-    return core.LimitConfig(limit.value, limit.action)
+    return core.LimitConfig(limit.value, "trip" if limit.ends else "indicate")
+
+
+_WATCHES: dict[str, str] = {
+    "command_position_m": "position",
+    "command_velocity_m_per_s": "velocity",
+    "command_increment_m": "increment",
+    "force_n": "force",
+    "tracking_error_m": "tracking",
+    "tracking_indicator_slope_m2_per_s": "indicator",
+    "energy_error_j": "energy",
+    "sensor_stuck_samples": "sensor_stuck",
+    "sensor_jump_m": "sensor_jump",
+}
+"""What the station calls the limits of the files."""
+
+
+def station_config(setup: Setup) -> core.StationConfig:
+    """Return the settings of a test in real time: states, limits and paths around the controller.
+
+    The controller's own limits on position, force and tracking error are off: the station watches
+    them, with every action there is, and keeps the command within the position limit. Velocity and
+    acceleration still limit the command in the controller, and its sensor ranges hold.
+    """
+    limits, resolved = setup.test.limits, setup.derived.limits
+    off = core.LimitConfig()
+    given = {cause: getattr(limits, key) for key, cause in _WATCHES.items()}
+    return core.StationConfig(
+        controller=replace(setup.controller, position=off, force=off, tracking=off),
+        watches={
+            cause: core.Watch(float(limit.value), limit.action)
+            for cause, limit in given.items()
+            if limit is not None and limit.acts
+        },
+        path_velocity_m_per_s=resolved.path_velocity_m_per_s,
+        path_acceleration_m_per_s2=resolved.path_acceleration_m_per_s2,
+        rest_spread_m=resolved.rest_spread_m,
+        tare_ticks=_ticks(resolved.tare_s),
+        ramp_in_ticks=_ticks(resolved.ramp_in_s),
+        armed_ticks=_ticks(resolved.armed_timeout_s),
+    )
+
+
+def _ticks(seconds: float) -> int:
+    return max(1, round(seconds * core.FS_HZ))
+
+
+def calibration(rig: RigFile) -> core.Calibration:
+    """Return the six factors between the wire and the structure.
+
+    The channels of the rig file lead from the wire to the specimen, its similitude from there to
+    the structure; a command goes the same way back.
+    """
+    given = rig.calibration
+    x, f, command = given.displacement, given.force, given.command or given.displacement
+    length, force = given.similitude.length, given.similitude.force
+    return core.Calibration(
+        x_gain=length * x.gain,
+        x_offset_m=length * x.offset_m,
+        f_gain=force * f.gain,
+        f_offset_n=force * f.offset_n,
+        cmd_gain=1.0 / (length * command.gain),
+        cmd_offset_m=0.0 - command.offset_m / command.gain,
+    )
 
 
 def rig_config(rig: RigFile) -> core.RigConfig:
@@ -338,23 +435,36 @@ def run(setup: Setup, progress: Progress | None = None) -> recording.Recording:
         done += count
         if progress is not None:
             progress(done, setup.ticks)
+    rec = blank(setup, "virtual")
+    rec.samples = samples[:done]
+    rec.replay.controller_state = state0
+    rec.meta["end_reason"] = _end_reason(rec.samples, status)
+    return rec
+
+
+def blank(setup: Setup, clock: str) -> recording.Recording:
+    """Return the recording of a test as it is before its first sample.
+
+    Args:
+        setup: the test.
+        clock: what the test goes by: "virtual", or a clock of `rthyb_rt.ticker`.
+    """
     return recording.Recording(
-        samples=samples[:done],
+        samples=np.zeros(0, dtype=core.RECORD_DTYPE),
         fs_hz=core.FS_HZ,
         ag_mps2=setup.ag_mps2,
         ground_motion=_provenance(setup),
         reference=setup.reference,
         test_toml=config.dump(setup.test),
         rig_toml=config.dump(setup.rig),
-        replay=recording.ReplayData(controller_state=state0),
         meta={
             **core.build_facts(),
             "rthyb_version": __version__,
             "git_hash": _git_hash(),
             "created_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             "test_name": setup.test.test.name,
-            "clock": "virtual",
-            "end_reason": _end_reason(samples[:done], status),
+            "clock": clock,
+            "end_reason": "unknown",
             "interrupted": False,
         },
     )
@@ -430,8 +540,12 @@ def replay(rec: recording.Recording) -> Replay:
     derived = config.derive(test, rig)
     controller = core.Controller(controller_config(test, rig, derived, 0))
     controller.restore(rec.replay.controller_state)
+    return compare(rec, controller.replay(rec.samples, rec.ag_mps2))
+
+
+def compare(rec: recording.Recording, again: core.RecordArray) -> Replay:
+    """Compare every field of a recording with the rows that were computed again, shape (n,)."""
     samples = rec.samples
-    again = controller.replay(samples, rec.ag_mps2)
     first_row: int | None = None
     first_field: str | None = None
     largest: dict[str, float] = {}

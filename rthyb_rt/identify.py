@@ -4,22 +4,30 @@ The rig rests, then follows a row of sines, from slow to fast, small and under a
 without any compensation. Each sine is fitted to command, displacement and force by least squares:
 with whole cycles and the noise spread over thousands of samples, delay comes out to a hundredth
 of a sample.
+
+The rig is a virtual one, or what is at the other end of a link: then the sweep goes through the
+station under all limits, and rows without a reading of their own are left out of every fit.
 """
 
 from __future__ import annotations
 
 import datetime
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core, experiment
+from rthyb_rt.commissioning import moving, polarity
+from rthyb_rt.commissioning.moving import Connection, Moved
 from rthyb_rt.config import Identified, RigFile, dump, parse_rig
 from rthyb_rt.errors import InputError
+from rthyb_rt.realtime import Operator
+from rthyb_rt.recording import FLAGS, RUNNING
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 REST_S = 3.0
 RAMP_CYCLES = 1
@@ -43,6 +51,15 @@ MASS_RESOLVED = 0.02
 
 CERTAIN = 10.0
 """An amplitude counts when it is so many times its own standard error."""
+
+READ_SHARE = 0.8
+"""Of the rows of a fit: with fewer readings there is nothing to fit."""
+
+MEMORY_TICKS = 64
+"""What a made-up reading leaves in the filters of the estimator is gone after so long."""
+
+REVERSED = -0.7
+"""Cosine of the phase at 0 Hz from which on a displacement goes against its command."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +131,9 @@ class Result:
         rest_noise_m, rest_noise_n: standard deviations at rest.
         offset_m, offset_n: means at rest.
         notes: what the user should know.
+        link_delay_samples: what the link has of the delay, by the drive's echo; None where that is
+            not known, or where there is no link.
+        left_out: rows of the sweep without a reading of their own.
     """
 
     tones: tuple[Tone, ...]
@@ -129,6 +149,8 @@ class Result:
     offset_m: float
     offset_n: float
     notes: tuple[str, ...]
+    link_delay_samples: float | None = None
+    left_out: int = 0
 
 
 Progress = Callable[[int, int], None]
@@ -143,6 +165,20 @@ class _Part:
     fit: slice
 
 
+@dataclass(frozen=True)
+class _Signals:
+    """What a sweep gave: each (n,); ``read`` says which rows hold a reading of their own."""
+
+    command: Floats
+    x_m: Floats
+    f: Floats
+    read: Mask
+
+    @property
+    def whole(self) -> bool:
+        return bool(self.read.all())
+
+
 def identify(rig: RigFile, sweep: Sweep | None = None, progress: Progress | None = None) -> Result:
     """Sweep the virtual rig of ``rig`` and work out what a test needs.
 
@@ -154,21 +190,83 @@ def identify(rig: RigFile, sweep: Sweep | None = None, progress: Progress | None
     command, parts = _command(sweep)
     x_m, f = _drive(rig, command, progress)
     _check_ranges(rig, x_m, f)
-    rest = slice(int(0.2 * core.FS_HZ), int(REST_S * core.FS_HZ))
-    offset_m, offset_n = float(x_m[rest].mean()), float(f[rest].mean())
-    noise_m, noise_n = float(x_m[rest].std(ddof=1)), float(f[rest].std(ddof=1))
-    x_m, f = x_m - offset_m, f - offset_n
+    return _result(rig, _Signals(command, x_m, f, np.ones(x_m.size, np.bool_)), parts)
+
+
+def identify_live(
+    connection: Connection,
+    sweep: Sweep | None = None,
+    progress: Progress | None = None,
+    operator: Operator | None = None,
+) -> Result:
+    """Sweep the rig at the other end of a link, in real time and under all limits of its file.
+
+    Args:
+        connection: the rig; its file need not have been identified, nor say the right k_e.
+        sweep: the excitation.
+        progress: called with (ticks done, ticks of the sweep) now and then.
+        operator: asks for a stop.
+
+    Returns:
+        What was found; delays are those of link and actuator together, `Result.link_delay_samples`
+        is the link's share.
+
+    Raises:
+        InputError: a sweep that cannot be run, no feedback, or a rig that does not follow it.
+        LimitError: a limit, the drive or this PC ended the sweep; the message says at which
+            frequency.
+        StoppedError: the operator ended it.
+        RthybError: as in `rthyb_rt.commissioning.moving.carry_out`.
+    """
+    sweep = sweep or Sweep()
+    _check(sweep)
+    moving.check_limits(connection.rig)
+    moving.check_distance(connection.rig, sweep.amplitude_m)
+    command, parts = _command(sweep)
+    # The command of a row is that of the row before on the path: one more brings the last.
+    motion = moving.Motion("identify", np.append(command, 0.0), stay=False)
+    moved = moving.carry_out(connection, motion, operator=operator, progress=progress)
+    running = moved.running[1:]
+    if moved.cause != "completed":
+        raise _broken_off(moved, parts, running.size)
+    _check_not_limited(running, parts)
+    signals = _Signals(
+        running["x_cmd_m"], running["x_meas_m"], running["f_meas_n"], moving.fresh(running)
+    )
+    _check_read(signals, parts)
+    # Ranges are those of the sensors; what was tared off is in them.
+    start_m, start_n = moved.start_m, moved.start_n
+    _check_ranges(connection.rig, signals.x_m + start_m, signals.f + start_n)
+    found = _result(connection.rig, signals, parts, (start_m, start_n))
+    return replace(
+        found,
+        link_delay_samples=_link_delay(moved),
+        left_out=int(np.count_nonzero(~signals.read)),
+    )
+
+
+def _result(
+    rig: RigFile, signals: _Signals, parts: list[_Part], tare: tuple[float, float] = (0.0, 0.0)
+) -> Result:
+    rest = np.zeros(signals.read.size, np.bool_)
+    rest[int(0.2 * core.FS_HZ) : int(REST_S * core.FS_HZ)] = True
+    rest &= signals.read
+    offset_m, offset_n = float(signals.x_m[rest].mean()), float(signals.f[rest].mean())
+    noise_m = float(signals.x_m[rest].std(ddof=1))
+    noise_n = float(signals.f[rest].std(ddof=1))
+    signals = replace(signals, x_m=signals.x_m - offset_m, f=signals.f - offset_n)
     tones: list[Tone] = []
     for part in parts:
         before = tones[-1].delay_s if tones else None
-        tones.append(_tone(part, command, x_m, f, before))
+        tones.append(_tone(part, signals, before))
         _check_followed(part, tones[-1], noise_m)
-    _check_specimen(parts[0], tones[0], noise_n)
+    _check_direction(rig, tones)
+    _check_specimen(rig, parts[0], tones[0], noise_n)
     slow = [tone for tone in tones if tone.frequency_hz <= LOW_FREQUENCY_HZ] or tones[:1]
     begin = parts[0].start
-    end = parts[len(slow)].start if len(slow) < len(parts) else command.size
-    alpha, _ = _inverse(command[begin:end], x_m[begin:end], noise_m, with_beta=False)
-    alpha_with_beta, beta = _inverse(command[begin:], x_m[begin:], noise_m, with_beta=True)
+    end = parts[len(slow)].start if len(slow) < len(parts) else signals.command.size
+    alpha, _ = _inverse(signals, slice(begin, end), noise_m, with_beta=False)
+    alpha_with_beta, beta = _inverse(signals, slice(begin, None), noise_m, with_beta=True)
     stiffness, mass = _stiffness_and_mass(tones)
     return Result(
         tones=tuple(tones),
@@ -181,8 +279,8 @@ def identify(rig: RigFile, sweep: Sweep | None = None, progress: Progress | None
         moving_mass_kg=mass,
         rest_noise_m=noise_m,
         rest_noise_n=noise_n,
-        offset_m=offset_m,
-        offset_n=offset_n,
+        offset_m=offset_m + tare[0],
+        offset_n=offset_n + tare[1],
         notes=tuple(
             _notes(tones, stiffness, alpha, (offset_m, noise_m), (offset_n, noise_n)),
         ),
@@ -271,24 +369,25 @@ def _drive(rig: RigFile, command: Floats, progress: Progress | None) -> tuple[Fl
     return x_m, f
 
 
-def _phasor(part: _Part, signal: Floats) -> tuple[complex, Floats]:
+def _phasor(part: _Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
     """Return the complex amplitude of the sine in a signal, and what is left of the signal."""
     w = 2 * np.pi * part.frequency_hz / core.FS_HZ
-    angle = w * np.arange(part.fit.start, part.fit.stop)
+    angle = w * np.arange(part.fit.start, part.fit.stop)[read[part.fit]]
     basis = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
-    values = signal[part.fit]
+    values = signal[part.fit][read[part.fit]]
     fitted, *_ = np.linalg.lstsq(basis, values, rcond=None)
     return complex(fitted[0], -fitted[1]), values - basis @ fitted
 
 
-def _tone(part: _Part, command: Floats, x_m: Floats, f: Floats, before_s: float | None) -> Tone:
+def _tone(part: _Part, signals: _Signals, before_s: float | None) -> Tone:
     """Fit one sine; ``before_s`` is the delay at the frequency before."""
-    sent, _ = _phasor(part, command)
-    moved, _ = _phasor(part, x_m)
-    force, rest = _phasor(part, f)
+    f, read = signals.f, signals.read
+    sent, _ = _phasor(part, signals.command, read)
+    moved, _ = _phasor(part, signals.x_m, read)
+    force, rest = _phasor(part, f, read)
     ratio = moved / sent
     stiffness = force / moved if moved else complex(0)
-    total = float(np.sqrt(np.mean(f[part.fit] ** 2)))
+    total = float(np.sqrt(np.mean(f[part.fit][read[part.fit]] ** 2)))
     period = 1.0 / part.frequency_hz
     delay = float(-np.angle(ratio)) / (2 * np.pi) * period
     # A phase leaves whole periods open: the delay nearest to the one before; the first may be a
@@ -306,8 +405,10 @@ def _tone(part: _Part, command: Floats, x_m: Floats, f: Floats, before_s: float 
     )
 
 
-def _inverse(x_p: Floats, x_m: Floats, noise_m: float, *, with_beta: bool) -> tuple[float, float]:
-    """Least squares of Eqn 2.6-2.8 over the whole sweep, by the estimator itself."""
+def _inverse(
+    signals: _Signals, part: slice, noise_m: float, *, with_beta: bool
+) -> tuple[float, float]:
+    """Least squares of Eqn 2.6-2.8 over a part of the sweep, by the estimator itself."""
     estimator = core.Estimator(
         core.EstimatorConfig(
             law="rls",
@@ -317,8 +418,15 @@ def _inverse(x_p: Floats, x_m: Floats, noise_m: float, *, with_beta: bool) -> tu
             alpha_max=1000.0,
         )
     )
-    alpha, beta = estimator.run(x_p, x_m)
-    return float(alpha[-1]), float(beta[-1])
+    x_p, x_m = signals.command[part], signals.x_m[part]
+    if signals.whole:
+        estimator.run(x_p, x_m)
+        return estimator.alpha, estimator.beta
+    # Made-up readings keep the filters going, and nothing is learnt from them.
+    made_up = np.convolve(~signals.read[part], np.ones(MEMORY_TICKS))[: x_p.size] > 0.5
+    for p, m, frozen in zip(x_p.tolist(), x_m.tolist(), made_up.tolist(), strict=True):
+        estimator.step(p, m, frozen)
+    return estimator.alpha, estimator.beta
 
 
 def _stiffness_and_mass(tones: list[Tone]) -> tuple[float, float | None]:
@@ -365,7 +473,79 @@ def _check_followed(part: _Part, tone: Tone, noise_m: float) -> None:
         )
 
 
-def _check_specimen(part: _Part, slowest: Tone, noise_n: float) -> None:
+def _check_direction(rig: RigFile, tones: list[Tone]) -> None:
+    """Tell a displacement that goes against its command from one that is late.
+
+    Of a delay alone nothing is left at 0 Hz; of a wrong sign half a turn.
+    """
+    if len(tones) < 2:
+        return
+    first, second = tones[:2]
+    turns = [tone.frequency_hz * tone.delay_s for tone in (first, second)]
+    apart_hz = second.frequency_hz - first.frequency_hz
+    delay_s = ((turns[1] - turns[0] + 0.25) % 1.0 - 0.25) / apart_hz
+    at_zero = turns[0] - first.frequency_hz * delay_s
+    if np.cos(2 * np.pi * at_zero) < REVERSED:
+        raise InputError(
+            f"the displacement moves against the command; {polarity.displacement_remedy(rig)}",
+            "identify",
+        )
+
+
+def _check_not_limited(rows: NDArray[np.void], parts: list[_Part]) -> None:
+    """Refuse a sweep whose command a limit has changed."""
+    limited = np.flatnonzero(rows["flags"] & FLAGS["limited"])
+    if limited.size:
+        raise InputError(
+            "the rig's limits on the command's velocity or acceleration changed it at "
+            f"{_frequency_at(parts, int(limited[0])):g} Hz; identify with a smaller amplitude "
+            "(--amplitude), or up to a lower frequency (--max-frequency)",
+            "identify",
+        )
+
+
+def _check_read(signals: _Signals, parts: list[_Part]) -> None:
+    """Refuse a sweep in which too many readings were lost."""
+    for part in parts:
+        share = float(signals.read[part.fit].mean())
+        if share < READ_SHARE:
+            raise InputError(
+                f"only {100 * share:.0f} % of the samples at {part.frequency_hz:g} Hz brought a "
+                f"reading, {100 * READ_SHARE:g} % are needed; check the link, and this PC with "
+                "rthyb jitter",
+                "identify",
+            )
+
+
+def _frequency_at(parts: list[_Part], row: int) -> float:
+    begun = [part.frequency_hz for part in parts if part.start <= row]
+    return begun[-1] if begun else parts[0].frequency_hz
+
+
+def _broken_off(moved: Moved, parts: list[_Part], rows: int) -> Exception:
+    where = f"at {_frequency_at(parts, rows):g} Hz" if rows > parts[0].start else "before it moved"
+    if moved.cause in ("operator", "signal", "none"):
+        return moving.StoppedError(f"the sweep was stopped {where}; nothing was found")
+    remedy = "identify with a smaller amplitude (--amplitude), or up to a lower frequency"
+    if moved.cause in moving.SPOILT:
+        remedy = "check the link, and this PC with rthyb jitter"
+    elif moved.cause == "drive_stopped":
+        remedy = "ask the drive's panel why it stopped"
+    return moving.LimitError(f"the sweep ended {where}: {moved.end_reason}; {remedy}")
+
+
+def _link_delay(moved: Moved) -> float | None:
+    """Return the mean of the link's delay over the sines, samples."""
+    rows = moved.rows
+    if not rows["echo"].any():
+        return None
+    delay = (moving.command_numbers(rows) - rows["echo"].astype(np.int64)) % 256
+    motion = delay[moving.fresh(rows) & (rows["state"] == RUNNING)]
+    known = motion[motion < 128]
+    return float(known.mean()) if known.size else None
+
+
+def _check_specimen(rig: RigFile, part: _Part, slowest: Tone, noise_n: float) -> None:
     in_phase = slowest.force_in_phase_n_per_m
     moved = slowest.gain * slowest.amplitude_m
     if abs(in_phase) * moved <= max(CERTAIN * _standard_error(part, noise_n), 1e-9):
@@ -378,8 +558,8 @@ def _check_specimen(part: _Part, slowest: Tone, noise_n: float) -> None:
     if in_phase < 0:
         raise InputError(
             f"the force falls with displacement ({in_phase:.4g} N/m at "
-            f"{slowest.frequency_hz:g} Hz); check the polarity of the load cell, or that a "
-            "specimen is mounted",
+            f"{slowest.frequency_hz:g} Hz); {polarity.force_remedy(rig)}; or see that a specimen "
+            "is mounted",
             "identify",
         )
 

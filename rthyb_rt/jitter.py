@@ -6,12 +6,14 @@ apart in the same seconds: what both share is the machine's, what only one has i
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import resource
+import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rthyb_rt import core
+from rthyb_rt.recording import Recording
+from rthyb_rt.ring import Reader, Ring, default_folder
 from rthyb_rt.ticker import (
     PERIOD_NS,
     AwakeProcessors,
@@ -30,7 +34,9 @@ from rthyb_rt.ticker import (
     unlock_memory,
 )
 
-SCHEMA: Final = "rthyb-jitter/1"
+SCHEMA: Final = "rthyb-jitter/2"
+TELEMETRY_HZ: Final = 50.0
+"""How often a dashboard reads the ring."""
 
 REPEAT_ABOVE_NS: Final = 10_000_000
 """A reference thread that was later than this tells of the machine; the run is repeated."""
@@ -72,6 +78,7 @@ class Case:
 
     payload: Payload
     burner: bool
+    telemetry: bool = False
 
     @property
     def title(self) -> str:
@@ -81,12 +88,15 @@ class Case:
             "sample": "one sample a tick",
             "exchange": "one sample and link exchange",
         }[self.payload]
-        return f"{payload}{', beside busy Python' if self.burner else ''}"
+        beside = {"telemetry": self.telemetry, "busy Python": self.burner}
+        others = " and ".join(name for name, there in beside.items() if there)
+        return f"{payload}, beside {others}" if others else payload
 
 
 CASES: Final = (
     Case("sample", False),
     Case("exchange", False),
+    Case("exchange", False, telemetry=True),
     Case("sample", True),
     Case("exchange", True),
 )
@@ -143,6 +153,49 @@ def busy_python() -> Iterator[None]:
         thread.join()
 
 
+@contextmanager
+def telemetry_ring() -> Iterator[Ring]:
+    """Give a ring for the tick thread and read it 50 times a second, as a dashboard does.
+
+    Raises:
+        RthybError: there is no room for a ring.
+    """
+    folder = default_folder()
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="jitter-", dir=folder) as own, ExitStack() as owned:
+        ring = Ring.create(Path(own), _bare_session())
+        owned.callback(ring.remove)
+        owned.enter_context(_read_steadily(owned.enter_context(Reader(ring.path))))
+        yield ring
+
+
+def _bare_session() -> Recording:
+    return Recording(
+        np.zeros(0, core.RECORD_DTYPE), core.FS_HZ, np.zeros(0), {}, None, test_toml="", rig_toml=""
+    )
+
+
+@contextmanager
+def _read_steadily(reader: Reader) -> Iterator[None]:
+    """Turn what is new in a ring into JSON, every 20 ms, in a thread of its own."""
+    done = threading.Event()
+
+    def follow() -> None:
+        last = False
+        while not last:
+            last = done.wait(1.0 / TELEMETRY_HZ)
+            samples = reader.read().samples
+            json.dumps({name: samples[name].tolist() for name in ("tick", "x_num_m", "x_meas_m")})
+
+    thread = threading.Thread(target=follow, name="telemetry", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+
+
 def measure(
     case: Case, ticks: int, load: Load | None, cpu: int = -1, progress: Progress | None = None
 ) -> Result:
@@ -169,24 +222,22 @@ def measure(
 
 
 def _run_once(case: Case, ticks: int, load: Load | None, cpu: int, progress: Progress) -> JitterRun:
-    with AwakeProcessors() as awake:
+    with ExitStack() as beside:
+        awake = beside.enter_context(AwakeProcessors())
         run = JitterRun(
             ticks,
             case.payload,
             load.controller if load else None,
             load.rig if load else None,
             load.excitation if load else (),
+            beside.enter_context(telemetry_ring()) if case.telemetry else None,
             cpu=cpu,
             latency_fd=awake.fd,
         )
-        try:
-            if case.burner:
-                with busy_python():
-                    _follow(run, ticks, progress)
-            else:
-                _follow(run, ticks, progress)
-        finally:
-            unlock_memory()
+        beside.callback(unlock_memory)
+        if case.burner:
+            beside.enter_context(busy_python())
+        _follow(run, ticks, progress)
     return run
 
 
@@ -447,6 +498,7 @@ def document(
             {
                 "payload": result.case.payload,
                 "busy_python": result.case.burner,
+                "telemetry": result.case.telemetry,
                 "attempts": result.attempts,
                 "disturbed": result.disturbed,
                 "p99_over_reference": result.ratio,

@@ -8,6 +8,8 @@ may then be asked.
 from __future__ import annotations
 
 import os
+import select
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
@@ -18,11 +20,12 @@ import numpy.typing as npt
 from rthyb_rt import core
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.errors import RthybError
-from rthyb_rt.links.wire import Codec, Wire
+from rthyb_rt.links.wire import Codec, Frame, Wire
 from rthyb_rt.ring import Ring
-from rthyb_rt.ticker import PRIORITY, Clock, Counts, Latency, Ticker, privilege_names
+from rthyb_rt.ticker import PRIORITY, Counts, Latency, Ticker, privilege_names
 
 Kind = Literal["can", "stream"]
+Clock = Literal["host", "link", "stepped"]
 FaultKind = Literal[
     "drop",
     "drop-command",
@@ -39,6 +42,7 @@ FaultKind = Literal[
 ]
 
 HEARTBEAT_TICKS: Final[int] = lib.RTHYB_HEARTBEAT_TICKS
+SLIP_VOTES: Final[int] = lib.RTHYB_SLIP_VOTES
 WATCHDOG_TICKS: Final[int] = lib.RTHYB_DRIVE_WATCHDOG
 PHASES: Final = ("stopped", "following", "stopping")
 LINK_FAULTS: Final = ("up", "network-down", "device-gone", "bus-off", "hung-up")
@@ -46,6 +50,7 @@ LINK_FAULTS: Final = ("up", "network-down", "device-gone", "bus-off", "hung-up")
 _KINDS: Final[dict[Kind, int]] = {"can": lib.RTHYB_LINK_CAN, "stream": lib.RTHYB_LINK_STREAM}
 _CLOCKS: Final[dict[Clock, int]] = {
     "host": lib.RTHYB_CLOCK_HOST,
+    "link": lib.RTHYB_CLOCK_LINK,
     "stepped": lib.RTHYB_CLOCK_STEPPED,
 }
 _FAULTS: Final[dict[FaultKind, int]] = {
@@ -92,6 +97,16 @@ class Link:
         """Close the link's own descriptor; twice does no harm."""
         lib.rthyb_link_close(self.struct)
 
+    def receive(self) -> Frame | None:
+        """Take a CAN frame, or some bytes of a stream; None: nothing more has come.
+
+        Not while a loop has the link.
+        """
+        frame = ffi.new("rthyb_frame *")
+        if not lib.rthyb_link_receive(self.struct, frame):
+            return None
+        return Frame(frame.id, bytes(ffi.buffer(frame.data, frame.length)), bool(frame.fd))
+
     @property
     def fd(self) -> int:
         """The link's own descriptor."""
@@ -107,6 +122,45 @@ class Link:
         return _by_name(self.struct.counters)
 
 
+class Phase:
+    """The loop of the link clock alone: when pairs arrived in, trims of the due times out.
+
+    Args:
+        lead_us: a pair is to arrive so long before its tick, 10 to 488.
+
+    Raises:
+        core.CoreError: the lead is out of range.
+    """
+
+    def __init__(self, lead_us: float = 200.0) -> None:
+        self._c = ffi.new("rthyb_phase *")
+        if lib.rthyb_phase_init(self._c, lead_us * 1e3):
+            raise core.CoreError(f"the lead is {lead_us} us, 10 to 488 us are possible")
+
+    def step(self, after_due_ns: float | None) -> int:
+        """Return what `rthyb_rt.ticker.Ticker.trim` is to be given after a tick, ns.
+
+        ``after_due_ns``: arrival of the tick's pair after its due time; None: there is none.
+        """
+        came = after_due_ns is not None
+        return int(lib.rthyb_phase_step(self._c, came, after_due_ns or 0.0))
+
+    @property
+    def locked(self) -> bool:
+        """Whether the error has been small for a quarter of a second."""
+        return bool(self._c.locked)
+
+    @property
+    def error_ns(self) -> float:
+        """Arrival after the wanted instant, smoothed."""
+        return float(self._c.error_ns)
+
+    @property
+    def trim_ppm(self) -> float:
+        """By how much the period is made longer, mean of 4 s."""
+        return float(self._c.trim_ns) * core.FS_HZ / 1e3
+
+
 class Loop:
     """Link -> wire -> station -> wire -> link -> record -> ring, once a tick.
 
@@ -115,8 +169,13 @@ class Loop:
         wire: the controller's end of the frames.
         link: where they come from and go to.
         ring: takes every record; without one, `records` has those of the last tick.
-        clock: "host": `start` a thread; "stepped": `step` for each tick, or a thread that `ticker`
-            grants ticks to.
+        clock: "host": `start` a thread; "link": the same, and its ticks follow the drive's samples;
+            "stepped": `step` for each tick, or a thread that `ticker` grants ticks to.
+        calibration: between the wire and the station.
+        lead_us: link clock: a pair arrives so long before its tick, 10 to 488.
+
+    Raises:
+        core.CoreError: the calibration or the lead is senseless.
     """
 
     def __init__(
@@ -126,6 +185,8 @@ class Loop:
         link: Link,
         ring: Ring | None = None,
         clock: Clock = "stepped",
+        calibration: core.Calibration = core.IDENTITY,
+        lead_us: float = 200.0,
     ) -> None:
         self._kept = (station, wire, link, ring)
         self._c = ffi.new("rthyb_loop *")
@@ -133,14 +194,32 @@ class Loop:
         self._c.station, self._c.wire, self._c.link = station._c, wire.struct, link.struct
         self._c.ring = ffi.NULL if ring is None else ring.pointer
         self._c.ag_mps2, self._c.ag_count = self._ag, station._ag.size
-        lib.rthyb_loop_init(self._c, _CLOCKS[clock])
+        self._c.calibration = calibration.struct()[0]
+        self._c.lead_ns = lead_us * 1e3
+        if lib.rthyb_loop_init(self._c, _CLOCKS[clock]):
+            raise core.CoreError(
+                f"a pair cannot arrive {lead_us} us before its tick: 10 to 488 us are possible"
+            )
         self._running = False
+        self._ring = None if ring is None else ring.pointer
+        self._next: tuple[core.Station, Ring | None, Any, Any] | None = None
 
     def step(self, skipped: int = 0) -> None:
         """Run one tick of the stepped clock, after ``skipped`` that nobody executes."""
         if skipped:
             lib.rthyb_ticker_miss(self._ticker, skipped)
         lib.rthyb_loop_step(self._c)
+
+    def await_pair(self, seconds: float) -> bool:
+        """Stepped clock: wait until a pair is there for `step`; False: none came, or none can."""
+        _, wire, link, _ = self._kept
+        end = time.monotonic() + seconds
+        while True:
+            lib.rthyb_link_drain(link.struct, wire.struct)
+            left = end - time.monotonic()
+            if wire.struct.fresh or link.down != "up" or left <= 0.0:
+                return bool(wire.struct.fresh)
+            select.select([link.fd], [], [], left)
 
     def start(self, priority: int = PRIORITY, cpu: int = -1, latency_fd: int = -1) -> None:
         """Start the tick thread, as punctual as the system lets it be.
@@ -180,6 +259,54 @@ class Loop:
         answer = lib.rthyb_loop_answered(self._c, generation, tick)
         return (answer == 1, tick[0]) if answer else None
 
+    def load(self, station: core.Station, ring: Ring | None) -> int:
+        """Have the next tick go on with another station and ring; return the load's generation.
+
+        Ticks, wire and link stay, so that the drive notices nothing. Station and ring of before
+        are kept alive until `loaded` has said that they are no longer in use. One load at a time.
+        """
+        ag = ffi.from_buffer("double[]", station._ag)
+        fresh = None if ring is None else ring.pointer
+        self._next = (station, ring, ag, fresh)
+        struct = ffi.new("rthyb_load *", (station._c, fresh or ffi.NULL, ag, station._ag.size))
+        return int(lib.rthyb_loop_load(self._c, struct))
+
+    def loaded(self, generation: int) -> bool | None:
+        """Return whether a load was taken; False: its station may not go, for it is not in IDLE.
+
+        None: not answered yet.
+        """
+        answer = lib.rthyb_loop_loaded(self._c, generation)
+        if answer == 1 and self._next is not None:
+            station, ring, self._ag, self._ring = self._next
+            self._kept = (station, *self._kept[1:3], ring)
+        if answer:
+            self._next = None
+        return answer == 1 if answer else None
+
+    @property
+    def load_tick(self) -> int:
+        """Tick of the loop in which the present station had its tick 0; after a load."""
+        return int(self._c.load_tick)
+
+    def set_parameters(self, parameters: core.Parameters) -> int:
+        """Publish a set of parameters; return its generation, which records then show.
+
+        The next tick takes it whole. One thread at a time.
+
+        Raises:
+            core.CoreError: a value is out of range, or there is nothing to watch under a name; the
+                set before stays in force.
+        """
+        struct = parameters.struct()
+        if lib.rthyb_loop_set_parameters(self._c, struct):
+            raise core.CoreError(
+                f"{parameters}: limits must lie in 0 ... 1e12 (velocity and acceleration of the "
+                "command in 0 ... 1e6), the path's velocity in 1e-9 ... 1e3 m/s and acceleration "
+                "in 1e-9 ... 1e6 m/s^2"
+            )
+        return int(struct.generation)
+
     def beat(self) -> None:
         """Give a sign of life; after 1024 ticks without one the test ramps out."""
         lib.rthyb_loop_beat(self._c)
@@ -193,6 +320,26 @@ class Loop:
     def cause(self) -> str:
         """The station's latched first cause; readable at any time."""
         return str(core.CAUSES[self._c.cause])
+
+    @property
+    def cause_tick(self) -> int:
+        """Tick in which that cause came up; readable at any time."""
+        return int(self._c.cause_tick)
+
+    @property
+    def locked(self) -> bool:
+        """Link clock: whether the ticks follow the drive's samples; readable at any time."""
+        return bool(self._c.locked)
+
+    @property
+    def arrival_error_us(self) -> float:
+        """Link clock: how long after the wanted instant pairs arrive, smoothed; at any time."""
+        return int(self._c.arrival_error_ns) / 1e3
+
+    @property
+    def trim_ppm(self) -> float:
+        """Link clock: by how much the period is made longer, mean of 4 s; readable at any time."""
+        return int(self._c.trim_ppb) / 1e3
 
     @property
     def records(self) -> core.RecordArray:
@@ -260,14 +407,16 @@ class Drive:
         rig: what moves and measures.
         codec: the frames.
         link: their other end.
-        origin_m: where the rig's zero lies on the wire.
+        origin_m: where the rig's zero lies, behind the calibration.
         stop_decel_m_per_s2: how it brakes on its own.
         log_ticks: how many ticks `log` has room for.
         seed: of the faults.
         drift_ppm: how much the clock of `run` is fast, 199 at most.
+        calibration: the controller's; the drive applies its inverse.
 
     Raises:
-        core.CoreError: the deceleration is not positive, or the drift too large.
+        core.CoreError: the deceleration is not positive, the drift too large, or the calibration
+            senseless.
     """
 
     def __init__(
@@ -281,12 +430,14 @@ class Drive:
         log_ticks: int = 0,
         seed: int = 0,
         drift_ppm: float = 0.0,
+        calibration: core.Calibration = core.IDENTITY,
     ) -> None:
         self._c = ffi.new("rthyb_drive *")
         self._kept = (rig, codec, link)
         self._log: npt.NDArray[np.void] = np.zeros(log_ticks, LOG_DTYPE)
         self._c.rig, self._c.link, self._c.codec = rig._c, link.struct, codec.struct[0]
         self._c.origin_m, self._c.stop_decel_m_per_s2 = origin_m, stop_decel_m_per_s2
+        self._c.calibration = calibration.struct()[0]
         self._c.log = ffi.cast("rthyb_drive_entry *", ffi.from_buffer(self._log))
         self._c.log_size, self._c.seed, self._c.drift_ppm = log_ticks, seed, drift_ppm
         self._faults: Any = None
@@ -324,8 +475,14 @@ class Drive:
 
     @property
     def phase(self) -> str:
-        """One of `PHASES`."""
+        """One of `PHASES`; readable at any time."""
         return PHASES[self._c.phase]
+
+    @property
+    def told(self) -> str:
+        """The controller's state in the last fresh command; readable at any time."""
+        state = int(self._c.state)
+        return core.STATE_NAMES[state] if state < len(core.STATE_NAMES) else str(state)
 
     @property
     def log(self) -> npt.NDArray[np.void]:

@@ -28,6 +28,9 @@ from rthyb_rt.errors import InputError, RthybError
 SCHEMA = "rthyb-recording/1"
 FILE_NAME = "recording.h5"
 
+BLOCK_ROWS = 128
+"""Rows of a block of a recording that grows: an eighth of a second."""
+
 UNITS: dict[str, str] = {
     "tick": "1",
     "due_ns": "ns",
@@ -65,8 +68,17 @@ FLAGS: dict[str, int] = {
     "frozen": 1 << 3,
     "limited": 1 << 4,
     "not_sent": 1 << 5,
+    "slip": 1 << 6,
+    "lost": 1 << 7,
+    "down": 1 << 8,
+    "stopped": 1 << 9,
+    "silent": 1 << 10,
+    "refused": 1 << 23,
 }
-"""Bits of the field ``flags``, written into every file."""
+"""Bits of the field ``flags``, written into every file; bits 24 to 31 are the number of the
+operator's command of that tick, 0 for none."""
+
+COMMAND_BIT = 24
 
 STATES: tuple[str, ...] = (
     "IDLE",
@@ -183,28 +195,7 @@ def write(path: str | Path, rec: Recording) -> None:
 
     # Built in memory: on a full disk the HDF5 library crashes, while a plain write says so.
     with h5py.File("recording", "w", driver="core", backing_store=False) as file:
-        file.attrs["schema"] = SCHEMA
-        _set_attributes(file, rec.meta)
-        samples = _table(file, "samples", rec.samples)
-        samples.attrs["fs_hz"] = rec.fs_hz
-        samples.attrs["units"] = json.dumps(UNITS)
-        samples.attrs["flags"] = json.dumps(FLAGS)
-        samples.attrs["states"] = json.dumps(STATES)
-        motion = _table(file, "ground_motion/ag_mps2", np.asarray(rec.ag_mps2, dtype=np.float64))
-        motion.attrs["fs_hz"] = rec.fs_hz
-        _set_attributes(motion, rec.ground_motion)
-        if rec.reference is not None:
-            reference = _table(file, "reference", rec.reference)
-            reference.attrs["units"] = json.dumps(REFERENCE_UNITS)
-        _text(file, "config/test_toml", rec.test_toml)
-        _text(file, "config/rig_toml", rec.rig_toml)
-        replay = rec.replay
-        state = np.frombuffer(replay.controller_state, dtype=np.uint8)
-        _table(file, "replay/controller_state", state)
-        file.create_dataset("replay/skips", data=np.asarray(replay.skips).reshape(-1, 2))
-        _text(file, "replay/parameters", json.dumps(replay.parameters))
-        _text(file, "replay/commands", json.dumps(replay.commands))
-        _text(file, "replay/tares", json.dumps(replay.tares))
+        fill(file, rec)
         file.flush()
         image = file.id.get_file_image()
     with replacing(Path(path)) as temporary, temporary.open("wb") as out:
@@ -213,7 +204,45 @@ def write(path: str | Path, rec: Recording) -> None:
         os.fsync(out.fileno())
 
 
-def _set_attributes(owner: Any, values: dict[str, Any]) -> None:
+def fill(file: Any, rec: Recording, *, growing: bool = False) -> None:
+    """Put a recording into an open and empty HDF5 file.
+
+    ``growing``: without its samples, for which there is room without end, in blocks of
+    `BLOCK_ROWS`; a block that is written whole is never written again.
+    """
+    file.attrs["schema"] = SCHEMA
+    set_attributes(file, rec.meta)
+    samples = _growing(file, rec.samples.dtype) if growing else _table(file, "samples", rec.samples)
+    samples.attrs["fs_hz"] = rec.fs_hz
+    samples.attrs["units"] = json.dumps(UNITS)
+    samples.attrs["flags"] = json.dumps(FLAGS)
+    samples.attrs["states"] = json.dumps(STATES)
+    motion = _table(file, "ground_motion/ag_mps2", np.asarray(rec.ag_mps2, dtype=np.float64))
+    motion.attrs["fs_hz"] = rec.fs_hz
+    set_attributes(motion, rec.ground_motion)
+    if rec.reference is not None:
+        reference = _table(file, "reference", rec.reference)
+        reference.attrs["units"] = json.dumps(REFERENCE_UNITS)
+    _text(file, "config/test_toml", rec.test_toml)
+    _text(file, "config/rig_toml", rec.rig_toml)
+    file.create_group("replay")
+    fill_replay(file, rec.replay)
+
+
+def fill_replay(file: Any, replay: ReplayData) -> None:
+    """Put what a replay needs into an open HDF5 file, in place of what is there."""
+    group = file["replay"]
+    for name in tuple(group):
+        del group[name]
+    state = np.frombuffer(replay.controller_state, dtype=np.uint8)
+    _table(group, "controller_state", state)
+    group.create_dataset("skips", data=np.asarray(replay.skips).reshape(-1, 2))
+    _text(group, "parameters", json.dumps(replay.parameters))
+    _text(group, "commands", json.dumps(replay.commands))
+    _text(group, "tares", json.dumps(replay.tares))
+
+
+def set_attributes(owner: Any, values: dict[str, Any]) -> None:
     """Store values as attributes: scalars as they are, structures as JSON, None not at all."""
     for key, value in values.items():
         if value is not None:
@@ -229,6 +258,20 @@ def _table(file: Any, name: str, data: NDArray[Any]) -> Any:
         name,
         data=data,
         chunks=(min(len(data), 4096),),
+        compression="gzip",
+        compression_opts=1,
+        shuffle=True,
+        fletcher32=True,
+    )
+
+
+def _growing(file: Any, dtype: np.dtype[Any]) -> Any:
+    return file.create_dataset(
+        "samples",
+        shape=(0,),
+        maxshape=(None,),
+        dtype=dtype,
+        chunks=(BLOCK_ROWS,),
         compression="gzip",
         compression_opts=1,
         shuffle=True,
@@ -287,7 +330,7 @@ def _why_unreadable(path: Path, error: Exception) -> str:
 
 def _load(file: Any, where: str) -> Recording:
     """Turn the open file into a recording; what h5py raises tells of damage."""
-    schema = _plain(file.attrs.get("schema"))
+    schema = plain(file.attrs.get("schema"))
     if not isinstance(schema, str) or not schema.startswith("rthyb-recording/"):
         raise InputError(
             "an HDF5 file, but no recording: the attribute 'schema' "
@@ -315,7 +358,7 @@ def _load(file: Any, where: str) -> Recording:
         samples=samples_set[()],
         fs_hz=float(samples_set.attrs["fs_hz"]),
         ag_mps2=motion[()],
-        ground_motion={k: _plain(v) for k, v in motion.attrs.items() if k != "fs_hz"},
+        ground_motion={k: plain(v) for k, v in motion.attrs.items() if k != "fs_hz"},
         reference=reference,
         test_toml=file["config/test_toml"].asstr()[()],
         rig_toml=file["config/rig_toml"].asstr()[()],
@@ -326,7 +369,7 @@ def _load(file: Any, where: str) -> Recording:
             skips=replay["skips"][()],
             tares=json.loads(replay["tares"].asstr()[()]),
         ),
-        meta={k: _plain(v) for k, v in file.attrs.items() if k != "schema"},
+        meta={k: plain(v) for k, v in file.attrs.items() if k != "schema"},
     )
 
 
@@ -336,7 +379,7 @@ def _require_fields(dtype: np.dtype[Any], needed: dict[str, str], name: str, whe
         raise InputError(f"'{name}' lacks the fields {', '.join(missing)}", where)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return an attribute as a Python value; text that holds JSON structures is parsed."""
     if isinstance(value, np.generic):
         value = value.item()

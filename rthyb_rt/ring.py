@@ -19,7 +19,7 @@ import fcntl
 import json
 import mmap
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -459,7 +459,7 @@ def recover(path: str | Path) -> Recovered:
         raise InputError(
             "the ring has no record: its process ended before the first tick", str(path)
         )
-    samples = _joined(parts)
+    samples = joined([part.samples for part in parts])
     found = Recovered(
         recording=_join(_session(path), samples, parts[0].first),
         rows=(parts[0].first, parts[-1].first + len(parts[-1].samples) - 1),
@@ -494,7 +494,7 @@ def _join(session: Recording, samples: RecordArray, first_row: int) -> Recording
         session.replay,
         # The state before the ring's first row is not the state before a later one.
         controller_state=session.replay.controller_state if first_row == 0 else b"",
-        skips=_skips(samples),
+        skips=skips(samples),
     )
     held = bool((samples["state"] == STATES.index("HOLD")).any())
     return replace(
@@ -526,13 +526,14 @@ def _end_reason(reader: Reader, parts: list[Rows], alive: bool) -> str:
     return "closed" if reader.closed else "its process ended early"
 
 
-def _joined(parts: list[Rows]) -> RecordArray:
+def joined(parts: Sequence[RecordArray]) -> RecordArray:
+    """Return records of several arrays in one, shape (n,), padding and all."""
     # np.concatenate would take the padding out of the records.
-    samples = np.zeros(sum(part.samples.size for part in parts), dtype=RECORD_DTYPE)
+    samples = np.zeros(sum(part.size for part in parts), dtype=RECORD_DTYPE)
     done = 0
     for part in parts:
-        samples[done : done + part.samples.size] = part.samples
-        done += part.samples.size
+        samples[done : done + part.size] = part
+        done += part.size
     return samples
 
 
@@ -559,7 +560,7 @@ def _reference_fits(samples: RecordArray, first_row: int) -> bool:
     return (begin > 0 or first_row == 0) and not _missing_ticks(samples["tick"][begin:])
 
 
-def _skips(samples: RecordArray) -> NDArray[np.int64]:
+def skips(samples: RecordArray) -> NDArray[np.int64]:
     """Return first tick and length of every run of blind rows, shape (n, 2)."""
     blind = (samples["flags"] & FLAGS["blind"]) != 0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], blind, [False]]).astype(np.int8)))

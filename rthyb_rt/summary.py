@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import measures
-from rthyb_rt.recording import FLAGS, STATES, Recording
+from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
 
 Floats = NDArray[np.float64]
 NAN = float("nan")
@@ -19,6 +19,7 @@ USELESS_NRMSE = 0.5
 """Above half of the motion as error nothing of a test can be used."""
 FARTHEST_M = 2.0
 """No laboratory's actuator goes farther: a motion beyond it has run away."""
+_MOVING = [STATES.index(name) for name in ("RAMP_IN", "RUNNING", "HOLD", "RAMP_OUT")]
 OUT_OF_RANGE = 1 << 1
 """Bit of the field ``code``: a value was beyond any sense and was held back."""
 
@@ -156,10 +157,75 @@ def _positive(value: Any) -> float | None:
 
 
 @dataclass(frozen=True)
+class Live:
+    """How a test in real time went, besides its figures.
+
+    Attributes:
+        in_real_time: False where the ticks came on another's word: the stepped clock, or a link
+            with a Python thread in between.
+        cause: what ended the test, in the station's word.
+        link: name of the link.
+        wake_p50_ns, wake_p99_ns, wake_max_ns: woken after the tick was due.
+        sent_p99_ns: from being awake to the command being sent.
+        skipped_ticks: that nobody executed.
+        lost_pairs: ticks of the motion without a pair from the drive.
+        slips: how often the drive's clock gained or lost a sample in the motion.
+        link_delay_samples: from command to feedback on the wire; -1: not known.
+        missed_rows: rows that the recorder came too late for.
+        privileges: what the tick thread obtained.
+    """
+
+    in_real_time: bool
+    cause: str
+    link: str
+    wake_p50_ns: int
+    wake_p99_ns: int
+    wake_max_ns: int
+    sent_p99_ns: int
+    skipped_ticks: int
+    lost_pairs: int
+    slips: int
+    link_delay_samples: int
+    missed_rows: int
+    privileges: tuple[str, ...]
+
+
+def live(rec: Recording) -> Live | None:
+    """Return how a test in real time went; None for one in virtual time."""
+    facts = rec.meta.get("real_time")
+    if not isinstance(facts, dict):
+        return None
+    wake, sent = facts["wake"], facts["sent"]
+    moving = rec.samples[_motion(rec)]
+    unheard = FLAGS["fresh"] | FLAGS["blind"]
+    return Live(
+        in_real_time=bool(facts["in_real_time"]),
+        cause=str(facts["cause"]),
+        link=str(facts["link"]),
+        wake_p50_ns=int(wake["p50_ns"]),
+        wake_p99_ns=int(wake["p99_ns"]),
+        wake_max_ns=int(wake["max_ns"]),
+        sent_p99_ns=int(sent["p99_ns"]),
+        skipped_ticks=int(facts["ticks"]["skipped"]),
+        lost_pairs=int(np.count_nonzero((moving["flags"] & unheard) == 0)),
+        slips=int(np.count_nonzero(moving["flags"] & FLAGS["slip"])),
+        link_delay_samples=int(facts["link_delay_samples"]),
+        missed_rows=sum(last - first + 1 for first, last in facts["missed_rows"]),
+        privileges=tuple(facts["privileges"]),
+    )
+
+
+def _motion(rec: Recording) -> NDArray[np.bool_]:
+    """Return which rows something moved in, ramps and all, shape (n,)."""
+    mask: NDArray[np.bool_] = np.isin(rec.samples["state"], _MOVING)
+    return mask
+
+
+@dataclass(frozen=True)
 class Summary:
     """The figures of a test; fractions and SI units, nan or None where there is nothing to say.
 
-    Errors and indices are taken over the rows of the test proper, the counts over all rows.
+    Errors, indices and flags are taken over the rows of the test proper.
     """
 
     test_name: str
@@ -196,6 +262,7 @@ class Summary:
     flags: dict[str, int]
     skipped_ticks: int
     not_finite_rows: int
+    live: Live | None
     setup: Setup = field(repr=False)
 
     def as_json(self) -> dict[str, Any]:
@@ -230,6 +297,8 @@ def summarize(rec: Recording) -> Summary:
     given = setup(rec)
     samples = rec.samples
     run = samples[rec.running()]
+    how = live(rec)
+    flagged = run["flags"] if how is None or (run["state"] == RUNNING).any() else run["flags"][:0]
     x_num, x_meas, force = run["x_num_m"], run["x_meas_m"], run["f_meas_n"]
     index = measures.fei(x_num, x_meas, rec.fs_hz)
     peak_row = _peak_row(x_num)
@@ -283,9 +352,10 @@ def summarize(rec: Recording) -> Summary:
         energy_error_relative=relative,
         input_energy_j=None if input_j is None else float(np.max(input_j, initial=0.0)),
         clamped_rows=_clamped_rows(samples),
-        flags={name: int(np.count_nonzero(samples["flags"] & bit)) for name, bit in FLAGS.items()},
+        flags={name: int(np.count_nonzero(flagged & bit)) for name, bit in FLAGS.items()},
         skipped_ticks=int(np.sum(rec.replay.skips[:, 1])) if rec.replay.skips.size else 0,
         not_finite_rows=int(np.count_nonzero(~np.isfinite(signals).all(axis=0))),
+        live=how,
         setup=given,
     )
 
@@ -463,11 +533,14 @@ def notices(s: Summary) -> list[Notice]:
     }
     for name, text in flagged.items():
         n = s.flags.get(name, 0)
+        if name in ("not_sent", "predicted"):
+            n -= s.flags.get("blind", 0)  # which are both, and told as what they are
         if n:
             share = percent(n / s.samples)
             found.append(Notice("alarm", f"{_count(n, 'sample')} of {s.samples} ({share}) {text}."))
     if s.skipped_ticks:
         found.append(Notice("alarm", f"{_count(s.skipped_ticks, 'tick')} skipped."))
+    found += _live_notices(s.live)
     if s.alpha_at_bound > 0.01:
         share = percent(s.alpha_at_bound)
         found.append(
@@ -484,6 +557,27 @@ def notices(s: Summary) -> list[Notice]:
             )
         )
     return found
+
+
+def _live_notices(found: Live | None) -> list[Notice]:
+    if found is None:
+        return []
+    notices = []
+    if found.slips:
+        notices.append(
+            Notice(
+                "alarm",
+                f"The drive's clock and this PC's slipped {_count(found.slips, 'sample')}: the "
+                "delay estimate has steps that are none of the rig's.",
+            )
+        )
+    if found.missed_rows:
+        notices.append(
+            Notice("alarm", f"{_count(found.missed_rows, 'row')} missing from the recording.")
+        )
+    if not found.in_real_time:
+        notices.append(Notice("note", "The test did not run in real time."))
+    return notices
 
 
 def _useless(s: Summary) -> list[Notice]:
@@ -613,11 +707,46 @@ def table(s: Summary) -> list[Row]:
         ),
         Row("Samples", _samples(s), "rows of the recording, and those with a flag"),
     ]
-    return rows
+    return rows + _live_rows(s.live)
+
+
+def _live_rows(found: Live | None) -> list[Row]:
+    if found is None:
+        return []
+    wake = ", ".join(
+        f"{name} {_microseconds(ns)}"
+        for name, ns in (
+            ("p50", found.wake_p50_ns),
+            ("p99", found.wake_p99_ns),
+            ("longest", found.wake_max_ns),
+        )
+    )
+    delay = "not known"
+    if found.link_delay_samples >= 0:
+        delay = _count(found.link_delay_samples, "sample")
+    return [
+        Row(
+            "Punctuality",
+            f"{wake}; {_count(found.skipped_ticks, 'tick')} skipped",
+            "awake after the tick was due",
+        ),
+        Row(
+            "Link",
+            f"{_count(found.lost_pairs, 'pair')} lost, {_count(found.slips, 'slip')}, "
+            f"delay {delay}",
+            found.link,
+        ),
+    ]
+
+
+def _microseconds(ns: int) -> str:
+    return quantity(float(ns), "µs", 1e-3)
 
 
 def _end(s: Summary) -> str:
     words = [s.end_reason, f"after {s.duration_s:.2f} s", f"state {s.final_state}"]
+    if s.live is not None:
+        words.append(f"cause {s.live.cause.replace('_', ' ')}")
     if s.interrupted:
         words.insert(1, "interrupted")
     return ", ".join(words)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,9 @@ import numpy.typing as npt
 from rthyb_rt import core
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.errors import RthybError
+
+if TYPE_CHECKING:
+    from rthyb_rt.ring import Ring
 
 Clock = Literal["host", "stepped"]
 Payload = Literal["none", "sample", "exchange"]
@@ -67,6 +70,23 @@ class Latency:
         """Return what was seen up to now, in memory of its own."""
         result = Latency()
         result.merge(self)
+        return result
+
+    def since(self, earlier: Latency) -> Latency:
+        """Return what was seen after ``earlier``, a copy of this one, was made.
+
+        The longest time is exact if it is a new record, else the end of its bucket.
+        """
+        result = self.copy()
+        c, before = result._c, earlier._c
+        for i in np.flatnonzero(earlier.buckets()).tolist():
+            c.bucket[i] -= before.bucket[i]
+        c.count -= before.count
+        c.sum_ns -= before.sum_ns
+        if c.max_ns == before.max_ns:
+            used = np.flatnonzero(result.buckets())
+            last = min(int(used[-1]) + 1, lib.RTHYB_LATENCY_BUCKETS) if used.size else 0
+            c.max_ns = min(int(lib.rthyb_latency_edge_ns(last)), before.max_ns)
         return result
 
     def percentile_ns(self, percent: float) -> int:
@@ -283,6 +303,7 @@ class JitterRun:
         payload: "none"; "sample": one sample of controller and virtual rig; "exchange": the rig in
             a thread of its own behind an AF_UNIX socket pair.
         controller, rig, excitation: of the payload.
+        ring: takes the record of every sample.
         priority, cpu, latency_fd: as in `become_real_time`.
     """
 
@@ -293,6 +314,7 @@ class JitterRun:
         controller: core.ControllerConfig | None = None,
         rig: core.RigConfig | None = None,
         excitation: npt.ArrayLike = (),
+        ring: Ring | None = None,
         *,
         priority: int = PRIORITY,
         cpu: int = -1,
@@ -303,7 +325,8 @@ class JitterRun:
         self._c.priority, self._c.cpu, self._c.latency_fd = priority, cpu, latency_fd
         self._c.ticks = ticks
         self._excitation = np.ascontiguousarray(excitation, np.float64)
-        self._kept: list[object] = []
+        self._kept: list[object] = [ring]
+        self._c.ring = ffi.NULL if ring is None else ring.pointer
         if controller is not None and rig is not None:
             pair = core.Controller(controller), core.Rig(rig)
             self._kept += pair

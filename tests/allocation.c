@@ -6,17 +6,16 @@
  * Prints "CASES SAMPLES ALLOCATIONS WATCHED", WATCHED being 1 where this system can forbid calls.
  * The arguments "allocate" and "call" break the rule once, to show that it is watched. */
 #define _GNU_SOURCE
-#include <errno.h>
 #include <linux/seccomp.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "counted_allocator.h"
 #include "rthyb.h"
 #include "servo_example.h"
 
@@ -26,71 +25,9 @@
 
 static volatile unsigned long allocations;
 
-void *__libc_malloc(size_t size);
-void *__libc_calloc(size_t count, size_t size);
-void *__libc_realloc(void *block, size_t size);
-void *__libc_memalign(size_t alignment, size_t size);
-void __libc_free(void *block);
-
-void *malloc(size_t size)
+static void note_allocation(void)
 {
     allocations++;
-    return __libc_malloc(size);
-}
-
-void *calloc(size_t count, size_t size)
-{
-    allocations++;
-    return __libc_calloc(count, size);
-}
-
-void *realloc(void *block, size_t size)
-{
-    allocations++;
-    return __libc_realloc(block, size);
-}
-
-void *memalign(size_t alignment, size_t size)
-{
-    allocations++;
-    return __libc_memalign(alignment, size);
-}
-
-void *aligned_alloc(size_t alignment, size_t size)
-{
-    return memalign(alignment, size);
-}
-
-int posix_memalign(void **block, size_t alignment, size_t size)
-{
-    *block = memalign(alignment, size);
-    return *block ? 0 : ENOMEM;
-}
-
-void free(void *block)
-{
-    allocations++;
-    __libc_free(block);
-}
-
-void *mmap(void *address, size_t length, int protection, int flags, int file, off_t offset)
-{
-    allocations++;
-    return (void *)syscall(SYS_mmap, address, length, protection, flags, file, offset);
-}
-
-int munmap(void *address, size_t length)
-{
-    allocations++;
-    return (int)syscall(SYS_munmap, address, length);
-}
-
-void *sbrk(intptr_t increment)
-{
-    (void)increment;
-    allocations++;
-    errno = ENOMEM;
-    return (void *)-1;
 }
 
 static const struct {

@@ -1,4 +1,7 @@
-"""One sample asks nothing of the allocator or the kernel, holds no lock and keeps no global."""
+"""One sample asks nothing of the allocator or the kernel, holds no lock and keeps no global.
+
+The tick thread around it asks the kernel for the clock and the link, and for nothing else.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import pytest
+from rthyb_rt._core import lib
 
 TESTS = Path(__file__).resolve().parent
 CORE = TESTS.parent / "csrc"
@@ -71,6 +75,48 @@ def test_a_system_call_would_have_ended_the_program(program: Path) -> None:
     _, _, _, watched = map(int, run(program).stdout.split())
     expected = -signal.SIGKILL if watched else 0
     assert run(program, "call").returncode == expected
+
+
+# ---- the tick thread -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def loop_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """tests/loop_allocation.c with the core: a run of loop and drive from start to join."""
+    path = tmp_path_factory.mktemp("allocation") / "loop_allocation"
+    sources = [TESTS / "loop_allocation.c", *sorted(CORE.glob("*.c"))]
+    gcc(*sources, "-lm", "-lpthread", "-Wl,-z,now", "-o", path)
+    return path
+
+
+CLOCKS = {"host": lib.RTHYB_CLOCK_HOST, "link": lib.RTHYB_CLOCK_LINK}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_no_tick_from_start_to_join_allocates_or_calls_anything_but_clock_and_link(
+    loop_program: Path, clock: str
+) -> None:
+    done = run(loop_program, str(CLOCKS[clock]), "1500")
+    assert done.returncode == 0, "a system call was made, or a set-up was refused"
+    elapsed, sent, allocations, _ = map(int, done.stdout.split())
+    assert elapsed >= 1500
+    assert sent > 500
+    assert allocations == 0
+
+
+def test_an_allocation_of_a_tick_would_have_been_counted(loop_program: Path) -> None:
+    done = run(loop_program, str(CLOCKS["host"]), "300", "allocate")
+    assert done.returncode == 0
+    assert int(done.stdout.split()[2]) == 4  # malloc and free, twice
+
+
+def test_a_system_call_of_a_tick_would_have_ended_the_run(loop_program: Path) -> None:
+    watched = int(run(loop_program, str(CLOCKS["host"]), "50").stdout.split()[3])
+    expected = -signal.SIGSYS if watched else 0
+    assert run(loop_program, str(CLOCKS["host"]), "300", "call").returncode == expected
+
+
+# ---- what the objects hold -----------------------------------------------------------------------
 
 
 class Symbols:

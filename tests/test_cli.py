@@ -718,7 +718,7 @@ def test_schema_describes_the_tables_of_the_file(rthyb: Rthyb, kind: str, table:
 def test_fault_of_the_program_is_told_in_words(
     rthyb: Rthyb, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(*arguments: object) -> None:
+    def broken(*arguments: object, **options: object) -> None:
         raise ZeroDivisionError("division by zero")
 
     monkeypatch.setattr(experiment, "prepare", broken)

@@ -89,8 +89,9 @@ def test_ctrl_c_that_a_library_swallows_is_obeyed_all_the_same(tmp_path: Path) -
         "import os, signal, weakref\nfrom rthyb_rt import experiment\nreal = experiment.prepare\n"
         "class Thing: pass\n"
         "def callback(_):\n    os.kill(os.getpid(), signal.SIGINT)\n    [None for _ in range(9)]\n"
-        "def changed(*arguments):\n    thing = Thing()\n    watch = weakref.ref(thing, callback)\n"
-        "    del thing\n    return real(*arguments)\n"
+        "def changed(*arguments, **options):\n"
+        "    thing = Thing()\n    watch = weakref.ref(thing, callback)\n"
+        "    del thing\n    return real(*arguments, **options)\n"
         "experiment.prepare = changed\n"
     )
     answer = python(swallow, *SHORT, folder=tmp_path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import tomllib
 import typing
 from typing import Any
 
@@ -12,11 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from rthyb_rt import config
+from rthyb_rt import config, experiment
 from rthyb_rt.config import units
-from rthyb_rt.config.fields import Count, Range, Table, Text
+from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
+from rthyb_rt.config.limits import WATCHED, Limits, resolve
 from rthyb_rt.config.lines import KeyLines
-from rthyb_rt.config.rigfile import BoucWen, RigFile
+from rthyb_rt.config.rigfile import BoucWen, Link, RigFile
 from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.errors import InputError
 
@@ -32,6 +34,10 @@ def values_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> st.SearchStrat
             return st.floats(limits.low, limits.high)
         if isinstance(limits, Count):
             return st.integers(limits.low, limits.high)
+        if isinstance(limits, OneOf):
+            return st.sampled_from(limits.words)
+        if isinstance(limits, Sign):
+            return st.sampled_from([1, -1])
         if isinstance(limits, Text):
             if limits.pattern == r"[\s\S]*":
                 return texts
@@ -43,6 +49,8 @@ def values_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> st.SearchStrat
         return st.sampled_from(arguments)
     if origin is list:
         return st.lists(values_of(arguments[0]), min_size=1, max_size=4)
+    if origin is dict:
+        return st.dictionaries(*map(values_of, arguments), max_size=3)
     if arguments:
         return st.one_of([values_of(argument) for argument in arguments])
     if annotation is type(None):
@@ -78,6 +86,11 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
         size = draw(st.integers(0, 3))
         for key in ("frequency_hz", "amplitude", "delay_at_frequency_s"):
             data[key] = [0.5] * size
+    if model is Link:
+        data.update(draw(links()))
+    if "offset_m" in data:
+        data["offset_m"] = min(data["offset_m"], 1e3 * data["scale"])
+        data["offset_m"] = max(data["offset_m"], -1e3 * data["scale"])
     if "alpha_min" in data:
         data["alpha_min"], data["alpha_max"] = draw(st.floats(0, 20)), draw(st.floats(40, 1000))
     if "w1" in data:
@@ -86,6 +99,26 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
         data["alpha0"] = draw(st.none() | st.floats(20, 40))
         data["beta0"] = draw(st.none() | st.floats(-800, 800))
     return data
+
+
+@st.composite
+def links(draw: st.DrawFn) -> dict[str, Any]:
+    """What depends on the kind of a link."""
+    kind = draw(st.sampled_from(["can", "serial", "socket", "python-can"]))
+    bus = kind in ("can", "python-can")
+    fd, dbc = bus and draw(st.booleans()), draw(st.sampled_from(["drive.dbc", None]))
+    rates = st.integers(*{"serial": (358_400, 12_000_000)}.get(kind, (600_000, 1_000_000)))
+    bitrate = None if kind == "socket" else draw(rates if fd else rates | st.none())
+    changes: dict[str, Any] = {
+        "kind": kind,
+        "channel": {"serial": "/dev/ttyUSB0", "socket": "/run/rig"}.get(kind, "can0"),
+        "interface": "virtual" if kind == "python-can" else None,
+        "bitrate": bitrate,
+        "fd": fd,
+        "data_bitrate": draw(st.none() | st.integers(1_000_000, 8_000_000)) if fd else None,
+        "dbc": dbc if bus else None,
+    }
+    return changes if changes["dbc"] else {**changes, "names": {}}
 
 
 @given(tables(TestFile))
@@ -102,6 +135,79 @@ def test_resolved_rig_reads_back_equal(data: dict[str, Any]) -> None:
     text = config.dump(rig)
     assert config.parse_rig(text) == rig
     assert config.dump(config.parse_rig(text)) == text
+
+
+@given(tables(RigFile))
+@relaxed
+def test_every_calibration_is_one_that_the_core_takes_and_its_command_comes_back(
+    data: dict[str, Any],
+) -> None:
+    data["calibration"]["command"] = None
+    c = experiment.calibration(RigFile.model_validate(data))
+    c.struct()
+    for x_m in (0.0, 0.01, -2.0):
+        wire = c.cmd_gain * x_m + c.cmd_offset_m
+        error = abs(c.x_gain * wire + c.x_offset_m - x_m)
+        # Eight roundings on the way there and back, each of half a unit in the last place, or of
+        # what is left of it among the smallest numbers.
+        assert error <= 8 * 2.0**-53 * (abs(x_m) + 2 * abs(c.x_offset_m)) + 1e-300
+
+
+ORDER = ["none", "indicate", "hold", "ramp-out", "trip"]
+
+
+@st.composite
+def files_that_fit(draw: st.DrawFn) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Limits of a rig, and of a test that leaves some out and is within the others."""
+    rig = draw(tables(Limits))
+    test: dict[str, Any] = {}
+    for key, bound in rig.items():
+        if draw(st.booleans()) or key.startswith("path_"):
+            continue
+        if isinstance(bound, dict):
+            stronger = ORDER[ORDER.index(bound["action"]) :]
+            test[key] = {**bound, "enable": True, "action": draw(st.sampled_from(stronger))}
+        elif bound is not None:
+            test[key] = bound
+    return rig, test
+
+
+@given(files_that_fit())
+@settings(relaxed, max_examples=200)
+def test_resolved_limits_are_never_weaker_than_the_rigs(
+    files: tuple[dict[str, Any], dict[str, Any]],
+) -> None:
+    bound, own = map(Limits.model_validate, files)
+    problems: list[Any] = []
+    found = resolve(own, bound, "rig", 1e-6, problems)
+    assert not problems
+    for key in WATCHED:
+        limit, of_rig = getattr(found.limits, key), getattr(bound, key)
+        if of_rig is not None and of_rig.acts:
+            assert limit.enable
+            assert limit.value <= of_rig.value
+            assert ORDER.index(limit.action) >= ORDER.index(of_rig.action)
+    # What a recording holds is taken again, on the same rig, and comes to the same.
+    again = Limits.model_validate(tomllib.loads(config.dump(found.limits)))
+    assert resolve(again, bound, "rig", 1e-6, problems).limits == found.limits
+    assert not problems
+
+
+@given(tables(Limits), tables(Limits))
+@settings(relaxed, max_examples=200)
+def test_limits_that_were_taken_are_within_the_rigs_and_others_are_named(
+    test: dict[str, Any], rig: dict[str, Any]
+) -> None:
+    own, bound = Limits.model_validate(test), Limits.model_validate(rig)
+    problems: list[Any] = []
+    resolve(own, bound, "rig", 1e-6, problems)
+    named = {problem.where.removeprefix("limits.") for problem in problems}
+    for key in WATCHED:
+        limit, of_rig = getattr(own, key), getattr(bound, key)
+        if limit is None or of_rig is None or not of_rig.acts:
+            continue
+        weaker = ORDER.index(limit.action) < ORDER.index(of_rig.action) or not limit.enable
+        assert (limit.value > of_rig.value or weaker) == (key in named)
 
 
 junk = st.recursive(

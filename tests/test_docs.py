@@ -148,7 +148,7 @@ def test_files_that_claim_a_schema_load_and_fit_a_rig(tmp_path: Path) -> None:
         if schema == config.rigfile.RIG_SCHEMA:
             rig = config.parse_rig(text, page)
             experiment.rig_config(rig)
-            if page == "own-specimen.md":
+            if page == "own-specimen.md" and rig.link is None:
                 found = identify.identified_rig(rig, identify.identify(rig))
                 rigs[IDENTIFIED].write_text(config.dump(found), encoding="utf-8")
         elif schema:
@@ -307,7 +307,7 @@ def test_check_table_is_that_of_the_specimen_of_the_guide(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = "own-specimen.md"
-    rig, test = (text for name, text in blocks("toml") if name == page)
+    rig, test, _ = (text for name, text in blocks("toml") if name == page)
     rig_file = config.parse_rig(rig, page)
     found = identify.identified_rig(rig_file, identify.identify(rig_file))
     (tmp_path / IDENTIFIED).write_text(config.dump(found), encoding="utf-8")

@@ -20,6 +20,7 @@ from rthyb_rt.cli.jitter import UNFIT
 from rthyb_rt.errors import RthybError
 from rthyb_rt.jitter import CASES, Case, Result
 from rthyb_rt.report import jitter as page
+from rthyb_rt.ring import Reader, Rows, default_folder
 from rthyb_rt.ticker import PRIVILEGES, Counts, JitterRun, Latency, Payload, Timing
 
 ALL = tuple(PRIVILEGES)
@@ -67,6 +68,26 @@ def test_a_tick_waits_for_the_clock_alone_and_reads_no_page_from_disk() -> None:
     measured = jitter.measure(Case("exchange", False), 300, LOAD).measured
     assert measured.blocked == 0
     assert measured.major_faults == 0 or "memory_locked" not in measured.privileges
+
+
+def test_telemetry_reader_finds_the_record_of_every_tick_that_was_executed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    parts: list[np.ndarray] = []
+    read = Reader.read
+
+    def keep(reader: Reader) -> Rows:
+        parts.append((rows := read(reader)).samples)
+        return rows
+
+    monkeypatch.setattr(Reader, "read", keep)
+    folder = default_folder()
+    before = set(folder.glob("jitter-*"))
+    measured = jitter.measure(Case("exchange", False, telemetry=True), 1024, LOAD).measured
+    ticks = np.concatenate([part["tick"] for part in parts])
+    np.testing.assert_array_equal(ticks, np.arange(measured.counts.executed))
+    assert sum(part.size > 0 for part in parts) > 1
+    assert set(folder.glob("jitter-*")) == before
 
 
 def test_a_payload_without_controller_is_refused() -> None:
@@ -175,13 +196,13 @@ def test_a_punctual_pc_is_fit_and_nothing_is_to_be_changed() -> None:
     assert verdict.fit
     assert verdict.remedies == ()
     assert verdict.sentence.startswith("This PC is fit")
-    assert "4 runs of 2 s" in verdict.sentence
+    assert "5 runs of 2 s" in verdict.sentence
 
 
 @pytest.mark.parametrize(
     ("measured", "fault"),
     [
-        (timing(*(10_000,) * 1999, 5 * MS, skipped=5), "20 of 8020 ticks were skipped"),
+        (timing(*(10_000,) * 1999, 5 * MS, skipped=5), "25 of 10025 ticks were skipped"),
         (timing(*(10_000,) * 1900, *(300_000,) * 100), "only within"),
         (timing(*(10_000,) * 2000, sent_ns=240_000), "only within"),
         (replace(GOOD, privileges=("memory_locked",)), "no real-time priority"),
@@ -189,7 +210,7 @@ def test_a_punctual_pc_is_fit_and_nothing_is_to_be_changed() -> None:
     ],
 )
 def test_each_fault_makes_a_pc_unfit(measured: Timing, fault: str) -> None:
-    one_bad = [*results()[:3], replace(results(measured)[3])]
+    one_bad = [*results()[:-1], results(measured)[-1]]
     verdict = jitter.judge(results(measured), GOOD_PC)
     assert not verdict.fit
     assert fault in verdict.sentence
@@ -337,8 +358,11 @@ def test_timing_of_this_pc_is_measured_shown_and_written(rthyb: Rthyb, tmp_path:
     found = json.loads(out)
     assert found["schema"] == jitter.SCHEMA
     assert found["fit"] == found["verdict"].startswith("This PC is fit")
-    assert [(run["payload"], run["busy_python"]) for run in found["runs"]] == [
-        ("sample", False), ("exchange", False), ("sample", True), ("exchange", True),
+    assert [
+        (run["payload"], run["telemetry"], run["busy_python"]) for run in found["runs"]
+    ] == [
+        ("sample", False, False), ("exchange", False, False), ("exchange", True, False),
+        ("sample", False, True), ("exchange", False, True),
     ]  # fmt: skip
     for run in found["runs"]:
         for thread in (run["measured"], run["reference"]):
@@ -357,7 +381,7 @@ def test_timing_of_this_pc_is_measured_shown_and_written(rthyb: Rthyb, tmp_path:
 def test_an_unfit_pc_is_told_what_to_change(rthyb: Rthyb, tmp_path: Path) -> None:
     code, out, _ = rthyb("jitter", "--seconds", 1)
     assert code == 0  # measured, and that was asked for
-    assert "This PC is not fit for 1024 Hz, because 12 of 412 ticks were skipped" in out
+    assert "This PC is not fit for 1024 Hz, because 15 of 515 ticks were skipped" in out
     assert "Fit means: " in out
     assert "run 3 times, the reference thread was over 10 ms late before" in out
     (html,) = tmp_path.glob("runs/jitter-*/jitter.html")

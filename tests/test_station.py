@@ -18,7 +18,7 @@ from rthyb_rt import core
 K_N_PER_M, MASS_KG = 666400.0, 4220.0
 H = core.PERIOD_S
 OFFSET_M, OFFSET_N = 0.0123, 45.0
-FLAGS = {name: 1 << bit for bit, name in enumerate(core.FLAG_NAMES)}
+FLAGS = core.FLAGS
 
 
 def shaking(seconds: float) -> np.ndarray:
@@ -301,6 +301,26 @@ def test_operator_stop_ramps_out_to_rest_with_alpha_frozen() -> None:
     assert rows["x_num_m"][-1] == 0.0
 
 
+def test_stop_of_a_test_that_stays_ends_where_its_deceleration_does() -> None:
+    bench = Bench(changes={"stay": True}).running(700)
+    before = bench.rows()
+    velocity = float(np.diff(before["x_num_m"][-2:])[0]) / H
+    bench.step("stop")
+    stopped_at = bench.rows()["x_num_m"][-1]
+    bench.until("IDLE")
+    for _ in range(100):
+        bench.step()
+    rows = bench.rows()
+    way = rows["x_num_m"][-1] - stopped_at
+    assert abs(velocity) > 1e-3
+    assert way == pytest.approx(velocity * abs(velocity) / (2 * 0.2), rel=0.1)
+    assert np.ptp(rows["x_num_m"][-100:]) == 0.0
+    assert bench.station.cause == "operator"
+    out = rows[rows["state"] == core.STATE_NAMES.index("RAMP_OUT")]
+    assert largest_acceleration(out[2:]) <= 0.2 * 1.02
+    bench.running(50)
+
+
 def test_stop_during_hold_ramps_out() -> None:
     bench = Bench().running(500)
     bench.step("hold")
@@ -397,6 +417,36 @@ def test_jumping_sensor_ramps_out_and_the_jump_is_not_taken() -> None:
     assert abs(bench.rows()["x_meas_m"][-1]) < 0.02
 
 
+@pytest.mark.parametrize("why", ["stop", "end"])
+def test_force_limit_trips_on_the_way_out_as_well(why: str) -> None:
+    bench = Bench(changes=watched("force", 5e4, "trip")).running()
+    if why == "stop":
+        bench.step("stop")
+    bench.until("RAMP_OUT")
+    bench.step(f_n=6e4)
+    assert_tripped(bench, "force")
+
+
+def test_fault_that_ramped_a_test_out_stays_its_cause_if_another_trips_it() -> None:
+    bench = Bench(changes=watched("force", 5e4, "trip")).running()
+    bench.step(heartbeat_late=True)
+    assert bench.station.state == "RAMP_OUT"
+    bench.step(f_n=6e4)
+    assert_tripped(bench, "heartbeat")
+
+
+@pytest.mark.parametrize("reaction", ["none", "indicate", "hold", "ramp-out", "trip"])
+@pytest.mark.parametrize("name", ["position", "force", "tracking"])
+def test_record_says_which_limit_was_passed(name: str, reaction: core.Reaction) -> None:
+    bench = Bench(changes=watched(name, 1e-9, reaction)).running(0)
+    for _ in range(40):
+        bench.step()
+    codes = np.bitwise_or.reduce(bench.rows()["code"])
+    bit = core.STATUS[f"{name}_limit"]
+    assert bool(codes & bit) == (reaction != "none")
+    assert bool(codes & core.STATUS["trip"]) == (reaction == "trip")
+
+
 def test_force_limit_trips() -> None:
     bench = Bench(changes=watched("force", 5e4, "trip")).running()
     bench.step(f_n=6e4)
@@ -446,6 +496,63 @@ def test_cable_pulled_trips_and_stays_tripped_when_the_link_returns() -> None:
     bench = Bench().running()
     bench.step(lost=True, link_down=True)
     assert_tripped(bench, "link_down")
+
+
+@pytest.mark.parametrize("state", ["ZEROED", "ARMED", "RAMP_IN", "RUNNING", "HOLD", "RAMP_OUT"])
+def test_drive_that_stops_trips_in_every_state_but_idle(state: str) -> None:
+    bench = Bench()
+    bench.step()
+    bench.step(drive_stopped=True)
+    assert bench.station.cause == "none"
+    bench.step("zero")
+    bench.until("ZEROED")
+    for command, reached in (
+        ("arm", "ARMED"),
+        ("start", "RAMP_IN"),
+        ("none", "RUNNING"),
+        ("hold", "HOLD"),
+        ("stop", "RAMP_OUT"),
+    ):
+        if bench.station.state == state:
+            break
+        bench.step(command)  # type: ignore[arg-type]
+        bench.until(reached)
+    assert bench.station.state == state
+    tick = bench.station.ticks
+    bench.step(drive_stopped=True)
+    assert bench.station.cause_tick == tick
+    assert_tripped(bench, "drive_stopped")
+
+
+@pytest.mark.parametrize("why", ["link_down", "drive_stopped"])
+@pytest.mark.parametrize(("command", "state"), [("zero", "IDLE"), ("reset", "IDLE")])
+def test_nobody_zeroes_a_drive_that_does_not_follow(
+    why: str, command: core.Command, state: str
+) -> None:
+    bench = Bench()
+    bench.step()
+    if command == "reset":
+        bench.step("trip")
+    tick = bench.step(command, **{why: True})
+    assert tick.refused == (command == "zero")
+    assert bench.station.state == state
+    flags = int(tick.records["flags"][-1])
+    assert bool(flags & FLAGS["refused"]) == tick.refused
+    assert flags & FLAGS["down" if why == "link_down" else "stopped"]
+
+
+@pytest.mark.parametrize("why", ["link_down", "drive_stopped"])
+@pytest.mark.parametrize("command", ["arm", "start"])
+def test_arm_and_start_without_a_drive_are_refused_and_trip(why: str, command: str) -> None:
+    bench = Bench()
+    bench.step()
+    bench.step("zero")
+    bench.until("ZEROED")
+    if command == "start":
+        bench.step("arm")
+    tick = bench.step(command, **{why: True})  # type: ignore[arg-type]
+    assert tick.refused
+    assert_tripped(bench, why)
 
 
 def test_one_overrun_is_made_up_for_and_counted() -> None:
@@ -534,7 +641,7 @@ def test_signal_twice_trips() -> None:
     bench.step("stop")
     bench.step("trip")
     assert bench.station.state == "TRIPPED"
-    assert bench.station.cause == "operator"  # the first one stays
+    assert bench.station.cause == "signal"
 
 
 def test_reset_stands_where_the_specimen_is_and_a_new_test_can_start() -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import binascii
+import functools
 import itertools
 import math
 import random
 import re
 import struct
 import subprocess
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -829,6 +831,62 @@ def test_range_in_the_dbc_bounds_commands_and_readings(vendor: wire.Codec) -> No
     assert w.take().delay is None  # this drive has no echo
 
 
+@pytest.mark.parametrize("name", ["can", "serial"])
+@given(x=st.integers(-MOST, MOST), f=st.integers(-MOST, MOST))
+def test_what_our_own_frames_hold_is_taken_to_the_last_bit(name: str, x: int, f: int) -> None:
+    codec, w = CODECS[name], Wire(CODECS[name])
+    for frame in codec.encode_feedback(Reading(x * 1e-9, f * 1e-3, count=1)):
+        if codec.is_serial:
+            w.feed(frame.data)
+        else:
+            w.receive(frame)
+    taken = w.take()
+    assert (taken.x_raw, taken.f_raw) == (x, f)
+    assert (taken.x_m, taken.f_n) == (x * 1e-9, f * 1e-3)
+
+
+FLOATS = dbc_text(
+    message_text(
+        0x200,
+        "SetValues",
+        8,
+        ' SG_ Setpoint : 0|32@1- (1,0) [0|0] "m" PC',
+        ' SG_ Alive : 32|8@1+ (1,0) [0|255] "" PC',
+    ),
+    message_text(
+        0x300,
+        "ActualValues",
+        12,
+        ' SG_ Position : 0|32@1- (1,0) [0|0] "m" PC',
+        ' SG_ Load : 32|32@1- (1,0) [0|0] "N" PC',
+        ' SG_ Count : 64|16@1+ (1,0) [0|65535] "" PC',
+    ),
+    tail="""SIG_VALTYPE_ 512 Setpoint : 1;
+SIG_VALTYPE_ 768 Position : 1;
+SIG_VALTYPE_ 768 Load : 1;""",
+)
+
+
+@given(x_m=st.floats(-4.0, 4.0, width=32), f_n=st.floats(-4e6, 4e6, width=32))
+def test_reading_finer_than_a_record_becomes_what_the_record_says(x_m: float, f_n: float) -> None:
+    codec = float_codec()
+    w = Wire(codec)
+    w.receive(codec.encode_feedback(Reading(x_m, f_n, count=1))[0])
+    taken = w.take()
+    assert taken.x_raw == max(-MOST, min(MOST, round(x_m / 1e-9)))
+    assert taken.f_raw == max(-MOST, min(MOST, round(f_n / 1e-3)))
+    assert taken.x_m == (taken.x_raw * 1e-9 if abs(x_m / 1e-9) <= MOST else x_m)
+    assert taken.f_n == (taken.f_raw * 1e-3 if abs(f_n / 1e-3) <= MOST else f_n)
+
+
+@functools.cache
+def float_codec() -> wire.Codec:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "floats.dbc"
+        path.write_text(FLOATS, encoding="ascii")
+        return dbc.load(path, VENDOR_NAMES)
+
+
 def test_value_named_not_a_number_is_none_in_any_dbc(vendor: wire.Codec) -> None:
     frame = vendor.encode_feedback(Reading(0.0, math.nan, count=1))[0]
     assert frame.data[3:5] == b"\x00\x80"
@@ -1008,7 +1066,7 @@ def test_messages_of_the_guide_are_those_of_the_loader(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         dbc.load(path, {role: name for role, name in VENDOR_NAMES.items() if role != "seq"})
     assert str(caught.value) in PAGE
-    (block,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    block, _ = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
     path.write_text(VENDOR, encoding="ascii")
     made: dict[str, Any] = {}
     exec(block.replace('"drive.dbc"', repr(str(path))), made)

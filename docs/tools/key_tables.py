@@ -19,8 +19,8 @@ from typing import Any, Literal
 from pydantic.fields import FieldInfo
 
 from rthyb_rt import core, recording
-from rthyb_rt.config import deriving, rigfile, testfile
-from rthyb_rt.config.fields import Count, Range, Table, Text
+from rthyb_rt.config import deriving, limits, rigfile, testfile
+from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
 
 PAGE = Path(__file__).resolve().parents[1] / "file-formats.md"
 _PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -67,11 +67,50 @@ MEANINGS: dict[str, str] = {
     "Rfc.window_periods": f"window T0 in periods; absent: {deriving.DEFAULT_WINDOW_PERIODS:g}",
     "Rfc.window_s": "window T0 in seconds, instead",
     "Rfc.window_samples": "window T0 in samples, instead",
-    "Limits.command_position_m": "size of the compensated command; beyond it the command is held",
-    "Limits.command_velocity_m_per_s": "the command changes no faster; no trip",
-    "Limits.command_acceleration_m_per_s2": "the command's velocity changes no faster; no trip",
+    "Limits.command_position_m": "size of the compensated command",
+    "Limits.command_velocity_m_per_s": "its velocity; a plain number limits it and does no more",
+    "Limits.command_acceleration_m_per_s2": "the command's velocity changes no faster",
+    "Limits.command_increment_m": "change of the command as sent from sample to sample",
     "Limits.force_n": "size of the measured force",
     "Limits.tracking_error_m": "size of measured less wanted displacement",
+    "Limits.tracking_indicator_slope_m2_per_s": "slope of the tracking indicator, mean of 0.25 s",
+    "Limits.energy_error_j": "energy that the tracking error has fed in",
+    "Limits.sensor_stuck_samples": "samples that repeat one displacement while the command moves",
+    "Limits.sensor_jump_m": "change of the measured displacement from sample to sample",
+    "Limits.path_velocity_m_per_s": "velocity on the way back of ramp-out and resume; absent: "
+    f"{limits.DEFAULT_PATH_VELOCITY_M_PER_S:g}, at most half the command's limit",
+    "Limits.path_acceleration_m_per_s2": "acceleration of HOLD, ramp-out and resume; absent: "
+    f"{limits.DEFAULT_PATH_ACCELERATION_M_PER_S2:g}, at most half the command's limit",
+    "Limits.ramp_in_s": f"length of the ramp-in; absent: {limits.DEFAULT_RAMP_IN_S:g}",
+    "Limits.armed_timeout_s": "time after which ARMED ends by itself; absent: "
+    f"{limits.DEFAULT_ARMED_TIMEOUT_S:g}",
+    "Limits.tare_s": f"time that zeroing averages; absent: {limits.DEFAULT_TARE_S:g}",
+    "Limits.rest_spread_m": "movement at rest that zeroing allows; absent: "
+    f"{limits.REST_SPREAD_SIGMAS} times the noise at rest, at least "
+    f"{limits.LEAST_REST_SPREAD_M:g}",
+    "Link.kind": "what the wire is",
+    "Link.channel": "CAN interface (`can0`), path of the serial line (`/dev/ttyUSB0`) or of the "
+    "socket, channel of python-can",
+    "Link.interface": "python-can alone, and needed there: name of its interface",
+    "Link.bitrate": "CAN: bit/s, 10000 to 1000000, absent: not checked; serial: baud, absent: "
+    f"{rigfile.DEFAULT_BAUD}; socket: none",
+    "Link.fd": "true: the bus is CAN FD",
+    "Link.data_bitrate": "CAN FD: bit/s of feedback frames that switch; absent: none does",
+    "Link.dbc": "CAN: DBC file of the drive, beside the rig file; absent: `hw/rthyb.dbc`",
+    "Link.names": "names of signals in the DBC file that are called otherwise there",
+    "Link.clock": "what a tick waits for: this PC's clock, the feedback, or the test's own word",
+    "Link.lead_us": 'clock "link": the feedback arrives so long before its tick',
+    "Link.require_realtime": "true: refused without real-time priority and locked memory",
+    "Link.stop_decel_m_per_s2": "how the drive brakes on its own; the virtual drive does",
+    "Link.virtual": "true: a virtual rig is at the other end; no commissioning is asked for",
+    "DisplacementChannel.scale": "x = polarity · scale · wire + offset",
+    "DisplacementChannel.polarity": "-1: the sensor counts the other way",
+    "DisplacementChannel.offset_m": "displacement of the specimen where the wire says 0",
+    "ForceChannel.scale": "f = polarity · scale · wire + offset",
+    "ForceChannel.polarity": "-1: the load cell is wired backwards",
+    "ForceChannel.offset_n": "force on the specimen where the wire says 0",
+    "Similitude.length": "displacement of the structure over that of the specimen",
+    "Similitude.force": "force of the structure over that of the specimen",
     "RigInfo.name": "name of the rig",
     "FirstOrder.extra_delay_samples": "transport delay before the lag, samples",
     "ServoHydraulic.flow_limit_m_per_s": "largest velocity without load",
@@ -127,7 +166,8 @@ def tables() -> dict[str, str]:
     for prefix, file in (("test", testfile.TestFile), ("rig", rigfile.RigFile)):
         for key, models in _sections(file):
             parts[f"{prefix}.{key}"] = _choices(models) if len(models) > 1 else _table(models[0])
-    parts["test.limits.KEY"] = _table(testfile.Limit)
+    del parts["rig.limits"]  # the test file's
+    parts["test.limits.KEY"] = _table(limits.Limit)
     parts["samples"] = _samples()
     return parts
 
@@ -171,7 +211,7 @@ def _is_section(part: Any) -> bool:
 
 
 def _is_limit(part: Any) -> bool:
-    return _is_table(part) and issubclass(part, testfile.Limit)
+    return _is_table(part) and issubclass(part, limits.Limit)
 
 
 def _tag(model: type[Table]) -> str:
@@ -222,9 +262,9 @@ def _choices(models: list[type[Table]]) -> str:
 
 def _rows(model: type[Table]) -> Iterator[str]:
     for name in _plain(model):
-        if name in _TAGS:
-            continue
         info = model.model_fields[name]
+        if name in _TAGS and len(typing.get_args(info.annotation)) == 1:
+            continue
         parts = [*_parts(info.annotation), *info.metadata]
         limits = [part for part in parts if _is_limit(part)]
         if limits:
@@ -242,6 +282,8 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
             meaning = part.what
         elif isinstance(part, Count):
             allowed, meaning = f"whole, {part.low} to {part.high}", part.what
+        elif isinstance(part, Sign):
+            allowed, meaning = "1, -1", part.what
         elif isinstance(part, Text):
             allowed, meaning = _form(part), part.what
         elif typing.get_origin(part) is Literal:
@@ -249,12 +291,16 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
         elif part is bool:
             allowed = "`true`, `false`"
     meaning = MEANINGS.get(_owner(model, key), meaning)
-    if model is testfile.Limit and key == "value":
+    if model is limits.Limit and key == "value":
         allowed, meaning = "as its key", "the limit"
     if not meaning:
         raise LookupError(f"{model.__name__}.{key}: say in MEANINGS what it is for")
-    is_list = typing.get_origin(info.annotation) is list
-    allowed = f"list, each {allowed}" if is_list else allowed
+    origin = typing.get_origin(info.annotation)
+    if origin is list:
+        allowed = f"list, each {allowed}"
+    elif origin is dict:
+        words = [word for part in parts if isinstance(part, OneOf) for word in part.words]
+        allowed = "table of " + ", ".join(f"`{word}`" for word in words)
     return f"`{key}` | {unit} | {_default(info)} | {allowed} | {meaning} |"
 
 
@@ -277,7 +323,7 @@ def _default(info: FieldInfo) -> str:
         return f"`{str(value).lower()}`"
     if isinstance(value, str):
         return f'`"{value}"`'
-    return f"`{value}`" if isinstance(value, list) else f"`{_number(value)}`"
+    return f"`{value}`" if isinstance(value, (list, dict)) else f"`{_number(value)}`"
 
 
 def _number(value: float) -> str:

@@ -67,6 +67,7 @@ def _status(arguments: list[str]) -> int:
         _trace()
         for line in str(error).splitlines():
             print(f"rthyb: {line}", file=sys.stderr)
+        _print_notes(error)
         if as_json:
             _print_problems(
                 error.problems if isinstance(error, InputError) else [Problem("", str(error))]
@@ -93,8 +94,15 @@ def _status(arguments: list[str]) -> int:
             "command prints after RTHYB_TRACEBACK=1",
             file=sys.stderr,
         )
+        _print_notes(error)
         return 1
     return status if isinstance(status, int) else 0
+
+
+def _print_notes(error: Exception) -> None:
+    """Print what was added to an error on its way up: where something is that should be kept."""
+    for note in getattr(error, "__notes__", ()):
+        print(f"rthyb: {note}", file=sys.stderr)
 
 
 def _about_build(error: Exception) -> str | None:

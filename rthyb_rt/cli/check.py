@@ -13,9 +13,13 @@ from rthyb_rt.cli import terminal
 from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
 
 if TYPE_CHECKING:
+    from rthyb_rt.config import Link
     from rthyb_rt.experiment import Setup
 
 SCHEMA = "rthyb-check/1"
+
+NOISE_SPAN = 7
+"""Standard deviations that 1024 samples of noise span."""
 
 
 def check(
@@ -26,11 +30,12 @@ def check(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a test without running it, and show what follows from it.
+    """Check a test without running it; show what follows from it.
 
     Every fault of test file and rig file is named at once. For a test without fault: period and
     mass, the compensator's gains, the delay that the structure survives, the margin of the delay
-    estimator, with notes and warnings where one of them is close.
+    estimator, the limits of test and rig together, the rig's link with the load of its bus, with
+    notes and warnings where one of them is close.
 
     \b
     Examples:
@@ -39,12 +44,18 @@ def check(
     """
     from rthyb_rt import experiment
 
-    setup = experiment.prepare(*load(test, rig, settings))
-    figures = _figures(setup)
+    test_file, rig_file = load(test, rig, settings)
+    setup = experiment.prepare(test_file, rig_file, real_time=rig_file.link is not None)
+    figures, limits, link = _figures(setup), _limits(setup), _link(setup)
+    factors = _calibration(setup)
     notes, warnings = _remarks(setup, figures)
     file = terminal.people(as_json)
     print(f"{setup.test.test.name} on {setup.rig.rig.name}: no fault found\n", file=file)
     terminal.print_table(_rows(setup, figures), file)
+    for rows in (_link_rows(link), _calibration_rows(factors), _limit_rows(setup, limits)):
+        if rows:
+            print("", file=file)
+            terminal.print_table(rows, file)
     remarks = [f"Warning: {text}" for text in warnings] + [f"Note: {text}" for text in notes]
     if remarks:
         print("", *remarks, sep="\n", file=file)
@@ -56,6 +67,9 @@ def check(
                 "test_name": setup.test.test.name,
                 "rig_name": setup.rig.rig.name,
                 "figures": asdict(figures),
+                "limits": limits,
+                "link": link,
+                "calibration": factors,
                 "notes": notes,
                 "warnings": warnings,
             }
@@ -166,10 +180,38 @@ def _remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
             (warnings if is_warning else notes).append(text)
     warnings += _limits_in_reach(setup, f)
     limits = setup.test.limits
-    if not any(limit and limit.enable for limit in (limits.command_position_m, limits.force_n)):
+    if not any(limit and limit.ends for limit in (limits.command_position_m, limits.force_n)):
         warnings.append(
             "nothing ends a test that grows: neither limits.command_position_m nor limits.force_n "
-            "is set"
+            "is set with an action that ends it"
+        )
+    if setup.rig.link is not None:
+        more_notes, more_warnings = _real_time_remarks(setup, f)
+        notes, warnings = notes + more_notes, warnings + more_warnings
+    return notes, warnings
+
+
+def _real_time_remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
+    """Return notes and warnings on what only a test in real time watches."""
+    limits, noise = setup.test.limits, setup.derived.rest_noise_displacement_m
+    notes, warnings = list[str](), list[str]()
+    stuck, jump, spread = limits.sensor_stuck_samples, limits.sensor_jump_m, limits.rest_spread_m
+    if not (stuck and stuck.ends) and not (jump and jump.ends):
+        notes.append(
+            "nothing ends a test whose displacement sensor sticks or jumps: set "
+            "limits.sensor_stuck_samples and limits.sensor_jump_m"
+        )
+    # Two samples that are each off by four standard deviations.
+    step = f.reference_peak_m_per_s / setup.derived.fs_hz + 8 * noise
+    if jump is not None and jump.acts and jump.value < step:
+        warnings.append(
+            f"limits.sensor_jump_m = {jump.value:g} m is below the {step:.2g} m that displacement "
+            "and noise change by from sample to sample: good readings will be refused"
+        )
+    if spread is not None and spread < NOISE_SPAN * noise:
+        warnings.append(
+            f"limits.rest_spread_m = {spread:g} m is below the span of the noise at rest, "
+            f"{NOISE_SPAN * noise:.2g} m: zeroing will be refused"
         )
     return notes, warnings
 
@@ -232,14 +274,20 @@ def _limits_in_reach(setup: Setup, f: Figures) -> list[str]:
         f"limits.{key} = {limit.value:g} {unit} is below the {peak:.3g} {unit} of the reference "
         "simulation: the test will meet it"
         for key, limit, peak, unit in pairs
-        if limit is not None and limit.enable and peak > limit.value
+        if limit is not None and limit.acts and peak > limit.value
     ]
-    velocity = limits.command_velocity_m_per_s
-    if velocity is not None and f.reference_peak_m_per_s > velocity:
+    velocity, increment = limits.command_velocity_m_per_s, limits.command_increment_m
+    peak_m_per_s = f.reference_peak_m_per_s
+    if velocity is not None and velocity.enable and peak_m_per_s > velocity.value:
         found.append(
-            f"limits.command_velocity_m_per_s = {velocity:g} m/s is below the "
-            f"{f.reference_peak_m_per_s:.3g} m/s of the reference simulation: the command will be "
-            "held back"
+            f"limits.command_velocity_m_per_s = {velocity.value:g} m/s is below the "
+            f"{peak_m_per_s:.3g} m/s of the reference simulation: the command will be held back"
+        )
+    peak_m = peak_m_per_s / setup.derived.fs_hz
+    if increment is not None and increment.acts and peak_m > increment.value:
+        found.append(
+            f"limits.command_increment_m = {increment.value:g} m is below the {peak_m:.3g} m a "
+            "sample of the reference simulation: the test will meet it"
         )
     return found
 
@@ -320,6 +368,123 @@ def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
             )
         )
     return rows
+
+
+# ---- limits, link, calibration ------------------------------------------------------------------
+
+
+def _limits(setup: Setup) -> list[dict[str, Any]]:
+    """Return every limit of test and rig together: key, value, unit, action, where it is from."""
+    from rthyb_rt.config import Limit
+    from rthyb_rt.config.limits import unit_of
+
+    found = []
+    for key, source in setup.derived.limits.sources.items():
+        limit = getattr(setup.test.limits, key)
+        watched = isinstance(limit, Limit)
+        found.append(
+            {
+                "key": key,
+                "value": limit.value if watched else limit,
+                "unit": unit_of(key),
+                "action": (limit.action if limit.enable else "none") if watched else None,
+                "enable": limit.enable if watched else True,
+                "from": source,
+            }
+        )
+    return found
+
+
+def _limit_rows(setup: Setup, limits: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
+    """Return the limits that were given; for a rig with a link also what the others come to."""
+    words = {"test": "limit of the test", "rig": "limit of the rig", "default": "limit by default"}
+    rows = []
+    for limit in limits:
+        if limit["from"] == "default" and setup.rig.link is None:
+            continue
+        action = limit["action"] if limit["enable"] else "off"
+        if action == "none" and limit["key"] == "command_velocity_m_per_s":
+            action = "limits the command"
+        value = f"{limit['value']:g} {limit['unit']}"
+        rows.append((limit["key"], f"{value}, {action}" if action else value, words[limit["from"]]))
+    return rows
+
+
+def _link(setup: Setup) -> dict[str, Any] | None:
+    """Return the rig's link, with the share of bus or line that its frames take."""
+    link = setup.rig.link
+    if link is None:
+        return None
+    return {**link.model_dump(), "bus_load": _bus_load(link)}
+
+
+def _bus_load(link: Link) -> float | None:
+    """Return the share of the bus or line, None where bit rate or frames are not known."""
+    from importlib.util import find_spec
+
+    from rthyb_rt import config
+    from rthyb_rt.config import busload
+
+    if link.bitrate is None:
+        return None
+    if link.kind == "serial":
+        return busload.serial_load(link.bitrate)
+    if link.dbc is not None and find_spec("cantools") is None:
+        return None
+    return busload.bus_load(config.frames_of_link(link), link.bitrate, link.data_bitrate)
+
+
+def _link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
+    from rthyb_rt.summary import percent
+
+    if link is None:
+        return []
+    unit = "baud" if link["kind"] == "serial" else "bit/s"
+    kind = "CAN FD" if link["fd"] else {"can": "CAN"}.get(link["kind"], link["kind"])
+    parts = [link["channel"], kind]
+    parts += [f"interface {link['interface']}"] if link["interface"] else []
+    parts += [f"{link['bitrate']} {unit}"] if link["bitrate"] else []
+    rows = [("Link", ", ".join(parts), "for a test in real time")]
+    if link["bus_load"] is not None:
+        what = "command and feedback" if link["kind"] == "serial" else "with every stuff bit"
+        rows.append(("Bus load", percent(link["bus_load"], 3), f"{what}; up to 80 % is accepted"))
+    elif link["kind"] != "socket":
+        rows.append(("Bus load", "not known", "bitrate, or cantools for the DBC file, is missing"))
+    clocks = {
+        "host": ("host", "this PC's clock leads; the drive's may slip a sample now and then"),
+        "link": (
+            f"link, feedback {link['lead_us']:g} us before the tick",
+            "the drive's clock leads",
+        ),
+        "stepped": ("stepped", "not real time"),
+    }
+    rows.append(("Clock", *clocks[link["clock"]]))
+    return rows
+
+
+def _calibration(setup: Setup) -> dict[str, float]:
+    from rthyb_rt import experiment
+
+    return asdict(experiment.calibration(setup.rig))
+
+
+def _calibration_rows(c: dict[str, float]) -> list[tuple[str, str, str]]:
+    """Return the lines of what leads from the wire to the structure, if anything changes there."""
+    from rthyb_rt import core
+
+    if c == asdict(core.Calibration()):
+        return []
+
+    def line(gain: float, quantity: str, offset: float, unit: str) -> str:
+        sign = "+" if offset >= 0 else "−"
+        shift = f" {sign} {abs(offset):g} {unit}" if offset else ""
+        return f"{gain:g} × {quantity}{shift}"
+
+    return [
+        ("Displacement", line(c["x_gain"], "wire", c["x_offset_m"], "m"), "of the structure"),
+        ("Force", line(c["f_gain"], "wire", c["f_offset_n"], "N"), "of the structure"),
+        ("Command on the wire", line(c["cmd_gain"], "x", c["cmd_offset_m"], "m"), ""),
+    ]
 
 
 def _followed(setup: Setup, f: Figures, samples: Any) -> str:

@@ -8,13 +8,16 @@ import typer
 
 from rthyb_rt.cli import (
     check,
+    commission,
     export,
     identify,
     jitter,
+    jog,
     recover,
     replay,
     report,
     reproduce,
+    rig,
     run,
     schema,
 )
@@ -31,9 +34,12 @@ app = typer.Typer(
 app.command()(run.run)
 app.command()(check.check)
 app.command()(identify.identify)
+app.command(context_settings=jog.CONTEXT)(jog.jog)
+app.command()(commission.commission)
 app.command()(reproduce.reproduce)
 app.command()(replay.replay)
 app.command()(recover.recover)
+app.command()(rig.rig)
 app.command()(export.export)
 app.command()(report.report)
 app.command()(jitter.jitter)
@@ -74,11 +80,13 @@ def _rthyb(
       rthyb run                          the built-in test, on a virtual shaking table
       rthyb check my-test.toml           is the test sound, and how far is it from trouble
       rthyb run my-test.toml             recording and report go to runs/
+      rthyb run --realtime               the same in real time, 1024 times a second
 
     \b
     Exit codes:
-      0  done                            6  a limit ended the test
+      0  done                            6  a limit or a fault ended the test
       2  command line not understood     7  this PC is not punctual enough
-      3  fault in a file                 8  a difference was found
-      1  anything else                 130  interrupted (128 + n: by signal n)
+      3  fault in a file, or at a link   8  a difference was found
+      5  refused in this state         130  interrupted (128 + n: by signal n)
+      1  anything else
     """

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime
-import re
-import tomllib
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from rthyb_rt.cli import interrupts, terminal
+from rthyb_rt.cli import interrupts, quantities, terminal
+from rthyb_rt.cli.connecting import connected, load_rig
 from rthyb_rt.cli.folders import publish, staged
 from rthyb_rt.cli.inputs import JsonOption
-from rthyb_rt.errors import InputError
+from rthyb_rt.cli.quantities import Allowed
 
 if TYPE_CHECKING:
     from rthyb_rt.config import RigFile
     from rthyb_rt.identify import Result
 
 SCHEMA = "rthyb-identify/1"
-K_E = "elastic_stiffness_n_per_m"
-
-_PLAIN = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
 
 
 def identify(
@@ -62,6 +59,14 @@ def identify(
             show_default=False,
         ),
     ] = None,
+    realtime: Annotated[
+        bool,
+        typer.Option(
+            "--realtime",
+            help="The rig at the other end of the rig file's [link], under all its limits; "
+            "without a [link] a virtual rig in a process of its own.",
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Find delay, gain, stiffness and noise of a rig for its file.
@@ -70,25 +75,33 @@ def identify(
     delay estimate that a test starts with, the elastic stiffness that bounds the tangent
     stiffness, and the noise at rest that the estimator must not mistake for motion.
 
+    With --realtime the actuator moves. Ctrl-C brings it back to rest, a second one trips.
+
     \b
     Examples:
       rthyb identify shaking-table-portal-frame
       rthyb identify my-rig.toml --amplitude "1 mm" --out my-rig-identified.toml
+      rthyb identify my-rig.toml --realtime --amplitude "0.5 mm" --out my-rig-identified.toml
     """
     from rthyb_rt import config
     from rthyb_rt.core import FS_HZ
-    from rthyb_rt.identify import Sweep, identified_rig
+    from rthyb_rt.identify import Sweep, identified_rig, identify_live
     from rthyb_rt.identify import identify as sweep_rig
     from rthyb_rt.recording import replacing
 
     sweep = Sweep.up_to(
-        _quantity(max_frequency, "--max-frequency", FREQUENCY),
-        _quantity(amplitude, "--amplitude", AMPLITUDE),
+        quantities.read(max_frequency, "--max-frequency", FREQUENCY),
+        quantities.read(amplitude, "--amplitude", AMPLITUDE),
     )
-    given = _load(rig, settings or [])
+    given, given_path = load_rig(rig, settings)
     started = datetime.datetime.now(datetime.UTC)
-    with terminal.progress("Identifying", sweep.ticks, FS_HZ) as progress:
-        result = sweep_rig(given, sweep, progress)
+    with contextlib.ExitStack() as stack:
+        connection = stack.enter_context(connected(given)) if realtime else None
+        progress = stack.enter_context(terminal.progress("Identifying", sweep.ticks, FS_HZ))
+        if connection is None:
+            result = sweep_rig(given, sweep, progress)
+        else:
+            result = identify_live(connection, sweep, progress)
     text = config.dump(identified_rig(given, result))
     if out is None:
         target = Path("runs") / f"identify-{given.rig.name}-{started:%Y%m%dT%H%M%SZ}"
@@ -100,6 +113,10 @@ def identify(
         with replacing(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
         interrupts.wrote(path)
+    if realtime:
+        from rthyb_rt.commissioning import certificate
+
+        certificate.carry(given, given_path, path)
     file = terminal.people(as_json)
     _print_result(given, result, file)
     print(f"\nRig file  {path}\nNext      rthyb run TEST.toml --rig {path}", file=file)
@@ -110,64 +127,19 @@ def identify(
         )
 
 
-@dataclasses.dataclass(frozen=True)
-class _Allowed:
-    """What an option takes: from ``low`` to ``high`` in ``unit``, a plain number in ``plain``."""
-
-    unit: str
-    plain: str
-    low: float
-    high: float
-    words: str
-    example: str
-
-
-FREQUENCY = _Allowed("Hz", "Hz", 0.05, 100.0, "a frequency from 0.05 Hz to 100 Hz", "5 Hz")
+FREQUENCY = Allowed("Hz", "Hz", 0.05, 100.0, "a frequency from 0.05 Hz to 100 Hz", "5 Hz")
 # So far up that metres without their unit, 0.002, are not taken for millimetres.
-AMPLITUDE = _Allowed("m", "mm", 1e-5, 1.0, "a length from 0.01 mm to 1 m", "1 mm")
+AMPLITUDE = Allowed("m", "mm", 1e-5, 1.0, "a length from 0.01 mm to 1 m", "1 mm")
 
 
-def _quantity(text: str, option: str, allowed: _Allowed) -> float:
-    """Return what was given for an option, in its unit."""
-    from rthyb_rt.config.units import UnitError, convert
-
-    plain = _PLAIN.fullmatch(text)
-    fault = f", read in {allowed.plain}" if plain else ""
-    try:
-        value = convert(f"{text} {allowed.plain}" if plain else text, allowed.unit)
-        if allowed.low <= value <= allowed.high:
-            return value
-    except UnitError as error:
-        fault = f" ({error})"
-    raise typer.BadParameter(
-        f'found "{text}"{fault}; it takes {allowed.words}, as in {option} "{allowed.example}"',
-        param_hint=option,
-    )
-
-
-def _load(rig: str, settings: list[str]) -> RigFile:
-    """Read the rig file; a missing elastic stiffness, which is to be found, is no fault here."""
-    from rthyb_rt import config
-
-    path = config.find_rig(rig)
-    overrides: dict[str, str] = {}
-    for part in config.split_overrides(settings):
-        overrides.update(part)
-    if not _has_stiffness(path) and not any(key.endswith(K_E) for key in overrides):
-        # Any value does: the one that is found takes its place.
-        overrides[f"rig.{K_E}"] = "1"
-    return config.load_rig(path, overrides)
-
-
-def _has_stiffness(path: Path) -> bool:
-    """Return whether the file states k_e; True where it cannot be read, which is said later."""
-    from rthyb_rt import config
-
-    try:
-        table = tomllib.loads(config.read_text(path, "rig")).get("rig")
-    except (InputError, ValueError, RecursionError):
-        return True
-    return not isinstance(table, dict) or K_E in table
+def _link_rows(result: Result) -> list[tuple[str, str, str]]:
+    if result.link_delay_samples is None:
+        return []
+    share = f"{result.link_delay_samples:.2f} samples"
+    rows = [("of it the link", share, "by the echo in the drive's frames")]
+    if result.left_out:
+        rows.append(("Left out", f"{result.left_out} samples", "without a reading of their own"))
+    return rows
 
 
 def _print_result(rig: RigFile, result: Result, file: IO[str]) -> None:
@@ -201,6 +173,7 @@ def _print_result(rig: RigFile, result: Result, file: IO[str]) -> None:
             ("α with β", quantity(result.alpha_with_beta, "samples", digits=4), "whole sweep"),
             ("β", quantity(result.beta, "samples²", digits=4), "curvature term, whole sweep"),
             ("Delay", delay, slow),
+            *_link_rows(result),
             ("Gain", number(result.gain, 4), slow),
             ("Elastic stiffness k_e", quantity(result.k_e_n_per_m, "kN/m", 1e-3, 4),
              "bound of the tangent stiffness"),

@@ -52,6 +52,16 @@ def held() -> Iterator[None]:
         signal.raise_signal(waiting[0])
 
 
+@contextlib.contextmanager
+def told(tell: Callable[[], None]) -> Iterator[None]:
+    """Call ``tell`` for each of the signals in the block, which goes on.
+
+    For what moves: it is stopped in its own way, and takes its time for it.
+    """
+    with _handled(lambda *_: tell()):
+        yield
+
+
 def received() -> int | None:
     """Return the first signal that came."""
     return _received[0] if _received else None

@@ -25,7 +25,7 @@ LONGEST_S = 86400.0
 
 def jitter(
     seconds: Annotated[
-        float, typer.Option(metavar="N", help="Length of each of the four runs, s.")
+        float, typer.Option(metavar="N", help="Length of each of the five runs, s.")
     ] = 15.0,
     out: Annotated[
         Path | None,
@@ -43,8 +43,8 @@ def jitter(
     """Measure how punctual this PC is, and say what to change.
 
     A thread computes one sample of the built-in test a tick, at 1024 Hz, with and without exchange
-    over a link, with and without busy Python beside it; a bare reference thread runs in the same
-    seconds. Run it as the user, and under the load, that your tests will have. The longer, the
+    over a link, a telemetry reader or busy Python beside it; a bare reference thread runs in the
+    same seconds. Run it as the user, and under the load, that your tests will have. The longer, the
     rarer the disturbances that it can see.
 
     \b

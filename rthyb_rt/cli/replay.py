@@ -17,17 +17,20 @@ def replay(recording: RecordingArgument, as_json: JsonOption = False) -> None:
     """Compute a recording again and compare bit for bit.
 
     The measured displacement, force and the ground motion are taken from the recording; commands,
-    estimates and states are computed anew. Exit code 0 says bit-identical, 8 that it departs.
+    estimates and states are computed anew. Of a test in real time all rows are, from its first
+    tick in IDLE on, with every fault and every command that the operator gave. Exit code 0 says
+    bit-identical, 8 that it departs.
 
     \b
     Example:
       rthyb replay runs/section5-t0.5-20260301T101500Z
     """
-    from rthyb_rt import experiment
+    from rthyb_rt import experiment, realtime
     from rthyb_rt.recording import UNITS, open_run
 
     rec = open_run(recording)
-    found = experiment.replay(rec)
+    virtual = rec.meta.get("clock", "virtual") == "virtual"
+    found = experiment.replay(rec) if virtual else realtime.replay(rec)
     file = terminal.people(as_json)
     if found.identical:
         print(f"bit-identical: {found.rows} samples, every field", file=file)

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from rthyb_rt.cli import interrupts, terminal
+from rthyb_rt.cli.connecting import clock_of, opened_link
 from rthyb_rt.cli.folders import publish, refuse_taken, staged
 from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.experiment import Setup
+    from rthyb_rt.config import RigFile
+    from rthyb_rt.experiment import Progress, Setup
+    from rthyb_rt.loop import Clock
     from rthyb_rt.recording import Recording
     from rthyb_rt.summary import Summary
 
 SCHEMA = "rthyb-run/1"
 LIMIT_TRIP = 6
+UNPUNCTUAL = 7
 
 
 def run(
@@ -41,6 +46,22 @@ def run(
             show_default=False,
         ),
     ] = None,
+    realtime: Annotated[
+        bool,
+        typer.Option(
+            "--realtime",
+            help="In real time, over the rig file's [link]; without one, on a virtual rig in a "
+            "process of its own.",
+        ),
+    ] = False,
+    clock: Annotated[
+        Literal["host", "link", "stepped"] | None,
+        typer.Option(
+            help="What real time goes by, instead of link.clock: this PC, the drive, or tick by "
+            "tick without time.",
+            show_default=False,
+        ),
+    ] = None,
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Leave the HTML report out.")
     ] = False,
@@ -48,9 +69,11 @@ def run(
 ) -> None:
     """Run a hybrid test and write its recording and report.
 
-    The test runs on the virtual rig that the rig file describes, as fast as the PC computes.
-    Recording, report and the settings as they were used go to a folder of their own; its
-    test.toml runs again as it stands.
+    The test runs on the virtual rig that the rig file describes, as fast as the PC computes, or
+    with --realtime on what is at the other end of the rig file's link. Recording, report and the
+    settings as they were used go to a folder of their own; its test.toml runs again as it stands.
+
+    In real time Ctrl-C brings the specimen to rest and the recording is kept; a second one trips.
 
     \b
     Examples:
@@ -58,26 +81,40 @@ def run(
       rthyb run my-test.toml --rig my-rig.toml
       rthyb run my-test.toml --set ground_motion.pga_g=0.1 --set controller.type=robust
       rthyb run my-test.toml --set rig.actuator.delay_samples=12 --json
+      rthyb run my-test.toml --rig my-rig.toml --realtime
 
-    Exit code 6 says that a limit ended the test; recording and report are there all the same.
+    Exit code 6 says that a limit or a trip ended the test, 7 that this PC was not punctual enough;
+    recording and report are there all the same.
     """
     from rthyb_rt import experiment, recording, summary
 
+    if clock is not None and not realtime:
+        raise typer.BadParameter("needs --realtime", param_hint="--clock")
+
     started = datetime.datetime.now(datetime.UTC)
     test_file, rig_file = load(test, rig, settings)
-    setup = experiment.prepare(test_file, rig_file)
+    setup = experiment.prepare(test_file, rig_file, real_time=realtime)
     for note in setup.notes:
         terminal.tell(f"note: {note}")
+    facts = _commissioned(rig or test_file.rig, rig_file) if realtime else {}
     refuse_taken(out)
     target = out or Path("runs") / f"{test_file.test.name}-{started:%Y%m%dT%H%M%SZ}"
     with staged(target) as stage:
+
+        def keep(rec: Recording) -> Path:
+            # A test that has been carried out is kept; and HDF5's callbacks would swallow a Ctrl-C.
+            with interrupts.held():
+                recording.write(stage / recording.FILE_NAME, rec)
+                _write_settings(stage, setup, rec)
+                return publish(stage, target, numbered=out is None)
+
         with terminal.progress("Testing", setup.ticks, setup.derived.fs_hz) as progress:
-            rec = experiment.run(setup, progress)
-        # A test that has been carried out is kept; and HDF5's callbacks would swallow a Ctrl-C.
-        with interrupts.held():
-            recording.write(stage / recording.FILE_NAME, rec)
-            _write_settings(stage, setup, rec)
-            folder = publish(stage, target, numbered=out is None)
+            if realtime:
+                rec, folder = _run_live(setup, clock, progress, keep, facts)
+            else:
+                rec = experiment.run(setup, progress)
+        if not realtime:
+            folder = keep(rec)
     result = summary.summarize(rec)
     file = terminal.people(as_json)
     _print_result(setup, result, folder / recording.FILE_NAME, as_json)
@@ -87,8 +124,65 @@ def run(
         print(f"Report     {report}", file=file)
     if as_json:
         terminal.print_json(_document(result, folder, report))
-    if result.end_reason != "completed":
-        raise typer.Exit(LIMIT_TRIP)
+    status = _status(result)
+    if status:
+        raise typer.Exit(status)
+
+
+def _status(result: Summary) -> int:
+    """Return the exit status: a stop that the operator asked for is a good end of a live test."""
+    from rthyb_rt.realtime import TIMING_CAUSES
+
+    if result.end_reason == "completed":
+        return 0
+    if result.live is not None:
+        if result.live.cause in TIMING_CAUSES:
+            return UNPUNCTUAL
+        if result.final_state != "TRIPPED" and result.live.cause in ("operator", "none"):
+            return 0
+    return LIMIT_TRIP
+
+
+def _commissioned(name: str | None, rig: RigFile) -> dict[str, Any]:
+    """Return what the recording is to know of the rig's commissioning, which a test needs."""
+    from rthyb_rt import config
+    from rthyb_rt.commissioning import certificate
+
+    return certificate.demand(rig, config.find_rig(name))
+
+
+# ---- in real time -------------------------------------------------------------------------------
+
+
+def _run_live(
+    setup: Setup,
+    clock: Clock | None,
+    progress: Progress,
+    keep: Callable[[Recording], Path],
+    facts: dict[str, Any],
+) -> tuple[Recording, Path]:
+    """Run the test over the rig's link or on a virtual rig of its own; return where it is kept."""
+    from rthyb_rt import realtime
+
+    link = setup.rig.link
+    clock = clock or clock_of(setup.rig)
+    operator = realtime.Operator()
+    kept: list[Path] = []
+    opening = opened_link(setup.rig, clock)
+    with opening as (opened, before_tick), interrupts.told(operator.stop):
+        rec = realtime.run(
+            setup,
+            opened,
+            clock=clock,
+            before_tick=before_tick,
+            progress=progress,
+            operator=operator,
+            require_realtime=link is not None and link.require_realtime,
+            warn=lambda text: terminal.tell(f"warning: {text}"),
+            save=lambda rec: kept.append(keep(rec)),
+            facts=facts,
+        )
+    return rec, kept[0]
 
 
 def _write_settings(folder: Path, setup: Setup, rec: Recording) -> None:

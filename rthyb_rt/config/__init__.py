@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from rthyb_rt.config.deriving import Derived, derive, resolve
+from rthyb_rt.config.limits import Limit, Limits
 from rthyb_rt.config.loading import (
     builtin_test_path,
     find_rig,
+    frames_of_link,
     json_schema,
     load_rig,
     load_test,
@@ -15,13 +17,17 @@ from rthyb_rt.config.loading import (
     shipped_rig,
     split_overrides,
 )
-from rthyb_rt.config.rigfile import Identified, RigFile, SpecimenElement
+from rthyb_rt.config.rigfile import Calibration, Identified, Link, RigFile, SpecimenElement
 from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.config.writing import dump
 
 __all__ = [
+    "Calibration",
     "Derived",
     "Identified",
+    "Limit",
+    "Limits",
+    "Link",
     "RigFile",
     "SpecimenElement",
     "TestFile",
@@ -29,6 +35,7 @@ __all__ = [
     "derive",
     "dump",
     "find_rig",
+    "frames_of_link",
     "json_schema",
     "load_rig",
     "load_test",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config.fields import SAMPLE_RATE_HZ
 from rthyb_rt.config.rigfile import (
     BoucWen,
@@ -46,6 +47,7 @@ class Derived:
         tangent: the tangent-stiffness formula.
         gain_per_mm2_per_sample, rate_per_sample, memory_s: settings of the three adaptive laws.
         rest_noise_displacement_m, rest_noise_force_n: noise at rest behind the excitation gate.
+        limits: the limits of test and rig together, with where each comes from.
         notes: what a user should know and need not act on.
     """
 
@@ -68,6 +70,7 @@ class Derived:
     memory_s: float
     rest_noise_displacement_m: float
     rest_noise_force_n: float
+    limits: limits_file.Resolved
     notes: tuple[str, ...] = ()
 
     @property
@@ -92,8 +95,9 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     alpha0 = _alpha0(test, rig, problems)
     beta0 = _beta0(test)
     noise_m, noise_n = _rest_noise(test, rig, notes)
+    limits = limits_file.resolve(test.limits, rig.limits, rig.rig.name, noise_m, problems)
     _note_stiffness(rig, notes)
-    _note_sensor_ranges(test, rig, notes)
+    _note_sensor_ranges(limits.limits, rig, notes)
     _note_friction(test, rig, mass, notes)
     _note_substeps(rig, notes)
     controller = test.controller
@@ -125,6 +129,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         memory_s=_given(estimator.memory_s, DEFAULT_MEMORY_S),
         rest_noise_displacement_m=noise_m,
         rest_noise_force_n=noise_n,
+        limits=limits,
         notes=tuple(notes),
     )
 
@@ -158,7 +163,7 @@ def resolve(test: TestFile, derived: Derived) -> TestFile:
             "rfc": rfc,
         }
     )
-    return test.model_copy(update={"controller": resolved})
+    return test.model_copy(update={"controller": resolved, "limits": derived.limits.limits})
 
 
 def _given(value: float | None, default: float) -> float:
@@ -307,10 +312,10 @@ def _note_stiffness(rig: RigFile, notes: list[str]) -> None:
         )
 
 
-def _note_sensor_ranges(test: TestFile, rig: RigFile, notes: list[str]) -> None:
+def _note_sensor_ranges(limits: limits_file.Limits, rig: RigFile, notes: list[str]) -> None:
     """A limit beyond the sensor's range is never reached."""
     force_range, x_range = rig.sensors.force.range_n, rig.sensors.displacement.range_m
-    force, position = test.limits.force_n, test.limits.command_position_m
+    force, position = limits.force_n, limits.command_position_m
     if force is not None and force_range is not None and force.value > force_range:
         notes.append(
             f"limits.force_n = {force.value:g} N lies beyond the load cell's range of "

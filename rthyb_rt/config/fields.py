@@ -223,6 +223,56 @@ SOME_TEXT = Text("the value", r"\S[\s\S]*", "text in quotes, not empty")
 
 
 @dataclass(frozen=True)
+class Sign(_Limits):
+    """1 or -1.
+
+    Attributes:
+        what: what has the sign.
+    """
+
+    what: str
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return f"{self.what} must be 1 or -1"
+
+    def read(self, value: object) -> int:
+        """Return the sign; raise the explained error otherwise."""
+        if isinstance(value, (int, float)) and not isinstance(value, bool) and value in (1, -1):
+            return int(value)
+        raise explained(f"found {written(value)}; {self.allowed()}")
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the two numbers."""
+        return {"enum": [1, -1], "description": self.what}
+
+
+@dataclass(frozen=True)
+class OneOf(_Limits):
+    """One of a few words, where these are keys of a table that may hold any of them.
+
+    Attributes:
+        words: the words.
+    """
+
+    words: tuple[str, ...]
+
+    def read(self, value: object) -> str:
+        """Return the word; raise the explained error otherwise."""
+        if isinstance(value, str) and value in self.words:
+            return value
+        raise explained(_one_of(value, list(self.words)))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the words."""
+        return {"enum": list(self.words)}
+
+
+@dataclass(frozen=True)
 class Choice:
     """Keys of a table that stand for the same thing, so that only one may be given.
 
@@ -294,7 +344,9 @@ class Table(BaseModel):
         if fault["type"] == _EXPLAINED:
             ctx = fault["ctx"]
             error_type = explained(ctx["text"], ctx["involved"])
-            return {"type": error_type, "loc": fault["loc"], "input": fault["input"]}
+            # The place of a key that is wrong itself ends in "[key]".
+            loc = tuple(part for part in fault["loc"] if part != "[key]")
+            return {"type": error_type, "loc": loc, "input": fault["input"]}
         loc, text = cls._explain(fault["type"], fault["loc"], fault["input"], fault)
         return {"type": explained(text), "loc": loc, "input": fault["input"]}
 
@@ -344,7 +396,10 @@ class Table(BaseModel):
         cls, table: Self | None, keys: dict[str, Any], failed: set[str]
     ) -> Iterator[tuple[Check, str]]:
         for check in cls.checks:
-            if failed.intersection(check.needs):
+            missing = {
+                k for k in check.needs if k not in keys and cls.model_fields[k].is_required()
+            }
+            if failed.intersection(check.needs) or (table is None and missing):
                 continue
             if table is not None:
                 values = [getattr(table, key) for key in check.needs]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import stat
 import tomllib
@@ -11,10 +12,11 @@ from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import ValidationError
 
+from rthyb_rt.config import busload
 from rthyb_rt.config.fields import Table, nearest, written
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
-from rthyb_rt.config.rigfile import RIG_SCHEMA, RigFile, kinds
+from rthyb_rt.config.rigfile import RIG_SCHEMA, Link, RigFile, kinds
 from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile
 from rthyb_rt.errors import InputError, Problem
 
@@ -69,9 +71,61 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
 def load_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> RigFile:
     """Read a rig file; arguments and errors as for `load_test`.
 
-    Keys of overrides may carry the prefix ``rig.`` that a test's command line needs.
+    Keys of overrides may carry the prefix ``rig.`` that a test's command line needs. A DBC file
+    beside the rig file (or, from an override, in the working directory) is returned as an absolute
+    path; it is read, where cantools is installed, for its faults and the load of the bus.
     """
-    return parse_rig(read_text(path, "rig"), str(path), overrides)
+    overrides = overrides or {}
+    text = read_text(path, "rig")
+    rig = parse_rig(text, str(path), overrides)
+    if rig.link is None or rig.link.dbc is None:
+        return rig
+    given = {_override_path(RigFile, key): key for key in overrides}
+    folder = Path() if ("link", "dbc") in given else Path(path).parent
+    link = rig.link.model_copy(update={"dbc": str((folder / rig.link.dbc).resolve())})
+    fault = _dbc_fault(link)
+    if fault is not None:
+        key, message = fault
+        blamed = given.get(("link", key)) or given.get(("link", "dbc")) or given.get(("link",))
+        line = KeyLines(text).find(("link", key))
+        raise InputError(message, f"--set {blamed}" if blamed else f"{path}:{line}: link.{key}")
+    return rig.model_copy(update={"link": link})
+
+
+def frames_of_link(link: Link) -> tuple[busload.FrameSize, ...]:
+    """Return the frames of one sample on a CAN link: the program's own, or those of its DBC file.
+
+    Raises:
+        InputError: the DBC file cannot be used, or cantools is not there to read it.
+    """
+    if link.dbc is None:
+        return busload.OWN_FRAMES
+    from rthyb_rt.links import dbc
+
+    return busload.frames_of(dbc.load(link.dbc, link.names))
+
+
+def _dbc_fault(link: Link) -> tuple[str, str] | None:
+    """Return the key of a link that its DBC file does not go with, and why.
+
+    Raises:
+        InputError: with all that is wrong in the DBC file itself.
+    """
+    assert link.dbc is not None
+    if not _is_file(Path(link.dbc)):
+        return (
+            "dbc",
+            f"found {written(link.dbc)}; no such file; it is looked for beside the rig file",
+        )
+    if importlib.util.find_spec("cantools") is None:
+        return None
+    frames = frames_of_link(link)
+    if any(frame.fd for frame in frames) and not link.fd:
+        return "fd", "found false; the DBC file has CAN FD frames; set fd = true"
+    if link.bitrate is None:
+        return None
+    fault = busload.bus_fault(frames, link.bitrate, link.data_bitrate)
+    return None if fault is None else ("bitrate", fault)
 
 
 def parse_test(
@@ -230,7 +284,9 @@ def _parse(
             given[path] = key
     # Tables that were given another kind, and those whose other keys do not fit it.
     new_kinds: dict[KeyPath, int | str] = {
-        key[:-1]: key[-1] for key in given if key[-1] in ("kind", "element")
+        key[:-1]: key[-1]
+        for key in given
+        if key[-1] in ("kind", "element") and key[0] in ("actuator", "specimen")
     }
     unfit: set[KeyPath] = set()
     placed: list[tuple[int, Problem]] = []

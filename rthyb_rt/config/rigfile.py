@@ -7,9 +7,22 @@ import math
 from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, StrictBool
 
-from rthyb_rt.config.fields import SAMPLE_RATE_HZ, SLUG, Check, Count, Range, Table, Text
+from rthyb_rt.config import busload
+from rthyb_rt.config.fields import (
+    SAMPLE_RATE_HZ,
+    SLUG,
+    SOME_TEXT,
+    Check,
+    Count,
+    OneOf,
+    Range,
+    Sign,
+    Table,
+    Text,
+)
+from rthyb_rt.config.limits import Limits
 
 RIG_SCHEMA = "rthyb-rig/1"
 MAX_SUBSTEPS = 1024
@@ -411,6 +424,201 @@ class Identified(Table):
         return data
 
 
+LinkKind = Literal["can", "serial", "socket", "python-can"]
+
+
+SIGNALS = ("x_cmd", "x_meas", "f_meas", "seq", "state", "echo", "count", "status", "crc8")
+"""What the controller needs of a DBC file (`rthyb_rt.links.dbc.ROLES`)."""
+
+BUSES: tuple[LinkKind, ...] = ("can", "python-can")
+DEFAULT_BAUD = 921_600
+_CAN_NAME_MAX = 15
+_SOCKET_PATH_MAX = 107
+
+
+def _words(what: str) -> Text:
+    return Text(what, SOME_TEXT.pattern, SOME_TEXT.form)
+
+
+SignalNames = dict[Annotated[str, OneOf(SIGNALS)], Annotated[str, _words("the name of a signal")]]
+
+
+def _channel_fits(kind: LinkKind, channel: str) -> str | None:
+    size = len(channel.encode())
+    if kind == "can" and (size > _CAN_NAME_MAX or "/" in channel or " " in channel):
+        other = '; a serial line is kind = "serial"' if channel.startswith("/dev/") else ""
+        return (
+            f'found "{channel}"; a CAN interface has a name such as "can0", up to {_CAN_NAME_MAX} '
+            f"characters{other}"
+        )
+    if kind == "serial" and "/" not in channel:
+        return f'found "{channel}"; a serial line is named by its path, such as "/dev/ttyUSB0"'
+    if kind == "socket" and size > _SOCKET_PATH_MAX:
+        return f"found a path of {size} bytes; a socket's path has at most {_SOCKET_PATH_MAX}"
+    return None
+
+
+def _interface_fits(kind: LinkKind, interface: str | None) -> str | None:
+    if kind == "python-can":
+        if interface is None:
+            return 'missing; kind = "python-can" needs the name of its interface, such as "pcan"'
+        return None
+    return _only_for(interface is not None, kind, ("python-can",))
+
+
+def _only_for(given: bool, kind: LinkKind, kinds: tuple[LinkKind, ...]) -> str | None:
+    """Refuse a key that this kind of link does not have."""
+    if not given or kind in kinds:
+        return None
+    those = " and ".join(f'kind = "{name}"' for name in kinds)
+    return f'kind = "{kind}" does not have it, only {those}; leave it out'
+
+
+def _bitrate_enough(
+    kind: LinkKind, bitrate: int | None, fd: bool, data_bitrate: int | None, dbc: str | None
+) -> str | None:
+    if kind == "socket":
+        return _only_for(bitrate is not None, kind, ("can", "python-can", "serial"))
+    if bitrate is None:
+        return None
+    if kind == "serial":
+        return busload.serial_fault(bitrate)
+    least, most = busload.CAN_BITRATES[0], busload.CAN_BITRATES[-1]
+    if not least <= bitrate <= most:
+        return (
+            f"found {bitrate}; the bit rate of CAN must be from {least} to {most} bit/s"
+            f"{' (of the arbitration phase)' if fd else ''}"
+        )
+    # The frames of a DBC file are counted when it is read.
+    return busload.bus_fault(busload.OWN_FRAMES, bitrate, data_bitrate) if dbc is None else None
+
+
+def _data_phase_fits(
+    kind: LinkKind, fd: bool, bitrate: int | None, data_bitrate: int | None
+) -> str | None:
+    if data_bitrate is None:
+        return None
+    if kind not in BUSES or not fd:
+        return "is the bit rate of CAN FD's data phase; leave it out, or set fd = true"
+    if bitrate is None or data_bitrate < bitrate:
+        return f"found {data_bitrate}; it needs bitrate beside it and must not be below it"
+    return None
+
+
+class Link(Table):
+    """Where commands go and readings come from in a test in real time.
+
+    ``bitrate`` of CAN absent: whatever the interface has; of a serial line absent: 921600 baud.
+    ``dbc`` is relative to the rig file. ``lead_us`` is read with ``clock = "link"`` alone.
+    """
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("channel", ("kind", "channel"), _channel_fits),
+        Check("interface", ("kind", "interface"), _interface_fits),
+        Check("bitrate", ("kind", "bitrate", "fd", "data_bitrate", "dbc"), _bitrate_enough),
+        Check("fd", ("kind", "fd"), lambda kind, fd: _only_for(fd, kind, BUSES)),
+        Check("data_bitrate", ("kind", "fd", "bitrate", "data_bitrate"), _data_phase_fits),
+        Check("dbc", ("kind", "dbc"), lambda kind, dbc: _only_for(dbc is not None, kind, BUSES)),
+        Check(
+            "names",
+            ("dbc", "names"),
+            lambda dbc, names: (
+                "are names in a DBC file, and none is given; add dbc, or leave them out"
+                if names and dbc is None
+                else None
+            ),
+        ),
+    )
+
+    kind: LinkKind
+    channel: Annotated[str, _words("the channel of the link")]
+    interface: Annotated[str, _words("the interface of python-can")] | None = None
+    bitrate: Annotated[int, Count(1, 12_000_000, "the bit rate or baud rate")] | None = None
+    fd: StrictBool = False
+    data_bitrate: (
+        Annotated[int, Count(10_000, 8_000_000, "the bit rate of CAN FD's data phase")] | None
+    ) = None
+    dbc: Annotated[str, _words("the DBC file")] | None = None
+    names: SignalNames = Field(default_factory=dict)
+    clock: Literal["host", "link", "stepped"] = "host"
+    lead_us: Annotated[float, Range("us", 20, 480, "the lead of the feedback before its tick")] = (
+        200.0
+    )
+    require_realtime: StrictBool = False
+    stop_decel_m_per_s2: Annotated[
+        float, Range("m/s^2", 1e-3, 1e4, "the deceleration of the drive's own stop")
+    ] = 1.0
+    virtual: StrictBool = False
+
+    def settle(self) -> None:
+        """Write out the baud rate of a serial line."""
+        if self.kind == "serial" and self.bitrate is None:
+            self.__dict__.update(bitrate=DEFAULT_BAUD)
+
+
+OFFSET_ON_WIRE_MAX_M = 1e3
+"""What the core takes for a command's offset."""
+
+
+def _offset_on_wire(scale: float, offset_m: float) -> str | None:
+    if abs(offset_m) <= OFFSET_ON_WIRE_MAX_M * scale:
+        return None
+    return (
+        f"found {offset_m:g} m, with scale = {scale:g} that is {abs(offset_m) / scale:g} m on the "
+        f"wire; at most {OFFSET_ON_WIRE_MAX_M:g} m are taken; check the unit of scale"
+    )
+
+
+class DisplacementChannel(Table):
+    """x = polarity scale wire + offset, in m of the specimen."""
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("offset_m", ("scale", "offset_m"), _offset_on_wire),
+    )
+
+    scale: Annotated[float, Range("", 1e-4, 1e4, "the scale")] = 1.0
+    polarity: Annotated[int, Sign("the polarity")] = 1
+    offset_m: Annotated[float, Range("m", -10, 10, "the offset")] = 0.0
+
+    @property
+    def gain(self) -> float:
+        """Scale with its sign."""
+        return self.polarity * self.scale
+
+
+class ForceChannel(Table):
+    """f = polarity scale wire + offset, in N of the specimen."""
+
+    scale: Annotated[float, Range("", 1e-4, 1e4, "the scale")] = 1.0
+    polarity: Annotated[int, Sign("the polarity")] = 1
+    offset_n: Annotated[float, Range("N", -1e7, 1e7, "the offset")] = 0.0
+
+    @property
+    def gain(self) -> float:
+        """Scale with its sign."""
+        return self.polarity * self.scale
+
+
+class Similitude(Table):
+    """Structure over specimen: x of the structure = length times x of the specimen."""
+
+    length: Annotated[float, Range("", 0.01, 100, "the length factor")] = 1.0
+    force: Annotated[float, Range("", 1e-5, 1e5, "the force factor")] = 1.0
+
+
+class Calibration(Table):
+    """From the numbers on the wire to the structure's displacement and force, and back.
+
+    ``command`` absent: as ``displacement``. Everything else in a rig file is in the structure's
+    units.
+    """
+
+    displacement: DisplacementChannel = Field(default_factory=DisplacementChannel)
+    force: ForceChannel = Field(default_factory=ForceChannel)
+    command: DisplacementChannel | None = None
+    similitude: Similitude = Field(default_factory=Similitude)
+
+
 def kinds() -> Iterator[type[Table]]:
     """Give the tables of every kind of actuator and specimen element."""
     for union in (Actuator, SpecimenElement):
@@ -428,3 +636,6 @@ class RigFile(Table):
     )
     sensors: Sensors = Field(default_factory=Sensors)
     identified: Identified | None = None
+    link: Link | None = None
+    calibration: Calibration = Field(default_factory=Calibration)
+    limits: Limits = Field(default_factory=Limits)

@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, StrictBool
 
 from rthyb_rt.config.fields import SLUG, SOME_TEXT, Check, Choice, Count, Range, Table, Text
+from rthyb_rt.config.limits import Limits
 
 TEST_SCHEMA = "rthyb-test/1"
 
@@ -183,48 +184,6 @@ class Controller(Table):
     beta0: Annotated[float, Range("", -5e5, 5e5, "the initial curvature term")] | None = None
     delay_estimator: DelayEstimator = Field(default_factory=DelayEstimator)
     rfc: Rfc = Field(default_factory=Rfc)
-
-
-class Limit(Table):
-    """A limit that is watched; a plain number is short for ``{ value = ..., action = "trip" }``."""
-
-    value: float
-    enable: StrictBool = True
-    action: Literal["indicate", "trip"] = "trip"
-
-    @classmethod
-    def expand(cls, data: Any) -> Any:
-        """Take a bare value for the table around it."""
-        return {"value": data} if isinstance(data, (int, float, str)) else data
-
-
-class DisplacementLimit(Limit):
-    """A limit on a displacement."""
-
-    value: Annotated[float, Range("m", 1e-6, 100, "the limit")]
-
-
-class ForceLimit(Limit):
-    """A limit on a force."""
-
-    value: Annotated[float, Range("N", 1e-3, 1e10, "the limit")]
-
-
-class Limits(Table):
-    """What the test may not exceed.
-
-    Velocity and acceleration of the command act by limiting it, so they are plain numbers.
-    """
-
-    command_position_m: DisplacementLimit | None = None
-    command_velocity_m_per_s: (
-        Annotated[float, Range("m/s", 1e-6, 100, "the command's velocity limit")] | None
-    ) = None
-    command_acceleration_m_per_s2: (
-        Annotated[float, Range("m/s^2", 1e-3, 1e6, "the command's acceleration limit")] | None
-    ) = None
-    force_n: ForceLimit | None = None
-    tracking_error_m: DisplacementLimit | None = None
 
 
 class Reference(Table):

@@ -20,6 +20,7 @@ _TIME: Dimension = (0, 0, 1, 0)
 _FREQUENCY: Dimension = (0, 0, -1, 0)
 _FORCE: Dimension = (1, 1, -2, 0)
 _ACCELERATION: Dimension = (0, 1, -2, 0)
+_ENERGY: Dimension = (1, 2, -2, 0)
 _COUNT: Dimension = (0, 0, 0, 1)
 _RATIO: Dimension = (0, 0, 0, 0)
 
@@ -30,9 +31,11 @@ _DIMENSION_NAMES: dict[Dimension, str] = {
     _FREQUENCY: "a frequency",
     _FORCE: "a force",
     _ACCELERATION: "an acceleration",
+    _ENERGY: "an energy",
     _COUNT: "a number of samples",
     _RATIO: "a plain number or ratio",
     (0, 1, -1, 0): "a velocity",
+    (0, 2, -1, 0): "an area per time",
     (1, 0, -2, 0): "a stiffness",
     (1, 0, -1, 0): "a damping coefficient",
     (0, 0, -2, 0): "a rate per second squared",
@@ -62,6 +65,8 @@ _UNITS: dict[str, tuple[str, Dimension]] = {
     "mN": ("1e-3", _FORCE),
     "kN": ("1e3", _FORCE),
     "MN": ("1e6", _FORCE),
+    "J": ("1", _ENERGY),
+    "kJ": ("1e3", _ENERGY),
     "lbf": ("4.4482216152605", _FORCE),
     "kip": ("4448.2216152605", _FORCE),
     "g": ("9.80665", _ACCELERATION),

@@ -173,6 +173,13 @@ class Codec:
         return self._by_table and any(message.fd for message in messages)
 
     @property
+    def has_status(self) -> bool:
+        """Whether a drive can say in its frames that it has stopped by itself."""
+        feedback = (self.struct.displacement, self.struct.force)
+        status = lib.RTHYB_FIELD_STATUS
+        return not self._by_table or any(part.field[status].length for part in feedback)
+
+    @property
     def _by_table(self) -> bool:
         return bool(self.struct.format == lib.RTHYB_WIRE_TABLE)
 

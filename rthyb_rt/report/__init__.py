@@ -29,6 +29,7 @@ _META_NAMES = {
     "clock": "clock",
     "created_utc": "recorded, UTC",
 }
+_TOLD_ELSEWHERE = ("test_name", "end_reason", "interrupted", "real_time", "commissioning")
 
 
 def write_report(rec: Recording, path: str | Path) -> None:
@@ -68,7 +69,7 @@ def render(rec: Recording) -> str:
         rows=_rest(summary),
         sheets=sheets(draw_all(rec, summary)),
         motion=_named(rec.ground_motion, _MOTION_NAMES),
-        versions=_named(rec.meta, _META_NAMES),
+        versions=_named(rec.meta | _commissioned(rec.meta), _META_NAMES),
         settings=[("Test file", rec.test_toml), ("Rig file", rec.rig_toml)],
     )
 
@@ -97,9 +98,20 @@ def _named(values: dict[str, Any], names: dict[str, str]) -> list[tuple[str, str
     more = [
         (key, value)
         for key, value in values.items()
-        if key not in names and key not in ("test_name", "end_reason", "interrupted")
+        if key not in names and key not in _TOLD_ELSEWHERE
     ]
     return [(name, _shown(value)) for name, value in known + more if value not in (None, "")]
+
+
+def _commissioned(meta: dict[str, Any]) -> dict[str, str]:
+    """Return when the rig was commissioned, step by step, for a test in real time."""
+    facts = meta.get("commissioning")
+    if not isinstance(facts, dict):
+        return {}
+    if facts.get("virtual"):
+        return {"Rig commissioned": "not asked for: a virtual rig"}
+    steps = (("polarity", "Polarity"), ("limits", "Limits"), ("watchdog", "Drive's own stop"))
+    return {f"{name} checked": str(facts.get(key) or "never") for key, name in steps}
 
 
 def _shown(value: Any) -> str:

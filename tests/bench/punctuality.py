@@ -1,4 +1,4 @@
-"""1024 ticks a second three ways: in C, bare, and as a Python loop; with and without busy Python.
+"""1024 ticks a second: in C, bare, as the whole loop, and in Python; with and without a burner.
 
 The Python loop is written as a laboratory would: sleep until the tick is due, one sample of rig and
 controller, again. It has the same priority, skips as the C loop does, and is timed by the same
@@ -8,8 +8,14 @@ histogram.
 from __future__ import annotations
 
 import contextlib
+import sys
 import threading
 import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from proof.parties import Plan, Run, repeated
 
 from rthyb_rt import core, jitter, ticker
 
@@ -21,6 +27,15 @@ def in_core() -> list[jitter.Result]:
     """Return the runs of `rthyb jitter`."""
     load, cpu = jitter.Load.built_in(), jitter.choose_cpu(jitter.machine_facts())
     return [jitter.measure(case, TICKS, load, cpu) for case in jitter.CASES]
+
+
+def in_loop() -> tuple[Run, int]:
+    """Return a run of the whole tick with its ring, the drive in a process of its own.
+
+    Frames go over an AF_UNIX socket pair. Second: how often it was run, because the bare thread was
+    late.
+    """
+    return repeated([Plan("bench", SECONDS)])["bench"]
 
 
 def in_python() -> dict[str, ticker.Ticker]:

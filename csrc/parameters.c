@@ -1,0 +1,69 @@
+/* What may be changed while a test runs, handed over whole: one writer, one tick thread, neither of
+ * whom waits. The stamp is odd while a set is being written. */
+#include <string.h>
+
+#include "internal.h"
+#include "numeric.h"
+#include "relaxed.h"
+
+#define SPEED_MAX 1e6 /* m/s, m/s^2 */
+
+_Static_assert(sizeof(rthyb_parameters) == RTHYB_PARAMETER_WORDS * sizeof(uint64_t),
+               "a set of parameters is whole words");
+
+int rthyb_watches_check(const rthyb_watch watch[RTHYB_CAUSE_COUNT])
+{
+    for (int i = 0; i < RTHYB_CAUSE_COUNT; i++) {
+        if (!(watch[i].value >= 0.0 && watch[i].value <= RTHYB_FORCE_MAX_N) ||
+            watch[i].reaction < RTHYB_REACT_NONE || watch[i].reaction > RTHYB_REACT_TRIP)
+            return RTHYB_E_LIMIT;
+    }
+    return 0;
+}
+
+int rthyb_path_limits_check(double velocity_m_per_s, double acceleration_m_per_s2)
+{
+    const int good = velocity_m_per_s >= 1e-9 && velocity_m_per_s <= 1e3 &&
+                     acceleration_m_per_s2 >= 1e-9 && acceleration_m_per_s2 <= 1e6;
+    return good ? 0 : RTHYB_E_LIMIT;
+}
+
+int rthyb_parameters_check(const rthyb_parameters *p)
+{
+    const int limits_ok =
+        p->velocity_limit_m_per_s >= 0.0 && p->velocity_limit_m_per_s <= SPEED_MAX &&
+        p->acceleration_limit_m_per_s2 >= 0.0 && p->acceleration_limit_m_per_s2 <= SPEED_MAX;
+    if (!limits_ok || rthyb_watches_check(p->watch))
+        return RTHYB_E_LIMIT;
+    return rthyb_path_limits_check(p->path_velocity_m_per_s, p->path_acceleration_m_per_s2);
+}
+
+void rthyb_handover_write(rthyb_handover *h, const rthyb_parameters *parameters)
+{
+    const char *bytes = (const char *)parameters;
+    const uint64_t stamp = peek(&h->stamp);
+    put(&h->stamp, stamp + 1);
+    for (size_t i = 0; i < RTHYB_PARAMETER_WORDS; i++) {
+        uint64_t word;
+        memcpy(&word, bytes + i * sizeof word, sizeof word);
+        /* Whoever reads this word sees that the stamp is odd. */
+        __atomic_store_n(&h->words[i], word, __ATOMIC_RELEASE);
+    }
+    __atomic_store_n(&h->stamp, stamp + 2, __ATOMIC_RELEASE);
+}
+
+int rthyb_handover_read(rthyb_handover *h, rthyb_parameters *parameters)
+{
+    char *bytes = (char *)parameters;
+    const uint64_t stamp = __atomic_load_n(&h->stamp, __ATOMIC_ACQUIRE);
+    if (stamp == h->taken || stamp % 2 != 0)
+        return 0;
+    for (size_t i = 0; i < RTHYB_PARAMETER_WORDS; i++) {
+        const uint64_t word = __atomic_load_n(&h->words[i], __ATOMIC_ACQUIRE);
+        memcpy(bytes + i * sizeof word, &word, sizeof word);
+    }
+    if (peek(&h->stamp) != stamp)
+        return 0;
+    h->taken = stamp;
+    return 1;
+}

@@ -1,0 +1,239 @@
+/* Simulators of the diagnosis: an actuator along its recorded command, and a body that is driven by
+ * a known force. Both work on a finer grid than the recording and give values at its rows. */
+#include "numeric.h"
+
+#define SUBSTEPS_MAX 256
+
+static int actuator_ok(const rthyb_actuator_model *m)
+{
+    const int time_ok = m->period_s > 0.0 && m->period_s <= 1.0 && fabs(m->delay_s) <= 10.0 &&
+                        fabs(m->shift_s) <= 10.0 && fabs(m->delay_rate_s2_per_m) <= 1e3;
+    const int lag_ok = m->natural_frequency_hz > 0.0 && m->natural_frequency_hz <= 1e6 &&
+                       m->damping_ratio > 0.0 && m->damping_ratio <= 1e4 && fabs(m->gain) <= 1e6;
+    return time_ok && lag_ok && m->velocity_limit_m_per_s >= 0.0 &&
+           (m->hold == RTHYB_ZOH || m->hold == RTHYB_FOH) && m->limit_at >= 0 && m->limit_at <= 1 &&
+           m->rate_of >= 0 && m->rate_of <= 1;
+}
+
+/* The command at a row that need not be whole; before the first and after the last it stands. */
+static double command_at(const double *u, size_t n, double row, int32_t hold)
+{
+    if (!(row > 0.0))
+        return u[0];
+    const double last = (double)(n - 1);
+    if (row >= last)
+        return u[n - 1];
+    const size_t i = (size_t)row;
+    return hold == RTHYB_ZOH ? u[i] : u[i] + (row - (double)i) * (u[i + 1] - u[i]);
+}
+
+typedef struct {
+    const rthyb_actuator_model *model;
+    const double *u;
+    size_t n;
+    double w2, d; /* omega squared, 2 zeta omega */
+} lag;
+
+static double wanted(const lag *s, double row, double v)
+{
+    const rthyb_actuator_model *m = s->model;
+    double late = m->delay_s + m->shift_s;
+    if (m->delay_rate_s2_per_m != 0.0) {
+        double speed = v;
+        if (m->rate_of == 1) {
+            const double at = row - late / m->period_s;
+            speed = (command_at(s->u, s->n, at + 0.5, RTHYB_FOH) -
+                     command_at(s->u, s->n, at - 0.5, RTHYB_FOH)) /
+                    m->period_s;
+        }
+        late += m->delay_rate_s2_per_m * fabs(speed);
+    }
+    return m->gain * command_at(s->u, s->n, row - late / m->period_s, m->hold);
+}
+
+static double pull(const lag *s, double u, double x, double v)
+{
+    return s->w2 * (u - x) - s->d * v;
+}
+
+/* The lag's own motion over a time: displacement and velocity from those before. */
+typedef struct {
+    double xx, xv, vx, vv;
+} passage;
+
+/* exp(A t) of x'' + d x' + w^2 x = 0, for any damping. */
+static passage passage_of(double w2, double d, double t)
+{
+    const double half = 0.5 * d, square = half * half - w2;
+    double cosine, sine; /* of the root times t; sine divided by the root */
+    const double decay = exp(-half * t);
+    if (square > 1e-9 * w2) {
+        const double root = sqrt(square);
+        const double slow = exp((root - half) * t), fast = exp(-(root + half) * t);
+        cosine = 0.5 * (slow + fast);
+        sine = 0.5 * (slow - fast) / root;
+    } else if (square < -1e-9 * w2) {
+        const double root = sqrt(-square);
+        cosine = decay * cos(root * t);
+        sine = decay * sin(root * t) / root;
+    } else {
+        cosine = decay;
+        sine = decay * t;
+    }
+    return (passage){cosine + half * sine, sine, -w2 * sine, cosine - half * sine};
+}
+
+/* Exact for a command that runs straight from u0 to u1 in h seconds. */
+static void follow(const lag *s, const passage *p, double h, double u0, double u1, double *x,
+                   double *v)
+{
+    const double slope = h > 0.0 ? (u1 - u0) / h : 0.0, lead = slope * s->d / s->w2;
+    const double y = *x - (u0 - lead), w = *v - slope;
+    *x = p->xx * y + p->xv * w + u1 - lead;
+    *v = p->vx * y + p->vv * w + slope;
+}
+
+static void run_linear(lag *s, double *x, double *v, double *a)
+{
+    const rthyb_actuator_model *m = s->model;
+    const double late = (m->delay_s + m->shift_s) / m->period_s;
+    /* Where between two rows a row of the delayed command lies. */
+    const double knot = late - floor(late), h = m->period_s;
+    const passage before = passage_of(s->w2, s->d, knot * h);
+    const passage after = passage_of(s->w2, s->d, (1.0 - knot) * h);
+    double at = wanted(s, 0.0, 0.0), speed = 0.0;
+    for (size_t i = 0; i < s->n; i++) {
+        const double row = (double)i, u0 = wanted(s, row, 0.0), tiny = 1e-9;
+        x[i] = at;
+        v[i] = speed;
+        a[i] = pull(s, u0, at, speed);
+        const double u1 = m->hold == RTHYB_FOH ? wanted(s, row + knot, 0.0) : u0;
+        const double u2 = m->hold == RTHYB_FOH ? u1 : wanted(s, row + knot + tiny, 0.0);
+        const double u3 = m->hold == RTHYB_FOH ? wanted(s, row + 1.0, 0.0) : u2;
+        follow(s, &before, knot * h, u0, u1, &at, &speed);
+        follow(s, &after, (1.0 - knot) * h, u2, u3, &at, &speed);
+    }
+}
+
+enum { PIECES = 8 };
+
+static void run_limited(lag *s, double *x, double *v, double *a)
+{
+    const rthyb_actuator_model *m = s->model;
+    const double h = m->period_s / PIECES, most = m->velocity_limit_m_per_s;
+    const int command = most > 0.0 && m->limit_at == 0, actuator = most > 0.0 && m->limit_at == 1;
+    const passage piece = passage_of(s->w2, s->d, h);
+    double at = wanted(s, 0.0, 0.0), speed = 0.0, u0 = at;
+    for (size_t i = 0; i < s->n; i++) {
+        x[i] = at;
+        v[i] = speed;
+        a[i] = pull(s, u0, at, speed);
+        for (int k = 1; k <= PIECES; k++) {
+            double u1 = wanted(s, (double)i + (double)k / PIECES, speed);
+            if (command)
+                u1 = u0 + clamp(u1 - u0, -most * h, most * h);
+            const double from = at;
+            follow(s, &piece, h, u0, u1, &at, &speed);
+            if (actuator) {
+                at = from + clamp(at - from, -most * h, most * h);
+                speed = clamp(speed, -most, most);
+            }
+            u0 = u1;
+        }
+    }
+}
+
+int rthyb_simulate_actuator(const rthyb_actuator_model *model, const double *x_cmd_m, size_t n,
+                            double *x_m, double *v_m_per_s, double *a_m_per_s2)
+{
+    if (!actuator_ok(model))
+        return RTHYB_E_SERVO;
+    if (n == 0)
+        return 0;
+    const double w = 2.0 * RTHYB_PI * model->natural_frequency_hz;
+    lag s = {
+        .model = model, .u = x_cmd_m, .n = n, .w2 = w * w, .d = 2.0 * model->damping_ratio * w};
+    if (model->delay_rate_s2_per_m == 0.0 && model->velocity_limit_m_per_s == 0.0)
+        run_linear(&s, x_m, v_m_per_s, a_m_per_s2);
+    else
+        run_limited(&s, x_m, v_m_per_s, a_m_per_s2);
+    return fabs(x_m[n - 1]) <= RTHYB_DISPLACEMENT_MAX_M ? 0 : RTHYB_E_LIMIT;
+}
+
+static double resisted(rthyb_element *elements, size_t count, double x, double v, double a,
+                       double dt)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < count; i++)
+        sum += rthyb_element_force(&elements[i], x, v, a, dt);
+    return sum;
+}
+
+int rthyb_simulate_body(const rthyb_body_model *model, rthyb_element *elements,
+                        size_t element_count, const double *force_n, size_t n, double *x_m,
+                        double *v_m_per_s, double *a_m_per_s2)
+{
+    const int ok = model->period_s > 0.0 && model->period_s <= 1.0 && model->mass_kg > 0.0 &&
+                   model->mass_kg <= 1e12 && model->substeps >= 1 &&
+                   model->substeps <= SUBSTEPS_MAX && fabs(model->x0_m) <= 1e3 &&
+                   fabs(model->v0_m_per_s) <= 1e6 &&
+                   (model->hold == RTHYB_ZOH || model->hold == RTHYB_FOH);
+    if (!ok)
+        return RTHYB_E_MOTION;
+    const double dr = 1.0 / model->substeps, h = model->period_s / model->substeps;
+    double x = model->x0_m, v = model->v0_m_per_s, a = 0.0;
+    int code = RTHYB_OK;
+    if (n > 0)
+        a = (force_n[0] - resisted(elements, element_count, x, v, 0.0, h)) / model->mass_kg;
+    for (size_t i = 0; i < n; i++) {
+        x_m[i] = x;
+        v_m_per_s[i] = v;
+        a_m_per_s2[i] = a;
+        for (int k = 1; k <= model->substeps; k++) {
+            const double p = command_at(force_n, n, (double)i + k * dr, model->hold);
+            const double next = x + h * v + 0.5 * h * h * a;
+            const double guess = v + h * a;
+            const double net = p - resisted(elements, element_count, next, guess, a, h);
+            const double a_next = net / model->mass_kg;
+            x = confine(next, RTHYB_DISPLACEMENT_MAX_M, &code);
+            v = confine(v + 0.5 * h * (a + a_next), 1e6, &code);
+            a = confine(a_next, 1e9, &code);
+        }
+    }
+    return code == RTHYB_OK ? 0 : RTHYB_E_LIMIT;
+}
+
+/* Two points joined with a play of +-half: the follower stands until it is pushed. */
+int rthyb_simulate_play(double half_m, const double *x_m, size_t n, double *y_m)
+{
+    double y = n > 0 ? x_m[0] : 0.0;
+    for (size_t i = 0; i < n; i++) {
+        y = clamp(y, x_m[i] - half_m, x_m[i] + half_m);
+        y_m[i] = y;
+    }
+    return half_m >= 0.0 ? 0 : RTHYB_E_ELEMENT;
+}
+
+/* Elastic and perfectly plastic springs of stiffness share[j] side by side, each yielding at
+ * yield_m[j]; every plastic loop of Masing's kind is such a sum. */
+int rthyb_simulate_iwan(const double *yield_m, const double *share, size_t count, const double *x_m,
+                        size_t n, double *force)
+{
+    double z[RTHYB_IWAN_MAX] = {0};
+    if (count > RTHYB_IWAN_MAX)
+        return RTHYB_E_ELEMENT;
+    double before = n > 0 ? x_m[0] : 0.0;
+    for (size_t j = 0; j < count; j++)
+        z[j] = clamp(before, -yield_m[j], yield_m[j]);
+    for (size_t i = 0; i < n; i++) {
+        const double du = x_m[i] - before;
+        double sum = 0.0;
+        for (size_t j = 0; j < count; j++) {
+            z[j] = clamp(z[j] + du, -yield_m[j], yield_m[j]);
+            sum += share[j] * z[j];
+        }
+        force[i] = sum;
+        before = x_m[i];
+    }
+    return 0;
+}

@@ -1,0 +1,155 @@
+"""``rthyb commission``: the checks that a rig needs before its first test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rthyb_rt.cli import interrupts, quantities, terminal
+from rthyb_rt.cli.connecting import connected, load_rig
+from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.cli.quantities import Allowed
+from rthyb_rt.errors import RthybError
+
+if TYPE_CHECKING:
+    from rthyb_rt.commissioning.certificate import Certificate
+
+DIFFERENCE = 8
+
+DISTANCE = Allowed("m", "mm", -0.1, 0.1, "a length from -100 mm to 100 mm", "1 mm")
+
+
+def commission(
+    rig: Annotated[
+        str,
+        typer.Argument(
+            metavar="RIG",
+            help="Rig file, or the name of a shipped rig, with limits on position and force.",
+            show_default=False,
+        ),
+    ],
+    steps: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Of link, polarity, limits, watchdog, trip, with commas; the others keep what "
+            "they have. Without it all of them.",
+            show_default=False,
+        ),
+    ] = None,
+    distance: Annotated[
+        str, typer.Option(metavar="LENGTH", help="Of the small motions, with its sign.")
+    ] = "1 mm",
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Do not ask before motions: for scripts.")
+    ] = False,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change one value of the rig file. Can be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check a rig step by step: link, signs, limits, drive's stop.
+
+    Stand ready at the emergency stop. Before each motion you are asked. What passed goes with its
+    date to RIG.commissioned.json beside the rig file; a test in real time asks for it, until link,
+    calibration, actuator, sensors or limits change in the rig file.
+
+    \b
+    Steps:
+      link       feedback 1024 times a second, noise and zero at rest
+      polarity   a slow motion: displacement follows, force rises with it
+      limits     each limit, lowered for one small motion, does what the rig file says
+      watchdog   without commands the drive stops by itself
+      trip       told TRIPPED, the drive stops at once
+
+    \b
+    Examples:
+      rthyb commission my-rig.toml
+      rthyb commission my-rig.toml --steps polarity,limits --distance "0.5 mm"
+
+    Exit code 8 says that a check has failed.
+    """
+    from rthyb_rt.commissioning import certificate, guide
+
+    wanted = _steps(steps)
+    distance_m = quantities.read(distance, "--distance", DISTANCE)
+    if abs(distance_m) < 1e-5:
+        raise typer.BadParameter(
+            f'found "{distance}"; at least 0.01 mm are needed to see anything',
+            param_hint="--distance",
+        )
+    given, path = load_rig(rig, settings)
+    known, _ = certificate.find(given, path)
+    target = certificate.place(path)
+    people = terminal.people(as_json)
+
+    def keep(found: Certificate) -> None:
+        certificate.write(target, found)
+
+    def tell(text: str) -> None:
+        print(text, file=people, flush=True)
+
+    plan = guide.Plan(wanted, distance_m, _asker(yes, tell), tell)
+    with connected(given) as connection:
+        tell(f"{given.rig.name} over {connection.opened.name}")
+        made = guide.commission(connection, plan, known, keep)
+    interrupts.wrote(target)
+    tell("")
+    _print_result(made, as_json)
+    tell(f"\nCommissioning  {target}")
+    if as_json:
+        terminal.print_json({**made.as_json(), "path": str(target)})
+    if any(made.steps[name].passed is False for name in wanted if name in made.steps):
+        raise typer.Exit(DIFFERENCE)
+
+
+def _steps(text: str | None) -> tuple[str, ...]:
+    from rthyb_rt.commissioning.certificate import STEPS
+
+    if text is None:
+        return STEPS
+    given = tuple(part.strip() for part in text.split(","))
+    unknown = [name for name in given if name not in STEPS]
+    if unknown:
+        raise typer.BadParameter(
+            f'found "{unknown[0]}"; the steps are {", ".join(STEPS)}', param_hint="--steps"
+        )
+    return given
+
+
+def _asker(yes: bool, tell: Callable[[str], None]) -> Callable[[str], bool]:
+    def ask(question: str) -> bool:
+        if yes:
+            tell(f"{question} yes")
+            return True
+        try:
+            return typer.confirm(question, err=True)
+        except typer.Abort:
+            if interrupts.received() is not None:
+                raise KeyboardInterrupt from None
+            raise RthybError(
+                "no answer came, and nothing moves without one; --yes answers for a script"
+            ) from None
+
+    return ask
+
+
+def _print_result(made: Certificate, as_json: bool) -> None:
+    from rthyb_rt.commissioning.certificate import STEPS
+
+    words = {True: "passed", False: "FAILED", None: "not checked"}
+    rows = [
+        (name, words[step.passed], step.date)
+        for name in STEPS
+        if (step := made.steps.get(name)) is not None
+    ]
+    missing = [(name, "not made", "") for name in STEPS if name not in made.steps]
+    terminal.print_table([*rows, *missing], terminal.people(as_json))

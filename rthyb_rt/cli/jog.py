@@ -1,0 +1,116 @@
+"""``rthyb jog``: the actuator moved a little."""
+
+from __future__ import annotations
+
+from typing import IO, TYPE_CHECKING, Annotated
+
+import typer
+
+from rthyb_rt.cli import quantities, terminal
+from rthyb_rt.cli.connecting import connected, load_rig
+from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.cli.quantities import Allowed
+
+if TYPE_CHECKING:
+    from rthyb_rt.commissioning.jogging import Jogged
+    from rthyb_rt.config import RigFile
+
+SCHEMA = "rthyb-jog/1"
+LIMIT_TRIP = 6
+UNPUNCTUAL = 7
+
+DISTANCE = Allowed("m", "mm", -1.0, 1.0, "a length from -1 m to 1 m", "2 mm")
+SPEED = Allowed("m/s", "mm/s", 1e-6, 1.0, "a velocity from 0.001 mm/s to 1 m/s", "1 mm/s")
+
+# A distance may be negative, and is no option then.
+CONTEXT = {"ignore_unknown_options": True, "help_option_names": ["--help"]}
+
+
+def jog(
+    rig: Annotated[
+        str,
+        typer.Argument(
+            metavar="RIG",
+            help="Rig file, or the name of a shipped rig, with limits on position and force.",
+            show_default=False,
+        ),
+    ],
+    distance: Annotated[
+        str,
+        typer.Argument(
+            metavar="DISTANCE", help='How far, with its sign: "-0.5 mm".', show_default=False
+        ),
+    ],
+    speed: Annotated[
+        str, typer.Option(metavar="VELOCITY", help="The fastest on the way.")
+    ] = "1 mm/s",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change one value of the rig file. Can be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Move the actuator slowly by a distance, and leave it there.
+
+    All limits of the rig file are in force: the position's counts from where the actuator stands,
+    the force's from zero load. Ctrl-C decelerates, and it stays where it comes to rest; a second
+    one trips. Without a [link] in the rig file it is a virtual rig in a process of its own.
+
+    \b
+    Examples:
+      rthyb jog my-rig.toml "2 mm"
+      rthyb jog my-rig.toml "-0.5 mm" --speed "0.2 mm/s"
+
+    Exit code 6 says that a limit or a trip ended it, 5 that it was refused and nothing moved.
+    """
+    from rthyb_rt.commissioning import jogging
+
+    distance_m = quantities.read(distance, "DISTANCE", DISTANCE)
+    speed_m_per_s = quantities.read(speed, "--speed", SPEED)
+    given, _ = load_rig(rig, settings)
+    with connected(given) as connection:
+        found = jogging.jog(connection, distance_m, speed_m_per_s)
+    file = terminal.people(as_json)
+    _print_result(given, found, file)
+    if as_json:
+        terminal.print_json({"schema": SCHEMA, "rig_name": given.rig.name, **found.as_json()})
+    status = _status(found)
+    if status:
+        raise typer.Exit(status)
+
+
+def _status(found: Jogged) -> int:
+    from rthyb_rt.realtime import TIMING_CAUSES
+
+    if found.cause in TIMING_CAUSES:
+        return UNPUNCTUAL
+    well = found.cause in ("completed", "operator", "none") and found.state != "TRIPPED"
+    return 0 if well else LIMIT_TRIP
+
+
+def _print_result(rig: RigFile, found: Jogged, file: IO[str]) -> None:
+    from rthyb_rt.summary import quantity
+
+    stiffness = "too little moved to tell"
+    if found.stiffness_n_per_m is not None:
+        stiffness = quantity(found.stiffness_n_per_m, "kN/m", 1e-3, 4)
+    print(f"{rig.rig.name}: {found.end_reason}\n", file=file)
+    terminal.print_table(
+        [
+            ("Start", quantity(found.start_m, "mm", 1e3, 6), "reading of the displacement"),
+            ("End", quantity(found.end_m, "mm", 1e3, 6), "the same"),
+            ("Moved", quantity(found.moved_m, "mm", 1e3, 4),
+             f"{quantity(found.asked_m, 'mm', 1e3)} were wanted"),
+            ("Force", f"{quantity(found.start_n, 'N', 1.0, 4)} to "
+             f"{quantity(found.end_n, 'N', 1.0, 4)}", "reading of the load cell"),
+            ("Stiffness", stiffness, "change of force over displacement"),
+        ],
+        file,
+    )  # fmt: skip
+    for fault in found.faults:
+        print(f"Attention: {fault}", file=file)

@@ -1,0 +1,238 @@
+"""``rthyb rig``: the virtual rig at the wire."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rthyb_rt.cli import interrupts, terminal
+from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rthyb_rt.config import RigFile
+    from rthyb_rt.config.rigfile import Link
+    from rthyb_rt.virtual_rig import Line, Plan, Result
+
+SCHEMA = "rthyb-rig-run/1"
+
+
+def rig(
+    file: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="RIG",
+            help="Rig file, or the name of a shipped rig; without one that of the built-in test.",
+            show_default=False,
+        ),
+    ] = None,
+    can: Annotated[
+        str | None,
+        typer.Option(metavar="INTERFACE", help="CAN interface, such as vcan0.", show_default=False),
+    ] = None,
+    serial: Annotated[
+        str | None,
+        typer.Option(metavar="PATH", help="Serial line.", show_default=False),
+    ] = None,
+    socket: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH", help="Socket that controllers connect to.", show_default=False
+        ),
+    ] = None,
+    pty: Annotated[
+        bool, typer.Option("--pty", help="Make a pseudo-terminal and say its path.")
+    ] = False,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change one value of the rig file. Can be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=0,
+            max=2**32 - 1,
+            help="Seed of sensor noise and faults, instead of the rig file's.",
+            show_default=False,
+        ),
+    ] = None,
+    drift_ppm: Annotated[
+        float, typer.Option(metavar="PPM", help="How much its clock is fast, -199 to 199.")
+    ] = 0.0,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KIND@S[:S][=VALUE]",
+            help="What goes wrong, from when on, for how long. Can be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(metavar="N", help="End after so many seconds.", show_default=False),
+    ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write what the drive saw and did in each of its ticks: .npy or .h5.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Be the virtual rig of a rig file at a wire, in real time.
+
+    Actuator controller and load cell take commands and send displacement and force 1024 times a
+    second, with a clock and a watchdog of their own: 20 ticks without a fresh command, and they
+    stop. Without an option that names a wire, it is the rig file's [link]. Controllers may come
+    and go; Ctrl-C ends it.
+
+    \b
+    Faults, from the second S of its clock on, for S seconds or to the end, with a VALUE:
+      drop, drop-command, drop-force       lost frames; VALUE: with which probability
+      delay                                feedback held back; VALUE: ticks, up to 63
+      reorder, duplicate, corrupt          every other late, each twice, a bit of each wrong
+      stuck, jump, force, not-finite       the sensors; VALUE: m or N added
+      silence, power-cut                   deaf and dumb; gone for good, at once
+
+    \b
+    Examples:
+      rthyb rig --can vcan0
+      rthyb rig my-rig.toml --socket /tmp/rig --fault drop@5:2=0.1 --seed 3
+      rthyb rig --pty --drift-ppm 50 --fault power-cut@20
+    """
+    from rthyb_rt import config, virtual_rig
+
+    name = file or config.load_test(config.builtin_test_path()).rig
+    changes: dict[str, str] = {}
+    for part in config.split_overrides(settings or ()):
+        changes |= part
+    rig_file = config.load_rig(config.find_rig(name), changes)
+    plan = _plan(seed, drift_ppm, fault, seconds, log)
+    people = terminal.people(as_json)
+    stop = threading.Event()
+    with _line(rig_file, can, serial, socket, pty) as line, interrupts.told(stop.set):
+
+        def ready() -> None:
+            print(f"{rig_file.rig.name} at {line.name}, 1024 Hz", file=people, flush=True)
+
+        result = virtual_rig.serve(rig_file, line, plan, stop, ready)
+    if log is not None:
+        virtual_rig.write_log(log, result.log)
+    terminal.print_table(_rows(result, log), people)
+    if as_json:
+        path = None if log is None else str(log)
+        terminal.print_json({"schema": SCHEMA, **result.as_json(), "log": path})
+
+
+def _plan(
+    seed: int | None,
+    drift_ppm: float,
+    fault: list[str] | None,
+    seconds: float | None,
+    log: Path | None,
+) -> Plan:
+    from rthyb_rt import virtual_rig
+    from rthyb_rt.core import FS_HZ
+
+    if not abs(drift_ppm) <= virtual_rig.DRIFT_MAX_PPM:
+        raise typer.BadParameter(
+            f"found {drift_ppm:g}, allowed is -199 to 199", param_hint="--drift-ppm"
+        )
+    if seconds is not None and not 0.0 < seconds <= 1e6:
+        raise typer.BadParameter(
+            f"found {seconds:g}, allowed is more than 0, to 1e6 s", param_hint="--seconds"
+        )
+    if log is not None and log.suffix not in virtual_rig.LOG_SUFFIXES:
+        raise typer.BadParameter(
+            f"found {log}, a log ends with {' or '.join(virtual_rig.LOG_SUFFIXES)}",
+            param_hint="--log",
+        )
+    try:
+        faults, cut_s = virtual_rig.parse_faults(fault or ())
+    except InputError as error:
+        raise typer.BadParameter(str(error), param_hint="--fault") from error
+    room_s = min(seconds or virtual_rig.LOG_SECONDS, virtual_rig.LOG_SECONDS)
+    return virtual_rig.Plan(
+        seed=seed,
+        drift_ppm=drift_ppm,
+        faults=faults,
+        power_cut_s=cut_s,
+        seconds=seconds,
+        log_ticks=round((room_s + 1.0) * FS_HZ) if log else 0,
+    )
+
+
+@contextmanager
+def _line(
+    rig_file: RigFile, can: str | None, serial: str | None, socket: Path | None, pty: bool
+) -> Iterator[Line]:
+    """Open the one wire that was asked for."""
+    from rthyb_rt import virtual_rig
+
+    given = [name for name, value in _wires(can, serial, socket, pty) if value]
+    if len(given) > 1:
+        raise typer.BadParameter(f"{' and '.join(given)} exclude each other: name one wire")
+    if pty:
+        line, _ = virtual_rig.pty_line()
+    else:
+        line = virtual_rig.line_of(_link(rig_file, can, serial, socket))
+    try:
+        yield line
+    finally:
+        line.close()
+
+
+def _link(rig_file: RigFile, can: str | None, serial: str | None, socket: Path | None) -> Link:
+    """Return the rig file's link, with the channel that was asked for in place of its own."""
+    from pydantic import ValidationError
+
+    from rthyb_rt.config.rigfile import Link
+
+    for kind, channel in (("can", can), ("serial", serial), ("socket", socket)):
+        if channel is None:
+            continue
+        own = rig_file.link
+        given = own.model_dump() if own is not None and own.kind == kind else {}
+        try:
+            return Link(**(given | {"kind": kind, "channel": str(channel)}))
+        except ValidationError as error:
+            message = error.errors()[0]["msg"].removeprefix("Value error, ")
+            raise typer.BadParameter(message, param_hint=f"--{kind}") from error
+    if rig_file.link is None:
+        raise typer.BadParameter(
+            "the rig file has no [link]; name a wire: --can, --serial, --socket or --pty"
+        )
+    return rig_file.link
+
+
+def _wires(
+    can: str | None, serial: str | None, socket: Path | None, pty: bool
+) -> tuple[tuple[str, object], ...]:
+    return ("--can", can), ("--serial", serial), ("--socket", socket), ("--pty", pty)
+
+
+def _rows(result: Result, log: Path | None) -> list[tuple[str, str, str]]:
+    stops = f"{result.watchdog_stops} by the watchdog, {result.told_stops} told"
+    rows = [
+        ("Ticks", str(result.ticks), f"{result.skipped} more slept through"),
+        ("Commands", str(result.commands), "frames that came"),
+        ("Stops", stops, "of its own"),
+        ("Phase", result.phase + (", power cut" if result.power_cut else ""), "at the end"),
+    ]
+    if log is not None:
+        rows.append(("Log", str(log), f"the first {len(result.log)} ticks"))
+    return rows

@@ -1,0 +1,151 @@
+"""How much of a bus or a serial line the frames of a test take, before anything is opened.
+
+The frames that count are those of one sample: the command, the displacement, the force, 1024 times
+a second. The share is that of the worst case, every stuff bit that the data could ask for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rthyb_rt.config.fields import SAMPLE_RATE_HZ
+
+if TYPE_CHECKING:
+    from rthyb_rt.links.wire import Codec
+
+MAX_SHARE = 0.8
+"""What may be taken: beyond it a frame that had to wait for another comes a sample late."""
+
+CAN_BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+"""Bit rates that every adapter knows (CiA 102)."""
+
+BAUD_RATES = (460_800, 500_000, 576_000, 921_600, 1_000_000, 1_152_000, 1_500_000, 2_000_000,
+              2_500_000, 3_000_000, 3_500_000, 4_000_000)  # fmt: skip
+"""Baud rates of Linux that can be enough."""
+
+COMMAND_BYTES = 12
+FEEDBACK_BYTES = 16
+"""Bytes of the program's own serial packets (docs/wire.md)."""
+
+BITS_PER_BYTE = 10
+"""Start bit, eight data bits, stop bit."""
+
+
+@dataclass(frozen=True)
+class FrameSize:
+    """What the length of a frame on the bus depends on: data bytes, kind of identifier, CAN FD."""
+
+    data_bytes: int
+    extended: bool = False
+    fd: bool = False
+
+
+OWN_FRAMES = (FrameSize(8), FrameSize(8), FrameSize(8))
+"""Command, displacement and force of ``hw/rthyb.dbc``."""
+
+
+def can_bits(frame: FrameSize) -> int:
+    """Return the longest that a classic CAN frame can be, in bits, interframe space included.
+
+    g + 8 s + 13 + floor((g + 8 s - 1) / 4) with s data bytes and g = 34, or 54 for a 29-bit
+    identifier: Davis, Burns, Bril & Lukkien, *Controller Area Network (CAN) schedulability
+    analysis: refuted, revisited and revised*, Real-Time Systems 35 (2007). 135 bits for 8 bytes.
+    """
+    stuffed = (54 if frame.extended else 34) + 8 * frame.data_bytes
+    return stuffed + 13 + (stuffed - 1) // 4
+
+
+def can_fd_bits(frame: FrameSize) -> tuple[int, int]:
+    """Return the longest that a CAN FD frame can be, in bits: arbitration phase and data phase.
+
+    Fields by ISO 11898-1:2015. Up to the bit-rate switch there are 17 bits, or 36 with a 29-bit
+    identifier; then ESI, DLC and data, stuffed as in classic CAN; then stuff count and CRC of 17
+    bits (21 above 16 bytes), with a fixed stuff bit before every four of them; then 13 bits of CRC
+    delimiter, acknowledgement, end of frame and intermission at the first rate again.
+    """
+    head = 36 if frame.extended else 17
+    checked = 4 + (17 if frame.data_bytes <= 16 else 21)
+    data = 5 + 8 * frame.data_bytes
+    stuffed_head = (head - 1) // 4
+    stuffed = (head + data - 1) // 4
+    tail = checked + math.ceil(checked / 4)
+    return head + stuffed_head + 13, data + (stuffed - stuffed_head) + tail
+
+
+def bus_load(frames: Sequence[FrameSize], bitrate: int, data_bitrate: int | None = None) -> float:
+    """Return the share of a CAN bus that one sample's frames take, 1024 times a second.
+
+    Args:
+        frames: of one sample.
+        bitrate: of the bus, bit/s; of the arbitration phase with CAN FD.
+        data_bitrate: of the data phase of CAN FD frames that switch the bit rate, bit/s; the
+            command, which is the first of the frames, never does.
+    """
+    seconds = 0.0
+    for index, frame in enumerate(frames):
+        if not frame.fd:
+            seconds += can_bits(frame) / bitrate
+            continue
+        arbitration, data = can_fd_bits(frame)
+        switched = data_bitrate if data_bitrate and index else bitrate
+        seconds += arbitration / bitrate + data / switched
+    return seconds * SAMPLE_RATE_HZ
+
+
+def bus_fault(
+    frames: Sequence[FrameSize], bitrate: int, data_bitrate: int | None = None
+) -> str | None:
+    """Return what is wrong with a bit rate that is too low for the frames, with one that is not."""
+    load = bus_load(frames, bitrate, data_bitrate)
+    if load <= MAX_SHARE:
+        return None
+    enough = [rate for rate in CAN_BITRATES if bus_load(frames, rate, data_bitrate) <= MAX_SHARE]
+    if enough:
+        remedy = f"{enough[0]} bit/s is enough"
+    else:
+        remedy = (
+            f"no bit rate up to {CAN_BITRATES[-1]} bit/s is enough; give the drive shorter frames"
+        )
+        if data_bitrate is None and any(frame.fd for frame in frames):
+            remedy += ", or say data_bitrate if its CAN FD frames switch the bit rate"
+    return (
+        f"found {bitrate} bit/s: frame rate over 80 % bus load ({len(frames)} frames, 1024 times a "
+        f"second, take {100 * load:.0f} %); {remedy}"
+    )
+
+
+def serial_load(baud: int) -> float:
+    """Return the share of a serial line that command and feedback take, 1024 times a second."""
+    return serial_bits_per_s() / baud
+
+
+def serial_bits_per_s() -> int:
+    """Return the bits of command and feedback in a second."""
+    return round((COMMAND_BYTES + FEEDBACK_BYTES) * BITS_PER_BYTE * SAMPLE_RATE_HZ)
+
+
+def serial_fault(baud: int) -> str | None:
+    """Return what is wrong with a baud rate that is too low, with one that is not."""
+    if serial_load(baud) <= MAX_SHARE:
+        return None
+    enough = next(rate for rate in BAUD_RATES if serial_load(rate) <= MAX_SHARE)
+    return (
+        f"found {baud} Bd: command ({COMMAND_BYTES} bytes) and feedback ({FEEDBACK_BYTES} bytes) "
+        f"at 1024 Hz need {serial_bits_per_s()} Bd, {100 * serial_load(baud):.0f} % of the line, "
+        f"and at most 80 % may be taken, so at least {enough} Bd"
+    )
+
+
+def frames_of(codec: Codec) -> tuple[FrameSize, ...]:
+    """Return the frames of one sample of a codec: the command, then one feedback or two."""
+    # Only a table has lengths; the program's own frames need none.
+    if not codec.struct.command.length:
+        return OWN_FRAMES
+    messages = {m.id: m for m in (codec.struct.displacement, codec.struct.force)}
+    return tuple(
+        FrameSize(int(message.length), bool(message.id >> 31), bool(message.fd))
+        for message in (codec.struct.command, *messages.values())
+    )

@@ -1,0 +1,350 @@
+"""What a test may not exceed, and what is done when it does: the `[limits]` of test and rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, get_args
+
+from pydantic import GetJsonSchemaHandler, StrictBool
+from pydantic_core import CoreSchema
+
+from rthyb_rt.config.fields import SAMPLE_RATE_HZ, Count, Range, Table
+from rthyb_rt.errors import Problem
+
+Action = Literal["none", "indicate", "hold", "ramp-out", "trip"]
+ACTIONS: tuple[Action, ...] = get_args(Action)
+"""From the weakest to the strongest."""
+
+ENDING: tuple[Action, ...] = ("hold", "ramp-out", "trip")
+"""The actions that take a test off its course."""
+
+Source = Literal["test", "rig", "default"]
+
+DEFAULT_PATH_VELOCITY_M_PER_S = 0.02
+DEFAULT_PATH_ACCELERATION_M_PER_S2 = 0.2
+DEFAULT_RAMP_IN_S = 2.0
+DEFAULT_ARMED_TIMEOUT_S = 30.0
+DEFAULT_TARE_S = 1.0
+LEAST_REST_SPREAD_M = 1e-4
+REST_SPREAD_SIGMAS = 20
+"""Noise of one second spans about 6.5 of its standard deviations; a creeping actuator more."""
+
+PATH_SHARE = 0.5
+"""Of the command's own limits: the phase lead makes the ends of a path faster than it is."""
+
+
+class Limit(Table):
+    """A limit that is watched; a plain number is short for ``{ value = ..., action = "trip" }``."""
+
+    plain: ClassVar[Action] = "trip"
+
+    value: float
+    enable: StrictBool = True
+    action: Action = "trip"
+
+    @classmethod
+    def expand(cls, data: Any) -> Any:
+        """Take a bare value for the table around it."""
+        return {"value": data, "action": cls.plain} if isinstance(data, (int, float, str)) else data
+
+    @property
+    def acts(self) -> bool:
+        """Whether anything happens beyond it."""
+        return self.enable and self.action != "none"
+
+    @property
+    def ends(self) -> bool:
+        """Whether a test that exceeds it goes on no longer as it was."""
+        return self.enable and self.action in ENDING
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the table, and the bare value that may stand for it."""
+        given = handler(schema)
+        described = handler.resolve_ref_schema(given)
+        table = dict(described)
+        described.clear()
+        described.update({"anyOf": [table["properties"]["value"], table]})
+        return given
+
+
+class DisplacementLimit(Limit):
+    """A limit on a displacement."""
+
+    value: Annotated[float, Range("m", 1e-6, 100, "the limit")]
+
+
+class IncrementLimit(Limit):
+    """A limit on what a displacement may change by in one sample."""
+
+    value: Annotated[float, Range("m", 1e-9, 100, "the limit")]
+
+
+class VelocityLimit(Limit):
+    """A limit on the command's velocity: it limits the command, and its action comes on top."""
+
+    plain: ClassVar[Action] = "none"
+
+    value: Annotated[float, Range("m/s", 1e-6, 100, "the limit")]
+
+
+class ForceLimit(Limit):
+    """A limit on a force."""
+
+    value: Annotated[float, Range("N", 1e-3, 1e10, "the limit")]
+
+
+class SlopeLimit(Limit):
+    """A limit on the slope of the tracking indicator."""
+
+    value: Annotated[float, Range("m^2/s", 1e-12, 1e4, "the limit")]
+
+
+class EnergyLimit(Limit):
+    """A limit on an energy."""
+
+    value: Annotated[float, Range("J", 1e-9, 1e12, "the limit")]
+
+
+class SampleLimit(Limit):
+    """A limit on a number of samples."""
+
+    value: Annotated[int, Count(2, 1024 * 60, "the number of samples")]
+
+
+class Limits(Table):
+    """What a test may not exceed; in a rig file: what no test on this rig may exceed.
+
+    Velocity and acceleration of the command act by limiting it. What stands below them are plain
+    figures of ramps, HOLD and zeroing.
+    """
+
+    command_position_m: DisplacementLimit | None = None
+    command_velocity_m_per_s: VelocityLimit | None = None
+    command_acceleration_m_per_s2: (
+        Annotated[float, Range("m/s^2", 1e-3, 1e6, "the command's acceleration limit")] | None
+    ) = None
+    command_increment_m: IncrementLimit | None = None
+    force_n: ForceLimit | None = None
+    tracking_error_m: DisplacementLimit | None = None
+    tracking_indicator_slope_m2_per_s: SlopeLimit | None = None
+    energy_error_j: EnergyLimit | None = None
+    sensor_stuck_samples: SampleLimit | None = None
+    sensor_jump_m: IncrementLimit | None = None
+    path_velocity_m_per_s: (
+        Annotated[float, Range("m/s", 1e-7, 100, "the velocity of ramp-out and resume")] | None
+    ) = None
+    path_acceleration_m_per_s2: (
+        Annotated[float, Range("m/s^2", 1e-4, 1e4, "the acceleration of HOLD, ramp-out and resume")]
+        | None
+    ) = None
+    ramp_in_s: Annotated[float, Range("s", 0.01, 600, "the length of the ramp-in")] | None = None
+    armed_timeout_s: (
+        Annotated[float, Range("s", 1, 3600, "the time after which ARMED ends by itself")] | None
+    ) = None
+    tare_s: Annotated[float, Range("s", 0.01, 60, "the time that zeroing averages")] | None = None
+    rest_spread_m: (
+        Annotated[float, Range("m", 1e-9, 10, "the movement at rest that zeroing allows")] | None
+    ) = None
+
+
+WATCHED: tuple[str, ...] = (
+    "command_position_m",
+    "command_velocity_m_per_s",
+    "command_increment_m",
+    "force_n",
+    "tracking_error_m",
+    "tracking_indicator_slope_m2_per_s",
+    "energy_error_j",
+    "sensor_stuck_samples",
+    "sensor_jump_m",
+)
+"""The keys that hold a `Limit`."""
+
+VIRTUAL: tuple[str, ...] = ("command_position_m", "force_n", "tracking_error_m")
+"""The limits that are watched in virtual time as well."""
+
+AT_LEAST: tuple[str, ...] = ("ramp_in_s", "tare_s")
+"""Figures of which a test may have more than its rig says, and not less."""
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """The limits that a test on a rig really has.
+
+    Attributes:
+        limits: both files together; the six figures of paths and zeroing are there always.
+        sources: where each key comes from; a key that is nowhere is not in it.
+        path_velocity_m_per_s ... rest_spread_m: the six figures.
+    """
+
+    limits: Limits
+    sources: dict[str, Source]
+    path_velocity_m_per_s: float
+    path_acceleration_m_per_s2: float
+    ramp_in_s: float
+    armed_timeout_s: float
+    tare_s: float
+    rest_spread_m: float
+
+
+def unit_of(key: str) -> str:
+    """Return the unit of a key of `Limits`."""
+    for suffix, unit in _UNITS.items():
+        if key.endswith(suffix):
+            return unit
+    raise KeyError(key)
+
+
+_UNITS = {
+    "_m2_per_s": "m^2/s",
+    "_m_per_s2": "m/s^2",
+    "_m_per_s": "m/s",
+    "_samples": "samples",
+    "_m": "m",
+    "_n": "N",
+    "_j": "J",
+    "_s": "s",
+}
+
+
+def resolve(
+    test: Limits, rig: Limits, rig_name: str, rest_noise_m: float, problems: list[Problem]
+) -> Resolved:
+    """Join the limits of a test with those of its rig, and fill in what neither says.
+
+    Args:
+        test, rig: the tables of both files.
+        rig_name: for messages.
+        rest_noise_m: noise of the displacement at rest.
+        problems: takes every limit of the test that is weaker than the rig's.
+    """
+    merged: dict[str, Any] = {}
+    sources: dict[str, Source] = {}
+    for key in Limits.model_fields:
+        own, bound = getattr(test, key), getattr(rig, key)
+        if own is not None:
+            merged[key], sources[key] = own, "test"
+            problems += _weaker(key, own, bound, rig_name)
+        elif bound is not None:
+            merged[key], sources[key] = bound, "rig"
+    limits = Limits.model_construct(**merged)
+    figures = _figures(limits, sources, rest_noise_m, problems)
+    for key in figures:
+        sources.setdefault(key, "default")
+    return Resolved(limits.model_copy(update=figures), sources, **figures)
+
+
+def _weaker(key: str, own: Any, bound: Any, rig_name: str) -> Iterator[Problem]:
+    """Name all in which a test's limit allows more than its rig's."""
+    if isinstance(own, Limit):
+        yield from _weaker_limit(key, own, bound, rig_name)
+        return
+    if bound is None:
+        return
+    at_least = key in AT_LEAST
+    if own < bound if at_least else own > bound:
+        unit = unit_of(key)
+        yield Problem(
+            f"limits.{key}",
+            f'found {own:g} {unit}; rig "{rig_name}" says limits.{key} = {bound:g} {unit}, '
+            f"{'at least' if at_least else 'at most'}; leave the key out of the test to take the "
+            "rig's",
+        )
+
+
+def _weaker_limit(key: str, own: Limit, bound: Limit | None, rig_name: str) -> Iterator[Problem]:
+    limiting = isinstance(bound, VelocityLimit) and bound.enable
+    if bound is None or not (bound.acts or limiting):
+        return
+    unit = unit_of(key)
+    allowed = f'rig "{rig_name}" says limits.{key} = {bound.value:g} {unit}, action '
+    remedy = "leave the key out of the test to take the rig's"
+    stronger = " or a stronger one" if bound.action != ACTIONS[-1] else ""
+    if own.value > bound.value:
+        yield Problem(
+            f"limits.{key}",
+            f'found {own.value:g} {unit}; {allowed}"{bound.action}", and no test may have more; '
+            f"{remedy}",
+        )
+    found = f'action "{own.action}"' if own.enable else "enable = false"
+    if not own.enable or ACTIONS.index(own.action) < ACTIONS.index(bound.action):
+        yield Problem(
+            f"limits.{key}",
+            f'found {found}; {allowed}"{bound.action}", and a test may not weaken it; give that '
+            f"action{stronger}, or {remedy}",
+        )
+
+
+def _figures(
+    limits: Limits, sources: dict[str, Source], rest_noise_m: float, problems: list[Problem]
+) -> dict[str, float]:
+    """Return the six figures of paths and zeroing."""
+    velocity, increment = limits.command_velocity_m_per_s, limits.command_increment_m
+    acceleration = limits.command_acceleration_m_per_s2
+    fastest, hardest = list[tuple[str, float]](), list[tuple[str, float]]()
+    if velocity is not None and velocity.enable:
+        name = f"limits.command_velocity_m_per_s = {velocity.value:g} m/s"
+        fastest.append((name, velocity.value))
+    if increment is not None and increment.acts:
+        name = f"limits.command_increment_m = {increment.value:g} m"
+        fastest.append((name, increment.value * SAMPLE_RATE_HZ))
+    if acceleration is not None:
+        name = f"limits.command_acceleration_m_per_s2 = {acceleration:g} m/s^2"
+        hardest.append((name, acceleration))
+    return {
+        "path_velocity_m_per_s": _path_figure(
+            limits,
+            "path_velocity_m_per_s",
+            DEFAULT_PATH_VELOCITY_M_PER_S,
+            fastest,
+            sources,
+            problems,
+        ),
+        "path_acceleration_m_per_s2": _path_figure(
+            limits,
+            "path_acceleration_m_per_s2",
+            DEFAULT_PATH_ACCELERATION_M_PER_S2,
+            hardest,
+            sources,
+            problems,
+        ),
+        "ramp_in_s": _given(limits.ramp_in_s, DEFAULT_RAMP_IN_S),
+        "armed_timeout_s": _given(limits.armed_timeout_s, DEFAULT_ARMED_TIMEOUT_S),
+        "tare_s": _given(limits.tare_s, DEFAULT_TARE_S),
+        "rest_spread_m": _given(
+            limits.rest_spread_m, max(LEAST_REST_SPREAD_M, REST_SPREAD_SIGMAS * rest_noise_m)
+        ),
+    }
+
+
+def _given(value: float | None, default: float) -> float:
+    return default if value is None else value
+
+
+def _path_figure(
+    limits: Limits,
+    key: str,
+    default: float,
+    bounds: list[tuple[str, float]],
+    sources: dict[str, Source],
+    problems: list[Problem],
+) -> float:
+    """Return the test's figure, else the rig's or the default where the command's limits allow."""
+    value: float | None = getattr(limits, key)
+    if sources.get(key) == "test" and value is not None:
+        for name, bound in bounds:
+            if value > bound:
+                unit = unit_of(key)
+                problems.append(
+                    Problem(
+                        f"limits.{key}",
+                        f"found {value:g} {unit}; {name} allows the command at most {bound:g} "
+                        f"{unit}; lower the path's, or leave it out",
+                    )
+                )
+        return value
+    return min([_given(value, default), *(PATH_SHARE * bound for _, bound in bounds)])

@@ -1,0 +1,102 @@
+"""What the kernel says of its network interfaces, read over rtnetlink."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from rthyb_rt.errors import InputError
+
+ARPHRD_CAN: Final = 280
+IFF_UP: Final = 1
+BITRATE_UNKNOWN: Final = 2**32 - 1
+"""What the kernel's slcan driver has where another program chose the bit rate."""
+
+
+@dataclass(frozen=True)
+class Interface:
+    """A network interface; what the kernel does not say of it is ``None``.
+
+    Attributes:
+        name: as in ``ip link``.
+        is_can: whether CAN frames go over it.
+        driver: "can" for hardware and slcan, "vcan", "vxcan"; "" where there is no such word.
+        up: whether it is switched on.
+        operational: the kernel's word for its state ("UP", "DOWN", "UNKNOWN").
+        mtu: bytes of the largest frame: 16 for CAN, 72 for CAN FD.
+        bitrate, data_bitrate: bit/s, of arbitration and of CAN FD's data.
+        restart_ms: after how long the kernel itself goes back to a bus that it was thrown off; 0:
+            never.
+        state: of the CAN controller: "ERROR_ACTIVE", "ERROR_WARNING", "ERROR_PASSIVE", "BUS_OFF",
+            "STOPPED", "SLEEPING".
+        listen_only: whether it hears the bus and sends nothing.
+    """
+
+    name: str
+    is_can: bool
+    driver: str
+    up: bool
+    operational: str
+    mtu: int
+    bitrate: int | None = None
+    data_bitrate: int | None = None
+    restart_ms: int | None = None
+    state: str | None = None
+    listen_only: bool = False
+
+
+def interfaces() -> dict[str, Interface]:
+    """Return every network interface by name.
+
+    Raises:
+        InputError: the kernel does not answer.
+    """
+    from pyroute2 import IPRoute  # slow to import, and of use for SocketCAN only
+
+    try:
+        with IPRoute() as kernel:
+            return by_name(kernel.get_links())
+    except OSError as error:
+        raise InputError(
+            f"the kernel does not list its network interfaces: {error.strerror or error}",
+            "rtnetlink",
+        ) from error
+
+
+def by_name(links: Iterable[Any]) -> dict[str, Interface]:
+    """Return interfaces by name, from the kernel's messages as pyroute2 decodes them."""
+    return {found.name: found for found in map(_interface, links)}
+
+
+def _interface(link: Any) -> Interface:
+    info = link.get_attr("IFLA_LINKINFO")
+    driver = info.get_attr("IFLA_INFO_KIND") if info else None
+    data = info.get_attr("IFLA_INFO_DATA") if info and driver == "can" else None
+    return Interface(
+        name=str(link.get_attr("IFLA_IFNAME")),
+        is_can=link["ifi_type"] == ARPHRD_CAN,
+        driver=driver or "",
+        up=bool(link["flags"] & IFF_UP),
+        operational=str(link.get_attr("IFLA_OPERSTATE") or "UNKNOWN"),
+        mtu=int(link.get_attr("IFLA_MTU") or 0),
+        **(_controller(data) if data else {}),
+    )
+
+
+def _controller(data: Any) -> dict[str, Any]:
+    state = data.get_attr("IFLA_CAN_STATE")
+    mode = data.get_attr("IFLA_CAN_CTRLMODE") or {}
+    return {
+        "bitrate": _bitrate(data.get_attr("IFLA_CAN_BITTIMING")),
+        "data_bitrate": _bitrate(data.get_attr("IFLA_CAN_DATA_BITTIMING")),
+        "restart_ms": data.get_attr("IFLA_CAN_RESTART_MS"),
+        "state": None if state is None else str(state),
+        "listen_only": mode.get("listenonly") == "on",
+    }
+
+
+def _bitrate(timing: Any) -> int | None:
+    if not timing or timing["bitrate"] in (0, BITRATE_UNKNOWN):
+        return None
+    return int(timing["bitrate"])

@@ -1,0 +1,30 @@
+"""A hybrid test in real time: the tick thread, and all that Python does around it.
+
+A `Session` owns what one test needs: ring, station, wire, link, loop, and a thread that keeps every
+record and gives the sign of life. `run` conducts a whole test, from the first reading back to rest.
+With the stepped clock the same test runs tick by tick on the caller's word, which is not real time.
+"""
+
+from rthyb_rt.realtime.conducting import FEEDBACK_S, Operator, no_feedback, run
+from rthyb_rt.realtime.endings import TIMING_CAUSES, RefusedError, TimingError, end_reason
+from rthyb_rt.realtime.keeper import GOOD_PAIRS, LOOK_BACK_TICKS, RECORDER_PERIOD_S
+from rthyb_rt.realtime.replaying import replay
+from rthyb_rt.realtime.session import NEEDED, Session, histogram
+
+__all__ = [
+    "FEEDBACK_S",
+    "GOOD_PAIRS",
+    "LOOK_BACK_TICKS",
+    "NEEDED",
+    "RECORDER_PERIOD_S",
+    "TIMING_CAUSES",
+    "Operator",
+    "RefusedError",
+    "Session",
+    "TimingError",
+    "end_reason",
+    "histogram",
+    "no_feedback",
+    "replay",
+    "run",
+]

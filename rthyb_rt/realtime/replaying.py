@@ -1,0 +1,70 @@
+"""A recording through a fresh station."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import config, core, experiment
+from rthyb_rt.config import RigFile
+from rthyb_rt.errors import InputError
+from rthyb_rt.experiment import Setup
+from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.links import wire
+from rthyb_rt.links.wire import Codec
+from rthyb_rt.recording import Recording
+
+
+def replay(rec: Recording) -> experiment.Replay:
+    """Run all that a test in real time was told through a fresh station, and compare every field.
+
+    Raises:
+        InputError: the configuration cannot be read by this version, or rows are missing.
+    """
+    ticks = rec.samples["tick"]
+    if not ticks.size or ticks[0] != 0:
+        raise InputError(
+            "the rows before the first one are missing; only a test that is recorded from its "
+            "first tick on can be replayed",
+            "recording",
+        )
+    test = config.parse_test(rec.test_toml, "recording: test")
+    rig = config.parse_rig(rec.rig_toml, "recording: rig")
+    derived = config.derive(test, rig)
+    first, *later = rec.replay.parameters
+    end_tick = int(first["values"]["rfc_end_tick"])
+    setup = Setup(
+        test=test,
+        rig=rig,
+        derived=derived,
+        motion=GroundMotion("recorded", "recording", core.PERIOD_S, rec.ag_mps2),
+        ag_mps2=rec.ag_mps2,
+        controller=experiment.controller_config(test, rig, derived, end_tick),
+        virtual_rig=experiment.rig_config(rig),
+    )
+    station = core.Station(experiment.station_config(setup), rec.ag_mps2)
+    published = [(int(one["generation"]), _parameters(one["values"])) for one in later]
+    rows = station.replay(rec.samples, _codec(rig), experiment.calibration(rig), published)
+    return experiment.compare(rec, _padded(rows, ticks.size))
+
+
+def _parameters(values: dict[str, Any]) -> core.Parameters:
+    watches = {name: core.Watch(**watch) for name, watch in values["watches"].items()}
+    return core.Parameters(**(values | {"watches": watches}))
+
+
+def _codec(rig: RigFile) -> Codec | None:
+    """Return the frames of a link; None where a DBC file would be needed: the rows then tell."""
+    if rig.link is None or rig.link.kind == "serial":
+        return wire.can() if rig.link is None else wire.serial()
+    return wire.can() if rig.link.dbc is None else None
+
+
+def _padded(rows: NDArray[np.void], count: int) -> NDArray[np.void]:
+    """Return so many rows; those that did not come again are like no other."""
+    full = np.zeros(count, dtype=core.RECORD_DTYPE)
+    full["tick"] = np.iinfo(np.uint64).max
+    full[: rows.size] = rows
+    return full

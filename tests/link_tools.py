@@ -1,0 +1,48 @@
+"""What the tests of opened links share."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rthyb_rt.config.rigfile import Link
+
+
+def wanted(kind: str, channel: object, **more: Any) -> Link:
+    """The ``[link]`` table of a rig file."""
+    return Link.model_validate({"kind": kind, "channel": str(channel), **more})
+
+
+def until(condition: Callable[[], Any], seconds: float = 20.0) -> Any:
+    """Wait for something that another thread or the kernel does when it likes."""
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.0005)
+    return found
+
+
+@contextmanager
+def nothing_left_open() -> Iterator[None]:
+    """No descriptor and no thread is left of what happens inside."""
+    descriptors, threads = set(os.listdir("/proc/self/fd")), set(threading.enumerate())
+    yield
+    assert set(os.listdir("/proc/self/fd")) == descriptors
+    assert set(threading.enumerate()) == threads
+
+
+@contextmanager
+def as_nobody() -> Iterator[None]:
+    """Without the privileges of root, if the tests have them."""
+    if os.geteuid():
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)

@@ -1,0 +1,188 @@
+"""Two minutes with a drive whose clock is 100 ppm off, on the host clock and on the link's.
+
+All runs go on at the same time, each with processes of its own. On the host clock the two clocks
+pass each other every 9.77 s: while they meet, a pair comes now before and now after its tick, and
+then for good. What is settled is judged by whole seconds; each single change is flagged in its row.
+
+The drive of these runs is a process on the same machine. When it sleeps through one of its own
+ticks, its count slips as well; when that was is known here, and taken out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pytest
+from proof.conftest import Note
+from proof.parties import FLAGS, STATE, Plan, Run, repeated
+from proof.structure import DELAY
+
+from rthyb_rt import core, ticker
+
+SECONDS = 120.0
+WINDOW = round(SECONDS * core.FS_HZ)
+LOCKED = 15 * 1024
+"""Ticks until the link's clock has locked and, in each test anew, alpha has settled."""
+BLOCK = 1024
+SETTLED = 0.9
+"""Share of the pairs of a second that has to agree on where the two clocks stand."""
+AFTER = 16
+"""Ticks in which the clocks may still feel that a party was late."""
+LATE_NS = 150_000
+"""The link's clock has pairs come 200 us before their tick: later than this, one may miss it."""
+JUMP = 0.5
+PLANS = [
+    Plan(f"{clock}{ppm:+g}", SECONDS, clock, ppm, timed=True, swapped=ppm < 0)
+    for clock in ("host", "link")
+    for ppm in (100.0, -100.0)
+]
+BOTH = pytest.mark.parametrize("sign", [1, -1])
+
+
+@dataclass
+class Drift:
+    """A run, and its rows that brought a pair: two minutes of them, from a second after the first.
+
+    Attributes:
+        offset: the drive's samples less the tick, (n,), those that it slept through included.
+        late: a party slept through a tick or was late for it, just before, (n,).
+    """
+
+    name: str
+    run: Run
+    attempts: int
+    rows: np.ndarray
+    offset: np.ndarray
+    late: np.ndarray
+
+    @classmethod
+    def of(cls, name: str, run: Run, attempts: int) -> Drift:
+        """Cut a run to what is looked at."""
+        fresh = np.flatnonzero(run.rows["flags"] & FLAGS["fresh"])
+        # The controller was there first: the first count that it saw is the drive's own.
+        count = np.unwrap(run.rows["count"][fresh].astype(np.int64), period=256).astype(np.int64)
+        missed = np.rint(np.diff(run.times[:, 0]) / ticker.PERIOD_NS).astype(np.int64) - 1
+        missed = np.concatenate([[0], np.cumsum(missed)])
+        due, _, done = run.times.T
+        late_here = (run.rows["flags"] & FLAGS["blind"] != 0) | (run.rows["wake_late_ns"] > LATE_NS)
+        late_there = np.cumsum(done - due > LATE_NS) + missed
+        tick = run.rows["tick"][fresh].astype(np.int64)
+        samples = count + missed[count]
+        begin = np.searchsorted(tick, tick[0] + BLOCK)
+        end = np.searchsorted(tick, tick[begin] + WINDOW)
+        window = slice(int(begin), int(end))
+        late = np.zeros(fresh.size, np.bool_)
+        for total in (np.cumsum(late_here)[fresh], late_there[count]):
+            late |= total > total[np.searchsorted(tick, tick - AFTER)]
+        return cls(
+            name, run, attempts, run.rows[fresh][window], (samples - tick)[window], late[window]
+        )
+
+    @cached_property
+    def settled(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the clocks stand in each second that agrees on it, and which second that is."""
+        blocks = self.offset[: self.offset.size // BLOCK * BLOCK].reshape(-1, BLOCK)
+        middle = np.median(blocks, axis=1)
+        agreed = (blocks == middle[:, None]).mean(axis=1) >= SETTLED
+        return middle[agreed].astype(np.int64), np.flatnonzero(agreed)
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Settled slips between the seconds that agree, with their sign."""
+        return np.diff(self.settled[0])
+
+    @property
+    def slipped(self) -> np.ndarray:
+        """Which of the rows say that the count slipped, (n,)."""
+        return np.asarray(self.rows["flags"] & FLAGS["slip"] != 0)
+
+    def tests(self) -> list[np.ndarray]:
+        """Which rows belong to each test once alpha has settled."""
+        running = np.concatenate([[0], self.rows["state"] == STATE["RUNNING"], [0]]).astype(int)
+        begin, end = (np.flatnonzero(np.diff(running) == way) for way in (1, -1))
+        return [np.arange(b + LOCKED, e) for b, e in zip(begin, end, strict=True) if e > b + LOCKED]
+
+
+@pytest.fixture(scope="module")
+def drifts() -> dict[str, Drift]:
+    """All runs, by name. One in which the machine was late every time must hold all the same."""
+    return {name: Drift.of(name, *found) for name, found in repeated(PLANS).items()}
+
+
+@pytest.fixture(params=[plan.name for plan in PLANS])
+def drift(request: pytest.FixtureRequest, drifts: dict[str, Drift]) -> Drift:
+    """One run."""
+    return drifts[request.param]
+
+
+def test_run_is_whole_and_every_tick_accounted_for(drift: Drift, note: Note) -> None:
+    run, facts, name = drift.run, drift.run.facts, f"{drift.name} ppm"
+    counts = facts["counts"]
+    assert counts["executed"] + counts["skipped"] == counts["elapsed"]
+    assert run.rows["tick"][-1] + 1 == counts["elapsed"]
+    assert facts["usage"]["major_faults"] == 0
+    assert drift.rows.size > 0.9 * WINDOW
+    alpha = drift.rows["alpha"][np.concatenate(drift.tests())]
+    note(name, "times run", drift.attempts)
+    note(name, "reference thread, longest", run.reference.longest_ns / 1e6, "ms", "10, or again")
+    note(name, "ticks skipped by controller, drive", f"{counts['skipped']}, {run.skipped_by_drive}")
+    note(name, "settled slips", int(np.abs(drift.steps).sum()), "", "host 12 or 13, link 0")
+    note(name, "slips counted by the loop", int(drift.slipped.sum()), "", "a late drive's too")
+    note(name, "of these with nobody late", int((drift.slipped & ~drift.late)[LOCKED:].sum()))
+    note(name, "pairs after somebody was late", 100.0 * float(drift.late.mean()), "%")
+    note(name, "alpha, mean", float(alpha.mean()), "samples")
+    note(name, "alpha, standard deviation", float(alpha.std()), "samples", "0.1 on link clock")
+    note(name, "link delay", facts["link_delay"], "samples")
+
+
+def test_each_slip_of_the_count_is_counted_and_flagged(drift: Drift) -> None:
+    flagged = drift.run.rows["flags"] & FLAGS["slip"] != 0
+    assert drift.run.facts["counters"]["slips"] == np.count_nonzero(flagged)
+    settled, seconds = drift.settled
+    at = np.flatnonzero(drift.slipped) / BLOCK
+    for n in np.flatnonzero(np.diff(settled)):
+        # A slip is one that has lasted: its flag may come in the second after.
+        between = (at >= seconds[n]) & (at < seconds[n + 1] + 2)
+        assert between.any(), f"the slip after second {seconds[n]} has no flag"
+
+
+def judged(drift: Drift) -> Drift:
+    """Return a run that two clocks can be judged by, unless the machine stalled in all of them."""
+    if drift.run.disturbed:
+        late_ms = drift.run.reference.longest_ns / 1e6
+        pytest.skip(f"the bare thread was {late_ms:.0f} ms late, in {drift.attempts} runs out of 3")
+    return drift
+
+
+@BOTH
+def test_host_clock_slips_12_or_13_times(drifts: dict[str, Drift], sign: int) -> None:
+    drift = judged(drifts[f"host{100 * sign:+d}"])
+    assert set(drift.steps) == {0, sign}
+    assert np.abs(drift.steps).sum() in (12, 13)
+
+
+def test_alpha_does_not_jump_without_a_flag_beside_it(drift: Drift) -> None:
+    said = judged(drift).slipped | drift.late
+    for rows in drift.tests():
+        alpha, flags = drift.rows["alpha"][rows], np.concatenate([[0], np.cumsum(said[rows])])
+        jumps = np.flatnonzero(np.abs(alpha[BLOCK:] - alpha[:-BLOCK]) > JUMP)
+        assert (flags[jumps + BLOCK] > flags[np.maximum(jumps - BLOCK, 0)]).all()
+
+
+@BOTH
+def test_link_clock_follows_the_drive_without_a_slip(drifts: dict[str, Drift], sign: int) -> None:
+    drift = judged(drifts[f"link{100 * sign:+d}"])
+    seconds = drift.settled[1]
+    assert set(drift.steps[seconds[1:] * BLOCK > LOCKED]) == {0}
+    assert np.count_nonzero((drift.slipped & ~drift.late)[LOCKED:]) == 0
+    assert drift.late.mean() < 0.2, "parties so late that nothing is shown"
+
+
+@BOTH
+def test_link_clock_lets_alpha_stand(drifts: dict[str, Drift], sign: int) -> None:
+    drift = judged(drifts[f"link{100 * sign:+d}"])
+    alpha = drift.rows["alpha"][np.concatenate(drift.tests())]
+    assert alpha.std() < 0.1
+    assert abs(alpha.mean() - drift.run.facts["link_delay"] - DELAY) < 0.6

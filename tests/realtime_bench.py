@@ -1,0 +1,175 @@
+"""A short test on a quiet virtual rig, and processes of both, for the tests in real time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pytest
+
+from rthyb_rt import config, experiment, loop, realtime, virtual_rig
+from rthyb_rt.links import opening
+from rthyb_rt.recording import STATES, Recording
+
+STATE = {name: number for number, name in enumerate(STATES)}
+PROGRAM = [sys.executable, "-c", "import sys; from rthyb_rt.cli import main; sys.exit(main())"]
+PATIENCE_S = 60.0
+"""A machine that stalls takes its time; one that hangs is found out."""
+STALLED = ("stalled", "skips", "heartbeat", "drive_stopped", "link_lost")
+"""Causes by which a machine that stalls may end a test in real time."""
+ATTEMPTS = 3
+
+SHORT = {
+    "test.duration_s": "1.5",
+    "ground_motion.start_s": "1.5",
+    "limits.ramp_in_s": "0.25",
+    "limits.tare_s": "0.125",
+}
+ROWS = 1536
+"""Of its RUNNING state."""
+QUIET = {
+    "rig.sensors.displacement.noise_std_m": "0",
+    "rig.sensors.displacement.lsb_m": "0",
+    "rig.sensors.force.noise_std_n": "0",
+    "rig.sensors.force.lsb_n": "0",
+}
+
+
+def setup(changes: dict[str, str] | None = None, rig: dict[str, str] | None = None) -> Any:
+    """Return the built-in test, made short, with further settings."""
+    test = config.load_test(config.builtin_test_path(), SHORT | (changes or {}))
+    return experiment.prepare(
+        test, config.load_rig(config.find_rig(test.rig), rig or {}), real_time=True
+    )
+
+
+@dataclass
+class Bench:
+    """Controller and drive in lockstep: the stepped clock, and nothing left to chance.
+
+    Attributes:
+        tell: called before every tick of the controller with the drive; for what happens when.
+    """
+
+    changes: dict[str, str] = field(default_factory=dict)
+    rig: dict[str, str] = field(default_factory=dict)
+    faults: tuple[loop.Fault, ...] = ()
+    operator: realtime.Operator = field(default_factory=realtime.Operator)
+    tell: Callable[[loop.Drive], None] = lambda _: None
+    log: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def run(self, **arguments: Any) -> Recording:
+        """Run the whole test."""
+        made = setup(self.changes, self.rig)
+        plan = virtual_rig.Plan(faults=self.faults, log_ticks=40000)
+        ours, theirs = opening.socket_pair()
+        with ours, theirs, virtual_rig.in_step(made.rig, theirs, plan) as drive:
+
+            def before_tick() -> None:
+                self.tell(drive)
+                drive.tick()
+
+            try:
+                return realtime.run(
+                    made,
+                    ours,
+                    clock="stepped",
+                    before_tick=before_tick,
+                    operator=self.operator,
+                    **arguments,
+                )
+            finally:
+                self.log = drive.log
+
+    def when(self, state: str, act: Callable[[], None], ticks: int = 200) -> Bench:
+        """Have something happen a while after the drive first hears of a state."""
+        seen = [0]
+
+        def tell(drive: loop.Drive) -> None:
+            entry = drive.log[-1:]
+            seen[0] += bool(entry.size and (seen[0] or entry["state"][0] == STATE[state]))
+            if seen[0] == ticks:
+                act()
+
+        self.tell = tell
+        return self
+
+
+def stop_begins(log: np.ndarray) -> int:
+    """Return the drive's tick in which it last ceased to follow."""
+    following = np.flatnonzero(log["phase"] == loop.PHASES.index("following"))
+    return int(following[-1]) + 1
+
+
+# ---- processes ----------------------------------------------------------------------------------
+
+
+class Process:
+    """A command of the program in a process of its own."""
+
+    def __init__(self, folder: Path, *arguments: object, env: dict[str, str] | None = None) -> None:
+        self.process = subprocess.Popen(
+            [*PROGRAM, *map(str, arguments)],
+            cwd=folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, **(env or {})},
+            start_new_session=True,
+        )
+
+    def line(self) -> str:
+        """Return the next line on its stdout."""
+        out: IO[str] | None = self.process.stdout
+        assert out is not None
+        return out.readline()
+
+    def remark(self) -> str:
+        """Return the next line on its stderr."""
+        err: IO[str] | None = self.process.stderr
+        assert err is not None
+        return err.readline()
+
+    def signal(self, signum: int) -> None:
+        self.process.send_signal(signum)
+
+    def end(self) -> tuple[int, str, str]:
+        """Wait for its end; return exit status, stdout, stderr."""
+        try:
+            out, err = self.process.communicate(timeout=PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            out, err = self.process.communicate()
+            pytest.fail(f"the process hung: {out}\n{err}")
+        return self.process.returncode, out, err
+
+    def kill(self) -> None:
+        """End it if it lives."""
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.communicate()
+
+
+@contextmanager
+def process(folder: Path, *arguments: object, **more: Any) -> Iterator[Process]:
+    made = Process(folder, *arguments, **more)
+    try:
+        yield made
+    finally:
+        made.kill()
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    """Wait for something, however slow the machine."""
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, f"never came: {what}"
+        time.sleep(0.005)

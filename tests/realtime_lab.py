@@ -1,0 +1,142 @@
+"""What a laboratory has: a test, rig files, `rthyb rig` and `rthyb run --realtime` as processes.
+
+A machine that stalls may end a test in real time as it should then end: such a test is repeated, at
+most three times, and the count is printed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from realtime_bench import ATTEMPTS, SHORT, STALLED, STATE, Process, until
+
+from rthyb_rt import config, recording, ring
+from rthyb_rt.errors import InputError
+from rthyb_rt.recording import FLAGS, Recording
+
+NOT_SENT = FLAGS["not_sent"]
+TOO_EARLY = "too early"
+
+
+@contextmanager
+def memory_folder() -> Iterator[Path]:
+    """A folder in memory, for the rings."""
+    memory = Path("/dev/shm")
+    with TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
+        yield Path(folder)
+
+
+class Lab:
+    """A folder with a short test, rigs, and processes that run them."""
+
+    def __init__(self, folder: Path, runtime: Path) -> None:
+        self.folder, self.runtime = folder, runtime
+        test = config.load_test(config.builtin_test_path(), SHORT)
+        (folder / "test.toml").write_text(config.dump(test), encoding="utf-8")
+        self.plain = config.dump(config.load_rig(config.find_rig(test.rig)))
+
+    def rig(self, link: str = "", *, virtual: bool = True) -> Path:
+        """Write the rig file; at the other end of its link is a virtual rig, and it says so."""
+        link += "\nvirtual = true" if link and virtual else ""
+        path = self.folder / "rig.toml"
+        path.write_text(self.plain + (f"\n[link]\n{link}\n" if link else ""), encoding="utf-8")
+        return path
+
+    def rig_at(self, medium: str) -> Path:
+        """Write the rig file whose link leads to the virtual rig that was started last."""
+        kind = "serial" if medium == "pty" else "socket"
+        return self.rig(f'kind = "{kind}"\nchannel = "{self.channel}"')
+
+    def drive(self, *arguments: object) -> Process:
+        """Start a virtual rig and wait until it is ready."""
+        made = Process(self.folder, "rig", *arguments)
+        said = made.line() if "--json" not in arguments else made.remark()
+        assert said.strip().endswith("1024 Hz"), (said, *made.end())
+        self.channel = said.split(" at ")[1].split(",")[0]
+        return made
+
+    def controller(self, out: str, *arguments: object, rig: str = "rig.toml") -> Process:
+        """Start a test in real time; its recording goes to a folder of the lab's."""
+        return Process(
+            self.folder,
+            "run",
+            "test.toml",
+            "--rig",
+            rig,
+            "--realtime",
+            "--no-report",
+            "--out",
+            out,
+            *arguments,
+            env={"XDG_RUNTIME_DIR": str(self.runtime)},
+        )
+
+    def ring_of(self, controller: Process) -> Path | None:
+        """Return the ring that a controller's process fills."""
+        folders = (self.runtime / "rthyb", Path("/run/rthyb"))
+        for path in (path for folder in folders if folder.is_dir() for path in ring.find(folder)):
+            try:
+                with ring.Reader(path) as reader:
+                    if reader.about["pid"] == controller.process.pid:
+                        return path
+            except InputError:
+                continue
+        return None
+
+    def await_state(self, controller: Process, state: str, ticks: int = 300) -> Path | None:
+        """Wait until a controller has been in a state for a while; None: its test is over."""
+
+        def there() -> bool:
+            if controller.process.poll() is not None:
+                return True
+            path = self.ring_of(controller)
+            if path is None:
+                return False
+            try:
+                with ring.Reader(path) as reader:
+                    rows = reader.read(ring.CAPACITY).samples
+            except InputError:
+                return False
+            return np.count_nonzero(rows["state"] == STATE[state]) >= ticks
+
+        until(there, f"{state} in the ring")
+        return self.ring_of(controller)
+
+    def recorded(self, out: str, err: str = "") -> Recording:
+        assert (self.folder / out).is_dir(), err
+        return recording.open_run(self.folder / out)
+
+
+def repeated(attempt: Callable[[str], str]) -> None:
+    """Call with a folder's name until the cause returned is none that a stalled machine brings."""
+    for number in range(1, ATTEMPTS + 1):
+        cause = attempt(f"attempt-{number}")
+        if cause not in (*STALLED, TOO_EARLY):
+            print(f"attempts: {number}")
+            return
+    assert cause != TOO_EARLY
+    pytest.skip(f"this machine stalled in each of {ATTEMPTS} attempts: {cause}")
+
+
+def cause_of(rec: Recording) -> str:
+    return str(rec.meta["real_time"]["cause"])
+
+
+def assert_whole(rec: Recording) -> None:
+    """Every tick has its row, whatever the machine did meanwhile."""
+    facts = rec.meta["real_time"]
+    ticks = facts["ticks"]
+    assert ticks["executed"] + ticks["skipped"] == ticks["elapsed"]
+    assert facts["missed_rows"] == []
+    tick = rec.samples["tick"].astype(np.int64)
+    gaps = np.flatnonzero(np.diff(tick) != 1)
+    # A stall of more than 20 ticks is a trip, and the ticks beyond are counted, not made up for.
+    assert (rec.samples["state"][gaps + 1] == STATE["TRIPPED"]).all()
+    assert tick[0] == 0
+    frozen = rec.samples["state"][-1] == STATE["TRIPPED"]
+    assert frozen or tick[-1] + 1 == ticks["elapsed"]
