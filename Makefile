@@ -22,7 +22,7 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help run reproduce test test-vm sanitize fuzz tsan proof bench lint clean
+.PHONY: help run reproduce test test-vm sanitize fuzz tsan proof prove bench lint clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
@@ -33,6 +33,7 @@ help:
 	@echo 'make fuzz       a minute of libFuzzer on the decoding of frames (SECONDS=60)'
 	@echo 'make tsan       ring, mailbox, parameters and counters under ThreadSanitizer'
 	@echo 'make proof      the long proofs of real time: stalls, drifting clocks, jitter; minutes'
+	@echo 'make prove      the diagnosis on hundreds of cases that it has not seen; a quarter of an hour'
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
 	@echo 'make clean      remove .venv, build and caches; runs/ stays'
@@ -103,6 +104,11 @@ tsan: $(READY)
 # Needs a quiet machine; figures go to build/proof.json.
 proof: $(TEST_READY)
 	@$(BIN)/python -m pytest -p no:cacheprovider -o python_files="proof_*.py" tests/proof
+
+# Cases by a seed that the state of diagnosis and core gives; the table goes to docs/diagnosis-proof.md.
+prove: $(TEST_READY)
+	@$(BIN)/python -m pip install -qq --group prove
+	@$(BIN)/python tests/prove/prove.py
 
 # clang and its run-time library (Debian: clang, libclang-rt-14-dev) are asked for here only. What was
 # found stays in build/fuzz and is where the next run begins.

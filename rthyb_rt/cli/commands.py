@@ -9,6 +9,7 @@ import typer
 from rthyb_rt.cli import (
     check,
     commission,
+    diagnose,
     export,
     identify,
     jitter,
@@ -37,6 +38,7 @@ app.command()(identify.identify)
 app.command(context_settings=jog.CONTEXT)(jog.jog)
 app.command()(commission.commission)
 app.command()(reproduce.reproduce)
+app.command()(diagnose.diagnose)
 app.command()(replay.replay)
 app.command()(recover.recover)
 app.command()(rig.rig)

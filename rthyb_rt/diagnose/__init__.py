@@ -1,0 +1,1 @@
+"""Diagnosis: when simulation and recording differ, say what physics the model leaves out."""

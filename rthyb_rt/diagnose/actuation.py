@@ -1,0 +1,313 @@
+"""The displacement channel: what the actuator does otherwise than its model, x_cmd to x_meas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.effects.base import Param
+from rthyb_rt.diagnose.estimate import GAP_S, away_from_gaps, filled, noise_of
+from rthyb_rt.diagnose.select import SKEW_PRIOR_S, inflation, penalty
+from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, actuator
+
+
+@dataclass(frozen=True)
+class ActuatorEffect:
+    """A parameter, or two, of the actuator's model that may be wrong."""
+
+    name: str
+    params: tuple[Param, ...]
+    fields: tuple[str, ...]
+    equation: str
+    fingerprint: str
+    shown_by: tuple[str, str]
+    log: bool = True
+
+    def starts(self, base: ActuatorModel, v_max: float) -> list[tuple[dict[str, Any], Floats]]:
+        """Return settings of the variants and where to begin each."""
+        if self.name == "delay":
+            return [({}, np.array([base.delay_s]))]
+        if self.name == "act_gain":
+            return [({}, np.array([base.gain]))]
+        if self.name == "oil_column":
+            return [
+                ({}, np.array([base.f_hz * r, base.zeta * z]))
+                for r, z in ((1.0, 1.0), (0.6, 1.0), (0.5, 3.0), (1.6, 1.0))
+            ]
+        if self.name == "delay_rate":
+            return [({"kappa_of": w}, np.array([0.0])) for w in ("actuator", "command")]
+        return [
+            ({"vmax_of": w}, np.array([v_max * r]))
+            for w in ("command", "actuator")
+            for r in (0.9, 0.6, 0.35)
+        ]
+
+    def report(self, base: ActuatorModel, values: Sequence[float]) -> dict[str, float]:
+        """Return the parameters by name."""
+        if self.name == "delay":
+            return {"dtau_s": values[0] - base.delay_s}
+        return dict(zip((p.name for p in self.params), map(float, values), strict=True))
+
+
+CATALOGUE: tuple[ActuatorEffect, ...] = (
+    ActuatorEffect(
+        "delay", (Param("dtau_s", "s", -1.0, 1.0),), ("delay_s",), "x(t) = x0(t - dtau)",
+        "displacement residual is a straight line over velocity",
+        ("sweep", "a delay's phase grows with frequency without a change of amplitude"), False,
+    ),
+    ActuatorEffect(
+        "delay_rate", (Param("kappa_s2_m", "s^2/m", -10.0, 10.0),), ("kappa_s2_m",),
+        "delay + kappa |v|", "displacement residual grows with the square of velocity",
+        ("multi_amplitude", "a delay that grows with velocity differs between amplitudes"), False,
+    ),
+    ActuatorEffect(
+        "act_gain", (Param("gain", "", 0.01, 100.0),), ("gain",), "x = gain x0",
+        "displacement residual is a straight line over displacement",
+        ("sweep", "a gain is the same at every frequency"),
+    ),
+    ActuatorEffect(
+        "oil_column", (Param("f_Hz", "Hz", 0.1, 1e5), Param("zeta", "", 1e-3, 1e3)),
+        ("f_hz", "zeta"), "x'' + 2 zeta w x' + w^2 x = w^2 u",
+        "displacement residual grows with acceleration as well as velocity",
+        ("sweep", "the corner of a second-order lag shows where frequency passes it"),
+    ),
+    ActuatorEffect(
+        "rate_limit", (Param("vmax_m_s", "m/s", 1e-6, 100.0),), ("vmax_m_s",), "|v| <= vmax",
+        "displacement lags only where velocity is large",
+        ("multi_amplitude", "a limit of velocity is met at large amplitude only"),
+    ),
+)  # fmt: skip
+
+MASK_S = 0.4
+STEPS = 12
+
+
+@dataclass
+class ActuatorFit:
+    """Effects of the actuator fitted to the displacement."""
+
+    effects: tuple[ActuatorEffect, ...]
+    model: ActuatorModel
+    values: tuple[tuple[float, ...], ...]
+    chi2: float
+    count: int
+    residual: Floats
+    covariance: Floats | None
+    motion: Motion
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Sorted names."""
+        return tuple(sorted(e.name for e in self.effects))
+
+    def misfit(self, scale: float) -> float:
+        """Return chi-squared with the rows' share scaled down; the prior's is not."""
+        prior = (self.model.shift_s / SKEW_PRIOR_S) ** 2
+        return (self.chi2 - prior) / scale + prior
+
+
+class Actuation:
+    """The recorded command and displacement, and the actuator's model between them."""
+
+    def __init__(self, case: Case, base: ActuatorModel) -> None:
+        self.case, self.base = case, base
+        self.u = filled(case.channels["x_cmd"])
+        x = case.channels["x_meas"]
+        self.sigma = noise_of(x, case.model.x_std)
+        rows = case.rows & np.isfinite(x) & np.isfinite(case.channels["x_cmd"])
+        rest = abs(self.u[0]) < 1e-3 * (np.max(np.abs(self.u)) or 1.0)
+        self.first = 0 if rest else int(MASK_S * case.fs_hz)
+        rows[: self.first] = False
+        rows &= away_from_gaps(case.channels["x_cmd"], case.fs_hz, 0.01, GAP_S)
+        self.rows = np.flatnonzero(rows)
+        self.x = filled(x)
+        self.v_max = float(np.max(np.abs(self.simulate(base).v))) or 1e-6
+        self.ln_n = float(np.log(max(self.rows.size, 2)))
+
+    def simulate(self, model: ActuatorModel) -> Motion:
+        """Return the motion that a model makes of the recorded command."""
+        return actuator(model, self.u, self.case.fs_hz)
+
+    def _residual(self, model: ActuatorModel) -> tuple[Floats, Motion]:
+        motion = self.simulate(model)
+        return (self.x - motion.x)[self.rows] / self.sigma, motion
+
+    def fit(
+        self,
+        effects: Sequence[ActuatorEffect],
+        starts: Sequence[tuple[dict[str, Any], Floats]] | None = None,
+    ) -> ActuatorFit | None:
+        """Fit the parameters of some effects and the time offset between the channels.
+
+        ``starts`` are settings of variants with the parameters' first values; without them the
+        effect's own, of a single one.
+        """
+        if starts is None:
+            starts = effects[0].starts(self.base, self.v_max) if effects else [({}, np.zeros(0))]
+        fields = [f for e in effects for f in e.fields]
+
+        def first(start: tuple[dict[str, Any], Floats]) -> float:
+            settings, values = start
+            changes: dict[str, Any] = dict(zip(fields, map(float, values), strict=True))
+            model = replace(self.base, **settings, **changes)
+            try:
+                r, _ = self._residual(model)
+            except SimulationError:
+                return np.inf
+            return float(r @ r)
+
+        if len(starts) > 2:
+            # Of each variant the most promising ones.
+            starts = sorted(starts, key=first)[:3]
+        fits = [self._from(effects, settings, start) for settings, start in starts]
+        good = [f for f in fits if f is not None]
+        return min(good, key=lambda f: f.chi2) if good else None
+
+    def _from(
+        self, effects: Sequence[ActuatorEffect], settings: dict[str, Any], start: Floats
+    ) -> ActuatorFit | None:
+        fields = [f for e in effects for f in e.fields]
+        logs = [e.log for e in effects for _ in e.fields]
+        scales = np.array(
+            [{"delay_s": 1e-3, "kappa_s2_m": 1e-2}.get(f, 1.0) for f in fields] + [1e-5]
+        )
+
+        def model(p: Floats) -> ActuatorModel:
+            values = [
+                float(np.exp(q * s)) if log else float(q * s)
+                for q, s, log in zip(p[:-1], scales[:-1], logs, strict=True)
+            ]
+            changes: dict[str, Any] = dict(zip(fields, values, strict=True))
+            return replace(self.base, **settings, **changes, shift_s=float(p[-1] * scales[-1]))
+
+        # One more row holds the prior of the time offset.
+        def residual(p: Floats) -> Floats:
+            r, _ = self._residual(model(p))
+            return np.asarray(np.r_[r, p[-1] * scales[-1] / SKEW_PRIOR_S])
+
+        p = (
+            np.r_[[np.log(v) if log else v for v, log in zip(start, logs, strict=True)], 0.0]
+            / scales
+        )
+        try:
+            r = residual(p)
+        except SimulationError:
+            return None
+        chi2, damping = float(r @ r), 1e-3
+        jacobian = np.zeros((r.size, p.size))
+        for _ in range(STEPS):
+            for j in range(p.size):
+                step = 1e-3 if j < p.size - 1 else 1e-1
+                moved = p.copy()
+                moved[j] += step
+                try:
+                    jacobian[:, j] = (residual(moved) - r) / step
+                except SimulationError:
+                    jacobian[:, j] = 0.0
+            gram, right = jacobian.T @ jacobian, -jacobian.T @ r
+            better = False
+            gain = 0.0
+            for _ in range(5):
+                damped = gram + np.diag(damping * gram.diagonal() + 1e-9)
+                delta = np.clip(
+                    np.linalg.solve(damped, right),
+                    -1.0 / scales.clip(1e-3),
+                    1.0 / scales.clip(1e-3),
+                )
+                try:
+                    trial = residual(p + delta)
+                except SimulationError:
+                    damping *= 10.0
+                    continue
+                now = float(trial @ trial)
+                if now < chi2:
+                    gain, chi2, p, r = chi2 - now, now, p + delta, trial
+                    damping, better = max(damping * 0.2, 1e-9), True
+                    break
+                damping *= 10.0
+            if not better or gain < 1e-5 * chi2 + 0.02:
+                break
+        best = model(p)
+        values, j = [], 0
+        for effect in effects:
+            values.append(tuple(float(getattr(best, f)) for f in effect.fields))
+            j += len(effect.fields)
+        gram = jacobian.T @ jacobian
+        inverse = np.linalg.pinv(gram, hermitian=True)
+        chain = np.array(
+            [
+                s * (float(getattr(best, f)) if log else 1.0)
+                for f, s, log in zip(fields, scales, logs, strict=False)
+            ]
+            + [scales[-1]]
+        )
+        whole, motion = self._residual(best)
+        return ActuatorFit(
+            tuple(effects), best, tuple(values), chi2, len(fields), whole,
+            inverse * np.outer(chain, chain), motion,
+        )  # fmt: skip
+
+    def price(self, fit: ActuatorFit) -> float:
+        """Return what a fit has to earn."""
+        return sum(penalty(self.ln_n, len(e.fields)) for e in fit.effects)
+
+
+def _warm(
+    task: Actuation, group: Sequence[ActuatorEffect], known: dict[str, ActuatorFit]
+) -> list[tuple[dict[str, Any], Floats]]:
+    """Return starts of a group from the fits of its members, each with the others at rest."""
+    starts = []
+    for lead in group:
+        fit = known.get(lead.name)
+        if fit is None:
+            continue
+        settings: dict[str, Any] = {}
+        values: list[float] = []
+        for effect in group:
+            own = known.get(effect.name)
+            if own is None:
+                return []
+            settings |= {
+                "delay_rate": {"kappa_of": own.model.kappa_of},
+                "rate_limit": {"vmax_of": own.model.vmax_of},
+            }.get(effect.name, {})
+            if effect is lead:
+                values += [float(getattr(fit.model, f)) for f in effect.fields]
+            elif effect.name == "rate_limit":
+                values.append(task.v_max)
+            else:
+                values += [float(getattr(task.base, f)) for f in effect.fields]
+        starts.append((settings, np.array(values)))
+    return starts
+
+
+def search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
+    """Fit nothing, every effect, and pairs and triples as far as they are needed.
+
+    Returns the fit of nothing, all others best first, and the factor that scales evidence.
+    """
+    null = task.fit(())
+    if null is None:
+        raise SimulationError("the model's own actuator cannot be simulated along this command")
+    fits = [f for e in CATALOGUE if (f := task.fit((e,))) is not None]
+    known = {f.names[0]: f for f in fits}
+    n = max(task.rows.size, 1)
+    for size in (2, 3):
+        best = min(fits, key=lambda f: f.chi2)
+        # What is left beside what was explained: the law of a single effect does as well.
+        if best.chi2 - n < 0.05 * n + 2e-3 * (null.chi2 - n):
+            break
+        for group in combinations(CATALOGUE, size):
+            if size == 3 and not set(best.names) <= {e.name for e in group}:
+                continue
+            starts = _warm(task, group, known)
+            if starts and (f := task.fit(group, starts)) is not None:
+                fits.append(f)
+    scale = inflation(min(fits, key=lambda f: f.chi2).residual)
+    fits.sort(key=lambda f: f.misfit(scale) + task.price(f))
+    return null, fits, scale

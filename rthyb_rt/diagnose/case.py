@@ -1,0 +1,145 @@
+"""What is diagnosed: a recording's channels and the model that the lab has of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core
+from rthyb_rt.diagnose.simulate import ActuatorModel, Hold
+
+Floats = NDArray[np.float64]
+Family = Literal["drive", "ground", "forced", "loop"]
+FAMILIES: tuple[Family, ...] = ("drive", "ground", "forced", "loop")
+
+CHANNELS: dict[str, str] = {
+    "ag": "m/s^2",
+    "x_num": "m",
+    "x_cmd": "m",
+    "x_meas": "m",
+    "f_meas": "N",
+    "f_in": "N",
+    "a_meas": "m/s^2",
+    "fy_meas": "N",
+}
+"""Unit of each channel that a recording may have."""
+
+
+@dataclass(frozen=True)
+class BoucWen:
+    """F = k (alpha x + (1 - alpha) z), z' = v (1 - |z/xy|^n (beta + gamma sgn(v z)))."""
+
+    alpha: float
+    xy: float
+    n: float = 2.0
+    beta: float = 0.5
+    gamma: float = 0.5
+
+    def element(self, k: float, share: float = 1.0) -> core.ElementConfig:
+        """Return the core's element for a stiffness ``k``; ``share`` scales the whole force."""
+        # The core's b goes with sgn(v z), its c without.
+        per = self.xy**self.n
+        return core.element(
+            "hysteresis",
+            k_n_per_m=k * share,
+            post_yield_ratio=self.alpha,
+            a=1.0,
+            b=self.gamma / per,
+            c=self.beta / per,
+            eta=self.n,
+        )
+
+
+@dataclass(frozen=True)
+class Model:
+    """The lab's model: F = k x + c x' + moving_mass x'', and what surrounds it.
+
+    ``k_tol`` and ``c_tol`` are relative standard deviations; None: free to refit.
+    """
+
+    family: Family
+    fs_hz: float
+    k: float
+    c: float = 0.0
+    moving_mass: float = 0.0
+    k_tol: float | None = None
+    c_tol: float | None = None
+    bouc_wen: BoucWen | None = None
+    actuator: ActuatorModel | None = None
+    mass: float = 0.0
+    c_num: float = 0.0
+    x_std: float | None = None
+    f_std: float | None = None
+    a_std: float | None = None
+    extra: tuple[core.ElementConfig, ...] = ()
+
+    @property
+    def hold(self) -> Hold:
+        """How a command or a force runs between the rows."""
+        return self.actuator.hold if self.actuator else "foh"
+
+    def spring(self, x: Floats) -> Floats:
+        """Return the restoring force along displacements of shape (n,), N."""
+        if self.bouc_wen is None:
+            return self.k * x
+        return core.Element(self.bouc_wen.element(self.k)).run(x)
+
+    def further(self, x: Floats, v: Floats, a: Floats) -> Floats:
+        """Return the force of elements beyond spring, dashpot and mass, N."""
+        total = np.zeros_like(x)
+        for config in self.extra:
+            total += core.Element(config).run(x, v, a, 1.0 / self.fs_hz)
+        return total
+
+    def force(self, x: Floats, v: Floats, a: Floats) -> Floats:
+        """Return the specimen's force along a motion of shape (n,), N."""
+        return self.spring(x) + self.c * v + self.moving_mass * a + self.further(x, v, a)
+
+    def elements(self) -> list[core.ElementConfig]:
+        """Return the specimen without its mass as elements of the core."""
+        spring = (
+            self.bouc_wen.element(self.k)
+            if self.bouc_wen
+            else core.element("stiffness", k_n_per_m=self.k)
+        )
+        return [spring, core.element("viscous", c_n_s_per_m=self.c), *self.extra]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A recording ready for diagnosis.
+
+    Attributes:
+        t: uniform time, (n,), s.
+        channels: each (n,), SI, NaN where nothing was recorded.
+        rows: which rows are to be used, (n,).
+        notes: conditions met in the data and handled, in words.
+    """
+
+    name: str
+    model: Model
+    t: Floats
+    channels: dict[str, Floats]
+    rows: NDArray[np.bool_]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def fs_hz(self) -> float:
+        """Sampling rate, Hz."""
+        return self.model.fs_hz
+
+    @property
+    def dt(self) -> float:
+        """Sampling period, s."""
+        return 1.0 / self.model.fs_hz
+
+    def get(self, name: str) -> Floats | None:
+        """Return a channel, or None."""
+        return self.channels.get(name)
+
+    def with_model(self, model: Model) -> Case:
+        """Return the same recording beside another model."""
+        return replace(self, model=model)

@@ -1,0 +1,202 @@
+"""What an effect is: a force law that may have been left out of a model.
+
+An effect is a class of its own with a name, parameters, an equation, and `columns`: its force per
+unit of each linear coefficient, for shape parameters ``theta`` that enter nonlinearly. The search
+finds the coefficients by least squares, scans `trials` for theta, and refines what it keeps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core
+from rthyb_rt.diagnose.case import Model
+from rthyb_rt.diagnose.simulate import Motion
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Param:
+    """A parameter as it is reported: name with unit, unit, allowed range."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a force law may depend on: the motion, the model, other channels.
+
+    Attributes:
+        model: the baseline.
+        motion: x, v, a, each (n,).
+        t: time, (n,), s.
+        force: the force that was measured, for effects of the sensor, (n,), N.
+        other: further channels by name.
+    """
+
+    model: Model
+    motion: Motion
+    t: Floats
+    force: Floats
+    other: dict[str, Floats]
+    ranges: tuple[float, float, float] | None = None
+    beside: Floats | None = None
+
+    @property
+    def x(self) -> Floats:
+        """Displacement, m."""
+        return self.motion.x
+
+    @property
+    def v(self) -> Floats:
+        """Velocity, m/s."""
+        return self.motion.v
+
+    @property
+    def a(self) -> Floats:
+        """Acceleration, m/s^2."""
+        return self.motion.a
+
+    @property
+    def dt(self) -> float:
+        """Sampling period, s."""
+        return 1.0 / self.model.fs_hz
+
+    @cached_property
+    def spring(self) -> Floats:
+        """The model's restoring force, N."""
+        return self.model.spring(self.x)
+
+    @cached_property
+    def total(self) -> Floats:
+        """The model's whole force, N."""
+        return self.model.force(self.x, self.v, self.a)
+
+    @cached_property
+    def felt(self) -> Floats:
+        """The model's force and that of the effects beside it, N: what a sensor passes on."""
+        return self.total if self.beside is None else self.total + self.beside
+
+    @cached_property
+    def x_range(self) -> float:
+        """Largest displacement, m."""
+        return self.ranges[0] if self.ranges else float(np.max(np.abs(self.x))) or 1e-6
+
+    @cached_property
+    def v_range(self) -> float:
+        """Largest velocity but for one row in a hundred, m/s."""
+        return self.ranges[1] if self.ranges else float(np.quantile(np.abs(self.v), 0.99)) or 1e-6
+
+    @cached_property
+    def f_range(self) -> float:
+        """Largest force, N."""
+        return self.ranges[2] if self.ranges else float(np.max(np.abs(self.force))) or 1.0
+
+    @cached_property
+    def all_ranges(self) -> tuple[float, float, float]:
+        """The ranges, to be kept while this law is evaluated along another motion."""
+        return (self.x_range, self.v_range, self.f_range)
+
+    @cached_property
+    def travel(self) -> Floats:
+        """Path covered so far, m."""
+        return np.cumsum(np.abs(np.diff(self.x, prepend=self.x[0])))
+
+    @cached_property
+    def k_free(self) -> bool:
+        """Whether the stiffness is free to be refitted."""
+        return self.model.k_tol is None
+
+    @cached_property
+    def k_scale(self) -> float:
+        """A stiffness of the specimen's order, N/m."""
+        return max(abs(self.model.k), 1e-3 * self.f_range / self.x_range)
+
+    def unit(self, kind: str, **params: float) -> Floats:
+        """Return the force of one element of the core along the motion, N."""
+        element = core.Element(core.element(kind, **params))
+        return element.run(self.x, self.v, self.a, self.dt)
+
+
+Theta = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One shape of an effect to be tried: a variant of its law and its shape parameters."""
+
+    theta: Theta = ()
+    variant: str = ""
+
+
+class Effect:
+    """Base of every effect on the force.
+
+    Class attributes:
+        name: as in the answer.
+        params: what is reported.
+        equation: the law in one line.
+        fingerprint: what it looks like in a residual.
+        shown_by: the kind of experiment that shows it best, and why.
+        sensor: it sits in the load cell's chain: not felt by the specimen.
+        complete: a joint law that no other effect of the specimen stands beside.
+        signs: one a linear coefficient: '+', '-' or '*' for any.
+        pinned: standard deviation of each coefficient around 1, or None for a free one.
+        bounds: range of each shape parameter as multiples of the trial's own.
+    """
+
+    name = ""
+    params: tuple[Param, ...] = ()
+    equation = ""
+    fingerprint = ""
+    shown_by: tuple[str, str] = ("sweep", "it covers amplitude and frequency")
+    sensor = False
+    complete = False
+    signs: str = "*"
+    pinned: tuple[float | None, ...] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in the answer; a joint law of several effects has more than one."""
+        return (self.name,)
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return the shapes to be scanned; one without parameters by default."""
+        return [Trial()]
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the force per unit of each linear coefficient, each (n,), N."""
+        raise NotImplementedError
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return the parameters by name from linear coefficients and shape."""
+        return {self.params[0].name: float(beta[0])}
+
+    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
+        """Return whether the coefficients make a physical law; signs are checked already."""
+        return True
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return (signs, pinned) and how many parameters count as fitted."""
+        signs = self.signs
+        pinned = self.pinned if self.pinned is not None else (None,) * len(signs)
+        return (signs, pinned), len(self.params)
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Return the allowed range of each shape parameter."""
+        return [(abs(value) / 30.0, abs(value) * 30.0) for value in trial.theta]
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the effect as elements of the core, or None where it has none (sensor side)."""
+        return None

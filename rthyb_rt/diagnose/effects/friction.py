@@ -1,0 +1,252 @@
+"""Effects that depend on velocity: dashpots, and the nested family of dry friction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rthyb_rt import core
+from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+
+SLOW = ("multi_amplitude", "friction keeps its size while other forces grow with amplitude")
+
+
+class Viscous(Effect):
+    """A dashpot, or one too many in the model."""
+
+    name = "viscous"
+    params = (Param("c_Ns_m", "N s/m", -1e10, 1e10),)
+    equation = "f = c v"
+    fingerprint = "residual is a straight line over velocity"
+    shown_by = ("sweep", "a dashpot's force grows with frequency, that of a skew with force")
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the velocity."""
+        return [ctx.v]
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        return [core.element("viscous", c_n_s_per_m=float(beta[0]))]
+
+
+class QuadDamping(Effect):
+    """Damping of orifices and drag."""
+
+    name = "quad_damping"
+    params = (Param("c2_Ns2_m2", "N s^2/m^2", -1e12, 1e12),)
+    equation = "f = c2 v |v|"
+    fingerprint = "residual grows with the square of velocity"
+    shown_by = (
+        "multi_amplitude",
+        "a force with the square of velocity shows at several amplitudes",
+    )
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return v |v|."""
+        return [ctx.v * np.abs(ctx.v)]
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        return [core.element("quad_damping", c2_n_s2_per_m2=float(beta[0]))]
+
+
+class Coulomb(Effect):
+    """Dry friction with a free width around zero velocity: a fixed one turns it into Stribeck."""
+
+    name = "coulomb"
+    params = (Param("Fc_N", "N", 0.0, 1e8),)
+    equation = "f = Fc tanh(v / width)"
+    fingerprint = "residual jumps with the sign of velocity, its size does not change"
+    shown_by = SLOW
+    signs = "+"
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return widths from a sharp jump to a thirtieth of the velocity."""
+        return [Trial((float(w),)) for w in ctx.v_range * np.geomspace(3e-4, 4e-2, 8)]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep the width below what would be a dashpot."""
+        return [(1e-5 * ctx.v_range, 0.12 * ctx.v_range)]
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the smoothed sign of velocity."""
+        return [np.tanh(ctx.v / trial.theta[0])]
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        width = float(np.clip(trial.theta[0], 1e-7, 1.0))
+        return [core.element("coulomb", fc_n=float(beta[0]), width_m_per_s=width)]
+
+
+class Stribeck(Effect):
+    """Friction that falls with velocity."""
+
+    name = "stribeck"
+    params = (
+        Param("Fc_N", "N", 0.0, 1e8),
+        Param("Fs_N", "N", 0.0, 1e8),
+        Param("vs_m_s", "m/s", 1e-6, 10.0),
+    )
+    equation = "f = [Fc + (Fs - Fc) exp(-(v/vs)^2)] tanh(v / width)"
+    fingerprint = "friction with a peak at low velocity"
+    shown_by = SLOW
+    signs = "++"
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return Stribeck velocities, each with sharp and softer jumps."""
+        return [
+            Trial((float(vs), float(w)))
+            for vs in ctx.v_range * np.geomspace(0.02, 0.6, 7)
+            for w in ctx.v_range * np.array([1e-3, 4e-3, 1.2e-2])
+            if w < 0.4 * vs
+        ]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep the Stribeck velocity within the motion and the width well below it."""
+        r = ctx.v_range
+        return [(0.01 * r, 1.2 * r), (1e-5 * r, 0.4 * trial.theta[0])]
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return sliding and additional static friction per N."""
+        vs, width = trial.theta
+        sign = np.tanh(ctx.v / width)
+        return [sign, sign * np.exp(-((ctx.v / vs) ** 2))]
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return both levels and the velocity between them."""
+        fc = float(beta[0])
+        return {"Fc_N": fc, "Fs_N": fc + float(beta[1]), "vs_m_s": trial.theta[0]}
+
+    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
+        """Return False where it is a smooth hump rather than friction."""
+        return bool(beta[1] > 0.05 * beta[0] and beta[0] > 0.02 * beta[1])
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        p = self.report(ctx, trial, beta)
+        width = float(np.clip(trial.theta[1], 1e-7, 1.0))
+        return [
+            core.element(
+                "stribeck",
+                fc_n=p["Fc_N"], fs_n=p["Fs_N"], vs_m_per_s=p["vs_m_s"], width_m_per_s=width,
+            )
+        ]  # fmt: skip
+
+
+class Lugre(Effect):
+    """Friction with bristles that bend before they slide."""
+
+    name = "lugre"
+    params = (Param("Fc_N", "N", 0.0, 1e8), Param("sigma0_N_m", "N/m", 1.0, 1e12))
+    equation = "f = s0 z + s1 z', z' = v - s0 |v| z / g(v)"
+    fingerprint = "friction that is a spring after each reversal"
+    shown_by = ("multi_amplitude", "bristles bend alone at amplitudes below their travel")
+    signs = "+*"
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return bristle deflections as parts of the amplitude, with and without static excess."""
+        return [
+            Trial((float(z0),), v)
+            for z0 in ctx.x_range * np.geomspace(2e-3, 0.6, 10)
+            for v in ("dahl", "elastic", "spread0.5", "spread1.0")
+        ]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep bristles visible: below a thousandth of the amplitude it is Coulomb friction."""
+        return [(1e-3 * ctx.x_range, 1.0 * ctx.x_range)]
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return two coefficients: bristle stiffness and damping."""
+        return ("+*", (None, None)), 2
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return bristle force per N of friction, and its rate over the velocity range."""
+        z0 = trial.theta[0]
+        if trial.variant == "dahl":
+            z = ctx.unit(
+                "lugre", fc_n=1.0, fs_n=1.0, vs_m_per_s=1.0, sigma0_n_per_m=1.0 / z0,
+                sigma1_n_s_per_m=0.0, sigma2_n_s_per_m=0.0,
+            )  # fmt: skip
+        else:
+            from rthyb_rt.diagnose.effects.hysteretic import plastic
+
+            spread = trial.variant.removeprefix("spread") if trial.variant != "elastic" else "0"
+            z = plastic(ctx, f"iwan{spread}", z0) / z0
+        return [z, np.gradient(z) / ctx.dt * (z0 / ctx.v_range)]
+
+    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
+        """Return False where the damping outweighs the bristles."""
+        return bool(-0.7 * beta[0] <= beta[1] < 3.0 * beta[0])
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return sliding friction and bristle stiffness."""
+        return {"Fc_N": float(beta[0]), "sigma0_N_m": float(beta[0]) / trial.theta[0]}
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        p = self.report(ctx, trial, beta)
+        damping = max(float(beta[1]), 0.0) / ctx.v_range
+        return [
+            core.element(
+                "lugre", fc_n=p["Fc_N"], fs_n=p["Fc_N"], vs_m_per_s=1.0,
+                sigma0_n_per_m=p["sigma0_N_m"], sigma1_n_s_per_m=damping, sigma2_n_s_per_m=0.0,
+            )
+        ]  # fmt: skip
+
+
+class FrictionBehindGap(Effect):
+    """Dry friction that is driven through a backlash: nothing is felt until the gap is taken up."""
+
+    name = "gap+coulomb"
+    params = (Param("gap_m", "m", 1e-9, 1.0), Param("Fc_N", "N", 0.0, 1e8))
+    equation = "slider of +-Fc on a spring k behind a play of +-gap"
+    fingerprint = "after each reversal force falls to nothing, stays there, and returns"
+    shown_by = ("multi_amplitude", "a gap takes the same displacement at every amplitude")
+    signs = "+"
+    complete = True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Both names."""
+        return ("coulomb", "gap")
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return gaps and elastic ways; a model that knows its spring has that one behind it."""
+        if not ctx.k_free:
+            return []
+        r = ctx.x_range
+        return [
+            Trial((float(g), float(w)))
+            for g in r * np.geomspace(0.01, 0.6, 9)
+            for w in r * np.geomspace(0.005, 0.4, 6)
+        ]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep both within the motion."""
+        return [(1e-3 * ctx.x_range, ctx.x_range), (5e-4 * ctx.x_range, ctx.x_range)]
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return one coefficient, the friction, and three parameters."""
+        return ("+", (None,)), 3
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the force per N of friction."""
+        from rthyb_rt.diagnose.simulate import iwan
+
+        gap, way = trial.theta
+        bent = iwan(np.array([gap + way]), np.array([1.0]), ctx.x)
+        return [(bent - np.clip(bent, -gap, gap)) / way]
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return gap and friction."""
+        return {"gap_m": trial.theta[0], "Fc_N": float(beta[0])}
+
+
+EFFECTS: tuple[Effect, ...] = (
+    Viscous(), QuadDamping(), Coulomb(), Stribeck(), Lugre(), FrictionBehindGap(),
+)  # fmt: skip

@@ -1,0 +1,79 @@
+"""Effects of mass: moving parts that the model forgot, and parts that ride on the specimen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rthyb_rt import core
+from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+
+
+class Inertia(Effect):
+    """Moving mass between load cell and specimen that the model does not have."""
+
+    name = "inertia"
+    params = (Param("m_kg", "kg", -1e7, 1e7),)
+    equation = "f = m a"
+    fingerprint = "residual is a straight line over acceleration, growing with frequency squared"
+    shown_by = ("sweep", "a mass's force grows with the square of frequency")
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the acceleration."""
+        return [ctx.a]
+
+    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
+        """Return False where less than half of the known mass would be left."""
+        whole = ctx.model.moving_mass + ctx.model.mass
+        return bool(beta[0] > -0.5 * whole) or whole == 0.0 or ctx.k_free
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element; a mass to be taken off has none."""
+        return [core.element("inertia", m_kg=float(beta[0]))] if beta[0] >= 0 else None
+
+
+class SecondMode(Effect):
+    """A mass on a spring that rides on the specimen."""
+
+    name = "second_mode"
+    params = (Param("m2_kg", "kg", 0.0, 1e8), Param("f2_Hz", "Hz", 0.01, 400.0))
+    equation = "y'' + 2 zeta w2 y' + w2^2 y = -a, f = -m2 (2 zeta w2 y' + w2^2 y)"
+    fingerprint = "residual rings at one frequency of its own"
+    shown_by = ("sweep", "a sweep through its frequency makes it ring")
+    signs = "+"
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return frequencies to a fifth of the sampling rate, with light and heavier damping."""
+        top = min(0.12 * ctx.model.fs_hz, 60.0)
+        return [
+            Trial((float(f), z)) for f in np.geomspace(0.6, top, 22) for z in (0.01, 0.03, 0.08)
+        ]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep frequency and damping near the trial's: response is a peak."""
+        f = trial.theta[0]
+        return [(max(f / 1.4, 0.05), f * 1.4), (1e-3, 0.4)]
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Count the damping as fitted too."""
+        return ("+", (None,)), 3
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the force per kg."""
+        f, zeta = trial.theta
+        return [ctx.unit("second_mode", m2_kg=1.0, f2_hz=f, zeta2=zeta)]
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return mass and frequency."""
+        return {"m2_kg": float(beta[0]), "f2_Hz": trial.theta[0]}
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        f, zeta = trial.theta
+        return [core.element("second_mode", m2_kg=float(beta[0]), f2_hz=f, zeta2=zeta)]
+
+
+EFFECTS: tuple[Effect, ...] = (Inertia(), SecondMode())

@@ -1,0 +1,175 @@
+"""Effects of the load cell and its amplifier: the specimen does not feel them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+
+SKEW_TOLERANCE_S = 1e-4
+
+
+def shifted(signal: Floats, rows: float) -> Floats:
+    """Return a signal late by a number of rows that need not be whole, by a cubic through four."""
+    whole = int(np.floor(rows))
+    u = rows - whole
+    at = np.arange(signal.size) - whole
+
+    def take(k: int) -> Floats:
+        return signal[np.clip(at + k, 0, signal.size - 1)]
+
+    return (
+        take(-2) * (u * (u * u - 1.0) / 6.0)
+        + take(-1) * (u * (1.0 + u) * (2.0 - u) / 2.0)
+        + take(0) * ((1.0 - u) * (1.0 + u) * (2.0 - u) / 2.0)
+        + take(1) * (-u * (1.0 - u) * (2.0 - u) / 6.0)
+    )
+
+
+class Bias(Effect):
+    """A load cell that reads force at rest."""
+
+    name = "bias"
+    params = (Param("bias_N", "N", -1e8, 1e8),)
+    equation = "f_meas = f + bias"
+    fingerprint = "residual is a constant"
+    shown_by = ("multi_amplitude", "a constant stays where amplitude goes to zero")
+    sensor = True
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return 1."""
+        return [np.ones_like(ctx.t)]
+
+
+class Drift(Effect):
+    """A load cell that wanders."""
+
+    name = "drift"
+    params = (Param("rate_N_s", "N/s", -1e8, 1e8),)
+    equation = "f_meas = f + rate t"
+    fingerprint = "residual is a straight line over time"
+    shown_by = ("multi_amplitude", "a drift goes on where nothing moves")
+    sensor = True
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return time since the start."""
+        return [ctx.t - ctx.t[0]]
+
+
+class Hum(Effect):
+    """Mains or a pump in the load cell's signal."""
+
+    name = "hum"
+    params = (Param("f_Hz", "Hz", 0.1, 1e4), Param("amp_N", "N", 0.0, 1e8))
+    equation = "f_meas = f + amp sin(2 pi f t + phase)"
+    fingerprint = "a single line in the residual's spectrum that is none of the motion's"
+    shown_by = ("sweep", "a line that stays while the motion's frequency moves")
+    sensor = True
+    signs = "**"
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return the strongest lines of what the model does not give, away from the motion."""
+        rest = ctx.force - ctx.total
+        rest = rest - rest.mean()
+        taper = np.hanning(rest.size)
+        spectrum = np.abs(np.fft.rfft(rest * taper))
+        motion = np.abs(np.fft.rfft((ctx.total - ctx.total.mean()) * taper))
+        f = np.fft.rfftfreq(rest.size, ctx.dt)
+        local = np.array(
+            [np.median(part) for part in np.array_split(spectrum, max(spectrum.size // 128, 1))]
+        )
+        floor = np.interp(
+            np.arange(spectrum.size),
+            (np.arange(local.size) + 0.5) * spectrum.size / local.size,
+            local,
+        )
+        strength = np.where(
+            (f > 2.0) & (motion < 0.02 * motion.max()), spectrum / np.maximum(floor, 1e-300), 0.0
+        )
+        found = []
+        for _ in range(3):
+            i = int(np.argmax(strength))
+            if strength[i] < 6.0 or not 0 < i < f.size - 1:
+                break
+            low, mid, high = np.log(np.maximum(spectrum[i - 1 : i + 2], 1e-300))
+            step = 0.5 * (low - high) / min(low - 2.0 * mid + high, -1e-12)
+            found.append(Trial((float(f[i] + step * f[1]),)))
+            strength[max(i - 6, 0) : i + 7] = 0.0
+        return found
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep the line within a bin of where it was seen."""
+        f = trial.theta[0]
+        width = 1.0 / (ctx.t[-1] - ctx.t[0])
+        return [(max(f - width, 1e-3), f + width)]
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Count frequency, amplitude and phase."""
+        return ("**", (None, None)), 3
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return sine and cosine."""
+        phase = 2.0 * np.pi * trial.theta[0] * ctx.t
+        return [np.sin(phase), np.cos(phase)]
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return frequency and amplitude."""
+        return {"f_Hz": trial.theta[0], "amp_N": float(np.hypot(beta[0], beta[1]))}
+
+
+class TimeSkew(Effect):
+    """The load cell's rows belong to another instant than the displacement's."""
+
+    name = "time_skew"
+    params = (Param("skew_s", "s", -0.1, 0.1),)
+    equation = "f_meas(t) = f(t - skew)"
+    fingerprint = "residual is a straight line over the rate of the force"
+    shown_by = ("sweep", "a skew turns with frequency what a dashpot does not")
+    sensor = True
+    signs = "+"
+    pinned = (0.02,)
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return skews to either side."""
+        steps = np.array([0.15, 0.3, 0.6, 1.0, 1.6, 2.5, 4.0, 6.0, 9.0, 13.0, 20.0]) * 1e-3
+        return [Trial((float(sign * s),)) for s in steps for sign in (1.0, -1.0)]
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return a coefficient that is held at 1."""
+        return ("+", (0.02,)), 1
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the shifted force less the force."""
+        return [shifted(ctx.felt, trial.theta[0] / ctx.dt) - ctx.felt]
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return the skew."""
+        return {"skew_s": trial.theta[0] * float(beta[0])}
+
+
+class Crosstalk(Effect):
+    """A load cell that feels the force in the orthogonal direction."""
+
+    name = "crosstalk"
+    params = (Param("ratio", "", -1.0, 1.0),)
+    equation = "f_meas = f + ratio fy"
+    fingerprint = "residual follows the orthogonal force"
+    shown_by = ("random", "an orthogonal force that is independent of this one tells them apart")
+    sensor = True
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return one trial where the orthogonal force was recorded."""
+        return [Trial()] if "fy_meas" in ctx.other else []
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the orthogonal force."""
+        return [ctx.other["fy_meas"]]
+
+
+EFFECTS: tuple[Effect, ...] = (Bias(), Drift(), Hum(), TimeSkew(), Crosstalk())

@@ -1,0 +1,171 @@
+"""Effects that depend on displacement alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rthyb_rt import core
+from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+from rthyb_rt.diagnose.simulate import play
+
+AMPLITUDES = ("multi_amplitude", "stiffness that changes with amplitude shows at several of them")
+
+
+class Stiffness(Effect):
+    """Stiffness error, P-delta, force gain, flexible fixture: one thing while linear."""
+
+    name = "stiffness"
+    params = (Param("dk_ratio", "", -1.0, 10.0),)
+    equation = "f = dk_ratio k x"
+    fingerprint = "a straight line over displacement, the same at every frequency"
+    shown_by = ("sweep", "stiffness stays the same over frequency, mass does not")
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return one trial where there is a spring."""
+        return [Trial()] if ctx.model.k else []
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the model's own restoring force."""
+        return [ctx.spring if ctx.model.k else ctx.x]
+
+    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
+        """Return False where nothing would be left of the spring."""
+        return bool(beta[0] > -1.0) or not ctx.model.k
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return a spring, negative where the model has too much."""
+        if ctx.model.bouc_wen:
+            share = float(beta[0])
+            if share > 0:
+                return [ctx.model.bouc_wen.element(ctx.model.k, share)]
+            return None
+        return [core.element("stiffness", k_n_per_m=float(beta[0]) * (ctx.model.k or 1.0))]
+
+
+class Cubic(Effect):
+    """Hardening or softening spring."""
+
+    name = "cubic"
+    params = (Param("k3_N_m3", "N/m^3", -1e15, 1e15),)
+    equation = "f = k3 x^3"
+    fingerprint = "residual over displacement is an odd cubic, without loop"
+    shown_by = AMPLITUDES
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return x^3."""
+        return [ctx.x**3]
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        return [core.element("cubic", k3_n_per_m3=float(beta[0]))]
+
+
+class Quadratic(Effect):
+    """A spring that differs between push and pull."""
+
+    name = "quadratic"
+    params = (Param("k2_N_m2", "N/m^2", -1e15, 1e15),)
+    equation = "f = k2 x^2"
+    fingerprint = "residual over displacement is an even parabola"
+    shown_by = AMPLITUDES
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return x^2."""
+        return [ctx.x**2]
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        return [core.element("quadratic", k2_n_per_m2=float(beta[0]))]
+
+
+class Gap(Effect):
+    """Backlash or dead band in the specimen's connection."""
+
+    name = "gap"
+    params = (Param("gap_m", "m", 1e-9, 1.0),)
+    equation = "spring force at x beyond +-gap (dead band), or behind a play of +-gap"
+    fingerprint = "force is missing around zero (dead band) or after each reversal (play)"
+    shown_by = ("multi_amplitude", "a gap takes the same displacement at every amplitude")
+    signs = "+"
+    pinned = (0.03,)
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return gaps from thousandths to most of the amplitude."""
+        if not ctx.model.k:
+            return []
+        gaps = ctx.x_range * np.geomspace(2e-3, 0.8, 14)
+        return [Trial((float(g),), v) for v in ("deadband", "play") for g in gaps]
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Leave the coefficient free where the stiffness is."""
+        return ("+", (ctx.model.k_tol,)), 1
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return what the spring loses."""
+        half = trial.theta[0]
+        if trial.variant == "deadband":
+            moved = ctx.x - np.clip(ctx.x, -half, half)
+        else:
+            moved = play(half, ctx.x)
+        return [ctx.model.spring(moved) - ctx.spring if ctx.model.k else moved - ctx.x]
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return the gap."""
+        return {"gap_m": trial.theta[0]}
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return a spring behind the gap instead of the model's own; play has no element."""
+        k = float(beta[0]) * ctx.model.k
+        if ctx.model.bouc_wen or k <= 0 or trial.variant != "deadband":
+            return None
+        return [
+            core.element("stiffness", k_n_per_m=-k),
+            core.element("gap", k_n_per_m=k, gap_m=trial.theta[0]),
+        ]
+
+
+class Stopper(Effect):
+    """A stop that is met beyond a displacement."""
+
+    name = "stopper"
+    params = (Param("ks_N_m", "N/m", 0.0, 1e12), Param("xs_m", "m", 0.0, 10.0))
+    equation = "f = ks (|x| - xs) sgn(x) where |x| > xs"
+    fingerprint = "residual only beyond a displacement, growing from there"
+    shown_by = ("multi_amplitude", "a stop is met at large amplitude only")
+    signs = "+"
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return stops from a third of the amplitude to nearly all of it."""
+        at = ctx.x_range * np.array(
+            [0.3, 0.4, 0.5, 0.58, 0.65, 0.7, 0.75, 0.8, 0.84, 0.88, 0.91, 0.94, 0.96, 0.98]
+        )
+        return [Trial((float(xs),), side) for side in ("both", "up", "down") for xs in at]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep the stop within the motion."""
+        return [(0.1 * ctx.x_range, 0.999 * ctx.x_range)]
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the depth beyond the stop."""
+        xs = trial.theta[0]
+        up, down = np.maximum(ctx.x - xs, 0.0), np.minimum(ctx.x + xs, 0.0)
+        if trial.variant == "up":
+            return [up]
+        return [down] if trial.variant == "down" else [up + down]
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return stiffness and position."""
+        return {"ks_N_m": float(beta[0]), "xs_m": trial.theta[0]}
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element; one-sided stops have none."""
+        if trial.variant != "both":
+            return None
+        return [core.element("stopper", ks_n_per_m=float(beta[0]), xs_m=trial.theta[0])]
+
+
+EFFECTS: tuple[Effect, ...] = (Stiffness(), Cubic(), Quadratic(), Gap(), Stopper())

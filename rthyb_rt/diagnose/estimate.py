@@ -1,0 +1,375 @@
+"""The motion behind a recording, and how sure it is.
+
+Where a command and an actuator model reproduce the measured displacement, the simulated motion is
+free of noise and is taken. Else displacement, accelerometer and load cell are joined in the
+frequency domain, each weighed by its noise (a Wiener smoother); its remaining error, carried
+through the specimen's impedance, gives the noise of the force residual, which need not be white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.simulate import Motion
+
+Complex = NDArray[np.complex128]
+ACCURACY = 0.004
+"""Part of the force that a body's free motion tells at best."""
+SHIFT_S = 0.025
+GAP_S = 0.4
+"""A simulated motion has forgotten a gap of its command after so long."""
+EDGE_S = 0.3
+"""At either end of a recording the smoother has half its data; such rows are not judged."""
+
+
+def white_noise(signal: Floats) -> float:
+    """Return the standard deviation of a signal's white noise from its fourth differences."""
+    good = signal[np.isfinite(signal)]
+    if good.size < 16:
+        return float("nan")
+    fourth = np.diff(good, 4)
+    return float(1.4826 * np.median(np.abs(fourth - np.median(fourth))) / np.sqrt(70.0))
+
+
+def noise_of(signal: Floats | None, sheet: float | None) -> float:
+    """Return the noise of a channel: as measured, held within the data sheet's belief."""
+    found = white_noise(signal) if signal is not None else float("nan")
+    if sheet is None or not sheet > 0.0:
+        scale = float(np.nanstd(signal)) if signal is not None else 1.0
+        return found if found > 0.0 else 1e-6 * (scale or 1.0)
+    if not np.isfinite(found):
+        return sheet
+    return float(np.clip(found, sheet / 1.3, sheet * 1.3))
+
+
+def step_of(f_meas: Floats | None, f_std: float | None) -> float:
+    """Return the step of a coarse load cell, N: few distinct readings, all on one grid; else 0."""
+    if f_meas is None or f_std is None:
+        return 0.0
+    good = np.isfinite(f_meas)
+    values = np.unique(f_meas[good])
+    if values.size < 3 or values.size > 0.5 * good.sum():
+        return 0.0
+    steps = np.diff(values)
+    lsb = float(np.median(steps[steps < 1.5 * steps.min()]))
+    at = values / lsb
+    mean = np.mean(np.exp(2j * np.pi * at))
+    away = np.abs(np.exp(2j * np.pi * at) - mean / (abs(mean) or 1.0))
+    return lsb if lsb >= f_std and np.mean(away < 0.15) >= 0.98 else 0.0
+
+
+def force_noise(f_meas: Floats | None, f_std: float | None) -> float:
+    """Return the standard deviation of a load cell's noise, with that of its steps, N."""
+    step = step_of(f_meas, f_std)
+    if step > 0.0 and f_std is not None:
+        return float(np.hypot(f_std, step / np.sqrt(12.0)))
+    return noise_of(f_meas, f_std)
+
+
+def filled(signal: Floats) -> Floats:
+    """Return a signal with a straight line over its gaps."""
+    good = np.isfinite(signal)
+    if good.all():
+        return signal
+    rows = np.arange(signal.size)
+    return np.interp(rows, rows[good], signal[good])
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A motion and the force that the specimen showed along it.
+
+    Attributes:
+        motion: x, v, a, each (n,).
+        force: the force that a specimen model has to give, (n,), N.
+        rows: rows to be judged, (n,).
+        whiten: makes the noise of a force residual white with unit variance; linear.
+        sigma_n: standard deviation of the force residual's noise where it is white, N.
+        share: part of the band that is judged: what a row of whitened noise has for variance.
+        exact: whether the motion is simulated, so that it has no noise.
+    """
+
+    motion: Motion
+    force: Floats
+    rows: NDArray[np.bool_]
+    whiten: Callable[[Floats], Floats]
+    sigma_n: float
+    exact: bool
+    share: float = 1.0
+
+
+def _extended(signal: Floats, pad: int, odd: bool) -> Floats:
+    head, tail = signal[pad:0:-1], signal[-2 : -pad - 2 : -1]
+    if odd:
+        head, tail = 2.0 * signal[0] - head, 2.0 * signal[-1] - tail
+    out = np.concatenate((head, signal, tail))
+    # The ends of the extension meet in the transform: both are led to zero without a corner.
+    ramp = np.clip(np.arange(pad) / max(0.75 * pad, 1.0), 0.0, 1.0)
+    smooth = ramp**4 * (35.0 - 84.0 * ramp + 70.0 * ramp**2 - 20.0 * ramp**3)
+    out[:pad] *= smooth
+    out[-pad:] *= smooth[::-1]
+    return out
+
+
+def _smooth_spectrum(power: Floats, width: int) -> Floats:
+    kernel = np.hanning(2 * width + 3)[1:-1]
+    kernel /= kernel.sum()
+    return np.convolve(np.pad(power, width, mode="reflect"), kernel, mode="valid")
+
+
+def _above_noise(spectrum: Complex, rows: int, sigma: float) -> Floats:
+    """Return the power of a signal where it stands out of white noise, else 0."""
+    power = _smooth_spectrum(np.abs(spectrum) ** 2 / rows, 12)
+    return np.where(power > 3.5 * sigma**2, power - sigma**2, 0.0)
+
+
+def _envelope(power: Floats, omega: Floats) -> Floats:
+    """Return the least power above the given one that never rises and falls no faster than w^-6.
+
+    A filter that is cut off more sharply rings: an end of the record would be felt seconds away.
+    """
+    w6 = omega**6
+    falling = np.maximum.accumulate(power * w6) / np.maximum(w6, w6[1] if w6.size > 1 else 1.0)
+    standing = np.maximum.accumulate(power[::-1])[::-1]
+    return np.asarray(np.maximum(falling, standing))
+
+
+def _smooth_number(value: int) -> bool:
+    for factor in (2, 3, 5, 7):
+        while value % factor == 0:
+            value //= factor
+    return value == 1
+
+
+@dataclass(frozen=True)
+class _Spectral:
+    pad: int
+    n: int
+    omega: Floats
+
+    @classmethod
+    def of(cls, n: int, fs_hz: float) -> _Spectral:
+        pad = int(min(n - 2, max(4.0 * fs_hz, 64)))
+        # A length of small factors only: the transform of another takes ten times as long.
+        while pad > 64 and not _smooth_number(n + 2 * pad):
+            pad -= 1
+        f_hz = np.asarray(np.fft.rfftfreq(n + 2 * pad, 1.0 / fs_hz), dtype=np.float64)
+        return cls(pad, n, 2.0 * np.pi * f_hz)
+
+    def forward(self, signal: Floats, odd: bool = False) -> Complex:
+        return np.fft.rfft(_extended(signal, self.pad, odd))
+
+    def back(self, spectrum: Complex) -> Floats:
+        return np.fft.irfft(spectrum, self.n + 2 * self.pad)[self.pad : self.pad + self.n]
+
+
+@dataclass(frozen=True)
+class _Knowledge:
+    """Of a displacement at each frequency: variance as estimated and as measured (m^2 a row), and
+    how much of a signal stood out of the noise there, 0 to 1."""
+
+    variance: Floats
+    measured: Floats
+    seen: Floats
+
+
+def smoothed(
+    case: Case, accelerations: list[tuple[Floats, float]]
+) -> tuple[Motion, _Knowledge, _Spectral]:
+    """Join displacement and accelerations (each with its noise) into one motion.
+
+    Returns the motion, how well it is known at each frequency, and the frequencies.
+    """
+    x_meas = case.channels["x_meas"]
+    sigma_x = noise_of(x_meas, case.model.x_std)
+    x = filled(x_meas)
+    s = _Spectral.of(x.size, case.fs_hz)
+    rows = x.size + 2 * s.pad
+    # A straight line between the ends carries no frequency: it goes round the transform.
+    spectrum = s.forward(x, odd=True)
+    w2 = s.omega**2
+    information = np.full(s.omega.size, 1.0 / sigma_x**2)
+    joined = spectrum / sigma_x**2
+    prior = _above_noise(spectrum, rows, sigma_x)
+    band = s.omega > 2 * np.pi * 0.2
+    safe = np.where(band, w2, 1.0)
+    for signal, sigma in accelerations:
+        other = s.forward(filled(signal), odd=True)
+        prior = np.maximum(prior, np.where(band, _above_noise(other, rows, sigma) / safe**2, 0.0))
+        joined = joined + np.where(band, -w2 * other / sigma**2, 0.0)
+        information += np.where(band, w2**2 / sigma**2, 0.0)
+    # Where anything at all was seen to move, for those who weigh residuals by it.
+    seen = np.maximum.accumulate(prior[::-1])[::-1]
+    seen = seen / (seen + 4.0 / information)
+    prior = _envelope(prior, s.omega)
+    variance = 1.0 / (information + 1.0 / np.maximum(prior, 1e-12 * sigma_x**2))
+    best = joined * variance
+    x_hat = s.back(best)
+    v_hat = s.back(1j * s.omega * best)
+    a_hat = s.back(-w2 * best)
+    return Motion(x_hat, v_hat, a_hat), _Knowledge(variance, 1.0 / information, seen), s
+
+
+def aligned(case: Case, parts: list[Floats], sigma: float) -> Floats:
+    """Return the sum of signals that make up the acceleration, each moved onto the time of x_meas.
+
+    Channels may be a fraction of a row apart; the offset of each is what best turns their sum into
+    the second derivative of the displacement.
+    """
+    x = filled(case.channels["x_meas"])
+    s = _Spectral.of(x.size, case.fs_hz)
+    w = s.omega
+    sigma_x = noise_of(x, case.model.x_std)
+    wanted = -(w**2) * s.forward(x, odd=True)
+    spectra = [s.forward(part, odd=True) for part in parts]
+    gap = np.sum(spectra, axis=0) - wanted
+    weight = np.where(w > 2 * np.pi * 0.3, 1.0 / np.sqrt(sigma**2 + w**4 * sigma_x**2), 0.0)
+    columns = np.column_stack([-1j * w * c * weight for c in spectra])
+    gap = gap * weight
+    matrix = np.concatenate((columns.real, columns.imag))
+    right = np.concatenate((gap.real, gap.imag))
+    late, *_ = np.linalg.lstsq(matrix, right, rcond=None)
+    late = np.clip(late, -5e-4, 5e-4)
+    return np.asarray(
+        np.sum(
+            [
+                part + tau * np.gradient(part) * case.fs_hz
+                for part, tau in zip(parts, late, strict=True)
+            ],
+            axis=0,
+        )
+    )
+
+
+def quiet(signal: Floats, fs_hz: float, sigma: float) -> Floats:
+    """Return a signal without the noise outside its band, (n,)."""
+    s = _Spectral.of(signal.size, fs_hz)
+    spectrum = s.forward(signal, odd=True)
+    power = _envelope(_above_noise(spectrum, signal.size + 2 * s.pad, sigma), s.omega)
+    return s.back(spectrum * power / (power + sigma**2))
+
+
+def _edges(rows: NDArray[np.bool_], fs_hz: float, seconds: float) -> NDArray[np.bool_]:
+    cut = int(min(seconds * fs_hz, rows.size / 50))
+    out = rows.copy()
+    if cut:
+        out[:cut] = out[-cut:] = False
+    return out
+
+
+def _impedance(case: Case, omega: Floats, mass: float) -> Floats:
+    m = case.model
+    return np.abs(m.k - mass * omega**2 + 1j * m.c * omega)
+
+
+def _coloured(s: _Spectral, power: Floats, band: Floats) -> Callable[[Floats], Floats]:
+    gain = band / np.sqrt(power)
+
+    def whiten(signal: Floats) -> Floats:
+        return s.back(gain * s.forward(signal))
+
+    return whiten
+
+
+def away_from_gaps(
+    signal: Floats, fs_hz: float, before_s: float, after_s: float
+) -> NDArray[np.bool_]:
+    """Return the rows that a missing stretch of a signal does not reach, (n,)."""
+    lost = ~np.isfinite(signal)
+    if not lost.any():
+        return ~lost
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], lost.astype(np.int8), [0]))))
+    out = np.ones(signal.size, dtype=np.bool_)
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        out[max(0, a - int(before_s * fs_hz)) : b + int(after_s * fs_hz)] = False
+    return out
+
+
+def along(case: Case, motion: Motion, exact_from: int) -> Estimate | None:
+    """Return the estimate for a simulated motion, judged from row ``exact_from`` on."""
+    f_meas = case.get("f_meas")
+    if f_meas is None:
+        return None
+    sigma = force_noise(f_meas, case.model.f_std)
+    rows = case.rows & np.isfinite(f_meas)
+    rows = rows.copy()
+    rows[:exact_from] = False
+    if "x_cmd" in case.channels:
+        rows &= away_from_gaps(case.channels["x_cmd"], case.fs_hz, 0.01, GAP_S)
+    # A force moved in time has no rows beyond the ends.
+    ends = int(min(SHIFT_S * case.fs_hz, rows.size / 50))
+    if ends:
+        rows[:ends] = rows[-ends:] = False
+    return Estimate(motion, filled(f_meas), rows, lambda y: y / sigma, sigma, True)
+
+
+def from_sensors(case: Case) -> Estimate | None:
+    """Return the estimate from displacement, accelerometer and load cell; None without a force."""
+    model, channels = case.model, case.channels
+    f_meas, a_meas, ag = channels.get("f_meas"), channels.get("a_meas"), channels.get("ag")
+    if "x_meas" not in channels:
+        return None
+    if quasi_static(case):
+        return _static(case)
+    accelerations: list[tuple[Floats, float]] = []
+    ground = model.family == "ground"
+    if a_meas is not None:
+        # On moving ground an accelerometer feels the ground as well.
+        parts = [filled(a_meas), -filled(ag)] if ground and ag is not None else [filled(a_meas)]
+        sigma = noise_of(a_meas, model.a_std)
+        accelerations.append((aligned(case, parts, sigma), sigma))
+    motion, known, s = smoothed(case, accelerations)
+    mass = model.moving_mass
+    rows = case.rows & away_from_gaps(channels["x_meas"], case.fs_hz, 0.1, 0.1)
+    for name in ("a_meas", "ag"):
+        if name in channels:
+            rows = rows & away_from_gaps(channels[name], case.fs_hz, 0.1, 0.1)
+    if model.family == "forced":
+        force, sigma = filled(channels["f_in"]), noise_of(channels["f_in"], model.f_std)
+        sigma = min(sigma, model.f_std) if model.f_std else sigma
+        rows = rows & np.isfinite(channels["f_in"])
+    elif f_meas is not None:
+        force, sigma = filled(f_meas), force_noise(f_meas, model.f_std)
+        rows = rows & np.isfinite(f_meas)
+    elif ground and ag is not None:
+        force = -model.mass * (motion.a + filled(ag))
+        mass += model.mass
+        sigma = 1e-4 * float(np.std(force))
+        rows = rows & np.isfinite(ag)
+    else:
+        return None
+    if model.family in ("forced", "ground"):
+        # Near resonance a small force moves much: nothing is known better than a few parts in 1000.
+        sigma = max(sigma, ACCURACY * float(np.sqrt(np.mean(force[rows] ** 2))))
+    z2 = _impedance(case, s.omega, mass) ** 2
+    power = sigma**2 + z2 * known.variance
+    # Where displacement is nothing but noise, force laws evaluated on it are: no band to judge in.
+    band = np.maximum(sigma**2 / (sigma**2 + z2 * known.measured), known.seen)
+    rows = _edges(rows, case.fs_hz, EDGE_S)
+    share = float(np.mean(band**2))
+    return Estimate(motion, force, rows, _coloured(s, power, band), sigma, False, max(share, 1e-3))
+
+
+def quasi_static(case: Case) -> bool:
+    """Return whether time is nominal: no rate in the model and rows too far apart to have one."""
+    m = case.model
+    return m.family == "drive" and m.c == 0 and m.moving_mass == 0 and m.fs_hz <= 50
+
+
+def _static(case: Case) -> Estimate | None:
+    f_meas = case.get("f_meas")
+    if f_meas is None:
+        return None
+    x = filled(case.channels["x_meas"])
+    v = np.gradient(x) * case.fs_hz
+    sigma = case.model.f_std or noise_of(f_meas, None)
+    sigma = float(np.hypot(sigma, abs(case.model.k) * (case.model.x_std or 0.0)))
+    rows = case.rows & np.isfinite(f_meas) & np.isfinite(case.channels["x_meas"])
+    return Estimate(
+        Motion(x, v, np.zeros_like(x)), filled(f_meas), rows, lambda y: y / sigma, sigma, False
+    )

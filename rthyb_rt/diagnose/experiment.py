@@ -1,0 +1,134 @@
+"""Which experiment to do next: candidates are simulated, the best separating one proposed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rthyb_rt.diagnose import effects
+from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.effects.base import Context
+from rthyb_rt.diagnose.simulate import Motion
+
+if TYPE_CHECKING:
+    from rthyb_rt.diagnose import force
+    from rthyb_rt.diagnose.engine import Displacement
+
+KINDS = ("sweep", "random", "multi_frequency", "multi_amplitude")
+
+
+def excitations(case: Case, amplitude: float, f0_hz: float) -> dict[str, Motion]:
+    """Return displacement histories of one minute's worth of rows for each kind of experiment."""
+    fs = case.fs_hz
+    t = np.arange(int(min(16.0, 16384 / fs) * fs)) / fs
+    top = min(4.0 * f0_hz, 0.1 * fs)
+    low = 0.25 * f0_hz
+    span = t[-1]
+    phase = 2 * np.pi * (low * t + (top - low) * t**2 / (2 * span))
+    rng = np.random.default_rng(1)
+    tones = np.linspace(low, top, 40)
+    random = np.sum(
+        [
+            np.sin(2 * np.pi * f * t + p)
+            for f, p in zip(tones, rng.uniform(0, 2 * np.pi, 40), strict=True)
+        ],
+        axis=0,
+    )
+    several = np.sum([np.sin(2 * np.pi * f * t) for f in (low, f0_hz, 0.5 * top, top)], axis=0)
+    # Four amplitudes, each reached smoothly over a cycle: a jump would hold every frequency.
+    steps = 0.25 + 0.125 * sum(1.0 + np.tanh((t - span * q / 4) * 2.0 * f0_hz) for q in (1, 2, 3))
+    shapes = {
+        "sweep": np.sin(phase),
+        "random": random / np.max(np.abs(random)),
+        "multi_frequency": several / np.max(np.abs(several)),
+        "multi_amplitude": np.asarray(steps) * np.sin(2 * np.pi * f0_hz * t),
+    }
+    out = {}
+    for kind, shape in shapes.items():
+        x = amplitude * shape
+        v = np.gradient(x) * fs
+        out[kind] = Motion(x, v, np.gradient(v) * fs)
+    return out
+
+
+def main_frequency(x: Floats, fs_hz: float) -> float:
+    """Return the frequency about which a motion has its power, Hz."""
+    power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(x.size))) ** 2
+    f = np.fft.rfftfreq(x.size, 1.0 / fs_hz)
+    return float(np.clip(np.sum(f * power) / max(np.sum(power), 1e-300), 0.05, 0.1 * fs_hz))
+
+
+def propose(
+    case: Case,
+    ctx: Context | None,
+    disp: Displacement | None,
+    search: force.Search | None,
+    verdict: str,
+    sets: list[list[str]],
+) -> dict[str, str] | None:
+    """Return the kind of experiment that separates the rival explanations best, and why."""
+    if verdict == "none":
+        return None
+    if ctx is None or search is None or not (search.equal and verdict == "ambiguous"):
+        if verdict == "ambiguous":
+            return {"kind": "sweep", "why": "the actuator's effects turn apart over frequency"}
+        if verdict == "unknown":
+            return {
+                "kind": "multi_amplitude",
+                "why": "an unknown force shows whether it depends on amplitude, rate or time",
+            }
+        names = search.best.names if search and search.best.members else ()
+        known = effects.catalogue()
+        for name in names:
+            if name in known:
+                kind, why = known[name].shown_by
+                return {"kind": kind, "why": f"to confirm {name}: {why}"}
+        return {"kind": "sweep", "why": "to confirm over the whole frequency range"}
+    separation = {
+        kind: _separation(case, ctx, search, motion)
+        for kind, motion in excitations(
+            case, ctx.x_range, main_frequency(ctx.x, case.fs_hz)
+        ).items()
+    }
+    best = max(separation, key=lambda kind: separation[kind])
+    named = " and ".join("+".join(s) for s in sets[:3])
+    return {
+        "kind": best,
+        "why": f"{named} then differ by {separation[best]:.1f} times the noise "
+        "(simulated with each; " + ", ".join(f"{k} {v:.1f}" for k, v in separation.items()) + ")",
+    }
+
+
+def _separation(case: Case, ctx: Context, search: force.Search, motion: Motion) -> float:
+    """Return the least misfit that one set leaves of another's force, in units of the noise.
+
+    A set may take new coefficients, and stiffness and damping may move, as in a new diagnosis.
+    """
+    n = motion.x.size
+    rng = np.random.default_rng(2)
+    other = {"fy_meas": np.convolve(rng.standard_normal(n), np.ones(64) / 8, mode="same")}
+    there = Context(
+        case.model, motion, np.arange(n) / case.fs_hz, np.zeros(n), other, ctx.all_ranges
+    )
+    base = [there.spring, there.v]
+    forces, designs = [], []
+    for fit in [search.best, *search.equal]:
+        columns, total = [], np.zeros(n)
+        for m, beta in zip(fit.members, fit.betas, strict=True):
+            own = m.effect.columns(there, m.trial)
+            columns += own
+            total += np.sum([b * c for b, c in zip(beta, own, strict=True)], axis=0)
+        forces.append(total)
+        free = [c for c in base if case.model.k_tol is None]
+        designs.append(np.column_stack([*columns, *free]))
+    sigma = search.problem.estimate.sigma_n or 1.0
+    gaps = []
+    for i, wanted in enumerate(forces):
+        for j, design in enumerate(designs):
+            if i != j:
+                scale = np.sqrt(np.mean(design**2, axis=0))
+                scale[scale == 0] = 1.0
+                beta, *_ = np.linalg.lstsq(design / scale, wanted, rcond=None)
+                gaps.append(float(np.std(wanted - design / scale @ beta)))
+    return min(gaps) / sigma if gaps else 0.0

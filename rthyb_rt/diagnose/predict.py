@@ -1,0 +1,399 @@
+"""The model with what was found in it: simulated along another recording, and refined there.
+
+The specimen's part of every effect is simulated as elements of the core where it has such; else its
+force is iterated with the motion until both agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rthyb_rt import core
+from rthyb_rt.diagnose import estimate
+from rthyb_rt.diagnose.case import Case, Floats, Model
+from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.select import Member
+from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, actuator, body
+
+ROUNDS = 25
+
+
+@dataclass(frozen=True)
+class Augmented:
+    """The baseline with corrected numbers, and the effects beside it.
+
+    Attributes:
+        model: baseline with stiffness, damping, mass as fitted.
+        base: the baseline as given; effects are defined beside it.
+        members, betas: effects of the force with their coefficients.
+        actuator: with what was found in it; None without one.
+        ranges: those of the recording that it was fitted to.
+    """
+
+    model: Model
+    base: Model
+    members: tuple[Member, ...]
+    betas: tuple[Floats, ...]
+    actuator: ActuatorModel | None
+    ranges: tuple[float, float, float] | None
+    skew_s: float = 0.0
+
+    def context(self, motion: Motion, t: Floats, other: dict[str, Floats]) -> Context:
+        """Return what the laws see along a motion."""
+        return Context(self.base, motion, t, np.zeros(t.size), other, self.ranges)
+
+    def effect_force(
+        self, motion: Motion, t: Floats, other: dict[str, Floats], sensor: bool = True
+    ) -> Floats:
+        """Return the force of the effects along a motion, (n,), N."""
+        ctx = self.context(motion, t, other)
+        total = np.zeros(t.size)
+        for member, beta in zip(self.members, self.betas, strict=True):
+            if member.effect.sensor and (not sensor or member.name == "hum"):
+                # The phase of a hum in another recording is not known.
+                continue
+            if member.name == "crosstalk" and "fy_meas" not in other:
+                continue
+            for b, c in zip(beta, member.effect.columns(ctx, member.trial), strict=True):
+                total += b * c
+        return total
+
+    def force(self, motion: Motion, t: Floats, other: dict[str, Floats]) -> Floats:
+        """Return the force that the load cell shows along a motion, (n,), N."""
+        return self.model.force(motion.x, motion.v, motion.a) + self.effect_force(motion, t, other)
+
+    def elements(self) -> tuple[list[core.ElementConfig], float, list[tuple[Member, Floats]]]:
+        """Return elements, mass, and the effects that have no element."""
+        ctx = self.context(
+            Motion(np.zeros(2), np.zeros(2), np.zeros(2)), np.arange(2.0) / self.model.fs_hz, {}
+        )
+        out, mass = self.model.elements(), self.model.moving_mass
+        rest: list[tuple[Member, Floats]] = []
+        for member, beta in zip(self.members, self.betas, strict=True):
+            own = None
+            if not member.effect.sensor and member.name not in ("pinching", "degradation"):
+                own = member.effect.elements(ctx, member.trial, beta)
+            if own is None:
+                rest.append((member, beta))
+                continue
+            for item in own:
+                if item.kind == "inertia":
+                    mass += item.params[0]
+                else:
+                    out.append(item)
+        return out, mass, rest
+
+    def moved_by(
+        self, push: Floats, mass: float, t: Floats, other: dict[str, Floats],
+        start: tuple[float, float] = (0.0, 0.0),
+    ) -> Motion:  # fmt: skip
+        """Return the motion of mass and specimen under a force of shape (n,), N."""
+        elements, own_mass, rest = self.elements()
+        whole = mass + own_mass
+        substeps = _substeps(self.model, whole)
+        if len(elements) > core.ELEMENTS_MAX:
+            elements, rest = self.model.elements(), list(zip(self.members, self.betas, strict=True))
+
+        def run(force: Floats) -> Motion:
+            return body(whole, elements, force, self.model.fs_hz, start, self.model.hold, substeps)
+
+        motion = run(push)
+        beside = replace(self, members=tuple(m for m, _ in rest), betas=tuple(b for _, b in rest))
+        if not rest:
+            return motion
+        extra = np.zeros_like(push)
+        for k in range(ROUNDS):
+            new = beside.effect_force(motion, t, other, sensor=True)
+            change = float(np.std(new - extra))
+            extra = extra + (1.0 if k < 4 else 0.5) * (new - extra)
+            try:
+                motion = run(push - extra)
+            except SimulationError:
+                break
+            if change < 1e-4 * (float(np.std(push)) or 1.0):
+                break
+        return motion
+
+
+def _substeps(model: Model, mass: float) -> int:
+    """Return substeps that resolve the stiffest spring on the mass."""
+    stiffest = abs(model.k) * 4.0
+    step = 1.0 / model.fs_hz
+    return int(np.clip(np.ceil(step * np.sqrt(stiffest / max(mass, 1e-12)) / 0.25), 4, 64))
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Force and displacement that a model gives for a recording, each (n,); NaN where it cannot."""
+
+    t: Floats
+    f: Floats
+    x: Floats
+
+
+def predict(augmented: Augmented, case: Case, before: Case | None = None) -> Prediction:
+    """Return what a model makes of a recording's inputs.
+
+    Args:
+        augmented: the model.
+        case: the recording; outputs may be missing.
+        before: a recording that this one continues: then its history is run through first.
+    """
+    if before is not None and continues(before, case):
+        whole = _joined(before, case)
+        result = predict(augmented, whole)
+        n = case.t.size
+        return Prediction(case.t, result.f[-n:], result.x[-n:])
+    model = augmented.model
+    other = {k: estimate.filled(v) for k, v in case.channels.items() if np.isfinite(v).any()}
+    x_meas = case.channels.get("x_meas")
+    measured = x_meas is not None and np.isfinite(x_meas).mean() > 0.95
+    x_only = np.full(case.t.size, np.nan)
+    motion: Motion | None = None
+    if model.family in ("drive", "loop"):
+        if augmented.actuator is not None and "x_cmd" in other:
+            motion = actuator(augmented.actuator, other["x_cmd"], case.fs_hz)
+            x_only = motion.x
+        if motion is None or (measured and not _follows(motion.x, other["x_meas"], model)):
+            motion = _measured_motion(case) if measured else motion
+    else:
+        motion = _driven(augmented, case, other, x_meas)
+        x_only = motion.x if motion is not None else x_only
+        if measured:
+            motion = _measured_motion(case)
+    if motion is None:
+        return Prediction(case.t, np.full(case.t.size, np.nan), x_only)
+    return Prediction(case.t, augmented.force(motion, case.t, other), x_only)
+
+
+def _follows(x: Floats, x_meas: Floats, model: Model) -> bool:
+    sigma = estimate.noise_of(x_meas, model.x_std)
+    return float(np.std(x - x_meas)) < 2.0 * sigma
+
+
+def _measured_motion(case: Case) -> Motion:
+    if estimate.quasi_static(case):
+        x = estimate.filled(case.channels["x_meas"])
+        return Motion(x, np.gradient(x) * case.fs_hz, np.zeros_like(x))
+    motion, _, _ = estimate.smoothed(case, [])
+    return motion
+
+
+def _driven(
+    augmented: Augmented, case: Case, other: dict[str, Floats], x_meas: Floats | None
+) -> Motion | None:
+    model = augmented.model
+    if model.family == "ground" and "ag" in other:
+        push, mass = -model.mass * other["ag"], model.mass
+    elif model.family == "forced" and "f_in" in other:
+        push, mass = other["f_in"], 0.0
+    else:
+        return None
+    start = (0.0, 0.0)
+    known = np.flatnonzero(np.isfinite(x_meas)) if x_meas is not None else np.zeros(0, dtype=int)
+    if known.size and x_meas is not None:
+        start = _start(augmented, push, mass, case, other, x_meas)
+    try:
+        return augmented.moved_by(push, mass, case.t, other, start)
+    except (SimulationError, core.CoreError):
+        return None
+
+
+def _start(
+    augmented: Augmented, push: Floats, mass: float, case: Case, other: dict[str, Floats],
+    x_meas: Floats,
+) -> tuple[float, float]:  # fmt: skip
+    """Return displacement and velocity at the first row, from the first rows that were measured."""
+    dt = case.dt
+    good = np.isfinite(x_meas)
+    end = int(np.argmin(good)) if not good.all() else x_meas.size
+    end = min(end, 300)
+    if end < 8:
+        return (float(x_meas[0]), 0.0) if good[0] else (0.0, 0.0)
+    first = min(end, 12)
+    slope = np.polyfit(np.arange(first) * dt, x_meas[:first], 3)
+    p = np.array([float(x_meas[0]), float(slope[-2])])
+    head = slice(0, end)
+
+    def simulated(q: Floats) -> Floats:
+        part = {k: v[head] for k, v in other.items()}
+        return augmented.moved_by(
+            push[head], mass, case.t[head], part, (float(q[0]), float(q[1]))
+        ).x
+
+    spread = float(np.std(x_meas[head]))
+    steps = np.array(
+        [
+            max(spread, 1e-9) * 1e-3,
+            max(abs(float(p[1])), spread / dt / end) * 1e-3,
+        ]
+    )
+    try:
+        for _ in range(4):
+            x = simulated(p)
+            jacobian = np.column_stack(
+                [(simulated(p + np.eye(2)[j] * steps[j]) - x) / steps[j] for j in range(2)]
+            )
+            scale = np.maximum(np.sqrt(np.sum(jacobian**2, axis=0)), 1e-300)
+            delta, *_ = np.linalg.lstsq(jacobian / scale, x_meas[head] - x, rcond=None)
+            p = p + delta / scale
+    except (SimulationError, core.CoreError, np.linalg.LinAlgError):
+        return (float(x_meas[0]), float(slope[-2]))
+    return (float(p[0]), float(p[1]))
+
+
+def continues(before: Case, case: Case) -> bool:
+    """Return whether a recording goes on where another ended."""
+    gap = case.t[0] - before.t[-1]
+    return bool(0.5 * case.dt < gap < 1.5 * case.dt)
+
+
+def _joined(before: Case, case: Case) -> Case:
+    names = set(before.channels) | set(case.channels)
+    n, m = before.t.size, case.t.size
+    channels = {
+        k: np.concatenate(
+            (before.channels.get(k, np.full(n, np.nan)), case.channels.get(k, np.full(m, np.nan)))
+        )
+        for k in names
+    }
+    # The displacement must not be known where it is to be predicted.
+    return replace(
+        case,
+        t=np.concatenate((before.t, case.t)),
+        channels=channels,
+        rows=np.concatenate((before.rows, case.rows)),
+    )
+
+
+def nrmse(predicted: Floats, measured: Floats, first: int = 0) -> float:
+    """Return rms(predicted - measured) / std(measured) from a row on, as a fraction."""
+    good = np.isfinite(predicted) & np.isfinite(measured)
+    good[:first] = False
+    if good.sum() < 10:
+        return float("nan")
+    spread = float(np.std(measured[good]))
+    return (
+        float(np.sqrt(np.mean((predicted - measured)[good] ** 2))) / spread
+        if spread
+        else float("nan")
+    )
+
+
+def parameters(augmented: Augmented) -> list[tuple[str, int, int]]:
+    """Return what may be refined: (kind, member, index)."""
+    out = []
+    model = augmented.model
+    if model.k:
+        out.append(("k", 0, 0))
+    if model.c:
+        out.append(("c", 0, 0))
+    if model.moving_mass and model.k_tol is None:
+        out.append(("m", 0, 0))
+    for i, (member, beta) in enumerate(zip(augmented.members, augmented.betas, strict=True)):
+        _, pinned = member.effect.settings(
+            augmented.context(Motion(np.zeros(2), np.zeros(2), np.zeros(2)), np.arange(2.0), {}),
+            member.trial,
+        )[0]
+        out += [("beta", i, j) for j in range(len(beta)) if pinned[j] is None and beta[j] != 0.0]
+        out += [("theta", i, j) for j in range(len(member.trial.theta))]
+    return out
+
+
+def changed(augmented: Augmented, places: Sequence[tuple[str, int, int]], by: Floats) -> Augmented:
+    """Return the model with each of some parameters multiplied by exp(by)."""
+    model, members, betas = augmented.model, list(augmented.members), list(augmented.betas)
+    for (kind, i, j), d in zip(places, by, strict=True):
+        factor = float(np.exp(d))
+        if kind == "k":
+            model = replace(model, k=model.k * factor)
+        elif kind == "c":
+            model = replace(model, c=model.c * factor)
+        elif kind == "m":
+            model = replace(model, moving_mass=model.moving_mass * factor)
+        elif kind == "beta":
+            beta = betas[i].copy()
+            beta[j] *= factor
+            betas[i] = beta
+        else:
+            theta = list(members[i].trial.theta)
+            theta[j] *= factor
+            members[i] = Member(members[i].effect, Trial(tuple(theta), members[i].trial.variant))
+    return replace(augmented, model=model, members=tuple(members), betas=tuple(betas))
+
+
+def output_error(
+    augmented: Augmented, case: Case, steps: int = 6, force: bool = False
+) -> Augmented:
+    """Refine the model by what it simulates: the displacement under ag or f_in.
+
+    Equation-error estimates carry the smoother's bias into a simulation; this does not. Kept only
+    if it does better (or with ``force``), with the lab's tolerances as priors.
+    """
+    x_meas = case.channels.get("x_meas")
+    if case.model.family not in ("ground", "forced") or x_meas is None:
+        return augmented
+    other = {k: estimate.filled(v) for k, v in case.channels.items()}
+    places = parameters(augmented)
+    rows = case.rows & np.isfinite(x_meas)
+    sigma = float(np.std(x_meas[rows])) or 1.0
+    priors = np.zeros(len(places))
+    tolerances = {"k": case.model.k_tol, "c": case.model.c_tol}
+    noise = estimate.noise_of(x_meas, case.model.x_std)
+    for j, (kind, _, _) in enumerate(places):
+        tolerance = tolerances.get(kind)
+        if tolerance:
+            priors[j] = noise / sigma / tolerance
+    if augmented.model.family == "ground":
+        push, mass = -case.model.mass * other["ag"], case.model.mass
+    else:
+        push, mass = other["f_in"], 0.0
+
+    start = (
+        _start(augmented, push, mass, case, other, x_meas)
+        if case.model.family == "forced"
+        else (0.0, 0.0)
+    )
+
+    def residual(p: Floats) -> Floats:
+        motion = changed(augmented, places, p[: len(places)]).moved_by(
+            push, mass, case.t, other, (start[0] + p[-2] * sigma, start[1] + p[-1] * v_scale)
+        )
+        return np.asarray(np.r_[(motion.x - x_meas)[rows] / sigma, priors * p[: len(places)]])
+
+    v_scale = sigma * 2 * np.pi
+    p = np.zeros(len(places) + 2)
+    try:
+        r = residual(p)
+        first = best = float(r @ r)
+        damping = 1e-3
+        for _ in range(steps):
+            jacobian = np.column_stack(
+                [(residual(p + 1e-4 * np.eye(p.size)[j]) - r) / 1e-4 for j in range(p.size)]
+            )
+            gram, right = jacobian.T @ jacobian, -jacobian.T @ r
+            improved = False
+            for _ in range(4):
+                delta = np.linalg.solve(gram + damping * np.diag(gram.diagonal() + 1e-12), right)
+                trial = p + np.clip(delta, -0.3, 0.3)
+                try:
+                    r_new = residual(trial)
+                except (SimulationError, core.CoreError):
+                    damping *= 10
+                    continue
+                now = float(r_new @ r_new)
+                if np.isfinite(now) and now < best:
+                    improved = best - now > 1e-4 * best
+                    p, r, best, damping = trial, r_new, now, max(damping * 0.2, 1e-9)
+                    break
+                damping *= 10
+            if not improved:
+                break
+    except (SimulationError, core.CoreError, np.linalg.LinAlgError):
+        return augmented
+    return (
+        changed(augmented, places, p[: len(places)]) if force or best < 0.98 * first else augmented
+    )

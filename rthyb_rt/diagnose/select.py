@@ -1,0 +1,589 @@
+"""Which set of effects explains a force residual: singles, pairs and triples at once.
+
+All trial shapes of all effects become columns of one dictionary. Their products are kept block by
+block in time, so that any set of effects is solved, and any block left out, without touching a row
+again. What the model may have wrong within its stated tolerance stands beside the effects as
+nuisance columns with a prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from rthyb_rt.diagnose.case import Case
+from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
+from rthyb_rt.diagnose.estimate import Estimate
+
+SKEW_PRIOR_S = 5e-5
+"""Standard deviation of the time offset between channels: 0.1 ms is normal."""
+MASS_BLUR = 0.005
+"""Relative standard deviation that the estimate of a motion puts on the mass."""
+BLOCKS = 16
+ROWS_MAX = 24_000
+"""Rows that a search looks at; a longer recording is thinned."""
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """A column that is always there: what may be wrong without being a finding."""
+
+    name: str
+    column: Floats
+    sigma: float | None
+
+
+@dataclass(frozen=True)
+class Member:
+    """An effect in one shape."""
+
+    effect: Effect
+    trial: Trial
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.effect.name
+
+
+@dataclass
+class Fit:
+    """A set of effects fitted to the residual.
+
+    Attributes:
+        members: effects with their shapes.
+        betas: linear coefficients of each.
+        chi2: sum of squares of the whitened residual and of the priors.
+        count: parameters that were fitted.
+        residual: whitened, judged rows; empty before refinement.
+        covariance: of (log shapes, coefficients), before scaling.
+    """
+
+    members: tuple[Member, ...]
+    betas: tuple[Floats, ...]
+    chi2: float
+    count: int
+    nuisance: Floats = field(default_factory=lambda: np.zeros(0))
+    residual: Floats = field(default_factory=lambda: np.zeros(0))
+    covariance: Floats | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Sorted names, those of a joint law apart."""
+        return tuple(sorted(n for m in self.members for n in m.effect.names))
+
+
+class Problem:
+    """The residual of one recording, the nuisance, and the dictionary of effects."""
+
+    def __init__(
+        self, case: Case, ctx: Context, estimate: Estimate, effects: Iterable[Effect]
+    ) -> None:
+        self.case, self.ctx, self.estimate = case, ctx, estimate
+        self.loudness = 1.0
+        rows = np.flatnonzero(estimate.rows)
+        self.thin = max(1, -(-rows.size // ROWS_MAX))
+        self.rows = rows[:: self.thin]
+        self.y = self.seen(estimate.force - ctx.total)
+        self.nuisances = list(self._nuisances())
+        self.base = np.column_stack(
+            [self.seen(n.column) for n in self.nuisances] or [np.zeros((self.y.size, 0))]
+        )
+        self.effects = [e for e in effects if self._admitted(e)]
+        self.ln_n = float(np.log(max(self.y.size, 2)))
+
+    def _admitted(self, effect: Effect) -> bool:
+        model = self.case.model
+        names = {n.name for n in self.nuisances if n.sigma is None}
+        if effect.name in names:
+            return False
+        if effect.sensor and model.family == "forced":
+            return effect.name in ("bias", "drift")
+        if effect.sensor and model.family == "ground" and "f_meas" not in self.case.channels:
+            return effect.name in ("bias",)
+        return not (quasi(self.case) and effect.name not in STATIC)
+
+    def _nuisances(self) -> Iterable[Nuisance]:
+        model, ctx = self.case.model, self.ctx
+        if model.k:
+            yield Nuisance("stiffness", ctx.spring, model.k_tol)
+        if model.c:
+            sigma = None if model.c_tol is None else model.c_tol * abs(model.c)
+            yield Nuisance("viscous", ctx.v, sigma)
+        if model.k_tol is None and (model.moving_mass or model.family == "forced"):
+            yield Nuisance("inertia", ctx.a, None)
+        if quasi(self.case):
+            return
+        if model.k_tol is not None and not self.estimate.exact:
+            # An estimated acceleration is a little too small: no finding about the mass.
+            mass = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
+            if mass > 0.0:
+                yield Nuisance("blur", ctx.a, MASS_BLUR * mass)
+        if model.family == "forced":
+            yield Nuisance("skew", np.gradient(ctx.force) / ctx.dt, SKEW_PRIOR_S)
+        elif model.family == "ground" and "f_meas" not in self.case.channels:
+            ag = ctx.other["ag"]
+            yield Nuisance("skew", model.mass * np.gradient(ag) / ctx.dt, SKEW_PRIOR_S)
+        else:
+            yield Nuisance("skew", -np.gradient(ctx.total) / ctx.dt, SKEW_PRIOR_S)
+
+    def rescale(self, factor: float) -> None:
+        """Take the noise ``sqrt(factor)`` times as large: rows of coloured noise tell less."""
+        root = float(np.sqrt(factor))
+        self.loudness *= root
+        self.y = self.y / root
+        self.base = self.base / root
+
+    def seen(self, column: Floats) -> Floats:
+        """Return a force as it is judged: whitened, judged rows only."""
+        return self.estimate.whiten(column)[self.rows] / self.loudness
+
+    def sensible(self, fit: Fit) -> bool:
+        """Return whether every effect of a fit makes a physical law."""
+        return all(
+            m.effect.sensible(self.ctx, m.trial, b)
+            for m, b in zip(fit.members, fit.betas, strict=True)
+        )
+
+    def columns(self, member: Member) -> Floats:
+        """Return the judged columns of an effect in one shape, (rows, coefficients)."""
+        return np.column_stack(
+            [self.seen(c) for c in member.effect.columns(self.ctx, member.trial)]
+        )
+
+
+STATIC = {"hysteresis", "cubic", "quadratic", "gap", "stopper", "pinching", "degradation",
+          "bias", "drift", "coulomb", "stiffness", "viscous", "quad_damping"}  # fmt: skip
+
+
+def quasi(case: Case) -> bool:
+    """Return whether the recording's time is nominal."""
+    from rthyb_rt.diagnose.estimate import quasi_static
+
+    return quasi_static(case)
+
+
+@dataclass(frozen=True)
+class _Group:
+    member: Member
+    columns: tuple[int, ...]
+    signs: str
+    pinned: tuple[float | None, ...]
+    count: int
+
+
+class Dictionary:
+    """All trial shapes of all effects, and their products block by block."""
+
+    def __init__(self, problem: Problem, progress: Callable[[str], None] = lambda _: None) -> None:
+        self.problem = problem
+        groups: list[_Group] = []
+        columns: list[Floats] = []
+        for effect in problem.effects:
+            for trial in effect.trials(problem.ctx):
+                member = Member(effect, trial)
+                block = problem.columns(member)
+                norms = np.sqrt(np.sum(block**2, axis=0))
+                if (
+                    not np.isfinite(norms).all()
+                    or not (norms > 1e-9 * np.sqrt(problem.y.size)).any()
+                ):
+                    continue
+                (signs, pinned), count = effect.settings(problem.ctx, trial)
+                keep = [j for j in range(block.shape[1]) if norms[j] > 0]
+                if keep != list(range(block.shape[1])):
+                    continue
+                first = len(columns)
+                columns += [block[:, j] for j in keep]
+                groups.append(
+                    _Group(member, tuple(range(first, first + len(keep))), signs, pinned, count)
+                )
+            progress(effect.name)
+        self.groups = groups
+        base = problem.base
+        data = (
+            np.column_stack([*columns, base, problem.y])
+            if columns
+            else np.column_stack([base, problem.y])
+        )
+        self.p, self.b = len(columns), base.shape[1]
+        self.scale = np.sqrt(np.mean(data**2, axis=0))
+        self.scale[self.scale == 0] = 1.0
+        self.scale[-1] = 1.0
+        data = data / self.scale
+        cuts = np.linspace(0, data.shape[0], BLOCKS + 1).astype(int)
+        self.grams = np.stack([data[i:j].T @ data[i:j] for i, j in pairwise(cuts)])
+        self.ridge = np.zeros(self.b)
+        for j, nuisance in enumerate(problem.nuisances):
+            if nuisance.sigma is not None:
+                self.ridge[j] = 1.0 / (nuisance.sigma * self.scale[self.p + j]) ** 2
+        self._pins()
+
+    def _pins(self) -> None:
+        self.pin_a, self.pin_b = np.zeros(self.p), np.zeros(self.p)
+        self.pin_c = np.zeros(len(self.groups))
+        for g, group in enumerate(self.groups):
+            for j, sigma in zip(group.columns, group.pinned, strict=True):
+                if sigma is not None:
+                    s = self.scale[j]
+                    self.pin_a[j] = 1.0 / (sigma * s) ** 2
+                    self.pin_b[j] = 1.0 / (sigma**2 * s)
+                    self.pin_c[g] += 1.0 / sigma**2
+
+    def reduced(self, gram: Floats | None = None) -> tuple[Floats, Floats, float]:
+        """Return the products with the nuisance taken out: A, b and the sum of squares left."""
+        g = self.grams.sum(axis=0) if gram is None else gram
+        p, b = self.p, self.b
+        bb = g[p : p + b, p : p + b] + np.diag(self.ridge + 1e-12 * g.diagonal()[p : p + b])
+        cross = g[p : p + b]
+        solved = np.linalg.solve(bb, cross) if b else cross
+        rest = g - g[:, p : p + b] @ solved
+        return rest[:p, :p], rest[:p, -1], float(rest[-1, -1])
+
+    def singles(self) -> list[tuple[float, tuple[int, ...]]]:
+        """Return (chi2, group) of every group on its own; impossible ones are left out."""
+        return self.sets([(g,) for g in range(len(self.groups))])
+
+    def begun(self) -> Iterable[tuple[int, tuple[Floats, Floats, float]]]:
+        """Give, for each block, its first row and the products of columns that begin there."""
+        whole = self.grams.sum(axis=0)
+        rows = self.problem.y.size
+        p = self.p
+        for block in range(1, BLOCKS):
+            gram = whole.copy()
+            late = self.grams[block:].sum(axis=0)
+            gram[:p], gram[:, :p] = late[:p], late[:, :p]
+            yield int(rows * block / BLOCKS), self.reduced(gram)
+
+    def sets(
+        self,
+        sets: Sequence[tuple[int, ...]],
+        reduced: tuple[Floats, Floats, float] | None = None,
+    ) -> list[tuple[float, tuple[int, ...]]]:
+        """Return (chi2, groups) of sets of groups of one size, impossible ones left out."""
+        if len(sets) == 0:
+            return []
+        a, b, j0 = self.reduced() if reduced is None else reduced
+        width = 2
+        groups = np.array(sets)
+        size = groups.shape[1] * width
+        index = np.full((len(self.groups), width), -1)
+        sign = np.zeros((len(self.groups), width), dtype=bool)
+        for g, group in enumerate(self.groups):
+            index[g, : len(group.columns)] = group.columns
+            sign[g, : len(group.columns)] = [s == "+" for s in group.signs]
+        out: list[tuple[float, tuple[int, ...]]] = []
+        aa = a + np.diag(self.pin_a)
+        bb = b + self.pin_b
+        for part in np.array_split(np.arange(len(sets)), max(1, len(sets) // 40000)):
+            cols = index[groups[part]].reshape(part.size, size)
+            there = cols >= 0
+            safe = np.where(there, cols, 0)
+            mat = aa[safe[:, :, None], safe[:, None, :]]
+            mat = np.where(there[:, :, None] & there[:, None, :], mat, 0.0)
+            diag = np.arange(size)
+            mat[:, diag, diag] = np.where(there, mat[:, diag, diag] * (1 + 1e-10) + 1e-12, 1.0)
+            rhs = np.where(there, bb[safe], 0.0)
+            try:
+                beta = np.linalg.solve(mat, rhs[:, :, None])[:, :, 0]
+            except np.linalg.LinAlgError:
+                beta = np.stack(
+                    [np.linalg.lstsq(m, r, rcond=None)[0] for m, r in zip(mat, rhs, strict=True)]
+                )
+            chi2 = j0 + self.pin_c[groups[part]].sum(axis=1) - np.sum(beta * rhs, axis=1)
+            positive = sign[groups[part]].reshape(part.size, size)
+            bad = np.any(positive & (beta < 0), axis=1) | ~np.isfinite(chi2)
+            out += [
+                (float(chi2[i]), tuple(int(g) for g in groups[part[i]]))
+                for i in np.flatnonzero(~bad)
+            ]
+        return out
+
+    def penalty(self, groups: Sequence[int]) -> float:
+        """Return what a set has to earn: its parameters, and having been picked among many."""
+        return sum(
+            price(self.problem, self.groups[g].member.effect, self.groups[g].count) for g in groups
+        )
+
+    def best(
+        self, found: Sequence[tuple[float, tuple[int, ...]]], most: int, variants: int = 1
+    ) -> list[tuple[int, ...]]:
+        """Return the best sets of groups, up to ``most`` sets of names in order.
+
+        Of each set of names up to ``variants`` shapes of different variants are kept.
+        """
+        ranked = sorted((chi2 + self.penalty(groups), groups) for chi2, groups in found)
+        kept: dict[tuple[str, ...], dict[tuple[str, ...], tuple[int, ...]]] = {}
+        for _, groups in ranked:
+            parts = [self.groups[g].member for g in groups]
+            names = tuple(sorted(n for m in parts for n in m.effect.names))
+            if len(set(names)) < len(names) or not compatible(parts):
+                continue
+            if names not in kept and len(kept) == most:
+                continue
+            shapes = kept.setdefault(names, {})
+            form = tuple(m.trial.variant for m in sorted(parts, key=lambda m: m.name))
+            if form not in shapes and len(shapes) < variants:
+                shapes[form] = groups
+        return [groups for shapes in kept.values() for groups in shapes.values()]
+
+    def pairs(self) -> list[tuple[float, tuple[int, ...]]]:
+        """Return (chi2, groups) of all pairs of different effects."""
+        n = len(self.groups)
+        names = np.array([hash(g.member.name) for g in self.groups])
+        i, j = np.triu_indices(n, 1)
+        differ = names[i] != names[j]
+        return self.sets(np.column_stack([i[differ], j[differ]]))  # type: ignore[arg-type]
+
+    def extended(self, seeds: Sequence[tuple[int, ...]]) -> list[tuple[float, tuple[int, ...]]]:
+        """Return (chi2, groups) of the seeds with one more effect each."""
+        sets = []
+        for seed in seeds:
+            names = {self.groups[g].member.name for g in seed}
+            sets += [
+                (*seed, g) for g, group in enumerate(self.groups) if group.member.name not in names
+            ]
+        return self.sets(sets)
+
+
+def compatible(members: Sequence[Member]) -> bool:
+    """Return whether effects may stand beside one another."""
+    whole = [m for m in members if m.effect.complete]
+    beside = [m for m in members if not m.effect.complete and not m.effect.sensor]
+    return not whole or (len(whole) == 1 and not beside)
+
+
+def penalty(ln_n: float, count: int) -> float:
+    """Return the price of an effect with ``count`` parameters."""
+    return count * ln_n + 12.0
+
+
+def price(problem: Problem, effect: Effect, count: int) -> float:
+    """Return the price of an effect; one that only moves a stated number has nothing to choose."""
+    known = {n.name for n in problem.nuisances if n.sigma is not None}
+    return 13.0 if effect.name in known else penalty(problem.ln_n, count)
+
+
+def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats]) -> Fit | None:
+    """Solve for the linear coefficients of effects whose judged columns are given."""
+    design = np.column_stack([*blocks, problem.base]) if blocks else problem.base
+    y = problem.y
+    if design.shape[1] == 0:
+        return Fit((), (), float(y @ y), 0, residual=y)
+    scale = np.sqrt(np.mean(design**2, axis=0))
+    scale[scale == 0] = 1.0
+    design = design / scale
+    gram, right = design.T @ design, design.T @ y
+    extra, signs, count, j = 0.0, [], 0, 0
+    widths = []
+    for member, block in zip(members, blocks, strict=True):
+        (sign, pinned), n = member.effect.settings(problem.ctx, member.trial)
+        count += n
+        widths.append(block.shape[1])
+        for s, sigma in zip(sign, pinned, strict=True):
+            if sigma is not None:
+                gram[j, j] += 1.0 / (sigma * scale[j]) ** 2
+                right[j] += 1.0 / (sigma**2 * scale[j])
+                extra += 1.0 / sigma**2
+            signs.append(s)
+            j += 1
+    for nuisance in problem.nuisances:
+        if nuisance.sigma is not None:
+            gram[j, j] += 1.0 / (nuisance.sigma * scale[j]) ** 2
+        j += 1
+    gram[np.diag_indices_from(gram)] *= 1.0 + 1e-11
+    try:
+        inverse = np.linalg.inv(gram)
+    except np.linalg.LinAlgError:
+        return None
+    beta = inverse @ right
+    residual = y - design @ beta
+    chi2 = float(y @ y + extra - beta @ right)
+    real = beta / scale
+    if any(s == "+" and real[i] < 0 for i, s in enumerate(signs)):
+        return None
+    ends = np.cumsum([0, *widths])
+    return Fit(
+        tuple(members),
+        tuple(real[i:k] for i, k in pairwise(ends)),
+        chi2,
+        count,
+        nuisance=real[ends[-1] :],
+        residual=residual,
+        covariance=inverse / np.outer(scale, scale),
+    )
+
+
+def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit | None:
+    """Fit the shape parameters as well, from the shapes given.
+
+    A skew moves the force of the other effects along: it is fitted again beside them.
+    """
+    skewed = any(m.name == "time_skew" for m in members) and len(members) > 1
+    fit = _refined(problem, members, 3 if skewed else steps)
+    if not skewed:
+        return fit
+    best, kept, shape = fit, problem.ctx, fit
+    for _ in range(5):
+        if shape is None:
+            break
+        beside = np.zeros_like(kept.t)
+        for m, beta in zip(shape.members, shape.betas, strict=True):
+            if not m.effect.sensor:
+                for b, c in zip(beta, m.effect.columns(kept, m.trial), strict=True):
+                    beside += b * c
+        problem.ctx = replace(kept, beside=beside)
+        shape = _refined(problem, shape.members, steps)
+        problem.ctx = kept
+        if shape is not None and (best is None or shape.chi2 < best.chi2):
+            done = best is not None and best.chi2 - shape.chi2 < 0.01
+            best = shape
+            if done:
+                break
+    return best
+
+
+def _refined(problem: Problem, members: Sequence[Member], steps: int) -> Fit | None:
+    """Damped Gauss-Newton over the logarithms of the shape parameters."""
+    members = list(members)
+    blocks = [problem.columns(m) for m in members]
+    fit = solve(problem, members, blocks)
+    if fit is None or not any(m.trial.theta for m in members):
+        return fit
+    places = [(i, j) for i, m in enumerate(members) for j in range(len(m.trial.theta))]
+    damping = 1e-3
+    for _ in range(steps):
+        jacobian = np.empty((problem.y.size, len(places)))
+        for column, (i, j) in enumerate(places):
+            step = 1e-3
+            moved = _moved(problem, members[i], j, step)
+            if moved is None:
+                step = -1e-3
+                moved = _moved(problem, members[i], j, step)
+            if moved is None:
+                jacobian[:, column] = 0.0
+                continue
+            change = problem.columns(moved) - blocks[i]
+            jacobian[:, column] = change @ fit.betas[i] / step
+        design = np.column_stack([jacobian, *blocks, problem.base])
+        gram = design.T @ design
+        prior = _prior_gram(problem, members, len(places), gram.shape[0])
+        held = np.r_[np.zeros(len(places)), *fit.betas, fit.nuisance]
+        aim = np.zeros(held.size)
+        aim[len(places) : held.size - fit.nuisance.size] = 1.0
+        right = design.T @ fit.residual + prior.diagonal() * (aim - held)
+        gram += prior
+        improved = False
+        for _ in range(4):
+            damped = gram + damping * np.diag(
+                np.r_[gram.diagonal()[: len(places)], np.zeros(gram.shape[0] - len(places))]
+            )
+            damped[np.diag_indices_from(damped)] += 1e-12 * gram.diagonal().max() * 1e-3 + 1e-30
+            try:
+                delta = np.linalg.solve(damped, right)[: len(places)]
+            except np.linalg.LinAlgError:
+                break
+            delta = np.clip(delta, -0.5, 0.5)
+            trial_members = _stepped(problem, members, places, delta)
+            trial_blocks = [
+                problem.columns(m) if m.trial.theta else b
+                for m, b in zip(trial_members, blocks, strict=True)
+            ]
+            attempt = solve(problem, trial_members, trial_blocks)
+            if attempt is not None and attempt.chi2 < fit.chi2:
+                gain = fit.chi2 - attempt.chi2
+                members, blocks, fit = trial_members, trial_blocks, attempt
+                damping = max(damping * 0.2, 1e-6)
+                improved = True
+                break
+            damping *= 8.0
+        if not improved or gain < 1e-5 * fit.chi2 + 0.02:
+            break
+    return _with_covariance(problem, members, blocks, places, fit)
+
+
+def _prior_gram(problem: Problem, members: Sequence[Member], first: int, size: int) -> Floats:
+    extra = np.zeros((size, size))
+    j = first
+    for m in members:
+        (_, pinned), _ = m.effect.settings(problem.ctx, m.trial)
+        for sigma in pinned:
+            if sigma is not None:
+                extra[j, j] = 1.0 / sigma**2
+            j += 1
+    for nuisance in problem.nuisances:
+        if nuisance.sigma is not None:
+            extra[j, j] = 1.0 / nuisance.sigma**2
+        j += 1
+    return extra
+
+
+def _moved(problem: Problem, member: Member, j: int, step: float) -> Member | None:
+    theta = list(member.trial.theta)
+    low, high = member.effect.limits(problem.ctx, member.trial)[j]
+    value = theta[j] * float(np.exp(step))
+    if not low <= abs(value) <= high:
+        return None
+    theta[j] = value
+    return Member(member.effect, Trial(tuple(theta), member.trial.variant))
+
+
+def _stepped(
+    problem: Problem, members: Sequence[Member], places: Sequence[tuple[int, int]], delta: Floats
+) -> list[Member]:
+    out = list(members)
+    for (i, j), d in zip(places, delta, strict=True):
+        member = out[i]
+        theta = list(member.trial.theta)
+        low, high = member.effect.limits(problem.ctx, member.trial)[j]
+        value = theta[j] * float(np.exp(d))
+        theta[j] = float(np.copysign(np.clip(abs(value), low, high), value))
+        out[i] = Member(member.effect, Trial(tuple(theta), member.trial.variant))
+    return out
+
+
+def _with_covariance(
+    problem: Problem,
+    members: Sequence[Member],
+    blocks: Sequence[Floats],
+    places: Sequence[tuple[int, int]],
+    fit: Fit,
+) -> Fit:
+    """Put the joint covariance of (log shapes, coefficients, nuisance) in."""
+    jacobian = []
+    for i, j in places:
+        moved = _moved(problem, members[i], j, 1e-3)
+        step = 1e-3
+        if moved is None:
+            moved, step = _moved(problem, members[i], j, -1e-3), -1e-3
+        change = problem.columns(moved) - blocks[i] if moved else np.zeros_like(blocks[i])
+        jacobian.append(change @ fit.betas[i] / step)
+    design = np.column_stack([*jacobian, *blocks, problem.base])
+    gram = design.T @ design + _prior_gram(problem, members, len(places), design.shape[1])
+    scale = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
+    inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    fit.covariance = inverse / np.outer(scale, scale)
+    return fit
+
+
+def inflation(residual: Floats) -> float:
+    """Return by how much a residual's colour and size overstate evidence (1 for unit white noise).
+
+    The variance of a mean over many rows against that of unit white noise: variance times the
+    correlation length.
+    """
+    n = residual.size
+    if n < 32:
+        return max(1.0, float(np.mean(residual**2)))
+    spectrum = np.abs(np.fft.rfft(residual - residual.mean(), 2 * n)) ** 2
+    correlation = np.fft.irfft(spectrum)[: n // 4] / (n - np.arange(n // 4))
+    variance = float(correlation[0])
+    if variance <= 0:
+        return 1.0
+    rho = correlation / variance
+    cut = int(np.argmax(rho < 0.05)) if (rho < 0.05).any() else rho.size
+    tau = 1.0 + 2.0 * float(np.sum(rho[1:cut]))
+    return max(1.0, float(np.mean(residual**2)) * max(tau, 1.0))

@@ -1,0 +1,93 @@
+"""Small recordings with a known truth, made without the package: a lag by matrix exponential, force
+laws in numpy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy import signal
+
+FS = 1024.0
+K, C, M = 5.0e5, 1500.0, 40.0
+DELAY, F_HZ, ZETA = 0.0052, 28.0, 0.9
+X_STD, F_STD = 3.0e-6, 15.0
+
+
+def command(kind: str = "sweep", seconds: float = 8.0, amplitude: float = 7e-3) -> np.ndarray:
+    """Return a command, (n,), m."""
+    t = np.arange(int(seconds * FS)) / FS
+    if kind == "sine":
+        return amplitude * np.sin(2 * np.pi * 1.5 * t + 0.4)
+    phase = 2 * np.pi * (0.3 * t + 0.5 * (4.0 - 0.3) / seconds * t**2)
+    rise = np.clip(t / 0.5, 0.0, 1.0)
+    return amplitude * rise * np.sin(phase)
+
+
+def moved(u: np.ndarray, delay: float = DELAY, gain: float = 1.0, fine: int = 8):
+    """Return x, v, a of the actuator at the rows, from rest; the command runs straight."""
+    n = u.size
+    t = np.arange((n - 1) * fine + 1) / (FS * fine)
+    late = np.interp(t - delay, np.arange(n) / FS, u)
+    w = 2 * np.pi * F_HZ
+    system = signal.StateSpace(
+        [[0, 1], [-(w**2), -2 * ZETA * w]], [[0], [gain * w**2]], np.eye(2), np.zeros((2, 1))
+    )
+    _, y, _ = signal.lsim(system, late, t, X0=[gain * late[0], 0.0])
+    a = w**2 * (gain * late - y[:, 0]) - 2 * ZETA * w * y[:, 1]
+    return y[::fine, 0], y[::fine, 1], a[::fine]
+
+
+def baseline(**changes: object) -> str:
+    """Return a baseline file's text; ``changes`` replace its numbers."""
+    values: dict[str, object] = {
+        "k": K, "c": C, "moving_mass": M, "k_tol": 0.01, "c_tol": 0.15, "family": '"drive"',
+        "fs_hz": FS,
+    } | changes  # fmt: skip
+    return "\n".join(
+        [
+            'schema = "rthyb-baseline/1"',
+            f"family = {values['family']}",
+            f"fs_hz = {values['fs_hz']}",
+            "[specimen]",
+            *(f"{k} = {values[k]}" for k in ("k", "c", "moving_mass", "k_tol", "c_tol")),
+            "[actuator]",
+            f"delay_s = {DELAY}",
+            f"f_hz = {F_HZ}",
+            f"zeta = {ZETA}",
+            "gain = 1.0",
+            "[noise]",
+            f"x_std = {X_STD}",
+            f"f_std = {F_STD}",
+        ]
+    )
+
+
+def channels(extra=None, *, kind: str = "sweep", delay: float = DELAY, seed: int = 1,
+             amplitude: float = 7e-3) -> dict[str, np.ndarray]:  # fmt: skip
+    """Return t, x_cmd, x_meas, f_meas; ``extra(t, x, v, a)`` is the force that is left out."""
+    rng = np.random.default_rng(seed)
+    u = command(kind, amplitude=amplitude)
+    x, v, a = moved(u, delay)
+    t = np.arange(u.size) / FS
+    f = K * 1.004 * x + C * 0.95 * v + M * a
+    if extra is not None:
+        f = f + extra(t, x, v, a)
+    return {
+        "t": t,
+        "x_cmd": u,
+        "x_meas": x + X_STD * rng.standard_normal(u.size),
+        "f_meas": f + F_STD * rng.standard_normal(u.size),
+    }
+
+
+def write(folder: Path, columns: dict[str, np.ndarray], model: str | None = None):
+    """Write recording.csv and baseline.toml; return their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    recording, toml = folder / "recording.csv", folder / "baseline.toml"
+    np.savetxt(
+        recording, np.column_stack(list(columns.values())), delimiter=",", comments="",
+        header=",".join(columns), fmt="%.9g",
+    )  # fmt: skip
+    toml.write_text(model if model is not None else baseline(), encoding="utf-8")
+    return recording, toml
