@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -508,3 +509,48 @@ def test_missing_privileges_are_a_warning_or_a_refusal(
             realtime.run(made, rig.ours, warn=warnings.append)
             assert len(warnings) == 1
     assert np.isin(rig.log["state"], [STATE["IDLE"]]).all() == required
+
+
+def test_stop_is_passed_on_while_the_terminal_takes_nothing() -> None:
+    made = setup({"test.duration_s": "30"})
+    operator, stuck = realtime.Operator(), threading.Event()
+
+    def progress(done: int, total: int) -> None:
+        if done:
+            threading.Timer(0.2, operator.stop).start()
+            stuck.wait(8.0)
+
+    for attempt in range(1, ATTEMPTS + 1):
+        with Threads(made) as rig:
+            rec = realtime.run(made, rig.ours, operator=operator, progress=progress)
+        stuck.set()
+        if rec.meta["real_time"]["cause"] not in STALLED:
+            break
+        print(f"attempt {attempt}: {rec.meta['end_reason']}")
+        operator.stops = 0
+        stuck.clear()
+    assert rec.meta["end_reason"] == "stopped by the operator"
+    assert np.count_nonzero(rec.samples["state"] == STATE["RUNNING"]) < 4 * core.FS_HZ
+
+
+def test_operator_who_is_not_heard_of_has_the_test_ramped_out() -> None:
+    made = setup({"test.duration_s": "30"})
+    for attempt in range(1, ATTEMPTS + 1):
+        with Threads(made) as rig, realtime.Session(made, rig.ours) as session:
+            session.start()
+            session.attended()
+            begun = time.monotonic()
+            while not session.follows() and time.monotonic() < begun + 20.0:
+                session.wait(0.02)
+            for command in ("zero", "arm", "start"):
+                session.command(command)  # type: ignore[arg-type]
+                while session.state == "IDLE":
+                    session.wait(0.02)
+            while session.state == "RAMP_IN":
+                session.wait(0.02)
+            time.sleep(4.0)
+            cause = session.loop.cause
+        if cause not in STALLED or cause == "heartbeat":
+            break
+        print(f"attempt {attempt}: {cause}")
+    assert cause == "heartbeat"

@@ -389,7 +389,7 @@ class _Attendant:
                 "force.offset_n), or raise the limit for this motion with --set limits.force_n=..."
             )
         watches = {**session.config.watches, "force": core.Watch(left, limit.reaction)}
-        session.loop.set_parameters(replace(core.Parameters.of(session.config), watches=watches))
+        session.set_parameters(replace(core.Parameters.of(session.config), watches=watches))
 
 
 def carry_out(

@@ -17,6 +17,7 @@ from rthyb_rt.loop import Clock, Link
 from rthyb_rt.realtime.endings import WORDS, RefusedError, TimingError
 from rthyb_rt.realtime.keeper import RECORDER_PERIOD_S, SILENCE_S
 from rthyb_rt.realtime.session import LOOK_S, NEEDED, Session
+from rthyb_rt.realtime.telling import Teller
 from rthyb_rt.recording import Recording
 
 if TYPE_CHECKING:
@@ -98,12 +99,12 @@ def run(
         try:
             session.start()
             _check_privileges(session, require_realtime, warn)
-            _conduct(
-                session,
-                _Conductor(session, operator or Operator(), progress or _no_progress, warn),
-                zeroed,
-            )
-            session.close()
+            teller = Teller(progress or _no_progress, warn, at_once=clock == "stepped")
+            try:
+                _conduct(session, _Conductor(session, operator or Operator(), teller), zeroed)
+                session.close()
+            finally:
+                teller.close()
             rec = session.recording()
             if save is not None:
                 save(rec)
@@ -168,11 +169,11 @@ class _Conductor:
         self,
         session: Session,
         operator: Operator,
-        progress: Progress,
-        warn: Callable[[str], None],
+        teller: Teller,
     ) -> None:
         self._session, self._operator = session, operator
-        self._progress, self.warn = progress, warn
+        self._progress, self.warn = teller.progress, teller.warn
+        session.attended()
         self._given = 0
         self._held = False
 
@@ -235,6 +236,9 @@ def _conduct(session: Session, conductor: _Conductor, zeroed: Callable[[Session]
         _lead(session, conductor, command)
         if session.state == "ZEROED":
             zeroed(session)
+            if session.clock != "stepped":
+                # It may have taken its time: a sign of life before anything moves.
+                session.wait(2 * RECORDER_PERIOD_S)
     conductor.until(lambda: session.state in ("IDLE", "TRIPPED"))
     # After a trip the black box: a second of what came then.
     rest_s = 1.1 * ring.AFTER_TRIP / core.FS_HZ if session.state == "TRIPPED" else _AFTER_S

@@ -22,6 +22,8 @@ GOOD_PAIRS: Final = 48
 
 SILENCE_S: Final = 5.0
 """Without a record: then the tick thread stands still."""
+ABSENCE_S: Final = 1.0
+"""Of the operator's thread: then no sign of life is given, and the test ramps out."""
 AT_REST: Final = ("IDLE", "ZEROED", "ARMED", "TRIPPED")
 """States in which nothing moves on this program's word."""
 
@@ -45,6 +47,7 @@ class Keeper:
         self._last_s = time.monotonic()
         self._at_rest = [STATES.index(s) for s in AT_REST]
         self.beat: Callable[[], None] = lambda: None
+        self._attended_s: float | None = None
         self.missed: list[list[int]] = []
         self._recent: NDArray[np.uint32] = np.zeros(0, np.uint32)
         self.running = 0
@@ -62,9 +65,14 @@ class Keeper:
                 self._failure = error
                 return
 
+    def attended(self) -> None:
+        """Note that the thread that passes on a stop is there; from then on it has to be."""
+        self._attended_s = time.monotonic()
+
     def turn(self) -> None:
         self.drain()
-        self.beat()
+        if self._attended_s is None or time.monotonic() - self._attended_s < ABSENCE_S:
+            self.beat()
 
     def drain(self) -> None:
         while (rows := self._reader.read(_CHUNK)).samples.size:
@@ -91,7 +99,8 @@ class Keeper:
         if self._failure is not None:
             raise RthybError(f"the recorder failed: {self._failure!r}") from self._failure
         silent_s = time.monotonic() - self._last_s
-        if self._thread.is_alive() and silent_s > SILENCE_S:
+        # After a trip the ring stands still, as it is meant to.
+        if self._thread.is_alive() and silent_s > SILENCE_S and not self._reader.frozen:
             raise RthybError(f"no record for {silent_s:.0f} s: the tick thread stands still")
 
     def stop(self) -> None:

@@ -107,7 +107,7 @@ class Session:
             self._owned = owned.pop_all()
             undo.pop_all()
         self._keeper.beat = self.loop.beat
-        self._started = self._closed = False
+        self._started = self._closed = self._watched = False
         self._unheard = _UNHEARD
 
     def __enter__(self) -> Session:
@@ -122,6 +122,14 @@ class Session:
     ) -> None:
         """End it."""
         self.close()
+
+    def attended(self) -> None:
+        """Have the operator's thread watched: a test whose operator is not heard ramps out.
+
+        From this call on `wait` must be called at least once a second.
+        """
+        self._watched = True
+        self._keeper.attended()
 
     def start(self) -> None:
         """Begin to tick: with the last reading as command, in state IDLE.
@@ -195,6 +203,8 @@ class Session:
         Raises:
             RthybError: the recorder failed.
         """
+        if self._watched:
+            self._keeper.attended()
         if self.clock != "stepped":
             time.sleep(seconds)
         else:

@@ -172,13 +172,16 @@ def _run(
     thread = threading.Thread(target=tick, name="drive", daemon=True)
     watcher = _Watcher(drive)
     thread.start()
-    begun.wait()
-    (clock,) = clocks
     try:
+        begun.wait()
+        (clock,) = clocks
         ready()
         cut = _look_after(drive, link, line, plan, stop, watcher)
     finally:
-        clock.stop()
+        # An interrupt may come before there is a clock that could be stopped.
+        begun.wait()
+        for ticking in clocks:
+            ticking.stop()
         thread.join()
         ticker.unlock_memory()
     watcher.look()
