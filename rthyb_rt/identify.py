@@ -527,7 +527,7 @@ def _broken_off(moved: Moved, parts: list[_Part], rows: int) -> Exception:
     if moved.cause in ("operator", "signal", "none"):
         return moving.StoppedError(f"the sweep was stopped {where}; nothing was found")
     remedy = "identify with a smaller amplitude (--amplitude), or up to a lower frequency"
-    if moved.cause in moving.SPOILT:
+    if moved.cause in (*moving.SPOILT, "link_down", "not_finite"):
         remedy = "check the link, and this PC with rthyb jitter"
     elif moved.cause == "drive_stopped":
         remedy = "ask the drive's panel why it stopped"

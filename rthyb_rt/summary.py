@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -235,6 +235,7 @@ class Summary:
     final_state: str
     fs_hz: float
     samples: int
+    test_samples: int
     duration_s: float
     peak_command_m: float
     peak_command_time_s: float
@@ -265,6 +266,11 @@ class Summary:
     live: Live | None
     setup: Setup = field(repr=False)
 
+    @property
+    def never_began(self) -> bool:
+        """Whether a test in real time ended before its first sample."""
+        return self.live is not None and self.test_samples == 0
+
     def as_json(self) -> dict[str, Any]:
         """Return the figures for a JSON document: nan, which JSON has not, becomes None."""
         return {key: _json_value(value) for key, value in asdict(self).items()}
@@ -274,6 +280,27 @@ def _json_value(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _json_value(item) for key, item in value.items()}
     return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+_NEVER: dict[str, Any] = dict.fromkeys(
+    (
+        "tracking_nrmse", "tracking_peak_difference_m", "tracking_peak_error", "fei_amplitude",
+        "fei_delay_s", "fei_frequency_hz", "k_t_at_zero", "tracking_indicator_m2",
+        "energy_error_j", "energy_error_largest_j",
+    ),
+    float("nan"),
+) | dict.fromkeys(
+    (
+        "response_nrmse", "response_peak_difference_m", "response_peak_error",
+        "accumulated_error_m", "energy_error_relative", "input_energy_j",
+    )
+)  # fmt: skip
+"""Figures that only the test proper has."""
+
+
+def _bare(found: Summary) -> Summary:
+    """Return the summary of a test that never began: what rest and ramps show is none of it."""
+    return replace(found, duration_s=0.0, **_NEVER)
 
 
 def reference_pair(rec: Recording) -> tuple[NDArray[np.intp], Floats] | None:
@@ -320,7 +347,7 @@ def summarize(rec: Recording) -> Summary:
         }
     signals = np.stack([samples[n] for n in ("x_num_m", "x_cmd_m", "x_meas_m", "f_meas_n")])
     state = int(samples["state"][-1]) if len(samples) else 0
-    return Summary(
+    found = Summary(
         test_name=str(rec.meta.get("test_name", "")),
         end_reason=str(rec.meta.get("end_reason", "unknown")),
         interrupted=bool(rec.meta.get("interrupted", False)),
@@ -328,6 +355,7 @@ def summarize(rec: Recording) -> Summary:
         final_state=STATES[state] if state < len(STATES) else str(state),
         fs_hz=rec.fs_hz,
         samples=len(samples),
+        test_samples=len(flagged),
         duration_s=len(run) / rec.fs_hz,
         peak_command_m=_peak(x_num),
         peak_command_time_s=float(rec.time_s()[rec.running()][peak_row]) if len(run) else NAN,
@@ -358,6 +386,7 @@ def summarize(rec: Recording) -> Summary:
         live=how,
         setup=given,
     )
+    return _bare(found) if found.never_began else found
 
 
 def stiffness_shares(
@@ -483,6 +512,8 @@ class Notice(NamedTuple):
 
 def verdict(s: Summary) -> str:
     """Return the result in one plain sentence, the response never without the tracking."""
+    if s.never_began:
+        return "The test proper never began: there is nothing to judge."
     if np.isnan(s.peak_command_m):
         return "The recording holds no finite command: there is nothing to judge."
     if s.peak_command_m == 0.0:
@@ -536,8 +567,9 @@ def notices(s: Summary) -> list[Notice]:
         if name in ("not_sent", "predicted"):
             n -= s.flags.get("blind", 0)  # which are both, and told as what they are
         if n:
-            share = percent(n / s.samples)
-            found.append(Notice("alarm", f"{_count(n, 'sample')} of {s.samples} ({share}) {text}."))
+            share = percent(n / s.test_samples)
+            of = f"{_count(n, 'sample')} of {s.test_samples}"
+            found.append(Notice("alarm", f"{of} ({share}) {text}."))
     if s.skipped_ticks:
         found.append(Notice("alarm", f"{_count(s.skipped_ticks, 'tick')} skipped."))
     found += _live_notices(s.live)
@@ -765,4 +797,6 @@ def _samples(s: Summary) -> str:
     ]
     if s.skipped_ticks:
         flagged.append(f"{_count(s.skipped_ticks, 'tick')} skipped")
-    return f"{s.samples}, " + (", ".join(flagged) if flagged else "none flagged")
+    # With ramps and rest the rows are more than those that are judged.
+    rows = f"{s.samples}" if s.samples == s.test_samples else f"{s.test_samples} of {s.samples}"
+    return f"{rows}, " + (", ".join(flagged) if flagged else "none flagged")

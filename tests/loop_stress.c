@@ -6,7 +6,7 @@
  *   loop_stress race     reads one counter as nobody may: the detector must say so.
  *
  * Threads of the stepped test: the tick thread; the clock, which is the drive as well; an operator;
- * one that sets parameters; a heartbeat; two that read every counter and histogram; three readers of
+ * one that sets parameters; one that loads; a heartbeat; two that read every counter and histogram; three readers of
  * the ring. */
 #define _GNU_SOURCE
 
@@ -263,10 +263,32 @@ static void check_parameters(const bench *b)
     must(b->e.loop.counters.parameters > 100, "parameters are taken");
 }
 
+/* ---- loads -------------------------------------------------------------------------------------- */
+
+/* The same station again and again, which is taken in any state. */
+static void *load(void *shared)
+{
+    bench *b = shared;
+    uint64_t taken = 0;
+    while (!is_over(b)) {
+        const rthyb_load again = {&b->e.station, &b->ring, b->e.ag_mps2, EXAMPLE_TICKS};
+        const uint64_t generation = rthyb_loop_load(&b->e.loop, &again);
+        int answer = 0;
+        while (!answer && !is_over(b)) {
+            answer = rthyb_loop_loaded(&b->e.loop, generation);
+            sched_yield();
+        }
+        must(answer != 2, "the same station is never refused");
+        taken += answer == 1;
+    }
+    must(taken > 10, "loads are taken");
+    return NULL;
+}
+
 /* ---- a whole test ------------------------------------------------------------------------------- */
 
 typedef struct {
-    pthread_t heart, operator, parameters, watchers[WATCHERS];
+    pthread_t heart, operator, parameters, loads, watchers[WATCHERS];
     reader_job readers[READERS];
 } company;
 
@@ -275,6 +297,7 @@ static void gather(company *c, bench *b)
     start(&c->heart, beat, b);
     start(&c->operator, operate, b);
     start(&c->parameters, set_parameters, b);
+    start(&c->loads, load, b);
     for (int i = 0; i < WATCHERS; i++)
         start(&c->watchers[i], watch, b);
     for (int i = 0; i < READERS; i++) {
@@ -289,6 +312,7 @@ static void dismiss(company *c, bench *b)
     pthread_join(c->heart, NULL);
     pthread_join(c->operator, NULL);
     pthread_join(c->parameters, NULL);
+    pthread_join(c->loads, NULL);
     for (int i = 0; i < WATCHERS; i++)
         pthread_join(c->watchers[i], NULL);
     for (int i = 0; i < READERS; i++) {

@@ -119,6 +119,7 @@ def repeated(attempt: Callable[[str], str]) -> None:
         if cause not in (*STALLED, TOO_EARLY):
             print(f"attempts: {number}")
             return
+        print(f"attempt {number}: {cause}")
     assert cause != TOO_EARLY
     pytest.skip(f"this machine stalled in each of {ATTEMPTS} attempts: {cause}")
 

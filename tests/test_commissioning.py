@@ -164,7 +164,7 @@ def test_jog_that_trips_before_it_begins_says_that_nothing_moved() -> None:
         there.tell = look
         jogged = jogging.jog(there.connection, 1e-3)
         assert there.position_m == pytest.approx(3e-3, abs=20e-6)
-    assert jogged.end_reason == "ended before it began"
+    assert jogged.end_reason == "stopped by the operator before it began"
     assert jogged.moved_m == 0.0
     assert jogged.start_m == pytest.approx(3e-3, abs=10e-6)
     assert jogged.start_n == pytest.approx(3e-3 * STIFFNESS_N_PER_M, abs=10.0)

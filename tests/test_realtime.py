@@ -241,7 +241,7 @@ def test_operator_who_stops_before_the_start_moves_nothing(state: str) -> None:
     rec = bench.when(state, bench.operator.stop, ticks=1 if state == "ZEROED" else 100).run()
     moved = np.isin(rec.samples["state"], [STATE["RAMP_IN"], STATE["RUNNING"]])
     if state == "IDLE":
-        assert rec.meta["end_reason"] == "ended before it began"
+        assert rec.meta["end_reason"] == "stopped by the operator before it began"
         assert not moved.any()
         assert summary.summarize(rec).flags["not_sent"] == 0
     assert rec.samples["state"][-1] == STATE["IDLE"]
@@ -424,7 +424,7 @@ class Threads:
     def __init__(self, made: experiment.Setup) -> None:
         self.ours, theirs = opening.socket_pair()
         line = virtual_rig.OpenedLine(theirs)
-        self.stop = threading.Event()
+        self.stop = virtual_rig.Stop()
         self.results: list[virtual_rig.Result] = []
         plan = virtual_rig.Plan(log_ticks=60000)
 

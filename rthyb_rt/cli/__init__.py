@@ -78,6 +78,8 @@ def _status(arguments: list[str]) -> int:
         if hasattr(error, "show") and hasattr(error, "exit_code"):
             # Its prefix for a word that is none of a choice.
             message = str(getattr(error, "message", "")).removeprefix("Value error, ")
+            if not message and hasattr(error, "format_message"):
+                message = str(error.format_message())
             vars(error)["message"] = message
             error.show()
             if as_json:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -123,7 +122,7 @@ def rig(
     rig_file = config.load_rig(config.find_rig(name), changes)
     plan = _plan(seed, drift_ppm, fault, seconds, log)
     people = terminal.people(as_json)
-    stop = threading.Event()
+    stop = virtual_rig.Stop()
     with _line(rig_file, can, serial, socket, pty) as line, interrupts.told(stop.set):
 
         def ready() -> None:

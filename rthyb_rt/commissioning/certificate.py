@@ -202,15 +202,25 @@ def find(rig: RigFile, rig_path: Path) -> tuple[Certificate | None, Certificate 
     """Return the certificate that holds for a rig as it is; if none does, that of the file before.
 
     Looked for by the file's name, then among the others of its folder: a rig file that was
-    identified, or renamed, needs no new commissioning.
+    identified, or renamed, needs no new commissioning. Where several hold, the newest word on each
+    step counts: a check that failed is not outweighed by an older one that passed.
     """
     wanted = rig_hash(rig)
+    held: Certificate | None = None
     older: Certificate | None = None
     for path, found in _near(rig_path):
         if found.rig_hash == wanted:
-            return found, None
-        older = found if path == place(rig_path) else older
-    return None, older
+            held = found if held is None else _newest(held, found)
+        elif path == place(rig_path):
+            older = found
+    return held, None if held else older
+
+
+def _newest(first: Certificate, other: Certificate) -> Certificate:
+    for name, step in other.steps.items():
+        if name not in first.steps or step.date > first.steps[name].date:
+            first = first.with_step(step)
+    return first
 
 
 def _near(rig_path: Path) -> Iterator[tuple[Path, Certificate]]:

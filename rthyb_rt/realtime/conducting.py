@@ -106,6 +106,8 @@ def run(
             finally:
                 teller.close()
             rec = session.recording()
+            if operator is not None and operator.stops and session.loop.cause == "none":
+                rec.meta["end_reason"] = "stopped by the operator before it began"
             if save is not None:
                 save(rec)
         except BaseException as error:
@@ -224,7 +226,8 @@ class _Conductor:
 def _conduct(session: Session, conductor: _Conductor, zeroed: Callable[[Session], None]) -> None:
     if not conductor.until(session.follows, FEEDBACK_S) and not conductor.stopped:
         raise InputError(no_feedback(session), session.opened.name)
-    if session.clock == "link" and not conductor.until(lambda: session.loop.locked, _LOCK_S):
+    locked = session.clock != "link" or conductor.until(lambda: session.loop.locked, _LOCK_S)
+    if not locked and not conductor.stopped and session.state != "TRIPPED":
         conductor.warn(
             "the ticks do not keep step with the drive's samples: its clock is off by more than "
             "200 ppm, or its frames come irregularly"

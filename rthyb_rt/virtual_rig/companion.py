@@ -8,14 +8,13 @@ import select
 import signal
 import subprocess
 import sys
-import threading
 from typing import Any, Final
 
 from rthyb_rt import config
 from rthyb_rt.config import RigFile
 from rthyb_rt.errors import RthybError
 from rthyb_rt.virtual_rig.lines import inherited_line
-from rthyb_rt.virtual_rig.serving import serve
+from rthyb_rt.virtual_rig.serving import Stop, serve
 
 _PEER_PATIENCE_S: Final = 20.0
 
@@ -97,7 +96,7 @@ def be_companion() -> None:
     order = json.loads(sys.stdin.readline())
     rig = config.parse_rig(order["rig_toml"], "rig")
     line = inherited_line(int(order["fd"]))
-    stop = threading.Event()
+    stop = Stop()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     result = serve(rig, line, stop=stop, ready=lambda: print("ready", flush=True))
     # Its reader may be gone, killed perhaps.

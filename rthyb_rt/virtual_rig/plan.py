@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +13,16 @@ from rthyb_rt.errors import InputError
 POWER_CUT: Final = "power-cut"
 FAULT_KINDS: Final[tuple[str, ...]] = (*get_args(loop.FaultKind), POWER_CUT)
 DRIFT_MAX_PPM: Final = 199.0
+
+_VALUES: Final[dict[str, tuple[float, float, str, float | None]]] = {
+    "drop": (0.0, 1.0, "", 1.0),
+    "drop-command": (0.0, 1.0, "", 1.0),
+    "drop-force": (0.0, 1.0, "", 1.0),
+    "delay": (0.0, 63.0, "ticks", 1.0),
+    "jump": (-10.0, 10.0, "m", None),
+    "force": (-1e9, 1e9, "N", None),
+}
+"""Lowest and highest value of a fault, its unit, and what it is without one."""
 
 _FOR_EVER: Final = 2**62
 _FAULT = re.compile(
@@ -82,10 +91,23 @@ def _fault_parts(text: str) -> tuple[str, float, float | None, float]:
         raise ValueError(f"no such kind of fault, allowed are {', '.join(FAULT_KINDS)}")
     at = _seconds(match["at"])
     lasts = None if match["for"] is None else _seconds(match["for"])
-    value = 1.0 if match["value"] is None else float(match["value"])
-    if not math.isfinite(value):
-        raise ValueError("the value must be a number")
-    return match["kind"], at, lasts, value
+    return match["kind"], at, lasts, _value(match["kind"], match["value"])
+
+
+def _value(kind: str, text: str | None) -> float:
+    if kind not in _VALUES:
+        if text is not None:
+            raise ValueError(f"found the value {text}; {kind} takes none")
+        return 1.0
+    low, high, unit, default = _VALUES[kind]
+    if text is None and default is None:
+        raise ValueError(f"{kind} needs a value in {unit}, such as {kind}@2.5:0.1={high / 1e3:g}")
+    value = default if text is None else float(text)
+    if value is None or not low <= value <= high:
+        raise ValueError(
+            f"found the value {text}, {kind} takes {low:g} to {high:g} {unit}".rstrip()
+        )
+    return value
 
 
 def _seconds(text: str) -> float:

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,6 +33,25 @@ DEFAULT_LINK: Final = Link(kind="socket", channel="-")
 _SERIAL_COMMAND: Final = 12
 """Bytes of a command on the serial line."""
 _LOOK_S: Final = 0.005
+
+
+class Stop:
+    """The wish that a rig ends; a signal's handler may utter it at any instant.
+
+    It takes no lock: `threading.Event.set` would wait for ever for the one that the interrupted
+    thread has while it looks at the event.
+    """
+
+    def __init__(self) -> None:
+        self._wanted = False
+
+    def set(self) -> None:
+        """Have it end."""
+        self._wanted = True
+
+    def is_set(self) -> bool:
+        """Whether it is to end."""
+        return self._wanted
 
 
 @dataclass(frozen=True)
@@ -125,7 +145,7 @@ def serve(
     rig: RigFile,
     line: Line,
     plan: Plan = NO_PLAN,
-    stop: threading.Event | None = None,
+    stop: Stop | None = None,
     ready: Callable[[], None] = lambda: None,
 ) -> Result:
     """Be a virtual rig until told to stop, the time is over, or nobody is left.
@@ -134,13 +154,13 @@ def serve(
         rig: what moves and measures.
         line: its end of the wire; stays the caller's.
         plan: what goes wrong when.
-        stop: ends it; from any thread.
+        stop: ends it; from any thread, or from a signal's handler.
         ready: called once it ticks.
 
     Raises:
         CoreError: the rig, the drift or a fault is refused.
     """
-    stop = stop or threading.Event()
+    stop = stop or Stop()
     link = loop.Link(line.kind, line.fd)
     try:
         return _run(drive_of(rig, line.codec, link, plan), link, line, plan, stop, ready)
@@ -153,7 +173,7 @@ def _run(
     link: loop.Link,
     line: Line,
     plan: Plan,
-    stop: threading.Event,
+    stop: Stop,
     ready: Callable[[], None],
 ) -> Result:
     begun = threading.Event()
@@ -205,11 +225,12 @@ def _look_after(
     link: loop.Link,
     line: Line,
     plan: Plan,
-    stop: threading.Event,
+    stop: Stop,
     watcher: _Watcher,
 ) -> bool:
     """Return whether the power was cut."""
-    while not stop.wait(_LOOK_S):
+    while not stop.is_set():
+        time.sleep(_LOOK_S)
         watcher.look()
         now_s = drive.ticks / core.FS_HZ
         if plan.power_cut_s is not None and now_s >= plan.power_cut_s:
