@@ -120,29 +120,38 @@ static double catch_up(double lag, double a_max, double h)
     return copysign(h * (sqrt(2.0 * brake * fabs(lag) + half * half) - half), lag);
 }
 
-/* Acceleration, velocity, position: the last one wins. A command that has fallen behind catches up
+/* No faster towards a limit than can be braked before it, with some of the deceleration to spare. */
+static double before_the_end(double step, double room, double a_max, double h)
+{
+    const double most = room > 0.0 ? catch_up(room, 1.6 * a_max, h) : 0.0;
+    return clamp(step, -most, most);
+}
+
+/* Acceleration, velocity, position: the last one wins. It goes on from what it wanted itself: from a
+ * coarse wire's rounding a slow command would never get away. A command that has fallen behind catches up
  * no faster than it can brake, or it would swing about what is wanted for ever. */
 static double limit_command(const rthyb_controller *c, double wanted)
 {
     const double h = c->cfg.period_s, v_max = c->cfg.velocity_limit_m_per_s;
     const double a_max = c->cfg.acceleration_limit_m_per_s2, x_max = c->cfg.position.value;
-    const double whole = wanted - c->x_cmd;
+    const double whole = wanted - c->x_lim;
+    const int hard = x_max > 0.0 && c->cfg.position.action == RTHYB_TRIP_TEST;
+    const double clamped = c->cfg.clamp_m > 0.0 ? c->cfg.clamp_m : COMMAND_MAX_M;
+    const double limit = hard ? fmin(x_max, clamped) : clamped;
     double step = whole;
     if (a_max > 0.0) {
-        const double lag = c->x_plc - c->x_cmd, closing = catch_up(lag, a_max, h);
+        const double lag = c->x_plc - c->x_lim, closing = catch_up(lag, a_max, h);
         if (fabs(closing) < fabs(lag))
             step = wanted - c->x_plc + closing;
-        const double before = c->x_cmd - c->x_cmd1;
+        step = before_the_end(step, limit - copysign(c->x_lim, c->x_lim * step), a_max, h);
+        const double before = c->x_lim - c->x_lim1;
         step = clamp(step, before - a_max * h * h, before + a_max * h * h);
     }
     if (v_max > 0.0)
         step = clamp(step, -v_max * h, v_max * h);
-    const double command = step == whole ? wanted : c->x_cmd + step;
-    const int hard = x_max > 0.0 && c->cfg.position.action == RTHYB_TRIP_TEST;
-    const double clamped = c->cfg.clamp_m > 0.0 ? c->cfg.clamp_m : COMMAND_MAX_M;
-    const double limit = hard ? fmin(x_max, clamped) : clamped;
+    const double command = step == whole ? wanted : c->x_lim + step;
     /* Of a limit that was drawn in behind it the command comes back on its own course, not at once. */
-    const double most = fmax(limit, fabs(c->x_cmd));
+    const double most = fmax(limit, fabs(c->x_lim));
     return clamp(command, -most, most);
 }
 
@@ -237,7 +246,8 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
     code |= exceeds(&c->cfg.position, x_plc, RTHYB_S_POSITION_LIMIT);
     code |= exceeds(&c->cfg.force, f, RTHYB_S_FORCE_LIMIT);
     code |= exceeds(&c->cfg.tracking, x - c->x_num, RTHYB_S_TRACKING_LIMIT);
-    if (c->missing >= EXTRAPOLATE_UNTIL && c->state == RTHYB_RUNNING)
+    /* A tick made up for is no tick without a pair: its pair may still come. */
+    if (c->missing >= EXTRAPOLATE_UNTIL && c->state == RTHYB_RUNNING && !blind)
         code |= RTHYB_S_LINK_LOST | RTHYB_S_TRIP;
     if (code & RTHYB_S_NOT_FINITE)
         code |= RTHYB_S_TRIP;
@@ -254,6 +264,8 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
     c->x_num = x_num;
     c->x_plc = x_plc;
     c->x_cmd1 = c->x_cmd;
+    c->x_lim1 = c->x_lim;
+    c->x_lim = blind ? c->x_lim : x_cmd;
     c->x_cmd = x_cmd;
     c->tick++;
     return code;

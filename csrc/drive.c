@@ -249,7 +249,7 @@ static void enqueue(rthyb_drive *d, const rthyb_reading *reading)
     place->count = rthyb_encode_feedback(&d->codec, reading, place->frames);
     for (int i = 0; i < place->count; i++)
         damage(d, &place->frames[i]);
-    if (place->count == 2 && fault(d, RTHYB_FAULT_DROP_FORCE))
+    if (place->count == 2 && is_lost(d, RTHYB_FAULT_DROP_FORCE))
         place->count = 1;
 }
 

@@ -38,7 +38,8 @@ static inline void note_command(rthyb_station *s, const rthyb_calibration *c, in
                                 double wire_m)
 {
     rthyb_controller *controller = &s->controller;
-    controller->x_cmd = sent ? command_from_wire(c, wire_m) - s->tare_x : controller->x_cmd1;
+    controller->x_cmd = sent ? command_from_wire(c, wire_m) - s->tare_cmd : controller->x_cmd1;
+    controller->x_lim = sent ? controller->x_lim : controller->x_lim1;
 }
 
 /* The raw reading of a tick: 0 where nothing came, the lowest value for no number. */

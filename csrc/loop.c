@@ -91,6 +91,15 @@ int rthyb_loop_loaded(const rthyb_loop *loop, uint64_t generation)
     return answer & 1u ? 2 : 1;
 }
 
+/* The drive goes on following: what the last station told it is where the next one begins. */
+static void hand_over(rthyb_loop *loop, const rthyb_station *next)
+{
+    const rthyb_station *last = loop->station;
+    loop->taken_over = last->seen && !next->seen;
+    loop->taken_cmd_m = last->controller.x_cmd + last->tare_cmd;
+    loop->beyond = 0;
+}
+
 static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
 {
     const uint64_t generation = acquire(&loop->loads);
@@ -101,6 +110,8 @@ static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
     if (!refused) {
         if (load->station != loop->station)
             put(&loop->load_tick, tick->k - tick->skipped);
+        if (load->station != loop->station)
+            hand_over(loop, load->station);
         loop->station = load->station;
         loop->ring = load->ring;
         loop->ag_mps2 = load->ag_mps2;
@@ -124,8 +135,10 @@ static void take_parameters(rthyb_loop *loop)
     rthyb_parameters parameters;
     if (!rthyb_handover_read(&loop->handover, &parameters))
         return;
-    rthyb_station_adopt(loop->station, &parameters);
-    add(&loop->counters.parameters, 1);
+    if (rthyb_station_adopt(loop->station, &parameters))
+        add(&loop->counters.parameters, 1);
+    else
+        add(&loop->counters.parameters_refused, 1);
 }
 
 void rthyb_loop_beat(rthyb_loop *loop)
@@ -157,25 +170,35 @@ static void know_offset(rthyb_loop *loop, int64_t offset)
     loop->offset = loop->offset_seen = offset;
     loop->offset_known = 1;
     loop->votes = 0;
+    memset(loop->vote_map, 0, sizeof loop->vote_map);
+}
+
+/* Keeps the votes of the last RTHYB_SLIP_WINDOW ticks that had one. */
+static void vote(rthyb_loop *loop, int for_it)
+{
+    uint64_t *word = &loop->vote_map[(loop->voted / 64) % (RTHYB_SLIP_WINDOW / 64)];
+    const uint64_t bit = (uint64_t)1 << (loop->voted % 64);
+    loop->votes += for_it - ((*word & bit) != 0);
+    *word = for_it ? *word | bit : *word & ~bit;
+    loop->voted++;
 }
 
 /* The two clocks against each other; 1 for a slip. A lost or a late pair changes nothing. Where a
  * sample arrives as the tick is due, jitter decides on which side it falls, now here, now there: a
- * slip is one that stays, and every tick that sees another offset speaks against it. */
+ * slip is one that a clear majority of the last ticks has seen. */
 static int has_slipped(rthyb_loop *loop, const rthyb_feedback *feedback, uint64_t k, uint32_t age)
 {
     const int64_t offset = (int64_t)(feedback->samples - k);
     if (!loop->offset_known || age >= RESYNC_AGE) {
         know_offset(loop, offset);
-    } else if (offset != loop->offset && (offset == loop->offset_seen || loop->votes == 0)) {
-        loop->offset_seen = offset;
-        loop->votes++;
     } else {
-        loop->votes -= loop->votes > 0;
+        if (loop->votes == 0)
+            loop->offset_seen = offset;
+        vote(loop, offset != loop->offset && offset == loop->offset_seen);
     }
     if (loop->votes < RTHYB_SLIP_VOTES)
         return 0;
-    know_offset(loop, offset);
+    know_offset(loop, loop->offset_seen);
     add(&loop->counters.slips, 1);
     return 1;
 }
@@ -213,6 +236,8 @@ static int send_command(rthyb_loop *loop, const rthyb_station_output *out)
     double sent_m = 0.0;
     const double wanted_m = command_to_wire(&loop->calibration, out->x_cmd_m);
     const int code = rthyb_wire_command(loop->wire, wanted_m, out->state, &frame, &sent_m);
+    loop->beyond = (code & RTHYB_S_OUT_OF_RANGE) != 0;
+    add(&loop->counters.beyond, (uint64_t)loop->beyond);
     const int sent = !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->link, &frame);
     note_command(loop->station, &loop->calibration, sent, sent_m);
     add(sent ? &loop->counters.sent : &loop->counters.not_sent, 1);
@@ -254,7 +279,7 @@ static void note_sent(rthyb_loop *loop, const rthyb_tick *tick, int sent)
 
 static void follow_drive(rthyb_loop *loop, const rthyb_tick *tick, const arrival *found)
 {
-    const int came = !found->lost && is_punctual(tick);
+    const int came = !found->lost && is_punctual(tick) && !loop->overheard;
     const double after_due_ns = (double)(loop->arrived_ns - tick->due_ns);
     rthyb_phase *phase = &loop->phase;
     rthyb_ticker_trim(&loop->ticker, rthyb_phase_step(phase, came, after_due_ns));
@@ -310,6 +335,9 @@ static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint
         .link_down = down,
         .drive_stopped = stopped,
         .heartbeat_late = heartbeat_late(loop, 1 + tick->skipped),
+        .beyond = loop->beyond,
+        .taken_over = loop->taken_over,
+        .x_cmd_m = loop->taken_cmd_m,
     };
 }
 
@@ -323,6 +351,7 @@ static void execute(rthyb_loop *loop, const rthyb_tick *tick)
     const rthyb_station_input in = gather(loop, tick, mail, &found);
     rthyb_station_tick(loop->station, &in, loop->ag_mps2, loop->ag_count, loop->records, &out);
     loop->record_count = out.records;
+    loop->taken_over = 0;
     complete(loop, tick, &found);
     if (out.send)
         note_sent(loop, tick, send_command(loop, &out));
@@ -342,9 +371,10 @@ void rthyb_loop_step(rthyb_loop *loop)
 /* ---- its thread ------------------------------------------------------------------------------- */
 
 /* Until the tick is due: takes in what comes, and notes when. A link that babbles wakes it so many
- * times and no more. */
+ * times and no more; what it brings after that has no stamp. */
 static void listen(rthyb_loop *loop)
 {
+    loop->overheard = 0;
     const int64_t due_ns = rthyb_ticker_due_ns(&loop->ticker, loop->ticker.elapsed);
     for (int i = 0; i < RTHYB_WAKE_UPS_MAX; i++) {
         if (!rthyb_link_wait(loop->link, due_ns - rthyb_now_ns()))
@@ -352,6 +382,7 @@ static void listen(rthyb_loop *loop)
         add(&loop->counters.wake_ups, 1);
         take_in(loop, rthyb_now_ns());
     }
+    loop->overheard = 1;
 }
 
 static int wait_for_tick(rthyb_loop *loop, rthyb_tick *tick)

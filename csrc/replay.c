@@ -18,7 +18,7 @@ static void take_parameters(rthyb_station *station, const rthyb_replay *source, 
         return;
     for (size_t i = 0; i < source->parameter_count; i++)
         if (source->parameters[i].generation == generation)
-            rthyb_station_adopt(station, &source->parameters[i]);
+            (void)rthyb_station_adopt(station, &source->parameters[i]);
 }
 
 /* Why the wire had no pair. */
@@ -43,6 +43,9 @@ static rthyb_station_input input_of(const rthyb_station *station, const rthyb_re
         .link_down = (row->flags & RTHYB_F_DOWN) != 0,
         .drive_stopped = (row->flags & RTHYB_F_STOPPED) != 0,
         .heartbeat_late = (row->flags & RTHYB_F_SILENT) != 0,
+        .beyond = (row->flags & RTHYB_F_BEYOND) != 0,
+        .taken_over = (row->flags & RTHYB_F_TAKEN_OVER) != 0,
+        .x_cmd_m = row->x_cmd_m,
     };
 }
 
@@ -107,7 +110,10 @@ static void command_from_next(rthyb_station *station, const rthyb_record *row,
 {
     const int ends_tare =
         station->zeroing == 1 && station->in_state + 1 >= (uint64_t)station->cfg.tare_ticks;
-    station->controller.x_cmd = ends_tare ? row->x_cmd_m : next->x_cmd_m;
+    rthyb_controller *controller = &station->controller;
+    controller->x_cmd = ends_tare ? row->x_cmd_m : next->x_cmd_m;
+    if (row->flags & RTHYB_F_NOT_SENT)
+        controller->x_lim = controller->x_lim1;
 }
 
 size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, rthyb_record *out)

@@ -83,14 +83,16 @@ enum rthyb_flag {
     RTHYB_F_NOT_SENT = 32,
     /* From here on: what the station was told in this tick, in its last record alone, never in a
      * blind one. With the raw reading it is all that a replay needs. */
-    RTHYB_F_SLIP = 1 << 6,     /* the drive's count has slipped against the tick, 128 ticks ago */
-    RTHYB_F_LOST = 1 << 7,     /* the wire had no new pair; PREDICTED without it: the station
-                                * refused the pair that came */
-    RTHYB_F_DOWN = 1 << 8,     /* the link reported a failure */
-    RTHYB_F_STOPPED = 1 << 9,  /* the drive's last word is that it has stopped by itself */
-    RTHYB_F_SILENT = 1 << 10,  /* the operator's side has been silent for too long */
-    RTHYB_F_REFUSED = 1 << 23, /* the operator's command of this tick was refused */
-    RTHYB_F_COMMAND_BIT = 24   /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
+    RTHYB_F_SLIP = 1 << 6,    /* the drive's count has slipped against the tick, 192 ticks ago */
+    RTHYB_F_LOST = 1 << 7,    /* the wire had no new pair; PREDICTED without it: the station
+                               * refused the pair that came */
+    RTHYB_F_DOWN = 1 << 8,    /* the link reported a failure */
+    RTHYB_F_STOPPED = 1 << 9, /* the drive's last word is that it has stopped by itself */
+    RTHYB_F_SILENT = 1 << 10, /* the operator's side has been silent for too long */
+    RTHYB_F_BEYOND = 1 << 11, /* the wire cannot hold the command of the tick before */
+    RTHYB_F_TAKEN_OVER = 1 << 12, /* a first tick: the drive follows another station's x_cmd_m */
+    RTHYB_F_REFUSED = 1 << 23,    /* the operator's command of this tick was refused */
+    RTHYB_F_COMMAND_BIT = 24 /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
 };
 
 typedef struct {
@@ -408,6 +410,7 @@ typedef struct {
     uint64_t tick;
     double x_num, x_plc, x_cmd; /* commands for t_n */
     double x_cmd1;              /* command for t_{n-1} */
+    double x_lim, x_lim1;       /* both as the limiter left them, before the wire rounded */
     double alpha, beta;         /* as the PLC has them, rate-limited */
     double x_m1, f1, x_num1;
     double energy_error, tracking_indicator;
@@ -457,7 +460,7 @@ enum rthyb_command {
     RTHYB_CMD_HOLD,   /* RUNNING -> HOLD */
     RTHYB_CMD_RESUME, /* HOLD -> RUNNING */
     RTHYB_CMD_STOP,   /* anything that moves -> RAMP_OUT; ZEROED, ARMED -> IDLE */
-    RTHYB_CMD_RESET,  /* TRIPPED -> IDLE */
+    RTHYB_CMD_RESET,  /* TRIPPED -> IDLE, with a fresh reading of a specimen at rest */
     RTHYB_CMD_TRIP,   /* anything -> TRIPPED: a second signal, a broken link */
     RTHYB_CMD_COUNT
 };
@@ -534,11 +537,19 @@ typedef struct {
     int32_t leg; /* 0 decelerating, 1 on the way, 2 there */
     double resume_x, resume_v, resume_a;
     int32_t zeroing; /* 0 no, 1 under way, 2 failed: the reading moved */
+    double tare_cmd; /* 0 of the command, before tare: sensor and drive need not agree */
     double tare_x, tare_f, sum_x, sum_f, low_x, high_x;
     double still_x, still_cmd; /* reading that a stuck sensor repeats, command when it began */
     uint64_t still_ticks;
-    double seen_x;          /* last reading, before tare */
-    int32_t seen;           /* there is one */
+    double seen_x;       /* last reading, before tare */
+    int32_t seen;        /* there is one */
+    int32_t commands;    /* x_cmd is the drive's by an earlier tare or station, not by a reading */
+    int32_t jumps;       /* readings in a row about the level that the displacement leapt to */
+    double jump_x;       /* the last of them, before tare */
+    double rest_x;       /* where the readings have been at rest, before tare, */
+    uint32_t rest_ticks; /* and for how many of them */
+    double worst_force;  /* since RAMP_OUT began, while it may still grow */
+    uint64_t refused_sets;  /* parameters that may not come in force while something moves */
     double indicator_slope; /* of the tracking indicator, mean of 0.25 s, m^2/s */
     uint64_t skip_map[16];  /* one bit a tick: skipped, of the last 1024 */
     uint32_t recent_skips;  /* bits set in it */
@@ -554,6 +565,9 @@ typedef struct {
     int32_t link_down;      /* the link itself reports a failure */
     int32_t drive_stopped;  /* the drive says that it has stopped by itself */
     int32_t heartbeat_late; /* Python has been silent for a second */
+    int32_t beyond;         /* the wire could not hold the last command and sent the nearest */
+    int32_t taken_over;     /* the first tick alone: x_cmd_m is what another station sent last */
+    double x_cmd_m;
 } rthyb_station_input;
 
 typedef struct {
@@ -570,7 +584,7 @@ int rthyb_station_init(rthyb_station *station, const rthyb_station_config *cfg);
 /* One executed tick: blind steps for what was skipped, then the sample. records takes up to
  * RTHYB_BLIND_MAX + 1 of them; the last one has what the station was told as flags. ag_mps2 is the
  * ground motion of the whole test, n of it. While the link is down or the drive stopped, ZERO, ARM
- * and START are refused. */
+ * and START are refused; RESET without a fresh reading, or before 20 of them have stood still. */
 int rthyb_station_tick(rthyb_station *station, const rthyb_station_input *in, const double *ag_mps2,
                        size_t n, rthyb_record *records, rthyb_station_output *out);
 
@@ -588,8 +602,9 @@ typedef struct {
 /* 0 or RTHYB_E_LIMIT. */
 int rthyb_parameters_check(const rthyb_parameters *parameters);
 /* Before a tick: puts a set that passed in force, with its generation, in this test and the next. A
- * command beyond a new position limit does not jump there: it may not go further out. */
-void rthyb_station_adopt(rthyb_station *station, const rthyb_parameters *parameters);
+ * command beyond a new position limit does not jump there: it may not go further out. Outside IDLE a
+ * set that switches a limit of the command off is counted and not taken. 1 if it was taken. */
+int rthyb_station_adopt(rthyb_station *station, const rthyb_parameters *parameters);
 
 /* 1 if a command may be given in a state. */
 int rthyb_command_allowed(int32_t state, int32_t command);
@@ -932,6 +947,7 @@ typedef struct {
     rthyb_reading pair;    /* newest */
     uint64_t samples;      /* its count, unwrapped */
     uint32_t age;          /* ticks since it came */
+    uint32_t stopped;      /* RTHYB_DEVICE_STOPPED: last word of any frame that was intact, or 0 */
     uint32_t repeats;      /* frames in a row that bring nothing new */
     int32_t synced;        /* pair.count says which count comes next */
     int32_t fresh;         /* pair came since the last take */
@@ -1117,8 +1133,10 @@ void rthyb_link_drain(rthyb_link *link, rthyb_wire *wire);
 
 enum rthyb_loop_size {
     RTHYB_HEARTBEAT_TICKS = 1024, /* of silence, then RAMP_OUT */
-    RTHYB_SLIP_VOTES = 128,       /* ticks after which a changed count is a slip */
-    RTHYB_WAKE_UPS_MAX = 8        /* link clock: by what comes, in one tick */
+    RTHYB_SLIP_WINDOW = 256,      /* ticks with a pair that came in time, in which */
+    RTHYB_SLIP_VOTES = 192,       /* so many see another count: a slip */
+    /* Link clock, by what comes in one tick: a serial line may wake for each byte. */
+    RTHYB_WAKE_UPS_MAX = 2 * RTHYB_SERIAL_FEEDBACK
 };
 
 /* Between the numbers on the wire and the structure's own: what sensors are mounted the other way
@@ -1136,15 +1154,17 @@ int rthyb_calibration_check(const rthyb_calibration *calibration);
 /* May be read while the loop runs. */
 typedef struct {
     uint64_t records;
-    uint64_t sent;            /* commands */
-    uint64_t not_sent;        /* commands that the link did not take */
-    uint64_t down;            /* ticks with the link down */
-    uint64_t stopped;         /* ticks in which the drive's last word was that it has stopped */
-    uint64_t late_heartbeats; /* ticks */
-    uint64_t refused;         /* operator's commands */
-    uint64_t slips;           /* lasting changes of (drive's count - tick) */
-    uint64_t wake_ups;        /* link clock: by what came, beside the ticks */
-    uint64_t parameters;      /* sets taken */
+    uint64_t sent;               /* commands */
+    uint64_t not_sent;           /* commands that the link did not take */
+    uint64_t down;               /* ticks with the link down */
+    uint64_t stopped;            /* ticks in which the drive's last word was that it has stopped */
+    uint64_t late_heartbeats;    /* ticks */
+    uint64_t refused;            /* operator's commands */
+    uint64_t slips;              /* lasting changes of (drive's count - tick) */
+    uint64_t wake_ups;           /* link clock: by what came, beside the ticks */
+    uint64_t parameters;         /* sets taken */
+    uint64_t parameters_refused; /* sets that switch a limit off while something moves */
+    uint64_t beyond;             /* commands that the wire could not hold */
 } rthyb_loop_counters;
 
 /* A set of parameters on its way from the operator's side to the tick. */
@@ -1196,8 +1216,14 @@ typedef struct {
     uint64_t heartbeat, heard, silence; /* word of the other side, last seen, ticks since */
     uint64_t downs_seen;                /* of the link's times_down */
     int64_t offset;                     /* drive's count - tick */
-    int64_t offset_seen;                /* another one, that votes ticks more have seen than not */
+    int64_t offset_seen;                /* another one, and in which of the last ticks */
+    uint64_t vote_map[RTHYB_SLIP_WINDOW / 64];
+    uint64_t voted; /* ticks that had a say */
     int32_t offset_known, votes;
+    int32_t taken_over; /* the station has not ticked yet, and another one's last command was: */
+    double taken_cmd_m;
+    int32_t beyond;    /* the wire could not hold the last command */
+    int32_t overheard; /* link clock: more came before this tick than it listens to */
     int32_t priority, cpu, latency_fd; /* of the thread, as in rthyb_thread_become_real_time */
     uint32_t privileges;               /* obtained: enum rthyb_privilege */
     rthyb_usage usage;                 /* of the thread, from the first tick to the last */

@@ -12,6 +12,11 @@
 #include "numeric.h"
 
 #define LOST_TRIP 20        /* samples without a pair, in a row */
+#define JUMP_TAKEN 3        /* readings in a row that make a new level */
+#define REST_TICKS 20       /* readings that stand still, then RESET is allowed */
+#define ARRIVED_M 1e-6      /* what the command may lag behind at the end of a path */
+#define WORSE 1.1           /* times the force at the ramp-out that it caused */
+#define WORSE_TICKS 128     /* in which that force may still grow: brake and actuator's delay */
 #define SKIPS_RAMP_OUT 10   /* more skipped ticks than this in a row */
 #define SKIPS_RECENT_MAX 50 /* skipped ticks in RECENT_TICKS */
 #define RECENT_TICKS 1024
@@ -52,19 +57,39 @@ static int config_error(const rthyb_station_config *c)
     return ticks_ok && c->rest_spread_m > 0.0 ? 0 : RTHYB_E_LIMIT;
 }
 
+/* The sensors' ranges are the station's to judge, before the tare is taken off. */
+static int fresh_controller(rthyb_station *s)
+{
+    const int error = rthyb_controller_init(&s->controller, &s->cfg.controller);
+    s->controller.cfg.x_range_m = s->controller.cfg.f_range_n = 0.0;
+    return error;
+}
+
 int rthyb_station_init(rthyb_station *s, const rthyb_station_config *cfg)
 {
     int error = config_error(cfg);
     if (error)
         return error;
     *s = (rthyb_station){.cfg = *cfg, .state = RTHYB_IDLE};
-    error = rthyb_controller_init(&s->controller, &s->cfg.controller);
+    error = fresh_controller(s);
     s->controller.state = RTHYB_IDLE;
     return error;
 }
 
-void rthyb_station_adopt(rthyb_station *s, const rthyb_parameters *p)
+/* What lags behind its course under a limit would leap there without it. */
+static int switches_off(const rthyb_station *s, const rthyb_parameters *p)
 {
+    const rthyb_controller_config *c = &s->cfg.controller;
+    return (c->velocity_limit_m_per_s > 0.0 && !(p->velocity_limit_m_per_s > 0.0)) ||
+           (c->acceleration_limit_m_per_s2 > 0.0 && !(p->acceleration_limit_m_per_s2 > 0.0));
+}
+
+int rthyb_station_adopt(rthyb_station *s, const rthyb_parameters *p)
+{
+    if (s->state != RTHYB_IDLE && switches_off(s, p)) {
+        s->refused_sets++;
+        return 0;
+    }
     rthyb_controller_config *both[] = {&s->cfg.controller, &s->controller.cfg};
     for (int i = 0; i < 2; i++) {
         both[i]->velocity_limit_m_per_s = p->velocity_limit_m_per_s;
@@ -75,6 +100,7 @@ void rthyb_station_adopt(rthyb_station *s, const rthyb_parameters *p)
     s->cfg.path_velocity_m_per_s = p->path_velocity_m_per_s;
     s->cfg.path_acceleration_m_per_s2 = p->path_acceleration_m_per_s2;
     s->controller.generation = p->generation;
+    return 1;
 }
 
 /* ---- paths ------------------------------------------------------------------------------------ */
@@ -120,14 +146,30 @@ static int path_within(const rthyb_path *p, double h, double v_max, double a_max
     return 1;
 }
 
+/* Of a path and of the command: the narrower one; 0 is no limit of the command. */
+static double narrower(double path, double command)
+{
+    return command > 0.0 ? fmin(path, command) : path;
+}
+
+static double path_velocity(const rthyb_station *s)
+{
+    return narrower(s->cfg.path_velocity_m_per_s, s->cfg.controller.velocity_limit_m_per_s);
+}
+
+static double path_acceleration(const rthyb_station *s)
+{
+    return narrower(s->cfg.path_acceleration_m_per_s2,
+                    s->cfg.controller.acceleration_limit_m_per_s2);
+}
+
 /* The shortest quintic, within a factor of 1.25, that keeps to the path limits; where the end states
  * themselves are beyond them, it keeps to their values. */
 static rthyb_path plan(const rthyb_station *s, const double from[3], const double to[3])
 {
     const double h = s->cfg.controller.period_s;
-    const double v = fmax(s->cfg.path_velocity_m_per_s, 1.01 * fmax(fabs(from[1]), fabs(to[1])));
-    const double a =
-        fmax(s->cfg.path_acceleration_m_per_s2, 1.01 * fmax(fabs(from[2]), fabs(to[2])));
+    const double v = fmax(path_velocity(s), 1.01 * fmax(fabs(from[1]), fabs(to[1])));
+    const double a = fmax(path_acceleration(s), 1.01 * fmax(fabs(from[2]), fabs(to[2])));
     double T = 8.0 * h;
     rthyb_path path = quintic(from, to, whole_ticks(T, h), h);
     for (int i = 0; i < SEARCH_STEPS && !path_within(&path, h, v, a); i++) {
@@ -141,7 +183,7 @@ static rthyb_path plan(const rthyb_station *s, const double from[3], const doubl
 static rthyb_path brake(const rthyb_station *s, double x, double v)
 {
     const double h = s->cfg.controller.period_s;
-    const int64_t ticks = whole_ticks(fabs(v) / s->cfg.path_acceleration_m_per_s2, h);
+    const int64_t ticks = whole_ticks(fabs(v) / path_acceleration(s), h);
     const double way = v * (double)ticks * h;
     return (rthyb_path){.c = {x, way, -0.5 * way}, .end = x + 0.5 * way, .ticks = ticks};
 }
@@ -188,6 +230,26 @@ static void blame(rthyb_station *s, int cause)
     s->cause_tick = s->tick;
 }
 
+/* A reading at the very end of the sensor's range is a sensor that cannot say more; that end knows
+ * nothing of a tare. */
+static int within_range(const rthyb_station *s, const rthyb_station_input *in)
+{
+    const double x_range = s->cfg.controller.x_range_m, f_range = s->cfg.controller.f_range_n;
+    return !(x_range > 0.0 && fabs(in->x_m) >= x_range) &&
+           !(f_range > 0.0 && fabs(in->f_n) >= f_range);
+}
+
+static int is_sensible(const rthyb_station_input *in)
+{
+    return !in->lost && judge(in->x_m, RTHYB_DISPLACEMENT_MAX_M) == RTHYB_OK &&
+           judge(in->f_n, RTHYB_FORCE_MAX_N) == RTHYB_OK;
+}
+
+static int is_sound(const rthyb_station *s, const rthyb_station_input *in)
+{
+    return is_sensible(in) && within_range(s, in);
+}
+
 static int is_moving(int state)
 {
     return state == RTHYB_RAMP_IN || state == RTHYB_RUNNING || state == RTHYB_HOLD;
@@ -198,7 +260,7 @@ static void settle(rthyb_station *s, double x)
 {
     rthyb_controller *c = &s->controller;
     (void)rthyb_plc_init(&c->plc, c->cfg.estimator.w1, c->cfg.estimator.w2, x);
-    c->x_num = c->x_num1 = c->x_plc = c->x_cmd = c->x_cmd1 = x;
+    c->x_num = c->x_num1 = c->x_plc = c->x_cmd = c->x_cmd1 = c->x_lim = c->x_lim1 = x;
 }
 
 static double speed(const rthyb_station *s)
@@ -223,6 +285,7 @@ static void ramp_out(rthyb_station *s, int cause)
     blame(s, cause);
     const double v = s->state == RTHYB_HOLD && s->leg == 1 ? 0.0 : speed(s);
     enter(s, RTHYB_RAMP_OUT);
+    s->worst_force = 0.0;
     s->path = brake(s, s->controller.x_num, v);
 }
 
@@ -248,9 +311,12 @@ static void resume(rthyb_station *s)
 
 static void react(rthyb_station *s, int cause, int reaction)
 {
+    /* While ramping in there is no course yet that could be resumed. */
+    const int ends_it = (reaction == RTHYB_REACT_RAMP_OUT && is_moving(s->state)) ||
+                        (reaction == RTHYB_REACT_HOLD && s->state == RTHYB_RAMP_IN);
     if (reaction == RTHYB_REACT_TRIP) {
         trip(s, cause);
-    } else if (reaction == RTHYB_REACT_RAMP_OUT) {
+    } else if (ends_it) {
         ramp_out(s, cause);
     } else if (reaction == RTHYB_REACT_HOLD && s->state == RTHYB_RUNNING) {
         blame(s, cause);
@@ -260,20 +326,35 @@ static void react(rthyb_station *s, int cause, int reaction)
     }
 }
 
+/* On the way out nothing is left but a trip, and that is for the force alone: what pulls at a specimen
+ * does not wait. The force that took the test off its course falls on the way, once it stands. */
+static int escalated(rthyb_station *s, int cause, double value, int reaction)
+{
+    if (s->state != RTHYB_RAMP_OUT || cause != RTHYB_CAUSE_FORCE || reaction < RTHYB_REACT_HOLD)
+        return reaction;
+    if (s->cause != RTHYB_CAUSE_FORCE)
+        return RTHYB_REACT_TRIP;
+    if (s->leg > 0 && s->in_state >= WORSE_TICKS)
+        return fabs(value) > WORSE * s->worst_force ? RTHYB_REACT_TRIP : reaction;
+    s->worst_force = fmax(s->worst_force, fabs(value));
+    return reaction;
+}
+
 /* Back to the state of a fresh start; what a recording needs of the last test stays readable until
- * then. Tare survives, the reading survives. */
+ * then. Tare survives, the reading survives, and so does the command: the ramp begins where the drive was
+ * told to be, for what lies between that and the reading would leave in one step. */
 static void begin_test(rthyb_station *s)
 {
     const uint32_t generation = s->controller.generation;
-    (void)rthyb_controller_init(&s->controller, &s->cfg.controller);
+    const double x = s->controller.x_cmd;
+    (void)fresh_controller(s);
     s->controller.generation = generation;
     s->test_tick = 0;
     s->interrupted = 0;
     s->cause = RTHYB_CAUSE_NONE;
     s->indicated = 0;
-    const double x = s->seen_x - s->tare_x;
     settle(s, x);
-    s->controller.x_m1 = x;
+    s->controller.x_m1 = s->seen_x - s->tare_x;
     enter(s, RTHYB_RAMP_IN);
     s->path = ramp(x, 0.0, s->cfg.ramp_in_ticks);
 }
@@ -293,6 +374,13 @@ static int out_of_reach(const rthyb_station *s)
     const rthyb_watch *watch = &s->cfg.watch[RTHYB_CAUSE_POSITION];
     return watch->reaction >= RTHYB_REACT_HOLD && watch->value > 0.0 &&
            fabs(s->seen_x - s->tare_x) > watch->value;
+}
+
+/* A drive takes up where it stands: it must stand, and where must be known. */
+static int can_reset(const rthyb_station *s, const rthyb_station_input *in)
+{
+    return !in->link_down && is_sound(s, in) && s->rest_ticks >= REST_TICKS &&
+           s->in_state >= REST_TICKS && fabs(in->x_m - s->rest_x) <= s->cfg.rest_spread_m;
 }
 
 /* What leads to motion needs a drive at the other end that follows. */
@@ -338,9 +426,11 @@ static int obey(rthyb_station *s, const rthyb_station_input *in)
         }
         break;
     case RTHYB_CMD_RESET:
+        if (!can_reset(s, in))
+            return 0;
         enter(s, RTHYB_IDLE);
         s->cause = RTHYB_CAUSE_NONE;
-        settle(s, s->seen_x - s->tare_x);
+        settle(s, in->x_m - s->tare_x);
         break;
     default:
         trip(s, RTHYB_CAUSE_SIGNAL);
@@ -376,11 +466,14 @@ static void take_tare(rthyb_station *s, double x, double f)
     }
     if (s->in_state + 1 < (uint64_t)s->cfg.tare_ticks)
         return;
-    const double before = s->tare_x;
+    const double command = s->controller.x_cmd + s->tare_cmd;
     s->tare_x = s->sum_x / s->cfg.tare_ticks;
     s->tare_f = s->sum_f / s->cfg.tare_ticks;
-    /* The drive stays where it is: the same command in the new coordinates. */
-    settle(s, s->controller.x_cmd + before - s->tare_x);
+    /* The drive stays where it is. Where an earlier tare has told already how far command and reading lie
+     * apart, that is no way to go: every test would go it again. */
+    s->tare_cmd = s->commands ? command : s->tare_x;
+    settle(s, command - s->tare_cmd);
+    s->commands = 1;
     s->zeroing = 0;
     enter(s, RTHYB_ZEROED);
 }
@@ -398,10 +491,20 @@ static const double *next_on_path(rthyb_station *s, double *x)
     return x;
 }
 
-/* What comes after the end of a path. */
+/* The command is where its path has ended. */
+static int has_arrived(const rthyb_station *s)
+{
+    const rthyb_controller *c = &s->controller;
+    return fabs(c->x_lim - c->x_plc) <= ARRIVED_M && fabs(c->x_plc - c->x_num) <= ARRIVED_M;
+}
+
+/* What comes after the end of a path. At rest the compensator and the limiter have to be through as
+ * well; until then everything is watched as on the way. */
 static void arrive(rthyb_station *s)
 {
-    if (!path_done(&s->path))
+    const int waits = s->state == RTHYB_RAMP_IN || (s->state == RTHYB_RAMP_OUT && s->leg == 1) ||
+                      (s->state == RTHYB_RAMP_OUT && s->cfg.stay);
+    if (!path_done(&s->path) || (waits && !has_arrived(s)))
         return;
     if (s->state == RTHYB_RAMP_IN || (s->state == RTHYB_HOLD && s->leg == 2)) {
         enter(s, RTHYB_RUNNING);
@@ -423,8 +526,9 @@ static int check(rthyb_station *s, int cause, double value, int bit)
     if (watch->reaction == RTHYB_REACT_NONE || !(watch->value > 0.0) ||
         !(fabs(value) > watch->value))
         return RTHYB_OK;
-    react(s, cause, watch->reaction);
-    return watch->reaction == RTHYB_REACT_TRIP ? bit | RTHYB_S_TRIP : bit;
+    const int reaction = escalated(s, cause, value, watch->reaction);
+    react(s, cause, reaction);
+    return reaction == RTHYB_REACT_TRIP ? bit | RTHYB_S_TRIP : bit;
 }
 
 /* The limits that are watched while something moves. */
@@ -462,24 +566,51 @@ static void watch_stuck(rthyb_station *s, double x)
         react(s, RTHYB_CAUSE_SENSOR_STUCK, watch->reaction);
 }
 
-/* A pair whose displacement leaps is not taken; 1 if it is. */
+/* Another level is believed when it stays, unless a leap is to end the test. */
+static int stays_there(rthyb_station *s, double x, const rthyb_watch *watch)
+{
+    const int again = s->jumps > 0 && fabs(x - s->jump_x) <= watch->value;
+    s->jumps = again ? s->jumps + 1 : 1;
+    s->jump_x = x;
+    const int ends_test = watch->reaction >= RTHYB_REACT_RAMP_OUT && s->state != RTHYB_IDLE &&
+                          s->state != RTHYB_TRIPPED;
+    if (ends_test || s->jumps < JUMP_TAKEN)
+        return 0;
+    return 1;
+}
+
+/* A pair whose displacement leaps is not taken; 1 if it is. In ticks without a pair the specimen may
+ * have moved on, in each by as much as in one. */
 static int plausible(rthyb_station *s, const rthyb_station_input *in)
 {
     const rthyb_watch *watch = &s->cfg.watch[RTHYB_CAUSE_SENSOR_JUMP];
-    if (!s->seen || s->controller.missing || !(watch->value > 0.0) ||
-        !(fabs(in->x_m - s->seen_x) > watch->value))
-        return 1;
-    react(s, RTHYB_CAUSE_SENSOR_JUMP, watch->reaction);
-    return 0;
+    const double most = watch->value * ((double)s->controller.missing + 1.0);
+    int good = 1;
+    if (s->seen && watch->value > 0.0 && fabs(in->x_m - s->seen_x) > most) {
+        react(s, RTHYB_CAUSE_SENSOR_JUMP, watch->reaction);
+        good = stays_there(s, in->x_m, watch);
+    }
+    if (good)
+        s->jumps = 0;
+    return good;
+}
+
+static void watch_rest(rthyb_station *s, double x)
+{
+    if (fabs(x - s->rest_x) > s->cfg.rest_spread_m) {
+        s->rest_x = x;
+        s->rest_ticks = 0;
+    }
+    s->rest_ticks += s->rest_ticks < REST_TICKS;
 }
 
 static void note_reading(rthyb_station *s, const rthyb_station_input *in)
 {
     watch_stuck(s, in->x_m);
-    if (!s->seen) {
-        s->seen = 1;
+    watch_rest(s, in->x_m);
+    if (!s->seen && !s->commands)
         settle(s, in->x_m - s->tare_x);
-    }
+    s->seen = 1;
     s->seen_x = in->x_m;
     if (s->zeroing == 1)
         take_tare(s, in->x_m, in->f_n);
@@ -515,7 +646,7 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
     if (code & RTHYB_S_NOT_FINITE)
         trip(s, RTHYB_CAUSE_NOT_FINITE);
     if (s->state == RTHYB_TRIPPED)
-        s->controller.x_cmd = sent;
+        s->controller.x_cmd = s->controller.x_lim = sent;
     else
         arrive(s);
     s->controller.state = s->state;
@@ -557,6 +688,8 @@ static void watch_surroundings(rthyb_station *s, const rthyb_station_input *in, 
         trip(s, RTHYB_CAUSE_LINK_DOWN);
     if (in->drive_stopped && s->state != RTHYB_IDLE)
         trip(s, RTHYB_CAUSE_DRIVE_STOPPED);
+    if (in->beyond && s->state != RTHYB_IDLE)
+        trip(s, RTHYB_CAUSE_POSITION);
     if (in->heartbeat_late)
         ramp_out(s, RTHYB_CAUSE_HEARTBEAT);
     if (s->state == RTHYB_RUNNING && s->test_tick >= n)
@@ -572,33 +705,54 @@ static uint32_t told(const rthyb_station_input *in, int refused)
            (in->link_down ? (uint32_t)RTHYB_F_DOWN : 0u) |
            (in->drive_stopped ? (uint32_t)RTHYB_F_STOPPED : 0u) |
            (in->heartbeat_late ? (uint32_t)RTHYB_F_SILENT : 0u) |
+           (in->beyond ? (uint32_t)RTHYB_F_BEYOND : 0u) |
+           (in->taken_over ? (uint32_t)RTHYB_F_TAKEN_OVER : 0u) |
            (refused ? (uint32_t)RTHYB_F_REFUSED : 0u) |
            ((uint32_t)in->command & UINT8_MAX) << RTHYB_F_COMMAND_BIT;
+}
+
+/* The pair of this tick, as the controller gets it. */
+static rthyb_input take_pair(rthyb_station *s, const rthyb_station_input *in, const double *ag,
+                             size_t n)
+{
+    rthyb_input pair = at_tick(s, ag, n);
+    pair.lost = in->lost;
+    if (is_sensible(in) && !within_range(s, in))
+        pair.lost = RTHYB_LOST | RTHYB_S_OUT_OF_RANGE;
+    else if (is_sensible(in) && !plausible(s, in))
+        pair.lost = RTHYB_LOST;
+    else if (is_sensible(in))
+        note_reading(s, in);
+    pair.x_meas_m = in->x_m - s->tare_x;
+    pair.f_meas_n = in->f_n - s->tare_f;
+    return pair;
+}
+
+/* While the drive stands by itself the command goes where the specimen is, so that nothing leaps when it
+ * is released. */
+static void stand_by(rthyb_station *s, const rthyb_station_input *in)
+{
+    if (s->state == RTHYB_IDLE && in->drive_stopped && !s->controller.missing)
+        settle(s, s->seen_x - s->tare_x);
 }
 
 int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const double *ag_mps2,
                        size_t n, rthyb_record *records, rthyb_station_output *out)
 {
+    if (in->taken_over && !s->seen && judge(in->x_cmd_m, RTHYB_DISPLACEMENT_MAX_M) == RTHYB_OK) {
+        settle(s, in->x_cmd_m);
+        s->commands = 1;
+    }
     const uint32_t made_up = blind_steps(s, in->skipped, ag_mps2, n, records);
     const int refused = !obey(s, in);
     watch_surroundings(s, in, n);
-    rthyb_input pair = at_tick(s, ag_mps2, n);
-    pair.lost = in->lost;
-    const int sensible = judge(in->x_m, RTHYB_DISPLACEMENT_MAX_M) == RTHYB_OK &&
-                         judge(in->f_n, RTHYB_FORCE_MAX_N) == RTHYB_OK;
-    if (!in->lost && sensible) {
-        if (plausible(s, in))
-            note_reading(s, in);
-        else
-            pair.lost = RTHYB_LOST;
-    }
-    pair.x_meas_m = in->x_m - s->tare_x;
-    pair.f_meas_n = in->f_n - s->tare_f;
+    const rthyb_input pair = take_pair(s, in, ag_mps2, n);
     sample(s, &pair, 0, &records[made_up]);
+    stand_by(s, in);
     note_tick(s, 0);
     const int frame = s->state != RTHYB_TRIPPED || s->trip_frames > 0;
     *out = (rthyb_station_output){
-        .x_cmd_m = s->controller.x_cmd + s->tare_x,
+        .x_cmd_m = s->controller.x_cmd + s->tare_cmd,
         .send = s->seen && frame,
         .state = s->state,
         .refused = refused,
@@ -607,6 +761,8 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
     if (s->state == RTHYB_TRIPPED && s->trip_frames > 0)
         s->trip_frames--;
     rthyb_record *last = &records[made_up];
+    if (in->beyond && s->state == RTHYB_TRIPPED)
+        last->code |= RTHYB_S_POSITION_LIMIT | RTHYB_S_TRIP;
     last->flags &= ~(uint32_t)RTHYB_F_NOT_SENT;
     last->flags |= (out->send ? 0u : (uint32_t)RTHYB_F_NOT_SENT) | told(in, refused);
     return 0;

@@ -45,13 +45,27 @@ int rthyb_wire_command(rthyb_wire *w, double x_m, int32_t state, rthyb_frame *fr
     return code;
 }
 
-/* Steps from one count to a later one; more than half way round is backwards. */
-static int order(const rthyb_wire *w, uint32_t earlier, uint32_t later)
+/* Steps from one count to another, so many ticks after it: of all that the bits allow the number
+ * nearest to one a tick, or a short count would take a gap for a way back. */
+static int64_t steps_between(const rthyb_wire *w, uint32_t earlier, uint32_t later, uint32_t age)
 {
-    const uint32_t steps = (later - earlier) & w->count_mask;
-    if (steps == 0)
+    const uint32_t mask = w->count_mask, due = age < RESYNC_AFTER ? age + 1 : 1;
+    const uint32_t beyond = (later - earlier - due) & mask;
+    return (int64_t)due + beyond - (beyond >= mask / 2 ? (int64_t)mask + 1 : 0);
+}
+
+/* Ticks before this one in which nothing newer than the pair came. */
+static uint32_t pair_age(const rthyb_wire *w)
+{
+    return w->fresh ? 0 : w->age;
+}
+
+/* The same count is no new sample, however long ago it was: a drive may hang. */
+static int order(const rthyb_wire *w, uint32_t earlier, uint32_t later, uint32_t age)
+{
+    if (((later - earlier) & w->count_mask) == 0)
         return RTHYB_W_DUPLICATE;
-    return steps > w->count_mask / 2 ? RTHYB_W_REORDERED : 0;
+    return steps_between(w, earlier, later, age) < 0 ? RTHYB_W_REORDERED : 0;
 }
 
 /* Against the newest pair, or the half that waits. */
@@ -59,19 +73,21 @@ static int judge_order(const rthyb_wire *w, const rthyb_reading *r)
 {
     int verdict = 0;
     if (w->counters.pairs > 0) {
-        verdict = order(w, w->pair.count, r->count);
+        verdict = order(w, w->pair.count, r->count, pair_age(w));
         if (!w->synced)
             verdict &= ~RTHYB_W_REORDERED; /* a drive that was switched on again */
     }
     for (int i = 0; i < 2 && !verdict; i++)
         if (r->has == w->half[i].has)
-            verdict = order(w, w->half[i].count, r->count);
+            verdict = order(w, w->half[i].count, r->count, w->half_age[i]);
     return verdict;
 }
 
 static int take_pair(rthyb_wire *w, const rthyb_reading *r)
 {
-    const uint32_t steps = (r->count - w->pair.count) & w->count_mask;
+    const uint32_t apart = (r->count - w->pair.count) & w->count_mask;
+    const uint64_t steps =
+        w->synced ? (uint64_t)steps_between(w, w->pair.count, r->count, pair_age(w)) : apart;
     if (w->synced)
         add(&w->counters.missed, steps - 1);
     if (w->fresh)
@@ -79,6 +95,7 @@ static int take_pair(rthyb_wire *w, const rthyb_reading *r)
     add(&w->counters.pairs, 1);
     w->samples += steps;
     w->pair = *r;
+    w->stopped = r->status & RTHYB_DEVICE_STOPPED;
     w->synced = w->fresh = 1;
     w->repeats = 0;
     return RTHYB_W_PAIR;
@@ -131,6 +148,8 @@ static int judge_and_join(rthyb_wire *w, const rthyb_reading *r, int verdict)
         return late | RTHYB_W_STUCK;
     if (late)
         return late;
+    /* That it has stopped is true whatever its sensors say, and whether the other half comes or not. */
+    w->stopped |= r->status & RTHYB_DEVICE_STOPPED;
     if (!verdict)
         return r->has == BOTH ? take_pair(w, r) : join(w, r);
     w->refused |= verdict & RTHYB_W_NOT_FINITE ? RTHYB_S_NOT_FINITE : RTHYB_S_OUT_OF_RANGE;
@@ -208,7 +227,7 @@ int rthyb_wire_take(rthyb_wire *w, rthyb_feedback *feedback)
         .f_raw = f_raw,
         .echo = w->pair.echo,
         .count = w->pair.count,
-        .status = w->pair.status,
+        .status = (w->pair.status & ~(uint32_t)RTHYB_DEVICE_STOPPED) | w->stopped,
         .delay = delay(w),
         .age = w->age,
         .samples = w->samples,

@@ -73,6 +73,8 @@ FLAGS: dict[str, int] = {
     "down": 1 << 8,
     "stopped": 1 << 9,
     "silent": 1 << 10,
+    "beyond": 1 << 11,
+    "taken_over": 1 << 12,
     "refused": 1 << 23,
 }
 """Bits of the field ``flags``, written into every file; bits 24 to 31 are the number of the
