@@ -909,6 +909,11 @@ class Station:
         """Offsets taken off displacement (m) and force (N)."""
         return self._c.tare_x, self._c.tare_f
 
+    @property
+    def command_tare_m(self) -> float:
+        """What is added to a command on its way to the drive: where that stood at the tare, m."""
+        return float(self._c.tare_cmd)
+
 
 def command_of(flags: int) -> Command:
     """Return the operator's command in a record's flags; "none" if there was none.
