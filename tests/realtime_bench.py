@@ -167,9 +167,10 @@ def process(folder: Path, *arguments: object, **more: Any) -> Iterator[Process]:
         made.kill()
 
 
-def until(condition: Callable[[], bool], what: str) -> None:
-    """Wait for something, however slow the machine."""
+def until(condition: Callable[[], Any], what: str) -> Any:
+    """Wait for something, however slow the machine, and return it."""
     end = time.monotonic() + PATIENCE_S
-    while not condition():
+    while not (found := condition()):
         assert time.monotonic() < end, f"never came: {what}"
         time.sleep(0.005)
+    return found

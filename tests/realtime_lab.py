@@ -7,7 +7,7 @@ most three times, and the count is printed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -21,6 +21,7 @@ from rthyb_rt.recording import FLAGS, Recording
 
 NOT_SENT = FLAGS["not_sent"]
 TOO_EARLY = "too early"
+CHUNK = 256
 
 
 @contextmanager
@@ -78,34 +79,42 @@ class Lab:
 
     def ring_of(self, controller: Process) -> Path | None:
         """Return the ring that a controller's process fills."""
+        found = self._reader_of(controller)
+        if found is None:
+            return None
+        with found:
+            return found.path
+
+    def _reader_of(self, controller: Process) -> ring.Reader | None:
         folders = (self.runtime / "rthyb", Path("/run/rthyb"))
         for path in (path for folder in folders if folder.is_dir() for path in ring.find(folder)):
-            try:
-                with ring.Reader(path) as reader:
-                    if reader.about["pid"] == controller.process.pid:
-                        return path
-            except InputError:
-                continue
+            with suppress(InputError):
+                reader = ring.Reader(path)
+                if reader.about["pid"] == controller.process.pid:
+                    return reader
+                reader.close()
         return None
 
     def await_state(self, controller: Process, state: str, ticks: int = 300) -> Path | None:
         """Wait until a controller has been in a state for a while; None: its test is over."""
+        seen = 0
+
+        def is_over() -> bool:
+            return controller.process.poll() is not None
 
         def there() -> bool:
-            if controller.process.poll() is not None:
-                return True
-            path = self.ring_of(controller)
-            if path is None:
-                return False
-            try:
-                with ring.Reader(path) as reader:
-                    rows = reader.read(ring.CAPACITY).samples
-            except InputError:
-                return False
-            return np.count_nonzero(rows["state"] == STATE[state]) >= ticks
+            nonlocal seen
+            while (rows := reader.read(CHUNK).samples).size:
+                seen += np.count_nonzero(rows["state"] == STATE[state])
+            return is_over() or seen >= ticks
 
-        until(there, f"{state} in the ring")
-        return self.ring_of(controller)
+        # One mapping for all looks: who maps a ring anew each time stalls a small machine's ticks.
+        found = until(lambda: self._reader_of(controller) or is_over(), "the controller's ring")
+        if found is True:
+            return None
+        with found as reader:
+            until(there, f"{state} in the ring")
+            return None if is_over() else reader.path
 
     def recorded(self, out: str, err: str = "") -> Recording:
         assert (self.folder / out).is_dir(), err

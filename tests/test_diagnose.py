@@ -317,3 +317,24 @@ def test_a_hybrid_test_in_closed_loop_is_diagnosed_and_its_model_mended(tmp_path
     friction = [e for e in mended.specimen if e.element == "coulomb"]
     assert friction[0].fc_n == pytest.approx(300.0, rel=0.01)
     assert run("diagnose", folder, "--model", tmp_path / "out" / "augmented.toml") == 0
+
+
+def test_a_contact_that_shears_before_it_slips_is_dry_friction(tmp_path):
+    def slider(t, x, v, a):
+        slip, force = 0.0, np.empty_like(x)
+        for i, now in enumerate(x):
+            slip = min(max(slip, now - 2e-6), now + 2e-6)
+            force[i] = 130.0 * (now - slip) / 2e-6
+        return force
+
+    d = diagnosed(tmp_path, cases.channels(slider))
+    assert (d.verdict, d.effects) == ("explained", ["coulomb"])
+    assert found(d, "coulomb", "Fc_N") == pytest.approx(130.0, rel=0.02)
+
+
+def test_units_do_not_hide_a_spring_of_the_third_power(tmp_path):
+    # Of a motion of two millimetres the cube is a column of 1e-10 beside others of 1e2.
+    columns = cases.channels(lambda t, x, v, a: 5e10 * x**3, amplitude=2e-3)
+    d = diagnosed(tmp_path, columns)
+    assert (d.verdict, d.effects) == ("explained", ["cubic"])
+    assert found(d, "cubic", "k3_N_m3") == pytest.approx(5e10, rel=0.03)

@@ -14,7 +14,7 @@ from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import Estimate
 from rthyb_rt.diagnose.predict import Augmented, nrmse, output_error, predict
-from rthyb_rt.diagnose.select import Fit, Problem, price, refine
+from rthyb_rt.diagnose.select import Fit, Problem, inflation, price, refine
 from rthyb_rt.diagnose.simulate import Motion
 
 Verdict = Literal["none", "explained", "ambiguous", "unknown"]
@@ -27,8 +27,12 @@ LEFT_FREE = 0.35
 """The same for a first model without stated tolerances: real specimens are not clean laws."""
 SIMULATED = 5e-4
 """Least relative half-width of an interval: what two good simulators differ by."""
+ESTIMATED = 2e-3
+"""The same where the motion is estimated from noisy sensors."""
 BLUR = 0.008
 """Part of the force that the estimate of a free body's motion may leave unexplained."""
+BLUR_CELL = 0.002
+"""The same where a load cell tells the force."""
 SIMULATION = 0.012
 """NRMSE of a simulated displacement below which nothing is missing that could be named."""
 NOISE_LEFT = 0.1
@@ -225,7 +229,7 @@ def _force_known(case: Case, search: force.Search) -> bool:
         return (
             search.excess_before < NOISE_LEFT + 0.15
             or case.model.k_tol is None
-            or _small(search, search.excess_before)
+            or (_small(search, search.excess_before) and _within(search))
         )
     if search.excess_after < NOISE_LEFT or (search.scale < 1.5 and search.excess_after < 0.5):
         # At the noise, or above it without colour: the data sheet's figure is low.
@@ -253,6 +257,8 @@ def _simulates(case: Case, search: force.Search | None) -> bool:
     reach = 3.6 * m.k_tol
     if abs(fitted.model.k / m.k - 1.0) > reach:
         return False
+    if m.c and m.c_tol is not None and abs(fitted.model.c / m.c - 1.0) > 3.6 * m.c_tol:
+        return False
     made = predict(fitted, case).x
     return nrmse(made, np.where(case.rows, x_meas, np.nan)) < SIMULATION
 
@@ -263,6 +269,8 @@ def _rounded(case: Case, search: force.Search, quantised: Found) -> bool:
     rest = problem.estimate.force - problem.ctx.total
     for b, nuisance in zip(search.null.nuisance, problem.nuisances, strict=True):
         rest = rest - b * nuisance.column
+    if search.best.members and search.gain > 400.0 and search.excess_after < 0.25:
+        return False
     reach = 0.55 * quantised.params["lsb_N"] + 3.0 * (case.model.f_std or 0.0)
     return float(np.mean(np.abs(rest[problem.rows]) < reach)) > 0.98
 
@@ -273,7 +281,16 @@ def _small(search: force.Search, excess: float) -> bool:
     if found.exact:
         return False
     force_rms = float(np.sqrt(np.mean(found.force[found.rows] ** 2))) or 1.0
-    return float(np.sqrt(max(excess, 0.0))) * found.sigma_n < BLUR * force_rms
+    least = BLUR_CELL if "f_meas" in search.problem.case.channels else BLUR
+    return float(np.sqrt(max(excess, 0.0))) * found.sigma_n < least * force_rms
+
+
+def _within(search: force.Search) -> bool:
+    """Return whether the model alone meets the record without leaving its stated tolerances."""
+    return all(
+        n.sigma is None or abs(float(b)) < 3.6 * n.sigma
+        for b, n in zip(search.null.nuisance, search.problem.nuisances, strict=True)
+    )
 
 
 def _verdict(
@@ -290,7 +307,7 @@ def _verdict(
     names: list[str] = []
     sets: list[list[str]] = []
     named_force = search is not None and bool(search.best.members) and force_known
-    if search is not None and _small(search, search.excess_before):
+    if search is not None and _small(search, search.excess_before) and _within(search):
         stated = {n.name for n in search.problem.nuisances if n.sigma is not None}
         named_force = named_force and set(search.best.names) <= stated
     if named_force or not force_known:
@@ -480,6 +497,7 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
             params, ci = intervals(fit, i, ctx)
             if number == 0:
                 _widen(ci, params, search, m.name, ctx)
+            _of_the_spring_there_is(fit, m.name, params, ci)
             for name in m.effect.names:
                 if name in seen:
                     continue
@@ -500,6 +518,26 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
     return out
 
 
+def _of_the_spring_there_is(
+    fit: Fit, name: str, params: dict[str, float], ci: dict[str, list[float]]
+) -> None:
+    """Count what a spring loses as a part of the stiffness found, where the model's was wrong."""
+    stiffer = sum(
+        float(b[0]) for m, b in zip(fit.members, fit.betas, strict=True) if m.name == "stiffness"
+    )
+    key = {"degradation": "loss", "pinching": "depth", "hysteresis": "alpha"}.get(name)
+    if key not in params or not stiffer > -0.9:
+        return
+
+    def counted(value: float) -> float:
+        if key == "alpha":
+            return 1.0 - (1.0 - value) / (1.0 + stiffer)
+        return value / (1.0 + stiffer)
+
+    params[key] = counted(params[key])
+    ci[key] = [counted(end) for end in ci[key]]
+
+
 def _widen(
     ci: dict[str, list[float]],
     params: dict[str, float],
@@ -514,8 +552,11 @@ def _widen(
                 other = m.effect.report(ctx, m.trial, fit.betas[i])
                 for k, v in other.items():
                     ci[k] = [min(ci[k][0], v), max(ci[k][1], v)]
+    # Rows whose noise hangs together a little tell less than their number.
+    wider = float(np.sqrt(inflation(search.best.residual)))
     for k, v in params.items():
-        half = SIMULATED * abs(v)
+        ci[k] = [v + wider * (end - v) for end in ci[k]]
+        half = (SIMULATED if search.problem.estimate.exact else ESTIMATED) * abs(v)
         ci[k] = [min(ci[k][0], v - half), max(ci[k][1], v + half)]
 
 

@@ -23,8 +23,10 @@ ACCURACY = 0.004
 SHIFT_S = 0.025
 GAP_S = 0.4
 """A simulated motion has forgotten a gap of its command after so long."""
-EDGE_S = 0.3
+EDGE_S = 0.5
 """At either end of a recording the smoother has half its data; such rows are not judged."""
+MOVING_EDGE_S = 1.5
+"""The same where a recording begins or ends in full motion."""
 
 
 def white_noise(signal: Floats) -> float:
@@ -254,11 +256,15 @@ def quiet(signal: Floats, fs_hz: float, sigma: float) -> Floats:
     return s.back(spectrum * power / (power + sigma**2))
 
 
-def _edges(rows: NDArray[np.bool_], fs_hz: float, seconds: float) -> NDArray[np.bool_]:
-    cut = int(min(seconds * fs_hz, rows.size / 50))
+def _edges(rows: NDArray[np.bool_], fs_hz: float, x: Floats) -> NDArray[np.bool_]:
     out = rows.copy()
-    if cut:
-        out[:cut] = out[-cut:] = False
+    head = max(int(0.1 * fs_hz), 2)
+    loud = 0.02 * float(np.max(np.abs(x - np.median(x))))
+    for at, span in ((0, slice(None, head)), (-1, slice(-head, None))):
+        rest = float(np.max(np.abs(x[span] - x[at]))) < loud
+        cut = int(min((EDGE_S if rest else MOVING_EDGE_S) * fs_hz, rows.size / 12))
+        if cut:
+            out[slice(None, cut) if at == 0 else slice(-cut, None)] = False
     return out
 
 
@@ -350,7 +356,7 @@ def from_sensors(case: Case) -> Estimate | None:
     power = sigma**2 + z2 * known.variance
     # Where displacement is nothing but noise, force laws evaluated on it are: no band to judge in.
     band = np.maximum(sigma**2 / (sigma**2 + z2 * known.measured), known.seen)
-    rows = _edges(rows, case.fs_hz, EDGE_S)
+    rows = _edges(rows, case.fs_hz, filled(channels["x_meas"]))
     share = float(np.mean(band**2))
     return Estimate(motion, force, rows, _coloured(s, power, band), sigma, False, max(share, 1e-3))
 
@@ -361,15 +367,38 @@ def quasi_static(case: Case) -> bool:
     return m.family == "drive" and m.c == 0 and m.moving_mass == 0 and m.fs_hz <= 50
 
 
+def _rate(x: Floats, fs_hz: float, span: int = 34) -> Floats:
+    """Return the rate of a noisy ramp, (n,): the slope of the straightest stretch at each row."""
+    span = min(span, x.size - 1)
+    at = np.arange(span + 1.0) - span / 2.0
+    parts = np.lib.stride_tricks.sliding_window_view(x, span + 1)
+    slope = parts @ at / float(at @ at)
+    rest = parts - parts.mean(axis=1)[:, None] - slope[:, None] * at
+    bent = np.sum(rest**2, axis=1)
+    first = np.arange(x.size)[:, None] - np.array([span, span // 2, 0])
+    first = np.clip(first, 0, slope.size - 1)
+    best = np.argmin(bent[first], axis=1)
+    return np.asarray(slope[first[np.arange(x.size), best]] * fs_hz)
+
+
 def _static(case: Case) -> Estimate | None:
     f_meas = case.get("f_meas")
     if f_meas is None:
         return None
     x = filled(case.channels["x_meas"])
     v = np.gradient(x) * case.fs_hz
+    sure = np.ones(x.size, dtype=np.bool_)
+    if (case.model.x_std or 0.0) * case.fs_hz > 0.02 * float(np.median(np.abs(v))):
+        v = _rate(x, case.fs_hz)
+        # In which row exactly it turns is not known: those are not judged.
+        turns = np.flatnonzero(np.diff(np.sign(v)) != 0)
+        for reach in range(-5, 7):
+            sure[np.clip(turns + reach, 0, x.size - 1)] = False
     sigma = case.model.f_std or noise_of(f_meas, None)
     sigma = float(np.hypot(sigma, abs(case.model.k) * (case.model.x_std or 0.0)))
     rows = case.rows & np.isfinite(f_meas) & np.isfinite(case.channels["x_meas"])
+    if (rows & sure).sum() > 0.5 * rows.sum():
+        rows = rows & sure
     return Estimate(
         Motion(x, v, np.zeros_like(x)), filled(f_meas), rows, lambda y: y / sigma, sigma, False
     )

@@ -13,6 +13,7 @@ from rthyb_rt.diagnose.select import (
     Fit,
     Member,
     Problem,
+    compatible,
     inflation,
     price,
     refine,
@@ -21,11 +22,16 @@ from rthyb_rt.diagnose.select import (
 
 AMBIGUOUS = 9.0
 """Sets that differ by less in chi-squared cannot be told apart."""
+DEARER = 1.5
+"""Price of one more parameter in a rival, in the same: a law that goes over into a simpler one fits
+as well by its nature, and is a rival only where its parameter brings something."""
 NEEDED = {1: 0.0, 2: 4e-3, 3: 2.5e-2}
 """Least part of what a set of two or three explains that each of its effects has to explain alone:
 less may be the form of the other one's law. More than twice that where the motion is estimated."""
 SMALLEST = 1e-3
 """Least size of an effect, as part of the force: less is not a finding."""
+NESTED = 1e-3
+"""Least part of what dry friction explains that a Stribeck peak or bristles have to add to it."""
 FORM = 0.03
 """Part of what a law explains by which another form of it may do worse and still be thinkable."""
 FOLD_S = 0.25
@@ -151,6 +157,7 @@ def _sweep(
     leading = dictionary.best(pairs, 12)
     for group in members(leading[:10]):
         fitter.fit(group)
+    _grow(dictionary, fitter)
     reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
     rows = dictionary.problem.y.size * dictionary.problem.estimate.share
     if reached > 1.03 * rows:
@@ -166,6 +173,35 @@ def _sweep(
             names = tuple(sorted(n for m in rest for n in m.effect.names))
             if names not in fitter.by_names:
                 fitter.fit(rest)
+
+
+def _grow(dictionary: Dictionary, fitter: _Fitter) -> None:
+    """Put every other effect beside the best sets in their refined shapes, and refine the best.
+
+    The dictionary's shapes lie on a grid: what stands beside one of them makes up for the grid
+    before it shows what is missing.
+    """
+    done: set[tuple[str, ...]] = set()
+    for _ in range(2):
+        ranked = sorted(fitter.by_names.values(), key=fitter.score)
+        leading = [f for f in ranked[:3] if f.names not in done and len(f.names) < 3]
+        for fit in leading:
+            done.add(fit.names)
+            beside = dictionary.beside(fit)
+            others = [
+                (g,)
+                for g, group in enumerate(dictionary.groups)
+                if not set(group.member.effect.names) & set(fit.names)
+            ]
+            found = [
+                (chi2, groups)
+                for chi2, groups in dictionary.sets(others, beside)
+                if beside[2] - chi2 > 0.5 * dictionary.penalty(groups)
+            ]
+            for groups in dictionary.best(found, 4):
+                extra = tuple(dictionary.groups[g].member for g in groups)
+                if compatible([*fit.members, *extra]):
+                    fitter.fit((*fit.members, *extra))
 
 
 def _promising(
@@ -197,7 +233,9 @@ def _late(dictionary: Dictionary, fitter: _Fitter, null: Fit, n: float) -> None:
         member = dictionary.groups[g].member
         if member.effect.sensor or member.effect.complete or tried.get(member.name, 0) >= 2:
             continue
-        if len(tried) >= 4 and member.name not in tried:
+        if len(tried) >= 8 and member.name not in tried:
+            continue
+        if len(tried) > 4 and member.name in tried:
             continue
         tried[member.name] = tried.get(member.name, 0) + 1
         t0 = float(problem.ctx.t[problem.rows[begin]])
@@ -295,6 +333,7 @@ def _decide(
     fits = sorted(fitter.by_names.values(), key=fitter.score)
     fits = [f for f in fits if _needed(fitter, f, null)]
     fits = _one_of_a_kind(fitter, fits)
+    fits = _plainest(fitter, fits, null)
     best = null
     if fits and fitter.score(fits[0]) < null.chi2 and _size(problem, fits[0]) > SMALLEST:
         best = fits[0]
@@ -306,7 +345,7 @@ def _decide(
         own = count(problem, best)
         for fit in fits:
             extra = max(0, count(problem, fit) - own)
-            worse = fit.chi2 - best.chi2 + 1.1 * AMBIGUOUS * extra
+            worse = fit.chi2 - best.chi2 + DEARER * AMBIGUOUS * extra
             if fit.names != best.names and worse < AMBIGUOUS and held_out_gain(problem, fit) > 0.3:
                 equal.append(fit)
     after = best.chi2 * scale if best.members else plain[0]
@@ -339,6 +378,27 @@ def _one_of_a_kind(fitter: _Fitter, fits: list[Fit]) -> list[Fit]:
             twin = next((f for f in fits if f.names == same), None)
             if twin is not None and fitter.score(twin) < fitter.score(fit) + 25.0:
                 out.remove(fit)
+    return out
+
+
+def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
+    """Leave out richer friction that does no better than dry friction in its place.
+
+    Both go over into it; what they gain then is the form of the jump.
+    """
+    share = NESTED * (1.0 if fitter.problem.estimate.exact else 2.5)
+    out = []
+    for fit in fits:
+        richer = {"stribeck", "lugre"} & set(fit.names)
+        plain = None
+        if len(richer) == 1 and "coulomb" not in fit.names:
+            names = [n if n not in richer else "coulomb" for n in fit.names]
+            plain = next((f for f in fits if f.names == tuple(sorted(names))), None)
+        gain = plain.chi2 - fit.chi2 if plain is not None else np.inf
+        if gain > fitter.price(fit) - (fitter.price(plain) if plain else 0.0) + max(
+            12.0, share * (null.chi2 - fit.chi2)
+        ):
+            out.append(fit)
     return out
 
 

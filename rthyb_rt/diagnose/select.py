@@ -180,6 +180,7 @@ class Dictionary:
 
     def __init__(self, problem: Problem, progress: Callable[[str], None] = lambda _: None) -> None:
         self.problem = problem
+        self.made = problem.loudness
         groups: list[_Group] = []
         columns: list[Floats] = []
         for effect in problem.effects:
@@ -187,10 +188,8 @@ class Dictionary:
                 member = Member(effect, trial)
                 block = problem.columns(member)
                 norms = np.sqrt(np.sum(block**2, axis=0))
-                if (
-                    not np.isfinite(norms).all()
-                    or not (norms > 1e-9 * np.sqrt(problem.y.size)).any()
-                ):
+                # No least size: a coefficient's unit may make a column as small as it likes.
+                if not np.isfinite(norms).all() or not (norms > 0.0).any():
                     continue
                 (signs, pinned), count = effect.settings(problem.ctx, trial)
                 keep = [j for j in range(block.shape[1]) if norms[j] > 0]
@@ -215,6 +214,7 @@ class Dictionary:
         self.scale[-1] = 1.0
         data = data / self.scale
         cuts = np.linspace(0, data.shape[0], BLOCKS + 1).astype(int)
+        self.data = data
         self.grams = np.stack([data[i:j].T @ data[i:j] for i, j in pairwise(cuts)])
         self.ridge = np.zeros(self.b)
         for j, nuisance in enumerate(problem.nuisances):
@@ -242,6 +242,48 @@ class Dictionary:
         solved = np.linalg.solve(bb, cross) if b else cross
         rest = g - g[:, p : p + b] @ solved
         return rest[:p, :p], rest[:p, -1], float(rest[-1, -1])
+
+    def beside(self, fit: Fit) -> tuple[Floats, Floats, float]:
+        """Return the products with the nuisance and a set, its shapes free to move, taken out."""
+        problem = self.problem
+        blocks, pins = [problem.base], [0.0 if n.sigma is None else n.sigma**-2
+                                        for n in problem.nuisances]  # fmt: skip
+        y = problem.y
+        extra = 0.0
+        for member, beta in zip(fit.members, fit.betas, strict=True):
+            block = problem.columns(member)
+            (_, pinned), _ = member.effect.settings(problem.ctx, member.trial)
+            # Counted from where the fit has them: a coefficient held at one stays near it.
+            y = y - block @ beta
+            for b, sigma in zip(beta, pinned, strict=True):
+                pins.append(0.0 if sigma is None else sigma**-2)
+                extra += 0.0 if sigma is None else ((b - 1.0) / sigma) ** 2
+            blocks.append(block)
+            for j in range(len(member.trial.theta)):
+                moved, step = _moved(problem, member, j, 1e-3), 1e-3
+                if moved is None:
+                    moved, step = _moved(problem, member, j, -1e-3), -1e-3
+                if moved is not None:
+                    blocks.append(((problem.columns(moved) - block) @ beta)[:, None] / step)
+                    pins.append(0.0)
+        base = np.column_stack(blocks)
+        size = np.sqrt(np.maximum(np.sum(base**2, axis=0), 1e-300))
+        base = base / size
+        held = base.T @ base + np.diag(np.array(pins) / size**2 + 1e-9)
+        data = self.data[:, : self.p] / self._loudness()
+        whole = np.column_stack([data, y])
+        cross = base.T @ whole
+        # In the columns' products alone the nuisance is still there: none of it is taken out yet.
+        gram = np.empty((self.p + 1, self.p + 1))
+        gram[: self.p, : self.p] = self.grams.sum(axis=0)[: self.p, : self.p]
+        gram[: self.p, -1] = gram[-1, : self.p] = data.T @ y
+        gram[-1, -1] = y @ y
+        rest = gram - cross.T @ np.linalg.solve(held, cross)
+        return rest[:-1, :-1], rest[:-1, -1], float(rest[-1, -1]) + extra
+
+    def _loudness(self) -> float:
+        """Return by how much rows have been scaled down since the dictionary was made."""
+        return self.problem.loudness / self.made
 
     def singles(self) -> list[tuple[float, tuple[int, ...]]]:
         """Return (chi2, group) of every group on its own; impossible ones are left out."""
@@ -471,6 +513,8 @@ def _refined(problem: Problem, members: Sequence[Member], steps: int) -> Fit | N
         design = np.column_stack([jacobian, *blocks, problem.base])
         gram = design.T @ design
         prior = _prior_gram(problem, members, len(places), gram.shape[0])
+        # Units must not matter: columns are brought to one size.
+        unit = 1.0 / np.sqrt(np.maximum(gram.diagonal() + prior.diagonal(), 1e-300))
         held = np.r_[np.zeros(len(places)), *fit.betas, fit.nuisance]
         aim = np.zeros(held.size)
         aim[len(places) : held.size - fit.nuisance.size] = 1.0
@@ -481,9 +525,10 @@ def _refined(problem: Problem, members: Sequence[Member], steps: int) -> Fit | N
             damped = gram + damping * np.diag(
                 np.r_[gram.diagonal()[: len(places)], np.zeros(gram.shape[0] - len(places))]
             )
-            damped[np.diag_indices_from(damped)] += 1e-12 * gram.diagonal().max() * 1e-3 + 1e-30
+            damped *= np.outer(unit, unit)
+            damped[np.diag_indices_from(damped)] += 1e-12
             try:
-                delta = np.linalg.solve(damped, right)[: len(places)]
+                delta = (unit * np.linalg.solve(damped, unit * right))[: len(places)]
             except np.linalg.LinAlgError:
                 break
             delta = np.clip(delta, -0.5, 0.5)

@@ -8,6 +8,7 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+from rthyb_rt.diagnose.simulate import iwan
 
 SLOW = ("multi_amplitude", "friction keeps its size while other forces grow with amplitude")
 
@@ -51,8 +52,21 @@ class QuadDamping(Effect):
         return [core.element("quad_damping", c2_n_s2_per_m2=float(beta[0]))]
 
 
+CONTACT = (2e-5, 4e-3)
+"""Way before a dry contact slips, as part of the amplitude: more of it is bristle friction."""
+
+
+def slipping(ctx: Context, way_m: float) -> Floats:
+    """Return the force per N of a dry contact that shears by ``way_m`` before it slips, (n,)."""
+    return iwan(np.array([way_m]), np.array([1.0]), ctx.x) / way_m
+
+
 class Coulomb(Effect):
-    """Dry friction with a free width around zero velocity: a fixed one turns it into Stribeck."""
+    """Dry friction with a free width around zero velocity: a fixed one turns it into Stribeck.
+
+    Variant "contact" shears by a little before it slips, as every contact does: then what a small
+    reversal shows is a spring's force, not a step's.
+    """
 
     name = "coulomb"
     params = (Param("Fc_N", "N", 0.0, 1e8),)
@@ -63,19 +77,27 @@ class Coulomb(Effect):
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return widths from a sharp jump to a thirtieth of the velocity."""
-        return [Trial((float(w),)) for w in ctx.v_range * np.geomspace(3e-4, 4e-2, 8)]
+        return [
+            *(Trial((float(w),)) for w in ctx.v_range * np.geomspace(3e-4, 4e-2, 8)),
+            *(Trial((float(z),), "contact") for z in ctx.x_range * np.geomspace(5e-5, 3e-3, 4)),
+        ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep the width below what would be a dashpot."""
+        """Keep the width below what would be a dashpot, the contact below a bristle."""
+        if trial.variant == "contact":
+            return [(CONTACT[0] * ctx.x_range, CONTACT[1] * ctx.x_range)]
         return [(1e-5 * ctx.v_range, 0.12 * ctx.v_range)]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the smoothed sign of velocity."""
+        """Return the smoothed sign of velocity, or of the last path."""
+        if trial.variant == "contact":
+            return [slipping(ctx, trial.theta[0])]
         return [np.tanh(ctx.v / trial.theta[0])]
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
-        width = float(np.clip(trial.theta[0], 1e-7, 1.0))
+        width = 1e-3 * ctx.v_range if trial.variant == "contact" else trial.theta[0]
+        width = float(np.clip(width, 1e-7, 1.0))
         return [core.element("coulomb", fc_n=float(beta[0]), width_m_per_s=width)]
 
 
@@ -95,23 +117,32 @@ class Stribeck(Effect):
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return Stribeck velocities, each with sharp and softer jumps."""
+        at = ctx.v_range * np.geomspace(0.02, 0.6, 7)
+        way = 1e-3 * ctx.x_range
         return [
-            Trial((float(vs), float(w)))
-            for vs in ctx.v_range * np.geomspace(0.02, 0.6, 7)
-            for w in ctx.v_range * np.array([1e-3, 4e-3, 1.2e-2])
-            if w < 0.4 * vs
+            *(
+                Trial((float(vs), float(w)))
+                for vs in at
+                for w in ctx.v_range * np.array([1e-3, 4e-3, 1.2e-2])
+                if w < 0.4 * vs
+            ),
+            *(Trial((float(vs), way), v) for vs in at for v in ("contact", "contact1")),
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep the Stribeck velocity within the motion and the width well below it."""
         r = ctx.v_range
+        if trial.variant:
+            way = ctx.x_range
+            return [(0.01 * r, 1.2 * r), (CONTACT[0] * way, CONTACT[1] * way)]
         return [(0.01 * r, 1.2 * r), (1e-5 * r, 0.4 * trial.theta[0])]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return sliding and additional static friction per N."""
         vs, width = trial.theta
-        sign = np.tanh(ctx.v / width)
-        return [sign, sign * np.exp(-((ctx.v / vs) ** 2))]
+        sign = slipping(ctx, width) if trial.variant else np.tanh(ctx.v / width)
+        power = 1 if trial.variant == "contact1" else 2
+        return [sign, sign * np.exp(-(np.abs(ctx.v / vs) ** power))]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return both levels and the velocity between them."""
@@ -125,13 +156,25 @@ class Stribeck(Effect):
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
         p = self.report(ctx, trial, beta)
-        width = float(np.clip(trial.theta[1], 1e-7, 1.0))
+        width = 1e-3 * ctx.v_range if trial.variant else trial.theta[1]
+        width = float(np.clip(width, 1e-7, 1.0))
         return [
             core.element(
                 "stribeck",
                 fc_n=p["Fc_N"], fs_n=p["Fs_N"], vs_m_per_s=p["vs_m_s"], width_m_per_s=width,
             )
         ]  # fmt: skip
+
+
+def slips(ctx: Context, way_m: float, count: int = 16) -> Floats:
+    """Return the force per N of slips in parallel that reverse as bristles of ``way_m`` do, (n,).
+
+    Their strengths fall off exponentially; unlike bristles they remember where they turned.
+    """
+    at = -np.log1p(-(np.arange(count) + 0.5) / count)
+    at /= at.mean()
+    limit = 0.5 * way_m * at
+    return iwan(limit, np.full(count, 1.0 / count), ctx.x) / (0.5 * way_m)
 
 
 class Lugre(Effect):
@@ -149,7 +192,7 @@ class Lugre(Effect):
         return [
             Trial((float(z0),), v)
             for z0 in ctx.x_range * np.geomspace(2e-3, 0.6, 10)
-            for v in ("dahl", "elastic", "spread0.5", "spread1.0")
+            for v in ("dahl", "elastic", "spread0.5", "spread1.0", "slips")
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
@@ -170,6 +213,8 @@ class Lugre(Effect):
                 "lugre", fc_n=1.0, fs_n=1.0, vs_m_per_s=1.0, sigma0_n_per_m=1.0 / z0,
                 sigma1_n_s_per_m=0.0, sigma2_n_s_per_m=0.0,
             )  # fmt: skip
+        elif trial.variant == "slips":
+            z = slips(ctx, z0)
         else:
             from rthyb_rt.diagnose.effects.hysteretic import plastic
 
@@ -236,8 +281,6 @@ class FrictionBehindGap(Effect):
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the force per N of friction."""
-        from rthyb_rt.diagnose.simulate import iwan
-
         gap, way = trial.theta
         bent = iwan(np.array([gap + way]), np.array([1.0]), ctx.x)
         return [(bent - np.clip(bent, -gap, gap)) / way]

@@ -44,11 +44,13 @@ class Hysteresis(Effect):
         """Return yield displacements as parts of the amplitude, in sharp and round loops."""
         least = 0.004 if ctx.k_free else 0.05
         at = ctx.x_range * np.geomspace(least, 1.0, 12 if not ctx.k_free else 18)
-        shapes = ["bw1", "bw2", "bw5", "iwan1.0", "iwan0.5", "iwan0"]
+        shapes = ["bw1", "bw2", "bw5", "iwan0"]
         if ctx.k_free:
             # With nothing known of the spring, the yielding part may have a dashpot beside it.
             shapes += ["bw1+", "bw2+", "iwan0+"]
         trials = [Trial((float(xy),), shape) for shape in shapes for xy in at]
+        # Springs that yield one by one, over a spread that is fitted.
+        trials += [Trial((float(xy), s), "iwan") for s in (1.0, 0.5, 0.2) for xy in at]
         if ctx.k_free:
             trials += [
                 Trial((float(xy), 6.0 * float(xy)), "two") for xy in at[::2] if 6 * xy < ctx.x_range
@@ -58,6 +60,8 @@ class Hysteresis(Effect):
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep yielding within the motion."""
         least = 1e-3 if ctx.k_free else 0.03
+        if trial.variant == "iwan":
+            return [(least * ctx.x_range, 1.5 * ctx.x_range), (0.02, 1.0)]
         return [(least * ctx.x_range, 1.5 * ctx.x_range)] * len(trial.theta)
 
     def settings(
@@ -75,7 +79,8 @@ class Hysteresis(Effect):
         xy = trial.theta[0]
         if trial.variant == "two":
             return [ctx.k_scale * plastic(ctx, "bw1", y) for y in trial.theta]
-        z = plastic(ctx, trial.variant.rstrip("+"), xy)
+        shape = f"iwan{trial.theta[1]}" if trial.variant == "iwan" else trial.variant
+        z = plastic(ctx, shape.rstrip("+"), xy)
         if trial.variant.endswith("+"):
             return [ctx.k_scale * z, ctx.k_scale * np.gradient(z) / ctx.dt * (xy / ctx.v_range)]
         return [ctx.k_scale * (z if ctx.k_free else z - ctx.x)]
@@ -112,7 +117,7 @@ class Hysteresis(Effect):
         shape = trial.variant.rstrip("+")
         if shape.startswith("bw"):
             return [*out, _loop(k, xy, float(shape[2:]))]
-        spread = float(shape[4:])
+        spread = trial.theta[1] if shape == "iwan" else float(shape[4:])
         count = 1 if spread == 0.0 else 6
         at = 1.0 + spread * (2.0 * (np.arange(count) + 0.5) / count - 1.0)
         return [*out, *(_loop(k / count, float(xy * r), 12.0) for r in at)]
@@ -158,6 +163,7 @@ class Pinching(Effect):
             peaks = [
                 Trial((float(w),), v) for v in ("peak2", "peak4") for w in np.geomspace(0.1, 1.5, 8)
             ]
+            peaks += [Trial((float(w),), "worn") for w in np.linspace(0.1, 0.9, 7)]
             return [*(Trial((float(w),), "x") for w in at), *peaks]
         return [Trial((float(w),), v) for v in variants for w in at]
 
@@ -165,6 +171,8 @@ class Pinching(Effect):
         """Keep the width within the motion."""
         if trial.variant.startswith("peak"):
             return [(0.05, 2.0)]
+        if trial.variant == "worn":
+            return [(0.02, 0.98)]
         return [(0.01 * ctx.x_range, 2.0 * ctx.x_range)]
 
     def settings(
@@ -189,6 +197,11 @@ class Pinching(Effect):
                 width_ratio=width / bw.xy,
             )  # fmt: skip
             return [(pinched - ctx.spring) / depth]
+        if trial.variant == "worn":
+            # Soft within a part of the largest excursion, and closed again where that is reached.
+            peak = np.maximum.accumulate(np.abs(ctx.x)) + 1e-9 * ctx.x_range
+            lost = np.minimum(np.abs(ctx.x), (peak - np.abs(ctx.x)) * width / (1.0 - width))
+            return [-ctx.model.k * np.sign(ctx.x) * lost]
         if trial.variant.startswith("peak"):
             peak = np.maximum.accumulate(np.abs(ctx.x)) + 1e-9 * ctx.x_range
             return [-loop * np.exp(-((ctx.x / (width * peak)) ** int(trial.variant[4:])))]
@@ -200,7 +213,7 @@ class Pinching(Effect):
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return depth and width, as a part of the yield displacement or of the amplitude."""
-        unit = 1.0 if trial.variant.startswith("peak") else self._unit(ctx)
+        unit = 1.0 if trial.variant.startswith(("peak", "worn")) else self._unit(ctx)
         return {"depth": float(beta[0]), "width_ratio": trial.theta[0] / unit}
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
