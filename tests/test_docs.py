@@ -335,7 +335,10 @@ def command_lines() -> list[tuple[str, str]]:
 def test_command_line_is_understood(page: str, line: str) -> None:
     words = shlex.split(line.split(" > ")[0])[1:]
     assert words[0] in PROGRAM.commands, f"{page}: {line}"
-    context = PROGRAM.commands[words[0]].make_context(words[0], list(words[1:]))
+    command, rest = PROGRAM.commands[words[0]], list(words[1:])
+    if hasattr(command, "commands"):
+        command = command.commands[rest.pop(0)]
+    context = command.make_context(words[0], rest)
     for_test, for_rig = config.split_overrides(context.params.get("settings") or ())
     config.load_test(config.builtin_test_path(), for_test)
     config.load_rig(config.shipped_rig("shaking-table-portal-frame"), for_rig)
@@ -345,9 +348,9 @@ def test_command_line_is_understood(page: str, line: str) -> None:
 
 
 def test_readme_and_reference_list_every_command_and_no_other() -> None:
-    readme = set(re.findall(r"^\| `rthyb (\w+)", read(ROOT / "README.md"), re.MULTILINE))
+    readme = set(re.findall(r"^\| `rthyb ([\w-]+)", read(ROOT / "README.md"), re.MULTILINE))
     page = read(ROOT / "docs" / "command-line.md")
-    sections = set(re.findall(r"^## `rthyb (\w+)`", page, re.MULTILINE))
+    sections = set(re.findall(r"^## `rthyb ([\w-]+)`", page, re.MULTILINE))
     assert readme == sections == set(PROGRAM.commands)
 
 
@@ -355,7 +358,9 @@ def test_readme_and_reference_list_every_command_and_no_other() -> None:
 def test_reference_names_every_option(name: str) -> None:
     page = read(ROOT / "docs" / "command-line.md")
     section = page.split(f"## `rthyb {name}`")[1].split("\n## ")[0]
-    options = {option for item in PROGRAM.commands[name].params for option in item.opts}
+    command = PROGRAM.commands[name]
+    parts = [command, *getattr(command, "commands", {}).values()]
+    options = {option for part in parts for item in part.params for option in item.opts}
     options = {option for option in options if option.startswith("--")} - {"--help"}
     listed = set(re.findall(r"--[a-z][a-z-]*", section))
     assert listed - {"--help"} == options

@@ -30,7 +30,7 @@ def check(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a test without running it; show what follows from it.
+    """Check a test without running it.
 
     Every fault of test file and rig file is named at once. For a test without fault: period and
     mass, the compensator's gains, the delay that the structure survives, the margin of the delay

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 import typer
+import typer.completion
 
 from rthyb_rt.cli import (
     check,
     commission,
+    ctl,
     diagnose,
     export,
     identify,
+    install_service,
     jitter,
     jog,
+    recorder,
     recover,
     replay,
     report,
@@ -21,6 +26,7 @@ from rthyb_rt.cli import (
     rig,
     run,
     schema,
+    serve,
 )
 
 app = typer.Typer(
@@ -32,6 +38,9 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+if "_RTHYB_COMPLETE" in os.environ:
+    # A shell asks for what may come next; nobody else pays for knowing that.
+    typer.completion.completion_init()  # type: ignore[attr-defined]
 app.command()(run.run)
 app.command()(check.check)
 app.command()(identify.identify)
@@ -42,6 +51,10 @@ app.command()(diagnose.diagnose)
 app.command()(replay.replay)
 app.command()(recover.recover)
 app.command()(rig.rig)
+app.command()(serve.serve)
+app.add_typer(ctl.ctl)
+app.command()(recorder.recorder)
+app.command()(install_service.install_service)
 app.command()(export.export)
 app.command()(report.report)
 app.command()(jitter.jitter)

@@ -56,7 +56,7 @@ def commission(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a rig step by step: link, signs, limits, drive's stop.
+    """Check link, signs, limits and the stop of a rig.
 
     Stand ready at the emergency stop. Before each motion you are asked. What passed goes with its
     date to RIG.commissioned.json beside the rig file; a test in real time asks for it, until link,

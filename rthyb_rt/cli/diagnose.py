@@ -71,7 +71,7 @@ def diagnose(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what physics a model leaves out, where, and how sure that is.
+    """Say what physics a model leaves out, and where.
 
     The recording is cut at its signals: the command against the displacement gives what the
     actuator does otherwise, the displacement against the force what the specimen does. Exit code 0

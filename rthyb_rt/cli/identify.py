@@ -69,7 +69,7 @@ def identify(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Find delay, gain, stiffness and noise of a rig for its file.
+    """Find delay, gain, stiffness and noise of a rig.
 
     The rig rests, then follows sines from slow to fast without compensation. From these come the
     delay estimate that a test starts with, the elastic stiffness that bounds the tangent

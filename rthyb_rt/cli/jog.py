@@ -55,7 +55,7 @@ def jog(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Move the actuator slowly by a distance, and leave it there.
+    """Move the actuator slowly by a distance.
 
     All limits of the rig file are in force: the position's counts from where the actuator stands,
     the force's from zero load. Ctrl-C decelerates, and it stays where it comes to rest; a second

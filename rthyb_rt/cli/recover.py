@@ -37,7 +37,7 @@ def recover(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a recording of what a real-time test left in its ring.
+    """Make a recording of what a test left in its ring.
 
     The ring lies in memory and has the last 64 s of a test, up to the last tick or the one before,
     even if its process was killed. It is gone after a reboot. Ring and session stay as they are; a

@@ -60,7 +60,7 @@ def reproduce(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Reproduce the studies of Chen & Tsai (2012), figure by figure.
+    """Reproduce the studies of Chen & Tsai (2012).
 
     2.1 stability of the compensator, 4.1 delay estimator, 4.2 inelastic structure, 5 shaking
     table. Every figure is held against its accepted band and what the paper states.

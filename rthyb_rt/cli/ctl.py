@@ -1,0 +1,407 @@
+"""``rthyb ctl``: drive the service of a rig."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rthyb_rt.cli import terminal
+from rthyb_rt.cli.inputs import JsonOption, SetOption
+
+if TYPE_CHECKING:
+    from rthyb_rt.service.control import Client
+
+SCHEMA = "rthyb-ctl/1"
+
+ctl = typer.Typer(
+    name="ctl",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="""Drive the service of a rig, `rthyb serve`.
+
+A test goes this way: load, zero, arm, start. Hold and stop are there for everybody who may look.
+
+Exit code 4 says that no service answers, 5 that it refuses, and why.
+
+\\b
+Examples:
+  rthyb ctl status --watch
+  rthyb ctl load my-test.toml
+  rthyb ctl zero
+  rthyb ctl arm
+  rthyb ctl start
+""",
+)
+
+SocketOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--socket",
+        metavar="PATH",
+        help="Control socket of the service, instead of RTHYB_SOCKET or /run/rthyb/control.sock.",
+        show_default=False,
+    ),
+]
+
+
+def place(socket: Path | None) -> Path:
+    """Return the control socket: as given, of the environment, of the service, or the user's."""
+    from rthyb_rt import ring
+    from rthyb_rt.service.control import SOCKET
+
+    if socket is not None:
+        return socket
+    if os.environ.get("RTHYB_SOCKET"):
+        return Path(os.environ["RTHYB_SOCKET"])
+    own = ring.default_folder() / SOCKET.name
+    return own if not SOCKET.exists() and own.exists() else SOCKET
+
+
+@contextlib.contextmanager
+def _client(socket: Path | None) -> Iterator[Client]:
+    from rthyb_rt.service.control import Client
+
+    with Client(place(socket)) as client:
+        yield client
+
+
+def _say(command: str, text: str, as_json: bool, **more: Any) -> None:
+    print(text, file=terminal.people(as_json))
+    if as_json:
+        terminal.print_json({"schema": SCHEMA, "command": command, "ok": True, **more})
+
+
+# ---- looking ------------------------------------------------------------------------------------
+
+
+@ctl.command()
+def status(
+    socket: SocketOption = None,
+    watch: Annotated[
+        bool, typer.Option("--watch", "-w", help="Again and again, until Ctrl-C.")
+    ] = False,
+    every: Annotated[
+        float, typer.Option(metavar="S", min=0.05, max=60.0, help="Time between two looks.")
+    ] = 0.25,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what the rig and its test are doing.
+
+    With --watch a table that renews itself; with --json as well, or without a terminal, one line
+    a look.
+    """
+    with _client(socket) as client:
+        if not watch:
+            found = client.call("GetStatus")["status"]
+            terminal.print_table(rows(found), terminal.people(as_json))
+            if as_json:
+                terminal.print_json(found)
+            return
+        with contextlib.suppress(KeyboardInterrupt):
+            _watch(client, every, as_json)
+
+
+def _watch(client: Client, every_s: float, as_json: bool) -> None:
+    if as_json or not sys.stdout.isatty():
+        while True:
+            found = client.call("GetStatus")["status"]
+            print(json.dumps(found) if as_json else line(found), flush=True)
+            time.sleep(every_s)
+    from rich.live import Live
+
+    with Live(auto_refresh=False) as live:
+        while True:
+            live.update(_table(client.call("GetStatus")["status"]), refresh=True)
+            time.sleep(every_s)
+
+
+def _table(found: dict[str, Any]) -> Any:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2, 0, 0))
+    for style in ("", "bold", "dim"):
+        table.add_column(style=style, overflow="fold")
+    for row in rows(found):
+        table.add_row(*map(Text, row))
+    return table
+
+
+def rows(found: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Return a status as rows of label, value and explanation."""
+    test, ticks, recorder = found["test"], found["ticks"], found["recorder"]
+    newest = found["newest"] or {}
+    cause = found["cause"].replace("_", " ")
+    state = found["state"] + (f", {cause}" if cause != "none" else "")
+    table = [
+        ("Rig", found["rig"], found["link"]),
+        ("State", state, f"allowed now: {', '.join(found['allowed'])}"),
+        ("Drive", "follows" if found["follows"] else "does not follow", ""),
+        ("Test", *_test(found, test)),
+        ("Displacement", _number(newest.get("x_meas_m"), 1e3, "mm"), _command(newest)),
+        ("Force", _number(newest.get("f_meas_n"), 1e-3, "kN"), ""),
+        ("Delay", _number(newest.get("alpha"), 1.0, "samples"), "alpha"),
+        (
+            "Ticks",
+            str(ticks["elapsed"]),
+            f"{ticks['skipped']} skipped, wake-up p99 {found['wake']['p99_ns'] / 1e3:.0f} us",
+        ),
+        ("Recorder", *_recorder(recorder)),
+    ]
+    if found["armed_by"]:
+        table.insert(4, ("Armed by", found["armed_by"], ""))
+    if found["indicated"]:
+        table.append(("Indicated", ", ".join(found["indicated"]), "limits that only indicate"))
+    if found["last"]:
+        table.append(("Last test", found["last"]["test_name"], found["last"]["end_reason"]))
+    return table
+
+
+def _test(found: dict[str, Any], test: dict[str, Any] | None) -> tuple[str, str]:
+    if test is None:
+        return "none", "load one: rthyb ctl load TEST.toml"
+    done = found["progress"]["ticks"] / 1024.0
+    about = f"{done:.1f} of {test['duration_s']:.1f} s, {test['ground_motion']}"
+    return f"{test['name']} ({test['digest'][:12]})", f"{about}, PGA {test['pga_g']:.3g} g"
+
+
+def _number(value: float | None, factor: float, unit: str) -> str:
+    return "-" if value is None else f"{value * factor:.3f} {unit}"
+
+
+def _command(newest: dict[str, Any]) -> str:
+    return f"command {_number(newest.get('x_cmd_m'), 1e3, 'mm')}" if newest else ""
+
+
+def _recorder(found: dict[str, Any]) -> tuple[str, str]:
+    if not found["wanted"]:
+        return "none", "the ring alone has the last 64 s"
+    if not found["alive"]:
+        return "no sign of life", "what it misses for 64 s is lost; it is being started again"
+    if found["fault"]:
+        return "in trouble", found["fault"]
+    free = f"{found['free_bytes'] / 1e9:.1f} GB free in {found['runs']}"
+    if not found["run_id"]:
+        return "ready", free
+    lost = sum(last - first + 1 for first, last in found["missing_rows"])
+    return f"{found['rows']} rows" + (f", {lost} lost" if lost else ""), free
+
+
+def line(found: dict[str, Any]) -> str:
+    """Return a status as one line."""
+    newest = found["newest"] or {}
+    done = found["progress"]["ticks"] / 1024.0
+    return (
+        f"{found['state']} {done:.1f} s, {_number(newest.get('x_meas_m'), 1e3, 'mm')}, "
+        f"{_number(newest.get('f_meas_n'), 1e-3, 'kN')}, {found['ticks']['skipped']} skipped"
+    )
+
+
+@ctl.command()
+def metrics(socket: SocketOption = None) -> None:
+    """Print the state in Prometheus' text format."""
+    with _client(socket) as client:
+        print(client.call("GetMetrics")["text"], end="")
+
+
+# ---- the way of a test --------------------------------------------------------------------------
+
+
+@ctl.command()
+def load(
+    test: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="TEST.toml",
+            help="Test file; without one the built-in test.",
+            show_default=False,
+        ),
+    ] = None,
+    settings: SetOption = None,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Send a test and its ground motion to the service, in IDLE.
+
+    Both are read here, with your rights; the service sees neither your files nor your home. The
+    rig is the service's, whatever rig the test names.
+    """
+    from rthyb_rt import config, experiment
+    from rthyb_rt.service.daemon import record_of
+
+    test_settings, rig_settings = config.split_overrides(settings or ())
+    if rig_settings:
+        raise typer.BadParameter("the rig is the service's own", param_hint="--set")
+    test_file = config.load_test(test or config.builtin_test_path(), test_settings)
+    record = record_of(experiment.load_motion(test_file))
+    with _client(socket) as client:
+        found = client.call("Load", test_toml=config.dump(test_file), record=record)
+    for note in found["notes"]:
+        terminal.tell(f"note: {note}")
+    digest = found["digest"]
+    text = f"Loaded {test_file.test.name}, {digest[:12]}; next: rthyb ctl zero"
+    _say("load", text, as_json, digest=digest, notes=found["notes"])
+
+
+@ctl.command()
+def zero(
+    socket: SocketOption = None,
+    no_wait: Annotated[
+        bool, typer.Option("--no-wait", help="Do not wait for the end of the tare.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Zero both sensors at rest; the recording of the test begins."""
+    with _client(socket) as client:
+        client.call("Zero")
+        state = "IDLE" if no_wait else _await_zeroed(client)
+    _say("zero", "Zeroing" if no_wait else "Zeroed; next: rthyb ctl arm", as_json, state=state)
+
+
+def _await_zeroed(client: Client) -> str:
+    """Wait for the tare; the service gives it up by itself."""
+    from rthyb_rt.errors import RthybError
+
+    while True:
+        found = client.call("GetStatus")["status"]
+        if found["state"] != "IDLE":
+            return str(found["state"])
+        if not found["run_id"]:
+            raise RthybError(
+                "not zeroed: the rig is not at rest, or its feedback stopped; the journal of the "
+                "service says which: journalctl -u rthyb"
+            )
+        time.sleep(0.05)
+
+
+@ctl.command()
+def arm(
+    digest: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HEX",
+            help="The test that is meant, as load has said; without it the one that is loaded.",
+            show_default=False,
+        ),
+    ] = None,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Arm the test that was zeroed; only who arms can start it.
+
+    The token is kept for `rthyb ctl start`. ARMED ends by itself after limits.armed_timeout_s.
+    """
+    with _client(socket) as client:
+        test = client.call("GetStatus")["status"]["test"] or {}
+        whole = str(test.get("digest", ""))
+        wanted = whole if digest is None or whole.startswith(digest) else digest
+        found = client.call("Arm", digest=wanted)
+    _keep_token(place(socket), found["token"])
+    seconds = found["timeout_s"]
+    text = f"Armed {test.get('name')}, for {seconds:g} s; next: rthyb ctl start"
+    _say("arm", text, as_json, token=found["token"], timeout_s=seconds)
+
+
+@ctl.command()
+def start(
+    token: Annotated[
+        str | None,
+        typer.Option(metavar="TOKEN", help="As arm has said, instead of the one it kept."),
+    ] = None,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Start the armed test."""
+    with _client(socket) as client:
+        client.call("Start", token=token or _kept_token(place(socket)))
+    _say("start", "Started; look at it: rthyb ctl status --watch", as_json)
+
+
+@ctl.command()
+def hold(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Bring the specimen to a stand; resume goes on from there."""
+    with _client(socket) as client:
+        client.call("Hold")
+    _say("hold", "Held", as_json)
+
+
+@ctl.command()
+def resume(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Go on with a test that is held."""
+    with _client(socket) as client:
+        client.call("Resume")
+    _say("resume", "Resumed", as_json)
+
+
+@ctl.command()
+def stop(
+    now: Annotated[
+        bool,
+        typer.Option("--now", help="Trip: the drive stops by itself, where it is. Then reset."),
+    ] = False,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Bring the specimen to rest at zero and end the test.
+
+    This is no emergency stop: that one is hard-wired.
+    """
+    with _client(socket) as client:
+        client.call("Stop", now=now)
+    _say("stop", "Tripped" if now else "Stopping", as_json)
+
+
+@ctl.command()
+def reset(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Leave TRIPPED, once its cause is gone."""
+    with _client(socket) as client:
+        client.call("Reset")
+    _say("reset", "Reset", as_json)
+
+
+@ctl.command()
+def reload(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Take the limits of the rig file into force, in IDLE, ZEROED or HOLD."""
+    with _client(socket) as client:
+        generation = client.call("Reload")["generation"]
+    _say("reload", "Limits reloaded", as_json, generation=generation)
+
+
+# ---- the token ----------------------------------------------------------------------------------
+
+
+def _token_path(socket: Path) -> Path:
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    folder = Path(runtime) if runtime else Path.home() / ".cache"
+    name = hashlib.sha256(str(socket.absolute()).encode()).hexdigest()[:12]
+    return folder / f"rthyb-token-{name}"
+
+
+def _keep_token(socket: Path, token: str) -> None:
+    path = _token_path(socket)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        with open(fd, "w", encoding="ascii") as file:
+            file.write(token)
+    except OSError as error:
+        words = error.strerror or error
+        terminal.tell(f"the token cannot be kept ({words}); start with --token {token}")
+
+
+def _kept_token(socket: Path) -> str:
+    try:
+        return _token_path(socket).read_text(encoding="ascii")
+    except OSError:
+        # The service says what is the matter.
+        return ""

@@ -1,0 +1,71 @@
+"""``rthyb install-service``: the service into a system with systemd."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rthyb_rt.cli import terminal
+from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.errors import RthybError
+
+SCHEMA = "rthyb-install/1"
+
+
+def install_service(
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            "--rig",
+            metavar="RIG",
+            help="Rig file, or the name of a shipped rig, that becomes /etc/rthyb/rig.toml, unless "
+            "there is one.",
+            show_default=False,
+        ),
+    ] = None,
+    root: Annotated[
+        Path, typer.Option(metavar="DIR", help="Write below that folder, and start nothing.")
+    ] = Path("/"),
+    uninstall: Annotated[
+        bool, typer.Option("--uninstall", help="Take the files away; rig and recordings stay.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Install units, groups and rules of the service.
+
+    The service runs as user rthyb, without any capability. Who is in group rthyb may look, hold
+    and stop, who is in rthyb-operator may do everything. It is neither enabled nor started here.
+
+    \b
+    Examples:
+      sudo rthyb install-service --rig my-rig.toml
+      sudo systemctl enable --now rthyb-recorder rthyb
+    """
+    from rthyb_rt import config
+    from rthyb_rt.service import installing
+
+    if installing.needs_root(root):
+        raise RthybError("the files belong to root: sudo rthyb install-service")
+    if uninstall:
+        files = installing.remove(root)
+    else:
+        text = None if rig is None else config.dump(config.load_rig(config.find_rig(rig)))
+        files = installing.install(root, installing.program(), text)
+    problems = installing.announce() if root == Path("/") else []
+    file = terminal.people(as_json)
+    for path in files:
+        print(f"{'Removed' if uninstall else 'Wrote'} {path}", file=file)
+    for problem in problems:
+        terminal.tell(f"warning: {problem}")
+    if not uninstall:
+        print(
+            "\nNext: put users into the groups (usermod -aG rthyb,rthyb-operator NAME), then "
+            "systemctl enable --now rthyb-recorder rthyb",
+            file=file,
+        )
+    if as_json:
+        terminal.print_json(
+            {"schema": SCHEMA, "files": [str(path) for path in files], "problems": problems}
+        )

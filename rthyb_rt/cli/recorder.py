@@ -1,0 +1,65 @@
+"""``rthyb recorder``: the service's recorder as a process of its own."""
+
+from __future__ import annotations
+
+import select
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rthyb_rt.cli import interrupts
+
+if TYPE_CHECKING:
+    from rthyb_rt.service.recorder import Recorder
+
+
+def recorder(
+    rings: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the rings, instead of /run/rthyb or the user's own.",
+            show_default=False,
+        ),
+    ] = None,
+    runs: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder that the recordings go to.")
+    ] = Path("runs"),
+    parent: Annotated[
+        bool, typer.Option("--parent", help="End when stdin ends and every test is recorded.")
+    ] = False,
+) -> None:
+    """Record the tests of `rthyb serve`.
+
+    It reads the telemetry ring, writes a folder for each test and a line of it into index.jsonl.
+    Killed and started again it goes on where it was. `rthyb serve` starts one of its own; as a
+    service it is a unit of its own, which outlives the daemon.
+
+    \b
+    Examples:
+      rthyb recorder --runs /var/lib/rthyb
+    """
+    from rthyb_rt import ring
+    from rthyb_rt.service import recorder as recording
+    from rthyb_rt.service import systemd
+
+    told: list[bool] = []
+    ready: list[bool] = []
+
+    def done(working: Recorder) -> bool:
+        if not ready:
+            ready.append(systemd.notify("READY=1"))
+        if told:
+            return True
+        return parent and not working.busy and _orphaned()
+
+    with systemd.logging_to_stderr(), interrupts.told(lambda: told.append(True)):
+        recording.run(rings or ring.default_folder(), runs, done)
+
+
+def _orphaned() -> bool:
+    """Return whether whoever started it has closed its end of stdin."""
+    readable, _, _ = select.select([sys.stdin.fileno()], [], [], 0.0)
+    return bool(readable)

@@ -1,0 +1,666 @@
+"""The control socket: Varlink's framing, NUL-ended JSON, on a Unix socket.
+
+Who may do what is decided by the kernel's word on who has connected. Requests are bounded in size,
+rate and time, and so are connections; whatever else comes is answered with an error or the end of
+the connection, and never more.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import json
+import logging
+import math
+import os
+import socket
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from rthyb_rt import __version__
+from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.realtime import RefusedError
+from rthyb_rt.service.engine import StateError
+from rthyb_rt.service.peers import GROUP_OF, Peer, Rights, Role, peer_of
+
+INTERFACE: Final = "org.rthyb.Control"
+SERVICE: Final = "org.varlink.service"
+SOCKET: Final = Path("/run/rthyb/control.sock")
+
+REQUEST_BYTES: Final = 64 << 10
+LOAD_BYTES: Final = 8 << 20
+REPLY_BYTES: Final = 1 << 20
+
+_SERVICE_TEXT: Final = """# Every Varlink service says what it is.
+interface org.varlink.service
+
+method GetInfo() -> (
+  vendor: string,
+  product: string,
+  version: string,
+  url: string,
+  interfaces: []string
+)
+
+method GetInterfaceDescription(interface: string) -> (description: string)
+
+error InterfaceNotFound (interface: string)
+
+error MethodNotFound (method: string)
+
+error MethodNotImplemented (method: string)
+
+error InvalidParameter (parameter: string)
+
+error PermissionDenied ()
+
+error ExpectedMore ()
+"""
+
+log = logging.getLogger("rthyb.control")
+
+Handler = Callable[[Peer, dict[str, Any]], Awaitable[dict[str, Any]]]
+
+
+def description() -> str:
+    """Return the text of the interface."""
+    file = resources.files("rthyb_rt.service") / f"{INTERFACE}.varlink"
+    return file.read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method of the interface.
+
+    Attributes:
+        role: who may call it.
+        handle: does it; what it raises becomes an error reply.
+        parameters: type of each parameter; of one that may be missing, with None.
+        large: may be as long as `LOAD_BYTES`.
+        may_begin: called before a long request is read to its end.
+    """
+
+    role: Role
+    handle: Handler
+    parameters: Mapping[str, tuple[type | None, ...]] = field(default_factory=dict)
+    large: bool = False
+    may_begin: Callable[[], None] = lambda: None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a client may take up.
+
+    Attributes:
+        connections: at a time, of all users together; each user alone half of them, and the
+            service's own administrators have a few more.
+        strangers: of those, how many for users who may do nothing.
+        per_s, burst: requests of one connection.
+        idle_s: without a request.
+        message_s: from the first byte of a request to its last.
+        large_s: the same of a large one.
+        answer_s: for an answer to be taken.
+    """
+
+    connections: int = 128
+    strangers: int = 8
+    per_s: float = 50.0
+    burst: float = 100.0
+    idle_s: float = 300.0
+    message_s: float = 5.0
+    large_s: float = 20.0
+    answer_s: float = 5.0
+
+
+class ReplyError(Exception):
+    """An error reply: its name, and its parameters."""
+
+    def __init__(self, name: str, **parameters: Any) -> None:
+        super().__init__(name)
+        self.name, self.parameters = name, parameters
+
+
+def limited(reason: str) -> ReplyError:
+    """Return the reply to too much, too fast or too slow."""
+    return ReplyError(f"{INTERFACE}.Limited", reason=reason)
+
+
+# ---- one request --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Call:
+    """A request that is well formed."""
+
+    method: str
+    parameters: dict[str, Any]
+    oneway: bool
+
+
+def parse(message: bytes) -> Call:
+    """Return the call of a message without its NUL.
+
+    Raises:
+        ReplyError: it is none; the connection is of no more use.
+    """
+    try:
+        document = json.loads(message, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise ReplyError(f"{SERVICE}.InvalidParameter", parameter="message") from error
+    if not isinstance(document, dict) or not document.keys() <= {
+        "method",
+        "parameters",
+        "oneway",
+        "more",
+        "upgrade",
+    }:
+        raise ReplyError(f"{SERVICE}.InvalidParameter", parameter="message")
+    method, parameters = document.get("method"), document.get("parameters")
+    if not isinstance(method, str):
+        raise ReplyError(f"{SERVICE}.InvalidParameter", parameter="method")
+    if parameters is not None and not isinstance(parameters, dict):
+        raise ReplyError(f"{SERVICE}.InvalidParameter", parameter="parameters")
+    for flag in ("oneway", "more", "upgrade"):
+        if document.get(flag) not in (None, False, True):
+            raise ReplyError(f"{SERVICE}.InvalidParameter", parameter=flag)
+    if document.get("upgrade"):
+        raise ReplyError(f"{SERVICE}.InvalidParameter", parameter="upgrade")
+    return Call(method, parameters or {}, document.get("oneway") is True)
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number")
+
+
+class Dispatcher:
+    """Calls methods for those who may.
+
+    Args:
+        methods: of the interface, by name.
+        rights: who may do what.
+    """
+
+    def __init__(self, methods: Mapping[str, Method], rights: Rights) -> None:
+        self.methods, self.rights = dict(methods), rights
+
+    async def answer(self, message: bytes, peer: Peer) -> dict[str, Any] | None:
+        """Return the reply to a message without its NUL; None: none is wanted."""
+        oneway = False
+        try:
+            call = parse(message)
+            oneway = call.oneway
+            reply: dict[str, Any] = {"parameters": await self._call(call, peer, len(message))}
+        except ReplyError as error:
+            reply = {"error": error.name, "parameters": error.parameters}
+        return None if oneway else reply
+
+    async def _call(self, call: Call, peer: Peer, size: int) -> dict[str, Any]:
+        interface, _, name = call.method.rpartition(".")
+        if interface == SERVICE:
+            return self._introspect(name, call)
+        if interface != INTERFACE:
+            raise ReplyError(f"{SERVICE}.InterfaceNotFound", interface=interface[:200])
+        method = self.methods.get(name)
+        if method is None:
+            raise ReplyError(f"{SERVICE}.MethodNotFound", method=call.method[:200])
+        self.require(peer, method.role, name)
+        if size > REQUEST_BYTES and not method.large:
+            raise limited(f"{name} is {REQUEST_BYTES} bytes long at most, found {size}")
+        _check_parameters(call.parameters, method.parameters)
+        return await _guarded(name, method.handle(peer, call.parameters))
+
+    def _introspect(self, name: str, call: Call) -> dict[str, Any]:
+        # What the service is, everybody may know: a refusal says no less.
+        if name == "GetInfo":
+            _check_parameters(call.parameters, {})
+            return {
+                "vendor": "rthyb_rt",
+                "product": "rthyb",
+                "version": __version__,
+                "url": "",
+                "interfaces": [SERVICE, INTERFACE],
+            }
+        if name == "GetInterfaceDescription":
+            _check_parameters(call.parameters, {"interface": (str,)})
+            texts = {SERVICE: lambda: _SERVICE_TEXT, INTERFACE: description}
+            wanted = call.parameters["interface"]
+            if wanted not in texts:
+                raise ReplyError(f"{SERVICE}.InterfaceNotFound", interface=wanted[:200])
+            return {"description": texts[wanted]()}
+        raise ReplyError(f"{SERVICE}.MethodNotFound", method=call.method[:200])
+
+    def require(self, peer: Peer, role: Role, name: str) -> None:
+        """Refuse a peer who may not call a method.
+
+        Raises:
+            ReplyError: he may not.
+        """
+        found = self.rights.role(peer)
+        if found >= role:
+            return
+        group = GROUP_OF[role]
+        has = f"group {GROUP_OF[found]} may look, hold and stop" if found else "no right here"
+        reason = f"{name} is for members of group {group}; uid {peer.uid}: {has}"
+        raise ReplyError(f"{INTERFACE}.NotPermitted", reason=reason, group=group)
+
+
+async def _guarded(name: str, work: Awaitable[dict[str, Any]]) -> dict[str, Any]:
+    """Turn what a handler raises into a reply."""
+    try:
+        return await work
+    except StateError as error:
+        raise ReplyError(
+            f"{INTERFACE}.Refused",
+            reason=str(error),
+            state=error.state,
+            allowed=list(error.allowed),
+        ) from error
+    except RefusedError as error:
+        raise ReplyError(f"{INTERFACE}.Refused", reason=str(error), state="", allowed=[]) from error
+    except InputError as error:
+        problems = [{"where": p.where, "message": p.message} for p in error.problems]
+        raise ReplyError(f"{INTERFACE}.BadInput", problems=problems) from error
+    except RthybError as error:
+        raise ReplyError(f"{INTERFACE}.Failed", reason=str(error)) from error
+    except (ReplyError, asyncio.CancelledError):
+        raise
+    except Exception as error:
+        log.exception("%s failed", name)
+        reason = f"a fault of the program: {type(error).__name__}; the journal has more"
+        raise ReplyError(f"{INTERFACE}.Failed", reason=reason) from error
+
+
+def _check_parameters(given: dict[str, Any], wanted: Mapping[str, tuple[type | None, ...]]) -> None:
+    for name in given:
+        if name not in wanted:
+            raise ReplyError(f"{SERVICE}.InvalidParameter", parameter=name[:200])
+    for name, types in wanted.items():
+        value = given.get(name)
+        fits = value is None if None in types else False
+        if not fits and type(value) not in types:
+            raise ReplyError(f"{SERVICE}.InvalidParameter", parameter=name)
+
+
+# ---- the server ---------------------------------------------------------------------------------
+
+
+class ControlServer:
+    """Listens on a Unix socket and answers, many connections at a time.
+
+    Args:
+        path: of the socket.
+        dispatcher: answers.
+        limits: what a client may take up.
+
+    Attributes:
+        refused_connections, requests: how many so far.
+    """
+
+    def __init__(self, path: Path, dispatcher: Dispatcher, limits: Limits = Limits()) -> None:
+        self.path, self._dispatcher, self._limits = path, dispatcher, limits
+        self.refused_connections = self.requests = 0
+        self._by_user: Counter[int] = Counter()
+        self._strangers = 0
+        self._large = asyncio.Lock()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._accepting: asyncio.Task[None] | None = None
+        self._listener: socket.socket | None = None
+
+    @property
+    def connections(self) -> int:
+        """How many there are now."""
+        return self._by_user.total()
+
+    async def start(self) -> None:
+        """Begin to listen; a socket that nobody listens on any more is replaced.
+
+        Raises:
+            RthybError: another service listens there, or the path cannot be used.
+        """
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            _remove_abandoned(self.path)
+            # Everybody may knock: the kernel says who it is, and a refusal says why.
+            before = os.umask(0o111)
+            try:
+                listener.bind(str(self.path))
+            finally:
+                os.umask(before)
+            listener.listen(self._limits.connections)
+            listener.setblocking(False)
+        except RthybError:
+            listener.close()
+            raise
+        except OSError as error:
+            listener.close()
+            raise RthybError(
+                f"{self.path}: no control socket can be made here ({error.strerror or error}); "
+                "check the folder, or name another path with --socket"
+            ) from error
+        self._listener = listener
+        self._accepting = asyncio.create_task(self._accept(listener))
+
+    async def stop(self) -> None:
+        """End all connections and take the socket away."""
+        tasks = [*self._tasks, *([self._accepting] if self._accepting else [])]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        if self._listener is not None:
+            self._listener.close()
+            with contextlib.suppress(OSError):
+                self.path.unlink()
+            self._listener = None
+
+    async def _accept(self, listener: socket.socket) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                connection, _ = await loop.sock_accept(listener)
+            except OSError as error:
+                # No descriptors left, for instance: those that are there come first.
+                log.warning("no connection accepted: %s", error)
+                await asyncio.sleep(0.5)
+                continue
+            connection.setblocking(False)
+            task = asyncio.create_task(self._serve(connection))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _serve(self, connection: socket.socket) -> None:
+        with contextlib.closing(connection):
+            try:
+                peer = peer_of(connection)
+            except OSError:
+                return
+            role = self._dispatcher.rights.role(peer)
+            room = self._room(peer, role)
+            if room is not None:
+                self.refused_connections += 1
+                with contextlib.suppress(OSError, TimeoutError):
+                    await self._send(connection, _error(limited(room)))
+                return
+            self._by_user[peer.uid] += 1
+            self._strangers += role == Role.NONE
+            try:
+                await _Conversation(self, connection, peer, role).run()
+            except (OSError, TimeoutError):
+                pass
+            finally:
+                self._by_user[peer.uid] -= 1
+                self._strangers -= role == Role.NONE
+
+    def _room(self, peer: Peer, role: Role) -> str | None:
+        """Return why there is no room for one more, or None."""
+        limits = self._limits
+        if role == Role.NONE and self._strangers >= limits.strangers:
+            return "too many connections of users who may do nothing here"
+        if peer.uid == 0:
+            # An administrator always comes in.
+            return None
+        if self._by_user[peer.uid] >= limits.connections // 2:
+            return f"uid {peer.uid} has {self._by_user[peer.uid]} connections already"
+        if self.connections >= limits.connections:
+            return f"there are {self.connections} connections already"
+        return None
+
+    async def _send(self, connection: socket.socket, reply: dict[str, Any]) -> None:
+        data = encode(reply)
+        loop = asyncio.get_running_loop()
+        await asyncio.wait_for(loop.sock_sendall(connection, data), self._limits.answer_s)
+
+
+class _Conversation:
+    """One connection, from its first byte to its last."""
+
+    def __init__(
+        self, server: ControlServer, connection: socket.socket, peer: Peer, role: Role
+    ) -> None:
+        self._server, self._connection, self._peer, self._role = server, connection, peer, role
+        self._limits, self._dispatcher = server._limits, server._dispatcher
+        self._buffer = bytearray()
+        self._credit, self._credited_s = self._limits.burst, time.monotonic()
+
+    async def run(self) -> None:
+        while True:
+            await self._wait_for_turn()
+            try:
+                message = await self._message()
+            except ReplyError as error:
+                await self._server._send(self._connection, _error(error))
+                return
+            if message is None:
+                return
+            self._server.requests += 1
+            reply = await self._dispatcher.answer(message, self._peer)
+            if reply is not None:
+                await self._server._send(self._connection, reply)
+            if self._role == Role.NONE or (reply is not None and _ends(reply)):
+                return
+
+    async def _wait_for_turn(self) -> None:
+        """Let who asks too fast wait; what he asks for stays in the kernel meanwhile."""
+        now = time.monotonic()
+        earned = (now - self._credited_s) * self._limits.per_s
+        self._credit = min(self._credit + earned, self._limits.burst) - 1.0
+        self._credited_s = now
+        if self._credit < 0.0:
+            await asyncio.sleep(-self._credit / self._limits.per_s)
+
+    async def _message(self) -> bytes | None:
+        """Return the next message without its NUL; None: there will be none."""
+        if not self._buffer and not await self._receive(self._limits.idle_s):
+            return None
+        end = time.monotonic() + self._limits.message_s
+        while b"\0" not in self._buffer:
+            if len(self._buffer) > REQUEST_BYTES:
+                return await self._large_message()
+            if not await self._receive(end - time.monotonic()):
+                return None
+        return self._cut()
+
+    async def _large_message(self) -> bytes | None:
+        """Read on where a test may be loaded: for whom, when, and one at a time."""
+        for name, method in self._dispatcher.methods.items():
+            if method.large:
+                self._dispatcher.require(self._peer, method.role, f"a request this long ({name})")
+                try:
+                    method.may_begin()
+                except StateError as error:
+                    raise ReplyError(
+                        f"{INTERFACE}.Refused",
+                        reason=str(error),
+                        state=error.state,
+                        allowed=list(error.allowed),
+                    ) from error
+        if self._server._large.locked():
+            raise limited("another test is being loaded; try again")
+        async with self._server._large:
+            end = time.monotonic() + self._limits.large_s
+            # What is there already was looked through.
+            seen = len(self._buffer)
+            while self._buffer.find(b"\0", seen) < 0:
+                seen = len(self._buffer)
+                if seen > LOAD_BYTES:
+                    raise limited(f"a request is {LOAD_BYTES} bytes long at most")
+                if not await self._receive(end - time.monotonic()):
+                    return None
+            return self._cut()
+
+    def _cut(self) -> bytes:
+        at = self._buffer.index(b"\0")
+        message = bytes(self._buffer[:at])
+        del self._buffer[: at + 1]
+        return message
+
+    async def _receive(self, seconds: float) -> bool:
+        loop = asyncio.get_running_loop()
+        try:
+            data = await asyncio.wait_for(
+                loop.sock_recv(self._connection, REQUEST_BYTES), max(seconds, 0.001)
+            )
+        except TimeoutError:
+            raise limited("nothing came for too long") from None
+        self._buffer += data
+        return bool(data)
+
+
+def _error(error: ReplyError) -> dict[str, Any]:
+    return {"error": error.name, "parameters": error.parameters}
+
+
+def _ends(reply: dict[str, Any]) -> bool:
+    """Whether what came was no message at all: nobody knows what the next bytes are."""
+    return (
+        reply.get("error") == f"{SERVICE}.InvalidParameter"
+        and reply["parameters"].get("parameter") == "message"
+    )
+
+
+def encode(document: dict[str, Any]) -> bytes:
+    """Return a message with its NUL; numbers that JSON does not have become null."""
+    text = json.dumps(_finite(document), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return text.encode() + b"\0"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _remove_abandoned(path: Path) -> None:
+    if not path.is_socket():
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(1.0)
+        if probe.connect_ex(str(path)) != errno.ECONNREFUSED:
+            raise RthybError(f"{path}: another service listens here; stop it, or name another")
+    path.unlink()
+
+
+# ---- the client ---------------------------------------------------------------------------------
+
+
+class UnreachableError(RthybError):
+    """No service at the other end."""
+
+    exit_code = 4
+
+
+_EXIT_CODES: Final = {"Refused": 5, "NotPermitted": 5, "Limited": 5, "BadInput": 3}
+
+
+class Refusal(RefusedError):
+    """The service's error reply.
+
+    Attributes:
+        name: of the error, with its interface.
+        parameters: what came with it.
+    """
+
+    def __init__(self, name: str, parameters: dict[str, Any]) -> None:
+        self.name, self.parameters = name, parameters
+        self.exit_code = _EXIT_CODES.get(name.removeprefix(f"{INTERFACE}."), 1)
+        super().__init__(_in_words(name, parameters))
+
+
+def _in_words(name: str, parameters: dict[str, Any]) -> str:
+    if name == f"{INTERFACE}.BadInput":
+        problems = parameters.get("problems") or []
+        return "\n".join(
+            f"{p['where']}: {p['message']}" if p["where"] else str(p["message"]) for p in problems
+        )
+    reason = parameters.get("reason")
+    if isinstance(reason, str):
+        return reason
+    told = ", ".join(f"{key} {value}" for key, value in parameters.items())
+    return f"{name.rpartition('.')[2]}: {told}" if told else name
+
+
+class Client:
+    """A connection to the service; a context manager.
+
+    Args:
+        path: of the socket.
+        timeout_s: for an answer.
+
+    Raises:
+        UnreachableError: there is no service.
+    """
+
+    def __init__(self, path: Path = SOCKET, timeout_s: float = 60.0) -> None:
+        self._path = path
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(timeout_s)
+        self._buffer = bytearray()
+        try:
+            self._socket.connect(str(path))
+        except OSError as error:
+            self._socket.close()
+            raise self._unreachable(error) from error
+
+    def _unreachable(self, error: OSError | str) -> UnreachableError:
+        words = error if isinstance(error, str) else error.strerror or str(error)
+        return UnreachableError(
+            f"{self._path}: the service cannot be reached ({words}); is it running? "
+            "systemctl status rthyb, or name its socket with --socket"
+        )
+
+    def __enter__(self) -> Client:
+        """Return the client itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Hang up."""
+        self.close()
+
+    def close(self) -> None:
+        """Hang up; twice does no harm."""
+        self._socket.close()
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Call a method of `INTERFACE`, or one with its interface's name; return what it gives.
+
+        Raises:
+            Refusal: the service's error reply.
+            UnreachableError: the service is gone, or does not answer.
+        """
+        name = method if "." in method else f"{INTERFACE}.{method}"
+        request = {"method": name, "parameters": parameters}
+        try:
+            # What was too long is answered before it is read to its end.
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                self._socket.sendall(encode(request))
+            reply = self._reply()
+        except TimeoutError:
+            raise self._unreachable("it does not answer") from None
+        except OSError as error:
+            raise self._unreachable(error) from error
+        if "error" in reply:
+            raise Refusal(str(reply["error"]), dict(reply.get("parameters") or {}))
+        return dict(reply.get("parameters") or {})
+
+    def _reply(self) -> dict[str, Any]:
+        while b"\0" not in self._buffer:
+            data = self._socket.recv(REQUEST_BYTES)
+            if not data or len(self._buffer) > REPLY_BYTES:
+                raise self._unreachable("it hung up")
+            self._buffer += data
+        message, _, rest = bytes(self._buffer).partition(b"\0")
+        self._buffer = bytearray(rest)
+        try:
+            reply = json.loads(message)
+        except ValueError:
+            raise self._unreachable("what it says is no JSON") from None
+        if not isinstance(reply, dict):
+            raise self._unreachable("what it says is no reply")
+        return reply

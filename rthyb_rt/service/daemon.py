@@ -1,0 +1,591 @@
+"""The daemon: a rig, its tests, the control socket and the signals, in one process.
+
+It begins in IDLE, whatever was before, and never takes up a motion again. One thread has the
+operator: its turn, fifty times a second, is the sign of life without which the tick thread ramps
+out; and systemd hears of it only as long as ticks go on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from rthyb_rt import __version__, config, core
+from rthyb_rt.config import RigFile
+from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.recording import STATES, replacing
+from rthyb_rt.service import disk, metrics, recorder, systemd
+from rthyb_rt.service.control import (
+    ControlServer,
+    Dispatcher,
+    Limits,
+    Method,
+    ReplyError,
+)
+from rthyb_rt.service.engine import (
+    COMMANDS,
+    TURN_S,
+    Engine,
+    Event,
+    Loaded,
+    StateError,
+    allowed_states,
+)
+from rthyb_rt.service.peers import Peer, Rights, Role
+
+if TYPE_CHECKING:
+    from rthyb_rt.links.opened import Opened
+    from rthyb_rt.loop import Clock
+
+SCHEMA: Final = "rthyb-status/1"
+TRIPPED: Final = 6
+"""Exit status after a second signal, or a trip on the way out."""
+
+_STATUS_S: Final = 1.0
+_METRICS_S: Final = 5.0
+_STEPPED_S: Final = 0.001
+_RECORDER_S: Final = 0.5
+_RESTART_S: Final = 1.0
+_RECORDER_READY_S: Final = 10.0
+_BEGIN_S: Final = 3.0
+_DT_S: Final = (1e-5, 10.0)
+_AG_MOST_MPS2: Final = 1e3
+_NEWEST: Final = (
+    "tick",
+    "ag_mps2",
+    "x_num_m",
+    "x_cmd_m",
+    "x_meas_m",
+    "f_meas_n",
+    "alpha",
+    "beta",
+    "k_t_n_per_m",
+    "energy_error_j",
+    "tracking_indicator_m2",
+    "flags",
+)
+
+log = logging.getLogger("rthyb.daemon")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a daemon works.
+
+    Attributes:
+        socket: of the control.
+        rings: folder of the rings and of the recorder's status.
+        runs: where recordings go, if the daemon has a recorder of its own.
+        recorder: "own": a process that the daemon starts, and starts again; "service": another
+            unit's; "none": nothing but the ring.
+        require_realtime: refuse to work without real-time privileges.
+        metrics: file in Prometheus' format that is renewed every 5 s, or None.
+        rights: who may do what.
+        limits: what a client may take up.
+    """
+
+    socket: Path
+    rings: Path
+    runs: Path
+    recorder: str
+    require_realtime: bool
+    metrics: Path | None = None
+    rights: Rights | None = None
+    limits: Limits = field(default_factory=Limits)
+
+
+class Daemon:
+    """See the module.
+
+    Args:
+        rig: the rig.
+        opened: the link to its drive; stays the caller's.
+        clock, before_tick: as in `rthyb_rt.realtime.Session`.
+        options: how it works.
+        demand: gives the facts of a rig's commissioning, or refuses the rig.
+        read_rig: reads the rig file again, for a reload.
+    """
+
+    def __init__(
+        self,
+        rig: RigFile,
+        opened: Opened,
+        clock: Clock,
+        options: Options,
+        *,
+        demand: Callable[[RigFile], dict[str, Any]] = lambda _: {},
+        read_rig: Callable[[], RigFile] | None = None,
+        before_tick: Callable[[], None] | None = None,
+    ) -> None:
+        self.options = options
+        self._demand, self._read_rig = demand, read_rig
+        self.engine = Engine(
+            rig,
+            opened,
+            clock=clock,
+            folder=options.rings,
+            before_tick=before_tick,
+            facts=demand(rig),
+            tell=_to_log,
+        )
+        self.dispatcher = Dispatcher(self._methods(), options.rights or Rights.of_system())
+        self._server: ControlServer | None = None
+        self._stops = 0
+        self._busy = asyncio.Lock()
+        self._child: subprocess.Popen[bytes] | None = None
+        self._child_s = 0.0
+        self._recorder: recorder.Status | None = None
+        self._told_fault = ""
+        self._said: dict[str, float] = {}
+        self._ticks_seen = 0
+        self._begun_s = time.monotonic()
+
+    def run(self) -> int:
+        """Work until a signal comes; return the exit status.
+
+        Raises:
+            TimingError: real-time privileges are missing that are required.
+            RthybError: socket or recorder are not to be had, or the tick thread has failed.
+        """
+        try:
+            return asyncio.run(self._main())
+        finally:
+            self.engine.close()
+            self._end_recorder()
+
+    async def _main(self) -> int:
+        loop = asyncio.get_running_loop()
+        for signum in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(signum, self.stop)
+        loop.add_signal_handler(signal.SIGHUP, self._reload_by_signal)
+        return await self.work()
+
+    async def work(self) -> int:
+        """Serve until `stop`; return the exit status. `run` does it with signals.
+
+        Raises:
+            TimingError: real-time privileges are missing that are required.
+            RthybError: socket or recorder are not to be had, or the tick thread has failed.
+        """
+        self._start_recorder()
+        self.engine.start()
+        self.engine.check_privileges(self.options.require_realtime)
+        server = ControlServer(self.options.socket, self.dispatcher, self.options.limits)
+        await server.start()
+        self._server = server
+        log.info("ready, %s at %s", self.engine.rig.rig.name, self.engine.opened.name)
+        systemd.notify("READY=1", self._status_line())
+        try:
+            while not self._over():
+                self._turn()
+                await asyncio.sleep(_STEPPED_S if self.engine.clock == "stepped" else TURN_S)
+        finally:
+            systemd.notify("STOPPING=1")
+            await server.stop()
+        tripped = self._stops > 1 or (self.engine.state == "TRIPPED" and self._was_moving)
+        return TRIPPED if tripped else 0
+
+    # ---- turns ----------------------------------------------------------------------------------
+
+    def _turn(self) -> None:
+        if self.engine.clock == "stepped":
+            self.engine.wait(TURN_S)
+        else:
+            self.engine.turn()
+        if self._due("watchdog", (systemd.watchdog_s() or 4.0) / 4.0):
+            self._feed_watchdog()
+        if self._due("status", _STATUS_S):
+            systemd.notify(self._status_line())
+        if self._due("recorder", _RECORDER_S):
+            self._look_after_recorder()
+        if self.options.metrics is not None and self._due("metrics", _METRICS_S):
+            self._write_metrics(self.options.metrics)
+
+    def _due(self, what: str, every_s: float) -> bool:
+        now = time.monotonic()
+        if now - self._said.get(what, -math.inf) < every_s:
+            return False
+        self._said[what] = now
+        return True
+
+    def _feed_watchdog(self) -> None:
+        """Only while ticks advance: a thread that hangs is systemd's business then."""
+        ticks = self.engine.loop.counts.elapsed
+        if ticks > self._ticks_seen:
+            systemd.notify("WATCHDOG=1")
+        self._ticks_seen = ticks
+
+    def _status_line(self) -> str:
+        done, ticks = self.engine.progress
+        words = self.engine.state
+        if self.engine.recorded is not None and self.engine.loaded is not None:
+            name = self.engine.loaded.setup.test.test.name
+            words += f", {name} {done / core.FS_HZ:.0f} of {ticks / core.FS_HZ:.0f} s"
+        elif self.engine.loaded is not None:
+            words += f", {self.engine.loaded.setup.test.test.name} loaded"
+        if self._told_fault:
+            words += f"; {self._told_fault}"
+        return f"STATUS={words}"
+
+    def _write_metrics(self, path: Path) -> None:
+        try:
+            with replacing(path) as temporary:
+                temporary.write_text(metrics.text(self.status()), encoding="utf-8")
+        except RthybError as error:
+            log.warning("%s", error)
+
+    # ---- the end --------------------------------------------------------------------------------
+
+    _was_moving = False
+
+    def stop(self) -> None:
+        """Ramp out and end; at the second time trip. From the thread that works."""
+        self._stops += 1
+        if not self.engine.moving:
+            log.info("told to end, in %s", self.engine.state)
+            return
+        self._was_moving = True
+        log.warning("told to end: %s", "ramping out" if self._stops == 1 else "tripping")
+        systemd.notify("STOPPING=1", "STATUS=ramping out")
+        name: core.Command = "stop" if self._stops == 1 else "trip"
+        with contextlib.suppress(StateError):
+            self.engine.command(name)
+
+    def _over(self) -> bool:
+        if not self._stops:
+            return False
+        # A test that has ended is still given to its recorder.
+        return not self.engine.moving and (
+            self.engine.recorded is None or self.engine.state in ("ZEROED", "ARMED")
+        )
+
+    # ---- the recorder ---------------------------------------------------------------------------
+
+    def _start_recorder(self) -> None:
+        if self.options.recorder != "own":
+            return
+        self._launch_recorder()
+        end = time.monotonic() + _RECORDER_READY_S
+        while not self._recorder_alive():
+            if self._child is not None and self._child.poll() is not None:
+                raise RthybError("the recorder did not start; what it said is above")
+            if time.monotonic() > end:
+                raise RthybError(f"the recorder gave no sign of life in {_RECORDER_READY_S:g} s")
+            time.sleep(TURN_S)
+
+    def _launch_recorder(self) -> None:
+        order = ["--rings", self.options.rings, "--runs", self.options.runs, "--parent"]
+        program = "import sys; from rthyb_rt.cli import main; sys.exit(main())"
+        self._child = subprocess.Popen(
+            [sys.executable, "-c", program, "recorder", *map(str, order)],
+            stdin=subprocess.PIPE,
+            start_new_session=True,
+        )
+        self._child_s = time.monotonic()
+
+    def _end_recorder(self) -> None:
+        """Let it finish what it has; it ends when this end of its pipe does."""
+        child, self._child = self._child, None
+        if child is None:
+            return
+        assert child.stdin is not None
+        child.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(_RECORDER_READY_S)
+
+    def _recorder_alive(self) -> bool:
+        self._recorder = recorder.read_status(self.options.rings)
+        return self._recorder is not None and self._recorder.alive
+
+    def _look_after_recorder(self) -> None:
+        if self.options.recorder == "none":
+            return
+        child = self._child
+        old_enough = time.monotonic() - self._child_s > _RESTART_S
+        if child is not None and old_enough and child.poll() is not None:
+            log.error("the recorder ended with status %s; started again", child.returncode)
+            assert child.stdin is not None
+            child.stdin.close()
+            self._launch_recorder()
+        fault = "" if self._recorder_alive() else "the recorder gives no sign of life"
+        fault = fault or (self._recorder.fault if self._recorder is not None else "")
+        if fault != self._told_fault:
+            log.error("recorder: %s", fault) if fault else log.info("recorder: in order again")
+        self._told_fault = fault
+
+    async def _await_recorder(self) -> None:
+        """Give the recorder the moment that it needs to begin with a test."""
+        end = time.monotonic() + _BEGIN_S
+        while self._recorder_alive() and time.monotonic() < end:
+            if self._recorder is not None and self._recorder.run_id == self.engine.run_id:
+                return
+            await asyncio.sleep(TURN_S)
+
+    def _check_recorder(self, ticks: int) -> None:
+        """Refuse to arm what would not be recorded.
+
+        Raises:
+            StateError: no recorder, not this test, or no room for it.
+        """
+        if self.options.recorder == "none":
+            return
+        state = self.engine.state
+        if not self._recorder_alive() or self._recorder is None:
+            why = "the recorder gives no sign of life: look at systemctl status rthyb-recorder"
+            raise StateError("arm", why, state)
+        found = self._recorder
+        if found.fault:
+            raise StateError("arm", f"recorder: {found.fault}", state)
+        if found.run_id != self.engine.run_id:
+            raise StateError(
+                "arm", "the recorder has not begun with this test: look at its journal", state
+            )
+        needed = disk.needed_bytes(ticks)
+        if found.free_bytes < needed:
+            raise StateError(
+                "arm",
+                f"{found.runs} has {found.free_bytes / 1e6:.0f} MB left, the recording may take "
+                f"{needed / 1e6:.0f} MB; make room",
+                state,
+            )
+
+    # ---- what clients call ----------------------------------------------------------------------
+
+    def _methods(self) -> dict[str, Method]:
+        look, operate = Role.LOOK, Role.OPERATE
+        text = (str,)
+        return {
+            "GetStatus": Method(look, self._get_status),
+            "GetRig": Method(look, self._get_rig),
+            "GetMetrics": Method(look, self._get_metrics),
+            "Load": Method(
+                operate,
+                self._load,
+                {"test_toml": text, "record": (dict,)},
+                large=True,
+                may_begin=self.engine.check_load,
+            ),
+            "Zero": Method(operate, self._zero),
+            "Arm": Method(operate, self._arm, {"digest": text}),
+            "Start": Method(operate, self._start, {"token": text}),
+            "Hold": Method(look, self._plain("hold")),
+            "Resume": Method(operate, self._plain("resume")),
+            "Stop": Method(look, self._stop_test, {"now": (bool, None)}),
+            "Reset": Method(operate, self._plain("reset")),
+            "Reload": Method(operate, self._reload),
+        }
+
+    async def _get_status(self, _: Peer, __: dict[str, Any]) -> dict[str, Any]:
+        return {"status": self.status()}
+
+    async def _get_metrics(self, _: Peer, __: dict[str, Any]) -> dict[str, Any]:
+        return {"text": metrics.text(self.status())}
+
+    async def _get_rig(self, _: Peer, __: dict[str, Any]) -> dict[str, Any]:
+        rig = self.engine.rig
+        return {"name": rig.rig.name, "rig_toml": config.dump(rig)}
+
+    @contextlib.contextmanager
+    def _alone(self, command: str) -> Iterator[None]:
+        """Refuse what would come between the two halves of something longer."""
+        if self._busy.locked():
+            raise StateError(command, "load, zero or reload is under way", self.engine.state)
+        yield
+
+    async def _load(self, peer: Peer, given: dict[str, Any]) -> dict[str, Any]:
+        with self._alone("load"):
+            async with self._busy:
+                self.engine.check_load()
+                loaded = await asyncio.to_thread(self._prepare, given)
+                self.engine.load(loaded)
+        log.info("loaded by %s", peer.name)
+        return {"digest": loaded.digest, "notes": list(loaded.setup.notes)}
+
+    def _prepare(self, given: dict[str, Any]) -> Loaded:
+        test = config.parse_test(given["test_toml"], "test")
+        return self.engine.prepare(test, _record(given["record"]))
+
+    async def _zero(self, peer: Peer, _: dict[str, Any]) -> dict[str, Any]:
+        with self._alone("zero"):
+            async with self._busy:
+                loaded = self.engine.check_zero()
+                run = await asyncio.to_thread(self.engine.make_run, loaded)
+                self.engine.zero(run)
+        log.info("zero by %s", peer.name)
+        return {}
+
+    async def _arm(self, peer: Peer, given: dict[str, Any]) -> dict[str, Any]:
+        with self._alone("arm"):
+            self.engine.check("arm")
+            run = self.engine.recorded
+            assert run is not None
+            await self._await_recorder()
+            self._check_recorder(run.setup.ticks)
+            token = self.engine.arm(given["digest"], peer.name)
+        log.info("armed by %s", peer.name)
+        return {"token": token, "timeout_s": run.station_config.armed_ticks / core.FS_HZ}
+
+    async def _start(self, peer: Peer, given: dict[str, Any]) -> dict[str, Any]:
+        with self._alone("start"):
+            self.engine.start_test(given["token"])
+        log.info("started by %s", peer.name)
+        return {}
+
+    def _plain(self, name: core.Command) -> Callable[[Peer, dict[str, Any]], Any]:
+        async def handle(peer: Peer, _: dict[str, Any]) -> dict[str, Any]:
+            self.engine.command(name)
+            log.info("%s by %s", name, peer.name)
+            return {}
+
+        return handle
+
+    async def _stop_test(self, peer: Peer, given: dict[str, Any]) -> dict[str, Any]:
+        name: core.Command = "trip" if given.get("now") else "stop"
+        self.engine.command(name)
+        log.warning("%s by %s", name, peer.name)
+        return {}
+
+    async def _reload(self, peer: Peer, _: dict[str, Any]) -> dict[str, Any]:
+        with self._alone("reload"):
+            generation = await self._reload_rig()
+        log.info("reloaded by %s", peer.name)
+        return {"generation": generation}
+
+    async def _reload_rig(self) -> int:
+        if self._read_rig is None:
+            raise StateError("reload", "there is no rig file to read again", self.engine.state)
+        async with self._busy:
+            rig = await asyncio.to_thread(self._read_rig)
+            facts = self._demand(rig)
+            generation = self.engine.reload(rig)
+            self.engine.know(facts)
+            return generation
+
+    def _reload_by_signal(self) -> None:
+        systemd.notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+        self._reloading = asyncio.ensure_future(self._reload_and_say())
+
+    async def _reload_and_say(self) -> None:
+        try:
+            await self._reload_rig()
+        except RthybError as error:
+            log.error("not reloaded: %s", error)
+        finally:
+            systemd.notify("READY=1", self._status_line())
+
+    # ---- the status -----------------------------------------------------------------------------
+
+    def status(self) -> dict[str, Any]:
+        """Return all that there is to know, as JSON has it."""
+        engine = self.engine
+        done, ticks = engine.progress
+        loaded = engine.loaded
+        newest = engine.newest
+        return {
+            "schema": SCHEMA,
+            "version": __version__,
+            "rig": engine.rig.rig.name,
+            "link": engine.opened.name,
+            "clock": engine.clock,
+            "state": engine.state,
+            "states": list(STATES),
+            "cause": engine.loop.cause,
+            "allowed": [c for c in COMMANDS if engine.state in allowed_states(c)],
+            "follows": engine.follows(),
+            "test": None
+            if loaded is None
+            else {
+                "name": loaded.setup.test.test.name,
+                "digest": loaded.digest,
+                "duration_s": loaded.setup.ticks / core.FS_HZ,
+                "ground_motion": loaded.setup.motion.name,
+                "pga_g": loaded.setup.motion.pga_g,
+            },
+            "progress": {"ticks": done, "of": ticks},
+            "armed_by": engine.armed_by,
+            "run_id": engine.run_id,
+            "ring": str(engine.ring_path),
+            "last": engine.last,
+            "newest": None if newest is None else {key: newest[key].item() for key in _NEWEST},
+            "ticks": engine.loop.counts._asdict(),
+            "wake": {
+                "p50_ns": engine.loop.wake.percentile_ns(50),
+                "p99_ns": engine.loop.wake.percentile_ns(99),
+                "max_ns": engine.loop.wake.max_ns,
+            },
+            "privileges": engine.loop.privileges,
+            "indicated": engine.indicated,
+            "loop": engine.loop.counters(),
+            "wire": engine.wire.counters(),
+            "wire_counters": engine.link.counters(),
+            "recorder": self._recorder_status(),
+            "connections": 0 if self._server is None else self._server.connections,
+            "uptime_s": time.monotonic() - self._begun_s,
+        }
+
+    def _recorder_status(self) -> dict[str, Any]:
+        found = self._recorder
+        alive = found is not None and found.alive
+        told = {} if found is None else asdict(found)
+        return {**told, "alive": alive, "wanted": self.options.recorder != "none"}
+
+
+def _to_log(event: Event) -> None:
+    log.log(logging.getLevelNamesMapping()[event.level.upper()], "%s", event.text)
+
+
+def _record(given: dict[str, Any]) -> GroundMotion:
+    """Return the ground motion of a request.
+
+    Raises:
+        InputError: with all that is wrong in it.
+        ReplyError: it has another shape than the interface says.
+    """
+    wanted = {"name": str, "source": str, "acceleration_mps2": list, "details": dict}
+    for key, kind in wanted.items():
+        if not isinstance(given.get(key), kind):
+            raise ReplyError("org.varlink.service.InvalidParameter", parameter=f"record.{key}")
+    dt_s, samples, details = given.get("dt_s"), given["acceleration_mps2"], given["details"]
+    if type(dt_s) not in (int, float) or given.keys() - wanted.keys() != {"dt_s"}:
+        raise ReplyError("org.varlink.service.InvalidParameter", parameter="record.dt_s")
+    assert isinstance(dt_s, (int, float))
+    if not _DT_S[0] <= dt_s <= _DT_S[1]:
+        raise InputError(f"found {dt_s} s, allowed is {_DT_S[0]} to {_DT_S[1]} s", "record.dt_s")
+    if not samples or any(type(value) not in (int, float) for value in samples):
+        raise InputError("must be a row of numbers, at least one", "record.acceleration_mps2")
+    if not all(abs(value) <= _AG_MOST_MPS2 for value in samples):
+        raise InputError(
+            f"found more than {_AG_MOST_MPS2:g} m/s2: check the unit", "record.acceleration_mps2"
+        )
+    if not all(isinstance(value, str) for value in details.values()):
+        raise InputError("must be texts", "record.details")
+    try:
+        float(details.get("scale", "1"))
+    except ValueError:
+        raise InputError("must be a number", "record.details.scale") from None
+    row = np.asarray(samples, dtype=np.float64)
+    return GroundMotion(given["name"][:200], given["source"][:1000], float(dt_s), row, details)
+
+
+def record_of(motion: GroundMotion) -> dict[str, Any]:
+    """Return a ground motion as a request has it."""
+    return {
+        "name": motion.name,
+        "source": motion.source,
+        "dt_s": motion.dt_s,
+        "acceleration_mps2": motion.acceleration_mps2.tolist(),
+        "details": dict(motion.details),
+    }

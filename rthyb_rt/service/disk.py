@@ -1,0 +1,52 @@
+"""Room on the disk: what a recording needs, and a reserve that is had before a block is written."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import Final
+
+from rthyb_rt import core
+
+RESERVE_BYTES: Final = 1 << 20
+"""Had in the file itself before every block: HDF5 must never meet a full disk."""
+KEPT_FREE_BYTES: Final = 8 << 20
+"""Of the disk: for the last steps of a recording, and for everybody else."""
+
+_PER_ROW: Final = core.RECORD_DTYPE.itemsize + 8
+_AROUND_S: Final = 120.0
+"""Beside the test proper: zeroing, armed, ramps, a HOLD."""
+
+
+def free_bytes(folder: Path) -> int:
+    """Return the room that is left for this user.
+
+    Raises:
+        OSError: the folder is not there.
+    """
+    found = os.statvfs(folder)
+    return found.f_bavail * found.f_frsize
+
+
+def needed_bytes(test_ticks: int) -> int:
+    """Return the room that the recording of a test may take, with what is kept free."""
+    ticks = test_ticks + round(_AROUND_S * core.FS_HZ)
+    return ticks * _PER_ROW + KEPT_FREE_BYTES + 2 * RESERVE_BYTES
+
+
+def has_room(descriptor: int, folder: Path) -> bool:
+    """Return whether the next block of an open file can be written; its blocks are had then.
+
+    Raises:
+        OSError: something else than room is missing.
+    """
+    if free_bytes(folder) < KEPT_FREE_BYTES:
+        return False
+    try:
+        os.posix_fallocate(descriptor, os.fstat(descriptor).st_size, RESERVE_BYTES)
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            return False
+        raise
+    return True

@@ -1,0 +1,132 @@
+"""The service's files on their way into a system: units, users, folders, device rules."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+from rthyb_rt.errors import RthybError
+from rthyb_rt.recording import replacing
+
+PLACES: Final[dict[str, str]] = {
+    "rthyb.service": "etc/systemd/system/rthyb.service",
+    "rthyb-recorder.service": "etc/systemd/system/rthyb-recorder.service",
+    "rthyb-can@.service": "etc/systemd/system/rthyb-can@.service",
+    "rthyb.sysusers": "etc/sysusers.d/rthyb.conf",
+    "rthyb.tmpfiles": "etc/tmpfiles.d/rthyb.conf",
+    "70-rthyb.rules": "etc/udev/rules.d/70-rthyb.rules",
+    "rthyb.bash-completion": "usr/share/bash-completion/completions/rthyb",
+}
+"""Where each file goes, below the root of the system."""
+
+RIG: Final = "etc/rthyb/rig.toml"
+_PROGRAM: Final = "@RTHYB@"
+_HIDDEN: Final = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")
+"""What the service does not see: a program there would not start."""
+_PACKAGE: Final = Path(__file__).resolve().parents[1]
+
+STEPS: Final[tuple[tuple[str, ...], ...]] = (
+    ("systemd-sysusers",),
+    ("systemd-tmpfiles", "--create", "rthyb.conf"),
+    ("udevadm", "control", "--reload"),
+    ("udevadm", "trigger", "--subsystem-match=misc", "--subsystem-match=tty"),
+    ("systemctl", "daemon-reload"),
+)
+"""What makes them known to the running system."""
+
+
+def sources() -> Path:
+    """Return the folder that the files come from."""
+    packaged = _PACKAGE / "_systemd"
+    return packaged if packaged.is_dir() else _PACKAGE.parent / "systemd"
+
+
+def program() -> Path:
+    """Return the program of this installation, as a unit can start it.
+
+    Raises:
+        RthybError: there is none, or it lies where the service does not see it.
+    """
+    path = Path(sys.prefix) / "bin" / "rthyb"
+    if not path.is_file():
+        raise RthybError(f"{path}: there is no program rthyb in this installation")
+    hidden = [folder for folder in _HIDDEN if path.is_relative_to(folder)]
+    if hidden:
+        raise RthybError(
+            f"{path} lies below {hidden[0]}, which the service does not see; install into /opt, "
+            "for instance: python3 -m venv /opt/rthyb, /opt/rthyb/bin/pip install, and "
+            "/opt/rthyb/bin/rthyb install-service"
+        )
+    return path
+
+
+def install(root: Path, starts: Path, rig: str | None = None) -> list[Path]:
+    """Write the files; an older version of theirs is replaced, a rig file is not.
+
+    Args:
+        root: of the system.
+        starts: the program that the units start.
+        rig: text of the rig file, or None to leave that to the operator.
+
+    Returns:
+        the files that were written.
+
+    Raises:
+        RthybError: one cannot be written.
+    """
+    written = []
+    for name, place in PLACES.items():
+        text = (sources() / name).read_text(encoding="utf-8")
+        written.append(_write(root / place, text.replace(_PROGRAM, str(starts))))
+    if rig is not None and not (root / RIG).exists():
+        written.append(_write(root / RIG, rig))
+    return written
+
+
+def _write(path: Path, text: str) -> Path:
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.chmod(0o644)
+    return path
+
+
+def remove(root: Path) -> list[Path]:
+    """Take away what `install` wrote; rig file and recordings stay.
+
+    Raises:
+        RthybError: one cannot be removed.
+    """
+    removed = []
+    for place in PLACES.values():
+        path = root / place
+        try:
+            path.unlink()
+            removed.append(path)
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise RthybError(f"{path}: cannot be removed ({error.strerror})") from error
+    return removed
+
+
+def announce() -> list[str]:
+    """Make the running system know the files; return what could not be done, in words."""
+    failed = []
+    for step in STEPS:
+        words = " ".join(step)
+        if shutil.which(step[0]) is None:
+            failed.append(f"{words}: not on this system")
+            continue
+        ran = subprocess.run(step, capture_output=True, text=True, check=False)
+        if ran.returncode:
+            failed.append(f"{words}: {(ran.stderr or ran.stdout).strip() or ran.returncode}")
+    return failed
+
+
+def needs_root(root: Path) -> bool:
+    """Return whether the files can be written by root alone."""
+    return root == Path("/") and os.geteuid() != 0

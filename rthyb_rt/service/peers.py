@@ -1,0 +1,98 @@
+"""Who is at the other end of the control socket, and what he may do."""
+
+from __future__ import annotations
+
+import errno
+import grp
+import os
+import socket
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+LOOKERS: Final = "rthyb"
+OPERATORS: Final = "rthyb-operator"
+
+_SO_PEERGROUPS: Final = 59
+"""Supplementary groups as they were when the peer connected; not in Python's socket module."""
+_CREDENTIALS: Final = struct.Struct("iII")
+_GROUPS_BYTES: Final = 1024
+"""All that Python asks the kernel for: 256 groups. Of who is in more, the first one counts."""
+
+
+class Role(IntEnum):
+    """What somebody may do, from little to much."""
+
+    NONE = 0
+    LOOK = 1
+    """Look, hold and stop."""
+    OPERATE = 2
+    """All of it."""
+
+
+GROUP_OF: Final = {Role.LOOK: LOOKERS, Role.OPERATE: OPERATORS}
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A process at the other end, as the kernel knows it."""
+
+    pid: int
+    uid: int
+    groups: frozenset[int]
+
+    @property
+    def name(self) -> str:
+        """Who it is, for messages."""
+        return f"uid {self.uid}, process {self.pid}"
+
+
+@dataclass(frozen=True)
+class Rights:
+    """Which groups may do what.
+
+    Attributes:
+        lookers, operators: group numbers; None: there is no such group, and nobody is in it.
+        owner: the user that the service runs as, who could end it anyway.
+    """
+
+    lookers: int | None
+    operators: int | None
+    owner: int
+
+    @classmethod
+    def of_system(cls) -> Rights:
+        """Return them with this system's groups."""
+        return cls(_gid(LOOKERS), _gid(OPERATORS), os.geteuid())
+
+    def role(self, peer: Peer) -> Role:
+        """Return what a peer may do."""
+        if peer.uid in (0, self.owner) or self.operators in peer.groups:
+            return Role.OPERATE
+        return Role.LOOK if self.lookers in peer.groups else Role.NONE
+
+
+def _gid(name: str) -> int | None:
+    try:
+        return grp.getgrnam(name).gr_gid
+    except KeyError:
+        return None
+
+
+def peer_of(connection: socket.socket) -> Peer:
+    """Return who has connected.
+
+    Raises:
+        OSError: the kernel does not know.
+    """
+    raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    pid, uid, gid = _CREDENTIALS.unpack(raw)
+    try:
+        groups = connection.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _GROUPS_BYTES)
+    except OSError as error:
+        if error.errno != errno.ERANGE:
+            raise
+        groups = b""
+    supplementary = struct.unpack(f"{len(groups) // 4}I", groups)
+    return Peer(pid, uid, frozenset((gid, *supplementary)))

@@ -1,0 +1,606 @@
+"""The recorder: a process of its own that turns the rings of the service's tests into recordings.
+
+It reads what the tick thread leaves in the ring, at its own pace, and nobody waits for it. Killed
+and started again it goes on at the first tick that is not in the file; what the ring no longer has
+then is stated as a range of rows. On a full disk it waits, the ring keeps the last 64 s, and what
+it says of itself is in `STATUS_NAME` beside the rings, four times a second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import fcntl
+import json
+import logging
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import config, recording, ring
+from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.recording import BLOCK_ROWS, FILE_NAME, RUNNING, STATES, Recording
+from rthyb_rt.service import disk
+from rthyb_rt.service.growing import PART_NAME, GrowingFile
+
+STATUS_NAME: Final = "recorder.json"
+INDEX_NAME: Final = "index.jsonl"
+SCHEMA: Final = "rthyb-recorder/1"
+TURN_S: Final = 0.06
+FRESH_S: Final = 2.0
+"""A status that is older is that of a recorder that is no more."""
+
+_LOCK: Final = "recorder.lock"
+_SYNC_S: Final = 1.0
+_STATUS_S: Final = 0.25
+_RETRY_S: Final = 0.5
+_PATIENCE_S: Final = 10.0
+_CHUNK: Final = 4096
+_MOST_BYTES: Final = 10**6
+
+log = logging.getLogger("rthyb.recorder")
+
+
+# ---- what it says of itself ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Status:
+    """What the recorder says of itself.
+
+    Attributes:
+        pid: of its process.
+        at_s: when, on CLOCK_MONOTONIC.
+        runs: folder of the recordings.
+        free_bytes: room on its disk.
+        run_id, folder, rows, missing_rows: of the newest test that it records, "" and 0 if none.
+        behind_rows: what it has not written yet of that one.
+        fault: what is wrong, in words, or "".
+    """
+
+    pid: int
+    at_s: float
+    runs: str
+    free_bytes: int
+    run_id: str = ""
+    folder: str = ""
+    rows: int = 0
+    behind_rows: int = 0
+    missing_rows: list[list[int]] = field(default_factory=list)
+    fault: str = ""
+
+    @property
+    def alive(self) -> bool:
+        """Whether this was said just now."""
+        return time.monotonic() - self.at_s < FRESH_S
+
+
+def read_status(folder: Path) -> Status | None:
+    """Return what the recorder of a ring folder said last; None: nothing that can be read."""
+    try:
+        with (folder / STATUS_NAME).open("rb") as file:
+            document = json.loads(file.read(_MOST_BYTES))
+        if document.pop("schema") != SCHEMA:
+            return None
+        return Status(**document)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+def _write_status(folder: Path, status: Status) -> None:
+    document = {"schema": SCHEMA, **asdict(status)}
+    # A full tmpfs takes the status away, not the recording.
+    with contextlib.suppress(RthybError), recording.replacing(folder / STATUS_NAME) as temporary:
+        temporary.write_text(json.dumps(document), encoding="utf-8")
+
+
+# ---- one test -----------------------------------------------------------------------------------
+
+
+class Tape:
+    """One ring on its way into one file.
+
+    Args:
+        path: the ring of a test.
+        folder: of the run.
+        session: the recording without samples, as it stands beside the ring.
+
+    Raises:
+        InputError: the ring cannot be read, or is not that of the file.
+        NoRoomError: the disk is full.
+        RthybError: the folder cannot be written.
+    """
+
+    def __init__(self, path: Path, folder: Path, session: Recording) -> None:
+        self.path, self.run_id = path, str(session.meta["service"]["run_id"])
+        self.reader = ring.Reader(path)
+        try:
+            self.file = GrowingFile(folder, session)
+            self._pending: list[ring.Rows] = []
+            self._seek()
+        except BaseException:
+            self.reader.close()
+            raise
+        self._moved = self._has_moved(self.file.all_rows("state"))
+
+    def _seek(self) -> None:
+        """Go to the ring's row that comes next; rows that it no longer has become a gap."""
+        while self.reader.next < self.file.next_row:
+            rows = self.reader.read(min(self.file.next_row - self.reader.next, _CHUNK))
+            if not rows.samples.size:
+                raise InputError("the file has rows that its ring never had", str(self.path))
+            if self.reader.next == self.file.next_row:
+                _require_same(rows.samples[-1:], self.file, self.path)
+
+    @property
+    def behind(self) -> int:
+        """Rows that are in the ring and not in the file."""
+        return max(self.reader.pushed - self.file.next_row, 0)
+
+    def turn(self, last: bool = False) -> None:
+        """Move what has come into the file; ``last``: also what makes no whole block.
+
+        Raises:
+            NoRoomError: the disk is full; nothing is lost that the ring still has.
+        """
+        while True:
+            self._write(last=False)
+            rows = self.reader.read(_CHUNK)
+            if not rows.samples.size:
+                break
+            self._pending.append(rows)
+        if last:
+            self._write(last=True)
+
+    def _write(self, last: bool) -> None:
+        while self._pending:
+            rows = self._pending[0]
+            expected = self.file.next_row
+            if rows.first > expected:
+                self.file.note_gap(expected, rows.first - 1)
+                log.warning("%s: rows %d to %d are lost", self.path.name, expected, rows.first - 1)
+            elif rows.first < expected:
+                # Some of them were written before the disk was full.
+                self._pending[0] = ring.Rows(expected, rows.samples[expected - rows.first :])
+            rows = self._joined()
+            followed = len(self._pending) > 1
+            count = rows.samples.size if last or followed else self._whole(rows.samples.size)
+            self.file.add(rows.samples[:count])
+            self._moved = self._moved or self._has_moved(rows.samples["state"][:count])
+            left = rows.samples[count:]
+            self._pending[:1] = [ring.Rows(rows.first + count, left)] if left.size else []
+            if left.size:
+                return
+
+    def _joined(self) -> ring.Rows:
+        """Make one of the first rows that wait and all that follow without a gap."""
+        first = self._pending[0]
+        parts, end = [first.samples], first.first + first.samples.size
+        while len(parts) < len(self._pending) and self._pending[len(parts)].first == end:
+            parts.append(self._pending[len(parts)].samples)
+            end += parts[-1].size
+        joined = ring.Rows(first.first, ring.joined(parts))
+        self._pending[: len(parts)] = [joined]
+        return joined
+
+    def _whole(self, waiting: int) -> int:
+        """Rows that fill blocks up to their end, also behind a gap."""
+        to_fill = -self.file.rows % BLOCK_ROWS
+        full = waiting - to_fill
+        return 0 if full < 0 else to_fill + full // BLOCK_ROWS * BLOCK_ROWS
+
+    @staticmethod
+    def _has_moved(states: NDArray[Any]) -> bool:
+        return bool((states > STATES.index("ARMED")).any())
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more will come."""
+        return self.reader.closed or not self.reader.alive
+
+    def finish(self) -> dict[str, Any] | None:
+        """Complete the recording and delete the ring; return its line of the index.
+
+        None: nothing moved, and nothing is kept.
+
+        Raises:
+            NoRoomError: the disk is full.
+        """
+        closed = self.reader.closed
+        self.turn(last=True)
+        if not self._moved:
+            self.close()
+            self.file.discard()
+            _remove_ring(self.path)
+            return None
+        session = _session(self.path)
+        final = self._completed(session, closed)
+        place = self.file.finish(final)
+        _write_settings(self.file.folder, session)
+        entry = _entry(self.run_id, place, final, self._ticks, self.file.missing)
+        self.reader.close()
+        return entry
+
+    def _completed(self, session: Recording, closed: bool) -> Recording:
+        states, ticks = self.file.all_rows("state"), self.file.all_rows("tick")
+        flags = self.file.all_rows("flags")
+        self._ticks = ticks
+        columns = np.zeros(ticks.size, dtype=recording_dtype())
+        columns["tick"], columns["flags"] = ticks, flags
+        meta = dict(session.meta)
+        if not closed:
+            tripped = states.size and states[-1] == STATES.index("TRIPPED")
+            meta["end_reason"] = "tripped" if tripped else "its process ended early"
+        meta["interrupted"] = bool((states == STATES.index("HOLD")).any())
+        meta["missing_rows"] = self.file.missing
+        if isinstance(meta.get("real_time"), dict):
+            meta["real_time"] = meta["real_time"] | {"missed_rows": self.file.missing}
+        whole = not self.file.missing and bool((states == RUNNING).any())
+        skips = ring.skips(columns)
+        return replace(
+            session,
+            replay=replace(session.replay, skips=skips),
+            # Row k of the reference belongs to the k-th row of the test.
+            reference=session.reference if whole else None,
+            meta=meta,
+        )
+
+    def close(self) -> None:
+        """Let go of ring and file."""
+        self.reader.close()
+        self.file.close()
+
+
+def recording_dtype() -> np.dtype[Any]:
+    """Return the type of a row."""
+    from rthyb_rt.core import RECORD_DTYPE
+
+    return RECORD_DTYPE
+
+
+def _remove_ring(ring_path: Path) -> None:
+    """Delete a ring and its session: the recording has all of it."""
+    for path in (ring_path, ring.session_path(ring_path)):
+        path.unlink(missing_ok=True)
+
+
+def _session(path: Path) -> Recording:
+    place = ring.session_path(path)
+    if not place.is_file():
+        raise InputError("no session file beside the ring", str(path))
+    session = recording.read(place)
+    about = session.meta.get("service")
+    if not isinstance(about, dict) or about.get("purpose") != "test":
+        raise InputError("no test of the service", str(path))
+    return session
+
+
+def _require_same(row: NDArray[np.void], file: GrowingFile, path: Path) -> None:
+    if int(row["tick"][0]) != file.last_tick:
+        raise InputError(
+            f"the file ends with tick {file.last_tick}, the ring has {int(row['tick'][0])} there",
+            str(path),
+        )
+
+
+def _folder(runs: Path, session: Recording) -> Path:
+    """Return the folder of a run: the one that has its file, or a new one."""
+    made = datetime.datetime.fromisoformat(str(session.meta["created_utc"]))
+    name = f"{session.meta['test_name']}-{made:%Y%m%dT%H%M%SZ}"
+    run_id = session.meta["service"]["run_id"]
+    number = 1
+    while True:
+        folder = runs / (name if number == 1 else f"{name}-{number}")
+        if not folder.exists() or _run_id(folder) in (run_id, None):
+            return folder
+        number += 1
+
+
+def _run_id(folder: Path) -> str | None:
+    """Return whose folder it is; None: an empty one."""
+    import h5py
+
+    for name in (PART_NAME, FILE_NAME):
+        try:
+            with h5py.File(folder / name, "r") as file:
+                about = recording.plain(file.attrs["service"])
+                return str(about["run_id"])
+        except FileNotFoundError:
+            continue
+        except (OSError, KeyError, TypeError, RuntimeError):
+            return ""
+    return None if not any(folder.iterdir()) else ""
+
+
+def _write_settings(folder: Path, session: Recording) -> None:
+    """Write test and rig as they were used; the test names the rig beside it."""
+    # The recording has both; on a full disk that has to do.
+    with contextlib.suppress(OSError, InputError):
+        test = config.parse_test(session.test_toml, "session")
+        text = config.dump(test.model_copy(update={"rig": "rig.toml"}))
+        (folder / "test.toml").write_text(text, encoding="utf-8")
+        (folder / "rig.toml").write_text(session.rig_toml, encoding="utf-8")
+
+
+def _entry(
+    run_id: str, place: Path, rec: Recording, ticks: NDArray[Any], missing: list[list[int]]
+) -> dict[str, Any]:
+    return {
+        "run_id": run_id,
+        "test_name": rec.meta["test_name"],
+        "created_utc": rec.meta["created_utc"],
+        "end_reason": rec.meta["end_reason"],
+        "folder": place.parent.name,
+        "rows": int(ticks.size),
+        "ticks": [int(ticks[0]), int(ticks[-1])],
+        "missing_rows": missing,
+    }
+
+
+# ---- the index ----------------------------------------------------------------------------------
+
+
+def read_index(runs: Path) -> list[dict[str, Any]]:
+    """Return every recorded test, the oldest first; half a line of a crash is passed over."""
+    found: dict[str, dict[str, Any]] = {}
+    try:
+        lines = (runs / INDEX_NAME).read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        return []
+    for line in lines:
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            entry = json.loads(line)
+            found[entry["run_id"]] = entry
+    return list(found.values())
+
+
+def _append_to_index(runs: Path, entry: dict[str, Any]) -> None:
+    line = json.dumps(entry, ensure_ascii=False).encode() + b"\n"
+    fd = os.open(runs / INDEX_NAME, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o640)
+    try:
+        # Behind half a line of a crash, a line of its own.
+        os.write(fd, b"\n" + line if _ends_torn(runs / INDEX_NAME) else line)
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def _ends_torn(path: Path) -> bool:
+    with path.open("rb") as file:
+        if not file.seek(0, os.SEEK_END):
+            return False
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) != b"\n"
+
+
+# ---- all of them --------------------------------------------------------------------------------
+
+
+class Recorder:
+    """Looks for rings of tests and records them; one for each folder of rings.
+
+    Args:
+        rings: folder of the rings; made if it is missing.
+        runs: where the recordings go.
+        patience_s: how long the end of another recorder is waited for.
+
+    Raises:
+        RthybError: another recorder is at work there, or a folder cannot be written.
+    """
+
+    def __init__(self, rings: Path, runs: Path, patience_s: float = 0.0) -> None:
+        self.rings, self.runs = rings, runs
+        try:
+            rings.mkdir(mode=0o700, parents=True, exist_ok=True)
+            runs.mkdir(parents=True, exist_ok=True)
+            self._lock = os.open(rings / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
+        except OSError as error:
+            raise RthybError(f"{error.filename}: cannot be written ({error.strerror})") from error
+        if not _locked(self._lock, patience_s):
+            os.close(self._lock)
+            raise RthybError(f"{rings}: another recorder is at work here; end that one")
+        self._tapes: dict[Path, Tape] = {}
+        self._passed: dict[Path, tuple[int, int]] = {}
+        self._synced_s = self._said_s = 0.0
+        self._faults: dict[Path, str] = {}
+        self._again_s: dict[Path, float] = {}
+        self._finish_orphans()
+
+    # A test whose ring a reboot has taken away: what was written is its recording.
+    def _finish_orphans(self) -> None:
+        import h5py
+
+        alive = set()
+        for path in ring.find(self.rings):
+            with contextlib.suppress(InputError):
+                alive.add(str(_session(path).meta["service"]["run_id"]))
+        for part in self.runs.glob(f"*/{PART_NAME}"):
+            with contextlib.suppress(OSError, KeyError, RthybError, RuntimeError, TypeError):
+                with h5py.File(part, "r") as file:
+                    run_id = str(recording.plain(file.attrs["service"])["run_id"])
+                if run_id not in alive:
+                    self._finish_orphan(part, run_id)
+
+    def _finish_orphan(self, part: Path, run_id: str) -> None:
+        session = recording.read(part)
+        file = GrowingFile(part.parent, session)
+        states, ticks = session.samples["state"], session.samples["tick"]
+        if not (states > STATES.index("ARMED")).any():
+            file.discard()
+            return
+        meta = session.meta | {
+            "end_reason": "its process ended early; the ring is gone",
+            "interrupted": bool((states == STATES.index("HOLD")).any()),
+            "missing_rows": file.missing,
+        }
+        skips = ring.skips(session.samples)
+        final = replace(session, meta=meta, replay=replace(session.replay, skips=skips))
+        place = file.finish(final if not file.missing else replace(final, reference=None))
+        _write_settings(part.parent, session)
+        _append_to_index(self.runs, _entry(run_id, place, final, ticks, file.missing))
+        log.warning("%s: finished without its ring", place)
+
+    def turn(self) -> None:
+        """Look for new rings, write what has come, finish what is over, say how it stands."""
+        self._find()
+        for path, tape in tuple(self._tapes.items()):
+            with self._faulty(path):
+                over = tape.over
+                tape.turn()
+                if over:
+                    self._finish(path, tape)
+        now = time.monotonic()
+        if now - self._synced_s >= _SYNC_S:
+            self._synced_s = now
+            for tape in self._tapes.values():
+                with contextlib.suppress(OSError):
+                    tape.file.sync()
+        if now - self._said_s >= _STATUS_S:
+            self._said_s = now
+            _write_status(self.rings, self.status())
+
+    def _find(self) -> None:
+        found = ring.find(self.rings)
+        for path in found:
+            identity = _identity(path)
+            known = path in self._tapes or self._passed.get(path) == identity
+            if known or identity is None or time.monotonic() < self._again_s.get(path, 0.0):
+                continue
+            with self._faulty(path):
+                try:
+                    self._begin(path)
+                except InputError:
+                    # Another's ring, or one that is not set up yet: its session comes last.
+                    self._pass_over(path, identity)
+        for path in set(self._faults) - set(found):
+            del self._faults[path]
+
+    def _begin(self, path: Path) -> None:
+        session = _session(path)
+        folder = _folder(self.runs, session)
+        if (folder / FILE_NAME).exists():
+            self._tidy(path, folder)
+            return
+        tape = self._tapes[path] = Tape(path, folder, session)
+        how = f"goes on at row {tape.file.next_row}" if tape.file.resumed else "recording"
+        log.info("%s: %s, %s", path.name, how, folder)
+
+    # The process before had the recording finished, and no time for what comes after that.
+    def _tidy(self, path: Path, folder: Path) -> None:
+        rec = recording.read(folder / FILE_NAME)
+        run_id = str(rec.meta["service"]["run_id"])
+        missing = rec.meta.get("missing_rows", [])
+        place = folder / FILE_NAME
+        _append_to_index(self.runs, _entry(run_id, place, rec, rec.samples["tick"], missing))
+        (folder / PART_NAME).unlink(missing_ok=True)
+        _remove_ring(path)
+
+    def _pass_over(self, path: Path, identity: tuple[int, int]) -> None:
+        if ring.session_path(path).is_file():
+            self._passed[path] = identity
+
+    @contextlib.contextmanager
+    def _faulty(self, path: Path) -> Any:
+        try:
+            yield
+            self._faults.pop(path, None)
+        except (RthybError, OSError, RuntimeError) as error:
+            if self._faults.get(path) != str(error):
+                log.error("%s: %s", path.name, error)
+            self._faults[path] = str(error)
+            self._again_s[path] = time.monotonic() + _RETRY_S
+
+    def _finish(self, path: Path, tape: Tape) -> None:
+        entry = tape.finish()
+        del self._tapes[path]
+        if entry is None:
+            log.info("%s: nothing moved, nothing is kept", path.name)
+            return
+        _append_to_index(self.runs, entry)
+        _remove_ring(path)
+        log.info("%s: %s, %d rows", entry["folder"], entry["end_reason"], entry["rows"])
+
+    def status(self) -> Status:
+        """Return how it stands."""
+        try:
+            free = disk.free_bytes(self.runs)
+        except OSError:
+            free = 0
+        status = Status(
+            pid=os.getpid(),
+            at_s=time.monotonic(),
+            runs=str(self.runs.resolve()),
+            free_bytes=free,
+            fault="; ".join(self._faults.values()),
+        )
+        if not self._tapes:
+            return status
+        tape = list(self._tapes.values())[-1]
+        return replace(
+            status,
+            run_id=tape.run_id,
+            folder=str(tape.file.folder),
+            rows=tape.file.rows,
+            behind_rows=tape.behind,
+            missing_rows=tape.file.missing,
+        )
+
+    @property
+    def busy(self) -> bool:
+        """Whether a recording is not finished."""
+        return bool(self._tapes)
+
+    def close(self) -> None:
+        """Let go of everything; what is not finished is taken up again by the next recorder."""
+        for tape in self._tapes.values():
+            with contextlib.suppress(RthybError, OSError, RuntimeError):
+                tape.turn()
+            tape.close()
+        self._tapes.clear()
+        (self.rings / STATUS_NAME).unlink(missing_ok=True)
+        os.close(self._lock)
+
+
+def _locked(lock: int, patience_s: float) -> bool:
+    end = time.monotonic() + patience_s
+    while True:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        except BlockingIOError:
+            if time.monotonic() >= end:
+                return False
+            time.sleep(TURN_S)
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_ctime_ns
+
+
+def run(rings: Path, runs: Path, done: Callable[[Recorder], bool]) -> None:
+    """Record until ``done``.
+
+    Args:
+        rings, runs: as in `Recorder`.
+        done: asked before every turn.
+
+    Raises:
+        RthybError: as `Recorder`.
+    """
+    recorder = Recorder(rings, runs, _PATIENCE_S)
+    try:
+        while not done(recorder):
+            recorder.turn()
+            time.sleep(TURN_S)
+    finally:
+        recorder.close()

@@ -1,0 +1,288 @@
+"""`rthyb ctl` as an operator types it, against a daemon on the stepped clock."""
+
+from __future__ import annotations
+
+import json
+import re
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pytest
+from command_line import Rthyb
+from service_bench import rig_file, served
+
+from rthyb_rt import config, realtime, recording
+from rthyb_rt.cli import ctl
+from rthyb_rt.recording import STATES
+from rthyb_rt.service import metrics
+from rthyb_rt.service.control import Client
+from rthyb_rt.service.daemon import Daemon
+from rthyb_rt.service.recorder import read_index
+
+SHORT = [
+    *("--set", "test.duration_s=1.5", "--set", "ground_motion.start_s=1.5"),
+    *("--set", "limits.ramp_in_s=0.25", "--set", "limits.tare_s=0.125"),
+]
+LONG = [
+    *SHORT[4:],
+    *("--set", "test.duration_s=120", "--set", "limits.armed_timeout_s=3600"),
+]
+"""Nobody waits for its end."""
+
+
+@pytest.fixture
+def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    memory = Path("/dev/shm")
+    with TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
+        monkeypatch.setenv("RTHYB_SOCKET", str(Path(folder) / "control.sock"))
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield Path(folder)
+
+
+@pytest.fixture
+def daemon(place: Path) -> Iterator[Daemon]:
+    with served(place) as made:
+        yield made
+
+
+def look(place: Path) -> dict[str, Any]:
+    with Client(place / "control.sock") as client:
+        found: dict[str, Any] = client.call("GetStatus")["status"]
+        return found
+
+
+def await_state(place: Path, state: str) -> None:
+    for _ in range(20000):
+        if look(place)["state"] == state:
+            return
+    raise AssertionError(f"never {state}: {look(place)['state']}")
+
+
+def to_arm(rthyb: Rthyb, *settings: str) -> None:
+    for words in (("load", *settings), ("zero",), ("arm",)):
+        answer = rthyb("ctl", *words)
+        assert answer.code == 0, answer.err
+
+
+# ---- the operator's first ten minutes -----------------------------------------------------------
+
+
+def test_operator_runs_a_test_and_is_told_what_comes_next(
+    rthyb: Rthyb, place: Path, daemon: Daemon
+) -> None:
+    assert rthyb("ctl", "status").out.splitlines()[3].split() == [
+        *("Test", "none", "load", "one:", "rthyb", "ctl", "load", "TEST.toml"),
+    ]
+    loaded = rthyb("ctl", "load", *SHORT)
+    assert re.fullmatch(r"Loaded section5-t0.5, \w{12}; next: rthyb ctl zero\n", loaded.out)
+    assert rthyb("ctl", "zero").out == "Zeroed; next: rthyb ctl arm\n"
+    armed = rthyb("ctl", "arm")
+    assert armed.out == "Armed section5-t0.5, for 30 s; next: rthyb ctl start\n"
+    (kept,) = place.glob("rthyb-token-*")
+    assert stat.S_IMODE(kept.stat().st_mode) == 0o600
+    assert rthyb("ctl", "start").out.startswith("Started; ")
+    while look(place)["last"] is None:
+        pass
+    shown = rthyb("ctl", "status").out
+    assert re.search(r"^Last test +section5-t0.5 +completed$", shown, re.M)
+    assert re.search(r"^State +IDLE +allowed now: load, zero, stop, reload$", shown, re.M)
+
+
+def test_every_answer_comes_as_json_too(rthyb: Rthyb, place: Path, daemon: Daemon) -> None:
+    digest = rthyb("ctl", "load", *LONG, "--json").json["digest"]
+    found = rthyb("ctl", "status", "--json")
+    assert found.json["test"]["digest"] == digest
+    assert found.json["schema"] == "rthyb-status/1"
+    assert found.json["allowed"] == ["load", "zero", "stop", "reload"]
+    assert rthyb("ctl", "zero", "--json").json["state"] == "ZEROED"
+    token = rthyb("ctl", "arm", "--digest", str(digest)[:8], "--json").json["token"]
+    assert rthyb("ctl", "start", "--token", token, "--json").json["ok"]
+    await_state(place, "RUNNING")
+    assert rthyb("ctl", "hold", "--json").json["command"] == "hold"
+    while rthyb("ctl", "resume", "--json").code:
+        pass
+    assert rthyb("ctl", "stop", "--json").json["ok"]
+    await_state(place, "IDLE")
+
+
+def test_trip_is_reset(rthyb: Rthyb, place: Path, daemon: Daemon) -> None:
+    to_arm(rthyb, *LONG)
+    assert rthyb("ctl", "start").code == 0
+    assert rthyb("ctl", "stop", "--now").out == "Tripped\n"
+    refused = rthyb("ctl", "stop")
+    assert refused.code == 5
+    assert "the state is TRIPPED, stop is allowed in IDLE or ZEROED" in refused.err
+    assert "signal" in rthyb("ctl", "status").out
+    assert rthyb("ctl", "reset").out == "Reset\n"
+    assert look(place)["state"] == "IDLE"
+
+
+def test_test_goes_through_the_socket_whole_and_into_the_recording(
+    rthyb: Rthyb, place: Path
+) -> None:
+    """With a recorder of the daemon's own; the record is a file that the daemon never sees."""
+    with served(place, recorder="own"):
+        times = [f"{0.02 * n:.2f} {0.1 if n % 50 < 25 else -0.1}" for n in range(200)]
+        Path("record.txt").write_text("\n".join(times) + "\n", encoding="utf-8")
+        given = ["--set", "ground_motion.record=record.txt", "--set", "ground_motion.units=g"]
+        to_arm(rthyb, *SHORT[4:], *given, "--set", "test.duration_s=1")
+        Path("record.txt").unlink()
+        run_id = look(place)["run_id"]
+        assert rthyb("ctl", "start").code == 0
+        while not (found := [e for e in read_index(place / "runs") if e["run_id"] == run_id]):
+            pass
+    rec = recording.open_run(place / "runs" / found[0]["folder"])
+    assert rec.ground_motion["name"] == "record"
+    assert rec.meta["end_reason"] == "completed"
+    assert realtime.replay(rec).identical
+    assert config.parse_test(rec.test_toml, "recording").ground_motion.units == "g"
+
+
+# ---- refusals -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("zero", "no test is loaded: load one first"),
+        ("arm", "arm is allowed in ZEROED"),
+        ("start", "start is allowed in ARMED"),
+        ("hold", "hold is allowed in RUNNING"),
+        ("resume", "resume is allowed in HOLD"),
+        ("reset", "reset is allowed in TRIPPED"),
+        ("reload", "there is no rig file to read again"),
+    ],
+)
+def test_refusal_is_exit_5_and_says_why(
+    rthyb: Rthyb, daemon: Daemon, command: str, message: str
+) -> None:
+    answer = rthyb("ctl", command)
+    assert answer.code == 5
+    assert message in answer.err
+    assert "the state is IDLE" in answer.err
+
+
+@pytest.mark.parametrize(
+    "command", ["status", "load", "zero", "arm", "start", "hold", "resume", "stop", "reset"]
+)
+def test_no_service_is_exit_4_and_says_what_to_do(rthyb: Rthyb, place: Path, command: str) -> None:
+    answer = rthyb("ctl", command)
+    assert answer.code == 4
+    assert f"{place}/control.sock: the service cannot be reached" in answer.err
+    assert "systemctl status rthyb" in answer.err
+
+
+def test_faulty_test_is_exit_3_with_every_fault(rthyb: Rthyb, daemon: Daemon) -> None:
+    answer = rthyb("ctl", "load", "--set", "controller.w1=0.5")
+    assert answer.code == 3
+    assert "controller.w1" in answer.err
+    shipped = rthyb("ctl", "load", *SHORT, "--set", "rig.rig.seed=3")
+    assert shipped.code == 2
+    assert "the rig is the service's own" in shipped.err
+
+
+def test_fault_between_test_and_the_services_rig_is_exit_3(rthyb: Rthyb, place: Path) -> None:
+    rig = rig_file({"rig.limits.command_position_m": '{ value = "5 mm", action = "trip" }'})
+    with served(place, rig=rig):
+        answer = rthyb("ctl", "load", *SHORT)
+        assert answer.code == 3
+        assert "limits.command_position_m" in answer.err
+        assert "no test may have more" in answer.err
+        assert look(place)["test"] is None
+
+
+def test_second_operator_does_not_start_what_another_has_armed(
+    rthyb: Rthyb, place: Path, daemon: Daemon
+) -> None:
+    to_arm(rthyb, *LONG)
+    for kept in place.glob("rthyb-token-*"):
+        kept.unlink()
+    answer = rthyb("ctl", "start")
+    assert answer.code == 5
+    assert re.search(r"armed by uid \d+, process \d+, and only who arms starts", answer.err)
+    assert look(place)["state"] == "ARMED"
+    assert re.search(r"^Armed by +uid", rthyb("ctl", "status").out, re.M)
+    assert rthyb("ctl", "arm").code == 5
+    assert rthyb("ctl", "stop").code == 0
+
+
+def test_nothing_is_armed_that_would_not_be_recorded(rthyb: Rthyb, place: Path) -> None:
+    with served(place, recorder="service"):
+        assert rthyb("ctl", "load", *SHORT).code == 0
+        assert rthyb("ctl", "zero").code == 0
+        answer = rthyb("ctl", "arm")
+        assert answer.code == 5
+        assert "the recorder gives no sign of life" in answer.err
+        assert "no sign of life" in rthyb("ctl", "status").out
+
+
+def test_limits_are_reloaded(rthyb: Rthyb, place: Path) -> None:
+    now = {"rig.limits.tracking_error_m": '{ value = "3 mm", action = "hold" }'}
+    with served(place, read_rig=lambda: rig_file(now)) as daemon:
+        before = rthyb("ctl", "load", *SHORT, "--json").json["digest"]
+        assert rthyb("ctl", "reload").out == "Limits reloaded\n"
+        limit = daemon.engine.rig.limits.tracking_error_m
+        assert limit is not None
+        assert limit.value == 3e-3
+        assert rthyb("ctl", "status", "--json").json["test"]["digest"] != before
+
+
+# ---- figures ------------------------------------------------------------------------------------
+
+
+def test_metrics_are_prometheus_text(rthyb: Rthyb, place: Path, daemon: Daemon) -> None:
+    text = rthyb("ctl", "metrics").out
+    sample = re.compile(r'^[a-z_]+(\{[a-z]+="[^"]*"(,[a-z]+="[^"]*")*\})? -?[0-9.e+-]+$')
+    named = set()
+    for line in text.splitlines():
+        if line.startswith("# "):
+            named.add(line.split()[2])
+            continue
+        assert sample.match(line), line
+        assert line.split("{")[0].split()[0] in named
+    assert text.count("rthyb_state{") == len(STATES)
+    assert 'rthyb_state{state="IDLE"} 1\n' in text
+    assert re.search(r"^rthyb_ticks_total [1-9]\d*$", text, re.M)
+    assert metrics._labels({"a": 'x"\\\n'}) == '{a="x\\"\\\\\\n"}'
+
+
+def test_metrics_go_to_a_file_for_who_collects_files(place: Path) -> None:
+    with served(place, metrics=place / "rthyb.prom"):
+        while not (place / "rthyb.prom").exists():
+            pass
+        assert (place / "rthyb.prom").read_text().startswith("# HELP rthyb_up")
+
+
+def test_watch_shows_line_after_line_without_a_terminal(
+    rthyb: Rthyb, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks = iter([None, None])
+
+    def pause(_: float) -> None:
+        if next(looks, "over") == "over":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(ctl.time, "sleep", pause)
+    lines = rthyb("ctl", "status", "--watch").out.splitlines()
+    assert len(lines) == 3
+    assert all(re.match(r"IDLE 0\.0 s, -?\d+\.\d+ mm, -?\d+\.\d+ kN, ", line) for line in lines)
+    looks = iter([None])
+    lines = rthyb("ctl", "status", "--watch", "--json").out.splitlines()
+    assert [json.loads(line)["state"] for line in lines] == ["IDLE", "IDLE"]
+
+
+def test_socket_is_found_where_it_is(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert ctl.place(Path("given")) == Path("given")
+    assert ctl.place(None) == place / "control.sock"
+    monkeypatch.delenv("RTHYB_SOCKET")
+    assert ctl.place(None).name == "control.sock"
+
+
+def test_help_of_every_command_has_its_example_or_its_meaning(rthyb: Rthyb) -> None:
+    shown = rthyb("ctl", "--help").out
+    for name in ("status", "load", "zero", "arm", "start", "hold", "resume", "stop", "reset"):
+        assert re.search(rf"^  {name} +\w", shown, re.M)
+        assert rthyb("ctl", name, "--help").code == 0

@@ -1,0 +1,611 @@
+"""The control socket: who gets in, what is too much, and whatever else may come."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from service_bench import (
+    LOOKER,
+    LOOKERS,
+    OPERATOR,
+    OPERATORS,
+    RIGHTS,
+    ROOT,
+    STRANGER,
+    listening,
+    rig_file,
+    short_test,
+)
+
+from rthyb_rt import experiment
+from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.service import control, daemon, engine
+from rthyb_rt.service.control import (
+    INTERFACE,
+    LOAD_BYTES,
+    REQUEST_BYTES,
+    SERVICE,
+    Client,
+    Dispatcher,
+    Method,
+    Refusal,
+    UnreachableError,
+)
+from rthyb_rt.service.peers import Peer, Rights, Role
+
+LOOP = asyncio.new_event_loop()
+
+FUZZ = int(os.environ.get("RTHYB_FUZZ", "800"))
+"""How many malformed requests; the long run asks for 100,000."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _loop() -> Iterator[None]:
+    yield
+    LOOP.close()
+
+
+@pytest.fixture
+def place() -> Iterator[Path]:
+    """A folder with a short name that every user may enter."""
+    with TemporaryDirectory(prefix="rthyb-") as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder)
+
+
+def ask(dispatcher: Dispatcher, message: bytes | dict[str, Any], peer: Peer = ROOT) -> Any:
+    """Return the reply, as the client would get it."""
+    raw = message if isinstance(message, bytes) else json.dumps(message).encode()
+    return LOOP.run_until_complete(dispatcher.answer(raw, peer))
+
+
+def call(name: str, **parameters: Any) -> dict[str, Any]:
+    return {"method": f"{INTERFACE}.{name}", "parameters": parameters}
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> Iterator[daemon.Daemon]:
+    """A daemon whose methods are called, though nothing listens."""
+    from pathlib import Path as P
+
+    from rthyb_rt import virtual_rig
+    from rthyb_rt.links import opening
+
+    folder = tmp_path_factory.mktemp("daemon")
+    rig = rig_file()
+    options = daemon.Options(
+        socket=P("/nowhere"),
+        rings=folder,
+        runs=folder,
+        recorder="none",
+        require_realtime=False,
+        rights=RIGHTS,
+    )
+    ours, theirs = opening.socket_pair()
+    with ours, theirs, virtual_rig.in_step(rig, theirs) as drive:
+        made = daemon.Daemon(rig, ours, "stepped", options, before_tick=drive.tick)
+        made.engine.wait(0.2)
+        try:
+            yield made
+        finally:
+            made.engine.close()
+
+
+# ---- the interface ------------------------------------------------------------------------------
+
+
+def test_interface_file_lists_the_methods_and_their_parameters(real: daemon.Daemon) -> None:
+    text = re.sub(r"#.*", "", control.description())
+    assert re.search(rf"^interface {re.escape(INTERFACE)}$", text, re.MULTILINE)
+    written = {
+        name: set(re.findall(r"(\w+):", parameters))
+        for name, parameters in re.findall(r"^method (\w+)\((.*?)\) ->", text, re.MULTILINE)
+    }
+    assert written == {name: set(m.parameters) for name, m in real.dispatcher.methods.items()}
+    optional = set(re.findall(r"(\w+): \?", text))
+    for method in real.dispatcher.methods.values():
+        for name, types in method.parameters.items():
+            assert (None in types) == (name in optional)
+
+
+def test_service_introspects_itself(real: daemon.Daemon) -> None:
+    info = ask(real.dispatcher, {"method": f"{SERVICE}.GetInfo"}, LOOKER)["parameters"]
+    assert info["interfaces"] == [SERVICE, INTERFACE]
+    for interface in info["interfaces"]:
+        found = ask(
+            real.dispatcher,
+            {
+                "method": f"{SERVICE}.GetInterfaceDescription",
+                "parameters": {"interface": interface},
+            },
+        )
+        assert f"\ninterface {interface}\n" in found["parameters"]["description"]
+    unknown = ask(
+        real.dispatcher,
+        {"method": f"{SERVICE}.GetInterfaceDescription", "parameters": {"interface": "a.b"}},
+    )
+    assert unknown["error"] == f"{SERVICE}.InterfaceNotFound"
+
+
+@pytest.mark.parametrize(
+    ("message", "error", "parameters"),
+    [
+        (b"", "InvalidParameter", {"parameter": "message"}),
+        (b"{", "InvalidParameter", {"parameter": "message"}),
+        (b"\xff\xfe", "InvalidParameter", {"parameter": "message"}),
+        (b"[" * 60000, "InvalidParameter", {"parameter": "message"}),
+        (b'{"method": 1}', "InvalidParameter", {"parameter": "method"}),
+        (b'{"method": "a", "extra": 1}', "InvalidParameter", {"parameter": "message"}),
+        (b'{"method": "a.b", "parameters": []}', "InvalidParameter", {"parameter": "parameters"}),
+        (b'{"method": "a.b", "oneway": 7}', "InvalidParameter", {"parameter": "oneway"}),
+        (b'{"method": "a.b", "upgrade": true}', "InvalidParameter", {"parameter": "upgrade"}),
+        (b'{"method": "Hold"}', "InterfaceNotFound", {"interface": ""}),
+        (b'{"method": "a.b.Hold"}', "InterfaceNotFound", {"interface": "a.b"}),
+        (
+            b'{"method": "org.rthyb.Control.Jump"}',
+            "MethodNotFound",
+            {"method": "org.rthyb.Control.Jump"},
+        ),
+        (
+            b'{"method": "org.rthyb.Control.Start"}',
+            "InvalidParameter",
+            {"parameter": "token"},
+        ),
+        (
+            b'{"method": "org.rthyb.Control.Stop", "parameters": {"now": 1}}',
+            "InvalidParameter",
+            {"parameter": "now"},
+        ),
+        (
+            b'{"method": "org.rthyb.Control.Hold", "parameters": {"x": 1}}',
+            "InvalidParameter",
+            {"parameter": "x"},
+        ),
+    ],
+)
+def test_what_is_no_call_is_named(
+    real: daemon.Daemon, message: bytes, error: str, parameters: dict[str, Any]
+) -> None:
+    assert ask(real.dispatcher, message) == {
+        "error": f"{SERVICE}.{error}",
+        "parameters": parameters,
+    }
+
+
+def test_oneway_call_has_no_reply(real: daemon.Daemon) -> None:
+    assert ask(real.dispatcher, call("GetStatus") | {"oneway": True}) is None
+    assert ask(real.dispatcher, call("Jump") | {"oneway": True}) is None
+
+
+def test_refusal_says_why_and_where_it_is_allowed(real: daemon.Daemon) -> None:
+    found = ask(real.dispatcher, call("Hold"))
+    assert found["error"] == f"{INTERFACE}.Refused"
+    assert found["parameters"] == {
+        "reason": "hold: not in this state; the state is IDLE, hold is allowed in RUNNING",
+        "state": "IDLE",
+        "allowed": ["RUNNING"],
+    }
+
+
+def test_fault_of_the_program_is_said_and_is_no_end() -> None:
+    async def broken(_: Peer, __: dict[str, Any]) -> dict[str, Any]:
+        raise ZeroDivisionError
+
+    found = ask(Dispatcher({"Hold": Method(Role.LOOK, broken)}, RIGHTS), call("Hold"))
+    assert found["error"] == f"{INTERFACE}.Failed"
+    assert "ZeroDivisionError" in found["parameters"]["reason"]
+
+
+# ---- who may what -------------------------------------------------------------------------------
+
+LOOK = ("GetStatus", "GetRig", "GetMetrics", "Hold", "Stop")
+OPERATE = ("Load", "Zero", "Arm", "Start", "Resume", "Reset", "Reload")
+
+
+def test_every_method_has_its_group(real: daemon.Daemon) -> None:
+    roles = {name: method.role for name, method in real.dispatcher.methods.items()}
+    assert roles == dict.fromkeys(LOOK, Role.LOOK) | dict.fromkeys(OPERATE, Role.OPERATE)
+
+
+@pytest.mark.parametrize("name", [*LOOK, *OPERATE])
+def test_nobody_is_let_in_who_has_no_business_there(real: daemon.Daemon, name: str) -> None:
+    found = ask(real.dispatcher, call(name), STRANGER)
+    assert found["error"] == f"{INTERFACE}.NotPermitted"
+    assert found["parameters"]["group"] == ("rthyb" if name in LOOK else "rthyb-operator")
+    assert "uid 1003: no right here" in found["parameters"]["reason"]
+    looked = ask(real.dispatcher, call(name), LOOKER)
+    refused = looked.get("error") == f"{INTERFACE}.NotPermitted"
+    assert refused == (name in OPERATE)
+    operated = ask(real.dispatcher, call(name), OPERATOR)
+    assert operated.get("error") != f"{INTERFACE}.NotPermitted"
+    assert real.engine.state == "IDLE"
+
+
+def test_root_and_the_owner_may_and_a_missing_group_lets_nobody_in() -> None:
+    rights = Rights(None, None, 60000)
+    assert rights.role(ROOT) == Role.OPERATE
+    assert rights.role(Peer(9, 60000, frozenset())) == Role.OPERATE
+    for peer in (LOOKER, OPERATOR, STRANGER):
+        assert rights.role(peer) == Role.NONE
+
+
+_ASK = """
+import json, socket, sys
+s = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+s.connect(sys.argv[1])
+s.sendall(json.dumps({"method": sys.argv[2]}).encode() + b"\\0")
+print(s.recv(1 << 16).rstrip(b"\\0").decode())
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+def test_kernel_says_who_asks(place: Path) -> None:
+    """Primary and supplementary groups of real processes count; what they say does not."""
+
+    python = shutil.which("python3", path="/usr/bin:/usr/local/bin")
+    if python is None:
+        pytest.skip("no Python that every user may start")
+
+    async def yes(_: Peer, __: dict[str, Any]) -> dict[str, Any]:
+        return {}
+
+    dispatcher = Dispatcher(
+        {"Hold": Method(Role.LOOK, yes), "Start": Method(Role.OPERATE, yes)}, RIGHTS
+    )
+
+    def may(name: str, group: int, extra: list[int]) -> bool:
+        ran = subprocess.run(
+            [python, "-I", "-c", _ASK, str(place / "s"), f"{INTERFACE}.{name}"],
+            user=4711,
+            group=group,
+            extra_groups=extra,
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd="/",
+        )
+        return "error" not in json.loads(ran.stdout)
+
+    with listening(place / "s", dispatcher):
+        assert may("Hold", LOOKERS, [])
+        assert may("Hold", 4711, [100, LOOKERS])
+        assert not may("Start", LOOKERS, [100])
+        assert may("Start", 4711, [7, 8, OPERATORS])
+        assert not may("Hold", 4711, [])
+
+
+# ---- too much -----------------------------------------------------------------------------------
+
+
+async def _echo(_: Peer, given: dict[str, Any]) -> dict[str, Any]:
+    return {"size": len(json.dumps(given))}
+
+
+def echoing(may_begin: Any = lambda: None) -> Dispatcher:
+    return Dispatcher(
+        {
+            "Hold": Method(Role.LOOK, _echo, {"text": (str, None)}),
+            "Load": Method(Role.OPERATE, _echo, {"text": (str,)}, large=True, may_begin=may_begin),
+        },
+        Rights.of_system(),
+    )
+
+
+def raw(path: Path, data: bytes, seconds: float = 10.0) -> bytes:
+    """Send bytes; return all that comes until the other end hangs up."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        client.settimeout(seconds)
+        client.connect(str(path))
+        try:
+            client.sendall(data)
+            client.shutdown(socket.SHUT_WR)
+        except OSError:
+            pass
+        parts = []
+        try:
+            while part := client.recv(65536):
+                parts.append(part)
+        except OSError:
+            pass
+        return b"".join(parts)
+
+
+def test_requests_of_one_connection_are_answered_in_order(place: Path) -> None:
+    with listening(place / "s", echoing()):
+        messages = [control.encode(call("Hold", text="x" * n)) for n in range(5)]
+        replies = raw(place / "s", b"".join(messages)).split(b"\0")
+        assert [json.loads(r)["parameters"]["size"] for r in replies[:-1]] == [
+            12 + n for n in range(5)
+        ]
+        with Client(place / "s") as client:
+            assert client.call("Hold", text="abc") == {"size": 15}
+            assert client.call("Hold") == {"size": 2}
+
+
+def test_request_of_64_kib_passes_and_a_longer_one_does_not(place: Path) -> None:
+    with listening(place / "s", echoing()) as server:
+        around = len(control.encode(call("Hold", text=""))) - 1
+        for size, passes in ((REQUEST_BYTES, True), (REQUEST_BYTES + 1, False)):
+            message = control.encode(call("Hold", text="x" * (size - around)))
+            assert len(message) == size + 1
+            with Client(place / "s") as client:
+                if passes:
+                    assert client.call("Hold", text="x" * (size - around))
+                    continue
+                with pytest.raises(Refusal, match="is 65536 bytes long at most"):
+                    client.call("Hold", text="x" * (size - around))
+        assert server.requests == 2
+
+
+def test_test_of_8_mib_is_taken_and_a_longer_one_ends_the_connection(place: Path) -> None:
+    with listening(place / "s", echoing()):
+        with Client(place / "s") as client:
+            assert client.call("Load", text="x" * (LOAD_BYTES - 1000))["size"] > LOAD_BYTES - 1000
+        with Client(place / "s") as client, pytest.raises((Refusal, UnreachableError)):
+            client.call("Load", text="x" * (LOAD_BYTES + 70000))
+        with Client(place / "s") as client:
+            assert client.call("Hold")
+
+
+def test_long_request_is_refused_before_it_is_read_where_no_test_may_be_loaded(
+    place: Path,
+) -> None:
+    def refuse() -> None:
+        raise engine.StateError("load", "a test is loaded between two tests only", "RUNNING")
+
+    with listening(place / "s", echoing(refuse)):
+        reply = raw(place / "s", b"x" * (2 * REQUEST_BYTES))
+    assert b"load is allowed in IDLE" in reply
+
+
+def test_who_may_not_load_cannot_send_long_requests(place: Path) -> None:
+    dispatcher = echoing()
+    dispatcher.rights = Rights(os.getegid(), None, -1)
+    if os.geteuid() == 0:
+        dispatcher.rights = _NoRoot(None, None, -1)
+    with listening(place / "s", dispatcher):
+        reply = raw(place / "s", b"x" * (2 * REQUEST_BYTES))
+    assert b"NotPermitted" in reply
+    assert b"rthyb-operator" in reply
+
+
+class _NoRoot(Rights):
+    def role(self, peer: Peer) -> Role:
+        return Role.LOOK
+
+
+def test_slow_writer_and_idle_client_are_hung_up_on(place: Path) -> None:
+    with listening(place / "s", echoing(), message_s=0.2, idle_s=0.3):
+        for begin in (b"", b'{"method": '):
+            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+                client.settimeout(20.0)
+                client.connect(str(place / "s"))
+                client.sendall(begin)
+                reply = client.recv(4096)
+                assert b"nothing came for too long" in reply
+                assert client.recv(4096) == b""
+        with Client(place / "s") as client:
+            assert client.call("Hold")
+
+
+def test_reader_that_never_reads_is_hung_up_on_and_hurts_nobody(place: Path) -> None:
+    with listening(place / "s", echoing(), answer_s=0.2, per_s=1e9, burst=1e9) as server:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as deaf:
+            deaf.settimeout(5.0)
+            deaf.connect(str(place / "s"))
+            message = control.encode(call("Hold")) * 500
+            with pytest.raises(OSError):  # noqa: PT011, a broken pipe or a time-out
+                deaf.sendall(message * 200)
+            with Client(place / "s") as client:
+                assert client.call("Hold")
+        end = time.monotonic() + 20.0
+        while server.connections and time.monotonic() < end:
+            time.sleep(0.01)
+        assert server.connections == 0
+
+
+def test_who_asks_too_fast_waits_and_others_do_not(place: Path) -> None:
+    with (
+        listening(place / "s", echoing(), per_s=50.0, burst=5.0) as server,
+        socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as eager,
+    ):
+        begun = time.monotonic()
+        eager.connect(str(place / "s"))
+        eager.sendall(control.encode(call("Hold")) * 300)
+        with Client(place / "s") as client:
+            assert client.call("Hold")
+        served_by_now = server.requests
+        # What it may have had by then, and the other's one.
+        assert served_by_now <= 6 + 50.0 * (time.monotonic() - begun) + 1
+
+
+def test_sixty_clients_are_served_at_once(place: Path) -> None:
+    with listening(place / "s", echoing()) as server:
+        clients = [Client(place / "s") for _ in range(60)]
+        try:
+            for client in clients:
+                assert client.call("Hold") == {"size": 2}
+            assert server.connections == 60
+        finally:
+            for client in clients:
+                client.close()
+
+
+def test_strangers_cannot_take_the_places_of_others(place: Path) -> None:
+    dispatcher = echoing()
+    dispatcher.rights = _Changing(None, None, -1)
+    dispatcher.rights.now = Role.NONE
+    with listening(place / "s", dispatcher, strangers=3) as server:
+        strangers = []
+        for _ in range(6):
+            stranger = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            stranger.connect(str(place / "s"))
+            strangers.append(stranger)
+        end = time.monotonic() + 20.0
+        while server.refused_connections < 3 and time.monotonic() < end:
+            time.sleep(0.01)
+        assert (server.connections, server.refused_connections) == (3, 3)
+        _Changing.now = Role.OPERATE
+        with Client(place / "s") as client:
+            assert client.call("Hold")
+        for stranger in strangers:
+            stranger.close()
+
+
+class _Changing(Rights):
+    now = Role.NONE
+
+    def role(self, peer: Peer) -> Role:
+        return _Changing.now
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(type(self), name, value) if name == "now" else object.__setattr__(self, name, value)
+
+
+def test_second_service_on_one_socket_is_refused_and_a_dead_one_replaced(place: Path) -> None:
+    path = place / "s"
+    left_over = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    left_over.bind(str(path))
+    left_over.close()
+    with listening(path, echoing()):
+        second = listening(path, echoing())
+        with pytest.raises(RthybError, match="another service listens here"):
+            second.__enter__()
+        with Client(path) as client:
+            assert client.call("Hold")
+    assert not path.exists()
+
+
+def test_no_service_is_exit_4_and_a_refusal_5(place: Path) -> None:
+    with pytest.raises(UnreachableError, match="cannot be reached") as caught:
+        Client(place / "s")
+    assert caught.value.exit_code == 4
+    assert Refusal(f"{INTERFACE}.Refused", {"reason": "no"}).exit_code == 5
+    assert Refusal(f"{INTERFACE}.BadInput", {"problems": []}).exit_code == 3
+
+
+# ---- whatever may come --------------------------------------------------------------------------
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=10), inner, max_size=4)
+    ),
+    max_leaves=12,
+)
+METHODS = [f"{INTERFACE}.{name}" for name in (*LOOK, *OPERATE)] + [
+    f"{SERVICE}.GetInfo",
+    f"{SERVICE}.GetInterfaceDescription",
+    INTERFACE,
+    "",
+]
+RECORD = ["name", "source", "dt_s", "acceleration_mps2", "details"]
+PARAMETERS = ["digest", "token", "now", "test_toml", "record", "interface"]
+calls = st.fixed_dictionaries(
+    {"method": st.sampled_from(METHODS) | json_values},
+    optional={
+        "parameters": st.dictionaries(st.sampled_from(PARAMETERS), json_values, max_size=4)
+        | json_values,
+        "oneway": json_values,
+        "more": json_values,
+        "upgrade": json_values,
+    },
+)
+
+
+@st.composite
+def damaged(draw: st.DrawFn) -> bytes:
+    """A call with some bytes changed, lost or doubled."""
+    data = bytearray(json.dumps(draw(calls)).encode())
+    for _ in range(draw(st.integers(1, 4))):
+        at = draw(st.integers(0, max(len(data) - 1, 0)))
+        data[at : at + draw(st.integers(0, 3))] = draw(st.binary(max_size=3))
+    return bytes(data)
+
+
+messages = st.binary(max_size=200) | damaged() | calls.map(lambda c: json.dumps(c).encode())
+
+
+@settings(max_examples=FUZZ, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(message=messages, peer=st.sampled_from([STRANGER, LOOKER, OPERATOR]))
+def test_whatever_comes_is_answered_and_moves_nothing(
+    real: daemon.Daemon, message: bytes, peer: Peer
+) -> None:
+    reply = ask(real.dispatcher, message, peer)
+    if reply is not None:
+        assert reply.keys() in ({"parameters"}, {"error", "parameters"})
+        control.encode(reply)
+        fault = reply["parameters"].get("reason", "") if "error" in reply else ""
+        assert "fault of the program" not in fault
+        if peer == STRANGER and "error" not in reply:
+            assert reply["parameters"].keys() & {"vendor", "description"}
+    assert real.engine.state in ("IDLE", "TRIPPED")
+    if peer != OPERATOR:
+        assert real.engine.loaded is None
+    if real.engine.state == "TRIPPED":
+        real.engine.command("reset")
+
+
+@settings(
+    max_examples=max(FUZZ // 10, 1),
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+    database=None,
+)
+@given(record=st.dictionaries(st.sampled_from(RECORD), json_values))
+def test_record_of_any_shape_is_taken_or_named(record: dict[str, Any]) -> None:
+    try:
+        motion = daemon._record(json.loads(json.dumps(record)))
+    except (InputError, control.ReplyError):
+        return
+    assert motion.acceleration_mps2.size
+
+
+def test_record_comes_back_as_it_was_to_the_last_bit() -> None:
+    motion = experiment.load_motion(short_test())
+    back = daemon._record(json.loads(control.encode(daemon.record_of(motion))[:-1]))
+    assert back.acceleration_mps2.tobytes() == motion.acceleration_mps2.tobytes()
+    assert (back.name, back.source, back.dt_s) == (motion.name, motion.source, motion.dt_s)
+    assert dict(back.details) == dict(motion.details)
+
+
+def test_socket_lives_through_a_thousand_scraps(place: Path) -> None:
+    """Bytes cut anywhere, connections dropped in the middle."""
+    import random
+
+    rng = random.Random(3)
+    whole = control.encode(call("Hold", text="y" * 50))
+    with listening(place / "s", echoing(), per_s=1e9, burst=1e9) as server:
+        for n in range(300):
+            data = bytearray(whole * rng.randint(1, 4))
+            for _ in range(rng.randint(0, 6)):
+                data[rng.randrange(len(data))] = rng.randrange(256)
+            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+                client.connect(str(place / "s"))
+                client.sendall(data[: rng.randint(1, len(data))])
+                if n % 3 == 0:
+                    client.shutdown(socket.SHUT_WR)
+                    client.settimeout(10.0)
+                    while client.recv(65536):
+                        pass
+        with Client(place / "s") as client:
+            assert client.call("Hold")
+        end = time.monotonic() + 20.0
+        while server.connections and time.monotonic() < end:
+            time.sleep(0.01)
+        assert server.connections == 0
+        assert len(server._tasks) == 0

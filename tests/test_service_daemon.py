@@ -1,0 +1,490 @@
+"""`rthyb serve` and its recorder as processes: signals, kill -9, systemd's words, units.
+
+Every row that a killed test leaves is held against the log of the drive at the other end.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import Rthyb
+from realtime_bench import ATTEMPTS, PROGRAM, STALLED, STATE, Process, until
+from service_bench import rig_file, short_test
+
+from rthyb_rt import config, experiment, loop, realtime, recording
+from rthyb_rt.commissioning.moving import command_numbers
+from rthyb_rt.recording import FLAGS, Recording
+from rthyb_rt.service import installing, systemd
+from rthyb_rt.service.control import Client
+from rthyb_rt.service.daemon import record_of
+from rthyb_rt.service.recorder import read_index, read_status
+
+
+class Stalled(Exception):
+    """This machine stalled, and the service did what it then should."""
+
+
+class Lab:
+    """A rig at a socket, and a service for it; all in folders of its own."""
+
+    def __init__(self, folder: Path, memory: Path) -> None:
+        self.folder, self.rings, self.runs = folder, memory / "rings", folder / "runs"
+        self.rings.mkdir()
+        self.log, self.socket = folder / "drive.npy", self.rings / "control.sock"
+        link = f'\n[link]\nkind = "socket"\nchannel = "{memory / "wire"}"\nvirtual = true\n'
+        (folder / "rig.toml").write_text(config.dump(rig_file()) + link, encoding="utf-8")
+        self.processes: list[Process] = []
+        self.drive = self._process("rig", "rig.toml", "--log", self.log)
+        assert self.drive.line().strip().endswith("1024 Hz")
+
+    def _process(self, *arguments: object, env: dict[str, str] | None = None) -> Process:
+        made = Process(self.folder, *arguments, env=env)
+        self.processes.append(made)
+        return made
+
+    def serve(self, recorder: str = "own", env: dict[str, str] | None = None) -> Process:
+        """Start the daemon and wait until it answers."""
+        made = self._process(
+            "serve",
+            "rig.toml",
+            "--rings",
+            self.rings,
+            "--runs",
+            self.runs,
+            "--recorder",
+            recorder,
+            env=env,
+        )
+        said = made.remark()
+        while said and "ready" not in said:
+            said = made.remark()
+        assert said, made.end()
+        return made
+
+    def status(self) -> dict[str, Any]:
+        with Client(self.socket) as client:
+            found: dict[str, Any] = client.call("GetStatus")["status"]
+            return found
+
+    def run_until(self, state: str, ticks: int = 300, changes: dict[str, str] | None = None) -> str:
+        """Load, zero, arm and start a test; return its run once it is that far."""
+        test = short_test({"test.duration_s": "6"} | (changes or {}))
+        record = record_of(experiment.load_motion(test))
+        until(lambda: bool(self.status()["follows"]), "a drive that follows")
+        with Client(self.socket) as client:
+            digest = client.call("Load", test_toml=config.dump(test), record=record)["digest"]
+            client.call("Zero")
+            self.await_state("ZEROED")
+            until(self._recorder_is_there, "the recorder")
+            token = client.call("Arm", digest=digest)["token"]
+            client.call("Start", token=token)
+        self.await_state(state)
+        until(lambda: self.status()["progress"]["ticks"] >= ticks or self._over(), "the test")
+        run_id = str(self.status()["run_id"])
+        if not run_id:
+            raise Stalled(self.status()["last"]["end_reason"])
+        return run_id
+
+    def _recorder_is_there(self) -> bool:
+        found = self.status()
+        return not found["recorder"]["wanted"] or found["recorder"]["run_id"] == found["run_id"]
+
+    def _over(self) -> bool:
+        return self.status()["run_id"] == ""
+
+    def await_state(self, state: str) -> None:
+        until(lambda: self.status()["state"] == state or self._over(), state)
+
+    def recorded(self, run_id: str) -> Recording:
+        """Wait for the recording of a run."""
+
+        def entry() -> dict[str, Any] | None:
+            return next((e for e in read_index(self.runs) if e["run_id"] == run_id), None)
+
+        until(lambda: entry() is not None, "a line of the index")
+        found = entry()
+        assert found is not None
+        return recording.open_run(self.runs / found["folder"])
+
+    def end_drive(self) -> np.ndarray:
+        """Stop the rig; return what it saw and did."""
+        self.drive.signal(signal.SIGTERM)
+        self.drive.end()
+        log: np.ndarray = np.load(self.log)
+        return log
+
+    def close(self) -> None:
+        for made in self.processes:
+            made.kill()
+            for stream in (made.process.stdout, made.process.stderr):
+                if stream is not None:
+                    stream.close()
+
+
+@contextmanager
+def lab() -> Iterator[Lab]:
+    memory = Path("/dev/shm")
+    with (
+        TemporaryDirectory() as folder,
+        TemporaryDirectory(dir=memory if memory.is_dir() else None) as rings,
+    ):
+        made = Lab(Path(folder), Path(rings))
+        try:
+            yield made
+        finally:
+            made.close()
+
+
+def repeated(attempt: Callable[[Lab], None]) -> None:
+    """Try again where the machine stalled, which ends a test in its own way."""
+    stalled = ""
+    for _ in range(ATTEMPTS):
+        with lab() as made:
+            try:
+                attempt(made)
+                return
+            except Stalled as error:
+                stalled = str(error)
+    pytest.skip(f"this machine stalled in each of {ATTEMPTS} attempts: {stalled}")
+
+
+def require_calm(rec: Recording) -> None:
+    cause = rec.meta.get("real_time", {}).get("cause", "none")
+    if cause in STALLED:
+        raise Stalled(str(cause))
+
+
+def assert_drive_heard(rec: Recording, log: np.ndarray) -> int:
+    """Hold every command of RUNNING against what the drive decoded under its number; how many.
+
+    Numbers begin at another one on each side. Of two commands in one of its ticks the drive's log
+    has the newer one alone.
+    """
+    rows = rec.samples
+    running = rows["state"] == STATE["RUNNING"]
+    tare_m = rec.replay.tares["command_m"]
+    counts = np.round((rows["x_cmd_m"][running] + tare_m) * 1e9).astype(np.int64).tolist()
+    sent = dict(zip(command_numbers(rows)[running].tolist(), counts, strict=True))
+    told = (log["state"] == STATE["RUNNING"]) & (log["frames"] > 0)
+    decoded = np.round(log["x_m"][told] * 1e9).astype(np.int64).tolist()
+    heard = dict(zip(log["seq"][told].tolist(), decoded, strict=True))
+    middle = sorted(heard)[len(heard) // 2]
+    shifts = [middle - number for number, x in sent.items() if x == heard[middle]]
+
+    def common(shift: int) -> list[tuple[int, int]]:
+        return [(x, heard[n + shift]) for n, x in sent.items() if n + shift in heard]
+
+    assert shifts, "the drive heard a command that nobody recorded"
+    best = max((common(shift) for shift in shifts), key=lambda c: sum(a == b for a, b in c))
+    assert all(a == b for a, b in best)
+    return len(best)
+
+
+# ---- a day in the lab ---------------------------------------------------------------------------
+
+
+def test_killed_daemon_comes_back_in_idle_and_its_test_is_recorded_to_the_last_tick() -> None:
+    def attempt(made: Lab) -> None:
+        daemon = made.serve()
+        run_id = made.run_until("RUNNING", 700)
+        daemon.process.kill()
+        rec = made.recorded(run_id)
+        made.serve()
+        after = made.status()
+        assert after["state"] == "IDLE"
+        assert after["test"] is None
+        time.sleep(0.2)
+        assert made.status()["state"] == "IDLE"
+        log = made.end_drive()
+        if rec.samples["state"][-1] != STATE["RUNNING"]:
+            raise Stalled("before it was killed")
+        assert rec.meta["end_reason"] == "its process ended early"
+        assert rec.meta["missing_rows"] == []
+        running = np.count_nonzero(rec.samples["state"] == STATE["RUNNING"])
+        assert running >= 700
+        ticks = rec.samples["tick"].astype(np.int64)
+        np.testing.assert_array_equal(ticks, np.arange(ticks.size))
+        assert realtime.replay(rec).identical
+        told = (log["state"] == STATE["RUNNING"]) & (log["frames"] > 0)
+        last = int(np.flatnonzero(told)[-1])
+        stops = np.flatnonzero(log["phase"][last:] != loop.PHASES.index("following"))
+        assert stops[0] <= loop.WATCHDOG_TICKS
+        assert (log["state"][last + 1 :] != STATE["RUNNING"])[log["frames"][last + 1 :] > 0].all()
+        heard = np.count_nonzero((log["state"] == STATE["RUNNING"]) & (log["frames"] == 1))
+        compared = assert_drive_heard(rec, log)
+        assert heard - 2 <= compared <= running
+        print(f"{rec.samples.size} rows, {compared} commands as the drive decoded them")
+
+    repeated(attempt)
+
+
+def test_killed_recorder_costs_no_row_and_sigterm_ends_at_rest() -> None:
+    """The daemon has it started again; the drive's log has every command of the recording."""
+
+    def attempt(made: Lab) -> None:
+        daemon = made.serve()
+        run_id = made.run_until("RUNNING", 300)
+        for _ in range(2):
+            status = read_status(made.rings)
+            assert status is not None
+            os.kill(status.pid, signal.SIGKILL)
+            old = status.pid
+
+            def again(old: int = old) -> bool:
+                found = read_status(made.rings)
+                return found is not None and found.pid != old and found.run_id == run_id
+
+            until(again, "another recorder")
+        assert made.status()["run_id"] in (run_id, "")
+        daemon.signal(signal.SIGTERM)
+        status_code, _, err = daemon.end()
+        rec = made.recorded(run_id)
+        require_calm(rec)
+        log = made.end_drive()
+        assert status_code == 0, err
+        assert rec.meta["end_reason"] == "stopped by the operator"
+        assert rec.meta["missing_rows"] == []
+        assert rec.samples["state"][-1] == STATE["IDLE"]
+        assert rec.samples["x_num_m"][-1] == 0.0
+        assert rec.meta["real_time"]["ticks"]["skipped"] == np.count_nonzero(
+            rec.samples["flags"] & FLAGS["blind"]
+        )
+        assert realtime.replay(rec).identical
+        assert assert_drive_heard(rec, log) > 300
+        assert STATE["TRIPPED"] not in log["state"][log["frames"] > 0]
+        assert len(re.findall("the recorder ended with status -9; started again", err)) == 2
+
+    repeated(attempt)
+
+
+def test_second_sigterm_trips_and_systemd_hears_it_all() -> None:
+    def attempt(made: Lab) -> None:
+        words: list[str] = []
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal:
+            path = made.folder / "notify"
+            journal.bind(str(path))
+            done = threading.Event()
+
+            def listen() -> None:
+                while not done.is_set() or select.select([journal], [], [], 0.0)[0]:
+                    if select.select([journal], [], [], 0.05)[0]:
+                        words.extend(journal.recv(4096).decode().splitlines())
+
+            listener = threading.Thread(target=listen)
+            listener.start()
+            env = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "400000", "JOURNAL_STREAM": "1:2"}
+            try:
+                daemon = made.serve("none", env)
+                run_id = made.run_until("RUNNING", 1300)
+                daemon.signal(signal.SIGTERM)
+                until(lambda: "STOPPING=1" in words, "the first signal's effect")
+                daemon.signal(signal.SIGTERM)
+                status, _, err = daemon.end()
+            finally:
+                done.set()
+                listener.join()
+        assert status == 6, err
+        assert words[0] == "READY=1"
+        assert words.count("WATCHDOG=1") >= 2
+        assert "STOPPING=1" in words
+        assert any(re.match(r"STATUS=RUNNING, section5-t0.5 \d+ of 6 s", word) for word in words)
+        assert re.search(r"^<2>.* -> TRIPPED at tick \d+ \(section5-t0.5\), cause:", err, re.M)
+        assert re.search(r"^<6>IDLE -> ZEROED at tick \d+", err, re.M)
+        assert run_id
+
+    repeated(attempt)
+
+
+def test_second_daemon_at_one_socket_is_refused(tmp_path: Path) -> None:
+    def attempt(made: Lab) -> None:
+        made.serve("none")
+        second = made._process("serve", "rig.toml", "--rings", made.rings, "--recorder", "none")
+        status, _, err = second.end()
+        assert status == 3, err
+        assert "has it open as controller" in err
+        assert made.status()["state"] == "IDLE"
+
+    repeated(attempt)
+
+
+def test_rig_that_was_never_commissioned_is_not_served(rthyb: Rthyb, tmp_path: Path) -> None:
+    link = '\n[link]\nkind = "socket"\nchannel = "wire"\n'
+    (tmp_path / "rig.toml").write_text(config.dump(rig_file()) + link, encoding="utf-8")
+    answer = rthyb("serve", "rig.toml", "--rings", tmp_path / "rings")
+    assert answer.code == 5
+    assert "has not been commissioned" in answer.err
+
+
+def test_real_rig_asks_for_real_time_and_a_virtual_one_does_not() -> None:
+    from rthyb_rt.cli.serve import _requires_realtime
+    from rthyb_rt.config.rigfile import Link
+
+    def asks(**link: Any) -> bool:
+        given = Link(kind="socket", channel="wire", **link)
+        return _requires_realtime(rig_file().model_copy(update={"link": given}))
+
+    assert asks()
+    assert not asks(virtual=True)
+    assert not asks(require_realtime=False)
+    assert asks(virtual=True, require_realtime=True)
+    assert not _requires_realtime(rig_file())
+
+
+# ---- systemd ------------------------------------------------------------------------------------
+
+
+def test_words_go_nowhere_without_systemd(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    assert not systemd.notify("READY=1")
+    monkeypatch.setenv("NOTIFY_SOCKET", "/nowhere/at/all")
+    assert not systemd.notify("READY=1")
+    monkeypatch.setenv("WATCHDOG_USEC", "2000000")
+    monkeypatch.delenv("WATCHDOG_PID", raising=False)
+    assert systemd.watchdog_s() == 2.0
+    monkeypatch.setenv("WATCHDOG_PID", "1")
+    assert systemd.watchdog_s() is None
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> Path:
+    program = tmp_path / "opt" / "bin" / "rthyb"
+    program.parent.mkdir(parents=True)
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    installing.install(tmp_path, program, config.dump(rig_file()))
+    return tmp_path
+
+
+def test_every_file_is_installed_and_taken_away_but_the_rig(installed: Path) -> None:
+    for place in installing.PLACES.values():
+        text = (installed / place).read_text(encoding="utf-8")
+        assert "@RTHYB@" not in text
+    assert {path.name for path in installing.sources().iterdir()} == set(installing.PLACES)
+    rig = installed / installing.RIG
+    rig.write_text("mine")
+    installing.install(installed, Path("/opt/rthyb/bin/rthyb"), "other")
+    assert rig.read_text() == "mine"
+    removed = installing.remove(installed)
+    assert len(removed) == len(installing.PLACES)
+    assert rig.exists()
+    assert installing.remove(installed) == []
+
+
+def test_install_service_says_what_it_wrote_and_what_comes_next(
+    rthyb: Rthyb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(installing, "_HIDDEN", ())
+    root = tmp_path / "system"
+    answer = rthyb("install-service", "--root", root, "--rig", "delay-10-elastic", "--json")
+    assert answer.code == 0, answer.err
+    assert "systemctl enable --now rthyb-recorder rthyb" in answer.err
+    files = answer.json["files"]
+    assert isinstance(files, list)
+    assert len(files) == len(installing.PLACES) + 1
+    assert config.load_rig(root / installing.RIG).rig.name == "delay-10-elastic"
+    assert f"ExecStart={installing.program()} serve" in (
+        root / installing.PLACES["rthyb.service"]
+    ).read_text(encoding="utf-8")
+    assert rthyb("install-service", "--root", root, "--uninstall").out.count("Removed") == 7
+
+
+def test_shell_is_told_what_may_come_next() -> None:
+    env = {
+        **os.environ,
+        "_RTHYB_COMPLETE": "complete_bash",
+        "COMP_WORDS": "rthyb ctl st",
+        "COMP_CWORD": "2",
+    }
+    ran = subprocess.run(PROGRAM, env=env, capture_output=True, text=True, check=True)
+    assert ran.stdout.split() == ["status", "start", "stop"]
+
+
+def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("systemd-analyze is not on this machine")
+    command = ["systemd-analyze", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def units(installed: Path) -> list[str]:
+    folder = installed / "etc/systemd/system"
+    template = folder / "rthyb-can@.service"
+    template.rename(folder / "rthyb-can@can0.service")
+    return sorted(str(path) for path in folder.iterdir())
+
+
+def test_units_are_what_systemd_takes_without_a_word(installed: Path) -> None:
+    ran = analyze("verify", "--man=no", *units(installed))
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize(("unit", "most"), [("rthyb", 1.6), ("rthyb-recorder", 0.6)])
+def test_units_are_exposed_as_little_as_is_promised(
+    installed: Path, unit: str, most: float
+) -> None:
+    path = installed / "etc/systemd/system" / f"{unit}.service"
+    ran = analyze("security", "--offline=true", "--no-pager", str(path))
+    found = re.search(r"Overall exposure level for \S+: ([\d.]+)", ran.stdout)
+    if found is None:
+        pytest.skip(f"this systemd-analyze cannot look at a file: {ran.stderr}")
+    print(f"{unit}: {found[1]}")
+    assert float(found[1]) <= most
+
+
+def test_groups_and_folders_are_what_the_units_mean(installed: Path) -> None:
+    for program, arguments, place in (
+        ("systemd-sysusers", ["--dry-run"], "rthyb.sysusers"),
+        ("systemd-tmpfiles", ["--create", "--dry-run"], "rthyb.tmpfiles"),
+    ):
+        text = (installed / installing.PLACES[place]).read_text()
+        assert "rthyb" in text
+        help_text = ""
+        if shutil.which(program) is not None:
+            ran = subprocess.run([program, "--help"], capture_output=True, text=True, check=False)
+            help_text = ran.stdout
+        if "--dry-run" not in help_text:
+            continue
+        ran = subprocess.run(
+            [program, *arguments, str(installed / installing.PLACES[place])],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert ran.returncode == 0, ran.stderr
+    sysusers = (installed / installing.PLACES["rthyb.sysusers"]).read_text()
+    assert re.search(r"^u rthyb ", sysusers, re.M)
+    assert re.search(r"^g rthyb-operator ", sysusers, re.M)
+
+
+def test_program_that_the_service_cannot_see_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import sys
+
+    program = tmp_path / "bin" / "rthyb"
+    program.parent.mkdir()
+    program.write_text("")
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setattr(installing, "_HIDDEN", (str(tmp_path),))
+    with pytest.raises(Exception, match="which the service does not see"):
+        installing.program()
+    monkeypatch.setattr(installing, "_HIDDEN", ("/home",))
+    assert installing.program() == program
+    program.unlink()
+    with pytest.raises(Exception, match="there is no program rthyb"):
+        installing.program()

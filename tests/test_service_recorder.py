@@ -1,0 +1,530 @@
+"""The recorder: killed, late, on a full disk; every row against what was recorded."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from realtime_bench import PROGRAM, STATE, until
+from recording_data import recording as made_up
+
+from rthyb_rt import core, recording, ring
+from rthyb_rt.errors import RthybError
+from rthyb_rt.recording import BLOCK_ROWS, FILE_NAME
+from rthyb_rt.ring import Ring
+from rthyb_rt.service import disk, growing
+from rthyb_rt.service import recorder as recorders
+from rthyb_rt.service.growing import PART_NAME
+from rthyb_rt.service.recorder import Recorder, read_index, read_status
+
+KILLS = int(os.environ.get("RTHYB_KILLS", "4"))
+"""How often the recorder is killed; the long proof asks for 500."""
+
+
+@pytest.fixture
+def place() -> Iterator[Path]:
+    """A folder in memory, for rings and runs."""
+    memory = Path("/dev/shm")
+    with TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
+        yield Path(folder)
+
+
+def truth(count: int, seed: int = 1) -> core.RecordArray:
+    """Rows like those of a test: IDLE, then RUNNING, every field of every row another number."""
+    rng = np.random.default_rng(seed)
+    rows = np.zeros(count, dtype=core.RECORD_DTYPE)
+    for name in core.RECORD_DTYPE.names or ():
+        if np.issubdtype(rows[name].dtype, np.floating):
+            rows[name] = rng.standard_normal(count)
+    rows["tick"] = np.arange(count)
+    rows["x_raw"] = rng.integers(-(2**30), 2**30, count)
+    rows["state"] = STATE["RUNNING"]
+    rows["state"][:64] = STATE["IDLE"]
+    return rows
+
+
+class Producer:
+    """A test of the service, as the recorder sees it."""
+
+    def __init__(self, place: Path, name: str = "test", capacity: int = ring.CAPACITY) -> None:
+        session = made_up()
+        session.meta |= {
+            "test_name": name,
+            "created_utc": "2026-11-21T12:00:00+00:00",
+            "service": {"run_id": f"{name}-{random.random()}", "purpose": "test", "digest": ""},
+        }
+        self.session = session
+        self.ring = Ring.create(place / "rings", session, capacity)
+
+    def push(self, rows: core.RecordArray) -> None:
+        self.ring.push(rows)
+
+    def end(self, reason: str = "completed") -> None:
+        self.session.meta["end_reason"] = reason
+        self.session.replay.tares = {"displacement_m": 0.5, "force_n": 7.0}
+        self.ring.renew_session(self.session)
+        self.ring.close()
+
+
+@contextmanager
+def recorder(place: Path) -> Iterator[Recorder]:
+    made = Recorder(place / "rings", place / "runs")
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def turns(made: Recorder, count: int = 3) -> None:
+    for _ in range(count):
+        made.turn()
+
+
+def the_run(place: Path) -> Path:
+    (folder,) = [path for path in (place / "runs").iterdir() if path.is_dir()]
+    return folder
+
+
+def assert_same(found: np.ndarray, wanted: np.ndarray) -> None:
+    """Value by value; what lies between the fields does not count."""
+    assert found.size == wanted.size
+    for name in wanted.dtype.names or ():
+        np.testing.assert_array_equal(found[name], wanted[name], err_msg=name)
+
+
+# ---- an ordinary day ----------------------------------------------------------------------------
+
+
+def test_test_becomes_a_folder_a_line_of_the_index_and_no_ring(place: Path) -> None:
+    rows = truth(1000)
+    made = Producer(place)
+    with recorder(place) as working:
+        for at in range(0, 1000, 90):
+            made.push(rows[at : at + 90])
+            working.turn()
+        part = the_run(place) / PART_NAME
+        assert part.is_file()
+        assert not (the_run(place) / FILE_NAME).exists()
+        made.end()
+        turns(working)
+    folder = the_run(place)
+    assert sorted(path.name for path in folder.iterdir()) == [FILE_NAME, "rig.toml", "test.toml"]
+    rec = recording.read(folder / FILE_NAME)
+    assert_same(rec.samples, rows)
+    assert rec.replay.tares == {"displacement_m": 0.5, "force_n": 7.0}
+    assert rec.meta["missing_rows"] == []
+    assert rec.meta["end_reason"] == "completed"
+    assert rec.reference is not None
+    assert rec.ag_mps2.size == made.session.ag_mps2.size
+    (entry,) = read_index(place / "runs")
+    assert entry["rows"] == 1000
+    assert entry["ticks"] == [0, 999]
+    assert entry["folder"] == folder.name == "test-20261121T120000Z"
+    assert ring.find(place / "rings") == []
+
+
+def test_file_of_a_running_test_opens_as_any_other_and_lags_by_less_than_a_block(
+    place: Path,
+) -> None:
+    rows = truth(1000)
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+        copy = place / "copy.h5"
+        copy.write_bytes((the_run(place) / PART_NAME).read_bytes())
+    with h5py.File(copy, "r") as file:
+        found = file["samples"][()]
+    assert_same(found, rows[: 1000 // BLOCK_ROWS * BLOCK_ROWS])
+    made.ring.close()
+
+
+def test_test_in_which_nothing_moved_leaves_nothing(place: Path) -> None:
+    rows = truth(400)
+    rows["state"] = STATE["ZEROED"]
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows)
+        turns(working)
+        made.end()
+        turns(working)
+    assert list((place / "runs").iterdir()) == []
+    assert ring.find(place / "rings") == []
+
+
+def test_rings_of_others_are_left_alone(place: Path) -> None:
+    session = made_up()
+    other = Ring.create(place / "rings", session, 1024)
+    rest = made_up()
+    rest.meta["service"] = {"run_id": "r", "purpose": "rest"}
+    resting = Ring.create(place / "rings", rest, 1024)
+    with recorder(place) as working:
+        turns(working)
+        assert not working.busy
+        assert working.status().fault == ""
+    assert list((place / "runs").iterdir()) == []
+    for made in (other, resting):
+        assert made.path.exists()
+        made.close()
+
+
+def test_two_tests_of_one_second_get_a_folder_each(place: Path) -> None:
+    with recorder(place) as working:
+        for seed in (1, 2):
+            made = Producer(place)
+            made.push(truth(300, seed))
+            turns(working)
+            made.end()
+            turns(working)
+    names = sorted(entry["folder"] for entry in read_index(place / "runs"))
+    assert names == ["test-20261121T120000Z", "test-20261121T120000Z-2"]
+    for name, seed in zip(names, (1, 2), strict=True):
+        assert_same(recording.open_run(place / "runs" / name).samples, truth(300, seed))
+
+
+def test_second_recorder_is_refused(place: Path) -> None:
+    with recorder(place), pytest.raises(RthybError, match="another recorder is at work here"):
+        Recorder(place / "rings", place / "runs")
+
+
+def test_status_says_how_it_stands_and_grows_old(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(truth(300))
+        working.turn()
+        status = read_status(place / "rings")
+        assert status is not None
+        assert status.alive
+        assert status.run_id == made.session.meta["service"]["run_id"]
+        assert status.rows == 256
+        assert status.behind_rows == 44
+        assert status.free_bytes > 0
+        now = time.monotonic()
+        monkeypatch.setattr(time, "monotonic", lambda: now + 2 * recorders.FRESH_S)
+        assert not status.alive
+    assert read_status(place / "rings") is None
+    made.ring.close()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"schema": "rthyb-recorder/1"}', "\xff"])
+def test_status_that_makes_no_sense_is_none(tmp_path: Path, text: str) -> None:
+    (tmp_path / recorders.STATUS_NAME).write_text(text, encoding="latin-1")
+    assert read_status(tmp_path) is None
+
+
+# ---- late ---------------------------------------------------------------------------------------
+
+
+def test_rows_that_the_ring_no_longer_has_are_a_stated_range(place: Path) -> None:
+    rows = truth(9000)
+    made = Producer(place, capacity=2048)
+    with recorder(place) as working:
+        made.push(rows[:700])
+        working.turn()
+    made.push(rows[700:6000])
+    with recorder(place) as working:
+        working.turn()
+        made.push(rows[6000:6500])
+        working.turn()
+    made.push(rows[6500:])
+    with recorder(place) as working:
+        turns(working, 1)
+        made.end()
+        turns(working)
+    rec = recording.read(the_run(place) / FILE_NAME)
+    missing = rec.meta["missing_rows"]
+    assert len(missing) == 2
+    there = np.ones(9000, dtype=bool)
+    for first, last in missing:
+        there[first : last + 1] = False
+    assert_same(rec.samples, rows[there])
+    assert missing[0][0] == 700 // BLOCK_ROWS * BLOCK_ROWS
+    assert 9000 - np.count_nonzero(there) < 6000 - 640 + 2500
+    assert rec.reference is None
+    (entry,) = read_index(place / "runs")
+    assert entry["missing_rows"] == missing
+
+
+def test_producer_that_was_killed_leaves_all_up_to_its_last_row(place: Path) -> None:
+    rows = truth(500)
+    made = Producer(place)
+    made.push(rows)
+    # The lock goes with the process, and nothing says that the test ended in good order.
+    made.ring._owned.close()
+    with recorder(place) as working:
+        turns(working)
+    rec = recording.read(the_run(place) / FILE_NAME)
+    assert_same(rec.samples, rows)
+    assert rec.meta["end_reason"] == "its process ended early"
+
+
+# ---- killed -------------------------------------------------------------------------------------
+
+
+def start(place: Path) -> subprocess.Popen[bytes]:
+    order = ["recorder", "--rings", str(place / "rings"), "--runs", str(place / "runs")]
+    return subprocess.Popen([*PROGRAM, *order], stderr=subprocess.PIPE)
+
+
+def test_recorder_that_is_killed_again_and_again_loses_nothing(place: Path) -> None:
+    """A few kills of a test at four times its speed, or many at its own."""
+    rng = random.Random(7)
+    few = KILLS <= 10
+    rows = truth(KILLS * (12000 if few else 4000))
+    step = 41 if few else 10
+    made = Producer(place)
+    done = threading.Event()
+    pushed = [0]
+
+    def produce() -> None:
+        while not done.is_set() and pushed[0] < rows.size:
+            made.push(rows[pushed[0] : pushed[0] + step])
+            pushed[0] += step
+            time.sleep(0.01)
+
+    producer = threading.Thread(target=produce)
+    producer.start()
+    readable = 0
+    try:
+        for _ in range(KILLS):
+            process = start(place)
+            status = place / "rings" / recorders.STATUS_NAME
+            status.unlink(missing_ok=True)
+            until(status.exists, "the recorder's first word")
+            time.sleep(rng.uniform(0.0, 0.4))
+            process.kill()
+            process.communicate()
+            with h5py.File(the_run(place) / PART_NAME, "r") as file:
+                found = file["samples"][()]
+            assert_same(found, rows[: found.size])
+            readable += 1
+        assert pushed[0] < rows.size
+    finally:
+        done.set()
+        producer.join()
+    made.end()
+    with recorder(place) as working:
+        turns(working)
+    rec = recording.read(the_run(place) / FILE_NAME)
+    assert_same(rec.samples, rows[: min(pushed[0], rows.size)])
+    assert rec.meta["missing_rows"] == []
+    print(f"{readable} of {KILLS} killed recorders left a readable file, {rec.samples.size} rows")
+
+
+def test_recorder_killed_before_it_could_tidy_does_not_record_twice(place: Path) -> None:
+    rows = truth(600)
+    made = Producer(place, capacity=256)
+    with recorder(place) as working:
+        for at in range(0, 600, 50):
+            made.push(rows[at : at + 50])
+            working.turn()
+        made.end()
+        (tape,) = working._tapes.values()
+        tape.finish()
+        del working._tapes[made.ring.path]
+    assert read_index(place / "runs") == []
+    with recorder(place) as working:
+        turns(working)
+    assert_same(recording.open_run(the_run(place)).samples, rows)
+    (entry,) = read_index(place / "runs")
+    assert entry["rows"] == 600
+    assert ring.find(place / "rings") == []
+
+
+def test_reboot_takes_the_ring_and_leaves_what_was_written(place: Path) -> None:
+    rows = truth(1000)
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+    made.ring.remove()
+    with recorder(place):
+        pass
+    rec = recording.open_run(the_run(place))
+    assert_same(rec.samples, rows[: 1000 // BLOCK_ROWS * BLOCK_ROWS])
+    assert rec.meta["end_reason"] == "its process ended early; the ring is gone"
+    (entry,) = read_index(place / "runs")
+    assert entry["end_reason"] == rec.meta["end_reason"]
+
+
+def test_block_that_is_damaged_at_the_end_is_read_again_from_the_ring(place: Path) -> None:
+    rows = truth(1024)
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+    part = the_run(place) / PART_NAME
+    with h5py.File(part, "r") as file:
+        chunk = file["samples"].id.get_chunk_info(7)
+    with part.open("r+b") as raw:
+        raw.seek(chunk.byte_offset + chunk.size // 2)
+        raw.write(b"\xff" * 16)
+    with recorder(place) as working:
+        made.end()
+        turns(working)
+    rec = recording.open_run(the_run(place))
+    assert_same(rec.samples, rows)
+    assert rec.meta["missing_rows"] == []
+
+
+def test_file_that_is_beyond_help_is_put_aside_and_written_anew(place: Path) -> None:
+    rows = truth(1024)
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+    folder = the_run(place)
+    (folder / PART_NAME).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(4000))
+    with recorder(place) as working:
+        made.end()
+        turns(working)
+    runs = [path for path in (place / "runs").iterdir() if (path / FILE_NAME).exists()]
+    assert_same(recording.open_run(runs[0]).samples, rows)
+
+
+def test_index_outlives_half_a_line(tmp_path: Path) -> None:
+    recorders._append_to_index(tmp_path, {"run_id": "a", "rows": 1})
+    with (tmp_path / recorders.INDEX_NAME).open("a") as file:
+        file.write('{"run_id": "b", "ro')
+    recorders._append_to_index(tmp_path, {"run_id": "c", "rows": 3})
+    recorders._append_to_index(tmp_path, {"run_id": "a", "rows": 2})
+    assert read_index(tmp_path) == [{"run_id": "a", "rows": 2}, {"run_id": "c", "rows": 3}]
+    assert read_index(tmp_path / "nowhere") == []
+
+
+# ---- a full disk --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 16 MB."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", str(folder)]
+    if os.geteuid() or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("a small disk takes a mount, which is not permitted here")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def fill(folder: Path, left: int) -> Path:
+    """Fill a disk but for so many bytes."""
+    ballast = folder / "ballast"
+    ballast.unlink(missing_ok=True)
+    with ballast.open("wb") as file:
+        os.posix_fallocate(file.fileno(), 0, max(disk.free_bytes(folder) - left, 1))
+    return ballast
+
+
+def test_full_disk_waits_says_so_and_loses_nothing_while_the_ring_has_it(
+    place: Path, small: Path
+) -> None:
+    rows = truth(20000)
+    made = Producer(place)
+    working = Recorder(place / "rings", small)
+    try:
+        made.push(rows[:1000])
+        working.turn()
+        assert working.status().fault == ""
+        ballast = fill(small, 1 << 20)
+        made.push(rows[1000:20000])
+        turns(working)
+        status = working.status()
+        assert "the disk is full" in status.fault
+        assert status.behind_rows >= 19000
+        with h5py.File(place / "copy.h5", "w"):
+            pass
+        made.end()
+        turns(working)
+        assert ring.find(place / "rings") == [made.ring.path]
+        ballast.unlink()
+        turns(working)
+        assert working.status().fault == ""
+    finally:
+        working.close()
+    (entry,) = read_index(small)
+    rec = recording.open_run(small / entry["folder"])
+    assert_same(rec.samples, rows)
+    assert rec.meta["missing_rows"] == []
+
+
+def test_disk_that_fills_between_two_blocks_never_reaches_hdf5(place: Path, small: Path) -> None:
+    """Whatever is left, the file holds whole blocks and opens."""
+    rows = truth(9000)
+    for left in (0, 4096, 100_000, 1 << 20, 9 << 20, (9 << 20) + 300_000):
+        made = Producer(place, name=f"left-{left}")
+        working = Recorder(place / "rings", small)
+        try:
+            made.push(rows[:1000])
+            working.turn()
+            ballast = fill(small, left)
+            made.push(rows[1000:9000])
+            turns(working)
+            (part,) = small.glob(f"left-{left}-*/{PART_NAME}")
+            size = part.read_bytes()
+            (place / "copy.h5").write_bytes(size)
+            with h5py.File(place / "copy.h5", "r") as file:
+                found = file["samples"][()]
+            assert found.size >= 896
+            assert_same(found, rows[: found.size])
+            ballast.unlink()
+            made.end()
+            turns(working)
+        finally:
+            working.close()
+        assert read_index(small), (working._faults, disk.free_bytes(small))
+        entry = read_index(small)[-1]
+        assert_same(recording.open_run(small / entry["folder"]).samples, rows)
+        for path in (small / entry["folder"]).iterdir():
+            path.unlink()
+
+
+def test_full_disk_at_the_end_of_a_test_finishes_without_a_copy(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = truth(500)
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+        room = disk.KEPT_FREE_BYTES + 1000
+        monkeypatch.setattr(disk, "free_bytes", lambda _: room)
+        made.end()
+        turns(working)
+    assert_same(recording.open_run(the_run(place)).samples, rows)
+    assert not (the_run(place) / PART_NAME).exists()
+
+
+def test_room_is_judged_before_a_test_is_armed() -> None:
+    hour = disk.needed_bytes(3600 * 1024)
+    assert hour > 3600 * 1024 * core.RECORD_DTYPE.itemsize
+    assert hour < 2 * 3600 * 1024 * core.RECORD_DTYPE.itemsize
+
+
+def test_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RthybError, match="cannot be written"):
+        growing.GrowingFile(tmp_path / "file" / "run", made_up())
+
+
+def test_status_file_is_json(place: Path) -> None:
+    with recorder(place) as working:
+        working.turn()
+        document: dict[str, Any] = json.loads((place / "rings/recorder.json").read_text())
+    assert document["schema"] == recorders.SCHEMA
