@@ -106,12 +106,13 @@ static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
     if (generation == loop->load_answer >> 1)
         return;
     const rthyb_load *load = &loop->load;
-    const int refused = load->station != loop->station && loop->station->state != RTHYB_IDLE;
+    const int another = load->station != loop->station;
+    const int refused = another && loop->station->state != RTHYB_IDLE;
     if (!refused) {
-        if (load->station != loop->station)
+        if (another) {
             put(&loop->load_tick, tick->k - tick->skipped);
-        if (load->station != loop->station)
             hand_over(loop, load->station);
+        }
         loop->station = load->station;
         loop->ring = load->ring;
         loop->ag_mps2 = load->ag_mps2;

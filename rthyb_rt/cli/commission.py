@@ -9,7 +9,7 @@ import typer
 
 from rthyb_rt.cli import interrupts, quantities, terminal
 from rthyb_rt.cli.connecting import connected, load_rig
-from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.cli.inputs import JsonOption, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
 from rthyb_rt.errors import RthybError
 
@@ -45,15 +45,7 @@ def commission(
     yes: Annotated[
         bool, typer.Option("--yes", help="Do not ask before motions: for scripts.")
     ] = False,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change one value of the rig file. Can be repeated.",
-            show_default=False,
-        ),
-    ] = None,
+    settings: RigSetOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check link, signs, limits and the stop of a rig.

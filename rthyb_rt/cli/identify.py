@@ -13,7 +13,7 @@ import typer
 from rthyb_rt.cli import interrupts, quantities, terminal
 from rthyb_rt.cli.connecting import connected, load_rig
 from rthyb_rt.cli.folders import publish, staged
-from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.cli.inputs import JsonOption, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
 
 if TYPE_CHECKING:
@@ -41,15 +41,7 @@ def identify(
     max_frequency: Annotated[
         str, typer.Option(metavar="FREQUENCY", help="Of the last sine, 0.05 Hz to 100 Hz.")
     ] = "10 Hz",
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change one value of the rig file. Can be repeated.",
-            show_default=False,
-        ),
-    ] = None,
+    settings: RigSetOption = None,
     out: Annotated[
         Path | None,
         typer.Option(

@@ -31,6 +31,15 @@ SetOption = Annotated[
         show_default=False,
     ),
 ]
+RigSetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change one value of the rig file. Can be repeated.",
+        show_default=False,
+    ),
+]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="JSON on stdout, text for people on stderr.")
 ]

@@ -8,7 +8,7 @@ import typer
 
 from rthyb_rt.cli import quantities, terminal
 from rthyb_rt.cli.connecting import connected, load_rig
-from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.cli.inputs import JsonOption, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
 
 if TYPE_CHECKING:
@@ -44,15 +44,7 @@ def jog(
     speed: Annotated[
         str, typer.Option(metavar="VELOCITY", help="The fastest on the way.")
     ] = "1 mm/s",
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change one value of the rig file. Can be repeated.",
-            show_default=False,
-        ),
-    ] = None,
+    settings: RigSetOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Move the actuator slowly by a distance.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rthyb_rt.cli import interrupts, terminal
-from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.cli.inputs import JsonOption, RigSetOption
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,15 +48,7 @@ def rig(
     pty: Annotated[
         bool, typer.Option("--pty", help="Make a pseudo-terminal and say its path.")
     ] = False,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change one value of the rig file. Can be repeated.",
-            show_default=False,
-        ),
-    ] = None,
+    settings: RigSetOption = None,
     seed: Annotated[
         int | None,
         typer.Option(

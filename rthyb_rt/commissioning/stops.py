@@ -8,7 +8,7 @@ late changes none of these.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final
@@ -62,6 +62,16 @@ class Stop:
     seen_again: bool | None = None
 
 
+def _without_gap(attempt: Callable[[], Stop]) -> Stop:
+    """Try until no frames are missing where it counts; at most `ATTEMPTS` times."""
+    stop = Stop(False)
+    for _ in range(ATTEMPTS):
+        stop = attempt()
+        if not stop.gap:
+            break
+    return stop
+
+
 def watchdog(connection: Connection) -> Stop:
     """Fall silent, without a farewell, and see the drive stop by itself; then connect again.
 
@@ -69,12 +79,7 @@ def watchdog(connection: Connection) -> Stop:
         InputError: no feedback comes.
         RthybError: the system refused what is needed.
     """
-    stop = Stop(False)
-    for _ in range(ATTEMPTS):
-        stop = _in_silence(connection)
-        if not stop.gap:
-            break
-    return stop
+    return _without_gap(lambda: _in_silence(connection))
 
 
 def trip(connection: Connection) -> Stop:
@@ -84,12 +89,7 @@ def trip(connection: Connection) -> Stop:
         InputError: no feedback comes.
         RthybError: the system refused what is needed.
     """
-    stop = Stop(False)
-    for _ in range(ATTEMPTS):
-        stop = _by_trip(connection)
-        if not stop.gap:
-            break
-    return stop
+    return _without_gap(lambda: _by_trip(connection))
 
 
 @contextmanager
