@@ -118,6 +118,13 @@ static double greatest_raw(const rthyb_signal *s)
     return fmin(s->high, s->kind == RTHYB_FLOAT ? greatest_float(s) : width);
 }
 
+/* What was sent before and comes back through its calibration, or a limit that is a frame's own, is off by
+ * some last digits: that is no step of the wire. */
+static double round_off(const rthyb_signal *s, double raw)
+{
+    return (s->kind == RTHYB_FLOAT ? 0.0 : 1e-6) + 1e-14 * fabs(raw);
+}
+
 /* Packs a value in SI, the nearest one that the signal can hold; *packed is what will be read. */
 static int put_value(uint8_t *data, const rthyb_signal *s, double value, double *packed)
 {
@@ -132,7 +139,64 @@ static int put_value(uint8_t *data, const rthyb_signal *s, double value, double 
         put_bits(data, s, (uint64_t)whole);
         *packed = (double)whole * s->scale + s->offset;
     }
-    return raw == wanted ? RTHYB_OK : RTHYB_S_OUT_OF_RANGE;
+    return fabs(raw - wanted) <= round_off(s, raw) ? RTHYB_OK : RTHYB_S_OUT_OF_RANGE;
+}
+
+/* The displacement of a command in our own frames. */
+static const rthyb_signal OWN_X = {
+    .kind = RTHYB_SIGNED,
+    .length = 32,
+    .scale = UNIT_X_M,
+    .low = -(double)INT32_MAX,
+    .high = (double)INT32_MAX,
+};
+
+/* What the signal makes of a raw value. */
+static double rounded(const rthyb_signal *s, double raw)
+{
+    return s->kind == RTHYB_FLOAT ? float_value(s, float_bits(s, raw)) : rint(raw);
+}
+
+/* The value on the other side of the one that was rounded. */
+static double other_side(const rthyb_signal *s, double raw, double wanted)
+{
+    if (s->kind == RTHYB_FLOAT && s->length == 64)
+        return wanted;
+    if (s->kind == RTHYB_FLOAT)
+        return (double)nextafterf((float)raw, raw > wanted ? -FLT_MAX : FLT_MAX);
+    return raw > wanted ? raw - 1.0 : raw + 1.0;
+}
+
+/* Raw values between which a command may lie. */
+typedef struct {
+    double low, high;
+} window;
+
+static window window_of(const rthyb_signal *s, double low_m, double high_m)
+{
+    const double a = (low_m - s->offset) / s->scale, b = (high_m - s->offset) / s->scale;
+    const double low = fmin(a, b), high = fmax(a, b);
+    return (window){low - round_off(s, low), high + round_off(s, high)};
+}
+
+static int lies_in(window w, double raw)
+{
+    return raw >= w.low && raw <= w.high;
+}
+
+double rthyb_command_within(const rthyb_codec *codec, double x_m, double low_m, double high_m)
+{
+    const int table = codec->format == RTHYB_WIRE_TABLE;
+    const rthyb_signal *s = table ? &codec->command.field[RTHYB_FIELD_X] : &OWN_X;
+    const window allowed = window_of(s, low_m, high_m);
+    const window frame = {least_raw(s), greatest_raw(s)};
+    const double wanted = (x_m - s->offset) / s->scale;
+    const double nearest = rounded(s, clamp(wanted, frame.low, frame.high));
+    if (!isfinite(x_m) || lies_in(allowed, nearest))
+        return x_m;
+    const double other = other_side(s, nearest, wanted);
+    const int good = lies_in(allowed, other) && lies_in(frame, other);
+    return good ? other * s->scale + s->offset : (double)NAN;
 }
 
 /* Packs "no number"; 0 if the signal has no way to say so. */

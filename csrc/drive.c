@@ -282,9 +282,11 @@ static void send_due(rthyb_drive *d)
 
 /* ---- one sample ------------------------------------------------------------------------------- */
 
-static void note(rthyb_drive *d)
+static void note(rthyb_drive *d, const rthyb_reading *reading)
 {
     d->now.target_m = d->target_m;
+    d->now.read_x_m = reading->x_m;
+    d->now.read_f_n = reading->f_n;
     d->now.phase = (uint32_t)d->phase;
     d->now.silent = d->silent;
     if (d->tick < d->log_size)
@@ -299,7 +301,7 @@ void rthyb_drive_tick(rthyb_drive *drive)
     const rthyb_reading reading = measure(drive);
     enqueue(drive, &reading);
     send_due(drive);
-    note(drive);
+    note(drive, &reading);
     drive->tick++;
 }
 

@@ -23,7 +23,7 @@ static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
     [RTHYB_STOPPER] = "00",        [RTHYB_HYSTERESIS] = "+0+--+",
     [RTHYB_PINCHING] = "+0+--+0+", [RTHYB_DEGRADATION] = "+0+--+0+",
     [RTHYB_MAXWELL] = "0+",        [RTHYB_SECOND_MODE] = "0+0",
-    [RTHYB_P_DELTA] = "0+",
+    [RTHYB_P_DELTA] = "0+",        [RTHYB_GAP_FRICTION] = "+0000",
 };
 
 int rthyb_element_param_count(int32_t kind)
@@ -66,6 +66,9 @@ int rthyb_element_init(rthyb_element *element, int32_t kind, const double *param
         if (!(element->params[8] > 0.0 && params[5] >= 0.1 && params[5] <= ETA_MAX))
             return RTHYB_E_ELEMENT;
     }
+    if (kind == RTHYB_GAP_FRICTION) /* faces meet within the play, and before it slips */
+        element->params[5] =
+            fmin(fmin(params[4], params[1]), fmin(params[2], params[3]) / params[0]);
     return 0;
 }
 
@@ -92,6 +95,21 @@ static double lugre(const double *p, double *s, double v, double dt)
 static double beyond(double x, double half)
 {
     return x > half ? x - half : (x < -half ? x + half : 0.0);
+}
+
+/* A slider behind a play and a spring: it takes what the spring cannot hold; Fc depends on the
+ * direction. The play's faces meet one by one over +-seat, so that the spring's slope grows evenly
+ * there. state: x of the last call, way between specimen and slider. */
+static double gap_friction(const double *p, double *s, double x)
+{
+    const double k = p[0], gap = p[1], seat = p[5];
+    s[1] = clamp(s[1] + (x - s[0]), -(gap + p[3] / k), gap + p[2] / k);
+    s[0] = x;
+    const double past = fabs(s[1]) - gap;
+    const double closed = past >= seat   ? past
+                          : past > -seat ? (past + seat) * (past + seat) / (4.0 * seat)
+                                         : 0.0;
+    return s[1] < 0.0 ? -k * closed : k * closed;
 }
 
 static double power(double base, double exponent)
@@ -204,6 +222,8 @@ static double law(rthyb_element *element, double x, double v, double a, double d
         return second_mode(p, s, a, dt);
     case RTHYB_P_DELTA:
         return -p[0] / p[1] * x;
+    case RTHYB_GAP_FRICTION:
+        return gap_friction(p, s, x);
     default:
         return 0.0;
     }

@@ -27,6 +27,17 @@ static inline double command_to_wire(const rthyb_calibration *c, double x_m)
     return c->cmd_gain * x_m + c->cmd_offset_m;
 }
 
+/* What goes to the wire: never what its rounding would take beyond the station's bounds. NaN where the
+ * wire has nothing between them. */
+static inline double command_for_wire(const rthyb_codec *codec, const rthyb_calibration *c,
+                                      const rthyb_station_output *out)
+{
+    const double one = command_to_wire(c, out->low_m), other = command_to_wire(c, out->high_m);
+    const int turned = one > other;
+    return rthyb_command_within(codec, command_to_wire(c, out->x_cmd_m), turned ? other : one,
+                                turned ? one : other);
+}
+
 static inline double command_from_wire(const rthyb_calibration *c, double wire_m)
 {
     return (wire_m - c->cmd_offset_m) / c->cmd_gain;

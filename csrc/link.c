@@ -39,11 +39,11 @@ void rthyb_link_close(rthyb_link *link)
     link->fd = -1;
 }
 
-static void go_down(rthyb_link *link, int32_t fault)
+static void go_down(rthyb_link *link, int fault)
 {
-    if (link->down == RTHYB_LINK_UP)
+    if (peek(&link->down) == RTHYB_LINK_UP)
         add(&link->counters.times_down, 1);
-    link->down = fault;
+    put(&link->down, (uint64_t)fault);
 }
 
 /* 1 if the error is one of want of room or data, which passes. */
@@ -101,7 +101,7 @@ static int receive_can(rthyb_link *link, rthyb_frame *frame)
             note_error_frame(link, raw.can_id);
             continue;
         }
-        link->down = RTHYB_LINK_UP;
+        put(&link->down, RTHYB_LINK_UP);
         unpack(&raw, (size_t)got, frame);
         return 1;
     }
@@ -131,7 +131,7 @@ static int receive_stream(rthyb_link *link, rthyb_frame *frame)
     const ssize_t got = read(link->fd, frame->data, sizeof frame->data);
     if (got > 0) {
         frame->length = (int32_t)got;
-        link->down = RTHYB_LINK_UP;
+        put(&link->down, RTHYB_LINK_UP);
         add(&link->counters.pieces_in, 1);
         add(&link->counters.bytes_in, (uint64_t)got);
         return 1;
@@ -177,8 +177,8 @@ int rthyb_link_send(rthyb_link *link, const rthyb_frame *frame)
         add(&link->counters.pieces_out, 1);
         if (can)
             add(&link->counters.bytes_out, (uint64_t)sent);
-        if (link->down != RTHYB_LINK_BUS_OFF) /* a full queue of a controller off the bus */
-            link->down = RTHYB_LINK_UP;
+        if (peek(&link->down) != RTHYB_LINK_BUS_OFF) /* a full queue of a controller off the bus */
+            put(&link->down, RTHYB_LINK_UP);
         return 1;
     }
     if (sent < 0 && !passes(errno))

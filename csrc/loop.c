@@ -2,15 +2,19 @@
  * call but those of the clock and the link, allocates nothing and takes no lock. */
 #define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp) */
 
+#include <errno.h>
 #include <limits.h>
 #include <math.h>
 #include <pthread.h>
 #include <string.h>
+#include <time.h>
 
 #include "internal.h"
 #include "relaxed.h"
 
 #define HEAD_START_NS 20000000 /* from the thread being ready to the first tick */
+#define LISTEN_NS 2000000      /* before the first tick: what comes from then on counts */
+#define SECOND_NS 1000000000
 #define STACK_BYTES (1u << 18)
 #define STACK_TOUCHED (1u << 16)
 #define COMMAND_BITS 8
@@ -91,13 +95,26 @@ int rthyb_loop_loaded(const rthyb_loop *loop, uint64_t generation)
     return answer & 1u ? 2 : 1;
 }
 
-/* The drive goes on following: what the last station told it is where the next one begins. */
+/* The drive goes on following: what the last station told it is where the next one begins. One that was
+ * replaced before its first reading has told it nothing, and passes on what it was to begin with. */
 static void hand_over(rthyb_loop *loop, const rthyb_station *next)
 {
     const rthyb_station *last = loop->station;
     loop->taken_over = last->seen && !next->seen;
-    loop->taken_cmd_m = last->controller.x_cmd + last->tare_cmd;
+    loop->offered = (last->seen || loop->offered) && !next->seen;
     loop->beyond = 0;
+    if (!last->seen)
+        return;
+    loop->taken_cmd_m = last->controller.x_cmd + last->tare_cmd;
+    loop->offered_x_m = last->seen_x;
+}
+
+void rthyb_loop_go_on(rthyb_loop *loop, double x_cmd_m, double x_m, uint32_t seq)
+{
+    loop->wire->seq = seq;
+    loop->offered = 1;
+    loop->taken_cmd_m = x_cmd_m;
+    loop->offered_x_m = x_m;
 }
 
 static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
@@ -136,10 +153,17 @@ static void take_parameters(rthyb_loop *loop)
     rthyb_parameters parameters;
     if (!rthyb_handover_read(&loop->handover, &parameters))
         return;
-    if (rthyb_station_adopt(loop->station, &parameters))
-        add(&loop->counters.parameters, 1);
-    else
-        add(&loop->counters.parameters_refused, 1);
+    const int taken = rthyb_station_adopt(loop->station, &parameters);
+    add(taken ? &loop->counters.parameters : &loop->counters.parameters_refused, 1);
+    release(&loop->set_answer, (uint64_t)parameters.generation << 1 | (uint64_t)!taken);
+}
+
+int rthyb_loop_set_taken(const rthyb_loop *loop, uint32_t generation)
+{
+    const uint64_t answer = acquire(&loop->set_answer);
+    if (answer >> 1 < generation)
+        return 0;
+    return answer & 1u ? 2 : 1;
 }
 
 void rthyb_loop_beat(rthyb_loop *loop)
@@ -160,10 +184,12 @@ static int heartbeat_late(rthyb_loop *loop, uint64_t ticks)
 /* ---- one tick --------------------------------------------------------------------------------- */
 
 /* A tick that woke late, or after others that it slept through, says nothing about the drive's clock: it
- * may have taken a sample that was the next one's. */
-static int is_punctual(const rthyb_tick *tick)
+ * may have taken a sample that was the next one's. One that waits for a sample and not for the time says
+ * nothing ever. */
+static int is_punctual(const rthyb_loop *loop, const rthyb_tick *tick)
 {
-    return !tick->skipped && tick->woken_ns - tick->due_ns < HALF_PERIOD_NS;
+    const int timeless = loop->unpaced && loop->ticker.clock == RTHYB_CLOCK_STEPPED;
+    return !timeless && !tick->skipped && tick->woken_ns - tick->due_ns < HALF_PERIOD_NS;
 }
 
 static void know_offset(rthyb_loop *loop, int64_t offset)
@@ -227,7 +253,7 @@ static void take_feedback(rthyb_loop *loop, const rthyb_tick *tick, arrival *fou
     if (found->lost)
         return;
     loop->delay = found->feedback.delay;
-    if (is_punctual(tick))
+    if (is_punctual(loop, tick))
         found->slipped = has_slipped(loop, &found->feedback, tick->k, age);
 }
 
@@ -235,9 +261,10 @@ static int send_command(rthyb_loop *loop, const rthyb_station_output *out)
 {
     rthyb_frame frame;
     double sent_m = 0.0;
-    const double wanted_m = command_to_wire(&loop->calibration, out->x_cmd_m);
+    const double wanted_m = command_for_wire(&loop->wire->codec, &loop->calibration, out);
+    const int nowhere = isnan(wanted_m) && isfinite(out->x_cmd_m);
     const int code = rthyb_wire_command(loop->wire, wanted_m, out->state, &frame, &sent_m);
-    loop->beyond = (code & RTHYB_S_OUT_OF_RANGE) != 0;
+    loop->beyond = nowhere || (code & RTHYB_S_OUT_OF_RANGE);
     add(&loop->counters.beyond, (uint64_t)loop->beyond);
     const int sent = !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->link, &frame);
     note_command(loop->station, &loop->calibration, sent, sent_m);
@@ -280,7 +307,7 @@ static void note_sent(rthyb_loop *loop, const rthyb_tick *tick, int sent)
 
 static void follow_drive(rthyb_loop *loop, const rthyb_tick *tick, const arrival *found)
 {
-    const int came = !found->lost && is_punctual(tick) && !loop->overheard;
+    const int came = !found->lost && is_punctual(loop, tick) && !loop->overheard;
     const double after_due_ns = (double)(loop->arrived_ns - tick->due_ns);
     rthyb_phase *phase = &loop->phase;
     rthyb_ticker_trim(&loop->ticker, rthyb_phase_step(phase, came, after_due_ns));
@@ -315,7 +342,25 @@ static int is_down(rthyb_loop *loop)
     const uint64_t times = peek(&loop->link->counters.times_down);
     const int again = times != loop->downs_seen;
     loop->downs_seen = times;
-    return again || loop->link->down != RTHYB_LINK_UP;
+    return again || peek(&loop->link->down) != RTHYB_LINK_UP;
+}
+
+/* Whether the station is to go on with the command that the drive has. Until a reading is good enough for
+ * it nothing is sent: a drive that stops, or moves, meanwhile has that command no more. */
+static int takes_over(rthyb_loop *loop, const arrival *found, double x_m, int stopped)
+{
+    const int still = fabs(x_m - loop->offered_x_m) <= loop->station->cfg.rest_spread_m;
+    const int elsewhere = !found->lost && !loop->taken_over && !still;
+    loop->offered = loop->offered && !loop->station->seen && !stopped && !elsewhere;
+    return !found->lost && (loop->taken_over || loop->offered);
+}
+
+static void note_delay(rthyb_loop *loop, const arrival *found)
+{
+    const int32_t delay = found->feedback.delay, most = RTHYB_LINK_DELAYS - 1;
+    const int running = loop->records[loop->record_count - 1].state == RTHYB_RUNNING;
+    if (running && !found->lost && delay >= 0)
+        add(&loop->delays[delay < most ? delay : most], 1);
 }
 
 static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint64_t mail,
@@ -324,11 +369,12 @@ static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint
     take_feedback(loop, tick, found);
     const int stopped = (found->feedback.status & RTHYB_DEVICE_STOPPED) != 0;
     const int down = is_down(loop);
+    const double x_m = calibrated_x(&loop->calibration, found->feedback.x_m);
     const int waiting = mail >> COMMAND_BITS != loop->answer >> COMMAND_BITS;
     add(&loop->counters.down, (uint64_t)down);
     add(&loop->counters.stopped, (uint64_t)stopped);
     return (rthyb_station_input){
-        .x_m = calibrated_x(&loop->calibration, found->feedback.x_m),
+        .x_m = x_m,
         .f_n = calibrated_f(&loop->calibration, found->feedback.f_n),
         .lost = found->lost,
         .skipped = tick->skipped < UINT32_MAX ? (uint32_t)tick->skipped : UINT32_MAX,
@@ -337,7 +383,7 @@ static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint
         .drive_stopped = stopped,
         .heartbeat_late = heartbeat_late(loop, 1 + tick->skipped),
         .beyond = loop->beyond,
-        .taken_over = loop->taken_over,
+        .taken_over = takes_over(loop, found, x_m, stopped),
         .x_cmd_m = loop->taken_cmd_m,
     };
 }
@@ -354,6 +400,7 @@ static void execute(rthyb_loop *loop, const rthyb_tick *tick)
     loop->record_count = out.records;
     loop->taken_over = 0;
     complete(loop, tick, &found);
+    note_delay(loop, &found);
     if (out.send)
         note_sent(loop, tick, send_command(loop, &out));
     if (loop->ticker.clock == RTHYB_CLOCK_LINK)
@@ -393,6 +440,30 @@ static int wait_for_tick(rthyb_loop *loop, rthyb_tick *tick)
     return rthyb_ticker_wait(&loop->ticker, tick);
 }
 
+/* A packet that came in part goes on: its rest shall not count as damage. */
+void rthyb_loop_drop_old(rthyb_loop *loop)
+{
+    rthyb_frame frame, packet;
+    const int serial = loop->wire->codec.format == RTHYB_WIRE_SERIAL;
+    for (int i = 0; i < RTHYB_OLD_PIECES_MAX && rthyb_link_receive(loop->link, &frame); i++) {
+        for (int32_t at = 0; serial && at < frame.length; at++)
+            (void)rthyb_deframer_byte(&loop->wire->deframer, frame.data[at], &packet);
+        add(&loop->counters.old, 1);
+    }
+    loop->downs_seen = peek(&loop->link->counters.times_down);
+}
+
+/* The first tick is one like all others: what it takes came just before it. */
+static void set_off(rthyb_loop *loop)
+{
+    loop->ticker.t0_ns = rthyb_now_ns() + HEAD_START_NS;
+    const int64_t until_ns = loop->ticker.t0_ns - LISTEN_NS;
+    const struct timespec until = {.tv_sec = until_ns / SECOND_NS, .tv_nsec = until_ns % SECOND_NS};
+    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL) == EINTR)
+        ;
+    rthyb_loop_drop_old(loop);
+}
+
 static void *tick_thread(void *shared)
 {
     rthyb_loop *loop = shared;
@@ -401,7 +472,7 @@ static void *tick_thread(void *shared)
     loop->privileges =
         rthyb_thread_become_real_time(loop->priority, loop->cpu, loop->latency_fd, STACK_TOUCHED);
     if (loop->ticker.clock != RTHYB_CLOCK_STEPPED)
-        loop->ticker.t0_ns = rthyb_now_ns() + HEAD_START_NS;
+        set_off(loop);
     rthyb_thread_usage(&before);
     while (wait_for_tick(loop, &tick))
         execute(loop, &tick);

@@ -56,7 +56,7 @@ static int send_again(rthyb_station *station, const rthyb_replay *source,
     rthyb_frame frame;
     double sent_m = 0.0;
     const rthyb_setpoint setpoint = {
-        .x_m = command_to_wire(&source->calibration, out->x_cmd_m),
+        .x_m = command_for_wire(source->codec, &source->calibration, out),
         .state = (uint32_t)out->state,
     };
     const int code = rthyb_encode_setpoint(source->codec, &setpoint, &frame, &sent_m);

@@ -270,7 +270,11 @@ int rthyb_ring_newest(const rthyb_ring_reader *reader, rthyb_record *record)
         const uint64_t stamp = __atomic_load_n(&slot->stamp, __ATOMIC_ACQUIRE);
         if (stamp == 0)
             return 0;
-        if (stamp % 2 == 0 && copy(slot, stamp, record))
+        /* A slot that was lapped since may be ahead of the count, and a phase that changed since
+         * ahead of the page: the next look would find something older. */
+        const int counted = frozen ? stamp % 2 == 0 : stamp == 2 * last + 2;
+        if (counted && copy(slot, stamp, record) &&
+            (rthyb_ring_phase(reader) & RTHYB_RING_FROZEN) == frozen)
             return 1;
     }
     return 0;

@@ -90,9 +90,10 @@ enum rthyb_flag {
     RTHYB_F_STOPPED = 1 << 9, /* the drive's last word is that it has stopped by itself */
     RTHYB_F_SILENT = 1 << 10, /* the operator's side has been silent for too long */
     RTHYB_F_BEYOND = 1 << 11, /* the wire cannot hold the command of the tick before */
-    RTHYB_F_TAKEN_OVER = 1 << 12, /* a first tick: the drive follows another station's x_cmd_m */
-    RTHYB_F_REFUSED = 1 << 23,    /* the operator's command of this tick was refused */
-    RTHYB_F_COMMAND_BIT = 24 /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
+    RTHYB_F_TAKEN_OVER = 1
+        << 12,                 /* no reading before this tick: the drive has x_cmd_m from others */
+    RTHYB_F_REFUSED = 1 << 23, /* the operator's command of this tick was refused */
+    RTHYB_F_COMMAND_BIT = 24   /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
 };
 
 typedef struct {
@@ -291,6 +292,7 @@ enum rthyb_element_kind {
     RTHYB_MAXWELL,      /* km, tau */
     RTHYB_SECOND_MODE,  /* m2, f2 Hz, zeta2 */
     RTHYB_P_DELTA,      /* gravity load, height */
+    RTHYB_GAP_FRICTION, /* k, gap (half width), Fc up, Fc down, seat */
     RTHYB_ELEMENT_KINDS
 };
 
@@ -479,6 +481,7 @@ enum rthyb_cause {
     RTHYB_CAUSE_STALLED,
     RTHYB_CAUSE_SKIPS,
     RTHYB_CAUSE_HEARTBEAT,
+    RTHYB_CAUSE_NOT_ARRIVED,
     RTHYB_CAUSE_SENSOR_STUCK,
     RTHYB_CAUSE_SENSOR_JUMP,
     RTHYB_CAUSE_POSITION,
@@ -532,6 +535,8 @@ typedef struct {
     int32_t interrupted;
     uint64_t tick;      /* ticks of the station */
     uint64_t in_state;  /* ticks since the state was entered */
+    double nearest_m;   /* at the end of a path: how near the command has come to it, since when */
+    int64_t no_nearer;  /* ticks since then */
     uint64_t test_tick; /* n of the ground motion: RUNNING ticks so far */
     rthyb_path path;
     int32_t leg; /* 0 decelerating, 1 on the way, 2 there */
@@ -549,7 +554,6 @@ typedef struct {
     double rest_x;       /* where the readings have been at rest, before tare, */
     uint32_t rest_ticks; /* and for how many of them */
     double worst_force;  /* since RAMP_OUT began, while it may still grow */
-    uint64_t refused_sets;  /* parameters that may not come in force while something moves */
     double indicator_slope; /* of the tracking indicator, mean of 0.25 s, m^2/s */
     uint64_t skip_map[16];  /* one bit a tick: skipped, of the last 1024 */
     uint32_t recent_skips;  /* bits set in it */
@@ -566,7 +570,7 @@ typedef struct {
     int32_t drive_stopped;  /* the drive says that it has stopped by itself */
     int32_t heartbeat_late; /* Python has been silent for a second */
     int32_t beyond;         /* the wire could not hold the last command and sent the nearest */
-    int32_t taken_over;     /* the first tick alone: x_cmd_m is what another station sent last */
+    int32_t taken_over;     /* with the first sound reading: x_cmd_m is what the drive has */
     double x_cmd_m;
 } rthyb_station_input;
 
@@ -576,6 +580,7 @@ typedef struct {
     int32_t state;
     int32_t refused; /* the command was refused: not for this state, or nobody there to obey */
     uint32_t records;
+    double low_m, high_m; /* with tare: the wire's rounding must not take it beyond these */
 } rthyb_station_output;
 
 enum rthyb_station_size { RTHYB_BLIND_MAX = 20 };
@@ -588,7 +593,7 @@ int rthyb_station_init(rthyb_station *station, const rthyb_station_config *cfg);
 int rthyb_station_tick(rthyb_station *station, const rthyb_station_input *in, const double *ag_mps2,
                        size_t n, rthyb_record *records, rthyb_station_output *out);
 
-enum rthyb_parameters_size { RTHYB_PARAMETER_WORDS = 45 };
+enum rthyb_parameters_size { RTHYB_PARAMETER_WORDS = 47 };
 
 /* What may be changed while a test runs. Generation 0 is what the station was set up with. */
 typedef struct {
@@ -603,7 +608,7 @@ typedef struct {
 int rthyb_parameters_check(const rthyb_parameters *parameters);
 /* Before a tick: puts a set that passed in force, with its generation, in this test and the next. A
  * command beyond a new position limit does not jump there: it may not go further out. Outside IDLE a
- * set that switches a limit of the command off is counted and not taken. 1 if it was taken. */
+ * set that switches a limit of the command off is not taken. 1 if it was taken. */
 int rthyb_station_adopt(rthyb_station *station, const rthyb_parameters *parameters);
 
 /* 1 if a command may be given in a state. */
@@ -892,6 +897,9 @@ int rthyb_codec_check(const rthyb_codec *codec);
  * the nearest that it can; RTHYB_S_NOT_FINITE: there is no frame, its length is 0. */
 int rthyb_encode_setpoint(const rthyb_codec *codec, const rthyb_setpoint *setpoint,
                           rthyb_frame *frame, double *sent_m);
+/* For a displacement between two bounds: itself, where what a frame rounds it to lies between them as
+ * well, to a millionth of a step; else the value of the frame next to it that does. NaN: none does. */
+double rthyb_command_within(const rthyb_codec *codec, double x_m, double low_m, double high_m);
 /* A sample of the drive as one or two frames; returns how many. 0 if a value is not finite and the
  * table has no way to say so. */
 int rthyb_encode_feedback(const rthyb_codec *codec, const rthyb_reading *reading,
@@ -1109,8 +1117,8 @@ typedef struct {
 /* A descriptor of its own on what the caller opened and set up. */
 typedef struct {
     int32_t kind, fd;
-    int32_t down; /* enum rthyb_link_fault; until something comes or goes again */
-    int32_t torn; /* stream: half of a packet was written, the next one begins with a 0 */
+    uint64_t down; /* enum rthyb_link_fault; until something comes or goes again; for any thread */
+    int32_t torn;  /* stream: half of a packet was written, the next one begins with a 0 */
     rthyb_link_counters counters;
 } rthyb_link;
 
@@ -1136,7 +1144,9 @@ enum rthyb_loop_size {
     RTHYB_SLIP_WINDOW = 256,      /* ticks with a pair that came in time, in which */
     RTHYB_SLIP_VOTES = 192,       /* so many see another count: a slip */
     /* Link clock, by what comes in one tick: a serial line may wake for each byte. */
-    RTHYB_WAKE_UPS_MAX = 2 * RTHYB_SERIAL_FEEDBACK
+    RTHYB_WAKE_UPS_MAX = 2 * RTHYB_SERIAL_FEEDBACK,
+    RTHYB_LINK_DELAYS = 256,    /* what the link may delay, samples; the last one: that and more */
+    RTHYB_OLD_PIECES_MAX = 4096 /* dropped before the first tick */
 };
 
 /* Between the numbers on the wire and the structure's own: what sensors are mounted the other way
@@ -1165,6 +1175,7 @@ typedef struct {
     uint64_t parameters;         /* sets taken */
     uint64_t parameters_refused; /* sets that switch a limit off while something moves */
     uint64_t beyond;             /* commands that the wire could not hold */
+    uint64_t old;                /* pieces that had come before the first tick: dropped */
 } rthyb_loop_counters;
 
 /* A set of parameters on its way from the operator's side to the tick. */
@@ -1198,7 +1209,8 @@ typedef struct {
     rthyb_loop_counters counters;
     rthyb_record records[RTHYB_BLIND_MAX + 1]; /* of the last tick, record_count of them */
     uint32_t record_count;
-    int32_t delay; /* as in rthyb_feedback, of the last fresh pair */
+    int32_t delay;                      /* as in rthyb_feedback, of the last fresh pair */
+    uint64_t delays[RTHYB_LINK_DELAYS]; /* fresh pairs of RUNNING by that delay; for any thread */
     /* The same as words that any thread may read. */
     uint64_t state, cause, cause_tick;
     /* Of the link clock, to be read by any thread: error of the arrival, trim in parts per 1e9. */
@@ -1208,6 +1220,7 @@ typedef struct {
     rthyb_phase phase;
     rthyb_handover handover;
     uint32_t generation; /* of the last set that was published */
+    uint64_t set_answer; /* of the last set that a tick saw: generation << 1 | refused */
     /* Mailbox: generation << 8 | command, and what became of it: generation << 8 | refused. */
     uint64_t mail, answer, answer_tick;
     rthyb_load load;
@@ -1222,6 +1235,9 @@ typedef struct {
     int32_t offset_known, votes;
     int32_t taken_over; /* the station has not ticked yet, and another one's last command was: */
     double taken_cmd_m;
+    int32_t offered; /* taken_cmd_m, to the first sound reading, as long as the drive reads: */
+    double offered_x_m;
+    int32_t unpaced;   /* the caller's: stepped clock, and the drive does not wait for its ticks */
     int32_t beyond;    /* the wire could not hold the last command */
     int32_t overheard; /* link clock: more came before this tick than it listens to */
     int32_t priority, cpu, latency_fd; /* of the thread, as in rthyb_thread_become_real_time */
@@ -1233,6 +1249,15 @@ typedef struct {
 /* The members up to lead_ns are the caller's; the rest becomes new. 0; RTHYB_E_PERIOD for an unknown
  * clock, or a lead that the link clock refuses; RTHYB_E_LIMIT for the calibration. */
 int rthyb_loop_init(rthyb_loop *loop, int32_t clock);
+/* What an earlier loop at this link told the drive last, where that stood then, without tare, and the seq
+ * that it was told it with: a drive that still follows takes none that is older. Holds if the first
+ * sound reading, and each before it, is the same within rest_spread_m and the drive has not stopped
+ * meanwhile: then the command goes on from there. Else, as without this call, it begins at the reading;
+ * x_m = NaN asks for that. Before the start. */
+void rthyb_loop_go_on(rthyb_loop *loop, double x_cmd_m, double x_m, uint32_t seq);
+/* Drops what waits in the link, RTHYB_OLD_PIECES_MAX pieces at most: it was sent to somebody else, or long
+ * ago. Stepped clock: before the first tick, on the caller's word; the others do it by themselves. */
+void rthyb_loop_drop_old(rthyb_loop *loop);
 /* One tick on the calling thread, on its word: the stepped clock. */
 void rthyb_loop_step(rthyb_loop *loop);
 /* A thread that ticks until rthyb_ticker_stop; 0 or errno. But for the stepped clock the first tick is
@@ -1255,6 +1280,9 @@ int rthyb_loop_loaded(const rthyb_loop *loop, uint64_t generation);
 /* Publishes a set and gives it its generation; the next tick takes it whole, before anything else. One
  * thread at a time. 0, or RTHYB_E_LIMIT: then nothing is published. */
 int rthyb_loop_set_parameters(rthyb_loop *loop, rthyb_parameters *parameters);
+/* 0: no tick has seen that set yet; 1: it is in force, or a later one is; 2: it, or a later one, was
+ * refused (rthyb_station_adopt), and the set before stays in force. */
+int rthyb_loop_set_taken(const rthyb_loop *loop, uint32_t generation);
 /* A sign of life of the side that has the operator. */
 void rthyb_loop_beat(rthyb_loop *loop);
 
@@ -1308,6 +1336,8 @@ enum rthyb_drive_phase {
 typedef struct {
     double x_m;       /* newest command that came, as decoded */
     double target_m;  /* what the actuator was told, behind the calibration */
+    double read_x_m;  /* reading that it answered with, before the wire rounds it */
+    double read_f_n;  /* the same of the force; its count is the tick's low bits */
     uint32_t seq;     /* of that command */
     uint32_t state;   /* in that command */
     uint32_t frames;  /* commands in this tick, whatever became of them; 0: the above are old */

@@ -15,6 +15,7 @@
 #define JUMP_TAKEN 3        /* readings in a row that make a new level */
 #define REST_TICKS 20       /* readings that stand still, then RESET is allowed */
 #define ARRIVED_M 1e-6      /* what the command may lag behind at the end of a path */
+#define ARRIVAL_TICKS 10240 /* 10 s in which it has come no nearer: it never will */
 #define WORSE 1.1           /* times the force at the ramp-out that it caused */
 #define WORSE_TICKS 128     /* in which that force may still grow: brake and actuator's delay */
 #define SKIPS_RAMP_OUT 10   /* more skipped ticks than this in a row */
@@ -86,10 +87,8 @@ static int switches_off(const rthyb_station *s, const rthyb_parameters *p)
 
 int rthyb_station_adopt(rthyb_station *s, const rthyb_parameters *p)
 {
-    if (s->state != RTHYB_IDLE && switches_off(s, p)) {
-        s->refused_sets++;
+    if (s->state != RTHYB_IDLE && switches_off(s, p))
         return 0;
-    }
     rthyb_controller_config *both[] = {&s->cfg.controller, &s->controller.cfg};
     for (int i = 0; i < 2; i++) {
         both[i]->velocity_limit_m_per_s = p->velocity_limit_m_per_s;
@@ -194,6 +193,16 @@ static rthyb_path ramp(double a, double b, int64_t ticks)
     return (rthyb_path){.c = {0.5 * (a + b), 0.5 * (a - b)}, .end = b, .ticks = ticks, .cosine = 1};
 }
 
+/* Peak velocity pi/2 way/T and acceleration pi^2/2 way/T^2 of that wave within the path limits. */
+static int64_t ramp_in_ticks(const rthyb_station *s, double way)
+{
+    const double h = s->cfg.controller.period_s, size = fabs(way);
+    const double by_velocity = 0.5 * RTHYB_PI * size / path_velocity(s);
+    const double by_acceleration = RTHYB_PI * sqrt(0.5 * size / path_acceleration(s));
+    const int64_t least = whole_ticks(fmax(by_velocity, by_acceleration), h);
+    return least > s->cfg.ramp_in_ticks ? least : s->cfg.ramp_in_ticks;
+}
+
 static int path_done(const rthyb_path *p)
 {
     return p->elapsed >= p->ticks;
@@ -218,6 +227,8 @@ static void enter(rthyb_station *s, int state)
     s->controller.state = state;
     s->in_state = 0;
     s->leg = 0;
+    s->no_nearer = 0;
+    s->nearest_m = INFINITY;
 }
 
 /* The first cause stays. That a test was over, or that the operator wanted it to be, is none that a
@@ -356,7 +367,7 @@ static void begin_test(rthyb_station *s)
     settle(s, x);
     s->controller.x_m1 = s->seen_x - s->tare_x;
     enter(s, RTHYB_RAMP_IN);
-    s->path = ramp(x, 0.0, s->cfg.ramp_in_ticks);
+    s->path = ramp(x, 0.0, ramp_in_ticks(s, x));
 }
 
 static void begin_zero(rthyb_station *s)
@@ -491,11 +502,21 @@ static const double *next_on_path(rthyb_station *s, double *x)
     return x;
 }
 
-/* The command is where its path has ended. */
-static int has_arrived(const rthyb_station *s)
+/* Whether the command is where its path has ended. One that comes no nearer is given up: what keeps it
+ * away, a limit of the command or a compensator that swings, would keep the state for ever. */
+static int has_arrived(rthyb_station *s)
 {
     const rthyb_controller *c = &s->controller;
-    return fabs(c->x_lim - c->x_plc) <= ARRIVED_M && fabs(c->x_plc - c->x_num) <= ARRIVED_M;
+    const double away = fmax(fabs(c->x_lim - c->x_plc), fabs(c->x_plc - c->x_num));
+    if (away <= ARRIVED_M)
+        return 1;
+    if (away < s->nearest_m - ARRIVED_M) {
+        s->nearest_m = away;
+        s->no_nearer = 0;
+    } else if (++s->no_nearer >= ARRIVAL_TICKS) {
+        trip(s, RTHYB_CAUSE_NOT_ARRIVED);
+    }
+    return 0;
 }
 
 /* What comes after the end of a path. At rest the compensator and the limiter have to be through as
@@ -626,6 +647,17 @@ static double clamp_of(const rthyb_station *s)
     return hard ? watch->value : 0.0;
 }
 
+/* How far out the wire may round a command: not across the limit, nor further out than one that is beyond
+ * it already. What a trip repeats has left before. */
+static double reach(const rthyb_station *s)
+{
+    const rthyb_watch *watch = &s->cfg.watch[RTHYB_CAUSE_POSITION];
+    const int counts = s->commands && s->state != RTHYB_TRIPPED;
+    if (!counts || watch->reaction < RTHYB_REACT_HOLD || !(watch->value > 0.0))
+        return HUGE_VAL;
+    return fmax(watch->value, fabs(s->controller.x_cmd));
+}
+
 static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_record *record)
 {
     const int tripped = s->state == RTHYB_TRIPPED, running = s->state == RTHYB_RUNNING;
@@ -645,10 +677,10 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
         trip(s, RTHYB_CAUSE_LINK_LOST);
     if (code & RTHYB_S_NOT_FINITE)
         trip(s, RTHYB_CAUSE_NOT_FINITE);
+    if (s->state != RTHYB_TRIPPED)
+        arrive(s);
     if (s->state == RTHYB_TRIPPED)
         s->controller.x_cmd = s->controller.x_lim = sent;
-    else
-        arrive(s);
     s->controller.state = s->state;
 }
 
@@ -699,14 +731,14 @@ static void watch_surroundings(rthyb_station *s, const rthyb_station_input *in, 
 }
 
 /* What the station was told in this tick, as the record shows it. */
-static uint32_t told(const rthyb_station_input *in, int refused)
+static uint32_t told(const rthyb_station_input *in, int refused, int took_over)
 {
     return (in->lost ? (uint32_t)RTHYB_F_LOST : 0u) |
            (in->link_down ? (uint32_t)RTHYB_F_DOWN : 0u) |
            (in->drive_stopped ? (uint32_t)RTHYB_F_STOPPED : 0u) |
            (in->heartbeat_late ? (uint32_t)RTHYB_F_SILENT : 0u) |
            (in->beyond ? (uint32_t)RTHYB_F_BEYOND : 0u) |
-           (in->taken_over ? (uint32_t)RTHYB_F_TAKEN_OVER : 0u) |
+           (took_over ? (uint32_t)RTHYB_F_TAKEN_OVER : 0u) |
            (refused ? (uint32_t)RTHYB_F_REFUSED : 0u) |
            ((uint32_t)in->command & UINT8_MAX) << RTHYB_F_COMMAND_BIT;
 }
@@ -736,13 +768,22 @@ static void stand_by(rthyb_station *s, const rthyb_station_input *in)
         settle(s, s->seen_x - s->tare_x);
 }
 
+/* With the first reading that is sound: what is taken over before would wait, unsent, for who knows how
+ * long. 1 if it was taken over. */
+static int take_over(rthyb_station *s, const rthyb_station_input *in)
+{
+    if (!in->taken_over || s->seen || !is_sound(s, in) ||
+        judge(in->x_cmd_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
+        return 0;
+    settle(s, in->x_cmd_m);
+    s->commands = 1;
+    return 1;
+}
+
 int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const double *ag_mps2,
                        size_t n, rthyb_record *records, rthyb_station_output *out)
 {
-    if (in->taken_over && !s->seen && judge(in->x_cmd_m, RTHYB_DISPLACEMENT_MAX_M) == RTHYB_OK) {
-        settle(s, in->x_cmd_m);
-        s->commands = 1;
-    }
+    const int took_over = take_over(s, in);
     const uint32_t made_up = blind_steps(s, in->skipped, ag_mps2, n, records);
     const int refused = !obey(s, in);
     watch_surroundings(s, in, n);
@@ -757,6 +798,8 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
         .state = s->state,
         .refused = refused,
         .records = made_up + 1,
+        .low_m = s->tare_cmd - reach(s),
+        .high_m = s->tare_cmd + reach(s),
     };
     if (s->state == RTHYB_TRIPPED && s->trip_frames > 0)
         s->trip_frames--;
@@ -764,6 +807,6 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
     if (in->beyond && s->state == RTHYB_TRIPPED)
         last->code |= RTHYB_S_POSITION_LIMIT | RTHYB_S_TRIP;
     last->flags &= ~(uint32_t)RTHYB_F_NOT_SENT;
-    last->flags |= (out->send ? 0u : (uint32_t)RTHYB_F_NOT_SENT) | told(in, refused);
+    last->flags |= (out->send ? 0u : (uint32_t)RTHYB_F_NOT_SENT) | told(in, refused, took_over);
     return 0;
 }

@@ -319,6 +319,7 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
     "maxwell": ("km_n_per_m", "tau_s"),
     "second_mode": ("m2_kg", "f2_hz", "zeta2"),
     "p_delta": ("gravity_load_n", "height_m"),
+    "gap_friction": ("k_n_per_m", "gap_m", "fc_up_n", "fc_down_n", "seat_m"),
 }
 _ELEMENT_KIND: Final = {name: getattr(lib, f"RTHYB_{name.upper()}") for name in ELEMENT_PARAMS}
 
@@ -531,6 +532,16 @@ class Rig:
         lib.rthyb_rig_run(self._c, _in(p), _out(x), _out(f), p.size)
         return x, f
 
+    def motion(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return x (m), v (m/s), a (m/s^2) as latched, each (n,), along commands of shape (n,)."""
+        p = _doubles(x_p_m)
+        out = np.empty((p.size, 3))
+        servo, step = self._c.servo, lib.rthyb_rig_step
+        for n, command in enumerate(p.tolist()):
+            out[n] = servo.x, servo.v, servo.a
+            step(self._c, command, self._x, self._f)
+        return out[:, 0].copy(), out[:, 1].copy(), out[:, 2].copy()
+
     @property
     def true_displacement_m(self) -> float:
         """Displacement at the last latch without the sensor's errors."""
@@ -648,6 +659,7 @@ CAUSES: Final[tuple[str, ...]] = (
     "stalled",
     "skips",
     "heartbeat",
+    "not_arrived",
     "sensor_stuck",
     "sensor_jump",
     "position",

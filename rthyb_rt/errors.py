@@ -26,11 +26,20 @@ class Problem:
 class RthybError(Exception):
     """Any failure that the command line reports as one message, without a traceback.
 
+    Args:
+        message: what was found, what is allowed, and the remedy.
+        where: the file or folder in question, if it is one.
+
     Attributes:
         exit_code: exit status of the command line for this kind of failure.
+        problems: the faults, never empty.
     """
 
     exit_code = 1
+
+    def __init__(self, message: str = "", *, where: str = "") -> None:
+        self.problems = [Problem(where, message)]
+        super().__init__(str(self.problems[0]))
 
 
 class InputError(RthybError):
@@ -53,7 +62,7 @@ class InputError(RthybError):
             self.problems = [problems]
         else:
             self.problems = list(problems)
-        super().__init__(*self.problems)
+        Exception.__init__(self, *self.problems)
 
     def __str__(self) -> str:
         """Return one line a fault."""

@@ -380,7 +380,7 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
         table_forces = setup.test.reference.table_forces
     elements = list(specimen_elements(setup.rig))
     if table_forces:
-        elements += _table_elements(setup.rig)
+        elements += table_elements(setup.rig)
     rigid = [e for e in elements if e.kind not in ("inertia", "viscous")]
     motion = motion_config(setup.test, setup.derived)
     # As a force, mass would need the acceleration that it decides, and a damper the velocity: both
@@ -397,7 +397,8 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
     return result
 
 
-def _table_elements(rig: RigFile) -> list[core.ElementConfig]:
+def table_elements(rig: RigFile) -> list[core.ElementConfig]:
+    """Return what a load cell at the actuator's end sees of the table besides the specimen."""
     actuator = rig.actuator
     if actuator.kind != "servo-hydraulic" or rig.rig.load_cell != "actuator-end":
         return []

@@ -213,8 +213,8 @@ def identify_live(
 
     Raises:
         InputError: a sweep that cannot be run, no feedback, or a rig that does not follow it.
-        LimitError: a limit, the drive or this PC ended the sweep; the message says at which
-            frequency.
+        LimitError: a limit or the drive ended the sweep; the message says at which frequency.
+        TimingError: this PC did, by being late.
         StoppedError: the operator ended it.
         RthybError: as in `rthyb_rt.commissioning.moving.carry_out`.
     """
@@ -531,7 +531,7 @@ def _broken_off(moved: Moved, parts: list[_Part], rows: int) -> Exception:
         remedy = "check the link, and this PC with rthyb jitter"
     elif moved.cause == "drive_stopped":
         remedy = "ask the drive's panel why it stopped"
-    return moving.LimitError(f"the sweep ended {where}: {moved.end_reason}; {remedy}")
+    return moving.ended(moved, f"the sweep ended {where}: {moved.end_reason}; {remedy}")
 
 
 def _link_delay(moved: Moved) -> float | None:
@@ -539,7 +539,8 @@ def _link_delay(moved: Moved) -> float | None:
     rows = moved.rows
     if not rows["echo"].any():
         return None
-    delay = (moving.command_numbers(rows) - rows["echo"].astype(np.int64)) % 256
+    numbers = moving.command_numbers(rows, moved.facts["commands_before"])
+    delay = (numbers - rows["echo"].astype(np.int64)) % 256
     motion = delay[moving.fresh(rows) & (rows["state"] == RUNNING)]
     known = motion[motion < 128]
     return float(known.mean()) if known.size else None

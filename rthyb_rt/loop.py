@@ -7,6 +7,7 @@ may then be asked.
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import time
@@ -161,6 +162,23 @@ class Phase:
         return float(self._c.trim_ns) * core.FS_HZ / 1e3
 
 
+@dataclass(frozen=True)
+class LastCommand:
+    """What a loop left a drive with.
+
+    Attributes:
+        x_cmd_m: displacement that the drive was told last; calibrated, without tare.
+        x_m: last reading of the displacement then, likewise.
+        seq: number of that command; one that is older is no news to a drive that still follows.
+        calibration: by which both are told.
+    """
+
+    x_cmd_m: float
+    x_m: float
+    seq: int
+    calibration: core.Calibration
+
+
 class Loop:
     """Link -> wire -> station -> wire -> link -> record -> ring, once a tick.
 
@@ -173,6 +191,8 @@ class Loop:
             "stepped": `step` for each tick, or a thread that `ticker` grants ticks to.
         calibration: between the wire and the station.
         lead_us: link clock: a pair arrives so long before its tick, 10 to 488.
+        paced: stepped clock: False where the drive does not wait for the ticks, so that its count
+            says nothing of two clocks, and no slip is looked for.
 
     Raises:
         core.CoreError: the calibration or the lead is senseless.
@@ -187,7 +207,10 @@ class Loop:
         clock: Clock = "stepped",
         calibration: core.Calibration = core.IDENTITY,
         lead_us: float = 200.0,
+        *,
+        paced: bool = True,
     ) -> None:
+        self._calibration = calibration
         self._kept = (station, wire, link, ring)
         self._c = ffi.new("rthyb_loop *")
         self._ag = ffi.from_buffer("double[]", station._ag)
@@ -200,9 +223,43 @@ class Loop:
             raise core.CoreError(
                 f"a pair cannot arrive {lead_us} us before its tick: 10 to 488 us are possible"
             )
+        self._c.unpaced = not paced
         self._running = False
         self._ring = None if ring is None else ring.pointer
         self._next: tuple[core.Station, Ring | None, Any, Any] | None = None
+        self._load_generation = 0
+
+    def drop_old(self) -> None:
+        """Stepped clock: drop what waits in the link, once, before the first tick.
+
+        The other clocks do it by themselves.
+        """
+        lib.rthyb_loop_drop_old(self._c)
+
+    def go_on(self, last: LastCommand) -> None:
+        """Begin with what an earlier loop at this link told the drive last; before the start.
+
+        It holds if the drive has not stopped meanwhile and its first reading is the one of then,
+        within the station's ``rest_spread_m``. Else the command begins at the first reading.
+        """
+        # Told by another calibration it is another place; the drive counts on all the same.
+        same = last.calibration == self._calibration
+        lib.rthyb_loop_go_on(self._c, last.x_cmd_m, last.x_m if same else math.nan, last.seq)
+
+    def last_command(self) -> LastCommand | None:
+        """Return what the drive was left with, once the loop has ended.
+
+        None: nothing was ever sent, or it did not end at rest.
+        """
+        station = self._c.station
+        if not station.seen or self.state not in ("IDLE", "ZEROED", "ARMED"):
+            return None
+        return LastCommand(
+            float(station.controller.x_cmd + station.tare_cmd),
+            float(station.seen_x),
+            int(self._c.wire.seq),
+            self._calibration,
+        )
 
     def step(self, skipped: int = 0) -> None:
         """Run one tick of the stepped clock, after ``skipped`` that nobody executes."""
@@ -263,25 +320,34 @@ class Loop:
         """Have the next tick go on with another station and ring; return the load's generation.
 
         Ticks, wire and link stay, so that the drive notices nothing. Station and ring of before
-        are kept alive until `loaded` has said that they are no longer in use. One load at a time.
+        are kept alive until `loaded` has said that they are no longer in use.
+
+        Raises:
+            core.CoreError: the load before has not been answered yet; the tick thread stands.
         """
+        if self._next is not None and self.loaded(self._load_generation) is None:
+            raise core.CoreError(
+                "the test that was loaded before has not been taken up yet; wait for the next tick"
+            )
         ag = ffi.from_buffer("double[]", station._ag)
         fresh = None if ring is None else ring.pointer
         self._next = (station, ring, ag, fresh)
         struct = ffi.new("rthyb_load *", (station._c, fresh or ffi.NULL, ag, station._ag.size))
-        return int(lib.rthyb_loop_load(self._c, struct))
+        self._load_generation = int(lib.rthyb_loop_load(self._c, struct))
+        return self._load_generation
 
     def loaded(self, generation: int) -> bool | None:
         """Return whether a load was taken; False: its station may not go, for it is not in IDLE.
 
         None: not answered yet.
         """
-        answer = lib.rthyb_loop_loaded(self._c, generation)
-        if answer == 1 and self._next is not None:
+        newest = lib.rthyb_loop_loaded(self._c, self._load_generation)
+        if newest == 1 and self._next is not None:
             station, ring, self._ag, self._ring = self._next
             self._kept = (station, *self._kept[1:3], ring)
-        if answer:
+        if newest:
             self._next = None
+        answer = lib.rthyb_loop_loaded(self._c, generation)
         return answer == 1 if answer else None
 
     @property
@@ -306,6 +372,14 @@ class Loop:
                 "in 1e-9 ... 1e6 m/s^2"
             )
         return int(struct.generation)
+
+    def set_taken(self, generation: int) -> bool | None:
+        """Return whether a set of parameters, or a later one, came in force; None: not seen yet.
+
+        False: outside IDLE it would switch off a limit of the command; the set before stays.
+        """
+        answer = lib.rthyb_loop_set_taken(self._c, generation)
+        return answer == 1 if answer else None
 
     def beat(self) -> None:
         """Give a sign of life; after 1024 ticks without one the test ramps out."""
@@ -351,6 +425,13 @@ class Loop:
     def link_delay(self) -> int | None:
         """Samples from command to feedback that the wire takes, by the last echo."""
         return None if self._c.delay < 0 else int(self._c.delay)
+
+    def link_delays(self) -> npt.NDArray[np.int64]:
+        """Return how many pairs of the RUNNING state the wire delayed by n samples, (256,).
+
+        The last one: that and more. Readable at any time.
+        """
+        return np.array(list(self._c.delays), dtype=np.int64)
 
     @property
     def counts(self) -> Counts:

@@ -175,8 +175,9 @@ def replacing(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     except OSError as error:
         raise RthybError(
-            f"{path}: cannot be written ({error.strerror or error}); "
-            "check the folder's permissions and the space on the disk"
+            f"cannot be written ({error.strerror or error}); "
+            "check the folder's permissions and the space on the disk",
+            where=str(path),
         ) from error
     finally:
         with contextlib.suppress(OSError):

@@ -43,6 +43,7 @@ _MODE = 0o640
 _SESSION = ".session.h5"
 _PRIVATE = 0o700
 
+_SERVICE = Path("/run/rthyb")
 _OTHER_VERSION = "use the version of rthyb_rt that wrote it"
 _REFUSED: Final[dict[int, str]] = {
     lib.RTHYB_RING_FOREIGN: "not a telemetry ring; give a file ring.* of a real-time test",
@@ -60,13 +61,16 @@ def default_folder() -> Path:
     ``/run/rthyb`` where the service's installation made it, else the user's runtime folder, else a
     folder of the user's own in ``/dev/shm``.
     """
-    service = Path("/run/rthyb")
-    if service.is_dir() and os.access(service, os.W_OK | os.X_OK):
-        return service
+    if _SERVICE.is_dir() and os.access(_SERVICE, os.W_OK | os.X_OK):
+        return _SERVICE
+    return folders()[1]
+
+
+def folders() -> list[Path]:
+    """Return every folder that rings may be in, whether it is there or not: the service's first."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
-    if runtime:
-        return Path(runtime) / "rthyb"
-    return Path("/dev/shm") / f"rthyb-{os.geteuid()}"
+    own = [Path(runtime) / "rthyb"] if runtime else []
+    return [_SERVICE, *own, Path("/dev/shm") / f"rthyb-{os.geteuid()}"]
 
 
 def session_path(ring: Path) -> Path:
@@ -131,8 +135,6 @@ class Ring:
             owned.callback(os.close, fd)
             memory = _take_memory(fd, path, size)
             owned.callback(memory.close)
-            undo.callback(session_path(path).unlink, missing_ok=True)
-            _write_session(path, session)
             view = ffi.from_buffer(memory, require_writable=True)
             owned.callback(ffi.release, view)
             facts = lib.rthyb_ring_settle(fd, view, size)
@@ -140,6 +142,9 @@ class Ring:
             memory[start : start + len(about)] = about
             core = ffi.new("rthyb_ring *")
             lib.rthyb_ring_init(core, view, capacity, len(about))
+            undo.callback(session_path(path).unlink, missing_ok=True)
+            # Last of all: whoever finds a session finds a ring beside it.
+            _write_session(path, session)
             ring = cls(path, owned.pop_all(), core, facts)
             undo.pop_all()
         return ring
@@ -232,8 +237,9 @@ def _reserve(folder: Path) -> tuple[Path, int]:
         os.fchmod(fd, _MODE)
     except OSError as error:
         raise RthybError(
-            f"{folder}: no telemetry ring can be made here ({error.strerror or error}); "
-            "check the folder's permissions"
+            f"no telemetry ring can be made here ({error.strerror or error}); "
+            "check the folder's permissions",
+            where=str(folder),
         ) from error
     return path, fd
 
@@ -246,9 +252,10 @@ def _take_memory(fd: int, path: Path, size: int) -> mmap.mmap:
     except OSError as error:
         free = os.fstatvfs(fd)
         raise RthybError(
-            f"{path.parent}: no room for the telemetry ring ({error.strerror or error}): "
+            f"no room for the telemetry ring ({error.strerror or error}): "
             f"{size / 1e6:.1f} MB needed, {free.f_bavail * free.f_frsize / 1e6:.1f} MB free; "
-            "delete the rings of tests that are recovered (ring.*)"
+            "delete the rings of tests that are recovered (ring.*)",
+            where=str(path.parent),
         ) from error
 
 
@@ -296,7 +303,10 @@ class Reader:
             self._fd = _open(self.path)
             owned.callback(os.close, self._fd)
             if os.fstat(self._fd).st_size < _HEADER_BYTES:
-                raise InputError("too short for a telemetry ring", str(path))
+                raise InputError(
+                    "too short for a telemetry ring; give a file ring.* of a real-time test",
+                    str(path),
+                )
             memory = mmap.mmap(self._fd, 0, access=mmap.ACCESS_READ)
             owned.callback(memory.close)
             view = ffi.from_buffer(memory)
@@ -375,7 +385,10 @@ def _open(path: Path) -> int:
         hint = f"; did you mean {rings[-1]}?" if rings else ""
         raise InputError(f"is a folder; give a ring in it (ring.*){hint}", str(path))
     if not path.is_file():
-        raise InputError("no such file; a ring is gone after a reboot", str(path))
+        raise InputError(
+            "no such file; a ring is gone after a reboot; rthyb recover lists those that are there",
+            str(path),
+        )
     try:
         return os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError as error:
@@ -413,6 +426,71 @@ def _description_in(memory: mmap.mmap) -> tuple[int, dict[str, Any]]:
         about = json.loads(memory[start : start + size].decode())
         return layout, about if isinstance(about, dict) else {}
     return layout, {}
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What a ring shows of itself at a glance.
+
+    Attributes:
+        path: of the ring.
+        test_name: from the session file; "" where that cannot be read.
+        pid: of the process that made it; 0 where it does not say.
+        started_utc: when the ring was made; "" where it does not say.
+        age_s: since then.
+        rows: records that it has taken so far; not all of them may still be there.
+        ticks: ticks up to the newest record.
+        state: of the newest record; "" before the first.
+        alive: a process holds it to fill it.
+        fault: why it cannot be read, or not recovered; "" if it can.
+    """
+
+    path: Path
+    test_name: str = ""
+    pid: int = 0
+    started_utc: str = ""
+    age_s: float | None = None
+    rows: int = 0
+    ticks: int = 0
+    state: str = ""
+    alive: bool = False
+    fault: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all of it by name."""
+        return {**self.__dict__, "path": str(self.path)}
+
+
+def look(path: Path) -> Sight:
+    """Look at a ring without disturbing anybody; what is wrong with it is said, never raised."""
+    try:
+        with Reader(path) as reader:
+            newest = reader.newest()
+            started = str(reader.about.get("started_utc", ""))
+            seen = Sight(
+                path=path,
+                pid=int(reader.about.get("pid", 0)),
+                started_utc=started,
+                age_s=_age_s(started),
+                rows=reader.pushed,
+                ticks=0 if newest is None else int(newest["tick"]) + 1,
+                state="" if newest is None else STATES[newest["state"]],
+                alive=reader.alive,
+                fault="" if newest is not None else "its process has not come to a first tick",
+            )
+    except InputError as error:
+        return Sight(path, fault=error.problems[0].message)
+    try:
+        return replace(seen, test_name=str(_session(path).meta.get("test_name", "")))
+    except RthybError as error:
+        return replace(seen, fault=error.problems[0].message)
+
+
+def _age_s(started_utc: str) -> float | None:
+    with suppress(ValueError, TypeError):
+        began = datetime.datetime.fromisoformat(started_utc)
+        return (datetime.datetime.now(datetime.UTC) - began).total_seconds()
+    return None
 
 
 # ---- from the ring to a recording ---------------------------------------------------------------

@@ -170,7 +170,8 @@ class Live:
         skipped_ticks: that nobody executed.
         lost_pairs: ticks of the motion without a pair from the drive.
         slips: how often the drive's clock gained or lost a sample in the motion.
-        link_delay_samples: from command to feedback on the wire; -1: not known.
+        link_delay_samples: from command to feedback on the wire, median of the test proper; -1:
+            not known.
         missed_rows: rows that the recorder came too late for.
         privileges: what the tick thread obtained.
     """
@@ -542,6 +543,7 @@ def notices(s: Summary) -> list[Notice]:
     if s.end_reason != "completed":
         text = f"The test did not complete: {s.end_reason} after {s.duration_s:.2f} s."
         found.append(Notice("alarm", text))
+        found += _remedy(s.live)
     if s.interrupted:
         found.append(
             Notice("alarm", "The test was held and resumed: it is not one continuous motion.")
@@ -589,6 +591,13 @@ def notices(s: Summary) -> list[Notice]:
             )
         )
     return found
+
+
+def _remedy(found: Live | None) -> list[Notice]:
+    from rthyb_rt.realtime.endings import REMEDIES
+
+    text = REMEDIES.get(found.cause) if found is not None else None
+    return [] if text is None else [Notice("note", text)]
 
 
 def _live_notices(found: Live | None) -> list[Notice]:

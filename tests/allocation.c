@@ -52,6 +52,7 @@ static const struct {
     {RTHYB_MAXWELL, 2, {1e5, 0.1}},
     {RTHYB_SECOND_MODE, 3, {500.0, 12.0, 0.02}},
     {RTHYB_P_DELTA, 2, {4e4, 3.0}},
+    {RTHYB_GAP_FRICTION, 5, {K_E, 1e-3, 400.0, 600.0, 2e-4}},
 };
 enum { ELEMENT_COUNT = sizeof ELEMENTS / sizeof *ELEMENTS, HALF = (ELEMENT_COUNT + 1) / 2 };
 

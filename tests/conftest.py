@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import signal
 from importlib import resources
 from pathlib import Path
+
+# A second thread of BLAS waits for the first one by turning round and round, and what the tests
+# solve is small. Before numpy is imported, and for the processes of the tests as well.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from command_line import Answer, Rthyb
@@ -12,6 +18,21 @@ from command_line import Answer, Rthyb
 from rthyb_rt import cli, ground_motion, studies
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.studies.results import Study
+
+
+def pytest_configure() -> None:
+    """Hear Ctrl-C and hang-ups, which the background of a shell, or nohup, has children ignore."""
+    for number, usual in (
+        (signal.SIGINT, signal.default_int_handler),
+        (signal.SIGHUP, signal.SIG_DFL),
+    ):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, usual)
+
+
+def pytest_collection_finish() -> None:
+    """What the collection has made lives to the end: the garbage collector need not look again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

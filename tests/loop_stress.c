@@ -133,6 +133,7 @@ static void look(bench *b, rthyb_ticker_counts *last)
            peek((const uint64_t *)&loop->trim_ppb) +
            sum((const uint64_t *)&loop->counters, sizeof loop->counters / 8) +
            sum((const uint64_t *)&b->e.near.counters, sizeof b->e.near.counters / 8) +
+           peek(&b->e.near.down) + sum(loop->delays, RTHYB_LINK_DELAYS) +
            sum((const uint64_t *)&b->e.wire.counters, sizeof b->e.wire.counters / 8));
     rthyb_latency_merge(&copy, &loop->ticker.wake);
     rthyb_latency_merge(&copy, &loop->sent);
@@ -245,6 +246,9 @@ static void *set_parameters(void *shared)
         rthyb_parameters p = parameters(k);
         must(rthyb_loop_set_parameters(&b->e.loop, &p) == 0, "a good set is published");
         must(p.generation == k, "each set has its generation");
+        for (int i = 0; i < 4 && !rthyb_loop_set_taken(&b->e.loop, p.generation); i++)
+            sched_yield();
+        must(rthyb_loop_set_taken(&b->e.loop, p.generation) != 2, "a good set is not refused");
         sched_yield();
     }
     return NULL;

@@ -11,7 +11,11 @@
 #include <string.h>
 #include <time.h>
 
-enum { READERS = 3, CAPACITY = 128, PUSHES = 400000, TRIP = 3000, BATCH = 32, ROUNDS = 60 };
+#ifndef CAPACITY
+#define CAPACITY 128
+#endif
+
+enum { READERS = 3, PUSHES = 400000, TRIP = 3000, BATCH = 32, ROUNDS = 60 };
 
 typedef struct {
     rthyb_ring_reader ring;

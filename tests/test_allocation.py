@@ -10,6 +10,7 @@ import re
 import signal
 import subprocess
 from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from rthyb_rt._core import lib
 TESTS = Path(__file__).resolve().parent
 CORE = TESTS.parent / "csrc"
 FLAGS = ("-std=c11", "-O3", "-DNDEBUG", "-ffp-contract=off", "-fno-math-errno", f"-I{CORE}")
+PLAIN = ("-fno-pic", "-fno-stack-protector")  # or the objects name helpers of compiler and linker
 
 # What the arithmetic of a sample may call beside the core's own functions.
 HARMLESS = re.compile(
@@ -46,11 +48,31 @@ def run(program: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """tests/allocation.c with the core, all symbols bound before it starts."""
-    path = tmp_path_factory.mktemp("allocation") / "allocation"
-    gcc(TESTS / "allocation.c", *sorted(CORE.glob("*.c")), "-lm", "-Wl,-z,now", "-o", path)
+def objects(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Path]:
+    """The object file of every source of the core."""
+    folder = tmp_path_factory.mktemp("core")
+    sources = sorted(CORE.glob("*.c"))
+    targets = [folder / f"{source.stem}.o" for source in sources]
+
+    def compiled(source: Path, target: Path) -> None:
+        gcc(*PLAIN, "-c", source, "-o", target)
+
+    with ThreadPoolExecutor(2) as compilers:
+        list(compilers.map(compiled, sources, targets))
+    return dict(zip(sources, targets, strict=True))
+
+
+def linked(main: Path, objects: dict[Path, Path], folder: Path) -> Path:
+    """Return a program of the tests' own with the core, all symbols bound before it starts."""
+    path = folder / main.stem
+    gcc(*PLAIN, "-no-pie", main, *objects.values(), "-lm", "-lpthread", "-Wl,-z,now", "-o", path)
     return path
+
+
+@pytest.fixture(scope="module")
+def program(objects: dict[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """tests/allocation.c with the core."""
+    return linked(TESTS / "allocation.c", objects, tmp_path_factory.mktemp("allocation"))
 
 
 def test_no_sample_of_any_controller_on_any_rig_allocates_or_calls_the_kernel(
@@ -81,12 +103,9 @@ def test_a_system_call_would_have_ended_the_program(program: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def loop_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def loop_program(objects: dict[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """tests/loop_allocation.c with the core: a run of loop and drive from start to join."""
-    path = tmp_path_factory.mktemp("allocation") / "loop_allocation"
-    sources = [TESTS / "loop_allocation.c", *sorted(CORE.glob("*.c"))]
-    gcc(*sources, "-lm", "-lpthread", "-Wl,-z,now", "-o", path)
-    return path
+    return linked(TESTS / "loop_allocation.c", objects, tmp_path_factory.mktemp("allocation"))
 
 
 CLOCKS = {"host": lib.RTHYB_CLOCK_HOST, "link": lib.RTHYB_CLOCK_LINK}
@@ -122,13 +141,11 @@ def test_a_system_call_of_a_tick_would_have_ended_the_run(loop_program: Path) ->
 class Symbols:
     """What the objects of the core define, need and keep in writable memory, from nm."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, objects: dict[Path, Path]) -> None:
         self.home: dict[str, str] = {}
         self.needs: defaultdict[str, set[str]] = defaultdict(set)
         self.writable: defaultdict[str, set[str]] = defaultdict(set)
-        for source in sorted(CORE.glob("*.c")):
-            target = folder / f"{source.stem}.o"
-            gcc("-fno-pic", "-fno-stack-protector", "-c", source, "-o", target)
+        for source, target in objects.items():
             listing = subprocess.run(["nm", target], capture_output=True, text=True, check=True)
             for line in listing.stdout.splitlines():
                 kind, name = line.split()[-2:]
@@ -155,8 +172,8 @@ class Symbols:
 
 
 @pytest.fixture(scope="module")
-def symbols(tmp_path_factory: pytest.TempPathFactory) -> Symbols:
-    return Symbols(tmp_path_factory.mktemp("symbols"))
+def symbols(objects: dict[Path, Path]) -> Symbols:
+    return Symbols(objects)
 
 
 @pytest.fixture(scope="module")

@@ -538,6 +538,13 @@ def test_test_without_any_limit_is_warned_of(rthyb: Rthyb, tmp_path: Path) -> No
     assert warning in rthyb("check", "test.toml", *off).out
 
 
+def test_damping_that_forgot_its_per_cent_is_warned_of(rthyb: Rthyb, tmp_path: Path) -> None:
+    (tmp_path / "test.toml").write_text(TEST)
+    meant = "Warning: the damping is 2 of critical; a structure has 0.01 to 0.1: 2 %"
+    assert meant in rthyb("check", "test.toml", "--set", "numerical.damping_ratio=2").out
+    assert "of critical; a" not in rthyb("check", "test.toml").out
+
+
 @pytest.mark.parametrize("command", ["check", "run"])
 def test_sensor_that_ends_before_the_expected_peak_is_noted(
     rthyb: Rthyb, tmp_path: Path, command: str
@@ -728,6 +735,41 @@ def test_fault_of_the_program_is_told_in_words(
     assert "RTHYB_TRACEBACK=1" in answer.err
     monkeypatch.setenv("RTHYB_TRACEBACK", "1")
     assert "Traceback (most recent call last)" in rthyb("run").err
+
+
+def test_fault_of_the_program_is_told_to_machines(
+    rthyb: Rthyb, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*arguments: object, **options: object) -> None:
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr(experiment, "prepare", broken)
+    answer = rthyb("run", "--json")
+    assert answer.code == 1
+    document = json.loads(answer.out)
+    assert document["schema"] == "rthyb-problems/1"
+    assert document["ok"] is False
+    (problem,) = document["problems"]
+    assert "ZeroDivisionError: division by zero" in problem["message"]
+
+
+@pytest.mark.parametrize(
+    ("command", "where"),
+    [
+        (("run", "--clock", "host"), "--clock"),
+        (("run", "--clock", "sundial"), "--clock"),
+        (("jog", "delay-10-elastic", "2 kN"), "DISTANCE"),
+        (("check",), "TEST.toml"),
+        (("run", "--no-such-option"), ""),
+    ],
+)
+def test_word_that_the_command_line_does_not_take_is_named_to_machines(
+    rthyb: Rthyb, command: tuple[str, ...], where: str
+) -> None:
+    answer = rthyb(*command, "--json")
+    assert answer.code == 2
+    (problem,) = json.loads(answer.out)["problems"]
+    assert problem["where"] == where
 
 
 def test_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:

@@ -6,11 +6,13 @@ Most of it goes tick by tick with a virtual drive; the last ones have processes 
 from __future__ import annotations
 
 import json
+import re
 import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
 import typer
@@ -20,6 +22,9 @@ from realtime_bench import ATTEMPTS, SHORT, STALLED, Process
 
 from rthyb_rt import config, core, recording, report
 from rthyb_rt.cli import connecting
+from rthyb_rt.commissioning import certificate, guide, moving
+
+pytestmark = pytest.mark.alone
 
 NO_LINK = COLUMN.replace('[link]\nkind = "socket"\nchannel = "/nowhere"\n', "")
 NO_STIFFNESS = NO_LINK.replace("elastic_stiffness_n_per_m = 1\n", "")
@@ -86,9 +91,78 @@ def test_jog_names_a_wrong_sign(rthyb: Rthyb, tmp_path: Path, stepped: None) -> 
     """The force of a negative stiffness falls, as that of a load cell that was wired backwards."""
     path = rig_file(tmp_path, NO_LINK.replace("k_n_per_m = 500000", "k_n_per_m = -500000"))
     answer = rthyb("jog", path, "1 mm", "--speed", "5 mm/s")
-    assert answer.code == 0
-    assert "Attention: the force falls with displacement" in answer.out
+    assert answer.code == 8
+    assert "Attention: the force falls with displacement: -" in answer.out
+    assert "N/m, k_e < 0; " in answer.out
     assert "force = { polarity = -1 }" in answer.out
+    found = rthyb("jog", path, "1 mm", "--speed", "5 mm/s", "--json").json
+    assert found["reversed"] is True
+    assert found["stiffness_n_per_m"] == pytest.approx(-STIFFNESS_N_PER_M, rel=0.02)
+
+
+def test_jog_too_small_to_tell_a_sign_names_none(
+    rthyb: Rthyb, tmp_path: Path, stepped: None
+) -> None:
+    """0.1 um of a specimen as soft as this are 0.05 N in a noise of 5 N."""
+    path = rig_file(tmp_path, NO_LINK.replace("k_n_per_m = 500000", "k_n_per_m = -500000"))
+    answer = rthyb("jog", path, "0.0001 mm", "--json")
+    assert answer.code == 0
+    assert answer.json["reversed"] is False
+
+
+def test_check_says_whether_the_rig_is_commissioned_as_its_file_stands(
+    rthyb: Rthyb, tmp_path: Path
+) -> None:
+    text = COLUMN.replace("per_m = 1\n", f"per_m = {STIFFNESS_N_PER_M}\n")
+    path = rig_file(tmp_path, text)
+    test = config.load_test(config.builtin_test_path(), {
+        "ground_motion.pga_g": "0.01", "limits": "{}", "controller.alpha0": "12",
+    })  # fmt: skip
+    (tmp_path / "test.toml").write_text(config.dump(test), encoding="utf-8")
+    check = ("check", tmp_path / "test.toml", "--rig", path)
+
+    def found(*arguments: str) -> dict[str, Any]:
+        answer = rthyb(*check, "--json", *arguments)
+        assert answer.code == 0, answer.err
+        document: dict[str, Any] = answer.json["commissioning"]  # type: ignore[assignment]
+        return document
+
+    none = found()
+    assert (none["demanded"], none["commissioned"]) == (True, False)
+    assert "this rig has not been commissioned" in none["why_not"]
+    plain = rthyb(*check).out
+    assert re.search(r"^Commissioned +no ", plain, re.MULTILINE)
+    assert "Warning: a test in real time will be refused: this rig has not been" in plain
+    rig = config.load_rig(path)
+    steps = {
+        "link": certificate.Step("link", True, "2026-11-20T08:00:00+00:00"),
+        "polarity": certificate.Step("polarity", False, "2026-11-20T08:01:00+00:00"),
+    }
+    failed = certificate.Certificate(
+        "column", certificate.rig_hash(rig), False, "socket", steps=steps
+    )
+    certificate.write(certificate.place(path), failed)
+    assert found()["commissioned"] is False
+    assert "its polarity check has not passed" in found()["why_not"]
+    passed = certificate.Step("polarity", True, "2026-11-21T09:30:00+00:00")
+    certificate.write(certificate.place(path), failed.with_step(passed))
+    good = found()
+    assert (good["commissioned"], good["why_not"]) == (True, "")
+    assert good["steps"]["polarity"] == {"passed": True, "date": "2026-11-21T09:30:00+00:00"}
+    assert good["steps"]["trip"] is None
+    plain = rthyb(*check).out
+    assert re.search(r"^Commissioned +yes ", plain, re.MULTILINE)
+    assert re.search(r"^Check of polarity +passed +2026-11-21T09:30", plain, re.MULTILINE)
+    assert re.search(r"^Check of the watchdog +not made", plain, re.MULTILINE)
+    assert "will be refused" not in plain
+    # Another limit is another rig.
+    moved = found("--set", "rig.limits.force_n=7 kN")
+    assert moved["commissioned"] is False
+    assert "have changed since the rig was commissioned on 2026-11-21" in moved["why_not"]
+    virtual = found("--set", "rig.link.virtual=true")
+    assert (virtual["demanded"], virtual["why_not"]) == (False, "")
+    certificate.place(path).write_text("{", encoding="utf-8")
+    assert "is no commissioning file" in found()["why_not"]
 
 
 # ---- commission ---------------------------------------------------------------------------------
@@ -214,6 +288,23 @@ def test_limit_in_an_identification_leaves_with_six_and_writes_nothing(
     assert answer.code == 6
     assert "the sweep ended at 0.5 Hz: tripped: force limit" in answer.err
     assert not (tmp_path / "runs").exists()
+
+
+def test_commissioning_that_is_interrupted_says_to_machines_what_was_written(
+    rthyb: Rthyb, tmp_path: Path, stepped: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise moving.StoppedError("small-motion: stopped by the operator")
+
+    monkeypatch.setattr(guide, "commission", interrupted)
+    answer = rthyb("commission", rig_file(tmp_path), "--yes", "--json")
+    assert answer.code == 130
+    assert json.loads(answer.out)["problems"] == [
+        {
+            "where": "rthyb commission",
+            "message": "small-motion: stopped by the operator; nothing was written",
+        }
+    ]
 
 
 # ---- with processes of their own ----------------------------------------------------------------

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from command_line import Answer, Rthyb
 
-from rthyb_rt import cli, config, ground_motion, recording
+from rthyb_rt import cli, config, ground_motion, recording, ring
 from rthyb_rt.cli import folders, streams
 from rthyb_rt.errors import InputError
 
@@ -425,9 +425,16 @@ def test_progress_stays_on_one_line(tmp_path: Path, columns: int) -> None:
         assert re.search(r"(\d|--):\S\S$", state.rstrip())
 
 
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What a run says where there is room."""
+    return on_a_terminal(200, *SHORT, "--out", "a", folder=tmp_path_factory.mktemp("wide"))
+
+
 @pytest.mark.parametrize("columns", [40, 60, 80])
-def test_result_on_a_narrow_terminal_breaks_no_word(tmp_path: Path, columns: int) -> None:
-    wide = on_a_terminal(200, *SHORT, "--out", "a", folder=tmp_path)
+def test_result_on_a_narrow_terminal_breaks_no_word(
+    tmp_path: Path, columns: int, wide: str
+) -> None:
     narrow = on_a_terminal(columns, *SHORT, "--out", "b", folder=tmp_path)
     table = narrow.split("\n\n")[1]
     assert max(len(line) for line in table.splitlines()) <= columns
@@ -447,3 +454,241 @@ def test_closed_stdout_is_left_as_it_was_found(monkeypatch: pytest.MonkeyPatch) 
     before = sys.stdout, sys.stderr
     assert cli.main(["schema", "rig"]) == 0
     assert (sys.stdout, sys.stderr) == before
+
+
+# ---- an interrupt for programs ------------------------------------------------------------------
+
+
+def problems(answer: Answer) -> list[dict[str, str]]:
+    document = json.loads(answer.out)
+    assert document["schema"] == "rthyb-problems/1"
+    assert document["ok"] is False
+    found: list[dict[str, str]] = document["problems"]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "signal", "code", "words"),
+    [
+        ("experiment", "run", "SIGINT", 130, "interrupted; nothing was written"),
+        ("experiment", "run", "SIGTERM", 143, "ended by SIGTERM; nothing was written"),
+        ("recording", "write", "SIGINT", 130, "interrupted; written: runs/"),
+    ],
+)
+def test_interrupt_is_a_json_document_that_says_what_was_interrupted(
+    tmp_path: Path, module: str, name: str, signal: str, code: int, words: str
+) -> None:
+    answer = python(signalled(module, name, signal), *SHORT, "--json", folder=tmp_path)
+    assert answer.code == code
+    (problem,) = problems(answer)
+    assert problem["where"] == "rthyb run"
+    assert problem["message"].startswith(words)
+
+
+def test_interrupt_behind_the_result_adds_no_second_document(tmp_path: Path) -> None:
+    late = (
+        "import os, signal\nfrom rthyb_rt.cli import terminal\nreal = terminal.print_json\n"
+        "def changed(document):\n    real(document)\n    os.kill(os.getpid(), signal.SIGINT)\n"
+        "terminal.print_json = changed\n"
+    )
+    answer = python(late, *SHORT, "--json", folder=tmp_path)
+    assert answer.code == 130
+    assert json.loads(answer.out)["schema"] == "rthyb-run/1"
+
+
+AT_IMPORT = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "{module}":
+            sys.meta_path.remove(self)
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+"""
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["rthyb_rt.cli.program", "rthyb_rt.cli.streams", "rthyb_rt.errors", "typer", "numpy",
+     "rthyb_rt._core"],
+)  # fmt: skip
+def test_ctrl_c_in_the_first_moments_is_answered_in_a_word(tmp_path: Path, module: str) -> None:
+    answer = python(AT_IMPORT.format(module=module), *SHORT, "--json", folder=tmp_path)
+    assert answer.code == 130
+    assert answer.err == "rthyb: interrupted; nothing was written\n"
+    assert problems(answer) == [
+        {"where": "rthyb run", "message": "interrupted; nothing was written"}
+    ]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_imported_before_a_ctrl_c_is_looked_after(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c",
+         "import sys\nbefore = set(sys.modules)\nimport rthyb_rt\nmiddle = set(sys.modules)\n"
+         "from rthyb_rt import cli\nprint(*sorted(set(sys.modules) - middle))"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True,
+    )  # fmt: skip
+    assert done.stdout.split() == ["rthyb_rt.cli"]
+
+
+LIVE = (
+    *("run", "--realtime", "--clock", "stepped", "--no-report"),
+    *("--set", "test.duration_s=1", "--set", "ground_motion.start_s=1.5"),
+    *("--set", "limits.ramp_in_s=0.25", "--set", "limits.tare_s=0.125"),
+)
+THRICE = """
+import os, signal
+from rthyb_rt import {module}
+real = {module}.{name}
+def changed(*arguments, **options):
+    if not str(arguments[0]).endswith(".session.h5"):
+        for _ in range(3):
+            os.kill(os.getpid(), signal.SIGINT)
+    return real(*arguments, **options)
+{module}.{name} = changed
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "code"),
+    [("recording", "write", 0), ("summary", "summarize", 130)],
+)
+def test_impatient_ctrl_c_costs_no_recording_of_a_test_in_real_time(
+    tmp_path: Path, module: str, name: str, code: int
+) -> None:
+    """While it is written, a signal waits; behind that, the file has its place already."""
+    answer = python(
+        THRICE.format(module=module, name=name), *LIVE, "--out", "x", folder=tmp_path,
+        XDG_RUNTIME_DIR=str(tmp_path / "rings"),
+    )  # fmt: skip
+    assert answer.code == code, answer.err
+    assert recording.open_run(tmp_path / "x").meta["end_reason"] == "completed"
+    left = [path for folder in ring.folders() for path in ring.find(folder)]
+    assert [path for path in left if str(path) in answer.err] == []
+    if code:
+        assert "interrupted; written: x/recording.h5" in answer.err
+
+
+def test_recording_that_finds_no_disk_leaves_its_ring_and_the_line_to_type(tmp_path: Path) -> None:
+    full = (
+        "import errno\nfrom rthyb_rt import recording\nreal = recording.write\n"
+        "def changed(path, rec):\n"
+        "    if str(path).endswith('.session.h5'):\n        return real(path, rec)\n"
+        "    raise OSError(errno.ENOSPC, 'No space left on device', str(path))\n"
+        "recording.write = changed\n"
+    )
+    answer = python(
+        full, *LIVE, "--out", "x", "--json", folder=tmp_path,
+        XDG_RUNTIME_DIR=str(tmp_path / "rings"),
+    )  # fmt: skip
+    assert answer.code == 1
+    line = re.search(r"rthyb recover (\S+)$", answer.err.strip())
+    assert line
+    kept = Path(line[1])
+    try:
+        (problem,) = problems(answer)
+        assert problem["where"].endswith("recording.h5") or problem["where"] == "."
+        assert "No space left on device" in problem["message"]
+        assert python("", "recover", str(kept), "--out", "y", folder=tmp_path).code == 0
+        assert recording.open_run(tmp_path / "y").samples.size > 1000
+    finally:
+        for path in (kept, ring.session_path(kept)):
+            path.unlink(missing_ok=True)
+
+
+# ---- where a disk refused -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("run", "--set", "test.duration_s=1", "--out", "file/x"),
+        ("identify", "delay-10-elastic", "--max-frequency", "1", "--out", "file/x.toml"),
+        ("rig", "--pty", "--seconds", "0.1", "--log", "file/x.npy"),
+    ],
+)
+def test_disk_error_says_where_for_programs_too(
+    rthyb: Rthyb, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    (tmp_path / "file").write_text("no folder")
+    answer = rthyb(*command, "--json")
+    assert answer.code == 1
+    (problem,) = problems(answer)
+    assert problem["where"] in ("file", command[-1])
+    assert answer.err.splitlines()[-1] == f"rthyb: {problem['where']}: {problem['message']}"
+
+
+def test_virtual_rig_leaves_a_file_alone_that_is_no_socket(rthyb: Rthyb, tmp_path: Path) -> None:
+    path = tmp_path / "test.toml"
+    path.write_text("precious")
+    answer = rthyb("rig", "--socket", path, "--seconds", "0.1", "--json")
+    assert answer.code == 3
+    (problem,) = problems(answer)
+    assert problem["where"] == str(path)
+    assert problem["message"].startswith("is there already, and not a socket; it is left alone")
+    assert path.read_text() == "precious"
+
+
+def test_disk_error_of_the_system_itself_has_its_path(
+    rthyb: Rthyb, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied", "/lab/record.AT2")
+
+    monkeypatch.setattr("rthyb_rt.experiment.prepare", refuse)
+    answer = rthyb("check", config.builtin_test_path(), "--json")
+    assert answer.code == 1
+    assert problems(answer) == [{"where": "/lab/record.AT2", "message": "Permission denied"}]
+
+
+@pytest.mark.parametrize(
+    ("key", "table", "begins"),
+    [
+        ("rig.actuator", '{ kind = "pure-delay", delay_samples = -3 }', "delay_samples: found -3"),
+        ("controller", '{ type = "paper", w1 = -3 }', "w1: w1 = -3"),
+        ("limits", "{ force_n = { value = -2 } }", "force_n.value: found -2"),
+        ("limits.force_n", '{ value = 2, acton = "trip" }', "acton: unknown key (did you mean"),
+    ],
+)
+def test_fault_in_a_table_given_with_set_is_at_that_set(
+    rthyb: Rthyb, key: str, table: str, begins: str
+) -> None:
+    answer = rthyb("check", config.builtin_test_path(), "--set", f"{key}={table}", "--json")
+    assert answer.code == 3
+    (problem,) = problems(answer)
+    assert problem["where"] == f"--set {key}"
+    assert problem["message"].startswith(begins)
+
+
+def test_value_set_behind_its_table_is_blamed_itself(rthyb: Rthyb) -> None:
+    answer = rthyb(
+        *("check", config.builtin_test_path(), "--json"),
+        *("--set", 'controller={ type = "paper" }', "--set", "controller.alpha0=-1"),
+    )
+    assert [problem["where"] for problem in problems(answer)] == ["--set controller.alpha0"]
+
+
+# ---- words on the command line ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("command", "line"),
+    [
+        (("jog",), "Error: Missing argument 'RIG'."),
+        (("commission",), "Error: Missing argument 'RIG'."),
+        (
+            ("jog", "rig.toml", "2", "mm"),
+            "Error: Got unexpected extra argument(s) (mm); a value with its unit is one word: "
+            '"2 mm"',
+        ),
+        (("recover", "a", "b"), "Error: Got unexpected extra argument(s) (b)"),
+        (("run", "--relatime"), "Error: No such option: --relatime (Possible options: --realtime)"),
+    ],
+)
+def test_command_line_that_is_not_understood_is_answered_once(
+    rthyb: Rthyb, command: tuple[str, ...], line: str
+) -> None:
+    answer = rthyb(*command)
+    assert answer.code == 2
+    assert answer.err.splitlines()[-1] == line

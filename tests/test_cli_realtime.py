@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import re
 import signal
 import threading
 import time
@@ -10,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +30,8 @@ from realtime_lab import (
 
 from rthyb_rt import loop, realtime, virtual_rig
 from rthyb_rt.virtual_rig import serving
+
+pytestmark = pytest.mark.alone
 
 
 @pytest.fixture
@@ -91,6 +96,9 @@ def test_without_a_link_a_virtual_rig_of_its_own_is_started_and_replay_agrees(
             return cause_of(rec)
         assert status == 0, err
         assert err.startswith("rthyb: no [link] in the rig file: on a virtual rig in process ")
+        told = re.search(r"^rthyb: telemetry ring (\S+); .*: rthyb recover \1$", err, re.MULTILINE)
+        assert told
+        assert told[1].startswith((str(lab.runtime), "/run/rthyb"))
         assert rthyb("replay", lab.folder / out).out.startswith("bit-identical")
         for label in ("Punctuality", "Link", "End of the test"):
             assert label in printed
@@ -100,7 +108,9 @@ def test_without_a_link_a_virtual_rig_of_its_own_is_started_and_replay_agrees(
     repeated(attempt)
 
 
-def test_rig_outlives_its_controllers_whatever_becomes_of_them(lab: Lab, rthyb: Rthyb) -> None:
+def test_rig_outlives_its_controllers_whatever_becomes_of_them(
+    lab: Lab, rthyb: Rthyb, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One is stopped by Ctrl-C, the next one killed; the drive stops itself within 20 ticks."""
     log = lab.folder / "drive.npy"
     lab.rig(f'kind = "socket"\nchannel = "{lab.folder / "s"}"')
@@ -125,15 +135,26 @@ def test_rig_outlives_its_controllers_whatever_becomes_of_them(lab: Lab, rthyb: 
         return cause_of(rec)
 
     left: list[Path] = []
+    shown: list[Any] = []
+
+    def rings_of(pid: int) -> list[dict[str, Any]]:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(lab.runtime))
+        answer = rthyb("recover", "--json")
+        assert answer.code == 0
+        assert answer.json["schema"] == "rthyb-rings/1"
+        found: Any = answer.json["rings"]
+        return [one for one in found if one["pid"] == pid]
 
     def killed(out: str) -> str:
         controller = lab.controller(f"killed-{out}")
         try:
             found = lab.await_state(controller, "RUNNING")
+            shown[:] = rings_of(controller.process.pid)
         finally:
             controller.kill()
         if found is None:
             return "stalled"
+        shown.extend(rings_of(controller.process.pid))
         left.append(found)
         return "killed"
 
@@ -153,6 +174,14 @@ def test_rig_outlives_its_controllers_whatever_becomes_of_them(lab: Lab, rthyb: 
     assert seen["silent"][begins] == loop.WATCHDOG_TICKS
     assert (seen["phase"][begins:] != loop.PHASES.index("following")).all()
     assert seen["phase"][-1] == loop.PHASES.index("stopped")
+    writing, gone = shown
+    assert writing["path"] == gone["path"] == str(left[0])
+    assert (writing["alive"], gone["alive"]) == (True, False)
+    assert gone["test_name"] == "section5-t0.5"
+    assert gone["ticks"] >= writing["ticks"] > 0
+    assert gone["age_s"] > 0.0
+    listed = rthyb("recover")
+    assert "gone" in next(line for line in listed.out.splitlines() if str(left[0]) in line)
     answer = rthyb("recover", left[0], "--out", lab.folder / "recovered", "--json")
     assert answer.code == 0
     assert "its process ended early" in str(answer.json["end_reason"])
@@ -192,9 +221,12 @@ def test_second_ctrl_c_trips(lab: Lab) -> None:
 
 @pytest.mark.parametrize("medium", ["socket", "pty"])
 def test_power_cut_of_the_rig_trips_and_the_recording_opens(lab: Lab, medium: str) -> None:
+    # Later after each attempt in which the controller was not under way yet.
+    instants_s = itertools.count(3)
+
     def attempt(out: str) -> str:
         wire = ("--socket", lab.folder / "s") if medium == "socket" else ("--pty",)
-        drive = lab.drive(*wire, "--fault", "power-cut@4", "--json")
+        drive = lab.drive(*wire, "--fault", f"power-cut@{next(instants_s)}", "--json")
         try:
             lab.rig_at(medium)
             status, _, err = lab.controller(out, "--set", "test.duration_s=20").end()

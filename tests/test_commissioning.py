@@ -15,9 +15,11 @@ from numpy.testing import assert_allclose
 from rthyb_rt import config, core, loop, realtime, ring
 from rthyb_rt.commissioning import guide, jogging, limits, moving, polarity, stops
 from rthyb_rt.commissioning.certificate import STEPS, Certificate
-from rthyb_rt.errors import InputError
+from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.identify import Sweep, identify, identify_live
 from rthyb_rt.recording import FLAGS, STATES
+
+pytestmark = pytest.mark.alone
 
 REVERSED_SENSOR = {"calibration.displacement.polarity": "-1", "calibration.command.polarity": "1"}
 REVERSED_COMMAND = {"calibration.command.polarity": "-1"}
@@ -286,6 +288,78 @@ def test_polarity_check_leaves_the_specimen_where_it_was() -> None:
         guide.commission(there.connection, guide.Plan(("polarity",)))
         assert there.position_m == pytest.approx(0.0, abs=30e-6)
         assert np.abs(there.drive.log["target_m"]).max() == pytest.approx(1e-3, abs=30e-6)
+
+
+# ---- from one motion to the next ----------------------------------------------------------------
+
+CREEPING = {"sensors.displacement": '{ bias_m = "0.3 mm" }', "sensors.force": "{}"}
+"""Displacement and command disagree by an error that no file knows of."""
+
+
+def test_motion_after_motion_goes_on_from_the_command_that_the_drive_has() -> None:
+    with at(rig(), rig(CREEPING)) as there:
+        went = [jogging.jog(there.connection, 1e-3, 4e-3)]
+        first = there.drive.ticks
+        went += [jogging.jog(there.connection, way_m, 4e-3) for way_m in (1e-3, -1e-3, -1e-3)]
+        target = there.drive.log["target_m"]
+    assert [jogged.cause for jogged in went] == ["completed"] * 4
+    # At its peak a jog goes 4 mm/s; what was not to be known goes at the very first contact.
+    assert np.abs(np.diff(target[first - 1 :])).max() <= 4e-3 / core.FS_HZ * 1.01
+    assert target[-1] == pytest.approx(target[first - 1] - 1e-3, abs=2e-9)
+    assert target[first - 1] == pytest.approx(1e-3 + 2 * 0.3e-3, abs=5e-6)
+
+
+def test_recording_of_a_motion_that_went_on_is_replayed_bit_for_bit() -> None:
+    still = moving.Motion("still", np.zeros(100), whole_force=False)
+    with at(rig(), rig(CREEPING)) as there:
+        moving.carry_out(there.connection, still)
+        rec = moving.carry_out(there.connection, still).recording
+        codec = there.connection.opened.codec
+    taken = np.flatnonzero(rec.samples["flags"] & FLAGS["taken_over"])
+    assert taken.size == 1
+    assert rec.samples["x_cmd_m"][taken[0]] == pytest.approx(0.6e-3, abs=5e-6)
+    assert rec.meta["real_time"]["commands_before"] > 0
+    settings = moving.station_of(moving.setup_of(rig(), still), still)
+    again = core.Station(settings, still.path_m).replay(rec.samples, codec, core.IDENTITY, [])
+    assert again.tobytes() == rec.samples.tobytes()
+
+
+@pytest.mark.parametrize("meanwhile", ["stopped", "moved", "other calibration"])
+def test_command_begins_at_the_reading_where_the_drive_may_stand_elsewhere(meanwhile: str) -> None:
+    still = moving.Motion("still", np.zeros(100))
+    with at(rig(), rig(CREEPING)) as there:
+        moving.carry_out(there.connection, still)
+        opened = there.connection.opened
+        assert opened.left is not None
+        if meanwhile == "stopped":
+            for _ in range(loop.WATCHDOG_TICKS + 1):
+                there.drive.tick()
+            assert there.drive.phase == "stopped"
+        elif meanwhile == "moved":
+            there.drive.tick()  # the last commands are still on their way
+            there.drive._c.wanted_m += 1e-3
+            for _ in range(DELAY_SAMPLES + 2):
+                there.drive.tick()
+            assert there.drive.phase == "following"
+        else:
+            other = core.Calibration(x_offset_m=1e-3)
+            opened.left = dataclasses.replace(opened.left, calibration=other)
+        rec = moving.carry_out(there.connection, still).recording
+    assert not (rec.samples["flags"] & FLAGS["taken_over"]).any()
+    assert rec.meta["real_time"]["commands_before"] > 0
+    first = rec.samples[moving.fresh(rec.samples)][0]
+    sent = rec.samples[(rec.samples["flags"] & FLAGS["not_sent"]) == 0][1]
+    assert sent["x_cmd_m"] == pytest.approx(first["x_meas_m"], abs=2e-9)
+
+
+def test_motion_at_the_first_contact_is_made_good_at_a_gentle_speed() -> None:
+    """The drive goes where it reads: 0.3 mm. What it reads then is zero, and that is approached."""
+    with at(rig(), rig(CREEPING)) as there:
+        moving.carry_out(there.connection, moving.Motion("still", np.zeros(100)))
+        log = there.drive.log
+    ramp = log["target_m"][log["state"] == STATES.index("RAMP_IN")]
+    assert np.ptp(ramp) == pytest.approx(0.3e-3, abs=5e-6)
+    assert np.abs(np.diff(ramp)).max() * core.FS_HZ <= moving.GENTLE_M_PER_S * 1.01
 
 
 # ---- link ---------------------------------------------------------------------------------------
@@ -595,6 +669,25 @@ def test_limit_that_ends_the_sweep_is_named_with_its_frequency() -> None:
         identify_live(there.connection, sweep)
     assert "the sweep ended at 4 Hz: tripped: tracking limit" in str(caught.value)
     assert caught.value.exit_code == 6
+
+
+@pytest.mark.parametrize(
+    ("cause", "code"), [("skips", 7), ("stalled", 7), ("heartbeat", 7), ("link_lost", 6)]
+)
+def test_motion_that_this_pc_spoils_every_time_is_a_matter_of_timing(
+    monkeypatch: pytest.MonkeyPatch, cause: str, code: int
+) -> None:
+    still = moving.Motion("still", np.zeros(100))
+    with at(rig()) as there:
+        moved = moving.carry_out(there.connection, still)
+        moved.recording.meta["real_time"]["cause"] = cause
+        monkeypatch.setattr(moving, "carry_out", lambda *_, **__: moved)
+        with pytest.raises(RthybError, match="3 times; rthyb jitter says") as caught:
+            moving.undisturbed(there.connection, still)
+        assert caught.value.exit_code == code
+        with pytest.raises(RthybError, match="the sweep ended before it moved") as caught:
+            identify_live(there.connection, QUICK)
+        assert caught.value.exit_code == code
 
 
 def test_limited_command_is_no_sweep() -> None:

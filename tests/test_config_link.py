@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from importlib import util
 from pathlib import Path
 from typing import Any
 
@@ -411,6 +412,19 @@ def test_check_says_what_it_cannot_know_of_a_bus(rthyb: Rthyb, tmp_path: Path) -
     assert "/dev/ttyUSB0, serial, 921600 baud" in answer.out
     assert "Bus load  31.1 %" in answer.out
     assert "Note: nothing ends a test whose displacement sensor sticks or jumps" in answer.out
+
+
+def test_check_warns_of_a_dbc_that_nobody_could_read(
+    rthyb: Rthyb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = lab(tmp_path, 'dbc = "drive.dbc"\nbitrate = 1_000_000\n', "this is no DBC file")
+    assert rthyb("check", example(), "--rig", path).code == 3
+    monkeypatch.setattr(util, "find_spec", lambda name: None)
+    answer = rthyb("check", example(), "--rig", path)
+    assert "Bus load  not known" in answer.out
+    assert "Warning: link.dbc was not read" in answer.out
+    assert "a test in real time will be refused" in answer.out
+    assert "pip install 'rthyb-rt[wire]'" in answer.out
 
 
 def test_check_in_json_has_the_link(rthyb: Rthyb) -> None:

@@ -173,7 +173,7 @@ def files_that_fit(draw: st.DrawFn) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 @given(files_that_fit())
-@settings(relaxed, max_examples=200)
+@settings(relaxed, max_examples=100)
 def test_resolved_limits_are_never_weaker_than_the_rigs(
     files: tuple[dict[str, Any], dict[str, Any]],
 ) -> None:
@@ -194,7 +194,7 @@ def test_resolved_limits_are_never_weaker_than_the_rigs(
 
 
 @given(tables(Limits), tables(Limits))
-@settings(relaxed, max_examples=200)
+@settings(relaxed, max_examples=100)
 def test_limits_that_were_taken_are_within_the_rigs_and_others_are_named(
     test: dict[str, Any], rig: dict[str, Any]
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import loop_bench
 import numpy as np
 import pytest
-from loop_bench import DELAY, FLAGS, K_N_PER_M, STATE, Bench, H, watched
+from loop_bench import DELAY, FLAGS, K_N_PER_M, ORIGIN_M, STATE, Bench, H, watched
 from rthyb_rt._core import ffi, lib
 from test_live_replay import assert_the_same
 
@@ -410,6 +411,108 @@ def test_station_that_takes_over_goes_on_with_the_last_command() -> None:
         bench.records = bench.records[first:]
         assert_the_same(bench)
         assert_the_same(bench, with_codec=False)
+
+
+FORCE_RANGE_N = 5e4
+
+
+@pytest.fixture
+def ranged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The displacement reads 2 mm more than the drive was told, the load cell ends at 50 kN."""
+    off = core.SensorConfig(bias=BIAS_M)
+    monkeypatch.setattr(loop_bench, "rig", lambda *_: mounted(displacement=off))
+    plain = loop_bench.config
+
+    def made(**changes: Any) -> core.StationConfig:
+        one = plain(**changes)
+        controller = dataclasses.replace(one.controller, f_range_n=FORCE_RANGE_N)
+        return dataclasses.replace(one, controller=controller)
+
+    monkeypatch.setattr(loop_bench, "config", made)
+
+
+def follower_of(bench: Bench) -> int:
+    """Let another station take over in IDLE; the drive's first tick under it."""
+    bench.running(0)
+    bench.until("IDLE")
+    bench.steps(30)
+    began = bench.drive.ticks
+    follower = core.Station(bench.config, bench.ag)
+    bench.loop.load(follower, None)
+    bench.station, bench.records = follower, []
+    return began
+
+
+@pytest.mark.usefixtures("ranged")
+@pytest.mark.parametrize("meanwhile", ["stands", "was moved"])
+def test_command_is_not_taken_over_from_before_a_reading_that_is_sound(meanwhile: str) -> None:
+    """The load cell says nothing at first, and the drive is moved without a word of it."""
+    with Bench(seconds=0.2) as bench:
+        began = follower_of(bench)
+        bench.fault("force", 12, 1e6)
+        bench.steps(3)
+        if meanwhile == "was moved":
+            for name in ("wanted_m", "target_m", "target1_m"):
+                setattr(bench.drive._c, name, getattr(bench.drive._c, name) + 0.02)
+        stood = bench.drive.ticks
+        bench.steps(49)
+        rows = bench.rows()
+        taken = np.flatnonzero(rows["flags"] & FLAGS["taken_over"])
+        moved = np.abs(np.diff(targets(bench)[stood:])).max()
+        assert (rows["flags"][:12] & FLAGS["not_sent"]).all()
+        if meanwhile == "stands":
+            assert taken.size == 1
+            assert largest_step_m(bench, began) == 0.0
+        else:
+            assert taken.size == 0
+            # To where it reads, which is its bias away, and not 20 mm back.
+            assert moved == pytest.approx(BIAS_M, abs=2e-9)
+        assert_the_same(bench)
+        assert_the_same(bench, with_codec=False)
+
+
+@pytest.mark.usefixtures("biased")
+def test_station_replaced_before_its_first_reading_passes_the_command_on() -> None:
+    """Limits are reloaded, and a test is zeroed, while pairs are lost."""
+    with Bench(seconds=0.2) as bench:
+        began = follower_of(bench)
+        bench.fault("drop", 4)
+        bench.steps(2)
+        second = core.Station(bench.config, bench.ag)
+        bench.loop.load(second, None)
+        bench.station, bench.records = second, []
+        bench.steps(40)
+        assert bench.drive.phase == "following"
+        assert np.count_nonzero(bench.rows()["flags"] & FLAGS["taken_over"]) == 1
+        assert largest_step_m(bench, began) == 0.0
+        assert_the_same(bench)
+
+
+def test_station_in_use_outlives_the_loads_that_nobody_asks_after() -> None:
+    with Bench(seconds=0.2) as bench:
+        bench.steps(30)
+        for _ in range(3):
+            bench.loop.load(core.Station(bench.config, bench.ag), None)
+            with pytest.raises(core.CoreError, match="not been taken up yet"):
+                bench.loop.load(core.Station(bench.config, bench.ag), None)
+            bench.steps(1)
+            in_use = bench.loop._c.station
+            stations = [one for one in gc.get_objects() if isinstance(one, core.Station)]
+            assert any(one._c == in_use for one in stations)
+
+
+@pytest.mark.usefixtures("biased")
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1e300])
+def test_hand_over_of_no_number_begins_at_the_reading_and_replays(bad: float) -> None:
+    with Bench(seconds=0.2) as bench:
+        bench.drive._c.phase = loop.PHASES.index("following")
+        bench.drive_ticks(3)
+        bench.loop.go_on(loop.LastCommand(bad, ORIGIN_M + BIAS_M, 7, core.IDENTITY))
+        bench.running(20)
+        rows = bench.rows()
+        assert not (rows["flags"] & FLAGS["taken_over"]).any()
+        assert np.isfinite(targets(bench)).all()
+        assert_the_same(bench)
 
 
 # ---- the end of the way -------------------------------------------------------------------------

@@ -40,7 +40,10 @@ ONE_OF_EACH = {
     "maxwell": {"km_n_per_m": 2e5, "tau_s": 0.05},
     "second_mode": {"m2_kg": 20.0, "f2_hz": 12.0, "zeta2": 0.02},
     "p_delta": {"gravity_load_n": 5e4, "height_m": 0.63},
-}
+    "gap_friction": {
+        "k_n_per_m": 7e6, "gap_m": 2.7e-3, "fc_up_n": 14e3, "fc_down_n": 18e3, "seat_m": 1e-3,
+    },
+}  # fmt: skip
 
 
 def make(kind: str) -> core.Element:
@@ -223,6 +226,42 @@ def test_lugre_at_constant_velocity_builds_up_by_the_closed_form() -> None:
     assert found[-1] == pytest.approx(level + 60.0 * v, rel=1e-3)
 
 
+def test_friction_behind_a_gap_converges_to_a_slider_that_creeps() -> None:
+    """The slider's place by an equation of its own, the seat as springs whose gaps differ."""
+    k, gap, up, down, seat = ONE_OF_EACH["gap_friction"].values()
+    x = smooth_motion(3.0, 4, peak_m=0.02)
+    gaps = gap + seat * (2.0 * (np.arange(400) + 0.5) / 400 - 1.0)
+    bent = np.linspace(0.0, 0.008, 4001)
+    held = k * np.mean(np.maximum(bent[:, None] - gaps, 0.0), axis=1)
+    # Sides slip where their springs together hold no more.
+    ahead, behind = (np.interp(level, held, bent) for level in (up, down))
+    place, force = 0.0, np.empty_like(x)
+    creep = 0.5
+    for i, now in enumerate(x):
+        for _ in range(40):
+            way = now - place
+            place += creep * (max(way - ahead, 0.0) + min(way + behind, 0.0))
+        way = now - place
+        force[i] = np.sign(way) * np.interp(abs(way), bent, held)
+    found = run("gap_friction", x)
+    assert found.max() == pytest.approx(up, rel=1e-9)
+    assert found.min() == pytest.approx(-down, rel=1e-9)
+    np.testing.assert_allclose(found, force, atol=2e-3 * down)
+
+
+def test_friction_behind_a_gap_is_nothing_in_the_gap_and_elastic_before_it_slips() -> None:
+    k, gap, up, down, seat = ONE_OF_EACH["gap_friction"].values()
+    out = np.linspace(0.0, 0.03, 3001)
+    back = 0.03 - np.linspace(0.0, 0.03, 3001)
+    force = run("gap_friction", np.concatenate((out, back)))[3001:]
+    way = up / k + gap - (0.03 - back)
+    clear = np.abs(way) < gap - seat
+    assert np.all(force[clear] == 0.0)
+    sprung = way > gap + seat
+    np.testing.assert_allclose(force[sprung], k * (way - gap)[sprung], rtol=1e-9)
+    assert force[-1] == pytest.approx(-down)
+
+
 def test_lugre_in_motion_converges_to_scipy() -> None:
     def velocity(time: float) -> float:
         return float(0.004 * np.sin(7.0 * time) + 0.002 * np.sin(19.0 * time))
@@ -339,6 +378,7 @@ MUST_BE_POSITIVE = [
     ("maxwell", "tau_s"),
     ("second_mode", "f2_hz"),
     ("p_delta", "height_m"),
+    ("gap_friction", "k_n_per_m"),
 ]
 NOT_NEGATIVE = [
     ("coulomb", "fc_n"),
@@ -355,6 +395,9 @@ NOT_NEGATIVE = [
     ("second_mode", "m2_kg"),
     ("second_mode", "zeta2"),
     ("p_delta", "gravity_load_n"),
+    ("gap_friction", "gap_m"),
+    ("gap_friction", "fc_up_n"),
+    ("gap_friction", "seat_m"),
 ]
 
 

@@ -23,6 +23,8 @@ from rthyb_rt.report import jitter as page
 from rthyb_rt.ring import Reader, Rows, default_folder
 from rthyb_rt.ticker import PRIVILEGES, Counts, JitterRun, Latency, Payload, Timing
 
+pytestmark = pytest.mark.alone
+
 ALL = tuple(PRIVILEGES)
 MS = 1_000_000
 
@@ -115,7 +117,7 @@ def test_a_run_ends_early_when_it_is_told_to() -> None:
 def test_wake_up_is_as_punctual_as_that_of_a_bare_thread(case: Case) -> None:
     cpu = jitter.choose_cpu(jitter.machine_facts())
     for _ in range(3):  # a stall that only one of two threads met says nothing about them
-        result = jitter.measure(case, 2048, LOAD, cpu)
+        result = jitter.measure(case, 1024, LOAD, cpu)
         if "fifo" not in result.measured.privileges:
             pytest.skip("without real-time priority nothing is promised, and none is granted here")
         measured, reference = (

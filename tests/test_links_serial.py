@@ -246,7 +246,9 @@ def test_what_is_not_a_serial_line_is_not_even_opened(
     path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serial, "Serial", lambda *_, **__: pytest.fail("it was opened"))
-    assert refusal(path) == "is not a serial line"
+    message = refusal(path)
+    assert message.startswith("is not a serial line; ")
+    assert "adapter" in message
 
 
 def test_no_permission_names_the_group(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:

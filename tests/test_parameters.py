@@ -17,6 +17,8 @@ from rthyb_rt._core import ffi, lib
 
 from rthyb_rt import core
 
+pytestmark = pytest.mark.alone
+
 WATCHABLE = core.CAUSES[core.CAUSES.index("sensor_stuck") :]
 
 
@@ -257,7 +259,10 @@ def test_no_tick_ever_has_half_of_one_set_and_half_of_another() -> None:
         publisher.start()
         seen = set()
         try:
-            for _ in range(1500):
+            # A busy machine lets the publisher get a word in less often.
+            for step in range(50_000):
+                if step >= 1500 and len(seen) > 10:
+                    break
                 bench.step()
                 found = in_force(bench)
                 if not bench.records[-1]["generation"][-1]:

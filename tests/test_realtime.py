@@ -5,17 +5,32 @@ from __future__ import annotations
 import dataclasses
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from realtime_bench import ATTEMPTS, QUIET, ROWS, STALLED, STATE, Bench, setup, stop_begins
+from realtime_bench import (
+    ATTEMPTS,
+    QUIET,
+    ROWS,
+    STALLED,
+    STATE,
+    Bench,
+    setup,
+    stop_begins,
+    until,
+)
 
 from rthyb_rt import core, experiment, export, loop, realtime, recording, ring, summary, virtual_rig
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.links import opening
+from rthyb_rt.realtime import endings
 from rthyb_rt.realtime.keeper import Keeper
 from rthyb_rt.report import render
+
+pytestmark = pytest.mark.alone
 
 
 @pytest.fixture(autouse=True)
@@ -152,29 +167,83 @@ def test_recording_is_computed_again_bit_for_bit(
     assert found.rows == rec.samples.size
 
 
-def test_parameters_that_were_set_meanwhile_are_part_of_the_replay() -> None:
+@contextmanager
+def in_step() -> Iterator[tuple[realtime.Session, Callable[[], recording.Recording]]]:
+    """Begin a session on the stepped clock; once it has ended, its recording can be had, once."""
     made = setup()
     ours, theirs = opening.socket_pair()
     with ours, theirs, virtual_rig.in_step(made.rig, theirs) as drive:
         session = realtime.Session(made, ours, clock="stepped", before_tick=drive.tick)
+
+        def recorded() -> recording.Recording:
+            rec = session.recording()
+            session.discard()
+            return rec
+
         with session:
             session.start()
             session.wait(0.2)
-            session.command("zero")
-            session.wait(0.2)
-            slow = core.Parameters.of(session.config)
-            slow = dataclasses.replace(slow, velocity_limit_m_per_s=0.01, adapt=False)
-            assert session.set_parameters(slow) == 1
-            session.command("arm")
-            session.command("start")
-            session.wait(1.0)
-        rec = session.recording()
-        session.discard()
+            yield session, recorded
+
+
+def test_parameters_that_were_set_meanwhile_are_part_of_the_replay() -> None:
+    with in_step() as (session, recorded):
+        session.command("zero")
+        session.wait(0.2)
+        slow = core.Parameters.of(session.config)
+        slow = dataclasses.replace(slow, velocity_limit_m_per_s=0.01, adapt=False)
+        assert session.set_parameters(slow) == 1
+        session.command("arm")
+        session.command("start")
+        session.wait(1.0)
+    rec = recorded()
     assert rec.samples["generation"][-1] == 1
     assert (running(rec)["flags"] & recording.FLAGS["limited"]).any()
     assert realtime.replay(rec).identical
     rec.replay.parameters[1]["values"]["velocity_limit_m_per_s"] = 0.011
     assert not realtime.replay(rec).identical
+
+
+def test_set_that_the_station_refuses_is_told_and_is_no_part_of_the_recording() -> None:
+    with in_step() as (session, recorded):
+        session.command("zero")
+        session.wait(0.2)
+        limited = core.Parameters.of(session.config)
+        limited = dataclasses.replace(limited, velocity_limit_m_per_s=0.01)
+        assert session.set_parameters(limited) == 1
+        session.command("arm")
+        session.command("start")
+        session.wait(0.5)
+        without = dataclasses.replace(limited, velocity_limit_m_per_s=0.0)
+        with pytest.raises(realtime.RefusedError) as told:
+            session.set_parameters(without)
+        assert "refused in state RUNNING" in str(told.value)
+        assert "stop, and change them in IDLE" in str(told.value)
+        assert session.loop.set_taken(2) is False
+        assert session.set_parameters(limited) == 3
+        session.wait(0.2)
+    rec = recorded()
+    assert set(rec.samples["generation"]) == {0, 1, 3}
+    assert [one["generation"] for one in rec.replay.parameters] == [0, 1, 3]
+    assert rec.meta["real_time"]["loop"]["parameters_refused"] == 1
+    assert realtime.replay(rec).identical
+
+
+def test_recording_that_ends_amid_skipped_ticks_is_replayed_up_to_them() -> None:
+    """As a black box does that is full there, or the ring of a process that was killed."""
+    with in_step() as (session, recorded):
+        session.loop.step(skipped=4)
+        session.wait(0.1)
+    rec = recorded()
+    (blind,) = np.nonzero(rec.samples["flags"] & recording.FLAGS["blind"])
+    assert blind.size == 4
+    assert realtime.replay(rec).identical
+    cut = dataclasses.replace(rec, samples=rec.samples[: blind[2]])
+    found = realtime.replay(cut)
+    assert found.identical
+    assert found.rows == blind[0]
+    cut.samples["x_cmd_m"][blind[0] - 1] += 1e-9
+    assert not realtime.replay(cut).identical
 
 
 def test_row_that_was_changed_is_where_the_replay_departs() -> None:
@@ -287,7 +356,16 @@ def test_link_that_dies_while_it_is_armed_is_a_trip_and_no_error() -> None:
     bench = Bench(faults=(loop.Fault("silence", 260, 10000),))
     rec = bench.run()
     assert rec.meta["end_reason"] == "tripped: link lost"
+    remedy = summary.notices(summary.summarize(rec))[1].text
+    assert "look at cable, power and display of the drive" in remedy
     assert not (rec.samples["state"] == STATE["RUNNING"]).any()
+
+
+def test_every_end_that_lies_outside_the_test_says_what_to_do() -> None:
+    outside = core.CAUSES[core.CAUSES.index("not_finite") : core.CAUSES.index("position")]
+    told = {cause for cause in outside if cause != "not_arrived"}  # which says it in its own words
+    assert set(endings.REMEDIES) == told
+    assert "look at" in endings.WORDS["not_arrived"]
 
 
 @pytest.mark.parametrize(
@@ -384,6 +462,19 @@ def test_every_cause_has_its_words(cause: str) -> None:
         assert "_" not in words
         assert words.startswith("tripped") == (state == "TRIPPED")
     assert (realtime.end_reason("IDLE", cause) == "completed") == (cause == "completed")
+
+
+def test_what_never_moved_was_not_ramped_out() -> None:
+    words = realtime.end_reason("IDLE", "skips", moved=False)
+    assert words == "ended before anything moved: too many skipped ticks"
+    assert realtime.end_reason("IDLE", "skips") == "ramped out: too many skipped ticks"
+    assert realtime.end_reason("TRIPPED", "stalled", moved=False) == "tripped: this PC stalled"
+
+
+def test_command_that_never_arrives_is_told_with_its_time_and_where_to_look() -> None:
+    words = realtime.end_reason("TRIPPED", "not_arrived")
+    assert words.startswith("tripped: for 10 s the command came no nearer to the end of its path")
+    assert "velocity and acceleration limits" in words
 
 
 @pytest.mark.parametrize(
@@ -548,7 +639,7 @@ def test_operator_who_is_not_heard_of_has_the_test_ramped_out() -> None:
                     session.wait(0.02)
             while session.state == "RAMP_IN":
                 session.wait(0.02)
-            time.sleep(4.0)
+            until(lambda: session.loop.cause != "none", "the end of a test that nobody attends")
             cause = session.loop.cause
         if cause not in STALLED or cause == "heartbeat":
             break

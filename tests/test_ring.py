@@ -20,15 +20,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import Rthyb
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recording_data import recording as made_up_recording
+from ring_rows import CYCLE, rows
 
 from rthyb_rt import cli, config, core, experiment, recording, report, ring, summary
 from rthyb_rt.core import RecordArray
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.recording import STATES, Recording
 from rthyb_rt.ring import AFTER_TRIP, CAPACITY, Reader, Ring
+
+pytestmark = pytest.mark.alone
 
 TESTS = Path(__file__).resolve().parent
 CORE = TESTS.parent / "csrc"
@@ -40,17 +44,6 @@ ABOUT_AT = 4096
 RUNNING, HOLD, TRIPPED, IDLE = (
     STATES.index(name) for name in ("RUNNING", "HOLD", "TRIPPED", "IDLE")
 )
-
-
-def rows(first: int, count: int, state: int = RUNNING) -> RecordArray:
-    """Records that show in every field which tick they are of."""
-    tick = np.arange(first, first + count)
-    records = np.zeros(count, dtype=core.RECORD_DTYPE)
-    for name in core.RECORD_DTYPE.names or ():
-        records[name] = tick.astype(core.RECORD_DTYPE[name])
-    records["flags"] = recording.FLAGS["fresh"]
-    records["state"] = state
-    return records
 
 
 def are_whole(samples: RecordArray) -> bool:
@@ -547,17 +540,16 @@ def test_half_written_status_page_does_not_hang_a_reader(small: Ring) -> None:
 
 # ---- kill -9 ------------------------------------------------------------------------------------
 
-CYCLE = 200_000
-
 PRODUCER = """
-import mmap, pathlib, struct, sys
+import mmap, pathlib, sys
 from recording_data import recording
-from test_ring import CYCLE, rows
+from ring_rows import CYCLE, rows
 from rthyb_rt.ring import Ring
 folder, capacity, size = pathlib.Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 made = Ring.create(folder, recording(1.0), capacity=capacity)
 with (folder / "counter").open("r+b") as file:
-    counter = mmap.mmap(file.fileno(), 8)
+    # In one store: struct.pack_into writes zeros first, and may be killed there.
+    returned = memoryview(mmap.mmap(file.fileno(), 8)).cast("q")
 every = rows(0, CYCLE)
 batches = [every[start : start + size] for start in range(0, CYCLE, size)]
 pushed = 0
@@ -566,7 +558,7 @@ while True:
     for batch in batches:
         made.push(batch)
         pushed += size
-        struct.pack_into("<q", counter, 0, pushed)
+        returned[0] = pushed
 """
 
 
@@ -805,6 +797,17 @@ def test_recover_that_cannot_be_done_writes_nothing(
 # ---- in C alone ---------------------------------------------------------------------------------
 
 
+PAUSE = """
+#define _GNU_SOURCE
+#include <time.h>
+static void pause_here(void)
+{
+    const struct timespec t = {0, 60000};
+    nanosleep(&t, NULL);
+}
+"""
+
+
 def gcc(target: Path, source: Path, *flags: str) -> Path:
     arguments = ["-std=c11", "-DNDEBUG", f"-I{CORE}", *flags, str(TESTS / "ring_stress.c")]
     command = ["gcc", *arguments, str(source), "-lpthread", "-o", str(target)]
@@ -858,6 +861,28 @@ def test_readers_at_full_speed_see_no_torn_record_and_account_for_every_one(
         assert read > 0
 
 
+def test_newest_record_never_gets_older_though_threads_pause_anywhere(tmp_path: Path) -> None:
+    source = tmp_path / "ring.c"
+    text = (CORE / "ring.c").read_text(encoding="utf-8")
+    for pause, before in (
+        ("if (ring->pushed % 53 == 0) pause_here();", "    ring->pushed++;\n"),
+        ("pause_here();", "    set_phase(ring, RTHYB_RING_FROZEN);\n"),
+        ("pause_here();", "    set_phase(ring, RTHYB_RING_OPEN);\n"),
+        (
+            "if (last % 7 == 0) pause_here();",
+            "        const rthyb_ring_slot *slot =\n            frozen",
+        ),
+    ):
+        assert text.count(before) == 1
+        text = text.replace(before, pause + before)
+    source.write_text(PAUSE + text, encoding="utf-8")
+    # A reader that slept is lapped.
+    program = gcc(tmp_path / "stress", source, "-O2", "-DCAPACITY=4")
+    for _, read, _, torn, disordered in counts(run(program)):
+        assert read > 0
+        assert (torn, disordered) == (0, 0)
+
+
 def test_torn_records_would_have_been_seen(tmp_path: Path) -> None:
     program = gcc(tmp_path / "stress", spoilt(tmp_path, SECOND_LOOK, "return 1;"), "-O1")
     assert any(torn for _ in range(20) for _, _, _, torn, _ in counts(run(program)))
@@ -898,3 +923,39 @@ def test_the_ring_asks_the_kernel_nothing_after_its_start(tmp_path: Path) -> Non
     assert called <= {"rthyb_ring_push", ".text.rthyb_ring_push", ".text.unlikely"}
     symbols = subprocess.run(["nm", str(target)], capture_output=True, text=True, check=True).stdout
     assert not re.search(r" [BbDdC] ", symbols)
+
+
+# ---- what lies about ----------------------------------------------------------------------------
+
+
+def test_rings_that_lie_about_are_listed_whatever_is_wrong_with_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rthyb: Rthyb, session: Recording
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(ring, "_SERVICE", tmp_path / "service")
+    monkeypatch.setattr(ring.os, "geteuid", lambda: 4_000_000_000)
+    none = rthyb("recover")
+    assert none.code == 0
+    assert none.out.startswith(f"No ring in {tmp_path}/service, {tmp_path}/rthyb, /dev/shm/rthyb-")
+    assert rthyb("recover", "--json").json["rings"] == []
+    folder = ring.default_folder()
+    assert folder == tmp_path / "rthyb"
+    good = Ring.create(folder, session, 64)
+    good.push(rows(0, 5))
+    good.close()
+    folder.joinpath("ring.0.9").write_bytes(b"torn")
+    found = {Path(str(one["path"])).name: one for one in rings_listed(rthyb)}
+    assert found["ring.0.9"]["fault"].startswith("too short for a telemetry ring; give a file")
+    seen = found[good.path.name]
+    assert (seen["rows"], seen["ticks"], seen["alive"], seen["fault"]) == (5, 5, False, "")
+    ring.session_path(good.path).unlink()
+    (orphan,) = [one for one in rings_listed(rthyb) if one["path"] == str(good.path)]
+    assert "session file" in str(orphan["fault"])
+    assert rthyb("recover", "--out", "x").code == 2
+
+
+def rings_listed(rthyb: Rthyb) -> list[dict[str, object]]:
+    answer = rthyb("recover", "--json")
+    assert answer.code == 0
+    found: list[dict[str, object]] = answer.json["rings"]  # type: ignore[assignment]
+    return found

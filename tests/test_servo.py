@@ -56,12 +56,15 @@ def test_first_order_lag_with_transport_is_scipys_lag_of_the_delayed_command(
 
 
 def dense_response(
-    system: Any, command: Floats, delay_samples: float, hold: str, parts: int = 64
+    system: Any, command: Floats, delay_samples: float, hold: str, parts: int = 16
 ) -> Floats:
-    """scipy's exact response on a grid of 64 instants a sample, read at the samples.
+    """scipy's exact response on a grid of 16 instants a sample, read at the samples.
+
+    Exact as long as the delay is a multiple of the grid: the command bends at its instants alone.
 
     Row n of the command acts from t_n on: held (zoh), or run up to from the one before (foh).
     """
+    assert (delay_samples * parts).is_integer()
     fine = np.arange(command.size * parts) / parts - delay_samples
     padded = np.concatenate([np.zeros(2), command])
     if hold == "zoh":

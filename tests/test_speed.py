@@ -11,7 +11,7 @@ from bench import loops
 
 from rthyb_rt import core
 
-pytestmark = pytest.mark.speed
+pytestmark = [pytest.mark.speed, pytest.mark.alone]
 
 
 @pytest.fixture(scope="module")

@@ -674,6 +674,56 @@ def test_first_cause_is_kept() -> None:
     assert bench.station.state == "TRIPPED"
 
 
+def slowed(bench: Bench, velocity_m_per_s: float) -> Bench:
+    """Narrow the command's velocity limit in motion; the path, which is wider, leaves it behind."""
+    base = core.Parameters.of(config(**bench.changes))
+    narrow = dataclasses.replace(base, velocity_limit_m_per_s=velocity_m_per_s)
+    assert core.lib.rthyb_station_adopt(bench.station._c, narrow.struct(1))
+    return bench
+
+
+@pytest.mark.parametrize("stay", [False, True])
+def test_command_that_never_comes_to_the_end_of_its_path_is_given_up_after_ten_seconds(
+    stay: bool,
+) -> None:
+    bench = Bench(changes={"stay": stay}).running(700)
+    bench.step("stop")
+    while not stay and bench.station._c.leg == 0:
+        bench.step()
+    # Whoever narrows a limit so far keeps the command from its end: 0.1 um in 10 s.
+    slowed(bench, 1e-8).until("TRIPPED")
+    assert bench.station.cause == "not_arrived"
+    path = np.flatnonzero(np.diff(bench.rows()["x_num_m"]))[-1]
+    waited = bench.rows().size - int(path) - 1
+    assert waited == pytest.approx(10 * core.FS_HZ, abs=2)
+    for _ in range(30):
+        bench.step()
+    # Nothing but the three frames of a trip, with the last position in them.
+    tripped = [x for x, state in bench.sent if state == "TRIPPED"]
+    assert len(tripped) == 3
+    assert set(tripped) == {bench.sent[-4][0]}
+
+
+def test_slow_way_that_comes_nearer_is_waited_for() -> None:
+    bench = Bench(changes={"stay": True}).running(700)
+    slowed(bench, 1e-4).step("stop")
+    assert bench.until("IDLE", 200_000) > 12 * core.FS_HZ
+    assert bench.station.cause == "operator"
+
+
+@pytest.mark.parametrize("state", ["IDLE", "ZEROED", "ARMED"])
+def test_skips_at_rest_are_counted_and_ramp_nothing_out(state: str) -> None:
+    bench = Bench()
+    bench.step()
+    for command in ("zero", "arm")[: ("IDLE", "ZEROED", "ARMED").index(state)]:
+        bench.step(command)
+        bench.until("ZEROED" if command == "zero" else "ARMED")
+    for _ in range(9):
+        bench.step(skipped=12)
+    assert (bench.station.state, bench.station.cause) == (state, "none")
+    assert bench.station.skipped == 108
+
+
 # ---- settings -----------------------------------------------------------------------------------
 
 

@@ -189,6 +189,12 @@ def test_ramp_in_and_tare_of_the_rig_are_the_least_and_its_other_figures_the_mos
     assert "3 s, at least" in found["limits.ramp_in_s"]
 
 
+def test_limit_given_as_a_list_is_told_what_a_limit_is() -> None:
+    found = refused(limits(command_position_m='["80 mm"]'), "")
+    (message,) = found.values()
+    assert message == "found a list of 1; the limit must be from 1e-6 to 100 m"
+
+
 def test_faults_of_limits_come_together_with_the_others() -> None:
     text = limits(force_n=30000) + "[controller.rfc]\nwindow_periods = 0.0005\n"
     assert set(refused(text, limits(force_n=25000))) == {

@@ -22,6 +22,8 @@ from hypothesis import strategies as st
 from rthyb_rt import core, ticker
 from rthyb_rt.ticker import Latency, Tick, Ticker
 
+pytestmark = pytest.mark.alone
+
 PERIOD = Fraction(10**9, 1024)
 YEAR_TICKS = 366 * 86400 * 1024
 TIMEOUT_S = 60.0

@@ -11,12 +11,24 @@ import typer
 
 from rthyb_rt.cli import terminal
 from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
+from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.config import Link
     from rthyb_rt.experiment import Setup
 
 SCHEMA = "rthyb-check/1"
+
+_CHECKS = {
+    "link": "the link",
+    "polarity": "polarity",
+    "limits": "the limits",
+    "watchdog": "the watchdog",
+    "trip": "the stop on a trip",
+}
+
+MUCH_DAMPING = 0.5
+"""As a part of critical. No structure has it; who wrote 2 meant per cent."""
 
 NOISE_SPAN = 7
 """Standard deviations that 1024 samples of noise span."""
@@ -34,8 +46,8 @@ def check(
 
     Every fault of test file and rig file is named at once. For a test without fault: period and
     mass, the compensator's gains, the delay that the structure survives, the margin of the delay
-    estimator, the limits of test and rig together, the rig's link with the load of its bus, with
-    notes and warnings where one of them is close.
+    estimator, the limits of test and rig together, the rig's link with the load of its bus and the
+    dates of its commissioning, with notes and warnings where one of them is close.
 
     \b
     Examples:
@@ -48,11 +60,19 @@ def check(
     setup = experiment.prepare(test_file, rig_file, real_time=rig_file.link is not None)
     figures, limits, link = _figures(setup), _limits(setup), _link(setup)
     factors = _calibration(setup)
+    commissioning = _commissioning(setup, rig or test_file.rig)
     notes, warnings = _remarks(setup, figures)
     file = terminal.people(as_json)
     print(f"{setup.test.test.name} on {setup.rig.rig.name}: no fault found\n", file=file)
     terminal.print_table(_rows(setup, figures), file)
-    for rows in (_link_rows(link), _calibration_rows(factors), _limit_rows(setup, limits)):
+    if commissioning is not None and commissioning["why_not"]:
+        warnings.append(f"a test in real time will be refused: {commissioning['why_not']}")
+    for rows in (
+        _link_rows(link),
+        _commissioning_rows(commissioning),
+        _calibration_rows(factors),
+        _limit_rows(setup, limits),
+    ):
         if rows:
             print("", file=file)
             terminal.print_table(rows, file)
@@ -69,6 +89,7 @@ def check(
                 "figures": asdict(figures),
                 "limits": limits,
                 "link": link,
+                "commissioning": commissioning,
                 "calibration": factors,
                 "notes": notes,
                 "warnings": warnings,
@@ -178,6 +199,11 @@ def _remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
         if found is not None:
             is_warning, text = found
             (warnings if is_warning else notes).append(text)
+    if f.damping_ratio > MUCH_DAMPING:
+        warnings.append(
+            f"the damping is {f.damping_ratio:.3g} of critical; a structure has 0.01 to 0.1: 2 % "
+            'is numerical.damping_ratio = 0.02, or "2 %"'
+        )
     warnings += _limits_in_reach(setup, f)
     limits = setup.test.limits
     if not any(limit and limit.ends for limit in (limits.command_position_m, limits.force_n)):
@@ -195,6 +221,11 @@ def _real_time_remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
     """Return notes and warnings on what only a test in real time watches."""
     limits, noise = setup.test.limits, setup.derived.rest_noise_displacement_m
     notes, warnings = list[str](), list[str]()
+    if setup.rig.link is not None and not _dbc_is_read(setup.rig.link):
+        warnings.append(
+            "link.dbc was not read, and its frames not checked: a test in real time will be "
+            "refused; reading a DBC file needs cantools: pip install 'rthyb-rt[wire]'"
+        )
     stuck, jump, spread = limits.sensor_stuck_samples, limits.sensor_jump_m, limits.rest_spread_m
     if not (stuck and stuck.ends) and not (jump and jump.ends):
         notes.append(
@@ -420,8 +451,6 @@ def _link(setup: Setup) -> dict[str, Any] | None:
 
 def _bus_load(link: Link) -> float | None:
     """Return the share of the bus or line, None where bit rate or frames are not known."""
-    from importlib.util import find_spec
-
     from rthyb_rt import config
     from rthyb_rt.config import busload
 
@@ -429,9 +458,16 @@ def _bus_load(link: Link) -> float | None:
         return None
     if link.kind == "serial":
         return busload.serial_load(link.bitrate)
-    if link.dbc is not None and find_spec("cantools") is None:
+    if not _dbc_is_read(link):
         return None
     return busload.bus_load(config.frames_of_link(link), link.bitrate, link.data_bitrate)
+
+
+def _dbc_is_read(link: Link) -> bool:
+    """Return whether a DBC file, if the link has one, could be read for its faults."""
+    from importlib import util
+
+    return link.dbc is None or util.find_spec("cantools") is not None
 
 
 def _link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
@@ -459,6 +495,43 @@ def _link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
         "stepped": ("stepped", "not real time"),
     }
     rows.append(("Clock", *clocks[link["clock"]]))
+    return rows
+
+
+def _commissioning(setup: Setup, name: str | None) -> dict[str, Any] | None:
+    """Return what has been checked on the rig, as its file stands; None without a link."""
+    from rthyb_rt import config
+    from rthyb_rt.commissioning import certificate
+
+    if setup.rig.link is None:
+        return None
+    path = config.find_rig(name)
+    try:
+        return certificate.standing(setup.rig, path).as_json()
+    except InputError as error:
+        return {
+            "demanded": not setup.rig.link.virtual,
+            "commissioned": False,
+            "certificate": str(certificate.place(path)),
+            "why_not": str(error),
+            "steps": dict.fromkeys(certificate.STEPS),
+        }
+
+
+def _commissioning_rows(found: dict[str, Any] | None) -> list[tuple[str, str, str]]:
+    if found is None:
+        return []
+    words = {True: "passed", False: "FAILED", None: "could not be checked"}
+    stands = "yes" if found["commissioned"] else "no"
+    why = f"for this rig file: {found['certificate']}" if found["commissioned"] else "see below"
+    if not found["demanded"]:
+        why = "link.virtual: a virtual rig needs none"
+    rows = [("Commissioned", stands, why)]
+    for name, step in found["steps"].items():
+        if step is not None:
+            rows.append((f"Check of {_CHECKS[name]}", words[step["passed"]], step["date"]))
+        elif found["commissioned"]:
+            rows.append((f"Check of {_CHECKS[name]}", "not made", ""))
     return rows
 
 

@@ -18,6 +18,7 @@ from rthyb_rt.cli import (
     install_service,
     jitter,
     jog,
+    live,
     recorder,
     recover,
     replay,
@@ -54,6 +55,7 @@ app.command()(rig.rig)
 app.command()(serve.serve)
 app.add_typer(ctl.ctl)
 app.command()(recorder.recorder)
+app.command()(live.live)
 app.command()(install_service.install_service)
 app.command()(export.export)
 app.command()(report.report)

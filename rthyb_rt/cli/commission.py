@@ -85,6 +85,7 @@ def commission(
 
     def keep(found: Certificate) -> None:
         certificate.write(target, found)
+        interrupts.wrote(target)
 
     def tell(text: str) -> None:
         print(text, file=people, flush=True)
@@ -93,7 +94,6 @@ def commission(
     with connected(given) as connection:
         tell(f"{given.rig.name} over {connection.opened.name}")
         made = guide.commission(connection, plan, known, keep)
-    interrupts.wrote(target)
     tell("")
     _print_result(made, as_json)
     tell(f"\nCommissioning  {target}")

@@ -32,7 +32,7 @@ A test goes this way: load, zero, arm, start. Hold and stop are there for everyb
 
 Exit code 4 says that no service answers, 5 that it refuses, and why.
 
-\\b
+\b
 Examples:
   rthyb ctl status --watch
   rthyb ctl load my-test.toml
@@ -112,6 +112,7 @@ def status(
 
 def _watch(client: Client, every_s: float, as_json: bool) -> None:
     if as_json or not sys.stdout.isatty():
+        terminal.begin_json_lines()
         while True:
             found = client.call("GetStatus")["status"]
             print(json.dumps(found) if as_json else line(found), flush=True)
@@ -370,7 +371,11 @@ def reset(socket: SocketOption = None, as_json: JsonOption = False) -> None:
 
 @ctl.command()
 def reload(socket: SocketOption = None, as_json: JsonOption = False) -> None:
-    """Take the limits of the rig file into force, in IDLE, ZEROED or HOLD."""
+    """Take the rig file's limits into force.
+
+    In IDLE, ZEROED or HOLD; anything else in the file takes a restart of the service. The journal
+    says which limits have changed.
+    """
     with _client(socket) as client:
         generation = client.call("Reload")["generation"]
     _say("reload", "Limits reloaded", as_json, generation=generation)

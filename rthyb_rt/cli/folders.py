@@ -36,8 +36,9 @@ def refuse_taken(out: Path | None) -> None:
 
 def _unwritable(folder: Path, error: OSError) -> RthybError:
     return RthybError(
-        f"{folder}: cannot be written ({error.strerror or error}); check permissions and space, "
-        "or name another folder with --out"
+        f"cannot be written ({error.strerror or error}); check permissions and space, or name "
+        "another folder with --out",
+        where=str(folder),
     )
 
 
@@ -56,7 +57,11 @@ def staged(target: Path) -> Iterator[Path]:
         lock = _locked(stage)
         yield stage
     except OSError as error:
-        raise _unwritable(target.parent, error) from error
+        refused = _unwritable(target.parent, error)
+        # Where the ring is that still has the test, for one.
+        for note in getattr(error, "__notes__", ()):
+            refused.add_note(note)
+        raise refused from error
     finally:
         if lock is not None:
             os.close(lock)

@@ -42,6 +42,7 @@ def install_service(
     Examples:
       sudo rthyb install-service --rig my-rig.toml
       sudo systemctl enable --now rthyb-recorder rthyb
+      sudo systemctl enable --now rthyb-live
     """
     from rthyb_rt import config
     from rthyb_rt.service import installing
@@ -51,14 +52,19 @@ def install_service(
     if uninstall:
         files = installing.remove(root)
     else:
-        text = None if rig is None else config.dump(config.load_rig(config.find_rig(rig)))
+        source = None if rig is None else config.find_rig(rig)
+        text = None if source is None else config.dump(config.load_rig(source))
         files = installing.install(root, installing.program(), text)
+        if source is not None and root / installing.RIG in files:
+            files += _carried(source, root / installing.RIG)
     problems = installing.announce() if root == Path("/") else []
     file = terminal.people(as_json)
     for path in files:
         print(f"{'Removed' if uninstall else 'Wrote'} {path}", file=file)
     for problem in problems:
         terminal.tell(f"warning: {problem}")
+    if not uninstall and rig is not None and root / installing.RIG not in files:
+        terminal.tell(f"warning: {root / installing.RIG} was there already, and is left as it was")
     if not uninstall:
         print(
             "\nNext: put users into the groups (usermod -aG rthyb,rthyb-operator NAME), then "
@@ -69,3 +75,17 @@ def install_service(
         terminal.print_json(
             {"schema": SCHEMA, "files": [str(path) for path in files], "problems": problems}
         )
+
+
+def _carried(source: Path, target: Path) -> list[Path]:
+    """Put what is known of the rig's commissioning beside its new file, for the service to read."""
+    from rthyb_rt import config
+    from rthyb_rt.commissioning import certificate
+
+    rig = config.load_rig(source)
+    certificate.carry(rig, source, target)
+    path = certificate.place(target)
+    if not path.exists() or certificate.find(rig, target)[0] is None:
+        return []
+    path.chmod(0o644)
+    return [path]

@@ -74,7 +74,8 @@ def received() -> int | None:
 
 def wrote(path: Path) -> None:
     """Note a file or a folder that is whole, for the case that the command does not end well."""
-    _written.append(path)
+    if path not in _written:
+        _written.append(path)
 
 
 def written() -> str:

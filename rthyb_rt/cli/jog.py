@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 SCHEMA = "rthyb-jog/1"
 LIMIT_TRIP = 6
 UNPUNCTUAL = 7
+REVERSED = 8
 
 DISTANCE = Allowed("m", "mm", -1.0, 1.0, "a length from -1 m to 1 m", "2 mm")
 SPEED = Allowed("m/s", "mm/s", 1e-6, 1.0, "a velocity from 0.001 mm/s to 1 m/s", "1 mm/s")
@@ -58,7 +59,8 @@ def jog(
       rthyb jog my-rig.toml "2 mm"
       rthyb jog my-rig.toml "-0.5 mm" --speed "0.2 mm/s"
 
-    Exit code 6 says that a limit or a trip ended it, 5 that it was refused and nothing moved.
+    Exit code 6 says that a limit or a trip ended it, 5 that it was refused and nothing moved, 8
+    that it moved far enough to see a wrong sign: of the displacement, or of the force (k_e < 0).
     """
     from rthyb_rt.commissioning import jogging
 
@@ -82,7 +84,9 @@ def _status(found: Jogged) -> int:
     if found.cause in TIMING_CAUSES:
         return UNPUNCTUAL
     well = found.cause in ("completed", "operator", "none") and found.state != "TRIPPED"
-    return 0 if well else LIMIT_TRIP
+    if not well:
+        return LIMIT_TRIP
+    return REVERSED if found.reversed else 0
 
 
 def _print_result(rig: RigFile, found: Jogged, file: IO[str]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import IO, TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,20 +13,22 @@ from rthyb_rt.cli.folders import publish, refuse_taken, staged
 from rthyb_rt.cli.inputs import JsonOption
 
 if TYPE_CHECKING:
-    from rthyb_rt.ring import Recovered
+    from rthyb_rt.ring import Recovered, Sight
 
 SCHEMA = "rthyb-recover/1"
+LIST_SCHEMA = "rthyb-rings/1"
 
 
 def recover(
     ring: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             metavar="RING",
-            help="The ring of a real-time test, ring.*; its session file stands beside it.",
+            help="The ring of a real-time test, ring.*; its session file stands beside it. Without "
+            "one the rings that are there are listed.",
             show_default=False,
         ),
-    ],
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -43,14 +45,23 @@ def recover(
     even if its process was killed. It is gone after a reboot. Ring and session stay as they are; a
     test that is running does not notice.
 
+    Without an argument it lists the rings that it finds in /run/rthyb, in $XDG_RUNTIME_DIR/rthyb
+    and in the user's folder in /dev/shm: test, age, ticks, and whether a controller still writes.
+
     \b
     Examples:
+      rthyb recover
       rthyb recover /run/rthyb/ring.1f0c92d4.1
       rthyb recover ring.1f0c92d4.1 --out runs/after-the-crash
     """
     from rthyb_rt import recording
     from rthyb_rt import ring as rings
 
+    if ring is None:
+        if out is not None:
+            raise typer.BadParameter("needs a RING; rthyb recover lists them", param_hint="--out")
+        _list(as_json)
+        return
     refuse_taken(out)
     found = rings.recover(ring)
     target = out or Path("runs") / _name(found)
@@ -62,6 +73,65 @@ def recover(
     print(f"\nRecording  {folder / recording.FILE_NAME}", file=file)
     if as_json:
         terminal.print_json(_document(found, folder))
+
+
+def _list(as_json: bool) -> None:
+    from rthyb_rt import ring as rings
+
+    places = rings.folders()
+    found = [rings.look(path) for folder in places for path in _rings_in(folder)]
+    file = terminal.people(as_json)
+    if found:
+        _show(found, file)
+    else:
+        print(f"No ring in {', '.join(map(str, places))}: nothing to recover.", file=file)
+    if as_json:
+        terminal.print_json(
+            {
+                "schema": LIST_SCHEMA,
+                "folders": [str(folder) for folder in places],
+                "rings": [sight.as_json() for sight in found],
+            }
+        )
+
+
+def _rings_in(folder: Path) -> list[Path]:
+    from rthyb_rt import ring as rings
+
+    try:
+        return rings.find(folder)
+    except OSError as error:
+        terminal.tell(f"{folder}: cannot be read ({error.strerror or error})")
+        return []
+
+
+def _show(found: list[Sight], file: IO[str]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="")
+    for head in ("ring", "test", "age", "ticks", "controller"):
+        table.add_column(head, justify="right" if head in ("age", "ticks") else "left")
+    for sight in found:
+        writes = f"writes ({sight.state})" if sight.alive else "gone"
+        row = (str(sight.path), sight.test_name, _age(sight.age_s), str(sight.ticks), writes)
+        table.add_row(*map(Text, row))
+    terminal.show(table, file)
+    for sight in found:
+        if sight.fault:
+            print(f"Note: {sight.path}: {sight.fault}", file=file)
+    left = [sight for sight in found if not sight.alive and not sight.fault]
+    if left:
+        print(f"\nNext  rthyb recover {left[-1].path}", file=file)
+
+
+def _age(age_s: float | None) -> str:
+    if age_s is None:
+        return ""
+    for unit, length_s in (("d", 86400), ("h", 3600), ("min", 60)):
+        if age_s >= length_s:
+            return f"{age_s / length_s:.1f} {unit}"
+    return f"{max(age_s, 0.0):.0f} s"
 
 
 def _name(found: Recovered) -> str:

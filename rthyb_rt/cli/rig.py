@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +11,7 @@ import typer
 
 from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.inputs import JsonOption, RigSetOption
-from rthyb_rt.errors import InputError
+from rthyb_rt.errors import InputError, RthybError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -113,6 +114,8 @@ def rig(
         changes |= part
     rig_file = config.load_rig(config.find_rig(name), changes)
     plan = _plan(seed, drift_ppm, fault, seconds, log)
+    if log is not None:
+        _check_log(log)
     people = terminal.people(as_json)
     stop = virtual_rig.Stop()
     with _line(rig_file, can, serial, socket, pty) as line, interrupts.told(stop.set):
@@ -165,6 +168,17 @@ def _plan(
         seconds=seconds,
         log_ticks=round((room_s + 1.0) * FS_HZ) if log else 0,
     )
+
+
+def _check_log(log: Path) -> None:
+    """Refuse now what would be refused at the end, when the log is lost."""
+    folder = next(folder for folder in log.absolute().parents if folder.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise RthybError(
+            f"the log cannot be written to {folder}; check that folder's permissions, or name "
+            "another file with --log",
+            where=str(log),
+        )
 
 
 @contextmanager

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rthyb_rt.config import RigFile
     from rthyb_rt.experiment import Progress, Setup
     from rthyb_rt.loop import Clock
+    from rthyb_rt.realtime import Session
     from rthyb_rt.recording import Recording
     from rthyb_rt.summary import Summary
 
@@ -181,8 +182,14 @@ def _run_live(
             warn=lambda text: terminal.tell(f"warning: {text}"),
             save=lambda rec: kept.append(keep(rec)),
             facts=facts,
+            heard=_tell_ring,
         )
     return rec, kept[0]
+
+
+def _tell_ring(session: Session) -> None:
+    path = session.ring.path
+    terminal.tell(f"telemetry ring {path}; should this process die: rthyb recover {path}")
 
 
 def _write_settings(folder: Path, setup: Setup, rec: Recording) -> None:

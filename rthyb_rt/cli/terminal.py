@@ -26,11 +26,30 @@ _VALUE_ROOM = 28
 """Characters that a value needs beside its label, unless it is shorter."""
 
 
+_state = {"json": False}
+
+
+def begin() -> None:
+    """Forget what an earlier command of this process printed."""
+    _state["json"] = False
+
+
+def has_json() -> bool:
+    """Return whether the command has printed a JSON document: there is one, or lines of them."""
+    return _state["json"]
+
+
+def begin_json_lines() -> None:
+    """Say that from here on every line on stdout is a document of its own."""
+    _state["json"] = True
+
+
 def print_json(document: dict[str, Any]) -> None:
     """Print a document on stdout; numbers that JSON does not have become null."""
     text = json.dumps(_finite(document), indent=2, ensure_ascii=False, allow_nan=False)
     if streams.shown(sys.stdout, text) != text:
         text = json.dumps(_finite(document), indent=2, allow_nan=False)
+    _state["json"] = True
     print(text)
 
 

@@ -156,8 +156,9 @@ def write(path: Path, certificate: Certificate) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RthybError(
-            f"{path.parent}: cannot be made ({error.strerror or error}); check its permissions, or "
-            "set XDG_STATE_HOME"
+            f"cannot be made ({error.strerror or error}); check its permissions, or set "
+            "XDG_STATE_HOME",
+            where=str(path.parent),
         ) from error
     text = json.dumps(certificate.as_json(), indent=2, ensure_ascii=False, allow_nan=False)
     with replacing(path) as temporary:
@@ -249,6 +250,52 @@ def carry(rig: RigFile, rig_path: Path, new_path: Path) -> None:
 # ---- what a test asks for -----------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class Standing:
+    """Whether a rig file, as it is, may be used for a test in real time.
+
+    Attributes:
+        demanded: a commissioning is asked for; not with a virtual rig at the other end.
+        holds: the certificate that holds for this very content; None without one.
+        path: where the certificate of this file belongs.
+        why_not: what stands against a test, with the remedy; "" if nothing does, or nothing is
+            demanded.
+    """
+
+    demanded: bool
+    holds: Certificate | None
+    path: Path
+    why_not: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as plain values, with result and date of every step of `STEPS`."""
+        made = {} if self.holds is None else self.holds.steps
+        steps = {
+            name: {"passed": made[name].passed, "date": made[name].date} if name in made else None
+            for name in STEPS
+        }
+        return {
+            "demanded": self.demanded,
+            "commissioned": self.holds is not None and bool(self.holds.date_of("polarity")),
+            "certificate": str(self.path),
+            "why_not": self.why_not,
+            "steps": steps,
+        }
+
+
+def standing(rig: RigFile, rig_path: Path) -> Standing:
+    """Return whether a rig has been commissioned as its file stands.
+
+    Raises:
+        InputError: its certificate cannot be understood.
+    """
+    demanded = rig.link is not None and not rig.link.virtual
+    holds, older = find(rig, rig_path)
+    lacks = demanded and (holds is None or not holds.date_of("polarity"))
+    why_not = _why_not(rig_path, holds, older) if lacks else ""
+    return Standing(demanded, holds, place(rig_path), why_not)
+
+
 def demand(rig: RigFile, rig_path: Path) -> dict[str, Any]:
     """Return what a recording is to know of a rig's commissioning, for its ``meta``.
 
@@ -257,15 +304,15 @@ def demand(rig: RigFile, rig_path: Path) -> dict[str, Any]:
     Raises:
         RefusedError: the polarity of this very rig file has not been checked.
     """
-    virtual = rig.link is None or rig.link.virtual
-    holds, older = find(rig, rig_path)
-    if not virtual and (holds is None or not holds.date_of("polarity")):
-        raise RefusedError(_why_not(rig_path, holds, older))
+    found = standing(rig, rig_path)
+    if found.why_not:
+        raise RefusedError(found.why_not, where=str(rig_path))
+    holds = found.holds
     dates = {name: holds.date_of(name) if holds is not None else "" for name in STEPS}
     return {
         "commissioning": {
-            "demanded": not virtual,
-            "virtual": virtual,
+            "demanded": found.demanded,
+            "virtual": not found.demanded,
             "rig_hash": rig_hash(rig),
             **dates,
         }
@@ -275,14 +322,13 @@ def demand(rig: RigFile, rig_path: Path) -> dict[str, Any]:
 def _why_not(rig_path: Path, holds: Certificate | None, older: Certificate | None) -> str:
     remedy = f"run `rthyb commission {rig_path}`"
     if holds is not None:
-        return f"{rig_path}: its polarity check has not passed; {remedy}"
+        return f"its polarity check has not passed; {remedy}"
     if older is not None:
         return (
-            f"{rig_path}: link, calibration, actuator, sensors or limits have changed since the "
-            f"rig was commissioned on {older.date[:10]}; {remedy}"
+            "link, calibration, actuator, sensors or limits have changed since the rig was "
+            f"commissioned on {older.date[:10]}; {remedy}"
         )
     return (
-        f"{rig_path}: this rig has not been commissioned: nobody has seen yet that its actuator "
-        f"goes the right way; {remedy}, or say link.virtual = true if a virtual rig is at the "
-        "other end"
+        "this rig has not been commissioned: nobody has seen yet that its actuator goes the right "
+        f"way; {remedy}, or say link.virtual = true if a virtual rig is at the other end"
     )

@@ -31,6 +31,7 @@ class Jogged:
             little of either.
         state, cause, end_reason: how it ended, as in a recording.
         faults: what is wrong with sensors or command, with the remedy.
+        reversed: a sign is wrong, see `rthyb_rt.commissioning.polarity.Verdict`.
     """
 
     asked_m: float
@@ -44,6 +45,7 @@ class Jogged:
     cause: str
     end_reason: str
     faults: tuple[str, ...]
+    reversed: bool
 
     @property
     def moved_m(self) -> float:
@@ -105,4 +107,5 @@ def jog(
         cause=moved.cause,
         end_reason=moved.end_reason,
         faults=verdict.faults if told else (),
+        reversed=told and verdict.reversed,
     )

@@ -216,19 +216,20 @@ def fresh(rows: Rows) -> NDArray[np.bool_]:
     return mask
 
 
-def command_numbers(rows: Rows) -> NDArray[np.int64]:
+def command_numbers(rows: Rows, before: int = 0) -> NDArray[np.int64]:
     """Return the number of the newest command at the beginning of every tick, (n,).
 
-    The first command is number 1. From then on every executed tick makes one, until TRIPPED.
+    The first command is number ``before`` + 1: ``commands_before`` of a session's facts.
+    From then on every executed tick makes one, until TRIPPED.
     """
     sent = (rows["flags"] & FLAGS["not_sent"]) == 0
     if not sent.any():
-        return np.zeros(rows.size, dtype=np.int64)
+        return np.full(rows.size, before, dtype=np.int64)
     begun = np.arange(rows.size) >= int(np.flatnonzero(sent)[0])
     blind = (rows["flags"] & FLAGS["blind"]) != 0
     silent = (rows["state"] == STATES.index("TRIPPED")) & ~sent
     made = np.cumsum(begun & ~blind & ~silent)
-    return np.concatenate([[0], made[:-1]])
+    return before + np.concatenate([[0], made[:-1]])
 
 
 # ---- paths --------------------------------------------------------------------------------------
@@ -293,6 +294,8 @@ def station_of(setup: Setup, motion: Motion) -> core.StationConfig:
         base,
         controller=controller,
         watches={**base.watches, **motion.watches},
+        # A command that does not begin where the specimen stands goes there no faster.
+        path_velocity_m_per_s=min(base.path_velocity_m_per_s, GENTLE_M_PER_S),
         ramp_in_ticks=_RAMP_IN_TICKS,
         stay=motion.stay,
     )
@@ -424,7 +427,9 @@ def carry_out(
 
     def warn(text: str) -> None:
         # A motion that holds is not left standing here.
-        if not text.startswith("held: "):
+        if text.startswith("held: "):
+            attendant.look()
+        else:
             connection.warn_once(text)
 
     with connection.told(operator.stop):
@@ -453,7 +458,8 @@ def undisturbed(
 
     Raises:
         StoppedError: the operator ended it.
-        LimitError: it was spoilt every time.
+        TimingError: this PC spoilt it, every time.
+        LimitError: the wire did.
         RthybError: as in `carry_out`.
     """
     for _ in range(ATTEMPTS):
@@ -463,9 +469,10 @@ def undisturbed(
         if moved.cause not in SPOILT:
             return moved
         bring_back(connection, moved)
-    raise LimitError(
+    raise ended(
+        moved,
         f"{motion.name}: {moved.end_reason}, {ATTEMPTS} times; rthyb jitter says whether this PC "
-        "is punctual enough"
+        "is punctual enough",
     )
 
 
@@ -476,6 +483,7 @@ def bring_back(connection: Connection, moved: Moved) -> None:
 
     Raises:
         LimitError: something ended the way back.
+        TimingError: this PC did, by being late.
         StoppedError: the operator did.
         RthybError: as in `carry_out`.
     """
@@ -493,4 +501,10 @@ def bring_back(connection: Connection, moved: Moved) -> None:
         back_m -= returned.commanded_m
         if returned.cause not in SPOILT:
             break
-    raise LimitError(f"on the way back: {returned.end_reason}")
+    raise ended(returned, f"on the way back: {returned.end_reason}")
+
+
+def ended(moved: Moved, message: str) -> RthybError:
+    """Return the error for a motion that did not come to its end, by what ended it."""
+    late = moved.cause in realtime.TIMING_CAUSES
+    return realtime.TimingError(message) if late else LimitError(message)

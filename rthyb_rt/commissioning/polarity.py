@@ -21,11 +21,13 @@ class Verdict:
         slope: displacement over command.
         stiffness_n_per_m: force over displacement; None where there is too little of either.
         faults: what is wrong, each with its remedy.
+        reversed: a sign is wrong: displacement or force go the other way.
     """
 
     slope: float
     stiffness_n_per_m: float | None
     faults: tuple[str, ...]
+    reversed: bool = False
 
     @property
     def good(self) -> bool:
@@ -65,9 +67,11 @@ def judge(rig: RigFile, moved: Moved) -> Verdict:
         )
     elif stiffness < 0.0 and slope > 0.0:
         faults.append(
-            f"the force falls with displacement: {stiffness:.4g} N/m; {force_remedy(rig)}"
+            f"the force falls with displacement: {stiffness:.4g} N/m, k_e < 0; {force_remedy(rig)}"
         )
-    return Verdict(slope, stiffness, tuple(faults))
+    seen = abs(x_m) > moved.certain("x_meas_m")
+    backwards = seen and (slope < 0.0 or (stiffness is not None and stiffness < 0.0))
+    return Verdict(slope, stiffness, tuple(faults), backwards)
 
 
 def force_remedy(rig: RigFile) -> str:

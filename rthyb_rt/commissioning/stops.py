@@ -196,13 +196,17 @@ def _by_trip(connection: Connection) -> Stop:
     with at_rest(connection) as session:
         session.command("trip")
         session.wait(_AFTER_TRIP_S)
-    return after_trip(session.recording().samples)
+    rec = session.recording()
+    return after_trip(rec.samples, rec.meta["real_time"]["commands_before"])
 
 
-def after_trip(rows: Rows) -> Stop:
-    """Return what the drive did after a trip, from all rows of a session, (n,)."""
+def after_trip(rows: Rows, before: int = 0) -> Stop:
+    """Return what the drive did after a trip, from all rows of a session, (n,).
+
+    ``before``: as in `rthyb_rt.commissioning.moving.command_numbers`.
+    """
     told = (rows["state"] == STATES.index("TRIPPED")) & ((rows["flags"] & FLAGS["not_sent"]) == 0)
-    numbers = command_numbers(rows)
+    numbers = command_numbers(rows, before)
     heard = rows[fresh(rows)]
     stopped = (heard["flags"] & FLAGS["stopped"]) != 0
     # Stopped from before its first command on; what counts is what comes after it followed.

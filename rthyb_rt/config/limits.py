@@ -46,7 +46,9 @@ class Limit(Table):
     @classmethod
     def expand(cls, data: Any) -> Any:
         """Take a bare value for the table around it."""
-        return {"value": data, "action": cls.plain} if isinstance(data, (int, float, str)) else data
+        # A list as well, so that it is told what a limit is and not what a table is.
+        bare = isinstance(data, (int, float, str, list))
+        return {"value": data, "action": cls.plain} if bare else data
 
     @property
     def acts(self) -> bool:

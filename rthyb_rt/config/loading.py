@@ -303,7 +303,11 @@ def _parse(
             involved = [(*place[:-1], key) for key in fault["ctx"]["involved"]]
             culprit = _override_to_blame(place, involved, given, lines)
             if culprit:
-                problems.append(Problem(f"--set {culprit}", message))
+                inner = place[len(_override_path(model, culprit)) :]
+                name = ".".join(str(part) for part in inner)
+                problems.append(
+                    Problem(f"--set {culprit}", f"{name}: {message}" if name else message)
+                )
             else:
                 line = lines.find(place)
                 name = ".".join(str(part) for part in place)
@@ -350,10 +354,12 @@ def _override_to_blame(
     for key in involved:
         if key in given:
             return given[key]
+    # A table that was given as a whole has taken the file's away, with every key in it.
+    for size in range(len(path), 0, -1):
+        if path[:size] in given:
+            return given[path[:size]]
     for size in range(len(path), 0, -1):
         part = path[:size]
-        if part in given:
-            return given[part]
         if lines.has(part):
             return None
         for key, name in given.items():

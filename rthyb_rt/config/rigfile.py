@@ -327,6 +327,17 @@ class PDeltaElement(Table):
     height_m: Annotated[float, Range("m", 0.01, 1e3, "the height")]
 
 
+class GapFrictionElement(Table):
+    """A slider behind a spring and a gap on both sides; its friction may differ by direction."""
+
+    element: Literal["gap_friction"]
+    k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
+    gap_m: Annotated[float, Range("m", 0, 10, "the gap")]
+    fc_up_n: Annotated[float, Range("N", 0, 1e8, "the friction upwards")]
+    fc_down_n: Annotated[float, Range("N", 0, 1e8, "the friction downwards")]
+    seat_m: Annotated[float, Range("m", 0, 10, "the way over which the faces meet")] = 0.0
+
+
 SpecimenElement = (
     StiffnessElement
     | ViscousElement
@@ -345,6 +356,7 @@ SpecimenElement = (
     | MaxwellElement
     | SecondModeElement
     | PDeltaElement
+    | GapFrictionElement
 )
 
 

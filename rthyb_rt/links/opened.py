@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
 from rthyb_rt.links.wire import Codec
-from rthyb_rt.loop import Kind
+from rthyb_rt.loop import Kind, LastCommand
 
 Side = Literal["controller", "drive"]
 
@@ -31,6 +31,7 @@ class Opened:
         real_time: False if a Python thread stands in between.
         name: what it is, for messages: "can0, CAN 1 Mbit/s".
         facts: what was found out about it, for the recording; numbers, words, lists of words.
+        left: what the last session at it told the drive last: where the next one goes on.
     """
 
     kind: Kind
@@ -41,6 +42,7 @@ class Opened:
     facts: dict[str, Any]
     owned: Owned = field(default_factory=Owned, repr=False)
     failed: Callable[[], str | None] = field(default=_never, repr=False)
+    left: LastCommand | None = field(default=None, repr=False)
 
     @property
     def failure(self) -> str | None:

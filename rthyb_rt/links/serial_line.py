@@ -80,7 +80,7 @@ def _check_device(path: str) -> None:
     except OSError as error:
         raise InputError(_not_opened(path, error.errno, error.strerror), path) from None
     if not stat.S_ISCHR(found.st_mode) or _subsystem(found.st_rdev) not in ("tty", None):
-        raise InputError("is not a serial line", path)
+        raise InputError(f"is not a serial line; {_lines_here()}", path)
 
 
 def _subsystem(device: int) -> str | None:
@@ -118,7 +118,7 @@ def _not_opened(path: str, number: object, why: str | None) -> str:
     if number == errno.EBUSY:
         return "another process has it open for itself alone; end that one first (`fuser -v`)"
     if number in (errno.ENOTTY, errno.EINVAL):
-        return "is not a serial line"
+        return f"is not a serial line; {_lines_here()}"
     if number in (errno.ENXIO, errno.ENODEV, errno.EIO):
         return f"there is no hardware behind it ({why}): is the adapter plugged in?"
     return f"cannot be opened: {why}"

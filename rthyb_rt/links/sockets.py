@@ -40,7 +40,7 @@ def connect_socket(path: str | Path, codec: Codec | None = None) -> Opened:
         try:
             sock.connect(where)
         except OSError as error:
-            raise InputError(_not_connected(error), where) from None
+            raise InputError(_not_connected(error, where), where) from None
         return _opened(sock, where, codec, owned)
 
 
@@ -91,14 +91,17 @@ def _opened(sock: socket.socket, where: str, codec: Codec | None, owned: Owned) 
     )
 
 
-def _not_connected(error: OSError) -> str:
-    start = "start the drive first: `rthyb rig RIG.toml --socket PATH`"
+def _not_connected(error: OSError, where: str) -> str:
+    start = f"start the drive first: `rthyb rig RIG.toml --socket {where}`"
     if error.errno in (errno.ENOENT, errno.ENOTDIR):
         return f"there is no socket; {start}"
     if error.errno == errno.ECONNREFUSED:
         return f"nobody listens there; {start}"
     if error.errno == errno.EPROTOTYPE:
-        return "another kind of socket than a virtual drive's (AF_UNIX SEQPACKET)"
+        return (
+            "another kind of socket than a virtual drive's (AF_UNIX SEQPACKET); give the path that "
+            "`rthyb rig --socket` was given"
+        )
     if error.errno in (errno.EACCES, errno.EPERM):
         return "no permission; the socket of a virtual drive is for the user who started it"
     return f"cannot be connected to: {error.strerror or error}"

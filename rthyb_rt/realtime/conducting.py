@@ -61,6 +61,7 @@ def run(
     save: Callable[[Recording], None] | None = None,
     station: core.StationConfig | None = None,
     facts: Mapping[str, Any] | None = None,
+    heard: Callable[[Session], None] = lambda _: None,
     zeroed: Callable[[Session], None] = lambda _: None,
 ) -> Recording:
     """Conduct a test: zero, arm, start, and back to rest, whatever happens on the way.
@@ -75,6 +76,7 @@ def run(
         warn: takes a sentence that the user should read while the test runs.
         save: puts the recording in its place; only then is the ring deleted.
         station, facts: as in `Session`.
+        heard: called with the session once the drive answers, before anything moves.
         zeroed: called with the session between the tare and ARM, when nothing has moved; what it
             raises ends the test there.
 
@@ -101,7 +103,10 @@ def run(
             _check_privileges(session, require_realtime, warn)
             teller = Teller(progress or _no_progress, warn, at_once=clock == "stepped")
             try:
-                _conduct(session, _Conductor(session, operator or Operator(), teller), zeroed)
+                conductor = _Conductor(session, operator or Operator(), teller)
+                _hear(session, conductor)
+                heard(session)
+                _conduct(session, conductor, zeroed)
                 session.close()
             finally:
                 teller.close()
@@ -223,7 +228,7 @@ class _Conductor:
         return self._given > 0
 
 
-def _conduct(session: Session, conductor: _Conductor, zeroed: Callable[[Session], None]) -> None:
+def _hear(session: Session, conductor: _Conductor) -> None:
     if not conductor.until(session.follows, FEEDBACK_S) and not conductor.stopped:
         raise InputError(no_feedback(session), session.opened.name)
     locked = session.clock != "link" or conductor.until(lambda: session.loop.locked, _LOCK_S)
@@ -232,6 +237,9 @@ def _conduct(session: Session, conductor: _Conductor, zeroed: Callable[[Session]
             "the ticks do not keep step with the drive's samples: its clock is off by more than "
             "200 ppm, or its frames come irregularly"
         )
+
+
+def _conduct(session: Session, conductor: _Conductor, zeroed: Callable[[Session], None]) -> None:
     commands: tuple[core.Command, ...] = ("zero", "arm", "start")
     for command in commands:
         if conductor.stopped or session.state == "TRIPPED":

@@ -19,7 +19,27 @@ WORDS: Final[dict[str, str]] = {
     "skips": "too many skipped ticks",
     "stalled": "this PC stalled",
     "heartbeat": "the program was silent for a second",
+    "not_arrived": "for 10 s the command came no nearer to the end of its path; look at "
+    "its velocity and acceleration limits, and at the compensator",
 }
+REMEDIES: Final[dict[str, str]] = {
+    "link_lost": "No pair of displacement and force came for 20 ticks: look at cable, power and "
+    "display of the drive; it has stopped by itself, and may have to be released at its panel.",
+    "link_down": "The link itself went away: look at cable, adapter and interface, and release "
+    "the drive at its panel if it has to be.",
+    "drive_stopped": "The drive said that it had stopped by itself: its panel says why.",
+    "not_finite": "A value that is no number came from the drive or was computed: look at the "
+    "sensors first, then at the limits and the controller of the test.",
+    "sensor_stuck": "The displacement stood still while the command moved: look at the sensor and "
+    "its plug.",
+    "sensor_jump": "The displacement jumped farther than anything can move: look at the sensor and "
+    "its plug.",
+    "skips": "This PC was late too often: `rthyb jitter` says what to change.",
+    "stalled": "This PC stood still for 20 ticks: `rthyb jitter` says what to change.",
+    "heartbeat": "Something kept the program from working for a second, such as a full disk, a "
+    "suspended process or a debugger.",
+}
+"""What to do about an end that lies neither in the test nor in a limit of its motion."""
 TIMING_CAUSES: Final = ("skips", "stalled", "heartbeat")
 """Causes that lie in this PC and not in the test."""
 
@@ -36,13 +56,26 @@ class RefusedError(RthybError):
     exit_code = 5
 
 
-def end_reason(state: str, cause: str) -> str:
-    """Return in words how a test ended: "completed", or what took it off its course."""
-    words = WORDS.get(cause, cause.replace("_", " "))
+def in_words(cause: str) -> str:
+    """Return a cause as people say it."""
+    return WORDS.get(cause, cause.replace("_", " "))
+
+
+def end_reason(state: str, cause: str, *, moved: bool = True) -> str:
+    """Return in words how a test ended: "completed", or what took it off its course.
+
+    Args:
+        state: the last one.
+        cause: the station's.
+        moved: whether anything was on its way; else nothing can have been ramped out.
+    """
+    words = in_words(cause)
     if state == "TRIPPED":
         return f"tripped: {words}"
     if cause == "operator":
         return "stopped by the operator"
     if cause == "completed":
         return "completed"
-    return "ended before it began" if cause == "none" else f"ramped out: {words}"
+    if cause == "none":
+        return "ended before it began"
+    return f"ramped out: {words}" if moved else f"ended before anything moved: {words}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,15 +15,37 @@ from rthyb_rt.experiment import Setup
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.links import wire
 from rthyb_rt.links.wire import Codec
-from rthyb_rt.recording import Recording
+from rthyb_rt.recording import FLAGS, Recording
 
 
 def replay(rec: Recording) -> experiment.Replay:
     """Run all that a test in real time was told through a fresh station, and compare every field.
 
+    Skipped ticks at the very end, whose next executed one is not in the recording, are left out:
+    a black box may be full there, and a process killed.
+
     Raises:
         InputError: the configuration cannot be read by this version, or rows are missing.
     """
+    rows, rec, _ = _rerun(rec)
+    return experiment.compare(rec, _padded(rows, rec.samples.size))
+
+
+def first_cause(rec: Recording) -> str:
+    """Return what took a test off its course, "none" if nothing did: a fresh station's finding.
+
+    For rows of a test that still runs, or whose process has not said it.
+
+    Raises:
+        InputError: the configuration cannot be read by this version, or rows are missing.
+    """
+    return _rerun(rec)[2].cause
+
+
+def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
+    """Return the rows that a fresh station computes, of which recording, and the station then."""
+    own = np.flatnonzero((rec.samples["flags"] & FLAGS["blind"]) == 0)
+    rec = replace(rec, samples=rec.samples[: own[-1] + 1 if own.size else 0])
     ticks = rec.samples["tick"]
     if not ticks.size or ticks[0] != 0:
         raise InputError(
@@ -47,7 +70,7 @@ def replay(rec: Recording) -> experiment.Replay:
     station = core.Station(experiment.station_config(setup), rec.ag_mps2)
     published = [(int(one["generation"]), _parameters(one["values"])) for one in later]
     rows = station.replay(rec.samples, _codec(rig), experiment.calibration(rig), published)
-    return experiment.compare(rec, _padded(rows, ticks.size))
+    return rows, rec, station
 
 
 def _parameters(values: dict[str, Any]) -> core.Parameters:

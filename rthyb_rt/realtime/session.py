@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rthyb_rt import core, experiment, jitter, ring, ticker
 from rthyb_rt.errors import RthybError
@@ -29,6 +30,13 @@ NEEDED: Final = ("fifo", "memory_locked")
 
 LOOK_S: Final = 0.002
 """How often is looked for an answer."""
+
+SET_REFUSED: Final = (
+    "while something moves, the set would switch off a limit of the command's velocity or "
+    "acceleration, and what lags behind it would leap; keep both limits (any value above 0), or "
+    "stop, and change them in IDLE; the set before stays in force"
+)
+"""Why a station refuses a set of parameters, and what to do."""
 
 _LEAD_US = 200.0
 _ANSWER_S = 2.0
@@ -103,12 +111,14 @@ class Session:
                 clock,
                 experiment.calibration(setup.rig),
                 lead_us=_LEAD_US if setup.rig.link is None else setup.rig.link.lead_us,
+                paced=before_tick is not None,
             )
             self._owned = owned.pop_all()
             undo.pop_all()
         self._keeper.beat = self.loop.beat
         self._started = self._closed = self._watched = False
         self._unheard = _UNHEARD
+        self._commands_before = 0
 
     def __enter__(self) -> Session:
         """Return the session itself."""
@@ -132,13 +142,21 @@ class Session:
         self._keeper.attended()
 
     def start(self) -> None:
-        """Begin to tick: with the last reading as command, in state IDLE.
+        """Begin to tick, in state IDLE.
+
+        The command is the first reading; or, where a drive still follows the last session at this
+        link and stands as it did then, the last command of that session.
 
         Raises:
             RthybError: the system refused a thread.
         """
         self._started = True
+        left, self.opened.left = self.opened.left, None
+        if left is not None:
+            self.loop.go_on(left)
+        self._commands_before = int(self.wire.struct.seq)
         if self.clock == "stepped":
+            self.loop.drop_old()
             return
         awake = self._owned.enter_context(ticker.AwakeProcessors())
         self.loop.start(cpu=jitter.choose_cpu(jitter.machine_facts()), latency_fd=awake.fd)
@@ -158,6 +176,8 @@ class Session:
                 self._trip()
         finally:
             self.loop.stop()
+            if self._started:
+                self.opened.left = self.loop.last_command()
             self._keeper.stop()
             self._owned.close()
 
@@ -248,18 +268,29 @@ class Session:
         return generation
 
     def set_parameters(self, parameters: core.Parameters) -> int:
-        """Publish a set of parameters for the next tick, and keep it for the recording.
+        """Publish a set of parameters, wait until a tick has it, and keep it for the recording.
 
         Returns:
             its generation, which records then show.
 
         Raises:
-            CoreError: it is refused; the set before stays in force.
+            CoreError: a value is refused; the set before stays in force.
+            RefusedError: the station refuses it; the set before stays in force.
+            RthybError: the tick thread does not answer.
         """
+        state = self.loop.state
         generation = self.loop.set_parameters(parameters)
         values = dataclasses.asdict(parameters)
         tick = self.loop.counts.elapsed
+        # At once: its rows may be on their way already.
         self._parameters.append({"generation": generation, "tick": tick, "values": values})
+        end = time.monotonic() + _ANSWER_S
+        while (taken := self.loop.set_taken(generation)) is None:
+            self._still(end)
+            self.wait(_moment(self.clock))
+        if not taken:
+            self._parameters.pop()
+            raise RefusedError(f"parameters refused in state {state}: {SET_REFUSED}")
         return generation
 
     def _still(self, end: float) -> None:
@@ -290,7 +321,7 @@ class Session:
         rec = self._with_facts(rec)
         rec.replay.skips = ring.skips(samples)
         rec.meta |= {
-            "end_reason": end_reason(self.loop.state, self.loop.cause),
+            "end_reason": end_reason(self.loop.state, self.loop.cause, moved=self.has_moved),
             "interrupted": bool((samples["state"] == STATES.index("HOLD")).any()),
             "real_time": self._facts(),
         }
@@ -310,7 +341,6 @@ class Session:
 
     def _facts(self) -> dict[str, Any]:
         """Return what else there is to know of the run; every value is there."""
-        delay = self.loop.link_delay
         return {
             "clock": self.clock,
             "state": self.loop.state,
@@ -328,7 +358,8 @@ class Session:
             "locked": self.loop.locked,
             "arrival_error_us": self.loop.arrival_error_us,
             "trim_ppm": self.loop.trim_ppm,
-            "link_delay_samples": -1 if delay is None else delay,
+            "commands_before": self._commands_before,
+            "link_delay_samples": link_delay(self.loop.link_delays(), self.loop.link_delay),
             "wake": histogram(self.loop.wake),
             "sent": histogram(self.loop.sent),
             "missed_rows": self._keeper.missed,
@@ -345,6 +376,18 @@ def _first_parameters(setup: Setup) -> dict[str, Any]:
 
 def _moment(clock: Clock) -> float:
     return core.PERIOD_S if clock == "stepped" else LOOK_S
+
+
+def link_delay(running: NDArray[np.int64], last: int | None) -> int:
+    """Return the median of the link's delay in the test proper, samples; -1: not known.
+
+    Args:
+        running: how many pairs of it came with a delay of n samples, (n,).
+        last: delay of the last pair of all, for a session without a test.
+    """
+    if not running.any():
+        return -1 if last is None else last
+    return int(np.searchsorted(np.cumsum(running), 0.5 * running.sum()))
 
 
 def histogram(latency: ticker.Latency) -> dict[str, Any]:

@@ -136,6 +136,10 @@ def _listen(path: Path) -> socket.socket:
 
 def _remove_abandoned(path: Path) -> None:
     if not path.is_socket():
+        if path.exists():
+            raise InputError(
+                "is there already, and not a socket; it is left alone: name another path", str(path)
+            )
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
         refused = probe.connect_ex(str(path))

@@ -20,9 +20,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import long_recording
 import loops
 import numpy as np
 import punctuality
+import screen
 from rthyb_rt._core import ffi, lib
 
 from rthyb_rt import config, core, experiment
@@ -231,7 +233,9 @@ class Command:
     peak_mib: float
 
 
-def run_command(arguments: list[str], folder: Path, last_table_line: str) -> Command:
+def run_command(
+    arguments: list[str], folder: Path, last_table_line: str, expected: int = 0
+) -> Command:
     """Run ``rthyb`` as a shell would; ``last_table_line`` begins the line that ends its table."""
     start = time.perf_counter()
     rthyb = Path(sys.executable).with_name("rthyb")
@@ -249,7 +253,7 @@ def run_command(arguments: list[str], folder: Path, last_table_line: str) -> Com
         # wait4 knows this child's own processor time and peak; Popen.wait would forget them.
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
+    if process.returncode != expected:
         raise SystemExit(f"rthyb {' '.join(arguments)} ended with {process.returncode}")
     return Command(
         seconds=time.perf_counter() - start,
@@ -273,6 +277,26 @@ def command_figures() -> list[Figure]:
         Figure("rthyb run: peak memory with report", max(r.peak_mib for r in runs), "MiB", 400.0),
         Figure("rthyb --help: processor time", statistics.median(h.cpu_s for h in helps), "s", 0.4),
     ]
+
+
+def diagnosis_figures() -> list[Figure]:
+    """Time `rthyb diagnose` on a short and on a long recording with friction left out."""
+    figures = []
+    for seconds, target_s, repetitions in ((15.0, 5.0, 3), (600.0, 60.0, 1)):
+        with tempfile.TemporaryDirectory() as name:
+            recording, model = long_recording.write(Path(name), seconds)
+            arguments = ["diagnose", str(recording), "--model", str(model)]
+            runs = [
+                run_command(arguments, Path(name), "Next", expected=8) for _ in range(repetitions)
+            ]
+        what = f"rthyb diagnose, recording of {seconds:.0f} s"
+        taken = statistics.median(r.seconds for r in runs)
+        cpu = statistics.median(r.cpu_s for r in runs)
+        figures += [
+            Figure(what, taken, "s", target_s, note=f"processor time {cpu:.1f} s"),
+            Figure(f"{what}: peak memory", max(r.peak_mib for r in runs), "MiB", 1024.0),
+        ]
+    return figures
 
 
 def timing_figures() -> list[Figure]:
@@ -323,6 +347,32 @@ def loop_timing_figures() -> list[Figure]:
     ]  # fmt: skip
 
 
+def screen_figures() -> list[Figure]:
+    """Time the live view from a sample to the screen, if there is a browser to look with."""
+    missing = screen.missing()
+    if missing:
+        print(f"Not measured: the live view needs {missing}; make test-live installs it\n")
+        return []
+    found = screen.measure()
+    return [
+        Figure(
+            "live view: sample to screen, p50",
+            found.p50_ms,
+            "ms",
+            50.0,
+            note=f"p95 {found.p95_ms:.0f}; painted by chromium without a GPU, "
+            f"{found.frames_per_s:.0f} frames a second",
+        ),
+        Figure(
+            "live view: processor, of one core",
+            found.server_share * 100.0,
+            "%",
+            10.0,
+            note=f"the browser {found.browser_share * 100:.0f} %, which draws without a GPU",
+        ),
+    ]
+
+
 # ---- the table ----------------------------------------------------------------------------------
 
 
@@ -342,9 +392,9 @@ def main() -> None:
     facts = machine_facts()
     for key, value in facts.items():
         print(f"{key:13} {value}")
-    print("\nMeasuring for a minute and a half ...\n", flush=True)
+    print("\nMeasuring for two minutes ...\n", flush=True)
     # First, while this process is small: a child's peak counts what it was before its exec.
-    commands = command_figures()
+    commands = [*command_figures(), *diagnosis_figures()]
     rows = run_c_driver()
     ratio = loops.counting_ratio()
     figures = [
@@ -354,6 +404,7 @@ def main() -> None:
         Figure("GIL: a thread counts during a test", ratio, "x", 0.5, True, "of its speed alone"),
         *loop_figures(),
         *timing_figures(),
+        *screen_figures(),
         *commands,
     ]
     print_table(figures)

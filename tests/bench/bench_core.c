@@ -340,6 +340,7 @@ static void time_elements(void)
         [RTHYB_MAXWELL] = {"maxwell", 2, {1e5, 0.1}},
         [RTHYB_SECOND_MODE] = {"second_mode", 3, {500.0, 12.0, 0.02}},
         [RTHYB_P_DELTA] = {"p_delta", 2, {4e4, 3.0}},
+        [RTHYB_GAP_FRICTION] = {"gap_friction", 5, {K_E, 1e-3, 400.0, 600.0, 2e-4}},
     };
     rthyb_element element;
     for (int kind = 0; kind < RTHYB_ELEMENT_KINDS; kind++) {

@@ -1,0 +1,120 @@
+"""``rthyb live``: a test in the browser, as it runs or as it was."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rthyb_rt.cli import interrupts, terminal
+from rthyb_rt.cli.ctl import place
+from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.errors import RthybError
+
+if TYPE_CHECKING:
+    from rthyb_rt.live.server import LiveServer
+
+SCHEMA = "rthyb-live/1"
+PORT = 8717
+
+
+def live(
+    source: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="SOURCE",
+            help="Recording or folder of a run; ring of a test in real time, or the folder of the "
+            "rings. Without it the service, or the newest ring.",
+            show_default=False,
+        ),
+    ] = None,
+    port: Annotated[
+        int,
+        typer.Option(metavar="N", min=0, max=65535, help="Port of 127.0.0.1; 0 takes a free one."),
+    ] = PORT,
+    operator: Annotated[
+        bool,
+        typer.Option(
+            "--operator",
+            help="A second address as well, whose page can also zero, arm, start, resume, reset.",
+        ),
+    ] = False,
+    url_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--url-file",
+            metavar="FILE",
+            help="Write the addresses there, for its owner and its group, and print none.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show a test in the browser, as it runs or as it was.
+
+    The page is there for this PC alone, at an address with a random token in it; from elsewhere it
+    takes ssh -L. It reads the telemetry ring, loads nothing from outside, and has buttons for hold
+    and stop, with the rights that you have at the service. It is no emergency stop.
+
+    \b
+    Examples:
+      rthyb live
+      rthyb live runs/section5-t0.5-20261121T111534Z
+      ssh -L 8717:127.0.0.1:8717 lab-pc rthyb live
+    """
+    missing = [name for name in ("starlette", "uvicorn", "websockets") if not _there(name)]
+    if missing:
+        raise RthybError(
+            f"the live view needs {' and '.join(missing)}: pip install 'rthyb-rt[live]'"
+        )
+    import secrets
+
+    from rthyb_rt.live.guard import Tokens
+    from rthyb_rt.live.server import LiveServer
+    from rthyb_rt.live.sources import open_source
+    from rthyb_rt.service import systemd
+
+    found = open_source(source, place(None))
+    tokens = Tokens(operate=secrets.token_urlsafe(24) if operator else None)
+
+    def ready() -> None:
+        _tell(server, url_file, as_json)
+        systemd.notify("READY=1")
+
+    try:
+        server = LiveServer(found, tokens, port, ready)
+        with systemd.logging_to_stderr(), interrupts.told(server.stop):
+            server.run()
+    finally:
+        found.close()
+
+
+def _there(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None
+
+
+def _tell(server: LiveServer, url_file: Path | None, as_json: bool) -> None:
+    """Say where the page is, to people or to a file that not everybody reads."""
+    from rthyb_rt.recording import replacing
+
+    addresses = {"look": server.url, "operator": server.operator_url}
+    if url_file is not None:
+        with replacing(url_file) as temporary:
+            temporary.touch(0o600)
+            lines = [address for address in addresses.values() if address is not None]
+            temporary.write_text("\n".join(lines) + "\n", encoding="ascii")
+            temporary.chmod(0o640)
+    elif as_json:
+        document = {"schema": SCHEMA, "port": server.port, "url": server.url}
+        terminal.print_json(document | {"operator_url": server.operator_url})
+    else:
+        print(f"Live view  {server.url}")
+        if server.operator_url is not None:
+            print(f"Operator   {server.operator_url}")
+        print("Ctrl-C ends it; the test goes on.", flush=True)
+    if as_json:
+        import sys
+
+        sys.stdout.flush()

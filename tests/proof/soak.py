@@ -1,0 +1,268 @@
+"""A service for a long time: one test after another, and nothing that grows.
+
+    python tests/proof/soak.py SECONDS
+
+Daemon, recorder and virtual rig are processes of their own, joined by a socket; tests are begun at
+the control socket, whatever ended the one before. Twice a second the memory, the descriptors and
+the threads of each are looked at, and the counters of the ticks. What is over is held against the
+index and deleted, so that an hour needs no more disk than a minute.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from realtime_bench import PROGRAM, until
+from service_bench import rig_file, short_test
+
+from rthyb_rt import config, core, experiment, recording
+from rthyb_rt.recording import Recording
+from rthyb_rt.service.control import Client, Refusal
+from rthyb_rt.service.daemon import record_of
+from rthyb_rt.service.recorder import read_index
+
+LOOK_S = 0.5
+TEST_S = 10.0
+WARM_UP = 0.25
+"""Share of the time after which nothing may grow any more; three tests at least. The pools of the
+allocator have settled after some 80 tests."""
+GROWTH_MB = 0.5
+"""Between the medians of the second and of the last third after that. Pages come and go, and a pool
+that grows once is no leak: one of 2 MB an hour shows in an hour."""
+PARTIES = ("daemon", "recorder", "rig")
+
+
+# ---- the parties --------------------------------------------------------------------------------
+
+
+@contextmanager
+def process(folder: Path, name: str, *arguments: object) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a command of the program; what it says goes to a file."""
+    with (folder / f"{name}.log").open("wb") as log:
+        made = subprocess.Popen(
+            [*PROGRAM, *map(str, arguments)], cwd=folder, stdout=log, stderr=log
+        )
+        try:
+            yield made
+        finally:
+            made.send_signal(signal.SIGTERM)
+            try:
+                made.wait(30.0)
+            except subprocess.TimeoutExpired:
+                made.kill()
+                made.wait()
+
+
+def facts(pid: int) -> tuple[float, int, int]:
+    """Return memory that is resident, MB, descriptors and threads of a process."""
+    said = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    found = dict(line.split(":", 1) for line in said.splitlines() if ":" in line)
+    resident_mb = int(found["VmRSS"].split()[0]) / 1024.0
+    return resident_mb, len(os.listdir(f"/proc/{pid}/fd")), int(found["Threads"])
+
+
+# ---- the operator -------------------------------------------------------------------------------
+
+
+class Operator:
+    """Has one test after another run, for as long as there is time."""
+
+    def __init__(self, socket: Path, runs: Path) -> None:
+        self.client, self.runs = Client(socket), runs
+        test = short_test({"test.duration_s": str(TEST_S)})
+        self.test = config.dump(test)
+        self.record = record_of(experiment.load_motion(test))
+        self.digest = ""
+        self.ended: Counter[str] = Counter()
+        self.rows = self.lost = self.unexplained = 0
+        self.gone: set[str] = set()
+        self.resets = 0
+
+    def turn(self) -> dict[str, Any]:
+        """Look, and do what is to be done next; return the status."""
+        found: dict[str, Any] = self.client.call("GetStatus")["status"]
+        # What is not possible yet will be in half a second.
+        with contextlib.suppress(Refusal):
+            self.act(found)
+        self.tidy()
+        return found
+
+    def act(self, found: dict[str, Any]) -> None:
+        state, call = found["state"], self.client.call
+        if state == "TRIPPED":
+            call("Reset")
+            self.resets += 1
+        elif state == "IDLE" and not found["run_id"]:
+            self.digest = call("Load", test_toml=self.test, record=self.record)["digest"]
+            call("Zero")
+        elif state == "ZEROED":
+            call("Start", token=call("Arm", digest=self.digest)["token"])
+
+    def recorded_all(self) -> bool:
+        """Return whether nothing is left that will be recorded."""
+        self.tidy()
+        found = self.client.call("GetStatus")["status"]
+        time.sleep(LOOK_S)
+        return not found["run_id"] and not found["recorder"]["run_id"]
+
+    def tidy(self) -> None:
+        """Count what is recorded, and delete it."""
+        for entry in read_index(self.runs):
+            if entry["run_id"] in self.gone:
+                continue
+            self.gone.add(entry["run_id"])
+            self.ended[entry["end_reason"]] += 1
+            self.rows += entry["rows"]
+            self.lost += sum(last - first + 1 for first, last in entry["missing_rows"])
+            self.unexplained += unexplained(recording.open_run(self.runs / entry["folder"]))
+            shutil.rmtree(self.runs / entry["folder"])
+
+
+def unexplained(rec: Recording) -> int:
+    """Return how many ticks have no row. A stall has one for each of its first `core.BLIND_MAX`."""
+    tick = rec.samples["tick"].astype(np.int64)
+    blind = np.cumsum(rec.samples["flags"] & core.FLAGS["blind"] != 0)
+    before = np.flatnonzero(np.diff(tick) > 1)
+    made_up = blind[before] - np.where(before >= core.BLIND_MAX, blind[before - core.BLIND_MAX], 0)
+    gaps = np.diff(tick)[before] - 1
+    return int(gaps[made_up != core.BLIND_MAX].sum())
+
+
+# ---- the verdict --------------------------------------------------------------------------------
+
+
+class Soak:
+    """What was seen, and what is wrong with it."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self.warm_s = max(WARM_UP * seconds, 3.0 * TEST_S)
+        self.seen: dict[str, list[tuple[float, ...]]] = {name: [] for name in PARTIES}
+        self.ticks: list[tuple[float, int, int, int]] = []
+        self.faults: list[str] = []
+
+    def look(self, at_s: float, pids: dict[str, int], status: dict[str, Any]) -> None:
+        for name, pid in pids.items():
+            self.seen[name].append((at_s, *facts(pid)))
+        ticks = status["ticks"]
+        counts = ticks["executed"], ticks["skipped"], ticks["elapsed"]
+        self.ticks.append((at_s, *counts))
+        if counts[0] + counts[1] != counts[2]:
+            self.faults.append(f"after {at_s:.1f} s: executed, skipped, elapsed are {counts}")
+
+    def judge(self) -> list[str]:
+        """Return what has grown, and what does not add up; print the figures."""
+        for name in PARTIES:
+            self._judge_party(name)
+        at_s, executed, skipped, elapsed = np.array(self.ticks).T
+        due = (at_s - at_s[0]) * core.FS_HZ
+        # A look takes its time, and a machine that stalls takes more.
+        off = np.abs(elapsed - elapsed[0] - due)
+        print(
+            f"ticks: {int(elapsed[-1])} elapsed = {int(executed[-1])} executed + "
+            f"{int(skipped[-1])} skipped in each of {len(self.ticks)} looks; "
+            f"{np.median(off):.0f} off the clock in the middle, {off.max():.0f} at most"
+        )
+        if np.median(off) > core.FS_HZ:
+            self.faults.append("ticks do not go with the clock")
+        return self.faults
+
+    def _judge_party(self, name: str) -> None:
+        rows = np.array(self.seen[name])
+        rows = rows[rows[:, 0] >= self.warm_s]
+        third = max(len(rows) // 3, 1)
+        first, middle, last = rows[:third], rows[third:-third], rows[-third:]
+        grown_mb = np.median(last[:, 1]) - np.median((middle if len(middle) else first)[:, 1])
+        steps = " -> ".join(
+            f"{np.median(part[:, 1]):.1f}" for part in (first, middle, last) if len(part)
+        )
+        print(
+            f"{name}: {steps} MB resident "
+            f"({grown_mb:+.2f}, allowed {GROWTH_MB:+.2f}), most {rows[:, 1].max():.1f}; "
+            f"descriptors {int(first[:, 2].max())} -> {int(last[:, 2].max())}, "
+            f"threads {int(first[:, 3].max())} -> {int(last[:, 3].max())}"
+        )
+        if grown_mb > GROWTH_MB:
+            self.faults.append(f"{name}: memory grows by {grown_mb:.2f} MB")
+        for column, what in ((2, "descriptors"), (3, "threads")):
+            before, after = first[:, column].max(), last[:, column].max()
+            if after > before:
+                self.faults.append(f"{name}: {what} grow from {before:.0f} to {after:.0f}")
+
+
+def soak(seconds: float, folder: Path, memory: Path) -> list[str]:
+    """Run the service for so long; return all that was wrong."""
+    rings, runs, wire = memory / "rings", folder / "runs", memory / "wire"
+    rings.mkdir()
+    socket = rings / "control.sock"
+    link = f'\n[link]\nkind = "socket"\nchannel = "{wire}"\nvirtual = true\n'
+    (folder / "rig.toml").write_text(config.dump(rig_file()) + link, encoding="utf-8")
+    watched = Soak(seconds)
+    with ExitStack() as owned:
+        rig = owned.enter_context(process(folder, "rig", "rig", "rig.toml"))
+        until(wire.exists, "the virtual rig")
+        places = ("--rings", rings, "--runs", runs)
+        recorder = owned.enter_context(process(folder, "recorder", "recorder", *places))
+        told = ("serve", "rig.toml", *places, "--recorder", "service")
+        daemon = owned.enter_context(process(folder, "daemon", *told))
+        until(socket.exists, f"the service; {(folder / 'daemon.log').read_text()}")
+        pids = dict(zip(PARTIES, (daemon.pid, recorder.pid, rig.pid), strict=True))
+        operator = Operator(socket, runs)
+        begin = time.monotonic()
+        while (at_s := time.monotonic() - begin) < seconds:
+            status = operator.turn()
+            watched.look(at_s, pids, status)
+            time.sleep(LOOK_S)
+        with contextlib.suppress(Refusal):
+            operator.client.call("Stop")
+        until(operator.recorded_all, "the end of the last test")
+        operator.client.close()
+    print(f"{seconds:.0f} s, {sum(operator.ended.values())} tests: {dict(operator.ended)}")
+    print(
+        f"rows: {operator.rows} recorded, {operator.lost} lost, {operator.unexplained} ticks with "
+        f"neither row nor stall; {operator.resets} resets"
+    )
+    faults = watched.judge()
+    if operator.lost:
+        faults.append(f"{operator.lost} rows are lost")
+    if operator.unexplained:
+        faults.append(f"{operator.unexplained} ticks have no row")
+    if not operator.ended["completed"]:
+        faults.append("no test came to its end")
+    if daemon.returncode:
+        faults.append(f"the daemon ended with {daemon.returncode}")
+    return faults
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Let a service run for long; nothing may grow.")
+    parser.add_argument("seconds", type=float)
+    seconds = parser.parse_args().seconds
+    memory = Path("/dev/shm")
+    place = memory if memory.is_dir() and os.access(memory, os.W_OK) else None
+    with TemporaryDirectory() as folder, TemporaryDirectory(dir=place) as rings:
+        faults = soak(seconds, Path(folder), Path(rings))
+    for fault in faults:
+        print(f"soak: {fault}", file=sys.stderr)
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
