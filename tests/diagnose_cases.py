@@ -3,6 +3,7 @@ laws in numpy."""
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,16 @@ def command(kind: str = "sweep", seconds: float = 8.0, amplitude: float = 7e-3) 
 
 
 def moved(u: np.ndarray, delay: float = DELAY, gain: float = 1.0, fine: int = 8):
-    """Return x, v, a of the actuator at the rows, from rest; the command runs straight."""
+    """Return x, v, a of the actuator at the rows, from rest; the command runs straight.
+
+    Most cases share one command: a motion is computed once, and cannot be written to.
+    """
+    return _moved(u.tobytes(), delay, gain, fine)
+
+
+@cache
+def _moved(command: bytes, delay: float, gain: float, fine: int) -> tuple[np.ndarray, ...]:
+    u = np.frombuffer(command)
     n = u.size
     t = np.arange((n - 1) * fine + 1) / (FS * fine)
     late = np.interp(t - delay, np.arange(n) / FS, u)
@@ -35,7 +45,10 @@ def moved(u: np.ndarray, delay: float = DELAY, gain: float = 1.0, fine: int = 8)
     )
     _, y, _ = signal.lsim(system, late, t, X0=[gain * late[0], 0.0])
     a = w**2 * (gain * late - y[:, 0]) - 2 * ZETA * w * y[:, 1]
-    return y[::fine, 0], y[::fine, 1], a[::fine]
+    found = tuple(np.ascontiguousarray(z[::fine]) for z in (y[:, 0], y[:, 1], a))
+    for z in found:
+        z.flags.writeable = False
+    return found
 
 
 def baseline(**changes: object) -> str:

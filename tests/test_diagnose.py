@@ -9,12 +9,16 @@ from pathlib import Path
 import diagnose_cases as cases
 import numpy as np
 import pytest
+from scipy import signal
 
-from rthyb_rt import cli, config
+from rthyb_rt import cli, config, core
 from rthyb_rt.diagnose import effects, engine, localise, reading
 from rthyb_rt.diagnose.effects.base import Context, Effect, Param, Trial
 from rthyb_rt.diagnose.outcome import finish
+from rthyb_rt.diagnose.power import self_check
 from rthyb_rt.diagnose.predict import nrmse
+from rthyb_rt.diagnose.select import clustered
+from rthyb_rt.errors import InputError
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "diagnosis"
 
@@ -105,6 +109,121 @@ def test_a_sine_cannot_tell_mass_from_stiffness_and_a_sweep_can(tmp_path):
     assert (d.verdict, d.effects) == ("explained", ["stiffness"])
 
 
+MASS, SPRING, DASHPOT = 6700.0, 4.5e5, 3600.0
+
+
+def of_a_free_body(x: np.ndarray, push: np.ndarray, a: np.ndarray, folder: Path):
+    rng = np.random.default_rng(7)
+    n = x.size
+    columns = {
+        "t": np.arange(n) / cases.FS,
+        "f_in": push,
+        "x_meas": x + 4e-6 * rng.standard_normal(n),
+        "a_meas": a + 5e-3 * rng.standard_normal(n),
+    }
+    model = cases.baseline(
+        family='"forced"', k=SPRING, c=DASHPOT, moving_mass=MASS, c_tol=0.1
+    ).replace(f"f_std = {cases.F_STD}", "f_std = 0.4")
+    head, _, tail = model.partition("[actuator]")
+    return diagnosed(folder, columns, head + "[noise]" + tail.partition("[noise]")[2])
+
+
+@pytest.mark.parametrize("missing", ["inertia", "stiffness"])
+def test_a_body_under_a_sine_of_force_does_not_tell_mass_from_stiffness(missing, tmp_path):
+    """The closed form of the steady state: only k - m w^2 is in it."""
+    w = 2 * np.pi * 0.9
+    k, m = (SPRING, 1.25 * MASS) if missing == "inertia" else (0.9 * SPRING, MASS)
+    swing = (
+        1200.0 / (k - m * w**2 + 1j * DASHPOT * w) * np.exp(1j * w * np.arange(12288) / cases.FS)
+    )
+    push = 1200.0 * np.cos(w * np.arange(12288) / cases.FS)
+    d = of_a_free_body(swing.real, push, -(w**2) * swing.real, tmp_path)
+    assert d.verdict == "ambiguous"
+    assert sorted(d.ambiguous_with) == [["inertia"], ["stiffness"]]
+
+
+@pytest.mark.parametrize("missing", ["inertia", "stiffness"])
+def test_a_body_under_a_sweep_of_force_tells_mass_from_stiffness(missing, tmp_path):
+    n = 16384
+    t = np.arange(n) / cases.FS
+    k, m = (SPRING, 1.25 * MASS) if missing == "inertia" else (0.87 * SPRING, MASS)
+    ramp = np.clip(t / 0.5, 0, 1) * np.clip((t[-1] - t) / 0.5, 0, 1)
+    push = 900.0 * ramp * np.sin(2 * np.pi * (0.3 * t + 0.1 * t**2))
+    system = signal.StateSpace(
+        [[0, 1], [-k / m, -DASHPOT / m]], [[0], [1 / m]], np.eye(2), np.zeros((2, 1))
+    )
+    _, y, _ = signal.lsim(system, push, t)
+    d = of_a_free_body(y[:, 0], push, (push - k * y[:, 0] - DASHPOT * y[:, 1]) / m, tmp_path)
+    assert (d.verdict, d.effects) == ("explained", [missing])
+
+
+def test_what_the_balance_of_forces_would_lose_shows_in_the_motion(tmp_path):
+    """A relaxation that is nearly a dashpot, beside a dashpot known to a tenth."""
+    n = 10240
+    t = np.arange(n) / cases.FS
+    km, tau = 6.0e4, 0.03
+    push = 900.0 * np.clip(t / 0.5, 0, 1) * np.sin(2 * np.pi * (0.3 * t + 0.2 * t**2))
+    system = signal.StateSpace(
+        [[0, 1, 0], [-SPRING / MASS, -DASHPOT / MASS, -1 / MASS], [0, km, -1 / tau]],
+        [[0], [1 / MASS], [0]], np.eye(3), np.zeros((3, 1)),
+    )  # fmt: skip
+    _, y, _ = signal.lsim(system, push, t)
+    a = (push - SPRING * y[:, 0] - DASHPOT * y[:, 1] - y[:, 2]) / MASS
+    d = of_a_free_body(y[:, 0], push, a, tmp_path)
+    assert (d.verdict, d.effects) == ("explained", ["maxwell"])
+    # Beside a dashpot of a tenth more or less, stiffness and time alone are not known to a tenth.
+    assert holds(d, "maxwell", "km_N_m", km)
+    assert holds(d, "maxwell", "tau_s", tau)
+
+
+def test_a_gain_error_does_not_hide_a_delay_as_an_offset_in_time(tmp_path):
+    columns = cases.channels(delay=cases.DELAY + 0.011)
+    columns["x_meas"] = 0.85 * columns["x_meas"]
+    del columns["f_meas"]
+    d = diagnosed(tmp_path, columns)
+    assert (d.verdict, sorted(d.effects)) == ("explained", ["act_gain", "delay"])
+    assert found(d, "delay", "dtau_s") == pytest.approx(0.011, rel=0.01)
+
+
+def test_strokes_of_one_speed_leave_the_law_of_velocity_open(tmp_path):
+    """Quasi-static, every stroke of one rate, with a turn just before the end."""
+    rng = np.random.default_rng(4)
+    corners = np.r_[0, 40, 40 + np.cumsum([330, *[660] * 8]), 5658 + 6]
+    x = np.interp(
+        np.arange(corners[-1]), corners, [0, 0, *[0.011 * (-1) ** i for i in range(9)], -0.01]
+    )
+    v = np.gradient(x) * 16.0
+    force = 4.0e5 * x + 340.0 * np.sign(v)
+    columns = {
+        "t": np.arange(x.size) / 16.0,
+        "x_meas": x + 4e-6 * rng.standard_normal(x.size),
+        "f_meas": force + 30.0 * rng.standard_normal(x.size),
+    }
+    text = cases.baseline(k=4.0e5, c=0.0, moving_mass=0.0, fs_hz=16.0)
+    head, _, _ = text.partition("[actuator]")
+    d = diagnosed(tmp_path, columns, head + "[noise]\nx_std = 4e-6\nf_std = 30.0\n")
+    assert d.verdict == "ambiguous"
+    assert sorted(d.ambiguous_with) == [["coulomb"], ["quad_damping"], ["viscous"]]
+
+
+def test_a_slow_sweep_tells_the_law_of_velocity_that_strokes_leave_open(tmp_path):
+    """No part of it is straight for as long as its noise takes to average out."""
+    rng = np.random.default_rng(11)
+    t = np.arange(6400) / 16.0
+    phase = 2 * np.pi * (0.01 * t + 0.2 * t**2 / (2 * t[-1]))
+    x, v = 0.011 * np.sin(phase), 0.011 * np.cos(phase) * np.gradient(phase) * 16.0
+    columns = {
+        "t": t,
+        "x_meas": x + 4e-5 * rng.standard_normal(x.size),
+        "f_meas": 4.0e5 * x + 4.0e4 * v + 30.0 * rng.standard_normal(x.size),
+    }
+    text = cases.baseline(k=4.0e5, c=0.0, moving_mass=0.0, fs_hz=16.0)
+    head, _, _ = text.partition("[actuator]")
+    d = diagnosed(tmp_path, columns, head + "[noise]\nx_std = 4e-5\nf_std = 30.0\n")
+    assert (d.verdict, d.effects) == ("explained", ["viscous"])
+    assert found(d, "viscous", "c_Ns_m") == pytest.approx(4.0e4, rel=0.02)
+
+
 def test_no_mass_is_less_than_nothing(tmp_path):
     """A stiffer specimen under a sine could be a negative mass, of more than there is."""
     d = diagnosed(tmp_path, cases.channels(lambda t, x, v, a: 0.09 * cases.K * x, kind="sine"))
@@ -127,6 +246,31 @@ def test_coarse_readings_are_a_load_cells_and_no_friction(tmp_path):
     d = diagnosed(tmp_path, columns)
     assert (d.verdict, d.effects) == ("explained", ["quantisation"])
     assert found(d, "quantisation", "lsb_N") == pytest.approx(260.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [
+        ("stiffness", lambda t, x, v, a: 0.06 * cases.K * x),
+        ("viscous", lambda t, x, v, a: 2.0 * cases.C * v),
+    ],
+)
+def test_coarse_readings_do_not_hide_what_else_is_missing(name, law, tmp_path):
+    columns = cases.channels(law)
+    columns["f_meas"] = 200.0 * np.round(columns["f_meas"] / 200.0)
+    d = diagnosed(tmp_path, columns)
+    assert (d.verdict, sorted(d.effects)) == ("explained", sorted(["quantisation", name]))
+
+
+def test_friction_with_a_peak_on_a_shearing_contact_is_named_beside_a_mass(tmp_path):
+    def law(t, x, v, a):
+        shear = np.zeros_like(x)
+        for i in range(1, x.size):
+            shear[i] = np.clip(shear[i - 1] + (x[i] - x[i - 1]) / 4e-6, -1.0, 1.0)
+        return shear * (250.0 + 200.0 * np.exp(-((v / 0.01) ** 2))) + 12.0 * a
+
+    d = diagnosed(tmp_path, cases.channels(law))
+    assert (d.verdict, sorted(d.effects)) == ("explained", ["inertia", "stribeck"])
 
 
 def test_the_augmented_model_predicts_another_recording(tmp_path):
@@ -181,6 +325,49 @@ def test_a_users_own_effect_is_found_by_its_name(tmp_path):
     assert found(d, "magnet", "at_m") == pytest.approx(3e-3, rel=0.01)
 
 
+def test_the_effect_of_the_users_guide_is_found_from_the_command_line(tmp_path, capsys):
+    """The page of Python in docs/diagnosis.md, as it stands there."""
+    guide = (Path(__file__).parents[1] / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+    (tmp_path / "magnet.py").write_text(
+        guide.split("```python\n")[1].split("```")[0], encoding="utf-8"
+    )
+
+    def bump(t, x, v, a):
+        return 900.0 * np.exp(-(((x - 3e-3) / 3e-4) ** 2))
+
+    recording, toml = cases.write(tmp_path, cases.channels(bump))
+    call = ("diagnose", recording, "--model", toml, "--json", "--effect")
+    try:
+        assert run(*call, tmp_path / "magnet.py") == 8
+    finally:
+        effects.remove("magnet")
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["effects"] == ["magnet"]
+    assert answer["candidates"][0]["params"]["pull_N"] == pytest.approx(900.0, rel=0.01)
+    assert "confirm magnet: the place" in answer["next_experiment"]["why"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x = 1", "registers no effect"),
+        ("import math\nfoo(\n", ":2: SyntaxError"),
+        ("import math\n\nfoo()\n", ":3: NameError"),
+        (
+            "from rthyb_rt.diagnose import effects\nclass A(effects.Effect):\n    name = 'a'\n"
+            "effects.register(A())\n",
+            "lacks params, equation, columns",
+        ),
+    ],
+)
+def test_an_effect_that_is_none_is_refused_with_its_line(text, words, tmp_path, capsys):
+    recording, toml = cases.write(tmp_path, cases.channels())
+    (tmp_path / "own.py").write_text(text, encoding="utf-8")
+    assert run("diagnose", recording, "--model", toml, "--effect", tmp_path / "own.py") == 3
+    assert words in capsys.readouterr().err
+    assert "a" not in effects.catalogue()
+
+
 # ---- the command line ---------------------------------------------------------------------------
 
 
@@ -205,6 +392,38 @@ def test_the_command_writes_answer_report_and_a_rig_that_loads(tmp_path, capsys)
     assert friction[0].fc_n == pytest.approx(130.0, rel=0.02)
 
 
+def test_the_self_check_finds_again_what_was_found_and_says_how_little_would_be(tmp_path):
+    friction = cases.channels(lambda t, x, v, a: 130.0 * np.tanh(v / 4e-4))
+    d = diagnosed(tmp_path, friction)
+    rows = self_check(d)
+    again = rows[0]
+    assert (again["effect"], again["found"]) == ("coulomb", True)
+    least = {r["effect"]: r for r in rows if "smallest_detectable_share" in r}
+    assert set(least) >= {"coulomb", "viscous", "inertia", "cubic"}
+    # Noise of 15 N beside forces of 2.4 kN: friction far smaller than that found is seen.
+    assert 0.0 < rows[1]["smallest_detectable_share"] < 0.5 * again["share"]
+
+
+def test_a_folder_that_cannot_be_one_is_refused_before_the_work(tmp_path, capsys, monkeypatch):
+    recording, toml = cases.write(tmp_path, cases.channels())
+    monkeypatch.setattr(engine, "diagnose", lambda *_: pytest.fail("the work was begun"))
+    assert run("diagnose", recording, "--model", toml, "--report", toml) == 1
+    assert "is a file and no folder" in capsys.readouterr().err
+
+
+def test_a_second_test_without_a_reading_cannot_be_held_against_the_model(
+    tmp_path, capsys, monkeypatch
+):
+    recording, toml = cases.write(tmp_path, cases.channels())
+    commands = tmp_path / "commands.csv"
+    commands.write_text("t,x_cmd\n" + "".join(f"{i / 1024!r},0.0\n" for i in range(2048)))
+    monkeypatch.setattr(engine, "diagnose", lambda *_: pytest.fail("the work was begun"))
+    assert run("diagnose", recording, "--model", toml, "--heldout", commands) == 3
+    said = capsys.readouterr().err
+    assert f"{commands}: holds no x_meas" in said
+    assert "--predict" in said
+
+
 def test_the_exit_code_says_nothing_is_missing(tmp_path, capsys):
     recording, toml = cases.write(tmp_path, cases.channels())
     assert run("diagnose", recording, "--model", toml) == 0
@@ -221,6 +440,20 @@ BAD = {
     "constant channels": (lambda c: (c["f_meas"].fill(3.0), c["x_meas"].fill(1.0)), "constant"),
     "millimetres": (lambda c: c.__setitem__("x_meas", 1e3 * c["x_meas"]), "wrong unit"),
     "kilograms force": (lambda c: c.__setitem__("f_meas", c["f_meas"] / 9.81), "wrong unit"),
+    "a displacement against its command": (
+        lambda c: c.__setitem__("x_meas", -c["x_meas"]),
+        "wrong sign",
+    ),
+    "a load cell the wrong way round": (
+        lambda c: c.__setitem__("f_meas", -c["f_meas"]),
+        "wrong sign",
+    ),
+    "an open cable": (
+        lambda c: c.__setitem__(
+            "f_meas", 15.0 * np.random.default_rng(0).standard_normal(c["t"].size)
+        ),
+        "nothing but noise",
+    ),
     "another rate": (lambda c: c.__setitem__("t", 2.0 * c["t"]), "fs_hz"),
     "clipped most of the time": (
         lambda c: c.__setitem__("f_meas", np.clip(c["f_meas"], -900.0, 900.0)),
@@ -248,6 +481,68 @@ def test_a_gap_and_a_few_clipped_rows_are_said_and_not_judged(tmp_path):
     assert any("gap" in note for note in d.notes)
     assert any("clipped" in note for note in d.notes)
     assert (d.verdict, d.effects) == ("explained", ["coulomb"])
+
+
+def test_single_rows_lost_here_and_there_hide_nothing(tmp_path):
+    """Five rows in a hundred, as a slow network leaves them out: the friction is still there."""
+    columns = cases.channels(lambda t, x, v, a: 130.0 * np.tanh(v / 4e-4))
+    keep = np.random.default_rng(1).random(columns["t"].size) > 0.05
+    d = diagnosed(tmp_path, {k: v[keep] for k, v in columns.items()})
+    assert (d.verdict, d.effects) == ("explained", ["coulomb"])
+    assert found(d, "coulomb", "Fc_N") == pytest.approx(130.0, rel=0.02)
+
+
+def test_gaps_that_leave_nothing_to_judge_allow_no_answer(tmp_path):
+    columns = cases.channels()
+    lost = (np.arange(columns["t"].size) % 150) < 5
+    for name in ("x_cmd", "x_meas", "f_meas"):
+        columns[name][lost] = np.nan
+    with pytest.raises(InputError, match="leave no stretch"):
+        diagnosed(tmp_path, columns)
+
+
+@pytest.mark.parametrize("reading", [1e6, 1e300, np.inf])
+def test_a_stray_reading_is_said_and_not_judged(reading, tmp_path):
+    columns = cases.channels(lambda t, x, v, a: 130.0 * np.tanh(v / 4e-4))
+    columns["f_meas"][500] = reading
+    d = diagnosed(tmp_path, columns)
+    assert (d.verdict, d.effects) == ("explained", ["coulomb"])
+    assert any("f_meas" in note for note in d.notes)
+
+
+def test_without_a_force_the_specimen_is_not_said_to_lack_nothing(tmp_path, capsys):
+    columns = cases.channels(lambda t, x, v, a: 130.0 * np.tanh(v / 4e-4))
+    columns["f_meas"].fill(np.nan)
+    recording, toml = cases.write(tmp_path, columns)
+    assert run("diagnose", recording, "--model", toml) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Nothing is missing in the actuator" in said
+    assert "Of the specimen this says nothing" in said
+
+
+def test_a_slip_of_the_pen_in_a_model_is_said(tmp_path):
+    text = cases.baseline().replace("moving_mass", "mass")
+    d = diagnosed(tmp_path, cases.channels(), text)
+    assert any("specimen.mass (is moving_mass meant?)" in note for note in d.notes)
+
+
+def test_the_verdict_of_a_stop_is_a_sentence_of_the_laboratory(tmp_path, capsys):
+    recording, toml = cases.write(
+        tmp_path,
+        cases.channels(
+            lambda t, x, v, a: 3.1e6 * (np.maximum(x - 6e-3, 0.0) + np.minimum(x + 6e-3, 0.0))
+        ),
+    )
+    out = tmp_path / "report"
+    assert run("diagnose", recording, "--model", toml, "--report", out) == 8
+    said = " ".join(capsys.readouterr().out.split())
+    assert "and only where |x| > 6.0" in said
+    assert "the load cell reads more than the model: a stop at 6.0" in said
+    assert "MN/m explains" in said
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "holds on rows left out" in page
+    # The page's own policy bars pictures: a drawing that needs one shows a broken frame.
+    assert "<image" not in page
 
 
 def test_a_model_that_is_none_is_refused(tmp_path, capsys):
@@ -332,9 +627,151 @@ def test_a_contact_that_shears_before_it_slips_is_dry_friction(tmp_path):
     assert found(d, "coulomb", "Fc_N") == pytest.approx(130.0, rel=0.02)
 
 
+def band_brake(t, x, v, a, up=14e3, down=19e3, gap=1.1e-3, k=9e6):
+    """A brake behind a play: the drum is dragged along by what the band does not hold."""
+    drum, force = -0.6 * gap, np.empty_like(x)
+    for i, now in enumerate(x):
+        drum = min(max(drum, now - gap - up / k), now + gap + down / k)
+        bent = now - drum
+        force[i] = k * (max(bent - gap, 0.0) + min(bent + gap, 0.0))
+    return force
+
+
+def of_a_brake(seed: int, amplitude: float, **grip: float) -> dict[str, np.ndarray]:
+    columns = cases.channels(seed=seed, amplitude=amplitude)
+    x, v, _ = cases.moved(columns["x_cmd"])
+    noise = 150.0 * np.random.default_rng(seed + 50).standard_normal(x.size)
+    del columns["x_cmd"]
+    return columns | {"f_meas": band_brake(columns["t"], x, v, None, **grip) + noise}
+
+
+def naive(columns: dict[str, np.ndarray], f_std: float) -> str:
+    x, f = columns["x_meas"], columns["f_meas"]
+    slopes = np.column_stack((x, signal.savgol_filter(x, 51, 3, deriv=1, delta=1.0 / cases.FS)))
+    k, c = np.linalg.lstsq(slopes, f, rcond=None)[0]
+    head = f'schema = "rthyb-baseline/1"\nfamily = "drive"\nfs_hz = {cases.FS}\n'
+    return head + (
+        f"[specimen]\nk = {k}\nc = {c}\nmoving_mass = 0\n"
+        f"[noise]\nx_std = {cases.X_STD}\nf_std = {f_std}\n"
+    )
+
+
+def test_a_brake_that_grips_harder_one_way_behind_a_play_is_named_with_its_parts(tmp_path):
+    columns = of_a_brake(2, 9e-3)
+    toml = naive(columns, 150.0)
+    d = diagnosed(tmp_path, columns, toml)
+    assert (d.verdict, sorted(d.effects)) == ("explained", ["bias", "coulomb", "gap"])
+    assert found(d, "coulomb", "Fc_N") == pytest.approx(16.5e3, rel=0.02)
+    assert found(d, "gap", "gap_m") == pytest.approx(1.1e-3, rel=0.03)
+    # The load cell reads none of it while the play is open.
+    assert found(d, "bias", "bias_N") == pytest.approx(-2.5e3, rel=0.03)
+
+    other = of_a_brake(3, 5e-3)
+    recording, _ = cases.write(tmp_path / "smaller", other, toml)
+    second = reading.read_case(recording, d.case.model, judged=False)
+    done = finish(d, None, second)
+    # Where in its play it began is forgotten with the first slips to either side.
+    assert nrmse(done.prediction.f, other["f_meas"], 3 * int(cases.FS)) < 0.03
+    # The element of the core is the law that was fitted, from where in its play it began.
+    (member,), (beta,) = done.model.members, done.model.betas
+    (config_of,) = member.effect.elements(d.context, member.trial, beta)
+    assert config_of.kind == "gap_friction"
+    gap, start = member.trial.theta[0], member.trial.theta[3]
+    np.testing.assert_allclose(
+        core.Element(config_of).run(d.context.x + gap * (2.0 * start - 1.0)),
+        beta[0] * member.effect.columns(d.context, member.trial)[0],
+        atol=1e-6 * 16.5e3,
+    )
+
+
+def test_a_brake_that_grips_alike_behind_a_play_has_no_bias(tmp_path):
+    columns = of_a_brake(2, 9e-3, up=16e3, down=16e3)
+    d = diagnosed(tmp_path, columns, naive(columns, 150.0))
+    assert sorted(d.effects) == ["coulomb", "gap"]
+
+
+def test_a_sensor_with_a_zero_of_its_own_bends_no_lag_and_its_wander_goes_on(tmp_path):
+    columns = cases.channels(delay=cases.DELAY + 0.004)
+    wander = 4e-5 + 1.5e-5 * columns["t"]
+    columns["x_meas"] = columns["x_meas"] + wander
+    half = columns["t"].size * 3 // 4
+    early = {k: v[:half] for k, v in columns.items()}
+    d = diagnosed(tmp_path, early)
+    assert "delay" in d.disp.best.names
+    assert found(d, "delay", "dtau_s") == pytest.approx(0.004, abs=2e-4)
+
+    late = {k: v[half:] for k, v in columns.items() if k in ("t", "x_cmd")}
+    recording, _ = cases.write(tmp_path / "later", late)
+    ahead = finish(d, None, reading.read_case(recording, d.case.model, judged=False))
+    off = columns["x_meas"][half:] - ahead.prediction.x
+    assert abs(np.mean(off)) < 0.4 * np.mean(wander[half:])
+
+
 def test_units_do_not_hide_a_spring_of_the_third_power(tmp_path):
     # Of a motion of two millimetres the cube is a column of 1e-10 beside others of 1e2.
     columns = cases.channels(lambda t, x, v, a: 5e10 * x**3, amplitude=2e-3)
     d = diagnosed(tmp_path, columns)
     assert (d.verdict, d.effects) == ("explained", ["cubic"])
     assert found(d, "cubic", "k3_N_m3") == pytest.approx(5e10, rel=0.03)
+
+
+def test_rows_that_hang_together_tell_as_little_as_they_do():
+    rng, keeps, rows, draws = np.random.default_rng(5), 0.9, 4800, 300
+    noise = signal.lfilter([1.0], [1.0, -keeps], rng.standard_normal((draws, rows)), axis=1)
+    slope = np.ones((rows, 1))
+    inverse = np.array([[1.0 / rows]])
+    shown = [float(clustered(slope, y - y.mean(), inverse)[0, 0]) for y in noise]
+    # Variance of the mean of a first-order autoregression: 1 / (1 - keeps)^2 a row, in the limit.
+    truth = 1.0 / (1.0 - keeps) ** 2 / rows
+    assert np.mean(shown) == pytest.approx(truth, rel=0.1)
+
+
+def test_what_a_spring_loses_is_a_part_of_the_spring_there_is(tmp_path):
+    loss, travel, stiffer = 0.12, 0.15, 0.02
+
+    def weaker(t, x, v, a):
+        path = np.cumsum(np.abs(np.diff(x, prepend=x[0])))
+        there = cases.K * (1.0 + stiffer)
+        return (there - 1.004 * cases.K) * x - there * loss * (1.0 - np.exp(-path / travel)) * x
+
+    d = diagnosed(tmp_path, cases.channels(weaker))
+    assert "degradation" in d.effects
+    assert found(d, "degradation", "loss") == pytest.approx(loss, rel=0.01)
+    assert holds(d, "degradation", "loss", loss)
+
+
+def _yielding(x: np.ndarray, xy: float) -> np.ndarray:
+    """Bouc-Wen's z, n = 2, beta = gamma = 0.5, from z = 0, by small steps along the path."""
+    z = np.zeros(x.size)
+    for i in range(1, x.size):
+        dx = x[i] - x[i - 1]
+        z[i] = z[i - 1]
+        for _ in range(8):
+            z[i] += dx / 8 * (1.0 - (z[i] / xy) ** 2 * (0.5 + 0.5 * np.sign(dx * z[i])))
+    return z
+
+
+def test_a_yielding_specimen_recorded_in_mid_motion_lacks_nothing(tmp_path):
+    alpha, xy, before = 0.35, 6e-3, 5 * int(cases.FS)
+    rng = np.random.default_rng(8)
+    u = cases.command("sine", 11.3)
+    x, v, a = cases.moved(u)
+    f = cases.K * (alpha * x + (1.0 - alpha) * _yielding(x, xy)) + cases.C * v + cases.M * a
+    rows = slice(before, None)
+    t = np.arange(u.size)[rows] / cases.FS
+    columns = {
+        "t": t - t[0],
+        "x_cmd": u[rows],
+        "x_meas": x[rows] + cases.X_STD * rng.standard_normal(t.size),
+        "f_meas": f[rows] + cases.F_STD * rng.standard_normal(t.size),
+    }
+    table = f"[specimen.bouc_wen]\nalpha = {alpha}\nxy = {xy}\nn = 2.0\nbeta = 0.5\ngamma = 0.5\n"
+    model = cases.baseline().replace("[actuator]", f"{table}[actuator]")
+    d = diagnosed(tmp_path, columns, model)
+    assert d.verdict == "none"
+    # Where it is judged, it no longer matters whether the spring was at rest when recording began.
+    fresh = (1.0 - alpha) * cases.K * (_yielding(x[rows] - x[before], xy) - _yielding(x, xy)[rows])
+    assert np.max(np.abs(fresh)) > 20.0 * cases.F_STD
+    judged = d.estimate.rows
+    assert judged.sum() > 0.5 * judged.size
+    assert np.max(np.abs(fresh[judged])) < cases.F_STD

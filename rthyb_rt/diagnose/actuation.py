@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -83,13 +84,26 @@ CATALOGUE: tuple[ActuatorEffect, ...] = (
     ),
 )  # fmt: skip
 
+LONG_ROWS = 100_000
+"""Rows from which the effects are fitted on two cores at once."""
 MASK_S = 0.4
 STEPS = 12
+ZEROS = 10
+"""Parts of a recording whose displacement may have a zero of its own."""
+FOLLOWS = 1.5
+"""Mean square of (measured - simulated) / noise up to which a simulated motion is the true one."""
+SHIFT_MAX_S = 1.5e-4
+"""Time offset that is still nuisance: against a large effect its prior alone would give way."""
 
 
 @dataclass
 class ActuatorFit:
-    """Effects of the actuator fitted to the displacement."""
+    """Effects of the actuator fitted to the displacement.
+
+    Attributes:
+        motion: as simulated, on the zero of the displacement sensor.
+        zero_m: by how much that lies off the command's, mean of the rows.
+    """
 
     effects: tuple[ActuatorEffect, ...]
     model: ActuatorModel
@@ -99,6 +113,7 @@ class ActuatorFit:
     residual: Floats
     covariance: Floats | None
     motion: Motion
+    zero_m: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -133,9 +148,16 @@ class Actuation:
         """Return the motion that a model makes of the recorded command."""
         return actuator(model, self.u, self.case.fs_hz)
 
-    def _residual(self, model: ActuatorModel) -> tuple[Floats, Motion]:
+    def _residual(self, model: ActuatorModel) -> tuple[Floats, Motion, float]:
+        """Return what a model leaves, less its mean: command and sensor have zeros of their own.
+
+        A lag, a gain, a limit of velocity move no mean; what does is the sensor's zero or a
+        servo valve's, and to be read as one of them it would bend the others.
+        """
         motion = self.simulate(model)
-        return (self.x - motion.x)[self.rows] / self.sigma, motion
+        off = (self.x - motion.x)[self.rows]
+        zero = float(np.mean(off))
+        return (off - zero) / self.sigma, replace(motion, x=motion.x + zero), zero
 
     def fit(
         self,
@@ -156,7 +178,7 @@ class Actuation:
             changes: dict[str, Any] = dict(zip(fields, map(float, values), strict=True))
             model = replace(self.base, **settings, **changes)
             try:
-                r, _ = self._residual(model)
+                r = self._residual(model)[0]
             except SimulationError:
                 return np.inf
             return float(r @ r)
@@ -187,7 +209,7 @@ class Actuation:
 
         # One more row holds the prior of the time offset.
         def residual(p: Floats) -> Floats:
-            r, _ = self._residual(model(p))
+            r = self._residual(model(p))[0]
             return np.asarray(np.r_[r, p[-1] * scales[-1] / SKEW_PRIOR_S])
 
         p = (
@@ -199,6 +221,7 @@ class Actuation:
         except SimulationError:
             return None
         chi2, damping = float(r @ r), 1e-3
+        most = SHIFT_MAX_S / float(scales[-1])
         jacobian = np.zeros((r.size, p.size))
         for _ in range(STEPS):
             for j in range(p.size):
@@ -219,14 +242,16 @@ class Actuation:
                     -1.0 / scales.clip(1e-3),
                     1.0 / scales.clip(1e-3),
                 )
+                moved = p + delta
+                moved[-1] = np.clip(moved[-1], -most, most)
                 try:
-                    trial = residual(p + delta)
+                    trial = residual(moved)
                 except SimulationError:
                     damping *= 10.0
                     continue
                 now = float(trial @ trial)
                 if now < chi2:
-                    gain, chi2, p, r = chi2 - now, now, p + delta, trial
+                    gain, chi2, p, r = chi2 - now, now, moved, trial
                     damping, better = max(damping * 0.2, 1e-9), True
                     break
                 damping *= 10.0
@@ -246,11 +271,23 @@ class Actuation:
             ]
             + [scales[-1]]
         )
-        whole, motion = self._residual(best)
+        whole, motion, zero = self._residual(best)
         return ActuatorFit(
             tuple(effects), best, tuple(values), chi2, len(fields), whole,
-            inverse * np.outer(chain, chain), motion,
+            inverse * np.outer(chain, chain), motion, zero,
         )  # fmt: skip
+
+    def late_zero(self, fit: ActuatorFit) -> float:
+        """Return the zero at the end of the recording, m: the mean's where it does not wander.
+
+        It wanders where the mean of a tenth of the recording tells that of the next one better than
+        the whole's does (von Neumann's ratio below one; 2 for tenths that know nothing of another).
+        """
+        off = fit.residual * self.sigma
+        parts = np.array([float(np.mean(p)) for p in np.array_split(off, ZEROS)])
+        if off.size < 10 * ZEROS or np.sum(np.diff(parts) ** 2) > np.sum(parts**2):
+            return fit.zero_m
+        return fit.zero_m + float(parts[-1])
 
     def price(self, fit: ActuatorFit) -> float:
         """Return what a fit has to earn."""
@@ -294,7 +331,13 @@ def search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
     null = task.fit(())
     if null is None:
         raise SimulationError("the model's own actuator cannot be simulated along this command")
-    fits = [f for e in CATALOGUE if (f := task.fit((e,))) is not None]
+    if task.x.size > LONG_ROWS:
+        # Most of a long recording's time goes here, in the core, which lets other threads run.
+        with ThreadPoolExecutor(2) as pool:
+            singles = list(pool.map(lambda e: task.fit((e,)), CATALOGUE))
+    else:
+        singles = [task.fit((e,)) for e in CATALOGUE]
+    fits = [f for f in singles if f is not None]
     known = {f.names[0]: f for f in fits}
     n = max(task.rows.size, 1)
     for size in (2, 3):
@@ -311,3 +354,22 @@ def search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
     scale = inflation(min(fits, key=lambda f: f.chi2).residual)
     fits.sort(key=lambda f: f.misfit(scale) + task.price(f))
     return null, fits, scale
+
+
+def of_rig(case: Case) -> Motion | None:
+    """Return the motion that the model's own rig makes of the recorded command, without noise.
+
+    For an actuator that is no second-order lag, such as a servo-hydraulic one; None where there is
+    no such rig, or where the specimen moved otherwise.
+    """
+    from rthyb_rt import core, experiment
+
+    rig = case.model.rig
+    x_cmd, x_meas = case.get("x_cmd"), case.get("x_meas")
+    if rig is None or case.model.actuator is not None or x_cmd is None or x_meas is None:
+        return None
+    motion = Motion(*core.Rig(experiment.rig_config(rig)).motion(filled(x_cmd)))
+    rows = case.rows & np.isfinite(x_meas)
+    sigma = noise_of(x_meas, case.model.x_std)
+    off = float(np.mean(((x_meas - motion.x)[rows] / sigma) ** 2))
+    return motion if off < FOLLOWS else None

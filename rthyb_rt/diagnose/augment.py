@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.simulate import Motion
+from rthyb_rt.diagnose.simulate import ActuatorModel, Motion
 
-SUBSTEPS = 16
+if TYPE_CHECKING:
+    from rthyb_rt.config import RigFile
+
+DESCRIPTION = "model with what the diagnosis found in it"
 
 
 def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]:
@@ -32,7 +36,7 @@ def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]
     )
     elements: list[core.ElementConfig] = base.elements()
     replaced_spring: list[core.ElementConfig] | None = None
-    bias = lsb = 0.0
+    bias = 0.0
     if base.moving_mass > 0:
         elements.append(core.element("inertia", m_kg=base.moving_mass))
     for member, beta in zip(model.members, model.betas, strict=True):
@@ -48,64 +52,150 @@ def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]
             elements += own
     if replaced_spring is not None:
         elements = [*replaced_spring, *elements[1:]]
-    lines = ['schema = "rthyb-rig/1"', ""]
-    lines += [f"# {word}: a rig file cannot hold it; see diagnosis.json" for word in lost]
-    hold = model.model.hold
-    lines += [
-        "[rig]",
-        f'name = "{name}"',
-        'description = "model with what the diagnosis found in it"',
-        f"elastic_stiffness_n_per_m = {_stiffness(elements):.9g}",
-        'load_cell = "specimen"',
-        f'command_hold = "{hold}"',
-        "",
+    lag = model.actuator
+    lost += [
+        word
+        for word, there in (
+            ("delay_rate", lag is not None and lag.kappa_s2_m != 0.0),
+            ("rate_limit", lag is not None and lag.vmax_m_s > 0.0),
+        )
+        if there
     ]
-    lines += _actuator(model)
-    for item in _merged(elements):
+    lines = [f"# {word}: a rig file cannot hold it; see diagnosis.json" for word in lost]
+    if base.rig is not None:
+        body = _within(base.rig, model, elements, bias, name)
+    else:
+        body = _on_its_own(model, elements, bias, name)
+    return "\n".join([*lines, body, *_specimen(elements, base.rig), ""]), lost
+
+
+def _specimen(elements: list[core.ElementConfig], rig: RigFile | None) -> list[str]:
+    lines = []
+    for item in _merged([*elements, *(_opposite(rig) if rig is not None else ())]):
         lines += ["", "[[specimen]]", f'element = "{item.kind}"']
         lines += [
             f"{key} = {value:.9g}"
             for key, value in zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True)
         ]
-    noise = base.x_std or 0.0, base.f_std or 0.0
-    lines += ["", "[sensors.displacement]", f"noise_std_m = {noise[0]:.6g}"]
-    lines += ["", "[sensors.force]", f"noise_std_n = {noise[1]:.6g}", f"bias_n = {bias:.6g}"]
-    if lsb:
-        lines.append(f"lsb_n = {lsb:.6g}")
-    return "\n".join(lines) + "\n", lost
+    return lines
+
+
+def _on_its_own(
+    model: Augmented, elements: list[core.ElementConfig], bias: float, name: str
+) -> str:
+    base = model.model
+    lines = [
+        'schema = "rthyb-rig/1"',
+        "",
+        "[rig]",
+        f'name = "{name}"',
+        f'description = "{DESCRIPTION}"',
+        f"elastic_stiffness_n_per_m = {_stiffness(elements):.9g}",
+        'load_cell = "specimen"',
+        f'command_hold = "{base.hold}"',
+        "",
+        *_actuator(model),
+        "",
+        "[sensors.displacement]",
+        f"noise_std_m = {base.x_std or 0.0:.6g}",
+        "",
+        "[sensors.force]",
+        f"noise_std_n = {base.f_std or 0.0:.6g}",
+        f"bias_n = {bias:.6g}",
+    ]
+    return "\n".join(lines)
+
+
+def _within(
+    rig: RigFile, model: Augmented, elements: list[core.ElementConfig], bias: float, name: str
+) -> str:
+    """Return the rig file that the model came from with its numbers, and without a specimen.
+
+    Its actuator stays unless something was found in it.
+    """
+    from rthyb_rt import config
+
+    force = rig.sensors.force.model_copy(update={"bias_n": rig.sensors.force.bias_n + bias})
+    head: dict[str, Any] = {
+        "name": name,
+        "description": DESCRIPTION,
+        "elastic_stiffness_n_per_m": _stiffness(elements),
+    }
+    changes: dict[str, Any] = {
+        "specimen": [],
+        "sensors": rig.sensors.model_copy(update={"force": force}),
+    }
+    lag = model.actuator
+    if lag is not None and replace(lag, shift_s=0.0) != model.base.actuator:
+        from rthyb_rt.config.rigfile import SecondOrder
+
+        head["command_shift_s"] = 0.0
+        changes |= {
+            "actuator": SecondOrder.model_construct(**_second_order(lag)),
+            "identified": None,
+        }
+    changes["rig"] = rig.rig.model_copy(update=head)
+    text = config.dump(rig.model_copy(update=changes))
+    return "\n".join(line for line in text.splitlines() if line != "specimen = []")
+
+
+def _opposite(rig: RigFile) -> list[core.ElementConfig]:
+    """Return what takes off again the table's forces that a rig's own actuator has already."""
+    from rthyb_rt.experiment import table_elements
+
+    return [
+        replace(item, params=(-item.params[0], *item.params[1:])) for item in table_elements(rig)
+    ]
+
+
+SPRINGS = ("stiffness", "hysteresis", "pinching", "degradation", "gap", "gap_friction")
+"""Elements whose first parameter is a stiffness that acts from the start."""
 
 
 def _stiffness(elements: list[core.ElementConfig]) -> float:
     total = 0.0
     for item in elements:
-        if item.kind in ("stiffness", "hysteresis", "pinching", "degradation", "gap"):
+        if item.kind in SPRINGS:
             total += item.params[0]
     return max(total, 1e-3)
 
 
 def _merged(elements: list[core.ElementConfig]) -> list[core.ElementConfig]:
-    """Join springs and dashpots into one each; what is nothing goes."""
-    sums: dict[str, float] = {}
+    """Join springs, dashpots, masses and like friction into one each; what is nothing goes."""
+    sums: dict[tuple[str, tuple[float, ...]], float] = {}
     rest = []
     for item in elements:
-        if item.kind in ("stiffness", "viscous", "inertia"):
-            sums[item.kind] = sums.get(item.kind, 0.0) + item.params[0]
+        if item.kind in ("stiffness", "viscous", "inertia", "coulomb"):
+            key = (item.kind, item.params[1:])
+            sums[key] = sums.get(key, 0.0) + item.params[0]
         else:
             rest.append(item)
-    plain = [core.ElementConfig(kind, (value,)) for kind, value in sums.items() if value != 0.0]
+    plain = [
+        core.ElementConfig(kind, (value, *others))
+        for (kind, others), value in sums.items()
+        if value != 0.0
+    ]
     out = plain + rest
     return out or [core.element("stiffness", k_n_per_m=0.0)]
 
 
 def _actuator(model: Augmented) -> list[str]:
-    lag: Any = model.actuator
+    lag = model.actuator
     if lag is None:
         return ["[actuator]", 'kind = "pure-delay"', "delay_samples = 0"]
+    values = _second_order(lag)
     return [
         "[actuator]",
-        'kind = "second-order"',
-        f"natural_frequency_hz = {min(lag.f_hz, 500.0):.9g}",
-        f"damping_ratio = {min(lag.zeta, 10.0):.9g}",
-        f"gain = {lag.gain:.9g}",
-        f"delay_s = {max(lag.delay_s + lag.shift_s, 0.0):.9g}",
+        f'kind = "{values.pop("kind")}"',
+        *(f"{key} = {value:.9g}" for key, value in values.items()),
     ]
+
+
+def _second_order(lag: ActuatorModel) -> dict[str, Any]:
+    return {
+        "kind": "second-order",
+        "natural_frequency_hz": min(lag.f_hz, 500.0),
+        "damping_ratio": min(lag.zeta, 10.0),
+        "gain": lag.gain,
+        "delay_s": max(lag.delay_s + lag.shift_s, 0.0),
+    }

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.simulate import ActuatorModel, Hold
+
+if TYPE_CHECKING:
+    from rthyb_rt.config import RigFile
+    from rthyb_rt.recording import Recording
 
 Floats = NDArray[np.float64]
 Family = Literal["drive", "ground", "forced", "loop"]
@@ -57,7 +61,9 @@ class BoucWen:
 class Model:
     """The lab's model: F = k x + c x' + moving_mass x'', and what surrounds it.
 
-    ``k_tol`` and ``c_tol`` are relative standard deviations; None: free to refit.
+    ``k_tol`` and ``c_tol`` are relative standard deviations; None: free to refit. ``rig`` is the
+    rig file that the model came from, ``plc`` the weights W1, W2 of the phase-lead compensator,
+    ``rfc`` whether force was compensated; None where the model does not say.
     """
 
     family: Family
@@ -75,6 +81,10 @@ class Model:
     f_std: float | None = None
     a_std: float | None = None
     extra: tuple[core.ElementConfig, ...] = ()
+    rig: RigFile | None = None
+    plc: tuple[float, float] | None = None
+    rfc: bool | None = None
+    unused: tuple[str, ...] = ()
 
     @property
     def hold(self) -> Hold:
@@ -117,6 +127,8 @@ class Case:
         channels: each (n,), SI, NaN where nothing was recorded.
         rows: which rows are to be used, (n,).
         notes: conditions met in the data and handled, in words.
+        own: the whole recording, where it is one of this program.
+        folder: name of the folder that it lies in.
     """
 
     name: str
@@ -125,6 +137,8 @@ class Case:
     channels: dict[str, Floats]
     rows: NDArray[np.bool_]
     notes: list[str] = field(default_factory=list)
+    own: Recording | None = None
+    folder: str = ""
 
     @property
     def fs_hz(self) -> float:

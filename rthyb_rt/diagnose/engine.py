@@ -8,14 +8,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rthyb_rt.diagnose import actuation, effects, estimate, force, localise
+from rthyb_rt.diagnose import actuation, effects, estimate, force, freebody, localise
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorFit
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import Estimate
-from rthyb_rt.diagnose.predict import Augmented, nrmse, output_error, predict
-from rthyb_rt.diagnose.select import Fit, Problem, inflation, price, refine
+from rthyb_rt.diagnose.predict import Augmented, followed, nrmse, output_error, predict
+from rthyb_rt.diagnose.select import Fit, Problem, clustered, design_of, inflation, price, refine
 from rthyb_rt.diagnose.simulate import Motion
+from rthyb_rt.errors import InputError
 
 Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 Progress = Callable[[str], None]
@@ -23,6 +24,8 @@ Progress = Callable[[str], None]
 LEFT = {1: 0.05, 2: 0.015, 3: 0.008}
 """Part of the misfit that a set of one, two, three effects may leave, beside noise, where the lab
 states how well it knows its model: laws differ in form, but several laws fit almost anything."""
+MOVED = {1: 0.02, 2: 0.01, 3: 0.005}
+"""The same of a simulated motion, near resonance a magnified picture of the force."""
 LEFT_FREE = 0.35
 """The same for a first model without stated tolerances: real specimens are not clean laws."""
 SIMULATED = 5e-4
@@ -35,8 +38,29 @@ BLUR_CELL = 0.002
 """The same where a load cell tells the force."""
 SIMULATION = 0.012
 """NRMSE of a simulated displacement below which nothing is missing that could be named."""
+UNSEEN = 0.004
+"""The same beyond the noise of the displacement: more is a motion that the model does not make."""
+OUTSIDE = 0.002
+"""Part of the rows that may lie farther off than rounding explains."""
+REST = 0.02
+"""Part of the largest displacement that a body at rest moves at most in a tenth of a second."""
+PAST = 400
+"""Steps in which a yielding spring is led to its start."""
+TELLING = 0.3
+"""Standard deviations of noise by which two forces differ that count as one."""
+LATEST = 0.4
+"""Part of a recording that may be spent on forgetting its start."""
+BENT = 2.0
+"""Standard deviations that a stated number moves at most where something unknown is located."""
+MERE_NOISE = 5.0
+"""Times the residual where the motion is known, from which all of it is taken for mere noise."""
 NOISE_LEFT = 0.1
 """Misfit beyond noise, in units of the noise, that is never held against a set."""
+SHEET = 1.2
+"""Times the load cell's noise by its data sheet that noise of any colour may have: data sheets are
+right within 20 per cent."""
+BURST = 1.35
+"""Times its rms over all that noise may have over a second of it: more is an event."""
 
 
 @dataclass
@@ -172,8 +196,42 @@ def settled(case: Case) -> int:
 
 def motion_of(case: Case, disp: Displacement | None) -> Estimate | None:
     """Return the motion and the force, simulated where the actuator is understood."""
+    found = _motion(case, disp)
+    if found is None or case.model.bouc_wen is None:
+        return found
+    first = _forgotten(case, found)
+    return replace(found, rows=found.rows & (np.arange(found.rows.size) >= first))
+
+
+def _forgotten(case: Case, found: Estimate) -> int:
+    """Return the first row at which a yielding model has forgotten how the recording began.
+
+    One that begins in motion has a past that nobody recorded. The spring is led to the first row
+    from the largest displacement to either side; from where both agree, the past is forgotten.
+    """
+    x = found.motion.x
+    head = max(int(0.1 * case.fs_hz), 2)
+    top = float(np.max(np.abs(x)))
+    if float(np.max(np.abs(x[:head] - x[0]))) < REST * top and abs(float(x[0])) < REST * top:
+        return 0
+    forces = []
+    for end in (-top, top):
+        past = np.concatenate((np.linspace(0.0, end, PAST), np.linspace(end, x[0], PAST)))
+        forces.append(case.model.spring(np.concatenate((past, x)))[past.size :])
+    apart = np.flatnonzero(np.abs(forces[1] - forces[0]) > TELLING * found.sigma_n)
+    first = int(apart[-1]) + 1 if apart.size else 0
+    # A motion that never yields again forgets nothing: all of it is looked at then.
+    return first if first < LATEST * x.size else 0
+
+
+def _motion(case: Case, disp: Displacement | None) -> Estimate | None:
     if disp is not None and disp.known and disp.best.chi2 / disp.task.rows.size < 1.5:
         found = estimate.along(case, disp.best.motion, settled(case))
+        if found is not None:
+            return found
+    by_rig = actuation.of_rig(case)
+    if by_rig is not None:
+        found = estimate.along(case, by_rig, settled(case))
         if found is not None:
             return found
     if "x_meas" not in case.channels and "x_cmd" in case.channels and case.model.actuator:
@@ -217,13 +275,53 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         progress("force laws")
         ctx = context_of(case, found)
         problem = Problem(case, ctx, found, effects.catalogue().values())
-        search = force.search(problem, progress)
+        body = freebody.Body(case, ctx) if freebody.judged(case) else None
+        search = force.search(problem, progress, body, lambda done: _doubtful(case, done))
+        again = _along_its_motion(case, search, ctx, progress)
+        if again is not None:
+            found, ctx, search = again
+    elif "f_meas" in case.channels or case.model.family in ("ground", "forced"):
+        raise InputError(
+            "gaps, clipped and stray readings leave no stretch in which the force could be judged "
+            "(fewer than 50 rows); record again, or diagnose the parts between the gaps",
+            case.name,
+        )
     progress("verdict")
     return _verdict(case, disp, found, ctx, search)
 
 
+def _along_its_motion(
+    case: Case, search: force.Search, ctx: Context, progress: Progress
+) -> tuple[Estimate, Context, force.Search] | None:
+    """Search again along the motion that the best set simulates, where the estimated one blurs it.
+
+    A body that sticks and slips moves in a way that no estimate follows. Where what was found
+    simulates the measured displacement to its noise, the load cell is judged along that motion; the
+    answer counts where the search comes to the same laws and they leave nothing.
+    """
+    named = bool(search.best.members) and not search.problem.estimate.exact
+    if not named or not freebody.shown(case) or _force_known(case, search):
+        return None
+    progress("motion")
+    motion = freebody.Body(case, ctx).motion(search.problem, search.best)
+    found = estimate.along(case, motion, 0) if motion is not None else None
+    if found is None or found.rows.sum() < 50:
+        return None
+    now = context_of(case, found)
+    again = force.search(Problem(case, now, found, effects.catalogue().values()), progress)
+
+    def laws(fit: Fit) -> list[str]:
+        return sorted(m.name for m in fit.members if not m.effect.sensor)
+
+    same = laws(again.best) == laws(search.best)
+    return (found, now, again) if same and _force_known(case, again) else None
+
+
 def _force_known(case: Case, search: force.Search) -> bool:
     """Return whether what was found leaves no more than the form of a law."""
+    if search.moved and search.best.members:
+        left = search.excess_after / max(search.excess_before, 1e-12)
+        return search.excess_after < NOISE_LEFT or left < MOVED[len(search.best.names)]
     if not search.best.members:
         # Small colour that no law earns its price for is not a finding.
         return (
@@ -236,10 +334,56 @@ def _force_known(case: Case, search: force.Search) -> bool:
         return True
     left = search.excess_after / max(search.excess_before, 1e-12)
     found = search.problem.estimate
-    blur = 1.0 if found.exact else 2.5
+    # A moment at which a law begins can be moved to meet much: what is left then is no blur.
+    late = any(isinstance(m.effect, force.Late) for m in search.best.members)
+    blur = 1.0 if found.exact or late else 2.5
     return _small(search, search.excess_after) or left < blur * _allowed(
         case, len(search.best.names)
     )
+
+
+def _by_the_sheet(case: Case, search: force.Search) -> bool:
+    """Return whether nothing is named and what is left is within the load cell's data sheet.
+
+    A sheet does not say of what colour the noise is; only its white part is measured. What no law
+    explains, stays in size within the sheet and comes in no bursts is not known to be anything
+    else.
+    """
+    sheet = case.model.f_std
+    if search.best.members or not sheet or "f_meas" not in case.channels or not _within(search):
+        return False
+    rest = _left_by(search, search.null)[search.problem.estimate.rows]
+    rms = float(np.sqrt(np.mean(rest**2)))
+    count = max(int(rest.size / max(case.fs_hz, 1.0)), 1)
+    loudest = max(float(np.sqrt(np.mean(part**2))) for part in np.array_split(rest, count))
+    return rms < SHEET * sheet and loudest < BURST * rms
+
+
+def _left_by(search: force.Search, fit: Fit) -> Floats:
+    """Return what model and effects leave of the force, the nuisance as fitted, (n,), N."""
+    problem = search.problem
+    rest = problem.estimate.force - problem.ctx.total
+    for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
+        rest = rest - b * nuisance.column
+    for i in range(len(fit.members)):
+        rest = rest - force.contribution(problem, fit, i)
+    return np.asarray(rest)
+
+
+def _doubtful(case: Case, search: force.Search) -> bool:
+    """Return whether the balance of forces on a free body leaves the answer open.
+
+    It does where nothing explains it, where what it names is no more than the blur of the estimated
+    motion, and where a linear effect is named: the noise of a displacement leans to a softer
+    specimen.
+    """
+    if not search.best.members:
+        return not _force_known(case, search)
+    if not _force_known(case, search):
+        return True
+    names = set(search.best.names)
+    blurred = _small(search, search.excess_before) and _within(search)
+    return bool(names & set(force.LINEAR)) or blurred or _simulates(case, search)
 
 
 def _simulates(case: Case, search: force.Search | None) -> bool:
@@ -252,7 +396,7 @@ def _simulates(case: Case, search: force.Search | None) -> bool:
     free_body = m.family == "forced" or (m.family == "ground" and "f_meas" not in case.channels)
     if search is None or x_meas is None or not free_body or m.k_tol is None or m.k == 0:
         return False
-    plain = Augmented(_with_nuisance(m, search, search.null), m, (), (), m.actuator, None)
+    plain = Augmented(_with_nuisance(m, search.problem, search.null), m, (), (), m.actuator, None)
     fitted = output_error(plain, case, force=True)
     reach = 3.6 * m.k_tol
     if abs(fitted.model.k / m.k - 1.0) > reach:
@@ -260,19 +404,59 @@ def _simulates(case: Case, search: force.Search | None) -> bool:
     if m.c and m.c_tol is not None and abs(fitted.model.c / m.c - 1.0) > 3.6 * m.c_tol:
         return False
     made = predict(fitted, case).x
-    return nrmse(made, np.where(case.rows, x_meas, np.nan)) < SIMULATION
+    off = nrmse(made, np.where(case.rows, x_meas, np.nan))
+    noise = estimate.noise_of(x_meas, m.x_std) / (float(np.nanstd(x_meas)) or 1.0)
+    return off < SIMULATION and off**2 - noise**2 < UNSEEN**2
 
 
 def _rounded(case: Case, search: force.Search, quantised: Found) -> bool:
-    """Return whether the model with nothing in it stays within half a step of nearly all rows."""
-    problem = search.problem
-    rest = problem.estimate.force - problem.ctx.total
-    for b, nuisance in zip(search.null.nuisance, problem.nuisances, strict=True):
-        rest = rest - b * nuisance.column
-    if search.best.members and search.gain > 400.0 and search.excess_after < 0.25:
+    """Return whether the model with nothing in it stays within half a step of nearly all rows.
+
+    Not where it has to leave its tolerances for that, nor where what was found stays within closer.
+    """
+    if not _within(search):
         return False
-    reach = 0.55 * quantised.params["lsb_N"] + 3.0 * (case.model.f_std or 0.0)
-    return float(np.mean(np.abs(rest[problem.rows]) < reach)) > 0.98
+    beyond = _beyond(case, search, search.null, quantised)
+    if beyond > 0.02 or not search.best.members:
+        return beyond <= 0.02
+    if search.gain > 400.0 and search.excess_after < 0.25:
+        return False
+    return beyond < OUTSIDE + 5.0 * _beyond(case, search, search.best, quantised)
+
+
+def _beyond(case: Case, search: force.Search, fit: Fit, quantised: Found) -> float:
+    """Return the part of the rows that a fit leaves by more than rounding and noise can."""
+    problem = search.problem
+    rest = _left_by(search, fit)
+    reach = 0.5 * quantised.params["lsb_N"] + 3.0 * (case.model.f_std or 0.0)
+    return float(np.mean(np.abs(rest[problem.rows]) > reach))
+
+
+def _by_rounding(case: Case, search: force.Search, quantised: Found) -> force.Search:
+    """Return the search with the set that stays within rounding, where the best one does not.
+
+    Least squares takes rounding for noise, and its colour for a law; a right law is never off by
+    more than half a step.
+    """
+    if search.moved or not search.best.members:
+        return search
+    off = {f.names: _beyond(case, search, f, quantised) for f in search.fits}
+    own = off[search.best.names]
+    inside = [f for f in search.fits if off[f.names] < 0.2 * own] if own > OUTSIDE else []
+    best = inside[0] if inside else search.best
+    among = [f for f in inside[1:] if _alike(search, f, best)] if inside else search.equal
+    equal = [f for f in among if off[f.names] < OUTSIDE + 2.0 * off[best.names]]
+    n = search.problem.y.size * search.problem.estimate.share
+    return replace(
+        search, best=best, equal=equal, excess_after=best.chi2 * search.scale / n - 1.0,
+        rivals=[f for f in search.fits if f is not best][:6], forms=[],
+    )  # fmt: skip
+
+
+def _alike(search: force.Search, fit: Fit, best: Fit) -> bool:
+    """Return whether a set fits as well as the best with no more parameters."""
+    more = force.count(search.problem, fit) > force.count(search.problem, best)
+    return not more and fit.chi2 - best.chi2 < force.AMBIGUOUS
 
 
 def _small(search: force.Search, excess: float) -> bool:
@@ -301,16 +485,19 @@ def _verdict(
     search: force.Search | None,
 ) -> Diagnosis:
     quantised = quantisation(case)
+    if quantised is not None and search is not None:
+        search = _by_rounding(case, search, quantised)
     disp_known = disp is None or disp.known
-    force_known = search is None or _force_known(case, search)
+    force_known = search is None or _force_known(case, search) or _by_the_sheet(case, search)
     candidates: list[Found] = []
     names: list[str] = []
     sets: list[list[str]] = []
     named_force = search is not None and bool(search.best.members) and force_known
-    if search is not None and _small(search, search.excess_before) and _within(search):
+    blurred = search is not None and not search.moved
+    if search is not None and blurred and _small(search, search.excess_before) and _within(search):
         stated = {n.name for n in search.problem.nuisances if n.sigma is not None}
         named_force = named_force and set(search.best.names) <= stated
-    if named_force or not force_known:
+    if blurred and (named_force or not force_known):
         agreed = _simulates(case, search)
         if agreed:
             named_force, force_known = False, True
@@ -367,11 +554,11 @@ def _located(
         if disp is not None and not disp.known:
             channel = "disp"
             residual = disp.task.x - disp.null.motion.x
-            noise = disp.task.sigma
+            clear = _without_noise(residual, disp.task.sigma, case.fs_hz)
         elif search is not None and found is not None:
-            residual, noise = robust_residual(search), found.sigma_n
+            residual = robust_residual(search)
+            clear = clear_residual(search)
         if residual is not None:
-            clear = _without_noise(residual, noise, case.fs_hz)
             mask = localise.active(clear, case.fs_hz)
             parts = [clear]
     elif names:
@@ -399,41 +586,75 @@ def _located(
     )  # fmt: skip
 
 
-def _without_noise(residual: Floats, noise: float, fs_hz: float) -> Floats:
-    """Return a residual with its noise averaged down over a fiftieth of a second."""
+def _without_noise(residual: Floats, noise: float, fs_hz: float, share: float = 1.0) -> Floats:
+    """Return a residual with its noise averaged down over a fiftieth of a second.
+
+    Args:
+        residual: (n,).
+        noise: standard deviation of its noise where it is white.
+        fs_hz: rows per second.
+        share: part of the band in which there is any: slower noise is not averaged down.
+    """
     k = max(int(0.02 * fs_hz) | 1, 1)
     smooth = np.convolve(np.pad(residual, k // 2, mode="edge"), np.ones(k) / k, mode="valid")
-    level = noise / np.sqrt(k)
+    level = noise * np.sqrt(min(share, 1.0 / k))
     return np.where(np.abs(smooth) > 3.5 * level, smooth, 0.0)
+
+
+def clear_residual(search: force.Search) -> Floats:
+    """Return the part of the force residual that stands out of its noise, (n,), N.
+
+    The force along an estimated motion has noise of any colour, far above that of its sensors where
+    the motion is badly known: where most of what is left is of that kind it is made white first.
+    """
+    found = search.problem.estimate
+    residual = robust_residual(search)
+    white = np.where(found.rows, found.sigma_n * found.whiten(residual), 0.0)
+    fs_hz = search.problem.case.fs_hz
+    if not found.exact and np.std(residual) > MERE_NOISE * np.std(white):
+        return _without_noise(white, found.sigma_n, fs_hz, found.share)
+    return _without_noise(residual, found.sigma_n, fs_hz)
 
 
 def robust_residual(search: force.Search) -> Floats:
     """Return the force residual with the nuisance fitted to what is not in the way, (n,), N.
 
-    Least squares would bend stiffness and damping to take over part of what is missing.
+    Least squares would bend stiffness and damping to take over part of what is missing. What is
+    missing is no noise of many independent rows either, so that it would outvote what the lab
+    states: a stated number moves no farther than its tolerance lets it.
     """
     problem = search.problem
+    sigmas = [n.sigma for n in problem.nuisances]
+    prior = np.array([0.0 if s is None else s**-2.0 for s in sigmas])
+    reach = np.array([np.inf if s is None else BENT * s for s in sigmas])
+    for _ in range(20):
+        beta = _robust(problem, prior)
+        bent = np.abs(beta) > reach
+        if not bent.any():
+            break
+        prior[bent] *= 4.0
+    out = problem.estimate.force - problem.ctx.total
+    for b, nuisance in zip(beta, problem.nuisances, strict=True):
+        out = out - b * nuisance.column
+    out = out.copy()
+    out[~problem.estimate.rows] = 0.0
+    return out
+
+
+def _robust(problem: Problem, prior: Floats) -> Floats:
+    """Return the nuisance by a loss that lets rows far off go, with the weights of its priors."""
     y, base = problem.y, problem.base
-    rows = problem.nuisances
     weight: Any = np.ones(y.size)
     beta: Any = np.zeros(base.shape[1])
     for _ in range(12):
-        gram = base.T @ (base * weight[:, None])
-        for j, nuisance in enumerate(rows):
-            if nuisance.sigma is not None:
-                gram[j, j] += 1.0 / nuisance.sigma**2
+        gram = base.T @ (base * weight[:, None]) + np.diag(prior)
         beta = np.linalg.solve(
             gram + np.diag(1e-12 * gram.diagonal() + 1e-30), base.T @ (weight * y)
         )
         rest = np.abs(y - base @ beta)
         size = max(1.5, 1.4826 * float(np.median(rest)))
         weight = 1.0 / (1.0 + (rest / (2.0 * size)) ** 2) ** 2
-    out = problem.estimate.force - problem.ctx.total
-    for b, nuisance in zip(beta, rows, strict=True):
-        out = out - b * nuisance.column
-    out = out.copy()
-    out[~problem.estimate.rows] = 0.0
-    return out
+    return np.asarray(beta)
 
 
 def _errors(
@@ -452,7 +673,8 @@ def _errors(
         out["nrmse_after_disp"] = float(np.std((disp.task.x - best.motion.x)[rows])) / spread
     if search is not None and found is not None:
         problem = search.problem
-        rows = problem.rows
+        # All of the recording, however little of it the search looked at.
+        rows = np.flatnonzero(found.rows)
         target = found.force[rows]
         spread = float(np.std(target)) or 1.0
         before = (found.force - problem.ctx.total)[rows]
@@ -496,8 +718,9 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
         for i, m in enumerate(fit.members):
             params, ci = intervals(fit, i, ctx)
             if number == 0:
+                _scattered(ci, search, i, ctx)
                 _widen(ci, params, search, m.name, ctx)
-            _of_the_spring_there_is(fit, m.name, params, ci)
+            _of_the_spring_there_is(problem, fit, m.name, params, ci)
             for name in m.effect.names:
                 if name in seen:
                     continue
@@ -519,13 +742,23 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
 
 
 def _of_the_spring_there_is(
-    fit: Fit, name: str, params: dict[str, float], ci: dict[str, list[float]]
+    problem: Problem, fit: Fit, name: str, params: dict[str, float], ci: dict[str, list[float]]
 ) -> None:
-    """Count what a spring loses as a part of the stiffness found, where the model's was wrong."""
+    """Count what a spring loses as a part of the stiffness found, where the model's was wrong.
+
+    Be that a finding or within the tolerance of the model's.
+    """
     stiffer = sum(
         float(b[0]) for m, b in zip(fit.members, fit.betas, strict=True) if m.name == "stiffness"
     )
     key = {"degradation": "loss", "pinching": "depth", "hysteresis": "alpha"}.get(name)
+    # A loop's spring is not the model's where that is only a line through the loop.
+    if key != "alpha":
+        stiffer += sum(
+            float(b)
+            for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True)
+            if nuisance.name == "stiffness"
+        )
     if key not in params or not stiffer > -0.9:
         return
 
@@ -536,6 +769,24 @@ def _of_the_spring_there_is(
 
     params[key] = counted(params[key])
     ci[key] = [counted(end) for end in ci[key]]
+
+
+def _scattered(ci: dict[str, list[float]], search: force.Search, member: int, ctx: Context) -> None:
+    """Widen intervals to what the noise left tells, by its colour and by how its parts scatter."""
+    best, problem = search.best, search.problem
+    # Rows whose noise hangs together a little tell less than their number.
+    wider = float(np.sqrt(inflation(best.residual)))
+    scatter = best.scatter
+    if scatter is None and best.covariance is not None:
+        slopes = design_of(problem, best)
+        if slopes.shape == (best.residual.size, best.covariance.shape[0]):
+            scatter = clustered(slopes, best.residual, best.covariance)
+    shown = intervals(replace(best, covariance=scatter), member, ctx)[1]
+    for k, (low, high) in ci.items():
+        middle, half = 0.5 * (low + high), 0.5 * wider * (high - low)
+        if k in shown:
+            half = max(half, 0.5 * (shown[k][1] - shown[k][0]))
+        ci[k] = [middle - half, middle + half]
 
 
 def _widen(
@@ -550,12 +801,11 @@ def _widen(
         for i, m in enumerate(fit.members):
             if m.name == name:
                 other = m.effect.report(ctx, m.trial, fit.betas[i])
+                # The true form may lie to the other side of this one by as much.
                 for k, v in other.items():
-                    ci[k] = [min(ci[k][0], v), max(ci[k][1], v)]
-    # Rows whose noise hangs together a little tell less than their number.
-    wider = float(np.sqrt(inflation(search.best.residual)))
+                    apart = abs(v - params[k])
+                    ci[k] = [min(ci[k][0], params[k] - apart), max(ci[k][1], params[k] + apart)]
     for k, v in params.items():
-        ci[k] = [v + wider * (end - v) for end in ci[k]]
         half = (SIMULATED if search.problem.estimate.exact else ESTIMATED) * abs(v)
         ci[k] = [min(ci[k][0], v - half), max(ci[k][1], v + half)]
 
@@ -655,6 +905,18 @@ def quantisation(case: Case) -> Found | None:
     )
 
 
+def _work(d: Diagnosis, c: Found) -> dict[str, float]:
+    """Return the work that a force of the answer took out of the motion, J.
+
+    A loop's parameters are not unique, its energy is.
+    """
+    if c.signal is None or c.channel != "force" or d.estimate is None:
+        return {}
+    x = d.estimate.motion.x
+    dx = np.where(d.estimate.rows, np.diff(x, prepend=x[0]), 0.0)
+    return {"energy_J": float(c.signal @ dx)}
+
+
 def to_json(d: Diagnosis) -> dict[str, Any]:
     """Return the answer in the interchange format."""
     known = [c for c in d.candidates if d.verdict != "unknown"]
@@ -664,7 +926,7 @@ def to_json(d: Diagnosis) -> dict[str, Any]:
         "effects": d.effects,
         "candidates": [
             {"name": c.name, "score": c.score, "params": c.params, "ci95": c.ci95,
-             "delta_bic": c.evidence, "channel": c.channel}
+             "delta_bic": c.evidence, "channel": c.channel} | _work(d, c)
             for c in known
         ],
         "ambiguous_with": d.ambiguous_with,
@@ -687,23 +949,29 @@ def augmented(d: Diagnosis) -> Augmented:
     fitted = model
     if search is not None:
         fit = search.best if d.verdict in ("explained", "ambiguous") else search.null
+        if d.verdict == "ambiguous" and d.case.own is not None:
+            # Of sets that fit alike, one that a rig can be made of, so that the loop can be closed.
+            fits = [search.best, *search.equal]
+            fit = next((f for f in fits if not any(m.effect.sensor for m in f.members)), fit)
         free = model.k_tol is None
         if fit.members or not free:
-            fitted = _with_nuisance(model, search, fit)
+            fitted = _with_nuisance(model, search.problem, fit)
         members, betas = fit.members, fit.betas
     disp = d.disp
-    lag = model.actuator
+    lag, zeros = model.actuator, (0.0, 0.0)
     if disp is not None and disp.known:
         lag = disp.best.model
+        zeros = (disp.best.zero_m, disp.task.late_zero(disp.best))
     ranges = d.context.all_ranges if d.context is not None else None
-    return Augmented(fitted, model, members, betas, lag, ranges, skew)
+    cell = "f_meas" in d.case.channels and model.family != "forced"
+    return Augmented(fitted, model, members, betas, lag, ranges, skew, zeros, cell)
 
 
-def in_newtons(d: Diagnosis, model: Augmented) -> Augmented:
+def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Augmented:
     """Return the model fitted again with every newton of misfit counting alike.
 
     A naive model leaves misfit far above the noise: what predicts best then is plain least squares,
-    not the weights of noise.
+    not the weights of noise, along the kind of motion that ``wanted`` will be predicted along.
     """
     search = d.force
     if search is None or d.case.model.k_tol is not None or search.problem.estimate.exact:
@@ -712,19 +980,40 @@ def in_newtons(d: Diagnosis, model: Augmented) -> Augmented:
         return model
     sigma = float(np.std(search.best.residual)) * search.problem.estimate.sigma_n or 1.0
     level = max(sigma, search.problem.estimate.sigma_n)
-    plain = replace(search.problem.estimate, whiten=lambda y: y / level)
-    problem = Problem(d.case, search.problem.ctx, plain, effects.catalogue().values())
+    plain = replace(search.problem.estimate, whiten=lambda y: y / level, pieces=None)
+    ctx = search.problem.ctx
+    motion = followed(model, d.case, wanted) if wanted is not None else None
+    if motion is not None:
+        ctx = Context(ctx.model, motion, ctx.t, ctx.force, ctx.other, ctx.all_ranges)
+    problem = Problem(d.case, ctx, plain, effects.catalogue().values())
     problem.rescale(max(1.0, float(np.mean(search.best.residual**2))))
     fit = refine(problem, search.best.members)
     if fit is None or not problem.sensible(fit):
         return model
-    return replace(
-        model, model=_with_nuisance(d.case.model, search, fit), members=fit.members, betas=fit.betas
-    )
+    fitted = _with_nuisance(d.case.model, problem, fit)
+    if any(m.effect.complete for m in fit.members) and min(fitted.k, fitted.c) < 0.0:
+        # Nothing of the specimen stands beside a joint law, and least of all what drives it.
+        below = {"stiffness": fitted.k < 0.0, "viscous": fitted.c < 0.0}
+        gone = [below.get(n.name, False) for n in problem.nuisances]
+        for j in np.flatnonzero(gone):
+            whole = 1.0 if problem.nuisances[j].name == "stiffness" else d.case.model.c
+            problem.y = problem.y + whole * problem.base[:, j]
+        problem.base = problem.base[:, ~np.array(gone)]
+        problem.nuisances = [n for n, g in zip(problem.nuisances, gone, strict=True) if not g]
+        again = refine(problem, fit.members)
+        if again is not None and problem.sensible(again):
+            fit = again
+            kept = _with_nuisance(d.case.model, problem, fit)
+            fitted = replace(
+                kept,
+                k=0.0 if below["stiffness"] else kept.k,
+                c=0.0 if below["viscous"] else kept.c,
+            )
+    return replace(model, model=fitted, members=fit.members, betas=fit.betas)
 
 
-def _with_nuisance(model: Model, search: force.Search, fit: Fit) -> Model:
-    for b, nuisance in zip(fit.nuisance, search.problem.nuisances, strict=True):
+def _with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
+    for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
         if nuisance.name == "stiffness":
             model = replace(model, k=model.k * (1.0 + float(b)))
         elif nuisance.name == "viscous":

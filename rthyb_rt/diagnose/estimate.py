@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.simulate import Motion
 
 Complex = NDArray[np.complex128]
+Rows = NDArray[np.int64]
 ACCURACY = 0.004
 """Part of the force that a body's free motion tells at best."""
 SHIFT_S = 0.025
@@ -27,6 +29,10 @@ EDGE_S = 0.5
 """At either end of a recording the smoother has half its data; such rows are not judged."""
 MOVING_EDGE_S = 1.5
 """The same where a recording begins or ends in full motion."""
+STRAIGHT = 0.3
+"""Part of a quasi-static recording in straight strokes from which it is one of ramps."""
+TURN_ROWS = 20
+"""Rows at either end of a quasi-static recording in which a turn would not be seen."""
 
 
 def white_noise(signal: Floats) -> float:
@@ -94,6 +100,8 @@ class Estimate:
         sigma_n: standard deviation of the force residual's noise where it is white, N.
         share: part of the band that is judged: what a row of whitened noise has for variance.
         exact: whether the motion is simulated, so that it has no noise.
+        pieces: whitens pieces of a long residual alone, from their first rows (m,) and their
+            length, to (m, length); None where whitening looks at no row but its own.
     """
 
     motion: Motion
@@ -103,6 +111,7 @@ class Estimate:
     sigma_n: float
     exact: bool
     share: float = 1.0
+    pieces: Callable[[Floats, Rows, int], Floats] | None = None
 
 
 def _extended(signal: Floats, pad: int, odd: bool) -> Floats:
@@ -282,6 +291,30 @@ def _coloured(s: _Spectral, power: Floats, band: Floats) -> Callable[[Floats], F
     return whiten
 
 
+MARGIN = 512
+"""Rows to either side of a piece that are whitened with it: a filter's memory."""
+
+
+def _in_pieces(
+    s: _Spectral, power: Floats, band: Floats, fs_hz: float
+) -> Callable[[Floats, Rows, int], Floats]:
+    """Return the same filter for pieces of a recording."""
+    gain = band / np.sqrt(power)
+
+    def whiten(signal: Floats, first: Rows, length: int) -> Floats:
+        size = length + 2 * MARGIN
+        rows = first[:, None] - MARGIN + np.arange(size)
+        ramp = np.ones(size)
+        ramp[: MARGIN // 2] = np.sin(np.linspace(0.0, np.pi / 2, MARGIN // 2)) ** 2
+        ramp[-(MARGIN // 2) :] = ramp[: MARGIN // 2][::-1]
+        omega = 2.0 * np.pi * np.fft.rfftfreq(size, 1.0 / fs_hz)
+        part = np.fft.rfft(ramp * signal[np.clip(rows, 0, signal.size - 1)], axis=1)
+        clean = np.fft.irfft(part * np.interp(omega, s.omega, gain), size, axis=1)
+        return np.asarray(clean[:, MARGIN:-MARGIN])
+
+    return whiten
+
+
 def away_from_gaps(
     signal: Floats, fs_hz: float, before_s: float, after_s: float
 ) -> NDArray[np.bool_]:
@@ -358,7 +391,10 @@ def from_sensors(case: Case) -> Estimate | None:
     band = np.maximum(sigma**2 / (sigma**2 + z2 * known.measured), known.seen)
     rows = _edges(rows, case.fs_hz, filled(channels["x_meas"]))
     share = float(np.mean(band**2))
-    return Estimate(motion, force, rows, _coloured(s, power, band), sigma, False, max(share, 1e-3))
+    return Estimate(
+        motion, force, rows, _coloured(s, power, band), sigma, False, max(share, 1e-3),
+        _in_pieces(s, power, band, case.fs_hz),
+    )  # fmt: skip
 
 
 def quasi_static(case: Case) -> bool:
@@ -381,6 +417,33 @@ def _rate(x: Floats, fs_hz: float, span: int = 34) -> Floats:
     return np.asarray(slope[first[np.arange(x.size), best]] * fs_hz)
 
 
+def _legs(x: Floats, v: Floats, fs_hz: float) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return a rate with one value for each stroke that is straight within its noise, and where.
+
+    A rate with noise would favour laws that bend least over it.
+    """
+    sigma = white_noise(x)
+    out, straight = v.copy(), np.zeros(x.size, dtype=np.bool_)
+    turns = np.flatnonzero(np.diff(np.sign(v)) != 0)
+    for first, last in pairwise([0, *(turns + 1), x.size]):
+        # The turn itself lies somewhere about the change of sign; one near an end is not seen.
+        part = x[first + (5 if first else TURN_ROWS) : last - (5 if last < x.size else TURN_ROWS)]
+        if part.size < 24:
+            continue
+        at = np.arange(part.size) - 0.5 * (part.size - 1)
+        slope = float(part @ at / (at @ at))
+        rest = part - part.mean() - slope * at
+        # Straight: no more than its noise, neither on the whole nor bent over a third of it.
+        thirds = [float(np.mean(p)) for p in np.array_split(rest, 3)]
+        if np.std(rest) < 1.25 * sigma and max(map(abs, thirds)) < 4.0 * sigma * np.sqrt(
+            3.0 / part.size
+        ):
+            rests = abs(slope) < 5.0 * sigma / np.sqrt(at @ at)
+            out[first:last] = 0.0 if rests else slope * fs_hz
+            straight[first:last] = True
+    return out, straight
+
+
 def _static(case: Case) -> Estimate | None:
     f_meas = case.get("f_meas")
     if f_meas is None:
@@ -389,11 +452,15 @@ def _static(case: Case) -> Estimate | None:
     v = np.gradient(x) * case.fs_hz
     sure = np.ones(x.size, dtype=np.bool_)
     if (case.model.x_std or 0.0) * case.fs_hz > 0.02 * float(np.median(np.abs(v))):
-        v = _rate(x, case.fs_hz)
+        v, straight = _legs(x, _rate(x, case.fs_hz), case.fs_hz)
+        if np.mean(straight) < STRAIGHT:
+            # A slow sweep or random motion bends within any span that averages its noise.
+            v = smoothed(case, [])[0].v
         # In which row exactly it turns is not known: those are not judged.
         turns = np.flatnonzero(np.diff(np.sign(v)) != 0)
         for reach in range(-5, 7):
             sure[np.clip(turns + reach, 0, x.size - 1)] = False
+        sure[-TURN_ROWS:] = False
     sigma = case.model.f_std or noise_of(f_meas, None)
     sigma = float(np.hypot(sigma, abs(case.model.k) * (case.model.x_std or 0.0)))
     rows = case.rows & np.isfinite(f_meas) & np.isfinite(case.channels["x_meas"])

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rthyb_rt.diagnose import effects
+from rthyb_rt.diagnose.actuation import CATALOGUE, MASK_S
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context
-from rthyb_rt.diagnose.simulate import Motion
+from rthyb_rt.diagnose.estimate import filled
+from rthyb_rt.diagnose.simulate import Motion, actuator
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose import force
@@ -71,18 +74,20 @@ def propose(
     if verdict == "none":
         return None
     if ctx is None or search is None or not (search.equal and verdict == "ambiguous"):
-        if verdict == "ambiguous":
-            return {"kind": "sweep", "why": "the actuator's effects turn apart over frequency"}
+        if verdict == "ambiguous" and disp is not None and disp.equal:
+            return _for_actuator(case, disp)
         if verdict == "unknown":
             return {
                 "kind": "multi_amplitude",
                 "why": "an unknown force shows whether it depends on amplitude, rate or time",
             }
-        names = search.best.names if search and search.best.members else ()
-        known = effects.catalogue()
+        known = {name: e.shown_by for name, e in effects.catalogue().items()}
+        known |= {e.name: e.shown_by for e in CATALOGUE}
+        names = disp.best.names if disp is not None and disp.found else ()
+        names += search.best.names if search and search.best.members else ()
         for name in names:
             if name in known:
-                kind, why = known[name].shown_by
+                kind, why = known[name]
                 return {"kind": kind, "why": f"to confirm {name}: {why}"}
         return {"kind": "sweep", "why": "to confirm over the whole frequency range"}
     separation = {
@@ -91,12 +96,33 @@ def propose(
             case, ctx.x_range, main_frequency(ctx.x, case.fs_hz)
         ).items()
     }
+    return _best(separation, sets)
+
+
+def _for_actuator(case: Case, disp: Displacement) -> dict[str, str]:
+    """Return the kind of experiment in which rival actuators move most differently."""
+    u = filled(case.channels["x_cmd"])
+    commands = excitations(case, float(np.max(np.abs(u))) or 1e-6, main_frequency(u, case.fs_hz))
+    fits = [disp.best, *disp.equal]
+    separation = {}
+    for kind, command in commands.items():
+        moved = [actuator(f.model, command.x, case.fs_hz).x for f in fits]
+        # Behind the start: a command that begins with a step shows what no test has.
+        rest = slice(int(MASK_S * case.fs_hz), None)
+        gaps = [float(np.std((a - b)[rest])) for a, b in combinations(moved, 2)]
+        separation[kind] = min(gaps) / disp.task.sigma
+    sets = [list(f.names) for f in fits]
+    return _best(separation, sets)
+
+
+def _best(separation: dict[str, float], sets: list[list[str]]) -> dict[str, str]:
     best = max(separation, key=lambda kind: separation[kind])
     named = " and ".join("+".join(s) for s in sets[:3])
+    others = ", ".join(f"{k.replace('_', ' ')} {v:.1f}" for k, v in separation.items() if k != best)
     return {
         "kind": best,
-        "why": f"{named} then differ by {separation[best]:.1f} times the noise "
-        "(simulated with each; " + ", ".join(f"{k} {v:.1f}" for k, v in separation.items()) + ")",
+        "why": f"{named} then differ by {separation[best]:.1f} times the noise (each was "
+        f"simulated; other experiments: {others})",
     }
 
 

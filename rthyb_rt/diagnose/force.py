@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
+from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.select import (
     Dictionary,
     Fit,
@@ -22,6 +24,8 @@ from rthyb_rt.diagnose.select import (
 
 AMBIGUOUS = 9.0
 """Sets that differ by less in chi-squared cannot be told apart."""
+TWIN = 2.0
+"""Difference in the same up to which a recording shows none at all between two effects."""
 DEARER = 1.5
 """Price of one more parameter in a rival, in the same: a law that goes over into a simpler one fits
 as well by its nature, and is a rival only where its parameter brings something."""
@@ -32,10 +36,31 @@ SMALLEST = 1e-3
 """Least size of an effect, as part of the force: less is not a finding."""
 NESTED = 1e-3
 """Least part of what dry friction explains that a Stribeck peak or bristles have to add to it."""
+STRAIN = 6.0
+"""Time offset, in standard deviations of its prior, that is no nuisance any more."""
+ALIKE = ("maxwell", "time_skew")
+"""Effects that a slow motion does not tell from a dashpot."""
+SLOW = 0.1
+"""Relaxation time times the motion's frequency up to which relaxation is a dashpot."""
+FORM_ALONE = 1.5e-3
+"""Part of what is explained by which two sets may differ for the form of a law alone."""
 FORM = 0.03
 """Part of what a law explains by which another form of it may do worse and still be thinkable."""
 FOLD_S = 0.25
 FOLDS = 4
+POOL = 6
+"""Sets, and single effects, whose motion is simulated."""
+DRY = {"coulomb", "stribeck", "lugre"}
+WHITE = 1.1
+"""Inflation, see `select.inflation`, up to which a residual is mere noise."""
+DECISIVE = 0.005
+"""Part of the misfit of the motion that a set may leave to be believed against the balance."""
+OPEN = 0.3
+"""Misfit beyond noise from which an effect that was refused is looked at again."""
+MANY = 5.0
+"""Times its price that such an effect has to earn."""
+LINEAR = ("stiffness", "viscous", "inertia")
+"""Effects that are always among them: what is missing may look like them at one frequency."""
 
 
 @dataclass
@@ -51,6 +76,7 @@ class Search:
         gain: what `best` earns beyond its price.
         held_gain: drop of the misfit on blocks left out, as part of the drop on all.
         scale: by how much evidence was scaled down for coloured noise.
+        moved: whether it is the simulated motion that was judged, see `freebody`.
     """
 
     problem: Problem
@@ -65,6 +91,7 @@ class Search:
     scale: float
     rivals: list[Fit] = field(default_factory=list)
     forms: list[Fit] = field(default_factory=list)
+    moved: bool = False
 
 
 class _Fitter:
@@ -106,8 +133,117 @@ def count(problem: Problem, fit: Fit) -> int:
     return sum(m.effect.settings(problem.ctx, m.trial)[1] for m in fit.members)
 
 
-def search(problem: Problem, progress: Callable[[str], None] = lambda _: None) -> Search:
-    """Find the set of effects that explains the force residual."""
+class _Mover(_Fitter):
+    """Refines sets by the motion that they simulate."""
+
+    def __init__(self, problem: Problem, body: Body, first: _Fitter) -> None:
+        super().__init__(problem)
+        self.body, self.first = body, first
+
+    def move(self, fit: Fit) -> Fit | None:
+        """Refine a set that was found in the balance of forces; the better of its shapes stays."""
+        found = self.body.refined(self.problem, fit)
+        if found is None:
+            return None
+        old = self.by_names.get(fit.names)
+        if old is None or found.chi2 < old.chi2:
+            self.by_names[fit.names] = found
+        return self.by_names[fit.names]
+
+    def fit(self, members: Iterable[Member]) -> Fit | None:
+        begun = self.first.fit(members)
+        return self.move(begun) if begun is not None else None
+
+
+def _stiff(problem: Problem) -> Problem:
+    """Return a problem whose model hardly gives way: an effect begins with all that is missing."""
+    out = copy(problem)
+    out.nuisances = [
+        n if n.sigma is None else replace(n, sigma=1e-3 * n.sigma) for n in problem.nuisances
+    ]
+    return out
+
+
+def _linear(problem: Problem, body: Body, fitter: _Fitter, null: Fit) -> tuple[Fit, _Mover] | None:
+    """Judge nothing and each linear effect alone by its motion; None where that runs off.
+
+    A set that holds one of them has to be judged against it.
+    """
+    plain = body.refined(problem, null)
+    if plain is None:
+        return None
+    mover = _Mover(problem, body, fitter)
+    by_name = {e.name: e for e in problem.effects}
+    stiff = _stiff(problem)
+    for name in LINEAR:
+        if name in by_name:
+            member = Member(by_name[name], Trial())
+            begun = solve(stiff, [member], [stiff.columns(member)])
+            if begun is not None:
+                mover.move(begun)
+    return plain, mover
+
+
+def _met(plain: Fit, mover: _Mover) -> bool:
+    """Return whether a linear effect simulates the displacement to its noise, and has to for that.
+
+    What a displacement does not show at all is left to the balance of forces.
+    """
+    return any(
+        inflation(f.residual) < WHITE and mover.score(f) < plain.chi2
+        for f in mover.by_names.values()
+    )
+
+
+def _moved(
+    problem: Problem, body: Body, fitter: _Fitter, plain: Fit, mover: _Mover
+) -> Search | None:
+    """Judge the most promising sets by the motion that they simulate; None where none meets it."""
+    ranked = sorted(fitter.by_names.values(), key=fitter.score)
+    # Two laws of dry friction beside one another are one law in a third form.
+    ranked = [f for f in ranked if len(DRY & set(f.names)) < 2 and body.quick(f)]
+    singles = [f for f in ranked if len(f.members) == 1]
+    # The set that the balance puts first, after its parts: simulations are counted.
+    leading = [f for f in ranked[:1] if len(f.members) == 2]
+    parts = [f for f in singles if any(set(f.names) < set(pair.names) for pair in leading)]
+    for fit in [*parts, *leading, *singles[:POOL], *ranked[:POOL]]:
+        if fit.names not in mover.by_names:
+            mover.move(fit)
+    n = float(body.rows.size)
+    for _ in range(2):
+        best = min((plain, *mover.by_names.values()), key=mover.score)
+        if best.chi2 < 1.05 * n or len(best.names) > 1:
+            break
+        singles = [f for f in ranked if len(f.members) == 1 and not set(f.names) & set(best.names)]
+        for other in singles[:POOL]:
+            members = (*best.members, *other.members)
+            names = {n for m in members for n in m.effect.names}
+            if compatible(members) and len(DRY & names) < 2:
+                mover.fit(members)
+    best = min((plain, *mover.by_names.values()), key=mover.score)
+    scale = inflation(best.residual)
+    before, after = plain.chi2, best.chi2
+    for fit in (plain, *mover.by_names.values()):
+        fit.chi2 /= scale
+    found = _decide(problem, mover, plain, (before, after, n), scale, lambda _: 1.0)
+    left = found.excess_after / max(found.excess_before, 1e-12)
+    return found if found.excess_after < 0.2 or left < DECISIVE else None
+
+
+def search(
+    problem: Problem,
+    progress: Callable[[str], None] = lambda _: None,
+    body: Body | None = None,
+    doubtful: Callable[[Search], bool] = lambda _: False,
+) -> Search:
+    """Find the set of effects that explains the force residual.
+
+    Args:
+        problem: the residual and the effects.
+        progress: told the name of each effect and stage.
+        body: where a body moves freely: its sets can be judged by their motion.
+        doubtful: whether what the balance of forces says has to be judged so.
+    """
     null = solve(problem, [], [])
     if null is None:
         raise ValueError("the nuisance cannot be solved")
@@ -134,7 +270,37 @@ def search(problem: Problem, progress: Callable[[str], None] = lambda _: None) -
         else:
             scale = 1.0
     progress("gate")
-    return _decide(problem, fitter, null, (plain_null, plain_best, n), scale)
+    done = _decide(
+        problem, fitter, null, (plain_null, plain_best, n), scale,
+        lambda fit: held_out_gain(problem, fit),
+    )  # fmt: skip
+    if body is None:
+        return done
+    doubted = doubtful(done) or _refused(fitter, done)
+    if doubted or done.best.members:
+        progress("motion")
+        begun = _linear(problem, body, fitter, null)
+        # What one linear effect simulates to the noise, no law in the balance says better.
+        if begun is not None and (doubted or _met(*begun)):
+            return _moved(problem, body, fitter, *begun) or done
+    return done
+
+
+def _refused(fitter: _Fitter, done: Search) -> bool:
+    """Return whether one effect more earns its price many times, and was refused for its share.
+
+    Noise is not what such an effect takes up; whether the blur of the estimated motion is, its
+    simulation tells.
+    """
+    best = done.best
+    if not best.members or done.excess_after < OPEN:
+        return False
+    return any(
+        len(f.names) == len(best.names) + 1
+        and set(best.names) < set(f.names)
+        and best.chi2 - f.chi2 > MANY * (fitter.price(f) - fitter.price(best))
+        for f in fitter.by_names.values()
+    )
 
 
 def _sweep(
@@ -166,6 +332,10 @@ def _sweep(
             fitter.fit(group)
     for group in seeds:
         fitter.fit(group)
+    _dashpots(dictionary, fitter)
+    reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
+    if reached > 1.03 * rows:
+        _reform(dictionary, fitter)
     # Parts of what was refined must be there to be compared with.
     for fit in list(fitter.by_names.values()):
         for i in range(len(fit.members) if len(fit.members) > 1 else 0):
@@ -173,6 +343,53 @@ def _sweep(
             names = tuple(sorted(n for m in rest for n in m.effect.names))
             if names not in fitter.by_names:
                 fitter.fit(rest)
+    # Of three effects a pair in the same forms: another form of it would make the third one needed.
+    ranked = sorted(fitter.by_names.values(), key=fitter.score)
+    for fit in [f for f in ranked[:2] if len(f.members) == 3]:
+        for i in range(3):
+            fitter.fit(fit.members[:i] + fit.members[i + 1 :])
+
+
+def _reform(dictionary: Dictionary, fitter: _Fitter) -> None:
+    """Try the other forms of each law of the best sets beside the rest as it was refined.
+
+    Of a set the sweep refines one form only, the one that lay nearest on the grid. Laws of dry
+    friction are forms of one another here.
+    """
+    problem, groups = fitter.problem, dictionary.groups
+    ranked = sorted(fitter.by_names.values(), key=fitter.score)
+    for fit in [f for f in ranked if len(f.members) > 1][:2]:
+        for i, member in enumerate(fit.members):
+            like = DRY if member.name in DRY else {member.name}
+            others = [
+                (g,)
+                for g, group in enumerate(groups)
+                if group.member.name in like
+                and (group.member.name, group.member.trial.variant)
+                != (member.name, member.trial.variant)
+            ]
+            rest = fit.members[:i] + fit.members[i + 1 :]
+            if not others or like & {n for m in rest for n in m.effect.names}:
+                continue
+            alone = solve(problem, rest, [problem.columns(m) for m in rest])
+            if alone is None:
+                continue
+            found = dictionary.sets(others, dictionary.beside(alone))
+            for (g,) in dictionary.best(found, len(like), 2):
+                if compatible([*rest, groups[g].member]):
+                    fitter.fit((*rest, groups[g].member))
+
+
+def _dashpots(dictionary: Dictionary, fitter: _Fitter) -> None:
+    """Put a dashpot in the place of what looks like one where the motion is slow."""
+    plain = next((g.member for g in dictionary.groups if g.member.name == "viscous"), None)
+    for fit in list(fitter.by_names.values()):
+        for i, member in enumerate(fit.members):
+            if plain is None or member.name not in ALIKE or "viscous" in fit.names:
+                continue
+            twin = (*fit.members[:i], plain, *fit.members[i + 1 :])
+            if tuple(sorted(n for m in twin for n in m.effect.names)) not in fitter.by_names:
+                fitter.fit(twin)
 
 
 def _grow(dictionary: Dictionary, fitter: _Fitter) -> None:
@@ -270,6 +487,14 @@ class Late(Effect):
         self.equation = f"{effect.equation}, from t0 on"
         self.fingerprint = f"{effect.fingerprint}, from a moment on"
         self.shown_by = effect.shown_by
+        self._kept: tuple[object, list[Floats]] | None = None
+
+    def _whole(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the effect's own columns, kept while only the beginning moves."""
+        key = (id(ctx), self._inner(trial))
+        if self._kept is None or self._kept[0] != key:
+            self._kept = (key, self.effect.columns(ctx, self._inner(trial)))
+        return self._kept[1]
 
     @staticmethod
     def _inner(trial: Trial) -> Trial:
@@ -278,7 +503,7 @@ class Late(Effect):
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the effect's own, switched on within a few rows."""
         step = 0.5 * (1.0 + np.tanh((ctx.t - trial.theta[-1]) / 0.005))
-        return [c * step for c in self.effect.columns(ctx, self._inner(trial))]
+        return [c * step for c in self._whole(ctx, trial)]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the effect's own parameters."""
@@ -321,23 +546,56 @@ def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
             return False
         # What moves a stated number is seen against its tolerance, not in the residual.
         least = NEEDED[min(len(fit.names), 3)] * (1.0 if fitter.problem.estimate.exact else 2.5)
-        if rest and own < least * explained and member.name not in fitter.stated:
+        small = rest and own < least * explained and member.name not in fitter.stated
+        if not small or _completes(fitter.problem, fit, without):
+            continue
+        # Unless a time offset beyond what is normal would have to stand in for it. Beside a naive
+        # model that says nothing: there an offset takes up what the form of a law leaves.
+        naive = fitter.problem.case.model.k_tol is None
+        if naive or _strained(fitter.problem, fit) or not _strained(fitter.problem, without):
             return False
     return True
 
 
+def _strained(problem: Problem, fit: Fit) -> bool:
+    """Return whether a fit needs a time offset between the channels beyond its tolerance."""
+    return any(
+        n.name == "skew" and n.sigma is not None and abs(float(b)) > STRAIN * n.sigma
+        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
+    )
+
+
+def _completes(problem: Problem, fit: Fit, without: Fit) -> bool:
+    """Return whether nothing but noise is left with an effect where without it there is more.
+
+    What one law leaves of another's form is not all taken up by a third.
+    """
+    if not problem.estimate.exact:
+        return False
+    n = problem.y.size * problem.estimate.share
+    return without.chi2 - n > 0.03 * n and fit.chi2 - n < 0.2 * (without.chi2 - n)
+
+
 def _decide(
-    problem: Problem, fitter: _Fitter, null: Fit, plain: tuple[float, float, float], scale: float
+    problem: Problem,
+    fitter: _Fitter,
+    null: Fit,
+    plain: tuple[float, float, float],
+    scale: float,
+    held_out: Callable[[Fit], float],
 ) -> Search:
     n = plain[2]
     fits = sorted(fitter.by_names.values(), key=fitter.score)
     fits = [f for f in fits if _needed(fitter, f, null)]
+    fits = [f for f in fits if _goes_on(fitter, f)]
+    fits = _worth_their_size(fitter, fits, null)
     fits = _one_of_a_kind(fitter, fits)
     fits = _plainest(fitter, fits, null)
+    fits = _simplest_first(fitter, fits, null)
     best = null
     if fits and fitter.score(fits[0]) < null.chi2 and _size(problem, fits[0]) > SMALLEST:
         best = fits[0]
-    held = held_out_gain(problem, best) if best.members else 0.0
+    held = held_out(best) if best.members else 0.0
     if best.members and held < 0.3:
         best = null
     equal = []
@@ -346,8 +604,10 @@ def _decide(
         for fit in fits:
             extra = max(0, count(problem, fit) - own)
             worse = fit.chi2 - best.chi2 + DEARER * AMBIGUOUS * extra
-            if fit.names != best.names and worse < AMBIGUOUS and held_out_gain(problem, fit) > 0.3:
+            if fit.names != best.names and worse < AMBIGUOUS and held_out(fit) > 0.3:
                 equal.append(fit)
+        equal += [f for f in _twins(fitter, best, fits) if held_out(f) > 0.3]
+    equal += [f for f in _by_another_name(fitter, best) if f.names not in {e.names for e in equal}]
     after = best.chi2 * scale if best.members else plain[0]
     return Search(
         problem,
@@ -362,7 +622,77 @@ def _decide(
         scale,
         [f for f in fits if f is not best][:6],
         _forms(fitter, best, null),
+        isinstance(fitter, _Mover),
     )
+
+
+def _worth_their_size(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
+    """Leave out sets beside a naive model that do little better than the best of fewer laws.
+
+    Its misfit is one of form, and two laws in a bad form leave to a third what another pair does.
+    """
+    problem = fitter.problem
+    if problem.case.model.k_tol is not None:
+        return fits
+    out = []
+    for fit in fits:
+        size = len(fit.members)
+        smaller = min((f.chi2 for f in fits if len(f.members) < size), default=np.inf)
+        least = NEEDED[min(size, 3)] * (1.0 if problem.estimate.exact else 2.5)
+        if smaller - fit.chi2 >= least * (null.chi2 - fit.chi2):
+            out.append(fit)
+    return out
+
+
+def _goes_on(fitter: _Fitter, fit: Fit) -> bool:
+    """Return whether a drift beside a naive model goes on within the halves of the recording.
+
+    What the forms of the other laws leave differs between early and late by chance of what was
+    moved when, and a constant has a slope as well where it is taken to begin at nothing. A wander
+    is there within each half, whatever level it has there, if the half can show it at all.
+    """
+    problem = fitter.problem
+    if "drift" not in fit.names or problem.case.model.k_tol is not None:
+        return True
+    member = next(m for m in fit.members if m.name == "drift")
+    rest = [problem.columns(m) for m in fit.members if m is not member]
+    level = [] if "bias" in fit.names else [problem.seen(np.ones(problem.ctx.t.size))]
+    design = np.column_stack([problem.columns(member), *rest, problem.base, *level])
+    size = np.sqrt(np.mean(design**2, axis=0))
+    size[size == 0.0] = 1.0
+    design /= size
+    rates, widths = [], []
+    middle = problem.y.size // 2
+    for part in (slice(None, middle), slice(middle, None)):
+        d, y = design[part], problem.y[part]
+        inverse = np.linalg.pinv(d.T @ d, hermitian=True)
+        beta = inverse @ (d.T @ y)
+        rates.append(float(beta[0]))
+        widths.append(float(inverse[0, 0]) * inflation(y - d @ beta))
+    weights = 1.0 / np.maximum(np.array(widths), 1e-300)
+    within = float(np.sum(weights * np.array(rates)) / np.sum(weights))
+    whole = float(fit.betas[fit.members.index(member)][0]) * float(size[0])
+    unsure = float(np.sum(weights)) ** -0.5 > 0.5 * abs(whole)
+    return unsure or within / whole > 0.5
+
+
+def _twins(fitter: _Fitter, best: Fit, fits: list[Fit]) -> list[Fit]:
+    """Return single effects that do the same as a single best one and were refused for their price.
+
+    To move a stated number is cheap, but where the recording shows no difference at all, being the
+    cheaper one is no evidence.
+    """
+    if len(best.members) != 1 or best.members[0].name not in fitter.stated:
+        return []
+    own, known = count(fitter.problem, best), {f.names for f in fits}
+    return [
+        f
+        for f in fitter.by_names.values()
+        if len(f.members) == 1
+        and f.names not in known
+        and count(fitter.problem, f) <= own
+        and f.chi2 - best.chi2 < TWIN
+    ]
 
 
 def _one_of_a_kind(fitter: _Fitter, fits: list[Fit]) -> list[Fit]:
@@ -381,10 +711,34 @@ def _one_of_a_kind(fitter: _Fitter, fits: list[Fit]) -> list[Fit]:
     return out
 
 
+def _by_another_name(fitter: _Fitter, best: Fit) -> list[Fit]:
+    """Return the set with yielding in the place of bristles, where the stiffness is free.
+
+    A slider on a spring beside a spring that nobody knows is a spring that yields: one force, and
+    what is seen of it, the way to slipping, is the form of either law.
+    """
+    model = fitter.problem.case.model
+    if model.k_tol is not None or model.k == 0.0 or "lugre" not in best.names:
+        return []
+    by_name = {e.name: e for e in fitter.problem.effects}
+    if "hysteresis" in best.names or "hysteresis" not in by_name:
+        return []
+    twin = []
+    for m in best.members:
+        if m.name == "lugre":
+            form = {"dahl": "bw1", "slips": "bw1"}.get(m.trial.variant, "iwan0")
+            m = Member(by_name["hysteresis"], Trial(m.trial.theta[:1], form))
+        twin.append(m)
+    names = tuple(sorted(n for m in twin for n in m.effect.names))
+    found = fitter.by_names.get(names) or fitter.fit(twin)
+    return [found] if found is not None else []
+
+
 def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     """Leave out richer friction that does no better than dry friction in its place.
 
-    Both go over into it; what they gain then is the form of the jump.
+    Both go over into it; what they gain then is the form of the jump. So does relaxation that is
+    over at once: it is a dashpot.
     """
     share = NESTED * (1.0 if fitter.problem.estimate.exact else 2.5)
     out = []
@@ -395,11 +749,42 @@ def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
             names = [n if n not in richer else "coulomb" for n in fit.names]
             plain = next((f for f in fits if f.names == tuple(sorted(names))), None)
         gain = plain.chi2 - fit.chi2 if plain is not None else np.inf
+        if plain is None and _quick(fitter.problem.ctx, fit):
+            names = [n if n != "maxwell" else "viscous" for n in fit.names]
+            plain = next((f for f in fits if f.names == tuple(sorted(names))), None)
+            gain = plain.chi2 - fit.chi2 if plain is not None else np.inf
         if gain > fitter.price(fit) - (fitter.price(plain) if plain else 0.0) + max(
             12.0, share * (null.chi2 - fit.chi2)
         ):
             out.append(fit)
     return out
+
+
+def _quick(ctx: Context, fit: Fit) -> bool:
+    """Return whether a set holds a relaxation that the motion is too slow to show."""
+    times = [m.trial.theta[0] for m in fit.members if m.name == "maxwell"]
+    omega = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
+    return bool(times) and "viscous" not in fit.names and max(times) * omega < SLOW
+
+
+def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
+    """Put first the set of fewest parameters among those that differ by the form of a law only."""
+    if not fits:
+        return fits
+    problem, best = fitter.problem, fits[0]
+    form = FORM_ALONE * (null.chi2 - best.chi2)
+    simple = [
+        f
+        for f in fits
+        if len(f.names) == len(best.names) > 1
+        and count(problem, f) < count(problem, best)
+        and set(f.names) & set(best.names)
+        and fitter.score(f) - fitter.score(best) < form
+    ]
+    if not simple:
+        return fits
+    first = min(simple, key=fitter.score)
+    return [first, *[f for f in fits if f is not first]]
 
 
 def _forms(fitter: _Fitter, best: Fit, null: Fit) -> list[Fit]:

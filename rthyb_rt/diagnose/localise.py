@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,9 +33,9 @@ def active(signal: Floats, fs_hz: float, noise: float = 0.0) -> Mask:
         return np.zeros(signal.size, dtype=np.bool_)
     mask = level > PART * level.max()
     rows = np.flatnonzero(mask)
-    for a, b in pairwise(rows):
-        if 1 < b - a <= JOIN_S * fs_hz:
-            mask[a:b] = True
+    breaks = np.diff(rows)
+    for i in np.flatnonzero((breaks > 1) & (breaks <= JOIN_S * fs_hz)):
+        mask[rows[i] : rows[i + 1]] = True
     return np.asarray(mask)
 
 

@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from rthyb_rt.diagnose import engine
+from rthyb_rt.diagnose import closed, engine
+from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Case
+from rthyb_rt.diagnose.closed import ClosedLoop
 from rthyb_rt.diagnose.engine import Diagnosis
 from rthyb_rt.diagnose.predict import Augmented, Prediction, nrmse, output_error, predict
+from rthyb_rt.diagnose.recovered import Recovered, recover
+from rthyb_rt.diagnose.simulate import Motion
+from rthyb_rt.errors import InputError, RthybError
 
 
 @dataclass
 class Outcome:
-    """Answer and prediction of a diagnosis."""
+    """Answer and prediction of a diagnosis.
+
+    Attributes:
+        closed: the whole test simulated again; None where there is no recording of this program.
+        recovered: delay estimate and tangent stiffness of a closed loop that another program ran.
+    """
 
     answer: dict[str, Any]
     model: Augmented
     prediction: Prediction | None = None
     heldout: dict[str, float] = field(default_factory=dict)
+    closed: ClosedLoop | None = None
+    recovered: Recovered | None = None
 
 
 def finish(d: Diagnosis, heldout: Case | None, wanted: Case | None) -> Outcome:
@@ -33,7 +45,7 @@ def finish(d: Diagnosis, heldout: Case | None, wanted: Case | None) -> Outcome:
     """
     model = engine.augmented(d)
     if d.case.model.family == "drive" and (heldout is not None or wanted is not None):
-        model = engine.in_newtons(d, model)
+        model = engine.in_newtons(d, model, wanted or heldout)
     if heldout is not None or wanted is not None:
         model = output_error(model, d.case)
     errors: dict[str, float] = {}
@@ -46,7 +58,49 @@ def finish(d: Diagnosis, heldout: Case | None, wanted: Case | None) -> Outcome:
             d.verdict, d.effects, d.ambiguous_with = "unknown", [], []
             d.notes.append("what was found does not hold on the second recording")
     prediction = predict(model, wanted, d.case) if wanted is not None else None
-    return Outcome(engine.to_json(d), model, prediction, errors)
+    out = Outcome(engine.to_json(d), model, prediction, errors)
+    _close(d, out)
+    return out
+
+
+def _close(d: Diagnosis, out: Outcome) -> None:
+    """Simulate the whole loop again, or recover of it what its signals tell."""
+    if d.case.own is not None:
+        try:
+            out.closed = close_loop(d, out.model)
+            out.answer["closed_loop"] = out.closed.to_json()
+        except RthybError as error:
+            out.answer["closed_loop"] = {"possible": False, "why": str(error)}
+    elif d.case.model.family == "loop":
+        why = "a CSV recording holds neither the controller's settings nor the test"
+        out.answer["closed_loop"] = {"possible": False, "why": why}
+        out.recovered = recover(d.case)
+        out.answer["recovered"] = out.recovered.to_json()
+
+
+def close_loop(d: Diagnosis, model: Augmented) -> ClosedLoop:
+    """Simulate a recorded test of this program with the model as given and with another.
+
+    Raises:
+        RthybError: the test cannot be repeated, or a model makes no rig.
+    """
+    rec = d.case.own
+    if rec is None:
+        raise InputError("no recording of this program: its test is not known")
+    base = closed.same_actuator(d.case.model, rec)
+    plain = engine.baseline(d)
+    texts = []
+    for m in (plain, model):
+        text, lost = rig_toml(
+            replace(m, model=replace(m.model, rig=base.rig), base=replace(m.base, rig=base.rig))
+        )
+        texts.append(text)
+    law, beside = _law_beside(model, lost)
+    result = closed.resimulate(rec, texts[0], texts[1], law)
+    lost = [name for name in lost if name not in beside]
+    if lost:
+        result.notes.append(f"simulated without {', '.join(lost)}, which a rig file cannot hold")
+    return result
 
 
 def _held_out(d: Diagnosis, model: Augmented, heldout: Case) -> dict[str, float]:
@@ -69,3 +123,22 @@ def _held_out(d: Diagnosis, model: Augmented, heldout: Case) -> dict[str, float]
         if np.isfinite(value):
             out[f"heldout_nrmse_{when}"] = value
     return {k: v for k, v in out.items() if np.isfinite(v)}
+
+
+def _law_beside(model: Augmented, lost: list[str]) -> tuple[closed.Law | None, set[str]]:
+    """Return the force of momentary effects that a rig file cannot hold, and their names."""
+    found = [
+        (member, beta)
+        for member, beta in zip(model.members, model.betas, strict=True)
+        if member.name in lost and member.effect.momentary
+    ]
+    if not found:
+        return None, set()
+    own = replace(model, members=tuple(m for m, _ in found), betas=tuple(b for _, b in found))
+    t = np.zeros(1)
+
+    def law(x_m: float, v_m_per_s: float) -> float:
+        motion = Motion(np.array([x_m]), np.array([v_m_per_s]), t)
+        return float(own.effect_force(motion, t, {})[0])
+
+    return law, {m.name for m, _ in found}

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rthyb_rt import __version__
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.engine import Diagnosis
-from rthyb_rt.diagnose.words import PLAIN, sentence
+from rthyb_rt.diagnose.estimate import filled
+from rthyb_rt.diagnose.ranking import rows_of
+from rthyb_rt.diagnose.words import LOOP_WORDS, check_rows, next_text, sentence
 from rthyb_rt.recording import replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose.case import Floats
+    from rthyb_rt.diagnose.closed import ClosedLoop
     from rthyb_rt.diagnose.outcome import Outcome
+    from rthyb_rt.diagnose.recovered import Recovered
     from rthyb_rt.report.drawing import Plate
 
 
@@ -28,7 +33,7 @@ def write_report(
     folder: Path,
     d: Diagnosis,
     outcome: Outcome,
-    checks: Sequence[dict[str, Any]] | None,
+    checks: list[dict[str, Any]] | None,
     model_path: Path,
 ) -> list[Path]:
     """Write report.html, diagnosis.json and augmented.toml; return their paths.
@@ -38,18 +43,21 @@ def write_report(
         RthybError: a file cannot be written.
     """
     with extra_needed("the page"):
-        plates = draw_all(d)
+        plates = [*draw_all(d), *draw_loop(outcome)]
         engine = environment()
     html = engine.get_template("diagnosis.html.j2").render(
-        name=d.case.name,
+        name=_name(d),
+        after=_after(d),
         verdict=d.verdict,
         sentence=sentence(d, outcome.answer),
         notes=d.notes,
-        next=d.next_experiment,
+        next=next_text(d),
         errors=_errors(d),
         ranked=_ranked(d),
-        checks=_checks(checks),
+        checks=check_rows(checks),
+        checked=checks is not None,
         figures_of=sheets(plates),
+        closed=_closed(outcome.answer),
         versions=f"rthyb_rt {__version__} · model {model_path.name}",
     )
     text, _ = rig_toml(outcome.model)
@@ -94,44 +102,56 @@ def _errors(d: Diagnosis) -> list[tuple[str, str, str]]:
     return rows
 
 
+def _closed(answer: dict[str, Any]) -> dict[str, Any]:
+    """Return what the page says of the closed loop; empty where there is none."""
+    loop = answer.get("closed_loop")
+    if loop is None:
+        return {}
+    rows, notes = [], []
+    if loop["possible"]:
+        notes = loop["notes"]
+        for name, word in LOOP_WORDS.items():
+            before, after = loop["nrmse_before"][name], loop["nrmse_after"][name]
+            rows.append((word, _percent(before), _percent(after)))
+    else:
+        notes = [f"The test could not be simulated again: {loop['why']}."]
+    for name, symbol in (("alpha", "alpha"), ("k_t_n_per_m", "k_t")):
+        found = answer.get("recovered", {}).get(name, {"possible": True})
+        if not found["possible"]:
+            notes.append(f"{symbol} could not be recovered: {found['why']}.")
+    return {"rows": rows, "notes": notes}
+
+
 def _percent(value: float) -> str:
     return f"{100 * value:.3g}" if math.isfinite(value) else "–"
 
 
-def _ranked(d: Diagnosis) -> list[tuple[str, str, str, str]]:
-    if d.verdict == "unknown":
-        return []
-    rows = []
-    for c in d.candidates:
-        values = "; ".join(
-            f"{k} {v:.4g} [{c.ci95[k][0]:.4g}, {c.ci95[k][1]:.4g}]"
-            if k in c.ci95
-            else f"{k} {v:.4g}"
-            for k, v in c.params.items()
-        )
-        mark = " (named)" if c.name in d.effects else ""
-        rows.append(
-            (PLAIN.get(c.name, c.name) + mark, f"{c.score:.3f}", f"{c.evidence:.4g}", values)
-        )
-    return rows
+def _name(d: Diagnosis) -> str:
+    """Return what a lab calls the recording: its file, or the folder of a file of any name."""
+    if d.case.name != "recording":
+        return d.case.name
+    return d.case.folder or d.case.name
 
 
-def _checks(checks: Sequence[dict[str, Any]] | None) -> list[tuple[str, str]]:
-    rows = []
-    for row in checks or ():
-        name = PLAIN.get(row["effect"], row["effect"])
-        if "smallest_detectable_share" in row:
-            share = row["smallest_detectable_share"]
-            text = (
-                f"found down to {100 * share:.2g} % of the force"
-                if share
-                else "not even at 16 % of the force"
-            )
-        else:
-            found = "found again" if row["found"] else "not found again"
-            text = f"at {100 * row['share']:.3g} % of the force: {found}"
-        rows.append((name, text))
-    return rows
+def _after(d: Diagnosis) -> str:
+    """Return what the second of two models is."""
+    if d.verdict in ("explained", "ambiguous"):
+        return "with what was found"
+    return "numbers moved within tolerance"
+
+
+def _ranked(d: Diagnosis) -> list[tuple[str, str, str, str, str, list[str]]]:
+    return [
+        (
+            row.effects,
+            row.mark,
+            f"{row.weight:.3f}",
+            f"{row.evidence:,.0f}".replace("-", "−").replace(",", "\u202f"),
+            f"{100 * min(row.held_out, 1.0):.3g} %" if math.isfinite(row.held_out) else "–",
+            row.params,
+        )
+        for row in rows_of(d)
+    ]
 
 
 # ---- figures ----------------------------------------------------------------------------------
@@ -147,25 +167,116 @@ def draw_all(d: Diagnosis) -> list[Plate]:
     with rc_context(draw.STYLE):
         signals = _signals(d)
         if signals is not None:
-            measured, before, after, unit, what = signals
-            plates.append(_overlay(d, measured, before, after, unit, what))
-            plates.append(_map(d, measured - before, unit))
-            plates.append(_loops(d, measured, before, after, unit, what))
+            plates.append(_overlay(d, signals))
+            plates.append(_map(d, signals))
+            plates.append(_loops(d, signals))
             plates.append(_energy(d))
-            plates.append(_spectrum(d, measured - before, measured - after, unit))
+            plates.append(_spectrum(d, signals))
     return [p for p in plates if p.svg]
 
 
-def _signals(d: Diagnosis) -> tuple[Floats, Floats, Floats, str, str] | None:
-    """Return what was measured, and the model's before and after, of the channel that matters."""
+def draw_loop(outcome: Outcome) -> list[Plate]:
+    """Return the figures of the closed loop: simulated again, or recovered from its signals."""
+    from matplotlib import rc_context
+
+    from rthyb_rt.report import drawing as draw
+
+    with rc_context(draw.STYLE):
+        if outcome.closed is not None:
+            return [_simulated_again(outcome.closed)]
+        if outcome.recovered is not None:
+            return [p for p in [_recovered(outcome.recovered, outcome)] if p is not None]
+    return []
+
+
+def _simulated_again(loop: ClosedLoop) -> Plate:
+    from rthyb_rt.report import drawing as draw
+
+    shown = (
+        ("x_meas", "x_meas, mm", 1e3), ("x_num", "x_num, mm", 1e3), ("f_meas", "f_meas, kN", 1e-3),
+        ("alpha", "alpha, samples", 1.0),
+    )  # fmt: skip
+    paper = draw.Paper("closed", draw.FULL_WIDTH_IN, (1.4,) * len(shown))
+    for axes, (name, title, factor) in zip(paper.axes, shown, strict=True):
+        for values, colour, width, label in (
+            (loop.recorded, draw.BLACK, 1.4, "recorded"),
+            (loop.before, draw.ORANGE, 0.8, "simulated, model as given"),
+            (loop.after, draw.BLUE, 0.8, "simulated, with what was found"),
+        ):
+            draw.curve(axes, loop.t, factor * values[name], colour, width, label)
+        axes.set_xlim(*draw.span(loop.t[0], loop.t[-1]))
+        draw.head(axes, title)
+    draw.x_label(paper.axes[-1], "time, s")
+    return paper.plate(
+        "The test simulated again with the loop closed",
+        "Same controller and ground motion; the rig is the model, as given or mended.",
+    )
+
+
+def _recovered(found: Recovered, outcome: Outcome) -> Plate | None:
+    from rthyb_rt.report import drawing as draw
+
+    shown = [
+        (slope, title, factor)
+        for slope, title, factor in (
+            (found.alpha, "alpha, samples", 1.0), (found.k_t, "k_t, kN/mm", 1e-6),
+        )
+        if np.isfinite(slope.value).any()
+    ]  # fmt: skip
+    if not shown:
+        return None
+    paper = draw.Paper("recovered", draw.FULL_WIDTH_IN, (1.4,) * len(shown))
+    t = np.arange(found.alpha.value.size) / outcome.model.model.fs_hz
+    for axes, (slope, title, factor) in zip(paper.axes, shown, strict=True):
+        draw.curve(axes, t, factor * slope.value, draw.BLUE, 0.9, "recovered")
+        axes.set_xlim(*draw.span(t[0], t[-1]))
+        draw.head(axes, title)
+    draw.x_label(paper.axes[-1], "time, s")
+    return paper.plate(
+        "What the controller did, recovered from its signals",
+        "alpha from x_num and x_cmd (Eqn 2.5), k_t from the equation of motion (Eqn 3.2); "
+        "gaps where the motion does not tell.",
+    )
+
+
+@dataclass(frozen=True)
+class _Signals:
+    """What was measured beside the model, as given and mended, of the channel that matters.
+
+    Attributes:
+        measured, before, after: each (n,), in ``unit``.
+        judged: rows that the answer rests on; beside gaps and before a motion has forgotten its
+            start nothing is judged, and nothing is shown of a residual.
+        label: of ``after``.
+    """
+
+    measured: Floats
+    before: Floats
+    after: Floats
+    judged: NDArray[np.bool_]
+    unit: str
+    what: str
+    label: str
+
+    def left(self, model: Floats) -> Floats:
+        """Return what a model leaves, nan where that is not judged."""
+        return np.where(self.judged, self.measured - model, np.nan)
+
+
+def _signals(d: Diagnosis) -> _Signals | None:
+    label = "with what was found" if d.verdict in ("explained", "ambiguous") else "numbers moved"
     if d.channel == "disp" and d.disp is not None:
         task = d.disp.task
         plain = task.simulate(task.base).x
         best = d.disp.best if d.disp.known else d.disp.null
-        return task.x * 1e3, plain * 1e3, best.motion.x * 1e3, "mm", "displacement"
+        judged = np.zeros(task.x.size, dtype=np.bool_)
+        judged[task.rows] = True
+        return _Signals(
+            task.x * 1e3, plain * 1e3, best.motion.x * 1e3, judged, "mm", "displacement", label
+        )
     search, found = d.force, d.estimate
     if search is None or found is None:
-        return None
+        return _only_motion(d, label)
     problem = search.problem
     fit = search.best if search.best.members and d.verdict != "unknown" else search.null
     after = problem.ctx.total.copy()
@@ -173,110 +284,165 @@ def _signals(d: Diagnosis) -> tuple[Floats, Floats, Floats, str, str] | None:
         after += b * nuisance.column
     for i in range(len(fit.members)):
         after += forces.contribution(problem, fit, i)
-    return found.force, problem.ctx.total, after, "N", "force"
+    return _Signals(found.force, problem.ctx.total, after, found.rows, "N", "force", label)
 
 
-def _overlay(
-    d: Diagnosis, measured: Floats, before: Floats, after: Floats, unit: str, what: str
-) -> Plate:
+def _only_motion(d: Diagnosis, label: str) -> _Signals | None:
+    """Return the displacement of a recording that has no force."""
+    if d.disp is None:
+        return None
+    return _signals(replace(d, channel="disp"))
+
+
+def _overlay(d: Diagnosis, s: _Signals) -> Plate:
     from rthyb_rt.report import drawing as draw
 
     paper = draw.Paper("overlay", draw.FULL_WIDTH_IN, (1.8, 1.3))
     top, low = paper.axes
     t = d.case.t
-    draw.curve(top, t, measured, draw.BLACK, 1.4, "recorded")
-    draw.curve(top, t, before, draw.ORANGE, 0.8, "model")
-    draw.curve(top, t, after, draw.BLUE, 0.8, "with what was found")
-    draw.curve(low, t, measured - before, draw.ORANGE, 0.8, "before")
-    draw.curve(low, t, measured - after, draw.BLUE, 0.8, "after")
+    draw.curve(top, t, s.measured, draw.BLACK, 1.4, "recorded")
+    draw.curve(top, t, s.before, draw.ORANGE, 0.8, "model as given")
+    draw.curve(top, t, s.after, draw.BLUE, 0.8, s.label)
+    draw.curve(low, t, s.left(s.before), draw.ORANGE, 0.8, "before")
+    draw.curve(low, t, s.left(s.after), draw.BLUE, 0.8, "after")
     for a, b in d.windows:
         low.axvspan(a, b, color=draw.GREY, alpha=0.12, linewidth=0)
     top.set_xlim(*draw.span(t[0], t[-1]))
-    draw.head(top, f"{what}, {unit}")
-    draw.head(low, f"residual, {unit}")
+    draw.head(top, f"{s.what}, {s.unit}")
+    draw.head(low, f"residual, {s.unit}")
     draw.x_label(low, "time, s")
-    return paper.plate(f"Recorded {what}, before and after", "Shaded: where the mismatch acts.")
+    where = "Shaded: where the mismatch acts." if d.windows else ""
+    return paper.plate(f"Recorded {s.what}, before and after", where)
 
 
-def _map(d: Diagnosis, residual: Floats, unit: str) -> Plate:
-    from rthyb_rt.report import drawing as draw
-
+def _motion_of(d: Diagnosis) -> tuple[Floats, Floats]:
+    """Return displacement in mm and velocity in mm/s."""
     motion = d.estimate.motion if d.estimate else (d.disp.best.motion if d.disp else None)
     assert motion is not None
-    paper = draw.Paper("map", draw.HALF_WIDTH_IN, (2.3,))
+    return motion.x * 1e3, motion.v * 1e3
+
+
+def _map(d: Diagnosis, s: _Signals) -> Plate:
+    from matplotlib.ticker import MaxNLocator
+
+    from rthyb_rt.report import drawing as draw
+
+    paper = draw.Paper("map", draw.HALF_WIDTH_IN, (2.3,), right_in=0.62)
     (axes,) = paper.axes
-    x, v = motion.x * 1e3, motion.v * 1e3
+    residual = s.left(s.before)
+    there = np.isfinite(residual)
+    x, v = (q[there] for q in _motion_of(d))
     cells = 40
-    sums, xs, vs = np.histogram2d(x, v, bins=cells, weights=residual)
+    sums, xs, vs = np.histogram2d(x, v, bins=cells, weights=residual[there])
     counts, _, _ = np.histogram2d(x, v, bins=(xs, vs))
     mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
     limit = draw.largest(mean) or 1.0
     picture = axes.pcolormesh(
         xs, vs, mean.T, cmap="RdBu_r", vmin=-limit, vmax=limit, rasterized=False
     )
-    bar = axes.figure.colorbar(picture, ax=axes, fraction=0.05, pad=0.03)
+    box = axes.get_position()
+    beside = paper.figure.add_axes((box.x1 + 0.02, box.y0, 0.025, box.height))
+    bar = paper.figure.colorbar(picture, cax=beside)
+    # A picture inside the drawing is barred by the page's own policy: the bar is drawn as areas.
+    if bar.solids is not None:
+        bar.solids.set_rasterized(False)
+        bar.solids.set_edgecolor("face")
+    bar.outline.set_linewidth(0.0)
     bar.ax.tick_params(labelsize=7)
-    draw.head(axes, "velocity, mm/s")
+    bar.ax.yaxis.set_major_locator(MaxNLocator(5))
+    draw.head(axes, "velocity, mm/s", right=s.unit)
     draw.x_label(axes, "displacement, mm")
     return paper.plate(
         "Residual over displacement and velocity",
-        f"Mean of the model's residual in each cell, {unit}.",
+        f"Mean of what the model as given leaves in each cell, {s.unit}.",
     )
 
 
-def _loops(
-    d: Diagnosis, measured: Floats, before: Floats, after: Floats, unit: str, what: str
-) -> Plate:
+def _loops(d: Diagnosis, s: _Signals) -> Plate:
     from rthyb_rt.report import drawing as draw
 
-    motion = d.estimate.motion if d.estimate else (d.disp.best.motion if d.disp else None)
-    assert motion is not None
+    if s.what == "displacement":
+        return _followed(d, s)
     paper = draw.Paper("loops", draw.HALF_WIDTH_IN, (2.3,))
     (axes,) = paper.axes
-    x = motion.x * 1e3
+    x = np.where(s.judged, _motion_of(d)[0], np.nan)
     x_limit, y_limit = (
         draw.largest(x) or 1.0,
-        max(draw.largest(measured), draw.largest(after)) or 1.0,
+        max(draw.largest(y[s.judged]) for y in (s.measured, s.before, s.after)) or 1.0,
     )
     for y, colour, width, label in (
-        (measured, draw.BLACK, 1.2, "recorded"), (before, draw.ORANGE, 0.7, "model"),
-        (after, draw.BLUE, 0.7, "found"),
+        (s.measured, draw.BLACK, 1.2, "recorded"), (s.before, draw.ORANGE, 0.7, "model"),
+        (s.after, draw.BLUE, 0.7, "mended"),
     ):  # fmt: skip
-        draw.loop(axes, x, y, colour, width, label, x_limit=x_limit, y_limit=y_limit)
+        kept = s.judged
+        draw.loop(axes, x[kept], y[kept], colour, width, label, x_limit=x_limit, y_limit=y_limit)
     draw.symmetric(axes, y_limit)
-    draw.head(axes, f"{what}, {unit}")
+    draw.head(axes, f"{s.what}, {s.unit}")
     draw.x_label(axes, "displacement, mm")
-    return paper.plate(f"{what.capitalize()} over displacement", "Loops of record and model.")
+    return paper.plate(f"{s.what.capitalize()} over displacement", "Loops of record and model.")
+
+
+def _followed(d: Diagnosis, s: _Signals) -> Plate:
+    """Return what the actuator left of its command over the command, recorded and simulated."""
+    from rthyb_rt.report import drawing as draw
+
+    paper = draw.Paper("loops", draw.HALF_WIDTH_IN, (2.3,), bottom_in=0.62)
+    (axes,) = paper.axes
+    u = filled(d.case.channels["x_cmd"])[s.judged] * 1e3
+    gaps = [y[s.judged] - u for y in (s.measured, s.before, s.after)]
+    x_limit = draw.largest(u) or 1.0
+    y_limit = max(draw.largest(g) for g in gaps) or 1.0
+    for y, colour, width, label in zip(
+        gaps, (draw.BLACK, draw.ORANGE, draw.BLUE), (1.2, 0.7, 0.7),
+        ("recorded", "model", "mended"), strict=True,
+    ):  # fmt: skip
+        draw.loop(axes, u, y, colour, width, label, x_limit=x_limit, y_limit=y_limit)
+    draw.symmetric(axes, y_limit)
+    draw.head(axes, "x_meas − x_cmd, mm", below=True)
+    draw.x_label(axes, "command, mm")
+    return paper.plate("What the actuator leaves of its command", "A lag is a loop.")
 
 
 def _energy(d: Diagnosis) -> Plate:
+    """Return the work of each term: what the model has already, and what was found beside it."""
     from rthyb_rt.report import drawing as draw
 
+    motion, ctx, search = d.estimate.motion if d.estimate else None, d.context, d.force
+    if motion is None or ctx is None or search is None:
+        return draw.Plate("energy", "Energy by term", "", "no force was recorded", True)
+    dx = np.where(search.problem.estimate.rows, np.diff(motion.x, prepend=motion.x[0]), 0.0)
     paper = draw.Paper("energy", draw.HALF_WIDTH_IN, (2.3,))
     (axes,) = paper.axes
-    motion = d.estimate.motion if d.estimate else None
-    colours = (draw.BLUE, draw.ORANGE, draw.GREEN, draw.PURPLE)
-    terms = [c for c in d.candidates if c.signal is not None and c.channel == "force"]
-    if motion is None or not terms or d.verdict == "unknown":
-        return draw.Plate("energy", "Energy by term", "", "no force term was found", True)
-    dx = np.diff(motion.x, prepend=motion.x[0])
-    for c, colour in zip(terms, colours, strict=False):
-        assert c.signal is not None
-        draw.curve(axes, d.case.t, np.cumsum(c.signal * dx), colour, 0.9, c.name)
+    # Before there is anything to be listed: the legend of up to six terms goes inside.
     draw.head(axes, "energy, J")
+    terms = [(ctx.force, draw.BLACK, "recorded"), (ctx.total, draw.ORANGE, "model as given")]
+    colours = (draw.BLUE, draw.GREEN, draw.PURPLE, draw.RED)
+    found = [c for c in d.candidates if c.signal is not None and c.channel == "force"]
+    if d.verdict in ("explained", "ambiguous"):
+        terms += [
+            (c.signal, colour, c.name.replace("_", " "))
+            for c, colour in zip(found, colours, strict=False)
+            if c.signal is not None
+        ]
+    for force, colour, label in terms:
+        draw.curve(axes, d.case.t, np.cumsum(force * dx), colour, 0.9, label)
+    axes.set_xlim(*draw.span(d.case.t[0], d.case.t[-1]))
+    axes.legend(loc="upper left", handlelength=1.2)
     draw.x_label(axes, "time, s")
     return paper.plate("Work of each term up to each moment", "Rising: taken out of the motion.")
 
 
-def _spectrum(d: Diagnosis, before: Floats, after: Floats, unit: str) -> Plate:
+def _spectrum(d: Diagnosis, s: _Signals) -> Plate:
     from rthyb_rt.report import drawing as draw
 
-    paper = draw.Paper("spectrum", draw.HALF_WIDTH_IN, (2.3,))
+    paper = draw.Paper("spectrum", draw.HALF_WIDTH_IN, (2.3,), bottom_in=0.62)
     (axes,) = paper.axes
-    for y, colour, label in ((before, draw.ORANGE, "before"), (after, draw.BLUE, "after")):
-        f, p = _welch(y, d.case.fs_hz)
+    for y, colour, label in (
+        (s.left(s.before), draw.ORANGE, "before"), (s.left(s.after), draw.BLUE, "after"),
+    ):  # fmt: skip
+        f, p = _welch(np.nan_to_num(y), d.case.fs_hz)
         axes.loglog(f, p, color=colour, linewidth=0.8, label=label)
-    draw.head(axes, f"residual, {unit}/√Hz")
+    draw.head(axes, f"residual, {s.unit}/√Hz", below=True)
     draw.x_label(axes, "frequency, Hz")
     return paper.plate("Spectrum of the residual", "White noise is a level line.")
 

@@ -1,70 +1,178 @@
 """The power of an answer on this very recording: would a known effect be found in it?
 
-An effect of the size found (or, where nothing was found, of several sizes) is hidden in what the
-model with its effects leaves, and diagnosed again.
+What was found is taken out of the recording, and what the model then leaves is moved along it by a
+third of its length: the same kind of noise in another place. In this recording an effect of the
+size found, smaller ones of its kind, and a few standard effects are hidden and diagnosed again.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import effects, engine
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context, Effect, Trial
 from rthyb_rt.diagnose.engine import Diagnosis
+from rthyb_rt.diagnose.force import contribution
 
 PROBES = ("coulomb", "viscous", "inertia", "cubic")
 SIZES = (0.16, 0.08, 0.04, 0.02, 0.01, 0.005)
+"""Standard deviations of a hidden force, as parts of that of the recorded one."""
+PARTS = (0.5, 0.25, 0.12, 0.06, 0.03)
+"""The same of an effect that was found, as parts of its own."""
 
 
-def self_check(d: Diagnosis) -> list[dict[str, Any]]:
-    """Return, for each probe, whether it is found at the size found and how small it may be.
+def self_check(
+    d: Diagnosis, progress: Callable[[str], None] = lambda _: None
+) -> list[dict[str, Any]]:
+    """Return, for each effect found and each probe, whether it is found, and how small it may be.
 
-    Needs a measured force; without one the list is empty.
+    Needs a measured force, or an effect of the actuator; without them the list is empty.
     """
+    out: list[dict[str, Any]] = []
+    named = d.verdict in ("explained", "ambiguous")
+    if named and d.disp is not None and d.disp.found:
+        out += _actuators(d, progress)
     search, ctx = d.force, d.context
     if search is None or ctx is None or "f_meas" not in d.case.channels:
-        return []
+        return out
     clean = _without_findings(d)
-    force_rms = float(np.std(ctx.force)) or 1.0
-    out: list[dict[str, Any]] = []
-    for m in search.best.members if d.verdict in ("explained", "ambiguous") else ():
-        i = search.best.members.index(m)
-        from rthyb_rt.diagnose.force import contribution
-
+    size = float(np.std(ctx.force)) or 1.0
+    for i, m in enumerate(search.best.members if named else ()):
         signal = contribution(search.problem, search.best, i)
-        out.append(_probe(clean, m.name, signal, force_rms))
+        out += _found(_Hidden(clean, m.effect.names, signal, size, "f_meas"), m.name, progress)
     for name in PROBES:
         effect = effects.catalogue().get(name)
-        if effect is None:
-            continue
-        unit = _unit(effect, ctx)
+        unit = _unit(effect, ctx) if effect is not None else None
         if unit is None:
             continue
-        smallest = None
-        for size in SIZES:
-            row = _probe(clean, name, unit * (size * force_rms / (np.std(unit) or 1.0)), force_rms)
-            if not row["found"]:
-                break
-            smallest = size
-        out.append({"effect": name, "smallest_detectable_share": smallest})
+        scale = size / (float(np.std(unit)) or 1.0)
+        hidden = _Hidden(clean, (name,), scale * unit, size, "f_meas")
+        smallest = _smallest(hidden, SIZES, progress, f"hiding {name}")
+        out.append(
+            {"effect": name, "smallest_detectable_share": smallest, "largest_tried_share": SIZES[0]}
+        )
+    return out
+
+
+class _Hidden:
+    """A signal that can be hidden in a clean recording, and looked for."""
+
+    def __init__(
+        self, clean: Case, names: tuple[str, ...], signal: Floats, size: float, channel: str
+    ) -> None:
+        self.clean, self.names, self.signal = clean, names, signal
+        self.size, self.channel = size, channel
+
+    def share(self, factor: float = 1.0) -> float:
+        """Return the hidden signal's standard deviation as a part of the recorded channel's."""
+        return factor * float(np.std(self.signal)) / self.size
+
+    def diagnosed(self, factor: float) -> Diagnosis:
+        """Return what is said of the recording with ``factor`` times the signal in it."""
+        channels = dict(self.clean.channels)
+        channels[self.channel] = channels[self.channel] + factor * self.signal
+        return engine.diagnose(replace(self.clean, channels=channels))
+
+    def names_it(self, d: Diagnosis) -> bool:
+        """Return whether it was named, alone or among sets that fit alike."""
+        named = {n for group in (d.effects, *d.ambiguous_with) for n in group}
+        return bool(named & set(self.names))
+
+
+def _smallest(
+    hidden: _Hidden, factors: tuple[float, ...], progress: Callable[[str], None], word: str
+) -> float | None:
+    """Return the share of the least of falling factors that is found; None where none is.
+
+    What is found at one size is taken to be found at all larger ones: half of the sizes are tried.
+    """
+    low, high = -1, len(factors)
+    while high - low > 1:
+        middle = (low + high) // 2
+        progress(word)
+        if hidden.names_it(hidden.diagnosed(factors[middle])):
+            low = middle
+        else:
+            high = middle
+    return hidden.share(factors[low]) if low >= 0 else None
+
+
+def _found(hidden: _Hidden, name: str, progress: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Return whether an effect is found again at its size, and the least part of it that is."""
+    progress(f"hiding {name}")
+    again = hidden.diagnosed(1.0)
+    found = hidden.names_it(again)
+    channel = "disp" if hidden.channel == "x_meas" else "force"
+    rows: list[dict[str, Any]] = [
+        {
+            "effect": name,
+            "channel": channel,
+            "share": hidden.share(),
+            "found": found,
+            "verdict": again.verdict,
+            "named": list(again.effects),
+        }
+    ]
+    if found:
+        least = _smallest(hidden, PARTS, progress, f"hiding {name}")
+        rows.append(
+            {
+                "effect": name,
+                "channel": channel,
+                "smallest_detectable_share": least if least is not None else hidden.share(),
+            }
+        )
+    return rows
+
+
+def _moved_on(rest: Floats, judged: NDArray[np.bool_]) -> Floats:
+    """Return what a model leaves, moved on by a third of the judged rows; as it is elsewhere."""
+    out = rest.copy()
+    rows = np.flatnonzero(judged)
+    out[rows] = np.roll(rest[rows], rows.size // 3)
     return out
 
 
 def _without_findings(d: Diagnosis) -> Case:
-    """Return the recording less what was found in its force."""
-    from rthyb_rt.diagnose.force import contribution
-
-    search = d.force
+    """Return the recording less what was found in its force, with its noise in another place."""
+    search, ctx = d.force, d.context
     assert search is not None
-    f = d.case.channels["f_meas"].copy()
-    if d.verdict in ("explained", "ambiguous"):
-        for i in range(len(search.best.members)):
-            f -= contribution(search.problem, search.best, i)
-    return replace(d.case, channels={**d.case.channels, "f_meas": f}, notes=[])
+    assert ctx is not None
+    f = d.case.channels["f_meas"]
+    fit = search.best if d.verdict in ("explained", "ambiguous") else search.null
+    model = ctx.total.copy()
+    for b, nuisance in zip(fit.nuisance, search.problem.nuisances, strict=True):
+        model += b * nuisance.column
+    added = np.zeros_like(f)
+    for i in range(len(fit.members)):
+        added += contribution(search.problem, fit, i)
+    judged = search.problem.estimate.rows & np.isfinite(f)
+    clean = model + _moved_on(f - model - added, judged)
+    return replace(d.case, channels={**d.case.channels, "f_meas": clean}, notes=[])
+
+
+def _actuators(d: Diagnosis, progress: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Return the same for what was found in the actuator."""
+    disp = d.disp
+    assert disp is not None
+    x = d.case.channels["x_meas"]
+    plain = disp.task.simulate(replace(disp.task.base, shift_s=disp.best.model.shift_s)).x
+    judged = np.zeros(x.size, dtype=np.bool_)
+    judged[disp.task.rows] = True
+    clean: Floats = plain + _moved_on(x - disp.best.motion.x, judged & np.isfinite(x))
+    case = replace(d.case, channels={**d.case.channels, "x_meas": clean}, notes=[])
+    out = []
+    for c in d.candidates:
+        if c.channel == "disp" and c.name in disp.best.names and c.signal is not None:
+            size = float(np.nanstd(x)) or 1.0
+            out += _found(_Hidden(case, (c.name,), c.signal, size, "x_meas"), c.name, progress)
+    return out
 
 
 def _unit(effect: Effect, ctx: Context) -> Floats | None:
@@ -73,18 +181,3 @@ def _unit(effect: Effect, ctx: Context) -> Floats | None:
         return None
     trial: Trial = trials[len(trials) // 2]
     return effect.columns(ctx, trial)[0]
-
-
-def _probe(clean: Case, name: str, signal: Floats, force_rms: float) -> dict[str, Any]:
-    hidden = replace(
-        clean, channels={**clean.channels, "f_meas": clean.channels["f_meas"] + signal}
-    )
-    again = engine.diagnose(hidden)
-    named = name in again.effects or any(name in s for s in again.ambiguous_with)
-    return {
-        "effect": name,
-        "share": float(np.std(signal)) / force_rms,
-        "found": bool(named),
-        "verdict": again.verdict,
-        "named": list(again.effects),
-    }

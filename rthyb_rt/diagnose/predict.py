@@ -31,6 +31,9 @@ class Augmented:
         members, betas: effects of the force with their coefficients.
         actuator: with what was found in it; None without one.
         ranges: those of the recording that it was fitted to.
+        zeros_m: of the displacement sensor against the command, throughout and at the end.
+        cell: whether a load cell recorded the force. Effects of the sensor are then its own and
+            move nothing; without one an offset stands for a force on the body.
     """
 
     model: Model
@@ -40,6 +43,8 @@ class Augmented:
     actuator: ActuatorModel | None
     ranges: tuple[float, float, float] | None
     skew_s: float = 0.0
+    zeros_m: tuple[float, float] = (0.0, 0.0)
+    cell: bool = False
 
     def context(self, motion: Motion, t: Floats, other: dict[str, Floats]) -> Context:
         """Return what the laws see along a motion."""
@@ -106,7 +111,7 @@ class Augmented:
             return motion
         extra = np.zeros_like(push)
         for k in range(ROUNDS):
-            new = beside.effect_force(motion, t, other, sensor=True)
+            new = beside.effect_force(motion, t, other, sensor=not self.cell)
             change = float(np.std(new - extra))
             extra = extra + (1.0 if k < 4 else 0.5) * (new - extra)
             try:
@@ -144,18 +149,19 @@ def predict(augmented: Augmented, case: Case, before: Case | None = None) -> Pre
     """
     if before is not None and continues(before, case):
         whole = _joined(before, case)
-        result = predict(augmented, whole)
+        late = augmented.zeros_m[1]
+        result = predict(replace(augmented, zeros_m=(late, late)), whole)
         n = case.t.size
         return Prediction(case.t, result.f[-n:], result.x[-n:])
     model = augmented.model
     other = {k: estimate.filled(v) for k, v in case.channels.items() if np.isfinite(v).any()}
     x_meas = case.channels.get("x_meas")
-    measured = x_meas is not None and np.isfinite(x_meas).mean() > 0.95
+    measured = _measured(case)
     x_only = np.full(case.t.size, np.nan)
     motion: Motion | None = None
     if model.family in ("drive", "loop"):
         if augmented.actuator is not None and "x_cmd" in other:
-            motion = actuator(augmented.actuator, other["x_cmd"], case.fs_hz)
+            motion = _commanded(augmented, case)
             x_only = motion.x
         if motion is None or (measured and not _follows(motion.x, other["x_meas"], model)):
             motion = _measured_motion(case) if measured else motion
@@ -167,6 +173,35 @@ def predict(augmented: Augmented, case: Case, before: Case | None = None) -> Pre
     if motion is None:
         return Prediction(case.t, np.full(case.t.size, np.nan), x_only)
     return Prediction(case.t, augmented.force(motion, case.t, other), x_only)
+
+
+def _measured(case: Case) -> bool:
+    x_meas = case.channels.get("x_meas")
+    return x_meas is not None and bool(np.isfinite(x_meas).mean() > 0.95)
+
+
+def _commanded(augmented: Augmented, case: Case) -> Motion:
+    """Return the motion that the actuator makes of the command, on the sensor's zero."""
+    assert augmented.actuator is not None
+    motion = actuator(augmented.actuator, estimate.filled(case.channels["x_cmd"]), case.fs_hz)
+    return replace(motion, x=motion.x + augmented.zeros_m[0])
+
+
+def followed(augmented: Augmented, case: Case, wanted: Case) -> Motion | None:
+    """Return the simulated motion of a recording, where a prediction of another takes such a one.
+
+    A law fitted along a measured motion makes up for its noise; along a simulated one it is wrong
+    by as much. None where the prediction goes along what was measured.
+    """
+    drive = case.model.family in ("drive", "loop") and augmented.actuator is not None
+    if not drive or "x_cmd" not in case.channels or "x_cmd" not in wanted.channels:
+        return None
+    if _measured(wanted):
+        late = replace(augmented, zeros_m=(augmented.zeros_m[1],) * 2)
+        ahead = _commanded(late if continues(case, wanted) else augmented, wanted)
+        if not _follows(ahead.x, estimate.filled(wanted.channels["x_meas"]), wanted.model):
+            return None
+    return _commanded(augmented, case)
 
 
 def _follows(x: Floats, x_meas: Floats, model: Model) -> bool:
@@ -195,14 +230,14 @@ def _driven(
     start = (0.0, 0.0)
     known = np.flatnonzero(np.isfinite(x_meas)) if x_meas is not None else np.zeros(0, dtype=int)
     if known.size and x_meas is not None:
-        start = _start(augmented, push, mass, case, other, x_meas)
+        start = start_of(augmented, push, mass, case, other, x_meas)
     try:
         return augmented.moved_by(push, mass, case.t, other, start)
     except (SimulationError, core.CoreError):
         return None
 
 
-def _start(
+def start_of(
     augmented: Augmented, push: Floats, mass: float, case: Case, other: dict[str, Floats],
     x_meas: Floats,
 ) -> tuple[float, float]:  # fmt: skip
@@ -353,7 +388,7 @@ def output_error(
         push, mass = other["f_in"], 0.0
 
     start = (
-        _start(augmented, push, mass, case, other, x_meas)
+        start_of(augmented, push, mass, case, other, x_meas)
         if case.model.family == "forced"
         else (0.0, 0.0)
     )

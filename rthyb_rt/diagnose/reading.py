@@ -8,23 +8,36 @@ what would make an answer worthless is an `InputError`.
 from __future__ import annotations
 
 import csv
+import difflib
 import tomllib
+import warnings
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.case import CHANNELS, FAMILIES, BoucWen, Case, Floats, Model
-from rthyb_rt.diagnose.estimate import filled
+from rthyb_rt.diagnose.estimate import filled, white_noise
 from rthyb_rt.diagnose.simulate import ActuatorModel, SimulationError, actuator
 from rthyb_rt.errors import InputError, Problem
 
+if TYPE_CHECKING:
+    from rthyb_rt.recording import Recording
+
 BASELINE = "rthyb-baseline/1"
 LEAST_ROWS = 100
+SPIKE = 10.0
+"""Ranges of a channel by which a reading is beyond it that cannot be one."""
+MERE_NOISE = 0.9
+"""Part of a channel that is white noise from which it is taken for nothing else."""
+UNLIKE = 0.02
+"""Part of such a channel that follows the model, up to which it is no measurement of it."""
+SHORT = 3
+"""Rows of a command that are missing in one place, and are filled in."""
 RIG_K_TOL, RIG_C_TOL = 0.02, 0.2
 """What a rig file's numbers are taken to be good for; it does not say."""
 
@@ -131,8 +144,8 @@ def _baseline(data: dict[str, Any], where: str) -> Model:
     model = Model(
         family=family if family in FAMILIES else "drive",
         fs_hz=fs,
-        k=n.get("specimen", "k", 0.0),
-        c=n.get("specimen", "c", 0.0),
+        k=n.get("specimen", "k", 0.0, low=0.0),
+        c=n.get("specimen", "c", 0.0, low=0.0),
         moving_mass=n.get("specimen", "moving_mass", 0.0, low=0.0),
         k_tol=n.optional("specimen", "k_tol"),
         c_tol=n.optional("specimen", "c_tol"),
@@ -143,10 +156,56 @@ def _baseline(data: dict[str, Any], where: str) -> Model:
         x_std=n.optional("noise", "x_std"),
         f_std=n.optional("noise", "f_std"),
         a_std=n.optional("noise", "a_std"),
+        plc=_weights(n),
+        rfc=n.table("controller").get("rfc") if n.table("controller") else None,
     )
     if n.problems:
         raise InputError(n.problems)
-    return model
+    return replace(model, unused=_unused(data))
+
+
+KNOWN: dict[str, tuple[str, ...]] = {
+    "": ("schema", "family", "fs_hz", "command_hold", "command_shift_s", "specimen", "actuator",
+         "numerical", "controller", "noise", "name", "description"),
+    "specimen": ("k", "c", "moving_mass", "k_tol", "c_tol", "bouc_wen"),
+    "specimen.bouc_wen": ("alpha", "xy", "n", "beta", "gamma"),
+    "actuator": ("delay_s", "f_hz", "zeta", "gain"),
+    "numerical": ("m", "c"),
+    "controller": ("plc_w1", "plc_w2", "rfc", "adaptive"),
+    "noise": ("x_std", "f_std", "a_std"),
+}  # fmt: skip
+"""Keys of a baseline file by table."""
+
+
+def _unused(data: dict[str, Any]) -> tuple[str, ...]:
+    """Return the keys of a baseline file that mean nothing here: a slip of the pen, perhaps."""
+    out = []
+    for table, known in KNOWN.items():
+        part: Any = data
+        for name in table.split(".") if table else ():
+            part = part.get(name, {}) if isinstance(part, dict) else {}
+        for key in part if isinstance(part, dict) else ():
+            if key not in known:
+                near = difflib.get_close_matches(key, known, 1, 0.5)
+                near = near or [k for k in known if key in k]
+                hint = f" (is {near[0]} meant?)" if near else ""
+                out.append((f"{table}.{key}" if table else str(key)) + hint)
+    return tuple(out)
+
+
+def _weights(n: _Numbers) -> tuple[float, float] | None:
+    given = n.table("controller")
+    if "plc_w1" not in given or "plc_w2" not in given:
+        return None
+    w1, w2 = n.get("controller", "plc_w1"), n.get("controller", "plc_w2")
+    if abs(w1) <= 1.0 or abs(w2) >= abs(w1 + 1.0):
+        n.problems.append(
+            Problem(
+                f"{n.where}: controller.plc_w1, plc_w2",
+                f"found {w1:g}, {w2:g}; a stable compensator has |w1| > 1 and |w2| < |w1 + 1|",
+            )
+        )
+    return w1, w2
 
 
 def _from_rig(path: Path, schema: str) -> Model:
@@ -163,12 +222,12 @@ def _from_rig(path: Path, schema: str) -> Model:
 
 def model_of_rig(rig: Any, test: Any = None) -> Model:
     """Return the model that a rig file (and, for the numerical part, a test file) stands for."""
-    from rthyb_rt.experiment import specimen_elements
+    from rthyb_rt.experiment import specimen_elements, table_elements
 
     k = c = mass = 0.0
     bouc_wen = None
     extra: list[core.ElementConfig] = []
-    for item in specimen_elements(rig):
+    for item in (*specimen_elements(rig), *table_elements(rig)):
         p = dict(zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True))
         if item.kind == "stiffness":
             k += p["k_n_per_m"]
@@ -214,6 +273,9 @@ def model_of_rig(rig: Any, test: Any = None) -> Model:
         x_std=sensors.displacement.noise_std_m or None,
         f_std=sensors.force.noise_std_n or None,
         extra=tuple(extra),
+        rig=rig,
+        plc=(test.controller.w1, test.controller.w2) if test is not None else None,
+        rfc=test.controller.rfc.enabled if test is not None else None,
     )
 
 
@@ -252,30 +314,39 @@ def read_case(recording: Path, model: Model, judged: bool = True) -> Case:
     Raises:
         InputError: the file cannot be read, or no honest answer can come from it.
     """
+    own = None
     if recording.is_dir() or recording.suffix in (".h5", ".hdf5"):
-        t, channels, notes = _own(recording)
+        from rthyb_rt.recording import open_run
+
+        own = open_run(recording)
+        t, channels, notes = _own(own)
     else:
         t, channels, notes = _table(recording)
     where = str(recording)
+    if model.unused:
+        notes.append(f"not used of the model: {', '.join(model.unused)}")
     t, channels, more = _uniform(t, channels, model.fs_hz, where)
     notes += more
     rows = np.ones(t.size, dtype=np.bool_)
+    _filled_in(channels, notes)
     channels = _usable(channels, model, where, notes, judged)
     if judged:
+        _spikes(channels, notes)
         _clipped(channels, where, notes)
         _fits_family(channels, model, where)
-    case = Case(recording.stem, model, t, channels, rows, notes)
+    folder = recording.resolve().parent.name
+    case = Case(recording.stem, model, t, channels, rows, notes, own, folder)
     if judged:
         if t.size < LEAST_ROWS:
             raise InputError(f"has {t.size} rows; a diagnosis needs at least {LEAST_ROWS}", where)
         _units(case, where)
+        _means_nothing(case, where)
     return case
 
 
-def _own(path: Path) -> tuple[Floats, dict[str, Floats], list[str]]:
-    from rthyb_rt.recording import FLAGS, open_run
+def _own(rec: Recording) -> tuple[Floats, dict[str, Floats], list[str]]:
+    from rthyb_rt.recording import FLAGS
 
-    rec = open_run(path)
     mask = rec.running()
     s = rec.samples[mask]
     channels = {
@@ -296,6 +367,11 @@ def _own(path: Path) -> tuple[Floats, dict[str, Floats], list[str]]:
 
 def _table(path: Path) -> tuple[Floats, dict[str, Floats], list[str]]:
     where = str(path)
+    quick = _quickly(path)
+    if quick is not None:
+        head, body = quick
+        _check_head(head, where)
+        return _columns(head, {name: body[:, j].copy() for j, name in enumerate(head)})
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             lines = list(csv.reader(file))
@@ -308,35 +384,69 @@ def _table(path: Path) -> tuple[Floats, dict[str, Floats], list[str]]:
     if len(lines) < 2:
         raise InputError("has no rows below its header", where)
     head = [name.strip() for name in lines[0]]
-    if "t" not in head:
-        raise InputError(
-            f"has no time column 't'; found {', '.join(head[:8]) or 'no header'}", f"{where}:1"
-        )
-    if len(set(head)) < len(head):
-        raise InputError("has two columns of one name", f"{where}:1")
+    _check_head(head, where)
+    # Lines keep the number that an editor shows; empty ones are no rows.
+    numbered = [(i, line) for i, line in enumerate(lines[1:], 2) if line]
     problems = [
         Problem(f"{where}:{i}", f"has {len(line)} fields, the header {len(head)}")
-        for i, line in enumerate(lines[1:], 2)
-        if line and len(line) != len(head)
+        for i, line in numbered
+        if len(line) != len(head)
     ]
     if problems:
         raise InputError(problems[:5])
-    body = [line for line in lines[1:] if line]
     data: dict[str, Floats] = {}
     for j, name in enumerate(head):
         try:
-            data[name] = np.array([float(line[j] or "nan") for line in body])
+            data[name] = np.array([float(line[j] or "nan") for _, line in numbered])
         except ValueError:
             if name != "t" and name not in CHANNELS:
+                data[name] = np.full(len(numbered), np.nan)
                 continue
-            row = next(i for i, line in enumerate(body, 2) if not _number(line[j]))
-            raise InputError(
-                f"column {name}: {body[row - 2][j]!r} is no number", f"{where}:{row}"
-            ) from None
-    t = data.pop("t")
-    strange = [name for name in data if name not in CHANNELS]
-    notes = [f"columns not used: {', '.join(strange)}"] if strange else []
-    return t, {k: v for k, v in data.items() if k in CHANNELS}, notes
+            row, text = next((i, line[j]) for i, line in numbered if not _number(line[j]))
+            raise InputError(f"column {name}: {text!r} is no number", f"{where}:{row}") from None
+    return _columns(head, data)
+
+
+def _check_head(head: list[str], where: str) -> None:
+    """Refuse a header that names no time, or one name twice."""
+    if "t" not in head:
+        found = ", ".join(head[:8]) or "no header"
+        hint = "; name the column of time, s, t"
+        if len(head) == 1 and any(mark in head[0] for mark in ";\t"):
+            hint = "; separate columns by commas, and write numbers with a point"
+        elif all(_number(name) for name in head):
+            hint = "; the first line is to name the columns: t and " + ", ".join(CHANNELS)
+        raise InputError(f"has no time column 't'; found {found}{hint}", f"{where}:1")
+    if len(set(head)) < len(head):
+        twice = next(name for name in head if head.count(name) > 1)
+        raise InputError(f"has two columns of one name: {twice!r}", f"{where}:1")
+
+
+def _columns(
+    head: list[str], data: dict[str, Floats]
+) -> tuple[Floats, dict[str, Floats], list[str]]:
+    strange = [name for name in head if name != "t" and name not in CHANNELS]
+    known = ", ".join(CHANNELS)
+    notes = [f"columns not used: {', '.join(strange)} (known: {known})"] if strange else []
+    # An infinite reading is as little a number as none.
+    channels = {k: np.where(np.isfinite(v), v, np.nan) for k, v in data.items() if k in CHANNELS}
+    return data["t"], channels, notes
+
+
+def _quickly(path: Path) -> tuple[list[str], Floats] | None:
+    """Return header and rows of a table of nothing but numbers; None for any other.
+
+    Ten minutes of four channels take a second so, and not ten, and a tenth of the memory.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            head = [name.strip() for name in file.readline().split(",")]
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of a file without rows; that is said elsewhere
+                body = np.loadtxt(file, delimiter=",", ndmin=2, comments=None)
+    except (OSError, ValueError):
+        return None
+    return (head, body) if body.shape[1] == len(head) and body.shape[0] > 1 else None
 
 
 def _number(text: str) -> bool:
@@ -434,7 +544,7 @@ def _usable(
             del out[name]
             notes.append(f"{name} {reasons[name]} and is not used")
         elif good.size < values.size and judged:
-            notes.append(f"{name}: {values.size - good.size} rows hold no number; not judged")
+            notes.append(f"{name}: rows without a number: {values.size - good.size}; not judged")
     choices = NEEDED[model.family]
     if judged and not any(set(choice) <= set(out) for choice in choices):
         asked = " or ".join(" and ".join(choice) for choice in choices)
@@ -471,6 +581,29 @@ def _fits_family(channels: dict[str, Floats], model: Model, where: str) -> None:
         )
     if model.k == 0 and model.c == 0 and model.moving_mass == 0 and "f_meas" in channels:
         raise InputError("the model's force is zero: give k, c or moving_mass", where)
+
+
+def _spikes(channels: dict[str, Floats], notes: list[str]) -> None:
+    """Leave out single readings that lie many times beyond everything else: a faulty sample.
+
+    No more than a few rows in a thousand are of that kind; more are a signal.
+    """
+    for name, values in channels.items():
+        good = np.isfinite(values)
+        low, high = np.quantile(values[good], (0.002, 0.998))
+        span = float(high - low)
+        off = good & ((values < low - SPIKE * span) | (values > high + SPIKE * span))
+        # A real peak has flanks: a faulty sample stands alone.
+        alone = off & ~np.r_[False, off[:-1]] & ~np.r_[off[1:], False]
+        if span > 0.0 and off.any() and np.array_equal(alone, off):
+            clean = values.copy()
+            clean[off] = np.nan
+            channels[name] = clean
+            first = int(np.flatnonzero(off)[0])
+            notes.append(
+                f"{name} has {int(off.sum())} stray reading{'s' if off.sum() > 1 else ''} "
+                f"({values[first]:.3g} {CHANNELS[name]} in row {first + 1}); not judged there"
+            )
 
 
 def _clipped(channels: dict[str, Floats], where: str, notes: list[str]) -> None:
@@ -519,6 +652,70 @@ def _longest_run(mask: NDArray[np.bool_]) -> int:
     return int(np.max(edges[1::2] - edges[::2], initial=0))
 
 
+def _means_nothing(case: Case, where: str) -> None:
+    """Refuse a load cell that shows nothing but noise while the specimen moves.
+
+    Laws enough are fitted to nothing: without a reading there is no answer.
+    """
+    f, x = case.channels.get("f_meas"), case.channels.get("x_meas")
+    if f is None or x is None or not case.model.k:
+        return
+    spread = float(np.nanstd(f))
+    if spread == 0.0 or not white_noise(f) > MERE_NOISE * spread:
+        return
+    good = np.isfinite(f) & np.isfinite(x)
+    expected = case.model.spring(filled(x))[good]
+    if np.std(expected) == 0.0 or np.std(expected) < spread:
+        return
+    if abs(float(np.corrcoef(f[good], expected)[0, 1])) < UNLIKE**0.5:
+        raise InputError(
+            f"f_meas shows nothing but noise ({spread:.3g} N) where the model has forces of "
+            f"{float(np.std(expected)):.3g} N: is the load cell connected, is it the right "
+            "channel?",
+            where,
+        )
+
+
+def _filled_in(channels: dict[str, Floats], notes: list[str]) -> None:
+    """Put in rows of an input that are missing one to three at a time.
+
+    What was sent or known is smooth over a few milliseconds; a cubic through its neighbours is
+    nearer than what an actuator makes of the difference. Measured channels keep their gaps.
+    """
+    for name in ("x_cmd", "x_num", "ag", "f_in"):
+        values = channels.get(name)
+        if values is None or np.isfinite(values).all() or np.isfinite(values).sum() < 8:
+            continue
+        lost = ~np.isfinite(values)
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], lost.astype(np.int8), [0]))))
+        short = np.zeros(values.size, dtype=np.bool_)
+        for a, b in zip(edges[::2], edges[1::2], strict=True):
+            if b - a <= SHORT and a > 0 and b < values.size:
+                short[a:b] = True
+        if not short.any():
+            continue
+        clean = values.copy()
+        at = np.flatnonzero(~lost)
+        clean[short] = _cubic(at, values[at], np.flatnonzero(short))
+        channels[name] = clean
+        notes.append(f"{name}: {int(short.sum())} single missing rows were filled in")
+
+
+def _cubic(at: NDArray[np.int64], y: Floats, wanted: NDArray[np.int64]) -> Floats:
+    """Return values between rows by the cubic through the two neighbours to either side."""
+    right = np.clip(np.searchsorted(at, wanted), 2, at.size - 2)
+    index = right[:, None] + np.array([-2, -1, 0, 1])
+    x, f = at[index].astype(np.float64), y[index]
+    out = np.zeros(wanted.size)
+    for i in range(4):
+        term = f[:, i].copy()
+        for j in range(4):
+            if i != j:
+                term *= (wanted - x[:, j]) / (x[:, i] - x[:, j])
+        out += term
+    return out
+
+
 FACTORS: tuple[tuple[float, str], ...] = (
     (1000.0, "1000 (milli or kilo)"),
     (9.81, "9.81 (g or kgf)"),
@@ -535,9 +732,36 @@ def _units(case: Case, where: str) -> None:
                     size = "large" if ratio > 1 else "small"
                     raise InputError(
                         f"{name} is {words} times too {size} for the model (ratio {ratio:.4g}): a "
-                        f"wrong unit is suspected; channels are in SI, {name} in {CHANNELS[name]}",
+                        f"wrong unit is suspected; channels are in SI, {name} in "
+                        f"{CHANNELS[name]}: convert the column, or correct the model",
                         where,
                     )
+        if abs(ratio + 1.0) < 0.12 and name in AGAINST and _opposed(case, name):
+            raise InputError(
+                f"{name} runs against {AGAINST[name]} (ratio {ratio:.4g}): a wrong sign is "
+                "suspected; a command, the displacement and the force that resists it count in "
+                "one direction",
+                where,
+            )
+
+
+AGAINST = {"x_meas": "x_cmd", "f_meas": "the model's force"}
+
+
+def _opposed(case: Case, name: str) -> bool:
+    """Return whether a channel is nothing but the other with its sign turned.
+
+    A force alone may be against the displacement above resonance, where mass outweighs the spring.
+    """
+    if name == "x_meas":
+        return True
+    c, m = case.channels, case.model
+    x, f = filled(c["x_meas"]), filled(c["f_meas"])
+    if np.corrcoef(f, m.spring(x))[0, 1] > -0.95:
+        return False
+    speed, k = float(np.std(np.diff(x))) * m.fs_hz, max(abs(m.k), 1e-300)
+    omega = speed / (float(np.std(x)) or 1.0)
+    return (m.moving_mass + m.mass) * omega**2 < 0.3 * k
 
 
 def _ratios(case: Case) -> Iterable[tuple[str, float]]:

@@ -13,18 +13,25 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
-from rthyb_rt.diagnose.estimate import Estimate
+from rthyb_rt.diagnose.estimate import Estimate, Rows
 
 SKEW_PRIOR_S = 5e-5
 """Standard deviation of the time offset between channels: 0.1 ms is normal."""
 MASS_BLUR = 0.005
 """Relative standard deviation that the estimate of a motion puts on the mass."""
 BLOCKS = 16
+STRETCHES = 24
+"""Stretches of a recording whose misfits scatter independently."""
 ROWS_MAX = 24_000
 """Rows that a search looks at; a longer recording is thinned."""
+LONG = 4
+"""Times as many from which a search whitens pieces of the recording, and not all of it."""
+PIECE = 1024
+"""Rows of such a piece."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +67,7 @@ class Fit:
         count: parameters that were fitted.
         residual: whitened, judged rows; empty before refinement.
         covariance: of (log shapes, coefficients), before scaling.
+        scatter: the same as the residual shows it, see `clustered`; of a simulated motion only.
     """
 
     members: tuple[Member, ...]
@@ -69,6 +77,7 @@ class Fit:
     nuisance: Floats = field(default_factory=lambda: np.zeros(0))
     residual: Floats = field(default_factory=lambda: np.zeros(0))
     covariance: Floats | None = None
+    scatter: Floats | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,6 +96,10 @@ class Problem:
         rows = np.flatnonzero(estimate.rows)
         self.thin = max(1, -(-rows.size // ROWS_MAX))
         self.rows = rows[:: self.thin]
+        self.pieces: Pieces | None = None
+        if self.thin >= LONG and estimate.pieces is not None:
+            self.pieces = _pieces(estimate, ctx)
+            self.rows = self.pieces.rows
         self.y = self.seen(estimate.force - ctx.total)
         self.nuisances = list(self._nuisances())
         self.base = np.column_stack(
@@ -139,7 +152,11 @@ class Problem:
 
     def seen(self, column: Floats) -> Floats:
         """Return a force as it is judged: whitened, judged rows only."""
-        return self.estimate.whiten(column)[self.rows] / self.loudness
+        pieces, whiten = self.pieces, self.estimate.pieces
+        if pieces is None or whiten is None:
+            return self.estimate.whiten(column)[self.rows] / self.loudness
+        clean = whiten(column, pieces.first, PIECE)
+        return np.asarray(clean[pieces.judged] / self.loudness)
 
     def sensible(self, fit: Fit) -> bool:
         """Return whether every effect of a fit makes a physical law."""
@@ -153,6 +170,35 @@ class Problem:
         return np.column_stack(
             [self.seen(c) for c in member.effect.columns(self.ctx, member.trial)]
         )
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Stretches of a long recording that stand for all of it.
+
+    Attributes:
+        first: first row of each, (m,).
+        judged: which of their rows are judged, (m, PIECE).
+        rows: those rows, in order.
+    """
+
+    first: Rows
+    judged: NDArray[np.bool_]
+    rows: Rows
+
+
+def _pieces(estimate: Estimate, ctx: Context) -> Pieces:
+    """Choose half of the pieces evenly, and half where the model is farthest off."""
+    count = estimate.rows.size // PIECE
+    most = ROWS_MAX // PIECE
+    at = np.arange(count)
+    rest = np.where(estimate.rows, estimate.force - ctx.total, 0.0)[: count * PIECE]
+    off = np.sum(rest.reshape(count, PIECE) ** 2, axis=1)
+    even = np.unique(np.linspace(0, count - 1, most // 2).astype(np.int64))
+    loud = [i for i in at[np.argsort(-off)] if i not in set(even)][: most - even.size]
+    first = np.sort(np.concatenate((even, np.array(loud, dtype=np.int64)))) * PIECE
+    judged = estimate.rows[first[:, None] + np.arange(PIECE)]
+    return Pieces(first, judged, (first[:, None] + np.arange(PIECE))[judged])
 
 
 STATIC = {"hysteresis", "cubic", "quadratic", "gap", "stopper", "pinching", "degradation",
@@ -590,14 +636,20 @@ def _stepped(
     return out
 
 
-def _with_covariance(
+def design_of(problem: Problem, fit: Fit) -> Floats:
+    """Return the slopes of the judged rows to (log shapes, coefficients, nuisance), (rows, p)."""
+    blocks = [problem.columns(m) for m in fit.members]
+    places = [(i, j) for i, m in enumerate(fit.members) for j in range(len(m.trial.theta))]
+    return _design(problem, fit.members, blocks, places, fit)
+
+
+def _design(
     problem: Problem,
     members: Sequence[Member],
     blocks: Sequence[Floats],
     places: Sequence[tuple[int, int]],
     fit: Fit,
-) -> Fit:
-    """Put the joint covariance of (log shapes, coefficients, nuisance) in."""
+) -> Floats:
     jacobian = []
     for i, j in places:
         moved = _moved(problem, members[i], j, 1e-3)
@@ -606,12 +658,41 @@ def _with_covariance(
             moved, step = _moved(problem, members[i], j, -1e-3), -1e-3
         change = problem.columns(moved) - blocks[i] if moved else np.zeros_like(blocks[i])
         jacobian.append(change @ fit.betas[i] / step)
-    design = np.column_stack([*jacobian, *blocks, problem.base])
+    return np.column_stack([*jacobian, *blocks, problem.base])
+
+
+def _with_covariance(
+    problem: Problem,
+    members: Sequence[Member],
+    blocks: Sequence[Floats],
+    places: Sequence[tuple[int, int]],
+    fit: Fit,
+) -> Fit:
+    """Put the joint covariance of (log shapes, coefficients, nuisance) in."""
+    design = _design(problem, members, blocks, places, fit)
     gram = design.T @ design + _prior_gram(problem, members, len(places), design.shape[1])
     scale = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
     inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True)
     fit.covariance = inverse / np.outer(scale, scale)
     return fit
+
+
+def clustered(design: Floats, residual: Floats, inverse: Floats) -> Floats:
+    """Return the covariance of least squares that the residual itself shows, (p, p).
+
+    What a law's form leaves hangs together over a stretch of the recording and counts there as one
+    finding, not as one a row: the sums of ``design * residual`` over stretches are taken for what
+    scatters (Liang and Zeger, Biometrika 73 (1986) 13, with the factor g / (g - 1)).
+
+    Args:
+        design: slopes of the judged rows, (rows, p).
+        residual: whitened, (rows,).
+        inverse: of the normal matrix with the priors, (p, p).
+    """
+    cuts = np.linspace(0, residual.size, STRETCHES + 1).astype(np.int64)
+    scores = np.stack([design[i:j].T @ residual[i:j] for i, j in pairwise(cuts)])
+    scores = (scores - scores.mean(axis=0)) @ inverse
+    return np.asarray(scores.T @ scores * STRETCHES / (STRETCHES - 1))
 
 
 def inflation(residual: Floats) -> float:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
+from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.engine import Diagnosis, Found
 
 PLAIN: dict[str, str] = {
@@ -36,27 +40,220 @@ PLAIN: dict[str, str] = {
     "rate_limit": "a velocity limit of the actuator",
 }
 
+KINDS: dict[str, str] = {
+    "sweep": "a sweep over frequency",
+    "random": "random motion",
+    "multi_frequency": "several frequencies at once",
+    "multi_amplitude": "one frequency at several amplitudes",
+}
+"""The kinds of experiment that may be proposed."""
+
+UNITS: dict[str, str] = {
+    "N": "N", "m": "m", "kg": "kg", "s": "s", "Hz": "Hz", "N_m": "N/m", "Ns_m": "N s/m",
+    "m_s": "m/s", "N_m3": "N/m³", "N_m2": "N/m²", "Ns2_m2": "N s²/m²", "N_s": "N/s",
+    "s2_m": "s²/m",
+}  # fmt: skip
+"""Unit of a parameter by the ending of its name."""
+PREFIXES: dict[str, tuple[tuple[float, str], ...]] = {
+    "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm")),
+    "N": ((1e6, "MN"), (1e3, "kN"), (1.0, "N")),
+    "N/m": ((1e6, "MN/m"), (1e3, "kN/m"), (1.0, "N/m")),
+    "N s/m": ((1e3, "kN s/m"), (1.0, "N s/m")),
+    "m/s": ((1.0, "m/s"), (1e-3, "mm/s")),
+    "s": ((1.0, "s"), (1e-3, "ms")),
+}
+LOCAL = 0.3
+"""Part of the largest displacement below which a force has to be nothing to be called local."""
+ACTS = 0.05
+"""Part of its largest size from which a force acts."""
+ALWAYS = 0.9
+"""Part of the recording from which something acts throughout."""
+
+
+def quantity(value: float, unit: str, digits: int = 3) -> str:
+    """Return a value in the multiple of its unit that a reader expects: ``3.1 MN/m``."""
+    scales = PREFIXES.get(unit, ((1.0, unit),))
+    size = abs(value)
+    scale, name = next((s for s in scales if size >= s[0]), scales[-1])
+    return f"{_plain(value / scale, digits)} {name}".rstrip()
+
+
+def _plain(value: float, digits: int) -> str:
+    """Return a number rounded to its digits, with a power of ten only where it needs one."""
+    if value == 0.0 or not np.isfinite(value):
+        return f"{value:g}"
+    exponent = int(np.floor(np.log10(abs(value))))
+    if not -3 <= exponent < 6:
+        power = str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        return f"{value / 10.0**exponent:.{digits - 1}f}·10{power}".replace("-", "−")
+    decimals = digits - 1 - exponent
+    return f"{round(value, decimals):.{max(decimals, 0)}f}".replace("-", "−")
+
 
 def value_text(name: str, value: float) -> str:
     """Return a parameter with its unit, as ``Fc = 812 N``."""
     head, _, unit = name.partition("_")
-    unit = {
-        "N": "N", "m": "m", "kg": "kg", "s": "s", "Hz": "Hz", "N_m": "N/m", "Ns_m": "N s/m",
-        "m_s": "m/s", "N_m3": "N/m³", "N_m2": "N/m²", "Ns2_m2": "N s²/m²", "N_s": "N/s",
-        "s2_m": "s²/m",
-    }.get(unit, "")  # fmt: skip
-    return f"{head} = {value:.4g} {unit}".rstrip()
+    if UNITS.get(unit) is None:
+        return f"{name.replace('_', ' ')} = {_plain(value, 4)}"
+    return f"{head} = {quantity(value, UNITS[unit], 4)}"
 
 
-def interval_text(ci: list[float] | None) -> str:
-    """Return a 95 % interval in words."""
-    return f"95 %: {ci[0]:.4g} to {ci[1]:.4g}" if ci else ""
+def interval_text(name: str, ci: list[float] | None) -> str:
+    """Return a 95 % interval in words, in the multiple of the unit that its larger end has."""
+    if not ci:
+        return ""
+    unit = UNITS.get(name.partition("_")[2], "")
+    scales = PREFIXES.get(unit, ((1.0, unit),))
+    size = max(abs(ci[0]), abs(ci[1]))
+    scale, word = next((s for s in scales if size >= s[0]), scales[-1])
+    low, high = (_plain(end / scale, 4) for end in ci)
+    return f"{low} to {high} {word}".rstrip()
 
 
-def named(c: Found) -> str:
-    """Return an effect with its parameters."""
-    values = ", ".join(value_text(k, v) for k, v in c.params.items())
-    return f"{PLAIN.get(c.name, c.name)} ({values})" if values else PLAIN.get(c.name, c.name)
+def _signed(less: str, more: str) -> Callable[[float], str]:
+    return lambda value: less if value < 0 else more
+
+
+def _phrase(c: Found) -> str:
+    """Return an effect with its size, as a laboratory says it: ``a stop at 18.2 mm with 3.1 MN/m``.
+
+    An effect of the user's own, or one without its parameters, is named with all that it has.
+    """
+    p = c.params
+
+    def q(name: str) -> str:
+        return quantity(abs(p[name]), UNITS.get(name.partition("_")[2], ""))
+
+    def percent(value: float) -> str:
+        return f"{_plain(100.0 * abs(value), 3)} %"
+
+    more = _signed("less", "more")
+    phrases: dict[str, Callable[[], str]] = {
+        "coulomb": lambda: f"dry friction of {q('Fc_N')}",
+        "viscous": lambda: f"{q('c_Ns_m')} {more(p['c_Ns_m'])} of viscous damping",
+        "stribeck": lambda: (
+            f"friction that falls with velocity from {q('Fs_N')} to {q('Fc_N')} within "
+            f"{q('vs_m_s')}"
+        ),
+        "lugre": lambda: (
+            f"friction of {q('Fc_N')} with elastic bristles of {q('sigma0_N_m')}"
+        ),
+        "quad_damping": lambda: (
+            f"{q('c2_Ns2_m2')} {more(p['c2_Ns2_m2'])} of damping with the square of velocity"
+        ),
+        "inertia": lambda: f"{q('m_kg')} {more(p['m_kg'])} of moving mass",
+        "gap": lambda: f"a gap of {q('gap_m')}",
+        "cubic": lambda: (
+            f"a spring that {_signed('softens', 'hardens')(p['k3_N_m3'])} with the third power of "
+            f"displacement ({q('k3_N_m3')})"
+        ),
+        "quadratic": lambda: (
+            f"a spring of another stiffness to either side (quadratic, {q('k2_N_m2')})"
+        ),
+        "stopper": lambda: f"a stop at {q('xs_m')} with {q('ks_N_m')}",
+        "stiffness": lambda: (
+            f"a stiffness {percent(p['dk_ratio'])} "
+            f"{_signed('below', 'above')(p['dk_ratio'])} the model's"
+        ),
+        "hysteresis": lambda: (
+            f"yielding from {q('xy_m')} on, with {percent(p['alpha'])} of the stiffness left"
+        ),
+        "pinching": lambda: f"pinching by {percent(p['depth'])} around zero displacement",
+        "degradation": lambda: (
+            f"a stiffness that loses {percent(p['loss'])} over {q('travel_m')} of travel"
+        ),
+        "maxwell": lambda: f"relaxation of {q('km_N_m')} within {q('tau_s')}",
+        "second_mode": lambda: f"{q('m2_kg')} that ride along on a spring at {q('f2_Hz')}",
+        "bias": lambda: (
+            f"an offset of the load cell of {quantity(p['bias_N'], 'N')}"
+        ),
+        "drift": lambda: f"a drift of the load cell of {quantity(p['rate_N_s'], 'N/s')}",
+        "hum": lambda: f"hum of {q('amp_N')} at {q('f_Hz')} in the load cell",
+        "time_skew": lambda: (
+            f"a load cell that is {q('skew_s')} {_signed('early', 'late')(p['skew_s'])}"
+        ),
+        "crosstalk": lambda: f"{percent(p['ratio'])} of the orthogonal force in the load cell",
+        "quantisation": lambda: f"a load cell that reads in steps of {q('lsb_N')}",
+        "delay": lambda: (
+            f"{q('dtau_s')} {_signed('less', 'more')(p['dtau_s'])} delay of the actuator"
+        ),
+        "delay_rate": lambda: f"a delay that grows with velocity by {q('kappa_s2_m')}",
+        "oil_column": lambda: (
+            f"an actuator with {q('f_Hz')} and a damping ratio of {_plain(p['zeta'], 3)}"
+        ),
+        "act_gain": lambda: f"an actuator that goes {_plain(p['gain'], 4)} times as far",
+        "rate_limit": lambda: f"an actuator that is no faster than {q('vmax_m_s')}",
+    }  # fmt: skip
+    try:
+        return phrases[c.name]()
+    except KeyError:
+        values = ", ".join(value_text(k, v) for k, v in p.items())
+        plain = PLAIN.get(c.name, c.name)
+        return f"{plain} ({values})" if values else plain
+
+
+LOOP_WORDS: dict[str, str] = {
+    "x_meas": "measured displacement", "x_num": "computed displacement", "f_meas": "force",
+    "alpha": "delay estimate",
+}  # fmt: skip
+
+
+def loop_rows(answer: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Return what the closed loop says, as rows of label, value and explanation."""
+    rows = []
+    loop = answer.get("closed_loop")
+    if loop and loop["possible"]:
+        before, after = loop["nrmse_before"], loop["nrmse_after"]
+        texts = {k: f"{100 * before[k]:.3g} → {100 * after[k]:.3g} %" for k in before}
+        rest = "; ".join(f"{LOOP_WORDS[k]} {v}" for k, v in texts.items() if k != "x_meas")
+        rows.append(("test simulated again, NRMSE", texts["x_meas"], rest))
+    for name, word in (("alpha", "alpha recovered"), ("k_t_n_per_m", "k_t recovered")):
+        found = answer.get("recovered", {}).get(name, {})
+        if found.get("possible"):
+            low, high = found["range"]
+            share = 100.0 * found["identified_share"]
+            rows.append(
+                (
+                    word,
+                    f"{found['median']:.4g} {found['unit']}",
+                    f"median; from {low:.4g} to {high:.4g}, in {share:.0f} % of the rows",
+                )
+            )
+        elif found:
+            rows.append((word, "not possible", found["why"]))
+    return rows
+
+
+def next_text(d: Diagnosis) -> str:
+    """Return the next experiment in words; empty where there is none."""
+    if not d.next_experiment:
+        return ""
+    kind, why = d.next_experiment["kind"], d.next_experiment["why"]
+    for name in d.effects:
+        why = why.replace(f"to confirm {name}:", f"to confirm {PLAIN.get(name, name)}:")
+    return f"{KINDS.get(kind, kind.replace('_', ' '))}; {why}"
+
+
+def check_rows(checks: list[dict[str, Any]] | None) -> list[tuple[str, str]]:
+    """Return what the self-check came to, as rows of effect and result."""
+    rows = []
+    for row in checks or ():
+        name = PLAIN.get(row["effect"], row["effect"])
+        what = "displacement" if row.get("channel") == "disp" else "force"
+        if "smallest_detectable_share" in row:
+            share, least = row["smallest_detectable_share"], row.get("largest_tried_share", 0.16)
+            rows.append(
+                (
+                    name,
+                    f"found down to {100 * share:.2g} % of the {what}"
+                    if share
+                    else f"not even found at {100 * least:.2g} % of the {what}",
+                )
+            )
+        else:
+            again = "found again" if row["found"] else "not found again"
+            rows.append((name, f"as found, {100 * row['share']:.3g} % of the {what}: {again}"))
+    return rows
 
 
 def _when(d: Diagnosis) -> str:
@@ -64,37 +261,118 @@ def _when(d: Diagnosis) -> str:
         return ""
     whole = float(d.case.t[-1] - d.case.t[0]) or 1.0
     covered = sum(b - a for a, b in d.windows)
-    if covered > 0.9 * whole:
+    if covered > ALWAYS * whole:
         return "throughout the recording"
+    if len(d.windows) > 6:
+        first, last = d.windows[0][0], d.windows[-1][1]
+        return f"{len(d.windows)} times between {first:.1f} and {last:.1f} s"
     spans = [f"{a:.1f} and {b:.1f} s" for a, b in d.windows[:3]]
-    more = f" and {len(d.windows) - 3} more times" if len(d.windows) > 3 else ""
+    left = len(d.windows) - 3
+    more = "" if left <= 0 else " and once more" if left == 1 else f" and {left} more times"
     return "between " + ", between ".join(spans) + more
 
 
-def sentence(d: Diagnosis, answer: dict[str, Any]) -> str:
-    """Return the verdict in one sentence."""
-    if d.verdict == "none":
-        return (
-            "Nothing is missing: model and recording agree inside the stated tolerances and noise."
+def _where(d: Diagnosis, signal: Floats) -> str:
+    """Return where on the stroke a force acts, if that is at one part of it only."""
+    motion = d.estimate.motion if d.estimate is not None else None
+    if motion is None or d.channel != "force":
+        return ""
+    size = np.abs(signal)
+    acts = size > ACTS * float(size.max())
+    if not acts.any() or acts.all():
+        return ""
+    x, top = motion.x, float(np.max(np.abs(motion.x)))
+    least = float(np.min(np.abs(x[acts])))
+    if least > LOCAL * top:
+        if np.all(x[acts] > 0):
+            return f"x > {quantity(least, 'm')}"
+        if np.all(x[acts] < 0):
+            return f"x < −{quantity(least, 'm')}"
+        return f"|x| > {quantity(least, 'm')}"
+    return ""
+
+
+def _difference(d: Diagnosis, signal: Floats | None) -> str:
+    """Return what differs, and to which side where that is plain."""
+    channels = {c.channel for c in d.candidates if c.name in d.effects}
+    if len(channels) == 2:
+        return "actuator and specimen both differ from the model"
+    if d.channel == "disp":
+        return "the actuator moves otherwise than the model"
+    if "f_meas" not in d.case.channels:
+        return "the specimen resists otherwise than the model"
+    ctx = d.context
+    if signal is not None and ctx is not None and np.std(signal) > 0:
+        together = float(signal @ ctx.total) / (
+            float(np.linalg.norm(signal) * np.linalg.norm(ctx.total)) or 1.0
         )
+        acts = np.abs(signal) > ACTS * float(np.max(np.abs(signal)))
+        same = np.sign(signal[acts]) == np.sign(ctx.total[acts])
+        if together > 0 and np.mean(same) > 0.95:
+            return "the load cell reads more than the model"
+        if together < 0 and np.mean(~same) > 0.95:
+            return "the load cell reads less than the model"
+    return "the load cell reads otherwise than the model"
+
+
+def _judged(d: Diagnosis) -> str:
+    """Return what a verdict of nothing missing is silent of."""
+    if d.force is None and d.disp is not None:
+        return "Of the specimen this says nothing: there is no force that could be judged."
+    return ""
+
+
+def _rest(d: Diagnosis) -> str:
+    """Return what is left beside what was found."""
+    before, after = d.fit.get("nrmse_before", 0.0), d.fit.get("nrmse_after", 0.0)
+    error = f"NRMSE {100 * before:.3g} % before, {100 * after:.3g} % after"
+    only_disp = d.channel == "disp" and (d.force is None or not d.force.best.members)
+    left = d.disp.best.chi2 / d.disp.task.rows.size - 1.0 if only_disp and d.disp else None
+    if left is None and d.force is not None:
+        left = d.force.excess_after
+    return f"{error}, the rest is noise" if left is not None and left < 0.1 else error
+
+
+def sentence(d: Diagnosis, answer: dict[str, Any]) -> str:
+    """Return the verdict in one sentence, with one more where it is silent of something."""
+    if d.verdict == "none":
+        what = " in the actuator" if d.force is None else ""
+        text = (
+            f"Nothing is missing{what}: model and recording agree inside the stated tolerances "
+            "and noise."
+        )
+        return f"{text} {_judged(d)}".rstrip()
     sensor = "the actuator's displacement" if d.channel == "disp" else "the force"
     where = _when(d)
     if d.verdict == "unknown":
-        return (
-            f"{where[:1].upper()}{where[1:]}, for x from {d.x_m[0] * 1e3:.3g} to "
-            f"{d.x_m[1] * 1e3:.3g} mm and v from {d.v_m_s[0] * 1e3:.3g} to {d.v_m_s[1] * 1e3:.3g} "
-            f"mm/s, {sensor} differs from the model by something that no known effect explains."
+        lead = f"{where}, " if where else ""
+        text = (
+            f"{lead}for x from {d.x_m[0] * 1e3:.3g} to {d.x_m[1] * 1e3:.3g} mm and v from "
+            f"{d.v_m_s[0] * 1e3:.3g} to {d.v_m_s[1] * 1e3:.3g} mm/s, {sensor} differs from the "
+            "model by something that no known effect explains."
         )
+        return text[:1].upper() + text[1:]
     if d.verdict == "ambiguous":
         sets = " or ".join(" with ".join(PLAIN.get(n, n) for n in s) for s in d.ambiguous_with)
-        return f"This recording cannot tell apart: {sets}; each explains {sensor} equally well."
+        return (
+            f"Something is missing that this recording cannot tell apart: {sets}; each explains "
+            f"{sensor} equally well."
+        )
     by_name = {c.name: c for c in d.candidates}
-    parts = " and ".join(named(by_name[n]) if n in by_name else n for n in d.effects)
+    named = [by_name[n] for n in d.effects if n in by_name]
+    signals = [c.signal for c in named if c.signal is not None and c.channel == d.channel]
+    total = np.sum(signals, axis=0) if signals else None
+    place = _where(d, total) if total is not None else ""
+    if place:
+        where = f"{where} and only where {place}" if where else f"where {place}"
+    what = _difference(d, total)
+    lead = f"{where} {what}" if where else what
+    parts = " and ".join(_phrase(c) for c in named)
     before, after = d.fit.get("nrmse_before", 0.0), d.fit.get("nrmse_after", 0.0)
     share = 100.0 * (1.0 - (after / before) ** 2) if before > 0 else 0.0
-    verb = "explain" if len(d.effects) > 1 else "explains"
-    return (
-        f"{where[:1].upper()}{where[1:]} {sensor} differs from the model: {parts} {verb} "
-        f"{min(share, 100.0):.1f} % of it (NRMSE {100 * before:.3g} % before, "
-        f"{100 * after:.3g} % after)."
-    )
+    verb = "explain" if len(named) > 1 else "explains"
+    part = f"{share:.3g} %" if share < 99.9 else "more than 99.9 %"
+    if share <= 0.0:
+        # A coarse load cell adds nothing to the model: it is what the rest is.
+        return f"{lead[:1].upper()}{lead[1:]}: {parts} ({_rest(d)})."
+    return f"{lead[:1].upper()}{lead[1:]}: {parts} {verb} {part} of it ({_rest(d)})."

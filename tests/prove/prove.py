@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -67,12 +68,13 @@ def ask(tool: scoring.Tool, folders: list[Path], jobs: int, what: str) -> list[s
 
 def recordings(tool: scoring.Tool, folder: Path) -> str:
     """Held-out errors on the real recordings under `folder`, one line each; '' without any."""
-    lines = []
+    lines, physics = [], []
     for case in sorted(p.parent for p in folder.glob("*/answer.json")):
         known = json.loads((case / "answer.json").read_text())
         if "nrmse_heldout_known" not in known:
             continue
-        said, prediction = tool(case)
+        with tempfile.TemporaryDirectory() as copy:
+            said, prediction = tool(Path(shutil.copytree(case, Path(copy) / case.name)))
         channel = "x" if "channel x" in known["metric"] else "f"
         first = int(known["metric"].split("rows from ")[1].split()[0])
         held = scoring.read_csv(case / "heldout.csv")
@@ -83,18 +85,22 @@ def recordings(tool: scoring.Tool, folder: Path) -> str:
             error = 100 * float(np.sqrt(np.nanmean(miss**2)) / np.nanstd(true))
         effects = ", ".join(said.get("effects") or []) or "-"
         lines.append(
-            f"| {case.name} | {known['known_model']} | {said.get('verdict')}: {effects} "
+            f"| {case.name} | {said.get('verdict')}: {effects} "
             f"| {known['nrmse_heldout_naive']:.1f} | {known['nrmse_heldout_known']:.2f} "
             f"| {error:.2f} |"
         )
+        physics.append(f"* `{case.name}`: {known['known_model']}")
     if not lines:
         return ""
     head = (
-        "## Real recordings\n\nHeld-out NRMSE in per cent of the standard deviation.\n\n"
-        "| recording | known physics | answer | model as given | known physics | answer |\n"
-        "|---|---|---|---|---|---|\n"
+        "## Real recordings\n\n"
+        "Held-out NRMSE in per cent of the standard deviation: of the model as given, of the best "
+        "model\nof the known physics, and of what the diagnosis predicts.\n\n"
+        "| recording | answer | as given | known physics | predicted |\n"
+        "|---|---|---|---|---|\n"
     )
-    return head + "\n".join(lines) + "\n"
+    known_physics = "\n\nWhat is known of them, from their `answer.json`:\n\n" + "\n".join(physics)
+    return head + "\n".join(lines) + known_physics + "\n"
 
 
 def page(

@@ -52,7 +52,8 @@ def command_line(program: list[str], seconds: float = 300.0) -> Tool:
         except subprocess.TimeoutExpired:
             return {"verdict": "failed", "error": f"no answer in {seconds:.0f} s"}, None
         except json.JSONDecodeError:
-            return {"verdict": "failed", "error": (done.stderr or done.stdout)[-800:]}, None
+            said = (done.stderr or done.stdout)[-800:]
+            return {"verdict": "failed", "error": f"exit {done.returncode}: {said}"}, None
         return answer, read_csv(out) if out.exists() else None
 
     return run

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
+from pathlib import Path
+
 from rthyb_rt.diagnose.effects import friction, hysteretic, inertial, sensor, springs
 from rthyb_rt.diagnose.effects.base import Context, Effect, Param, Trial
+from rthyb_rt.errors import InputError
 
 _REGISTER: dict[str, Effect] = {}
 
@@ -23,6 +27,66 @@ def catalogue() -> dict[str, Effect]:
     return dict(_REGISTER)
 
 
+def load(path: Path) -> list[str]:
+    """Run a Python file that registers effects; return the names that are new or replaced.
+
+    Raises:
+        InputError: it cannot be read, fails, or registers nothing.
+    """
+    before = dict(_REGISTER)
+    spec = importlib.util.spec_from_file_location(f"rthyb_effect_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise InputError("is no Python file; its name ends in .py", str(path))
+    try:
+        spec.loader.exec_module(importlib.util.module_from_spec(spec))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror or error})", str(path)) from error
+    except Exception as error:  # whatever a user's file may raise
+        line = _line_of(error, path)
+        raise InputError(f"{type(error).__name__}: {error}", f"{path}{line}") from error
+    added = [name for name, effect in _REGISTER.items() if before.get(name) is not effect]
+    if not added:
+        raise InputError(
+            "registers no effect; its last line is effects.register(YourEffect())", str(path)
+        )
+    for name in added:
+        _check(_REGISTER[name], str(path))
+    return added
+
+
+def _line_of(error: BaseException, path: Path) -> str:
+    if isinstance(error, SyntaxError):
+        return f":{error.lineno}"
+    lines, frame = [], error.__traceback__
+    while frame is not None:
+        if Path(frame.tb_frame.f_code.co_filename).resolve() == path.resolve():
+            lines.append(frame.tb_lineno)
+        frame = frame.tb_next
+    return f":{lines[-1]}" if lines else ""
+
+
+def _check(effect: Effect, where: str) -> None:
+    """Refuse an effect that lacks what the search needs of it."""
+    kind = type(effect)
+    lacking = [
+        word
+        for word, there in (
+            ("name", bool(effect.name)),
+            ("params", bool(effect.params)),
+            ("equation", bool(effect.equation)),
+            ("columns(ctx, trial)", kind.columns is not Effect.columns),
+        )
+        if not there
+    ]
+    if len(effect.params) > 1 and kind.report is Effect.report:
+        lacking.append("report(ctx, trial, beta), as it has several parameters")
+    if lacking:
+        remove(effect.name)
+        raise InputError(
+            f"effect {effect.name or kind.__name__!r} lacks {', '.join(lacking)}", where
+        )
+
+
 for _module in (springs, friction, inertial, hysteretic, sensor):
     for _effect in _module.EFFECTS:
         register(_effect)
@@ -34,4 +98,14 @@ def params_of(name: str, effect: Effect) -> set[str]:
     return {p.name for p in (own or effect).params}
 
 
-__all__ = ["Context", "Effect", "Param", "Trial", "catalogue", "params_of", "register", "remove"]
+__all__ = [
+    "Context",
+    "Effect",
+    "Param",
+    "Trial",
+    "catalogue",
+    "load",
+    "params_of",
+    "register",
+    "remove",
+]

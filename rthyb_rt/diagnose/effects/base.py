@@ -148,6 +148,8 @@ class Effect:
         fingerprint: what it looks like in a residual.
         shown_by: the kind of experiment that shows it best, and why.
         sensor: it sits in the load cell's chain: not felt by the specimen.
+        momentary: its force follows from x and v of the moment alone, so that a closed loop can be
+            simulated with it though the core has no element for it.
         complete: a joint law that no other effect of the specimen stands beside.
         signs: one a linear coefficient: '+', '-' or '*' for any.
         pinned: standard deviation of each coefficient around 1, or None for a free one.
@@ -160,6 +162,7 @@ class Effect:
     fingerprint = ""
     shown_by: tuple[str, str] = ("sweep", "it covers amplitude and frequency")
     sensor = False
+    momentary = False
     complete = False
     signs: str = "*"
     pinned: tuple[float | None, ...] | None = None

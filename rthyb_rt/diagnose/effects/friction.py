@@ -65,12 +65,14 @@ class Coulomb(Effect):
     """Dry friction with a free width around zero velocity: a fixed one turns it into Stribeck.
 
     Variant "contact" shears by a little before it slips, as every contact does: then what a small
-    reversal shows is a spring's force, not a step's.
+    reversal shows is a spring's force, not a step's. Variant "root" rounds the step by the other
+    common formula, which comes to its level later than tanh: told from tanh alone, the difference
+    would be taken for damping.
     """
 
     name = "coulomb"
     params = (Param("Fc_N", "N", 0.0, 1e8),)
-    equation = "f = Fc tanh(v / width)"
+    equation = "f = Fc tanh(v / width), or Fc v / sqrt(v^2 + width^2)"
     fingerprint = "residual jumps with the sign of velocity, its size does not change"
     shown_by = SLOW
     signs = "+"
@@ -79,6 +81,7 @@ class Coulomb(Effect):
         """Return widths from a sharp jump to a thirtieth of the velocity."""
         return [
             *(Trial((float(w),)) for w in ctx.v_range * np.geomspace(3e-4, 4e-2, 8)),
+            *(Trial((float(w),), "root") for w in ctx.v_range * np.array([5e-3, 2e-2])),
             *(Trial((float(z),), "contact") for z in ctx.x_range * np.geomspace(5e-5, 3e-3, 4)),
         ]
 
@@ -92,6 +95,8 @@ class Coulomb(Effect):
         """Return the smoothed sign of velocity, or of the last path."""
         if trial.variant == "contact":
             return [slipping(ctx, trial.theta[0])]
+        if trial.variant == "root":
+            return [ctx.v / np.hypot(ctx.v, trial.theta[0])]
         return [np.tanh(ctx.v / trial.theta[0])]
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
@@ -242,6 +247,25 @@ class Lugre(Effect):
         ]  # fmt: skip
 
 
+STARTS = {"low": 0.05, "middle": 0.5, "high": 0.95}
+"""Places in the play where a recording may begin, as parts of its width; nobody records it."""
+
+
+def behind(
+    ctx: Context, k: float, gap: float, up: float, down: float, start: float, seat: float = 0.0
+) -> Floats:
+    """Return the force of a slider of +``up`` and -``down`` behind a play and a spring, (n,), N.
+
+    ``start`` is where in the play the first row finds it: 0 at its lower face, 1 at its upper one.
+    """
+    element = core.Element(
+        core.element(
+            "gap_friction", k_n_per_m=k, gap_m=gap, fc_up_n=up, fc_down_n=down, seat_m=seat
+        )
+    )
+    return element.run(ctx.x + gap * (2.0 * start - 1.0), ctx.v, ctx.a, ctx.dt)
+
+
 class FrictionBehindGap(Effect):
     """Dry friction that is driven through a backlash: nothing is felt until the gap is taken up."""
 
@@ -264,32 +288,118 @@ class FrictionBehindGap(Effect):
             return []
         r = ctx.x_range
         return [
-            Trial((float(g), float(w)))
-            for g in r * np.geomspace(0.01, 0.6, 9)
-            for w in r * np.geomspace(0.005, 0.4, 6)
+            Trial((float(g), float(w), q), place)
+            for g in r * np.geomspace(0.015, 0.5, 6)
+            for w in r * np.geomspace(0.008, 0.35, 4)
+            for place, q in STARTS.items()
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep both within the motion."""
-        return [(1e-3 * ctx.x_range, ctx.x_range), (5e-4 * ctx.x_range, ctx.x_range)]
+        """Keep both within the motion, the start within the play."""
+        way = ctx.x_range
+        return [(1e-3 * way, way), (5e-4 * way, way), (0.005, 1.0)]
 
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return one coefficient, the friction, and three parameters."""
-        return ("+", (None,)), 3
+        """Return one coefficient, the friction, and four parameters."""
+        return ("+", (None,)), 4
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the force per N of friction."""
-        gap, way = trial.theta
-        bent = iwan(np.array([gap + way]), np.array([1.0]), ctx.x)
-        return [(bent - np.clip(bent, -gap, gap)) / way]
+        gap, way, start = trial.theta
+        return [behind(ctx, 1.0 / way, gap, 1.0, 1.0, start)]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return gap and friction."""
         return {"gap_m": trial.theta[0], "Fc_N": float(beta[0])}
 
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        gap, way, _ = trial.theta
+        fc = float(beta[0])
+        return [
+            core.element(
+                "gap_friction", k_n_per_m=fc / way, gap_m=gap, fc_up_n=fc, fc_down_n=fc, seat_m=0.0
+            )
+        ]
+
+
+class UnevenFrictionBehindGap(Effect):
+    """The same where the two directions slip at different forces.
+
+    Bands, wedges and slanted pads grip harder one way. Half the difference of both levels is what a
+    load cell shows for a bias while it slides, and is named so; in the play and in stick there is
+    none of it, which tells the two apart.
+
+    The faces of the play meet over a part of the way, not at once.
+    """
+
+    name = "gap+coulomb+bias"
+    params = (
+        Param("gap_m", "m", 1e-9, 1.0),
+        Param("Fc_N", "N", 0.0, 1e8),
+        Param("bias_N", "N", -1e8, 1e8),
+    )
+    equation = "slider of bias +- Fc on a spring k behind a play of +-gap"
+    fingerprint = "as one behind a gap, with two levels that are not the same; none in the gap"
+    shown_by = ("multi_amplitude", "a gap takes the same displacement at every amplitude")
+    signs = "+"
+    complete = True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All three names."""
+        return ("bias", "coulomb", "gap")
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return gaps, elastic ways and their ratio, coarser than those of the even pair."""
+        if not ctx.k_free:
+            return []
+        r = ctx.x_range
+        return [
+            Trial((float(g), float(w * q), float(w / q), start, 0.5 * float(min(g, w * q))), place)
+            for g in r * np.geomspace(0.02, 0.5, 5)
+            for w in r * np.geomspace(0.015, 0.25, 3)
+            for q in (0.84, 1.19)
+            for place, start in STARTS.items()
+        ]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep all ways within the motion, the start within the play."""
+        way = (5e-4 * ctx.x_range, ctx.x_range)
+        return [(1e-3 * ctx.x_range, ctx.x_range), way, way, (0.005, 1.0), way]
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return one coefficient, the spring's stiffness, and what shapes it."""
+        return ("+", (None,)), 1 + len(trial.theta)
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the force per N/m of the spring."""
+        gap, up, down, start, seat = trial.theta
+        return [behind(ctx, 1.0, gap, up, down, start, seat)]
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return gap, friction, and half the difference between its directions."""
+        gap, up, down = trial.theta[:3]
+        k = float(beta[0])
+        return {"gap_m": gap, "Fc_N": 0.5 * k * (up + down), "bias_N": 0.5 * k * (up - down)}
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        gap, up, down = trial.theta[:3]
+        k = float(beta[0])
+        return [
+            core.element(
+                "gap_friction", k_n_per_m=k, gap_m=gap, fc_up_n=k * up, fc_down_n=k * down,
+                seat_m=trial.theta[4],
+            )
+        ]  # fmt: skip
+
 
 EFFECTS: tuple[Effect, ...] = (
     Viscous(), QuadDamping(), Coulomb(), Stribeck(), Lugre(), FrictionBehindGap(),
+    UnevenFrictionBehindGap(),
 )  # fmt: skip

@@ -1,0 +1,179 @@
+"""The whole hybrid test once more: same test, controller and ground motion on two virtual rigs.
+
+The diagnosis cuts the loop open at its signals. What it found is judged here with the loop closed:
+the model as given and the model with what was found each stand in for the rig, in virtual time, and
+what the controller makes of them is held against what it recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from rthyb_rt import config, core, experiment
+from rthyb_rt.diagnose.case import Floats, Model
+from rthyb_rt.diagnose.predict import nrmse
+from rthyb_rt.errors import InputError
+from rthyb_rt.recording import FLAGS, Recording
+
+Law = Callable[[float, float], float]
+
+SIGNALS: dict[str, str] = {
+    "x_meas": "x_meas_m",
+    "x_num": "x_num_m",
+    "f_meas": "f_meas_n",
+    "alpha": "alpha",
+}
+"""What is compared, and the record's field of it."""
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """A recorded test beside its simulation with two models.
+
+    Attributes:
+        t: time of the rows of the test proper, (n,), s.
+        recorded, before, after: by name of `SIGNALS`, each (n,), m, N or samples; NaN where a
+            measurement was made up during the test, and where a simulated test had ended.
+        nrmse_before, nrmse_after: by the same names, fractions: rms of the difference over the
+            standard deviation of what was recorded; for alpha, which may be constant, over its rms.
+        notes: what the comparison cannot hold.
+    """
+
+    t: Floats
+    recorded: dict[str, Floats]
+    before: dict[str, Floats]
+    after: dict[str, Floats]
+    nrmse_before: dict[str, float]
+    nrmse_after: dict[str, float]
+    notes: list[str] = field(default_factory=list)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures for the answer."""
+        return {
+            "possible": True,
+            "nrmse_before": self.nrmse_before,
+            "nrmse_after": self.nrmse_after,
+            "notes": self.notes,
+        }
+
+
+def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = None) -> ClosedLoop:
+    """Simulate a recorded test with the model as given and with what was found in it.
+
+    Args:
+        rec: recording of this program; its test, rig and ground motion set the controller.
+        given, augmented: the two models as rig files' text; only their actuator, specimen and
+            sensors are used.
+        law: force beside the augmented specimen, N, from displacement (m) and velocity (m/s).
+
+    Raises:
+        InputError: the recording cannot be repeated, or a rig file is not in order.
+    """
+    if rec.meta.get("interrupted"):
+        raise InputError("the test was held and resumed: its ground motion does not run through")
+    test = config.parse_test(rec.test_toml, "recording: test")
+    rig = config.parse_rig(rec.rig_toml, "recording: rig")
+    derived = config.derive(test, rig)
+    mask = rec.running()
+    count = int(mask.sum())
+    ag = np.zeros(count)
+    known = rec.ag_mps2[:count]
+    ag[: known.size] = known
+    moving = np.flatnonzero(rec.ag_mps2)
+    end_tick = int(moving[-1]) + 1 if moving.size else count
+    settings = experiment.controller_config(test, rig, derived, end_tick)
+    state = rec.replay.controller_state if rec.meta.get("clock") == "virtual" else b""
+    recorded = _signals(rec.samples[mask])
+    notes: list[str] = []
+    runs = []
+    for name, text, beside in (
+        ("the model as given", given, None), ("what was found", augmented, law),
+    ):  # fmt: skip
+        virtual = experiment.rig_config(config.parse_rig(text, name))
+        samples, status = _run(settings, state, virtual, ag, beside)
+        if samples.size < count:
+            reason = ", ".join(n for n in core.status_names(status) if n not in ("trip", "limited"))
+            notes.append(
+                f"simulated with {name}, the test ends at {samples.size / rec.fs_hz:.2f} s: "
+                f"{reason.replace('_', ' ') or 'tripped'}"
+            )
+        made = _signals(samples)
+        runs.append({k: np.r_[v, np.full(count - v.size, np.nan)] for k, v in made.items()})
+    before, after = runs
+    return ClosedLoop(
+        np.arange(count) / rec.fs_hz, recorded, before, after,
+        _errors(before, recorded), _errors(after, recorded), notes,
+    )  # fmt: skip
+
+
+def _run(
+    settings: core.ControllerConfig,
+    state: bytes,
+    rig: core.RigConfig,
+    ag: Floats,
+    law: Law | None,
+) -> tuple[core.RecordArray, int]:
+    controller = core.Controller(settings)
+    if state:
+        controller.restore(state)
+    samples = np.zeros(ag.size, dtype=core.RECORD_DTYPE)
+    if law is not None:
+        return _stepped(controller, core.Rig(rig), ag, samples, law)
+    done, status = controller.run_virtual(core.Rig(rig), ag, samples)
+    return samples[:done], status
+
+
+def _stepped(
+    controller: core.Controller,
+    rig: core.Rig,
+    ag: Floats,
+    samples: core.RecordArray,
+    law: Law,
+) -> tuple[core.RecordArray, int]:
+    """Run sample by sample, with a force of Python's beside the specimen's."""
+    before, status = rig.true_displacement_m, 0
+    for n, excitation in enumerate(ag.tolist()):
+        x, f, _ = rig.step(controller.x_cmd_m)
+        now = rig.true_displacement_m
+        f += law(now, (now - before) / core.PERIOD_S)
+        before = now
+        sample = controller.step(x, f, excitation)
+        for key in SIGNALS.values():
+            samples[key][n] = sample.record[key]
+        status |= sample.status
+        if status & core.STATUS["trip"]:
+            return samples[: n + 1], status
+    return samples, status
+
+
+def _signals(samples: core.RecordArray) -> dict[str, Floats]:
+    out = {name: samples[key].astype(np.float64) for name, key in SIGNALS.items()}
+    made_up = (samples["flags"] & (FLAGS["predicted"] | FLAGS["blind"])) != 0
+    out["x_meas"][made_up] = out["f_meas"][made_up] = np.nan
+    return out
+
+
+def _errors(made: dict[str, Floats], recorded: dict[str, Floats]) -> dict[str, float]:
+    out = {name: nrmse(made[name], recorded[name]) for name in SIGNALS if name != "alpha"}
+    good = np.isfinite(made["alpha"]) & np.isfinite(recorded["alpha"])
+    size = float(np.sqrt(np.mean(recorded["alpha"][good] ** 2))) if good.any() else 0.0
+    gap = (made["alpha"] - recorded["alpha"])[good]
+    out["alpha"] = float(np.sqrt(np.mean(gap**2))) / size if size else float("nan")
+    return out
+
+
+def same_actuator(model: Model, rec: Recording) -> Model:
+    """Return the model with the recording's own rig around it where it says nothing of one.
+
+    A baseline file knows a second-order actuator at most; without one, the rig that recorded lends
+    its own, whose load cell then sees the specimen alone.
+    """
+    if model.rig is not None or model.actuator is not None:
+        return model
+    rig = config.parse_rig(rec.rig_toml, "recording: rig")
+    frame = rig.rig.model_copy(update={"load_cell": "specimen"})
+    return replace(model, rig=rig.model_copy(update={"rig": frame}))

@@ -1,0 +1,302 @@
+"""Sets of effects judged by the motion that they simulate: bodies that move freely.
+
+Without a load cell the balance of forces is known no better than the estimate of the motion, and
+near resonance that is badly. The displacement that a set simulates from the recorded input has no
+such error: it meets the measured one to the sensor's noise, or the set is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rthyb_rt import core
+from rthyb_rt.diagnose import estimate
+from rthyb_rt.diagnose.case import Case, Floats, Model
+from rthyb_rt.diagnose.effects.base import Context
+from rthyb_rt.diagnose.predict import Augmented, changed, parameters, start_of
+from rthyb_rt.diagnose.select import MASS_BLUR, SKEW_PRIOR_S, Fit, Problem, clustered
+from rthyb_rt.diagnose.simulate import Motion, SimulationError
+
+EXACT = 1.5e-4
+"""Part of a displacement that two good simulators differ by."""
+NUISANCE = 3.0
+"""Standard deviations that mass and offset in time move at most."""
+MET = 1.5
+"""Mean square, in units of the noise, up to which a simulated displacement is the measured one."""
+CLOSE = 0.005
+"""The same as a part of what the model alone leaves: simulators of friction differ by so much."""
+RUNS = 400
+"""Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
+STEPS = 6
+STEP = 1e-4
+
+
+def judged(case: Case) -> bool:
+    """Return whether a recording is one of a body that moves freely, without a load cell."""
+    model = case.model
+    if model.k_tol is None or model.k == 0.0 or "x_meas" not in case.channels:
+        return False
+    if model.family == "forced":
+        return True
+    return model.family == "ground" and "f_meas" not in case.channels and "ag" in case.channels
+
+
+def shown(case: Case) -> bool:
+    """Return whether a recording is one of a body on moving ground that a load cell holds."""
+    model = case.model
+    if model.family != "ground" or model.k_tol is None or model.k == 0.0:
+        return False
+    return all(name in case.channels for name in ("x_meas", "f_meas", "ag"))
+
+
+class Body:
+    """A recording's input and the displacement that answers it."""
+
+    def __init__(self, case: Case, ctx: Context) -> None:
+        self.case, self.ctx, self.runs = case, ctx, RUNS
+        self.x = case.channels["x_meas"]
+        self.other = {k: estimate.filled(v) for k, v in case.channels.items()}
+        rows = case.rows & np.isfinite(self.x)
+        for name in ("ag", "f_in"):
+            if name in case.channels:
+                rows &= np.isfinite(case.channels[name])
+        self.rows = np.flatnonzero(rows)
+        spread = float(np.std(self.x[self.rows])) or 1.0
+        noise = estimate.noise_of(self.x, case.model.x_std)
+        self.sigma = float(np.hypot(noise, EXACT * spread))
+        self.spread = spread
+        model = case.model
+        self.whole = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
+
+    def _push(self, factor: float) -> tuple[Floats, float]:
+        """Return the force on the body, and the mass that no element has."""
+        model = self.case.model
+        if model.family == "ground":
+            return -model.mass * factor * self.other["ag"], model.mass * factor
+        return self.other["f_in"], model.moving_mass * (factor - 1.0)
+
+    def quick(self, fit: Fit) -> bool:
+        """Return whether every effect is one element of the core, and no loop of many springs."""
+        rest = Augmented(
+            self.case.model, self.case.model, fit.members, fit.betas, None, self.ctx.all_ranges
+        ).elements()[2]
+        slow = ("hysteresis", "pinching", "degradation")
+        return not any(m.name in slow or not m.effect.sensor for m, _ in rest) and not any(
+            n in slow for n in fit.names
+        )
+
+    def _ends(self, first: Augmented, place: tuple[str, int, int]) -> tuple[float, float]:
+        """Return the range of a parameter: of a shape, that of its effect, as logarithms."""
+        kind, i, j = place
+        if kind != "theta":
+            return (-0.98, np.inf)
+        member = first.members[i]
+        low, high = member.effect.limits(self.ctx, member.trial)[j]
+        at = abs(member.trial.theta[j])
+        return (min(float(np.log(low / at)), 0.0), max(float(np.log(high / at)), 0.0))
+
+    def motion(self, problem: Problem, fit: Fit) -> Motion | None:
+        """Return the motion that a set simulates; None unless it meets the measured displacement.
+
+        To its noise, or to what laws of friction leave: an estimate is blurred by more.
+        The load cell's own effects do not move the body and are left out.
+        """
+        felt = [i for i, m in enumerate(fit.members) if not m.effect.sensor]
+        begun = replace(
+            fit,
+            members=tuple(fit.members[i] for i in felt),
+            betas=tuple(fit.betas[i] for i in felt),
+        )
+        found = self.refined(problem, begun) if self.quick(begun) else None
+        if found is None:
+            return None
+        allowed = MET * self.rows.size
+        if found.chi2 > allowed:
+            null = self.refined(problem, replace(fit, members=(), betas=()))
+            allowed = max(allowed, CLOSE * null.chi2) if null is not None else allowed
+        base = self.case.model
+        plain = _with_nuisance(base, problem, found)
+        own = Augmented(plain, base, found.members, found.betas, None, self.ctx.all_ranges)
+        blur = [b for b, n in zip(found.nuisance, problem.nuisances, strict=True)
+                if n.name == "blur"]  # fmt: skip
+        push, mass = self._push(float(np.exp(sum(blur) / self.whole)))
+        try:
+            start = start_of(own, push, mass, self.case, self.other, self.x)
+            motion = own.moved_by(push, mass, self.case.t, self.other, start)
+        except (SimulationError, core.CoreError):
+            return None
+        rest = (motion.x - self.x)[self.rows] / self.sigma
+        return motion if float(rest @ rest) < allowed else None
+
+    def refined(self, problem: Problem, fit: Fit) -> Fit | None:
+        """Fit a set's parameters to the displacement; None where it cannot be simulated.
+
+        Beside them stiffness, damping, mass and the offset in time move within what is known of
+        them, and the start is free. Chi-squared and residual are those of the displacement.
+        """
+        base = self.case.model
+        plain = _with_nuisance(base, problem, fit)
+        first = Augmented(plain, base, fit.members, fit.betas, None, self.ctx.all_ranges)
+        places = [p for p in parameters(first) if p[0] != "m"]
+        held = {"k": (base.k, plain.k, base.k_tol), "c": (base.c, plain.c, base.c_tol)}
+        count = len(places)
+        # Beyond the places: mass, offset in time, displacement and velocity at the start.
+        push, mass = self._push(1.0)
+        try:
+            at = start_of(first, push, mass, self.case, self.other, self.x)
+        except (SimulationError, core.CoreError):
+            return None
+        rate = 2.0 * np.pi * self.spread
+
+        if self.runs <= 0:
+            return None
+
+        def residual(p: Floats) -> Floats:
+            self.runs -= 1
+            push, mass = self._push(float(np.exp(MASS_BLUR * p[count])))
+            now = changed(first, places, _logs(places, p))
+            start = (at[0] + p[count + 2] * self.spread, at[1] + p[count + 3] * rate)
+            motion = now.moved_by(push, mass, self.case.t, self.other, start)
+            x = motion.x - p[count + 1] * SKEW_PRIOR_S * motion.v
+            prior = [p[count], p[count + 1]]
+            for j, (kind, _, _) in enumerate(places):
+                if kind in held:
+                    known, begun, tolerance = held[kind]
+                    if tolerance:
+                        prior.append((begun / known * (1.0 + p[j]) - 1.0) / tolerance)
+            return np.asarray(np.r_[(x - self.x)[self.rows] / self.sigma, prior])
+
+        try:
+            shapes = [kind == "theta" for kind, _, _ in places]
+            reach = np.r_[np.where(shapes, 0.4, 2.0), 2.0, 2.0, 0.4, 0.4]
+            ends = np.array([self._ends(first, place) for place in places]).reshape(-1, 2)
+            loose = [[-NUISANCE, NUISANCE]] * 2 + [[-np.inf, np.inf]] * 2
+            p, r, gram, slopes = _least(
+                residual, reach, np.vstack((ends, loose)), central=not any(shapes)
+            )
+        except (SimulationError, core.CoreError, np.linalg.LinAlgError):
+            return None
+        best = changed(first, places, _logs(places, p))
+        if any(
+            not m.effect.sensible(self.ctx, m.trial, b)
+            for m, b in zip(best.members, best.betas, strict=True)
+        ):
+            return None
+        moved = {
+            "stiffness": best.model.k / base.k - 1.0,
+            "viscous": best.model.c - base.c,
+            "blur": MASS_BLUR * float(p[count]) * self.whole,
+            "skew": SKEW_PRIOR_S * float(p[count + 1]),
+        }
+        nuisance = np.array([moved.get(n.name, 0.0) for n in problem.nuisances])
+        inverse = _inverse(gram)
+        n = self.rows.size
+        scatter = clustered(slopes[:n], r[:n], inverse)
+        return Fit(
+            best.members, best.betas, float(r @ r), fit.count, nuisance, r[:n],
+            _covariance(first, places, inverse, nuisance.size),
+            _covariance(first, places, scatter, nuisance.size),
+        )  # fmt: skip
+
+
+def _with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
+    for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
+        if nuisance.name == "stiffness":
+            model = replace(model, k=model.k * (1.0 + float(b)))
+        elif nuisance.name == "viscous" and model.c + float(b) > 0.0:
+            model = replace(model, c=model.c + float(b))
+    return model
+
+
+def _least(
+    residual: Callable[[Floats], Floats], reach: Floats, ends: Floats, central: bool
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the parameters, residual, normal matrix and slopes of least squares from zero.
+
+    A step goes no farther than ``reach``, (n,), a parameter no farther than its ``ends``, (n, 2).
+    Slopes are ``central`` where priors decide: at resonance a one-sided one is wrong by more.
+    """
+    size = reach.size
+    p = np.zeros(size)
+
+    def slope(p: Floats, r: Floats, e: Floats) -> Floats:
+        if central:
+            return (residual(p + e) - residual(p - e)) / (2.0 * STEP)
+        return (residual(p + e) - r) / STEP
+
+    r = residual(p)
+    # What only its prior holds is weak beside the rest: heavy damping would keep it from moving.
+    best, damping = float(r @ r), 1e-8
+    if not np.isfinite(best):
+        raise SimulationError("the motion ran off")
+    gram, jacobian = np.eye(size), np.zeros((r.size, size))
+    for _ in range(STEPS):
+        try:
+            jacobian = np.column_stack([slope(p, r, e) for e in STEP * np.eye(size)])
+        except (SimulationError, core.CoreError):
+            break
+        gram = jacobian.T @ jacobian
+        right = -jacobian.T @ r
+        gain = 0.0
+        for _ in range(7):
+            step = np.linalg.solve(gram + damping * np.diag(gram.diagonal() + 1e-12), right)
+            trial = np.clip(p + np.clip(step, -reach, reach), ends[:, 0], ends[:, 1])
+            try:
+                new = residual(trial)
+            except (SimulationError, core.CoreError):
+                damping *= 30.0
+                continue
+            now = float(new @ new)
+            if np.isfinite(now) and now < best:
+                gain, p, r, best = best - now, trial, new, now
+                damping = max(damping * 0.1, 1e-10)
+                break
+            damping *= 30.0
+        if gain < 1e-6 * best + 0.05:
+            break
+    return p, r, gram, jacobian
+
+
+def _logs(places: Sequence[tuple[str, int, int]], p: Floats) -> Floats:
+    """Return the logarithms of the factors of each place.
+
+    Coefficients move linearly: where two of them do the same, as stiffness and mass under a sine,
+    the valley between them is then straight.
+    """
+    factors = np.log(np.maximum(1.0 + p[: len(places)], 1e-3))
+    shapes = np.array([kind == "theta" for kind, _, _ in places], dtype=np.bool_)
+    return np.asarray(np.where(shapes, p[: len(places)], factors))
+
+
+def _inverse(gram: Floats) -> Floats:
+    scale = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
+    inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    return np.asarray(inverse / np.outer(scale, scale))
+
+
+def _covariance(
+    first: Augmented, places: Sequence[tuple[str, int, int]], inverse: Floats, nuisances: int
+) -> Floats:
+    """Return the covariance of (log shapes, coefficients, nuisance) as `select.Fit` has it."""
+    shapes = [len(m.trial.theta) for m in first.members]
+    widths = [len(b) for b in first.betas]
+    rows, factors, at = [], [], []
+    for row, (kind, i, j) in enumerate(places):
+        if kind == "theta":
+            at.append(sum(shapes[:i]) + j)
+            factors.append(1.0)
+        elif kind == "beta":
+            at.append(sum(shapes) + sum(widths[:i]) + j)
+            factors.append(float(first.betas[i][j]))
+        else:
+            continue
+        rows.append(row)
+    size = sum(shapes) + sum(widths) + nuisances
+    out = np.zeros((size, size))
+    if rows:
+        part = inverse[np.ix_(rows, rows)] * np.outer(factors, factors)
+        out[np.ix_(at, at)] = part
+    return out

@@ -1,0 +1,40 @@
+"""What the diagnosis says of recordings that other laboratories made."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from prove import scoring
+
+RECORDINGS = Path(__file__).parent / "data" / "diagnosis"
+
+
+@pytest.mark.parametrize("name", sorted(p.parent.name for p in RECORDINGS.glob("*/answer.json")))
+def test_known_physics_of_a_real_recording_is_named_and_foretells_the_rest(
+    name: str, tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(RECORDINGS / name, tmp_path / name))
+    known = json.loads((folder / "answer.json").read_text())
+    said, prediction = scoring.command_line([str(Path(sys.executable).with_name("rthyb"))])(folder)
+
+    assert said["verdict"] == ("explained" if known["effects"] else "none"), said
+    # What is known of it comes first; that it is all, nobody has measured.
+    assert [c["name"] for c in said["candidates"]][: len(known["effects"])] == known["effects"]
+    assert bool(said["effects"]) == bool(known["effects"])
+
+    # A loop hardens by a part of its own spring, never by more, nor by less than nothing.
+    for candidate in said["candidates"]:
+        assert 0.0 <= candidate["params"].get("alpha", 0.0) < 1.0
+
+    # As the figure in the answer was taken: rows from, and channel, are said there.
+    channel = "x" if "channel x" in known["metric"] else "f"
+    first = int(known["metric"].split("rows from ")[1].split()[0])
+    truth = scoring.read_csv(folder / "heldout.csv")[f"{channel}_meas"][first:]
+    miss = prediction[channel][first:] - truth
+    error = 100.0 * np.sqrt(np.nanmean(miss**2)) / np.nanstd(truth)
+    assert error <= known["nrmse_heldout_known"]
