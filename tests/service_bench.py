@@ -6,6 +6,7 @@ import asyncio
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import wait
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -168,13 +169,17 @@ def served(folder: Path, **more: Any) -> Iterator[Daemon]:
         daemon = Daemon(rig, ours, "stepped", options, read_rig=read_rig, before_tick=drive.tick)
         working = asyncio.run_coroutine_threadsafe(daemon.work(), thread.loop)
         try:
-            while not options.socket.exists() and not working.done():
+            # Its file is there a little before anybody listens.
+            while daemon._server is None and not working.done():
                 os.sched_yield()
             yield daemon
             thread.loop.call_soon_threadsafe(daemon.stop)
             assert working.result(60.0) == 0
         finally:
-            working.cancel()
+            # What a failed test leaves undone must not be found by the garbage collector later.
+            if not working.done():
+                thread.loop.call_soon_threadsafe(daemon.stop)
+                wait([working], 20.0)
             thread.close()
             daemon.engine.close()
             daemon._end_recorder()

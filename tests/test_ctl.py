@@ -16,11 +16,14 @@ from service_bench import rig_file, served
 
 from rthyb_rt import config, realtime, recording
 from rthyb_rt.cli import ctl
+from rthyb_rt.config import RigFile
 from rthyb_rt.recording import STATES
 from rthyb_rt.service import metrics
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import Daemon
 from rthyb_rt.service.recorder import read_index
+
+pytestmark = pytest.mark.alone
 
 SHORT = [
     *("--set", "test.duration_s=1.5", "--set", "ground_motion.start_s=1.5"),
@@ -115,6 +118,7 @@ def test_trip_is_reset(rthyb: Rthyb, place: Path, daemon: Daemon) -> None:
     refused = rthyb("ctl", "stop")
     assert refused.code == 5
     assert "the state is TRIPPED, stop is allowed in IDLE or ZEROED" in refused.err
+    assert "reset leaves TRIPPED, once its cause is gone" in refused.err
     assert "signal" in rthyb("ctl", "status").out
     assert rthyb("ctl", "reset").out == "Reset\n"
     assert look(place)["state"] == "IDLE"
@@ -224,10 +228,33 @@ def test_limits_are_reloaded(rthyb: Rthyb, place: Path) -> None:
     with served(place, read_rig=lambda: rig_file(now)) as daemon:
         before = rthyb("ctl", "load", *SHORT, "--json").json["digest"]
         assert rthyb("ctl", "reload").out == "Limits reloaded\n"
+        assert "\\b" not in rthyb("ctl", "--help").out
         limit = daemon.engine.rig.limits.tracking_error_m
         assert limit is not None
         assert limit.value == 3e-3
         assert rthyb("ctl", "status", "--json").json["test"]["digest"] != before
+
+
+def test_rig_file_is_not_even_read_while_a_test_moves(rthyb: Rthyb, place: Path) -> None:
+    """Work beside a running test is a risk of late ticks."""
+    looked: list[str] = []
+
+    def read() -> RigFile:
+        looked.append("read")
+        return rig_file()
+
+    with served(place, read_rig=read):
+        to_arm(rthyb, *LONG)
+        assert rthyb("ctl", "start").code == 0
+        await_state(place, "RUNNING")
+        answer = rthyb("ctl", "reload")
+        assert answer.code == 5
+        assert "limits change at rest or in HOLD" in answer.err
+        assert not looked
+        assert rthyb("ctl", "stop").code == 0
+        await_state(place, "IDLE")
+        assert rthyb("ctl", "reload").code == 0
+        assert looked
 
 
 # ---- figures ------------------------------------------------------------------------------------

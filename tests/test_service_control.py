@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
+import random
 import re
 import shutil
 import socket
 import subprocess
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,6 +21,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from realtime_bench import until
 from service_bench import (
     LOOKER,
     LOOKERS,
@@ -28,6 +32,7 @@ from service_bench import (
     STRANGER,
     listening,
     rig_file,
+    served,
     short_test,
 )
 
@@ -583,10 +588,103 @@ def test_record_comes_back_as_it_was_to_the_last_bit() -> None:
     assert dict(back.details) == dict(motion.details)
 
 
+WRONG: list[bytes] = [
+    b"",
+    b"null",
+    b"[" * 40_000,
+    b'{"a":' * 9_000,
+    b'{"method": "org.rthyb.Control.Stop", "parameters": {"now": "yes"}}',
+    b'{"method": "org.rthyb.Control.Start", "parameters": {"token": "' + b"0" * 32 + b'"}}',
+    b'{"method": "org.rthyb.Control.Arm", "parameters": {"digest": 1e999}}',
+    b'{"method": "org.rthyb.Control.Load", "parameters": {"test_toml": "", "record": {}}}',
+    b'{"method": "org.rthyb.Control.Load", "parameters": {"test_toml": "a = [", "record": []}}',
+    b'{"method": "org.rthyb.Control.Zero", "parameters": null, "upgrade": true}',
+    b'{"method": "org.rthyb.Control.Jump", "parameters": {}, "more": 1}',
+    b'{"method": "\\ud800", "parameters": {"\\u0000": -0.0}}',
+]
+
+
+def made_wrong(chance: random.Random) -> tuple[bytes, bool]:
+    """Return what is no request that anybody may be granted, and whether it is too long."""
+    kind = chance.randrange(6)
+    if kind == 0:
+        # Not one that is empty by chance: a NUL ends a request.
+        return bytes(
+            chance.randrange(1, 256) for _ in range(chance.randrange(1, 300))
+        ) + b"\0", False
+    if kind == 1:
+        return chance.choice(WRONG) + b"\0", False
+    if kind == 2 and chance.randrange(4) == 0:
+        begin = b'{"method":"org.rthyb.Control.Stop","parameters":{"now":"'
+        ends = b"\0" if chance.randrange(2) else b""
+        return begin + b"x" * chance.randrange(REQUEST_BYTES, 3 * REQUEST_BYTES) + ends, True
+    name = chance.choice((*LOOK, *OPERATE))
+    data = bytearray(control.encode(call(name, token="t" * 32, digest="d" * 64, now=None)))
+    for _ in range(chance.randrange(1, 5)):
+        at = chance.randrange(len(data))
+        data[at : at + chance.randrange(4)] = chance.randbytes(chance.randrange(4))
+    return bytes(data) + b"\0", False
+
+
+def told_wrong(path: Path, data: bytes, torn: bool) -> list[bytes]:
+    """Send it on a connection of its own; return the answers. Torn: hang up without a look."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        client.settimeout(30.0)
+        client.connect(str(path))
+        said = b""
+        with contextlib.suppress(ConnectionError):
+            client.sendall(data)
+            if torn:
+                return []
+            client.shutdown(socket.SHUT_WR)
+        with contextlib.suppress(ConnectionError):
+            while part := client.recv(1 << 16):
+                said += part
+    return said.split(b"\0")[:-1]
+
+
+def resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def test_service_lives_through_any_number_of_malformed_and_oversized_requests(place: Path) -> None:
+    """Of somebody who may do everything, at the socket itself: nothing comes of any."""
+    chance = random.Random(17)
+    limits = control.Limits(per_s=1e9, burst=1e9)
+    refused: Counter[str] = Counter()
+    long = torn = 0
+    begun_mb, descriptors = 0.0, 0
+    with served(place, limits=limits) as made:
+        path = made.options.socket
+        for number in range(FUZZ):
+            if number == FUZZ // 4:
+                begun_mb, descriptors = resident_mb(), len(os.listdir("/proc/self/fd"))
+            data, too_long = made_wrong(chance)
+            hangs_up = chance.randrange(8) == 0
+            long, torn = long + too_long, torn + hangs_up
+            for answer in told_wrong(path, data, hangs_up):
+                reply = json.loads(answer)
+                if "error" not in reply:
+                    # Damage that leaves a question as it was gets its answer.
+                    assert reply["parameters"].keys() <= {"status", "name", "rig_toml", "text"}
+                    refused["answered"] += 1
+                    continue
+                assert "fault of the program" not in str(reply["parameters"].get("reason", ""))
+                refused[reply["error"].rpartition(".")[2]] += 1
+        with Client(path) as client:
+            found = client.call("GetStatus")["status"]
+        assert (found["state"], found["test"], found["run_id"]) == ("IDLE", None, "")
+        until(lambda: made._server is not None and made._server.connections == 0, "nobody")
+        assert len(os.listdir("/proc/self/fd")) <= descriptors + 2
+        grown_mb = resident_mb() - begun_mb
+        assert grown_mb < 8.0
+    told = ", ".join(f"{name} {count}" for name, count in sorted(refused.items()))
+    print(f"{FUZZ} requests, {long} oversized, {torn} torn: {told}; {grown_mb:+.1f} MB")
+
+
 def test_socket_lives_through_a_thousand_scraps(place: Path) -> None:
     """Bytes cut anywhere, connections dropped in the middle."""
-    import random
-
     rng = random.Random(3)
     whole = control.encode(call("Hold", text="y" * 50))
     with listening(place / "s", echoing(), per_s=1e9, burst=1e9) as server:

@@ -5,6 +5,7 @@ Every row that a killed test leaves is held against the log of the drive at the 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import select
@@ -26,13 +27,18 @@ from command_line import Rthyb
 from realtime_bench import ATTEMPTS, PROGRAM, STALLED, STATE, Process, until
 from service_bench import rig_file, short_test
 
-from rthyb_rt import config, experiment, loop, realtime, recording
+from rthyb_rt import config, experiment, loop, realtime, recording, ticker, virtual_rig
+from rthyb_rt.commissioning import certificate
 from rthyb_rt.commissioning.moving import command_numbers
+from rthyb_rt.links import opening
 from rthyb_rt.recording import FLAGS, Recording
 from rthyb_rt.service import installing, systemd
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import record_of
+from rthyb_rt.service.engine import Engine
 from rthyb_rt.service.recorder import read_index, read_status
+
+pytestmark = pytest.mark.alone
 
 
 class Stalled(Exception):
@@ -388,7 +394,7 @@ def test_every_file_is_installed_and_taken_away_but_the_rig(installed: Path) -> 
 def test_install_service_says_what_it_wrote_and_what_comes_next(
     rthyb: Rthyb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(installing, "_HIDDEN", ())
+    monkeypatch.setattr(installing, "HIDDEN", ())
     root = tmp_path / "system"
     answer = rthyb("install-service", "--root", root, "--rig", "delay-10-elastic", "--json")
     assert answer.code == 0, answer.err
@@ -400,7 +406,35 @@ def test_install_service_says_what_it_wrote_and_what_comes_next(
     assert f"ExecStart={installing.program()} serve" in (
         root / installing.PLACES["rthyb.service"]
     ).read_text(encoding="utf-8")
-    assert rthyb("install-service", "--root", root, "--uninstall").out.count("Removed") == 7
+    assert rthyb("install-service", "--root", root, "--uninstall").out.count("Removed") == 8
+
+
+def test_rig_that_was_commissioned_is_so_for_the_service_too(
+    rthyb: Rthyb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The certificate lies beside the operator's file, which the service never sees."""
+    monkeypatch.setattr(installing, "HIDDEN", ())
+    link = '\n[link]\nkind = "socket"\nchannel = "wire"\n'
+    own = tmp_path / "own" / "my-rig.toml"
+    own.parent.mkdir()
+    own.write_text(config.dump(rig_file()) + link, encoding="utf-8")
+    rig = config.load_rig(own)
+    made = certificate.Certificate(rig.rig.name, certificate.rig_hash(rig), False, "wire")
+    steps = [certificate.Step(name, True, certificate.now()) for name in certificate.STEPS]
+    for step in steps:
+        made = made.with_step(step)
+    certificate.write(certificate.place(own), made)
+    root = tmp_path / "system"
+    answer = rthyb("install-service", "--root", root, "--rig", own)
+    assert answer.code == 0, answer.err
+    installed = root / installing.RIG
+    held, _ = certificate.find(config.load_rig(installed), installed)
+    assert held == made
+    kept = installed.with_name("rig.commissioned.json")
+    assert f"Wrote {kept}" in answer.out
+    assert kept.stat().st_mode & 0o777 == 0o644
+    again = rthyb("install-service", "--root", root, "--rig", own)
+    assert "was there already, and is left as it was" in again.err
 
 
 def test_shell_is_told_what_may_come_next() -> None:
@@ -412,6 +446,53 @@ def test_shell_is_told_what_may_come_next() -> None:
     }
     ran = subprocess.run(PROGRAM, env=env, capture_output=True, text=True, check=True)
     assert ran.stdout.split() == ["status", "start", "stop"]
+
+
+def opened_here(device: Path) -> int:
+    """Return how often this process has a file open."""
+    found = 0
+    for fd in os.listdir("/proc/self/fd"):
+        with contextlib.suppress(OSError):
+            found += os.readlink(f"/proc/self/fd/{fd}") == str(device)
+    return found
+
+
+def test_processors_are_kept_awake_from_the_start_of_a_service_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file plays the device: zero, four bytes, for as long as it is open."""
+    device = tmp_path / "cpu_dma_latency"
+    device.touch()
+    monkeypatch.setattr(ticker, "LATENCY_DEVICE", str(device))
+    rig = rig_file()
+    ours, theirs = opening.socket_pair()
+    with ours:
+        companion = virtual_rig.Companion(rig, theirs.fd)
+        theirs.close()
+        made = Engine(rig, ours, clock="host", folder=tmp_path / "rings")
+        try:
+            assert opened_here(device) == 0
+            made.start()
+            until(lambda: made.loop.counts.elapsed > 10, "ticks")
+            assert device.read_bytes() == bytes(4)
+            assert opened_here(device) == 1
+            assert "processors_awake" in made.loop.privileges
+        finally:
+            made.close()
+            ours.close()
+            companion.close()
+    assert opened_here(device) == 0
+
+
+def test_device_rules_are_what_udev_takes_without_a_word(installed: Path) -> None:
+    if shutil.which("udevadm") is None:
+        pytest.skip("udevadm is not on this machine")
+    rules = installed / installing.PLACES["70-rthyb.rules"]
+    ran = subprocess.run(["udevadm", "verify", rules], capture_output=True, text=True, check=False)
+    if "verify" in ran.stderr and ran.returncode:
+        pytest.skip("this udevadm cannot look at a file: systemd 254 can")
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "Fail: 0" in ran.stdout
 
 
 def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -433,7 +514,9 @@ def test_units_are_what_systemd_takes_without_a_word(installed: Path) -> None:
     assert (ran.returncode, ran.stdout, ran.stderr) == (0, "", "")
 
 
-@pytest.mark.parametrize(("unit", "most"), [("rthyb", 1.6), ("rthyb-recorder", 0.6)])
+@pytest.mark.parametrize(
+    ("unit", "most"), [("rthyb", 1.6), ("rthyb-recorder", 0.6), ("rthyb-live", 1.4)]
+)
 def test_units_are_exposed_as_little_as_is_promised(
     installed: Path, unit: str, most: float
 ) -> None:
@@ -469,6 +552,10 @@ def test_groups_and_folders_are_what_the_units_mean(installed: Path) -> None:
     sysusers = (installed / installing.PLACES["rthyb.sysusers"]).read_text()
     assert re.search(r"^u rthyb ", sysusers, re.M)
     assert re.search(r"^g rthyb-operator ", sysusers, re.M)
+    # The live view must not be the owner of the service, who may do everything.
+    assert re.search(r"^u rthyb-live ", sysusers, re.M)
+    unit = (installed / installing.PLACES["rthyb-live.service"]).read_text()
+    assert re.findall(r"^(?:User|Group)=(.*)$", unit, re.M) == ["rthyb-live", "rthyb"]
 
 
 def test_program_that_the_service_cannot_see_is_refused(
@@ -480,11 +567,15 @@ def test_program_that_the_service_cannot_see_is_refused(
     program.parent.mkdir()
     program.write_text("")
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
-    monkeypatch.setattr(installing, "_HIDDEN", (str(tmp_path),))
+    monkeypatch.setattr(sys, "executable", "/usr/bin/python3")
+    monkeypatch.setattr(installing, "HIDDEN", (str(tmp_path),))
     with pytest.raises(Exception, match="which the service does not see"):
         installing.program()
-    monkeypatch.setattr(installing, "_HIDDEN", ("/home",))
+    monkeypatch.setattr(installing, "HIDDEN", ("/home",))
     assert installing.program() == program
+    monkeypatch.setattr(sys, "executable", "/home/alice/.pyenv/bin/python3")
+    with pytest.raises(Exception, match=r"alice/.pyenv/bin/python3 lies below /home"):
+        installing.program()
     program.unlink()
     with pytest.raises(Exception, match="there is no program rthyb"):
         installing.program()

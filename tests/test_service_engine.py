@@ -16,6 +16,8 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.recording import STATES
 from rthyb_rt.service.engine import COMMANDS, StateError, allowed_states
 
+pytestmark = pytest.mark.alone
+
 FOLLOWING = loop.PHASES.index("following")
 
 
@@ -334,6 +336,29 @@ def test_limits_are_reloaded_in_hold_with_a_generation(rings: Path) -> None:
     (rec,) = left(rings)
     assert rec.meta["real_time"]["cause"] == "tracking"
     assert rec.samples["generation"][-1] == 1
+    assert realtime.replay(rec).identical
+
+
+def test_reload_that_the_tick_refuses_says_why_and_changes_nothing(rings: Path) -> None:
+    limited = {"rig.limits.command_velocity_m_per_s": '"0.2 m/s"'}
+    with bench(rings, limited) as made:
+        made.reach("HOLD")
+        engine, loaded = made.engine, made.engine.loaded
+        with pytest.raises(StateError) as told:
+            engine.reload(rig_file())
+        assert "would switch off a limit of the command's velocity" in str(told.value)
+        assert "stop, and change them in IDLE" in str(told.value)
+        assert "the state is HOLD" in str(told.value)
+        assert engine.rig.limits.command_velocity_m_per_s is not None
+        assert engine.loaded is loaded
+        assert not any("limits reloaded" in text for text in made.said)
+        assert engine.reload(rig_file(limited | TIGHT)) == 2
+        engine.command("resume")
+        made.finish()
+        assert engine.reload(rig_file()) == 0
+    (rec,) = left(rings)
+    assert set(rec.samples["generation"]) == {0, 2}
+    assert rec.meta["real_time"]["loop"]["parameters_refused"] == 1
     assert realtime.replay(rec).identical
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import random
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -28,6 +30,8 @@ from rthyb_rt.service import disk, growing
 from rthyb_rt.service import recorder as recorders
 from rthyb_rt.service.growing import PART_NAME
 from rthyb_rt.service.recorder import Recorder, read_index, read_status
+
+pytestmark = pytest.mark.alone
 
 KILLS = int(os.environ.get("RTHYB_KILLS", "4"))
 """How often the recorder is killed; the long proof asks for 500."""
@@ -133,6 +137,41 @@ def test_test_becomes_a_folder_a_line_of_the_index_and_no_ring(place: Path) -> N
     assert entry["ticks"] == [0, 999]
     assert entry["folder"] == folder.name == "test-20261121T120000Z"
     assert ring.find(place / "rings") == []
+
+
+def test_ring_that_is_met_while_it_is_made_is_recorded_all_the_same(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with recorder(place) as working:
+        write_session = ring._write_session
+
+        def watched(path: Path, session: recording.Recording) -> None:
+            working.turn()
+            write_session(path, session)
+            working.turn()
+
+        monkeypatch.setattr(ring, "_write_session", watched)
+        made = Producer(place)
+        working.turn()
+        assert working.status().run_id == made.session.meta["service"]["run_id"]
+        made.end()
+
+
+def test_recorder_that_is_ended_just_after_a_test_still_finishes_it(place: Path) -> None:
+    """A PC that shuts down ends the daemon, then the recorder; the ring does not outlive it."""
+    made = Producer(place)
+    rows = truth(1000)
+    told: list[bool] = []
+
+    def done(working: Recorder) -> bool:
+        if not told and working.busy:
+            made.push(rows)
+            made.end()
+            told.append(True)
+        return bool(told)
+
+    recorders.run(place / "rings", place / "runs", done)
+    assert_same(recording.read(the_run(place) / FILE_NAME).samples, rows)
 
 
 def test_file_of_a_running_test_opens_as_any_other_and_lags_by_less_than_a_block(
@@ -281,24 +320,31 @@ def start(place: Path) -> subprocess.Popen[bytes]:
 
 
 def test_recorder_that_is_killed_again_and_again_loses_nothing(place: Path) -> None:
-    """A few kills of a test at four times its speed, or many at its own."""
+    """A few kills of a test at four times its speed, or many at its own.
+
+    It pauses where a machine starts recorders so slowly that it would be over before the last one.
+    """
     rng = random.Random(7)
     few = KILLS <= 10
-    rows = truth(KILLS * (12000 if few else 4000))
-    step = 41 if few else 10
+    a_kill, step = (12000, 41) if few else (4000, 10)
+    rows = truth(KILLS * a_kill)
     made = Producer(place)
     done = threading.Event()
     pushed = [0]
 
     def produce() -> None:
-        while not done.is_set() and pushed[0] < rows.size:
-            made.push(rows[pushed[0] : pushed[0] + step])
-            pushed[0] += step
+        while not done.is_set():
+            if pushed[0] < (readable + 1) * a_kill - step:
+                push()
             time.sleep(0.01)
 
+    def push() -> None:
+        made.push(rows[pushed[0] : pushed[0] + step])
+        pushed[0] += step
+
+    readable = 0
     producer = threading.Thread(target=produce)
     producer.start()
-    readable = 0
     try:
         for _ in range(KILLS):
             process = start(place)
@@ -312,7 +358,7 @@ def test_recorder_that_is_killed_again_and_again_loses_nothing(place: Path) -> N
                 found = file["samples"][()]
             assert_same(found, rows[: found.size])
             readable += 1
-        assert pushed[0] < rows.size
+        assert 0 < pushed[0] < rows.size
     finally:
         done.set()
         producer.join()
@@ -320,7 +366,7 @@ def test_recorder_that_is_killed_again_and_again_loses_nothing(place: Path) -> N
     with recorder(place) as working:
         turns(working)
     rec = recording.read(the_run(place) / FILE_NAME)
-    assert_same(rec.samples, rows[: min(pushed[0], rows.size)])
+    assert_same(rec.samples, rows[: pushed[0]])
     assert rec.meta["missing_rows"] == []
     print(f"{readable} of {KILLS} killed recorders left a readable file, {rec.samples.size} rows")
 
@@ -394,6 +440,67 @@ def test_file_that_is_beyond_help_is_put_aside_and_written_anew(place: Path) -> 
         turns(working)
     runs = [path for path in (place / "runs").iterdir() if (path / FILE_NAME).exists()]
     assert_same(recording.open_run(runs[0]).samples, rows)
+
+
+_READ = """
+import sys, h5py
+with h5py.File(sys.argv[1], "r") as file:
+    print(file["samples"].shape[0], flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_somebody_who_looks_at_the_file_of_a_killed_test_costs_nothing(place: Path) -> None:
+    """What the ring has lost meanwhile is in that file alone."""
+    rows = truth(9000)
+    made = Producer(place, capacity=2048)
+    with recorder(place) as working:
+        for at in range(0, 6000, 500):
+            made.push(rows[at : at + 500])
+            working.turn()
+    command = [sys.executable, "-c", _READ, str(the_run(place) / PART_NAME)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as reader:
+        assert reader.stdout is not None
+        assert int(reader.stdout.readline()) > 5500
+        with recorder(place) as working:
+            made.push(rows[6000:7000])
+            working.turn()
+            assert working.status().fault == ""
+            made.push(rows[7000:])
+            turns(working)
+            # And as it grows: any program may open it.
+            subprocess.run(command, stdin=subprocess.DEVNULL, check=True, capture_output=True)
+            made.end()
+            turns(working)
+        reader.communicate()
+    assert_same(recording.open_run(the_run(place)).samples, rows)
+    assert not list((place / "runs").glob("*/*damaged*"))
+
+
+def test_file_that_the_system_refuses_for_a_while_is_not_put_aside(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = truth(1024)
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+    monkeypatch.setattr(recorders, "_RETRY_S", 0.0)
+    with recorder(place) as working:
+        with monkeypatch.context() as patch:
+            patch.setattr(growing.GrowingFile, "_open", too_many_files)
+            turns(working)
+            assert "Too many open files" in working.status().fault
+        turns(working)
+        assert working.status().fault == ""
+        made.end()
+        turns(working)
+    assert_same(recording.open_run(the_run(place)).samples, rows)
+    assert not list((place / "runs").glob("*/*damaged*"))
+
+
+def too_many_files(_: growing.GrowingFile) -> None:
+    raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
 
 def test_index_outlives_half_a_line(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -181,6 +182,8 @@ class Daemon:
             RthybError: socket or recorder are not to be had, or the tick thread has failed.
         """
         self._start_recorder()
+        # Load, zero and reload come one at a time; each further thread would be a locked stack.
+        asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(1, "prepare"))
         self.engine.start()
         self.engine.check_privileges(self.options.require_realtime)
         server = ControlServer(self.options.socket, self.dispatcher, self.options.limits)
@@ -467,6 +470,8 @@ class Daemon:
     async def _reload_rig(self) -> int:
         if self._read_rig is None:
             raise StateError("reload", "there is no rig file to read again", self.engine.state)
+        # Reading the file is work, of which a test that moves shall have none beside it.
+        self.engine.check_reload()
         async with self._busy:
             rig = await asyncio.to_thread(self._read_rig)
             facts = self._demand(rig)

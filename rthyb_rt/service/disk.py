@@ -35,8 +35,17 @@ def needed_bytes(test_ticks: int) -> int:
     return ticks * _PER_ROW + KEPT_FREE_BYTES + 2 * RESERVE_BYTES
 
 
-def has_room(descriptor: int, folder: Path) -> bool:
+FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What the system says of a disk without room."""
+
+
+def has_room(descriptor: int, end: int, folder: Path) -> bool:
     """Return whether the next block of an open file can be written; its blocks are had then.
+
+    Args:
+        descriptor: of the file.
+        end: where the next block begins; what is reserved lies behind.
+        folder: of the file.
 
     Raises:
         OSError: something else than room is missing.
@@ -44,9 +53,9 @@ def has_room(descriptor: int, folder: Path) -> bool:
     if free_bytes(folder) < KEPT_FREE_BYTES:
         return False
     try:
-        os.posix_fallocate(descriptor, os.fstat(descriptor).st_size, RESERVE_BYTES)
+        os.posix_fallocate(descriptor, end, RESERVE_BYTES)
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        if error.errno in FULL:
             return False
         raise
     return True

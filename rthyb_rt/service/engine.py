@@ -33,10 +33,12 @@ from rthyb_rt.realtime import (
     GOOD_PAIRS,
     LOOK_BACK_TICKS,
     NEEDED,
+    SET_REFUSED,
     RefusedError,
     TimingError,
     end_reason,
     histogram,
+    link_delay,
     no_feedback,
 )
 from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording, ReplayData
@@ -109,6 +111,8 @@ class StateError(RefusedError):
         text = f"{command}: {why}; the state is {state}"
         if state not in self.allowed:
             text += f", {command} is allowed in {' or '.join(self.allowed)}"
+            if state == "TRIPPED":
+                text += "; reset leaves TRIPPED, once its cause is gone"
         super().__init__(text)
 
 
@@ -156,6 +160,7 @@ class _Counted:
     link: dict[str, int]
     wake: ticker.Latency
     sent: ticker.Latency
+    delays: NDArray[np.int64]
 
 
 @dataclass
@@ -263,6 +268,7 @@ class Engine:
                 clock,
                 experiment.calibration(rig),
                 lead_us=_LEAD_US if rig.link is None else rig.link.lead_us,
+                paced=before_tick is not None,
             )
             self._owned = owned.pop_all()
         self._closed = False
@@ -276,6 +282,7 @@ class Engine:
             RthybError: the system refused a thread.
         """
         if self.clock == "stepped":
+            self.loop.drop_old()
             return
         awake = self._owned.enter_context(ticker.AwakeProcessors())
         self.loop.start(cpu=jitter.choose_cpu(jitter.machine_facts()), latency_fd=awake.fd)
@@ -639,12 +646,11 @@ class Engine:
         """Take the limits of a rig file into force; return the generation of the set, or 0.
 
         Raises:
-            StateError: the state is none for it, or more than the limits has changed.
+            StateError: the state is none for it, more than the limits has changed, or the tick
+                thread refused the set; then all is as before.
             InputError: the loaded test does not go with the new limits.
         """
-        if self.state not in RELOAD_IN:
-            why = "limits change at rest or in HOLD, where nobody is surprised"
-            raise StateError("reload", why, self.state)
+        self.check_reload()
         changed = [
             name
             for name, value in rig.model_dump().items()
@@ -661,11 +667,22 @@ class Engine:
         if self.recorded is not None and loaded is not None:
             generation = self._set_limits(self._run, loaded.setup)
             self._run.digest = loaded.digest
+        told = _changes(self.rig.limits.model_dump(), rig.limits.model_dump())
         self.rig, self.loaded = rig, loaded
         if self._run is self._rest and self.state == "IDLE":
             self._put_rest()
-        self._say("info", f"limits reloaded, generation {generation}")
+        self._say("info", f"limits reloaded, generation {generation}: {told}")
         return generation
+
+    def check_reload(self) -> None:
+        """Refuse a reload that is not for the present state.
+
+        Raises:
+            StateError: it is not.
+        """
+        if self.state not in RELOAD_IN:
+            why = "limits change at rest or in HOLD, where nobody is surprised"
+            raise StateError("reload", why, self.state)
 
     def know(self, facts: Mapping[str, Any]) -> None:
         """Have the recordings of the next tests know more, by name."""
@@ -690,11 +707,18 @@ class Engine:
 
     def _set_limits(self, run: _Run, setup: Setup) -> int:
         parameters = core.Parameters.of(experiment.station_config(setup))
+        state = self.state
         generation = self.loop.set_parameters(parameters)
         tick = run.next_tick
         values = dataclasses.asdict(parameters)
+        # At once: its rows may be on their way already.
         run.parameters.append({"generation": generation, "tick": tick, "values": values})
+        taken = self._wait_for(lambda: self.loop.set_taken(generation))
+        if not taken:
+            run.parameters.pop()
         self.renew()
+        if not taken:
+            raise StateError("reload", SET_REFUSED, state)
         return generation
 
     def check(self, name: str) -> None:
@@ -827,6 +851,7 @@ class Engine:
             link=self.link.counters(),
             wake=self.loop.wake.copy(),
             sent=self.loop.sent.copy(),
+            delays=self.loop.link_delays(),
         )
 
     def _finish(self) -> None:
@@ -846,7 +871,8 @@ class Engine:
             run.remove()
             return
         facts = self.facts(run)
-        reason = end_reason("TRIPPED" if run.tripped_rows else "IDLE", facts["cause"])
+        state = "TRIPPED" if run.tripped_rows else "IDLE"
+        reason = end_reason(state, facts["cause"], moved=run.moved)
         run.bare.meta |= {"end_reason": reason, "interrupted": run.held, "real_time": facts}
         self._renew(run)
         run.close()
@@ -883,7 +909,6 @@ class Engine:
         """Return how a test went, as ``meta["real_time"]`` of its recording."""
         before, now = run.counted, self._count()
         assert before is not None
-        delay = self.loop.link_delay
         counts = {
             "elapsed": now.ticks.elapsed - before.ticks.elapsed,
             "executed": now.ticks.executed - before.ticks.executed,
@@ -906,7 +931,7 @@ class Engine:
             "locked": self.loop.locked,
             "arrival_error_us": self.loop.arrival_error_us,
             "trim_ppm": self.loop.trim_ppm,
-            "link_delay_samples": -1 if delay is None else delay,
+            "link_delay_samples": link_delay(now.delays - before.delays, self.loop.link_delay),
             "wake": histogram(now.wake.since(before.wake)),
             "sent": histogram(now.sent.since(before.sent)),
             "missed_rows": run.missed,
@@ -922,6 +947,25 @@ def _rest_station(setup: Setup) -> core.StationConfig:
         controller=dataclasses.replace(base.controller, motion=core.MotionConfig("prescribed")),
         stay=True,
     )
+
+
+def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """Return what became of each limit of a rig file, in words."""
+    words = [
+        f"{name} {_limit(old[name])} -> {_limit(value)}"
+        for name, value in new.items()
+        if value != old[name]
+    ]
+    return ", ".join(words) or "nothing has changed"
+
+
+def _limit(value: Any) -> str:
+    """Return a limit as a rig file may give it: a table, a number, or nothing."""
+    if value is None:
+        return "unset"
+    if not isinstance(value, Mapping):
+        return f"{value:g}"
+    return f"{value['value']:g} ({value['action'] if value['enable'] else 'off'})"
 
 
 def _more(now: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:

@@ -1,13 +1,15 @@
 """A recording that grows while its test runs, and survives whatever happens to its process.
 
 Only whole blocks are added, each at the end and each written once; after every one the file is
-flushed. What a killed process leaves is an HDF5 file that opens as any other, with every row up to
-the last flush. The name of the finished recording appears when it is finished.
+flushed, in an order that leaves it whole after each write. What a killed process leaves is an HDF5
+file that opens as any other, with every row up to the last flush. The name of the finished
+recording appears when it is finished.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 from pathlib import Path
@@ -20,10 +22,19 @@ from rthyb_rt import recording
 from rthyb_rt.errors import RthybError
 from rthyb_rt.recording import BLOCK_ROWS, FILE_NAME, Recording
 from rthyb_rt.service import disk
+from rthyb_rt.service.ordered import OrderedFile
 
 PART_NAME: Final = "recording.part.h5"
 _DAMAGED: Final = "recording.damaged.h5"
 _GAPS: Final = "missing_rows"
+_TRIES: Final = ".taken-up"
+_TRIES_MOST: Final = 3
+"""So often may a process end in the middle of taking a file up: HDF5 can come to grief over one."""
+_REFUSED: Final = (
+    *(errno.EACCES, errno.EPERM, errno.EAGAIN),
+    *(errno.EMFILE, errno.ENFILE, errno.ENOMEM),
+)
+"""What the system refuses just now says nothing about the file."""
 
 Rows = NDArray[np.void]
 
@@ -55,16 +66,21 @@ class GrowingFile:
         self.folder = folder
         self._path = folder / PART_NAME
         self._file: Any = None
-        self._fd = -1
+        self._disk: OrderedFile | None = None
+        self.missing: list[list[int]] = []
+        self._tries = 0
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            self._count_try()
             self.resumed = self._path.exists() and self._take_up()
             if not self.resumed:
                 self._begin(session)
+                self._save()
         except OSError as error:
             self.close()
             raise RthybError(
-                f"{folder}: cannot be written ({error.strerror or error}); check its permissions"
+                f"cannot be written ({error.strerror or error}); check its permissions",
+                where=str(folder),
             ) from error
 
     def _begin(self, session: Recording) -> None:
@@ -78,42 +94,116 @@ class GrowingFile:
         _sync(hidden)
         hidden.replace(self._path)
         self._open()
-        self.missing: list[list[int]] = []
 
     def _open(self) -> None:
         import h5py
 
-        self._file = h5py.File(self._path, "r+")
+        # No lock of HDF5's: whoever reads the file must not keep the recorder from it, and may do
+        # so while it grows. That there is one recorder only is settled elsewhere.
+        self._disk = OrderedFile(self._path)
+        self._file = h5py.File(self._disk, "r+")
         self._samples = self._file["samples"]
-        self._fd = os.open(self._path, os.O_RDWR | os.O_CLOEXEC)
 
     def _take_up(self) -> bool:
         """Go on where another process ended; False: the file is damaged, and was put aside."""
         try:
+            if self._tries > _TRIES_MOST:
+                raise ValueError("nobody has lived to take it up")
             self._open()
             self.missing = self._gaps()
             self._drop_damaged_blocks()
+            self._flush()
             return True
-        except (OSError, KeyError, RuntimeError, ValueError):
+        except (OSError, KeyError, RuntimeError, ValueError) as error:
             self.close()
+            if isinstance(error, OSError) and error.errno in _REFUSED:
+                raise
             self._path.replace(self.folder / _DAMAGED)
             return False
 
+    def _count_try(self) -> None:
+        """Count the processes that begin with this file and do not come to its next row."""
+        path = self.folder / _TRIES
+        try:
+            self._tries = int(path.read_text(encoding="ascii")) + 1
+        except (FileNotFoundError, ValueError):
+            self._tries = 1
+        # A full disk must not keep anybody from going on.
+        with contextlib.suppress(OSError):
+            path.write_text(str(self._tries), encoding="ascii")
+
+    def _well_begun(self) -> None:
+        """Begin to count anew: the file is good."""
+        if self._tries:
+            self._tries = 0
+            with contextlib.suppress(OSError):
+                (self.folder / _TRIES).unlink(missing_ok=True)
+
+    def _save(self) -> None:
+        """Take over what can be read of a file that was put aside: the ring may have it no more."""
+        import h5py
+
+        damaged = self.folder / _DAMAGED
+        if not damaged.exists() or self._tries > 2 * _TRIES_MOST:
+            return
+        parts, gaps = [], []
+        unreadable = (OSError, KeyError, RuntimeError, ValueError)
+        with contextlib.suppress(*unreadable), h5py.File(damaged, "r", locking=False) as file:
+            gaps = _gaps_of(file)
+            samples = file["samples"]
+            for at in range(0, len(samples), BLOCK_ROWS):
+                rows = samples[at : at + BLOCK_ROWS]
+                whole = rows.dtype == self._samples.dtype and len(rows) == BLOCK_ROWS
+                if not whole or not _in_order(rows["tick"], at):
+                    break
+                parts.append(rows)
+        if parts:
+            self.add(np.concatenate(parts))
+            self._keep_gaps(gaps)
+
+    def _keep_gaps(self, gaps: list[list[int]]) -> None:
+        """State the gaps that lie before the end of what there is; the others come with rows."""
+        kept: list[list[int]] = []
+        end = self.rows
+        for first, last in gaps:
+            if first >= end:
+                break
+            kept.append([first, last])
+            end += last - first + 1
+        if kept != self.missing:
+            self.missing = kept
+            recording.set_attributes(self._file, {_GAPS: kept})
+            self._flush()
+
     def _gaps(self) -> list[list[int]]:
-        found = recording.plain(self._file.attrs.get(_GAPS, "[]"))
-        return [[int(first), int(last)] for first, last in found]
+        return _gaps_of(self._file)
 
     def _drop_damaged_blocks(self) -> None:
         """Let the file end with its last block that is whole."""
+        before = len(self._samples)
         while len(self._samples):
             begin = (len(self._samples) - 1) // BLOCK_ROWS * BLOCK_ROWS
-            try:
-                tick = self._samples[begin:]["tick"].astype(np.int64)
-                if (np.diff(tick) > 0).all() and (begin == 0 or tick[0] > 0):
-                    return
-            except OSError:
-                pass
+            with contextlib.suppress(OSError):
+                if _in_order(self._samples[begin:]["tick"], begin):
+                    break
             self._samples.resize((begin,))
+        if len(self._samples) < before:
+            self._keep_gaps(self.missing)
+
+    def _flush(self) -> None:
+        """Have all that HDF5 knows in the system's hands.
+
+        Raises:
+            NoRoomError: the disk is full all the same; it is tried again with the next rows.
+        """
+        assert self._disk is not None
+        self._file.flush()
+        try:
+            self._disk.commit()
+        except OSError as error:
+            if error.errno not in disk.FULL:
+                raise
+            raise NoRoomError(f"{self.folder}: the disk is full") from error
 
     @property
     def rows(self) -> int:
@@ -139,7 +229,7 @@ class GrowingFile:
         self._need_room()
         self.missing.append([first, last])
         recording.set_attributes(self._file, {_GAPS: self.missing})
-        self._file.flush()
+        self._flush()
 
     def add(self, rows: Rows) -> None:
         """Add rows and have them in the system's hands.
@@ -157,16 +247,18 @@ class GrowingFile:
             begin = self.rows
             self._samples.resize((begin + len(part),))
             self._samples[begin:] = part
-            self._file.flush()
+            self._flush()
+            self._well_begun()
 
     def _need_room(self) -> None:
-        if not disk.has_room(self._fd, self.folder):
+        assert self._disk is not None
+        if not disk.has_room(self._disk.fd, self._disk.end, self.folder):
             raise NoRoomError(f"{self.folder}: the disk is full")
 
     def sync(self) -> None:
         """Have what was added on the disk itself."""
-        if self._fd >= 0:
-            os.fsync(self._fd)
+        if self._disk is not None:
+            os.fsync(self._disk.fd)
 
     def all_rows(self, name: str) -> NDArray[Any]:
         """Return one field of every row, (n,), block by block."""
@@ -216,22 +308,40 @@ class GrowingFile:
     def close(self) -> None:
         """Let go of the file; twice does no harm."""
         file, self._file = self._file, None
-        if file is not None:
-            with contextlib.suppress(OSError, RuntimeError):
+        with contextlib.suppress(OSError, RuntimeError):
+            if file is not None:
                 file.close()
-        fd, self._fd = self._fd, -1
-        if fd >= 0:
-            os.close(fd)
+        under, self._disk = self._disk, None
+        if under is not None:
+            with contextlib.suppress(OSError):
+                under.commit()
+            with contextlib.suppress(OSError):
+                under.close()
+        # Whoever comes here has lived.
+        self._well_begun()
 
 
 def _complete(path: Path, session: Recording) -> None:
     import h5py
 
-    with h5py.File(path, "r+") as file:
-        recording.fill_replay(file, session.replay)
-        recording.set_attributes(file, session.meta)
-        if session.reference is None and "reference" in file:
-            del file["reference"]
+    with contextlib.closing(OrderedFile(path)) as under:
+        with h5py.File(under, "r+") as file:
+            recording.fill_replay(file, session.replay)
+            recording.set_attributes(file, session.meta)
+            if session.reference is None and "reference" in file:
+                del file["reference"]
+        under.commit()
+
+
+def _gaps_of(file: Any) -> list[list[int]]:
+    found = recording.plain(file.attrs.get(_GAPS, "[]"))
+    return [[int(first), int(last)] for first, last in found]
+
+
+def _in_order(ticks: NDArray[Any], at: int) -> bool:
+    """Whether a block from a row on is one that was written, and not what fills a gap."""
+    found = ticks.astype(np.int64)
+    return bool((np.diff(found) > 0).all() and (at == 0 or found[0] > 0))
 
 
 def _sync(path: Path) -> None:

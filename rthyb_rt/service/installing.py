@@ -15,6 +15,7 @@ from rthyb_rt.recording import replacing
 PLACES: Final[dict[str, str]] = {
     "rthyb.service": "etc/systemd/system/rthyb.service",
     "rthyb-recorder.service": "etc/systemd/system/rthyb-recorder.service",
+    "rthyb-live.service": "etc/systemd/system/rthyb-live.service",
     "rthyb-can@.service": "etc/systemd/system/rthyb-can@.service",
     "rthyb.sysusers": "etc/sysusers.d/rthyb.conf",
     "rthyb.tmpfiles": "etc/tmpfiles.d/rthyb.conf",
@@ -25,7 +26,7 @@ PLACES: Final[dict[str, str]] = {
 
 RIG: Final = "etc/rthyb/rig.toml"
 _PROGRAM: Final = "@RTHYB@"
-_HIDDEN: Final = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")
+HIDDEN: tuple[str, ...] = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")
 """What the service does not see: a program there would not start."""
 _PACKAGE: Final = Path(__file__).resolve().parents[1]
 
@@ -54,13 +55,17 @@ def program() -> Path:
     path = Path(sys.prefix) / "bin" / "rthyb"
     if not path.is_file():
         raise RthybError(f"{path}: there is no program rthyb in this installation")
-    hidden = [folder for folder in _HIDDEN if path.is_relative_to(folder)]
-    if hidden:
-        raise RthybError(
-            f"{path} lies below {hidden[0]}, which the service does not see; install into /opt, "
-            "for instance: python3 -m venv /opt/rthyb, /opt/rthyb/bin/pip install, and "
-            "/opt/rthyb/bin/rthyb install-service"
-        )
+    # An environment in /opt is of no use with an interpreter that is in somebody's home.
+    interpreter = Path(sys.executable).resolve()
+    for needed in (path, interpreter):
+        for folder in HIDDEN:
+            if needed.is_relative_to(folder):
+                raise RthybError(
+                    f"{needed} lies below {folder}, which the service does not see; install into "
+                    "/opt with the system's Python, for instance: /usr/bin/python3 -m venv "
+                    "/opt/rthyb, /opt/rthyb/bin/pip install, and /opt/rthyb/bin/rthyb "
+                    "install-service"
+                )
     return path
 
 
@@ -109,7 +114,7 @@ def remove(root: Path) -> list[Path]:
         except FileNotFoundError:
             continue
         except OSError as error:
-            raise RthybError(f"{path}: cannot be removed ({error.strerror})") from error
+            raise RthybError(f"cannot be removed ({error.strerror})", where=str(path)) from error
     return removed
 
 

@@ -401,7 +401,9 @@ class Recorder:
             runs.mkdir(parents=True, exist_ok=True)
             self._lock = os.open(rings / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
         except OSError as error:
-            raise RthybError(f"{error.filename}: cannot be written ({error.strerror})") from error
+            raise RthybError(
+                f"cannot be written ({error.strerror})", where=str(error.filename)
+            ) from error
         if not _locked(self._lock, patience_s):
             os.close(self._lock)
             raise RthybError(f"{rings}: another recorder is at work here; end that one")
@@ -473,11 +475,13 @@ class Recorder:
             if known or identity is None or time.monotonic() < self._again_s.get(path, 0.0):
                 continue
             with self._faulty(path):
+                # One that is being made has no session yet: that comes last.
+                whole = ring.session_path(path).is_file()
                 try:
                     self._begin(path)
                 except InputError:
-                    # Another's ring, or one that is not set up yet: its session comes last.
-                    self._pass_over(path, identity)
+                    if whole:
+                        self._passed[path] = identity
         for path in set(self._faults) - set(found):
             del self._faults[path]
 
@@ -500,10 +504,6 @@ class Recorder:
         _append_to_index(self.runs, _entry(run_id, place, rec, rec.samples["tick"], missing))
         (folder / PART_NAME).unlink(missing_ok=True)
         _remove_ring(path)
-
-    def _pass_over(self, path: Path, identity: tuple[int, int]) -> None:
-        if ring.session_path(path).is_file():
-            self._passed[path] = identity
 
     @contextlib.contextmanager
     def _faulty(self, path: Path) -> Any:
@@ -602,5 +602,8 @@ def run(rings: Path, runs: Path, done: Callable[[Recorder], bool]) -> None:
         while not done(recorder):
             recorder.turn()
             time.sleep(TURN_S)
+        # A PC that shuts down tells the daemon first: its test may just be over, and the ring
+        # does not outlive the PC.
+        recorder.turn()
     finally:
         recorder.close()

@@ -3,9 +3,10 @@
 ``run`` boots it, sets CAN interfaces up, runs one command on the host's own files and returns the
 command's exit code. The guest sees the whole host read-only under an overlay in its memory: what it
 writes is gone afterwards, except in the job folder. Nothing is installed; the kernel's package is
-unpacked below ``build/vm``.
+unpacked below ``build/vm``. With ``systemd`` it is a whole system whose first process that is, on a
+disk that outlives its power: the command may ask for another boot, see `AGAIN`.
 
-From a shell: ``python tests/vm/guest.py -- COMMAND...``
+From a shell: ``python tests/vm/guest.py [--systemd] -- COMMAND...``
 """
 
 from __future__ import annotations
@@ -55,10 +56,18 @@ ENVIRONMENT: Final[Mapping[str, str]] = {
     "PYTHONUNBUFFERED": "1",
 }
 
+AGAIN: Final = "/run/job/again"
+"""With systemd: a word that the command leaves here is its end, a good one; the guest is booted
+again, and the command run once more, RTHYB_BOOT one higher. "off": when the guest has shut down,
+which the command has asked for; "cut": the power is gone at once."""
+BOOTS_MOST: Final = 5
+DISK_MIB: Final = 1024
+
 MEMORY_MIB: Final = 1024
 BOOT_TIMEOUT_S: Final = 60.0
 MOUNTED: Final = ("/dev", "/proc", "/run", "/sys")
 """Where the guest has file systems of its own, so that the host's are out of sight."""
+SYSTEMD: Final = Path("/lib/systemd/systemd")
 
 # The first program of the guest, from its memory: modules, then the host's files as its root.
 INIT: Final = """\
@@ -67,8 +76,9 @@ INIT: Final = """\
 mount -t proc proc /proc
 for module in /modules/*; do insmod "$module" || echo "guest: no $module"; done
 mount -t hostfs -o ro,/ host /host
-mount -t tmpfs -o size=80% memory /memory
-mkdir /memory/upper /memory/work
+mount -t devtmpfs devtmpfs /dev
+mount -t ext4 -o noatime /dev/ubda /memory 2>/dev/null || mount -t tmpfs -o size=80% memory /memory
+mkdir -p /memory/upper /memory/work
 mount -t overlay -o lowerdir=/host,upperdir=/memory/upper,workdir=/memory/work overlay /new
 mount -t proc proc /new/proc
 mount -t sysfs sysfs /new/sys
@@ -80,21 +90,66 @@ mount -t tmpfs tmpfs /new/run
 mkdir -m 1777 /new/run/job /new/run/tmp
 mount -t hostfs -o "$(sed 's/.* rthyb_job=\\([^ ]*\\).*/\\1/' /proc/cmdline)" job /new/run/job
 rm -f /new/.dockerenv
-umount /proc
-exec switch_root /new /bin/sh /run/job/boot
+chroot /new /bin/sh /run/job/setup
+first="/bin/sh /run/job/boot"
+[ ! -e /new/run/job/prepare ] || . /new/run/job/prepare
+umount /proc /dev
+exec switch_root /new $first
 """
 
-# The second, from the job folder: interfaces, command, exit code. What the command leaves running
-# may hold its output open, so the end of that is not waited for without limit. The rebuild of the
-# editable install is the host's work, and so cmake does nothing here (SKBUILD_EDITABLE_SKIP would
-# do more than its name says: with it the compiled core is not found at all).
-BOOT: Final = """\
-exec </dev/null >/dev/console 2>&1
+# What every guest has before its second program, from the job folder. The rebuild of the editable
+# install is the host's work, and so cmake does nothing here (SKBUILD_EDITABLE_SKIP would do more
+# than its name says: with it the compiled core is not found at all).
+SETUP: Final = """\
+export PATH={path}
 hostname guest
 mkdir /run/bin
 ln -s {true} /run/bin/cmake
 ip link set lo up
 ip -batch /run/job/interfaces || echo 'guest: an interface is missing'
+"""
+
+# With systemd as the second program: once a disk, what a fresh PC has; then a unit of the command.
+# Nothing of the host is started, and nobody tidies up its /tmp, which takes a guest minutes. A
+# folder that only root may enter would hide the program from the guest's users.
+PREPARE: Final = """\
+if [ ! -e /memory/prepared ]; then
+    rm -rf /new/etc/systemd/system /new/etc/fstab /new/etc/init.d /new/etc/rc?.d /new/etc/*shadow
+    mkdir -p /new/etc/systemd/system
+    for unit in {masked}; do ln -s /dev/null "/new/etc/systemd/system/$unit"; done
+    for folder in {entered}; do chmod o+x "/new$folder"; done
+    mkdir -p /new/etc/tmpfiles.d
+    : >/new/etc/tmpfiles.d/tmp.conf
+    : >/memory/prepared
+fi
+mkdir -p /new/run/systemd/system/multi-user.target.wants
+cp /new/run/job/unit /new/run/systemd/system/guest-job.service
+ln -s ../guest-job.service /new/run/systemd/system/multi-user.target.wants
+first={systemd}
+"""
+MASKED: Final = (
+    "getty.target",
+    "proc-sys-fs-binfmt_misc.automount",
+    "systemd-binfmt.service",
+    "systemd-firstboot.service",
+    "systemd-hwdb-update.service",
+    "systemd-logind.service",
+    "systemd-networkd.socket",
+    "systemd-resolved.service",
+    "systemd-timesyncd.service",
+)
+UNIT: Final = """\
+[Service]
+Type=oneshot
+ExecStart=/bin/sh /run/job/boot
+StandardInput=null
+"""
+
+# The last, from the job folder: command and exit code. What the command leaves running may hold its
+# output open, so the end of that is not waited for without limit.
+BOOT: Final = """\
+exec </dev/null >/dev/console 2>&1
+export PATH={path}
 stty -F /dev/ttyS0 raw -echo
 cd {folder}
 : >/run/job/started
@@ -132,15 +187,16 @@ def _call(*command: str, cwd: Path | None = None) -> None:
         raise GuestError(f"{shlex.join(command)} failed:\n{ran.stdout}{ran.stderr}".rstrip())
 
 
-def _require_ip() -> None:
-    """Find ``ip`` on the host, or have it installed where that is allowed."""
+def _require(*programs: tuple[str, str]) -> None:
+    """Find programs on the host, or have their packages installed where that is allowed."""
     search = os.environ.get("PATH", os.defpath) + ":/usr/sbin:/sbin"
-    if shutil.which("ip", path=search):
+    missing = {package for name, package in programs if not shutil.which(name, path=search)}
+    if not missing:
         return
     if os.geteuid() or not shutil.which("apt-get"):
-        raise GuestError("make test-vm needs ip: sudo apt-get install iproute2")
+        raise GuestError(f"the guest needs more: sudo apt-get install {' '.join(missing)}")
     _call("apt-get", "-qq", "update")
-    _call("apt-get", "-qq", "install", "-y", "--no-install-recommends", "iproute2")
+    _call("apt-get", "-qq", "install", "-y", "--no-install-recommends", *missing)
 
 
 def _download(folder: Path) -> None:
@@ -160,7 +216,7 @@ def fetch() -> None:
     Raises:
         GuestError: they cannot be had on this machine; the text says what to do.
     """
-    _require_ip()
+    _require(("ip", "iproute2"))
     if UNPACKED.is_dir():
         return
     for tool in ("apt-get", "dpkg-deb"):
@@ -222,6 +278,7 @@ def run(
     environment: Mapping[str, str] = ENVIRONMENT,
     timeout: float = 300.0,
     memory_mib: int = MEMORY_MIB,
+    systemd: bool = False,
 ) -> Done:
     """Boot the guest, run a command there in the project's folder, pass its output on.
 
@@ -232,19 +289,23 @@ def run(
         environment: all that the command finds in its environment, beside PATH, HOME and TMPDIR.
         timeout: seconds for the command; boot has `BOOT_TIMEOUT_S` of its own.
         memory_mib: of the guest.
+        systemd: with a system around the command, see the module.
 
     Raises:
         GuestError: the machine cannot be had, failed twice, or the command took too long; with the
             end of the console's output.
     """
     fetch()
+    if systemd:
+        _require((str(SYSTEMD), "systemd"), ("udevadm", "udev"), ("mke2fs", "e2fsprogs"))
     if any(ROOT.is_relative_to(folder) for folder in MOUNTED):
         raise GuestError(f"the guest sees nothing of {ROOT}: move the project elsewhere")
     with tempfile.TemporaryDirectory(dir=STORE, prefix="job-") as made:
         initramfs(Path(made) / "initramfs")
+        job = _Job(Path(made), command, interfaces, environment, timeout, memory_mib, systemd)
         for last in (False, True):
             try:
-                return _attempt(Path(made), command, interfaces, environment, timeout, memory_mib)
+                return _attempt(job)
             except _MachineFailure as failure:
                 if last:
                     raise GuestError(str(failure)) from failure
@@ -252,36 +313,80 @@ def run(
     raise AssertionError
 
 
+@dataclass(frozen=True)
+class _Job:
+    """What `run` was told, and a folder for it."""
+
+    folder: Path
+    command: Sequence[str]
+    interfaces: str
+    environment: Mapping[str, str]
+    timeout: float
+    memory_mib: int
+    systemd: bool
+
+    @property
+    def shared(self) -> Path:
+        """The folder that the guest sees as /run/job."""
+        return self.folder / "job"
+
+    @property
+    def disk(self) -> Path:
+        """The file that is the guest's disk, with systemd."""
+        return self.folder / "disk"
+
+    def write(self) -> None:
+        """Begin anew: an empty shared folder with what the guest starts from, an empty disk."""
+        shutil.rmtree(self.shared, ignore_errors=True)
+        self.shared.mkdir()
+        files = {"interfaces": self.interfaces, "setup": _setup()}
+        if self.systemd:
+            files |= {"prepare": _prepare(), "unit": UNIT}
+            with self.disk.open("wb") as disk:
+                disk.truncate(DISK_MIB << 20)
+            tool = shutil.which("mke2fs", path=_path())
+            _call(str(tool), "-q", "-F", "-t", "ext4", str(self.disk))
+        for name, text in files.items():
+            (self.shared / name).write_text(text)
+
+
 class _MachineFailure(Exception):
     """The machine ended without an exit code: worth another try."""
 
 
-def _attempt(
-    folder: Path,
-    command: Sequence[str],
-    interfaces: str,
-    environment: Mapping[str, str],
-    timeout: float,
-    memory_mib: int,
-) -> Done:
-    job = folder / "job"
-    shutil.rmtree(job, ignore_errors=True)
-    job.mkdir()
-    (job / "interfaces").write_text(interfaces)
-    (job / "boot").write_text(_boot(command, environment))
-    with (folder / "console").open("w+b") as console, _output() as output:
+def _attempt(job: _Job) -> Done:
+    """Run it from its first boot to its last."""
+    job.write()
+    boot_s = command_s = 0.0
+    for boot in range(1, BOOTS_MOST + 1):
+        again = job.shared / Path(AGAIN).name
+        for left in (again, job.shared / "started", job.shared / "code"):
+            left.unlink(missing_ok=True)
+        (job.shared / "boot").write_text(_boot(job, boot))
+        done = _one_boot(job, again)
+        boot_s, command_s = boot_s + done.boot_s, command_s + done.command_s
+        if not again.exists():
+            return Done(done.code, boot_s, command_s)
+    raise GuestError(f"the command wanted more than {BOOTS_MOST} boots")
+
+
+def _one_boot(job: _Job, again: Path) -> Done:
+    shared, timeout = job.shared, job.timeout
+    with (job.folder / "console").open("w+b") as console, _output() as output:
         begin = time.monotonic()
-        machine = _start(folder, job, console, output, memory_mib)
+        machine = _start(job, console, output)
         try:
-            up = _wait(machine, job / "started", begin + BOOT_TIMEOUT_S)
-            end = _wait(machine, job / "code", up + timeout) if up else 0.0
-            if end:
-                _wait(machine, folder / "never", end + 10.0)
+            up = _wait(machine, begin + BOOT_TIMEOUT_S, shared / "started")
+            end = _wait(machine, up + timeout, shared / "code", again) if up else 0.0
+            cut = again.exists() and again.read_text() == "cut"
+            if end and not cut:
+                _wait(machine, end + (BOOT_TIMEOUT_S if job.systemd else 10.0))
         finally:
             _kill(machine)
         tail = _tail(console)
     if end:
-        return Done(int((job / "code").read_text()), up - begin, end - up)
+        code = 0 if again.exists() else int((shared / "code").read_text())
+        return Done(code, up - begin, end - up)
     if up and time.monotonic() >= up + timeout:
         raise GuestError(f"the command took more than {timeout:g} s in the guest\n{tail}")
     what = (
@@ -292,16 +397,38 @@ def _attempt(
     raise _MachineFailure(f"the guest {what}\n{tail}")
 
 
-def _boot(command: Sequence[str], environment: Mapping[str, str]) -> str:
+def _path() -> str:
     programs = [str(Path(sys.executable).parent), str(UNPACKED / "usr/bin")]
     path = ["/run/bin", *programs, os.environ.get("PATH", os.defpath), "/usr/sbin", "/sbin"]
-    known = {"PATH": ":".join(path), "HOME": "/run/tmp", "TMPDIR": "/run/tmp", "LANG": "C.UTF-8"}
-    assignments = [f"{name}={value}" for name, value in (known | dict(environment)).items()]
-    return f"export PATH={shlex.quote(known['PATH'])}\n" + BOOT.format(
-        true=shlex.quote(shutil.which("true") or "/bin/true"),
+    return ":".join(path)
+
+
+def _setup() -> str:
+    return SETUP.format(
+        path=shlex.quote(_path()), true=shlex.quote(shutil.which("true") or "/bin/true")
+    )
+
+
+def _prepare() -> str:
+    parents = {
+        parent
+        for used in (ROOT, Path(sys.base_prefix), Path(sys.base_prefix).resolve())
+        for parent in (used, *used.parents)
+    }
+    return PREPARE.format(
+        masked=shlex.join(MASKED), entered=shlex.join(sorted(map(str, parents))), systemd=SYSTEMD
+    )
+
+
+def _boot(job: _Job, number: int) -> str:
+    known = {"PATH": _path(), "HOME": "/run/tmp", "TMPDIR": "/run/tmp", "LANG": "C.UTF-8"}
+    known |= {"RTHYB_BOOT": str(number), **job.environment}
+    assignments = [f"{name}={value}" for name, value in known.items()]
+    return BOOT.format(
+        path=shlex.quote(known["PATH"]),
         folder=shlex.quote(str(ROOT)),
         environment=shlex.join(["env", "-i", *assignments]),
-        command=shlex.join(command),
+        command=shlex.join(job.command),
         busybox=shlex.quote(str(BUSYBOX)),
     )
 
@@ -327,17 +454,18 @@ def _output() -> Iterator[int]:
         os.close(read)
 
 
-def _start(
-    folder: Path, job: Path, console: BinaryIO, output: int, memory_mib: int
-) -> subprocess.Popen[bytes]:
+def _start(job: _Job, console: BinaryIO, output: int) -> subprocess.Popen[bytes]:
     """One processor only: a user-mode kernel that is moved about loses two fifths of its speed."""
+    folder = job.folder
+    cpu = _idlest()
     machine = subprocess.Popen(
         [
-            *("taskset", "-c", str(max(os.sched_getaffinity(0)))),
+            *("taskset", "-c", str(cpu)),
             LINUX,
-            f"mem={memory_mib}M",
+            f"mem={job.memory_mib}M",
             f"initrd={folder / 'initramfs'}",
-            f"rthyb_job={job}",
+            f"rthyb_job={job.shared}",
+            *([f"ubd0={job.disk}"] if job.systemd else []),
             f"uml_dir={folder}/",
             "umid=guest",
             "quiet",
@@ -351,12 +479,26 @@ def _start(
         stderr=console,
         pass_fds=(output,),
         start_new_session=True,
-        env={"PATH": os.defpath, "TMPDIR": str(_memory_folder(folder, memory_mib))},
+        env={"PATH": os.defpath, "TMPDIR": str(_memory_folder(folder, job.memory_mib))},
     )
     # What else is busy here is another session, and between sessions this counts and not `nice`.
     with contextlib.suppress(OSError):
         Path(f"/proc/{machine.pid}/autogroup").write_text("-20")
     return machine
+
+
+def _idlest() -> int:
+    """Return the processor that had least to do for a moment: another guest may be on one."""
+
+    def idle() -> dict[int, int]:
+        lines = Path("/proc/stat").read_text(encoding="ascii").splitlines()
+        rows = [line.split() for line in lines if line.startswith("cpu") and line[3] != " "]
+        return {int(row[0][3:]): int(row[4]) for row in rows}
+
+    before = idle()
+    time.sleep(0.3)
+    after = idle()
+    return max(os.sched_getaffinity(0), key=lambda cpu: (after[cpu] - before[cpu], cpu))
 
 
 def _memory_folder(folder: Path, memory_mib: int) -> Path:
@@ -369,11 +511,11 @@ def _memory_folder(folder: Path, memory_mib: int) -> Path:
     return folder
 
 
-def _wait(machine: subprocess.Popen[bytes], file: Path, until: float) -> float:
-    """Return when the file appeared (monotonic, s); 0: the machine ended or the time is over."""
+def _wait(machine: subprocess.Popen[bytes], until: float, *files: Path) -> float:
+    """Return when a file appeared (monotonic, s); 0: the machine ended or the time is over."""
     while time.monotonic() < until:
         ended = machine.poll() is not None
-        if file.exists():
+        if any(file.exists() for file in files):
             return time.monotonic()
         if ended:
             break
@@ -398,10 +540,11 @@ def main() -> int:
     """Run what stands after ``--`` and return its exit code; 125 for a failure of the machine."""
     parser = argparse.ArgumentParser(description="Run a command on a kernel that has SocketCAN.")
     parser.add_argument("--timeout", type=float, default=300.0, help="seconds for the command")
+    parser.add_argument("--systemd", action="store_true", help="a whole system, see AGAIN")
     parser.add_argument("command", nargs="+")
     given = parser.parse_args()
     try:
-        done = run(given.command, timeout=given.timeout)
+        done = run(given.command, timeout=given.timeout, systemd=given.systemd)
     except GuestError as error:
         print(f"guest: {error}", file=sys.stderr)
         return 125

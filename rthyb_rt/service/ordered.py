@@ -1,0 +1,175 @@
+"""An HDF5 file whose writes reach the system in an order that leaves it readable after each.
+
+HDF5 writes what belongs to one flush in an order of its own: a process that is killed in between
+leaves a length that promises more than the index has, or an index that points behind the end of the
+file. Here all of a flush is kept back, and goes out when it is complete: first what nothing points
+to yet, then the end of the file, then the index from its root on, last the object headers, which
+have the lengths. After every write whatever can be reached is whole.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final
+
+_SUPERBLOCK: Final = b"\x89HDF\r\n\x1a\n"
+_END_AT: Final = {0: 40, 1: 44, 2: 28, 3: 28}
+"""Where a superblock has the end of the file, by its version; addresses of eight bytes."""
+_INDEX: Final = b"TREE"
+_LEVEL_AT: Final = 5
+_PAGE: Final = 4096
+
+
+class OrderedFile:
+    """What h5py takes for a file. Nothing reaches the system before `commit`.
+
+    Args:
+        path: of the file.
+        new: make it; else it must be there.
+
+    Attributes:
+        fd: its descriptor.
+        end: of the file, as HDF5 has it; what lies behind is reserve.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+
+    def __init__(self, path: Path, *, new: bool = False) -> None:
+        flags = os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT | os.O_TRUNC if new else 0)
+        self.fd = os.open(path, flags, 0o666)
+        self.end = os.fstat(self.fd).st_size
+        self._at = 0
+        self._pending: dict[int, bytes] = {}
+        self._reached = _end_of(os.pread(self.fd, 64, 0)) or self.end
+
+    # ---- what h5py asks for ---------------------------------------------------------------------
+
+    def seek(self, at: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a place; return it."""
+        self._at = at + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.end}[whence]
+        return self._at
+
+    def tell(self) -> int:
+        """Return the place."""
+        return self._at
+
+    def readinto(self, into: memoryview) -> int:
+        """Read, kept back or not; return how many bytes."""
+        view = memoryview(into).cast("B")
+        at, size = self._at, len(view)
+        data = bytearray(os.pread(self.fd, size, at).ljust(size, b"\0"))
+        for begin, piece in self._pending.items():
+            first, last = max(begin, at), min(begin + len(piece), at + size)
+            if first < last:
+                data[first - at : last - at] = piece[first - begin : last - begin]
+        view[:] = data
+        self._at += size
+        return size
+
+    def read(self, size: int) -> bytes:
+        """Read, kept back or not; by this method h5py knows a file."""
+        data = bytearray(size)
+        self.readinto(memoryview(data))
+        return bytes(data)
+
+    def write(self, data: memoryview) -> int:
+        """Keep back; return how many bytes."""
+        piece = bytes(data)
+        begin, size = self._at, len(piece)
+        self._at += size
+        for other in [
+            b for b, p in self._pending.items() if b < begin + size and b + len(p) > begin
+        ]:
+            if other == begin and len(self._pending[other]) == size:
+                continue
+            begin, piece = _joined(other, self._pending.pop(other), begin, piece)
+        self._pending[begin] = piece
+        self.end = max(self.end, begin + len(piece))
+        return size
+
+    def truncate(self, size: int) -> int:
+        """Have the file end there, with the next commit."""
+        self.end = size
+        return size
+
+    def flush(self) -> None:
+        """Do nothing: what HDF5 takes for complete is not always so."""
+
+    # ---- what its owner asks for ----------------------------------------------------------------
+
+    def commit(self) -> None:
+        """Have all that was kept back in the system's hands.
+
+        Raises:
+            OSError: the disk is full, or gone; what did not go out is still kept back.
+        """
+        for begin in sorted(self._pending, key=self._rank):
+            piece = self._pending[begin]
+            if begin == 0 and os.fstat(self.fd).st_size < self.end:
+                os.ftruncate(self.fd, self.end)
+            if begin >= self._reached:
+                _write(self.fd, piece, begin)
+            else:
+                _rewrite(self.fd, piece, begin)
+            if begin == 0:
+                self._reached = _end_of(piece) or self.end
+        self._pending.clear()
+
+    def _rank(self, begin: int) -> tuple[int, int, int]:
+        piece = self._pending[begin]
+        if begin >= self._reached:
+            return 0, 0, begin
+        if begin == 0:
+            return 1, 0, 0
+        if piece.startswith(_INDEX):
+            return 2, -piece[_LEVEL_AT], begin
+        return 3, 0, begin
+
+    def close(self) -> None:
+        """Let go of the file without the reserve; what is kept back is lost. Twice does no harm."""
+        fd, self.fd = self.fd, -1
+        if fd < 0:
+            return
+        try:
+            if not self._pending and os.fstat(fd).st_size > self._reached:
+                os.ftruncate(fd, self._reached)
+        finally:
+            os.close(fd)
+
+
+def _end_of(superblock: bytes) -> int:
+    """Return where a superblock says that the file ends; 0: it does not say."""
+    if not superblock.startswith(_SUPERBLOCK):
+        return 0
+    at = _END_AT.get(superblock[len(_SUPERBLOCK)], 0)
+    return int.from_bytes(superblock[at : at + 8], "little") if at else 0
+
+
+def _joined(begin: int, piece: bytes, at: int, newer: bytes) -> tuple[int, bytes]:
+    """Return two pieces that overlap as one; the newer counts."""
+    first, last = min(begin, at), max(begin + len(piece), at + len(newer))
+    data = bytearray(last - first)
+    data[begin - first : begin - first + len(piece)] = piece
+    data[at - first : at - first + len(newer)] = newer
+    return first, bytes(data)
+
+
+def _rewrite(fd: int, piece: bytes, at: int) -> None:
+    """Write what is in use page by page: a kill may fall between two, and within none.
+
+    From the last one on: what a node of the index counts in its head is there by then.
+    """
+    end = at + len(piece)
+    while end > at:
+        begin = max((end - 1) // _PAGE * _PAGE, at)
+        _write(fd, piece[begin - at : end - at], begin)
+        end = begin
+
+
+def _write(fd: int, piece: bytes, at: int) -> None:
+    view = memoryview(piece)
+    while view:
+        done = os.pwrite(fd, view, at)
+        view, at = view[done:], at + done

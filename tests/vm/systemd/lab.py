@@ -1,0 +1,298 @@
+"""A lab's PC as the scenarios find it: the service as systemd runs it, its users, a rig at vcan."""
+
+from __future__ import annotations
+
+import json
+import os
+import pwd
+import subprocess
+import sys
+import sysconfig
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import test_service_daemon
+from realtime_bench import until
+from service_bench import rig_file
+from test_service_daemon import Stalled
+
+from rthyb_rt import config
+from rthyb_rt.service import installing
+from rthyb_rt.service.control import Client, Refusal
+
+ROOT = Path(__file__).resolve().parents[3]
+WHEEL = ROOT / "build" / "vm" / "program"
+"""Where `make test-systemd` unpacks the wheel that a lab would install."""
+PREFIX = Path("/opt/rthyb")
+PROGRAM = PREFIX / "bin" / "rthyb"
+SERVICE, RECORDER, DRIVE = "rthyb.service", "rthyb-recorder.service", "virtual-rig.service"
+RINGS, RUNS = Path("/run/rthyb"), Path("/var/lib/rthyb")
+RIG = Path("/etc/rthyb/rig.toml")
+FOLDER = Path("/run/lab")
+KEPT = Path("/run/job/kept.json")
+"""What the next boot is to know: a file of the host, and so never lost."""
+AGAIN = Path("/run/job/again")
+LOOK_S = 0.05
+ATTEMPTS = 5
+"""One processor, and often a share of it only."""
+LOOKER, OPERATOR, STRANGER = "alice", "olga", "erin"
+
+LINK = """
+[link]
+kind = "can"
+channel = "vcan0"
+virtual = true
+require_realtime = true
+"""
+
+
+def run(*command: str | Path, check: bool = True) -> subprocess.CompletedProcess[str]:
+    ran = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+    if check:
+        assert ran.returncode == 0, f"{command}\n{ran.stdout}{ran.stderr}"
+    return ran
+
+
+def systemctl(*arguments: str, check: bool = True) -> str:
+    return run("systemctl", *arguments, check=check).stdout.strip()
+
+
+def shown(unit: str, name: str) -> str:
+    """Return a property of a unit."""
+    return systemctl("show", "--property", name, "--value", unit)
+
+
+def journal(*units: str) -> str:
+    """Return what units have said since the boot."""
+    run("journalctl", "--sync")
+    named = [word for unit in units for word in ("--unit", unit)]
+    return run("journalctl", "--no-pager", "--quiet", "--output=short-monotonic", *named).stdout
+
+
+# ---- installation -------------------------------------------------------------------------------
+
+
+def _make_environment() -> None:
+    """Make the lab's environment: the wheel, with the other packages of this one."""
+    run(sys.executable, "-m", "venv", "--without-pip", PREFIX)
+    packages = PREFIX / Path(sysconfig.get_path("purelib")).relative_to(sys.prefix)
+    paths = [str(WHEEL), sysconfig.get_path("purelib")]
+    (packages / "lab.pth").write_text("\n".join([*paths, ""]), encoding="utf-8")
+    lines = [f"#!{PREFIX}/bin/python", "import sys", "from rthyb_rt.cli import main"]
+    PROGRAM.write_text("\n".join([*lines, "sys.exit(main())", ""]), encoding="utf-8")
+    PROGRAM.chmod(0o755)
+
+
+def _hidden() -> list[Path]:
+    """Return what that needs of this machine, and no service would see."""
+    used = (ROOT, Path(sys.base_prefix), Path(sys.base_prefix).resolve())
+    return sorted({path for path in used if any(map(path.is_relative_to, installing.HIDDEN))})
+
+
+def install() -> str:
+    """Install the service with `rthyb install-service`; return all that it said."""
+    FOLDER.mkdir(exist_ok=True)
+    made = FOLDER / "rig.toml"
+    made.write_text(config.dump(rig_file()) + LINK, encoding="utf-8")
+    _make_environment()
+    command: list[str | Path] = [PROGRAM]
+    if hidden := _hidden():
+        program = (
+            "import sys\nfrom rthyb_rt.cli import main\nfrom rthyb_rt.service import installing"
+        )
+        program += "\ninstalling.HIDDEN = ()\nsys.exit(main())"
+        # -P: not the sources of the folder that this runs in, which have no built core.
+        command = [PREFIX / "bin" / "python", "-P", "-c", program]
+        _show(hidden)
+    ran = run(*command, "install-service", "--rig", made)
+    return ran.stdout + ran.stderr
+
+
+def _show(hidden: Sequence[Path]) -> None:
+    """Let the units see a checkout where no lab would have it; the rest stays out of sight."""
+    lines = ["[Service]", "ProtectHome=tmpfs", *(f"BindReadOnlyPaths={path}" for path in hidden)]
+    for unit in (SERVICE, RECORDER):
+        folder = Path(f"/etc/systemd/system/{unit}.d")
+        folder.mkdir(parents=True)
+        (folder / "checkout.conf").write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def add_users() -> None:
+    for name, groups in ((LOOKER, "rthyb"), (OPERATOR, "rthyb,rthyb-operator"), (STRANGER, "")):
+        run("useradd", "--create-home", "--user-group", "--groups", groups, name)
+
+
+def as_user(name: str, *command: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run a command with the rights of a user who has just logged in."""
+    whole = [*_becoming(name), *command]
+    return subprocess.run(whole, **_session(name), capture_output=True, check=False)
+
+
+def _becoming(name: str) -> list[str | Path]:
+    group = pwd.getpwnam(name).pw_gid
+    return ["setpriv", f"--reuid={name}", f"--regid={group}", "--init-groups"]
+
+
+def _session(name: str) -> dict[str, Any]:
+    home = pwd.getpwnam(name).pw_dir
+    return {"env": {**os.environ, "HOME": home, "USER": name}, "cwd": "/", "text": True}
+
+
+Ask = Callable[..., str]
+"""Calls a method of the service; returns "done" or the last word of the error's name."""
+
+_TERMINAL = """
+import json, sys
+from rthyb_rt.service.control import Client, Refusal
+print("there", flush=True)
+for line in sys.stdin:
+    name, parameters = json.loads(line)
+    with Client() as client:
+        try:
+            client.call(name, **parameters)
+            print("done", flush=True)
+        except Refusal as error:
+            print(error.name.rpartition(".")[2], flush=True)
+"""
+
+
+@contextmanager
+def at_terminal(name: str) -> Iterator[Ask]:
+    """Give the commands of a user whose program is there already: no start disturbs a test."""
+    made = subprocess.Popen(
+        [*_becoming(name), PREFIX / "bin" / "python", "-P", "-c", _TERMINAL],
+        **_session(name),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    assert made.stdin is not None
+    assert made.stdout is not None
+    assert made.stdout.readline().strip() == "there"
+
+    def ask(method: str, **parameters: Any) -> str:
+        made.stdin.write(json.dumps([method, parameters]) + "\n")
+        made.stdin.flush()
+        said = made.stdout.readline().strip()
+        assert said, "the client has come to grief"
+        return str(said)
+
+    try:
+        yield ask
+    finally:
+        made.communicate()
+
+
+def ctl(user: str, *arguments: str) -> tuple[int, dict[str, Any], str]:
+    """Have a user give a command of `rthyb ctl`; return exit code, answer, and what it said."""
+    ran = as_user(user, PROGRAM, "ctl", *arguments, "--json")
+    return ran.returncode, json.loads(ran.stdout or "{}"), ran.stderr
+
+
+# ---- the service and its rig --------------------------------------------------------------------
+
+
+class Lab(test_service_daemon.Lab):
+    """The service that systemd has started, and a rig at its CAN bus."""
+
+    def __init__(self, name: str) -> None:
+        self.rings, self.runs, self.socket = RINGS, RUNS, RINGS / "control.sock"
+        self.log = FOLDER / f"{name}.npy"
+        FOLDER.mkdir(exist_ok=True)
+        # It is there before the service and goes after it, as a rig with a supply of its own.
+        unit = (f"--unit={DRIVE}", f"--property=Before={SERVICE}", "--property=Nice=-10")
+        what = (PROGRAM, "rig", RIG, "--can", "vcan0", "--log", self.log)
+        run("systemd-run", "--quiet", "--collect", *unit, *what)
+
+    def status(self) -> dict[str, Any]:
+        """Return the status; what a stall has tripped between two tests is reset."""
+        # Who asks all the time takes the one processor away from those who tick.
+        time.sleep(LOOK_S)
+        found = super().status()
+        if found["state"] == "TRIPPED" and not found["run_id"]:
+            with Client(self.socket) as client, suppress(Refusal):
+                client.call("Reset")
+        return found
+
+    def run_until(self, *arguments: Any) -> str:
+        try:
+            return super().run_until(*arguments)
+        except Refusal as error:
+            raise Stalled(str(error)) from error
+
+    def await_service(self) -> None:
+        """Wait until the drive follows."""
+        until(lambda: bool(self.status()["follows"]), "a service whose drive follows")
+
+    def main_pid(self, unit: str = SERVICE) -> int:
+        return int(shown(unit, "MainPID"))
+
+    def ended_early(self) -> bool:
+        """Return whether a test that nobody has stopped is over, or about to be."""
+        found = self.status()
+        return found["run_id"] == "" or found["state"] in ("RAMP_OUT", "TRIPPED")
+
+    def restarts(self) -> int:
+        """Return how often systemd has started the daemon anew by itself."""
+        time.sleep(LOOK_S)
+        return int(shown(SERVICE, "NRestarts"))
+
+    def end_drive(self) -> np.ndarray:
+        systemctl("stop", DRIVE)
+        log: np.ndarray = np.load(self.log)
+        return log
+
+    def close(self) -> None:
+        systemctl("stop", DRIVE, check=False)
+
+
+@contextmanager
+def lab(name: str) -> Iterator[Lab]:
+    """Give a service in IDLE whose drive follows."""
+    made = Lab(name)
+    try:
+        systemctl("restart", SERVICE)
+        made.await_service()
+        yield made
+    finally:
+        made.close()
+
+
+def repeated(name: str, attempt: Callable[[Lab], None]) -> None:
+    """Try again where the machine stalled, which ends a test in its own way."""
+    stalled = ""
+    for number in range(ATTEMPTS):
+        with lab(f"{name}-{number}") as made:
+            try:
+                attempt(made)
+                return
+            except Stalled as error:
+                stalled = str(error)
+                print(f"stalled: {stalled}")
+    pytest.skip(f"this machine stalled in each of {ATTEMPTS} attempts: {stalled}")
+
+
+def end_boot(how: str, **facts: Any) -> None:
+    """End this boot here and now, as `AGAIN` of guest.py says; the next one knows the facts."""
+    KEPT.write_text(json.dumps(facts), encoding="utf-8")
+    part = AGAIN.with_suffix(".part")
+    part.write_text(how, encoding="ascii")
+    part.replace(AGAIN)
+    if how == "off":
+        systemctl("poweroff")
+    time.sleep(60.0)
+
+
+def require_good_end(session: pytest.Session) -> None:
+    """Nobody hears of this boot's failures once it has ended: so go no further with one."""
+    if session.testsfailed:
+        pytest.fail("a scenario before has failed: the guest is not booted again")
+
+
+def kept() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(KEPT.read_text(encoding="utf-8"))
+    return found
