@@ -22,17 +22,21 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help run reproduce test test-vm sanitize fuzz tsan proof prove bench lint clean
+.PHONY: help run reproduce test test-vm test-systemd test-live soak sanitize fuzz tsan proof prove \
+        bench lint clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
 	@echo "make reproduce  the paper's studies: figures, tables, accepted bands"
 	@echo 'make test       the test suite'
 	@echo 'make test-vm    the tests that need a kernel with SocketCAN, in a guest machine'
+	@echo 'make test-systemd  the service as systemd runs it, in a guest machine'
+	@echo 'make test-live  the live view in chromium: moving curves, hold, stop, a trip'
 	@echo 'make sanitize   the test suite on a core built with ASan and UBSan'
 	@echo 'make fuzz       a minute of libFuzzer on the decoding of frames (SECONDS=60)'
 	@echo 'make tsan       ring, mailbox, parameters and counters under ThreadSanitizer'
 	@echo 'make proof      the long proofs of real time: stalls, drifting clocks, jitter; minutes'
+	@echo 'make soak       a service for five minutes, and nothing that grows (SECONDS=300)'
 	@echo 'make prove      the diagnosis on hundreds of cases that it has not seen; a quarter of an hour'
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
@@ -45,8 +49,10 @@ run: $(READY)
 reproduce: $(TEST_READY)
 	@$(BIN)/rthyb reproduce
 
+# Two halves: what may be done side by side, then what goes by the clock.
 test: $(TEST_READY)
-	@$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest -m 'not alone' -n 2 --dist loadfile
+	@$(BIN)/python -m pytest -m alone
 
 # The guest is Debian's user-mode Linux, fetched into build/vm (Debian: user-mode-linux,
 # busybox-static, can-utils, iproute2). The core is built here first: in the guest nothing is.
@@ -55,6 +61,23 @@ test-vm: $(TEST_READY)
 	@$(BIN)/python -c 'import rthyb_rt._core'
 	@$(BIN)/python tests/vm/guest.py -- python -m pytest -p no:cacheprovider -rs \
 	    -o faulthandler_timeout=60 $(VM_TESTS)
+
+# A day of the service in three boots of a guest whose first process is systemd; it is installed from
+# a wheel, as in a lab, with the packages of .venv.
+test-systemd: $(TEST_READY)
+	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation --upgrade \
+	    -Cbuild-dir=build/vm/wheel --target build/vm/program .
+	@$(BIN)/python tests/vm/guest.py --systemd --timeout 900 -- sh -c 'exec python -m pytest -p no:cacheprovider -rs \
+	    -o python_files="boot_$${RTHYB_BOOT}_*.py" tests/vm/systemd'
+
+# Playwright drives the chromium of the system; root gets one that is missing.
+CHROMIUM = command -v chromium >/dev/null || $(if $(CAN_INSTALL),{ echo 'Installing chromium' \
+    && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq install -y \
+    --no-install-recommends chromium >/dev/null; },{ echo 'Install chromium: sudo apt-get install chromium'; exit 1; })
+test-live: $(TEST_READY)
+	@$(CHROMIUM)
+	@$(BIN)/python -m pip install -qq --group browser
+	@$(BIN)/python -m pytest -p no:cacheprovider -o python_files="browser_*.py" tests/browser
 
 bench: $(TEST_READY)
 	@$(BIN)/python tests/bench/bench.py
@@ -104,6 +127,10 @@ tsan: $(READY)
 # Needs a quiet machine; figures go to build/proof.json.
 proof: $(TEST_READY)
 	@$(BIN)/python -m pytest -p no:cacheprovider -o python_files="proof_*.py" tests/proof
+
+SOAK_SECONDS = $(if $(filter command line,$(origin SECONDS)),$(SECONDS),300)
+soak: $(TEST_READY)
+	@$(BIN)/python tests/proof/soak.py $(SOAK_SECONDS)
 
 # Cases by a seed that the state of diagnosis and core gives; the table goes to docs/diagnosis-proof.md.
 prove: $(TEST_READY)
@@ -177,7 +204,7 @@ $(READY): pyproject.toml csrc/CMakeLists.txt csrc/cffi_build.py
 	    print(*f())') && { test -z "$$needs" || $(BIN)/python -m pip install -qq $$needs; }
 	@$(BIN)/python -c "$$FIND_CMAKE"
 	@echo 'Building the C core and installing rthyb'
-	@$(BIN)/python -m pip install -qq --no-build-isolation -e '.[report,fit]'
+	@$(BIN)/python -m pip install -qq --no-build-isolation -e '.[report,fit,live]'
 	@rm -f $(VENV)/.ready-* && touch $@
 
 $(TEST_READY): $(READY)

@@ -1,0 +1,341 @@
+"""The live view as an ASGI application: the page, its files, and a socket with frames."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from starlette.applications import Starlette
+from starlette.responses import FileResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from rthyb_rt import __version__
+from rthyb_rt.errors import RthybError
+from rthyb_rt.live.frames import Framer
+from rthyb_rt.live.guard import Guard, Pass, Tokens
+from rthyb_rt.live.history import CHANNELS, Tally
+from rthyb_rt.recording import STATES
+from rthyb_rt.service.control import Client
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.types import ASGIApp
+
+    from rthyb_rt.live.sources import Source
+
+FRAMES_PER_S: Final = 30.0
+STATUS_S: Final = 0.25
+_IDLE_S: Final = 1.0
+MESSAGE_BYTES: Final = 4096
+PAGES: Final = 16
+"""Sockets at a time."""
+_TRY_AGAIN: Final = 1013
+_UNSUPPORTED: Final = 1003
+_COMMAND_S: Final = 5.0
+
+_STATIC: Final = Path(__file__).parent / "static"
+FILES: Final[dict[str, tuple[str, str]]] = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    **{
+        f"/{name}": (name, kind)
+        for name, kind in (
+            ("live.css", "text/css; charset=utf-8"),
+            ("uPlot.min.css", "text/css; charset=utf-8"),
+            ("icon.svg", "image/svg+xml"),
+            ("uPlot.iife.min.js", "text/javascript; charset=utf-8"),
+            ("charts.js", "text/javascript; charset=utf-8"),
+            ("stream.js", "text/javascript; charset=utf-8"),
+            ("live.js", "text/javascript; charset=utf-8"),
+        )
+    },
+}
+
+NEEDS: Final[dict[str, Pass]] = {
+    "hold": Pass.LOOK,
+    "stop": Pass.LOOK,
+    "zero": Pass.OPERATE,
+    "arm": Pass.OPERATE,
+    "start": Pass.OPERATE,
+    "resume": Pass.OPERATE,
+    "reset": Pass.OPERATE,
+}
+"""The commands of the page, and what its token must open for them."""
+
+
+class Feed:
+    """Reads the source for all pages together: rows at 30 a second, the rest at four.
+
+    Nobody looks: once a second, so that the ring does not lap the reader.
+
+    Args:
+        source: what is looked at.
+
+    Attributes:
+        pages: how many are open.
+        status: what is to be said besides rows, as a message.
+        said: how often that was renewed.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.pages = 0
+        self.status = b""
+        self.said = 0
+        self._beat, self._opened = asyncio.Event(), asyncio.Event()
+        self._looking: asyncio.Task[None] | None = None
+
+    async def beat(self) -> None:
+        """Wait for the next rows."""
+        await self._beat.wait()
+
+    def open(self) -> None:
+        """Count one more page, and ask at once for what it is told first."""
+        self.pages += 1
+        self._opened.set()
+
+    async def run(self) -> None:
+        """Work until cancelled."""
+        due = looked = time.monotonic()
+        state = self.source.state
+        self._say()
+        while True:
+            self.source.poll()
+            now = time.monotonic()
+            # Another state: its cause is asked for at once.
+            wanted = now - looked >= STATUS_S or self.source.state != state
+            wanted = wanted or self._opened.is_set()
+            if wanted and (self._looking is None or self._looking.done()):
+                self._opened.clear()
+                looked, state = now, self.source.state
+                if self._looking is not None:
+                    self._looking.result()
+                self._looking = asyncio.create_task(self._look())
+            beat, self._beat = self._beat, asyncio.Event()
+            beat.set()
+            # Without a page to draw, and behind a machine that stalled, nothing is made up for.
+            if self.pages:
+                due = max(due + 1.0 / FRAMES_PER_S, now)
+                await asyncio.sleep(due - time.monotonic())
+                continue
+            due = now
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._opened.wait(), _IDLE_S)
+
+    async def _look(self) -> None:
+        await asyncio.to_thread(self.source.look)
+        self._say()
+
+    def _say(self) -> None:
+        told = {"kind": "status", "zero": self.source.zero, **self.source.status()}
+        self.status = json.dumps(_finite(told), separators=(",", ":")).encode()
+        self.said += 1
+
+
+class Commander:
+    """Passes commands on to the service, with the rights of this process.
+
+    Args:
+        socket: the service's, or None.
+    """
+
+    def __init__(self, socket: Path | None) -> None:
+        self._socket = socket
+        self._token = ""
+
+    async def give(self, name: str, opened: Pass) -> str:
+        """Give a command; return what became of it, in words.
+
+        Raises:
+            RthybError: it is refused, here or there.
+        """
+        needs = NEEDS.get(name)
+        if needs is None:
+            raise RthybError(f"there is no command {name[:20]!r}")
+        if opened < needs:
+            raise RthybError(
+                f"{name} takes the operator's address of this page: rthyb live --operator"
+            )
+        if self._socket is None:
+            raise RthybError("no service is behind this page: only rthyb serve takes commands")
+        return await asyncio.to_thread(self._give, self._socket, name)
+
+    def _give(self, socket: Path, name: str) -> str:
+        with Client(socket, _COMMAND_S) as client:
+            if name == "arm":
+                test = client.call("GetStatus")["status"]["test"] or {}
+                found = client.call("Arm", digest=str(test.get("digest", "")))
+                self._token = found["token"]
+                return f"Armed for {found['timeout_s']:g} s"
+            if name == "start":
+                client.call("Start", token=self._token)
+                self._token = ""
+            else:
+                client.call(name.capitalize())
+        return _DONE[name]
+
+
+_DONE: Final = {
+    "hold": "Held",
+    "stop": "Told to stop",
+    "zero": "Zeroing",
+    "start": "Started",
+    "resume": "Resumed",
+    "reset": "Reset",
+}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+class Page:
+    """One open page: what it asks for, and the frames that it gets."""
+
+    def __init__(self, socket: WebSocket, feed: Feed, commander: Commander) -> None:
+        self._socket, self._feed, self._commander = socket, feed, commander
+        self._framer = Framer(feed.source.history, feed.source.fs_hz)
+        self._opened: Pass = socket.scope["rthyb.pass"]
+        self._status = b""
+        # What was found out before it came may be a second old: another state, other buttons.
+        self._stale = feed.said
+
+    async def run(self) -> None:
+        """Serve the page until it goes."""
+        await self._socket.send_text(json.dumps(self._hello()))
+        sending = asyncio.create_task(self._send())
+        try:
+            while True:
+                await self._hear(await self._socket.receive_text())
+        except (WebSocketDisconnect, KeyError):
+            # A binary message has no text.
+            pass
+        except ValueError as error:
+            await self._socket.close(_UNSUPPORTED, str(error)[:100])
+        finally:
+            sending.cancel()
+            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await sending
+
+    def _hello(self) -> dict[str, Any]:
+        source = self._feed.source
+        return {
+            "kind": "hello",
+            "version": __version__,
+            "channels": [channel.name for channel in CHANNELS],
+            "states": list(STATES),
+            "fs_hz": source.fs_hz,
+            "past": source.past,
+            "first": source.history.first,
+            "last": source.history.last,
+            "operator": self._opened >= Pass.OPERATE,
+            "commands": [] if source.socket is None else [n for n in NEEDS if self._may(n)],
+            "edges_us": Tally.EDGES_US.tolist(),
+        }
+
+    def _may(self, name: str) -> bool:
+        return self._opened >= NEEDS[name]
+
+    async def _hear(self, text: str) -> None:
+        """Take what the page says.
+
+        Raises:
+            ValueError: it is no message of this page's.
+        """
+        try:
+            said = json.loads(text)
+        except RecursionError as error:
+            raise ValueError("no message of the page") from error
+        if not isinstance(said, dict):
+            raise ValueError("a message is an object")
+        if "view" in said:
+            self._framer.show(said["view"])
+            # Not with the next beat only: whoever drags a window sees it move.
+            await self._send_frames()
+        elif isinstance(said.get("command"), str):
+            await self._command(said["command"])
+        else:
+            raise ValueError("neither view nor command")
+
+    async def _command(self, name: str) -> None:
+        try:
+            text, good = await self._commander.give(name, self._opened), True
+        except RthybError as error:
+            text, good = str(error), False
+        answer = {"kind": "answer", "command": name[:20], "ok": good, "text": text}
+        await self._socket.send_text(json.dumps(answer))
+
+    async def _send(self) -> None:
+        """Send what is new. A page that is slow gets fewer and larger frames, and holds up none."""
+        while True:
+            if self._status != self._feed.status and self._feed.said > self._stale:
+                self._status = self._feed.status
+                await self._socket.send_text(self._status.decode())
+            await self._send_frames()
+            await self._feed.beat()
+
+    async def _send_frames(self) -> None:
+        for frame in self._framer.next(self._feed.source.zero):
+            await self._socket.send_bytes(frame)
+
+
+def make_app(
+    source: Source,
+    tokens: Tokens,
+    ready: Callable[[], None] = lambda: None,
+    failed: Callable[[BaseException], None] = lambda _: None,
+) -> ASGIApp:
+    """Return the application.
+
+    Args:
+        source: what is looked at; stays the caller's.
+        tokens: let in.
+        ready: called once it works.
+        failed: called with what ended the reading of the source, which nothing should.
+    """
+    feed, commander = Feed(source), Commander(source.socket)
+
+    async def file(request: Request) -> Response:
+        name, kind = FILES[request.scope["path"]]
+        return FileResponse(_STATIC / name, media_type=kind)
+
+    async def socket(websocket: WebSocket) -> None:
+        if feed.pages >= PAGES:
+            await websocket.close(_TRY_AGAIN, "too many pages are open")
+            return
+        await websocket.accept()
+        feed.open()
+        try:
+            with contextlib.suppress(WebSocketDisconnect):
+                await Page(websocket, feed, commander).run()
+        finally:
+            feed.pages -= 1
+
+    def ended(task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            failed(error)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        working = asyncio.create_task(feed.run())
+        working.add_done_callback(ended)
+        ready()
+        try:
+            yield
+        finally:
+            working.cancel()
+            await asyncio.wait([working])
+
+    routes = [*(Route(path, file) for path in FILES), WebSocketRoute("/socket", socket)]
+    return Guard(Starlette(routes=routes, lifespan=lifespan), tokens)

@@ -1,0 +1,201 @@
+"""The binary frames of the live view: what a page asks for, and the bytes that it gets.
+
+A frame, low byte first::
+
+    0    4 bytes "RLV1"
+    4    u8 kind: 0 more columns, 1 all columns anew, 2 the whole test in outline
+    5    u8 state of the newest row, 255 without one
+    6    u16 channels
+    8    u32 columns, u32 ticks of a column, u32 points of the loop, u32 0
+    24   f64 first column, position of the row whose values follow, position of time zero,
+         oldest and newest position at hand
+    64   f32 values of that row, one a channel
+    then f32 smallest and largest value, for each channel, for each column
+    then f32 position after the first column, displacement, force, for each point of the loop
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from rthyb_rt.live.history import CHANNELS, Floats, History, columns, loop_points
+
+MORE, ANEW, OUTLINE = 0, 1, 2
+NO_STATE: Final = 255
+HEADER: Final = struct.Struct("<4sBBH4I5d")
+_MAGIC: Final = b"RLV1"
+
+COLUMNS: Final = (16, 4096)
+SECONDS: Final = (0.25, 120.0)
+LOOP_CELLS: Final = 400
+LOOP_POINTS: Final = 6000
+_LARGEST: Final = 2.0**52
+_LONGEST: Final = 2.0**31
+
+
+@dataclass(frozen=True)
+class View:
+    """What a page shows.
+
+    Attributes:
+        columns: pixels across a chart.
+        ticks: length of what it shows.
+        first: position that it begins with; None: it ends with the newest row, and follows.
+        outline: with the whole test in outline.
+    """
+
+    columns: int
+    ticks: int
+    first: int | None = None
+    outline: bool = False
+
+    @property
+    def column_ticks(self) -> int:
+        """Ticks of one column."""
+        return max(1, -(-self.ticks // self.columns))
+
+
+def view_of(asked: Any, fs_hz: float) -> View:
+    """Return the view that a page asks for.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not isinstance(asked, dict):
+        raise ValueError("a view is an object")
+    wide = round(_number(asked, "columns", *COLUMNS))
+    if asked.get("follow") is True:
+        return View(wide, round(_number(asked, "seconds", *SECONDS) * fs_hz))
+    first = math.floor(_number(asked, "first", -_LARGEST, _LARGEST))
+    last = math.ceil(_number(asked, "last", first + 1.0, first + _LONGEST))
+    return View(wide, last - first, first, asked.get("outline") is True)
+
+
+def _number(asked: dict[str, Any], name: str, least: float, most: float) -> float:
+    value: Any = asked.get(name)
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not is_number or not least <= value <= most:
+        raise ValueError(f"{name}: found {value!r}, allowed is {least:g} to {most:g}")
+    return float(value)
+
+
+class Framer:
+    """Makes the frames of one page, each with what the page does not have yet.
+
+    Args:
+        history: what there is to show.
+        fs_hz: ticks a second.
+    """
+
+    def __init__(self, history: History, fs_hz: float) -> None:
+        self._history, self._fs_hz = history, fs_hz
+        self._view: View | None = None
+        self._sent: int | None = None
+
+    def show(self, asked: Any) -> None:
+        """Turn to another view.
+
+        Raises:
+            ValueError: it is none.
+        """
+        self._view = view_of(asked, self._fs_hz)
+        self._sent = None
+
+    def next(self, zero: int) -> list[bytes]:
+        """Return the frames that bring the page up to date; none if it is.
+
+        Args:
+            zero: position of time zero.
+        """
+        view, history = self._view, self._history
+        if view is None or not history.size:
+            return []
+        if view.first is not None:
+            if self._sent is not None:
+                return []
+            self._sent = history.last
+            frames = [self._frame(ANEW, view.first, view.first + view.ticks, zero)]
+            return [*frames, self._outline(view, zero)] if view.outline else frames
+        if self._sent is not None and self._sent == history.last:
+            return []
+        kind, first = self._where_to_go_on(view)
+        self._sent = history.last
+        return [self._frame(kind, first, history.last + 1, zero)]
+
+    def _where_to_go_on(self, view: View) -> tuple[int, int]:
+        """Return what kind of frame comes next, and the position that it begins with."""
+        begin = self._history.last + 1 - view.ticks
+        if self._sent is None or self._sent < begin:
+            return ANEW, begin
+        # The last column that went out was not full.
+        return MORE, self._sent // view.column_ticks * view.column_ticks
+
+    def _frame(self, kind: int, first: int, end: int, zero: int) -> bytes:
+        assert self._view is not None
+        wide = self._view.column_ticks
+        column = first // wide
+        count = max(0, -(-end // wide) - column)
+        at, values, states = self._history.rows(column * wide, end)
+        extremes = columns(at, values, column, count, wide)
+        thin = self._stride()
+        # Every so manieth position, not row: what was left out once stays out.
+        kept = at % thin == 0
+        points = loop_points(at[kept], values[:, kept], LOOP_CELLS, LOOP_POINTS)
+        if points.size:
+            points[:, 0] += at[kept][0] - column * wide
+        if not at.size:
+            at, values, states = self._history.rows(self._history.last, self._history.last + 1)
+        return self._bytes(
+            kind, wide, column, extremes, zero, points, int(at[-1]), int(states[-1]), values[:, -1]
+        )
+
+    def _stride(self) -> int:
+        assert self._view is not None
+        return max(1, -(-self._view.ticks // LOOP_POINTS))
+
+    def _outline(self, view: View, zero: int) -> bytes:
+        """Return the frame of the whole test."""
+        history = self._history
+        wide = max(1, -(-(history.last + 1 - history.first) // view.columns))
+        column = history.first // wide
+        count = history.last // wide + 1 - column
+        at, values, states = history.rows(history.first, history.last + 1)
+        extremes = columns(at, values, column, count, wide)
+        none = np.zeros((0, 3), dtype=np.float32)
+        return self._bytes(
+            OUTLINE, wide, column, extremes, zero, none, int(at[-1]), int(states[-1]), values[:, -1]
+        )
+
+    def _bytes(
+        self,
+        kind: int,
+        wide: int,
+        column: int,
+        extremes: Floats,
+        zero: int,
+        points: Floats,
+        at: int,
+        state: int,
+        values: Floats,
+    ) -> bytes:
+        header = HEADER.pack(
+            _MAGIC,
+            kind,
+            state,
+            len(CHANNELS),
+            extremes.shape[1],
+            wide,
+            len(points),
+            0,
+            column,
+            at,
+            zero,
+            self._history.first,
+            self._history.last,
+        )
+        return b"".join((header, values.tobytes(), extremes.tobytes(), points.tobytes()))

@@ -1,0 +1,215 @@
+"""What the live view has seen: the channels that it draws, at positions that only grow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.recording import FLAGS, STATES
+
+Floats = NDArray[np.float32]
+Positions = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A quantity that is drawn.
+
+    Attributes:
+        name: with its unit.
+        field: of a record.
+        factor: from the record's unit to that of the name.
+        less: another field that is taken off first.
+    """
+
+    name: str
+    field: str
+    factor: float
+    less: str | None = None
+
+
+CHANNELS: Final[tuple[Channel, ...]] = (
+    Channel("x_num_mm", "x_num_m", 1e3),
+    Channel("x_cmd_mm", "x_cmd_m", 1e3),
+    Channel("x_meas_mm", "x_meas_m", 1e3),
+    Channel("tracking_mm", "x_meas_m", 1e3, less="x_num_m"),
+    Channel("force_kn", "f_meas_n", 1e-3),
+    Channel("alpha", "alpha", 1.0),
+    Channel("k_t_kn_per_mm", "k_t_n_per_m", 1e-6),
+    Channel("energy_error_j", "energy_error_j", 1.0),
+)
+X_MEAS: Final = 2
+FORCE: Final = 4
+
+
+def channels(samples: NDArray[np.void]) -> Floats:
+    """Return what is drawn of records, shape (channels, n); nan for what is no finite number."""
+    out = np.empty((len(CHANNELS), samples.size), dtype=np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for row, channel in zip(out, CHANNELS, strict=True):
+            value = samples[channel.field]
+            if channel.less is not None:
+                value = value - samples[channel.less]
+            row[:] = value * channel.factor
+    out[~np.isfinite(out)] = np.nan
+    return out
+
+
+class History:
+    """The newest rows at hand, each at its position: a tick, counted on from ring to ring.
+
+    Args:
+        capacity: rows that are kept at least; twice as many have room.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
+        self._at = np.empty(2 * capacity, dtype=np.int64)
+        self._values = np.empty((len(CHANNELS), 2 * capacity), dtype=np.float32)
+        self._states = np.empty(2 * capacity, dtype=np.uint8)
+        self._size = 0
+
+    def append(self, at: Positions, values: Floats, states: NDArray[np.uint8]) -> None:
+        """Add rows behind those that are there.
+
+        Args:
+            at: their positions, shape (n,), rising.
+            values: their channels, shape (channels, n).
+            states: their states, shape (n,).
+
+        Raises:
+            ValueError: the positions do not rise.
+        """
+        if at.size and (np.any(np.diff(at) <= 0) or (self._size and at[0] <= self.last)):
+            raise ValueError("positions must rise")
+        kept = slice(-self.capacity, None)
+        at, values, states = at[kept], values[:, kept], states[kept]
+        if self._size + at.size > self._at.size:
+            old = slice(self._size - self.capacity, self._size)
+            for whole in (self._at, self._values, self._states):
+                whole[..., : self.capacity] = whole[..., old].copy()
+            self._size = self.capacity
+        end = self._size + at.size
+        new = slice(self._size, end)
+        self._at[new], self._values[:, new], self._states[new] = at, values, states
+        self._size = end
+
+    @property
+    def size(self) -> int:
+        """Rows at hand."""
+        return self._size
+
+    @property
+    def first(self) -> int:
+        """Position of the oldest row, 0 if there is none."""
+        return int(self._at[0]) if self._size else 0
+
+    @property
+    def last(self) -> int:
+        """Position of the newest row, -1 if there is none."""
+        return int(self._at[self._size - 1]) if self._size else -1
+
+    def rows(self, first: int, end: int) -> tuple[Positions, Floats, NDArray[np.uint8]]:
+        """Return the rows from position ``first`` up to ``end``, the latter left out: views."""
+        low, high = np.searchsorted(self._at[: self._size], (first, end))
+        part = slice(int(low), int(high))
+        return self._at[part], self._values[:, part], self._states[part]
+
+
+def columns(at: Positions, values: Floats, first: int, count: int, ticks: int) -> Floats:
+    """Return the smallest and the largest value of each pixel column.
+
+    Column c holds the positions from c * ticks on, so that the same rows fall into the same column
+    whenever they are drawn, and no curve trembles while it moves.
+
+    Args:
+        at: positions, shape (n,), rising, within the columns.
+        values: shape (channels, n); nan is no value.
+        first: the first column.
+        count: columns.
+        ticks: positions of a column.
+
+    Returns:
+        shape (channels, count, 2); nan where a column has no value.
+    """
+    out = np.full((values.shape[0], count, 2), np.nan, dtype=np.float32)
+    if not at.size:
+        return out
+    column = at // ticks - first
+    starts = np.flatnonzero(np.concatenate([[True], column[1:] != column[:-1]]))
+    out[:, column[starts], 0] = np.fmin.reduceat(values, starts, axis=1)
+    out[:, column[starts], 1] = np.fmax.reduceat(values, starts, axis=1)
+    return out
+
+
+def loop_points(at: Positions, values: Floats, cells: int, most: int) -> NDArray[np.float32]:
+    """Return the force-displacement curve without the points that stay in the pixel before.
+
+    Args:
+        at: positions, shape (n,).
+        values: shape (channels, n).
+        cells: pixels across the curve in either direction.
+        most: points; where there would be more, the pixels are made coarser.
+
+    Returns:
+        position after the first one, displacement in mm, force in kN; shape (points, 3).
+    """
+    x, f = values[X_MEAS], values[FORCE]
+    good = np.isfinite(x) & np.isfinite(f)
+    points = np.column_stack([(at - at[:1])[good], x[good], f[good]]).astype(np.float32)
+    while len(points) > 1:
+        span = np.maximum(np.ptp(points[:, 1:], axis=0), np.finfo(np.float32).tiny)
+        # In double: the quotient of a tiny span would overflow.
+        pixel = np.floor(points[:, 1:] * (cells / span.astype(np.float64)))
+        moved = np.ones(len(points), dtype=np.bool_)
+        moved[1:] = np.any(np.diff(pixel, axis=0) != 0.0, axis=1)
+        moved[-1] = True
+        if np.count_nonzero(moved) <= most or cells < 2:
+            return points[moved][:most]
+        cells //= 2
+    return points
+
+
+class Tally:
+    """What becomes of the ticks of a test, and how late they were awake."""
+
+    EDGES_US: Final = np.logspace(0.0, 5.0, 61)
+    """Bounds of the histogram's bars; the first one takes what is earlier, the last one later."""
+
+    def __init__(self) -> None:
+        self.rows = self.skipped = self.longest_ns = 0
+        self.flags = dict.fromkeys(("lost", "predicted", "slip", "limited", "not_sent"), 0)
+        self.counts = np.zeros(self.EDGES_US.size - 1, dtype=np.int64)
+
+    def add(self, samples: NDArray[np.void]) -> None:
+        """Count records."""
+        flags = samples["flags"]
+        blind = (flags & FLAGS["blind"]) != 0
+        self.rows += samples.size
+        self.skipped += int(np.count_nonzero(blind))
+        # After a trip nothing is sent, and nothing need come.
+        at_work = flags[samples["state"] != STATES.index("TRIPPED")]
+        for name in self.flags:
+            self.flags[name] += int(np.count_nonzero(at_work & FLAGS[name]))
+        # A blind row was nobody's waking.
+        late_ns = samples["wake_late_ns"][~blind]
+        if late_ns.size:
+            bar = np.searchsorted(self.EDGES_US, late_ns * 1e-3, side="right") - 1
+            bar = np.clip(bar, 0, self.counts.size - 1)
+            self.counts += np.bincount(bar, minlength=self.counts.size)
+            self.longest_ns = max(self.longest_ns, int(late_ns.max()))
+
+    def forget_waking(self) -> None:
+        """Leave the histogram empty: for rows of virtual time."""
+        self.counts[:], self.longest_ns = 0, 0
+
+    def percentile_us(self, percent: float) -> float:
+        """Return the upper edge of the bar in which a percentile lies, 0 without any tick."""
+        whole = int(self.counts.sum())
+        if not whole:
+            return 0.0
+        bar = int(np.searchsorted(np.cumsum(self.counts), percent / 100.0 * whole))
+        return float(self.EDGES_US[bar + 1])

@@ -1,0 +1,499 @@
+"""Where the live view has its rows from: a service, the ring of a test, or a recording."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core, realtime, ring
+from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.live.history import CHANNELS, History, Tally, channels
+from rthyb_rt.realtime.endings import in_words
+from rthyb_rt.recording import RUNNING, STATES, Recording, open_run
+from rthyb_rt.service.control import SOCKET, Client, Refusal, UnreachableError
+from rthyb_rt.service.peers import Peer, Rights, Role
+
+KEPT_ROWS: Final = 2 * ring.CAPACITY
+"""128 s: the test that has just ended is still there to be looked at."""
+
+_CHUNK: Final = 2048
+_TRIPPED: Final = STATES.index("TRIPPED")
+_OFF_COURSE: Final = ("HOLD", "RAMP_OUT", "TRIPPED")
+_STILL_S: Final = 0.5
+_ANSWER_S: Final = 2.0
+
+
+class Source(Protocol):
+    """What a page can look at.
+
+    Attributes:
+        history: the rows at hand.
+        zero: position of time zero: the first RUNNING row.
+        fs_hz: rows a second.
+        state: of the newest row, "" without one.
+        socket: of the service that can be told to hold and to stop, or None.
+        past: nothing more will come.
+    """
+
+    history: History
+    zero: int
+    fs_hz: float
+    socket: Path | None
+    past: bool
+
+    @property
+    def state(self) -> str:
+        """Name of the newest row's state."""
+
+    def poll(self) -> None:
+        """Take the rows that are new."""
+
+    def look(self) -> None:
+        """Find out what takes its time; in any thread."""
+
+    def status(self) -> dict[str, Any]:
+        """Return what there is to say besides the rows."""
+
+    def close(self) -> None:
+        """Let go of files and sockets."""
+
+
+def open_source(where: Path | None, service: Path) -> Source:
+    """Return what a user means.
+
+    Args:
+        where: a recording or the folder of a run, a ring, a folder of rings, a control socket; None
+            takes the service, or the newest ring of this user.
+        service: the control socket that is taken then.
+
+    Raises:
+        InputError: there is nothing of the kind.
+    """
+    if where is None:
+        return _of_user(service)
+    # The service may come later.
+    if where.is_socket() or where.name == SOCKET.name:
+        return LiveSource(where.parent, where)
+    if where.is_dir():
+        return _of_folder(where)
+    if where.name.startswith("ring.") and where.suffix != ".h5":
+        with ring.Reader(where):
+            return LiveSource(where, None)
+    return PastSource(open_run(where))
+
+
+def _of_user(service: Path) -> Source:
+    if service.is_socket():
+        return LiveSource(service.parent, service)
+    folder = ring.default_folder()
+    if ring.find(folder):
+        return LiveSource(folder, None)
+    raise InputError(
+        f"no service answers at {service} and {folder} has no ring of a test; start rthyb serve or "
+        "rthyb run --realtime, or give a recording"
+    )
+
+
+def _of_folder(folder: Path) -> Source:
+    """Return the service, the newest ring or the recording of a folder."""
+    socket = folder / SOCKET.name
+    if socket.is_socket():
+        return LiveSource(folder, socket)
+    if ring.find(folder):
+        return LiveSource(folder, None)
+    return PastSource(open_run(folder))
+
+
+# ---- a test that runs ---------------------------------------------------------------------------
+
+
+class LiveSource:
+    """Rows of a ring as they come, and of the rings that follow it.
+
+    Args:
+        place: the ring, or the folder in which the newest one counts.
+        socket: the service's, or None.
+    """
+
+    past = False
+    fs_hz = core.FS_HZ
+
+    def __init__(self, place: Path, socket: Path | None) -> None:
+        self.history, self.zero = History(KEPT_ROWS), 0
+        self.socket = socket
+        self._place = place
+        self._tally = Tally()
+        self._wanted: Path | None = None
+        self._reader: ring.Reader | None = None
+        self._at_rest = False
+        self._offset: int | None = None
+        self._began = False
+        self._came_s = 0.0
+        self._trouble = ""
+        self._client: Client | None = None
+        self._service: dict[str, Any] | None = None
+        self._cause: tuple[Path | None, str] = (None, "")
+        self.look()
+
+    # ---- rows -----------------------------------------------------------------------------------
+
+    def poll(self) -> None:
+        """Take the rows that are new; turn to another ring where there is one."""
+        self._drain()
+        if self._wanted is not None and (self._reader is None or self._reader.path != self._wanted):
+            self._turn_to(self._wanted)
+            self._drain()
+
+    def _turn_to(self, path: Path) -> None:
+        try:
+            reader = ring.Reader(path)
+        except InputError as error:
+            # It may have gone again by now; the next look tells.
+            self._trouble = str(error)
+            return
+        if self._reader is not None:
+            self._reader.close()
+        self._reader, self._trouble, self._offset = reader, "", None
+        service = self._service
+        self._at_rest = service is not None and not service["run_id"]
+        if not self._at_rest:
+            self._tally, self._began = Tally(), False
+        elif self.history.size:
+            # Rest of long ago lies before the test that has ended.
+            while reader.read(_CHUNK).samples.size:
+                pass
+
+    def _drain(self) -> None:
+        reader = self._reader
+        if reader is None:
+            return
+        while (rows := reader.read(_CHUNK).samples).size:
+            if self._at_rest:
+                # A trip stays on the screen until somebody resets it.
+                rows = rows[rows["state"] != _TRIPPED]
+            else:
+                self._tally.add(rows)
+            self._take(rows)
+
+    def _take(self, rows: NDArray[np.void]) -> None:
+        """Put rows behind those that are there; another station counts its ticks anew."""
+        tick = rows["tick"].astype(np.int64)
+        for part in np.split(np.arange(tick.size), np.flatnonzero(np.diff(tick) <= 0) + 1):
+            if part.size:
+                self._append(rows[part], tick[part])
+
+    def _append(self, rows: NDArray[np.void], tick: NDArray[np.int64]) -> None:
+        last = self.history.last
+        if self._offset is None or not last < tick[0] + self._offset <= last + KEPT_ROWS:
+            self._offset = last + 1 - int(tick[0])
+            if not self._began:
+                self.zero = last + 1
+        at = tick + self._offset
+        running = np.flatnonzero(rows["state"] == RUNNING)
+        if running.size and not self._began:
+            self.zero, self._began = int(at[running[0]]), True
+        self.history.append(at, channels(rows), rows["state"])
+        self._came_s = time.monotonic()
+
+    # ---- what takes its time --------------------------------------------------------------------
+
+    def look(self) -> None:
+        """Ask the service, find the newest ring, and the cause of a test that left its course."""
+        self._service = self._ask() if self.socket is not None else None
+        if self._service is not None:
+            self._wanted = Path(self._service["ring"])
+        elif self._place.is_dir():
+            # A ring may go while it is looked at.
+            with contextlib.suppress(FileNotFoundError, InputError):
+                self._wanted = _newest(self._place, self._wanted)
+        else:
+            self._wanted = self._place
+        if self._service is None:
+            self._find_cause()
+
+    def _ask(self) -> dict[str, Any] | None:
+        assert self.socket is not None
+        try:
+            if self._client is None:
+                self._client = Client(self.socket, _ANSWER_S)
+            found: dict[str, Any] = self._client.call("GetStatus")["status"]
+            return found
+        except (UnreachableError, Refusal) as error:
+            self._hang_up()
+            self._trouble = str(error)
+            return None
+
+    def _hang_up(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            client.close()
+
+    def _find_cause(self) -> None:
+        """Compute what no row says: which limit it was."""
+        path, (known, cause) = self._wanted, self._cause
+        if path is None or self.state not in _OFF_COURSE or (known == path and cause):
+            return
+        # Its process may be writing beside it; what is not there now comes later.
+        with contextlib.suppress(RthybError):
+            found = realtime.first_cause(ring.recover(path).recording)
+            self._cause = (path, "" if found == "none" else found)
+
+    @property
+    def state(self) -> str:
+        """Name of the newest row's state."""
+        return _state_of(self.history)
+
+    # ---- words ----------------------------------------------------------------------------------
+
+    def status(self) -> dict[str, Any]:
+        """Return what there is to say besides the rows."""
+        service = self._service
+        flows = time.monotonic() - self._came_s < _STILL_S
+        told = _nothing() if service is None else _of_service(service)
+        if self.socket is None:
+            known, cause = self._cause
+            told |= {
+                "state": self.state,
+                "cause": in_words(cause) if cause and known == self._wanted else "",
+                "test": "" if self._wanted is None else self._wanted.name,
+                "ended": self._reader is not None and not self._reader.alive,
+                "end_reason": self._end(),
+            }
+            newest = None if self._reader is None else self._reader.newest()
+            told["now"] = None if newest is None else _now(newest)
+        return told | {
+            "mode": "ring" if self.socket is None else "service",
+            "reachable": self.socket is None or service is not None,
+            "trouble": self._trouble if service is None else "",
+            "flows": flows,
+            "role": "" if self.socket is None else _role(self.socket),
+            "counters": [*_counters(self._tally), *told["counters"]],
+            "wake": _wake(self._tally),
+        }
+
+    def _end(self) -> str:
+        reader = self._reader
+        if reader is None or reader.alive:
+            return ""
+        return "the test is over" if reader.closed else "its process ended early"
+
+    def close(self) -> None:
+        """Let go of ring and socket."""
+        self._hang_up()
+        if self._reader is not None:
+            self._reader.close()
+
+
+def _newest(folder: Path, present: Path | None) -> Path | None:
+    """Return the newest ring that a process fills, else the newest; ``present`` if none is newer.
+
+    Raises:
+        FileNotFoundError, InputError: a ring went, or is not whole yet.
+    """
+    rings = ring.find(folder)
+    if not rings or rings[-1] == present:
+        return present
+    for path in reversed(rings):
+        with ring.Reader(path) as reader:
+            if reader.alive:
+                return path
+    return present or rings[-1]
+
+
+def _state_of(history: History) -> str:
+    if not history.size:
+        return ""
+    number = int(history.rows(history.last, history.last + 1)[2][0])
+    return STATES[number] if number < len(STATES) else ""
+
+
+def _nothing() -> dict[str, Any]:
+    return {
+        "state": "",
+        "cause": "",
+        "allowed": [],
+        "rig": "",
+        "test": "",
+        "link": "",
+        "progress": None,
+        "indicated": [],
+        "armed_by": "",
+        "last": None,
+        "counters": [],
+        "now": None,
+        "ended": False,
+        "end_reason": "",
+    }
+
+
+def _of_service(found: dict[str, Any]) -> dict[str, Any]:
+    test, cause = found["test"], found["cause"]
+    progress = found["progress"]
+    return _nothing() | {
+        "state": found["state"],
+        "cause": "" if cause in ("none", "completed") else in_words(cause),
+        "allowed": found["allowed"],
+        "rig": found["rig"],
+        "test": "" if test is None else test["name"],
+        "digest": "" if test is None else test["digest"],
+        "link": found["link"],
+        "follows": found["follows"],
+        "progress": None
+        if test is None or not found["run_id"]
+        else [progress["ticks"] / core.FS_HZ, progress["of"] / core.FS_HZ],
+        "indicated": found["indicated"],
+        "armed_by": found["armed_by"],
+        "last": found["last"],
+        "counters": list(_recorder(found["recorder"])),
+        "now": None if found["newest"] is None else _now(found["newest"]),
+    }
+
+
+def _now(newest: Any) -> list[float | None]:
+    """Return the channels of one record, or of what the service says of it."""
+    names = {c.field for c in CHANNELS} | {c.less for c in CHANNELS if c.less is not None}
+    row = np.zeros(1, dtype=[(name, np.float64) for name in sorted(names)])
+    for name in names:
+        value = newest[name]
+        row[name] = np.nan if value is None else value
+    return [None if np.isnan(value) else float(value) for value in channels(row)[:, 0]]
+
+
+def _counter(label: str, value: object, alarm: bool = False) -> dict[str, Any]:
+    return {"label": label, "value": str(value), "alarm": alarm}
+
+
+def _counters(tally: Tally) -> Iterable[dict[str, Any]]:
+    yield _counter("Ticks", tally.rows)
+    yield _counter("Skipped", tally.skipped, tally.skipped > 0)
+    for name, label in (
+        ("lost", "Pairs lost"),
+        ("predicted", "Predicted"),
+        ("slip", "Slips"),
+        ("not_sent", "Not sent"),
+        ("limited", "Limited"),
+    ):
+        count = tally.flags[name]
+        yield _counter(label, count, count > 0 and name != "limited")
+
+
+def _recorder(found: dict[str, Any]) -> Iterable[dict[str, Any]]:
+    if not found["wanted"]:
+        yield _counter("Recorder", "none")
+        return
+    if not found["alive"] or found["fault"]:
+        yield _counter("Recorder", found.get("fault") or "no sign of life", True)
+        return
+    lost = sum(last - first + 1 for first, last in found["missing_rows"])
+    yield _counter("Recorded", found["rows"] if found["run_id"] else "ready")
+    yield _counter("Rows lost", lost, lost > 0)
+    yield _counter("Disk free", f"{found['free_bytes'] / 1e9:.1f} GB")
+
+
+def _wake(tally: Tally) -> dict[str, Any]:
+    return {
+        "counts": tally.counts.tolist(),
+        "p50_us": tally.percentile_us(50.0),
+        "p99_us": tally.percentile_us(99.0),
+        "max_us": tally.longest_ns * 1e-3,
+    }
+
+
+def _role(socket: Path) -> str:
+    """Return what this process may do there, for the page; the service decides by itself."""
+    try:
+        owner = socket.stat().st_uid
+    except OSError:
+        return "none"
+    groups = Rights.of_system()
+    me = Peer(os.getpid(), os.geteuid(), frozenset((os.getegid(), *os.getgroups())))
+    return Rights(groups.lookers, groups.operators, owner).role(me).name.lower()
+
+
+MAY_HOLD: Final = tuple(role.name.lower() for role in (Role.LOOK, Role.OPERATE))
+
+
+# ---- a test of the past -------------------------------------------------------------------------
+
+
+class PastSource:
+    """All rows of a recording at once.
+
+    Args:
+        rec: the recording.
+
+    Raises:
+        InputError: it has no row.
+    """
+
+    past = True
+
+    def __init__(self, rec: Recording) -> None:
+        samples = rec.samples
+        self.socket: Path | None = None
+        if not samples.size:
+            raise InputError("the recording has no row: there is nothing to show")
+        self.fs_hz = rec.fs_hz
+        self.history = History(samples.size)
+        at = _positions(samples["tick"])
+        self.history.append(at, channels(samples), samples["state"].astype(np.uint8))
+        self.zero = int(at[np.argmax(rec.running())])
+        self._tally = Tally()
+        self._tally.add(samples)
+        if not isinstance(rec.meta.get("real_time"), dict):
+            # Nobody woke for these ticks: they were computed.
+            self._tally.forget_waking()
+        self._rec = rec
+
+    def poll(self) -> None:
+        """Nothing comes."""
+
+    def look(self) -> None:
+        """There is nothing to be found out."""
+
+    def close(self) -> None:
+        """There is nothing to let go of."""
+
+    @property
+    def state(self) -> str:
+        """Name of the newest row's state."""
+        return _state_of(self.history)
+
+    def status(self) -> dict[str, Any]:
+        """Return what there is to say besides the rows."""
+        meta = self._rec.meta
+        facts = meta.get("real_time")
+        cause = facts.get("cause", "") if isinstance(facts, dict) else ""
+        told = _nothing() | {
+            "state": self.state,
+            "cause": "" if cause in ("", "none", "completed") else in_words(cause),
+            "test": str(meta.get("test_name", "")),
+            "ended": True,
+            "end_reason": str(meta.get("end_reason", "")),
+            "created_utc": str(meta.get("created_utc", "")),
+            "counters": list(_counters(self._tally)),
+        }
+        return told | {
+            "mode": "past",
+            "reachable": True,
+            "trouble": "",
+            "flows": False,
+            "role": "",
+            "wake": _wake(self._tally),
+        }
+
+
+def _positions(tick: NDArray[np.uint64]) -> NDArray[np.int64]:
+    """Return the ticks as positions; where they do not rise, the numbers of the rows."""
+    if tick.size and int(tick.max()) < 2**52:
+        at = tick.astype(np.int64)
+        if np.all(np.diff(at) > 0):
+            return at
+    return np.arange(tick.size, dtype=np.int64)

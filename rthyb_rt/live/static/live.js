@@ -1,0 +1,378 @@
+// The page: what is shown, what was said, and the buttons.
+
+import { Histogram, INK, LoopChart, Outline, TimeChart, text } from "./charts.js";
+import { NO_STATE, OUTLINE, Store, connect } from "./stream.js";
+
+const CHANNEL = { command: 0, sent: 1, measured: 2, tracking: 3, force: 4, alpha: 5, stiffness: 6, energy: 7 };
+const STILL_MS = 1000, NUMBERS_MS = 200, SURE_MS = 4000, ANSWER_MS = 8000, LEAST_S = 0.05;
+const SLOW = [CHANNEL.alpha, CHANNEL.stiffness, CHANNEL.energy];
+const $ = (id) => document.getElementById(id);
+
+let hello = null, status = null, store = null, send = () => false, connected = false;
+let following = true, seconds = 10, shown = [0, 0], playing = 0;
+let dirty = false, numbersDue = 0, rowsCame = 0, lastRow = -1, shownState = NO_STATE;
+
+// What the tests and the benchmark look at: newest row painted, and when (Unix time, ms).
+const drawn = [];
+window.rthybLive = { drawn, frames: 0, get store() { return store; }, get shown() { return shown; } };
+
+const painted = new MessageChannel();
+painted.port1.onmessage = ({ data }) => { drawn.push([data, performance.timeOrigin + performance.now()]); if (drawn.length > 4096) drawn.splice(0, 2048); };
+
+// ---- charts -------------------------------------------------------------------------------------
+
+const on = { select: (first, last) => look(position(first), position(last)), zoom: (factor, at) => zoom(factor, position(at)), all: () => everything() };
+const one = (channel, ink, digits) => [{ channel, label: "", ink, width: 1.6, digits }];
+let charts = [], loop = null, histogram = null, outline = null;
+
+function build() {
+  if (charts.length) return;
+  const symmetric = (least) => ({ least, symmetric: true }), free = (least) => ({ least, symmetric: false });
+  charts = [
+    new TimeChart($("displacement"), "Displacement", "mm", [
+      { channel: CHANNEL.measured, label: "measured", ink: INK.sky, width: 3, digits: 3 },
+      { channel: CHANNEL.sent, label: "compensated", ink: INK.red, width: 1.6, dash: [7, 4], digits: 3 },
+      { channel: CHANNEL.command, label: "command", ink: INK.black, width: 1.2, digits: 3 },
+    ], symmetric(0.05), on),
+    new TimeChart($("tracking"), "Tracking error", "mm, measured less command", one(CHANNEL.tracking, INK.red, 4), symmetric(0.02), on),
+    new TimeChart($("force"), "Force", "kN, measured", one(CHANNEL.force, INK.blue, 3), symmetric(0.1), on),
+    new TimeChart($("alpha"), "Delay α", "samples", one(CHANNEL.alpha, INK.green, 2), free(0.5), on),
+    new TimeChart($("stiffness"), "Tangent stiffness", "kN/mm", one(CHANNEL.stiffness, INK.purple, 3), free(0.01), on),
+    new TimeChart($("energy"), "Energy error", "J", one(CHANNEL.energy, INK.black, 3), free(0.01), on),
+  ];
+  loop = new LoopChart(document.querySelector("#loop canvas"));
+  histogram = new Histogram(document.querySelector("#jitter canvas"));
+  outline = new Outline($("outline"), CHANNEL.measured, look);
+}
+
+function draw() {
+  dirty = false;
+  const head = store.head;
+  if (!head) return;
+  const range = following ? [store.seconds(head.last) - seconds, store.seconds(head.last)] : shown.map((p) => store.seconds(p));
+  if (following) shown = [head.last - seconds * hello.fs_hz, head.last];
+  // What changes slowly is drawn in turn, one a frame; so every frame is in time.
+  const slow = window.rthybLive.frames % SLOW.length;
+  charts.forEach((chart, i) => { if (!following || i < charts.length - SLOW.length || i === charts.length - SLOW.length + slow) chart.draw(store, range); });
+  loop.draw(store.loop, [head.values[CHANNEL.measured], head.values[CHANNEL.force]]);
+  if (performance.now() >= numbersDue || !following) {
+    numbersDue = performance.now() + NUMBERS_MS;
+    numbers(hello.past || (following && flows()) || !status || !status.now ? head.values : status.now);
+    sayShown();
+  }
+  tell();
+}
+
+function animate() {
+  const newest = store && store.head ? store.head.last : -1, draws = dirty;
+  if (playing) play();
+  if (draws) {
+    draw();
+    window.rthybLive.frames++;
+    // The browser paints when this callback has ended; then comes the message.
+    painted.port2.postMessage(newest);
+  }
+  requestAnimationFrame(animate);
+}
+
+// ---- numbers and words --------------------------------------------------------------------------
+
+function peak(channel) {
+  let most = 0;
+  for (const y of store.y[channel]) if (y !== null && Math.abs(y) > most) most = Math.abs(y);
+  return most;
+}
+
+function numbers(values) {
+  const put = (id, channel, digits, more) => { $(`n-${id}`).value = text(values[channel], digits); $(`s-${id}`).textContent = more; };
+  put("x", CHANNEL.measured, 2, `command ${text(values[CHANNEL.command], 2)}, peak ${text(peak(CHANNEL.measured), 2)}`);
+  put("e", CHANNEL.tracking, 3, `peak ${text(peak(CHANNEL.tracking), 3)}`);
+  put("f", CHANNEL.force, 2, `peak ${text(peak(CHANNEL.force), 2)}`);
+  put("a", CHANNEL.alpha, 1, values[CHANNEL.alpha] === null ? "" : `${text(values[CHANNEL.alpha] / hello.fs_hz * 1000, 1)} ms`);
+  put("k", CHANNEL.stiffness, 3, "");
+  put("w", CHANNEL.energy, 2, "");
+}
+
+function flows() { return connected && performance.now() - rowsCame < STILL_MS; }
+
+// State and first cause: of the newest row while rows come, else as the service says.
+function tell() {
+  if (!hello) return;
+  const of = (number) => (number === NO_STATE ? "" : hello.states[number] || "");
+  let state = of(shownState), cause = "", words = "";
+  if (!connected) { state = "none"; words = "NO CONNECTION"; cause = "What is drawn is old. rthyb live has ended, or the way to it."; }
+  else if (status && !status.reachable) { state = "none"; words = "NO SERVICE"; cause = status.trouble || "rthyb serve does not answer."; }
+  else if (status) {
+    // Whoever looks back must still see what is now.
+    if (!hello.past && !(following && flows())) state = status.state || state;
+    cause = state === status.state || status.mode !== "service" ? status.cause : "";
+    if (hello.past) {
+      words = "RECORDING";
+      cause = `${status.end_reason || "end unknown"}${store.head ? `; at ${text(store.seconds(store.head.at), 2)} s ${state.replace("_", " ")}` : ""}`;
+      state = status.state;
+      $("band").dataset.past = "";
+    }
+    else if (status.ended) cause = ended(state);
+    else if (state === "TRIPPED") cause = cause ? `first cause: ${cause}` : "first cause: being looked for";
+    else if (state === "" && status.trouble) { state = "none"; words = "NO TEST"; cause = status.trouble; }
+    else if (state === "") words = "WAITING";
+    else if (state === "IDLE" && status.last && status.last.end_reason !== "completed") cause = `last test ${status.last.end_reason}`;
+    else if (cause && state !== "RAMP_OUT" && state !== "HOLD") cause = "";
+    if (!cause && status.indicated && status.indicated.length) cause = `indicated: ${status.indicated.join(", ")}`;
+  }
+  const name = words || state.replace("_", " ");
+  if ($("state").textContent !== name) $("state").textContent = name;
+  if ($("cause").textContent !== cause) $("cause").textContent = cause;
+  $("band").dataset.state = state;
+  $("band").classList.toggle("off", state === "RAMP_OUT" && cause !== "");
+}
+
+function ended(state) {
+  return state === "TRIPPED" && status.cause ? `first cause: ${status.cause}` : status.end_reason;
+}
+
+function sayShown() {
+  const [first, last] = shown.map((p) => store.seconds(p));
+  $("shown").textContent = following ? "" : `${text(first, 2)} to ${text(last, 2)} s`;
+  const slider = $("outline"), head = store.head;
+  slider.setAttribute("aria-valuemin", store.seconds(head.first).toFixed(2));
+  slider.setAttribute("aria-valuemax", store.seconds(head.last).toFixed(2));
+  slider.setAttribute("aria-valuenow", last.toFixed(2));
+  slider.setAttribute("aria-valuetext", `${text(first, 2)} to ${text(last, 2)} seconds`);
+}
+
+function onStatus(found) {
+  status = found;
+  $("test-name").textContent = found.test || (found.mode === "service" ? "no test loaded" : "");
+  const facts = [found.rig, found.link, found.created_utc, found.armed_by ? `armed by ${found.armed_by}` : ""];
+  $("test-facts").textContent = facts.filter(Boolean).join(" · ");
+  document.title = `${found.state || "rthyb live"}${found.test ? ` · ${found.test}` : ""}`;
+  $("progress").hidden = !found.progress;
+  if (found.progress) {
+    const [done, of] = found.progress;
+    $("progress-bar").max = of;
+    $("progress-bar").value = done;
+    $("progress-text").textContent = `${text(done, 1)} of ${text(of, 1)} s`;
+  }
+  $("counters").replaceChildren(...found.counters.map(counter));
+  const wake = found.wake;
+  $("wake").textContent = wake.max_us > 0 ? `p50 ${micro(wake.p50_us)}, p99 ${micro(wake.p99_us)}, longest ${micro(wake.max_us)}` : hello.past ? "not in real time" : "";
+  histogram.draw(hello.edges_us, wake.counts, wake.p99_us);
+  enable();
+  if (store.head && found.now && !(following && flows())) numbers(found.now);
+  tell();
+}
+
+function counter({ label, value, alarm }) {
+  const made = document.createElement("div"), dt = document.createElement("dt"), dd = document.createElement("dd");
+  dt.textContent = label;
+  dd.textContent = value;
+  if (alarm) made.className = "alarm";
+  made.append(dt, dd);
+  return made;
+}
+
+function micro(us) { return us < 1000 ? `${us < 10 ? us.toFixed(1) : us.toFixed(0)} µs` : `${(us / 1000).toFixed(us < 1e4 ? 1 : 0)} ms`; }
+
+// ---- commands -----------------------------------------------------------------------------------
+
+const buttons = [...document.querySelectorAll("[data-command]")];
+
+// A button that is of no use now keeps its place in the order of the keyboard, and the focus.
+function enable() {
+  for (const button of buttons) {
+    const command = button.dataset.command;
+    const may = connected && status && status.reachable && status.role !== "none" && hello.commands.includes(command);
+    const useless = !may || !status.allowed.includes(command);
+    if (button.getAttribute("aria-disabled") !== String(useless)) button.setAttribute("aria-disabled", String(useless));
+    button.title = useless ? why(command, may) : "";
+  }
+}
+
+function why(command, may) {
+  if (!connected || !status || !status.reachable) return "There is no service to tell.";
+  if (status.role === "none") return "The user of this live view is in no group that may do this.";
+  if (!may) return "Takes the operator's address of this page.";
+  return `Not in ${status.state}.`;
+}
+
+// The page may know less than the service for a moment: what is safe goes out in any case.
+const SAFE = ["hold", "stop"];
+
+function mayTry(command) { return SAFE.includes(command) && connected && status && status.reachable && status.role !== "none"; }
+
+function give(button) {
+  const { command, sure } = button.dataset;
+  if (button.getAttribute("aria-disabled") === "true" && !mayTry(command)) {
+    answer({ ok: false, text: button.title });
+    return;
+  }
+  if (sure && !button.classList.contains("sure")) {
+    const label = button.textContent;
+    button.classList.add("sure");
+    button.textContent = sure;
+    setTimeout(() => { button.classList.remove("sure"); button.textContent = label; }, SURE_MS);
+    return;
+  }
+  if (!send({ command })) answer({ ok: false, text: "Not sent: there is no connection" });
+}
+
+let answered = 0;
+function answer({ ok, text: words }) {
+  clearTimeout(answered);
+  answered = setTimeout(() => { $("answer").textContent = ""; }, ANSWER_MS);
+  $("answer").textContent = words;
+  $("answer").className = ok ? "" : "bad";
+}
+
+for (const button of buttons) button.addEventListener("click", () => give(button));
+
+// ---- what is shown ------------------------------------------------------------------------------
+
+function position(atSeconds) { return store.zero + atSeconds * hello.fs_hz; }
+
+function columns() { return Math.max(64, Math.min(2048, Math.round($("displacement").clientWidth - 68))); }
+
+function ask(withOutline) {
+  if (following) send({ view: { follow: true, seconds, columns: columns() } });
+  else send({ view: { first: shown[0], last: shown[1], columns: columns(), outline: withOutline === true } });
+}
+
+function look(first, last, withOutline) {
+  const head = store.head;
+  if (!head) return;
+  const [low, high] = [head.first, head.last], length = Math.min(Math.max(last - first, LEAST_S * hello.fs_hz), Math.max(high - low, 1));
+  first = Math.max(low, Math.min(first, high - length));
+  const turned = following;
+  following = false;
+  shown = [first, first + length];
+  outline.window = shown;
+  outline.draw();
+  press();
+  ask(turned || withOutline);
+}
+
+function follow() {
+  following = true;
+  playing = 0;
+  press();
+  ask();
+}
+
+function zoom(factor, about) {
+  const [first, last] = shown, at = about === undefined ? (first + last) / 2 : about;
+  if (following) {
+    setLength(Math.max(0.5, Math.min(120, seconds * factor)));
+    return;
+  }
+  look(at - (at - first) * factor, at + (last - at) * factor);
+}
+
+function scrub(part) { const by = part * (shown[1] - shown[0]); look(shown[0] + by, shown[1] + by); }
+
+function everything() { if (store.head) look(store.head.first, store.head.last); }
+
+function setLength(length) {
+  seconds = length;
+  if (following) { press(); ask(); } else look(shown[1] - seconds * hello.fs_hz, shown[1]);
+}
+
+function togglePlay() {
+  playing = playing ? 0 : performance.now();
+  if (playing && shown[1] >= store.head.last - 1) look(store.head.first, store.head.first + shown[1] - shown[0]);
+  press();
+}
+
+let asked = 0;
+function play() {
+  const now = performance.now();
+  if (now - asked < 33) return;
+  const by = (now - playing) / 1000 * hello.fs_hz;
+  asked = playing = now;
+  if (shown[1] >= store.head.last) { playing = 0; press(); return; }
+  look(shown[0] + by, shown[1] + by);
+}
+
+function press() {
+  const still = !following;
+  $("follow").hidden = hello.past;
+  $("follow").textContent = following ? "Pause" : "Follow";
+  $("follow").setAttribute("aria-pressed", String(following));
+  $("play").hidden = !still;
+  $("play").textContent = playing ? "Pause" : "Play";
+  $("play").setAttribute("aria-pressed", String(Boolean(playing)));
+  $("outline").hidden = !still;
+  $("all").hidden = !still;
+  $("back").disabled = $("forth").disabled = following;
+  for (const button of document.querySelectorAll("[data-seconds]")) {
+    const length = following ? seconds : (shown[1] - shown[0]) / hello.fs_hz;
+    button.setAttribute("aria-current", String(Math.abs(Number(button.dataset.seconds) - length) < 0.01));
+  }
+  if (store && store.head) sayShown();
+}
+
+$("follow").addEventListener("click", () => (following ? look(shown[0], shown[1]) : follow()));
+$("play").addEventListener("click", togglePlay);
+$("all").addEventListener("click", everything);
+$("back").addEventListener("click", () => scrub(-0.5));
+$("forth").addEventListener("click", () => scrub(0.5));
+$("out").addEventListener("click", () => zoom(2));
+$("in").addEventListener("click", () => zoom(0.5));
+for (const button of document.querySelectorAll("[data-seconds]")) button.addEventListener("click", () => setLength(Number(button.dataset.seconds)));
+
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || !store || !store.head) return;
+  const keys = {
+    ArrowLeft: () => scrub(event.shiftKey ? -1 : -0.1), ArrowRight: () => scrub(event.shiftKey ? 1 : 0.1),
+    "+": () => zoom(0.8), "-": () => zoom(1.25),
+    Home: () => look(store.head.first, store.head.first + shown[1] - shown[0]),
+    End: () => (hello.past ? look(store.head.last - shown[1] + shown[0], store.head.last) : follow()),
+  };
+  // A space on a button presses that button.
+  if (event.key === " " && event.target.tagName !== "BUTTON") keys[" "] = () => (hello.past || playing ? togglePlay() : $("follow").click());
+  const act = keys[event.key];
+  if (act) { event.preventDefault(); act(); }
+});
+
+// ---- the socket ---------------------------------------------------------------------------------
+
+send = connect({
+  hello(found) {
+    connected = true;
+    const again = hello !== null;
+    hello = found;
+    store = new Store(found.channels.length, found.fs_hz);
+    build();
+    $("commands").hidden = found.past || !found.commands.length;
+    $("operator").hidden = !found.operator;
+    $("foot").textContent = `rthyb ${found.version}`;
+    if (found.past) {
+      following = false;
+      // The whole test first; then whoever looks goes closer.
+      if (!again) shown = [found.first, Math.max(found.last, found.first + 1)];
+    }
+    press();
+    ask(true);
+  },
+  status: onStatus,
+  answer,
+  frame(frame) {
+    if (frame.kind === OUTLINE) { outline.window = shown; outline.show(frame); return; }
+    if (frame.last !== lastRow) { lastRow = frame.last; rowsCame = performance.now(); }
+    shownState = frame.state;
+    store.take(frame, following ? seconds * hello.fs_hz : 0);
+    dirty = true;
+  },
+  closed() {
+    connected = false;
+    enable();
+    tell();
+  },
+});
+
+// When nothing comes, that is to be seen as well.
+setInterval(() => { if (hello) tell(); }, 500);
+
+let resized = 0;
+addEventListener("resize", () => { clearTimeout(resized); resized = setTimeout(() => { if (hello) ask(true); }, 200); });
+requestAnimationFrame(animate);

@@ -1,0 +1,76 @@
+"""`rthyb live` as a process, and a service at the pace of a real one, for tests in a browser."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from realtime_bench import process, until
+from service_bench import served, short_test
+
+from rthyb_rt import config, experiment
+from rthyb_rt.service import daemon
+from rthyb_rt.service.control import Client
+from rthyb_rt.service.daemon import Daemon, record_of
+from rthyb_rt.service.engine import TURN_S
+
+LONG = {
+    "test.duration_s": "60",
+    "ground_motion.start_s": "1",
+    "controller.type": "alpha-beta",
+}
+
+
+@contextmanager
+def live(*arguments: object, folder: Path) -> Iterator[dict[str, Any]]:
+    """Give what `rthyb live` says with --json, while it runs."""
+    with process(folder, "live", *arguments, "--port", "0", "--json") as made:
+        said = ""
+        while not said.endswith("}\n"):
+            line = made.line()
+            assert line, made.end()
+            said += line
+        yield json.loads(said)
+
+
+@contextmanager
+def paced(folder: Path) -> Iterator[Daemon]:
+    """Give a daemon on the stepped clock that goes on as fast as a real one: nothing can stall."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(daemon, "_STEPPED_S", TURN_S)
+        with served(folder) as made:
+            yield made
+
+
+def status(folder: Path) -> dict[str, Any]:
+    with Client(folder / "control.sock") as client:
+        found: dict[str, Any] = client.call("GetStatus")["status"]
+        return found
+
+
+def await_state(folder: Path, state: str) -> None:
+    until(lambda: status(folder)["state"] == state, state)
+
+
+def load(folder: Path, changes: dict[str, str] | None = None) -> str:
+    """Load a test; return its digest."""
+    test = short_test(LONG | (changes or {}))
+    until(lambda: status(folder)["follows"], "a drive that follows")
+    with Client(folder / "control.sock") as client:
+        record = record_of(experiment.load_motion(test))
+        digest = client.call("Load", test_toml=config.dump(test), record=record)["digest"]
+        return str(digest)
+
+
+def start(folder: Path, changes: dict[str, str] | None = None) -> None:
+    """Bring a test to RUNNING."""
+    digest = load(folder, changes)
+    with Client(folder / "control.sock") as client:
+        client.call("Zero")
+        await_state(folder, "ZEROED")
+        client.call("Start", token=client.call("Arm", digest=digest)["token"])
+    await_state(folder, "RUNNING")
