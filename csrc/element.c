@@ -14,17 +14,28 @@
 
 /* One sign a parameter, in the order of enum rthyb_element_kind: '+' positive, '0' not negative,
  * '-' any. */
+/* clang-format off */
 static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
-    [RTHYB_STIFFNESS] = "-",       [RTHYB_VISCOUS] = "-",
-    [RTHYB_COULOMB] = "0+",        [RTHYB_STRIBECK] = "00++",
-    [RTHYB_LUGRE] = "++++00",      [RTHYB_QUAD_DAMPING] = "-",
-    [RTHYB_INERTIA] = "0",         [RTHYB_GAP] = "00",
-    [RTHYB_CUBIC] = "-",           [RTHYB_QUADRATIC] = "-",
-    [RTHYB_STOPPER] = "00",        [RTHYB_HYSTERESIS] = "+0+--+",
-    [RTHYB_PINCHING] = "+0+--+0+", [RTHYB_DEGRADATION] = "+0+--+0+",
-    [RTHYB_MAXWELL] = "0+",        [RTHYB_SECOND_MODE] = "0+0",
-    [RTHYB_P_DELTA] = "0+",        [RTHYB_GAP_FRICTION] = "+0000",
+    [RTHYB_STIFFNESS] = "-",
+    [RTHYB_VISCOUS] = "-",
+    [RTHYB_COULOMB] = "0+",
+    [RTHYB_STRIBECK] = "00++",
+    [RTHYB_LUGRE] = "++++00",
+    [RTHYB_QUAD_DAMPING] = "-",
+    [RTHYB_INERTIA] = "0",
+    [RTHYB_GAP] = "00",
+    [RTHYB_CUBIC] = "-",
+    [RTHYB_QUADRATIC] = "-",
+    [RTHYB_STOPPER] = "00",
+    [RTHYB_HYSTERESIS] = "+0+--+",
+    [RTHYB_PINCHING] = "+0+--+0+",
+    [RTHYB_DEGRADATION] = "+0+--+0+",
+    [RTHYB_MAXWELL] = "0+",
+    [RTHYB_SECOND_MODE] = "0+0",
+    [RTHYB_P_DELTA] = "0+",
+    [RTHYB_GAP_FRICTION] = "+0000",
 };
+/* clang-format on */
 
 int rthyb_element_param_count(int32_t kind)
 {

@@ -266,6 +266,12 @@ static int is_moving(int state)
     return state == RTHYB_RAMP_IN || state == RTHYB_RUNNING || state == RTHYB_HOLD;
 }
 
+/* From START until it is at rest again. */
+static int is_on_its_way(int state)
+{
+    return is_moving(state) || state == RTHYB_RAMP_OUT;
+}
+
 /* At rest at x, wherever the drive was told to be before. */
 static void settle(rthyb_station *s, double x)
 {
@@ -379,12 +385,18 @@ static void begin_zero(rthyb_station *s)
     s->high_x = -RTHYB_DISPLACEMENT_MAX_M;
 }
 
+/* How far from zero a command may go; 0 where nothing ends its way. */
+static double farthest(const rthyb_station *s)
+{
+    const rthyb_watch *watch = &s->cfg.watch[RTHYB_CAUSE_POSITION];
+    return watch->reaction >= RTHYB_REACT_HOLD ? watch->value : 0.0;
+}
+
 /* The specimen stands where no command may go. */
 static int out_of_reach(const rthyb_station *s)
 {
-    const rthyb_watch *watch = &s->cfg.watch[RTHYB_CAUSE_POSITION];
-    return watch->reaction >= RTHYB_REACT_HOLD && watch->value > 0.0 &&
-           fabs(s->seen_x - s->tare_x) > watch->value;
+    const double most = farthest(s);
+    return most > 0.0 && fabs(s->seen_x - s->tare_x) > most;
 }
 
 /* A drive takes up where it stands: it must stand, and where must be known. */
@@ -641,21 +653,16 @@ static void note_reading(rthyb_station *s, const rthyb_station_input *in)
  * first. It holds from START on; before the tare there is no zero that it could be counted from. */
 static double clamp_of(const rthyb_station *s)
 {
-    const rthyb_watch *watch = &s->cfg.watch[RTHYB_CAUSE_POSITION];
-    const int on_its_way = is_moving(s->state) || s->state == RTHYB_RAMP_OUT;
-    const int hard = watch->reaction >= RTHYB_REACT_HOLD && on_its_way;
-    return hard ? watch->value : 0.0;
+    return is_on_its_way(s->state) ? farthest(s) : 0.0;
 }
 
 /* How far out the wire may round a command: not across the limit, nor further out than one that is beyond
  * it already. What a trip repeats has left before. */
 static double reach(const rthyb_station *s)
 {
-    const rthyb_watch *watch = &s->cfg.watch[RTHYB_CAUSE_POSITION];
-    const int counts = s->commands && s->state != RTHYB_TRIPPED;
-    if (!counts || watch->reaction < RTHYB_REACT_HOLD || !(watch->value > 0.0))
-        return HUGE_VAL;
-    return fmax(watch->value, fabs(s->controller.x_cmd));
+    const double most = farthest(s);
+    const int counts = s->commands && s->state != RTHYB_TRIPPED && most > 0.0;
+    return counts ? fmax(most, fabs(s->controller.x_cmd)) : HUGE_VAL;
 }
 
 static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_record *record)
@@ -670,7 +677,7 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
         record->flags &= ~(uint32_t)RTHYB_F_BLIND;
     if (running)
         s->test_tick++;
-    if ((is_moving(s->state) || s->state == RTHYB_RAMP_OUT) && !blind)
+    if (is_on_its_way(s->state) && !blind)
         watch_limits(s, record, indicator);
     record->tick = s->tick;
     if (!blind && s->controller.missing >= LOST_TRIP && s->state != RTHYB_IDLE)

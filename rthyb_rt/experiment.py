@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -263,7 +263,7 @@ def _limit(limit: Limit | None) -> core.LimitConfig:
     return core.LimitConfig(limit.value, "trip" if limit.ends else "indicate")
 
 
-_WATCHES: dict[str, str] = {
+WATCHES: Final[dict[str, str]] = {
     "command_position_m": "position",
     "command_velocity_m_per_s": "velocity",
     "command_increment_m": "increment",
@@ -286,7 +286,7 @@ def station_config(setup: Setup) -> core.StationConfig:
     """
     limits, resolved = setup.test.limits, setup.derived.limits
     off = core.LimitConfig()
-    given = {cause: getattr(limits, key) for key, cause in _WATCHES.items()}
+    given = {cause: getattr(limits, key) for key, cause in WATCHES.items()}
     return core.StationConfig(
         controller=replace(setup.controller, position=off, force=off, tracking=off),
         watches={

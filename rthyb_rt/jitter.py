@@ -138,19 +138,13 @@ class Result:
 @contextmanager
 def busy_python() -> Iterator[None]:
     """Keep a Python thread busy that gives the GIL away only when it must."""
-    done = threading.Event()
 
-    def burn() -> None:
+    def burn(done: threading.Event) -> None:
         while not done.is_set():
             sum(range(1000))
 
-    thread = threading.Thread(target=burn, name="burner", daemon=True)
-    thread.start()
-    try:
+    with _beside("burner", burn):
         yield
-    finally:
-        done.set()
-        thread.join()
 
 
 @contextmanager
@@ -178,16 +172,23 @@ def _bare_session() -> Recording:
 @contextmanager
 def _read_steadily(reader: Reader) -> Iterator[None]:
     """Turn what is new in a ring into JSON, every 20 ms, in a thread of its own."""
-    done = threading.Event()
 
-    def follow() -> None:
+    def follow(done: threading.Event) -> None:
         last = False
         while not last:
             last = done.wait(1.0 / TELEMETRY_HZ)
             samples = reader.read().samples
             json.dumps({name: samples[name].tolist() for name in ("tick", "x_num_m", "x_meas_m")})
 
-    thread = threading.Thread(target=follow, name="telemetry", daemon=True)
+    with _beside("telemetry", follow):
+        yield
+
+
+@contextmanager
+def _beside(name: str, work: Callable[[threading.Event], None]) -> Iterator[None]:
+    """Do something in a thread of its own, until the event says that it is enough."""
+    done = threading.Event()
+    thread = threading.Thread(target=work, args=(done,), name=name, daemon=True)
     thread.start()
     try:
         yield

@@ -9,7 +9,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import loop_bench
+
+from rthyb_rt import core, loop
 from rthyb_rt.config.rigfile import Link
+from rthyb_rt.links import wire
+from rthyb_rt.links.opening import Opened
 
 
 def wanted(kind: str, channel: object, **more: Any) -> Link:
@@ -46,3 +51,26 @@ def as_nobody() -> Iterator[None]:
         yield
     finally:
         os.seteuid(0)
+
+
+class LinkUnderTest:
+    """The core's link on what was opened, and a loop that drains it, one tick at a time."""
+
+    def __init__(self, opened: Opened) -> None:
+        self.link = loop.Link(opened.kind, opened.fd)
+        station = core.Station(loop_bench.config(), loop_bench.shaking(0.1))
+        self.loop = loop.Loop(station, wire.Wire(opened.codec), self.link)
+
+    def down(self) -> str:
+        self.loop.step()
+        return self.link.down
+
+    def comes_down(self, fault: str) -> None:
+        until(lambda: self.down() == fault)
+        self.link.close()
+
+    def __enter__(self) -> LinkUnderTest:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.link.close()

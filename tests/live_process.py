@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from realtime_bench import process, until
-from service_bench import served, short_test
+from service_bench import await_state, served, short_test, status
 
 from rthyb_rt import config, experiment
 from rthyb_rt.service import daemon
@@ -44,16 +44,6 @@ def paced(folder: Path) -> Iterator[Daemon]:
         patch.setattr(daemon, "_STEPPED_S", TURN_S)
         with served(folder) as made:
             yield made
-
-
-def status(folder: Path) -> dict[str, Any]:
-    with Client(folder / "control.sock") as client:
-        found: dict[str, Any] = client.call("GetStatus")["status"]
-        return found
-
-
-def await_state(folder: Path, state: str) -> None:
-    until(lambda: status(folder)["state"] == state, state)
 
 
 def load(folder: Path, changes: dict[str, str] | None = None) -> str:

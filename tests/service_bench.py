@@ -11,13 +11,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from realtime_bench import SHORT
+from realtime_bench import SHORT, until
 
 from rthyb_rt import config, experiment, loop, ring, virtual_rig
 from rthyb_rt.config import RigFile, TestFile
 from rthyb_rt.links import opening
 from rthyb_rt.recording import Recording
-from rthyb_rt.service.control import ControlServer, Dispatcher
+from rthyb_rt.service.control import Client, ControlServer, Dispatcher
 from rthyb_rt.service.daemon import Daemon, Options
 from rthyb_rt.service.engine import Engine, Event, Loaded
 from rthyb_rt.service.peers import Peer, Rights
@@ -183,6 +183,17 @@ def served(folder: Path, **more: Any) -> Iterator[Daemon]:
             thread.close()
             daemon.engine.close()
             daemon._end_recorder()
+
+
+def status(folder: Path) -> dict[str, Any]:
+    """Return what the daemon of `served` says of itself."""
+    with Client(folder / "control.sock") as client:
+        found: dict[str, Any] = client.call("GetStatus")["status"]
+        return found
+
+
+def await_state(folder: Path, state: str) -> None:
+    until(lambda: status(folder)["state"] == state, state)
 
 
 @contextmanager

@@ -350,6 +350,8 @@ def test_faulty_record_is_refused_with_its_file_and_row(
     [
         (("pga_g = 0.04", "pga_g = 6"), ":7: ground_motion.pga_g", ("6", "5 g")),
         (("pga_g = 0.04", 'record = "lost.txt"'), "lost.txt", ("no such file", "built in")),
+        (("10-elastic", "10-elastc"), ":2: rig", ('found "delay-10-elastc"', "did you mean")),
+        (('rig = "delay-10-elastic"', ""), ":1: rig", ("names no rig", "--rig RIG.toml")),
         (("period_s = 0.5", "mass_kg = -30"), ":9: numerical.mass_kg", ("-30", "kg")),
         (("period_s = 0.5", "perod_s = 0.5"), ":9: numerical.perod_s", ("did you mean",)),
         (("[num", "[controller]\nw1 = 0.5\n[num"), ":9: controller.w1", ("0.5", "|w1| > 1")),

@@ -5,6 +5,7 @@ Most of it goes tick by tick with a virtual drive; the last ones have processes 
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import signal
@@ -228,14 +229,23 @@ def test_each_motion_is_asked_for(
 def test_nothing_moves_where_nobody_answers(
     rthyb: Rthyb, tmp_path: Path, stepped: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def confirm(*_: object, **__: object) -> bool:
-        raise typer.Abort
-
-    monkeypatch.setattr(typer, "confirm", confirm)
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
     answer = rthyb("commission", rig_file(tmp_path))
-    assert answer.code == 1
-    assert "no answer came" in answer.err
+    assert answer.code == 3
+    assert "standard input: found its end where an answer is needed" in answer.err
+    assert "answer y or n in a terminal, or give --yes" in answer.err
     assert not (tmp_path / "rig.commissioned.json").exists()
+
+
+def test_step_before_a_question_that_nobody_answers_is_kept(
+    rthyb: Rthyb, tmp_path: Path, stepped: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
+    answer = rthyb("commission", rig_file(tmp_path))
+    assert answer.code == 3
+    assert "standard input: found its end where an answer is needed" in answer.err
+    steps = json.loads((tmp_path / "rig.commissioned.json").read_text())["steps"]
+    assert set(steps) == {"link"}
 
 
 @pytest.mark.parametrize(

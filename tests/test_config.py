@@ -139,6 +139,40 @@ def test_unknown_rig_name_lists_the_rigs_there_are() -> None:
         config.find_rig(None)
 
 
+@pytest.mark.parametrize(
+    ("line", "overrides", "where", "message"),
+    [
+        ('rig = "spring"', {}, "{path}:3: rig", 'found "spring"; no file and no rig of that name'),
+        ('rig = "a.toml"', {}, "{path}:3: rig", 'found "a.toml"; no file and no rig of that name'),
+        ("", {}, "{path}:1: rig", "the test names no rig"),
+        ('rig = "delay-10-elastic"', {"rig": "spring"}, "--set rig", 'found "spring"; no file'),
+    ],
+)
+def test_rig_of_a_test_that_is_not_there_is_told_with_its_line(
+    tmp_path: Path, line: str, overrides: dict[str, str], where: str, message: str
+) -> None:
+    path = tmp_path / "plate.toml"
+    head, rest = TEST.split("\n", 1)
+    path.write_text(f"{head}\n# on the third line:\n{line}\n{rest}")
+    test = config.load_test(path, overrides)
+    with pytest.raises(InputError) as caught:
+        config.rig_of_test(test, path, overrides)
+    (problem,) = caught.value.problems
+    assert problem.where == where.format(path=path)
+    assert problem.message.startswith(message)
+
+
+def test_rig_of_a_test_is_found_by_name_or_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "plate.toml"
+    (tmp_path / "spring.toml").write_text(RIG)
+    for name, found in (
+        ("spring.toml", tmp_path / "spring.toml"),
+        ("delay-10-elastic", config.shipped_rig("delay-10-elastic")),
+    ):
+        path.write_text(TEST.replace("[test]", f'rig = "{name}"\n[test]', 1))
+        assert config.rig_of_test(config.load_test(path), path) == found
+
+
 # ---- what a file may say -------------------------------------------------------------------------
 
 

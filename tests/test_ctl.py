@@ -8,18 +8,16 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import pytest
 from command_line import Rthyb
-from service_bench import rig_file, served
+from service_bench import await_state, rig_file, served, status
 
 from rthyb_rt import config, realtime, recording
 from rthyb_rt.cli import ctl
 from rthyb_rt.config import RigFile
 from rthyb_rt.recording import STATES
 from rthyb_rt.service import metrics
-from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import Daemon
 from rthyb_rt.service.recorder import read_index
 
@@ -51,19 +49,6 @@ def daemon(place: Path) -> Iterator[Daemon]:
         yield made
 
 
-def look(place: Path) -> dict[str, Any]:
-    with Client(place / "control.sock") as client:
-        found: dict[str, Any] = client.call("GetStatus")["status"]
-        return found
-
-
-def await_state(place: Path, state: str) -> None:
-    for _ in range(20000):
-        if look(place)["state"] == state:
-            return
-    raise AssertionError(f"never {state}: {look(place)['state']}")
-
-
 def to_arm(rthyb: Rthyb, *settings: str) -> None:
     for words in (("load", *settings), ("zero",), ("arm",)):
         answer = rthyb("ctl", *words)
@@ -87,7 +72,7 @@ def test_operator_runs_a_test_and_is_told_what_comes_next(
     (kept,) = place.glob("rthyb-token-*")
     assert stat.S_IMODE(kept.stat().st_mode) == 0o600
     assert rthyb("ctl", "start").out.startswith("Started; ")
-    while look(place)["last"] is None:
+    while status(place)["last"] is None:
         pass
     shown = rthyb("ctl", "status").out
     assert re.search(r"^Last test +section5-t0.5 +completed$", shown, re.M)
@@ -121,7 +106,7 @@ def test_trip_is_reset(rthyb: Rthyb, place: Path, daemon: Daemon) -> None:
     assert "reset leaves TRIPPED, once its cause is gone" in refused.err
     assert "signal" in rthyb("ctl", "status").out
     assert rthyb("ctl", "reset").out == "Reset\n"
-    assert look(place)["state"] == "IDLE"
+    assert status(place)["state"] == "IDLE"
 
 
 def test_test_goes_through_the_socket_whole_and_into_the_recording(
@@ -134,7 +119,7 @@ def test_test_goes_through_the_socket_whole_and_into_the_recording(
         given = ["--set", "ground_motion.record=record.txt", "--set", "ground_motion.units=g"]
         to_arm(rthyb, *SHORT[4:], *given, "--set", "test.duration_s=1")
         Path("record.txt").unlink()
-        run_id = look(place)["run_id"]
+        run_id = status(place)["run_id"]
         assert rthyb("ctl", "start").code == 0
         while not (found := [e for e in read_index(place / "runs") if e["run_id"] == run_id]):
             pass
@@ -195,7 +180,7 @@ def test_fault_between_test_and_the_services_rig_is_exit_3(rthyb: Rthyb, place: 
         assert answer.code == 3
         assert "limits.command_position_m" in answer.err
         assert "no test may have more" in answer.err
-        assert look(place)["test"] is None
+        assert status(place)["test"] is None
 
 
 def test_second_operator_does_not_start_what_another_has_armed(
@@ -207,7 +192,7 @@ def test_second_operator_does_not_start_what_another_has_armed(
     answer = rthyb("ctl", "start")
     assert answer.code == 5
     assert re.search(r"armed by uid \d+, process \d+, and only who arms starts", answer.err)
-    assert look(place)["state"] == "ARMED"
+    assert status(place)["state"] == "ARMED"
     assert re.search(r"^Armed by +uid", rthyb("ctl", "status").out, re.M)
     assert rthyb("ctl", "arm").code == 5
     assert rthyb("ctl", "stop").code == 0

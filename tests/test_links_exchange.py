@@ -13,10 +13,10 @@ import can
 import loop_bench
 import pytest
 from can.interfaces.virtual import VirtualBus
-from link_tools import nothing_left_open, until, wanted
+from link_tools import LinkUnderTest, nothing_left_open, until, wanted
 from loop_bench import Bench, assert_adds_up
 
-from rthyb_rt import core, loop
+from rthyb_rt import loop
 from rthyb_rt.errors import InputError
 from rthyb_rt.links import exchange, wire
 from rthyb_rt.links.opening import Opened, Side, open_link
@@ -47,23 +47,6 @@ def received(fd: int) -> bytes:
     with socket.socket(fileno=os.dup(fd)) as end:
         end.settimeout(20.0)
         return end.recv(100)
-
-
-class LinkUnderTest:
-    """The core's link on what was opened, and a loop that drains it."""
-
-    def __init__(self, opened: Opened) -> None:
-        self.link = loop.Link(opened.kind, opened.fd)
-        station = core.Station(loop_bench.config(), loop_bench.shaking(0.1))
-        self.loop = loop.Loop(station, wire.Wire(opened.codec), self.link)
-
-    def down(self) -> str:
-        self.loop.step()
-        return self.link.down
-
-    def comes_down(self, fault: str) -> None:
-        until(lambda: self.down() == fault)
-        self.link.close()
 
 
 # ---- a test over it ------------------------------------------------------------------------------

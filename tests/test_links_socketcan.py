@@ -18,10 +18,10 @@ from typing import Any, Final
 
 import loop_bench
 import pytest
-from link_tools import nothing_left_open, until, wanted
+from link_tools import LinkUnderTest, nothing_left_open, until, wanted
 from loop_bench import Bench, assert_adds_up
 
-from rthyb_rt import core, loop
+from rthyb_rt import core
 from rthyb_rt.errors import InputError
 from rthyb_rt.links import can_bus, locks, netlink, wire
 from rthyb_rt.links.opening import Opened, Side, open_link
@@ -84,25 +84,6 @@ def waiting(opened: Opened) -> list[bytes]:
         while select.select([end], [], [], 0.02)[0]:
             frames.append(end.recv(100))
     return frames
-
-
-class Tick:
-    """The core's link on what was opened, one tick at a time."""
-
-    def __init__(self, opened: Opened) -> None:
-        self.link = loop.Link(opened.kind, opened.fd)
-        station = core.Station(loop_bench.config(), loop_bench.shaking(0.1))
-        self.loop = loop.Loop(station, wire.Wire(opened.codec), self.link)
-
-    def down(self) -> str:
-        self.loop.step()
-        return self.link.down
-
-    def __enter__(self) -> Tick:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.link.close()
 
 
 # ---- a test over it ------------------------------------------------------------------------------
@@ -182,7 +163,7 @@ def test_can_fd_frames_by_a_dbc(spare: str) -> None:
     with (
         open_link(link, "controller", folder=FD_DBC.parent) as ours,
         open_link(link, "drive", folder=FD_DBC.parent) as theirs,
-        Tick(ours) as tick,
+        LinkUnderTest(ours) as tick,
         socket.socket(fileno=os.dup(theirs.fd)) as drive,
     ):
         (frame,) = ours.codec.encode_feedback(wire.Reading(0.0125, -4500.0, 1, 2))
@@ -204,7 +185,7 @@ def test_can_fd_frames_by_a_dbc(spare: str) -> None:
 
 
 def test_bus_off_reaches_the_core(stranger: socket.socket) -> None:
-    with opened_can() as opened, Tick(opened) as tick:
+    with opened_can() as opened, LinkUnderTest(opened) as tick:
         assert tick.down() == "up"
         stranger.send(FRAME.pack(BUS_OFF, 8, bytes(8)))
         until(lambda: tick.down() == "bus-off")
@@ -219,7 +200,7 @@ def test_error_frames_of_every_class_come_through(stranger: socket.socket, bit: 
 
 
 def test_interface_goes_down_and_comes_back(spare: str) -> None:
-    with opened_can(spare) as opened, Tick(opened) as tick:
+    with opened_can(spare) as opened, LinkUnderTest(opened) as tick:
         assert tick.down() == "up"
         ip("link", "set", spare, "down")
         until(lambda: tick.down() == "network-down")
@@ -236,7 +217,7 @@ def test_interface_goes_down_and_comes_back(spare: str) -> None:
 
 
 def test_interface_is_deleted(spare: str) -> None:
-    with opened_can(spare) as opened, Tick(opened) as tick:
+    with opened_can(spare) as opened, LinkUnderTest(opened) as tick:
         assert tick.down() == "up"
         ip("link", "del", spare)
         until(lambda: tick.down() == "device-gone")
@@ -394,7 +375,7 @@ def test_commands_go_out_over_the_adapter_and_its_frames_come_in(adapter: Adapte
 
 def test_adapter_that_is_pulled_out(adapter: Adapter) -> None:
     adapter.set_up("bitrate", "1000000")
-    with opened_can(adapter.name) as opened, Tick(opened) as tick:
+    with opened_can(adapter.name) as opened, LinkUnderTest(opened) as tick:
         assert tick.down() == "up"
         fcntl.ioctl(adapter.slave, TIOCSETD, struct.pack("i", 0))
         until(lambda: tick.down() == "device-gone")

@@ -19,7 +19,7 @@ from command_line import Rthyb
 from live_process import load
 from realtime_bench import Bench, process, until
 from recording_data import FS_HZ
-from service_bench import served
+from service_bench import await_state, served
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
@@ -590,11 +590,6 @@ class Everybody:
         return self._role
 
 
-def state(place: Path) -> str:
-    with Client(place / "control.sock") as client:
-        return str(client.call("GetStatus")["status"]["state"])
-
-
 def give(socket: Any, command: str) -> tuple[bool, str]:
     socket.send_json({"command": command})
     answer = told(socket, "answer")
@@ -621,18 +616,18 @@ def test_operator_conducts_a_test_and_a_looker_may_only_hold_and_stop(memory: Pa
             assert not good
             assert "ARMED" in text
             assert give(operator, "zero") == (True, "Zeroing")
-            until(lambda: state(memory) == "ZEROED", "ZEROED")
+            await_state(memory, "ZEROED")
             assert give(operator, "arm") == (True, "Armed for 3600 s")
             assert give(operator, "start") == (True, "Started")
-            until(lambda: state(memory) == "RUNNING", "RUNNING")
+            await_state(memory, "RUNNING")
             assert give(looker, "hold") == (True, "Held")
-            until(lambda: state(memory) == "HOLD", "HOLD")
+            await_state(memory, "HOLD")
             assert give(operator, "resume") == (True, "Resumed")
             looker.send_json({"view": {"follow": True, "seconds": 5, "columns": 500}})
             screen = Screen()
             until(lambda: screen.take(next_frame(looker))[1] == RUNNING, "a frame of the test")
             assert give(looker, "stop") == (True, "Told to stop")
-            until(lambda: state(memory) == "IDLE", "IDLE")
+            await_state(memory, "IDLE")
             good, text = give(looker, "fire")
             assert (good, text) == (False, "there is no command 'fire'")
         until(lambda: daemon.engine.last is not None, "the end of the test")
@@ -673,7 +668,7 @@ def test_trip_stays_on_the_screen_until_somebody_resets_it(memory: Path) -> None
         digest = load(memory, LONG | {"limits.force_n": "600"})
         with Client(memory / "control.sock") as client:
             client.call("Zero")
-            until(lambda: state(memory) == "ZEROED", "ZEROED")
+            await_state(memory, "ZEROED")
             source.look()
             client.call("Start", token=client.call("Arm", digest=digest)["token"])
             until(lambda: daemon.engine.last is not None, "the end of the test")
@@ -690,7 +685,7 @@ def test_trip_stays_on_the_screen_until_somebody_resets_it(memory: Path) -> None
             assert source.history.last == last
             assert source.status()["now"] is not None
             client.call("Reset")
-            until(lambda: state(memory) == "IDLE", "IDLE")
+            await_state(memory, "IDLE")
 
             def goes_on() -> bool:
                 source.look()

@@ -9,9 +9,9 @@ import typer
 
 from rthyb_rt.cli import interrupts, quantities, terminal
 from rthyb_rt.cli.connecting import connected, load_rig
-from rthyb_rt.cli.inputs import JsonOption, RigSetOption
+from rthyb_rt.cli.inputs import JsonOption, LimitedRigArgument, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
-from rthyb_rt.errors import RthybError
+from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.commissioning.certificate import Certificate
@@ -22,14 +22,7 @@ DISTANCE = Allowed("m", "mm", -0.1, 0.1, "a length from -100 mm to 100 mm", "1 m
 
 
 def commission(
-    rig: Annotated[
-        str,
-        typer.Argument(
-            metavar="RIG",
-            help="Rig file, or the name of a shipped rig, with limits on position and force.",
-            show_default=False,
-        ),
-    ],
+    rig: LimitedRigArgument,
     steps: Annotated[
         str | None,
         typer.Option(
@@ -127,8 +120,10 @@ def _asker(yes: bool, tell: Callable[[str], None]) -> Callable[[str], bool]:
         except typer.Abort:
             if interrupts.received() is not None:
                 raise KeyboardInterrupt from None
-            raise RthybError(
-                "no answer came, and nothing moves without one; --yes answers for a script"
+            raise InputError(
+                "found its end where an answer is needed, and nothing moves without one; answer y "
+                "or n in a terminal, or give --yes, which says yes to every question of a script",
+                where="standard input",
             ) from None
 
     return ask

@@ -43,6 +43,14 @@ RigSetOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="JSON on stdout, text for people on stderr.")
 ]
+LimitedRigArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="RIG",
+        help="Rig file, or the name of a shipped rig, with limits on position and force.",
+        show_default=False,
+    ),
+]
 RecordingArgument = Annotated[
     Path,
     typer.Argument(
@@ -69,17 +77,20 @@ def load(
     test_settings, rig_settings = config.split_overrides(settings or ())
     problems: list[Problem] = []
     test = rig_file = None
+    test_path = test_path or config.builtin_test_path()
     try:
-        test = config.load_test(test_path or config.builtin_test_path(), test_settings)
-        rig = rig or test.rig
+        test = config.load_test(test_path, test_settings)
     except InputError as error:
         problems += error.problems
-    # A faulty test file does not say reliably which rig it means.
-    if test is not None or rig is not None:
-        try:
+    try:
+        if rig:
             rig_file = config.load_rig(config.find_rig(rig), rig_settings)
-        except InputError as error:
-            problems += error.problems
+        # A faulty test file does not say reliably which rig it means.
+        elif test is not None:
+            named = config.rig_of_test(test, test_path, test_settings)
+            rig_file = config.load_rig(named, rig_settings)
+    except InputError as error:
+        problems += error.problems
     if test is None or rig_file is None:
         raise InputError(problems)
     return test, rig_file

@@ -8,7 +8,7 @@ import typer
 
 from rthyb_rt.cli import quantities, terminal
 from rthyb_rt.cli.connecting import connected, load_rig
-from rthyb_rt.cli.inputs import JsonOption, RigSetOption
+from rthyb_rt.cli.inputs import JsonOption, LimitedRigArgument, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
 
 if TYPE_CHECKING:
@@ -28,14 +28,7 @@ CONTEXT = {"ignore_unknown_options": True, "help_option_names": ["--help"]}
 
 
 def jog(
-    rig: Annotated[
-        str,
-        typer.Argument(
-            metavar="RIG",
-            help="Rig file, or the name of a shipped rig, with limits on position and force.",
-            show_default=False,
-        ),
-    ],
+    rig: LimitedRigArgument,
     distance: Annotated[
         str,
         typer.Argument(

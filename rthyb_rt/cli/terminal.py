@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
 import textwrap
@@ -12,6 +11,7 @@ from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any
 
 from rthyb_rt.cli import streams
+from rthyb_rt.documents import finite
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -46,19 +46,11 @@ def begin_json_lines() -> None:
 
 def print_json(document: dict[str, Any]) -> None:
     """Print a document on stdout; numbers that JSON does not have become null."""
-    text = json.dumps(_finite(document), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(finite(document), indent=2, ensure_ascii=False, allow_nan=False)
     if streams.shown(sys.stdout, text) != text:
-        text = json.dumps(_finite(document), indent=2, allow_nan=False)
+        text = json.dumps(finite(document), indent=2, allow_nan=False)
     _state["json"] = True
     print(text)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def people(as_json: bool) -> IO[str]:

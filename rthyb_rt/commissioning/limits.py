@@ -26,19 +26,8 @@ from rthyb_rt.commissioning.moving import (
 )
 from rthyb_rt.config import Limit, RigFile
 from rthyb_rt.config import limits as limits_file
+from rthyb_rt.experiment import WATCHES
 from rthyb_rt.recording import FLAGS
-
-CAUSES: Final[dict[str, str]] = {
-    "command_position_m": "position",
-    "command_velocity_m_per_s": "velocity",
-    "command_increment_m": "increment",
-    "force_n": "force",
-    "tracking_error_m": "tracking",
-    "tracking_indicator_slope_m2_per_s": "indicator",
-    "energy_error_j": "energy",
-    "sensor_jump_m": "sensor_jump",
-}
-"""What the station calls the limits that a small motion can provoke."""
 
 ACCELERATION: Final = "command_acceleration_m_per_s2"
 STUCK: Final = "sensor_stuck_samples"
@@ -216,7 +205,7 @@ def _check(
     else:
         moved = undisturbed(connection, _watched(plain, key, action, value))
         seen = f"{moved.end_reason}, {moved.state}"
-        fault = _why_not_seen(moved, CAUSES[key], action)
+        fault = _why_not_seen(moved, WATCHES[key], action)
     bring_back(connection, moved)
     return Check(key, action, value=value, seen=seen, fault=fault)
 
@@ -232,9 +221,9 @@ _OUTCOMES: Final = {
 def _watched(plain: Motion, key: str, action: str, value: float) -> Motion:
     watch = core.Watch(value, action)  # type: ignore[arg-type]
     return Motion(
-        f"provoke-{CAUSES[key].replace('_', '-')}",
+        f"provoke-{WATCHES[key].replace('_', '-')}",
         plain.path_m,
-        watches={CAUSES[key]: watch},
+        watches={WATCHES[key]: watch},
         stay=False,
         whole_force=key != "force_n",
     )

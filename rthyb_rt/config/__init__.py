@@ -14,6 +14,7 @@ from rthyb_rt.config.loading import (
     parse_rig,
     parse_test,
     read_text,
+    rig_of_test,
     shipped_rig,
     split_overrides,
 )
@@ -43,6 +44,7 @@ __all__ = [
     "parse_test",
     "read_text",
     "resolve",
+    "rig_of_test",
     "shipped_rig",
     "split_overrides",
 ]

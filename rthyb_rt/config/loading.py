@@ -191,9 +191,9 @@ def shipped_rig(name: str) -> Path:
         return rigs[name]
     known = ", ".join(rigs) or "none"
     raise InputError(
-        f"no file and no rig of that name{nearest(name, list(rigs))}; give the path of a rig file, "
-        f"or one of those that come with the program: {known}",
-        where=f"rig {written(name)}",
+        f"found {written(name)}; no file and no rig of that name{nearest(name, list(rigs))}; give "
+        f"the path of a rig file, or one of those that come with the program: {known}",
+        where="rig",
     )
 
 
@@ -209,6 +209,29 @@ def find_rig(name_or_path: str | None) -> Path:
             where="rig",
         )
     return Path(name_or_path) if _is_file(Path(name_or_path)) else shipped_rig(name_or_path)
+
+
+def rig_of_test(
+    test: TestFile, path: str | Path, overrides: Mapping[str, str] | None = None
+) -> Path:
+    """Return the file of the rig that a test names.
+
+    Args:
+        test: what `load_test` has made of the other two.
+        path: the test file.
+        overrides: dotted key -> value as typed after ``--set``.
+
+    Raises:
+        InputError: the test names none, or none that there is; with the line of the test file.
+    """
+    try:
+        return find_rig(test.rig)
+    except InputError as error:
+        if "rig" in (overrides or {}):
+            where = "--set rig"
+        else:
+            where = f"{path}:{KeyLines(read_text(path, 'test')).find(('rig',))}: rig"
+        raise InputError(Problem(where, problem.message) for problem in error.problems) from None
 
 
 def _shipped(what: str) -> Path:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import math
 import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -17,6 +16,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rthyb_rt import __version__
+from rthyb_rt.documents import finite
 from rthyb_rt.errors import RthybError
 from rthyb_rt.live.frames import Framer
 from rthyb_rt.live.guard import Guard, Pass, Tokens
@@ -134,7 +134,7 @@ class Feed:
 
     def _say(self) -> None:
         told = {"kind": "status", "zero": self.source.zero, **self.source.status()}
-        self.status = json.dumps(_finite(told), separators=(",", ":")).encode()
+        self.status = json.dumps(finite(told), separators=(",", ":")).encode()
         self.said += 1
 
 
@@ -189,14 +189,6 @@ _DONE: Final = {
     "resume": "Resumed",
     "reset": "Reset",
 }
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class Page:

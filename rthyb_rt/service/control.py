@@ -12,7 +12,6 @@ import contextlib
 import errno
 import json
 import logging
-import math
 import os
 import socket
 import time
@@ -24,6 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rthyb_rt import __version__
+from rthyb_rt.documents import finite
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.realtime import RefusedError
 from rthyb_rt.service.engine import StateError
@@ -250,17 +250,21 @@ class Dispatcher:
         raise ReplyError(f"{INTERFACE}.NotPermitted", reason=reason, group=group)
 
 
+def _refused(error: StateError) -> ReplyError:
+    return ReplyError(
+        f"{INTERFACE}.Refused",
+        reason=str(error),
+        state=error.state,
+        allowed=list(error.allowed),
+    )
+
+
 async def _guarded(name: str, work: Awaitable[dict[str, Any]]) -> dict[str, Any]:
     """Turn what a handler raises into a reply."""
     try:
         return await work
     except StateError as error:
-        raise ReplyError(
-            f"{INTERFACE}.Refused",
-            reason=str(error),
-            state=error.state,
-            allowed=list(error.allowed),
-        ) from error
+        raise _refused(error) from error
     except RefusedError as error:
         raise ReplyError(f"{INTERFACE}.Refused", reason=str(error), state="", allowed=[]) from error
     except InputError as error:
@@ -473,12 +477,7 @@ class _Conversation:
                 try:
                     method.may_begin()
                 except StateError as error:
-                    raise ReplyError(
-                        f"{INTERFACE}.Refused",
-                        reason=str(error),
-                        state=error.state,
-                        allowed=list(error.allowed),
-                    ) from error
+                    raise _refused(error) from error
         if self._server._large.locked():
             raise limited("another test is being loaded; try again")
         async with self._server._large:
@@ -525,16 +524,8 @@ def _ends(reply: dict[str, Any]) -> bool:
 
 def encode(document: dict[str, Any]) -> bytes:
     """Return a message with its NUL; numbers that JSON does not have become null."""
-    text = json.dumps(_finite(document), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    text = json.dumps(finite(document), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.encode() + b"\0"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _remove_abandoned(path: Path) -> None:

@@ -12,8 +12,9 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from live_process import await_state, live, load, paced, start, status
+from live_process import live, load, paced, start
 from realtime_bench import until
+from service_bench import await_state, status
 
 from rthyb_rt import config, experiment, recording
 from rthyb_rt.service.control import Client
