@@ -128,6 +128,9 @@ static void run_limited(lag *s, double *x, double *v, double *a)
         x[i] = at;
         v[i] = speed;
         a[i] = pull(s, u0, at, speed);
+        /* At the limit of its own velocity it does not gain any. */
+        if (actuator && speed * a[i] > 0.0 && fabs(speed) >= most)
+            a[i] = 0.0;
         for (int k = 1; k <= PIECES; k++) {
             double u1 = wanted(s, (double)i + (double)k / PIECES, speed);
             if (command)

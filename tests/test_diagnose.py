@@ -96,6 +96,17 @@ def test_a_longer_delay_is_the_actuators_and_not_the_specimens(tmp_path):
     assert found(d, "delay", "dtau_s") == pytest.approx(0.004, abs=1.2e-4)
 
 
+def test_a_longer_delay_that_a_stiffer_oil_column_hides_is_named_beside_it(tmp_path):
+    # The lag of a slow motion, delay + zeta / (pi f), is that of the model.
+    lag_s = cases.DELAY + 0.004 + cases.ZETA / (math.pi * cases.F_HZ)
+    f_hz = cases.ZETA / (math.pi * (lag_s - cases.DELAY))
+    model = cases.baseline().replace(f"f_hz = {cases.F_HZ}", f"f_hz = {f_hz}")
+    d = diagnosed(tmp_path, cases.channels(delay=cases.DELAY + 0.004), model)
+    assert (d.verdict, sorted(d.effects)) == ("explained", ["delay", "oil_column"])
+    assert found(d, "delay", "dtau_s") == pytest.approx(0.004, rel=0.1)
+    assert found(d, "oil_column", "f_Hz") == pytest.approx(cases.F_HZ, rel=0.1)
+
+
 def test_a_sine_cannot_tell_mass_from_stiffness_and_a_sweep_can(tmp_path):
     def softer(t, x, v, a):
         return -0.09 * cases.K * x

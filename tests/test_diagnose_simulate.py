@@ -48,6 +48,19 @@ def test_a_velocity_limit_is_kept(where):
     assert np.max(np.abs(motion.v)) < 0.0505
 
 
+def test_an_actuator_at_its_own_velocity_limit_accelerates_no_more():
+    u = cases.command()
+    model = ActuatorModel(0.0, 40.0, 1.0, vmax_m_s=0.05, vmax_of="actuator")
+    motion = actuator(model, u, cases.FS)
+    rate = np.gradient(motion.v) * cases.FS
+    # Two rows from any corner: there the difference of the velocities straddles it.
+    limited = np.abs(motion.v) > 0.05 - 1e-9
+    corner = np.convolve(np.abs(np.diff(limited, prepend=False)), np.ones(5), mode="same") > 0
+    assert limited.sum() > 500
+    assert np.max(np.abs((motion.a - rate)[limited & ~corner])) < 1e-6
+    assert np.max(np.abs((motion.a - rate)[~corner])) < 0.02 * np.max(np.abs(rate))
+
+
 def test_a_body_on_a_spring_swings_as_it_must():
     mass, k = 50.0, 5e4
     w = np.sqrt(k / mass)

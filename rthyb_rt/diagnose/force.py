@@ -570,10 +570,13 @@ def _completes(problem: Problem, fit: Fit, without: Fit) -> bool:
 
     What one law leaves of another's form is not all taken up by a third.
     """
-    if not problem.estimate.exact:
-        return False
+    return problem.estimate.exact and _ends_at_noise(problem, fit, without)
+
+
+def _ends_at_noise(problem: Problem, fit: Fit, other: Fit) -> bool:
+    """Return whether a fit leaves little beyond the noise where another one leaves more."""
     n = problem.y.size * problem.estimate.share
-    return without.chi2 - n > 0.03 * n and fit.chi2 - n < 0.2 * (without.chi2 - n)
+    return other.chi2 - n > 0.03 * n and fit.chi2 - n < 0.2 * (other.chi2 - n)
 
 
 def _decide(
@@ -698,15 +701,18 @@ def _twins(fitter: _Fitter, best: Fit, fits: list[Fit]) -> list[Fit]:
 def _one_of_a_kind(fitter: _Fitter, fits: list[Fit]) -> list[Fit]:
     """Leave out bristle friction with another stiffness where it is yielding by another name.
 
-    k (alpha x + (1 - alpha) z) is a weaker spring and a slider on a spring: the same force.
+    k (alpha x + (1 - alpha) z) is a weaker spring and a slider on a spring: the same force. So is
+    yielding beside a spring that is wrong as well; there the better one of the two stays.
     """
     out = list(fits)
+    by_name = {f.names: f for f in fits}
     for fit in fits:
         if "lugre" in fit.names and "stiffness" in fit.names:
             rest = [n for n in fit.names if n not in ("lugre", "stiffness")]
-            same = tuple(sorted([*rest, "hysteresis"]))
-            twin = next((f for f in fits if f.names == same), None)
-            if twin is not None and fitter.score(twin) < fitter.score(fit) + 25.0:
+            twin = by_name.get(tuple(sorted([*rest, "hysteresis"])))
+            other = by_name.get(tuple(sorted([*rest, "hysteresis", "stiffness"])))
+            alike = twin is not None and fitter.score(twin) < fitter.score(fit) + 25.0
+            if alike or (other is not None and fitter.score(other) < fitter.score(fit)):
                 out.remove(fit)
     return out
 
@@ -780,6 +786,7 @@ def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
         and count(problem, f) < count(problem, best)
         and set(f.names) & set(best.names)
         and fitter.score(f) - fitter.score(best) < form
+        and not _ends_at_noise(problem, best, f)
     ]
     if not simple:
         return fits

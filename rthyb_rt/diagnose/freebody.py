@@ -15,7 +15,8 @@ import numpy as np
 from rthyb_rt import core
 from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.case import Case, Floats, Model
-from rthyb_rt.diagnose.effects.base import Context
+from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.effects.friction import SHARP
 from rthyb_rt.diagnose.predict import Augmented, changed, parameters, start_of
 from rthyb_rt.diagnose.select import MASS_BLUR, SKEW_PRIOR_S, Fit, Problem, clustered
 from rthyb_rt.diagnose.simulate import Motion, SimulationError
@@ -28,7 +29,7 @@ MET = 1.5
 """Mean square, in units of the noise, up to which a simulated displacement is the measured one."""
 CLOSE = 0.005
 """The same as a part of what the model alone leaves: simulators of friction differ by so much."""
-RUNS = 400
+RUNS = 1500
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
 STEPS = 6
 STEP = 1e-4
@@ -110,9 +111,12 @@ class Body:
             members=tuple(fit.members[i] for i in felt),
             betas=tuple(fit.betas[i] for i in felt),
         )
-        found = self.refined(problem, begun) if self.quick(begun) else None
-        if found is None:
+        # An estimated motion rounds the step of dry friction off: what sticks needs a sharp one.
+        begins = [b for b in (begun, self._sharp(begun)) if b is not None and self.quick(b)]
+        fits = [f for f in (self.refined(problem, b) for b in begins) if f is not None]
+        if not fits:
             return None
+        found = min(fits, key=lambda f: f.chi2)
         allowed = MET * self.rows.size
         if found.chi2 > allowed:
             null = self.refined(problem, replace(fit, members=(), betas=()))
@@ -130,6 +134,15 @@ class Body:
             return None
         rest = (motion.x - self.x)[self.rows] / self.sigma
         return motion if float(rest @ rest) < allowed else None
+
+    def _sharp(self, fit: Fit) -> Fit | None:
+        """Return a set with the step of its dry friction sharp; None where it has none."""
+        width = SHARP * self.ctx.v_range
+        members = tuple(
+            replace(m, trial=Trial((width,))) if m.name == "coulomb" and m.trial.theta else m
+            for m in fit.members
+        )
+        return replace(fit, members=members) if members != fit.members else None
 
     def refined(self, problem: Problem, fit: Fit) -> Fit | None:
         """Fit a set's parameters to the displacement; None where it cannot be simulated.

@@ -90,6 +90,10 @@ def force_columns(run: bench.Run, lab: bench.Lab, names: tuple[str, ...]) -> lis
         out.append(Column("drift", run.t.copy()))
     if "time_skew" in names:
         out.append(Column("time_skew", -np.gradient(run.f_true, lab.dt)))
+        # A large one is no straight line in time: as it is, a dashpot may come nearer to it.
+        for late in (-0.02, -0.01, -0.005, 0.005, 0.01, 0.02):
+            moved = np.interp(run.t - late, run.t, run.f_true) - run.f_true
+            out.append(Column("time_skew", moved, f"skew_s={late}"))
     if "crosstalk" in names and np.any(run.fy):
         out.append(Column("crosstalk", run.fy.copy()))
     return out

@@ -55,6 +55,9 @@ class QuadDamping(Effect):
 CONTACT = (2e-5, 4e-3)
 """Way before a dry contact slips, as part of the amplitude: more of it is bristle friction."""
 
+SHARP = 1e-4
+"""Width of the step of a dry contact where it is simulated, as part of the largest velocity."""
+
 
 def slipping(ctx: Context, way_m: float) -> Floats:
     """Return the force per N of a dry contact that shears by ``way_m`` before it slips, (n,)."""
@@ -101,7 +104,7 @@ class Coulomb(Effect):
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
-        width = 1e-3 * ctx.v_range if trial.variant == "contact" else trial.theta[0]
+        width = SHARP * ctx.v_range if trial.variant == "contact" else trial.theta[0]
         width = float(np.clip(width, 1e-7, 1.0))
         return [core.element("coulomb", fc_n=float(beta[0]), width_m_per_s=width)]
 

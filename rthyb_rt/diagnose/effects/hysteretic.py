@@ -230,6 +230,10 @@ class Pinching(Effect):
         return [pinched]
 
 
+SOONEST = 0.01
+"""Path in which stiffness is lost, as part of all of it: what is lost sooner was never there."""
+
+
 class Degradation(Effect):
     """Stiffness that is lost with the path covered."""
 
@@ -253,6 +257,11 @@ class Degradation(Effect):
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
         """Return one coefficient, the loss."""
         return ("+", (None,)), 2
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep it different from a spring that is softer from the start."""
+        path = float(ctx.travel[-1]) or 1.0
+        return [(SOONEST * path, 1e3 * path)]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return what is lost per loss."""
