@@ -49,10 +49,12 @@ run: $(READY)
 reproduce: $(TEST_READY)
 	@$(BIN)/rthyb reproduce
 
-# Two halves: what may be done side by side, then what goes by the clock.
+# Two halves: what may be done side by side, then what goes by the clock. A machine that stalls may
+# make one of those fail: what has failed is tried once more.
 test: $(TEST_READY)
 	@$(BIN)/python -m pytest -m 'not alone' -n 2 --dist loadfile
-	@$(BIN)/python -m pytest -m alone
+	@$(BIN)/python -m pytest -m alone || { echo 'Once more, what has failed:'; \
+	    $(BIN)/python -m pytest -m alone --last-failed; }
 
 # The guest is Debian's user-mode Linux, fetched into build/vm (Debian: user-mode-linux,
 # busybox-static, can-utils, iproute2). The core is built here first: in the guest nothing is.

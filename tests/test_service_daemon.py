@@ -33,7 +33,7 @@ from rthyb_rt.commissioning.moving import command_numbers
 from rthyb_rt.links import opening
 from rthyb_rt.recording import FLAGS, Recording
 from rthyb_rt.service import installing, systemd
-from rthyb_rt.service.control import Client
+from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.daemon import record_of
 from rthyb_rt.service.engine import Engine
 from rthyb_rt.service.recorder import read_index, read_status
@@ -92,19 +92,29 @@ class Lab:
         test = short_test({"test.duration_s": "6"} | (changes or {}))
         record = record_of(experiment.load_motion(test))
         until(lambda: bool(self.status()["follows"]), "a drive that follows")
-        with Client(self.socket) as client:
-            digest = client.call("Load", test_toml=config.dump(test), record=record)["digest"]
-            client.call("Zero")
-            self.await_state("ZEROED")
-            until(self._recorder_is_there, "the recorder")
-            token = client.call("Arm", digest=digest)["token"]
-            client.call("Start", token=token)
+        try:
+            with Client(self.socket) as client:
+                digest = client.call("Load", test_toml=config.dump(test), record=record)["digest"]
+                client.call("Zero")
+                self.await_state("ZEROED")
+                until(self._recorder_is_there, "the recorder")
+                token = client.call("Arm", digest=digest)["token"]
+                client.call("Start", token=token)
+        except Refusal as error:
+            self.require_calm_at_rest(error)
+            raise
         self.await_state(state)
         until(lambda: self.status()["progress"]["ticks"] >= ticks or self._over(), "the test")
         run_id = str(self.status()["run_id"])
         if not run_id:
             raise Stalled(self.status()["last"]["end_reason"])
         return run_id
+
+    def require_calm_at_rest(self, seen: object = "") -> None:
+        """Raise `Stalled` where a stall has stopped the drive or tripped the service at rest."""
+        found = self.status()
+        if found["cause"] in STALLED or not found["follows"]:
+            raise Stalled(f"{found['cause']} {seen}")
 
     def _recorder_is_there(self) -> bool:
         found = self.status()
@@ -323,6 +333,7 @@ def test_second_daemon_at_one_socket_is_refused(tmp_path: Path) -> None:
         status, _, err = second.end()
         assert status == 3, err
         assert "has it open as controller" in err
+        made.require_calm_at_rest()
         assert made.status()["state"] == "IDLE"
 
     repeated(attempt)
