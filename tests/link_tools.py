@@ -7,19 +7,29 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import loop_bench
+import pytest
 
 from rthyb_rt import core, loop
 from rthyb_rt.config.rigfile import Link
-from rthyb_rt.links import wire
+from rthyb_rt.links import dbc, wire
 from rthyb_rt.links.opening import Opened
 
 
 def wanted(kind: str, channel: object, **more: Any) -> Link:
     """The ``[link]`` table of a rig file."""
     return Link.model_validate({"kind": kind, "channel": str(channel), **more})
+
+
+def users_table(folder: Path, text: str) -> wire.Codec:
+    """Frames as the DBC table of a user describes them."""
+    pytest.importorskip("cantools")
+    path = folder / "table.dbc"
+    path.write_text(text, encoding="ascii")
+    return dbc.load(path)
 
 
 def until(condition: Callable[[], Any], seconds: float = 20.0) -> Any:

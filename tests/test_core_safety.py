@@ -11,12 +11,13 @@ from typing import Any
 import loop_bench
 import numpy as np
 import pytest
+from link_tools import users_table
 from loop_bench import DELAY, FLAGS, K_N_PER_M, ORIGIN_M, STATE, Bench, H, watched
 from rthyb_rt._core import ffi, lib
 from test_live_replay import assert_the_same
 
 from rthyb_rt import core, loop
-from rthyb_rt.links import dbc, wire
+from rthyb_rt.links import wire
 
 BIAS_M = 0.002
 
@@ -40,10 +41,7 @@ BO_ 768 ActualValues: 12 PC
 
 def table(folder: Path, unit_mm: float) -> wire.Codec:
     """Frames with counts of four bits and a command in steps of ``unit_mm``."""
-    pytest.importorskip("cantools")
-    path = folder / "table.dbc"
-    path.write_text(TABLE.format(unit_mm=unit_mm), encoding="ascii")
-    return dbc.load(path)
+    return users_table(folder, TABLE.format(unit_mm=unit_mm))
 
 
 def mounted(**sensors: core.SensorConfig) -> core.Rig:

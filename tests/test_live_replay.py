@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from link_tools import users_table
 from loop_bench import FLAGS, Bench, watched
 
 from rthyb_rt import core, loop
-from rthyb_rt.links import dbc, wire
+from rthyb_rt.links import wire
 
 MOUNTED = core.Calibration(
     x_gain=-2.0, x_offset_m=0.004, f_gain=-0.5, f_offset_n=12.0, cmd_gain=-0.5, cmd_offset_m=0.002
@@ -50,10 +51,7 @@ SIG_VALTYPE_ 768 f_meas : 1;
 @pytest.fixture(scope="module")
 def floats(tmp_path_factory: pytest.TempPathFactory) -> wire.Codec:
     """Frames of 32-bit floats, finer than a record near zero and coarser elsewhere."""
-    pytest.importorskip("cantools")
-    path = tmp_path_factory.mktemp("dbc") / "floats.dbc"
-    path.write_text(FLOATS, encoding="ascii")
-    return dbc.load(path)
+    return users_table(tmp_path_factory.mktemp("dbc"), FLOATS)
 
 
 def replay(

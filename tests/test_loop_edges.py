@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from link_tools import users_table
 from loop_bench import FLAGS, STATE, Bench, watched
 from realtime_bench import Bench as WholeTest
 from realtime_bench import setup, until
@@ -21,7 +22,7 @@ from test_core_safety import mounted, table
 from test_live_replay import FLOATS, MOUNTED, assert_the_same
 
 from rthyb_rt import core, loop, realtime, summary, virtual_rig
-from rthyb_rt.links import dbc, opening, wire
+from rthyb_rt.links import opening, wire
 from rthyb_rt.links.wire import Setpoint
 
 STEP_MM = 0.1
@@ -38,10 +39,7 @@ def coarse(tmp_path_factory: pytest.TempPathFactory) -> wire.Codec:
 @pytest.fixture(scope="module")
 def floats(tmp_path_factory: pytest.TempPathFactory) -> wire.Codec:
     """A user's DBC whose command is a 32-bit float."""
-    pytest.importorskip("cantools")
-    path = tmp_path_factory.mktemp("dbc") / "floats.dbc"
-    path.write_text(FLOATS, encoding="ascii")
-    return dbc.load(path)
+    return users_table(tmp_path_factory.mktemp("dbc"), FLOATS)
 
 
 # ---- a wire that is coarser than the distance to a limit ----------------------------------------
