@@ -187,6 +187,84 @@ def test_what_the_balance_of_forces_would_lose_shows_in_the_motion(tmp_path):
     assert holds(d, "maxwell", "tau_s", tau)
 
 
+FINE = 16
+"""Steps of a simulated body in a row."""
+
+
+def moved_body(push, law, mass: float, n: int, late=lambda force: 0.0):
+    """Return x and a of a body by central differences, from rest: (n,) each.
+
+    ``push`` and ``law`` give forces at t and at (x, v); ``late(force)`` is dry friction, at most
+    that of the force which would move a body at rest.
+    """
+    h = 1.0 / (FINE * cases.FS)
+    x = v = 0.0
+    out = np.empty((n, 2))
+    for i in range(n * FINE):
+        free = push[i] - law(x, v)
+        # A body that friction could stop within the step is stopped: it sticks.
+        grip = late(v)
+        need = free + mass * v / h
+        a = (free - np.clip(need, -grip, grip)) / mass
+        if i % FINE == 0:
+            out[i // FINE] = x, a
+        v += h * a
+        x += h * v
+    return out[:, 0], out[:, 1]
+
+
+def swept(n: int, f0: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a swept sine at the rows and at the steps between, of amplitude one."""
+    fine = np.arange(n * FINE) / (FINE * cases.FS)
+    rise = np.clip(fine / 0.5, 0, 1)
+    wave = rise * np.sin(2 * np.pi * (f0 * fine + rate * fine**2))
+    return wave[::FINE], wave
+
+
+def test_a_mass_beside_a_hardening_spring_of_a_body_under_a_force_is_named_too(tmp_path):
+    """What an estimate may blur of the mass is half a per cent, and no fifteen."""
+    n, k3 = 10240, 2.0e9
+    rows, fine = swept(n, 0.3, 0.12)
+    x, a = moved_body(
+        900.0 * fine, lambda x, v: SPRING * x + DASHPOT * v + k3 * x**3, 1.15 * MASS, n
+    )
+    d = of_a_free_body(x, 900.0 * rows, a, tmp_path)
+    assert (d.verdict, sorted(d.effects)) == ("explained", ["cubic", "inertia"])
+    assert found(d, "inertia", "m_kg") == pytest.approx(0.15 * MASS, rel=0.05)
+    assert found(d, "cubic", "k3_N_m3") == pytest.approx(k3, rel=0.05)
+
+
+def test_sticking_friction_on_moving_ground_shows_in_the_motion_before_a_noisy_cell(tmp_path):
+    """A friction with a peak: where the body sticks, no estimate of its motion follows."""
+    n, fc, fs, vs = 12288, 240.0, 420.0, 4e-3
+    rows, fine = swept(n, 0.5, 0.1)
+    x, a = moved_body(
+        -MASS * 0.5 * fine,
+        lambda x, v: SPRING * x + DASHPOT * v,
+        MASS,
+        n,
+        lambda v: fc + (fs - fc) * math.exp(-((v / vs) ** 2)),
+    )
+    rng = np.random.default_rng(5)
+    ag = 0.5 * rows
+    columns = {
+        "t": np.arange(n) / cases.FS,
+        "ag": ag,
+        "x_meas": x + 5e-6 * rng.standard_normal(n),
+        "a_meas": a + ag + 5e-3 * rng.standard_normal(n),
+        "f_meas": -MASS * (a + ag) + 60.0 * rng.standard_normal(n),
+    }
+    model = cases.baseline(family='"ground"', k=SPRING, c=DASHPOT, moving_mass=0.0)
+    model = model.replace("moving_mass = 0.0", f"moving_mass = 0.0\nmass = {MASS}")
+    model = model.replace(f"f_std = {cases.F_STD}", "f_std = 60.0\na_std = 0.005")
+    head, _, tail = model.partition("[actuator]")
+    noise = f"[numerical]\nm = {MASS}\n[noise]" + tail.partition("[noise]")[2]
+    d = diagnosed(tmp_path, columns, head + noise)
+    assert (d.verdict, d.effects) == ("explained", ["stribeck"])
+    assert found(d, "stribeck", "Fc_N") == pytest.approx(fc, rel=0.05)
+    assert found(d, "stribeck", "Fs_N") == pytest.approx(fs, rel=0.1)
+
+
 def test_a_gain_error_does_not_hide_a_delay_as_an_offset_in_time(tmp_path):
     columns = cases.channels(delay=cases.DELAY + 0.011)
     columns["x_meas"] = 0.85 * columns["x_meas"]

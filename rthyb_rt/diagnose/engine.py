@@ -46,6 +46,8 @@ REST = 0.02
 """Part of the largest displacement that a body at rest moves at most in a tenth of a second."""
 PAST = 400
 """Steps in which a yielding spring is led to its start."""
+FELT = 0.05
+"""Part of the misfit of a load cell's readings that a simulated motion may leave in most rows."""
 TELLING = 0.3
 """Standard deviations of noise by which two forces differ that count as one."""
 TWICE = 2.0
@@ -286,11 +288,26 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         progress("force laws")
         ctx = context_of(case, found)
         problem = Problem(case, ctx, found, effects.catalogue().values())
-        body = freebody.Body(case, ctx) if freebody.judged(case) else None
-        search = force.search(problem, progress, body, lambda done: _doubtful(case, done))
-        again = _along_its_motion(case, search, ctx, progress)
+        held = freebody.shown(case) and not found.exact
+        body = freebody.Body(case, ctx) if held or freebody.judged(case) else None
+
+        def doubtful(done: force.Search) -> bool:
+            # Several laws fit almost any estimate of a motion, but they have to simulate it.
+            assert body is not None
+            if not held and (len(done.best.names) > 1 or _doubtful(case, done)):
+                return True
+            bare = not done.best.members
+            return not _force_known(case, done) or not (bare or body.motion(problem, done.best))
+
+        search = force.search(problem, progress, body, doubtful)
+        by_balance = search.balance or search
+        again = _along_its_motion(case, search, ctx, progress) if held else None
+        if again is None and held and search is not by_balance:
+            again = _along_its_motion(case, by_balance, ctx, progress)
         if again is not None:
             found, ctx, search = again
+        elif held and not (search.moved and _felt(case, search, ctx)):
+            search = by_balance
     elif "f_meas" in case.channels or case.model.family in ("ground", "forced"):
         raise InputError(
             "gaps, clipped and stray readings leave no stretch in which the force could be judged "
@@ -310,8 +327,7 @@ def _along_its_motion(
     simulates the measured displacement to its noise, the load cell is judged along that motion; the
     answer counts where the search comes to the same laws and they leave nothing.
     """
-    named = bool(search.best.members) and not search.problem.estimate.exact
-    if not named or not freebody.shown(case) or _force_known(case, search):
+    if not search.best.members or (not search.moved and _force_known(case, search)):
         return None
     progress("motion")
 
@@ -335,6 +351,26 @@ def _along_its_motion(
                 return found, now, again
             begun, among = again.best, again
     return None
+
+
+def _felt(case: Case, search: force.Search, ctx: Context) -> bool:
+    """Return whether the motion that a set simulates has the force that the load cell saw.
+
+    In most rows, that is: where friction takes hold a row too early or late, all of it is missing.
+    """
+    motion = freebody.Body(case, ctx).motion(search.problem, search.best)
+    if motion is None:
+        return False
+    f_meas, model = case.channels["f_meas"], case.model
+    rows = search.problem.estimate.rows & np.isfinite(f_meas)
+    sigma = estimate.force_noise(f_meas, model.f_std)
+    inertia = -model.mass * (motion.a + estimate.filled(case.channels["ag"]))
+
+    def excess(rest: Floats) -> float:
+        return (1.4826 * float(np.median(np.abs(rest[rows]))) / sigma) ** 2 - 1.0
+
+    left = excess(f_meas - inertia)
+    return left < NOISE_LEFT or left < FELT * excess(f_meas - search.problem.ctx.total)
 
 
 def _force_known(case: Case, search: force.Search) -> bool:

@@ -38,6 +38,10 @@ NESTED = 1e-3
 """Least part of what dry friction explains that a Stribeck peak or bristles have to add to it."""
 STRAIN = 6.0
 """Time offset, in standard deviations of its prior, that is no nuisance any more."""
+BENT = 4.0
+"""The same of a stated number, or of the mass that an estimated motion blurs."""
+BEARS = {"stiffness": "stiffness", "viscous": "viscous", "blur": "inertia"}
+"""The effect that each nuisance stands in for."""
 ALIKE = ("maxwell", "time_skew")
 """Effects that a slow motion does not tell from a dashpot."""
 SLOW = 0.1
@@ -50,11 +54,22 @@ FOLD_S = 0.25
 FOLDS = 4
 POOL = 6
 """Sets, and single effects, whose motion is simulated."""
+LEADING = 3
+"""Sets that are looked at more closely."""
 DRY = {"coulomb", "stribeck", "lugre"}
 WHITE = 1.1
 """Inflation, see `select.inflation`, up to which a residual is mere noise."""
 DECISIVE = 0.005
 """Part of the misfit of the motion that a set may leave to be believed against the balance."""
+FORM_SEEN, FORM_MOVED = 0.03, 1.0
+"""Misfit beyond noise, in units of the noise, that may be the form of a law: of the force that a
+load cell sees, and of a motion that is simulated."""
+SETTLED = 0.01
+"""Part of a misfit by which one more fit of a motion has to better it."""
+AGAIN = 3
+"""Times that such a fit is begun again at most."""
+MET = 1.05
+"""Misfit per row, in units of the noise, up to which a motion is met."""
 OPEN = 0.3
 """Misfit beyond noise from which an effect that was refused is looked at again."""
 MANY = 5.0
@@ -77,6 +92,7 @@ class Search:
         held_gain: drop of the misfit on blocks left out, as part of the drop on all.
         scale: by how much evidence was scaled down for coloured noise.
         moved: whether it is the simulated motion that was judged, see `freebody`.
+        balance: what the balance of forces came to, where it was not believed.
     """
 
     problem: Problem
@@ -92,6 +108,7 @@ class Search:
     rivals: list[Fit] = field(default_factory=list)
     forms: list[Fit] = field(default_factory=list)
     moved: bool = False
+    balance: Search | None = None
 
 
 class _Fitter:
@@ -102,6 +119,9 @@ class _Fitter:
         self.known: dict[tuple[tuple[str, str, tuple[float, ...]], ...], Fit | None] = {}
         self.by_names: dict[tuple[str, ...], Fit] = {}
         self.stated = {n.name for n in problem.nuisances if n.sigma is not None}
+        self.exact = problem.estimate.exact
+        self.rows = problem.y.size * problem.estimate.share
+        self.open = FORM_SEEN
 
     def fit(self, members: Iterable[Member]) -> Fit | None:
         members = tuple(members)
@@ -118,6 +138,22 @@ class _Fitter:
                     self.by_names[names] = found
         return self.known[key]
 
+    def relieve(self) -> None:
+        """Give the best sets, where they bend a stated number out of its tolerance, its effect.
+
+        As a nuisance it costs a few hundred at most, which a large misfit does not feel.
+        """
+        by_name = {e.name: e for e in self.problem.effects}
+        for _ in range(2):
+            ranked = sorted(self.by_names.values(), key=self.score)[:LEADING]
+            for fit in [f for f in ranked if len(f.members) < 3]:
+                for name in bent(self.problem, fit) - set(fit.names):
+                    if name not in by_name or tuple(sorted((*fit.names, name))) in self.by_names:
+                        continue
+                    members = (*fit.members, Member(by_name[name], Trial()))
+                    if compatible(members):
+                        self.fit(members)
+
     def price(self, fit: Fit) -> float:
         ctx = self.problem.ctx
         return sum(
@@ -126,6 +162,15 @@ class _Fitter:
 
     def score(self, fit: Fit) -> float:
         return fit.chi2 + self.price(fit)
+
+
+def bent(problem: Problem, fit: Fit) -> set[str]:
+    """Return the effects in whose place a fit bends a stated number out of its tolerance."""
+    return {
+        BEARS[n.name]
+        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
+        if n.name in BEARS and n.sigma is not None and abs(float(b)) > BENT * n.sigma
+    }
 
 
 def count(problem: Problem, fit: Fit) -> int:
@@ -139,6 +184,8 @@ class _Mover(_Fitter):
     def __init__(self, problem: Problem, body: Body, first: _Fitter) -> None:
         super().__init__(problem)
         self.body, self.first = body, first
+        # A simulated motion is no estimate; but two good simulators differ by a little.
+        self.exact, self.rows, self.open = True, float(body.rows.size), FORM_MOVED
 
     def move(self, fit: Fit) -> Fit | None:
         """Refine a set that was found in the balance of forces; the better of its shapes stays."""
@@ -153,6 +200,45 @@ class _Mover(_Fitter):
     def fit(self, members: Iterable[Member]) -> Fit | None:
         begun = self.first.fit(members)
         return self.move(begun) if begun is not None else None
+
+    def settle(self) -> None:
+        """Go on with the best sets until they move no more, then with their parts from there.
+
+        A set with one law more may have found the valley that its part has missed.
+        """
+        for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
+            self._go_on(fit)
+        done: set[tuple[str, ...]] = set()
+        for _ in range(2):
+            ahead = sorted(self.by_names.values(), key=self.score)[:LEADING]
+            for fit in [f for f in ahead if len(f.members) > 1 and f.names not in done]:
+                done.add(fit.names)
+                for i in range(len(fit.members)):
+                    self.move(_without(self.problem, fit, i))
+
+    def _go_on(self, fit: Fit) -> None:
+        for _ in range(AGAIN):
+            before = fit.chi2
+            if before < MET * self.rows:
+                break
+            found = self.move(fit)
+            if found is None or found.chi2 > (1.0 - SETTLED) * before:
+                break
+            fit = found
+
+
+def _without(problem: Problem, fit: Fit, member: int) -> Fit:
+    """Return a set less one effect; what that had of a stated number goes to the number."""
+    gone, beta = fit.members[member], fit.betas[member]
+    shift = [
+        float(beta[0]) if BEARS.get(n.name) == gone.name else 0.0 for n in problem.nuisances
+    ]
+    return replace(
+        fit,
+        members=fit.members[:member] + fit.members[member + 1 :],
+        betas=fit.betas[:member] + fit.betas[member + 1 :],
+        nuisance=fit.nuisance + np.array(shift),
+    )
 
 
 def _stiff(problem: Problem) -> Problem:
@@ -196,35 +282,49 @@ def _met(plain: Fit, mover: _Mover) -> bool:
 
 
 def _moved(
-    problem: Problem, body: Body, fitter: _Fitter, plain: Fit, mover: _Mover
+    problem: Problem, body: Body, fitter: _Fitter, plain: Fit, mover: _Mover, dictionary: Dictionary
 ) -> Search | None:
     """Judge the most promising sets by the motion that they simulate; None where none meets it."""
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     # Two laws of dry friction beside one another are one law in a third form.
     ranked = [f for f in ranked if len(DRY & set(f.names)) < 2 and body.quick(f)]
+    # What only a load cell sees does not move the body.
+    ranked = [f for f in ranked if not (body.held and any(m.effect.sensor for m in f.members))]
     singles = [f for f in ranked if len(f.members) == 1]
     # The set that the balance puts first, after its parts: simulations are counted.
-    leading = [f for f in ranked[:1] if len(f.members) == 2]
+    first = min(fitter.by_names.values(), key=fitter.score)
+    if body.held and any(m.effect.sensor for m in first.members):
+        first = ranked[0] if ranked else first
+    leading = [f for f in {id(f): f for f in (first, *ranked[:1])}.values() if len(f.members) == 2]
     parts = [f for f in singles if any(set(f.names) < set(pair.names) for pair in leading)]
     for fit in [*parts, *leading, *singles[:POOL], *ranked[:POOL]]:
         if fit.names not in mover.by_names:
             mover.move(fit)
     n = float(body.rows.size)
+    grown: set[tuple[str, ...]] = set()
     for _ in range(2):
         best = min((plain, *mover.by_names.values()), key=mover.score)
-        if best.chi2 < 1.05 * n or len(best.names) > 1:
+        if best.chi2 < MET * n:
             break
-        singles = [f for f in ranked if len(f.members) == 1 and not set(f.names) & set(best.names)]
-        for other in singles[:POOL]:
-            members = (*best.members, *other.members)
-            names = {n for m in members for n in m.effect.names}
-            if compatible(members) and len(DRY & names) < 2:
-                mover.fit(members)
+        mover.relieve()
+        ahead = sorted(mover.by_names.values(), key=mover.score)[:LEADING]
+        for fit in [f for f in ahead if len(f.names) == 1 and f.names not in grown]:
+            grown.add(fit.names)
+            for members in _beside(dictionary, fit, POOL):
+                names = {n for m in members for n in m.effect.names}
+                if body.held and any(m.effect.sensor for m in members):
+                    continue
+                if len(DRY & names) < 2 and tuple(sorted(names)) not in mover.by_names:
+                    mover.fit(members)
+    mover.relieve()
+    mover.settle()
     best = min((plain, *mover.by_names.values()), key=mover.score)
     scale = inflation(best.residual)
     before, after = plain.chi2, best.chi2
     for fit in (plain, *mover.by_names.values()):
-        fit.chi2 /= scale
+        # Rows of coloured noise tell less; what the lab states of its model tells what it did.
+        own = float(fit.residual @ fit.residual)
+        fit.chi2 += own / scale - own
     found = _decide(problem, mover, plain, (before, after, n), scale, lambda _: 1.0)
     left = found.excess_after / max(found.excess_before, 1e-12)
     return found if found.excess_after < 0.2 or left < DECISIVE else None
@@ -282,7 +382,8 @@ def search(
         begun = _linear(problem, body, fitter, null)
         # What one linear effect simulates to the noise, no law in the balance says better.
         if begun is not None and (doubted or _met(*begun)):
-            return _moved(problem, body, fitter, *begun) or done
+            by_motion = _moved(problem, body, fitter, *begun, dictionary)
+            return replace(by_motion, balance=done) if by_motion is not None else done
     return done
 
 
@@ -333,6 +434,7 @@ def _sweep(
     for group in seeds:
         fitter.fit(group)
     _dashpots(dictionary, fitter)
+    fitter.relieve()
     reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
     if reached > 1.03 * rows:
         _reform(dictionary, fitter)
@@ -393,32 +495,39 @@ def _dashpots(dictionary: Dictionary, fitter: _Fitter) -> None:
 
 
 def _grow(dictionary: Dictionary, fitter: _Fitter) -> None:
-    """Put every other effect beside the best sets in their refined shapes, and refine the best.
-
-    The dictionary's shapes lie on a grid: what stands beside one of them makes up for the grid
-    before it shows what is missing.
-    """
+    """Put every other effect beside the best sets in their refined shapes, and refine the best."""
     done: set[tuple[str, ...]] = set()
     for _ in range(2):
         ranked = sorted(fitter.by_names.values(), key=fitter.score)
-        leading = [f for f in ranked[:3] if f.names not in done and len(f.names) < 3]
-        for fit in leading:
+        for fit in [f for f in ranked[:LEADING] if f.names not in done and len(f.names) < 3]:
             done.add(fit.names)
-            beside = dictionary.beside(fit)
-            others = [
-                (g,)
-                for g, group in enumerate(dictionary.groups)
-                if not set(group.member.effect.names) & set(fit.names)
-            ]
-            found = [
-                (chi2, groups)
-                for chi2, groups in dictionary.sets(others, beside)
-                if beside[2] - chi2 > 0.5 * dictionary.penalty(groups)
-            ]
-            for groups in dictionary.best(found, 4):
-                extra = tuple(dictionary.groups[g].member for g in groups)
-                if compatible([*fit.members, *extra]):
-                    fitter.fit((*fit.members, *extra))
+            for members in _beside(dictionary, fit, 4):
+                fitter.fit(members)
+
+
+def _beside(dictionary: Dictionary, fit: Fit, most: int) -> list[tuple[Member, ...]]:
+    """Return a set with each of the effects that promise most beside it.
+
+    The dictionary's shapes lie on a grid: what stands beside one of them makes up for the grid
+    before it shows what is missing. Here the set has its shapes as refined.
+    """
+    beside = dictionary.beside(fit)
+    others = [
+        (g,)
+        for g, group in enumerate(dictionary.groups)
+        if not set(group.member.effect.names) & set(fit.names)
+    ]
+    found = [
+        (chi2, groups)
+        for chi2, groups in dictionary.sets(others, beside)
+        if beside[2] - chi2 > 0.5 * dictionary.penalty(groups)
+    ]
+    out = []
+    for groups in dictionary.best(found, most):
+        members = (*fit.members, *(dictionary.groups[g].member for g in groups))
+        if compatible(members):
+            out.append(members)
+    return out
 
 
 def _promising(
@@ -545,9 +654,12 @@ def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
         if own < cost * (1.25 if rest else 1.0):
             return False
         # What moves a stated number is seen against its tolerance, not in the residual.
-        least = NEEDED[min(len(fit.names), 3)] * (1.0 if fitter.problem.estimate.exact else 2.5)
-        small = rest and own < least * explained and member.name not in fitter.stated
-        if not small or _completes(fitter.problem, fit, without):
+        least = NEEDED[min(len(fit.names), 3)] * (1.0 if fitter.exact else 2.5)
+        stated = member.name in bent(fitter.problem, without) or (
+            member.name in fitter.stated and not isinstance(fitter, _Mover)
+        )
+        small = rest and own < least * explained and not stated
+        if not small or _completes(fitter, fit, without):
             continue
         # Unless a time offset beyond what is normal would have to stand in for it. Beside a naive
         # model that says nothing: there an offset takes up what the form of a law leaves.
@@ -565,18 +677,18 @@ def _strained(problem: Problem, fit: Fit) -> bool:
     )
 
 
-def _completes(problem: Problem, fit: Fit, without: Fit) -> bool:
+def _completes(fitter: _Fitter, fit: Fit, without: Fit) -> bool:
     """Return whether nothing but noise is left with an effect where without it there is more.
 
     What one law leaves of another's form is not all taken up by a third.
     """
-    return problem.estimate.exact and _ends_at_noise(problem, fit, without)
+    return fitter.exact and _ends_at_noise(fitter, fit, without)
 
 
-def _ends_at_noise(problem: Problem, fit: Fit, other: Fit) -> bool:
+def _ends_at_noise(fitter: _Fitter, fit: Fit, other: Fit) -> bool:
     """Return whether a fit leaves little beyond the noise where another one leaves more."""
-    n = problem.y.size * problem.estimate.share
-    return other.chi2 - n > 0.03 * n and fit.chi2 - n < 0.2 * (other.chi2 - n)
+    n = fitter.rows
+    return other.chi2 - n > fitter.open * n and fit.chi2 - n < 0.2 * (other.chi2 - n)
 
 
 def _decide(
@@ -611,7 +723,10 @@ def _decide(
                 equal.append(fit)
         equal += [f for f in _twins(fitter, best, fits) if held_out(f) > 0.3]
     equal += [f for f in _by_another_name(fitter, best) if f.names not in {e.names for e in equal}]
-    after = best.chi2 * scale if best.members else plain[0]
+    # The residual of a motion is that of its rows, the balance's is scaled like its problem.
+    moved = isinstance(fitter, _Mover)
+    own = float(best.residual @ best.residual) * (1.0 if moved else scale)
+    after = own + best.chi2 - own / scale if best.members else plain[0]
     return Search(
         problem,
         null,
@@ -625,7 +740,7 @@ def _decide(
         scale,
         [f for f in fits if f is not best][:6],
         _forms(fitter, best, null),
-        isinstance(fitter, _Mover),
+        moved,
     )
 
 
@@ -641,7 +756,7 @@ def _worth_their_size(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     for fit in fits:
         size = len(fit.members)
         smaller = min((f.chi2 for f in fits if len(f.members) < size), default=np.inf)
-        least = NEEDED[min(size, 3)] * (1.0 if problem.estimate.exact else 2.5)
+        least = NEEDED[min(size, 3)] * (1.0 if fitter.exact else 2.5)
         if smaller - fit.chi2 >= least * (null.chi2 - fit.chi2):
             out.append(fit)
     return out
@@ -746,7 +861,7 @@ def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     Both go over into it; what they gain then is the form of the jump. So does relaxation that is
     over at once: it is a dashpot.
     """
-    share = NESTED * (1.0 if fitter.problem.estimate.exact else 2.5)
+    share = NESTED * (1.0 if fitter.exact else 2.5)
     out = []
     for fit in fits:
         richer = {"stribeck", "lugre"} & set(fit.names)
@@ -786,7 +901,7 @@ def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
         and count(problem, f) < count(problem, best)
         and set(f.names) & set(best.names)
         and fitter.score(f) - fitter.score(best) < form
-        and not _ends_at_noise(problem, best, f)
+        and not _ends_at_noise(fitter, best, f)
     ]
     if not simple:
         return fits

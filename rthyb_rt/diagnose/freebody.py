@@ -29,7 +29,7 @@ MET = 1.5
 """Mean square, in units of the noise, up to which a simulated displacement is the measured one."""
 CLOSE = 0.005
 """The same as a part of what the model alone leaves: simulators of friction differ by so much."""
-RUNS = 1500
+RUNS = 4000
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
 STEPS = 6
 STEP = 1e-4
@@ -54,10 +54,15 @@ def shown(case: Case) -> bool:
 
 
 class Body:
-    """A recording's input and the displacement that answers it."""
+    """A recording's input and the displacement that answers it.
+
+    Attributes:
+        held: whether a load cell holds the body, which has effects of its own.
+    """
 
     def __init__(self, case: Case, ctx: Context) -> None:
         self.case, self.ctx, self.runs = case, ctx, RUNS
+        self.held = "f_meas" in case.channels and case.model.family == "ground"
         self.x = case.channels["x_meas"]
         self.other = {k: estimate.filled(v) for k, v in case.channels.items()}
         rows = case.rows & np.isfinite(self.x)
@@ -112,7 +117,7 @@ class Body:
             betas=tuple(fit.betas[i] for i in felt),
         )
         # An estimated motion rounds the step of dry friction off: what sticks needs a sharp one.
-        begins = [b for b in (begun, self._sharp(begun)) if b is not None and self.quick(b)]
+        begins = [b for b in (begun, self._sharp(begun)) if b is not None]
         fits = [f for f in (self.refined(problem, b) for b in begins) if f is not None]
         if not fits:
             return None
@@ -144,6 +149,19 @@ class Body:
         )
         return replace(fit, members=members) if members != fit.members else None
 
+    def _begun(self, problem: Problem, fit: Fit, size: int) -> Floats:
+        """Return where a fit begins: mass and offset in time as an earlier one has left them.
+
+        What the balance of forces made of them is not theirs.
+        """
+        p = np.zeros(size)
+        if fit.scatter is not None:
+            unit = {"blur": MASS_BLUR * self.whole, "skew": SKEW_PRIOR_S}
+            known = {n.name: float(b) for b, n in zip(fit.nuisance, problem.nuisances, strict=True)}
+            for j, name in enumerate(("blur", "skew"), size - 4):
+                p[j] = np.clip(known.get(name, 0.0) / unit[name], -NUISANCE, NUISANCE)
+        return p
+
     def refined(self, problem: Problem, fit: Fit) -> Fit | None:
         """Fit a set's parameters to the displacement; None where it cannot be simulated.
 
@@ -151,6 +169,7 @@ class Body:
         them, and the start is free. Chi-squared and residual are those of the displacement.
         """
         base = self.case.model
+        fit = _as_effects(problem, fit)
         plain = _with_nuisance(base, problem, fit)
         first = Augmented(plain, base, fit.members, fit.betas, None, self.ctx.all_ranges)
         places = [p for p in parameters(first) if p[0] != "m"]
@@ -187,8 +206,13 @@ class Body:
             reach = np.r_[np.where(shapes, 0.4, 2.0), 2.0, 2.0, 0.4, 0.4]
             ends = np.array([self._ends(first, place) for place in places]).reshape(-1, 2)
             loose = [[-NUISANCE, NUISANCE]] * 2 + [[-np.inf, np.inf]] * 2
+            linear = {m.name for m in fit.members} & {n.name for n in problem.nuisances}
             p, r, gram, slopes = _least(
-                residual, reach, np.vstack((ends, loose)), central=not any(shapes)
+                residual,
+                self._begun(problem, fit, reach.size),
+                reach,
+                np.vstack((ends, loose)),
+                central=bool(linear) or not any(shapes),
             )
         except (SimulationError, core.CoreError, np.linalg.LinAlgError):
             return None
@@ -208,11 +232,28 @@ class Body:
         inverse = _inverse(gram)
         n = self.rows.size
         scatter = clustered(slopes[:n], r[:n], inverse)
-        return Fit(
+        found = Fit(
             best.members, best.betas, float(r @ r), fit.count, nuisance, r[:n],
             _covariance(first, places, inverse, nuisance.size),
             _covariance(first, places, scatter, nuisance.size),
         )  # fmt: skip
+        return _as_effects(problem, found)
+
+
+def _as_effects(problem: Problem, fit: Fit) -> Fit:
+    """Return a set whose linear effects have all that a stated number was moved by beside them.
+
+    The motion stays the same; to stay where it is stated costs the number nothing.
+    """
+    betas, nuisance, chi2 = list(fit.betas), fit.nuisance.copy(), fit.chi2
+    names = [m.name for m in fit.members]
+    for j, n in enumerate(problem.nuisances):
+        if n.sigma is not None and n.name in names and n.name in ("stiffness", "viscous"):
+            i = names.index(n.name)
+            betas[i] = betas[i] + nuisance[j]
+            chi2 -= (float(nuisance[j]) / n.sigma) ** 2
+            nuisance[j] = 0.0
+    return replace(fit, betas=tuple(betas), nuisance=nuisance, chi2=chi2)
 
 
 def _with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
@@ -225,15 +266,19 @@ def _with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
 
 
 def _least(
-    residual: Callable[[Floats], Floats], reach: Floats, ends: Floats, central: bool
+    residual: Callable[[Floats], Floats],
+    begun: Floats,
+    reach: Floats,
+    ends: Floats,
+    central: bool,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the parameters, residual, normal matrix and slopes of least squares from zero.
+    """Return the parameters, residual, normal matrix and slopes of least squares from a point.
 
     A step goes no farther than ``reach``, (n,), a parameter no farther than its ``ends``, (n, 2).
-    Slopes are ``central`` where priors decide: at resonance a one-sided one is wrong by more.
+    Slopes are ``central`` where priors decide: at resonance a one-sided one is wrong by more, and
+    so it is along the valley of a number and the effect that moves it.
     """
-    size = reach.size
-    p = np.zeros(size)
+    size, p = reach.size, begun
 
     def slope(p: Floats, r: Floats, e: Floats) -> Floats:
         if central:
