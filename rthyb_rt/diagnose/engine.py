@@ -46,6 +46,8 @@ REST = 0.02
 """Part of the largest displacement that a body at rest moves at most in a tenth of a second."""
 PAST = 400
 """Steps in which a yielding spring is led to its start."""
+COLOURED = 1.3
+"""Factor by which evidence was scaled down from which a load cell is not believed alone."""
 FELT = 0.05
 """Part of the misfit of a load cell's readings that a simulated motion may leave in most rows."""
 TELLING = 0.3
@@ -296,18 +298,17 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             assert body is not None
             if not held and (len(done.best.names) > 1 or _doubtful(case, done)):
                 return True
-            bare = not done.best.members
-            return not _force_known(case, done) or not (bare or body.motion(problem, done.best))
+            if not _force_known(case, done):
+                return True
+            coloured = not held or done.scale > COLOURED
+            return coloured and bool(done.best.members) and not body.motion(problem, done.best)
 
         search = force.search(problem, progress, body, doubtful)
-        by_balance = search.balance or search
-        again = _along_its_motion(case, search, ctx, progress) if held else None
-        if again is None and held and search is not by_balance:
-            again = _along_its_motion(case, by_balance, ctx, progress)
-        if again is not None:
-            found, ctx, search = again
-        elif held and not (search.moved and _felt(case, search, ctx)):
-            search = by_balance
+        if held and not (search.moved and _felt(case, search, ctx)):
+            by_balance = search.balance or search
+            tried = [search, by_balance] if search.moved else [search]
+            again = (_along_its_motion(case, done, ctx, progress) for done in tried)
+            found, ctx, search = next((a for a in again if a), (found, ctx, by_balance))
     elif "f_meas" in case.channels or case.model.family in ("ground", "forced"):
         raise InputError(
             "gaps, clipped and stray readings leave no stretch in which the force could be judged "
@@ -334,8 +335,12 @@ def _along_its_motion(
     def laws(fit: Fit) -> set[str]:
         return {m.name for m in fit.members if not m.effect.sensor}
 
-    # What the blur looks like may have been named as one law more.
-    fewer = [f for f in search.fits if f.members and laws(f) < laws(search.best)]
+    # What the blur looks like may have been named as one law more; not in the motion itself.
+    fewer = (
+        []
+        if search.moved
+        else [f for f in search.fits if f.members and laws(f) < laws(search.best)]
+    )
     for fit in [search.best, *fewer[:FEWER]]:
         begun, among = fit, search
         for _ in range(PASSES):

@@ -184,6 +184,7 @@ class _Mover(_Fitter):
     def __init__(self, problem: Problem, body: Body, first: _Fitter) -> None:
         super().__init__(problem)
         self.body, self.first = body, first
+        self.tried: list[Fit] = []
         # A simulated motion is no estimate; but two good simulators differ by a little.
         self.exact, self.rows, self.open = True, float(body.rows.size), FORM_MOVED
 
@@ -192,6 +193,7 @@ class _Mover(_Fitter):
         found = self.body.refined(self.problem, fit)
         if found is None:
             return None
+        self.tried.append(found)
         old = self.by_names.get(fit.names)
         if old is None or found.chi2 < old.chi2:
             self.by_names[fit.names] = found
@@ -230,9 +232,7 @@ class _Mover(_Fitter):
 def _without(problem: Problem, fit: Fit, member: int) -> Fit:
     """Return a set less one effect; what that had of a stated number goes to the number."""
     gone, beta = fit.members[member], fit.betas[member]
-    shift = [
-        float(beta[0]) if BEARS.get(n.name) == gone.name else 0.0 for n in problem.nuisances
-    ]
+    shift = [float(beta[0]) if BEARS.get(n.name) == gone.name else 0.0 for n in problem.nuisances]
     return replace(
         fit,
         members=fit.members[:member] + fit.members[member + 1 :],
@@ -321,7 +321,7 @@ def _moved(
     best = min((plain, *mover.by_names.values()), key=mover.score)
     scale = inflation(best.residual)
     before, after = plain.chi2, best.chi2
-    for fit in (plain, *mover.by_names.values()):
+    for fit in (plain, *mover.tried):
         # Rows of coloured noise tell less; what the lab states of its model tells what it did.
         own = float(fit.residual @ fit.residual)
         fit.chi2 += own / scale - own
@@ -725,8 +725,8 @@ def _decide(
     equal += [f for f in _by_another_name(fitter, best) if f.names not in {e.names for e in equal}]
     # The residual of a motion is that of its rows, the balance's is scaled like its problem.
     moved = isinstance(fitter, _Mover)
-    own = float(best.residual @ best.residual) * (1.0 if moved else scale)
-    after = own + best.chi2 - own / scale if best.members else plain[0]
+    rest = float(best.residual @ best.residual) * (1.0 if moved else scale)
+    after = rest + best.chi2 - rest / scale if best.members else plain[0]
     return Search(
         problem,
         null,
@@ -910,14 +910,19 @@ def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
 
 
 def _forms(fitter: _Fitter, best: Fit, null: Fit) -> list[Fit]:
-    """Return fits of the same effects by other forms of their laws that do nearly as well."""
-    explained = null.chi2 - best.chi2
+    """Return fits of the same effects that do nearly as well.
+
+    By other forms of their laws; of a simulated motion, from where else the fit came to rest: where
+    a body sticks, the next row's noise decides in which of many valleys that is.
+    """
+    moved = isinstance(fitter, _Mover)
+    others = fitter.tried if isinstance(fitter, _Mover) else fitter.known.values()
+    reach = (FORM_ALONE if moved else FORM) * (null.chi2 - best.chi2)
     return [
         f
-        for f in fitter.known.values()
-        if f is not None and f is not best and f.names == best.names
-        and f.chi2 - best.chi2 < FORM * explained
-    ]  # fmt: skip
+        for f in others
+        if f is not None and f is not best and f.names == best.names and f.chi2 - best.chi2 < reach
+    ]
 
 
 def contribution(problem: Problem, fit: Fit, member: int) -> Floats:

@@ -29,7 +29,7 @@ MET = 1.5
 """Mean square, in units of the noise, up to which a simulated displacement is the measured one."""
 CLOSE = 0.005
 """The same as a part of what the model alone leaves: simulators of friction differ by so much."""
-RUNS = 4000
+RUNS = 3000
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
 STEPS = 6
 STEP = 1e-4
