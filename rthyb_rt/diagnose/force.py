@@ -281,21 +281,26 @@ def _met(plain: Fit, mover: _Mover) -> bool:
     )
 
 
+def _seen_only(fit: Fit) -> bool:
+    """Return whether a set holds an effect of the load cell, which moves nothing."""
+    return any(m.effect.sensor for m in fit.members)
+
+
 def _moved(
-    problem: Problem, body: Body, fitter: _Fitter, plain: Fit, mover: _Mover, dictionary: Dictionary
+    dictionary: Dictionary, body: Body, fitter: _Fitter, named: Fit, plain: Fit, mover: _Mover
 ) -> Search | None:
     """Judge the most promising sets by the motion that they simulate; None where none meets it."""
+    problem = dictionary.problem
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     # Two laws of dry friction beside one another are one law in a third form.
     ranked = [f for f in ranked if len(DRY & set(f.names)) < 2 and body.quick(f)]
     # What only a load cell sees does not move the body.
-    ranked = [f for f in ranked if not (body.held and any(m.effect.sensor for m in f.members))]
+    ranked = [f for f in ranked if not body.held or not _seen_only(f)]
     singles = [f for f in ranked if len(f.members) == 1]
-    # The set that the balance puts first, after its parts: simulations are counted.
-    first = min(fitter.by_names.values(), key=fitter.score)
-    if body.held and any(m.effect.sensor for m in first.members):
-        first = ranked[0] if ranked else first
-    leading = [f for f in {id(f): f for f in (first, *ranked[:1])}.values() if len(f.members) == 2]
+    # The set that the balance names and the one it puts first, after their parts: simulations are
+    # counted.
+    felt = [f for f in (named, *ranked[:1]) if not body.held or not _seen_only(f)]
+    leading = [f for f in {f.names: f for f in felt}.values() if len(f.members) == 2]
     parts = [f for f in singles if any(set(f.names) < set(pair.names) for pair in leading)]
     for fit in [*parts, *leading, *singles[:POOL], *ranked[:POOL]]:
         if fit.names not in mover.by_names:
@@ -382,7 +387,7 @@ def search(
         begun = _linear(problem, body, fitter, null)
         # What one linear effect simulates to the noise, no law in the balance says better.
         if begun is not None and (doubted or _met(*begun)):
-            by_motion = _moved(problem, body, fitter, *begun, dictionary)
+            by_motion = _moved(dictionary, body, fitter, done.best, *begun)
             return replace(by_motion, balance=done) if by_motion is not None else done
     return done
 

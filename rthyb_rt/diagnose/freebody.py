@@ -29,8 +29,10 @@ MET = 1.5
 """Mean square, in units of the noise, up to which a simulated displacement is the measured one."""
 CLOSE = 0.005
 """The same as a part of what the model alone leaves: simulators of friction differ by so much."""
-RUNS = 3000
+RUNS = 4000
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
+SLOW = 4
+"""Simulations that one takes the time of where a law is no single element of the core."""
 STEPS = 6
 STEP = 1e-4
 
@@ -88,7 +90,7 @@ class Body:
         """Return whether every effect is one element of the core, and no loop of many springs."""
         rest = Augmented(
             self.case.model, self.case.model, fit.members, fit.betas, None, self.ctx.all_ranges
-        ).elements()[2]
+        ).elements(self.case.model.mass)[2]
         slow = ("hysteresis", "pinching", "degradation")
         return not any(m.name in slow or not m.effect.sensor for m, _ in rest) and not any(
             n in slow for n in fit.names
@@ -186,8 +188,10 @@ class Body:
         if self.runs <= 0:
             return None
 
+        cost = 1 if self.quick(fit) else SLOW
+
         def residual(p: Floats) -> Floats:
-            self.runs -= 1
+            self.runs -= cost
             push, mass = self._push(float(np.exp(MASS_BLUR * p[count])))
             now = changed(first, places, _logs(places, p))
             start = (at[0] + p[count + 2] * self.spread, at[1] + p[count + 3] * rate)

@@ -70,8 +70,13 @@ class Augmented:
         """Return the force that the load cell shows along a motion, (n,), N."""
         return self.model.force(motion.x, motion.v, motion.a) + self.effect_force(motion, t, other)
 
-    def elements(self) -> tuple[list[core.ElementConfig], float, list[tuple[Member, Floats]]]:
-        """Return elements, mass, and the effects that have no element."""
+    def elements(
+        self, beside: float = 0.0
+    ) -> tuple[list[core.ElementConfig], float, list[tuple[Member, Floats]]]:
+        """Return elements, mass, and the effects that have no element.
+
+        A mass to be taken off is no element, but less mass, where enough stands ``beside`` it, kg.
+        """
         ctx = self.context(
             Motion(np.zeros(2), np.zeros(2), np.zeros(2)), np.arange(2.0) / self.model.fs_hz, {}
         )
@@ -79,6 +84,9 @@ class Augmented:
         rest: list[tuple[Member, Floats]] = []
         for member, beta in zip(self.members, self.betas, strict=True):
             own = None
+            if member.name == "inertia" and beside + mass + float(beta[0]) > 0.0:
+                mass += float(beta[0])
+                continue
             if not member.effect.sensor and member.name not in ("pinching", "degradation"):
                 own = member.effect.elements(ctx, member.trial, beta)
             if own is None:
@@ -96,7 +104,7 @@ class Augmented:
         start: tuple[float, float] = (0.0, 0.0),
     ) -> Motion:  # fmt: skip
         """Return the motion of mass and specimen under a force of shape (n,), N."""
-        elements, own_mass, rest = self.elements()
+        elements, own_mass, rest = self.elements(mass)
         whole = mass + own_mass
         substeps = _substeps(self.model, whole)
         if len(elements) > core.ELEMENTS_MAX:
