@@ -198,11 +198,11 @@ FINE = 16
 """Steps of a simulated body in a row."""
 
 
-def moved_body(push, law, mass: float, n: int, late=lambda force: 0.0):
-    """Return x and a of a body by central differences, from rest: (n,) each.
+def moved_body(push, law, mass: float, n: int, friction=lambda v: 0.0):
+    """Return x and a of a body by symplectic Euler steps, from rest: (n,) each.
 
-    ``push`` and ``law`` give forces at t and at (x, v); ``late(force)`` is dry friction, at most
-    that of the force which would move a body at rest.
+    ``push`` has the force of each step, ``law(x, v)`` is that of the specimen, ``friction(v)`` the
+    level of dry friction, of which no more acts than stops the body.
     """
     h = 1.0 / (FINE * cases.FS)
     x = v = 0.0
@@ -210,7 +210,7 @@ def moved_body(push, law, mass: float, n: int, late=lambda force: 0.0):
     for i in range(n * FINE):
         free = push[i] - law(x, v)
         # A body that friction could stop within the step is stopped: it sticks.
-        grip = late(v)
+        grip = friction(v)
         need = free + mass * v / h
         a = (free - np.clip(need, -grip, grip)) / mass
         if i % FINE == 0:

@@ -229,15 +229,16 @@ def counter(found: Ended, part: str, name: str) -> int:
     return int(found.rec.meta["real_time"][part][name])
 
 
-def assert_commands_in_order(found: Ended) -> dict[str, np.ndarray]:
-    """Each executed tick made one command at most, and candump saw once each that was sent."""
+def assert_commands_in_order(found: Ended, lost: int = 0) -> dict[str, np.ndarray]:
+    """Each executed tick sent one command at most, and candump saw each of them once.
+
+    ``lost`` ones a full queue has swallowed after they were numbered: the drive sees the gap.
+    """
     command = found.commands()
-    sent = found.rows["flags"] & NOT_SENT == 0
-    # A full queue has lost commands after they were numbered, so that the drive sees the gap.
-    lost = counter(found, "loop", "not_sent")
+    count = np.count_nonzero(found.rows["flags"] & NOT_SENT == 0)
     if not lost:
-        np.testing.assert_array_equal(command["seq"], (np.arange(sent.sum()) + 1) & 0xFFFF)
-    assert command["seq"].size == sent.sum()
+        np.testing.assert_array_equal(command["seq"], (np.arange(count) + 1) & 0xFFFF)
+    assert command["seq"].size == count
     assert np.sum(np.diff(command["seq"].astype(int)) % 0x10000 - 1) == lost
     assert found.log["refused"].max() == 0
     assert np.isfinite(found.log["target_m"]).all()
@@ -384,7 +385,7 @@ def test_drive_that_goes_wrong_in_the_motion_trips_the_test(
         if cause == "link_lost" and not lost_by(found, round(at_s * core.FS_HZ)):
             return found.cause
         assert_tripped(found, cause)
-        tell(fault, found)
+        tell(fault.format(at_s), found)
         return "as expected"
 
     repeated(attempt)
@@ -423,7 +424,7 @@ def test_sensor_that_goes_wrong_in_the_motion_ramps_out(
         if not begun_in_running(found, "RAMP_OUT"):
             at_s += LATER_S
             return TOO_EARLY
-        tell(fault, found)
+        tell(fault.format(at_s), found)
         assert (found.status, found.cause) == (6, cause), found.err
         assert found.rec.meta["end_reason"] == f"ramped out: {cause.replace('_', ' ')}"
         assert found.rows["state"][-1] == STATE["IDLE"]
@@ -738,7 +739,8 @@ def test_test_over_serial_adapters(lab: CanLab) -> None:
         if stalled(found):
             return stalled(found)
         assert_completed(found)
-        assert_commands_in_order(found)
+        # Adapters and the bus between them are as slow as this machine.
+        assert_commands_in_order(found, lost=counter(found, "loop", "not_sent"))
         facts = found.rec.meta["real_time"]["link_facts"]
         assert (facts["driver"], facts["bitrate"], facts["restart_ms"]) == ("can", BITRATE, 0)
         return "completed"

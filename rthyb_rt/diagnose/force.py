@@ -281,9 +281,9 @@ def _met(plain: Fit, mover: _Mover) -> bool:
     )
 
 
-def _seen_only(fit: Fit) -> bool:
+def _seen_only(members: Iterable[Member]) -> bool:
     """Return whether a set holds an effect of the load cell, which moves nothing."""
-    return any(m.effect.sensor for m in fit.members)
+    return any(m.effect.sensor for m in members)
 
 
 def _moved(
@@ -295,11 +295,11 @@ def _moved(
     # Two laws of dry friction beside one another are one law in a third form.
     ranked = [f for f in ranked if len(DRY & set(f.names)) < 2 and body.quick(f)]
     # What only a load cell sees does not move the body.
-    ranked = [f for f in ranked if not body.held or not _seen_only(f)]
+    ranked = [f for f in ranked if not body.held or not _seen_only(f.members)]
     singles = [f for f in ranked if len(f.members) == 1]
     # The set that the balance names and the one it puts first, after their parts: simulations are
     # counted.
-    felt = [f for f in (named, *ranked[:1]) if not body.held or not _seen_only(f)]
+    felt = [f for f in (named, *ranked[:1]) if not body.held or not _seen_only(f.members)]
     leading = [f for f in {f.names: f for f in felt}.values() if len(f.members) == 2]
     parts = [f for f in singles if any(set(f.names) < set(pair.names) for pair in leading)]
     for fit in [*parts, *leading, *singles[:POOL], *ranked[:POOL]]:
@@ -317,7 +317,7 @@ def _moved(
             grown.add(fit.names)
             for members in _beside(dictionary, fit, POOL):
                 names = {n for m in members for n in m.effect.names}
-                if body.held and any(m.effect.sensor for m in members):
+                if body.held and _seen_only(members):
                     continue
                 if len(DRY & names) < 2 and tuple(sorted(names)) not in mover.by_names:
                     mover.fit(members)
@@ -920,9 +920,11 @@ def _forms(fitter: _Fitter, best: Fit, null: Fit) -> list[Fit]:
     By other forms of their laws; of a simulated motion, from where else the fit came to rest: where
     a body sticks, the next row's noise decides in which of many valleys that is.
     """
-    moved = isinstance(fitter, _Mover)
-    others = fitter.tried if isinstance(fitter, _Mover) else fitter.known.values()
-    reach = (FORM_ALONE if moved else FORM) * (null.chi2 - best.chi2)
+    others: Iterable[Fit | None] = fitter.known.values()
+    share = FORM
+    if isinstance(fitter, _Mover):
+        others, share = fitter.tried, FORM_ALONE
+    reach = share * (null.chi2 - best.chi2)
     return [
         f
         for f in others

@@ -84,8 +84,9 @@ class Augmented:
         rest: list[tuple[Member, Floats]] = []
         for member, beta in zip(self.members, self.betas, strict=True):
             own = None
-            if member.name == "inertia" and beside + mass + float(beta[0]) > 0.0:
-                mass += float(beta[0])
+            added = member.effect.mass_kg(beta)
+            if added is not None and beside + mass + added > 0.0:
+                mass += added
                 continue
             if not member.effect.sensor and member.name not in ("pinching", "degradation"):
                 own = member.effect.elements(ctx, member.trial, beta)

@@ -200,6 +200,10 @@ class Effect:
         """Return the allowed range of each shape parameter."""
         return [(abs(value) / 30.0, abs(value) * 30.0) for value in trial.theta]
 
+    def mass_kg(self, beta: Floats) -> float | None:
+        """Return the mass that the effect is to a body that moves freely, None where it is none."""
+        return None
+
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the effect as elements of the core, or None where it has none (sensor side)."""
         return None

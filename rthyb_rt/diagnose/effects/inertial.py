@@ -28,6 +28,10 @@ class Inertia(Effect):
         whole = ctx.model.moving_mass + ctx.model.mass
         return bool(beta[0] > -0.5 * whole) or whole == 0.0 or ctx.k_free
 
+    def mass_kg(self, beta: Floats) -> float | None:
+        """Return the mass."""
+        return float(beta[0])
+
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element; a mass to be taken off has none."""
         return [core.element("inertia", m_kg=float(beta[0]))] if beta[0] >= 0 else None
