@@ -112,6 +112,23 @@ def ip(*arguments: str) -> None:
     subprocess.run(["ip", *arguments], check=True)
 
 
+@contextmanager
+def ip_at_hand() -> Iterator[Callable[[str], None]]:
+    """An `ip` that has been started and takes its orders line by line.
+
+    To start a program in mid-test takes a guest machine's only processor for several ticks, and the
+    test would end by those.
+    """
+    with subprocess.Popen(["ip", "-batch", "-"], stdin=subprocess.PIPE) as waiting:
+        assert waiting.stdin is not None
+
+        def order(line: str) -> None:
+            os.write(waiting.stdin.fileno(), f"{line}\n".encode())
+
+        yield order
+    assert waiting.returncode == 0
+
+
 # ---- a test and what became of it ---------------------------------------------------------------
 
 
@@ -478,11 +495,11 @@ def test_interface_that_goes_down_trips_and_stays_tripped_when_it_is_back(
     lab.rig_on(interface)
 
     def attempt(out: str) -> str:
-        with Running(lab, out, *LONG, bus=interface) as test:
+        with ip_at_hand() as order, Running(lab, out, *LONG, bus=interface) as test:
             if test.is_running():
-                set_interface(interface, "down")
+                order(f"link set {interface} down")
                 time.sleep(0.3)
-                set_interface(interface, "up")
+                order(f"link set {interface} up")
             found = test.ended()
         if stalled(found):
             return stalled(found)
@@ -508,9 +525,13 @@ def test_interface_that_is_deleted_trips_and_the_drive_stops_by_itself(
     lab.rig_on(bus)
 
     def attempt(out: str) -> str:
-        with vcan(bus), Running(lab, out, *LONG, bus=bus, dump=False) as test:
+        with (
+            vcan(bus),
+            ip_at_hand() as order,
+            Running(lab, out, *LONG, bus=bus, dump=False) as test,
+        ):
             if test.is_running():
-                ip("link", "delete", bus)
+                order(f"link delete {bus}")
             found = test.ended()
         if stalled(found):
             return stalled(found)
