@@ -12,6 +12,7 @@ from rthyb_rt.diagnose.actuation import CATALOGUE, MASK_S
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import filled
+from rthyb_rt.diagnose.select import columns_of
 from rthyb_rt.diagnose.simulate import Motion, actuator
 
 if TYPE_CHECKING:
@@ -141,8 +142,7 @@ def _separation(case: Case, ctx: Context, search: force.Search, motion: Motion) 
     forces, designs = [], []
     for fit in [search.best, *search.equal]:
         columns, total = [], np.zeros(n)
-        for m, beta in zip(fit.members, fit.betas, strict=True):
-            own = m.effect.columns(there, m.trial)
+        for own, beta in zip(columns_of(there, fit.members), fit.betas, strict=True):
             columns += own
             total += np.sum([b * c for b, c in zip(beta, own, strict=True)], axis=0)
         forces.append(total)

@@ -15,6 +15,7 @@ from rthyb_rt.diagnose.select import (
     Fit,
     Member,
     Problem,
+    columns_of,
     compatible,
     inflation,
     price,
@@ -478,7 +479,7 @@ def _reform(dictionary: Dictionary, fitter: _Fitter) -> None:
             rest = fit.members[:i] + fit.members[i + 1 :]
             if not others or like & {n for m in rest for n in m.effect.names}:
                 continue
-            alone = solve(problem, rest, [problem.columns(m) for m in rest])
+            alone = solve(problem, rest, problem.blocks(rest))
             if alone is None:
                 continue
             found = dictionary.sets(others, dictionary.beside(alone))
@@ -601,14 +602,14 @@ class Late(Effect):
         self.equation = f"{effect.equation}, from t0 on"
         self.fingerprint = f"{effect.fingerprint}, from a moment on"
         self.shown_by = effect.shown_by
-        self._kept: tuple[object, list[Floats]] | None = None
+        self._kept: tuple[Context, Trial, list[Floats]] | None = None
 
     def _whole(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the effect's own columns, kept while only the beginning moves."""
-        key = (id(ctx), self._inner(trial))
-        if self._kept is None or self._kept[0] != key:
-            self._kept = (key, self.effect.columns(ctx, self._inner(trial)))
-        return self._kept[1]
+        inner, kept = self._inner(trial), self._kept
+        if kept is None or kept[0] is not ctx or kept[1] != inner:
+            self._kept = kept = (ctx, inner, self.effect.columns(ctx, inner))
+        return kept[2]
 
     @staticmethod
     def _inner(trial: Trial) -> Trial:
@@ -934,8 +935,8 @@ def _forms(fitter: _Fitter, best: Fit, null: Fit) -> list[Fit]:
 
 def contribution(problem: Problem, fit: Fit, member: int) -> Floats:
     """Return the force of one effect of a fit along the recording, (n,), N."""
-    m = fit.members[member]
-    columns = m.effect.columns(problem.ctx, m.trial)
+    cells = [m for m in fit.members if m.effect.carries and m is not fit.members[member]]
+    columns = columns_of(problem.ctx, [fit.members[member], *cells])[0]
     parts = [b * c for b, c in zip(fit.betas[member], columns, strict=True)]
     return np.asarray(np.sum(parts, axis=0))
 
@@ -954,7 +955,7 @@ def held_out_gain(problem: Problem, fit: Fit) -> float:
 
     Blocks of a quarter of a second go round the folds, so that what happens once is in all of them.
     """
-    blocks = [problem.columns(m) for m in fit.members]
+    blocks = problem.blocks(fit.members)
     design = np.column_stack([*blocks, problem.base])
     width = sum(b.shape[1] for b in blocks)
     scale = np.sqrt(np.mean(design**2, axis=0))

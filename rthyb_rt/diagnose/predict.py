@@ -15,7 +15,7 @@ from rthyb_rt import core
 from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
-from rthyb_rt.diagnose.select import Member
+from rthyb_rt.diagnose.select import Member, columns_of
 from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, actuator, body
 
 ROUNDS = 25
@@ -56,13 +56,16 @@ class Augmented:
         """Return the force of the effects along a motion, (n,), N."""
         ctx = self.context(motion, t, other)
         total = np.zeros(t.size)
-        for member, beta in zip(self.members, self.betas, strict=True):
+
+        def there(member: Member) -> bool:
+            # The phase of a hum in another recording is not known.
             if member.effect.sensor and (not sensor or member.name == "hum"):
-                # The phase of a hum in another recording is not known.
-                continue
-            if member.name == "crosstalk" and "fy_meas" not in other:
-                continue
-            for b, c in zip(beta, member.effect.columns(ctx, member.trial), strict=True):
+                return False
+            return member.name != "crosstalk" or "fy_meas" in other
+
+        shown = [(m, b) for m, b in zip(self.members, self.betas, strict=True) if there(m)]
+        for (_, beta), columns in zip(shown, columns_of(ctx, [m for m, _ in shown]), strict=True):
+            for b, c in zip(beta, columns, strict=True):
                 total += b * c
         return total
 

@@ -9,7 +9,7 @@ nuisance columns with a prior.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -54,6 +54,16 @@ class Member:
     def name(self) -> str:
         """Name of the effect."""
         return self.effect.name
+
+
+def columns_of(ctx: Context, members: Sequence[Member]) -> list[list[Floats]]:
+    """Return the columns of each effect of a set, each (n,), N, as the load cell shows them."""
+    out = [m.effect.columns(ctx, m.trial) for m in members]
+    for cell in (m for m in members if m.effect.carries):
+        for i, m in enumerate(members):
+            if not m.effect.sensor:
+                out[i] = [cell.effect.carried(ctx, cell.trial, c) for c in out[i]]
+    return out
 
 
 @dataclass
@@ -167,9 +177,23 @@ class Problem:
 
     def columns(self, member: Member) -> Floats:
         """Return the judged columns of an effect in one shape, (rows, coefficients)."""
-        return np.column_stack(
-            [self.seen(c) for c in member.effect.columns(self.ctx, member.trial)]
-        )
+        return self.blocks([member])[0]
+
+    def blocks(self, members: Sequence[Member]) -> list[Floats]:
+        """Return the judged columns of a set, each (rows, coefficients)."""
+        return [
+            np.column_stack([self.seen(c) for c in columns])
+            for columns in columns_of(self.ctx, members)
+        ]
+
+    def changed(
+        self, members: Sequence[Member], blocks: Sequence[Floats], which: int
+    ) -> list[Floats]:
+        """Return the blocks of a set of which one effect has another shape than its block."""
+        if members[which].effect.carries:
+            return self.blocks(members)
+        alone = [members[which], *(m for m in members if m.effect.carries)]
+        return [*blocks[:which], self.blocks(alone)[0], *blocks[which + 1 :]]
 
 
 @dataclass(frozen=True)
@@ -296,8 +320,9 @@ class Dictionary:
                                         for n in problem.nuisances]  # fmt: skip
         y = problem.y
         extra = 0.0
-        for member, beta in zip(fit.members, fit.betas, strict=True):
-            block = problem.columns(member)
+        own = problem.blocks(fit.members)
+        for i, (member, beta) in enumerate(zip(fit.members, fit.betas, strict=True)):
+            block = own[i]
             (_, pinned), _ = member.effect.settings(problem.ctx, member.trial)
             # Counted from where the fit has them: a coefficient held at one stays near it.
             y = y - block @ beta
@@ -305,13 +330,10 @@ class Dictionary:
                 pins.append(0.0 if sigma is None else sigma**-2)
                 extra += 0.0 if sigma is None else ((b - 1.0) / sigma) ** 2
             blocks.append(block)
-            for j in range(len(member.trial.theta)):
-                moved, step = _moved(problem, member, j, 1e-3), 1e-3
-                if moved is None:
-                    moved, step = _moved(problem, member, j, -1e-3), -1e-3
-                if moved is not None:
-                    blocks.append(((problem.columns(moved) - block) @ beta)[:, None] / step)
-                    pins.append(0.0)
+        places = [(i, j) for i, m in enumerate(fit.members) for j in range(len(m.trial.theta))]
+        for slope in _slopes(problem, fit.members, own, places, fit):
+            blocks.append(slope[:, None])
+            pins.append(0.0)
         base = np.column_stack(blocks)
         size = np.sqrt(np.maximum(np.sum(base**2, axis=0), 1e-300))
         base = base / size
@@ -508,55 +530,18 @@ def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats])
 def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit | None:
     """Fit the shape parameters as well, from the shapes given.
 
-    A skew moves the force of the other effects along: it is fitted again beside them.
+    Damped Gauss-Newton over their logarithms.
     """
-    skewed = any(m.name == "time_skew" for m in members) and len(members) > 1
-    fit = _refined(problem, members, 3 if skewed else steps)
-    if not skewed:
-        return fit
-    best, kept, shape = fit, problem.ctx, fit
-    for _ in range(5):
-        if shape is None:
-            break
-        beside = np.zeros_like(kept.t)
-        for m, beta in zip(shape.members, shape.betas, strict=True):
-            if not m.effect.sensor:
-                for b, c in zip(beta, m.effect.columns(kept, m.trial), strict=True):
-                    beside += b * c
-        problem.ctx = replace(kept, beside=beside)
-        shape = _refined(problem, shape.members, steps)
-        problem.ctx = kept
-        if shape is not None and (best is None or shape.chi2 < best.chi2):
-            done = best is not None and best.chi2 - shape.chi2 < 0.01
-            best = shape
-            if done:
-                break
-    return best
-
-
-def _refined(problem: Problem, members: Sequence[Member], steps: int) -> Fit | None:
-    """Damped Gauss-Newton over the logarithms of the shape parameters."""
     members = list(members)
-    blocks = [problem.columns(m) for m in members]
+    blocks = problem.blocks(members)
     fit = solve(problem, members, blocks)
     if fit is None or not any(m.trial.theta for m in members):
         return fit
     places = [(i, j) for i, m in enumerate(members) for j in range(len(m.trial.theta))]
+    carried = any(m.effect.carries for m in members)
     damping = 1e-3
     for _ in range(steps):
-        jacobian = np.empty((problem.y.size, len(places)))
-        for column, (i, j) in enumerate(places):
-            step = 1e-3
-            moved = _moved(problem, members[i], j, step)
-            if moved is None:
-                step = -1e-3
-                moved = _moved(problem, members[i], j, step)
-            if moved is None:
-                jacobian[:, column] = 0.0
-                continue
-            change = problem.columns(moved) - blocks[i]
-            jacobian[:, column] = change @ fit.betas[i] / step
-        design = np.column_stack([jacobian, *blocks, problem.base])
+        design = _design(problem, members, blocks, places, fit)
         gram = design.T @ design
         prior = _prior_gram(problem, members, len(places), gram.shape[0])
         # Units must not matter: columns are brought to one size.
@@ -579,10 +564,10 @@ def _refined(problem: Problem, members: Sequence[Member], steps: int) -> Fit | N
                 break
             delta = np.clip(delta, -0.5, 0.5)
             trial_members = _stepped(problem, members, places, delta)
-            trial_blocks = [
+            trial_blocks = problem.blocks(trial_members) if carried else [
                 problem.columns(m) if m.trial.theta else b
                 for m, b in zip(trial_members, blocks, strict=True)
-            ]
+            ]  # fmt: skip
             attempt = solve(problem, trial_members, trial_blocks)
             if attempt is not None and attempt.chi2 < fit.chi2:
                 gain = fit.chi2 - attempt.chi2
@@ -638,7 +623,7 @@ def _stepped(
 
 def design_of(problem: Problem, fit: Fit) -> Floats:
     """Return the slopes of the judged rows to (log shapes, coefficients, nuisance), (rows, p)."""
-    blocks = [problem.columns(m) for m in fit.members]
+    blocks = problem.blocks(fit.members)
     places = [(i, j) for i, m in enumerate(fit.members) for j in range(len(m.trial.theta))]
     return _design(problem, fit.members, blocks, places, fit)
 
@@ -650,15 +635,30 @@ def _design(
     places: Sequence[tuple[int, int]],
     fit: Fit,
 ) -> Floats:
+    return np.column_stack([*_slopes(problem, members, blocks, places, fit), *blocks, problem.base])
+
+
+def _slopes(
+    problem: Problem,
+    members: Sequence[Member],
+    blocks: Sequence[Floats],
+    places: Sequence[tuple[int, int]],
+    fit: Fit,
+) -> list[Floats]:
+    """Return the slopes of the judged rows to the logarithm of each shape parameter."""
     jacobian = []
     for i, j in places:
-        moved = _moved(problem, members[i], j, 1e-3)
-        step = 1e-3
+        moved, step = _moved(problem, members[i], j, 1e-3), 1e-3
         if moved is None:
             moved, step = _moved(problem, members[i], j, -1e-3), -1e-3
-        change = problem.columns(moved) - blocks[i] if moved else np.zeros_like(blocks[i])
-        jacobian.append(change @ fit.betas[i] / step)
-    return np.column_stack([*jacobian, *blocks, problem.base])
+        slope = np.zeros(problem.y.size)
+        if moved is not None:
+            now = problem.changed([*members[:i], moved, *members[i + 1 :]], blocks, i)
+            for new, old, beta in zip(now, blocks, fit.betas, strict=True):
+                if new is not old:
+                    slope += (new - old) @ beta / step
+        jacobian.append(slope)
+    return jacobian
 
 
 def _with_covariance(

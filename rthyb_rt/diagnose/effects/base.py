@@ -49,7 +49,6 @@ class Context:
     force: Floats
     other: dict[str, Floats]
     ranges: tuple[float, float, float] | None = None
-    beside: Floats | None = None
 
     @property
     def x(self) -> Floats:
@@ -80,11 +79,6 @@ class Context:
     def total(self) -> Floats:
         """The model's whole force, N."""
         return self.model.force(self.x, self.v, self.a)
-
-    @cached_property
-    def felt(self) -> Floats:
-        """The model's force and that of the effects beside it, N: what a sensor passes on."""
-        return self.total if self.beside is None else self.total + self.beside
 
     @cached_property
     def x_range(self) -> float:
@@ -150,6 +144,7 @@ class Effect:
         sensor: it sits in the load cell's chain: not felt by the specimen.
         momentary: its force follows from x and v of the moment alone, so that a closed loop can be
             simulated with it though the core has no element for it.
+        carries: of a sensor, which passes on what others do to the specimen in its own way.
         complete: a joint law that no other effect of the specimen stands beside.
         signs: one a linear coefficient: '+', '-' or '*' for any.
         pinned: standard deviation of each coefficient around 1, or None for a free one.
@@ -163,6 +158,7 @@ class Effect:
     shown_by: tuple[str, str] = ("sweep", "it covers amplitude and frequency")
     sensor = False
     momentary = False
+    carries = False
     complete = False
     signs: str = "*"
     pinned: tuple[float | None, ...] | None = None
@@ -179,6 +175,10 @@ class Effect:
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the force per unit of each linear coefficient, each (n,), N."""
         raise NotImplementedError
+
+    def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
+        """Return what a sensor that `carries` shows of a force on the specimen, (n,), N."""
+        return force
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the parameters by name from linear coefficients and shape."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 
@@ -43,19 +44,34 @@ def standing_out(force: Floats, noise: float, dt: float) -> Floats:
         noise: standard deviation of the load cell, N.
         dt: sampling period, s.
     """
+    cut = _loudest_hz(force, noise, dt)
+    return force if cut is None else _up_to(cut, force, dt)
+
+
+def _loudest_hz(force: Floats, noise: float, dt: float) -> float | None:
+    """Return twice the frequency up to which a force stands out of white noise; None: nowhere."""
+    spectrum, f, size = _faded(force, dt)
+    hertz = np.floor(f).astype(np.int64)
+    power = np.bincount(hertz, np.abs(spectrum) ** 2) / np.bincount(hertz)
+    above = np.flatnonzero(power > FAINT**2 * noise**2 * size)
+    return 2.0 * (float(above[-1]) + 1.0) if above.size else None
+
+
+def _up_to(cut_hz: float, force: Floats, dt: float) -> Floats:
+    spectrum, f, size = _faded(force, dt)
+    pad = (size - force.size) // 2
+    low = np.fft.irfft(spectrum / (1.0 + (f / cut_hz) ** 8), size)
+    return np.asarray(low[pad : pad + force.size])
+
+
+def _faded(force: Floats, dt: float) -> tuple[NDArray[np.complex128], Floats, int]:
+    """Return a spectrum with both ends faded in and out, its frequencies, and how many rows."""
     pad = min(int(1.0 / dt), force.size - 1)
     fade = np.sin(0.5 * np.pi * np.arange(pad) / max(pad, 1)) ** 2
     window = np.concatenate((fade, np.ones(force.size), fade[::-1]))
     spectrum = np.fft.rfft(window * np.pad(force, pad, mode="reflect", reflect_type="odd"))
-    f = np.fft.rfftfreq(force.size + 2 * pad, dt)
-    hertz = np.floor(f).astype(np.int64)
-    power = np.bincount(hertz, np.abs(spectrum) ** 2) / np.bincount(hertz)
-    above = np.flatnonzero(power > FAINT**2 * noise**2 * (force.size + 2 * pad))
-    if not above.size:
-        return force
-    cut = 2.0 * (float(above[-1]) + 1.0)
-    low = np.fft.irfft(spectrum / (1.0 + (f / cut) ** 8), force.size + 2 * pad)
-    return np.asarray(low[pad : pad + force.size])
+    size = force.size + 2 * pad
+    return spectrum, np.fft.rfftfreq(size, dt), size
 
 
 class Bias(Effect):
@@ -152,7 +168,10 @@ class Hum(Effect):
 
 
 class TimeSkew(Effect):
-    """The load cell's rows belong to another instant than the displacement's."""
+    """The load cell's rows belong to another instant than the displacement's.
+
+    That holds for the forces of all effects on the specimen as for the model's.
+    """
 
     name = "time_skew"
     params = (Param("skew_s", "s", -0.1, 0.1),)
@@ -160,6 +179,7 @@ class TimeSkew(Effect):
     fingerprint = "residual is a straight line over the rate of the force"
     shown_by = ("sweep", "a skew turns with frequency what a dashpot does not")
     sensor = True
+    carries = True
     signs = "+"
     pinned = (0.02,)
 
@@ -176,10 +196,15 @@ class TimeSkew(Effect):
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the shifted force less the force."""
-        felt = ctx.felt
+        return [self.carried(ctx, trial, ctx.total) - ctx.total]
+
+    def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
+        """Return a force late; of a closed loop only what stands out of the noise it hears."""
+        cut = None
         if ctx.model.family == "loop" and ctx.model.f_std:
-            felt = standing_out(felt, ctx.model.f_std, ctx.dt)
-        return [shifted(felt, trial.theta[0] / ctx.dt) - felt]
+            cut = _loudest_hz(ctx.total, ctx.model.f_std, ctx.dt)
+        slow = force if cut is None else _up_to(cut, force, ctx.dt)
+        return force + shifted(slow, trial.theta[0] / ctx.dt) - slow
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the skew."""
