@@ -370,6 +370,7 @@ static void begin_test(rthyb_station *s)
     s->interrupted = 0;
     s->cause = RTHYB_CAUSE_NONE;
     s->indicated = 0;
+    s->indicator_slope = 0.0;
     settle(s, x);
     s->controller.x_m1 = s->seen_x - s->tare_x;
     enter(s, RTHYB_RAMP_IN);

@@ -174,6 +174,7 @@ class Live:
             not known.
         missed_rows: rows that the recorder came too late for.
         privileges: what the tick thread obtained.
+        remedy: what to do about such an end; "" where there is nothing to say.
     """
 
     in_real_time: bool
@@ -189,6 +190,7 @@ class Live:
     link_delay_samples: int
     missed_rows: int
     privileges: tuple[str, ...]
+    remedy: str
 
 
 def live(rec: Recording) -> Live | None:
@@ -196,6 +198,8 @@ def live(rec: Recording) -> Live | None:
     facts = rec.meta.get("real_time")
     if not isinstance(facts, dict):
         return None
+    from rthyb_rt.realtime import endings
+
     wake, sent = facts["wake"], facts["sent"]
     moving = rec.samples[_motion(rec)]
     unheard = FLAGS["fresh"] | FLAGS["blind"]
@@ -213,6 +217,7 @@ def live(rec: Recording) -> Live | None:
         link_delay_samples=int(facts["link_delay_samples"]),
         missed_rows=sum(last - first + 1 for first, last in facts["missed_rows"]),
         privileges=tuple(facts["privileges"]),
+        remedy=endings.remedy(str(facts["cause"]), rec.samples),
     )
 
 
@@ -543,7 +548,8 @@ def notices(s: Summary) -> list[Notice]:
     if s.end_reason != "completed":
         text = f"The test did not complete: {s.end_reason} after {s.duration_s:.2f} s."
         found.append(Notice("alarm", text))
-        found += _remedy(s.live)
+        if s.live is not None and s.live.remedy:
+            found.append(Notice("note", s.live.remedy))
     if s.interrupted:
         found.append(
             Notice("alarm", "The test was held and resumed: it is not one continuous motion.")
@@ -591,13 +597,6 @@ def notices(s: Summary) -> list[Notice]:
             )
         )
     return found
-
-
-def _remedy(found: Live | None) -> list[Notice]:
-    from rthyb_rt.realtime.endings import REMEDIES
-
-    text = REMEDIES.get(found.cause) if found is not None else None
-    return [] if text is None else [Notice("note", text)]
 
 
 def _live_notices(found: Live | None) -> list[Notice]:

@@ -300,6 +300,22 @@ def test_limit_in_an_identification_leaves_with_six_and_writes_nothing(
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.parametrize("virtual", [False, True])
+def test_rig_that_was_never_commissioned_is_not_swept(
+    rthyb: Rthyb, tmp_path: Path, virtual: bool
+) -> None:
+    """Nobody is at its socket: who is not refused comes as far as that."""
+    there = f'channel = "{tmp_path / "s"}"' + ("\nvirtual = true" if virtual else "")
+    path = rig_file(tmp_path, COLUMN.replace('channel = "/nowhere"', there))
+    answer = rthyb("identify", path, "--realtime", "--out", tmp_path / "found.toml")
+    said = " ".join(answer.err.split())
+    assert answer.code == (3 if virtual else 5), answer.err
+    assert ("there is no socket" in said) == virtual
+    assert ("this rig has not been commissioned" in said) != virtual
+    assert (f"rthyb commission {path}" in said) != virtual
+    assert not (tmp_path / "found.toml").exists()
+
+
 def test_commissioning_that_is_interrupted_says_to_machines_what_was_written(
     rthyb: Rthyb, tmp_path: Path, stepped: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

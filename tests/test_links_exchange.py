@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import threading
@@ -18,11 +19,18 @@ from loop_bench import Bench, assert_adds_up
 
 from rthyb_rt import loop
 from rthyb_rt.errors import InputError
-from rthyb_rt.links import exchange, wire
+from rthyb_rt.links import exchange, locks, wire
 from rthyb_rt.links.opening import Opened, Side, open_link
 
 BUS_OFF = 0x40
 FD_DBC = Path(__file__).parent / "data" / "links" / "fd_extended.dbc"
+
+
+@pytest.fixture(autouse=True)
+def _own_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who else runs these tests has a bus of the same name."""
+    (tmp_path / "locks").mkdir()
+    monkeypatch.setattr(locks, "SHARED_FOLDER", tmp_path / "locks")
 
 
 @pytest.fixture
@@ -264,6 +272,44 @@ def test_bus_without_room_loses_commands_and_is_given_up_after_20(
         assert core_end.recv(100) == b"", "the core sees the end"
 
 
+def test_python_that_stalls_sends_no_burst_of_old_commands(
+    channel: str, peer: VirtualBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    send, stalled, goes_on = VirtualBus.send, threading.Event(), threading.Event()
+
+    def slow(bus: VirtualBus, message: can.Message, timeout: float | None = None) -> None:
+        stalled.set()
+        goes_on.wait(20.0)
+        send(bus, message, timeout)
+
+    monkeypatch.setattr(VirtualBus, "send", slow)
+    with open_virtual(channel) as opened, socket.socket(fileno=os.dup(opened.fd)) as core_end:
+        counters, sent = opened.facts["exchange"], 0
+        for number in range(60):  # of 60 ms
+            frame = bytes.fromhex("01010000 01000000") + bytes([number]) + bytes(7)
+            with contextlib.suppress(BlockingIOError):
+                core_end.send(frame, socket.MSG_DONTWAIT)
+                sent += 1
+            if not number:
+                assert stalled.wait(20.0)
+        goes_on.set()
+        until(lambda: counters["to_bus"] == sent)
+        heard = [peer.recv(0.0) for _ in range(sent)]
+        assert [m.data[0] for m in heard if m is not None] == list(range(sent))
+        assert peer.recv(0.0) is None
+        assert 2 <= sent <= 10
+        core_end.send(bytes.fromhex("01010000 01000000") + bytes([99]) + bytes(7))
+        fresh = peer.recv(20.0)
+        assert fresh is not None
+        assert fresh.data[0] == 99
+
+
+def test_readings_of_a_drive_may_wait_longer(channel: str) -> None:
+    """The newest pair counts: an old one is no harm, and two frames are but one sample."""
+    with open_virtual(channel, "drive") as opened, socket.socket(fileno=os.dup(opened.fd)) as end:
+        assert end.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) >= exchange.QUEUE_BYTES["drive"]
+
+
 def test_core_that_does_not_read_loses_frames_and_stops_nothing(
     channel: str, peer: VirtualBus
 ) -> None:
@@ -311,6 +357,32 @@ def refusal(interface: str, channel: str = "test", **more: Any) -> str:
     (problem,) = refused.value.problems
     assert problem.where == f"{interface} {channel}"
     return problem.message
+
+
+@pytest.mark.parametrize("side", ["controller", "drive"])
+def test_second_user_of_the_same_side_is_told_who_has_it(channel: str, side: Side) -> None:
+    other: Side = "drive" if side == "controller" else "controller"
+    with open_virtual(channel, side), open_virtual(channel, other):
+        with nothing_left_open(), pytest.raises(InputError) as refused:
+            open_virtual(channel, side)
+        (problem,) = refused.value.problems
+        assert problem.where == f"virtual {channel}"
+        assert f"process {os.getpid()} has it open as {side}" in problem.message
+        with open_virtual(f"{channel}-2", side):
+            pass
+    open_virtual(channel, side).close()
+
+
+def test_device_has_one_user_by_whatever_name(tmp_path: Path) -> None:
+    """/dev/ttyUSB0 is also a link in /dev/serial/by-id."""
+    device, link = tmp_path / "ttyUSB0", tmp_path / "by-id"
+    device.touch()
+    link.symlink_to(device)
+    with (
+        open_virtual(str(device)),
+        pytest.raises(InputError, match="has it open as controller"),
+    ):
+        open_virtual(str(link))
 
 
 def test_interface_that_python_can_does_not_have() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -26,7 +27,7 @@ from realtime_bench import (
 from rthyb_rt import core, experiment, export, loop, realtime, recording, ring, summary, virtual_rig
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.links import opening
-from rthyb_rt.realtime import endings
+from rthyb_rt.realtime import endings, keeper
 from rthyb_rt.realtime.keeper import Keeper
 from rthyb_rt.report import render
 
@@ -361,6 +362,57 @@ def test_link_that_dies_while_it_is_armed_is_a_trip_and_no_error() -> None:
     assert not (rec.samples["state"] == STATE["RUNNING"]).any()
 
 
+def test_force_at_the_end_of_its_sensors_range_names_the_sensor_and_not_the_cable() -> None:
+    no_limit = {"limits.force_n": '{ value = "1 MN", enable = false }'}
+    rec = Bench(no_limit, faults=(loop.Fault("force", 1200, 10000, 40e3),)).run()
+    assert rec.meta["end_reason"] == "tripped: link lost"
+    remedy = summary.notices(summary.summarize(rec))[1].text
+    read = re.search(r"no usable pair \(the last one read (.*) mm and (.*) kN, before cal", remedy)
+    assert read is not None, remedy
+    assert abs(float(read[1])) < 20.0
+    assert 25.0 <= float(read[2]) < 60.0
+    assert "look at the sensors of displacement and force" in remedy
+    assert "cable" not in remedy
+
+
+def ends_with(row: dict[str, int], count: int = 20) -> np.ndarray:
+    """Rows of a test whose last ones before a trip are alike."""
+    rows = np.zeros(60, core.RECORD_DTYPE)
+    rows["state"] = STATE["RUNNING"]
+    rows["flags"] = recording.FLAGS["fresh"]
+    rows["state"][50:] = STATE["TRIPPED"]
+    for name, value in row.items():
+        rows[name][50 - count : 50] = value
+    return rows
+
+
+FLAG = recording.FLAGS
+REFUSED, ABSENT = FLAG["predicted"], FLAG["predicted"] | FLAG["lost"]
+BEYOND = core.STATUS["out_of_range"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "look_at"),
+    [
+        (ends_with({"flags": ABSENT}), "look at cable, power and display"),
+        (ends_with({"flags": REFUSED, "code": BEYOND}), "at the sensors of displacement and force"),
+        (ends_with({"flags": ABSENT, "code": BEYOND}), "called a reading invalid; look"),
+        (ends_with({"flags": REFUSED}), "leapt farther than anything can move; look at its sensor"),
+        (ends_with({"flags": REFUSED}, count=5), "look at cable, power and display"),
+        (ends_with({"flags": REFUSED})[:50], "leapt farther"),
+        (ends_with({})[:0], "look at cable, power and display"),
+    ],
+)
+def test_lost_link_says_whether_the_cable_or_a_sensor_is_to_be_looked_at(
+    rows: np.ndarray, look_at: str
+) -> None:
+    found = endings.remedy("link_lost", rows)
+    assert look_at in found
+    assert "usable pair" in found
+    assert endings.remedy("stalled", rows) == endings.REMEDIES["stalled"]
+    assert endings.remedy("completed", rows) == ""
+
+
 def test_every_end_that_lies_outside_the_test_says_what_to_do() -> None:
     outside = core.CAUSES[core.CAUSES.index("not_finite") : core.CAUSES.index("position")]
     told = {cause for cause in outside if cause != "not_arrived"}  # which says it in its own words
@@ -579,6 +631,76 @@ def test_recorder_that_fails_has_the_drive_stopped(monkeypatch: pytest.MonkeyPat
     told = np.count_nonzero((log["state"] == STATE["TRIPPED"]) & (log["frames"] > 0))
     assert 1 <= told <= 3
     assert log["silent"][stop_begins(log)] <= loop.WATCHDOG_TICKS
+
+
+class Clock:
+    """Stands in for the module ``time``, and goes when it is told to."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(keeper, "time", made)
+    return made
+
+
+@pytest.fixture
+def kept(clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Keeper]:
+    """A keeper of a ring in which nothing is; its thread is there and makes no turn by itself."""
+    assert clock is not None
+    monkeypatch.setattr(Keeper, "_keep", lambda self: self._done.wait())
+    (tmp_path / "rings").mkdir()
+    empty = recording.Recording(
+        np.zeros(0, core.RECORD_DTYPE), core.FS_HZ, np.zeros(0), {}, None, test_toml="", rig_toml=""
+    )
+    made = ring.Ring.create(tmp_path / "rings", empty)
+    found = Keeper(made.path)
+    found.start()
+    yield found
+    found.stop()
+    found.close()
+    made.remove()
+    made.close()
+
+
+def test_process_that_was_stopped_for_six_seconds_has_its_recorder_look_first(
+    kept: Keeper, clock: Clock
+) -> None:
+    """After SIGCONT the operator's thread may wake first: that says nothing of the tick thread."""
+    kept.check()
+    clock.now_s += 6.0
+    for _ in range(4):
+        kept.check()
+        clock.now_s += 0.02
+    kept._take(np.zeros(1, core.RECORD_DTYPE))
+    for _ in range(100):
+        kept.check()
+        clock.now_s += 0.02
+    # Stopped again and again, each time for a look: none of it was running time of this process.
+    clock.now_s += 6.0
+    kept.check()
+    clock.now_s += 6.0
+    kept.check()
+
+
+def test_tick_thread_that_stands_still_is_told_of_as_a_fault_of_this_pc(
+    kept: Keeper, clock: Clock
+) -> None:
+    def look() -> None:
+        while clock.now_s < 1010.0:
+            kept.check()
+            clock.now_s += 0.02
+
+    with pytest.raises(realtime.TimingError, match=r"the tick thread stands still.*rthyb jitter"):
+        look()
+    assert 1005.1 <= clock.now_s <= 1005.3
+    assert realtime.TimingError.exit_code == 7
 
 
 @pytest.mark.parametrize("required", [True, False])

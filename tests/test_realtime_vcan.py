@@ -685,6 +685,77 @@ def test_controller_that_was_held_for_a_tenth_of_a_second_trips_without_a_burst(
     repeated(attempt)
 
 
+# ---- the PC -------------------------------------------------------------------------------------
+
+HOUR_S = 3600.0
+JUMPS = 8
+AFTER_JUMP = 40
+"""Ticks in which a jump of the clock would show."""
+
+
+@contextmanager
+def wall_clock() -> Iterator[Callable[[float], None]]:
+    """A wall clock that may be set forth and back, and is right again afterwards."""
+    off_s = 0.0
+
+    def jump(by_s: float) -> None:
+        nonlocal off_s
+        time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME) + by_s)
+        off_s += by_s
+
+    try:
+        yield jump
+    finally:
+        jump(-off_s)
+
+
+def jumped_at(test: Running, jump: Callable[[float], None]) -> list[int]:
+    """Set the clock an hour forth and back, again and again; return the ticks just before."""
+    ticks: list[int] = []
+    reader = test.lab._reader_of(test.controller)
+    assert reader is not None
+    with reader:
+        for number in range(JUMPS):
+            while (rows := reader.read(1024).samples).size:
+                last = int(rows["tick"][-1])
+            ticks.append(last)
+            jump(HOUR_S if number % 2 == 0 else -HOUR_S)
+            time.sleep(0.15)
+    return ticks
+
+
+def test_wall_clock_that_jumps_by_an_hour_costs_no_tick(lab: CanLab) -> None:
+    def attempt(out: str) -> str:
+        ticks: list[int] = []
+        with wall_clock() as jump, Running(lab, out, *LONG) as test:
+            if test.is_running():
+                ticks = jumped_at(test, jump)
+            found = test.ended()  # whole: executed + skipped == elapsed; and replayed bit for bit
+        counts = found.rec.meta["real_time"]["ticks"]
+        assert counts["executed"] + counts["skipped"] == counts["elapsed"]
+        assert counts["elapsed"] < 60 * core.FS_HZ, "an hour has become ticks"
+        rows = found.rows
+        blind = rows["tick"][rows["flags"] & FLAGS["blind"] != 0].astype(np.int64)
+        beside = [at for at in ticks if ((blind > at) & (blind <= at + AFTER_JUMP)).any()]
+        assert not ticks or len(beside) < len(ticks), "each jump has skipped a tick"
+        if stalled(found):
+            return stalled(found)
+        if beside:  # by this machine: not each of them was
+            return "skips"
+        assert found.status == 0, found.err
+        assert found.rec.meta["end_reason"] == "completed"
+        assert np.count_nonzero(rows["state"] == STATE["RUNNING"]) == 6 * core.FS_HZ
+        at = np.searchsorted(rows["tick"], ticks)
+        assert (rows["state"][at] == STATE["RUNNING"]).all()
+        assert (rows["state"][at + AFTER_JUMP] == STATE["RUNNING"]).all()
+        assert (np.diff(rows["due_ns"]) < 2 * core.PERIOD_S * 1e9).all()
+        assert_commands_in_order(found)
+        print(f"seen | wall clock {len(ticks)} x 1 h | {counts['skipped']} ticks skipped in all |")
+        return "completed"
+
+    repeated(attempt)
+
+
 # ---- other media --------------------------------------------------------------------------------
 
 

@@ -67,7 +67,9 @@ def identify(
     delay estimate that a test starts with, the elastic stiffness that bounds the tangent
     stiffness, and the noise at rest that the estimator must not mistake for motion.
 
-    With --realtime the actuator moves. Ctrl-C brings it back to rest, a second one trips.
+    With --realtime the actuator moves: the rig file must have passed the polarity check of `rthyb
+    commission`, or exit code 5 says what is missing. Ctrl-C brings it back to rest, a second one
+    trips.
 
     \b
     Examples:
@@ -86,6 +88,11 @@ def identify(
         quantities.read(amplitude, "--amplitude", AMPLITUDE),
     )
     given, given_path = load_rig(rig, settings)
+    if realtime:
+        from rthyb_rt.commissioning import certificate
+
+        # A sweep moves farther and faster than a jog: the signs must be known before it.
+        certificate.demand(given, given_path)
     started = datetime.datetime.now(datetime.UTC)
     with contextlib.ExitStack() as stack:
         connection = stack.enter_context(connected(given)) if realtime else None
@@ -106,8 +113,6 @@ def identify(
             temporary.write_text(text, encoding="utf-8")
         interrupts.wrote(path)
     if realtime:
-        from rthyb_rt.commissioning import certificate
-
         certificate.carry(given, given_path, path)
     file = terminal.people(as_json)
     _print_result(given, result, file)

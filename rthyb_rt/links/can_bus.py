@@ -14,7 +14,7 @@ from can.interfaces.socketcan.utils import pack_filters
 
 from rthyb_rt.config import busload
 from rthyb_rt.config.rigfile import Link
-from rthyb_rt.errors import InputError, Problem
+from rthyb_rt.errors import InputError
 from rthyb_rt.links import locks, netlink
 from rthyb_rt.links.netlink import Interface
 from rthyb_rt.links.opened import Opened, Owned, Side, bit_rate
@@ -62,7 +62,9 @@ def open_can(wanted: Link, side: Side, codec: Codec) -> Opened:
             _configure(bus.socket, interface.name, filters(codec, side), fd)
         except OSError as error:
             raise InputError(
-                f"cannot be set up: {error.strerror or error}", interface.name
+                f"cannot be set up: {error.strerror or error}; is it still there and up? "
+                f"see `ip link show {interface.name}`",
+                interface.name,
             ) from error
         return Opened(
             kind="can",
@@ -210,7 +212,10 @@ def _bus(name: str, wanted_filters: list[can.typechecking.CanFilter], fd: bool) 
         )
     except OSError as error:  # it was there a moment ago
         traceback.clear_frames(error.__traceback__)  # python-can leaves its socket in one of them
-        raise InputError(f"cannot be opened: {error.strerror}", name) from None
+        raise InputError(
+            f"cannot be opened: {error.strerror}; is it still there? see `ip link show {name}`",
+            name,
+        ) from None
 
 
 def _configure(
@@ -230,7 +235,11 @@ def _configure(
     }
     missing = [what for what, holds in held.items() if not holds]
     if missing:
-        raise InputError([Problem(name, f"the kernel did not set: {', '.join(missing)}")])
+        raise InputError(
+            f"the kernel did not set: {', '.join(missing)}; take a kernel, or a container, whose "
+            "SocketCAN has all of it",
+            name,
+        )
     _discard(sock)
 
 

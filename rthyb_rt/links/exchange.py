@@ -7,6 +7,7 @@ are the bounded queues of both ways; what finds them full is dropped and counted
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import struct
 import threading
@@ -18,6 +19,7 @@ import can
 from rthyb_rt.config import busload
 from rthyb_rt.config.rigfile import Link
 from rthyb_rt.errors import InputError
+from rthyb_rt.links import locks
 from rthyb_rt.links.opened import Opened, Owned, Side
 from rthyb_rt.links.wire import ID_EXTENDED, Codec
 
@@ -28,8 +30,9 @@ CAN_ERR_FLAG: Final = 0x2000_0000
 CAN_ERR_BUSOFF: Final = 0x40
 CANFD_FDF: Final = 4
 
-QUEUE_BYTES: Final = 1 << 15
-"""Of the way to the bus, about 80 frames: what a stall of Python may hold up."""
+QUEUE_BYTES: Final[dict[Side, int]] = {"controller": 0, "drive": 1 << 15}
+"""Of the way to the bus. Commands: the least that the kernel allows, some 6 frames, for what waits
+while Python stalls goes out as a burst of old ones. Readings: some 40 pairs, the newest counts."""
 WAIT_S: Final = 0.05
 SEND_TIMEOUT_S: Final = 0.01
 FAILED_SENDS_MOST: Final = 20
@@ -46,20 +49,21 @@ def open_bus(wanted: Link, side: Side, codec: Codec) -> Opened:
     (``~/.canrc``).
 
     Raises:
-        InputError: no such interface, its driver is missing, or it refuses.
+        InputError: no such interface, its driver is missing, it refuses, or somebody has it open.
     """
     interface, where = wanted.interface or "", f"{wanted.interface} {wanted.channel}"
     if interface == "socketcan":
         raise InputError('SocketCAN is opened with kind = "can", in real time', where)
     fd = wanted.fd or codec.is_fd
     _check_load(wanted, where, codec)
-    bus = _bus(wanted, interface, where, fd)
     with Owned() as owned:
+        locks.hold(owned, where, f"{interface} {_place(wanted.channel)}", side)
+        bus = _bus(wanted, interface, where, fd)
         owned.callback(bus.shutdown)
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         owned.enter_context(ours)
         owned.enter_context(theirs)
-        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE_BYTES)
+        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE_BYTES[side])
         exchange = Exchange(bus, ours, _heard(codec, side))
         owned.callback(exchange.stop)
         exchange.start()
@@ -78,6 +82,11 @@ def open_bus(wanted: Link, side: Side, codec: Codec) -> Opened:
             owned=owned.pop_all(),
             failed=lambda: exchange.failure,
         )
+
+
+def _place(channel: str) -> str:
+    """Name a channel as everybody does: a serial adapter's device has several names."""
+    return os.path.realpath(channel) if channel.startswith("/") else channel
 
 
 def _check_load(wanted: Link, where: str, codec: Codec) -> None:

@@ -51,7 +51,10 @@ def open_line(path: str, baud: int) -> Opened:
         try:
             _make_raw(fd)
         except (termios.error, OSError) as error:
-            raise InputError(f"cannot be set up: {error.args[-1]}", path) from error
+            raise InputError(
+                f"cannot be set up: {error.args[-1]}; plug the adapter in again, or take another",
+                path,
+            ) from error
         _check_rate(fd, path, baud)
         facts = _facts(port, path, baud)
         _discard(fd)
@@ -100,7 +103,9 @@ def _port(path: str, baud: int) -> Any:
         why = os.strerror(number) if isinstance(number, int) else str(error)
         raise InputError(_not_opened(path, number, why), path) from None
     except (ValueError, OSError, termios.error) as error:
-        raise InputError(f"cannot be set up for {baud} Bd: {error}", path) from None
+        raise InputError(
+            f"cannot be set up for {baud} Bd: {error}; give a rate that both sides have", path
+        ) from None
 
 
 def _not_opened(path: str, number: object, why: str | None) -> str:
@@ -121,7 +126,7 @@ def _not_opened(path: str, number: object, why: str | None) -> str:
         return f"is not a serial line; {_lines_here()}"
     if number in (errno.ENXIO, errno.ENODEV, errno.EIO):
         return f"there is no hardware behind it ({why}): is the adapter plugged in?"
-    return f"cannot be opened: {why}"
+    return f"cannot be opened: {why}; try again, and if it stays so look at `dmesg` and the adapter"
 
 
 def _lines_here() -> str:
@@ -166,7 +171,9 @@ def _check_rate(fd: int, path: str, baud: int) -> None:
     cflag = termios.tcgetattr(fd)[2]
     wrong = termios.PARENB | termios.CSTOPB | termios.CRTSCTS
     if cflag & wrong or cflag & termios.CSIZE != termios.CS8:
-        raise InputError("the driver does not take 8N1 without flow control", path)
+        raise InputError(
+            "the driver does not take 8N1 without flow control; take an adapter that does", path
+        )
     speed = _speed(fd)
     if speed is not None and abs(speed - baud) > BAUD_TOLERANCE * baud:
         raise InputError(

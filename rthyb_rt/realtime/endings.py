@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.core import STATUS
 from rthyb_rt.errors import RthybError
+from rthyb_rt.recording import FLAGS, STATES
 
 WORDS: Final[dict[str, str]] = {
     "operator": "the operator",
@@ -22,9 +27,10 @@ WORDS: Final[dict[str, str]] = {
     "not_arrived": "for 10 s the command came no nearer to the end of its path; look at "
     "its velocity and acceleration limits, and at the compensator",
 }
+_STOPPED: Final = "has stopped by itself, and may have to be released at its panel."
 REMEDIES: Final[dict[str, str]] = {
-    "link_lost": "No pair of displacement and force came for 20 ticks: look at cable, power and "
-    "display of the drive; it has stopped by itself, and may have to be released at its panel.",
+    "link_lost": "No usable pair of displacement and force came for 20 ticks: look at cable, power "
+    f"and display of the drive; it {_STOPPED}",
     "link_down": "The link itself went away: look at cable, adapter and interface, and release "
     "the drive at its panel if it has to be.",
     "drive_stopped": "The drive said that it had stopped by itself: its panel says why.",
@@ -42,6 +48,8 @@ REMEDIES: Final[dict[str, str]] = {
 """What to do about an end that lies neither in the test nor in a limit of its motion."""
 TIMING_CAUSES: Final = ("skips", "stalled", "heartbeat")
 """Causes that lie in this PC and not in the test."""
+
+_LOST_TICKS: Final = 20
 
 
 class TimingError(RthybError):
@@ -79,3 +87,44 @@ def end_reason(state: str, cause: str, *, moved: bool = True) -> str:
     if cause == "none":
         return "ended before it began"
     return f"ramped out: {words}" if moved else f"ended before anything moved: {words}"
+
+
+def remedy(cause: str, samples: NDArray[np.void]) -> str:
+    """Return what to do about an end; "" where that lies in the test, or the cause says it.
+
+    Args:
+        cause: the station's.
+        samples: rows of the test, (n,).
+    """
+    text = REMEDIES.get(cause, "")
+    return (_unusable(samples) or text) if cause == "link_lost" else text
+
+
+def _unusable(samples: NDArray[np.void]) -> str:
+    """Return what to do where readings came to the end, and none was fit for use; "": none came."""
+    tripped = samples["state"] == STATES.index("TRIPPED")
+    before = samples[: int(np.argmax(tripped))] if tripped.any() else samples
+    last = before[before["flags"] & FLAGS["blind"] == 0][-_LOST_TICKS:]
+    whole = last["flags"] & FLAGS["lost"] == 0
+    beyond = last["code"] & STATUS["out_of_range"] != 0
+    leapt = ~beyond & whole & (last["flags"] & FLAGS["predicted"] != 0)
+    if 2 * np.count_nonzero(beyond | leapt) < _LOST_TICKS:
+        return ""
+    if np.count_nonzero(leapt) > np.count_nonzero(beyond):
+        why = "the displacement leapt farther than anything can move; look at its sensor"
+    else:
+        why = (
+            "a sensor stood at the end of its range, or the drive called a reading invalid; look "
+            "at the sensors of displacement and force"
+        )
+    return (
+        f"Readings came, but for {_LOST_TICKS} ticks no usable pair{_as_it_came(last[whole])}: "
+        f"{why} and its plug. The drive {_STOPPED}"
+    )
+
+
+def _as_it_came(whole: NDArray[np.void]) -> str:
+    if not whole.size:
+        return ""
+    x_mm, f_kn = 1e-6 * float(whole["x_raw"][-1]), 1e-6 * float(whole["f_raw"][-1])
+    return f" (the last one read {x_mm:.6g} mm and {f_kn:.6g} kN, before calibration)"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import ring
 from rthyb_rt.errors import RthybError
+from rthyb_rt.realtime.endings import TimingError
 from rthyb_rt.recording import FLAGS, RUNNING, STATES
 
 RECORDER_PERIOD_S: Final = 0.02
@@ -21,7 +22,11 @@ GOOD_PAIRS: Final = 48
 """Of the last `LOOK_BACK_TICKS`, with a drive that follows: then a test begins."""
 
 SILENCE_S: Final = 5.0
-"""Without a record: then the tick thread stands still."""
+"""Without a record: then the tick thread stands still, or all of this process did."""
+SURE_S: Final = 0.1
+"""Of running time on top, in which the recorder would find what came: then it is the thread."""
+LOOK_MOST_S: Final = 0.05
+"""Counted between two looks; a longer way from one to the next was no running time."""
 ABSENCE_S: Final = 1.0
 """Of the operator's thread: then no sign of life is given, and the test ramps out."""
 AT_REST: Final = ("IDLE", "ZEROED", "ARMED", "TRIPPED")
@@ -44,7 +49,8 @@ class Keeper:
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._keep, name="recorder", daemon=True)
         self._failure: BaseException | None = None
-        self._last_s = time.monotonic()
+        self._last_s = self._looked_s = time.monotonic()
+        self._silent_s = 0.0
         self._at_rest = [STATES.index(s) for s in AT_REST]
         self.beat: Callable[[], None] = lambda: None
         self._attended_s: float | None = None
@@ -95,13 +101,32 @@ class Keeper:
         return bool(fresh >= GOOD_PAIRS and not (recent & _NOT_FOLLOWING).any())
 
     def check(self) -> None:
-        """Raise what went wrong."""
+        """Raise what went wrong.
+
+        Raises:
+            RthybError: the recorder failed.
+            TimingError: the tick thread stands still.
+        """
         if self._failure is not None:
-            raise RthybError(f"the recorder failed: {self._failure!r}") from self._failure
-        silent_s = time.monotonic() - self._last_s
+            raise RthybError(
+                f"the recorder failed: {self._failure!r}; the drive is being stopped; look at this "
+                "PC's memory and at what else it runs"
+            ) from self._failure
+        now_s = time.monotonic()
+        passed_s, self._looked_s = now_s - self._looked_s, now_s
+        silent_s = now_s - self._last_s
         # After a trip the ring stands still, as it is meant to.
-        if self._thread.is_alive() and silent_s > SILENCE_S and not self._reader.frozen:
-            raise RthybError(f"no record for {silent_s:.0f} s: the tick thread stands still")
+        if not self._thread.is_alive() or silent_s <= SILENCE_S or self._reader.frozen:
+            self._silent_s = 0.0
+            return
+        # Where all of the process was stopped, this thread may go on before the others.
+        self._silent_s += min(passed_s, LOOK_MOST_S)
+        if self._silent_s > LOOK_MOST_S + SURE_S:
+            raise TimingError(
+                f"no record for {silent_s:.0f} s: the tick thread stands still; the drive's own "
+                "watchdog stops it; look what else takes this PC's processors, and at `rthyb "
+                "jitter`"
+            )
 
     def stop(self) -> None:
         """End the thread and keep what the producer, which has ended, has left."""

@@ -222,6 +222,7 @@ class Session:
 
         Raises:
             RthybError: the recorder failed.
+            TimingError: the tick thread stands still.
         """
         if self._watched:
             self._keeper.attended()
@@ -295,7 +296,10 @@ class Session:
 
     def _still(self, end: float) -> None:
         if time.monotonic() > end and self.clock != "stepped":
-            raise RthybError("the tick thread does not answer; the drive's own watchdog stops it")
+            raise RthybError(
+                "the tick thread does not answer; the drive's own watchdog stops it; look what "
+                "else takes this PC's processors, and at `rthyb jitter`"
+            )
 
     def follows(self) -> bool:
         """Whether good pairs come, of a drive that obeys."""

@@ -67,6 +67,7 @@ class Run:
         log: of the drive, one entry a tick of its own.
         times: due, woken and done of each of these ticks, ns, (n, 3); zeros where not noted.
         t0_ns: when the controller's tick 0 was due.
+        began_ns: when, after that, drive and bare thread began.
     """
 
     rows: np.ndarray
@@ -76,6 +77,7 @@ class Run:
     drive: dict[str, Any]
     reference: Reference
     t0_ns: int
+    began_ns: int
 
     @property
     def skipped_by_drive(self) -> int:
@@ -121,10 +123,10 @@ class Parties:
         with ours, theirs:
             self.controller = self._controller(ours.fileno())
             self.t0_ns = int(self._line(self.controller))
-            later = math.ceil((ticker.now_ns() - self.t0_ns) / 1e9 + 2.0) * 10**9
-            self._drive = self._drive_process(theirs.fileno(), self.t0_ns + later)
+            self._later_ns = math.ceil((ticker.now_ns() - self.t0_ns) / 1e9 + 2.0) * 10**9
+            self._drive = self._drive_process(theirs.fileno(), self.t0_ns + self._later_ns)
             assert self._line(self._drive) == "ready"
-        self._reference = self._reference_process(later)
+        self._reference = self._reference_process()
         assert self.controller.stdin is not None
         self.controller.stdin.write("go\n")
         self.controller.stdin.flush()
@@ -170,10 +172,10 @@ class Parties:
         }
         return self._python("drive.py", spec, fd)
 
-    def _reference_process(self, later_ns: int) -> subprocess.Popen[str]:
+    def _reference_process(self) -> subprocess.Popen[str]:
         program = compiled("reference", "ticker.c", "latency.c", "thread.c")
         ticks = round(self.plan.seconds * core.FS_HZ)
-        begin = self.t0_ns + later_ns + HALF_NS
+        begin = self.t0_ns + self._later_ns + HALF_NS
         return self._process([str(program), *map(str, (begin, ticks, ticker.PRIORITY, self._cpu))])
 
     @staticmethod
@@ -198,7 +200,7 @@ class Parties:
                 log, times, drive = found["log"], found["times"], json.loads(str(found["facts"]))
         *numbers, fifo = map(int, out.split())
         reference = Reference(*numbers, fifo=bool(fifo))
-        return Run(rows, facts, log, times, drive, reference, self.t0_ns)
+        return Run(rows, facts, log, times, drive, reference, self.t0_ns, self._later_ns)
 
 
 def repeated(

@@ -24,6 +24,9 @@ from proof.parties import BUILD, FLAGS, HALF_NS, STATE, Parties, Plan, Run, repe
 from rthyb_rt import ticker
 
 SECONDS = 60.0
+QUIET_SECONDS = 10.0
+RATIO, MORE_NS = 1.25, 20_000
+"""What the p99 of the wake-up may be: so many times the bare thread's, and so much more."""
 A_SECOND = 4.0
 LENGTHS_MS = ((0.85, 1.0, 8.0), (0.12, 8.0, 15.0), (0.03, 25.0, 60.0))
 """Share of the stalls, and between what their lengths lie."""
@@ -228,10 +231,19 @@ def test_tick_thread_gives_the_processor_away_for_the_clock_alone(
     note("stalls", "voluntary switches", waits, "", f"{least} to {most} + 2 a SIGSTOP")
 
 
+# ---- without stalls ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def quiet() -> tuple[Run, int]:
+    """Ten seconds in which nobody stops anybody, and how often they were run."""
+    return repeated([Plan("quiet", QUIET_SECONDS, count_allocations=True)])["quiet"]
+
+
 def test_without_stalls_each_tick_is_one_wait_on_the_clock_and_nothing_else(
-    note: Note,
+    quiet: tuple[Run, int], note: Note
 ) -> None:
-    found, attempts = repeated([Plan("quiet", 10.0, count_allocations=True)])["quiet"]
+    found, attempts = quiet
     least, most = waits_on_the_clock(found)
     waits = found.facts["usage"]["waits"]
     assert least <= waits <= most
@@ -240,3 +252,21 @@ def test_without_stalls_each_tick_is_one_wait_on_the_clock_and_nothing_else(
     note("quiet 10 s", "voluntary switches", waits, "", f"{least} to {most}; run {attempts} x")
     note("quiet 10 s", "executed ticks", found.facts["counts"]["executed"])
     note("quiet 10 s", "wake to sent p50", found.facts["sent_p50_ns"] / 1e3, "us")
+
+
+def test_tick_thread_of_a_test_wakes_as_punctually_as_a_bare_thread_in_the_same_seconds(
+    quiet: tuple[Run, int], note: Note
+) -> None:
+    found, attempts = quiet
+    due_ns = found.rows["due_ns"] - found.began_ns
+    beside = executed_of(found.rows[(due_ns >= 0) & (due_ns < QUIET_SECONDS * 1e9)])
+    assert beside.size > 0.5 * QUIET_SECONDS * 1024, "the two were hardly there at the same time"
+    p99_ns = float(np.percentile(beside["wake_late_ns"], 99.0))
+    most_ns = RATIO * found.reference.p99_ns + MORE_NS
+    allowed = f"{most_ns / 1e3:.0f}; bare thread {found.reference.p99_ns / 1e3:.1f}"
+    note("quiet 10 s", "wake-up p99", p99_ns / 1e3, "us", f"{allowed}; run {attempts} x")
+    if found.disturbed:
+        pytest.skip(f"the bare thread was over 10 ms late in {attempts} runs")
+    assert found.reference.fifo
+    assert "fifo" in found.facts["privileges"], "real-time priority is needed, and was not granted"
+    assert p99_ns <= most_ns
