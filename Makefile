@@ -22,11 +22,12 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help run reproduce test test-vm test-systemd test-live soak sanitize fuzz tsan proof prove \
-        bench lint clean
+.PHONY: help run install reproduce test test-vm test-systemd test-live soak sanitize fuzz tsan proof \
+        prove bench lint clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
+	@echo 'make install    the service of docs/service.md into this PC, as root (RIG=my-rig.toml)'
 	@echo "make reproduce  the paper's studies: figures, tables, accepted bands"
 	@echo 'make test       the test suite'
 	@echo 'make test-vm    the tests that need a kernel with SocketCAN, in a guest machine'
@@ -44,6 +45,15 @@ help:
 
 run: $(READY)
 	@$(BIN)/rthyb run
+
+# Where the service sees it, with the system's own Python; enabled and started by whoever wants that.
+install:
+	@test "$$(id -u)" -eq 0 || { echo 'The files belong to root: sudo make install RIG=my-rig.toml'; exit 1; }
+	$(require_tools)
+	@/usr/bin/python3 -m venv /opt/rthyb
+	@/opt/rthyb/bin/python -m pip install -q --upgrade '.[live,wire]'
+	@ln -sf /opt/rthyb/bin/rthyb /usr/local/bin/rthyb
+	@/opt/rthyb/bin/rthyb install-service $(if $(RIG),--rig '$(RIG)')
 
 # The record of Section 4.2, TCU068, comes with a package of the test group.
 reproduce: $(TEST_READY)

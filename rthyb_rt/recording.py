@@ -288,11 +288,12 @@ def _text(file: Any, name: str, text: str) -> None:
     file.create_dataset(name, data=text, dtype=h5py.string_dtype("utf-8"))
 
 
-def read(path: str | Path) -> Recording:
+def read(path: str | Path, *, rows: bool = True) -> Recording:
     """Read a recording.
 
     Args:
         path: the HDF5 file.
+        rows: False leaves ``samples`` empty, whose last block may be damaged.
 
     Returns:
         The recording, wholly in memory.
@@ -311,7 +312,7 @@ def read(path: str | Path) -> Recording:
         raise InputError("may not be read; check its permissions", str(path))
     try:
         with h5py.File(path, "r") as file:
-            return _load(file, str(path))
+            return _load(file, str(path), rows)
     except InputError:
         raise
     except (OSError, KeyError, TypeError, ValueError, RuntimeError, UnicodeDecodeError) as error:
@@ -331,7 +332,7 @@ def _why_unreadable(path: Path, error: Exception) -> str:
     return f"the file is damaged ({detail}); copy it again or take another run"
 
 
-def _load(file: Any, where: str) -> Recording:
+def _load(file: Any, where: str, rows: bool) -> Recording:
     """Turn the open file into a recording; what h5py raises tells of damage."""
     schema = plain(file.attrs.get("schema"))
     if not isinstance(schema, str) or not schema.startswith("rthyb-recording/"):
@@ -358,7 +359,7 @@ def _load(file: Any, where: str) -> Recording:
     motion = file["ground_motion/ag_mps2"]
     replay = file["replay"]
     return Recording(
-        samples=samples_set[()],
+        samples=samples_set[()] if rows else np.zeros(0, dtype=samples_set.dtype),
         fs_hz=float(samples_set.attrs["fs_hz"]),
         ag_mps2=motion[()],
         ground_motion={k: plain(v) for k, v in motion.attrs.items() if k != "fs_hz"},

@@ -45,6 +45,12 @@ _PRIVATE = 0o700
 
 _SERVICE = Path("/run/rthyb")
 _OTHER_VERSION = "use the version of rthyb_rt that wrote it"
+
+
+class OtherVersionError(InputError):
+    """A ring that another version of the program has written."""
+
+
 _REFUSED: Final[dict[int, str]] = {
     lib.RTHYB_RING_FOREIGN: "not a telemetry ring; give a file ring.* of a real-time test",
     lib.RTHYB_RING_UNFINISHED: "the ring was not set up to its end, so no tick was ever recorded",
@@ -401,19 +407,21 @@ def _open(path: Path) -> int:
 def _about(memory: mmap.mmap, path: Path, refused: int) -> dict[str, Any]:
     """Return the description, or refuse the ring in words."""
     if refused and refused != lib.RTHYB_RING_OTHER_LAYOUT:
-        raise InputError(_REFUSED[refused], str(path))
+        other = refused == lib.RTHYB_RING_OTHER_RECORD
+        raise (OtherVersionError if other else InputError)(_REFUSED[refused], str(path))
     layout, about = _description_in(memory)
     version = about.get("rthyb_version")
     writer = f" of rthyb_rt {version}" if version else ""
     if refused:
-        raise InputError(
+        raise OtherVersionError(
             f"layout {layout} of the ring{writer}, this version reads layout {LAYOUT}; "
             + _OTHER_VERSION,
             str(path),
         )
     if about.get("fields") != _fields(RECORD_DTYPE):
-        found = "has other fields" if about else "is damaged in its description"
-        raise InputError(f"the ring{writer} {found}; {_OTHER_VERSION}", str(path))
+        if not about:
+            raise InputError(f"the ring is damaged in its description; {_OTHER_VERSION}", str(path))
+        raise OtherVersionError(f"the ring{writer} has other fields; {_OTHER_VERSION}", str(path))
     return about
 
 

@@ -160,13 +160,22 @@ def served(folder: Path, **more: Any) -> Iterator[Daemon]:
     rig = more.pop("rig", None) or rig_file()
     given = {"recorder": "none", "require_realtime": False, "rights": Rights.of_system()} | more
     read_rig: Callable[[], RigFile] | None = given.pop("read_rig", None)
+    demand: Callable[[RigFile], dict[str, Any]] = given.pop("demand", lambda _: {})
     options = Options(
         socket=folder / "control.sock", rings=folder / "rings", runs=folder / "runs", **given
     )
     ours, theirs = opening.socket_pair()
     thread = InThread()
     with ours, theirs, virtual_rig.in_step(rig, theirs) as drive:
-        daemon = Daemon(rig, ours, "stepped", options, read_rig=read_rig, before_tick=drive.tick)
+        daemon = Daemon(
+            rig,
+            ours,
+            "stepped",
+            options,
+            demand=demand,
+            read_rig=read_rig,
+            before_tick=drive.tick,
+        )
         working = asyncio.run_coroutine_threadsafe(daemon.work(), thread.loop)
         try:
             # Its file is there a little before anybody listens.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +104,25 @@ def test_certificate_reads_back_as_it_was_written(tmp_path: Path) -> None:
     assert document["schema"] == "rthyb-commissioned/1"
     assert document["date"] == DATE
     assert list(document["steps"]) == list(certificate.STEPS)
+
+
+def test_certificate_that_root_has_written_is_read_by_the_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Root's umask may be narrow; the service's user may not write beside the rig file."""
+    before = os.umask(0o077)
+    try:
+        path = rig_file(tmp_path)
+        certified(path)
+    finally:
+        os.umask(before)
+    beside = tmp_path / "column.commissioned.json"
+    assert beside.stat().st_mode & 0o777 == 0o644
+    monkeypatch.setattr(certificate.os, "access", lambda *_: False)
+    assert certificate.standing(config.load_rig(path), path).why_not == ""
+    rig_file(tmp_path, COLUMN.replace('"8 kN"', '"9 kN"'))
+    why_not = certificate.standing(config.load_rig(path), path).why_not
+    assert "have changed since the rig was commissioned on 2026-11-20" in why_not
 
 
 def test_certificate_of_a_shipped_rig_goes_to_the_users_state(tmp_path: Path) -> None:

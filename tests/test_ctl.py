@@ -8,6 +8,7 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
 from command_line import Rthyb
@@ -15,7 +16,9 @@ from service_bench import await_state, rig_file, served, status
 
 from rthyb_rt import config, realtime, recording
 from rthyb_rt.cli import ctl
+from rthyb_rt.commissioning import certificate
 from rthyb_rt.config import RigFile
+from rthyb_rt.config.limits import looser
 from rthyb_rt.recording import STATES
 from rthyb_rt.service import metrics
 from rthyb_rt.service.daemon import Daemon
@@ -218,6 +221,66 @@ def test_limits_are_reloaded(rthyb: Rthyb, place: Path) -> None:
         assert limit is not None
         assert limit.value == 3e-3
         assert rthyb("ctl", "status", "--json").json["test"]["digest"] != before
+
+
+def limited(mm: float) -> str:
+    """Return the text of a real rig's file with a limit on the tracking error."""
+    limit = f'{{ value = "{mm} mm", action = "hold" }}'
+    link = '\n[link]\nkind = "socket"\nchannel = "wire"\n'
+    return config.dump(rig_file({"rig.limits.tracking_error_m": limit})) + link
+
+
+def test_real_rig_takes_limits_within_those_commissioned_and_no_others(
+    rthyb: Rthyb, place: Path, tmp_path: Path
+) -> None:
+    """What a test may do without a commissioning, a reload may: no limit is ever wider."""
+    path = tmp_path / "rig.toml"
+    path.write_text(limited(3))
+    rig = config.load_rig(path)
+    made = certificate.Certificate(rig.rig.name, certificate.rig_hash(rig), False, "wire")
+    made = made.with_step(certificate.Step("polarity", True, certificate.now()))
+    certificate.write(certificate.place(path), made)
+    with served(
+        place,
+        rig=rig,
+        read_rig=lambda: config.load_rig(path),
+        demand=lambda found: certificate.demand(found, path),
+    ) as daemon:
+
+        def reload(text: str) -> tuple[int, float | None, str]:
+            path.write_text(text)
+            answer = rthyb("ctl", "reload")
+            limit = daemon.engine.rig.limits.tracking_error_m
+            return answer.code, limit and limit.value, answer.err
+
+        assert reload(limited(1))[:2] == (0, 1e-3)
+        # Those commissioned count, not those of the last reload.
+        assert reload(limited(2))[:2] == (0, 2e-3)
+        for text in (limited(4), limited(2).replace('action = "hold"', 'action = "none"')):
+            code, value, said = reload(text)
+            assert (code, value) == (5, 2e-3)
+            assert "limits.tracking_error_m would allow more than was commissioned" in said
+            assert "rthyb commission" in said
+        code, value, said = reload(limited(1).replace("noise_std_n = ", "noise_std_n = 1"))
+        assert (code, value) == (5, 2e-3)
+        assert "sensors" in said
+        assert reload(limited(3))[:2] == (0, 3e-3)
+
+
+def test_limits_are_looser_that_allow_more_or_are_gone() -> None:
+    def limits(**given: Any) -> config.Limits:
+        return config.Limits.model_validate(given)
+
+    before = limits(force_n=100.0, command_velocity_m_per_s=0.1, tare_s=1.0)
+    assert looser(before, before) == []
+    assert looser(before.model_copy(update={"energy_error_j": None}), before) == []
+    assert looser(limits(force_n=99.0, command_velocity_m_per_s=0.1, tare_s=2.0), before) == []
+    assert looser(limits(force_n=101.0, command_velocity_m_per_s=0.1, tare_s=0.5), before) == [
+        "force_n",
+        "tare_s",
+    ]
+    assert looser(limits(), before) == ["command_velocity_m_per_s", "force_n", "tare_s"]
+    assert looser(limits(), limits(force_n={"value": 5.0, "enable": False})) == []
 
 
 def test_rig_file_is_not_even_read_while_a_test_moves(rthyb: Rthyb, place: Path) -> None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import re
+import socket
 import stat
 import struct
+import threading
+import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,11 +26,14 @@ from recording_data import FS_HZ
 from service_bench import await_state, served
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
+from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from rthyb_rt import config, core, experiment, recording
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.live import app as live_app
 from rthyb_rt.live import guard
+from rthyb_rt.live import server as live_server
 from rthyb_rt.live.app import make_app
 from rthyb_rt.live.frames import ANEW, HEADER, MORE, OUTLINE, Framer, view_of
 from rthyb_rt.live.guard import Tokens
@@ -766,6 +773,101 @@ def test_without_its_packages_the_command_says_what_to_install(
     answer = rthyb("live")
     assert answer.code == 1
     assert "the live view needs uvicorn: pip install 'rthyb-rt[live]'" in answer.err
+
+
+@contextmanager
+def serving(rec: Recording) -> Iterator[LiveServer]:
+    """A server at a port, in a thread."""
+    ready = threading.Event()
+    made = LiveServer(PastSource(rec), TOKENS, ready=ready.set)
+    thread = threading.Thread(target=made.run)
+    thread.start()
+    try:
+        assert ready.wait(20.0)
+        yield made
+    finally:
+        made.stop()
+        thread.join()
+
+
+def page(made: LiveServer, token: str = TOKENS.look) -> int:
+    """Ask for the page as a browser does; return the status."""
+    connection = http.client.HTTPConnection("127.0.0.1", made.port, timeout=20.0)
+    try:
+        connection.request("GET", f"/{token}/")
+        return connection.getresponse().status
+    finally:
+        connection.close()
+
+
+def hung_up_on(client: socket.socket) -> bool:
+    """Whether the other end hangs up; what it says before is passed over."""
+    client.settimeout(20.0)
+    try:
+        while client.recv(65536):
+            pass
+    except ConnectionError:
+        pass
+    except TimeoutError:
+        return False
+    return True
+
+
+def test_strangers_who_connect_and_say_nothing_do_not_take_the_page_away(rec: Recording) -> None:
+    with serving(rec) as made, ExitStack() as owned:
+        idle = [
+            owned.enter_context(socket.create_connection(("127.0.0.1", made.port)))
+            for _ in range(100)
+        ]
+        assert page(made) == 200
+        assert page(made, "x" * 32) == 403
+        assert hung_up_on(idle[0])
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [
+        b"",
+        b"GET / HTTP/1.1\r\nHost: 127.",
+        b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n",
+        b"GET /" + TOKENS.look.encode() + b"/ HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /",
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+    ],
+    ids=["nothing", "half a head", "no body", "half a second", "turned away"],
+)
+def test_connection_without_a_whole_request_is_ended(
+    rec: Recording, monkeypatch: pytest.MonkeyPatch, begin: bytes
+) -> None:
+    monkeypatch.setattr(live_server, "_REQUEST_S", 0.3)
+    with serving(rec) as made, socket.create_connection(("127.0.0.1", made.port)) as client:
+        client.sendall(begin)
+        done = threading.Event()
+
+        def drip() -> None:
+            # A byte now and then is no request.
+            while not done.wait(0.05):
+                with suppress(OSError):
+                    client.send(b"x")
+
+        dripping = threading.Thread(target=drip)
+        dripping.start()
+        try:
+            assert hung_up_on(client)
+        finally:
+            done.set()
+            dripping.join()
+
+
+def test_page_that_is_open_is_not_hung_up_on(
+    rec: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_server, "_REQUEST_S", 0.2)
+    with serving(rec) as made:
+        origin = Origin(f"http://127.0.0.1:{made.port}")
+        with connect(f"ws{made.url[4:]}socket", origin=origin) as opened_page:
+            time.sleep(0.6)
+            opened_page.ping().wait(20.0)
+            assert page(made) == 200
 
 
 def test_fault_while_reading_ends_the_server_instead_of_a_page_that_stands_still(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import json
 import os
 import random
@@ -423,19 +424,56 @@ def test_reader_that_never_reads_is_hung_up_on_and_hurts_nobody(place: Path) -> 
         assert server.connections == 0
 
 
-def test_who_asks_too_fast_waits_and_others_do_not(place: Path) -> None:
+def by_turns(monkeypatch: pytest.MonkeyPatch, *uids: int) -> None:
+    """Have the connections that come next be of these users, in turn."""
+    chosen = itertools.cycle(uids)
+    monkeypatch.setattr(control, "peer_of", lambda _: Peer(1, next(chosen), frozenset()))
+    monkeypatch.setattr(Rights, "role", lambda *_: Role.OPERATE)
+
+
+def test_who_asks_too_fast_waits_and_others_do_not(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    by_turns(monkeypatch, 1001, 1002)
     with (
-        listening(place / "s", echoing(), per_s=50.0, burst=5.0) as server,
+        listening(place / "s", echoing(), per_s=0.1, burst=5.0) as server,
         socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as eager,
     ):
-        begun = time.monotonic()
         eager.connect(str(place / "s"))
         eager.sendall(control.encode(call("Hold")) * 300)
         with Client(place / "s") as client:
             assert client.call("Hold")
-        served_by_now = server.requests
         # What it may have had by then, and the other's one.
-        assert served_by_now <= 6 + 50.0 * (time.monotonic() - begun) + 1
+        assert server.requests <= 6 + 1
+
+
+def test_who_comes_again_and_again_has_no_more_than_who_stays(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    by_turns(monkeypatch, 1001)
+    with listening(place / "s", echoing(), per_s=50.0, burst=5.0):
+        begun = time.monotonic()
+        for _ in range(30):
+            with Client(place / "s") as client:
+                assert client.call("Hold")
+        assert time.monotonic() - begun >= (30 - 5) / 50.0 * 0.95
+    with listening(place / "s", echoing(), per_s=0.01, burst=40.0):
+        begun = time.monotonic()
+        for _ in range(30):
+            with Client(place / "s") as client:
+                assert client.call("Hold")
+        # And no less: one that hangs up has asked for no more.
+        assert time.monotonic() - begun < 50.0
+
+
+def test_credit_of_a_user_is_bounded_and_so_are_the_users() -> None:
+    credits = control._Credits(control.Limits(per_s=50.0, burst=10.0))
+    for _ in range(10_000):
+        waits_s = credits.take(7)
+    assert waits_s <= 64 / 50.0
+    for uid in range(10_000):
+        assert credits.take(100_000 + uid) == 0.0
+    assert len(credits._left) <= 256
 
 
 def test_sixty_clients_are_served_at_once(place: Path) -> None:

@@ -5,6 +5,7 @@ Every row that a killed test leaves is held against the log of the drive at the 
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import re
@@ -25,7 +26,7 @@ import numpy as np
 import pytest
 from command_line import Rthyb
 from realtime_bench import ATTEMPTS, PROGRAM, STALLED, STATE, Process, until
-from service_bench import rig_file, short_test
+from service_bench import ROOT, await_state, rig_file, served, short_test
 
 from rthyb_rt import config, experiment, loop, realtime, recording, ticker, virtual_rig
 from rthyb_rt.commissioning import certificate
@@ -34,8 +35,8 @@ from rthyb_rt.links import opening
 from rthyb_rt.recording import FLAGS, Recording
 from rthyb_rt.service import installing, systemd
 from rthyb_rt.service.control import Client, Refusal
-from rthyb_rt.service.daemon import record_of
-from rthyb_rt.service.engine import Engine
+from rthyb_rt.service.daemon import Daemon, record_of
+from rthyb_rt.service.engine import Engine, StateError
 from rthyb_rt.service.recorder import read_index, read_status
 
 pytestmark = pytest.mark.alone
@@ -326,6 +327,54 @@ def test_second_sigterm_trips_and_systemd_hears_it_all() -> None:
     repeated(attempt)
 
 
+def test_nothing_begins_to_move_once_the_service_is_told_to_end(tmp_path: Path) -> None:
+    """A start that comes between the signal and the next turn would let the whole test run."""
+    test = short_test({"test.duration_s": "120"})
+    record = record_of(experiment.load_motion(test))
+
+    async def end_then_start(made: Daemon, token: str) -> list[str]:
+        made.stop()
+        refused = []
+        for name, given in (("Start", {"token": token}), ("Resume", {}), ("Zero", {})):
+            try:
+                await made.dispatcher.methods[name].handle(ROOT, given)
+            except StateError as error:
+                refused.append(str(error))
+        return refused
+
+    with served(tmp_path) as made:
+        with Client(made.options.socket) as client:
+            digest = client.call("Load", test_toml=config.dump(test), record=record)["digest"]
+            client.call("Zero")
+            await_state(tmp_path, "ZEROED")
+            token = client.call("Arm", digest=digest)["token"]
+        assert made._server is not None
+        assert made._server._accepting is not None
+        loop = made._server._accepting.get_loop()
+        refused = asyncio.run_coroutine_threadsafe(end_then_start(made, token), loop).result(20.0)
+        assert len(refused) == 3
+        assert all("the service is about to end" in words for words in refused)
+        until(lambda: not made.options.socket.exists(), "its end")
+        assert made.engine.state == "ARMED"
+
+
+def test_service_that_is_told_to_end_stops_what_moves_all_the_same(tmp_path: Path) -> None:
+    """Whatever began to move after the signal is ramped out as well."""
+    test = short_test({"test.duration_s": "120"})
+    record = record_of(experiment.load_motion(test))
+    with served(tmp_path) as made:
+        with Client(made.options.socket) as client:
+            digest = client.call("Load", test_toml=config.dump(test), record=record)["digest"]
+            client.call("Zero")
+            await_state(tmp_path, "ZEROED")
+            client.call("Start", token=client.call("Arm", digest=digest)["token"])
+        await_state(tmp_path, "RUNNING")
+        made._stops = 1
+        until(lambda: not made.options.socket.exists(), "its end")
+        assert made.engine.last is not None
+        assert made.engine.last["end_reason"] == "stopped by the operator"
+
+
 def test_second_daemon_at_one_socket_is_refused(tmp_path: Path) -> None:
     def attempt(made: Lab) -> None:
         made.serve("none")
@@ -446,6 +495,111 @@ def test_rig_that_was_commissioned_is_so_for_the_service_too(
     assert kept.stat().st_mode & 0o777 == 0o644
     again = rthyb("install-service", "--root", root, "--rig", own)
     assert "was there already, and is left as it was" in again.err
+
+
+def test_dbc_file_of_a_rig_goes_with_it(
+    rthyb: Rthyb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The service does not see the home in which rig and DBC file were written."""
+    monkeypatch.setattr(installing, "HIDDEN", ())
+    home = tmp_path / "home"
+    home.mkdir()
+    frames = Path(__file__).parents[1] / "hw" / "rthyb.dbc"
+    shutil.copyfile(frames, home / "drive.dbc")
+    link = '\n[link]\nkind = "can"\nchannel = "can0"\ndbc = "drive.dbc"\n'
+    own = home / "my-rig.toml"
+    own.write_text(config.dump(rig_file()) + link, encoding="utf-8")
+    rig = config.load_rig(own)
+    step = certificate.Step("polarity", True, certificate.now())
+    made = certificate.Certificate(rig.rig.name, certificate.rig_hash(rig), False, "can0")
+    certificate.write(certificate.place(own), made.with_step(step))
+    root = tmp_path / "system"
+    answer = rthyb("install-service", "--root", root, "--rig", own)
+    assert answer.code == 0, answer.err
+    installed = root / installing.RIG
+    assert 'dbc = "drive.dbc"' in installed.read_text(encoding="utf-8")
+    assert str(home) not in installed.read_text(encoding="utf-8")
+    beside = installed.with_name("drive.dbc")
+    assert f"Wrote {beside}" in answer.out
+    assert beside.read_bytes() == frames.read_bytes()
+    assert beside.stat().st_mode & 0o777 == 0o644
+    shutil.rmtree(home)
+    found = config.load_rig(installed)
+    assert found.link is not None
+    assert found.link.dbc == str(beside)
+    assert certificate.standing(found, installed).why_not == ""
+
+
+def test_other_dbc_file_of_that_name_is_not_replaced(
+    rthyb: Rthyb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(installing, "HIDDEN", ())
+    frames = Path(__file__).parents[1] / "hw" / "rthyb.dbc"
+    shutil.copyfile(frames, tmp_path / "drive.dbc")
+    link = '\n[link]\nkind = "can"\nchannel = "can0"\ndbc = "drive.dbc"\n'
+    (tmp_path / "my-rig.toml").write_text(config.dump(rig_file()) + link, encoding="utf-8")
+    root = tmp_path / "system"
+    beside = root / "etc" / "rthyb" / "drive.dbc"
+    beside.parent.mkdir(parents=True)
+    beside.write_text("mine")
+    answer = rthyb("install-service", "--root", root, "--rig", "my-rig.toml")
+    assert answer.code == 1
+    assert f"{beside}: another file is there" in answer.err
+    assert beside.read_text() == "mine"
+    assert not (root / installing.RIG).exists()
+
+
+@pytest.fixture
+def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A log of what the programs of the system are asked for; none of them is the real one."""
+    log, programs = tmp_path / "asked", tmp_path / "programs"
+    programs.mkdir()
+    for name in ("systemctl", "udevadm", "systemd-sysusers", "systemd-tmpfiles"):
+        made = programs / name
+        made.write_text(f'#!/bin/sh\necho {name} "$@" >>{log}\n')
+        made.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programs}:/usr/bin:/bin")
+    monkeypatch.setattr(installing, "HIDDEN", ())
+    monkeypatch.setattr(installing, "needs_root", lambda _: False)
+    log.touch()
+    return log
+
+
+def test_installed_files_are_made_known_before_devices_ask_for_them(
+    rthyb: Rthyb, asked: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(installing, "install", lambda *_: [])
+    assert rthyb("install-service").code == 0
+    said = asked.read_text().splitlines()
+    can = "udevadm trigger --action=add --subsystem-match=net --sysname-match=can[0-9]*"
+    assert said.index("systemctl daemon-reload") < said.index(can)
+    assert said.index("udevadm control --reload") < said.index(can)
+
+
+def test_units_are_ended_before_their_files_are_taken_away(
+    rthyb: Rthyb, asked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def remove(_: Path) -> list[Path]:
+        with asked.open("a") as log:
+            log.write("remove\n")
+        return [tmp_path / "rthyb.service"]
+
+    monkeypatch.setattr(installing, "PLACES", {"there": str(asked)})
+    monkeypatch.setattr(installing, "remove", remove)
+    answer = rthyb("install-service", "--uninstall")
+    assert answer.code == 0
+    assert "warning" not in answer.err
+    assert asked.read_text().splitlines() == [
+        "systemctl disable --now rthyb-live rthyb rthyb-recorder",
+        "systemctl stop rthyb-can@*.service",
+        "remove",
+        "systemctl daemon-reload",
+        "udevadm control --reload",
+    ]
+    asked.unlink()
+    assert rthyb("install-service", "--uninstall").code == 0
+    # Nothing there: nothing to end.
+    assert asked.read_text() == "remove\n"
 
 
 def test_shell_is_told_what_may_come_next() -> None:

@@ -30,7 +30,7 @@ from realtime_bench import STATE, until
 from test_service_daemon import Lab, assert_drive_heard, lab
 
 from rthyb_rt import recording
-from rthyb_rt.recording import FLAGS, Recording
+from rthyb_rt.recording import FILE_NAME, FLAGS, Recording
 from rthyb_rt.service.control import Client, Refusal, UnreachableError
 from rthyb_rt.service.growing import PART_NAME
 from rthyb_rt.service.recorder import read_status
@@ -269,15 +269,18 @@ class Victims:
         return found["run_id"] == run_id and found["state"] in MOVING
 
 
-def rows_of(runs: Path, run_id: str) -> np.ndarray:
-    """Return what the file of a test holds, as any program would read it."""
-    for part in runs.glob(f"*/{PART_NAME}"):
-        with h5py.File(part, "r") as file:
-            if recording.plain(file.attrs["service"])["run_id"] != run_id:
-                continue
-            found: np.ndarray = file["samples"][()]
-            return found
-    pytest.fail("there is no file of this test")
+def rows_of(runs: Path, run_id: str) -> np.ndarray | None:
+    """Return what the file of a test holds, as any program would read it; None: it does not open.
+
+    Of one that is finished just now both names may be there.
+    """
+    for name in (PART_NAME, FILE_NAME):
+        for path in runs.glob(f"*/{name}"):
+            with suppress(OSError, KeyError, RuntimeError), h5py.File(path, "r") as file:
+                if recording.plain(file.attrs["service"])["run_id"] == run_id:
+                    found: np.ndarray = file["samples"][()]
+                    return found
+    return None
 
 
 def assert_whole(rec: Recording, files: list[np.ndarray]) -> None:
@@ -312,10 +315,11 @@ def kill_in_one_test(victims: Victims, wanted: int, chance: random.Random, tally
         victims.kill(whom)
         killed += 1
         tally.killed[whom] += 1
-        # One that was left alone is still at work on the file, or has finished.
-        if whom != "daemon":
-            files.append(rows_of(victims.lab.runs, run_id))
-        tally.readable += 1
+        rows = rows_of(victims.lab.runs, run_id)
+        tally.readable += rows is not None
+        # A recorder that was left alone goes on with the file: these rows are not its last word.
+        if whom != "daemon" and rows is not None:
+            files.append(rows)
         alive = whom == "recorder"
         victims.revive()
     if alive:

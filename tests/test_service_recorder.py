@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -407,24 +408,193 @@ def test_reboot_takes_the_ring_and_leaves_what_was_written(place: Path) -> None:
     assert entry["end_reason"] == rec.meta["end_reason"]
 
 
+def torn(place: Path) -> Path:
+    """Damage the last block of the only file; return its folder."""
+    folder = the_run(place)
+    with h5py.File(folder / PART_NAME, "r") as file:
+        samples = file["samples"]
+        chunk = samples.id.get_chunk_info(len(samples) // BLOCK_ROWS - 1)
+    with (folder / PART_NAME).open("r+b") as raw:
+        raw.seek(chunk.byte_offset + chunk.size // 2)
+        raw.write(b"\xff" * 16)
+    return folder
+
+
 def test_block_that_is_damaged_at_the_end_is_read_again_from_the_ring(place: Path) -> None:
     rows = truth(1024)
     made = Producer(place)
     with recorder(place) as working:
         made.push(rows)
         working.turn()
-    part = the_run(place) / PART_NAME
-    with h5py.File(part, "r") as file:
-        chunk = file["samples"].id.get_chunk_info(7)
-    with part.open("r+b") as raw:
-        raw.seek(chunk.byte_offset + chunk.size // 2)
-        raw.write(b"\xff" * 16)
+    torn(place)
     with recorder(place) as working:
         made.end()
         turns(working)
     rec = recording.open_run(the_run(place))
     assert_same(rec.samples, rows)
     assert rec.meta["missing_rows"] == []
+
+
+def test_block_that_is_damaged_at_the_end_costs_itself_alone_where_the_ring_is_gone(
+    place: Path,
+) -> None:
+    """A PC that lost its power has both: a torn file and no ring."""
+    rows = truth(1024)
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+    folder = torn(place)
+    made.ring.remove()
+    with recorder(place) as working:
+        assert working.status().fault == ""
+    assert_same(recording.open_run(folder).samples, rows[: 1024 - BLOCK_ROWS])
+    (entry,) = read_index(place / "runs")
+    assert entry["rows"] == 1024 - BLOCK_ROWS
+    assert not (folder / PART_NAME).exists()
+
+
+def test_file_without_ring_that_is_beyond_help_is_put_aside_and_named(
+    place: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(truth(1024))
+        working.turn()
+    made.ring.remove()
+    folder = the_run(place)
+    (folder / PART_NAME).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(4000))
+    with recorder(place) as working:
+        turns(working)
+        status = working.status()
+        assert "recording.damaged.h5" in status.fault
+        # The next test has nothing to do with it.
+        assert not status.hinders
+        assert [path.name for path in folder.iterdir()] == ["recording.damaged.h5"]
+        assert [record.levelname for record in caplog.records].count("ERROR") == 1
+        (folder / "recording.damaged.h5").unlink()
+        turns(working)
+        assert working.status().fault == ""
+    assert read_index(place / "runs") == []
+
+
+def test_file_without_ring_that_the_system_refuses_for_a_while_is_finished_later(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = truth(1024)
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+    made.ring.remove()
+    monkeypatch.setattr(recorders, "_RETRY_S", 0.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(growing.GrowingFile, "_open", too_many_files)
+        working = Recorder(place / "rings", place / "runs")
+        turns(working)
+        assert "Too many open files" in working.status().fault
+        assert working.status().hinders
+    turns(working)
+    assert working.status().fault == ""
+    working.close()
+    assert_same(recording.open_run(the_run(place)).samples, rows)
+
+
+def test_full_disk_is_no_reason_to_put_a_file_aside(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = truth(1024)
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+    made.ring.remove()
+    monkeypatch.setattr(recorders, "_RETRY_S", 0.0)
+
+    def full(_: growing.GrowingFile) -> None:
+        raise growing.NoRoomError("the disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(growing.GrowingFile, "_flush", full)
+        working = Recorder(place / "rings", place / "runs")
+        turns(working, 8)
+        assert "the disk is full" in working.status().fault
+    turns(working)
+    working.close()
+    assert not list((place / "runs").glob("*/*damaged*"))
+    assert_same(recording.open_run(the_run(place)).samples, rows)
+
+
+def test_recording_that_was_finished_before_a_reboot_stays_as_it_is(place: Path) -> None:
+    made = Producer(place)
+    rows = truth(600)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+        part = the_run(place) / PART_NAME
+        kept = part.read_bytes()
+        made.end()
+        turns(working)
+    # The process before had no time to delete it.
+    part.write_bytes(kept)
+    (place / "runs" / recorders.INDEX_NAME).unlink()
+    with recorder(place):
+        pass
+    rec = recording.open_run(the_run(place))
+    assert_same(rec.samples, rows)
+    assert rec.meta["end_reason"] == "completed"
+    assert not part.exists()
+    (entry,) = read_index(place / "runs")
+    assert (entry["rows"], entry["ticks"]) == (600, [0, 599])
+
+
+def test_ring_of_another_version_is_a_fault_that_says_what_to_restart(
+    place: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    made = Producer(place)
+    made.push(truth(300))
+    with recorder(place) as working:
+        with monkeypatch.context() as patch:
+            # As an older recorder sees the ring of a newer daemon.
+            patch.setattr(ring, "_fields", lambda _: [])
+            turns(working)
+            fault = working.status().fault
+            assert "has other fields" in fault
+            assert "restarts rthyb-recorder too" in fault
+            assert [record.levelname for record in caplog.records].count("ERROR") == 1
+        made.ring.remove()
+        turns(working)
+        assert working.status().fault == ""
+
+
+def test_ring_whose_file_is_of_another_course_is_a_fault(place: Path) -> None:
+    made = Producer(place)
+    rows = truth(1024)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+    other = rows[1023:].copy()
+    other["tick"] = 5000
+    with h5py.File(the_run(place) / PART_NAME, "r+") as file:
+        file["samples"][1023:] = other
+    with recorder(place) as working:
+        turns(working)
+        assert "the file ends with tick 5000, the ring has 1023 there" in working.status().fault
+    made.ring.remove()
+
+
+def test_end_of_a_long_test_takes_little_memory(place: Path) -> None:
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(truth(60_000))
+        working.turn()
+        (tape,) = working._tapes.values()
+        tracemalloc.start()
+        tape._completed(made.session, True)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak < 60_000 * core.RECORD_DTYPE.itemsize / 2
+    made.ring.remove()
 
 
 def test_file_that_is_beyond_help_is_put_aside_and_written_anew(place: Path) -> None:

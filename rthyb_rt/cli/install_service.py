@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rthyb_rt.cli import terminal
 from rthyb_rt.cli.inputs import JsonOption
 from rthyb_rt.errors import RthybError
+
+if TYPE_CHECKING:
+    from rthyb_rt.config import RigFile
 
 SCHEMA = "rthyb-install/1"
 
@@ -49,15 +52,19 @@ def install_service(
 
     if installing.needs_root(root):
         raise RthybError("the files belong to root: sudo rthyb install-service")
+    here = root == Path("/")
     if uninstall:
+        there = any((root / place).exists() for place in installing.PLACES.values())
+        problems = installing.carry_out(installing.REMOVING) if here and there else []
         files = installing.remove(root)
+        problems += installing.carry_out(installing.REMOVED) if here and there else []
     else:
         source = None if rig is None else config.find_rig(rig)
-        text = None if source is None else config.dump(config.load_rig(source))
-        files = installing.install(root, installing.program(), text)
+        text, dbc = (None, None) if source is None else _portable(config.load_rig(source))
+        files = installing.install(root, installing.program(), text, dbc)
         if source is not None and root / installing.RIG in files:
             files += _carried(source, root / installing.RIG)
-    problems = installing.announce() if root == Path("/") else []
+        problems = installing.carry_out(installing.INSTALLED) if here else []
     file = terminal.people(as_json)
     for path in files:
         print(f"{'Removed' if uninstall else 'Wrote'} {path}", file=file)
@@ -77,6 +84,20 @@ def install_service(
         )
 
 
+def _portable(rig: RigFile) -> tuple[str, Path | None]:
+    """Return the text of a rig file whose DBC file lies beside it, and where that is now.
+
+    The service sees nobody's home.
+    """
+    from rthyb_rt import config
+
+    if rig.link is None or rig.link.dbc is None:
+        return config.dump(rig), None
+    dbc = Path(rig.link.dbc)
+    link = rig.link.model_copy(update={"dbc": dbc.name})
+    return config.dump(rig.model_copy(update={"link": link})), dbc
+
+
 def _carried(source: Path, target: Path) -> list[Path]:
     """Put what is known of the rig's commissioning beside its new file, for the service to read."""
     from rthyb_rt import config
@@ -87,5 +108,4 @@ def _carried(source: Path, target: Path) -> list[Path]:
     path = certificate.place(target)
     if not path.exists() or certificate.find(rig, target)[0] is None:
         return []
-    path.chmod(0o644)
     return [path]

@@ -163,6 +163,8 @@ def write(path: Path, certificate: Certificate) -> None:
     text = json.dumps(certificate.as_json(), indent=2, ensure_ascii=False, allow_nan=False)
     with replacing(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
+        # A service reads it as another user, whatever root's umask is.
+        temporary.chmod(0o644)
 
 
 def read(path: Path) -> Certificate:
@@ -212,8 +214,9 @@ def find(rig: RigFile, rig_path: Path) -> tuple[Certificate | None, Certificate 
     for path, found in _near(rig_path):
         if found.rig_hash == wanted:
             held = found if held is None else _newest(held, found)
-        elif path == place(rig_path):
-            older = found
+        elif path.name == rig_path.stem + SUFFIX:
+            # Its own place, or beside the file where that may only be read: a service's.
+            older = older or found
     return held, None if held else older
 
 

@@ -240,6 +240,25 @@ def resolve(
     return Resolved(limits.model_copy(update=figures), sources, **figures)
 
 
+def looser(given: Limits, bound: Limits) -> list[str]:
+    """Return the keys in which limits allow more than others do, or lack one of theirs."""
+    found = []
+    for key in Limits.model_fields:
+        own, theirs = getattr(given, key), getattr(bound, key)
+        if own is None:
+            lacking = theirs is not None and (not isinstance(theirs, Limit) or _binds(theirs))
+        else:
+            lacking = any(_weaker(key, own, theirs, ""))
+        if lacking:
+            found.append(key)
+    return found
+
+
+def _binds(limit: Limit) -> bool:
+    """Whether it limits the command, or anything happens beyond it."""
+    return limit.acts or (isinstance(limit, VelocityLimit) and limit.enable)
+
+
 def _weaker(key: str, own: Any, bound: Any, rig_name: str) -> Iterator[Problem]:
     """Name all in which a test's limit allows more than its rig's."""
     if isinstance(own, Limit):
@@ -259,8 +278,7 @@ def _weaker(key: str, own: Any, bound: Any, rig_name: str) -> Iterator[Problem]:
 
 
 def _weaker_limit(key: str, own: Limit, bound: Limit | None, rig_name: str) -> Iterator[Problem]:
-    limiting = isinstance(bound, VelocityLimit) and bound.enable
-    if bound is None or not (bound.acts or limiting):
+    if bound is None or not _binds(bound):
         return
     unit = unit_of(key)
     allowed = f'rig "{rig_name}" says limits.{key} = {bound.value:g} {unit}, action '

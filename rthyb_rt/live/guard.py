@@ -117,7 +117,12 @@ async def _turn_away(scope: Scope, receive: Receive, send: Send, why: str) -> No
         await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": why})
         return
     body = f"rthyb live: {why} Take the address that rthyb live has printed.\n".encode()
-    headers = [(b"content-type", b"text/plain; charset=utf-8"), *HEADERS]
+    # Whoever has no business here keeps no place either.
+    headers = [
+        (b"content-type", b"text/plain; charset=utf-8"),
+        (b"connection", b"close"),
+        *HEADERS,
+    ]
     start: dict[str, Any] = {"type": "http.response.start", "status": 403, "headers": headers}
     await send(start)
     await send({"type": "http.response.body", "body": body})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import errno
 import socket
@@ -9,6 +10,8 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Final
 
 import uvicorn
+from h11 import Request
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from rthyb_rt.errors import RthybError
 from rthyb_rt.live.app import MESSAGE_BYTES, make_app
@@ -19,6 +22,58 @@ if TYPE_CHECKING:
 
 LOOPBACK: Final = "127.0.0.1"
 _CONNECTIONS: Final = 64
+_WAITING: Final = 32
+"""Of these, how many may be without a request; of one more the oldest is hung up on."""
+_REQUEST_S: Final = 5.0
+"""For a request to come, from its connection's beginning or the answer before."""
+
+
+class _Impatient(H11Protocol):
+    """Hangs up on who brings no whole request: his place is wanted.
+
+    A token is in the request alone, so that anybody on this PC may connect.
+    """
+
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._await_request()
+        waiting = [c for c in self.connections if isinstance(c, _Impatient) and c._deadline]
+        if len(waiting) > _WAITING:
+            min(waiting, key=lambda c: c._deadline.when() if c._deadline else 0.0)._hang_up()
+
+    def _await_request(self) -> None:
+        self._has_request()
+        self._deadline = self.loop.call_later(_REQUEST_S, self._hang_up)
+
+    def _has_request(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self._deadline = None
+
+    def _hang_up(self) -> None:
+        self._has_request()
+        self.transport.close()
+
+    def handle_events(self) -> None:
+        super().handle_events()
+        cycle = self.cycle
+        if cycle is not None and not cycle.more_body and not cycle.response_complete:
+            self._has_request()
+
+    def handle_websocket_upgrade(self, event: Request) -> None:
+        self._has_request()
+        super().handle_websocket_upgrade(event)
+
+    def on_response_complete(self) -> None:
+        # Before what has come behind it is looked at.
+        self._await_request()
+        super().on_response_complete()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._has_request()
+        super().connection_lost(exc)
 
 
 class _Server(uvicorn.Server):
@@ -60,7 +115,7 @@ class LiveServer:
             uvicorn.Config(
                 make_app(source, tokens, ready, self._fail),
                 loop="asyncio",
-                http="h11",
+                http=_Impatient,
                 ws="websockets-sansio",
                 ws_max_size=MESSAGE_BYTES,
                 # On the loopback, bytes cost less than squeezing them.

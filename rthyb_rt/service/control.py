@@ -36,6 +36,8 @@ SOCKET: Final = Path("/run/rthyb/control.sock")
 REQUEST_BYTES: Final = 64 << 10
 LOAD_BYTES: Final = 8 << 20
 REPLY_BYTES: Final = 1 << 20
+_USERS: Final = 256
+"""Whose credit is kept."""
 
 _SERVICE_TEXT: Final = """# Every Varlink service says what it is.
 interface org.varlink.service
@@ -101,7 +103,7 @@ class Limits:
         connections: at a time, of all users together; each user alone half of them, and the
             service's own administrators have a few more.
         strangers: of those, how many for users who may do nothing.
-        per_s, burst: requests of one connection.
+        per_s, burst: requests of one user, over all his connections, one after another too.
         idle_s: without a request.
         message_s: from the first byte of a request to its last.
         large_s: the same of a large one.
@@ -294,6 +296,37 @@ def _check_parameters(given: dict[str, Any], wanted: Mapping[str, tuple[type | N
 # ---- the server ---------------------------------------------------------------------------------
 
 
+class _Credits:
+    """How many requests each user has left; who has asked too fast waits until he has earned one.
+
+    Args:
+        limits: what a client may take up.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        # The one who asked last comes last.
+        self._left: dict[int, tuple[float, float]] = {}
+
+    def take(self, uid: int) -> float:
+        """Take a request off a user's credit; return for how long it has to wait, s."""
+        limits, now = self._limits, time.monotonic()
+        left, then = self._left.pop(uid, (limits.burst, now))
+        left = min(left + (now - then) * limits.per_s, limits.burst) - 1.0
+        # No more than all his connections can have waiting: else a flood would keep his stop away.
+        left = max(left, -float(limits.connections // 2))
+        self._left[uid] = left, now
+        if len(self._left) > _USERS:
+            del self._left[next(iter(self._left))]
+        return max(-left, 0.0) / limits.per_s
+
+    def give_back(self, uid: int) -> None:
+        """Undo a `take` for a request that never came."""
+        if uid in self._left:
+            left, then = self._left[uid]
+            self._left[uid] = left + 1.0, then
+
+
 class ControlServer:
     """Listens on a Unix socket and answers, many connections at a time.
 
@@ -311,6 +344,7 @@ class ControlServer:
         self.refused_connections = self.requests = 0
         self._by_user: Counter[int] = Counter()
         self._strangers = 0
+        self._credits = _Credits(limits)
         self._large = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
         self._accepting: asyncio.Task[None] | None = None
@@ -429,9 +463,9 @@ class _Conversation:
         self._server, self._connection, self._peer, self._role = server, connection, peer, role
         self._limits, self._dispatcher = server._limits, server._dispatcher
         self._buffer = bytearray()
-        self._credit, self._credited_s = self._limits.burst, time.monotonic()
 
     async def run(self) -> None:
+        asked = False
         while True:
             await self._wait_for_turn()
             try:
@@ -440,7 +474,11 @@ class _Conversation:
                 await self._server._send(self._connection, _error(error))
                 return
             if message is None:
+                # To come and go without a word costs as much as to ask.
+                if asked:
+                    self._server._credits.give_back(self._peer.uid)
                 return
+            asked = True
             self._server.requests += 1
             reply = await self._dispatcher.answer(message, self._peer)
             if reply is not None:
@@ -450,12 +488,9 @@ class _Conversation:
 
     async def _wait_for_turn(self) -> None:
         """Let who asks too fast wait; what he asks for stays in the kernel meanwhile."""
-        now = time.monotonic()
-        earned = (now - self._credited_s) * self._limits.per_s
-        self._credit = min(self._credit + earned, self._limits.burst) - 1.0
-        self._credited_s = now
-        if self._credit < 0.0:
-            await asyncio.sleep(-self._credit / self._limits.per_s)
+        wait_s = self._server._credits.take(self._peer.uid)
+        if wait_s > 0.0:
+            await asyncio.sleep(wait_s)
 
     async def _message(self) -> bytes | None:
         """Return the next message without its NUL; None: there will be none."""

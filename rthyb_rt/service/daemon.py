@@ -25,8 +25,10 @@ import numpy as np
 
 from rthyb_rt import __version__, config, core
 from rthyb_rt.config import RigFile
+from rthyb_rt.config.limits import looser
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.realtime import RefusedError
 from rthyb_rt.recording import STATES, replacing
 from rthyb_rt.service import disk, metrics, recorder, systemd
 from rthyb_rt.service.control import (
@@ -133,6 +135,8 @@ class Daemon:
     ) -> None:
         self.options = options
         self._demand, self._read_rig = demand, read_rig
+        # As the file was commissioned: a reload may lower its limits, again and again.
+        self._commissioned = rig
         self.engine = Engine(
             rig,
             opened,
@@ -270,6 +274,11 @@ class Daemon:
     def _over(self) -> bool:
         if not self._stops:
             return False
+        # Told to end at rest, or refused the ramp-out: nothing that moves is left to go on.
+        if self.engine.moving and self.engine.state != "RAMP_OUT":
+            self._was_moving = True
+            with contextlib.suppress(StateError):
+                self.engine.command("stop")
         # A test that has ended is still given to its recorder.
         return not self.engine.moving and (
             self.engine.recorded is None or self.engine.state in ("ZEROED", "ARMED")
@@ -350,12 +359,11 @@ class Daemon:
             why = "the recorder gives no sign of life: look at systemctl status rthyb-recorder"
             raise StateError("arm", why, state)
         found = self._recorder
-        if found.fault:
+        if found.fault and found.hinders:
             raise StateError("arm", f"recorder: {found.fault}", state)
         if found.run_id != self.engine.run_id:
-            raise StateError(
-                "arm", "the recorder has not begun with this test: look at its journal", state
-            )
+            why = found.fault or "look at its journal"
+            raise StateError("arm", f"the recorder has not begun with this test: {why}", state)
         needed = disk.needed_bytes(ticks)
         if found.free_bytes < needed:
             raise StateError(
@@ -403,10 +411,20 @@ class Daemon:
 
     @contextlib.contextmanager
     def _alone(self, command: str) -> Iterator[None]:
-        """Refuse what would come between the two halves of something longer."""
+        """Refuse what would come between the two halves of something longer, or before the end."""
+        self._refuse_at_the_end(command)
         if self._busy.locked():
             raise StateError(command, "load, zero or reload is under way", self.engine.state)
         yield
+
+    def _refuse_at_the_end(self, command: str) -> None:
+        """Refuse what leads to a motion once the service is told to end.
+
+        Raises:
+            StateError: it is.
+        """
+        if self._stops:
+            raise StateError(command, "the service is about to end", self.engine.state)
 
     async def _load(self, peer: Peer, given: dict[str, Any]) -> dict[str, Any]:
         with self._alone("load"):
@@ -449,6 +467,8 @@ class Daemon:
 
     def _plain(self, name: core.Command) -> Callable[[Peer, dict[str, Any]], Any]:
         async def handle(peer: Peer, _: dict[str, Any]) -> dict[str, Any]:
+            if name == "resume":
+                self._refuse_at_the_end(name)
             self.engine.command(name)
             log.info("%s by %s", name, peer.name)
             return {}
@@ -474,10 +494,34 @@ class Daemon:
         self.engine.check_reload()
         async with self._busy:
             rig = await asyncio.to_thread(self._read_rig)
-            facts = self._demand(rig)
+            covered, facts = self._covered(rig)
             generation = self.engine.reload(rig)
             self.engine.know(facts)
+            self._commissioned = covered
+            if rig.limits != covered.limits:
+                log.warning("these limits are not commissioned: a restart asks for that")
             return generation
+
+    def _covered(self, rig: RigFile) -> tuple[RigFile, dict[str, Any]]:
+        """Return the commissioned file that covers one with other limits, and its facts.
+
+        As for the limits of a test: what allows no more needs no new commissioning.
+
+        Raises:
+            RefusedError: there is none.
+        """
+        try:
+            return rig, self._demand(rig)
+        except RefusedError:
+            before = self._commissioned.limits
+            if more := looser(rig.limits, before):
+                told = ", ".join(f"limits.{name}" for name in more)
+                raise RefusedError(
+                    f"reload: {told} would allow more than was commissioned; stop the service, "
+                    "run `rthyb commission` on the changed file, and start it again"
+                ) from None
+            covered = rig.model_copy(update={"limits": before})
+            return covered, self._demand(covered)
 
     def _reload_by_signal(self) -> None:
         systemd.notify("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")

@@ -25,12 +25,12 @@ from rthyb_rt.service import disk
 from rthyb_rt.service.ordered import OrderedFile
 
 PART_NAME: Final = "recording.part.h5"
-_DAMAGED: Final = "recording.damaged.h5"
+DAMAGED_NAME: Final = "recording.damaged.h5"
 _GAPS: Final = "missing_rows"
 _TRIES: Final = ".taken-up"
 _TRIES_MOST: Final = 3
 """So often may a process end in the middle of taking a file up: HDF5 can come to grief over one."""
-_REFUSED: Final = (
+REFUSED: Final = (
     *(errno.EACCES, errno.EPERM, errno.EAGAIN),
     *(errno.EMFILE, errno.ENFILE, errno.ENOMEM),
 )
@@ -76,6 +76,10 @@ class GrowingFile:
             if not self.resumed:
                 self._begin(session)
                 self._save()
+        except NoRoomError:
+            # A disk that is full for a while is no try that somebody died of.
+            self.close()
+            raise
         except OSError as error:
             self.close()
             raise RthybError(
@@ -116,9 +120,9 @@ class GrowingFile:
             return True
         except (OSError, KeyError, RuntimeError, ValueError) as error:
             self.close()
-            if isinstance(error, OSError) and error.errno in _REFUSED:
+            if isinstance(error, OSError) and error.errno in REFUSED:
                 raise
-            self._path.replace(self.folder / _DAMAGED)
+            self._path.replace(self.folder / DAMAGED_NAME)
             return False
 
     def _count_try(self) -> None:
@@ -143,7 +147,7 @@ class GrowingFile:
         """Take over what can be read of a file that was put aside: the ring may have it no more."""
         import h5py
 
-        damaged = self.folder / _DAMAGED
+        damaged = self.folder / DAMAGED_NAME
         if not damaged.exists() or self._tries > 2 * _TRIES_MOST:
             return
         parts, gaps = [], []
@@ -263,7 +267,8 @@ class GrowingFile:
     def all_rows(self, name: str) -> NDArray[Any]:
         """Return one field of every row, (n,), block by block."""
         step = 64 * BLOCK_ROWS
-        parts = [self._samples[at : at + step][name] for at in range(0, self.rows, step)]
+        # A view would keep every whole row in memory.
+        parts = [self._samples[at : at + step][name].copy() for at in range(0, self.rows, step)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def finish(self, session: Recording) -> Path:
@@ -301,9 +306,12 @@ class GrowingFile:
         return final
 
     def discard(self) -> None:
-        """Delete it and its folder."""
+        """Delete it and its folder; one that was put aside stays, and the folder with it."""
         self.close()
-        shutil.rmtree(self.folder, ignore_errors=True)
+        if (self.folder / DAMAGED_NAME).exists():
+            self._path.unlink(missing_ok=True)
+        else:
+            shutil.rmtree(self.folder, ignore_errors=True)
 
     def close(self) -> None:
         """Let go of the file; twice does no harm."""

@@ -30,14 +30,28 @@ HIDDEN: tuple[str, ...] = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")
 """What the service does not see: a program there would not start."""
 _PACKAGE: Final = Path(__file__).resolve().parents[1]
 
-STEPS: Final[tuple[tuple[str, ...], ...]] = (
+Steps = tuple[tuple[str, ...], ...]
+
+INSTALLED: Final[Steps] = (
     ("systemd-sysusers",),
     ("systemd-tmpfiles", "--create", "rthyb.conf"),
+    ("systemctl", "daemon-reload"),
     ("udevadm", "control", "--reload"),
     ("udevadm", "trigger", "--subsystem-match=misc", "--subsystem-match=tty"),
-    ("systemctl", "daemon-reload"),
+    # The rule of an adapter that is plugged in already asks for its unit as it is added.
+    (
+        *("udevadm", "trigger", "--action=add"),
+        *("--subsystem-match=net", "--sysname-match=can[0-9]*"),
+    ),
 )
-"""What makes them known to the running system."""
+"""What makes the files known to the running system."""
+REMOVING: Final[Steps] = (
+    ("systemctl", "disable", "--now", "rthyb-live", "rthyb", "rthyb-recorder"),
+    ("systemctl", "stop", "rthyb-can@*.service"),
+)
+"""What ends the service while its units are there: a test that moves is ramped out."""
+REMOVED: Final[Steps] = (("systemctl", "daemon-reload"), ("udevadm", "control", "--reload"))
+"""What makes the running system forget the files."""
 
 
 def sources() -> Path:
@@ -69,27 +83,53 @@ def program() -> Path:
     return path
 
 
-def install(root: Path, starts: Path, rig: str | None = None) -> list[Path]:
+def install(
+    root: Path, starts: Path, rig: str | None = None, dbc: Path | None = None
+) -> list[Path]:
     """Write the files; an older version of theirs is replaced, a rig file is not.
 
     Args:
         root: of the system.
         starts: the program that the units start.
         rig: text of the rig file, or None to leave that to the operator.
+        dbc: the file that the rig file names, by its name alone.
 
     Returns:
         the files that were written.
 
     Raises:
-        RthybError: one cannot be written.
+        RthybError: one cannot be written, or another DBC file is there.
     """
     written = []
+    new = rig is not None and not (root / RIG).exists()
+    if new and dbc is not None:
+        written += _beside(root / RIG, dbc)
     for name, place in PLACES.items():
         text = (sources() / name).read_text(encoding="utf-8")
         written.append(_write(root / place, text.replace(_PROGRAM, str(starts))))
-    if rig is not None and not (root / RIG).exists():
+    if new and rig is not None:
         written.append(_write(root / RIG, rig))
     return written
+
+
+def _beside(rig: Path, dbc: Path) -> list[Path]:
+    """Copy a DBC file to where the rig file will be, unless it is there."""
+    target = rig.with_name(dbc.name)
+    try:
+        content = dbc.read_bytes()
+        if target.exists():
+            if target.read_bytes() != content:
+                raise RthybError(
+                    f"another file is there than {dbc}; move it away, or name yours differently",
+                    where=str(target),
+                )
+            return []
+    except OSError as error:
+        raise RthybError(f"cannot be read ({error.strerror})", where=str(dbc)) from error
+    with replacing(target) as temporary:
+        temporary.write_bytes(content)
+        temporary.chmod(0o644)
+    return [target]
 
 
 def _write(path: Path, text: str) -> Path:
@@ -118,10 +158,10 @@ def remove(root: Path) -> list[Path]:
     return removed
 
 
-def announce() -> list[str]:
-    """Make the running system know the files; return what could not be done, in words."""
+def carry_out(steps: Steps) -> list[str]:
+    """Take steps in the running system; return what could not be done, in words."""
     failed = []
-    for step in STEPS:
+    for step in steps:
         words = " ".join(step)
         if shutil.which(step[0]) is None:
             failed.append(f"{words}: not on this system")

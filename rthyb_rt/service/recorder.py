@@ -27,7 +27,7 @@ from rthyb_rt import config, recording, ring
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.recording import BLOCK_ROWS, FILE_NAME, RUNNING, STATES, Recording
 from rthyb_rt.service import disk
-from rthyb_rt.service.growing import PART_NAME, GrowingFile
+from rthyb_rt.service.growing import DAMAGED_NAME, PART_NAME, REFUSED, GrowingFile
 
 STATUS_NAME: Final = "recorder.json"
 INDEX_NAME: Final = "index.jsonl"
@@ -62,6 +62,8 @@ class Status:
         run_id, folder, rows, missing_rows: of the newest test that it records, "" and 0 if none.
         behind_rows: what it has not written yet of that one.
         fault: what is wrong, in words, or "".
+        hinders: the fault stands against another test; not if all of it is over and done with,
+            such as a file of an earlier test that is beyond repair.
     """
 
     pid: int
@@ -74,6 +76,7 @@ class Status:
     behind_rows: int = 0
     missing_rows: list[list[int]] = field(default_factory=list)
     fault: str = ""
+    hinders: bool = False
 
     @property
     def alive(self) -> bool:
@@ -228,11 +231,8 @@ class Tape:
         return entry
 
     def _completed(self, session: Recording, closed: bool) -> Recording:
-        states, ticks = self.file.all_rows("state"), self.file.all_rows("tick")
-        flags = self.file.all_rows("flags")
-        self._ticks = ticks
-        columns = np.zeros(ticks.size, dtype=recording_dtype())
-        columns["tick"], columns["flags"] = ticks, flags
+        states = self.file.all_rows("state")
+        self._ticks = self.file.all_rows("tick")
         meta = dict(session.meta)
         if not closed:
             tripped = states.size and states[-1] == STATES.index("TRIPPED")
@@ -242,10 +242,9 @@ class Tape:
         if isinstance(meta.get("real_time"), dict):
             meta["real_time"] = meta["real_time"] | {"missed_rows": self.file.missing}
         whole = not self.file.missing and bool((states == RUNNING).any())
-        skips = ring.skips(columns)
         return replace(
             session,
-            replay=replace(session.replay, skips=skips),
+            replay=replace(session.replay, skips=_skips(self.file)),
             # Row k of the reference belongs to the k-th row of the test.
             reference=session.reference if whole else None,
             meta=meta,
@@ -257,11 +256,16 @@ class Tape:
         self.file.close()
 
 
-def recording_dtype() -> np.dtype[Any]:
-    """Return the type of a row."""
-    from rthyb_rt.core import RECORD_DTYPE
+def _skips(file: GrowingFile) -> NDArray[np.int64]:
+    """Return `ring.skips` of every row; of an hour, whole rows would be a gigabyte."""
+    ticks, flags = file.all_rows("tick"), file.all_rows("flags")
+    rows = np.empty(ticks.size, dtype=[("tick", ticks.dtype), ("flags", flags.dtype)])
+    rows["tick"], rows["flags"] = ticks, flags
+    return ring.skips(rows)
 
-    return RECORD_DTYPE
+
+class _NotOursError(InputError):
+    """A ring that is not of a test of the service: nobody wants it recorded."""
 
 
 def _remove_ring(ring_path: Path) -> None:
@@ -277,7 +281,7 @@ def _session(path: Path) -> Recording:
     session = recording.read(place)
     about = session.meta.get("service")
     if not isinstance(about, dict) or about.get("purpose") != "test":
-        raise InputError("no test of the service", str(path))
+        raise _NotOursError("no test of the service", str(path))
     return session
 
 
@@ -411,28 +415,64 @@ class Recorder:
         self._passed: dict[Path, tuple[int, int]] = {}
         self._synced_s = self._said_s = 0.0
         self._faults: dict[Path, str] = {}
+        self._given_up: dict[Path, str] = {}
         self._again_s: dict[Path, float] = {}
+        self._known = self._runs_with_ring()
+        self._orphans = set(self.runs.glob(f"*/{PART_NAME}"))
         self._finish_orphans()
+
+    def _runs_with_ring(self) -> set[str]:
+        found = set()
+        for path in ring.find(self.rings):
+            with contextlib.suppress(InputError):
+                found.add(str(_session(path).meta["service"]["run_id"]))
+        return found
 
     # A test whose ring a reboot has taken away: what was written is its recording.
     def _finish_orphans(self) -> None:
-        import h5py
+        for part in sorted(self._orphans):
+            if time.monotonic() >= self._again_s.get(part, 0.0):
+                with self._faulty(part):
+                    self._finish_orphan(part)
+                    self._orphans.remove(part)
 
-        alive = set()
-        for path in ring.find(self.rings):
-            with contextlib.suppress(InputError):
-                alive.add(str(_session(path).meta["service"]["run_id"]))
-        for part in self.runs.glob(f"*/{PART_NAME}"):
-            with contextlib.suppress(OSError, KeyError, RthybError, RuntimeError, TypeError):
-                with h5py.File(part, "r") as file:
-                    run_id = str(recording.plain(file.attrs["service"])["run_id"])
-                if run_id not in alive:
-                    self._finish_orphan(part, run_id)
+    def _finish_orphan(self, part: Path) -> None:
+        """Finish a file that has no ring, as far as it can be read.
 
-    def _finish_orphan(self, part: Path, run_id: str) -> None:
-        session = recording.read(part)
-        file = GrowingFile(part.parent, session)
-        states, ticks = session.samples["state"], session.samples["tick"]
+        Raises:
+            OSError, RthybError: not now; it is tried again.
+        """
+        place = part.with_name(FILE_NAME)
+        if place.exists():
+            try:
+                self._tidy(part.parent)
+            except (InputError, KeyError, TypeError) as error:
+                self._give_up(place, f"{error}; {part.name} beside it may be whole")
+            return
+        # What may not be opened is not damaged.
+        part.open("rb").close()
+        try:
+            session = recording.read(part, rows=False)
+            run_id = str(session.meta["service"]["run_id"])
+            _ = session.meta["test_name"], session.meta["created_utc"]
+        except (InputError, KeyError, TypeError) as error:
+            cause = error.__cause__
+            if isinstance(cause, OSError) and cause.errno in REFUSED:
+                raise
+            aside = part.with_name(DAMAGED_NAME)
+            part.replace(aside)
+            self._give_up(aside, f"{error}; it cannot be repaired, and is now {aside.name}")
+            return
+        if run_id not in self._known:
+            with contextlib.closing(GrowingFile(part.parent, session)) as file:
+                self._finish_without_ring(file, session)
+
+    def _finish_without_ring(self, file: GrowingFile, session: Recording) -> None:
+        # Only now, for the file ends with its last whole block since it was taken up.
+        states, ticks = file.all_rows("state"), file.all_rows("tick")
+        if not file.resumed:
+            aside = file.folder / DAMAGED_NAME
+            self._give_up(aside, f"{aside}: damaged, {ticks.size} rows of it could be read")
         if not (states > STATES.index("ARMED")).any():
             file.discard()
             return
@@ -441,15 +481,21 @@ class Recorder:
             "interrupted": bool((states == STATES.index("HOLD")).any()),
             "missing_rows": file.missing,
         }
-        skips = ring.skips(session.samples)
-        final = replace(session, meta=meta, replay=replace(session.replay, skips=skips))
+        final = replace(session, meta=meta, replay=replace(session.replay, skips=_skips(file)))
         place = file.finish(final if not file.missing else replace(final, reference=None))
-        _write_settings(part.parent, session)
+        _write_settings(file.folder, session)
+        run_id = str(session.meta["service"]["run_id"])
         _append_to_index(self.runs, _entry(run_id, place, final, ticks, file.missing))
-        log.warning("%s: finished without its ring", place)
+        log.warning("%s: finished without its ring, %d rows", place, ticks.size)
+
+    def _give_up(self, path: Path, why: str) -> None:
+        """Say what nothing can be done about here; a fault for as long as the path is there."""
+        log.error("%s", why)
+        self._given_up[path] = why
 
     def turn(self) -> None:
         """Look for new rings, write what has come, finish what is over, say how it stands."""
+        self._finish_orphans()
         self._find()
         for path, tape in tuple(self._tapes.items()):
             with self._faulty(path):
@@ -479,31 +525,44 @@ class Recorder:
                 whole = ring.session_path(path).is_file()
                 try:
                     self._begin(path)
-                except InputError:
-                    if whole:
+                    self._given_up.pop(path, None)
+                except _NotOursError:
+                    self._passed[path] = identity
+                except InputError as error:
+                    if whole and path.exists():
                         self._passed[path] = identity
-        for path in set(self._faults) - set(found):
+                        self._give_up(path, f"this test is not recorded: {_remedied(error)}")
+        for path in set(self._faults) - set(found) - self._orphans:
             del self._faults[path]
+        for path in tuple(self._given_up):
+            if not path.exists():
+                del self._given_up[path]
 
     def _begin(self, path: Path) -> None:
         session = _session(path)
         folder = _folder(self.runs, session)
         if (folder / FILE_NAME).exists():
-            self._tidy(path, folder)
+            self._tidy(folder)
+            _remove_ring(path)
             return
         tape = self._tapes[path] = Tape(path, folder, session)
         how = f"goes on at row {tape.file.next_row}" if tape.file.resumed else "recording"
         log.info("%s: %s, %s", path.name, how, folder)
+        if (folder / DAMAGED_NAME).exists():
+            log.error("%s: damaged, the rest comes from the ring", folder / DAMAGED_NAME)
 
     # The process before had the recording finished, and no time for what comes after that.
-    def _tidy(self, path: Path, folder: Path) -> None:
-        rec = recording.read(folder / FILE_NAME)
+    def _tidy(self, folder: Path) -> None:
+        import h5py
+
+        place = folder / FILE_NAME
+        rec = recording.read(place, rows=False)
+        with h5py.File(place, "r") as file:
+            ticks = file["samples"].fields("tick")[()]
         run_id = str(rec.meta["service"]["run_id"])
         missing = rec.meta.get("missing_rows", [])
-        place = folder / FILE_NAME
-        _append_to_index(self.runs, _entry(run_id, place, rec, rec.samples["tick"], missing))
+        _append_to_index(self.runs, _entry(run_id, place, rec, ticks, missing))
         (folder / PART_NAME).unlink(missing_ok=True)
-        _remove_ring(path)
 
     @contextlib.contextmanager
     def _faulty(self, path: Path) -> Any:
@@ -537,7 +596,8 @@ class Recorder:
             at_s=time.monotonic(),
             runs=str(self.runs.resolve()),
             free_bytes=free,
-            fault="; ".join(self._faults.values()),
+            fault="; ".join([*self._faults.values(), *self._given_up.values()]),
+            hinders=bool(self._faults),
         )
         if not self._tapes:
             return status
@@ -577,6 +637,12 @@ def _locked(lock: int, patience_s: float) -> bool:
             if time.monotonic() >= end:
                 return False
             time.sleep(TURN_S)
+
+
+def _remedied(error: InputError) -> str:
+    if isinstance(error, ring.OtherVersionError):
+        return f"{error}: whoever restarts rthyb restarts rthyb-recorder too"
+    return str(error)
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
