@@ -338,6 +338,20 @@ def _warm(
     return starts
 
 
+def _parts(task: Actuation, fit: ActuatorFit) -> list[ActuatorFit]:
+    """Return the sets with one effect less, fitted again from where the whole came to rest.
+
+    A lag that began far from its own may have stopped in another valley.
+    """
+    found = []
+    for gone in fit.effects if len(fit.effects) > 1 else ():
+        rest = tuple(e for e in fit.effects if e is not gone)
+        settings = {"kappa_of": fit.model.kappa_of, "vmax_of": fit.model.vmax_of}
+        values = [float(getattr(fit.model, f)) for e in rest for f in e.fields]
+        found.append(task.fit(rest, [(settings, np.array(values))]))
+    return [f for f in found if f is not None]
+
+
 def _traded(
     slow: ActuatorModel, group: Sequence[ActuatorEffect], settings: dict[str, Any], values: Floats
 ) -> list[tuple[dict[str, Any], Floats]]:
@@ -392,9 +406,13 @@ def search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
             starts = _warm(task, group, known)
             if starts and (f := task.fit(group, starts)) is not None:
                 fits.append(f)
+        fits += _parts(task, min(fits, key=lambda f: f.chi2))
     scale = inflation(min(fits, key=lambda f: f.chi2).residual)
     fits.sort(key=lambda f: f.misfit(scale) + task.price(f))
-    return null, fits, scale
+    first: dict[tuple[str, ...], ActuatorFit] = {}
+    for f in fits:
+        first.setdefault(f.names, f)
+    return null, list(first.values()), scale
 
 
 def of_rig(case: Case) -> Motion | None:

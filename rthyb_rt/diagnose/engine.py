@@ -508,6 +508,11 @@ def _by_rounding(case: Case, search: force.Search, quantised: Found) -> force.Se
     inside = [f for f in search.fits if off[f.names] < 0.2 * own] if own > OUTSIDE else []
     best = inside[0] if inside else search.best
     among = [f for f in inside[1:] if _alike(search, f, best)] if inside else search.equal
+    # Nor does what one more law takes up of the rounding make it a law.
+    parts = [f for f in search.fits if f.members and set(f.names) < set(best.names)]
+    enough = [f for f in parts if off[f.names] < OUTSIDE + 2.0 * off[best.names]]
+    if enough:
+        best, among = min(enough, key=lambda f: (len(f.names), f.chi2)), []
     equal = [f for f in among if off[f.names] < OUTSIDE + 2.0 * off[best.names]]
     n = search.problem.y.size * search.problem.estimate.share
     return replace(
@@ -814,7 +819,9 @@ def _of_the_spring_there_is(
     stiffer = sum(
         float(b[0]) for m, b in zip(fit.members, fit.betas, strict=True) if m.name == "stiffness"
     )
-    key = {"degradation": "loss", "pinching": "depth", "hysteresis": "alpha"}.get(name)
+    key = {"degradation": "loss", "pinching": "depth", "hysteresis": "alpha", "gap": "gap_m"}.get(
+        name
+    )
     # A loop's spring is not the model's where that is only a line through the loop.
     if key != "alpha":
         stiffer += sum(
@@ -825,10 +832,17 @@ def _of_the_spring_there_is(
     if key not in params or not stiffer > -0.9:
         return
 
+    # Stiffness times gap is what is seen beyond it.
+    seen = 1.0
+    if key == "gap_m":
+        seen = next(
+            float(b[0]) for m, b in zip(fit.members, fit.betas, strict=True) if m.name == name
+        )
+
     def counted(value: float) -> float:
         if key == "alpha":
             return 1.0 - (1.0 - value) / (1.0 + stiffer)
-        return value / (1.0 + stiffer)
+        return seen * value / (1.0 + stiffer)
 
     params[key] = counted(params[key])
     ci[key] = [counted(end) for end in ci[key]]

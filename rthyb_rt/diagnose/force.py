@@ -58,6 +58,7 @@ POOL = 6
 LEADING = 3
 """Sets that are looked at more closely."""
 DRY = {"coulomb", "stribeck", "lugre"}
+SLIDERS = {"hysteresis", "lugre"}
 WHITE = 1.1
 """Inflation, see `select.inflation`, up to which a residual is mere noise."""
 DECISIVE = 0.005
@@ -442,8 +443,7 @@ def _sweep(
     _dashpots(dictionary, fitter)
     fitter.relieve()
     reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
-    if reached > 1.03 * rows:
-        _reform(dictionary, fitter)
+    _reform(dictionary, fitter, reached > 1.03 * rows)
     # Parts of what was refined must be there to be compared with.
     for fit in list(fitter.by_names.values()):
         for i in range(len(fit.members) if len(fit.members) > 1 else 0):
@@ -458,17 +458,17 @@ def _sweep(
             fitter.fit(fit.members[:i] + fit.members[i + 1 :])
 
 
-def _reform(dictionary: Dictionary, fitter: _Fitter) -> None:
+def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
     """Try the other forms of each law of the best sets beside the rest as it was refined.
 
     Of a set the sweep refines one form only, the one that lay nearest on the grid. Laws of dry
-    friction are forms of one another here.
+    friction are forms of one another here, if so asked.
     """
     problem, groups = fitter.problem, dictionary.groups
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     for fit in [f for f in ranked if len(f.members) > 1][:2]:
         for i, member in enumerate(fit.members):
-            like = DRY if member.name in DRY else {member.name}
+            like = DRY if dry and member.name in DRY else {member.name}
             others = [
                 (g,)
                 for g, group in enumerate(groups)
@@ -669,10 +669,33 @@ def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
             continue
         # Unless a time offset beyond what is normal would have to stand in for it. Beside a naive
         # model that says nothing: there an offset takes up what the form of a law leaves.
+        if _before_a_dashpot(fitter, fit, i, null):
+            continue
         naive = fitter.problem.case.model.k_tol is None
         if naive or _strained(fitter.problem, fit) or not _strained(fitter.problem, without):
             return False
     return True
+
+
+def _before_a_dashpot(fitter: _Fitter, fit: Fit, member: int, null: Fit) -> bool:
+    """Return whether an effect does better than a dashpot in its place that would be named.
+
+    The dashpot moves a stated number and is excused from the share; what it only looks like is
+    not to lose to it by that.
+    """
+    if fit.members[member].name not in ALIKE:
+        return False
+    rest = [m for j, m in enumerate(fit.members) if j != member]
+    names = tuple(sorted(["viscous", *(n for m in rest for n in m.effect.names)]))
+    other = fitter.by_names.get(names)
+    if other is None or fitter.score(fit) + AMBIGUOUS > fitter.score(other):
+        return False
+    return _needed(fitter, other, null)
+
+
+def _earns(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
+    """Return whether a set is worth its price; of several there are many to choose from."""
+    return null.chi2 - fit.chi2 > fitter.price(fit) * (1.25 if len(fit.members) > 1 else 1.0)
 
 
 def _strained(problem: Problem, fit: Fit) -> bool:
@@ -688,7 +711,9 @@ def _completes(fitter: _Fitter, fit: Fit, without: Fit) -> bool:
 
     What one law leaves of another's form is not all taken up by a third.
     """
-    return fitter.exact and _ends_at_noise(fitter, fit, without)
+    # Sliders in a row are a form of one slider, with as many as one likes.
+    sliders = SLIDERS.issubset(fit.names) and not SLIDERS.issubset(without.names)
+    return fitter.exact and not sliders and _ends_at_noise(fitter, fit, without)
 
 
 def _ends_at_noise(fitter: _Fitter, fit: Fit, other: Fit) -> bool:
@@ -710,11 +735,11 @@ def _decide(
     fits = [f for f in fits if _needed(fitter, f, null)]
     fits = [f for f in fits if _goes_on(fitter, f)]
     fits = _worth_their_size(fitter, fits, null)
-    fits = _one_of_a_kind(fitter, fits)
+    fits = _one_of_a_kind(fitter, fits, null)
     fits = _plainest(fitter, fits, null)
     fits = _simplest_first(fitter, fits, null)
     best = null
-    if fits and fitter.score(fits[0]) < null.chi2 and _size(problem, fits[0]) > SMALLEST:
+    if fits and _earns(fitter, fits[0], null) and _size(problem, fits[0]) > SMALLEST:
         best = fits[0]
     held = held_out(best) if best.members else 0.0
     if best.members and held < 0.3:
@@ -819,7 +844,20 @@ def _twins(fitter: _Fitter, best: Fit, fits: list[Fit]) -> list[Fit]:
     ]
 
 
-def _one_of_a_kind(fitter: _Fitter, fits: list[Fit]) -> list[Fit]:
+def _yields(fitter: _Fitter, fit: Fit) -> bool:
+    """Return whether bristles hold by as much as the spring beside them is softer."""
+    ctx = fitter.problem.ctx
+    held = lost = 0.0
+    for m, b in zip(fit.members, fit.betas, strict=True):
+        if m.name == "lugre":
+            held = m.effect.report(ctx, m.trial, b).get("sigma0_N_m", 0.0)
+        elif m.name == "stiffness":
+            lost = -float(b[0]) * ctx.model.k
+    reach = 0.1 * held + 3.0 * (ctx.model.k_tol or 0.0) * abs(ctx.model.k)
+    return held > 0.0 and abs(held - lost) < reach
+
+
+def _one_of_a_kind(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     """Leave out bristle friction with another stiffness where it is yielding by another name.
 
     k (alpha x + (1 - alpha) z) is a weaker spring and a slider on a spring: the same force. So is
@@ -832,7 +870,10 @@ def _one_of_a_kind(fitter: _Fitter, fits: list[Fit]) -> list[Fit]:
             rest = [n for n in fit.names if n not in ("lugre", "stiffness")]
             twin = by_name.get(tuple(sorted([*rest, "hysteresis"])))
             other = by_name.get(tuple(sorted([*rest, "hysteresis", "stiffness"])))
-            alike = twin is not None and fitter.score(twin) < fitter.score(fit) + 25.0
+            margin = (
+                max(25.0, FORM_ALONE * (null.chi2 - fit.chi2)) if _yields(fitter, fit) else 25.0
+            )
+            alike = twin is not None and fitter.score(twin) < fitter.score(fit) + margin
             if alike or (other is not None and fitter.score(other) < fitter.score(fit)):
                 out.remove(fit)
     return out

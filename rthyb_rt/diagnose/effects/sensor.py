@@ -29,6 +29,8 @@ def shifted(signal: Floats, rows: float) -> Floats:
     )
 
 
+ABRUPT = 3.0
+"""Times as much of it above that frequency as of the model's force, from which a force jumps."""
 FAINT = 0.1
 """Part of the load cell's noise, hertz by hertz, below which a force tells nothing of its time."""
 
@@ -71,7 +73,11 @@ def _faded(force: Floats, dt: float) -> tuple[NDArray[np.complex128], Floats, in
     window = np.concatenate((fade, np.ones(force.size), fade[::-1]))
     spectrum = np.fft.rfft(window * np.pad(force, pad, mode="reflect", reflect_type="odd"))
     size = force.size + 2 * pad
-    return spectrum, np.fft.rfftfreq(size, dt), size
+    return np.asarray(spectrum), np.asarray(np.fft.rfftfreq(size, dt)), size
+
+
+def _part(some: Floats, whole: Floats) -> float:
+    return float(np.std(some)) / (float(np.std(whole)) or 1.0)
 
 
 class Bias(Effect):
@@ -200,10 +206,15 @@ class TimeSkew(Effect):
 
     def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
         """Return a force late; of a closed loop only what stands out of the noise it hears."""
-        cut = None
+        slow = force
         if ctx.model.family == "loop" and ctx.model.f_std:
             cut = _loudest_hz(ctx.total, ctx.model.f_std, ctx.dt)
-        slow = force if cut is None else _up_to(cut, force, ctx.dt)
+            if cut is not None:
+                slow = _up_to(cut, force, ctx.dt)
+                heard = slow if force is ctx.total else _up_to(cut, ctx.total, ctx.dt)
+                # What changes more abruptly than by the noise that moves all is a law's own.
+                if _part(force - slow, force) > ABRUPT * _part(ctx.total - heard, ctx.total):
+                    slow = force
         return force + shifted(slow, trial.theta[0] / ctx.dt) - slow
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
