@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import grp
+import json
 import os
+import pwd
 import re
 import signal
 import stat
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import h5py
 import numpy as np
@@ -18,6 +23,7 @@ from realtime_bench import STATE, until
 from test_service_daemon import Stalled, assert_drive_heard, require_calm
 from vm.systemd import lab as labs
 from vm.systemd.lab import (
+    LIVE,
     LOOKER,
     OPERATOR,
     RECORDER,
@@ -36,6 +42,9 @@ from vm.systemd.lab import (
     shown,
     systemctl,
 )
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
 
 from rthyb_rt import loop, realtime, ticker
 from rthyb_rt.service.control import Client, Refusal
@@ -194,13 +203,129 @@ def test_operator_runs_a_test_that_another_may_hold_and_stop_but_not_go_on_with(
     repeated("operator", attempt)
 
 
-def test_limits_are_reloaded_by_systemctl() -> None:
-    with lab("reload"):
-        text = labs.RIG.read_text(encoding="utf-8")
-        labs.RIG.write_text(text + "\n", encoding="utf-8")
-        systemctl("reload", SERVICE)
-        until(lambda: "limits reloaded" in labs.journal(SERVICE), "the reload")
+def reload_says(text: str) -> str:
+    """Have systemd reload a rig file; return the daemon's word on it."""
+    before = len(labs.journal(SERVICE))
+    labs.RIG.write_text(text, encoding="utf-8")
+    systemctl("reload", SERVICE)
+
+    def word() -> str | None:
+        found = re.search(r"(?:not reloaded: |limits reloaded).*", labs.journal(SERVICE)[before:])
+        return found and found[0]
+
+    until(lambda: word() is not None, "what became of the reload")
+    return str(word())
+
+
+def test_limits_are_reloaded_by_systemctl_and_end_the_next_test() -> None:
+    """A file with a typing error changes nothing, and no limit changes under a test that moves."""
+    good = labs.rig_text()
+
+    def attempt(made: Lab) -> None:
+        try:
+            reloads(made)
+        finally:
+            labs.RIG.write_text(good, encoding="utf-8")
+
+    def reloads(made: Lab) -> None:
+        pid = made.main_pid()
+        run_id = made.run_until("RUNNING", 300)
+        before = len(labs.journal(SERVICE))
+        # As `systemctl reload` does it, whose start would be a stall.
+        os.kill(pid, signal.SIGHUP)
+        time.sleep(0.5)
+        with suppress(Refusal), Client(made.socket) as client:
+            client.call("Stop")
+        made.await_state("IDLE")
+        require_calm(made.recorded(run_id))
+        said = labs.journal(SERVICE)[before:]
+        assert "not reloaded" in said, said
+        assert "the state is RUNNING" in said, said
+        told = reload_says(f"{good}\n[limit]\n")
+        assert told.startswith("not reloaded"), told
+        assert f"{labs.RIG}" in told
         assert shown(SERVICE, "ActiveState") == "active"
+        assert made.main_pid() == pid
+        tight = '{ value = "0.05 mm", action = "ramp-out" }'
+        told = reload_says(labs.rig_text({"rig.limits.tracking_error_m": tight}))
+        assert "tracking_error_m" in told
+        run_id = made.run_until("RAMP_IN", 0, {"limits.ramp_in_s": "3"})
+        made.await_state("IDLE")
+        rec = made.recorded(run_id)
+        require_calm(rec)
+        assert rec.meta["real_time"]["cause"] == "tracking"
+        assert realtime.replay(rec).identical
+
+    repeated("reload", attempt)
+
+
+# ---- the live view ------------------------------------------------------------------------------
+
+
+def answers(url: str) -> int:
+    """Return with what status an address answers."""
+    try:
+        with urlopen(url, timeout=20.0) as page:
+            return int(page.status)
+    except HTTPError as error:
+        return error.code
+
+
+def test_live_view_is_a_unit_of_its_own_that_may_look_hold_and_stop() -> None:
+    """Its address is for group rthyb, its port for this PC, and its rights are a looker's."""
+    address = Path("/run/rthyb-live/url")
+
+    def heard(page: ClientConnection, kind: str) -> dict[str, Any]:
+        while True:
+            said = page.recv(timeout=20.0)
+            found = json.loads(said) if isinstance(said, str) else {}
+            if found.get("kind") == kind:
+                return dict(found)
+
+    def attempt(made: Lab) -> None:
+        systemctl("start", LIVE)
+        until(address.is_file, "the page's address")
+        url = address.read_text(encoding="ascii").strip()
+        assert rights(address)[1:] == ("rthyb-live", "rthyb")
+        assert as_user(LOOKER, "cat", str(address)).stdout.strip() == url
+        assert as_user(STRANGER, "cat", str(address)).returncode
+        assert (answers(url), answers(url + "live.js")) == (200, 200)
+        assert answers("http://127.0.0.1:8717/") == 403
+        wrong = url.replace(url.split("/")[3], "x" * 32)
+        assert answers(wrong) == 403
+        said = Path(f"/proc/{made.main_pid(LIVE)}/status").read_text(encoding="ascii")
+        facts = dict(re.findall(r"^(\w+):\s+(.*)$", said, re.M))
+        assert facts["Uid"].split() == [str(pwd.getpwnam("rthyb-live").pw_uid)] * 4
+        assert facts["CapEff"] == "0" * 16
+        assert (facts["NoNewPrivs"], facts["Seccomp"]) == ("1", "2")
+        listening = Path("/proc/net/tcp").read_text(encoding="ascii")
+        assert re.findall(r"^ *\d+: (\S+) \S+ 0A", listening, re.M) == ["0100007F:220D"]
+
+        at = url.replace("http", "ws") + "socket"
+        with pytest.raises(InvalidStatus), connect(at, origin=Origin("http://example.org")):
+            pass
+        with connect(at, origin=Origin("http://127.0.0.1:8717"), max_queue=None) as page:
+            assert heard(page, "hello")["commands"] == ["hold", "stop"]
+            run_id = made.run_until("RUNNING", 200, {"test.duration_s": "30"})
+            for command, state in (("hold", "HOLD"), ("resume", "HOLD"), ("stop", "IDLE")):
+                page.send(json.dumps({"command": command}))
+                answer = heard(page, "answer")
+                if not answer["ok"] and command != "resume" and made.ended_early():
+                    raise Stalled(answer["text"])
+                assert answer["ok"] == (command != "resume"), answer
+                made.await_state(state)
+        rec = made.recorded(run_id)
+        require_calm(rec)
+        assert rec.meta["end_reason"] == "stopped by the operator"
+        assert STATE["HOLD"] in rec.samples["state"]
+        assert realtime.replay(rec).identical
+
+    try:
+        repeated("live", attempt)
+    finally:
+        systemctl("stop", LIVE, check=False)
+    assert not address.exists()
+    assert shown(LIVE, "Result") == "success"
 
 
 # ---- what goes wrong ----------------------------------------------------------------------------
@@ -309,8 +434,12 @@ def test_killed_recorder_is_started_again_and_no_row_is_lost() -> None:
 
 def test_stop_of_the_unit_while_a_test_runs_ends_at_rest_with_status_0() -> None:
     def attempt(made: Lab) -> None:
-        run_id = made.run_until("RUNNING", 300)
-        systemctl("stop", SERVICE)
+        with labs.stop_at_a_word() as word:
+            daemon = Path(f"/proc/{made.main_pid()}")
+            run_id = made.run_until("RUNNING", 300)
+            word.touch()
+            until(lambda: not daemon.exists(), "the end of the service")
+        until(lambda: shown(SERVICE, "ActiveState") == "inactive", "systemd's word on it")
         ended = {name: shown(SERVICE, name) for name in ("Result", "ExecMainStatus")}
         rec = made.recorded(run_id)
         require_calm(rec)

@@ -31,6 +31,7 @@ WHEEL = ROOT / "build" / "vm" / "program"
 PREFIX = Path("/opt/rthyb")
 PROGRAM = PREFIX / "bin" / "rthyb"
 SERVICE, RECORDER, DRIVE = "rthyb.service", "rthyb-recorder.service", "virtual-rig.service"
+LIVE = "rthyb-live.service"
 RINGS, RUNS = Path("/run/rthyb"), Path("/var/lib/rthyb")
 RIG = Path("/etc/rthyb/rig.toml")
 FOLDER = Path("/run/lab")
@@ -69,6 +70,24 @@ def shown(unit: str, name: str) -> str:
     return systemctl("show", "--property", name, "--value", unit)
 
 
+@contextmanager
+def stop_at_a_word() -> Iterator[Path]:
+    """Give a file at whose sight systemd stops the service, without a program that it starts."""
+    word, units = FOLDER / "stop", Path("/run/systemd/system")
+    for name, text in (
+        ("word.target", f"[Unit]\nConflicts={SERVICE}\n"),
+        ("word.path", f"[Path]\nPathExists={word}\nUnit=word.target\n"),
+    ):
+        (units / name).write_text(text, encoding="utf-8")
+    systemctl("daemon-reload")
+    systemctl("start", "word.path")
+    try:
+        yield word
+    finally:
+        systemctl("stop", "word.path")
+        word.unlink(missing_ok=True)
+
+
 def journal(*units: str) -> str:
     """Return what units have said since the boot."""
     run("journalctl", "--sync")
@@ -96,11 +115,16 @@ def _hidden() -> list[Path]:
     return sorted({path for path in used if any(map(path.is_relative_to, installing.HIDDEN))})
 
 
+def rig_text(changes: dict[str, str] | None = None) -> str:
+    """Return the lab's rig file."""
+    return config.dump(rig_file(changes)) + LINK
+
+
 def install() -> str:
     """Install the service with `rthyb install-service`; return all that it said."""
     FOLDER.mkdir(exist_ok=True)
     made = FOLDER / "rig.toml"
-    made.write_text(config.dump(rig_file()) + LINK, encoding="utf-8")
+    made.write_text(rig_text(), encoding="utf-8")
     _make_environment()
     command: list[str | Path] = [PROGRAM]
     if hidden := _hidden():
@@ -118,7 +142,7 @@ def install() -> str:
 def _show(hidden: Sequence[Path]) -> None:
     """Let the units see a checkout where no lab would have it; the rest stays out of sight."""
     lines = ["[Service]", "ProtectHome=tmpfs", *(f"BindReadOnlyPaths={path}" for path in hidden)]
-    for unit in (SERVICE, RECORDER):
+    for unit in (SERVICE, RECORDER, LIVE):
         folder = Path(f"/etc/systemd/system/{unit}.d")
         folder.mkdir(parents=True)
         (folder / "checkout.conf").write_text("\n".join([*lines, ""]), encoding="utf-8")
