@@ -228,9 +228,8 @@ def test_limits_are_reloaded_by_systemctl_and_end_the_next_test() -> None:
             labs.RIG.write_text(good, encoding="utf-8")
 
     def reloads(made: Lab) -> None:
-        pid = made.main_pid()
+        pid, before = made.main_pid(), len(labs.journal(SERVICE))
         run_id = made.run_until("RUNNING", 300)
-        before = len(labs.journal(SERVICE))
         # As `systemctl reload` does it, whose start would be a stall.
         os.kill(pid, signal.SIGHUP)
         time.sleep(0.5)
