@@ -97,6 +97,15 @@ def turns(made: Recorder, count: int = 3) -> None:
         made.turn()
 
 
+def begun(place: Path, rows: np.ndarray) -> Producer:
+    """Return a test that goes on, of whose rows a recorder that has ended wrote whole blocks."""
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows)
+        working.turn()
+    return made
+
+
 def the_run(place: Path) -> Path:
     (folder,) = [path for path in (place / "runs").iterdir() if path.is_dir()]
     return folder
@@ -394,10 +403,7 @@ def test_recorder_killed_before_it_could_tidy_does_not_record_twice(place: Path)
 
 def test_reboot_takes_the_ring_and_leaves_what_was_written(place: Path) -> None:
     rows = truth(1000)
-    made = Producer(place)
-    with recorder(place) as working:
-        made.push(rows)
-        working.turn()
+    made = begun(place, rows)
     made.ring.remove()
     with recorder(place):
         pass
@@ -422,10 +428,7 @@ def torn(place: Path) -> Path:
 
 def test_block_that_is_damaged_at_the_end_is_read_again_from_the_ring(place: Path) -> None:
     rows = truth(1024)
-    made = Producer(place)
-    with recorder(place) as working:
-        made.push(rows)
-        working.turn()
+    made = begun(place, rows)
     torn(place)
     with recorder(place) as working:
         made.end()
@@ -440,10 +443,7 @@ def test_block_that_is_damaged_at_the_end_costs_itself_alone_where_the_ring_is_g
 ) -> None:
     """A PC that lost its power has both: a torn file and no ring."""
     rows = truth(1024)
-    made = Producer(place)
-    with recorder(place) as working:
-        made.push(rows)
-        working.turn()
+    made = begun(place, rows)
     folder = torn(place)
     made.ring.remove()
     with recorder(place) as working:
@@ -457,10 +457,7 @@ def test_block_that_is_damaged_at_the_end_costs_itself_alone_where_the_ring_is_g
 def test_file_without_ring_that_is_beyond_help_is_put_aside_and_named(
     place: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    made = Producer(place)
-    with recorder(place) as working:
-        made.push(truth(1024))
-        working.turn()
+    made = begun(place, truth(1024))
     made.ring.remove()
     folder = the_run(place)
     (folder / PART_NAME).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(4000))
@@ -482,10 +479,7 @@ def test_file_without_ring_that_the_system_refuses_for_a_while_is_finished_later
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = truth(1024)
-    made = Producer(place)
-    with recorder(place) as working:
-        made.push(rows)
-        working.turn()
+    made = begun(place, rows)
     made.ring.remove()
     monkeypatch.setattr(recorders, "_RETRY_S", 0.0)
     with monkeypatch.context() as patch:
@@ -504,10 +498,7 @@ def test_full_disk_is_no_reason_to_put_a_file_aside(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = truth(1024)
-    made = Producer(place)
-    with recorder(place) as working:
-        made.push(rows)
-        working.turn()
+    made = begun(place, rows)
     made.ring.remove()
     monkeypatch.setattr(recorders, "_RETRY_S", 0.0)
 
@@ -599,10 +590,7 @@ def test_end_of_a_long_test_takes_little_memory(place: Path) -> None:
 
 def test_file_that_is_beyond_help_is_put_aside_and_written_anew(place: Path) -> None:
     rows = truth(1024)
-    made = Producer(place)
-    with recorder(place) as working:
-        made.push(rows)
-        working.turn()
+    made = begun(place, rows)
     folder = the_run(place)
     (folder / PART_NAME).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(4000))
     with recorder(place) as working:
@@ -651,10 +639,7 @@ def test_file_that_the_system_refuses_for_a_while_is_not_put_aside(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = truth(1024)
-    made = Producer(place)
-    with recorder(place) as working:
-        made.push(rows)
-        working.turn()
+    made = begun(place, rows)
     monkeypatch.setattr(recorders, "_RETRY_S", 0.0)
     with recorder(place) as working:
         with monkeypatch.context() as patch:

@@ -213,8 +213,7 @@ def reload_says(text: str) -> str:
         found = re.search(r"(?:not reloaded: |limits reloaded).*", labs.journal(SERVICE)[before:])
         return found and found[0]
 
-    until(lambda: word() is not None, "what became of the reload")
-    return str(word())
+    return str(until(word, "what became of the reload"))
 
 
 def test_limits_are_reloaded_by_systemctl_and_end_the_next_test() -> None:
