@@ -59,11 +59,11 @@ install:
 reproduce: $(TEST_READY)
 	@$(BIN)/rthyb reproduce
 
-# Two halves: what may be done side by side, then what goes by the clock. A machine that stalls may
-# make one of those fail: what has failed is tried once more.
+# Two halves: what may take the whole of two processors, then what goes by the clock and mostly waits
+# for it. A machine that stalls may make one of those fail: what has failed is tried once more, alone.
 test: $(TEST_READY)
 	@$(BIN)/python -m pytest -m 'not alone' -n 2 --dist loadfile
-	@$(BIN)/python -m pytest -m alone || { echo 'Once more, what has failed:'; \
+	@$(BIN)/python -m pytest -m alone -n 2 --dist loadfile || { echo 'Once more, what has failed:'; \
 	    $(BIN)/python -m pytest -m alone --last-failed; }
 
 # The guest is Debian's user-mode Linux, fetched into build/vm (Debian: user-mode-linux,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 
@@ -15,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from command_line import Answer, Rthyb
 
-from rthyb_rt import cli, ground_motion, studies
+from rthyb_rt import cli, ground_motion, studies, ticker
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.studies.results import Study
 
@@ -33,6 +34,13 @@ def pytest_configure() -> None:
 def pytest_collection_finish() -> None:
     """What the collection has made lives to the end: the garbage collector need not look again."""
     gc.freeze()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def memory_of_its_own() -> Iterator[None]:
+    """A loop in real time keeps all memory of its process: what comes after it is slow then."""
+    yield
+    ticker.unlock_memory()
 
 
 @pytest.fixture(scope="session")

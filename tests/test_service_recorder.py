@@ -773,6 +773,91 @@ def test_full_disk_at_the_end_of_a_test_finishes_without_a_copy(
     assert not (the_run(place) / PART_NAME).exists()
 
 
+# ---- a slow disk, and one with a fault ----------------------------------------------------------
+
+
+def test_recorder_says_that_its_disk_is_slow_while_it_waits_for_it(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is alive all the time, and what was pushed meanwhile is written afterwards."""
+    rows = truth(3000)
+    stuck, let_go = threading.Event(), threading.Event()
+    fsync = os.fsync
+
+    def slow(fd: int) -> None:
+        stuck.set()
+        assert let_go.wait(60.0)
+        fsync(fd)
+
+    def said() -> recorders.Status:
+        found = read_status(place / "rings")
+        assert found is not None
+        return found
+
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(rows[:1000])
+        working.turn()
+        assert said().fault == ""
+        monkeypatch.setattr(os, "fsync", slow)
+        working._synced_s = 0.0
+        writing = threading.Thread(target=working.turn)
+        writing.start()
+        assert stuck.wait(60.0)
+        made.push(rows[1000:])
+        slow_s = "writing has taken over {} s: is the disk slow or stuck?"
+        until(lambda: said().fault == slow_s.format(1), "a word on the disk")
+        first = said()
+        until(lambda: said().fault == slow_s.format(3), "another one")
+        assert said().at_s > first.at_s
+        assert said().alive
+        # The ring waits for 64 s: what is merely slow stands against no test, what is stuck does.
+        assert not said().hinders
+        monkeypatch.setattr(recorders, "_STUCK_S", 2.0)
+        until(lambda: said().hinders, "a disk that passes for stuck")
+        monkeypatch.setattr(os, "fsync", fsync)
+        let_go.set()
+        writing.join()
+        # A while it is said all the same: each second may be as slow.
+        working._said_s = 0.0
+        working.turn()
+        assert (said().fault, said().hinders) == (slow_s.format(3), False)
+        monkeypatch.setattr(working._patience, "_slow_until_s", 0.0)
+        working._said_s = 0.0
+        working.turn()
+        assert said().fault == ""
+        made.end()
+        turns(working)
+    assert_same(recording.open_run(the_run(place)).samples, rows)
+
+
+def test_fault_of_the_disk_is_told_and_stands_against_the_next_test(
+    place: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The system says it once: afterwards what was lost passes for written."""
+
+    def faulty(_: int) -> None:
+        monkeypatch.setattr(os, "fsync", lambda _: None)
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    made = Producer(place)
+    with recorder(place) as working:
+        made.push(truth(1000))
+        working.turn()
+        monkeypatch.setattr(os, "fsync", faulty)
+        for _ in range(2):
+            working._synced_s = 0.0
+            working.turn()
+        status = working.status()
+        assert "the disk has reported a fault (Input/output error)" in status.fault
+        assert "restart the recorder" in status.fault
+        assert status.hinders
+        made.end()
+        turns(working)
+    assert caplog.text.count("has reported a fault") == 1
+    assert recording.open_run(the_run(place)).samples.size == 1000
+
+
 def test_room_is_judged_before_a_test_is_armed() -> None:
     hour = disk.needed_bytes(3600 * 1024)
     assert hour > 3600 * 1024 * core.RECORD_DTYPE.itemsize

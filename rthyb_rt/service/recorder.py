@@ -14,8 +14,9 @@ import fcntl
 import json
 import logging
 import os
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -39,6 +40,11 @@ FRESH_S: Final = 2.0
 _LOCK: Final = "recorder.lock"
 _SYNC_S: Final = 1.0
 _STATUS_S: Final = 0.25
+_SLOW_S: Final = (1, 3, 10, 30)
+"""What takes as long on the disk is told of while it lasts, and for `_SLOW_FOR_S` more."""
+_SLOW_FOR_S: Final = 10.0
+_STUCK_S: Final = 10.0
+"""The ring waits for 64 s: a disk that is merely slow stands against no test."""
 _RETRY_S: Final = 0.5
 _PATIENCE_S: Final = 10.0
 _CHUNK: Final = 4096
@@ -101,6 +107,78 @@ def _write_status(folder: Path, status: Status) -> None:
     # A full tmpfs takes the status away, not the recording.
     with contextlib.suppress(RthybError), recording.replacing(folder / STATUS_NAME) as temporary:
         temporary.write_text(json.dumps(document), encoding="utf-8")
+
+
+class _Patience:
+    """Says that the disk takes its time: while it does, from a thread of its own, and a while more.
+
+    Args:
+        folder: where `STATUS_NAME` goes.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._status: Status | None = None
+        self._doing, self._since_s = "", 0.0
+        self._slow, self._step_s, self._slow_until_s = "", 0, 0.0
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="patience", daemon=True)
+        self._thread.start()
+
+    def say(self, status: Status) -> None:
+        """Tell how the recorder stands."""
+        with self._lock:
+            self._status = status
+            slow = self._slow if time.monotonic() < self._slow_until_s else ""
+            _write_status(self._folder, replace(status, fault=_both(slow, status.fault)))
+
+    @contextlib.contextmanager
+    def of(self, doing: str) -> Iterator[None]:
+        """Look at the time while something is done."""
+        with self._lock:
+            self._doing, self._since_s = doing, time.monotonic()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._look()
+                self._doing = ""
+
+    def _look(self) -> float:
+        """Return how long what is being done takes, if it takes long; else 0."""
+        now = time.monotonic()
+        passed = [step_s for step_s in _SLOW_S if now - self._since_s >= step_s]
+        if not self._doing or not passed:
+            return 0.0
+        # One line of the journal, not one for each of many slow writes.
+        self._step_s = max(passed[-1], self._step_s if now < self._slow_until_s else 0)
+        self._slow = f"{self._doing} has taken over {self._step_s} s: is the disk slow or stuck?"
+        self._slow_until_s = now + _SLOW_FOR_S
+        return now - self._since_s
+
+    def _run(self) -> None:
+        while not self._over.wait(_STATUS_S):
+            with self._lock:
+                took_s = self._look()
+                if self._status is None or not took_s:
+                    continue
+                late = replace(
+                    self._status,
+                    at_s=time.monotonic(),
+                    fault=_both(self._slow, self._status.fault),
+                    hinders=self._status.hinders or took_s >= _STUCK_S,
+                )
+                _write_status(self._folder, late)
+
+    def close(self) -> None:
+        """Say nothing more, and take back what was said."""
+        self._over.set()
+        self._thread.join()
+        (self._folder / STATUS_NAME).unlink(missing_ok=True)
+
+
+def _both(*faults: str) -> str:
+    return "; ".join(filter(None, faults))
 
 
 # ---- one test -----------------------------------------------------------------------------------
@@ -416,9 +494,11 @@ class Recorder:
         self._synced_s = self._said_s = 0.0
         self._faults: dict[Path, str] = {}
         self._given_up: dict[Path, str] = {}
+        self._broken = ""
         self._again_s: dict[Path, float] = {}
         self._known = self._runs_with_ring()
         self._orphans = set(self.runs.glob(f"*/{PART_NAME}"))
+        self._patience = _Patience(rings)
         self._finish_orphans()
 
     def _runs_with_ring(self) -> set[str]:
@@ -495,23 +575,37 @@ class Recorder:
 
     def turn(self) -> None:
         """Look for new rings, write what has come, finish what is over, say how it stands."""
-        self._finish_orphans()
+        with self._patience.of("writing"):
+            self._finish_orphans()
         self._find()
         for path, tape in tuple(self._tapes.items()):
             with self._faulty(path):
                 over = tape.over
-                tape.turn()
+                with self._patience.of("writing"):
+                    tape.turn()
                 if over:
                     self._finish(path, tape)
         now = time.monotonic()
         if now - self._synced_s >= _SYNC_S:
             self._synced_s = now
             for tape in self._tapes.values():
-                with contextlib.suppress(OSError):
-                    tape.file.sync()
+                with self._patience.of("writing"):
+                    self._sync(tape)
         if now - self._said_s >= _STATUS_S:
             self._said_s = now
-            _write_status(self.rings, self.status())
+            self._patience.say(self.status())
+
+    def _sync(self, tape: Tape) -> None:
+        """Have a file on the disk. What the system says of a fault there it says once only."""
+        try:
+            tape.file.sync()
+        except OSError as error:
+            if not self._broken:
+                self._broken = (
+                    f"{tape.file.folder}: the disk has reported a fault ({error.strerror}): rows "
+                    "may be missing there; look at dmesg, and restart the recorder"
+                )
+                log.error("%s", self._broken)
 
     def _find(self) -> None:
         found = ring.find(self.rings)
@@ -576,7 +670,8 @@ class Recorder:
             self._again_s[path] = time.monotonic() + _RETRY_S
 
     def _finish(self, path: Path, tape: Tape) -> None:
-        entry = tape.finish()
+        with self._patience.of(f"finishing {tape.file.folder.name}"):
+            entry = tape.finish()
         del self._tapes[path]
         if entry is None:
             log.info("%s: nothing moved, nothing is kept", path.name)
@@ -596,8 +691,8 @@ class Recorder:
             at_s=time.monotonic(),
             runs=str(self.runs.resolve()),
             free_bytes=free,
-            fault="; ".join([*self._faults.values(), *self._given_up.values()]),
-            hinders=bool(self._faults),
+            fault=_both(self._broken, *self._faults.values(), *self._given_up.values()),
+            hinders=bool(self._faults or self._broken),
         )
         if not self._tapes:
             return status
@@ -623,7 +718,7 @@ class Recorder:
                 tape.turn()
             tape.close()
         self._tapes.clear()
-        (self.rings / STATUS_NAME).unlink(missing_ok=True)
+        self._patience.close()
         os.close(self._lock)
 
 

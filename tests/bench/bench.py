@@ -364,11 +364,12 @@ def screen_figures() -> list[Figure]:
             f"{found.frames_per_s:.0f} frames a second",
         ),
         Figure(
-            "live view: processor, of one core",
+            "live view: server, of one core",
             found.server_share * 100.0,
             "%",
             10.0,
-            note=f"the browser {found.browser_share * 100:.0f} %, which draws without a GPU",
+            note=f"the page's scripts {found.page_share * 100:.1f} %; all of the browser, which "
+            f"paints without a GPU, {found.browser_share * 100:.0f} %",
         ),
     ]
 

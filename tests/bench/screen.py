@@ -36,13 +36,16 @@ class Screen:
 
     Attributes:
         p50_ms, p95_ms: from a sample to the screen.
-        server_share, browser_share: of one core.
+        server_share: of one core.
+        page_share: what the page computes, of one core.
+        browser_share: of one core, all of the browser, painting too.
         frames_per_s: that were drawn.
     """
 
     p50_ms: float
     p95_ms: float
     server_share: float
+    page_share: float
     browser_share: float
     frames_per_s: float
 
@@ -150,15 +153,19 @@ def _watch(url: str, server: int, producer: Producer) -> Screen:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         page: Any = browser.new_page(viewport={"width": 1920, "height": 1080})
+        counters = page.context.new_cdp_session(page)
+        counters.send("Performance.enable")
         page.goto(url)
         time.sleep(SETTLE_S)
         ours = [pid for pid in family(os.getpid()) if _is_chromium(pid)]
         page.evaluate("rthybLive.drawn.length = 0")
         begin, server_s, browser_s = time.monotonic(), cpu_s([server]), cpu_s(ours)
+        script_s = _script_s(counters)
         time.sleep(MEASURE_S)
         drawn = np.array(page.evaluate("rthybLive.drawn"))
         took_s = time.monotonic() - begin
         server_s, browser_s = cpu_s([server]) - server_s, cpu_s(ours) - browser_s
+        script_s = _script_s(counters) - script_s
         browser.close()
     pushed_ms = np.array(producer.pushed_ms)
     samples = np.arange(int(drawn[0, 0]) + 1, int(drawn[-1, 0]) + 1)
@@ -168,9 +175,16 @@ def _watch(url: str, server: int, producer: Producer) -> Screen:
         float(np.median(late_ms)),
         float(np.percentile(late_ms, 95)),
         server_s / took_s,
+        script_s / took_s,
         browser_s / took_s,
         len(drawn) / took_s,
     )
+
+
+def _script_s(counters: Any) -> float:
+    """Return how long the page's scripts have run so far."""
+    found = counters.send("Performance.getMetrics")["metrics"]
+    return float(next(one["value"] for one in found if one["name"] == "ScriptDuration"))
 
 
 def _is_chromium(pid: int) -> bool:

@@ -1,8 +1,9 @@
 """A service as a process of its own, whose wake-ups are counted between two lines on its stdin.
 
-    python serving.py '{"folder": "...", "runs": "..."}'
+    python serving.py '{"folder": "...", "runs": "...", "recorder": {"NAME": "VALUE"}}'
 
-The virtual rig is another process at a socket pair, the recorder a third one. Prints the time of
+The virtual rig is another process at a socket pair, the recorder a third one, with what it is to
+find in its environment. Prints the time of
 tick 0 once that is known; after each line on stdin a line of what there is to know since the last.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import sys
 import threading
 from pathlib import Path
@@ -55,6 +57,8 @@ def main(spec: dict[str, Any]) -> int:
     folder = Path(spec["folder"])
     ours, theirs = opening.socket_pair()
     rig = rig_file()
+    # What counts for programs that are started from here on.
+    os.environ.update(spec.get("recorder", {}))
     options = Options(
         socket=folder / "control.sock",
         rings=folder,
