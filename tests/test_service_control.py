@@ -39,7 +39,7 @@ from service_bench import (
 
 from rthyb_rt import experiment
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.service import control, daemon, engine
+from rthyb_rt.service import control, daemon, engine, peers
 from rthyb_rt.service.control import (
     INTERFACE,
     LOAD_BYTES,
@@ -239,6 +239,27 @@ def test_nobody_is_let_in_who_has_no_business_there(real: daemon.Daemon, name: s
     operated = ask(real.dispatcher, call(name), OPERATOR)
     assert operated.get("error") != f"{INTERFACE}.NotPermitted"
     assert real.engine.state == "IDLE"
+
+
+def test_users_of_this_pc_are_called_by_their_names(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    passwd = tmp_path / "passwd"
+    passwd.write_text(
+        "root:x:0:0::/root:/bin/sh\n\nbroken\n+::::::\n"
+        "bad\x07:x:1004:1::/:/bin/sh\nolga:x:1002:1002:1003:/home/olga:/bin/sh\n",
+        encoding="utf-8",
+    )
+    monkeypatch.setattr(peers, "PASSWD", passwd)
+    names = {uid: Peer(7, uid, frozenset()).name for uid in (0, 1002, 1003, 1004)}
+    assert names == {
+        0: "root (uid 0), process 7",
+        1002: "olga (uid 1002), process 7",
+        1003: "uid 1003, process 7",
+        1004: "uid 1004, process 7",
+    }
+    monkeypatch.setattr(peers, "PASSWD", tmp_path / "nowhere")
+    assert Peer(7, 0, frozenset()).user == "uid 0"
 
 
 def test_root_and_the_owner_may_and_a_missing_group_lets_nobody_in() -> None:

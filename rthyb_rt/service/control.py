@@ -248,7 +248,7 @@ class Dispatcher:
             return
         group = GROUP_OF[role]
         has = f"group {GROUP_OF[found]} may look, hold and stop" if found else "no right here"
-        reason = f"{name} is for members of group {group}; uid {peer.uid}: {has}"
+        reason = f"{name} is for members of group {group}; {peer.user}: {has}"
         raise ReplyError(f"{INTERFACE}.NotPermitted", reason=reason, group=group)
 
 
@@ -443,7 +443,7 @@ class ControlServer:
             # An administrator always comes in.
             return None
         if self._by_user[peer.uid] >= limits.connections // 2:
-            return f"uid {peer.uid} has {self._by_user[peer.uid]} connections already"
+            return f"{peer.user} has {self._by_user[peer.uid]} connections already"
         if self.connections >= limits.connections:
             return f"there are {self.connections} connections already"
         return None

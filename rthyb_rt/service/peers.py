@@ -9,10 +9,13 @@ import socket
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 from typing import Final
 
 LOOKERS: Final = "rthyb"
 OPERATORS: Final = "rthyb-operator"
+
+PASSWD: Final = Path("/etc/passwd")
 
 _SO_PEERGROUPS: Final = 59
 """Supplementary groups as they were when the peer connected; not in Python's socket module."""
@@ -43,9 +46,28 @@ class Peer:
     groups: frozenset[int]
 
     @property
-    def name(self) -> str:
+    def user(self) -> str:
         """Who it is, for messages."""
-        return f"uid {self.uid}, process {self.pid}"
+        name = _user_name(self.uid)
+        return f"{name} (uid {self.uid})" if name else f"uid {self.uid}"
+
+    @property
+    def name(self) -> str:
+        """Who it is, and from where."""
+        return f"{self.user}, process {self.pid}"
+
+
+def _user_name(uid: int) -> str:
+    """Return the name of a user of this PC; "": a directory may know him, which takes its time."""
+    try:
+        lines = PASSWD.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return ""
+    for line in lines:
+        name, *fields = line.split(":")
+        if len(fields) > 1 and fields[1] == str(uid) and name.isprintable():
+            return name
+    return ""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from test_service_daemon import Stalled, assert_drive_heard, require_calm
 from vm.systemd import lab as labs
 from vm.systemd.lab import (
     LIVE,
+    LIVE_USER,
     LOOKER,
     OPERATOR,
     RECORDER,
@@ -114,6 +115,39 @@ def test_device_rule_opens_the_device_to_the_group() -> None:
     assert rights(device) == ("crw-rw----", "root", "rthyb")
 
 
+def test_can_adapter_that_is_plugged_in_is_set_up_and_pulled_out_it_leaves_nothing_failed() -> None:
+    """By udev and rthyb-can@: with the bit rate of its file, and down after a bus-off."""
+    unit = "rthyb-can@can0.service"
+    setting = Path("/etc/rthyb/can-can0.conf")
+    setting.write_text("BITRATE=800000\n", encoding="ascii")
+    up = r"<[^>]*\bUP\b"
+
+    def is_state(state: str) -> bool:
+        return shown(unit, "ActiveState") == state
+
+    with labs.can_adapter() as name:
+        assert name == "can0"
+        until(lambda: is_state("active"), unit)
+        found = labs.interface(name)
+        assert re.search(f"{up}.* bitrate 800000 ", found), found
+        assert "restart-ms 0 " in found
+        setting.unlink()
+        systemctl("restart", unit)
+        assert " bitrate 1000000 " in labs.interface(name)
+        systemctl("stop", unit)
+        assert not re.search(up, labs.interface(name))
+        systemctl("start", unit)
+    until(lambda: is_state("inactive"), "the end of its unit")
+    assert systemctl("--failed", "--no-legend", "--plain") == ""
+    with labs.can_adapter() as name:
+        until(lambda: is_state("active"), "its unit, once more")
+        assert re.search(f"{up}.* bitrate 1000000 ", labs.interface(name))
+    until(lambda: is_state("inactive"), "the end of its unit")
+    # Virtual interfaces are nobody's business.
+    units = systemctl("list-units", "--all", "--no-legend", "--plain", "rthyb-can@*")
+    assert "vcan" not in units, units
+
+
 def test_daemon_has_real_time_and_no_other_privilege() -> None:
     with lab("privileges") as made:
         assert {"fifo", "memory_locked"} <= set(made.status()["privileges"])
@@ -140,11 +174,13 @@ def is_fifo(tid: int) -> bool:
 def test_users_outside_the_groups_are_refused_every_command_that_is_not_theirs() -> None:
     with lab("users"):
         assert set(asked(STRANGER).values()) == {"NotPermitted"}
-        looker, operator = asked(LOOKER), asked(OPERATOR)
-        refused = {name for name, answer in looker.items() if answer == "NotPermitted"}
-        assert refused == set(COMMANDS) - set(FOR_LOOKERS)
-        assert "NotPermitted" not in operator.values()
-        for user in (STRANGER, LOOKER):
+        # Whoever broke into the live view would have the rights of its user, and no more.
+        for user in (LOOKER, LIVE_USER):
+            answers = asked(user).items()
+            refused = {name for name, answer in answers if answer == "NotPermitted"}
+            assert refused == set(COMMANDS) - set(FOR_LOOKERS)
+        assert "NotPermitted" not in asked(OPERATOR).values()
+        for user in (STRANGER, LOOKER, LIVE_USER):
             for path in (*RINGS.glob("ring.*"), labs.RIG):
                 assert as_user(user, "sh", "-c", f": >>{path}").returncode
         assert as_user(STRANGER, "ls", str(RUNS)).returncode
