@@ -64,11 +64,13 @@ _REFUSED: Final[dict[int, str]] = {
 def default_folder() -> Path:
     """Return where rings belong: in memory, and where this user may write.
 
-    ``/run/rthyb`` where the service's installation made it, else the user's runtime folder, else a
-    folder of the user's own in ``/dev/shm``.
+    ``/run/rthyb`` for the user whose it is by the service's installation, else the user's runtime
+    folder, else a folder of the user's own in ``/dev/shm``.
     """
-    if _SERVICE.is_dir() and os.access(_SERVICE, os.W_OK | os.X_OK):
-        return _SERVICE
+    # Root may write there too: rings of root's are nothing that the service's recorder may read.
+    with suppress(OSError):
+        if _SERVICE.is_dir() and _SERVICE.stat().st_uid == os.geteuid():
+            return _SERVICE
     return folders()[1]
 
 

@@ -692,6 +692,20 @@ def test_export_asks_for_one_format(rthyb: Rthyb, recorded: Path, choice: tuple[
     assert "--" in answer.err.split("Error:")[1]
 
 
+def test_recording_that_one_may_only_read_asks_where_its_report_goes(
+    rthyb: Rthyb, recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such as those of the service, for its group."""
+
+    def may(path: str | Path, mode: int) -> bool:
+        return mode != os.W_OK or Path(path) != recorded
+
+    monkeypatch.setattr(os, "access", may)
+    answer = rthyb("report", recorded)
+    assert answer.code == 1
+    assert "you may not write there; say where the report goes with --out" in answer.err
+
+
 def test_report_is_written_for_an_older_recording(
     rthyb: Rthyb, recorded: Path, tmp_path: Path
 ) -> None:

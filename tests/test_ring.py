@@ -171,8 +171,14 @@ def test_capacity_that_is_no_power_of_two_is_refused(
         Ring.create(tmp_path, session, capacity=capacity)
 
 
-def test_rings_of_a_user_go_to_the_runtime_folder(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "access", lambda *_: False)
+def test_rings_of_a_user_go_to_the_runtime_folder(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The service's is for the user whose it is: root, who may write there too, has another."""
+    monkeypatch.setattr(ring, "_SERVICE", tmp_path)
+    assert ring.default_folder() == tmp_path
+    owner = os.geteuid()
+    monkeypatch.setattr(ring.os, "geteuid", lambda: owner + 1)
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/1000")
     assert ring.default_folder() == Path("/run/user/1000/rthyb")
     monkeypatch.delenv("XDG_RUNTIME_DIR")

@@ -26,6 +26,7 @@ import numpy as np
 import pytest
 from command_line import Rthyb
 from realtime_bench import ATTEMPTS, PROGRAM, STALLED, STATE, Process, until
+from recording_data import recording as made_up
 from service_bench import ROOT, await_state, rig_file, served, short_test
 
 from rthyb_rt import config, experiment, loop, realtime, recording, ticker, virtual_rig
@@ -33,6 +34,8 @@ from rthyb_rt.commissioning import certificate
 from rthyb_rt.commissioning.moving import command_numbers
 from rthyb_rt.links import opening
 from rthyb_rt.recording import FLAGS, Recording
+from rthyb_rt.ring import Ring, session_path
+from rthyb_rt.service import daemon as daemons
 from rthyb_rt.service import installing, systemd
 from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.daemon import Daemon, record_of
@@ -373,6 +376,28 @@ def test_service_that_is_told_to_end_stops_what_moves_all_the_same(tmp_path: Pat
         until(lambda: not made.options.socket.exists(), "its end")
         assert made.engine.last is not None
         assert made.engine.last["end_reason"] == "stopped by the operator"
+
+
+def test_rings_at_rest_of_killed_daemons_are_cleared_and_no_others(tmp_path: Path) -> None:
+    """Each has 10 MB of memory; that of a test is the recorder's, and one in use is somebody's."""
+    made = {}
+    for name, purpose in (("dead", "rest"), ("test", "test"), ("alive", "rest")):
+        session = made_up()
+        session.meta["service"] = {"run_id": name, "purpose": purpose, "digest": ""}
+        made[name] = Ring.create(tmp_path, session, 64)
+    for name in ("dead", "test"):
+        # As a kill leaves it.
+        made[name]._owned.close()
+    torn = tmp_path / "ring.0.9"
+    torn.write_bytes(b"torn")
+    daemons._clear_rests(tmp_path)
+    assert not made["dead"].path.exists()
+    assert not session_path(made["dead"].path).exists()
+    for name in ("test", "alive"):
+        assert made[name].path.exists()
+        assert session_path(made[name].path).exists()
+    assert torn.exists()
+    made["alive"].remove()
 
 
 def test_second_daemon_at_one_socket_is_refused(tmp_path: Path) -> None:
@@ -740,6 +765,18 @@ def test_program_that_the_service_cannot_see_is_refused(
     assert installing.program() == program
     monkeypatch.setattr(sys, "executable", "/home/alice/.pyenv/bin/python3")
     with pytest.raises(Exception, match=r"alice/.pyenv/bin/python3 lies below /home"):
+        installing.program()
+    # A name in /opt that leads to somebody's home, and sources that do.
+    monkeypatch.setattr(sys, "executable", "/usr/bin/python3")
+    hidden = tmp_path / "hidden" / "rthyb"
+    hidden.parent.mkdir()
+    program.rename(hidden)
+    program.symlink_to(hidden)
+    monkeypatch.setattr(installing, "HIDDEN", (str(hidden.parent),))
+    with pytest.raises(Exception, match=f"{hidden} lies below {hidden.parent}"):
+        installing.program()
+    monkeypatch.setattr(installing, "HIDDEN", (str(installing._PACKAGE.parent),))
+    with pytest.raises(Exception, match=f"{installing._PACKAGE} lies below"):
         installing.program()
     program.unlink()
     with pytest.raises(Exception, match="there is no program rthyb"):

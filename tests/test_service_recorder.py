@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import random
+import stat
 import subprocess
 import sys
 import threading
@@ -30,6 +31,7 @@ from rthyb_rt.ring import Ring
 from rthyb_rt.service import disk, growing
 from rthyb_rt.service import recorder as recorders
 from rthyb_rt.service.growing import PART_NAME
+from rthyb_rt.service.ordered import OrderedFile
 from rthyb_rt.service.recorder import Recorder, read_index, read_status
 
 pytestmark = pytest.mark.alone
@@ -773,7 +775,115 @@ def test_full_disk_at_the_end_of_a_test_finishes_without_a_copy(
     assert not (the_run(place) / PART_NAME).exists()
 
 
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
+def test_motion_that_a_disk_did_not_take_at_once_is_recorded_all_the_same(
+    place: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """All of it in one batch, and nothing after it but rest."""
+    rows = truth(1000)
+    rows["state"][-120:] = STATE["IDLE"]
+    commit = OrderedFile.commit
+
+    def refused(_: OrderedFile) -> None:
+        monkeypatch.setattr(OrderedFile, "commit", commit)
+        raise OSError(number, os.strerror(number))
+
+    made = Producer(place)
+    with recorder(place) as working:
+        working.turn()
+        made.push(rows)
+        monkeypatch.setattr(OrderedFile, "commit", refused)
+        working.turn()
+        assert os.strerror(number).lower() in working.status().fault.lower() or number != errno.EIO
+        made.end()
+        turns(working)
+    assert_same(recording.open_run(the_run(place)).samples, rows)
+
+
+def test_what_a_disk_does_not_take_at_the_end_stays_in_the_ring(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recording is not finished without the rows that are still kept back."""
+    rows = truth(1000)
+    commit = OrderedFile.commit
+
+    def refused(_: OrderedFile) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    made = Producer(place)
+    with recorder(place) as working:
+        working.turn()
+        made.push(rows)
+        made.end()
+        monkeypatch.setattr(OrderedFile, "commit", refused)
+        turns(working)
+        assert "Input/output error" in working.status().fault
+        assert ring.find(place / "rings") == [made.ring.path]
+        monkeypatch.setattr(OrderedFile, "commit", commit)
+        turns(working)
+    assert_same(recording.open_run(the_run(place)).samples, rows)
+
+
 # ---- a slow disk, and one with a fault ----------------------------------------------------------
+
+
+def test_disk_that_is_slower_than_the_rows_come_does_not_hold_the_recorder(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each write brings the next block: a turn ends all the same, and its disk is synced."""
+    rows = truth(128 * 40)
+    commit = OrderedFile.commit
+    pushed = [256]
+
+    def late(self: OrderedFile) -> None:
+        if pushed[0] < rows.size:
+            made.push(rows[pushed[0] : pushed[0] + 128])
+            pushed[0] += 128
+        commit(self)
+
+    made = Producer(place)
+    with recorder(place) as working:
+        working.turn()
+        made.push(rows[:256])
+        monkeypatch.setattr(OrderedFile, "commit", late)
+        working.turn()
+        assert pushed[0] < rows.size / 4
+        while pushed[0] < rows.size:
+            working.turn()
+        made.end()
+        turns(working)
+    assert_same(recording.open_run(the_run(place)).samples, rows)
+
+
+def test_recorder_that_waits_for_its_disk_from_the_first_moment_on_is_alive(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stuck, let_go = threading.Event(), threading.Event()
+    fsync = os.fsync
+
+    def slow(fd: int) -> None:
+        stuck.set()
+        assert let_go.wait(60.0)
+        fsync(fd)
+
+    made = Producer(place)
+    made.push(truth(300))
+    monkeypatch.setattr(os, "fsync", slow)
+    with recorder(place) as working:
+        beginning = threading.Thread(target=working.turn)
+        beginning.start()
+        assert stuck.wait(60.0)
+
+        def told() -> bool:
+            found = read_status(place / "rings")
+            return found is not None and found.alive and "beginning has taken" in found.fault
+
+        until(told, "a word on the disk")
+        let_go.set()
+        beginning.join()
+        made.end()
+        turns(working)
+    assert the_run(place).joinpath(FILE_NAME).is_file()
 
 
 def test_recorder_says_that_its_disk_is_slow_while_it_waits_for_it(
@@ -831,31 +941,52 @@ def test_recorder_says_that_its_disk_is_slow_while_it_waits_for_it(
     assert_same(recording.open_run(the_run(place)).samples, rows)
 
 
+@pytest.mark.parametrize("at_the_end", [False, True])
 def test_fault_of_the_disk_is_told_and_stands_against_the_next_test(
-    place: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    place: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    at_the_end: bool,
 ) -> None:
     """The system says it once: afterwards what was lost passes for written."""
 
     def faulty(_: int) -> None:
-        monkeypatch.setattr(os, "fsync", lambda _: None)
+        monkeypatch.setattr(os, "fsync", fsync)
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
+    fsync = os.fsync
     made = Producer(place)
     with recorder(place) as working:
         made.push(truth(1000))
         working.turn()
+        if at_the_end:
+            working._synced_s = time.monotonic() + 100.0
+            made.end()
         monkeypatch.setattr(os, "fsync", faulty)
         for _ in range(2):
-            working._synced_s = 0.0
+            if not at_the_end:
+                working._synced_s = 0.0
             working.turn()
+        monkeypatch.setattr(recorders, "_RETRY_S", 0.0)
+        turns(working)
         status = working.status()
         assert "the disk has reported a fault (Input/output error)" in status.fault
         assert "restart the recorder" in status.fault
         assert status.hinders
-        made.end()
+        if not at_the_end:
+            made.end()
         turns(working)
-    assert caplog.text.count("has reported a fault") == 1
+    assert caplog.text.count("restart the recorder") == 1 + at_the_end
     assert recording.open_run(the_run(place)).samples.size == 1000
+
+
+def test_nobody_else_can_take_the_place_of_the_recorder(place: Path) -> None:
+    """Its lock is not even to be opened by those who may look."""
+    (place / "rings").mkdir()
+    lock = place / "rings" / "recorder.lock"
+    lock.touch(0o640)
+    with recorder(place):
+        assert stat.S_IMODE(lock.stat().st_mode) == 0o600
 
 
 def test_room_is_judged_before_a_test_is_armed() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -30,12 +31,18 @@ def report(
     Example:
       rthyb report runs/section5-t0.5-20260301T101500Z
     """
+    from rthyb_rt.errors import RthybError
     from rthyb_rt.recording import open_run
     from rthyb_rt.report import write_report
 
     rec = open_run(recording)
     folder = recording if recording.is_dir() else recording.parent
     path = out or folder / "report.html"
+    if out is None and not os.access(folder, os.W_OK):
+        # The recordings of a service: its group reads them, and nobody else writes there.
+        raise RthybError(
+            f"{folder}: you may not write there; say where the report goes with --out report.html"
+        )
     write_report(rec, path)
     interrupts.wrote(path)
     print(path)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from rthyb_rt import __version__, config, core
+from rthyb_rt import __version__, config, core, recording, ring
 from rthyb_rt.config import RigFile
 from rthyb_rt.config.limits import looser
 from rthyb_rt.errors import InputError, RthybError
@@ -134,6 +134,7 @@ class Daemon:
         before_tick: Callable[[], None] | None = None,
     ) -> None:
         self.options = options
+        _clear_rests(options.rings)
         self._demand, self._read_rig = demand, read_rig
         # As the file was commissioned: a reload may lower its limits, again and again.
         self._commissioned = rig
@@ -590,6 +591,19 @@ class Daemon:
         alive = found is not None and found.alive
         told = {} if found is None else asdict(found)
         return {**told, "alive": alive, "wanted": self.options.recorder != "none"}
+
+
+def _clear_rests(folder: Path) -> None:
+    """Delete the rings at rest of daemons that were killed: memory that nobody asks for again."""
+    for path in ring.find(folder):
+        with contextlib.suppress(RthybError, OSError, KeyError, TypeError):
+            with ring.Reader(path) as reader:
+                alive = reader.alive
+            place = ring.session_path(path)
+            about = recording.read(place, rows=False).meta["service"]
+            if not alive and about["purpose"] == "rest":
+                place.unlink(missing_ok=True)
+                path.unlink(missing_ok=True)
 
 
 def _to_log(event: Event) -> None:

@@ -43,6 +43,10 @@ class NoRoomError(RthybError):
     """The disk is full; nothing was written."""
 
 
+class DiskFaultError(RthybError):
+    """What was written did not get to the disk. The system says so once, and good then."""
+
+
 class GrowingFile:
     """The file of one test, in the folder of its run; begun, or taken up again.
 
@@ -59,6 +63,7 @@ class GrowingFile:
 
     Raises:
         NoRoomError: the disk is full.
+        DiskFaultError: the disk has a fault.
         RthybError: the folder cannot be written.
     """
 
@@ -76,7 +81,7 @@ class GrowingFile:
             if not self.resumed:
                 self._begin(session)
                 self._save()
-        except NoRoomError:
+        except (NoRoomError, DiskFaultError):
             # A disk that is full for a while is no try that somebody died of.
             self.close()
             raise
@@ -209,6 +214,19 @@ class GrowingFile:
                 raise
             raise NoRoomError(f"{self.folder}: the disk is full") from error
 
+    def _commit_all(self) -> None:
+        """Have in the system's hands what a commit before could not bring there.
+
+        Raises:
+            NoRoomError: it cannot now either.
+        """
+        try:
+            self._flush()
+        except OSError as error:
+            raise NoRoomError(
+                f"{self.folder}: cannot be written ({error.strerror or error})"
+            ) from error
+
     @property
     def rows(self) -> int:
         """How many rows it holds."""
@@ -260,9 +278,14 @@ class GrowingFile:
             raise NoRoomError(f"{self.folder}: the disk is full")
 
     def sync(self) -> None:
-        """Have what was added on the disk itself."""
+        """Have what was added on the disk itself.
+
+        Raises:
+            NoRoomError: the disk is full after all.
+            DiskFaultError: the disk has a fault.
+        """
         if self._disk is not None:
-            os.fsync(self._disk.fd)
+            _fsync(self._disk.fd, self.folder)
 
     def all_rows(self, name: str) -> NDArray[Any]:
         """Return one field of every row, (n,), block by block."""
@@ -280,8 +303,10 @@ class GrowingFile:
 
         Raises:
             NoRoomError: the disk is full; all rows stay under the name of before.
+            DiskFaultError: the disk has a fault; so they do.
         """
         self._need_room()
+        self._commit_all()
         self.close()
         final = self.folder / FILE_NAME
         copy = self.folder / f".{FILE_NAME}.part"
@@ -294,11 +319,13 @@ class GrowingFile:
             _complete(copy, session)
             _sync(copy)
             copy.replace(final)
-        except OSError as error:
+        except (OSError, RthybError) as error:
             with contextlib.suppress(OSError):
                 if copy != self._path:
                     copy.unlink()
             self._open()
+            if isinstance(error, RthybError):
+                raise
             raise NoRoomError(
                 f"{self.folder}: cannot be finished ({error.strerror or error})"
             ) from error
@@ -355,6 +382,18 @@ def _in_order(ticks: NDArray[Any], at: int) -> bool:
 def _sync(path: Path) -> None:
     fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     try:
-        os.fsync(fd)
+        _fsync(fd, path.parent)
     finally:
         os.close(fd)
+
+
+def _fsync(fd: int, folder: Path) -> None:
+    try:
+        os.fsync(fd)
+    except OSError as error:
+        if error.errno in disk.FULL:
+            raise NoRoomError(f"{folder}: the disk is full") from error
+        raise DiskFaultError(
+            f"{folder}: the disk has reported a fault ({error.strerror}): rows may be missing "
+            "there; look at dmesg, and restart the recorder"
+        ) from error

@@ -69,9 +69,9 @@ def program() -> Path:
     path = Path(sys.prefix) / "bin" / "rthyb"
     if not path.is_file():
         raise RthybError(f"{path}: there is no program rthyb in this installation")
-    # An environment in /opt is of no use with an interpreter that is in somebody's home.
-    interpreter = Path(sys.executable).resolve()
-    for needed in (path, interpreter):
+    # An environment in /opt is of no use with an interpreter that is in somebody's home, nor with
+    # sources there, nor by a name that leads there.
+    for needed in (path, path.resolve(), Path(sys.executable).resolve(), _PACKAGE):
         for folder in HIDDEN:
             if needed.is_relative_to(folder):
                 raise RthybError(

@@ -28,7 +28,14 @@ from rthyb_rt import config, recording, ring
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.recording import BLOCK_ROWS, FILE_NAME, RUNNING, STATES, Recording
 from rthyb_rt.service import disk
-from rthyb_rt.service.growing import DAMAGED_NAME, PART_NAME, REFUSED, GrowingFile
+from rthyb_rt.service.growing import (
+    DAMAGED_NAME,
+    PART_NAME,
+    REFUSED,
+    DiskFaultError,
+    GrowingFile,
+    NoRoomError,
+)
 
 STATUS_NAME: Final = "recorder.json"
 INDEX_NAME: Final = "index.jsonl"
@@ -230,8 +237,12 @@ class Tape:
         Raises:
             NoRoomError: the disk is full; nothing is lost that the ring still has.
         """
+        # A slow disk is never done with what comes while it writes.
+        end = self.reader.pushed
         while True:
             self._write(last=False)
+            if self.reader.next >= end:
+                break
             rows = self.reader.read(_CHUNK)
             if not rows.samples.size:
                 break
@@ -252,8 +263,9 @@ class Tape:
             rows = self._joined()
             followed = len(self._pending) > 1
             count = rows.samples.size if last or followed else self._whole(rows.samples.size)
-            self.file.add(rows.samples[:count])
+            # Before: rows that a full disk did not take are in the file, and not added again.
             self._moved = self._moved or self._has_moved(rows.samples["state"][:count])
+            self.file.add(rows.samples[:count])
             left = rows.samples[count:]
             self._pending[:1] = [ring.Rows(rows.first + count, left)] if left.size else []
             if left.size:
@@ -481,7 +493,9 @@ class Recorder:
         try:
             rings.mkdir(mode=0o700, parents=True, exist_ok=True)
             runs.mkdir(parents=True, exist_ok=True)
-            self._lock = os.open(rings / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
+            self._lock = os.open(rings / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            # Whoever could open it could hold it, and nothing would be recorded.
+            os.fchmod(self._lock, 0o600)
         except OSError as error:
             raise RthybError(
                 f"cannot be written ({error.strerror})", where=str(error.filename)
@@ -499,7 +513,9 @@ class Recorder:
         self._known = self._runs_with_ring()
         self._orphans = set(self.runs.glob(f"*/{PART_NAME}"))
         self._patience = _Patience(rings)
-        self._finish_orphans()
+        self._patience.say(self.status())
+        with self._patience.of("finishing what a reboot broke off"):
+            self._finish_orphans()
 
     def _runs_with_ring(self) -> set[str]:
         found = set()
@@ -577,7 +593,8 @@ class Recorder:
         """Look for new rings, write what has come, finish what is over, say how it stands."""
         with self._patience.of("writing"):
             self._finish_orphans()
-        self._find()
+        with self._patience.of("beginning"):
+            self._find()
         for path, tape in tuple(self._tapes.items()):
             with self._faulty(path):
                 over = tape.over
@@ -596,16 +613,20 @@ class Recorder:
             self._patience.say(self.status())
 
     def _sync(self, tape: Tape) -> None:
-        """Have a file on the disk. What the system says of a fault there it says once only."""
-        try:
+        # A full disk is told of with the next rows.
+        with contextlib.suppress(NoRoomError, DiskFaultError), self._broken_disk():
             tape.file.sync()
-        except OSError as error:
+
+    @contextlib.contextmanager
+    def _broken_disk(self) -> Iterator[None]:
+        """Keep in mind what the system says of a fault: once it is said, all passes for good."""
+        try:
+            yield
+        except DiskFaultError as error:
             if not self._broken:
-                self._broken = (
-                    f"{tape.file.folder}: the disk has reported a fault ({error.strerror}): rows "
-                    "may be missing there; look at dmesg, and restart the recorder"
-                )
-                log.error("%s", self._broken)
+                log.error("%s", error)
+            self._broken = self._broken or str(error)
+            raise
 
     def _find(self) -> None:
         found = ring.find(self.rings)
@@ -661,7 +682,8 @@ class Recorder:
     @contextlib.contextmanager
     def _faulty(self, path: Path) -> Any:
         try:
-            yield
+            with self._broken_disk():
+                yield
             self._faults.pop(path, None)
         except (RthybError, OSError, RuntimeError) as error:
             if self._faults.get(path) != str(error):
@@ -714,7 +736,8 @@ class Recorder:
     def close(self) -> None:
         """Let go of everything; what is not finished is taken up again by the next recorder."""
         for tape in self._tapes.values():
-            with contextlib.suppress(RthybError, OSError, RuntimeError):
+            ending = self._patience.of("writing")
+            with contextlib.suppress(RthybError, OSError, RuntimeError), ending:
                 tape.turn()
             tape.close()
         self._tapes.clear()
