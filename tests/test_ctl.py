@@ -6,13 +6,18 @@ import json
 import os
 import re
 import stat
+import subprocess
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import pytest
 from command_line import Rthyb
+from realtime_bench import PROGRAM, until
 from service_bench import await_state, rig_file, served, status
 
 from rthyb_rt import config, realtime, recording
@@ -22,6 +27,7 @@ from rthyb_rt.config import RigFile
 from rthyb_rt.config.limits import looser
 from rthyb_rt.recording import STATES
 from rthyb_rt.service import metrics
+from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import Daemon
 from rthyb_rt.service.peers import Peer
 from rthyb_rt.service.recorder import read_index
@@ -327,11 +333,79 @@ def test_metrics_are_prometheus_text(rthyb: Rthyb, place: Path, daemon: Daemon) 
     assert metrics._labels({"a": 'x"\\\n'}) == '{a="x\\"\\\\\\n"}'
 
 
+def test_zero_that_ends_in_a_trip_or_is_stopped_is_no_success(
+    rthyb: Rthyb, place: Path, daemon: Daemon
+) -> None:
+    for now, said in ((True, "the rig is TRIPPED, cause: signal"), (False, "stopped by an op")):
+        assert rthyb("ctl", "load", *LONG, "--set", "limits.tare_s=5").code == 0
+        told: list[bool] = []
+
+        def interfere(now: bool = now, told: list[bool] = told) -> None:
+            while not status(place)["run_id"]:
+                time.sleep(0.01)
+            with Client(place / "control.sock") as client:
+                client.call("Stop", now=now)
+            told.append(now)
+
+        other = threading.Thread(target=interfere)
+        other.start()
+        answer = rthyb("ctl", "zero")
+        other.join()
+        assert told == [now]
+        assert answer.code == 1, answer.out
+        assert "not zeroed" in answer.err
+        assert said in answer.err
+        if now:
+            assert rthyb("ctl", "reset").code == 0
+            until(lambda: not status(place)["run_id"], "the end of what was tripped")
+
+
+@pytest.mark.parametrize("digest", ["", "a", "ABCDEF01", "xyz45678"])
+def test_digest_of_less_than_eight_digits_names_no_test(
+    rthyb: Rthyb, place: Path, daemon: Daemon, digest: str
+) -> None:
+    """An empty variable of somebody's script must not arm whatever is loaded."""
+    assert rthyb("ctl", "load", *LONG).code == 0
+    assert rthyb("ctl", "zero").code == 0
+    answer = rthyb("ctl", "arm", "--digest", digest)
+    assert answer.code == 2
+    assert "8 digits or more" in re.sub(r"\s+", " ", answer.err)
+    assert rthyb("ctl", "arm").code == 0
+    assert rthyb("ctl", "start", "--token", "").code == 5
+    assert status(place)["state"] == "ARMED"
+
+
+def test_ground_motion_too_long_for_the_socket_is_refused_with_what_fits(
+    rthyb: Rthyb, place: Path, daemon: Daemon, tmp_path: Path
+) -> None:
+    rows = np.sin(np.arange(600_000) * 1e-3) / 3.0
+    (tmp_path / "long.txt").write_text(
+        "time_s acc_g\n" + "".join(f"{k * 0.005:.3f} {a:.16g}\n" for k, a in enumerate(rows)),
+        encoding="ascii",
+    )
+    answer = rthyb("ctl", "load", "--set", f'ground_motion.record="{tmp_path}/long.txt"')
+    assert answer.code == 3
+    assert re.search(r"its 600000 points are .* MB .* takes 8.3 MB: some \d{6} points", answer.err)
+    assert status(place)["test"] is None
+
+
+def test_watch_ends_with_whoever_read_it(place: Path, daemon: Daemon) -> None:
+    """`rthyb ctl status --watch | grep -m1 IDLE` waits in a script."""
+    command = [*PROGRAM, "ctl", "status", "--watch", "--every", "0.05"]
+    made = subprocess.Popen(command, stdout=subprocess.PIPE, env=dict(os.environ))
+    assert made.stdout is not None
+    assert made.stdout.readline().startswith(b"IDLE")
+    made.stdout.close()
+    assert made.wait(60.0) == 0
+
+
 def test_metrics_go_to_a_file_for_who_collects_files(place: Path) -> None:
     with served(place, metrics=place / "rthyb.prom"):
         while not (place / "rthyb.prom").exists():
             pass
         assert (place / "rthyb.prom").read_text().startswith("# HELP rthyb_up")
+    # It would say of a service that has ended that it is up.
+    assert not (place / "rthyb.prom").exists()
 
 
 def test_watch_shows_line_after_line_without_a_terminal(

@@ -639,6 +639,30 @@ def test_record_of_any_shape_is_taken_or_named(record: dict[str, Any]) -> None:
     assert motion.acceleration_mps2.size
 
 
+@pytest.mark.parametrize(
+    ("change", "wanted"),
+    [
+        ({"dt_s": 10.0, "acceleration_mps2": [0.1] * 361}, "at most .* 3600 s are accepted"),
+        ({"acceleration_mps2": [0.0] * 2_000_001}, "at most 2000000 points"),
+        ({"name": "a\nb"}, r"record\.name.*U\+000A"),
+        ({"name": "a\x1b[31m"}, r"record\.name.*U\+001B"),
+        ({"source": "\u202e"}, r"record\.source.*U\+202E"),
+        ({"details": {"format": "a\0"}}, r"record\.details.*U\+0000"),
+        ({"details": {"\ud800": "x"}}, r"record\.details.*U\+D800"),
+        ({"details": {str(n): "" for n in range(101)}}, "at most 100 are accepted"),
+        ({"details": {"notes": "x" * 100_000}}, "100000 signs in all"),
+    ],
+)
+def test_record_that_no_file_has_is_refused_as_it_comes(
+    change: dict[str, Any], wanted: str
+) -> None:
+    """Not in the tick thread's neighbourhood, nor as a fault of the program when it is zeroed."""
+    good = {"name": "a", "source": "b", "dt_s": 0.001, "acceleration_mps2": [0.1], "details": {}}
+    daemon._record(good | {"details": {"warnings": "one\ntwo\t½ 加速度\u3000"}})
+    with pytest.raises(InputError, match=wanted):
+        daemon._record(good | change)
+
+
 def test_record_comes_back_as_it_was_to_the_last_bit() -> None:
     motion = experiment.load_motion(short_test())
     back = daemon._record(json.loads(control.encode(daemon.record_of(motion))[:-1]))

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
+import logging
 import os
 import re
 import select
@@ -449,6 +451,34 @@ def test_words_go_nowhere_without_systemd(monkeypatch: pytest.MonkeyPatch) -> No
     assert systemd.watchdog_s() == 2.0
     monkeypatch.setenv("WATCHDOG_PID", "1")
     assert systemd.watchdog_s() is None
+
+
+def test_log_that_nobody_takes_holds_up_nobody_and_says_what_was_lost() -> None:
+    """A terminal after Ctrl-S, or a journal whose disk is stuck: stop and hold must be heard."""
+    read, write = os.pipe()
+    fcntl.fcntl(write, fcntl.F_SETPIPE_SZ, 4096)
+    with os.fdopen(write, "w") as stream:
+        handler = systemd.Behind(stream)
+        line = "x" * 99
+        begin = time.monotonic()
+        for number in range(2000):
+            args = (number,)
+            handler.emit(logging.LogRecord("", logging.INFO, "", 0, f"%d {line}", args, None))
+        handler.close()
+        took_s = time.monotonic() - begin
+        # A second is what the end waits for; a line takes no time.
+        assert took_s < systemd._LAST_LINES_S + 2.0
+        heard = b""
+        end = time.monotonic() + 20.0
+        while b"lines were lost" not in heard and time.monotonic() < end:
+            if select.select([read], [], [], 0.1)[0]:
+                heard += os.read(read, 1 << 16)
+    os.close(read)
+    lines = heard.decode().splitlines()
+    kept = [int(text.split()[0]) for text in lines[:-1]]
+    assert kept == sorted(kept)
+    assert lines[-1].endswith("lines were lost: nobody took them")
+    assert int(lines[-1].split()[0]) + len(kept) == 2000
 
 
 @pytest.fixture

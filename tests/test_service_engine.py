@@ -233,6 +233,60 @@ def test_feedback_that_stops_during_the_tare_is_named(rings: Path) -> None:
         assert any(text.startswith("not zeroed: ") for text in made.said)
 
 
+def test_drive_that_goes_silent_is_not_one_that_says_it_has_stopped(rings: Path) -> None:
+    with bench(rings, faults=[loop.Fault("silence", 2048, 2**40)]) as made:
+        made.loaded()
+        made.engine.wait(3.0)
+        with pytest.raises(StateError, match="the drive has gone silent"):
+            made.engine.zero()
+    with bench(rings, faults=[loop.Fault("drop-command", 2048, 2**40)]) as made:
+        made.loaded()
+        made.engine.wait(3.0)
+        with pytest.raises(StateError, match="reports that it has stopped"):
+            made.engine.zero()
+
+
+def test_zeroing_that_is_stopped_ends_at_once_and_is_no_fault_of_the_drive(rings: Path) -> None:
+    with bench(rings) as made:
+        again = made.loaded({"limits.tare_s": "1"})
+        made.engine.zero()
+        made.engine.wait(0.2)
+        assert "load" not in made.engine.allowed
+        with pytest.raises(StateError, match="a test is being zeroed"):
+            made.engine.load(again)
+        made.engine.command("stop")
+        assert made.engine.recorded is None
+        assert made.engine.not_zeroed == "zeroing was stopped by an operator"
+        assert "load" in made.engine.allowed
+        assert not any(event.level == "error" for event in made.events)
+        made.engine.load(again)
+        made.engine.zero()
+        made.until("ZEROED")
+
+
+def test_zero_that_the_station_refuses_leaves_a_service_that_can_be_loaded(
+    rings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where the drive stops between the last look and the command."""
+    with bench(rings) as made:
+        loaded = made.loaded()
+        answered = made.engine._answered
+
+        def refused(name: str) -> tuple[bool, int]:
+            obeyed, tick = answered("hold" if name == "zero" else name)
+            return (False if name == "zero" else obeyed), tick
+
+        monkeypatch.setattr(made.engine, "_answered", refused)
+        with pytest.raises(StateError, match="does not answer in every tick"):
+            made.engine.zero()
+        monkeypatch.setattr(made.engine, "_answered", answered)
+        assert made.engine.recorded is None
+        made.engine.load(loaded)
+        made.engine.zero()
+        made.until("ZEROED")
+        assert len(ring.find(rings)) == 2
+
+
 def test_trip_is_recorded_at_once_and_stays_until_it_is_reset(rings: Path) -> None:
     limit = {"limits.command_position_m": '{ value = "0.5 mm", action = "trip" }'}
     with bench(rings) as made:

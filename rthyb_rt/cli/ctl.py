@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -14,10 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rthyb_rt.cli import terminal
+from rthyb_rt.cli import streams, terminal
 from rthyb_rt.cli.inputs import JsonOption, SetOption
 
 if TYPE_CHECKING:
+    from rthyb_rt.ground_motion import GroundMotion
     from rthyb_rt.service.control import Client
 
 SCHEMA = "rthyb-ctl/1"
@@ -113,10 +115,11 @@ def status(
 def _watch(client: Client, every_s: float, as_json: bool) -> None:
     if as_json or not sys.stdout.isatty():
         terminal.begin_json_lines()
-        while True:
+        while not streams.is_unread(sys.stdout):
             found = client.call("GetStatus")["status"]
             print(json.dumps(found) if as_json else line(found), flush=True)
             time.sleep(every_s)
+        return
     from rich.live import Live
 
     with Live(auto_refresh=False) as live:
@@ -243,7 +246,9 @@ def load(
     if rig_settings:
         raise typer.BadParameter("the rig is the service's own", param_hint="--set")
     test_file = config.load_test(test or config.builtin_test_path(), test_settings)
-    record = record_of(experiment.load_motion(test_file))
+    motion = experiment.load_motion(test_file)
+    record = record_of(motion)
+    _check_size(motion, record)
     with _client(socket) as client:
         found = client.call("Load", test_toml=config.dump(test_file), record=record)
     for note in found["notes"]:
@@ -251,6 +256,25 @@ def load(
     digest = found["digest"]
     text = f"Loaded {test_file.test.name}, {digest[:12]}; next: rthyb ctl zero"
     _say("load", text, as_json, digest=digest, notes=found["notes"])
+
+
+def _check_size(motion: GroundMotion, record: dict[str, Any]) -> None:
+    """Refuse here what the service would not take.
+
+    Raises:
+        InputError: the ground motion is too long.
+    """
+    from rthyb_rt.errors import InputError
+    from rthyb_rt.service.control import LOAD_BYTES, REQUEST_BYTES
+
+    points, size = motion.acceleration_mps2.size, len(json.dumps(record))
+    most = LOAD_BYTES - REQUEST_BYTES
+    if size > most:
+        raise InputError(
+            f"{motion.name}: its {points} points are {size / 1e6:.1f} MB on their way to the "
+            f"service, which takes {most / 1e6:.1f} MB: some {points * most // size} points; cut "
+            "out the strong motion, or resample the record"
+        )
 
 
 @ctl.command()
@@ -274,13 +298,15 @@ def _await_zeroed(client: Client) -> str:
 
     while True:
         found = client.call("GetStatus")["status"]
+        if found["state"] == "TRIPPED":
+            cause = found["cause"].replace("_", " ")
+            raise RthybError(
+                f"not zeroed: the rig is TRIPPED, cause: {cause}; look why, then rthyb ctl reset"
+            )
         if found["state"] != "IDLE":
             return str(found["state"])
         if not found["run_id"]:
-            raise RthybError(
-                "not zeroed: the rig is not at rest, or its feedback stopped; the journal of the "
-                "service says which: journalctl -u rthyb"
-            )
+            raise RthybError(f"not zeroed: {found['not_zeroed'] or 'somebody else has stopped it'}")
         time.sleep(0.05)
 
 
@@ -301,6 +327,11 @@ def arm(
 
     The token is kept for `rthyb ctl start`. ARMED ends by itself after limits.armed_timeout_s.
     """
+    if digest is not None and not re.fullmatch("[0-9a-f]{8,64}", digest):
+        raise typer.BadParameter(
+            f"found {digest!r}, wanted are the first 8 digits or more, as load has said",
+            param_hint="--digest",
+        )
     with _client(socket) as client:
         test = client.call("GetStatus")["status"]["test"] or {}
         whole = str(test.get("digest", ""))
@@ -323,7 +354,8 @@ def start(
 ) -> None:
     """Start the armed test."""
     with _client(socket) as client:
-        client.call("Start", token=token or _kept_token(place(socket)))
+        kept = _kept_token(place(socket)) if token is None else token
+        client.call("Start", token=kept)
     _say("start", "Started; look at it: rthyb ctl status --watch", as_json)
 
 

@@ -68,6 +68,12 @@ class Outlet(io.FileIO):
         return len(data)
 
 
+def is_unread(stream: IO[str]) -> bool:
+    """Return whether a stream's reader has gone, or its disk is full: nobody sees what comes."""
+    raw = getattr(getattr(stream, "buffer", None), "raw", None)
+    return isinstance(raw, Outlet) and raw.fault is not None
+
+
 @contextlib.contextmanager
 def settled() -> Iterator[Outlet | None]:
     """Make printing safe in the block; give the outlet behind stdout, where there is one."""

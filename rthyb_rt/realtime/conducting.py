@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rthyb_rt import core, ring
 from rthyb_rt.errors import InputError
 from rthyb_rt.experiment import Progress, Setup
@@ -18,7 +21,7 @@ from rthyb_rt.realtime.endings import WORDS, RefusedError, TimingError
 from rthyb_rt.realtime.keeper import RECORDER_PERIOD_S, SILENCE_S
 from rthyb_rt.realtime.session import LOOK_S, NEEDED, Session
 from rthyb_rt.realtime.telling import Teller
-from rthyb_rt.recording import Recording
+from rthyb_rt.recording import FLAGS, Recording
 
 if TYPE_CHECKING:
     from rthyb_rt.links.opened import Opened
@@ -167,6 +170,8 @@ class AtLink(Protocol):
     def wire(self) -> Wire: ...
     @property
     def link(self) -> Link: ...
+    @property
+    def recent_flags(self) -> NDArray[np.uint32]: ...
 
 
 class _Conductor:
@@ -309,10 +314,18 @@ def no_feedback(session: AtLink) -> str:
     counters, pieces = session.wire.counters(), session.link.counters()["pieces_in"]
     if session.link.down != "up":
         return f"the link is down ({session.link.down}); check cable, power and interface"
-    if counters["pairs"]:
+    recent = session.recent_flags
+    if counters["pairs"] and (recent & FLAGS["stopped"]).any():
         return (
             "the drive reports that it has stopped, and does not follow; release it at its own "
             "panel, and look why it stopped"
+        )
+    if counters["pairs"] and (recent & FLAGS["fresh"]).any():
+        return "the feedback was interrupted a moment ago; try again"
+    if counters["pairs"]:
+        return (
+            "the drive has gone silent: no pair of displacement and force comes any more; is it "
+            "switched on, and its cable in place?"
         )
     if counters["frames"] or pieces:
         bad = {k: n for k, n in counters.items() if n and k not in ("sent", "frames", "stale")}

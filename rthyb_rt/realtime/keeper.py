@@ -95,6 +95,11 @@ class Keeper:
         self.displacement_m = float(samples["x_meas_m"][-1])
         self._recent = np.concatenate([self._recent, samples["flags"]])[-LOOK_BACK_TICKS:]
 
+    @property
+    def recent_flags(self) -> NDArray[np.uint32]:
+        """Flags of the last `LOOK_BACK_TICKS` rows."""
+        return self._recent
+
     def follows(self) -> bool:
         recent = self._recent
         fresh = np.count_nonzero(recent & FLAGS["fresh"])

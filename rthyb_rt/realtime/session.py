@@ -306,6 +306,11 @@ class Session:
         return self._keeper.follows()
 
     @property
+    def recent_flags(self) -> NDArray[np.uint32]:
+        """Flags of the newest rows."""
+        return self._keeper.recent_flags
+
+    @property
     def displacement_m(self) -> float:
         """Displacement of the last tick, after tare."""
         return self._keeper.displacement_m

@@ -15,6 +15,7 @@ import signal
 import subprocess
 import sys
 import time
+import unicodedata
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
@@ -28,6 +29,8 @@ from rthyb_rt.config import RigFile
 from rthyb_rt.config.limits import looser
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.ground_motion.reading import MAX_DURATION_S
+from rthyb_rt.ground_motion.text import MAX_POINTS
 from rthyb_rt.realtime import RefusedError
 from rthyb_rt.recording import STATES, replacing
 from rthyb_rt.service import disk, metrics, recorder, systemd
@@ -39,13 +42,11 @@ from rthyb_rt.service.control import (
     ReplyError,
 )
 from rthyb_rt.service.engine import (
-    COMMANDS,
     TURN_S,
     Engine,
     Event,
     Loaded,
     StateError,
-    allowed_states,
 )
 from rthyb_rt.service.peers import Peer, Rights, Role
 
@@ -66,6 +67,8 @@ _RECORDER_READY_S: Final = 10.0
 _BEGIN_S: Final = 3.0
 _DT_S: Final = (1e-5, 10.0)
 _AG_MOST_MPS2: Final = 1e3
+_DETAILS_MOST: Final = 100
+_DETAILS_SIGNS: Final = 100_000
 _NEWEST: Final = (
     "tick",
     "ag_mps2",
@@ -203,6 +206,9 @@ class Daemon:
         finally:
             systemd.notify("STOPPING=1")
             await server.stop()
+            if self.options.metrics is not None:
+                # No file: a service that does not answer. An old one would say that it does.
+                self.options.metrics.unlink(missing_ok=True)
         tripped = self._stops > 1 or (self.engine.state == "TRIPPED" and self._was_moving)
         return TRIPPED if tripped else 0
 
@@ -444,7 +450,13 @@ class Daemon:
         with self._alone("zero"):
             async with self._busy:
                 loaded = self.engine.check_zero()
-                run = await asyncio.to_thread(self.engine.make_run, loaded)
+                making = asyncio.ensure_future(asyncio.to_thread(self.engine.make_run, loaded))
+                try:
+                    run = await asyncio.shield(making)
+                except asyncio.CancelledError:
+                    # The service ends: the ring that comes all the same is nobody's.
+                    (await making).remove()
+                    raise
                 self.engine.zero(run)
         log.info("zero by %s", peer.name)
         return {}
@@ -553,7 +565,8 @@ class Daemon:
             "state": engine.state,
             "states": list(STATES),
             "cause": engine.loop.cause,
-            "allowed": [c for c in COMMANDS if engine.state in allowed_states(c)],
+            "allowed": engine.allowed,
+            "not_zeroed": engine.not_zeroed,
             "follows": engine.follows(),
             "test": None
             if loaded is None
@@ -627,6 +640,12 @@ def _record(given: dict[str, Any]) -> GroundMotion:
     assert isinstance(dt_s, (int, float))
     if not _DT_S[0] <= dt_s <= _DT_S[1]:
         raise InputError(f"found {dt_s} s, allowed is {_DT_S[0]} to {_DT_S[1]} s", "record.dt_s")
+    if len(samples) > MAX_POINTS or len(samples) * dt_s > MAX_DURATION_S:
+        raise InputError(
+            f"found {len(samples)} points, {len(samples) * dt_s:.6g} s; at most {MAX_POINTS} "
+            f"points and {MAX_DURATION_S:g} s are accepted",
+            "record.acceleration_mps2",
+        )
     if not samples or any(type(value) not in (int, float) for value in samples):
         raise InputError("must be a row of numbers, at least one", "record.acceleration_mps2")
     if not all(abs(value) <= _AG_MOST_MPS2 for value in samples):
@@ -635,12 +654,37 @@ def _record(given: dict[str, Any]) -> GroundMotion:
         )
     if not all(isinstance(value, str) for value in details.values()):
         raise InputError("must be texts", "record.details")
+    _check_texts(given)
     try:
         float(details.get("scale", "1"))
     except ValueError:
         raise InputError("must be a number", "record.details.scale") from None
     row = np.asarray(samples, dtype=np.float64)
     return GroundMotion(given["name"][:200], given["source"][:1000], float(dt_s), row, details)
+
+
+def _check_texts(record: dict[str, Any]) -> None:
+    """Refuse what a terminal or an HDF5 file cannot take.
+
+    Raises:
+        InputError: with the place.
+    """
+    details = record["details"]
+    if (
+        len(details) > _DETAILS_MOST
+        or sum(map(len, (*details, *details.values()))) > _DETAILS_SIGNS
+    ):
+        raise InputError(
+            f"at most {_DETAILS_MOST} are accepted, with {_DETAILS_SIGNS} signs in all",
+            "record.details",
+        )
+    named = [(f"record.{key}", record[key], "") for key in ("name", "source")]
+    named += [("record.details", text, "\n\t") for text in (*details, *details.values())]
+    for where, text, also in named:
+        for sign in text:
+            # Control signs, halves of signs, and what turns the direction of reading.
+            if unicodedata.category(sign).startswith("C") and sign not in also:
+                raise InputError(f"has the sign U+{ord(sign):04X}, which is no text", where)
 
 
 def record_of(motion: GroundMotion) -> dict[str, Any]:

@@ -199,6 +199,11 @@ class _Run:
     def run_id(self) -> str:
         return str(self.bare.meta["service"]["run_id"])
 
+    @property
+    def begun(self) -> bool:
+        """Whether more has come of it than a tare: its end is one at rest."""
+        return self.zeroed or self.moved or self.tripped_rows > 0
+
     def close(self) -> None:
         self.reader.close()
         self.ring.close()
@@ -247,6 +252,7 @@ class Engine:
         self.folder = folder or default_folder()
         self.loaded: Loaded | None = None
         self.last: dict[str, Any] | None = None
+        self.not_zeroed = ""
         self._before_tick, self._facts, self._tell = before_tick, dict(facts or {}), tell
         self._token: tuple[str, str] | None = None
         self._recent: NDArray[np.uint32] = np.zeros(0, np.uint32)
@@ -389,6 +395,11 @@ class Engine:
         """Causes that were seen and only indicated."""
         return self._run.station.indicated
 
+    @property
+    def recent_flags(self) -> NDArray[np.uint32]:
+        """Flags of the newest rows."""
+        return self._recent
+
     def follows(self) -> bool:
         """Whether good pairs come, of a drive that obeys."""
         fresh = np.count_nonzero(self._recent & FLAGS["fresh"])
@@ -428,15 +439,19 @@ class Engine:
     def _is_over(self, run: _Run) -> bool:
         if run.tripped_rows >= AFTER_TRIP:
             return True
-        if run.zeroed or run.moved:
+        if run.begun:
             return self.state == "IDLE" and run.idle_rows >= _AFTER_TICKS
         if run.station.zeroing_failed:
-            self._say("error", f"not zeroed: {self._not_at_rest(run)}")
+            self._give_up(self._not_at_rest(run))
             return True
         if self.state == "IDLE" and self._now_s() > run.given_up_s:
-            self._say("error", f"not zeroed: {no_feedback(self)}")
+            self._give_up(no_feedback(self))
             return True
         return False
+
+    def _give_up(self, why: str) -> None:
+        self.not_zeroed = why
+        self._say("error", f"not zeroed: {why}")
 
     def _now_s(self) -> float:
         if self.clock == "stepped":
@@ -530,8 +545,21 @@ class Engine:
         Raises:
             StateError: the state is not IDLE.
         """
-        if self.state != "IDLE" or self._run is not self._rest:
+        if self.state == "IDLE" and self._run is not self._rest:
+            raise StateError("load", self._between_tests(), self.state)
+        if self.state != "IDLE":
             raise StateError("load", "a test is loaded between two tests only", self.state)
+
+    def _between_tests(self) -> str:
+        if self._run.begun:
+            return "the last test is just being put away; try again"
+        return "a test is being zeroed; wait for the end of the tare, or stop it"
+
+    @property
+    def allowed(self) -> list[str]:
+        """Which of `COMMANDS` the present state allows."""
+        busy = ("load",) if self.recorded is not None else ()
+        return [c for c in COMMANDS if self.state in allowed_states(c) and c not in busy]
 
     def load(self, loaded: Loaded) -> None:
         """Make a test the one that `zero` takes.
@@ -587,8 +615,14 @@ class Engine:
                 run.remove()
             raise
         run = run or self.make_run(loaded)
+        self.not_zeroed = ""
         self._put(run)
-        self._command("zero")
+        try:
+            self._command("zero")
+        except BaseException:
+            # Else the station of a test would stay that nobody zeroes any more.
+            self._finish()
+            raise
         tare_s = run.station_config.tare_ticks / core.FS_HZ
         run.given_up_s = self._now_s() + tare_s + _TARE_MARGIN_S
 
@@ -639,6 +673,11 @@ class Engine:
         self.check(name)
         self._drain()
         self._command(name)
+        run = self._run
+        if name == "stop" and run is not self._rest and not run.begun:
+            self.not_zeroed = "zeroing was stopped by an operator"
+            self._say("info", self.not_zeroed)
+            self._finish()
         if name == "reset" and self._run is self._rest:
             self._put_rest()
 

@@ -5,11 +5,17 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import queue
 import socket
 import sys
+import threading
 from collections.abc import Iterator
+from typing import IO
 
 _PATIENCE_S = 0.1
+_LINES_MOST = 1000
+_LAST_LINES_S = 1.0
+_STACK_BYTES = 256 << 10
 
 _LEVELS = {
     logging.CRITICAL: 2,
@@ -52,10 +58,73 @@ class _Journal(logging.Formatter):
         return "\n".join(f"<{level}>{line}" for line in super().format(record).splitlines())
 
 
+class Behind(logging.Handler):
+    """Leaves lines to a thread that writes them.
+
+    A terminal that is stopped, or a journal that waits for its disk, takes nothing for a while:
+    whoever logs has the sign of life to give and the operator's stop to hear.
+
+    Args:
+        stream: where the lines go.
+    """
+
+    def __init__(self, stream: IO[str]) -> None:
+        super().__init__()
+        self._stream = stream
+        self._lines: queue.Queue[logging.LogRecord | None] = queue.Queue(_LINES_MOST)
+        self._lost, self._over = 0, False
+        # All of its stack is locked in memory, where this process has that right.
+        before = threading.stack_size(_STACK_BYTES)
+        self._thread = threading.Thread(target=self._write, name="logging", daemon=True)
+        self._thread.start()
+        threading.stack_size(before)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Hand a line on; if a thousand wait already, it is lost, and counted."""
+        # What it speaks of may be another thing by the time that it is written.
+        record.msg, record.args = record.getMessage(), None
+        try:
+            self._lines.put_nowait(record)
+        except queue.Full:
+            self._lost += 1
+
+    def _write(self) -> None:
+        while (record := self._lines.get()) is not None:
+            self._print(record)
+            # Those that were lost came after all that waited.
+            if self._lost and self._lines.empty():
+                lost, self._lost = self._lost, 0
+                text = f"{lost} lines were lost: nobody took them"
+                self._print(logging.LogRecord("", logging.ERROR, "", 0, text, None, None))
+            if self._over and self._lines.empty():
+                return
+
+    def _print(self, record: logging.LogRecord) -> None:
+        text = self.format(record) + "\n"
+        with contextlib.suppress(OSError, ValueError):
+            try:
+                fd = self._stream.fileno()
+            except OSError:
+                self._stream.write(text)
+                return
+            # Past the stream, whose lock a write that is never taken would keep to the end.
+            data = memoryview(text.encode(errors="backslashreplace"))
+            while data:
+                data = data[os.write(fd, data) :]
+
+    def close(self) -> None:
+        """Write what waits, if that is taken soon."""
+        self._over = True
+        with contextlib.suppress(queue.Full):
+            self._lines.put_nowait(None)
+        self._thread.join(_LAST_LINES_S)
+        super().close()
+
+
 @contextlib.contextmanager
 def logging_to_stderr() -> Iterator[None]:
     """Log to stderr in the block, for the journal where that listens, else for people."""
-    handler = logging.StreamHandler(sys.stderr)
+    handler = Behind(sys.stderr)
     in_journal = bool(os.environ.get("JOURNAL_STREAM"))
     people = logging.Formatter("%(asctime)s %(levelname)s %(message)s")
     handler.setFormatter(_Journal("%(message)s") if in_journal else people)
@@ -68,3 +137,4 @@ def logging_to_stderr() -> Iterator[None]:
     finally:
         root.handlers[:], root.propagate = before[0], before[2]
         root.setLevel(before[1])
+        handler.close()
