@@ -41,7 +41,7 @@ from rthyb_rt.live.history import CHANNELS, History, Tally, channels, columns, l
 from rthyb_rt.live.server import LiveServer
 from rthyb_rt.live.sources import LiveSource, PastSource, open_source
 from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
-from rthyb_rt.ring import Ring
+from rthyb_rt.ring import OtherVersionError, Ring
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.peers import Peer, Role
 
@@ -530,6 +530,73 @@ def test_ring_of_a_test_that_runs_comes_before_a_newer_one_that_was_left_behind(
     assert LiveSource(memory, None)._wanted == left.path
 
 
+@pytest.mark.parametrize("place", ["folder", "file"])
+def test_next_test_is_shown_though_its_ring_has_the_name_of_the_one_before(
+    memory: Path, rec: Recording, place: str
+) -> None:
+    first = Ring.create(memory, rec, 4096)
+    first.push(rows(0, 500))
+    source = LiveSource(memory if place == "folder" else first.path, None)
+    source.poll()
+    first.remove()
+    source.look()
+    source.poll()
+    # Until another one is there, the test that has ended is.
+    assert (source.history.last, source.status()["end_reason"]) == (499, "the test is over")
+    second = Ring.create(memory, rec, 4096)
+    assert second.path == first.path
+    second.push(rows(0, 700))
+    for _ in range(3):
+        source.look()
+        source.poll()
+    status = source.status()
+    assert (source.history.last, source.zero) == (499 + 700, 500)
+    assert (status["state"], status["ended"], status["end_reason"]) == ("RUNNING", False, "")
+    assert status["counters"][0]["value"] == "700"
+    second.push(rows(700, 10))
+    source.poll()
+    assert source.history.last == 499 + 710
+    source.close()
+    second.remove()
+
+
+def test_rows_that_stop_coming_are_told_unless_none_is_due(
+    memory: Path, rec: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr("rthyb_rt.live.sources.time.monotonic", lambda: now[0])
+    ring = Ring.create(memory, rec, 4096)
+    source = LiveSource(ring.path, None)
+
+    def told(after_s: float) -> tuple[bool, float]:
+        now[0] += after_s
+        source.poll()
+        status = source.status()
+        return status["flows"], status["still_s"]
+
+    # Its process has not come to a first tick.
+    assert told(5.0) == (True, 0.0)
+    ring.push(rows(0, 500))
+    assert told(5.0) == (True, 0.0)
+    assert told(0.5) == (True, 0.5)
+    assert told(2.5) == (False, 3.0)
+    ring.push(rows(500, 500))
+    # A view that stalled itself has not looked yet.
+    now[0] += 5.0
+    assert source.status()["still_s"] == 3.0
+    assert told(0.0) == (True, 0.0)
+    ring.push(rows(1000, 1100, TRIPPED))
+    assert told(1.0) == (True, 0.0)
+    # A ring stands still after a trip.
+    assert told(60.0) == (True, 0.0)
+    ring.push(rows(2100, 10))
+    assert told(0.1) == (True, 0.0)
+    assert told(2.0) == (False, 2.0)
+    ring.close()
+    assert told(60.0) == (True, 0.0)
+    source.close()
+
+
 def test_ring_that_lapped_the_view_leaves_a_gap(memory: Path, rec: Recording) -> None:
     ring = Ring.create(memory, rec, 1024)
     ring.push(rows(0, 100))
@@ -557,8 +624,17 @@ def test_ring_of_a_trip_says_its_first_cause_without_a_service(memory: Path) -> 
     source.look()
     status = source.status()
     assert (status["state"], status["cause"]) == ("TRIPPED", "force limit")
-    source.close()
     ring.remove()
+    # The ring of the next test may have its name.
+    following = Ring.create(memory, rec)
+    assert following.path == ring.path
+    following.push(rows(0, 100))
+    source.look()
+    source.poll()
+    status = source.status()
+    assert (status["state"], status["cause"]) == ("RUNNING", "")
+    source.close()
+    following.remove()
 
 
 def test_what_a_user_means_is_found_or_he_is_told(
@@ -654,12 +730,12 @@ def test_service_decides_and_its_reason_is_passed_on(memory: Path, role: Role) -
             status = told(socket, "status")
             good, text = give(socket, "zero")
             assert not good
-            assert text.startswith("Zero is for members of group rthyb-operator; uid")
+            assert text.startswith("Zero is for members of group rthyb-operator; ")
             good, text = give(socket, "stop")
             if role == Role.LOOK:
                 assert good
             else:
-                assert text.startswith("Stop is for members of group rthyb; uid")
+                assert text.startswith("Stop is for members of group rthyb; ")
                 assert not status["reachable"]
                 assert "GetStatus is for members of group rthyb" in status["trouble"]
         assert state_of(daemon) == "IDLE"
@@ -715,6 +791,54 @@ def test_service_that_is_away_is_waited_for(memory: Path) -> None:
         assert (status["reachable"], status["state"], status["role"]) == (True, "IDLE", "operate")
     source.look()
     assert not source.status()["reachable"]
+    source.close()
+
+
+def test_service_that_was_started_anew_fills_the_curves_again(memory: Path) -> None:
+    """Its ring at rest has the name of the one before."""
+    with served(memory) as daemon:
+        source = open_source(memory, memory)
+        path = daemon.engine.ring_path
+
+        def comes(after: int) -> bool:
+            source.look()
+            source.poll()
+            return source.history.last > after
+
+        until(lambda: comes(100), "rows of the rig at rest")
+    comes(0)
+    assert not source.status()["reachable"]
+    last = source.history.last
+    with served(memory) as daemon:
+        assert daemon.engine.ring_path == path
+        until(lambda: comes(last + 1000), "rows of the service that was started anew")
+        status = source.status()
+        assert (status["reachable"], status["flows"], status["state"]) == (True, True, "IDLE")
+    source.close()
+
+
+def test_ring_of_a_service_that_cannot_be_opened_is_told(
+    memory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path) -> None:
+        raise OtherVersionError("the ring has other fields", str(path))
+
+    with served(memory), monkeypatch.context() as patch:
+        patch.setattr("rthyb_rt.live.sources.ring.Reader", refuse)
+        source = open_source(memory, memory)
+
+        def told() -> dict[str, Any]:
+            source.look()
+            source.poll()
+            return source.status()
+
+        until(lambda: not told()["flows"], "the word that no row comes")
+        status = told()
+        assert (status["reachable"], status["state"]) == (True, "IDLE")
+        assert status["trouble"].endswith("the ring has other fields")
+        patch.undo()
+        until(lambda: told()["flows"], "rows")
+        assert told()["trouble"] == ""
     source.close()
 
 
@@ -868,6 +992,15 @@ def test_page_that_is_open_is_not_hung_up_on(
             time.sleep(0.6)
             opened_page.ping().wait(20.0)
             assert page(made) == 200
+
+
+def test_page_hears_even_if_there_is_nothing_new(rec: Recording) -> None:
+    """A page that hears nothing says that what it shows is old."""
+    with serving(rec) as made:
+        origin = Origin(f"http://127.0.0.1:{made.port}")
+        with connect(f"ws{made.url[4:]}socket", origin=origin) as opened_page:
+            for kind in ("hello", "status", "status", "status"):
+                assert json.loads(opened_page.recv(timeout=20.0))["kind"] == kind
 
 
 def test_fault_while_reading_ends_the_server_instead_of_a_page_that_stands_still(

@@ -198,9 +198,8 @@ class Page:
         self._socket, self._feed, self._commander = socket, feed, commander
         self._framer = Framer(feed.source.history, feed.source.fs_hz)
         self._opened: Pass = socket.scope["rthyb.pass"]
-        self._status = b""
         # What was found out before it came may be a second old: another state, other buttons.
-        self._stale = feed.said
+        self._told = feed.said
 
     async def run(self) -> None:
         """Serve the page until it goes."""
@@ -270,9 +269,10 @@ class Page:
     async def _send(self) -> None:
         """Send what is new. A page that is slow gets fewer and larger frames, and holds up none."""
         while True:
-            if self._status != self._feed.status and self._feed.said > self._stale:
-                self._status = self._feed.status
-                await self._socket.send_text(self._status.decode())
+            if self._told != self._feed.said:
+                # Also if it is the same again: a page that hears nothing says so.
+                self._told = self._feed.said
+                await self._socket.send_text(self._feed.status.decode())
             await self._send_frames()
             await self._feed.beat()
 

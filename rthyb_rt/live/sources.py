@@ -26,7 +26,8 @@ KEPT_ROWS: Final = 2 * ring.CAPACITY
 _CHUNK: Final = 2048
 _TRIPPED: Final = STATES.index("TRIPPED")
 _OFF_COURSE: Final = ("HOLD", "RAMP_OUT", "TRIPPED")
-_STILL_S: Final = 0.5
+_STILL_S: Final = 1.0
+"""No machine that is fit for a test stalls as long."""
 _ANSWER_S: Final = 2.0
 
 
@@ -113,6 +114,17 @@ def _of_folder(folder: Path) -> Source:
 
 # ---- a test that runs ---------------------------------------------------------------------------
 
+_Identity = tuple[int, int]
+"""Of a file, whatever its name: the next ring takes the lowest number that is free."""
+
+
+def _identity(path: Path) -> _Identity | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
 
 class LiveSource:
     """Rows of a ring as they come, and of the rings that follow it.
@@ -131,15 +143,18 @@ class LiveSource:
         self._place = place
         self._tally = Tally()
         self._wanted: Path | None = None
+        self._seen: _Identity | None = None
         self._reader: ring.Reader | None = None
+        # While it is mapped no other file can be given the same.
+        self._held: _Identity | None = None
         self._at_rest = False
         self._offset: int | None = None
         self._began = False
-        self._came_s = 0.0
-        self._trouble = ""
+        self._came_s = self._polled_s = time.monotonic()
+        self._shut = self._unanswered = ""
         self._client: Client | None = None
         self._service: dict[str, Any] | None = None
-        self._cause: tuple[Path | None, str] = (None, "")
+        self._cause: tuple[_Identity | None, str] = (None, "")
         self.look()
 
     # ---- rows -----------------------------------------------------------------------------------
@@ -147,20 +162,41 @@ class LiveSource:
     def poll(self) -> None:
         """Take the rows that are new; turn to another ring where there is one."""
         self._drain()
-        if self._wanted is not None and (self._reader is None or self._reader.path != self._wanted):
-            self._turn_to(self._wanted)
+        if self._wanted is not None and (self._reader is None or self._replaced()):
+            self._turn_to(self._wanted, self._seen)
             self._drain()
+        self._polled_s = time.monotonic()
+        if not self._due():
+            self._came_s = self._polled_s
 
-    def _turn_to(self, path: Path) -> None:
+    def _due(self) -> bool:
+        """Whether rows should come: of a process that has a test, of a service also at rest."""
+        reader = self._reader
+        if reader is not None and reader.frozen and not self._replaced():
+            return False
+        if self.socket is not None:
+            return self._service is not None
+        return reader is not None and reader.alive and reader.pushed > 0
+
+    def _replaced(self) -> bool:
+        """Whether the ring that is wanted is there, and another one than that which is read."""
+        return self._seen is not None and self._seen != self._held
+
+    def _turn_to(self, path: Path, seen: _Identity | None) -> None:
         try:
             reader = ring.Reader(path)
-        except InputError as error:
+        except (InputError, OSError) as error:
             # It may have gone again by now; the next look tells.
-            self._trouble = str(error)
+            self._shut = str(error)
+            return
+        if _identity(path) != seen:
+            # What was found out with the last look is of another ring.
+            reader.close()
             return
         if self._reader is not None:
             self._reader.close()
-        self._reader, self._trouble, self._offset = reader, "", None
+        self._reader, self._held, self._shut, self._offset = reader, seen, "", None
+        self._came_s = time.monotonic()
         service = self._service
         self._at_rest = service is not None and not service["run_id"]
         if not self._at_rest:
@@ -175,6 +211,7 @@ class LiveSource:
         if reader is None:
             return
         while (rows := reader.read(_CHUNK).samples).size:
+            self._came_s = time.monotonic()
             if self._at_rest:
                 # A trip stays on the screen until somebody resets it.
                 rows = rows[rows["state"] != _TRIPPED]
@@ -200,7 +237,6 @@ class LiveSource:
         if running.size and not self._began:
             self.zero, self._began = int(at[running[0]]), True
         self.history.append(at, channels(rows), rows["state"])
-        self._came_s = time.monotonic()
 
     # ---- what takes its time --------------------------------------------------------------------
 
@@ -211,10 +247,12 @@ class LiveSource:
             self._wanted = Path(self._service["ring"])
         elif self._place.is_dir():
             # A ring may go while it is looked at.
-            with contextlib.suppress(FileNotFoundError, InputError):
-                self._wanted = _newest(self._place, self._wanted)
+            with contextlib.suppress(OSError, InputError):
+                self._wanted = _newest(self._place, self._wanted, self._held)
         else:
             self._wanted = self._place
+        if self._wanted is not None and (self.socket is None or self._service is not None):
+            self._seen = _identity(self._wanted)
         if self._service is None:
             self._find_cause()
 
@@ -227,7 +265,7 @@ class LiveSource:
             return found
         except (UnreachableError, Refusal) as error:
             self._hang_up()
-            self._trouble = str(error)
+            self._unanswered = str(error)
             return None
 
     def _hang_up(self) -> None:
@@ -237,13 +275,15 @@ class LiveSource:
 
     def _find_cause(self) -> None:
         """Compute what no row says: which limit it was."""
-        path, (known, cause) = self._wanted, self._cause
-        if path is None or self.state not in _OFF_COURSE or (known == path and cause):
+        path, held, (known, cause) = self._wanted, self._held, self._cause
+        if path is None or self.state not in _OFF_COURSE or (known == held and cause):
+            return
+        if self._seen != held:
             return
         # Its process may be writing beside it; what is not there now comes later.
         with contextlib.suppress(RthybError):
             found = realtime.first_cause(ring.recover(path).recording)
-            self._cause = (path, "" if found == "none" else found)
+            self._cause = (held, "" if found == "none" else found)
 
     @property
     def state(self) -> str:
@@ -255,13 +295,14 @@ class LiveSource:
     def status(self) -> dict[str, Any]:
         """Return what there is to say besides the rows."""
         service = self._service
-        flows = time.monotonic() - self._came_s < _STILL_S
+        # What has come since the last poll nobody knows yet.
+        still_s = max(self._polled_s - self._came_s, 0.0)
         told = _nothing() if service is None else _of_service(service)
         if self.socket is None:
             known, cause = self._cause
             told |= {
                 "state": self.state,
-                "cause": in_words(cause) if cause and known == self._wanted else "",
+                "cause": in_words(cause) if cause and known == self._held else "",
                 "test": "" if self._wanted is None else self._wanted.name,
                 "ended": self._reader is not None and not self._reader.alive,
                 "end_reason": self._end(),
@@ -271,8 +312,9 @@ class LiveSource:
         return told | {
             "mode": "ring" if self.socket is None else "service",
             "reachable": self.socket is None or service is not None,
-            "trouble": self._trouble if service is None else "",
-            "flows": flows,
+            "trouble": self._unanswered if self.socket and service is None else self._shut,
+            "flows": still_s < _STILL_S,
+            "still_s": still_s,
             "role": "" if self.socket is None else _role(self.socket),
             "counters": [*_counters(self._tally), *told["counters"]],
             "wake": _wake(self._tally),
@@ -291,14 +333,19 @@ class LiveSource:
             self._reader.close()
 
 
-def _newest(folder: Path, present: Path | None) -> Path | None:
+def _newest(folder: Path, present: Path | None, held: _Identity | None) -> Path | None:
     """Return the newest ring that a process fills, else the newest; ``present`` if none is newer.
 
+    Args:
+        folder: of the rings.
+        present: the ring that was wanted so far.
+        held: the file that is read; another one of the name of ``present`` is newer.
+
     Raises:
-        FileNotFoundError, InputError: a ring went, or is not whole yet.
+        OSError, InputError: a ring went, or is not whole yet.
     """
     rings = ring.find(folder)
-    if not rings or rings[-1] == present:
+    if not rings or (rings[-1] == present and _identity(present) == held):
         return present
     for path in reversed(rings):
         with ring.Reader(path) as reader:
@@ -484,7 +531,8 @@ class PastSource:
             "mode": "past",
             "reachable": True,
             "trouble": "",
-            "flows": False,
+            "flows": True,
+            "still_s": 0.0,
             "role": "",
             "wake": _wake(self._tally),
         }

@@ -6,6 +6,8 @@ anywhere but this PC (see `open_page`).
 
 from __future__ import annotations
 
+import json
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,14 +15,17 @@ from urllib.parse import urlsplit
 
 import pytest
 from live_process import live, load, paced, start
-from realtime_bench import until
+from realtime_bench import process, until
 from service_bench import await_state, status
 
 from rthyb_rt import config, experiment, recording
+from rthyb_rt.ring import Ring
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import Daemon
 
 PATIENCE_MS = 30_000
+SURE_AFTER_MS = 700
+"""A second activation that comes sooner is not taken for an answer."""
 USEFUL = "[aria-disabled=false]"
 """A button that keeps its place, whether it is of use or not."""
 
@@ -156,9 +161,50 @@ def test_operator_takes_a_test_from_zero_to_start(
     # The first click only asks back.
     assert page.text_content("[data-command=start]") == "Really start?"
     assert status(place)["state"] == "ARMED"
+    page.wait_for_timeout(SURE_AFTER_MS)
     page.click("[data-command=start]")
+    # Sent: it asks no more.
+    assert page.text_content("[data-command=start]") == "Start"
     await_state(place, "RUNNING")
     await_text(page, "#state", "RUNNING")
+
+
+def test_double_click_and_held_key_only_ask_back(
+    place: Path, view: dict[str, Any], open_page: Any
+) -> None:
+    load(place)
+    page = open_page(view["operator_url"])
+    page.click("[data-command=zero]" + USEFUL, timeout=PATIENCE_MS)
+    page.click("[data-command=arm]" + USEFUL, timeout=PATIENCE_MS)
+    start_button = "[data-command=start]" + USEFUL
+    page.wait_for_selector(start_button, timeout=PATIENCE_MS)
+    where = page.locator(".operator").bounding_box()
+    page.dblclick(start_button)
+    page.wait_for_timeout(500)
+    assert page.text_content(start_button) == "Really start?"
+    # Nothing else came under the pointer.
+    assert page.locator(".operator").bounding_box() == where
+    assert status(place)["state"] == "ARMED"
+    page.wait_for_timeout(SURE_AFTER_MS)
+    # Of another double click the first half is meant.
+    page.dblclick(start_button)
+    await_state(place, "RUNNING")
+    assert page.text_content("[data-command=start]") == "Start"
+    with Client(place / "control.sock") as client:
+        client.call("Hold")
+    resume = "[data-command=resume]"
+    page.wait_for_selector(resume + USEFUL, timeout=PATIENCE_MS)
+    page.focus(resume)
+    page.keyboard.down("Enter")
+    for _ in range(10):
+        page.wait_for_timeout(100)
+        page.keyboard.down("Enter")
+    page.keyboard.up("Enter")
+    assert page.text_content(resume) == "Really resume?"
+    page.wait_for_timeout(500)
+    assert status(place)["state"] == "HOLD"
+    page.keyboard.press("Enter")
+    await_state(place, "RUNNING")
 
 
 def test_trip_is_shown_with_its_first_cause_and_the_curves_stay(
@@ -188,6 +234,83 @@ def test_service_that_goes_away_is_shown_and_found_again(place: Path, open_page:
             await_text(page, "#state", "IDLE")
         await_text(page, "#state", "NO SERVICE")
         await_text(page, "#cause", "cannot be reached")
+        page.close()
+
+
+@pytest.mark.parametrize("size", [(1280, 600), (1100, 700), (420, 800)])
+def test_nothing_is_cut_off_in_a_small_window(
+    place: Path, view: dict[str, Any], open_page: Any, size: tuple[int, int]
+) -> None:
+    start(place)
+    page = open_page(view["operator_url"], size=size)
+    await_text(page, "#state", "RUNNING")
+    page.wait_for_function("() => rthybLive.frames > 0")
+    page.wait_for_selector("[data-seconds]")
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    beyond = """() => [...document.querySelectorAll("body *")]
+        .filter(e => e.getBoundingClientRect().right > innerWidth + 0.5).map(e => e.outerHTML)"""
+    assert page.evaluate(beyond) == []
+    too_long = """() => [...document.querySelectorAll("button, #band, #test, #numbers > div")]
+        .filter(e => e.scrollWidth > e.clientWidth).map(e => e.outerHTML)"""
+    assert page.evaluate(too_long) == []
+    heights = "[...document.querySelectorAll('figure .plot')].map(e => e.clientHeight)"
+    assert min(page.evaluate(heights)) >= 100
+    overlap = """() => {
+        const boxes = [...document.querySelectorAll("figure")].map(e => e.getBoundingClientRect());
+        return boxes.some((a, i) => boxes.slice(i + 1).some(b => a.left < b.right - 1
+            && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1));
+    }"""
+    assert not page.evaluate(overlap)
+
+
+def test_rows_that_stop_coming_are_told_and_found_again(
+    place: Path, run: Path, open_page: Any
+) -> None:
+    rec = recording.open_run(run)
+    ring = Ring.create(place / "rings", rec)
+    rows = rec.samples[rec.samples["state"] == recording.RUNNING]
+    ring.push(rows[:3000])
+    with live(place / "rings", folder=place) as said:
+        page = open_page(said["url"])
+        await_text(page, "#state", "NO ROWS")
+        await_text(page, "#cause", " s no row has come: what is drawn is old.")
+        assert page.get_attribute("#band", "data-state") == "none"
+        done = iter(range(3000, 6000, 100))
+
+        def flows() -> bool:
+            at = next(done)
+            ring.push(rows[at : at + 100])
+            return bool(page.text_content("#state") == "RUNNING")
+
+        while not flows():
+            page.wait_for_timeout(100)
+        ring.close()
+        await_text(page, "#cause", "the test is over")
+        page.wait_for_timeout(1500)
+        assert page.text_content("#state") == "RUNNING"
+        page.close()
+    ring.remove()
+
+
+def test_view_that_hangs_is_told_though_its_socket_is_open(
+    place: Path, service: Daemon, open_page: Any
+) -> None:
+    with process(place, "live", "--port", "0", "--json", place / "control.sock") as made:
+        said = ""
+        while not said.endswith("}\n"):
+            said += made.line()
+        page = open_page(json.loads(said)["url"])
+        await_text(page, "#state", "IDLE")
+        # Whoever looks back, and whoever sees nothing new, hears all the same.
+        page.click("#follow")
+        page.wait_for_timeout(5000)
+        assert page.text_content("#state") == "IDLE"
+        made.signal(signal.SIGSTOP)
+        await_text(page, "#state", "NO CONNECTION")
+        await_text(page, "#cause", "Nothing has come for ")
+        assert page.get_attribute("#stop", "aria-disabled") == "true"
+        made.signal(signal.SIGCONT)
+        await_text(page, "#state", "IDLE")
         page.close()
 
 

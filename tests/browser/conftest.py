@@ -32,9 +32,9 @@ def open_page(browser: Any) -> Iterator[Open]:
     """Open pages that must have no error on the console and ask for nothing beyond this PC."""
     pages, errors, requests = [], [], []
 
-    def opened(url: str, script: str = "", **more: Any) -> Any:
+    def opened(url: str, script: str = "", size: tuple[int, int] = (1920, 1080)) -> Any:
         """Open a page; the script is of the tests, and runs before those of the page."""
-        page = browser.new_page(viewport={"width": 1920, "height": 1080}, **more)
+        page = browser.new_page(viewport={"width": size[0], "height": size[1]})
         page.add_init_script(script)
         pages.append(page)
         page.on("console", lambda said: errors.append(said.text) if said.type != "log" else None)

@@ -4,13 +4,15 @@ import { Histogram, INK, LoopChart, Outline, TimeChart, text } from "./charts.js
 import { NO_STATE, OUTLINE, Store, connect } from "./stream.js";
 
 const CHANNEL = { command: 0, sent: 1, measured: 2, tracking: 3, force: 4, alpha: 5, stiffness: 6, energy: 7 };
-const STILL_MS = 1000, NUMBERS_MS = 200, SURE_MS = 4000, ANSWER_MS = 8000, LEAST_S = 0.05;
+const STILL_MS = 1000, NUMBERS_MS = 200, SURE_MS = 4000, SURE_AFTER_MS = 600, ANSWER_MS = 8000, LEAST_S = 0.05;
+const LOOK_MS = 500, DEAF_LOOKS = 8;
 const SLOW = [CHANNEL.alpha, CHANNEL.stiffness, CHANNEL.energy];
 const $ = (id) => document.getElementById(id);
 
 let hello = null, status = null, store = null, send = () => false, connected = false;
 let following = true, seconds = 10, shown = [0, 0], playing = 0;
 let dirty = false, numbersDue = 0, rowsCame = 0, lastRow = -1, shownState = NO_STATE;
+let heard = 0, deafLooks = 0;
 
 // What the tests and the benchmark look at: newest row painted, and when (Unix time, ms).
 const drawn = [];
@@ -95,12 +97,16 @@ function numbers(values) {
 
 function flows() { return connected && performance.now() - rowsCame < STILL_MS; }
 
+// An open socket is no proof: behind it may be a tunnel whose network has gone.
+function deaf() { return deafLooks >= DEAF_LOOKS && !hello.past; }
+
 // State and first cause: of the newest row while rows come, else as the service says.
 function tell() {
   if (!hello) return;
   const of = (number) => (number === NO_STATE ? "" : hello.states[number] || "");
   let state = of(shownState), cause = "", words = "";
   if (!connected) { state = "none"; words = "NO CONNECTION"; cause = "What is drawn is old. rthyb live has ended, or the way to it."; }
+  else if (deaf()) { state = "none"; words = "NO CONNECTION"; cause = `Nothing has come for ${ago(performance.now() - heard)}. What is drawn is old.`; }
   else if (status && !status.reachable) { state = "none"; words = "NO SERVICE"; cause = status.trouble || "rthyb serve does not answer."; }
   else if (status) {
     // Whoever looks back must still see what is now.
@@ -115,6 +121,7 @@ function tell() {
     else if (status.ended) cause = ended(state);
     else if (state === "TRIPPED") cause = cause ? `first cause: ${cause}` : "first cause: being looked for";
     else if (state === "" && status.trouble) { state = "none"; words = "NO TEST"; cause = status.trouble; }
+    else if (!status.flows) { words = "NO ROWS"; cause = standing(state); state = "none"; }
     else if (state === "") words = "WAITING";
     else if (state === "IDLE" && status.last && status.last.end_reason !== "completed") cause = `last test ${status.last.end_reason}`;
     else if (cause && state !== "RAMP_OUT" && state !== "HOLD") cause = "";
@@ -125,6 +132,18 @@ function tell() {
   if ($("cause").textContent !== cause) $("cause").textContent = cause;
   $("band").dataset.state = state;
   $("band").classList.toggle("off", state === "RAMP_OUT" && cause !== "");
+}
+
+// Coarser as it grows: whoever has the page read out need not hear every second.
+function ago(ms) {
+  const s = Math.floor(ms / 1000);
+  return s < 10 ? `${s} s` : s < 120 ? `${s - s % 10} s` : `${Math.floor(s / 60)} min`;
+}
+
+// The curves are old; what the service says is not.
+function standing(state) {
+  const says = status.mode === "service" && state ? ` The service says ${state.replace("_", " ")}.` : "";
+  return `${status.trouble || `For ${ago(1000 * status.still_s)} no row has come: what is drawn is old.`}${says}`;
 }
 
 function ended(state) {
@@ -146,7 +165,7 @@ function onStatus(found) {
   $("test-name").textContent = found.test || (found.mode === "service" ? "no test loaded" : "");
   const facts = [found.rig, found.link, found.created_utc, found.armed_by ? `armed by ${found.armed_by}` : ""];
   $("test-facts").textContent = facts.filter(Boolean).join(" · ");
-  document.title = `${found.state || "rthyb live"}${found.test ? ` · ${found.test}` : ""}`;
+  document.title = `${found.flows ? found.state || "rthyb live" : "NO ROWS"}${found.test ? ` · ${found.test}` : ""}`;
   $("progress").hidden = !found.progress;
   if (found.progress) {
     const [done, of] = found.progress;
@@ -182,7 +201,7 @@ const buttons = [...document.querySelectorAll("[data-command]")];
 function enable() {
   for (const button of buttons) {
     const command = button.dataset.command;
-    const may = connected && status && status.reachable && status.role !== "none" && hello.commands.includes(command);
+    const may = connected && !deaf() && status && status.reachable && status.role !== "none" && hello.commands.includes(command);
     const useless = !may || !status.allowed.includes(command);
     if (button.getAttribute("aria-disabled") !== String(useless)) button.setAttribute("aria-disabled", String(useless));
     button.title = useless ? why(command, may) : "";
@@ -190,7 +209,7 @@ function enable() {
 }
 
 function why(command, may) {
-  if (!connected || !status || !status.reachable) return "There is no service to tell.";
+  if (!connected || deaf() || !status || !status.reachable) return "There is no service to tell.";
   if (status.role === "none") return "The user of this live view is in no group that may do this.";
   if (!may) return "Takes the operator's address of this page.";
   return `Not in ${status.state}.`;
@@ -201,19 +220,38 @@ const SAFE = ["hold", "stop"];
 
 function mayTry(command) { return SAFE.includes(command) && connected && status && status.reachable && status.role !== "none"; }
 
-function give(button) {
+// One activation more than was meant must not start a test: not a double click, nor a key that is held.
+const asking = { button: null, since: 0, label: "", timer: 0 };
+
+function askBack(button) {
+  settle();
+  // Its words change and its size does not: no other button comes under the pointer.
+  const { width, height } = button.getBoundingClientRect();
+  Object.assign(button.style, { flex: "none", width: `${width}px`, height: `${height}px` });
+  Object.assign(asking, { button, label: button.textContent, timer: setTimeout(settle, SURE_MS), since: performance.now() });
+  button.classList.add("sure");
+  button.textContent = button.dataset.sure;
+}
+
+function settle() {
+  if (!asking.button) return;
+  clearTimeout(asking.timer);
+  asking.button.classList.remove("sure");
+  asking.button.textContent = asking.label;
+  Object.assign(asking.button.style, { flex: "", width: "", height: "" });
+  asking.button = null;
+}
+
+function give(button, { detail, timeStamp }) {
   const { command, sure } = button.dataset;
   if (button.getAttribute("aria-disabled") === "true" && !mayTry(command)) {
     answer({ ok: false, text: button.title });
     return;
   }
-  if (sure && !button.classList.contains("sure")) {
-    const label = button.textContent;
-    button.classList.add("sure");
-    button.textContent = sure;
-    setTimeout(() => { button.classList.remove("sure"); button.textContent = label; }, SURE_MS);
-    return;
-  }
+  if (sure && detail > 1) return;
+  if (sure && asking.button !== button) { askBack(button); return; }
+  if (sure && timeStamp - asking.since < SURE_AFTER_MS) return;
+  settle();
   if (!send({ command })) answer({ ok: false, text: "Not sent: there is no connection" });
 }
 
@@ -225,7 +263,10 @@ function answer({ ok, text: words }) {
   $("answer").className = ok ? "" : "bad";
 }
 
-for (const button of buttons) button.addEventListener("click", () => give(button));
+for (const button of buttons) {
+  button.addEventListener("click", (event) => give(button, event));
+  button.addEventListener("keydown", (event) => { if (event.repeat && event.key === "Enter") event.preventDefault(); });
+}
 
 // ---- what is shown ------------------------------------------------------------------------------
 
@@ -336,8 +377,11 @@ document.addEventListener("keydown", (event) => {
 
 // ---- the socket ---------------------------------------------------------------------------------
 
+function hears() { heard = performance.now(); deafLooks = 0; }
+
 send = connect({
   hello(found) {
+    hears();
     connected = true;
     const again = hello !== null;
     hello = found;
@@ -354,9 +398,10 @@ send = connect({
     press();
     ask(true);
   },
-  status: onStatus,
+  status(found) { hears(); onStatus(found); },
   answer,
   frame(frame) {
+    hears();
     if (frame.kind === OUTLINE) { outline.window = shown; outline.show(frame); return; }
     if (frame.last !== lastRow) { lastRow = frame.last; rowsCame = performance.now(); }
     shownState = frame.state;
@@ -370,8 +415,14 @@ send = connect({
   },
 });
 
-// When nothing comes, that is to be seen as well.
-setInterval(() => { if (hello) tell(); }, 500);
+// When nothing comes, that is to be seen as well. Looks are counted, not time: a page that the browser
+// has put to sleep looks once, then hears what has come meanwhile.
+setInterval(() => {
+  deafLooks++;
+  if (!hello) return;
+  tell();
+  if (deafLooks === DEAF_LOOKS) enable();
+}, LOOK_MS);
 
 let resized = 0;
 addEventListener("resize", () => { clearTimeout(resized); resized = setTimeout(() => { if (hello) ask(true); }, 200); });
