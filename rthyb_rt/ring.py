@@ -86,10 +86,24 @@ def session_path(ring: Path) -> Path:
     return ring.with_name(ring.name + _SESSION)
 
 
+def delete(ring: Path) -> None:
+    """Delete a ring and its session.
+
+    The session first: as soon as the ring has gone another one may have its name, and a session.
+    """
+    for path in (session_path(ring), ring):
+        path.unlink(missing_ok=True)
+
+
 def find(folder: Path) -> list[Path]:
     """Return the rings in a folder, the newest last."""
-    rings = [path for path in folder.glob("ring.*") if _is_ring_name(path.name)]
-    return sorted(rings, key=lambda path: path.stat().st_mtime)
+    made_s = {}
+    for path in folder.glob("ring.*"):
+        # One may go while they are looked at.
+        with suppress(FileNotFoundError):
+            if _is_ring_name(path.name):
+                made_s[path] = path.stat().st_mtime
+    return sorted(made_s, key=made_s.__getitem__)
 
 
 def _is_ring_name(name: str) -> bool:
@@ -197,8 +211,7 @@ class Ring:
     def remove(self) -> None:
         """Close the ring and delete it with its session: the recording has all of it."""
         self.close()
-        for path in (self.path, session_path(self.path)):
-            path.unlink(missing_ok=True)
+        delete(self.path)
 
 
 def _description(fs_hz: float) -> dict[str, Any]:

@@ -960,6 +960,24 @@ def test_rings_that_lie_about_are_listed_whatever_is_wrong_with_them(
     assert rthyb("recover", "--out", "x").code == 2
 
 
+def test_ring_that_goes_while_rings_are_looked_for_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, session: Recording
+) -> None:
+    """The recorder looks for rings all the time, while daemons delete theirs."""
+    stays, goes = (Ring.create(tmp_path, session, 64) for _ in range(2))
+    look = Path.stat
+
+    def gone(path: Path, *, follow_symlinks: bool = True) -> os.stat_result:
+        if path == goes.path:
+            goes.remove()
+        return look(path, follow_symlinks=follow_symlinks)
+
+    monkeypatch.setattr(Path, "stat", gone)
+    assert ring.find(tmp_path) == [stays.path]
+    stays.remove()
+    assert list(tmp_path.iterdir()) == []
+
+
 def rings_listed(rthyb: Rthyb) -> list[dict[str, object]]:
     answer = rthyb("recover", "--json")
     assert answer.code == 0

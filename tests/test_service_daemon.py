@@ -383,17 +383,20 @@ def test_service_that_is_told_to_end_stops_what_moves_all_the_same(tmp_path: Pat
 def test_rings_at_rest_of_killed_daemons_are_cleared_and_no_others(tmp_path: Path) -> None:
     """Each has 10 MB of memory; that of a test is the recorder's, and one in use is somebody's."""
     made = {}
-    for name, purpose in (("dead", "rest"), ("test", "test"), ("alive", "rest")):
+    named = (("dead", "rest"), ("bare", "test"), ("test", "test"), ("alive", "rest"))
+    for name, purpose in named:
         session = made_up()
         session.meta["service"] = {"run_id": name, "purpose": purpose, "digest": ""}
         made[name] = Ring.create(tmp_path, session, 64)
-    for name in ("dead", "test"):
+    for name in ("dead", "bare", "test"):
         # As a kill leaves it.
         made[name]._owned.close()
+    session_path(made["bare"].path).unlink()
     torn = tmp_path / "ring.0.9"
     torn.write_bytes(b"torn")
     daemons._clear_rests(tmp_path)
     assert not made["dead"].path.exists()
+    assert not made["bare"].path.exists()
     assert not session_path(made["dead"].path).exists()
     for name in ("test", "alive"):
         assert made[name].path.exists()

@@ -390,7 +390,8 @@ def stop(
     """
     with _client(socket) as client:
         client.call("Stop", now=now)
-    _say("stop", "Tripped" if now else "Stopping", as_json)
+        rests = client.call("GetStatus")["status"]["state"] == "IDLE"
+    _say("stop", "Tripped" if now else "At rest" if rests else "Stopping", as_json)
 
 
 @ctl.command()

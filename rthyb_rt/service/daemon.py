@@ -612,11 +612,15 @@ def _clear_rests(folder: Path) -> None:
         with contextlib.suppress(RthybError, OSError, KeyError, TypeError):
             with ring.Reader(path) as reader:
                 alive = reader.alive
-            place = ring.session_path(path)
-            about = recording.read(place, rows=False).meta["service"]
-            if not alive and about["purpose"] == "rest":
-                place.unlink(missing_ok=True)
-                path.unlink(missing_ok=True)
+            if not alive and _is_of_no_use(ring.session_path(path)):
+                ring.delete(path)
+
+
+def _is_of_no_use(session: Path) -> bool:
+    """Whether a dead ring with this session is one at rest, or has lost its session to a kill."""
+    if not session.exists():
+        return True
+    return bool(recording.read(session, rows=False).meta["service"]["purpose"] == "rest")
 
 
 def _to_log(event: Event) -> None:

@@ -310,7 +310,7 @@ class Tape:
         if not self._moved:
             self.close()
             self.file.discard()
-            _remove_ring(self.path)
+            ring.delete(self.path)
             return None
         session = _session(self.path)
         final = self._completed(session, closed)
@@ -356,12 +356,6 @@ def _skips(file: GrowingFile) -> NDArray[np.int64]:
 
 class _NotOursError(InputError):
     """A ring that is not of a test of the service: nobody wants it recorded."""
-
-
-def _remove_ring(ring_path: Path) -> None:
-    """Delete a ring and its session: the recording has all of it."""
-    for path in (ring_path, ring.session_path(ring_path)):
-        path.unlink(missing_ok=True)
 
 
 def _session(path: Path) -> Recording:
@@ -658,7 +652,7 @@ class Recorder:
         folder = _folder(self.runs, session)
         if (folder / FILE_NAME).exists():
             self._tidy(folder)
-            _remove_ring(path)
+            ring.delete(path)
             return
         tape = self._tapes[path] = Tape(path, folder, session)
         how = f"goes on at row {tape.file.next_row}" if tape.file.resumed else "recording"
@@ -699,7 +693,7 @@ class Recorder:
             log.info("%s: nothing moved, nothing is kept", path.name)
             return
         _append_to_index(self.runs, entry)
-        _remove_ring(path)
+        ring.delete(path)
         log.info("%s: %s, %d rows", entry["folder"], entry["end_reason"], entry["rows"])
 
     def status(self) -> Status:
