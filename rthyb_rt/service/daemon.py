@@ -617,7 +617,7 @@ def _clear_rests(folder: Path) -> None:
 
 
 def _is_of_no_use(session: Path) -> bool:
-    """Whether a dead ring with this session is one at rest, or has lost its session to a kill."""
+    """Whether a dead ring is one at rest, by its session, or has lost that to a kill."""
     if not session.exists():
         return True
     return bool(recording.read(session, rows=False).meta["service"]["purpose"] == "rest")
