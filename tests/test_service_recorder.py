@@ -855,31 +855,39 @@ def test_disk_that_is_slower_than_the_rows_come_does_not_hold_the_recorder(
     assert_same(recording.open_run(the_run(place)).samples, rows)
 
 
+class Stuck:
+    """A disk whose fsync does not come back until it is let go; ``met``: somebody waits for it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.met, self._free, self._fsync = threading.Event(), threading.Event(), os.fsync
+        monkeypatch.setattr(os, "fsync", self._sync)
+
+    def _sync(self, fd: int) -> None:
+        self.met.set()
+        assert self._free.wait(60.0)
+        self._fsync(fd)
+
+    def let_go(self) -> None:
+        self._free.set()
+
+
 def test_recorder_that_waits_for_its_disk_from_the_first_moment_on_is_alive(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stuck, let_go = threading.Event(), threading.Event()
-    fsync = os.fsync
-
-    def slow(fd: int) -> None:
-        stuck.set()
-        assert let_go.wait(60.0)
-        fsync(fd)
-
     made = Producer(place)
     made.push(truth(300))
-    monkeypatch.setattr(os, "fsync", slow)
+    disk_is = Stuck(monkeypatch)
     with recorder(place) as working:
         beginning = threading.Thread(target=working.turn)
         beginning.start()
-        assert stuck.wait(60.0)
+        assert disk_is.met.wait(60.0)
 
         def told() -> bool:
             found = read_status(place / "rings")
             return found is not None and found.alive and "beginning has taken" in found.fault
 
         until(told, "a word on the disk")
-        let_go.set()
+        disk_is.let_go()
         beginning.join()
         made.end()
         turns(working)
@@ -891,13 +899,6 @@ def test_recorder_says_that_its_disk_is_slow_while_it_waits_for_it(
 ) -> None:
     """It is alive all the time, and what was pushed meanwhile is written afterwards."""
     rows = truth(3000)
-    stuck, let_go = threading.Event(), threading.Event()
-    fsync = os.fsync
-
-    def slow(fd: int) -> None:
-        stuck.set()
-        assert let_go.wait(60.0)
-        fsync(fd)
 
     def said() -> recorders.Status:
         found = read_status(place / "rings")
@@ -909,11 +910,11 @@ def test_recorder_says_that_its_disk_is_slow_while_it_waits_for_it(
         made.push(rows[:1000])
         working.turn()
         assert said().fault == ""
-        monkeypatch.setattr(os, "fsync", slow)
+        disk_is = Stuck(monkeypatch)
         working._synced_s = 0.0
         writing = threading.Thread(target=working.turn)
         writing.start()
-        assert stuck.wait(60.0)
+        assert disk_is.met.wait(60.0)
         made.push(rows[1000:])
         slow_s = "writing has taken over {} s: is the disk slow or stuck?"
         until(lambda: said().fault == slow_s.format(1), "a word on the disk")
@@ -925,8 +926,7 @@ def test_recorder_says_that_its_disk_is_slow_while_it_waits_for_it(
         assert not said().hinders
         monkeypatch.setattr(recorders, "_STUCK_S", 2.0)
         until(lambda: said().hinders, "a disk that passes for stuck")
-        monkeypatch.setattr(os, "fsync", fsync)
-        let_go.set()
+        disk_is.let_go()
         writing.join()
         # A while it is said all the same: each second may be as slow.
         working._said_s = 0.0

@@ -388,9 +388,14 @@ def stop(
 
     This is no emergency stop: that one is hard-wired.
     """
+    from rthyb_rt.errors import RthybError
+
     with _client(socket) as client:
         client.call("Stop", now=now)
-        rests = client.call("GetStatus")["status"]["state"] == "IDLE"
+        rests = False
+        # The stop is given: a service that goes meanwhile makes no failure of it.
+        with contextlib.suppress(RthybError):
+            rests = client.call("GetStatus")["status"]["state"] == "IDLE"
     _say("stop", "Tripped" if now else "At rest" if rests else "Stopping", as_json)
 
 

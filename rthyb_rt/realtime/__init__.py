@@ -7,13 +7,12 @@ With the stepped clock the same test runs tick by tick on the caller's word, whi
 
 from rthyb_rt.realtime.conducting import FEEDBACK_S, Operator, no_feedback, run
 from rthyb_rt.realtime.endings import TIMING_CAUSES, RefusedError, TimingError, end_reason
-from rthyb_rt.realtime.keeper import GOOD_PAIRS, LOOK_BACK_TICKS, RECORDER_PERIOD_S
+from rthyb_rt.realtime.keeper import LOOK_BACK_TICKS, RECORDER_PERIOD_S, follows
 from rthyb_rt.realtime.replaying import first_cause, replay
 from rthyb_rt.realtime.session import NEEDED, SET_REFUSED, Session, histogram, link_delay
 
 __all__ = [
     "FEEDBACK_S",
-    "GOOD_PAIRS",
     "LOOK_BACK_TICKS",
     "NEEDED",
     "RECORDER_PERIOD_S",
@@ -25,6 +24,7 @@ __all__ = [
     "TimingError",
     "end_reason",
     "first_cause",
+    "follows",
     "histogram",
     "link_delay",
     "no_feedback",

@@ -307,6 +307,21 @@ def _not_zeroed(session: Session, tare_s: float) -> str:
     )
 
 
+def _no_more(recent: NDArray[np.uint32]) -> str:
+    """Return in words why pairs that came do not count any more."""
+    if (recent & FLAGS["stopped"]).any():
+        return (
+            "the drive reports that it has stopped, and does not follow; release it at its own "
+            "panel, and look why it stopped"
+        )
+    if (recent & FLAGS["fresh"]).any():
+        return "the feedback was interrupted a moment ago; try again"
+    return (
+        "the drive has gone silent: no pair of displacement and force comes any more; is it "
+        "switched on, and its cable in place?"
+    )
+
+
 def no_feedback(session: AtLink) -> str:
     """Return in words why good pairs of a drive that follows do not come."""
     if session.opened.failure is not None:
@@ -314,19 +329,8 @@ def no_feedback(session: AtLink) -> str:
     counters, pieces = session.wire.counters(), session.link.counters()["pieces_in"]
     if session.link.down != "up":
         return f"the link is down ({session.link.down}); check cable, power and interface"
-    recent = session.recent_flags
-    if counters["pairs"] and (recent & FLAGS["stopped"]).any():
-        return (
-            "the drive reports that it has stopped, and does not follow; release it at its own "
-            "panel, and look why it stopped"
-        )
-    if counters["pairs"] and (recent & FLAGS["fresh"]).any():
-        return "the feedback was interrupted a moment ago; try again"
     if counters["pairs"]:
-        return (
-            "the drive has gone silent: no pair of displacement and force comes any more; is it "
-            "switched on, and its cable in place?"
-        )
+        return _no_more(session.recent_flags)
     if counters["frames"] or pieces:
         bad = {k: n for k, n in counters.items() if n and k not in ("sent", "frames", "stale")}
         told = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in bad.items())

@@ -36,6 +36,12 @@ _CHUNK = 256
 _NOT_FOLLOWING: Final = FLAGS["stopped"] | FLAGS["down"]
 
 
+def follows(flags: NDArray[np.uint32]) -> bool:
+    """Return whether good pairs come, of a drive that obeys, by the flags of the newest rows."""
+    fresh = np.count_nonzero(flags & FLAGS["fresh"])
+    return bool(fresh >= GOOD_PAIRS and not (flags & _NOT_FOLLOWING).any())
+
+
 class Keeper:
     """Reads the ring again and again, keeps every record, and gives the sign of life.
 
@@ -101,9 +107,7 @@ class Keeper:
         return self._recent
 
     def follows(self) -> bool:
-        recent = self._recent
-        fresh = np.count_nonzero(recent & FLAGS["fresh"])
-        return bool(fresh >= GOOD_PAIRS and not (recent & _NOT_FOLLOWING).any())
+        return follows(self._recent)
 
     def check(self) -> None:
         """Raise what went wrong.

@@ -30,13 +30,13 @@ from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.links.wire import Wire
 from rthyb_rt.loop import Clock, Link, Loop
 from rthyb_rt.realtime import (
-    GOOD_PAIRS,
     LOOK_BACK_TICKS,
     NEEDED,
     SET_REFUSED,
     RefusedError,
     TimingError,
     end_reason,
+    follows,
     histogram,
     link_delay,
     no_feedback,
@@ -53,7 +53,6 @@ TURN_S: Final = 0.02
 _AT_REST: Final = ("IDLE", "ZEROED", "ARMED")
 RELOAD_IN: Final = ("IDLE", "ZEROED", "HOLD")
 """States in which limits may change: at rest and not armed, or held."""
-_NOT_FOLLOWING: Final = FLAGS["stopped"] | FLAGS["down"]
 _AFTER_TICKS: Final = 103
 """Rows at rest behind a test that are kept with it: a tenth of a second."""
 _TARE_MARGIN_S: Final = 2.0
@@ -402,8 +401,7 @@ class Engine:
 
     def follows(self) -> bool:
         """Whether good pairs come, of a drive that obeys."""
-        fresh = np.count_nonzero(self._recent & FLAGS["fresh"])
-        return bool(fresh >= GOOD_PAIRS and not (self._recent & _NOT_FOLLOWING).any())
+        return follows(self._recent)
 
     # ---- time -----------------------------------------------------------------------------------
 

@@ -149,13 +149,19 @@ def test_page_is_told_nothing_that_was_found_out_before_it_was_opened(
     assert page.evaluate("held") == ["true", "false"]
 
 
-def test_operator_takes_a_test_from_zero_to_start(
-    place: Path, view: dict[str, Any], open_page: Any
-) -> None:
+def armed(place: Path, view: dict[str, Any], open_page: Any) -> Any:
+    """Return an operator's page on which a test was zeroed and armed."""
     load(place)
     page = open_page(view["operator_url"])
     page.click("[data-command=zero]" + USEFUL, timeout=PATIENCE_MS)
     page.click("[data-command=arm]" + USEFUL, timeout=PATIENCE_MS)
+    return page
+
+
+def test_operator_takes_a_test_from_zero_to_start(
+    place: Path, view: dict[str, Any], open_page: Any
+) -> None:
+    page = armed(place, view, open_page)
     await_text(page, "#state", "ARMED")
     page.click("[data-command=start]" + USEFUL, timeout=PATIENCE_MS)
     # The first click only asks back.
@@ -172,10 +178,7 @@ def test_operator_takes_a_test_from_zero_to_start(
 def test_double_click_and_held_key_only_ask_back(
     place: Path, view: dict[str, Any], open_page: Any
 ) -> None:
-    load(place)
-    page = open_page(view["operator_url"])
-    page.click("[data-command=zero]" + USEFUL, timeout=PATIENCE_MS)
-    page.click("[data-command=arm]" + USEFUL, timeout=PATIENCE_MS)
+    page = armed(place, view, open_page)
     start_button = "[data-command=start]" + USEFUL
     page.wait_for_selector(start_button, timeout=PATIENCE_MS)
     where = page.locator(".operator").bounding_box()

@@ -10,7 +10,7 @@ import re
 import signal
 import stat
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
@@ -20,6 +20,7 @@ import h5py
 import numpy as np
 import pytest
 from realtime_bench import STATE, until
+from test_links_socketcan import Adapter
 from test_service_daemon import Stalled, assert_drive_heard, require_calm
 from vm.systemd import lab as labs
 from vm.systemd.lab import (
@@ -125,7 +126,8 @@ def test_can_adapter_that_is_plugged_in_is_set_up_and_pulled_out_it_leaves_nothi
     def is_state(state: str) -> bool:
         return shown(unit, "ActiveState") == state
 
-    with labs.can_adapter() as name:
+    with closing(Adapter()) as adapter:
+        name = adapter.name
         assert name == "can0"
         until(lambda: is_state("active"), unit)
         found = labs.interface(name)
@@ -139,7 +141,7 @@ def test_can_adapter_that_is_plugged_in_is_set_up_and_pulled_out_it_leaves_nothi
         systemctl("start", unit)
     until(lambda: is_state("inactive"), "the end of its unit")
     assert systemctl("--failed", "--no-legend", "--plain") == ""
-    with labs.can_adapter() as name:
+    with closing(Adapter()):
         until(lambda: is_state("active"), "its unit, once more")
         assert re.search(f"{up}.* bitrate 1000000 ", labs.interface(name))
     until(lambda: is_state("inactive"), "the end of its unit")

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import pwd
-import struct
 import subprocess
 import sys
 import sysconfig
-import threading
 import time
-import tty
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -48,7 +44,6 @@ ATTEMPTS = 5
 SPARE = 10
 """Attempts that may come to nothing in one boot before two have to do for each scenario."""
 LIVE_USER = "rthyb-live"
-N_SLCAN, TIOCSETD, SIOCGIFNAME = 17, 0x5423, 0x8910
 LOOKER, OPERATOR, STRANGER = "alice", "olga", "erin"
 
 LINK = """
@@ -173,32 +168,6 @@ def _becoming(name: str) -> list[str | Path]:
 def _session(name: str) -> dict[str, Any]:
     home = pwd.getpwnam(name).pw_dir
     return {"env": {**os.environ, "HOME": home, "USER": name}, "cwd": "/", "text": True}
-
-
-@contextmanager
-def can_adapter() -> Iterator[str]:
-    """Plug a serial CAN adapter in, the kernel's slcan; at the end pull it out again."""
-    line, end = os.openpty()
-    tty.setraw(end)
-    os.set_blocking(line, False)
-    over = threading.Event()
-
-    def hear() -> None:
-        while not over.wait(0.02):
-            with suppress(BlockingIOError):
-                os.read(line, 4096)
-
-    hearing = threading.Thread(target=hear)
-    hearing.start()
-    try:
-        fcntl.ioctl(end, TIOCSETD, struct.pack("i", N_SLCAN))
-        name = fcntl.ioctl(end, SIOCGIFNAME, bytes(16))
-        yield name.split(b"\0")[0].decode()
-    finally:
-        over.set()
-        hearing.join()
-        os.close(end)
-        os.close(line)
 
 
 def interface(name: str) -> str:
