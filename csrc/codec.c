@@ -5,8 +5,8 @@
 
 #include "numeric.h"
 
-#define UNIT_X_M RTHYB_RAW_X_M
-#define UNIT_F_N RTHYB_RAW_F_N
+#define UNIT_X_M 1e-9 /* of our own frames */
+#define UNIT_F_N 1e-3
 #define NO_NUMBER INT32_MIN /* of a displacement or force on our own wire */
 #define CAN_LENGTH 8
 #define CAN_CRC_AT 7
@@ -268,8 +268,17 @@ static int is_frame(const rthyb_message *m)
 
 static int is_feedback(const rthyb_message *m, enum rthyb_field value)
 {
-    return is_frame(m) && is_value(m, value) && is_whole(m, RTHYB_FIELD_COUNT, 4) &&
+    return is_frame(m) && is_value(m, value) &&
+           is_whole(m, RTHYB_FIELD_COUNT, RTHYB_COUNT_BITS_MIN) &&
            is_whole(m, RTHYB_FIELD_ECHO, 0) && is_whole(m, RTHYB_FIELD_STATUS, 0);
+}
+
+/* None, or one that fits its signal and means nothing else. */
+static int is_told(const rthyb_codec *codec, uint32_t raw, uint32_t other)
+{
+    const int32_t bits = codec->command.field[RTHYB_FIELD_STATE].length;
+    const int fits = bits >= 32 || (bits > 0 && raw >> bits == 0);
+    return raw == 0 || (fits && raw > RTHYB_TRIPPED && raw != other);
 }
 
 int rthyb_codec_check(const rthyb_codec *codec)
@@ -281,7 +290,9 @@ int rthyb_codec_check(const rthyb_codec *codec)
                      is_value(c, RTHYB_FIELD_X) && is_whole(c, RTHYB_FIELD_SEQ, 4) &&
                      is_whole(c, RTHYB_FIELD_STATE, 0) && is_feedback(x, RTHYB_FIELD_X) &&
                      is_feedback(f, RTHYB_FIELD_F) && c->id != x->id && c->id != f->id &&
-                     (x->id != f->id || x->length == f->length);
+                     (x->id != f->id || x->length == f->length) &&
+                     is_told(codec, codec->reset, codec->leaving) &&
+                     is_told(codec, codec->leaving, codec->reset);
     return good ? 0 : RTHYB_E_CODEC;
 }
 
@@ -321,25 +332,46 @@ static int recognise(const rthyb_message *m, const rthyb_frame *frame)
     return sound ? 0 : RTHYB_W_CRC;
 }
 
-static int table_put_setpoint(const rthyb_message *m, const rthyb_setpoint *setpoint,
+/* What this drive has for it; where it has nothing, nothing is to happen at it. */
+static uint32_t state_to_table(const rthyb_codec *codec, uint32_t state)
+{
+    if (state == RTHYB_TOLD_RESET)
+        return codec->reset;
+    return state == RTHYB_TOLD_LEAVING ? codec->leaving : state;
+}
+
+static uint32_t state_from_table(const rthyb_codec *codec, uint32_t raw)
+{
+    if (raw != 0 && raw == codec->reset)
+        return RTHYB_TOLD_RESET;
+    if (raw != 0 && raw == codec->leaving)
+        return RTHYB_TOLD_LEAVING;
+    /* A number of ours that this table gives no meaning has none. */
+    return raw == RTHYB_TOLD_RESET || raw == RTHYB_TOLD_LEAVING ? UINT32_MAX : raw;
+}
+
+static int table_put_setpoint(const rthyb_codec *codec, const rthyb_setpoint *setpoint,
                               rthyb_frame *frame, double *sent_m)
 {
+    const rthyb_message *m = &codec->command;
     begin(m, frame);
     put_bits(frame->data, &m->field[RTHYB_FIELD_SEQ], setpoint->seq);
-    put_bits(frame->data, &m->field[RTHYB_FIELD_STATE], setpoint->state);
+    put_bits(frame->data, &m->field[RTHYB_FIELD_STATE], state_to_table(codec, setpoint->state));
     const int code = put_value(frame->data, &m->field[RTHYB_FIELD_X], setpoint->x_m, sent_m);
     seal(m, frame);
     return code;
 }
 
-static int table_get_setpoint(const rthyb_message *m, const rthyb_frame *frame,
+static int table_get_setpoint(const rthyb_codec *codec, const rthyb_frame *frame,
                               rthyb_setpoint *setpoint)
 {
+    const rthyb_message *m = &codec->command;
     const int verdict = recognise(m, frame);
     if (verdict)
         return verdict;
     setpoint->seq = get_whole(frame->data, &m->field[RTHYB_FIELD_SEQ]);
-    setpoint->state = get_whole(frame->data, &m->field[RTHYB_FIELD_STATE]);
+    const uint32_t state = get_whole(frame->data, &m->field[RTHYB_FIELD_STATE]);
+    setpoint->state = state_from_table(codec, state);
     return get_value(frame->data, &m->field[RTHYB_FIELD_X], &setpoint->x_m);
 }
 
@@ -570,7 +602,7 @@ int rthyb_encode_setpoint(const rthyb_codec *codec, const rthyb_setpoint *setpoi
         return RTHYB_S_NOT_FINITE;
     }
     if (codec->format == RTHYB_WIRE_TABLE)
-        return table_put_setpoint(&codec->command, setpoint, frame, sent_m);
+        return table_put_setpoint(codec, setpoint, frame, sent_m);
     if (codec->format == RTHYB_WIRE_SERIAL)
         return serial_put_setpoint(setpoint, frame, sent_m);
     can_begin(RTHYB_ACT_CMD, frame);
@@ -594,7 +626,7 @@ int rthyb_decode_setpoint(const rthyb_codec *codec, const rthyb_frame *frame,
 {
     *setpoint = (rthyb_setpoint){0};
     if (codec->format == RTHYB_WIRE_TABLE)
-        return table_get_setpoint(&codec->command, frame, setpoint);
+        return table_get_setpoint(codec, frame, setpoint);
     if (codec->format == RTHYB_WIRE_SERIAL) {
         const int verdict = serial_recognise(frame, PACKET_COMMAND, PACKET_COMMAND_LENGTH);
         return verdict ? verdict : get_command(frame->data + 1, setpoint);

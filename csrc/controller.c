@@ -7,19 +7,12 @@
 #define EXTRAPOLATE_UNTIL 20 /* lost samples in a row until which the measurement is extrapolated */
 #define COMMAND_MAX_M (1e2 * RTHYB_DISPLACEMENT_MAX_M)
 
-static int limit_ok(const rthyb_limit *limit)
-{
-    return limit->value >= 0.0 && limit->value <= RTHYB_FORCE_MAX_N &&
-           limit->action >= RTHYB_NONE && limit->action <= RTHYB_TRIP_TEST;
-}
-
 int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cfg)
 {
     if (!(cfg->period_s > 0.0 && cfg->period_s <= 1.0) ||
         cfg->estimator.period_s != cfg->period_s || cfg->motion.period_s != cfg->period_s)
         return RTHYB_E_PERIOD;
-    if (!limit_ok(&cfg->position) || !limit_ok(&cfg->force) || !limit_ok(&cfg->tracking) ||
-        !(cfg->velocity_limit_m_per_s >= 0.0 && cfg->acceleration_limit_m_per_s2 >= 0.0 &&
+    if (!(cfg->velocity_limit_m_per_s >= 0.0 && cfg->acceleration_limit_m_per_s2 >= 0.0 &&
           cfg->x_range_m >= 0.0 && cfg->f_range_n >= 0.0 && cfg->clamp_m >= 0.0))
         return RTHYB_E_LIMIT;
     *c = (rthyb_controller){.cfg = *cfg, .state = RTHYB_RUNNING};
@@ -30,23 +23,11 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
         error = rthyb_rfc_init(&c->rfc, &cfg->rfc, 0.0, 0.0);
     if (!error)
         error = rthyb_motion_init(&c->motion, &cfg->motion, 0.0);
+    c->upper_m = COMMAND_MAX_M;
+    c->lower_m = -COMMAND_MAX_M;
     c->alpha = cfg->estimator.alpha0;
     c->beta = cfg->estimator.beta0;
     return error;
-}
-
-int rthyb_controller_adopt(rthyb_controller *c, const rthyb_controller *recorded)
-{
-    rthyb_controller fresh;
-    const int error = rthyb_controller_init(&fresh, &recorded->cfg);
-    if (error)
-        return error;
-    const uint32_t terms = (uint32_t)recorded->cfg.rfc.window;
-    if (recorded->rfc.cfg.window != recorded->cfg.rfc.window || recorded->rfc.head >= terms ||
-        recorded->rfc.filled > terms)
-        return RTHYB_E_WINDOW;
-    *c = *recorded;
-    return 0;
 }
 
 static int beyond_sensor(double value, double range)
@@ -127,46 +108,77 @@ static double before_the_end(double step, double room, double a_max, double h)
     return clamp(step, -most, most);
 }
 
-/* Acceleration, velocity, position: the last one wins. It goes on from what it wanted itself: from a
- * coarse wire's rounding a slow command would never get away. A command that has fallen behind catches up
- * no faster than it can brake, or it would swing about what is wanted for ever. */
-static double limit_command(const rthyb_controller *c, double wanted)
+/* How far from the clamp's centre a command may be. */
+static double position_limit(const rthyb_controller_config *cfg)
+{
+    return cfg->clamp_m > 0.0 ? cfg->clamp_m : COMMAND_MAX_M;
+}
+
+/* The step that catches up with what is wanted, no faster than it can be braked: else the command would
+ * swing about that for ever. */
+static double accelerated(const rthyb_controller *c, double wanted, double limit)
+{
+    const double h = c->cfg.period_s, a_max = c->cfg.acceleration_limit_m_per_s2;
+    const double lag = c->x_plc - c->x_lim, closing = catch_up(lag, a_max, h);
+    double step = wanted - c->x_lim;
+    if (fabs(closing) < fabs(lag))
+        step = wanted - c->x_plc + closing;
+    const double out = c->x_lim - c->cfg.clamp_centre_m;
+    step = before_the_end(step, limit - copysign(out, out * step), a_max, h);
+    if (c->gap && c->step != 0.0)
+        step = c->step > 0.0 ? fmax(step, 0.0) : fmin(step, 0.0);
+    return clamp(step, c->step - a_max * h * h, c->step + a_max * h * h);
+}
+
+/* Of a limit that was drawn in behind it, or close before it, the command comes back on its own course
+ * and not at once: with an acceleration limit it may go on as far as it needs to brake, but never beyond
+ * a limit that was there before. */
+static void draw_bounds(rthyb_controller *c, double limit)
+{
+    const double per_tick2 = c->cfg.acceleration_limit_m_per_s2 * c->cfg.period_s * c->cfg.period_s;
+    const double braked = per_tick2 > 0.0 ? 0.5 * c->step * fabs(c->step) / per_tick2 : 0.0;
+    const double centre = c->cfg.clamp_centre_m;
+    c->upper_m = fmax(centre + limit, fmin(c->upper_m, c->x_lim + fmax(braked, 0.0)));
+    c->lower_m = fmin(centre - limit, fmax(c->lower_m, c->x_lim + fmin(braked, 0.0)));
+}
+
+/* Acceleration, velocity, position: the last one wins.
+ *
+ * What holds of the commands that leave, and of nothing else: with x[k] the one that leaves as the k-th,
+ * before the wire rounds it, and s[k] = x[k] - x[k-1],
+ *   |x[k] - centre| <= limit,   |s[k]| <= v_max h,   |s[k] - s[k-1]| <= a_max h^2,
+ *   s[k] s[k-1] >= 0 where, with an acceleration limit, a tick without a command lies between them,
+ * whatever number of ticks that is: skipped ones, and those whose command found no room. So a gap is never
+ * caught up at once, and never stops the command. A limit that comes into force while the command is beyond
+ * it, or too fast for it, is reached by braking with a_max: until then |s| falls by a_max h^2 a command, and
+ * x keeps to the old limit. (v_max or a_max of 0: no such bound, and then nothing to brake with.)
+ *
+ * It goes on from what it wanted itself: from a coarse wire's rounding a slow command would never get
+ * away. */
+static double limit_command(rthyb_controller *c, double wanted)
 {
     const double h = c->cfg.period_s, v_max = c->cfg.velocity_limit_m_per_s;
-    const double a_max = c->cfg.acceleration_limit_m_per_s2, x_max = c->cfg.position.value;
+    const double a_max = c->cfg.acceleration_limit_m_per_s2, limit = position_limit(&c->cfg);
     const double whole = wanted - c->x_lim;
-    const int hard = x_max > 0.0 && c->cfg.position.action == RTHYB_TRIP_TEST;
-    const double clamped = c->cfg.clamp_m > 0.0 ? c->cfg.clamp_m : COMMAND_MAX_M;
-    const double limit = hard ? fmin(x_max, clamped) : clamped;
-    double step = whole;
-    if (a_max > 0.0) {
-        const double lag = c->x_plc - c->x_lim, closing = catch_up(lag, a_max, h);
-        if (fabs(closing) < fabs(lag))
-            step = wanted - c->x_plc + closing;
-        step = before_the_end(step, limit - copysign(c->x_lim, c->x_lim * step), a_max, h);
-        const double before = c->x_lim - c->x_lim1;
-        step = clamp(step, before - a_max * h * h, before + a_max * h * h);
+    double step = a_max > 0.0 ? accelerated(c, wanted, limit) : whole;
+    if (v_max > 0.0) {
+        const double braked = a_max > 0.0 ? fabs(c->step) - a_max * h * h : 0.0;
+        const double most = fmax(v_max * h, braked);
+        step = clamp(step, -most, most);
     }
-    if (v_max > 0.0)
-        step = clamp(step, -v_max * h, v_max * h);
     const double command = step == whole ? wanted : c->x_lim + step;
-    /* Of a limit that was drawn in behind it the command comes back on its own course, not at once. */
-    const double most = fmax(limit, fabs(c->x_lim));
-    return clamp(command, -most, most);
+    draw_bounds(c, limit);
+    return clamp(command, c->lower_m, c->upper_m);
 }
 
-static int exceeds(const rthyb_limit *limit, double value, int bit)
+/* What leaves in this tick, unless it finds no room: then command_stayed takes it back. */
+static void note_step(rthyb_controller *c, double x_cmd, int blind)
 {
-    if (limit->action == RTHYB_NONE || !(limit->value > 0.0) || !(fabs(value) > limit->value))
-        return RTHYB_OK;
-    return limit->action == RTHYB_TRIP_TEST ? bit | RTHYB_S_TRIP : bit;
-}
-
-static int32_t raw(double value, double unit)
-{
-    if (isnan(value))
-        return INT32_MIN;
-    return (int32_t)lrint(clamp(value / unit, -2147483647.0, 2147483647.0));
+    c->x_lim1 = c->x_lim;
+    c->step1 = c->step;
+    c->step = blind ? c->step : x_cmd - c->x_lim;
+    c->x_lim = blind ? c->x_lim : x_cmd;
+    c->gap = blind;
 }
 
 static void write_record(const rthyb_controller *c, const rthyb_input *in, double x, double f,
@@ -177,10 +189,9 @@ static void write_record(const rthyb_controller *c, const rthyb_input *in, doubl
     record->due_ns = llrint((double)n * c->cfg.period_s * 1e9);
     record->flags = flags;
     record->generation = c->generation;
-    record->x_raw = in->lost ? 0 : raw(in->x_meas_m, RTHYB_RAW_X_M);
-    record->f_raw = in->lost ? 0 : raw(in->f_meas_n, RTHYB_RAW_F_N);
-    record->state = (uint8_t)c->state;
-    record->code = (uint8_t)code;
+    note_pair(record, in->x_meas_m, in->f_meas_n, in->lost);
+    record->state = (uint16_t)c->state;
+    record->code = (uint16_t)code;
     record->ag_mps2 = c->cfg.motion.integrator == RTHYB_PRESCRIBED ? 0.0 : in->excitation;
     record->x_num_m = c->x_num;
     record->x_plc_m = c->x_plc;
@@ -243,16 +254,6 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
     const double x_cmd = blind ? c->x_cmd : limit_command(c, x_plc);
     if (x_cmd != x_plc && !blind)
         code |= RTHYB_S_LIMITED;
-    code |= exceeds(&c->cfg.position, x_plc, RTHYB_S_POSITION_LIMIT);
-    code |= exceeds(&c->cfg.force, f, RTHYB_S_FORCE_LIMIT);
-    code |= exceeds(&c->cfg.tracking, x - c->x_num, RTHYB_S_TRACKING_LIMIT);
-    /* A tick made up for is no tick without a pair: its pair may still come. */
-    if (c->missing >= EXTRAPOLATE_UNTIL && c->state == RTHYB_RUNNING && !blind)
-        code |= RTHYB_S_LINK_LOST | RTHYB_S_TRIP;
-    if (code & RTHYB_S_NOT_FINITE)
-        code |= RTHYB_S_TRIP;
-    if (code & RTHYB_S_TRIP)
-        c->state = RTHYB_TRIPPED;
     const uint32_t flags = (made_up ? RTHYB_F_PREDICTED : RTHYB_F_FRESH) |
                            (frozen || path_m ? RTHYB_F_FROZEN : 0u) |
                            (blind ? RTHYB_F_BLIND | RTHYB_F_NOT_SENT : 0u) |
@@ -264,8 +265,7 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
     c->x_num = x_num;
     c->x_plc = x_plc;
     c->x_cmd1 = c->x_cmd;
-    c->x_lim1 = c->x_lim;
-    c->x_lim = blind ? c->x_lim : x_cmd;
+    note_step(c, x_cmd, blind);
     c->x_cmd = x_cmd;
     c->tick++;
     return code;

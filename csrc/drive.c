@@ -102,6 +102,13 @@ static int is_fresh(const rthyb_drive *d, uint32_t seq)
     return steps != 0 && (d->phase == RTHYB_DRIVE_STOPPED || steps <= d->seq_mask / 2);
 }
 
+/* After a stop of its own it is its operator's to have it follow again; a controller that comes anew, after
+ * a crash perhaps, is not asked. */
+static int is_released(const rthyb_drive *d)
+{
+    return d->state == RTHYB_TOLD_RESET || (d->state == RTHYB_IDLE && !d->latched);
+}
+
 static void take_setpoint(rthyb_drive *d, const rthyb_setpoint *setpoint)
 {
     if (!is_fresh(d, setpoint->seq))
@@ -110,8 +117,10 @@ static void take_setpoint(rthyb_drive *d, const rthyb_setpoint *setpoint)
     d->state = setpoint->state;
     d->wanted_m = command_from_wire(&d->calibration, setpoint->x_m);
     d->silent = 0;
-    if (d->phase == RTHYB_DRIVE_STOPPED && setpoint->state == RTHYB_IDLE)
-        d->phase = RTHYB_DRIVE_FOLLOWING;
+    if (d->phase != RTHYB_DRIVE_STOPPED || !is_released(d))
+        return;
+    d->phase = RTHYB_DRIVE_FOLLOWING;
+    d->latched = 0;
 }
 
 static void take_command(rthyb_drive *d, const rthyb_frame *frame)
@@ -163,20 +172,20 @@ static void take_commands(rthyb_drive *d)
 static void watch(rthyb_drive *d)
 {
     const int told = d->state == RTHYB_TRIPPED;
-    if (d->phase == RTHYB_DRIVE_FOLLOWING && (told || d->silent >= RTHYB_DRIVE_WATCHDOG))
-        d->phase = RTHYB_DRIVE_STOPPING;
+    if (d->phase != RTHYB_DRIVE_FOLLOWING || (!told && d->silent < RTHYB_DRIVE_WATCHDOG))
+        return;
+    d->phase = RTHYB_DRIVE_STOPPING;
+    d->latched = d->state != RTHYB_TOLD_LEAVING;
 }
 
 /* One tick of braking from the velocity of the last two targets. */
 static double brake(rthyb_drive *d)
 {
-    const double h = d->rig->cfg.servo.period_s;
-    const double step = d->target_m - d->target1_m, less = d->stop_decel_m_per_s2 * h * h;
-    if (fabs(step) <= less) {
+    const double next = braked_target(d->target_m, d->target1_m, d->stop_decel_m_per_s2,
+                                      d->rig->cfg.servo.period_s);
+    if (next == d->target_m)
         d->phase = RTHYB_DRIVE_STOPPED;
-        return d->target_m;
-    }
-    return d->target_m + step - copysign(less, step);
+    return next;
 }
 
 static void move(rthyb_drive *d)

@@ -2,6 +2,8 @@
 #ifndef RTHYB_INTERNAL_H
 #define RTHYB_INTERNAL_H
 
+#include <math.h>
+
 #include "rthyb.h"
 
 /* One sample. path_m: the next displacement where it does not come from the equation of motion;
@@ -43,6 +45,14 @@ static inline double command_from_wire(const rthyb_calibration *c, double wire_m
     return (wire_m - c->cmd_offset_m) / c->cmd_gain;
 }
 
+/* The limiter goes on from the command that left last, and from the step that led to it. */
+static inline void command_stayed(rthyb_controller *c)
+{
+    c->x_lim = c->x_lim1;
+    c->step = c->step1;
+    c->gap = 1;
+}
+
 /* Tells the station which displacement the drive has for the next tick: the one on the wire, to its
  * last digit, or the one before where none has left. */
 static inline void note_command(rthyb_station *s, const rthyb_calibration *c, int sent,
@@ -50,20 +60,31 @@ static inline void note_command(rthyb_station *s, const rthyb_calibration *c, in
 {
     rthyb_controller *controller = &s->controller;
     controller->x_cmd = sent ? command_from_wire(c, wire_m) - s->tare_cmd : controller->x_cmd1;
-    controller->x_lim = sent ? controller->x_lim : controller->x_lim1;
+    if (!sent)
+        command_stayed(controller);
 }
 
-/* The raw reading of a tick: 0 where nothing came, the lowest value for no number. */
-static inline int32_t raw_reading(int32_t value, int lost)
+/* What a record says of the pair that the station was told, or of why there was none. */
+static inline void note_pair(rthyb_record *record, double x_m, double f_n, int32_t lost)
 {
-    if (!lost)
-        return value;
-    return lost & RTHYB_S_NOT_FINITE ? INT32_MIN : 0;
+    const double none = lost & RTHYB_S_NOT_FINITE ? (double)NAN : 0.0;
+    record->x_read_m = lost ? none : x_m;
+    record->f_read_n = lost ? none : f_n;
+}
+
+/* A drive that brakes by itself, one tick: the next target from the velocity of the last two; the same
+ * one once it stands. */
+static inline double braked_target(double target_m, double target1_m, double decel_m_per_s2,
+                                   double period_s)
+{
+    const double step = target_m - target1_m, less = decel_m_per_s2 * period_s * period_s;
+    return fabs(step) <= less ? target_m : target_m + step - copysign(less, step);
 }
 
 /* 0 or RTHYB_E_LIMIT. */
 int rthyb_watches_check(const rthyb_watch watch[RTHYB_CAUSE_COUNT]);
-int rthyb_path_limits_check(double velocity_m_per_s, double acceleration_m_per_s2);
+int rthyb_path_limits_check(double velocity_m_per_s, double acceleration_m_per_s2,
+                            double brake_m_per_s2);
 
 /* Neither waits. _read: 1 for a set that is new; one half written is left for the next time. */
 void rthyb_handover_write(rthyb_handover *handover, const rthyb_parameters *parameters);

@@ -19,8 +19,10 @@
 #define STACK_TOUCHED (1u << 16)
 #define COMMAND_BITS 8
 #define HALF_PERIOD_NS 488281
-#define NS_TO_PPB 1024.0 /* of a period */
-#define RESYNC_AGE 20    /* ticks of silence after which the drive's count may have wrapped */
+#define NS_TO_PPB 1024.0    /* of a period */
+#define STALE_ECHO 32       /* samples by which commands may arrive later than they did at rest */
+#define ASLEEP_NS 100000000 /* no suspension is shorter; a stall may be, between two clocks */
+#define RESYNC_AGE 20       /* ticks of silence after which the drive's count may have wrapped */
 
 _Static_assert(sizeof(pthread_t) <= sizeof(uint64_t), "a thread's name fits rthyb_loop.thread");
 
@@ -244,6 +246,20 @@ static void take_in(rthyb_loop *loop, int64_t now_ns)
         loop->arrived_ns = now_ns;
 }
 
+/* A drive that acts on old commands is as good as out of reach, however fresh its readings are. One that
+ * hears none says so before: its own watchdog is the shorter. What is usual is what was so at rest. */
+static int is_belated(rthyb_loop *loop, const rthyb_feedback *feedback)
+{
+    const int32_t state = loop->station->state;
+    if (feedback->delay < 0)
+        return 0;
+    if (state == RTHYB_IDLE || state == RTHYB_ZEROED || state == RTHYB_ARMED) {
+        loop->usual_delay = feedback->delay;
+        return 0;
+    }
+    return feedback->delay - loop->usual_delay >= STALE_ECHO;
+}
+
 static void take_feedback(rthyb_loop *loop, const rthyb_tick *tick, arrival *found)
 {
     const uint32_t age = loop->wire->age;
@@ -253,6 +269,11 @@ static void take_feedback(rthyb_loop *loop, const rthyb_tick *tick, arrival *fou
     if (found->lost)
         return;
     loop->delay = found->feedback.delay;
+    if (is_belated(loop, &found->feedback)) {
+        add(&loop->counters.belated, 1);
+        found->lost = RTHYB_LOST;
+        return;
+    }
     if (is_punctual(loop, tick))
         found->slipped = has_slipped(loop, &found->feedback, tick->k, age);
 }
@@ -263,7 +284,7 @@ static int send_command(rthyb_loop *loop, const rthyb_station_output *out)
     double sent_m = 0.0;
     const double wanted_m = command_for_wire(&loop->wire->codec, &loop->calibration, out);
     const int nowhere = isnan(wanted_m) && isfinite(out->x_cmd_m);
-    const int code = rthyb_wire_command(loop->wire, wanted_m, out->state, &frame, &sent_m);
+    const int code = rthyb_wire_command(loop->wire, wanted_m, out->told, &frame, &sent_m);
     loop->beyond = nowhere || (code & RTHYB_S_OUT_OF_RANGE);
     add(&loop->counters.beyond, (uint64_t)loop->beyond);
     const int sent = !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->link, &frame);
@@ -286,10 +307,8 @@ static void complete(rthyb_loop *loop, const rthyb_tick *tick, const arrival *fo
         record->due_ns = rthyb_ticker_due_ns(&loop->ticker, k) - loop->ticker.t0_ns;
     }
     last->wake_late_ns = short_ns(tick->woken_ns - tick->due_ns);
-    last->x_raw = raw_reading(found->feedback.x_raw, found->lost);
-    last->f_raw = raw_reading(found->feedback.f_raw, found->lost);
-    last->echo = (uint8_t)found->feedback.echo;
-    last->count = (uint8_t)found->feedback.count;
+    last->echo = (uint16_t)found->feedback.echo;
+    last->count = (uint16_t)found->feedback.count;
     last->flags |= found->slipped ? (uint32_t)RTHYB_F_SLIP : 0u;
 }
 
@@ -336,11 +355,12 @@ static void publish(rthyb_loop *loop)
         rthyb_ring_push_run(loop->ring, loop->records, loop->record_count);
 }
 
-/* Also if it was down and is back already: between two ticks, a lot can happen to a plug. */
+/* Also if it was down and is back already: between two ticks, a lot can happen to a plug. And if it took
+ * no command for as long as the drive's own watchdog waits: a drive that cannot say so has stopped. */
 static int is_down(rthyb_loop *loop)
 {
     const uint64_t times = peek(&loop->link->counters.times_down);
-    const int again = times != loop->downs_seen;
+    const int again = times != loop->downs_seen || loop->unsent >= RTHYB_DRIVE_WATCHDOG;
     loop->downs_seen = times;
     return again || peek(&loop->link->down) != RTHYB_LINK_UP;
 }
@@ -363,6 +383,22 @@ static void note_delay(rthyb_loop *loop, const arrival *found)
         add(&loop->delays[delay < most ? delay : most], 1);
 }
 
+/* Ticks that the station has to be told of as skipped. The clock of the ticks stands still while the PC is
+ * suspended, the drive does not. */
+static uint32_t skipped_ticks(rthyb_loop *loop, const rthyb_tick *tick)
+{
+    const int timeless = loop->ticker.clock == RTHYB_CLOCK_STEPPED && !loop->unpaced;
+    const int64_t asleep_ns = timeless ? 0 : rthyb_asleep_ns();
+    const int woke_up = loop->asleep_known && asleep_ns - loop->asleep_ns >= ASLEEP_NS;
+    loop->asleep_ns = asleep_ns;
+    loop->asleep_known = 1;
+    if (woke_up)
+        add(&loop->counters.suspended, 1);
+    const uint64_t skipped =
+        woke_up && tick->skipped < RTHYB_BLIND_MAX ? RTHYB_BLIND_MAX : tick->skipped;
+    return skipped < UINT32_MAX ? (uint32_t)skipped : UINT32_MAX;
+}
+
 static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint64_t mail,
                                   arrival *found)
 {
@@ -377,7 +413,7 @@ static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint
         .x_m = x_m,
         .f_n = calibrated_f(&loop->calibration, found->feedback.f_n),
         .lost = found->lost,
-        .skipped = tick->skipped < UINT32_MAX ? (uint32_t)tick->skipped : UINT32_MAX,
+        .skipped = skipped_ticks(loop, tick),
         .command = waiting ? (int32_t)(mail & ((1u << COMMAND_BITS) - 1u)) : RTHYB_CMD_NONE,
         .link_down = down,
         .drive_stopped = stopped,
@@ -401,8 +437,10 @@ static void execute(rthyb_loop *loop, const rthyb_tick *tick)
     loop->taken_over = 0;
     complete(loop, tick, &found);
     note_delay(loop, &found);
+    const int sent = !out.send || send_command(loop, &out);
+    loop->unsent = sent ? 0 : loop->unsent + 1;
     if (out.send)
-        note_sent(loop, tick, send_command(loop, &out));
+        note_sent(loop, tick, sent);
     if (loop->ticker.clock == RTHYB_CLOCK_LINK)
         follow_drive(loop, tick, &found);
     publish(loop);
@@ -494,6 +532,21 @@ int rthyb_loop_start(rthyb_loop *loop)
         memcpy(&loop->thread, &thread, sizeof thread);
     pthread_attr_destroy(&attributes);
     return error;
+}
+
+int rthyb_loop_leave(rthyb_loop *loop)
+{
+    const rthyb_station *s = loop->station;
+    const int at_rest =
+        s->state == RTHYB_IDLE || s->state == RTHYB_ZEROED || s->state == RTHYB_ARMED;
+    if (!at_rest || !s->seen)
+        return 0;
+    /* What has left once is on a value of the wire. */
+    rthyb_frame frame;
+    double sent_m;
+    const double wire_m = command_to_wire(&loop->calibration, s->controller.x_cmd + s->tare_cmd);
+    const int code = rthyb_wire_command(loop->wire, wire_m, RTHYB_TOLD_LEAVING, &frame, &sent_m);
+    return !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->link, &frame);
 }
 
 int rthyb_loop_join(rthyb_loop *loop)

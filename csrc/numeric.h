@@ -11,9 +11,6 @@
 #define RTHYB_DISPLACEMENT_MAX_M 1e3
 #define RTHYB_FORCE_MAX_N 1e12
 #define RTHYB_WEIGHT_MAX 1e6
-/* Units of the record's raw readings and of our own frames. */
-#define RTHYB_RAW_X_M 1e-9
-#define RTHYB_RAW_F_N 1e-3
 #define RTHYB_PI 3.14159265358979323846
 
 static inline double clamp(double v, double low, double high)

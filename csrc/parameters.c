@@ -21,11 +21,13 @@ int rthyb_watches_check(const rthyb_watch watch[RTHYB_CAUSE_COUNT])
     return 0;
 }
 
-int rthyb_path_limits_check(double velocity_m_per_s, double acceleration_m_per_s2)
+int rthyb_path_limits_check(double velocity_m_per_s, double acceleration_m_per_s2,
+                            double brake_m_per_s2)
 {
     const int good = velocity_m_per_s >= 1e-9 && velocity_m_per_s <= 1e3 &&
                      acceleration_m_per_s2 >= 1e-9 && acceleration_m_per_s2 <= 1e6;
-    return good ? 0 : RTHYB_E_LIMIT;
+    const int brake_ok = brake_m_per_s2 == 0.0 || (brake_m_per_s2 >= 1e-9 && brake_m_per_s2 <= 1e6);
+    return good && brake_ok ? 0 : RTHYB_E_LIMIT;
 }
 
 int rthyb_parameters_check(const rthyb_parameters *p)
@@ -35,7 +37,8 @@ int rthyb_parameters_check(const rthyb_parameters *p)
         p->acceleration_limit_m_per_s2 >= 0.0 && p->acceleration_limit_m_per_s2 <= SPEED_MAX;
     if (!limits_ok || rthyb_watches_check(p->watch))
         return RTHYB_E_LIMIT;
-    return rthyb_path_limits_check(p->path_velocity_m_per_s, p->path_acceleration_m_per_s2);
+    return rthyb_path_limits_check(p->path_velocity_m_per_s, p->path_acceleration_m_per_s2,
+                                   p->brake_acceleration_m_per_s2);
 }
 
 void rthyb_handover_write(rthyb_handover *h, const rthyb_parameters *parameters)

@@ -26,17 +26,16 @@ static int32_t lost(const rthyb_record *row)
 {
     if (!(row->flags & RTHYB_F_LOST))
         return 0;
-    const int32_t no_number = row->x_raw == INT32_MIN ? RTHYB_S_NOT_FINITE : 0;
+    const int32_t no_number = isnan(row->x_read_m) ? RTHYB_S_NOT_FINITE : 0;
     return RTHYB_LOST | no_number | (row->code & RTHYB_S_OUT_OF_RANGE);
 }
 
-static rthyb_station_input input_of(const rthyb_station *station, const rthyb_replay *source,
-                                    const rthyb_record *row)
+static rthyb_station_input input_of(const rthyb_station *station, const rthyb_record *row)
 {
     const uint64_t skipped = row->tick - station->tick;
     return (rthyb_station_input){
-        .x_m = calibrated_x(&source->calibration, (double)row->x_raw * RTHYB_RAW_X_M),
-        .f_n = calibrated_f(&source->calibration, (double)row->f_raw * RTHYB_RAW_F_N),
+        .x_m = row->x_read_m,
+        .f_n = row->f_read_n,
         .lost = lost(row),
         .skipped = skipped < UINT32_MAX ? (uint32_t)skipped : UINT32_MAX,
         .command = (int32_t)(row->flags >> RTHYB_F_COMMAND_BIT),
@@ -57,7 +56,7 @@ static int send_again(rthyb_station *station, const rthyb_replay *source,
     double sent_m = 0.0;
     const rthyb_setpoint setpoint = {
         .x_m = command_for_wire(source->codec, &source->calibration, out),
-        .state = (uint32_t)out->state,
+        .state = (uint32_t)out->told,
     };
     const int code = rthyb_encode_setpoint(source->codec, &setpoint, &frame, &sent_m);
     const int sent = was_sent && !(code & RTHYB_S_NOT_FINITE);
@@ -75,10 +74,8 @@ static void copy_surroundings(const rthyb_record *from, rthyb_record *to)
     to->count = from->count;
 }
 
-static void complete(const rthyb_record *row, int32_t why_lost, int sent, rthyb_record *made)
+static void complete(const rthyb_record *row, int sent, rthyb_record *made)
 {
-    made->x_raw = raw_reading(row->x_raw, why_lost);
-    made->f_raw = raw_reading(row->f_raw, why_lost);
     made->flags |= row->flags & RTHYB_F_SLIP;
     made->flags &= ~(uint32_t)RTHYB_F_NOT_SENT;
     made->flags |= sent ? 0u : (uint32_t)RTHYB_F_NOT_SENT;
@@ -91,7 +88,7 @@ static size_t replay_group(rthyb_station *station, const rthyb_replay *source,
     rthyb_station_output out;
     const rthyb_record *row = &rows[n - 1];
     take_parameters(station, source, row->generation);
-    const rthyb_station_input in = input_of(station, source, row);
+    const rthyb_station_input in = input_of(station, row);
     rthyb_station_tick(station, &in, source->ag_mps2, source->ag_count, made, &out);
     int sent = !(row->flags & RTHYB_F_NOT_SENT) && out.send;
     if (out.send && source->codec)
@@ -99,21 +96,8 @@ static size_t replay_group(rthyb_station *station, const rthyb_replay *source,
     for (size_t i = 0; i < n && i < out.records; i++)
         copy_surroundings(&rows[i], &made[i]);
     if (out.records == n)
-        complete(row, in.lost, sent, &made[n - 1]);
+        complete(row, sent, &made[n - 1]);
     return out.records;
-}
-
-/* Without a codec the next row tells what the drive had; a tare that ends then changes the
- * coordinates of it, and comes at rest. */
-static void command_from_next(rthyb_station *station, const rthyb_record *row,
-                              const rthyb_record *next)
-{
-    const int ends_tare =
-        station->zeroing == 1 && station->in_state + 1 >= (uint64_t)station->cfg.tare_ticks;
-    rthyb_controller *controller = &station->controller;
-    controller->x_cmd = ends_tare ? row->x_cmd_m : next->x_cmd_m;
-    if (row->flags & RTHYB_F_NOT_SENT)
-        controller->x_lim = controller->x_lim1;
 }
 
 size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, rthyb_record *out)
@@ -122,7 +106,7 @@ size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, 
     size_t done = 0;
     while (done < source->count) {
         const rthyb_record *rows = source->rows + done;
-        const size_t left = source->count - done, n = group_size(rows, left);
+        const size_t n = group_size(rows, source->count - done);
         if (n == 0 || rows[n - 1].tick < station->tick)
             return done;
         const size_t got = replay_group(station, source, rows, n, made);
@@ -130,8 +114,6 @@ size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, 
             out[done + i] = made[i];
         if (got != n)
             return done + (n < got ? n : got);
-        if (!source->codec && n < left)
-            command_from_next(station, &rows[n - 1], &rows[n]);
         done += n;
     }
     return done;

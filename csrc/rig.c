@@ -73,10 +73,16 @@ int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg)
         }
     }
     servo.moving_mass_kg += rig->ridden_kg;
-    uint64_t seed = cfg->seed;
+    rthyb_rig_reseed(rig);
+    return rthyb_servo_init(&rig->servo, &servo);
+}
+
+void rthyb_rig_reseed(rthyb_rig *rig)
+{
+    uint64_t seed = rig->cfg.seed;
     rig->random[0] = splitmix(&seed);
     rig->random[1] = splitmix(&seed);
-    return rthyb_servo_init(&rig->servo, &servo);
+    rig->has_spare = 0;
 }
 
 /* What the load cell is under: the oil column's force at the actuator's end, else the specimen's.

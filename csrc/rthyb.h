@@ -20,7 +20,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define RTHYB_VERSION "0.1.0"
+#define RTHYB_VERSION "0.2.0"
 
 /* What stands between the two markers is read by the C compiler and by cffi alike. */
 /* cffi: begin */
@@ -33,18 +33,26 @@ enum rthyb_size {
     RTHYB_ELEMENT_STATES = 6   /* history variables of one element */
 };
 
-/* What a sample was like; bits, because several may be true at once. */
+/* What a sample was like; bits, because several may be true at once. A record has sixteen of them. */
 enum rthyb_status {
     RTHYB_OK = 0,
-    RTHYB_S_NOT_FINITE = 1,      /* NaN or inf came in, or would have gone out */
-    RTHYB_S_OUT_OF_RANGE = 2,    /* finite, but outside the sensor's range or any sense */
-    RTHYB_S_LIMITED = 4,         /* the limiter changed the command */
-    RTHYB_S_POSITION_LIMIT = 8,  /* the command went past its position limit */
-    RTHYB_S_FORCE_LIMIT = 16,    /* the measured force went past its limit */
-    RTHYB_S_TRACKING_LIMIT = 32, /* |x_m - x_c| went past its limit */
-    RTHYB_S_LINK_LOST = 64,      /* twenty samples in a row without an accepted pair */
-    RTHYB_S_TRIP = 128,          /* one of the above is set to end the test */
-    RTHYB_LOST = 256             /* of an input only: nothing arrived */
+    RTHYB_S_NOT_FINITE = 1,            /* NaN or inf came in, or would have gone out */
+    RTHYB_S_OUT_OF_RANGE = 2,          /* finite, but outside the sensor's range or any sense */
+    RTHYB_S_LIMITED = 4,               /* the limiter changed the command */
+    RTHYB_S_POSITION_LIMIT = 8,        /* the command went past its position limit */
+    RTHYB_S_FORCE_LIMIT = 16,          /* the measured force went past its limit */
+    RTHYB_S_TRACKING_LIMIT = 32,       /* |x_m - x_c| went past its limit */
+    RTHYB_S_LINK_LOST = 64,            /* twenty samples in a row without an accepted pair */
+    RTHYB_S_TRIP = 128,                /* one of these is set to end the test */
+    RTHYB_S_VELOCITY_LIMIT = 1 << 8,   /* the command's velocity went past its limit */
+    RTHYB_S_INCREMENT_LIMIT = 1 << 9,  /* its change from sample to sample did */
+    RTHYB_S_INDICATOR_LIMIT = 1 << 10, /* the slope of the tracking indicator did */
+    RTHYB_S_ENERGY_LIMIT = 1 << 11,    /* the energy error did */
+    RTHYB_S_SENSOR_STUCK = 1 << 12,    /* a sensor repeats itself */
+    RTHYB_S_SENSOR_JUMP = 1 << 13,     /* a reading leapt */
+    RTHYB_S_LOST_RATE = 1 << 14,       /* too large a share of pairs is lost */
+    RTHYB_S_SKIP_RATE = 1 << 15,       /* too large a share of ticks was skipped */
+    RTHYB_LOST = 1 << 16               /* of an input only: nothing arrived */
 };
 
 /* What an _init function refuses. */
@@ -82,7 +90,7 @@ enum rthyb_flag {
     RTHYB_F_LIMITED = 16,  /* the limiter changed the command */
     RTHYB_F_NOT_SENT = 32,
     /* From here on: what the station was told in this tick, in its last record alone, never in a
-     * blind one. With the raw reading it is all that a replay needs. */
+     * blind one. With the reading it is all that a replay needs. */
     RTHYB_F_SLIP = 1 << 6,    /* the drive's count has slipped against the tick, 192 ticks ago */
     RTHYB_F_LOST = 1 << 7,    /* the wire had no new pair; PREDICTED without it: the station
                                * refused the pair that came */
@@ -103,13 +111,13 @@ typedef struct {
     int32_t sent_late_ns; /* command sent after due */
     uint32_t flags;       /* enum rthyb_flag */
     uint32_t generation;  /* parameter generation in force */
-    int32_t x_raw;        /* reading as it came, taken or not, before calibration and tare, 1 nm;
-                           * saturates one short of the lowest value, which means: no number */
-    int32_t f_raw;        /* the same of the force, 1 mN; both 0 where nothing came */
-    uint8_t state;        /* enum rthyb_state */
-    uint8_t echo;         /* low byte of the command sequence number the drive had applied */
-    uint8_t count;        /* the drive's own sample count */
-    uint8_t code;         /* enum rthyb_status */
+    uint16_t code;        /* enum rthyb_status */
+    uint16_t state;       /* enum rthyb_state */
+    uint16_t echo;        /* low bits of the command sequence number the drive had applied */
+    uint16_t count;       /* low bits of the drive's own sample count */
+    double x_read_m;      /* reading as the station was told it, taken or not, calibrated, before
+                           * the tare; NaN: what came was no number */
+    double f_read_n;      /* the same of the force; both 0 where nothing came */
     double ag_mps2;       /* ground acceleration at t_n */
     double x_num_m;       /* x_c[n], command of the integration */
     double x_plc_m;       /* output of the phase-lead compensator */
@@ -377,18 +385,13 @@ typedef struct {
 } rthyb_rig;
 
 int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg);
+/* Begins the noise of the sensors anew, from the seed. */
+void rthyb_rig_reseed(rthyb_rig *rig);
 /* Latches x_m[n], f[n], then applies x_p[n] and moves on to t_{n+1}. */
 int rthyb_rig_step(rthyb_rig *rig, double x_p_m, double *x_m_m, double *f_n);
 int rthyb_rig_run(rthyb_rig *rig, const double *x_p_m, double *x_m_m, double *f_n, size_t n);
 
 /* ---- one sample of the controller (controller.c) -------------------------------------------- */
-
-enum rthyb_action { RTHYB_NONE, RTHYB_INDICATE, RTHYB_TRIP_TEST };
-
-typedef struct {
-    double value;   /* 0 = no limit */
-    int32_t action; /* enum rthyb_action */
-} rthyb_limit;
 
 typedef struct {
     double period_s;
@@ -397,9 +400,9 @@ typedef struct {
     rthyb_rfc_config rfc;
     rthyb_motion_config motion;
     double x_range_m, f_range_n; /* a reading beyond its sensor's range is not taken; 0 = off */
-    rthyb_limit position, force, tracking;
     double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* 0 = off */
-    double clamp_m;        /* the command never leaves +-clamp_m; 0 = off */
+    double clamp_m; /* the command never leaves clamp_centre_m +-clamp_m; 0 = off */
+    double clamp_centre_m;
     int32_t estimate_held; /* alpha and beta stay where they are */
 } rthyb_controller_config;
 
@@ -412,7 +415,11 @@ typedef struct {
     uint64_t tick;
     double x_num, x_plc, x_cmd; /* commands for t_n */
     double x_cmd1;              /* command for t_{n-1} */
-    double x_lim, x_lim1;       /* both as the limiter left them, before the wire rounded */
+    double x_lim, step;         /* command that left last, and its way from the one that left before
+                                 * it: as the limiter had them, before the wire rounded */
+    double x_lim1, step1;       /* the same before this sample, should its command not leave */
+    double lower_m, upper_m;    /* the command may be no further out than these now */
+    int32_t gap;                /* a tick since then in which none left */
     double alpha, beta;         /* as the PLC has them, rate-limited */
     double x_m1, f1, x_num1;
     double energy_error, tracking_indicator;
@@ -429,21 +436,15 @@ typedef struct {
 } rthyb_input;
 
 int rthyb_controller_init(rthyb_controller *controller, const rthyb_controller_config *cfg);
-/* Takes over a recorded state, unless its settings or indices could not have come from a
- * controller: then RTHYB_E_*, and nothing is taken. A recording is a file, and files get damaged. */
-int rthyb_controller_adopt(rthyb_controller *controller, const rthyb_controller *recorded);
 /* Fills the record of tick n; controller->x_cmd is then the command for t_{n+1}. */
 int rthyb_controller_step(rthyb_controller *controller, const rthyb_input *input,
                           rthyb_record *record);
 
-/* A test in virtual time. excitation[n] for n_total samples; runs ticks until count more records
- * are written or a trip ends the test. Returns the number of records written. */
+/* The bare controller at a virtual rig, without states or limits: for studies of the control alone.
+ * excitation[n] for n_total samples; runs ticks until count more records are written or a value is not
+ * finite. Returns the number of records written; *status has all bits seen. */
 size_t rthyb_run_virtual(rthyb_controller *controller, rthyb_rig *rig, const double *excitation,
                          size_t n_total, size_t count, rthyb_record *records, int32_t *status);
-/* The recorded inputs through the core again. */
-size_t rthyb_run_replay(rthyb_controller *controller, const rthyb_record *recorded,
-                        const double *excitation, size_t n_total, size_t count,
-                        rthyb_record *records);
 /* The numerical structure and the specimen joined without actuator or sensor: the reference.
  * elements are advanced in place. Returns RTHYB_OK or the status bits seen; with too many elements
  * RTHYB_S_OUT_OF_RANGE at once. Mass belongs into added_mass_kg: an inertia element here has the
@@ -459,7 +460,7 @@ enum rthyb_command {
     RTHYB_CMD_ZERO,   /* IDLE -> ZEROED: tare over tare_ticks at rest */
     RTHYB_CMD_ARM,    /* ZEROED -> ARMED */
     RTHYB_CMD_START,  /* ARMED -> RAMP_IN -> RUNNING */
-    RTHYB_CMD_HOLD,   /* RUNNING -> HOLD */
+    RTHYB_CMD_HOLD,   /* RUNNING -> HOLD; a RESUME that moves is braked again */
     RTHYB_CMD_RESUME, /* HOLD -> RUNNING */
     RTHYB_CMD_STOP,   /* anything that moves -> RAMP_OUT; ZEROED, ARMED -> IDLE */
     RTHYB_CMD_RESET,  /* TRIPPED -> IDLE, with a fresh reading of a specimen at rest */
@@ -479,11 +480,16 @@ enum rthyb_cause {
     RTHYB_CAUSE_LINK_DOWN,
     RTHYB_CAUSE_DRIVE_STOPPED,
     RTHYB_CAUSE_STALLED,
-    RTHYB_CAUSE_SKIPS,
     RTHYB_CAUSE_HEARTBEAT,
     RTHYB_CAUSE_NOT_ARRIVED,
+    RTHYB_CAUSE_SKIPS, /* share of the last second's ticks, or more than 10 in a row */
+    RTHYB_CAUSE_SKIP_WARNING,
+    RTHYB_CAUSE_LOST_PAIRS, /* share of the last second's ticks without an accepted pair */
+    RTHYB_CAUSE_LOST_WARNING,
     RTHYB_CAUSE_SENSOR_STUCK,
     RTHYB_CAUSE_SENSOR_JUMP,
+    RTHYB_CAUSE_FORCE_STUCK,
+    RTHYB_CAUSE_FORCE_JUMP,
     RTHYB_CAUSE_POSITION,
     RTHYB_CAUSE_VELOCITY,
     RTHYB_CAUSE_INCREMENT,
@@ -491,6 +497,8 @@ enum rthyb_cause {
     RTHYB_CAUSE_TRACKING,
     RTHYB_CAUSE_INDICATOR,
     RTHYB_CAUSE_ENERGY,
+    RTHYB_CAUSE_RIG_POSITION, /* before tare: where the drive was told to go */
+    RTHYB_CAUSE_RIG_FORCE,    /* before tare */
     RTHYB_CAUSE_COUNT
 };
 
@@ -509,21 +517,50 @@ typedef struct {
 
 typedef struct {
     rthyb_controller_config controller;
-    rthyb_watch watch[RTHYB_CAUSE_COUNT]; /* POSITION and what follows it; stuck: ticks, jump: m */
-    double path_velocity_m_per_s;         /* of ramps, HOLD and RESUME */
+    /* SKIPS and what follows it; stuck: ticks, jump: m or N, shares: of 1. SKIPS with value 0 is
+     * a ramp-out at 50 in 1024. */
+    rthyb_watch watch[RTHYB_CAUSE_COUNT];
+    double path_velocity_m_per_s; /* of ramps and RESUME */
     double path_acceleration_m_per_s2;
-    double rest_spread_m; /* ZERO refuses a displacement that moves by more */
+    double brake_acceleration_m_per_s2; /* of HOLD, and where ramp-out begins; 0: as of paths */
+    double rest_spread_m;               /* ZERO refuses a displacement that moves by more */
+    double tare_most_m, tare_most_n;    /* and a tare beyond these; 0 = any */
     int32_t tare_ticks, ramp_in_ticks, armed_ticks;
     int32_t stay; /* RAMP_OUT ends where its deceleration does, and not at 0 */
 } rthyb_station_config;
 
-/* Displacement over a whole number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u); u = 0 ... 1. */
+/* Displacement over a whole number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u); u = 0 ... 1. Or a
+ * brake: displacement, velocity and acceleration at its beginning, and the one it brakes with. */
 typedef struct {
     double c[6];
     double end; /* where it ends, to the last digit */
     int64_t ticks, elapsed;
+    int64_t turn; /* of a brake: ticks in which its acceleration changes, at both ends; 0: none */
     int32_t cosine;
 } rthyb_path;
+
+/* A reading that a stuck sensor repeats, the command when it began, and for how many ticks. */
+typedef struct {
+    double reading, command;
+    uint64_t ticks;
+} rthyb_stillness;
+
+/* Readings in a row about the level that a sensor leapt to, and the last of them, before tare. */
+typedef struct {
+    int32_t count;
+    double level;
+} rthyb_leaps;
+
+/* A force beyond its limit where nothing but a trip is left: ticks of it, ticks since, last tick. */
+typedef struct {
+    uint64_t ticks, calm, seen;
+} rthyb_overload;
+
+/* One bit for each of the last 1024 ticks, and how many of them are set. */
+typedef struct {
+    uint64_t map[16];
+    uint32_t count;
+} rthyb_recent;
 
 typedef struct {
     rthyb_station_config cfg;
@@ -531,6 +568,8 @@ typedef struct {
     int32_t state;       /* enum rthyb_state */
     int32_t cause;       /* enum rthyb_cause, latched */
     uint64_t cause_tick; /* when the cause came up */
+    double cause_value;  /* what was met, in the unit of what is watched (m, N, ticks ...), */
+    double cause_limit;  /* and what was allowed; both 0 where the cause has no number */
     uint32_t indicated;  /* bit 1 << cause: seen, not acted on */
     int32_t interrupted;
     uint64_t tick;      /* ticks of the station */
@@ -539,26 +578,36 @@ typedef struct {
     int64_t no_nearer;  /* ticks since then */
     uint64_t test_tick; /* n of the ground motion: RUNNING ticks so far */
     rthyb_path path;
-    int32_t leg; /* 0 decelerating, 1 on the way, 2 there */
+    int32_t leg; /* HOLD: 0 decelerating, 1 stands, 2 resuming, 3 decelerating before it resumes;
+                  * RAMP_OUT: 0 decelerating, 1 on the way; RAMP_IN: 0 on the way, 1 decelerating */
     double resume_x, resume_v, resume_a;
-    int32_t zeroing; /* 0 no, 1 under way, 2 failed: the reading moved */
-    double tare_cmd; /* 0 of the command, before tare: sensor and drive need not agree */
+    int32_t zeroing;       /* 0 no, 1 under way, 2 failed: the reading moved, 3: too large */
+    int32_t tare_readings; /* that the tare has so far */
+    double tare_cmd;       /* 0 of the command, before tare: sensor and drive need not agree */
     double tare_x, tare_f, sum_x, sum_f, low_x, high_x;
-    double still_x, still_cmd; /* reading that a stuck sensor repeats, command when it began */
-    uint64_t still_ticks;
-    double seen_x;       /* last reading, before tare */
-    int32_t seen;        /* there is one */
-    int32_t commands;    /* x_cmd is the drive's by an earlier tare or station, not by a reading */
-    int32_t jumps;       /* readings in a row about the level that the displacement leapt to */
-    double jump_x;       /* the last of them, before tare */
+    int32_t tared; /* there is one that counts: none before the first, none after a RESET */
+    double gap;    /* reading less command at rest, as the tare found it: to be measured from */
+    rthyb_stillness still_x, still_f;
+    double seen_x;    /* last reading, before tare */
+    int32_t seen;     /* there is one */
+    int32_t commands; /* x_cmd is the drive's by an earlier tare or station, not by a reading */
+    rthyb_leaps leaps_x, leaps_f;
+    double seen_f;       /* last reading of the force, before tare */
     double rest_x;       /* where the readings have been at rest, before tare, */
     uint32_t rest_ticks; /* and for how many of them */
-    double worst_force;  /* since RAMP_OUT began, while it may still grow */
-    double indicator_slope; /* of the tracking indicator, mean of 0.25 s, m^2/s */
-    uint64_t skip_map[16];  /* one bit a tick: skipped, of the last 1024 */
-    uint32_t recent_skips;  /* bits set in it */
-    uint64_t skipped;       /* all of them */
-    int32_t trip_frames;    /* trip frames still to be sent */
+    rthyb_overload over_f, over_rig_f;
+    int32_t noted;         /* bits of this tick's record, found before there is one */
+    int32_t off_scale;     /* of this tick's reading: bit 0 displacement, bit 1 force */
+    double told_x, told_f; /* that reading, */
+    int32_t told;          /* if there was one */
+    int32_t drive_stands;  /* it has stopped by itself, or nobody can reach it */
+    int32_t refused_cause; /* why the last ARM, START, RESUME, RESET or tare was refused: */
+    double refused_value, refused_limit; /* as with a cause; NONE: not by a watch */
+    double indicator_slope;              /* of the tracking indicator, mean of 0.25 s, m^2/s */
+    rthyb_recent skips, losses;
+    uint64_t skipped;     /* all of them */
+    int32_t trip_frames;  /* trip frames still to be sent */
+    int32_t reset_frames; /* commands that still say RTHYB_TOLD_RESET */
 } rthyb_station;
 
 typedef struct {
@@ -578,6 +627,7 @@ typedef struct {
     double x_cmd_m; /* for the wire: with tare */
     int32_t send;   /* 0: silence */
     int32_t state;
+    int32_t told;    /* to the drive: the state, or RTHYB_TOLD_RESET */
     int32_t refused; /* the command was refused: not for this state, or nobody there to obey */
     uint32_t records;
     double low_m, high_m; /* with tare: the wire's rounding must not take it beyond these */
@@ -589,11 +639,13 @@ int rthyb_station_init(rthyb_station *station, const rthyb_station_config *cfg);
 /* One executed tick: blind steps for what was skipped, then the sample. records takes up to
  * RTHYB_BLIND_MAX + 1 of them; the last one has what the station was told as flags. ag_mps2 is the
  * ground motion of the whole test, n of it. While the link is down or the drive stopped, ZERO, ARM
- * and START are refused; RESET without a fresh reading, or before 20 of them have stood still. */
+ * and START are refused; RESET without a fresh reading, or before 20 of them have stood still; ARM,
+ * START, RESUME and RESET beyond a limit, as refused_cause says. RESET is for TRIPPED, and for IDLE where
+ * the drive has stopped: the next three commands tell it so. */
 int rthyb_station_tick(rthyb_station *station, const rthyb_station_input *in, const double *ag_mps2,
                        size_t n, rthyb_record *records, rthyb_station_output *out);
 
-enum rthyb_parameters_size { RTHYB_PARAMETER_WORDS = 47 };
+enum rthyb_parameters_size { RTHYB_PARAMETER_WORDS = 62 };
 
 /* What may be changed while a test runs. Generation 0 is what the station was set up with. */
 typedef struct {
@@ -601,14 +653,17 @@ typedef struct {
     int32_t adapt;                        /* 0: alpha and beta stay where they are */
     rthyb_watch watch[RTHYB_CAUSE_COUNT]; /* as in rthyb_station_config */
     double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* of the command; 0 = off */
-    double path_velocity_m_per_s, path_acceleration_m_per_s2; /* of paths that begin from now on */
+    /* As in rthyb_station_config, of paths that begin from now on; narrower than those of the path
+     * that runs, that brakes to rest within them and begins anew. */
+    double path_velocity_m_per_s, path_acceleration_m_per_s2, brake_acceleration_m_per_s2;
 } rthyb_parameters;
 
 /* 0 or RTHYB_E_LIMIT. */
 int rthyb_parameters_check(const rthyb_parameters *parameters);
-/* Before a tick: puts a set that passed in force, with its generation, in this test and the next. A
- * command beyond a new position limit does not jump there: it may not go further out. Outside IDLE a
- * set that switches a limit of the command off is not taken. 1 if it was taken. */
+/* Before a tick: puts a set that passed in force, with its generation, in this test and the next. New
+ * limits are braked into: with an acceleration limit, no harder than that; without one, a command
+ * beyond a new position limit goes no further out. Outside IDLE a set that switches a limit of the
+ * command off is not taken. 1 if it was taken. */
 int rthyb_station_adopt(rthyb_station *station, const rthyb_parameters *parameters);
 
 /* 1 if a command may be given in a state. */
@@ -692,6 +747,8 @@ void rthyb_ticker_miss(rthyb_ticker *ticker, uint64_t ticks);
 void rthyb_ticker_stop(rthyb_ticker *ticker);
 void rthyb_ticker_read(const rthyb_ticker *ticker, rthyb_ticker_counts *counts);
 int64_t rthyb_now_ns(void); /* CLOCK_MONOTONIC */
+/* For how long the PC has been suspended since it was switched on: that clock stood still then. */
+int64_t rthyb_asleep_ns(void);
 
 /* The link clock's loop (phase.c). Error is how long after the instant that is lead_ns before the
  * tick the pair of that tick arrived. */
@@ -868,14 +925,28 @@ typedef struct {
     int32_t format; /* enum rthyb_wire_format; only TABLE needs the messages */
     /* displacement and force with one id: one frame holds both. */
     rthyb_message command, displacement, force;
+    /* Raw state by which a table's drive is told so, beyond those of enum rthyb_state. 0: it cannot be,
+     * and is told IDLE. */
+    uint32_t reset, leaving;
 } rthyb_codec;
 
+/* What a command says in the place of the controller's state, beside enum rthyb_state. */
+enum rthyb_told {
+    RTHYB_TOLD_RESET =
+        8, /* an operator's: a drive that stands after a stop of its own follows again */
+    RTHYB_TOLD_LEAVING =
+        9 /* the silence that follows is meant: it is no reason to ask for a reset */
+};
+
 enum rthyb_wire_error { RTHYB_E_CODEC = 64 };
+
+/* A shorter count comes round while one half of a pair may still wait for the other. */
+enum rthyb_codec_size { RTHYB_COUNT_BITS_MIN = 5 };
 
 typedef struct {
     double x_m;
     uint32_t seq;   /* one more with every command */
-    uint32_t state; /* enum rthyb_state */
+    uint32_t state; /* enum rthyb_state, or enum rthyb_told */
 } rthyb_setpoint;
 
 enum rthyb_reading_part { RTHYB_HAS_X = 1, RTHYB_HAS_F = 2 };
@@ -964,8 +1035,7 @@ typedef struct {
 } rthyb_wire;
 
 typedef struct {
-    double x_m, f_n; /* newest pair, 0 before the first: whole nm and mN, unless raw saturates */
-    int32_t x_raw, f_raw; /* the same in 1 nm and 1 mN, saturating one short of the lowest value */
+    double x_m, f_n; /* newest pair, 0 before the first */
     uint32_t echo, count, status;
     /* Samples between the command for this tick and the one that the drive had applied at the
      * instant of the pair; -1: not known. */
@@ -992,9 +1062,9 @@ int rthyb_wire_take(rthyb_wire *wire, rthyb_feedback *feedback);
 /* ---- telemetry ring (ring.c) ------------------------------------------------------------------ */
 
 enum rthyb_ring_size {
-    RTHYB_RING_LAYOUT = 1,       /* version of the layout below */
+    RTHYB_RING_LAYOUT = 2,       /* version of the layout below */
     RTHYB_RING_CAPACITY = 65536, /* records of a ring: 64 s */
-    RTHYB_RING_WORDS = 17,       /* words of a record */
+    RTHYB_RING_WORDS = 18,       /* words of a record */
     RTHYB_RING_AFTER_TRIP = 1024 /* records kept of a TRIP before the ring stands still */
 };
 
@@ -1176,6 +1246,8 @@ typedef struct {
     uint64_t parameters_refused; /* sets that switch a limit off while something moves */
     uint64_t beyond;             /* commands that the wire could not hold */
     uint64_t old;                /* pieces that had come before the first tick: dropped */
+    uint64_t belated;   /* pairs not taken: the drive acted on commands that had become old */
+    uint64_t suspended; /* times that the PC was asleep between two ticks */
 } rthyb_loop_counters;
 
 /* A set of parameters on its way from the operator's side to the tick. */
@@ -1210,6 +1282,10 @@ typedef struct {
     rthyb_record records[RTHYB_BLIND_MAX + 1]; /* of the last tick, record_count of them */
     uint32_t record_count;
     int32_t delay;                      /* as in rthyb_feedback, of the last fresh pair */
+    int32_t usual_delay;                /* the same at rest, before the test */
+    uint32_t unsent;                    /* commands in a row that the link did not take */
+    int64_t asleep_ns;                  /* rthyb_asleep_ns at the last tick, */
+    int32_t asleep_known;               /* if there was one */
     uint64_t delays[RTHYB_LINK_DELAYS]; /* fresh pairs of RUNNING by that delay; for any thread */
     /* The same as words that any thread may read. */
     uint64_t state, cause, cause_tick;
@@ -1265,6 +1341,9 @@ void rthyb_loop_step(rthyb_loop *loop);
 int rthyb_loop_start(rthyb_loop *loop);
 /* Waits for the thread's end. */
 int rthyb_loop_join(rthyb_loop *loop);
+/* Once more the last command, with RTHYB_TOLD_LEAVING; 0 if none was sent: not at rest, nothing sent ever,
+ * or the link did not take it. After the thread's end. */
+int rthyb_loop_leave(rthyb_loop *loop);
 /* Leaves an operator's command for the next tick; one thread at a time. Returns its generation, 0
  * while the last one is not answered: only RTHYB_CMD_TRIP takes its place. */
 uint64_t rthyb_loop_command(rthyb_loop *loop, int32_t command);
@@ -1292,15 +1371,14 @@ typedef struct {
     size_t count;
     const double *ag_mps2; /* as in rthyb_loop */
     size_t ag_count;
-    const rthyb_codec *codec; /* that sent the commands; NULL: the rows tell what was sent */
-    rthyb_calibration calibration;
+    const rthyb_codec *codec; /* that sent the commands; NULL: no wire, they left as computed */
+    rthyb_calibration calibration;      /* of the commands */
     const rthyb_parameters *parameters; /* every set but that of generation 0 */
     size_t parameter_count;
 } rthyb_replay;
 
 /* Through a fresh station; what the clock and the link added to the rows is copied. Returns how many
- * rows came out: fewer than count where the rows do not make ticks. A reading that saturated in its
- * row cannot be had back. */
+ * rows came out: fewer than count where the rows do not make ticks. */
 size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, rthyb_record *out);
 
 /* What may be made to go wrong at the drive's side of the wire. */
@@ -1327,7 +1405,8 @@ typedef struct {
 } rthyb_fault;
 
 enum rthyb_drive_phase {
-    RTHYB_DRIVE_STOPPED, /* stands, whatever it is told, until a fresh command in state IDLE */
+    RTHYB_DRIVE_STOPPED, /* stands, whatever it is told, until a fresh command in state IDLE; latched:
+                          * until one with RTHYB_TOLD_RESET */
     RTHYB_DRIVE_FOLLOWING,
     RTHYB_DRIVE_STOPPING
 };
@@ -1360,7 +1439,7 @@ typedef struct {
 } rthyb_held;
 
 /* An actuator controller with load cell: rig, wire and a watchdog that counts its own ticks. It
- * begins STOPPED. */
+ * begins STOPPED, and not latched: nothing has gone wrong yet. */
 typedef struct {
     rthyb_rig *rig;
     rthyb_link *link;
@@ -1376,7 +1455,8 @@ typedef struct {
     uint64_t tick;
     const rthyb_fault *faults; /* the caller's */
     size_t fault_count;
-    int32_t phase; /* enum rthyb_drive_phase */
+    int32_t phase;   /* enum rthyb_drive_phase */
+    int32_t latched; /* it has stopped by itself, and nobody has reset it */
     uint32_t seq, seq_mask, silent;
     uint32_t state;             /* of the last fresh command */
     double wanted_m;            /* of the last fresh command */
@@ -1399,6 +1479,27 @@ int rthyb_drive_schedule(rthyb_drive *drive, const rthyb_fault *faults, size_t n
 void rthyb_drive_tick(rthyb_drive *drive);
 /* Ticks until the ticker is stopped; a tick slept through does not happen. */
 void rthyb_drive_run(rthyb_drive *drive, rthyb_ticker *ticker);
+
+/* ---- tests in virtual time (virtual.c) --------------------------------------------------------- */
+
+/* Station and virtual rig, tick by tick, without clock and wire: the drive follows at once, has the
+ * station's zero for its own, and stops by itself when it is told of a trip. */
+typedef struct {
+    rthyb_station *station;
+    rthyb_rig *rig;
+    const double *ag_mps2; /* ground motion of the test */
+    size_t ag_count;
+    double stop_decel_m_per_s2;
+    int32_t phase;              /* enum rthyb_drive_phase; from here on the core's own */
+    double target_m, target1_m; /* what the actuator is told, and was told before */
+} rthyb_virtual;
+
+/* The members up to stop_decel_m_per_s2 are the caller's; the rest becomes new. 0, or RTHYB_E_LIMIT for
+ * a deceleration that is not positive. */
+int rthyb_virtual_init(rthyb_virtual *test);
+/* Runs up to count ticks, the first one with an operator's command (RTHYB_CMD_NONE: none); each gives one
+ * record. Returns how many were run: fewer where the state has become another, or a tare has failed. */
+size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, rthyb_record *records);
 
 /* ---- simulators of the diagnosis (simulate.c) ------------------------------------------------- */
 

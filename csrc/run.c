@@ -1,4 +1,4 @@
-/* Whole tests in virtual time: against the virtual rig, against a recording, and without either. */
+/* Runs without a station: the bare controller at a virtual rig, and the structure without either. */
 #include "internal.h"
 #include "numeric.h"
 
@@ -17,31 +17,12 @@ size_t rthyb_run_virtual(rthyb_controller *controller, rthyb_rig *rig, const dou
 {
     *status = RTHYB_OK;
     size_t done = 0;
-    while (done < count && !(*status & RTHYB_S_TRIP)) {
+    while (done < count && !(*status & RTHYB_S_NOT_FINITE)) {
         rthyb_input in = {.excitation = excitation_at(controller, excitation, n_total)};
         rthyb_rig_step(rig, controller->x_cmd, &in.x_meas_m, &in.f_meas_n);
         *status |= rthyb_controller_step(controller, &in, &records[done++]);
     }
     return done;
-}
-
-size_t rthyb_run_replay(rthyb_controller *controller, const rthyb_record *recorded,
-                        const double *excitation, size_t n_total, size_t count,
-                        rthyb_record *records)
-{
-    for (size_t i = 0; i < count; i++) {
-        const rthyb_input in = {
-            .x_meas_m = recorded[i].x_meas_m,
-            .f_meas_n = recorded[i].f_meas_n,
-            .excitation = excitation_at(controller, excitation, n_total),
-            .lost = recorded[i].flags & RTHYB_F_PREDICTED ? RTHYB_LOST | recorded[i].code : 0,
-        };
-        rthyb_controller_step(controller, &in, &records[i]);
-        /* What came over the wire is input, even where it was refused. */
-        records[i].x_raw = recorded[i].x_raw;
-        records[i].f_raw = recorded[i].f_raw;
-    }
-    return count;
 }
 
 int rthyb_run_reference(rthyb_motion *motion, rthyb_element *elements, size_t element_count,

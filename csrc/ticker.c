@@ -21,6 +21,14 @@ int64_t rthyb_now_ns(void)
     return (int64_t)now.tv_sec * SECOND_NS + now.tv_nsec;
 }
 
+int64_t rthyb_asleep_ns(void)
+{
+    struct timespec whole;
+    const int64_t awake_ns = rthyb_now_ns();
+    clock_gettime(CLOCK_BOOTTIME, &whole);
+    return (int64_t)whole.tv_sec * SECOND_NS + whole.tv_nsec - awake_ns;
+}
+
 int rthyb_ticker_init(rthyb_ticker *ticker, int32_t clock, int64_t t0_ns)
 {
     if (clock < RTHYB_CLOCK_HOST || clock > RTHYB_CLOCK_LINK || t0_ns < 0)

@@ -3,7 +3,7 @@
 #include "numeric.h"
 #include "relaxed.h"
 
-#define HALF_LIVES 20   /* ticks that a half waits for its other half */
+#define HALF_LIVES 20   /* ticks that a half waits for its other half, at the most */
 #define RESYNC_AFTER 20 /* ticks of silence after which any count may come next */
 #define STUCK_AFTER 6   /* frames in a row that repeat what is known */
 #define BOTH (RTHYB_HAS_X | RTHYB_HAS_F)
@@ -181,10 +181,17 @@ int rthyb_wire_feed(rthyb_wire *w, const uint8_t *bytes, size_t n)
     return all;
 }
 
+/* No half meets one that is a round of the count younger, also with ticks skipped in between. */
+static uint32_t half_lives(const rthyb_wire *w)
+{
+    const uint32_t half_round = w->count_mask / 2 + 1;
+    return half_round < HALF_LIVES ? half_round : HALF_LIVES;
+}
+
 static void age_halves(rthyb_wire *w)
 {
     for (int i = 0; i < 2; i++)
-        if (w->half[i].has && ++w->half_age[i] > HALF_LIVES)
+        if (w->half[i].has && ++w->half_age[i] > half_lives(w))
             drop_half(w, i);
 }
 
@@ -197,17 +204,6 @@ static int32_t delay(const rthyb_wire *w)
     return known ? (int32_t)(steps & INT32_MAX) : -1;
 }
 
-/* In the unit of the record, and the value becomes just that, so that a record says all that the
- * station saw; beyond what a record can hold it stays what it is. */
-static int32_t record_raw(double *value, double unit)
-{
-    const double wanted = *value / unit;
-    const int32_t raw = (int32_t)lrint(clamp(wanted, -(double)INT32_MAX, (double)INT32_MAX));
-    if (fabs(wanted) <= (double)INT32_MAX)
-        *value = (double)raw * unit;
-    return raw;
-}
-
 int rthyb_wire_take(rthyb_wire *w, rthyb_feedback *feedback)
 {
     const int fresh = w->fresh, refused = w->refused;
@@ -218,13 +214,9 @@ int rthyb_wire_take(rthyb_wire *w, rthyb_feedback *feedback)
         add(&w->counters.stale, 1);
     if (w->age >= RESYNC_AFTER)
         w->synced = 0;
-    double x_m = w->pair.x_m, f_n = w->pair.f_n;
-    const int32_t x_raw = record_raw(&x_m, RTHYB_RAW_X_M), f_raw = record_raw(&f_n, RTHYB_RAW_F_N);
     *feedback = (rthyb_feedback){
-        .x_m = x_m,
-        .f_n = f_n,
-        .x_raw = x_raw,
-        .f_raw = f_raw,
+        .x_m = w->pair.x_m,
+        .f_n = w->pair.f_n,
         .echo = w->pair.echo,
         .count = w->pair.count,
         .status = (w->pair.status & ~(uint32_t)RTHYB_DEVICE_STOPPED) | w->stopped,

@@ -42,6 +42,14 @@ STATUS: Final[dict[str, int]] = {
     "tracking_limit": lib.RTHYB_S_TRACKING_LIMIT,
     "link_lost": lib.RTHYB_S_LINK_LOST,
     "trip": lib.RTHYB_S_TRIP,
+    "velocity_limit": lib.RTHYB_S_VELOCITY_LIMIT,
+    "increment_limit": lib.RTHYB_S_INCREMENT_LIMIT,
+    "indicator_limit": lib.RTHYB_S_INDICATOR_LIMIT,
+    "energy_limit": lib.RTHYB_S_ENERGY_LIMIT,
+    "sensor_stuck": lib.RTHYB_S_SENSOR_STUCK,
+    "sensor_jump": lib.RTHYB_S_SENSOR_JUMP,
+    "lost_rate": lib.RTHYB_S_LOST_RATE,
+    "skip_rate": lib.RTHYB_S_SKIP_RATE,
 }
 FLAGS: Final = recording.FLAGS
 FLAG_NAMES: Final = tuple(FLAGS)
@@ -88,7 +96,7 @@ def build_facts() -> dict[str, str]:
 # ---- the record ---------------------------------------------------------------------------------
 
 _NUMPY_NAME: Final[dict[str, str]] = {
-    "uint8_t": "u1",
+    "uint16_t": "<u2",
     "uint32_t": "<u4",
     "int32_t": "<i4",
     "uint64_t": "<u8",
@@ -113,6 +121,16 @@ def _dtype_of(struct: str) -> np.dtype[np.void]:
 RECORD_DTYPE: Final = _dtype_of("rthyb_record")
 
 
+def _as_records(rows: RecordArray) -> RecordArray:
+    """Return rows of a recording, whose fields may be more and in another order, as the core's."""
+    if rows.dtype == RECORD_DTYPE:
+        return np.ascontiguousarray(rows)
+    records = np.zeros(rows.shape, dtype=RECORD_DTYPE)
+    for name in RECORD_DTYPE.names or ():
+        records[name] = rows[name]
+    return records
+
+
 # ---- configuration of the kernels ---------------------------------------------------------------
 
 Law = Literal["fixed", "gradient", "robust", "rls"]
@@ -122,7 +140,6 @@ Integrator = Literal["central-difference", "forward-euler", "cr", "kr-alpha", "p
 ServoKind = Literal["pure-delay", "first-order", "second-order", "servo-hydraulic"]
 Hold = Literal["zoh", "foh"]
 LoadCell = Literal["actuator-end", "specimen"]
-Action = Literal["none", "indicate", "trip"]
 
 _ENUMS: Final[dict[str, dict[str, int]]] = {
     "law": {
@@ -151,11 +168,6 @@ _ENUMS: Final[dict[str, dict[str, int]]] = {
     },
     "hold": {"zoh": lib.RTHYB_ZOH, "foh": lib.RTHYB_FOH},
     "load_cell": {"actuator-end": lib.RTHYB_ACTUATOR_END, "specimen": lib.RTHYB_SPECIMEN_END},
-    "action": {
-        "none": lib.RTHYB_NONE,
-        "indicate": lib.RTHYB_INDICATE,
-        "trip": lib.RTHYB_TRIP_TEST,
-    },
 }
 
 
@@ -268,14 +280,6 @@ class RigConfig:
 
 
 @dataclass(frozen=True)
-class LimitConfig:
-    """A monitored limit; value 0 or action ``none`` switches it off."""
-
-    value: float = 0.0
-    action: Action = "none"
-
-
-@dataclass(frozen=True)
 class ControllerConfig:
     """All that one sample of the controller needs to know."""
 
@@ -286,9 +290,6 @@ class ControllerConfig:
     period_s: float = PERIOD_S
     x_range_m: float = 0.0
     f_range_n: float = 0.0
-    position: LimitConfig = LimitConfig()
-    force: LimitConfig = LimitConfig()
-    tracking: LimitConfig = LimitConfig()
     velocity_limit_m_per_s: float = 0.0
     acceleration_limit_m_per_s2: float = 0.0
     clamp_m: float = 0.0
@@ -542,6 +543,10 @@ class Rig:
             step(self._c, command, self._x, self._f)
         return out[:, 0].copy(), out[:, 1].copy(), out[:, 2].copy()
 
+    def reseed(self) -> None:
+        """Begin the noise of the sensors anew, from the seed."""
+        lib.rthyb_rig_reseed(self._c)
+
     @property
     def true_displacement_m(self) -> float:
         """Displacement at the last latch without the sensor's errors."""
@@ -558,7 +563,10 @@ class Sample:
 
 
 class Controller:
-    """The controller: one sample, a virtual test, or a replay; raises ``CoreError``."""
+    """The controller without states and limits: one sample, or a run at a virtual rig.
+
+    Raises ``CoreError``.
+    """
 
     def __init__(self, config: ControllerConfig) -> None:
         self.config = config
@@ -587,32 +595,13 @@ class Controller:
         """Index of the next sample."""
         return int(self._c.tick)
 
-    def state_bytes(self) -> bytes:
-        """Return the whole state as bytes, for a recording."""
-        return bytes(ffi.buffer(self._c))
-
-    def restore(self, state: bytes) -> None:
-        """Take over a state from :meth:`state_bytes` of the same core.
-
-        Raises ``CoreError`` if the size differs or the bytes cannot be a controller's.
-        """
-        size = ffi.sizeof("rthyb_controller")
-        if len(state) != size:
-            raise CoreError(
-                f"controller state: {len(state)} bytes recorded, this core has {size}; "
-                "replay with the version that recorded"
-            )
-        recorded = ffi.new("rthyb_controller *")
-        ffi.buffer(recorded)[:] = state
-        _check(lib.rthyb_controller_adopt(self._c, recorded))
-
     def run_virtual(
         self, rig: Rig, excitation: FloatArray, records: RecordArray
     ) -> tuple[int, int]:
         """Fill ``records`` with the next ticks against ``rig``.
 
         ``excitation`` is the whole test's, (n_total,). Returns how many records were written
-        (fewer when a trip ended the test) and the status bits seen.
+        (fewer when a value was not finite) and the status bits seen.
         """
         ag = _doubles(excitation)
         status = ffi.new("int32_t *")
@@ -620,14 +609,6 @@ class Controller:
             self._c, rig._c, _in(ag), ag.size, records.size, _records(records), status
         )
         return int(done), int(status[0])
-
-    def replay(self, recorded: RecordArray, excitation: FloatArray) -> RecordArray:
-        """Return the records that this controller computes from the recorded inputs."""
-        ag = _doubles(excitation)
-        source = np.ascontiguousarray(recorded, dtype=RECORD_DTYPE)
-        out = np.zeros(source.size, dtype=RECORD_DTYPE)
-        lib.rthyb_run_replay(self._c, _records(source), _in(ag), ag.size, out.size, _records(out))
-        return out
 
 
 # ---- states, limits, faults ----------------------------------------------------------------------
@@ -657,11 +638,16 @@ CAUSES: Final[tuple[str, ...]] = (
     "link_down",
     "drive_stopped",
     "stalled",
-    "skips",
     "heartbeat",
     "not_arrived",
+    "skips",
+    "skip_warning",
+    "lost_pairs",
+    "lost_warning",
     "sensor_stuck",
     "sensor_jump",
+    "force_stuck",
+    "force_jump",
     "position",
     "velocity",
     "increment",
@@ -669,7 +655,10 @@ CAUSES: Final[tuple[str, ...]] = (
     "tracking",
     "indicator",
     "energy",
+    "rig_position",
+    "rig_force",
 )
+WATCHABLE: Final = CAUSES[CAUSES.index("skips") :]
 BLIND_MAX: Final[int] = lib.RTHYB_BLIND_MAX
 
 
@@ -686,19 +675,49 @@ class StationConfig:
     """Settings of the station.
 
     ``watches`` has a :class:`Watch` by cause: position (m), velocity (m/s), increment (m a tick),
-    force (N), tracking (m), indicator (m^2/s), energy (J), sensor_stuck (ticks), sensor_jump (m).
-    ``stay``: RAMP_OUT ends where it comes to rest, and not at 0.
+    force (N), tracking (m), indicator (m^2/s), energy (J), sensor_stuck and force_stuck (ticks),
+    sensor_jump (m), force_jump (N), rig_position (m) and rig_force (N) before tare, lost_pairs,
+    lost_warning, skips and skip_warning (share of the last second's ticks).
+    ``tare_most_m``, ``tare_most_n``: ZERO refuses a larger tare; 0 takes any.
+    ``brake_acceleration_m_per_s2``: of HOLD, and where RAMP_OUT begins; 0: as of paths. ``stay``:
+    RAMP_OUT ends where it comes to rest, and not at 0.
     """
 
     controller: ControllerConfig
     watches: Mapping[str, Watch] = field(default_factory=dict)
     path_velocity_m_per_s: float = 0.02
     path_acceleration_m_per_s2: float = 0.2
+    brake_acceleration_m_per_s2: float = 0.0
     rest_spread_m: float = 1e-4
+    tare_most_m: float = 0.0
+    tare_most_n: float = 0.0
     tare_ticks: int = 1024
     ramp_in_ticks: int = 2048
     armed_ticks: int = 30720
     stay: bool = False
+
+    def plain(self) -> dict[str, Any]:
+        """Return all of it as plain values, for a recording: `of` takes them back."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> StationConfig:
+        """Return the settings that `plain` has written down.
+
+        Raises:
+            CoreError: they are not those of this version.
+        """
+        try:
+            given = dict(plain)
+            inner: dict[str, Any] = dict(given.pop("controller"))
+            parts = {"estimator": EstimatorConfig, "rfc": RfcConfig, "motion": MotionConfig}
+            inner |= {name: kind(**inner[name]) for name, kind in parts.items()}
+            watches = {name: Watch(**watch) for name, watch in given.pop("watches").items()}
+            return cls(controller=ControllerConfig(**inner), watches=watches, **given)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise CoreError(
+                f"station settings: {error}; replay with the version that recorded"
+            ) from error
 
 
 @dataclass(frozen=True)
@@ -750,8 +769,9 @@ class Parameters:
     """What may be changed while a test runs; always a whole set.
 
     ``watches`` as in :class:`StationConfig`, and what it does not name is not watched; limits of
-    the command with 0 for off; path limits are for paths that begin from then on. ``adapt`` False:
-    alpha and beta stay where they are.
+    the command with 0 for off; path limits are for paths that begin from then on, and narrower ones
+    have the path that runs brake and begin anew; a brake of 0 is as hard as paths are. ``adapt``
+    False: alpha and beta stay where they are.
     """
 
     watches: Mapping[str, Watch] = field(default_factory=dict)
@@ -760,6 +780,7 @@ class Parameters:
     path_velocity_m_per_s: float = 0.02
     path_acceleration_m_per_s2: float = 0.2
     adapt: bool = True
+    brake_acceleration_m_per_s2: float = 0.0
 
     @classmethod
     def of(cls, config: StationConfig) -> Parameters:
@@ -770,6 +791,7 @@ class Parameters:
             acceleration_limit_m_per_s2=config.controller.acceleration_limit_m_per_s2,
             path_velocity_m_per_s=config.path_velocity_m_per_s,
             path_acceleration_m_per_s2=config.path_acceleration_m_per_s2,
+            brake_acceleration_m_per_s2=config.brake_acceleration_m_per_s2,
         )
 
     def struct(self, generation: int = 0) -> Any:
@@ -808,9 +830,14 @@ class Station:
         link_down: bool = False,
         drive_stopped: bool = False,
         heartbeat_late: bool = False,
+        taken_over_m: float | None = None,
     ) -> StationTick:
-        """Run one executed tick with the newest pair (before tare), or without one."""
+        """Run one executed tick with the newest pair (before tare), or without one.
+
+        ``taken_over_m``: with the first sound reading, the command that the drive has already.
+        """
         i = self._in
+        i.taken_over, i.x_cmd_m = taken_over_m is not None, taken_over_m or 0.0
         i.x_m, i.f_n, i.lost = x_m, f_n, lib.RTHYB_LOST if lost else 0
         i.skipped, i.command = skipped, COMMANDS.index(command)
         i.link_down, i.drive_stopped, i.heartbeat_late = link_down, drive_stopped, heartbeat_late
@@ -838,12 +865,11 @@ class Station:
 
         With the station's settings and ground motion those of the recording, every byte is the same
         again; the first row that differs, or is missing, is where the recording and the core part.
-        What clock and link added (times, echo, count, slips) is copied. A reading beyond what its
-        raw field can hold, 2.147 m or 2.147 MN, cannot be had back.
+        What clock and link added (times, echo, count, slips) is copied.
 
         Args:
             rows: every row from the station's first tick on, (n,).
-            codec: of the link that sent the commands; None: the rows tell what was sent.
+            codec: of the link that sent the commands; None: no wire, they left as computed.
             calibration: of the loop.
             parameters: every set that was published, with its generation.
 
@@ -857,7 +883,7 @@ class Station:
             raise CoreError(
                 f"only a fresh station replays; this one has {self.ticks} ticks behind it"
             )
-        recorded = np.ascontiguousarray(rows, dtype=RECORD_DTYPE)
+        recorded = _as_records(rows)
         out = np.zeros(recorded.size, dtype=RECORD_DTYPE)
         sets = ffi.new("rthyb_parameters[]", len(parameters))
         for slot, (generation, one) in enumerate(parameters):
@@ -887,6 +913,25 @@ class Station:
         return int(self._c.cause_tick)
 
     @property
+    def cause_value(self) -> float:
+        """What was met when that cause came up, in its watch's unit; 0 where it has no number."""
+        return float(self._c.cause_value)
+
+    @property
+    def cause_limit(self) -> float:
+        """What was allowed then, in the same unit; 0 where the cause has no number."""
+        return float(self._c.cause_limit)
+
+    @property
+    def refusal(self) -> tuple[str, float, float]:
+        """Which watch refused the last command or tare, with what was met and what is allowed.
+
+        "none" where none did.
+        """
+        c = self._c
+        return CAUSES[int(c.refused_cause)], float(c.refused_value), float(c.refused_limit)
+
+    @property
     def indicated(self) -> list[str]:
         """Causes that were seen and only indicated."""
         return [name for bit, name in enumerate(CAUSES) if self._c.indicated >> bit & 1]
@@ -898,8 +943,13 @@ class Station:
 
     @property
     def zeroing_failed(self) -> bool:
-        """Whether the last tare was refused because the reading moved."""
-        return bool(self._c.zeroing == 2)
+        """Whether the last tare was refused: the reading moved, or `tare_too_large`."""
+        return int(self._c.zeroing) in (2, 3)
+
+    @property
+    def tare_too_large(self) -> bool:
+        """Whether it was refused for its size; `refusal` has the figures."""
+        return bool(self._c.zeroing == 3)
 
     @property
     def ticks(self) -> int:
@@ -925,6 +975,40 @@ class Station:
     def command_tare_m(self) -> float:
         """What is added to a command on its way to the drive: where that stood at the tare, m."""
         return float(self._c.tare_cmd)
+
+
+class Virtual:
+    """A test in virtual time: a station and a virtual rig, without clock and wire.
+
+    Args:
+        station: states, limits, controller, ground motion.
+        rig: what moves and measures; the drive has the station's zero for its own.
+        stop_decel_m_per_s2: how the drive brakes by itself after a trip.
+
+    Raises:
+        CoreError: the deceleration is not positive.
+    """
+
+    def __init__(self, station: Station, rig: Rig, stop_decel_m_per_s2: float = 1.0) -> None:
+        self.station, self.rig = station, rig
+        self._c = ffi.new("rthyb_virtual *")
+        self._ag = _in(station._ag)
+        self._c.station, self._c.rig = station._c, rig._c
+        self._c.ag_mps2, self._c.ag_count = self._ag, station._ag.size
+        self._c.stop_decel_m_per_s2 = stop_decel_m_per_s2
+        if lib.rthyb_virtual_init(self._c):
+            raise CoreError(
+                f"the drive brakes with {stop_decel_m_per_s2} m/s^2, more than 0 is needed"
+            )
+
+    def run(self, records: RecordArray, command: Command = "none") -> int:
+        """Fill ``records``, one a tick, the first tick with an operator's command.
+
+        Returns:
+            how many were written: fewer where the state has become another, or a tare has failed.
+        """
+        number = COMMANDS.index(command)
+        return int(lib.rthyb_virtual_run(self._c, number, records.size, _records(records)))
 
 
 def command_of(flags: int) -> Command:
@@ -993,7 +1077,7 @@ def _value(name: str, value: Any) -> Any:
 
 
 def _fill_watches(slots: Any, watches: Mapping[str, Watch]) -> None:
-    unknown = set(watches) - set(CAUSES[CAUSES.index("sensor_stuck") :])
+    unknown = set(watches) - set(WATCHABLE)
     if unknown:
         raise CoreError(f"nothing to watch under the name {', '.join(sorted(unknown))}")
     for name, watch in watches.items():

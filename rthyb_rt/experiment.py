@@ -1,8 +1,9 @@
-"""One hybrid test from its files to the core's settings, and to its recording in virtual time."""
+"""One hybrid test from its files to the core's settings, and the recording as it begins."""
 
 from __future__ import annotations
 
 import datetime
+import functools
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -16,11 +17,10 @@ from rthyb_rt import __version__, config, core, ground_motion, recording
 from rthyb_rt.config import Derived, Limit, Limits, RigFile, TestFile
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import testfile as test_file
+from rthyb_rt.config.limits import VelocityLimit
+from rthyb_rt.config.rigfile import Link
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
-
-CHUNK_TICKS = 8192
-"""Ticks between two reports of progress: 8 s of the test."""
 
 REFERENCE_DTYPE = np.dtype([("x_ref_m", "<f8"), ("v_ref_mps", "<f8"), ("f_ref_n", "<f8")])
 
@@ -77,9 +77,9 @@ def prepare(
 
     Args:
         test, rig: the two files.
+        real_time: the test will run over a link, where limits that no file states act as well: a
+            note names them.
         record: the ground motion as it was read already, not cut, not scaled; None reads it.
-        real_time: the test will run in real time: no note on limits that virtual time does not
-            watch.
 
     Raises:
         InputError: with what is wrong in the files, the record, or between them.
@@ -119,9 +119,41 @@ def prepare(
             f"{error}; look at the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
-    unwatched = [] if real_time else _unwatched_notes(test.limits)
-    notes = (*setup.notes, *_range_notes(rig, expected), *unwatched)
-    return replace(setup, notes=notes, reference=expected)
+    setup = follow_reference(replace(setup, reference=expected))
+    derived_notes = _derived_notes(setup.derived.limits) if real_time else []
+    notes = (*setup.notes, *_range_notes(rig, expected), *derived_notes)
+    return replace(setup, notes=notes)
+
+
+def follow_reference(setup: Setup) -> Setup:
+    """Fill in what limits follow from the reference simulation, as far as no file says them.
+
+    Args:
+        setup: the test with its reference, and the limits of its files.
+    """
+    derived, wanted = setup.derived, setup.test.controller
+    x_m = setup.reference["x_ref_m"]
+    lead = core.Plc(wanted.w1, wanted.w2)
+    sent_m = lead.run(x_m, derived.alpha0, derived.beta0) if derived.plc_enabled else x_m
+    limits = limits_file.with_reference(
+        derived.limits,
+        float(np.abs(np.diff(sent_m)).max(initial=0.0)) / core.PERIOD_S,
+        float(np.abs(np.diff(x_m, 2)).max(initial=0.0)) / core.PERIOD_S**2,
+    )
+    derived = replace(derived, limits=_with_sensors(setup.rig, limits, setup.reference))
+    return replace(setup, derived=derived, test=config.resolve(setup.test, derived))
+
+
+def _with_sensors(
+    rig: RigFile, limits: limits_file.Resolved, expected: NDArray[np.void] | None = None
+) -> limits_file.Resolved:
+    """Fill in the limits that follow from sensors and link, and from a reference."""
+    peak, step = 0.0, 0.0
+    if expected is not None:
+        peak = float(np.abs(expected["v_ref_mps"]).max(initial=0.0))
+        step = float(np.abs(np.diff(expected["f_ref_n"])).max(initial=0.0))
+    found = config.derived_limits(rig, limits, peak, step)
+    return replace(limits, derived={**limits.derived, **found})
 
 
 def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
@@ -143,17 +175,17 @@ def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
     return notes
 
 
-def _unwatched_notes(limits: Limits) -> list[str]:
-    """Name the limits that nobody watches in virtual time."""
-    given = {key: getattr(limits, key) for key in limits_file.WATCHED}
-    names = [
-        f"limits.{key}{' (its action)' if key == 'command_velocity_m_per_s' else ''}"
-        for key, limit in given.items()
-        if limit is not None and limit.acts and key not in limits_file.VIRTUAL
-    ]
-    if not names:
+def _derived_notes(limits: limits_file.Resolved) -> list[str]:
+    """Name the velocity limit that the test has for want of one in its files."""
+    velocity = limits.derived.get("command_velocity_m_per_s")
+    if velocity is None:
         return []
-    return [f"watched in real time alone, not in virtual time: {', '.join(names)}"]
+    return [
+        "neither test nor rig has limits.command_velocity_m_per_s: at a link the command is held "
+        f"to {velocity.value:.3g} m/s, {limits_file.VELOCITY_MARGIN:g} times the peak velocity of "
+        "the compensated reference, and twice the velocity of ramps at least; set it in the rig "
+        "file"
+    ]
 
 
 def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
@@ -185,16 +217,47 @@ def _cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotion) -> Grou
     return motion if wanted.factor is None else motion.scaled(factor=wanted.factor)
 
 
+_PRESCRIBED: Final = """schema = "rthyb-test/1"
+test = {{ name = "{name}", description = "prescribed motion, not a test" }}
+numerical = {{ period_s = 1, damping_ratio = 0 }}
+controller = {{ type = "none" }}
+"""
+
+
+def prescribed(rig: RigFile, name: str, path_m: NDArray[np.float64]) -> Setup:
+    """Return a displacement that is followed as it stands, as the setup of a test.
+
+    Args:
+        rig: whose limits hold.
+        name: what it is for.
+        path_m: displacement at every tick, (n,).
+
+    Raises:
+        InputError: the rig file's own figures do not fit together.
+    """
+    test = config.parse_test(_PRESCRIBED.format(name=name), name)
+    derived = config.derive(test, rig)
+    derived = replace(derived, limits=_with_sensors(rig, derived.limits))
+    test = config.resolve(test, derived)
+    controller = controller_config(test, rig, derived, path_m.size)
+    return Setup(
+        test=test,
+        rig=rig,
+        derived=derived,
+        motion=GroundMotion("none", name, core.PERIOD_S, np.zeros(1)),
+        ag_mps2=path_m,
+        controller=replace(controller, motion=core.MotionConfig("prescribed")),
+        virtual_rig=rig_config(rig),
+    )
+
+
 # ---- from the files' terms to the core's --------------------------------------------------------
 
 
 def controller_config(
     test: TestFile, rig: RigFile, derived: Derived, end_tick: int
 ) -> core.ControllerConfig:
-    """Return the core's settings; ``end_tick`` is t_ex, where stage 3 of the RFC begins.
-
-    The limits are those of virtual time, where hold and ramp-out end the test as trip does.
-    """
+    """Return the core's settings; ``end_tick`` is t_ex, where stage 3 of the RFC begins."""
     wanted, limits = test.controller, test.limits
     sensors, velocity = rig.sensors, limits.command_velocity_m_per_s
     return core.ControllerConfig(
@@ -212,9 +275,6 @@ def controller_config(
         motion=motion_config(test, derived),
         x_range_m=sensors.displacement.range_m or 0.0,
         f_range_n=sensors.force.range_n or 0.0,
-        position=_limit(limits.command_position_m),
-        force=_limit(limits.force_n),
-        tracking=_limit(limits.tracking_error_m),
         velocity_limit_m_per_s=velocity.value if velocity and velocity.enable else 0.0,
         acceleration_limit_m_per_s2=limits.command_acceleration_m_per_s2 or 0.0,
     )
@@ -257,12 +317,6 @@ def motion_config(test: TestFile, derived: Derived) -> core.MotionConfig:
     )
 
 
-def _limit(limit: Limit | None) -> core.LimitConfig:
-    if limit is None or not limit.acts:
-        return core.LimitConfig()
-    return core.LimitConfig(limit.value, "trip" if limit.ends else "indicate")
-
-
 WATCHES: Final[dict[str, str]] = {
     "command_position_m": "position",
     "command_velocity_m_per_s": "velocity",
@@ -273,34 +327,82 @@ WATCHES: Final[dict[str, str]] = {
     "energy_error_j": "energy",
     "sensor_stuck_samples": "sensor_stuck",
     "sensor_jump_m": "sensor_jump",
+    "force_stuck_samples": "force_stuck",
+    "force_jump_n": "force_jump",
+    "lost_pairs_share": "lost_pairs",
+    "lost_pairs_warning_share": "lost_warning",
+    "skipped_ticks_share": "skips",
+    "skipped_ticks_warning_share": "skip_warning",
 }
 """What the station calls the limits of the files."""
+RIG_WATCHES: Final = {key: f"rig_{WATCHES[key]}" for key in limits_file.BEFORE_TARE}
+"""And those of the rig file that act before the tare."""
 
 
-def station_config(setup: Setup) -> core.StationConfig:
-    """Return the settings of a test in real time: states, limits and paths around the controller.
+def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
+    """Return the settings of the station: states, limits and paths around the controller.
 
-    The controller's own limits on position, force and tracking error are off: the station watches
-    them, with every action there is, and keeps the command within the position limit. Velocity and
-    acceleration still limit the command in the controller, and its sensor ranges hold.
+    Args:
+        setup: the test.
+        real: there is a link, and something behind it that may break: limits that are derived, and
+            that no file states, act as they say. Else they only indicate.
     """
     limits, resolved = setup.test.limits, setup.derived.limits
-    off = core.LimitConfig()
-    given = {cause: getattr(limits, key) for key, cause in WATCHES.items()}
+    given = {cause: _watched(limits, resolved, key, real) for key, cause in WATCHES.items()}
+    for key, cause in RIG_WATCHES.items():
+        given[cause] = getattr(setup.rig.limits, key)
+        if resolved.sources.get(key) != "test":
+            given[WATCHES[key]] = None
+    controller = setup.controller
+    velocity = resolved.derived.get("command_velocity_m_per_s")
+    if velocity is not None and real:
+        controller = replace(controller, velocity_limit_m_per_s=float(velocity.value))
     return core.StationConfig(
-        controller=replace(setup.controller, position=off, force=off, tracking=off),
+        controller=controller,
         watches={
             cause: core.Watch(float(limit.value), limit.action)
             for cause, limit in given.items()
-            if limit is not None and limit.acts
+            # Switched off is not left out: the station has its own for skipped ticks.
+            if limit is not None and (limit.acts or cause == "skips")
         },
         path_velocity_m_per_s=resolved.path_velocity_m_per_s,
         path_acceleration_m_per_s2=resolved.path_acceleration_m_per_s2,
+        brake_acceleration_m_per_s2=resolved.brake_acceleration_m_per_s2 or 0.0,
         rest_spread_m=resolved.rest_spread_m,
+        tare_most_m=_tare_most(setup, "command_position_m"),
+        tare_most_n=_tare_most(setup, "force_n"),
         tare_ticks=_ticks(resolved.tare_s),
         ramp_in_ticks=_ticks(resolved.ramp_in_s),
         armed_ticks=_ticks(resolved.armed_timeout_s),
     )
+
+
+def _tare_most(setup: Setup, key: str) -> float:
+    """Return how large a tare may be beside the rig's own limit; 0: any."""
+    limit: Limit | None = getattr(setup.rig.limits, key)
+    if limit is None or not limit.acts:
+        return 0.0
+    return setup.derived.limits.tare_share_most * limit.value
+
+
+def _watched(limits: Limits, resolved: limits_file.Resolved, key: str, real: bool) -> Limit | None:
+    """Return a limit as a file states it, else as it is derived."""
+    given: Limit | None = getattr(limits, key)
+    derived = resolved.derived.get(key)
+    # A velocity limit acts by itself, whatever its action.
+    acts = derived is not None and (derived.ends or isinstance(derived, VelocityLimit))
+    if given is not None or derived is None or real or not acts:
+        return derived if given is None else given
+    return derived.model_copy(update={"action": "indicate"})
+
+
+def first_parameters(setup: Setup, station: core.StationConfig) -> dict[str, Any]:
+    """Return the settings that a recording begins with, generation 0 of its parameters.
+
+    All of them, so that a replay has nothing to derive: another version may derive it otherwise.
+    """
+    values = {"rfc_end_tick": setup.controller.rfc.end_tick, "station": station.plain()}
+    return {"generation": 0, "tick": 0, "values": values}
 
 
 def _ticks(seconds: float) -> int:
@@ -324,6 +426,12 @@ def calibration(rig: RigFile) -> core.Calibration:
         cmd_gain=1.0 / (length * command.gain),
         cmd_offset_m=0.0 - command.offset_m / command.gain,
     )
+
+
+def stop_decel_m_per_s2(rig: RigFile) -> float:
+    """Return how a rig's drive brakes by itself; without a link as it would behind one."""
+    default: float = Link.model_fields["stop_decel_m_per_s2"].default
+    return default if rig.link is None else rig.link.stop_decel_m_per_s2
 
 
 def rig_config(rig: RigFile) -> core.RigConfig:
@@ -376,12 +484,8 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
     Returns:
         ``x_ref_m``, ``v_ref_mps``, ``f_ref_n`` at every tick, shape (n,).
     """
-    if table_forces is None:
-        table_forces = setup.test.reference.table_forces
-    elements = list(specimen_elements(setup.rig))
-    if table_forces:
-        elements += table_elements(setup.rig)
-    rigid = [e for e in elements if e.kind not in ("inertia", "viscous")]
+    elements = _reference_elements(setup, table_forces)
+    rigid = [e for e in elements if e.kind not in _IMPLICIT]
     motion = motion_config(setup.test, setup.derived)
     # As a force, mass would need the acceleration that it decides, and a damper the velocity: both
     # go where the integrator treats them implicitly.
@@ -395,6 +499,22 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
     result = np.zeros(setup.ticks, dtype=REFERENCE_DTYPE)
     result["x_ref_m"], result["v_ref_mps"], result["f_ref_n"] = x, v, force
     return result
+
+
+_IMPLICIT: Final = ("inertia", "viscous")
+"""Elements that the reference joins to the structure's own mass and damping."""
+
+
+def _reference_elements(setup: Setup, table_forces: bool | None) -> list[core.ElementConfig]:
+    elements = list(specimen_elements(setup.rig))
+    if setup.test.reference.table_forces if table_forces is None else table_forces:
+        elements += table_elements(setup.rig)
+    return elements
+
+
+def reference_elements(setup: Setup) -> list[core.ElementConfig]:
+    """Return what the force of the reference simulation comes from."""
+    return [e for e in _reference_elements(setup, None) if e.kind not in _IMPLICIT]
 
 
 def table_elements(rig: RigFile) -> list[core.ElementConfig]:
@@ -411,36 +531,7 @@ def table_elements(rig: RigFile) -> list[core.ElementConfig]:
     ]
 
 
-# ---- the run ------------------------------------------------------------------------------------
-
-
-def run(setup: Setup, progress: Progress | None = None) -> recording.Recording:
-    """Run the test against the virtual rig as fast as it goes.
-
-    Args:
-        setup: the test.
-        progress: called with (ticks done, ticks of the test) now and then.
-
-    Returns:
-        The recording with its reference simulation. A test that a limit ended holds the rows up
-        to that limit, and ``meta["end_reason"]`` names it.
-    """
-    controller = core.Controller(setup.controller)
-    rig = core.Rig(setup.virtual_rig)
-    state0 = controller.state_bytes()
-    samples = np.zeros(setup.ticks, dtype=core.RECORD_DTYPE)
-    done, status = 0, 0
-    while done < setup.ticks and not status & core.STATUS["trip"]:
-        chunk = samples[done : done + CHUNK_TICKS]
-        count, status = controller.run_virtual(rig, setup.ag_mps2, chunk)
-        done += count
-        if progress is not None:
-            progress(done, setup.ticks)
-    rec = blank(setup, "virtual")
-    rec.samples = samples[:done]
-    rec.replay.controller_state = state0
-    rec.meta["end_reason"] = _end_reason(rec.samples, status)
-    return rec
+# ---- the recording ------------------------------------------------------------------------------
 
 
 def blank(setup: Setup, clock: str) -> recording.Recording:
@@ -482,17 +573,7 @@ def _provenance(setup: Setup) -> dict[str, Any]:
     }
 
 
-def _end_reason(samples: NDArray[np.void], status: int) -> str:
-    if not status & core.STATUS["trip"]:
-        return "completed"
-    causes = [
-        name
-        for name in core.status_names(int(samples["code"][-1]))
-        if name not in ("trip", "limited")
-    ]
-    return "tripped: " + ", ".join(causes).replace("_", " ")
-
-
+@functools.cache
 def _git_hash() -> str:
     """Return the commit of the checkout that this package runs from, or "" for an installed one."""
     root = Path(__file__).resolve().parents[1]
@@ -529,21 +610,6 @@ class Replay:
     same_build: bool
 
 
-def replay(rec: recording.Recording) -> Replay:
-    """Run the recorded inputs through the core again and compare every computed field.
-
-    Raises:
-        InputError: the recording's configuration cannot be read by this version.
-        CoreError: the recorded controller state belongs to another core.
-    """
-    test = config.parse_test(rec.test_toml, "recording: test")
-    rig = config.parse_rig(rec.rig_toml, "recording: rig")
-    derived = config.derive(test, rig)
-    controller = core.Controller(controller_config(test, rig, derived, 0))
-    controller.restore(rec.replay.controller_state)
-    return compare(rec, controller.replay(rec.samples, rec.ag_mps2))
-
-
 def compare(rec: recording.Recording, again: core.RecordArray) -> Replay:
     """Compare every field of a recording with the rows that were computed again, shape (n,)."""
     samples = rec.samples
@@ -557,8 +623,8 @@ def compare(rec: recording.Recording, again: core.RecordArray) -> Replay:
         if not differs.size:
             continue
         with np.errstate(invalid="ignore", over="ignore"):
-            gap = np.abs(recorded.astype(np.float64) - computed.astype(np.float64))
-        largest[name] = float(np.nanmax(gap))
+            gap = np.abs(recorded.astype(np.float64) - computed.astype(np.float64))[differs]
+        largest[name] = float(np.max(np.where(np.isnan(gap), np.inf, gap)))
         if first_row is None or differs[0] < first_row:
             first_row, first_field = int(differs[0]), name
     facts = core.build_facts()

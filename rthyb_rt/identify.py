@@ -12,6 +12,7 @@ station under all limits, and rows without a reading of their own are left out o
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -29,6 +30,9 @@ from rthyb_rt.recording import FLAGS, RUNNING
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+CHUNK_TICKS = 8192
+"""Ticks between two reports of progress: 8 s."""
+
 REST_S = 3.0
 RAMP_CYCLES = 1
 SETTLE_CYCLES, SETTLE_S = 2, 1.2
@@ -44,13 +48,16 @@ LOW_FREQUENCY_HZ = 2.0
 """Delay, gain and alpha are stated for the motion up to here, where structures answer."""
 
 STIFFNESS_NONLINEAR = 0.05
-"""Share of the force that the linear fit may leave before k_e is called doubtful."""
+"""Share of the force that linear fit and noise may leave before k_e is called doubtful."""
 
 MASS_RESOLVED = 0.02
 """Share of the force, at the highest frequency, that a mass needs to be told from rounding."""
 
 CERTAIN = 10.0
 """An amplitude counts when it is so many times its own standard error."""
+
+NOISE_SCATTER = 4.0
+"""Standard errors by which two estimates of the same noise's power may differ."""
 
 READ_SHARE = 0.8
 """Of the rows of a fit: with fewer readings there is nothing to fit."""
@@ -103,7 +110,8 @@ class Tone:
         force_in_phase_n_per_m: force in phase with x_m, over its amplitude: stiffness less
             (2 pi f)^2 times the mass that the load cell feels.
         force_in_quadrature_n_per_m: the same a quarter period ahead: damping and friction.
-        distortion: share of the force (rms) that is no sine of this frequency.
+        distortion: share of the force (rms) that is no sine of this frequency, and more than the
+            noise at rest makes.
     """
 
     frequency_hz: float
@@ -254,11 +262,12 @@ def _result(
     offset_m, offset_n = float(signals.x_m[rest].mean()), float(signals.f[rest].mean())
     noise_m = float(signals.x_m[rest].std(ddof=1))
     noise_n = float(signals.f[rest].std(ddof=1))
+    resting = int(np.count_nonzero(rest))
     signals = replace(signals, x_m=signals.x_m - offset_m, f=signals.f - offset_n)
     tones: list[Tone] = []
     for part in parts:
         before = tones[-1].delay_s if tones else None
-        tones.append(_tone(part, signals, before))
+        tones.append(_tone(part, signals, before, _most_noise(noise_n, resting, part)))
         _check_followed(part, tones[-1], noise_m)
     _check_direction(rig, tones)
     _check_specimen(rig, parts[0], tones[0], noise_n)
@@ -361,11 +370,11 @@ def _command(sweep: Sweep) -> tuple[Floats, list[_Part]]:
 def _drive(rig: RigFile, command: Floats, progress: Progress | None) -> tuple[Floats, Floats]:
     virtual = core.Rig(experiment.rig_config(rig))
     x_m, f = np.empty_like(command), np.empty_like(command)
-    for start in range(0, command.size, experiment.CHUNK_TICKS):
-        part = slice(start, start + experiment.CHUNK_TICKS)
+    for start in range(0, command.size, CHUNK_TICKS):
+        part = slice(start, start + CHUNK_TICKS)
         x_m[part], f[part] = virtual.run(command[part])
         if progress is not None:
-            progress(min(start + experiment.CHUNK_TICKS, command.size), command.size)
+            progress(min(start + CHUNK_TICKS, command.size), command.size)
     return x_m, f
 
 
@@ -379,8 +388,28 @@ def _phasor(part: _Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
     return complex(fitted[0], -fitted[1]), values - basis @ fitted
 
 
-def _tone(part: _Part, signals: _Signals, before_s: float | None) -> Tone:
-    """Fit one sine; ``before_s`` is the delay at the frequency before."""
+def _most_noise(noise_n: float, resting: int, part: _Part) -> float:
+    """Return the power of the force that noise alone may leave of a fit, N^2.
+
+    Args:
+        noise_n: its standard deviation, as measured at rest.
+        resting: samples of that rest.
+        part: the sine.
+    """
+    # The power of white noise in n samples has a relative standard error of sqrt(2 / n).
+    scatter = np.sqrt(2.0 / resting + 2.0 / (part.fit.stop - part.fit.start))
+    return noise_n**2 * (1.0 + NOISE_SCATTER * float(scatter))
+
+
+def _tone(part: _Part, signals: _Signals, before_s: float | None, noise_n2: float) -> Tone:
+    """Fit one sine.
+
+    Args:
+        part: its rows.
+        signals: of the sweep.
+        before_s: delay at the frequency before.
+        noise_n2: power of the force that is the load cell's noise, N^2.
+    """
     f, read = signals.f, signals.read
     sent, _ = _phasor(part, signals.command, read)
     moved, _ = _phasor(part, signals.x_m, read)
@@ -388,6 +417,7 @@ def _tone(part: _Part, signals: _Signals, before_s: float | None) -> Tone:
     ratio = moved / sent
     stiffness = force / moved if moved else complex(0)
     total = float(np.sqrt(np.mean(f[part.fit][read[part.fit]] ** 2)))
+    unexplained = math.sqrt(max(float(np.mean(rest**2)) - noise_n2, 0.0))
     period = 1.0 / part.frequency_hz
     delay = float(-np.angle(ratio)) / (2 * np.pi) * period
     # A phase leaves whole periods open: the delay nearest to the one before; the first may be a
@@ -401,7 +431,7 @@ def _tone(part: _Part, signals: _Signals, before_s: float | None) -> Tone:
         delay_s=delay,
         force_in_phase_n_per_m=stiffness.real,
         force_in_quadrature_n_per_m=stiffness.imag,
-        distortion=float(np.sqrt(np.mean(rest**2))) / total if total else 0.0,
+        distortion=unexplained / total if total else 0.0,
     )
 
 

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from rthyb_rt import core
 from rthyb_rt.recording import Recording
-from rthyb_rt.ring import Reader, Ring, default_folder
+from rthyb_rt.ring import Reader, Ring, claim, default_folder
 from rthyb_rt.ticker import (
     PERIOD_NS,
     AwakeProcessors,
@@ -154,8 +154,7 @@ def telemetry_ring() -> Iterator[Ring]:
     Raises:
         RthybError: there is no room for a ring.
     """
-    folder = default_folder()
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    folder = claim(default_folder())
     with tempfile.TemporaryDirectory(prefix="jitter-", dir=folder) as own, ExitStack() as owned:
         ring = Ring.create(Path(own), _bare_session())
         owned.callback(ring.remove)

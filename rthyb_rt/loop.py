@@ -21,7 +21,7 @@ import numpy.typing as npt
 from rthyb_rt import core
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.errors import RthybError
-from rthyb_rt.links.wire import Codec, Frame, Wire
+from rthyb_rt.links.wire import TOLD, Codec, Frame, Wire
 from rthyb_rt.ring import Ring
 from rthyb_rt.ticker import PRIORITY, Counts, Latency, Ticker, privilege_names
 
@@ -47,6 +47,9 @@ SLIP_VOTES: Final[int] = lib.RTHYB_SLIP_VOTES
 WATCHDOG_TICKS: Final[int] = lib.RTHYB_DRIVE_WATCHDOG
 PHASES: Final = ("stopped", "following", "stopping")
 LINK_FAULTS: Final = ("up", "network-down", "device-gone", "bus-off", "hung-up")
+
+_FAREWELLS: Final = 3
+"""One that is lost does not matter."""
 
 _KINDS: Final[dict[Kind, int]] = {"can": lib.RTHYB_LINK_CAN, "stream": lib.RTHYB_LINK_STREAM}
 _CLOCKS: Final[dict[Clock, int]] = {
@@ -299,6 +302,17 @@ class Loop:
             lib.rthyb_loop_join(self._c)
         self._running = False
 
+    def leave(self) -> None:
+        """Tell a drive at rest, once the loop has ended, that the silence that follows is meant.
+
+        Its watchdog stops it all the same, but then it asks nobody to reset it.
+        """
+        for _ in range(_FAREWELLS):
+            if not lib.rthyb_loop_leave(self._c):
+                return
+            if self._c.ticker.clock != lib.RTHYB_CLOCK_STEPPED:
+                time.sleep(core.PERIOD_S)
+
     def grant(self, ticks: int) -> None:
         """Let a thread with the stepped clock run so many more ticks."""
         lib.rthyb_ticker_grant(self._ticker, ticks)
@@ -399,6 +413,11 @@ class Loop:
     def cause_tick(self) -> int:
         """Tick in which that cause came up; readable at any time."""
         return int(self._c.cause_tick)
+
+    @property
+    def began_ns(self) -> int:
+        """CLOCK_MONOTONIC at the records' ``due_ns`` 0; stepped clock: 0; readable at any time."""
+        return int(self._ticker.t0_ns)
 
     @property
     def locked(self) -> bool:
@@ -563,7 +582,12 @@ class Drive:
     def told(self) -> str:
         """The controller's state in the last fresh command; readable at any time."""
         state = int(self._c.state)
-        return core.STATE_NAMES[state] if state < len(core.STATE_NAMES) else str(state)
+        return dict(enumerate(core.STATE_NAMES)).get(state) or TOLD.get(state) or str(state)
+
+    @property
+    def latched(self) -> bool:
+        """Whether it has stopped by itself, and follows nobody until it is reset; at any time."""
+        return bool(self._c.latched)
 
     @property
     def log(self) -> npt.NDArray[np.void]:

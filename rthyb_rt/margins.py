@@ -25,6 +25,9 @@ LITTLE_MARGIN: Final = 0.5
 OSCILLATES: Final = math.pi / 2
 """Loop gain above which an integrator behind a pure delay is unstable."""
 
+LEAST_DELAY_MARGIN: Final = 1.0
+"""An error of alpha below one sample is none: a command that is held moves the delay by as much."""
+
 # A rig is told to be a lag, not a delay, by a tenth: more than the scatter of a sweep.
 _FALLS = 0.9
 
@@ -174,6 +177,23 @@ def critical_delay(motion: MotionConfig, lead: Lead | None = None) -> float:
         first, turn = (angle + math.pi) / theta, 2.0 * math.pi / theta
         critical = min(critical, first + turn * (math.floor((start - first) / turn) + 1))
     return critical
+
+
+def delay_margin(critical_samples: float) -> float:
+    """Return the error of the delay estimate that the structure survives, samples.
+
+    Whatever is compensated, the error is left over as a pure delay, and force compensation can
+    not be counted on: its tangent stiffness is zero where noise and friction hide it. A delay d of
+    a spring k acts as the damping -k d (Horiuchi et al., EESD 28 (1999) 1121); at the critical
+    delay it has eaten all that the structure has, near 2 zeta / (omega h) with little damping.
+
+    Args:
+        critical_samples: `critical_delay` without compensator.
+
+    Returns:
+        The same, at least `LEAST_DELAY_MARGIN`; inf if no delay is too long.
+    """
+    return max(critical_samples, LEAST_DELAY_MARGIN)
 
 
 def _crossings(p: Floats, q: Floats) -> list[float]:

@@ -1,6 +1,6 @@
 """The recording of a hybrid test: one HDF5 file with all that is needed to judge and repeat it.
 
-Layout of the file (schema ``rthyb-recording/1``)::
+Layout of the file (schema ``rthyb-recording/2``)::
 
     /samples              one row a sample, the core's record as a compound; attrs fs_hz, units
     /ground_motion/ag_mps2   the ground motion as the controller had it; attrs name, source, ...
@@ -15,47 +15,137 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.errors import InputError, RthybError
 
-SCHEMA = "rthyb-recording/1"
 FILE_NAME = "recording.h5"
 
 BLOCK_ROWS = 128
 """Rows of a block of a recording that grows: an eighth of a second."""
 
-UNITS: dict[str, str] = {
-    "tick": "1",
-    "due_ns": "ns",
-    "wake_late_ns": "ns",
-    "sent_late_ns": "ns",
-    "flags": "bits",
-    "generation": "1",
-    "x_raw": "counts",
-    "f_raw": "counts",
-    "state": "1",
-    "echo": "1",
-    "count": "1",
-    "code": "1",
-    "ag_mps2": "m/s^2",
-    "x_num_m": "m",
-    "x_plc_m": "m",
-    "x_cmd_m": "m",
-    "x_meas_m": "m",
-    "f_meas_n": "N",
-    "alpha": "samples",
-    "beta": "samples^2",
-    "k_t_n_per_m": "N/m",
-    "energy_error_j": "J",
-    "tracking_indicator_m2": "m^2",
+Rows = NDArray[np.void]
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field of the samples as a version of the record has it.
+
+    Attributes:
+        type: NumPy's name of the type.
+        unit: its unit.
+        earlier: what a row of the version before has for it, (n,) from (n,); None: the field of the
+            same name there.
+    """
+
+    type: str
+    unit: str
+    earlier: Callable[[Rows], NDArray[Any]] | None = None
+
+
+@dataclass(frozen=True)
+class Version:
+    """What a version of the record brought.
+
+    Attributes:
+        program: the first version of the program that writes it.
+        fields: those that it brought or changed; of version 1 all.
+        gone: fields of the version before that it has no more.
+    """
+
+    program: str
+    fields: dict[str, Field]
+    gone: tuple[str, ...] = ()
+
+
+def _from_counts(name: str, unit: float) -> Callable[[Rows], NDArray[Any]]:
+    """Return the value of a field of version 1 in whole units, whose lowest count is no number."""
+
+    def values(rows: Rows) -> NDArray[Any]:
+        return np.where(rows[name] == np.iinfo(np.int32).min, np.nan, rows[name] * unit)
+
+    return values
+
+
+VERSIONS: dict[int, Version] = {
+    1: Version(
+        "0.1.0",
+        {
+            "tick": Field("<u8", "1"),
+            "due_ns": Field("<i8", "ns"),
+            "wake_late_ns": Field("<i4", "ns"),
+            "sent_late_ns": Field("<i4", "ns"),
+            "flags": Field("<u4", "bits"),
+            "generation": Field("<u4", "1"),
+            "x_raw": Field("<i4", "counts"),
+            "f_raw": Field("<i4", "counts"),
+            "state": Field("|u1", "1"),
+            "echo": Field("|u1", "1"),
+            "count": Field("|u1", "1"),
+            "code": Field("|u1", "bits"),
+            "ag_mps2": Field("<f8", "m/s^2"),
+            "x_num_m": Field("<f8", "m"),
+            "x_plc_m": Field("<f8", "m"),
+            "x_cmd_m": Field("<f8", "m"),
+            "x_meas_m": Field("<f8", "m"),
+            "f_meas_n": Field("<f8", "N"),
+            "alpha": Field("<f8", "samples"),
+            "beta": Field("<f8", "samples^2"),
+            "k_t_n_per_m": Field("<f8", "N/m"),
+            "energy_error_j": Field("<f8", "J"),
+            "tracking_indicator_m2": Field("<f8", "m^2"),
+        },
+    ),
+    2: Version(
+        "0.2.0",
+        {
+            "code": Field("<u2", "bits"),
+            "state": Field("<u2", "1"),
+            "echo": Field("<u2", "1"),
+            "count": Field("<u2", "1"),
+            "x_read_m": Field("<f8", "m", _from_counts("x_raw", 1e-9)),
+            "f_read_n": Field("<f8", "N", _from_counts("f_raw", 1e-3)),
+        },
+        gone=("x_raw", "f_raw"),
+    ),
 }
+"""Every version of the record: the last one is written, all of them are read. A field more is a row
+here, with what recordings of before have for it, and one in the core's rthyb_record."""
+
+VERSION = max(VERSIONS)
+_SCHEMAS = "rthyb-recording/"
+SCHEMA = f"{_SCHEMAS}{VERSION}"
+
+
+def fields_of(version: int) -> dict[str, Field]:
+    """Return the fields of the samples of a version."""
+    found: dict[str, Field] = {}
+    for number in range(1, version + 1):
+        step = VERSIONS[number]
+        found = {name: field for name, field in found.items() if name not in step.gone}
+        found |= step.fields
+    return found
+
+
+def _converted(rows: Rows, version: int) -> Rows:
+    """Return rows of an older version as those of the present one."""
+    for number in range(version + 1, VERSION + 1):
+        step, now = VERSIONS[number], fields_of(number)
+        made = np.zeros(len(rows), dtype=[(name, field.type) for name, field in now.items()])
+        for name in now:
+            earlier = step.fields[name].earlier if name in step.fields else None
+            made[name] = earlier(rows) if earlier else rows[name]
+        rows = made
+    return rows
+
+
+UNITS: dict[str, str] = {name: field.unit for name, field in fields_of(VERSION).items()}
 """Unit of each field of `Recording.samples`; a recording must have all of them."""
 
 REFERENCE_UNITS: dict[str, str] = {"x_ref_m": "m", "v_ref_mps": "m/s", "f_ref_n": "N"}
@@ -96,24 +186,27 @@ STATES: tuple[str, ...] = (
 
 RUNNING = STATES.index("RUNNING")
 
+_CONVERTED = "converted_from"
+"""Attribute of a file that was read as an older version and written again: which one."""
+
 
 @dataclass
 class ReplayData:
     """What a bit-identical replay needs besides the samples and the configuration.
 
     Attributes:
-        controller_state: the controller's whole state at the first record, as the core has it.
         parameters: every parameter set, ``{"generation", "tick", "values"}``.
         commands: every operator command, ``{"tick", "command"}``.
         skips: first tick and length of every skip, shape (n, 2).
         tares: offset taken off each channel at zeroing, in the channel's unit.
+        codec: how the link has put numbers into frames, as the core has it; empty: no wire.
     """
 
-    controller_state: bytes = b""
     parameters: list[dict[str, Any]] = field(default_factory=list)
     commands: list[dict[str, Any]] = field(default_factory=list)
     skips: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     tares: dict[str, float] = field(default_factory=dict)
+    codec: bytes = b""
 
 
 @dataclass
@@ -134,6 +227,7 @@ class Recording:
         replay: what a replay needs besides.
         meta: rthyb_version, core_version, compiler, architecture, git_hash, test_name, clock,
             created_utc, end_reason ("completed" or the reason), interrupted.
+        version: of the record as it was written; the samples are as the present one has them.
     """
 
     samples: NDArray[np.void]
@@ -145,6 +239,7 @@ class Recording:
     rig_toml: str
     replay: ReplayData = field(default_factory=ReplayData)
     meta: dict[str, Any] = field(default_factory=dict)
+    version: int = VERSION
 
     def running(self) -> NDArray[np.bool_]:
         """Return which rows belong to the test proper, shape (n,): RUNNING, or all if none is."""
@@ -201,10 +296,18 @@ def write(path: str | Path, rec: Recording) -> None:
         fill(file, rec)
         file.flush()
         image = file.id.get_file_image()
-    with replacing(Path(path)) as temporary, temporary.open("wb") as out:
+    with replacing(Path(path)) as temporary, _made_anew(temporary) as out:
         out.write(image)
         out.flush()
         os.fsync(out.fileno())
+
+
+def _made_anew(path: Path) -> BinaryIO:
+    """Open a file that was not there: a name that leads elsewhere is never followed."""
+    # What a process of this number has left behind when it was killed.
+    path.unlink(missing_ok=True)
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    return os.fdopen(os.open(path, flags, 0o666), "wb")
 
 
 def fill(file: Any, rec: Recording, *, growing: bool = False) -> None:
@@ -215,11 +318,13 @@ def fill(file: Any, rec: Recording, *, growing: bool = False) -> None:
     """
     file.attrs["schema"] = SCHEMA
     set_attributes(file, rec.meta)
+    if rec.version != VERSION:
+        file.attrs[_CONVERTED] = rec.version
     samples = _growing(file, rec.samples.dtype) if growing else _table(file, "samples", rec.samples)
     samples.attrs["fs_hz"] = rec.fs_hz
     samples.attrs["units"] = json.dumps(UNITS)
-    samples.attrs["flags"] = json.dumps(FLAGS)
-    samples.attrs["states"] = json.dumps(STATES)
+    for name, values in _names().items():
+        samples.attrs[name] = json.dumps(values)
     motion = _table(file, "ground_motion/ag_mps2", np.asarray(rec.ag_mps2, dtype=np.float64))
     motion.attrs["fs_hz"] = rec.fs_hz
     set_attributes(motion, rec.ground_motion)
@@ -232,13 +337,25 @@ def fill(file: Any, rec: Recording, *, growing: bool = False) -> None:
     fill_replay(file, rec.replay)
 
 
+def _names() -> dict[str, Any]:
+    """Return what the numbers of the samples mean, so that a file says it for itself."""
+    from rthyb_rt import core
+
+    return {
+        "flags": FLAGS,
+        "states": STATES,
+        "status": core.STATUS,
+        "commands": core.COMMANDS,
+        "causes": core.CAUSES,
+    }
+
+
 def fill_replay(file: Any, replay: ReplayData) -> None:
     """Put what a replay needs into an open HDF5 file, in place of what is there."""
     group = file["replay"]
     for name in tuple(group):
         del group[name]
-    state = np.frombuffer(replay.controller_state, dtype=np.uint8)
-    _table(group, "controller_state", state)
+    _table(group, "codec", np.frombuffer(replay.codec, dtype=np.uint8))
     group.create_dataset("skips", data=np.asarray(replay.skips).reshape(-1, 2))
     _text(group, "parameters", json.dumps(replay.parameters))
     _text(group, "commands", json.dumps(replay.commands))
@@ -334,24 +451,12 @@ def _why_unreadable(path: Path, error: Exception) -> str:
 
 def _load(file: Any, where: str, rows: bool) -> Recording:
     """Turn the open file into a recording; what h5py raises tells of damage."""
-    schema = plain(file.attrs.get("schema"))
-    if not isinstance(schema, str) or not schema.startswith("rthyb-recording/"):
-        raise InputError(
-            "an HDF5 file, but no recording: the attribute 'schema' "
-            + (f"is {schema!r}" if schema is not None else "is missing")
-            + f", allowed is {SCHEMA!r}",
-            where,
-        )
-    if schema != SCHEMA:
-        raise InputError(
-            f"schema {schema!r}, this version reads {SCHEMA!r}; "
-            "use the version of rthyb_rt that wrote the file",
-            where,
-        )
+    version = _version(file, where)
     samples_set = file["samples"]
     if samples_set.ndim != 1:
         raise InputError(f"'samples' has shape {samples_set.shape}, allowed is (n,)", where)
-    _require_fields(samples_set.dtype, UNITS, "samples", where)
+    _require_fields(samples_set.dtype, fields_of(version), "samples", where)
+    samples = samples_set[()] if rows else np.zeros(0, dtype=samples_set.dtype)
     reference = None
     if "reference" in file:
         _require_fields(file["reference"].dtype, REFERENCE_UNITS, "reference", where)
@@ -359,7 +464,7 @@ def _load(file: Any, where: str, rows: bool) -> Recording:
     motion = file["ground_motion/ag_mps2"]
     replay = file["replay"]
     return Recording(
-        samples=samples_set[()] if rows else np.zeros(0, dtype=samples_set.dtype),
+        samples=_converted(samples, version),
         fs_hz=float(samples_set.attrs["fs_hz"]),
         ag_mps2=motion[()],
         ground_motion={k: plain(v) for k, v in motion.attrs.items() if k != "fs_hz"},
@@ -367,17 +472,60 @@ def _load(file: Any, where: str, rows: bool) -> Recording:
         test_toml=file["config/test_toml"].asstr()[()],
         rig_toml=file["config/rig_toml"].asstr()[()],
         replay=ReplayData(
-            controller_state=replay["controller_state"][()].tobytes(),
+            codec=replay["codec"][()].tobytes() if "codec" in replay else b"",
             parameters=json.loads(replay["parameters"].asstr()[()]),
             commands=json.loads(replay["commands"].asstr()[()]),
             skips=replay["skips"][()],
             tares=json.loads(replay["tares"].asstr()[()]),
         ),
-        meta={k: plain(v) for k, v in file.attrs.items() if k != "schema"},
+        meta={k: plain(v) for k, v in file.attrs.items() if k not in ("schema", _CONVERTED)},
+        version=int(file.attrs.get(_CONVERTED, version)),
     )
 
 
-def _require_fields(dtype: np.dtype[Any], needed: dict[str, str], name: str, where: str) -> None:
+def _version(file: Any, where: str) -> int:
+    """Return the version of the record in an open file, one that is known."""
+    schema = plain(file.attrs.get("schema"))
+    if not isinstance(schema, str) or not schema.startswith(_SCHEMAS):
+        raise InputError(
+            "an HDF5 file, but no recording: the attribute 'schema' "
+            + (f"is {schema!r}" if schema is not None else "is missing")
+            + f", allowed is {SCHEMA!r}",
+            where,
+        )
+    number = schema.removeprefix(_SCHEMAS)
+    version = int(number) if number.isascii() and number.isdecimal() else 0
+    if version in VERSIONS:
+        return version
+    known = f"schema {schema!r}, this version reads {_SCHEMAS}1 to {VERSION}"
+    program = plain(file.attrs.get("rthyb_version"))
+    if version < VERSION or not program:
+        raise InputError(f"{known}; use the version of rthyb_rt that wrote the file", where)
+    raise InputError(f"{known}; {_take_program(f'>={program}')}", where)
+
+
+def _take_program(which: str) -> str:
+    """Return how to get another version of this program: ``==0.1.0``."""
+    return f"pip install 'rthyb-rt{which}'"
+
+
+def require_replayable(rec: Recording) -> None:
+    """Refuse to replay what another version has recorded: its numbers are not this one's.
+
+    Raises:
+        InputError: the record is of an older version; says which program replays it.
+    """
+    if rec.version == VERSION:
+        return
+    program = rec.meta.get("rthyb_version") or VERSIONS[rec.version].program
+    raise InputError(
+        f"recorded as version {rec.version} by rthyb_rt {program}; a bit-identical replay needs "
+        f"that version: {_take_program(f'=={program}')}",
+        "recording",
+    )
+
+
+def _require_fields(dtype: np.dtype[Any], needed: Iterable[str], name: str, where: str) -> None:
     missing = sorted(set(needed) - set(dtype.names or ()))
     if missing:
         raise InputError(f"'{name}' lacks the fields {', '.join(missing)}", where)

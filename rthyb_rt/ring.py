@@ -19,6 +19,7 @@ import fcntl
 import json
 import mmap
 import os
+import stat
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
@@ -44,6 +45,7 @@ _SESSION = ".session.h5"
 _PRIVATE = 0o700
 
 _SERVICE = Path("/run/rthyb")
+_SHARED = Path("/dev/shm")
 _OTHER_VERSION = "use the version of rthyb_rt that wrote it"
 
 
@@ -78,7 +80,58 @@ def folders() -> list[Path]:
     """Return every folder that rings may be in, whether it is there or not: the service's first."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     own = [Path(runtime) / "rthyb"] if runtime else []
-    return [_SERVICE, *own, Path("/dev/shm") / f"rthyb-{os.geteuid()}"]
+    return [_SERVICE, *own, _SHARED / f"rthyb-{os.geteuid()}"]
+
+
+def claim(folder: Path) -> Path:
+    """Return a folder of rings, made for this user alone if it is missing.
+
+    Raises:
+        RthybError: it cannot be made, or is not to be trusted; see `trusted`.
+    """
+    try:
+        folder.mkdir(mode=_PRIVATE, parents=True, exist_ok=True)
+    except OSError as error:
+        raise _not_made(folder, error) from error
+    return trusted(folder)
+
+
+def _not_made(folder: Path, error: OSError) -> RthybError:
+    return RthybError(
+        f"no telemetry ring can be made here ({error.strerror or error}); "
+        "check the folder's permissions",
+        where=str(folder),
+    )
+
+
+def trusted(folder: Path) -> Path:
+    """Return a folder of rings, unless another user may have put it there, or may write in it.
+
+    Where everybody may make files, as in ``/dev/shm``, it must be a folder of this user's own, with
+    rights for nobody else: who came first could have this user's files written elsewhere, or stand
+    in for his service. One that is missing passes.
+
+    Raises:
+        RthybError: it is not to be trusted; whose it is, and what to do.
+    """
+    try:
+        around, found = folder.parent.stat(), folder.lstat()
+    except FileNotFoundError:
+        return folder
+    if not around.st_mode & stat.S_IWOTH:
+        return folder
+    if not stat.S_ISDIR(found.st_mode):
+        why = "is no folder but something that leads elsewhere; look what it is, and remove it"
+    elif found.st_uid != os.geteuid():
+        why = f"belongs to user {found.st_uid}, not to user {os.geteuid()}; have it removed"
+    elif found.st_mode & 0o077:
+        why = f"has the mode {found.st_mode & 0o777:o}; chmod 700 {folder}"
+    else:
+        return folder
+    raise RthybError(
+        f"everybody may write in {folder.parent}, and this {why}, or set XDG_RUNTIME_DIR",
+        where=str(folder),
+    )
 
 
 def session_path(ring: Path) -> Path:
@@ -143,7 +196,8 @@ class Ring:
             capacity: records, a power of two.
 
         Raises:
-            RthybError: the folder cannot be written or has no room; nothing is left behind.
+            RthybError: the folder cannot be written, has no room or is not to be `trusted`; nothing
+                is left behind.
             ValueError: ``capacity`` is no power of two.
         """
         if capacity < 1 or capacity & (capacity - 1):
@@ -244,24 +298,21 @@ def _boot_id() -> str:
 def _reserve(folder: Path) -> tuple[Path, int]:
     """Make and lock an empty file of a new name."""
     stem = f"ring.{_boot_id()[:8]}"
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    claim(folder)
     try:
-        folder.mkdir(mode=_PRIVATE, parents=True, exist_ok=True)
         number = 1
         while True:
             path = folder / f"{stem}.{number}"
             with suppress(FileExistsError):
-                fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, _MODE)
+                fd = os.open(path, flags, _MODE)
                 break
             number += 1
         # The lock goes with the process, however that ends: so readers know whether it lives.
         fcntl.flock(fd, fcntl.LOCK_EX)
         os.fchmod(fd, _MODE)
     except OSError as error:
-        raise RthybError(
-            f"no telemetry ring can be made here ({error.strerror or error}); "
-            "check the folder's permissions",
-            where=str(folder),
-        ) from error
+        raise _not_made(folder, error) from error
     return path, fd
 
 
@@ -591,18 +642,12 @@ def _session(ring: Path) -> Recording:
 
 def _join(session: Recording, samples: RecordArray, first_row: int) -> Recording:
     """Return the session with its samples, and without what no longer fits them."""
-    replay = replace(
-        session.replay,
-        # The state before the ring's first row is not the state before a later one.
-        controller_state=session.replay.controller_state if first_row == 0 else b"",
-        skips=skips(samples),
-    )
     held = bool((samples["state"] == STATES.index("HOLD")).any())
     return replace(
         session,
         samples=samples,
         reference=session.reference if _reference_fits(samples, first_row) else None,
-        replay=replay,
+        replay=replace(session.replay, skips=skips(samples)),
         meta=session.meta | {"interrupted": held},
     )
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import measures
+from rthyb_rt import margins, measures, trips
+from rthyb_rt.attention import Finding, Judge, Subject
+from rthyb_rt.core import Integrator, MotionConfig
+from rthyb_rt.numbers import count, number, percent, quantity
 from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
+from rthyb_rt.trips import Met
 
 Floats = NDArray[np.float64]
 NAN = float("nan")
@@ -41,8 +46,13 @@ class Setup:
         period_s: period of the whole structure, s.
         damping_n_s_per_m: damping of the numerical part, N s/m.
         damping_ratio: the same as a part of critical.
+        critical_delay_samples: longest pure delay that the structure survives; inf: any.
         window_samples: window T0 of the tangent stiffness.
+        tangent: how the tangent stiffness is found.
         gain: what the delay estimator adapts by, in words with its unit.
+        limits: value of each limit of the test that is set, by key, SI.
+        reference_peak_m: of the reference simulation; None without one.
+        reference_peak_n: the same of its force.
         description: the test file's.
         rig_name: name of the rig.
     """
@@ -59,8 +69,13 @@ class Setup:
     period_s: float | None
     damping_n_s_per_m: float | None
     damping_ratio: float | None
+    critical_delay_samples: float | None
     window_samples: int | None
+    tangent: str | None
     gain: str | None
+    limits: dict[str, float]
+    reference_peak_m: float | None
+    reference_peak_n: float | None
     description: str
     rig_name: str
 
@@ -108,11 +123,52 @@ def setup(rec: Recording) -> Setup:
         period_s=period,
         damping_n_s_per_m=damping,
         damping_ratio=ratio,
+        critical_delay_samples=_critical_delay(test, mass, damping, k_e),
         window_samples=None if window is None else round(window),
+        tangent=_words(_get(test, "controller", "rfc", "tangent")) or None,
         gain=_gain(controller, _get(test, *estimator)),
+        limits=_limits(test),
+        reference_peak_m=_reference_peak(rec, "x_ref_m"),
+        reference_peak_n=_reference_peak(rec, "f_ref_n"),
         description=_words(_get(test, "test", "description")),
         rig_name=_words(_get(rig, "rig", "name")),
     )
+
+
+def _critical_delay(
+    test: dict[str, Any], mass: float | None, damping: float | None, k_e: float | None
+) -> float | None:
+    """Return what `rthyb check` knows of the structure; None where the files do not say enough."""
+    integrator = _get(test, "numerical", "integrator")
+    if mass is None or damping is None or k_e is None or not isinstance(integrator, str):
+        return None
+    motion = MotionConfig(
+        cast(Integrator, integrator),
+        mass_kg=mass,
+        damping_n_s_per_m=damping,
+        stiffness_n_per_m=_number(_get(test, "numerical", "stiffness_n_per_m")) or 0.0,
+        k_e_n_per_m=k_e,
+        rho_inf=_number(_get(test, "numerical", "rho_inf")) or 0.0,
+    )
+    try:
+        return margins.critical_delay(motion)
+    except ValueError:
+        # An integrator that this version has not.
+        return None
+
+
+def _limits(test: dict[str, Any]) -> dict[str, float]:
+    given = _get(test, "limits")
+    values = {
+        key: _number(item.get("value") if isinstance(item, dict) else item)
+        for key, item in (given.items() if isinstance(given, dict) else ())
+    }
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _reference_peak(rec: Recording, name: str) -> float | None:
+    peak = NAN if rec.reference is None else _peak(rec.reference[name])
+    return peak if peak > 0.0 else None
 
 
 _GAINS = {
@@ -198,7 +254,7 @@ def live(rec: Recording) -> Live | None:
     facts = rec.meta.get("real_time")
     if not isinstance(facts, dict):
         return None
-    from rthyb_rt.realtime import endings
+    from rthyb_rt import endings
 
     wake, sent = facts["wake"], facts["sent"]
     moving = rec.samples[_motion(rec)]
@@ -231,7 +287,9 @@ def _motion(rec: Recording) -> NDArray[np.bool_]:
 class Summary:
     """The figures of a test; fractions and SI units, nan or None where there is nothing to say.
 
-    Errors, indices and flags are taken over the rows of the test proper.
+    ``attention`` is what went wrong although the test may have completed, the gravest first;
+    ``ended_by`` the cause that took it off its course, None if none did. Errors, indices and flags
+    are taken over the rows of the test proper.
     """
 
     test_name: str
@@ -269,8 +327,15 @@ class Summary:
     flags: dict[str, int]
     skipped_ticks: int
     not_finite_rows: int
+    attention: tuple[Finding, ...]
+    ended_by: Met | None
     live: Live | None
     setup: Setup = field(repr=False)
+
+    @property
+    def ending(self) -> str:
+        """The limit that ended the test, with its figures and what was known of it; "": none."""
+        return "" if self.ended_by is None else trips.sentence(self.ended_by, self.setup)
 
     @property
     def never_began(self) -> bool:
@@ -285,6 +350,8 @@ class Summary:
 def _json_value(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _json_value(item) for key, item in value.items()}
+    if isinstance(value, tuple):
+        return [_json_value(item) for item in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
@@ -306,7 +373,22 @@ _NEVER: dict[str, Any] = dict.fromkeys(
 
 def _bare(found: Summary) -> Summary:
     """Return the summary of a test that never began: what rest and ramps show is none of it."""
-    return replace(found, duration_s=0.0, **_NEVER)
+    return replace(found, duration_s=0.0, attention=(), **_NEVER)
+
+
+def ending(rec: Recording, running: int) -> str:
+    """Return the limit that ended a test with its figures, by a recording without its rows.
+
+    Args:
+        rec: the recording; its rows are not looked at.
+        running: rows of the test proper that came.
+
+    Returns:
+        As `Summary.ending`.
+    """
+    given = setup(rec)
+    met = trips.found(replace(rec, samples=rec.samples[:0]), given)
+    return "" if met is None else trips.sentence(replace(met, time_s=running / rec.fs_hz), given)
 
 
 def reference_pair(rec: Recording) -> tuple[NDArray[np.intp], Floats] | None:
@@ -319,6 +401,20 @@ def reference_pair(rec: Recording) -> tuple[NDArray[np.intp], Floats] | None:
     rows = np.flatnonzero(rec.running())
     length = min(rows.size, len(rec.reference))
     return (rows[:length], rec.reference["x_ref_m"][:length]) if length else None
+
+
+def subject(given: Setup, fs_hz: float) -> Subject:
+    """Return what has to be known of a test to judge it, its rows apart."""
+    critical = given.critical_delay_samples
+    return Subject(
+        fs_hz=fs_hz,
+        peak_m=given.reference_peak_m,
+        damping_n_s_per_m=given.damping_n_s_per_m,
+        k_e_n_per_m=given.k_e_n_per_m,
+        rfc_enabled=given.rfc_enabled,
+        delay_samples=given.alpha_identified if given.plc_enabled else None,
+        margin_samples=None if critical is None else margins.delay_margin(critical),
+    )
 
 
 def summarize(rec: Recording) -> Summary:
@@ -351,6 +447,8 @@ def summarize(rec: Recording) -> Summary:
             "error": measures.peak_error(pair[1], measured),
             "sum": float(measures.accumulated_error(pair[1], measured)[-1]),
         }
+    judge = Judge(subject(given, rec.fs_hz))
+    judge.add(run, None if pair is None else pair[1])
     signals = np.stack([samples[n] for n in ("x_num_m", "x_cmd_m", "x_meas_m", "f_meas_n")])
     state = int(samples["state"][-1]) if len(samples) else 0
     found = Summary(
@@ -389,6 +487,8 @@ def summarize(rec: Recording) -> Summary:
         flags={name: int(np.count_nonzero(flagged & bit)) for name, bit in FLAGS.items()},
         skipped_ticks=int(np.sum(rec.replay.skips[:, 1])) if rec.replay.skips.size else 0,
         not_finite_rows=int(np.count_nonzero(~np.isfinite(signals).all(axis=0))),
+        attention=tuple(judge.findings()),
+        ended_by=trips.found(rec, given),
         live=how,
         setup=given,
     )
@@ -458,49 +558,6 @@ def _share_at_bound(alpha: Floats, given: Setup) -> float:
     return _share(at_bound)
 
 
-# --- numbers for people -----------------------------------------------------------------------
-
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """Return ``value`` with that many significant digits, a dash where there is none."""
-    if value is None or np.isnan(value):
-        return "–"
-    if np.isinf(value):
-        return "∞" if value > 0 else "−∞"
-    # Below a ten-billionth only round-off is left, in every unit that is shown.
-    if abs(value) < 1e-10:
-        return "0"
-    if not 1e-4 <= abs(value) < 1e5:
-        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        text = f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPT)}"
-    else:
-        decimals = digits - 1 - int(np.floor(np.log10(abs(float(f"{value:.{digits - 1}e}")))))
-        text = f"{value:.{max(decimals, 0)}f}"
-    return text.replace("-", "−", 1) if text.startswith("-") else text
-
-
-def percent(fraction: float | None, digits: int = 2) -> str:
-    """Return a fraction as per cent, ``2.1 %``; above ten times the exact figure says nothing."""
-    if fraction is None or np.isnan(fraction):
-        return "–"
-    if fraction > 10.0:
-        return "> 1000 %"
-    return f"{number(100.0 * fraction, 3 if abs(fraction) >= 0.1 else digits)} %"
-
-
-def quantity(value: float | None, unit: str, factor: float = 1.0, digits: int = 3) -> str:
-    """Return a value in a unit, ``0.12 mm``; ``factor`` turns SI into that unit."""
-    if value is None or np.isnan(value):
-        return "–"
-    return f"{number(value * factor, digits)} {unit}"
-
-
-def _count(n: int, noun: str) -> str:
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
-
-
 # --- words ------------------------------------------------------------------------------------
 
 
@@ -546,8 +603,8 @@ def notices(s: Summary) -> list[Notice]:
     """Return what a reader must not miss, the gravest first."""
     found: list[Notice] = []
     if s.end_reason != "completed":
-        text = f"The test did not complete: {s.end_reason} after {s.duration_s:.2f} s."
-        found.append(Notice("alarm", text))
+        how = f", {s.ending}" if s.ending else f" after {s.duration_s:.2f} s"
+        found.append(Notice("alarm", f"The test did not complete: {s.end_reason}{how}."))
         if s.live is not None and s.live.remedy:
             found.append(Notice("note", s.live.remedy))
     if s.interrupted:
@@ -558,11 +615,12 @@ def notices(s: Summary) -> list[Notice]:
         found.append(
             Notice(
                 "alarm",
-                f"{_count(s.not_finite_rows, 'row')} with values that are not finite; "
+                f"{count(s.not_finite_rows, 'row')} with values that are not finite; "
                 "the measures leave them out.",
             )
         )
     found += _useless(s)
+    found += [Notice("alarm", attention_in_words(one, s.setup, s.attention)) for one in s.attention]
     flagged = {
         "limited": "had the command held back by a limit: the actuator was sent less than asked",
         "not_sent": "had a command that could not be sent",
@@ -576,10 +634,10 @@ def notices(s: Summary) -> list[Notice]:
             n -= s.flags.get("blind", 0)  # which are both, and told as what they are
         if n:
             share = percent(n / s.test_samples)
-            of = f"{_count(n, 'sample')} of {s.test_samples}"
+            of = f"{count(n, 'sample')} of {s.test_samples}"
             found.append(Notice("alarm", f"{of} ({share}) {text}."))
     if s.skipped_ticks:
-        found.append(Notice("alarm", f"{_count(s.skipped_ticks, 'tick')} skipped."))
+        found.append(Notice("alarm", f"{count(s.skipped_ticks, 'tick')} skipped."))
     found += _live_notices(s.live)
     if s.alpha_at_bound > 0.01:
         share = percent(s.alpha_at_bound)
@@ -588,7 +646,8 @@ def notices(s: Summary) -> list[Notice]:
                 "alarm", f"The delay estimate stood at one of its bounds for {share} of the test."
             )
         )
-    if s.setup.rfc_enabled and s.k_t_at_zero > 0.01:
+    told = any(one.kind == "stiffness" for one in s.attention)
+    if s.setup.rfc_enabled and s.k_t_at_zero > 0.01 and not told:
         share = percent(s.k_t_at_zero)
         found.append(
             Notice(
@@ -599,6 +658,92 @@ def notices(s: Summary) -> list[Notice]:
     return found
 
 
+def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding]) -> str:
+    """Return what has gone wrong in one sentence, with the key to change.
+
+    Args:
+        one: the finding.
+        given: of the test.
+        all_found: of the same test: one may be the cause of another.
+    """
+    beside: set[str] = {other.kind for other in all_found if other.meets(one)}
+    span = f"from {one.from_s:.1f} to {one.to_s:.1f} s"
+    allowed = f"allowed is {100.0 * one.allowed:g} %"
+    if one.kind == "response":
+        found = (
+            f"The response left the reference simulation: {span} its rms difference was "
+            f"{percent(one.value)} of the reference's, {allowed}"
+        )
+        return f"{found}; {_remedy_of_response(given, beside)}."
+    if one.kind == "delay":
+        away = abs(one.value - (given.alpha_identified or 0.0))
+        found = (
+            f"Alpha left the identified delay of {number(given.alpha_identified)} samples: {span} "
+            f"it went to {number(one.value)}, an error of {number(away)} where this structure "
+            f"survives {number(one.allowed, 2)}"
+        )
+        return f"{found}; {_remedy_of_delay(given)}."
+    if one.kind == "damping":
+        found = (
+            f"Negative damping: {span} the tracking error fed {number(one.value, 2)} times the "
+            "energy that the numerical damping took out"
+        )
+        return f"{found}; {_remedy_of_damping(given, beside)}."
+    found = (
+        f"No force compensation for {percent(one.value)} of the motion, {allowed}: the tangent "
+        "stiffness was zero"
+    )
+    return f"{found}; {_remedy_of_stiffness(given)}."
+
+
+_ADAPTS_LESS = {
+    "paper": "lower controller.delay_estimator.gain_per_mm2_per_sample, or set controller.type = "
+    '"robust", which does not learn from noise',
+    "robust": "lower controller.delay_estimator.rate_per_sample, or raise its gate_factor",
+    "alpha-beta": "raise controller.delay_estimator.memory_s",
+}
+
+
+def _remedy_of_response(given: Setup, beside: set[str]) -> str:
+    if not given.plc_enabled:
+        return 'nothing compensates the delay: set controller.type = "robust"'
+    if beside & {"delay", "stiffness"}:
+        return "see below what led to it"
+    if not given.rfc_enabled:
+        return "set controller.rfc.enabled = true, which takes out what the phase lead leaves"
+    if not given.estimator_enabled:
+        return "set controller.alpha0 anew by rthyb identify, or let it adapt"
+    return "set controller.alpha0 anew by rthyb identify, and look at the tracking error"
+
+
+def _remedy_of_delay(given: Setup) -> str:
+    if not given.estimator_enabled:
+        return "set controller.alpha0 to that delay, or identify the rig anew"
+    less = _ADAPTS_LESS.get(given.controller or "", "look at controller.delay_estimator")
+    return f"{less}; if the rig has changed, identify it anew"
+
+
+def _remedy_of_damping(given: Setup, beside: set[str]) -> str:
+    if not given.plc_enabled:
+        return 'compensate the delay: controller.type = "robust"'
+    if "delay" in beside:
+        return "alpha is the cause, see above"
+    if not given.rfc_enabled:
+        return "set controller.rfc.enabled = true"
+    if "stiffness" in beside:
+        return "the missing force compensation is the cause, see below"
+    return "set controller.alpha0 anew by rthyb identify, and look at noise and friction"
+
+
+def _remedy_of_stiffness(given: Setup) -> str:
+    if given.tangent == "mean-of-ratios":
+        return (
+            'set controller.rfc.tangent = "least-squares", which bears more noise, or raise '
+            "controller.rfc.window_samples"
+        )
+    return "raise controller.rfc.window_samples, or the motion: noise hides the stiffness"
+
+
 def _live_notices(found: Live | None) -> list[Notice]:
     if found is None:
         return []
@@ -607,13 +752,13 @@ def _live_notices(found: Live | None) -> list[Notice]:
         notices.append(
             Notice(
                 "alarm",
-                f"The drive's clock and this PC's slipped {_count(found.slips, 'sample')}: the "
+                f"The drive's clock and this PC's slipped {count(found.slips, 'sample')}: the "
                 "delay estimate has steps that are none of the rig's.",
             )
         )
     if found.missed_rows:
         notices.append(
-            Notice("alarm", f"{_count(found.missed_rows, 'row')} missing from the recording.")
+            Notice("alarm", f"{count(found.missed_rows, 'row')} missing from the recording.")
         )
     if not found.in_real_time:
         notices.append(Notice("note", "The test did not run in real time."))
@@ -631,7 +776,7 @@ def _useless(s: Summary) -> list[Notice]:
         )
     if s.clamped_rows:
         texts.append(
-            f"{_count(s.clamped_rows, 'sample')} of {s.samples} had a value beyond any sense, "
+            f"{count(s.clamped_rows, 'sample')} of {s.samples} had a value beyond any sense, "
             "which was held back: the motion is not that of the structure."
         )
     for name, of, value in (
@@ -666,7 +811,7 @@ def key_figures(s: Summary) -> list[str]:
         adapts = given.gain is not None and given.estimator_enabled
         found.append(f"controller {given.controller}" + (f", {given.gain}" if adapts else ""))
     if given.rfc_enabled and given.window_samples is not None:
-        found.append(f"T0 = {_count(given.window_samples, 'sample')}")
+        found.append(f"T0 = {count(given.window_samples, 'sample')}")
     return found
 
 
@@ -690,6 +835,7 @@ def table(s: Summary) -> list[Row]:
     """Return the result table of a summary."""
     rows = [
         Row("End of the test", _end(s), ""),
+        *_limit_rows(s.ended_by),
         Row("Peak of the command", quantity(s.peak_command_m, "mm", 1e3), "max |x_num|"),
         Row("Peak measured", quantity(s.peak_measured_m, "mm", 1e3), "max |x_meas|"),
         Row("Peak force", quantity(s.peak_force_n, "kN", 1e-3), "max |f|"),
@@ -750,6 +896,11 @@ def table(s: Summary) -> list[Row]:
     return rows + _live_rows(s.live)
 
 
+def _limit_rows(met: Met | None) -> list[Row]:
+    told = "" if met is None else trips.figures(met.cause, met.value, met.limit)
+    return [Row("Limit that was met", told, "first cause")] if told else []
+
+
 def _live_rows(found: Live | None) -> list[Row]:
     if found is None:
         return []
@@ -763,17 +914,16 @@ def _live_rows(found: Live | None) -> list[Row]:
     )
     delay = "not known"
     if found.link_delay_samples >= 0:
-        delay = _count(found.link_delay_samples, "sample")
+        delay = count(found.link_delay_samples, "sample")
     return [
         Row(
             "Punctuality",
-            f"{wake}; {_count(found.skipped_ticks, 'tick')} skipped",
+            f"{wake}; {count(found.skipped_ticks, 'tick')} skipped",
             "awake after the tick was due",
         ),
         Row(
             "Link",
-            f"{_count(found.lost_pairs, 'pair')} lost, {_count(found.slips, 'slip')}, "
-            f"delay {delay}",
+            f"{count(found.lost_pairs, 'pair')} lost, {count(found.slips, 'slip')}, delay {delay}",
             found.link,
         ),
     ]
@@ -804,7 +954,7 @@ def _samples(s: Summary) -> str:
         f"{n} {name.replace('_', ' ')}" for name, n in s.flags.items() if n and name != "fresh"
     ]
     if s.skipped_ticks:
-        flagged.append(f"{_count(s.skipped_ticks, 'tick')} skipped")
+        flagged.append(f"{count(s.skipped_ticks, 'tick')} skipped")
     # With ramps and rest the rows are more than those that are judged.
     rows = f"{s.samples}" if s.samples == s.test_samples else f"{s.test_samples} of {s.samples}"
     return f"{rows}, " + (", ".join(flagged) if flagged else "none flagged")

@@ -91,9 +91,6 @@ static int set_up_controller(rthyb_controller *controller, const choice *c)
                    .k_e_n_per_m = K_E,
                    .rho_inf = 0.8},
         .x_range_m = 0.1,
-        .position = {0.02, RTHYB_INDICATE},
-        .force = {15e3, RTHYB_INDICATE},
-        .tracking = {0.001, RTHYB_INDICATE},
         .velocity_limit_m_per_s = 1.0,
         .acceleration_limit_m_per_s2 = 50.0,
     };

@@ -14,6 +14,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
+import stalls
 from command_line import Answer, Rthyb
 
 from rthyb_rt import cli, ground_motion, studies, ticker
@@ -21,8 +22,10 @@ from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.studies.results import Study
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Hear Ctrl-C and hang-ups, which the background of a shell, or nohup, has children ignore."""
+    if "RTHYB_GUEST" in os.environ:
+        stalls.begin_in_guest(config)
     for number, usual in (
         (signal.SIGINT, signal.default_int_handler),
         (signal.SIGHUP, signal.SIG_DFL),

@@ -14,6 +14,7 @@ from typing import IO, Any
 
 import numpy as np
 import pytest
+import stalls
 
 from rthyb_rt import config, experiment, loop, realtime, virtual_rig
 from rthyb_rt.links import opening
@@ -23,8 +24,7 @@ STATE = {name: number for number, name in enumerate(STATES)}
 PROGRAM = [sys.executable, "-c", "import sys; from rthyb_rt.cli import main; sys.exit(main())"]
 PATIENCE_S = 60.0
 """A machine that stalls takes its time; one that hangs is found out."""
-STALLED = ("stalled", "skips", "heartbeat", "drive_stopped", "link_lost")
-"""Causes by which a machine that stalls may end a test in real time."""
+STALLED = stalls.CAUSES
 ATTEMPTS = 3
 
 SHORT = {
@@ -103,6 +103,29 @@ class Bench:
         return self
 
 
+def require_calm(rec: Recording, *expected: str, serial: bool = False) -> None:
+    """Raise `Stalled` where a stall has ended the test in the place of what was expected.
+
+    ``serial``: what passes over the link is moved by ordinary threads of the kernel.
+    """
+    facts = rec.meta.get("real_time", {})
+    cause = facts.get("cause", "none")
+    if cause in set(STALLED) - set(expected):
+        rows = rec.samples
+        ended = rows["state"] == STATE["TRIPPED"]
+        if not ended.any():
+            ended = rows["state"] == STATE["RAMP_OUT"]
+        row = int(np.argmax(ended)) if ended.any() else -1
+        at_s = moment_s(rec, row)
+        by_link = serial and cause in ("link_lost", "drive_stopped")
+        raise stalls.Stalled("serial link" if by_link else str(cause), at_s, at_s)
+
+
+def moment_s(rec: Recording, row: int) -> float:
+    """Return when the tick of a row was due (CLOCK_MONOTONIC)."""
+    return 1e-9 * (int(rec.meta["real_time"]["began_ns"]) + int(rec.samples["due_ns"][row]))
+
+
 def stop_begins(log: np.ndarray) -> int:
     """Return the drive's tick in which it last ceased to follow."""
     following = np.flatnonzero(log["phase"] == loop.PHASES.index("following"))
@@ -156,6 +179,9 @@ class Process:
         if self.process.poll() is None:
             self.process.kill()
             self.process.communicate()
+        for stream in (self.process.stdout, self.process.stderr):
+            if stream is not None:
+                stream.close()
 
 
 @contextmanager

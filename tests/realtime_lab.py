@@ -1,7 +1,7 @@
 """What a laboratory has: a test, rig files, `rthyb rig` and `rthyb run --realtime` as processes.
 
-A machine that stalls may end a test in real time as it should then end: such a test is repeated, at
-most three times, and the count is printed.
+A machine that stalls may end a test in real time as it should then end: such a test is repeated, as
+`stalls` says.
 """
 
 from __future__ import annotations
@@ -12,16 +12,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import pytest
-from realtime_bench import ATTEMPTS, SHORT, STALLED, STATE, Process, until
+import stalls
+from realtime_bench import ATTEMPTS, SHORT, STATE, Process, until
 
 from rthyb_rt import config, recording, ring
 from rthyb_rt.errors import InputError
 from rthyb_rt.recording import FLAGS, Recording
 
 NOT_SENT = FLAGS["not_sent"]
-TOO_EARLY = "too early"
 CHUNK = 256
+
+
+class TooEarly(Exception):
+    """What was to happen in the motion came before it, for the controller was slow to begin."""
 
 
 @contextmanager
@@ -121,16 +124,19 @@ class Lab:
         return recording.open_run(self.folder / out)
 
 
-def repeated(attempt: Callable[[str], str]) -> None:
-    """Call with a folder's name until the cause returned is none that a stalled machine brings."""
-    for number in range(1, ATTEMPTS + 1):
-        cause = attempt(f"attempt-{number}")
-        if cause not in (*STALLED, TOO_EARLY):
-            print(f"attempts: {number}")
-            return
-        print(f"attempt {number}: {cause}")
-    assert cause != TOO_EARLY
-    pytest.skip(f"this machine stalled in each of {ATTEMPTS} attempts: {cause}")
+def repeated(attempt: Callable[[str], None]) -> None:
+    """Call with a folder's name until neither a stall nor a slow start spoils it."""
+
+    def patient(number: int) -> None:
+        for again in range(ATTEMPTS):
+            try:
+                attempt(f"attempt-{number + 1}-{again + 1}")
+                return
+            except TooEarly:
+                print(f"attempt {number + 1}: too early")
+        raise AssertionError(f"too early {ATTEMPTS} times")
+
+    stalls.repeated(patient, ATTEMPTS)
 
 
 def cause_of(rec: Recording) -> str:

@@ -20,12 +20,12 @@ RECORD_DTYPE = np.dtype(
         ("sent_late_ns", np.int32),
         ("flags", np.uint32),
         ("generation", np.uint32),
-        ("x_raw", np.int32),
-        ("f_raw", np.int32),
-        ("state", np.uint8),
-        ("echo", np.uint8),
-        ("count", np.uint8),
-        ("code", np.uint8),
+        ("code", np.uint16),
+        ("state", np.uint16),
+        ("echo", np.uint16),
+        ("count", np.uint16),
+        ("x_read_m", np.float64),
+        ("f_read_n", np.float64),
         ("ag_mps2", np.float64),
         ("x_num_m", np.float64),
         ("x_plc_m", np.float64),
@@ -37,8 +37,7 @@ RECORD_DTYPE = np.dtype(
         ("k_t_n_per_m", np.float64),
         ("energy_error_j", np.float64),
         ("tracking_indicator_m2", np.float64),
-    ],
-    align=True,
+    ]
 )
 
 TEST_TOML = """schema = "rthyb-test/1"
@@ -188,7 +187,7 @@ def recording(duration_s: float = 40.0, *, reference: bool = True, seed: int = 1
         test_toml=TEST_TOML,
         rig_toml=RIG_TOML,
         replay=ReplayData(
-            controller_state=bytes(range(256)),
+            codec=bytes(range(256)),
             parameters=[{"generation": 0, "tick": 0, "values": {"w1": 3.0, "w2": 2.0}}],
             commands=[{"tick": 0, "command": "start"}],
             tares={"displacement_m": 1e-6, "force_n": 0.5},

@@ -35,8 +35,8 @@ static rthyb_record made(uint64_t n)
         .sent_late_ns = low,
         .flags = (uint32_t)low,
         .generation = (uint32_t)low,
-        .x_raw = low,
-        .f_raw = low,
+        .x_read_m = x,
+        .f_read_n = x,
         .state = n / TRIP % 8 == 7 ? RTHYB_TRIPPED : RTHYB_RUNNING,
         .echo = (uint8_t)n,
         .ag_mps2 = x,
@@ -56,9 +56,7 @@ static rthyb_record made(uint64_t n)
 static int is_whole(const rthyb_record *record)
 {
     const rthyb_record wanted = made(record->tick);
-    const char *a = (const char *)record, *b = (const char *)&wanted;
-    const size_t head = offsetof(rthyb_record, code), tail = offsetof(rthyb_record, ag_mps2);
-    return memcmp(a, b, head) == 0 && memcmp(a + tail, b + tail, sizeof wanted - tail) == 0;
+    return memcmp(record, &wanted, sizeof wanted) == 0;
 }
 
 static void take(reader_job *job, const rthyb_record *records, size_t count)

@@ -144,17 +144,26 @@ def test_check_says_whether_the_rig_is_commissioned_as_its_file_stands(
     )
     certificate.write(certificate.place(path), failed)
     assert found()["commissioned"] is False
-    assert "its polarity check has not passed" in found()["why_not"]
+    assert "has passed: polarity FAILED, limits was not made" in found()["why_not"]
     passed = certificate.Step("polarity", True, "2026-11-21T09:30:00+00:00")
-    certificate.write(certificate.place(path), failed.with_step(passed))
+    signs_alone = failed.with_step(passed)
+    certificate.write(certificate.place(path), signs_alone)
+    assert found()["commissioned"] is False
+    assert found()["steps"]["trip"] is None
+    plain = rthyb(*check).out
+    assert re.search(r"^Check of the watchdog +not made", plain, re.MULTILINE)
+    assert "limits was not made, watchdog was not made, trip was not made" in plain
+    whole = signs_alone
+    for name in ("limits", "watchdog", "trip"):
+        whole = whole.with_step(certificate.Step(name, True, "2026-11-20T08:02:00+00:00"))
+    certificate.write(certificate.place(path), whole)
     good = found()
     assert (good["commissioned"], good["why_not"]) == (True, "")
     assert good["steps"]["polarity"] == {"passed": True, "date": "2026-11-21T09:30:00+00:00"}
-    assert good["steps"]["trip"] is None
     plain = rthyb(*check).out
     assert re.search(r"^Commissioned +yes ", plain, re.MULTILINE)
     assert re.search(r"^Check of polarity +passed +2026-11-21T09:30", plain, re.MULTILINE)
-    assert re.search(r"^Check of the watchdog +not made", plain, re.MULTILINE)
+    assert re.search(r"^Check of the watchdog +passed", plain, re.MULTILINE)
     assert "will be refused" not in plain
     # Another limit is another rig.
     moved = found("--set", "rig.limits.force_n=7 kN")
@@ -390,7 +399,6 @@ def test_test_is_refused_until_the_rig_is_commissioned(lab: Lab) -> None:
         assert not (lab.folder / "refused").exists()
         code, _, err = lab.repeated(
             *("commission", "rig.toml", "--yes", "--distance", "0.2 mm", "--json"),
-            *("--steps", "polarity,watchdog,trip"),
         )
         assert code == 0, err
         document = json.loads((lab.folder / "rig.commissioned.json").read_text())
@@ -406,7 +414,7 @@ def test_test_is_refused_until_the_rig_is_commissioned(lab: Lab) -> None:
     facts = rec.meta["commissioning"]
     assert facts["demanded"] is True
     assert facts["polarity"] == document["steps"]["polarity"]["date"]
-    assert facts["limits"] == ""
+    assert facts["limits"] == document["steps"]["limits"]["date"]
     page = report.render(rec)
     assert "Polarity checked" in page
     assert facts["polarity"] in page

@@ -72,7 +72,7 @@ def test_ctrl_c_while_the_recording_is_written_keeps_the_recording(tmp_path: Pat
 def test_test_that_is_stopped_leaves_no_half_folder(
     tmp_path: Path, signal: str, code: int, words: str
 ) -> None:
-    answer = python(signalled("experiment", "run", signal), *SHORT, folder=tmp_path)
+    answer = python(signalled("virtual_time", "run", signal), *SHORT, folder=tmp_path)
     assert answer.code == code
     assert answer.err == f"rthyb: {words}; nothing was written\n"
     assert list(tmp_path.iterdir()) == []
@@ -80,7 +80,7 @@ def test_test_that_is_stopped_leaves_no_half_folder(
 
 def test_test_under_nohup_survives_the_closed_terminal(tmp_path: Path) -> None:
     ignore = "import signal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-    code = ignore + signalled("experiment", "run", "SIGHUP")
+    code = ignore + signalled("virtual_time", "run", "SIGHUP")
     assert python(code, *SHORT, folder=tmp_path).code == 0
 
 
@@ -470,8 +470,8 @@ def problems(answer: Answer) -> list[dict[str, str]]:
 @pytest.mark.parametrize(
     ("module", "name", "signal", "code", "words"),
     [
-        ("experiment", "run", "SIGINT", 130, "interrupted; nothing was written"),
-        ("experiment", "run", "SIGTERM", 143, "ended by SIGTERM; nothing was written"),
+        ("virtual_time", "run", "SIGINT", 130, "interrupted; nothing was written"),
+        ("virtual_time", "run", "SIGTERM", 143, "ended by SIGTERM; nothing was written"),
         ("recording", "write", "SIGINT", 130, "interrupted; written: runs/"),
     ],
 )

@@ -12,11 +12,13 @@ import pytest
 from commissioning_bench import DELAY_SAMPLES, STIFFNESS_N_PER_M, Drive, at, rig
 from numpy.testing import assert_allclose
 
-from rthyb_rt import config, core, loop, realtime, ring
+from rthyb_rt import config, core, experiment, loop, realtime, ring
 from rthyb_rt.commissioning import guide, jogging, limits, moving, polarity, stops
 from rthyb_rt.commissioning.certificate import STEPS, Certificate
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.identify import Sweep, identify, identify_live
+from rthyb_rt.links.wire import Codec
+from rthyb_rt.realtime import RefusedError
 from rthyb_rt.recording import FLAGS, STATES
 
 pytestmark = pytest.mark.alone
@@ -319,7 +321,7 @@ def test_recording_of_a_motion_that_went_on_is_replayed_bit_for_bit() -> None:
     assert taken.size == 1
     assert rec.samples["x_cmd_m"][taken[0]] == pytest.approx(0.6e-3, abs=5e-6)
     assert rec.meta["real_time"]["commands_before"] > 0
-    settings = moving.station_of(moving.setup_of(rig(), still), still)
+    settings = moving.station_of(experiment.prescribed(rig(), still.name, still.path_m), still)
     again = core.Station(settings, still.path_m).replay(rec.samples, codec, core.IDENTITY, [])
     assert again.tobytes() == rec.samples.tobytes()
 
@@ -501,6 +503,17 @@ def test_limit_that_may_not_be_tried_leaves_the_step_unfinished() -> None:
     assert step.faults == ("limits.force_n was not tried",)
 
 
+@pytest.mark.parametrize("stated", [False, True])
+def test_rig_without_a_velocity_limit_is_told_to_state_one(stated: bool) -> None:
+    said: list[str] = []
+    given = {"limits.command_velocity_m_per_s": "0.2"} if stated else {}
+    with at(rig(given)) as there:
+        plan = guide.Plan(("limits",), allowed=lambda _: False, tell=said.append)
+        guide.commission(there.connection, plan)
+    missing = [text for text in said if "command_velocity_m_per_s is missing" in text]
+    assert len(missing) == (0 if stated else 1)
+
+
 # ---- the drive's own stop -----------------------------------------------------------------------
 
 
@@ -516,10 +529,75 @@ def slow_watchdog(there: Drive) -> None:
 
 def test_drive_stops_by_itself_at_its_twentieth_sample() -> None:
     with at(rig()) as there:
-        assert stops.watchdog(there.connection) == stops.Stop(True, 20, False, True)
+        there.connection = attended(there)
+        assert stops.watchdog(there.connection) == stops.Stop(True, 20, False, True, True, True)
         assert stops.trip(there.connection) == stops.Stop(True, 0, False, None)
         # What follows finds a drive that obeys again.
         assert jogging.jog(there.connection, 0.5e-3, 4e-3).cause == "completed"
+
+
+def attended(there: Drive) -> moving.Connection:
+    """As `rthyb commission` has it: whoever is asked before each motion has the drive reset."""
+    return dataclasses.replace(there.connection, resets=True)
+
+
+def released_by_any_command(there: Drive) -> None:
+    there.drive._c.latched = 0
+
+
+def test_drive_that_follows_again_by_itself_after_its_stop_fails() -> None:
+    """So did every drive that kept to the frames of before."""
+    with at(rig()) as there:
+        there.tell = lambda: released_by_any_command(there)
+        found = guide.commission(attended(there), guide.Plan(("watchdog",))).steps["watchdog"]
+    assert found.passed is False
+    assert "followed again as soon as commands came, though nobody had reset it" in found.faults[0]
+
+
+def test_jog_at_a_drive_that_stopped_by_itself_is_refused_until_it_is_reset() -> None:
+    with at(rig()) as there:
+        assert jogging.jog(there.connection, 0.5e-3, 4e-3).cause == "completed"
+        for _ in range(100):
+            there.drive.tick()
+        # It was told that the silence is meant: it stands, and follows again.
+        assert there.drive.phase == "stopped"
+        with stops.at_rest(there.connection) as session:
+            session.command("trip")
+            session.wait(0.1)
+        with pytest.raises(RefusedError, match="`rthyb reset RIG`") as told:
+            jogging.jog(there.connection, 0.5e-3, 4e-3)
+        assert told.value.exit_code == 5
+        assert there.drive.phase == "stopped"
+        assert stops.release(there.connection) is True
+        assert stops.release(there.connection) is False
+        assert jogging.jog(there.connection, 0.5e-3, 4e-3).cause == "completed"
+
+
+@pytest.mark.parametrize(
+    ("seen", "told"), [(True, ""), (False, "it did not"), (None, "without --yes")], ids=str
+)
+def test_stop_of_a_drive_without_status_is_what_the_operator_saw(
+    seen: bool | None, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Codec, "has_status", False)
+    monkeypatch.setattr(Codec, "has_reset", False)
+    asked: list[str] = []
+
+    def witness(question: str) -> bool | None:
+        asked.append(question)
+        there.drive._c.latched = 0  # released at its panel
+        return seen
+
+    plan = guide.Plan(("watchdog", "trip"), witness=witness)
+    with at(rig()) as there:
+        # As its frames would be: nothing in them of a stop.
+        there.tell = lambda: setattr(there.drive._c, "latched", 0)
+        made = guide.commission(attended(there), plan)
+    assert len(asked) == 2
+    assert "its panel say that it stays stopped" in asked[0]
+    for name in ("watchdog", "trip"):
+        assert made.steps[name].passed is seen
+        assert told in " ".join(made.steps[name].faults)
 
 
 @pytest.mark.parametrize(
@@ -598,7 +676,8 @@ def test_sound_rig_passes_every_step_and_is_asked_before_each_motion() -> None:
         (name, True) for name in STEPS
     ]
     assert [list(c.steps) for c in kept] == [list(STEPS[: n + 1]) for n in range(len(STEPS))]
-    assert found.steps["watchdog"].figures == {"drive_ticks": 20}
+    watchdog = {"drive_ticks": 20, "stays_stopped": True, "reset": True}
+    assert found.steps["watchdog"].figures == watchdog
     assert found.steps["trip"].figures == {"drive_ticks": 0}
     # Link, polarity, plain motion, position, force, watchdog, trip.
     assert len(asked) == 7

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 from pathlib import Path
@@ -92,6 +93,12 @@ def test_content_of_a_dbc_file_counts_and_not_its_place(tmp_path: Path) -> None:
 
 
 # ---- the file -----------------------------------------------------------------------------------
+
+
+def test_certificate_of_before_holds_for_a_rig_file_that_sets_nothing_new() -> None:
+    """The hash of this very file by the program that first asked for one."""
+    first = "7baf530102c4fa1e46bf1d49b7646e24d336b1d139c16a366f5afc5f489d2b47"
+    assert certificate.rig_hash(rig()) == first
 
 
 def test_certificate_reads_back_as_it_was_written(tmp_path: Path) -> None:
@@ -199,11 +206,39 @@ def test_rig_file_that_changed_since_is_refused_with_the_date(tmp_path: Path) ->
         demanded(path)
 
 
-@pytest.mark.parametrize("passed", [False, None])
-def test_polarity_that_did_not_pass_is_refused(tmp_path: Path, passed: bool | None) -> None:
+@pytest.mark.parametrize("name", certificate.STEPS)
+@pytest.mark.parametrize(
+    ("passed", "told"), [(False, "FAILED"), (None, "could not be checked")], ids=str
+)
+def test_each_check_that_did_not_pass_is_refused_by_its_name(
+    tmp_path: Path, name: str, passed: bool | None, told: str
+) -> None:
     path = rig_file(tmp_path)
-    certified(path, passed=passed)
-    with pytest.raises(RefusedError, match="its polarity check has not passed"):
+    made = certified(path)
+    certificate.write(certificate.place(path), made.with_step(Step(name, passed, DATE)))
+    with pytest.raises(RefusedError, match=f"has passed: {name} {told}; run ") as caught:
+        demanded(path)
+    assert f"`rthyb commission {path}` --steps {name}" in str(caught.value)
+
+
+def test_test_on_a_real_link_is_refused_where_all_but_the_signs_failed(tmp_path: Path) -> None:
+    path = rig_file(tmp_path)
+    made = certified(path, passed=False).with_step(Step("polarity", True, DATE))
+    certificate.write(certificate.place(path), made)
+    told = "link FAILED, limits FAILED, watchdog FAILED, trip FAILED"
+    with pytest.raises(RefusedError, match=told):
+        demanded(path)
+
+
+def test_old_certificate_is_read_and_names_the_checks_it_lacks(tmp_path: Path) -> None:
+    """Of a version under which a passed polarity was enough."""
+    path = rig_file(tmp_path)
+    made = certified(path)
+    old = dataclasses.replace(made, version="0.9.0", steps={"polarity": made.steps["polarity"]})
+    certificate.write(certificate.place(path), old)
+    assert certificate.read(certificate.place(path)) == old
+    told = "link was not made, limits was not made, watchdog was not made, trip was not made"
+    with pytest.raises(RefusedError, match=told):
         demanded(path)
 
 

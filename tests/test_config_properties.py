@@ -118,7 +118,7 @@ def links(draw: st.DrawFn) -> dict[str, Any]:
         "data_bitrate": draw(st.none() | st.integers(1_000_000, 8_000_000)) if fd else None,
         "dbc": dbc if bus else None,
     }
-    return changes if changes["dbc"] else {**changes, "names": {}}
+    return changes if changes["dbc"] else {**changes, "names": {}, "reset_state": None}
 
 
 @given(tables(TestFile))
@@ -162,7 +162,7 @@ def files_that_fit(draw: st.DrawFn) -> tuple[dict[str, Any], dict[str, Any]]:
     rig = draw(tables(Limits))
     test: dict[str, Any] = {}
     for key, bound in rig.items():
-        if draw(st.booleans()) or key.startswith("path_"):
+        if draw(st.booleans()) or key.startswith(("path_", "brake_")):
             continue
         if isinstance(bound, dict):
             stronger = ORDER[ORDER.index(bound["action"]) :]

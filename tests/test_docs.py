@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import typer.main
 
-from rthyb_rt import cli, config, experiment, identify, recording, studies, summary
+from rthyb_rt import cli, config, experiment, identify, recording, studies, summary, virtual_time
 from rthyb_rt.cli import commands
 from rthyb_rt.errors import InputError
 from rthyb_rt.studies.results import Study
@@ -280,7 +280,7 @@ def built_in_table() -> dict[str, str]:
     rig = config.load_rig(config.find_rig(test.rig))
     return {
         row.label: row.value
-        for row in summary.result_table(experiment.run(experiment.prepare(test, rig)))
+        for row in summary.result_table(virtual_time.run(experiment.prepare(test, rig)))
     }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rthyb_rt import config, core, experiment
+from rthyb_rt import config, core, experiment, virtual_time
 from rthyb_rt.config import RigFile
 from rthyb_rt.errors import InputError
 from rthyb_rt.identify import Result, Sweep, identified_rig, identify
@@ -115,6 +115,43 @@ def test_rest_noise_is_found_within_ten_per_cent(table: Result) -> None:
 
 def test_friction_beside_the_specimen_is_noted(table: Result) -> None:
     assert any("in phase with velocity" in note for note in table.notes)
+
+
+def doubts(result: Result) -> list[str]:
+    return [note for note in result.notes if "is no sine" in note]
+
+
+@pytest.mark.parametrize("seed", ["1", "2", "3"])
+def test_noise_of_the_load_cell_is_not_called_friction(seed: str) -> None:
+    """30 N on 440 N, as a lab had it: a tenth of the force, and all of it noise."""
+    noisy = rig(
+        "delay-10-elastic",
+        rig__seed=seed,
+        specimen__0__k_n_per_m="219300",
+        sensors__force__noise_std_n="30",
+    )
+    result = identify(noisy)
+    assert_allclose(result.rest_noise_n, 30.0, rtol=0.1)
+    assert doubts(result) == []
+    assert max(tone.distortion for tone in result.tones) < 0.01
+
+
+def test_a_load_cell_that_is_nearly_all_noise_is_no_friction_either() -> None:
+    noisy = rig(
+        "delay-10-elastic",
+        specimen__0__k_n_per_m="219300",
+        sensors__force__noise_std_n="150",
+    )
+    assert doubts(identify(noisy)) == []
+
+
+def test_friction_is_told_behind_noise_as_large() -> None:
+    """Third and higher harmonics of a square wave of 300 N: 131 N rms, beside 130 N of noise."""
+    both = rig(TABLE, actuator__friction_n="300", sensors__force__noise_std_n="130")
+    (note,) = doubts(identify(both))
+    assert "friction" in note
+    smooth = rig(TABLE, actuator__friction_n="0", sensors__force__noise_std_n="130")
+    assert doubts(identify(smooth)) == []
 
 
 def test_five_times_the_noise_moves_nothing_much(table: Result) -> None:
@@ -242,7 +279,7 @@ def test_identified_rig_reads_back_and_carries_a_test(table: Result) -> None:
     text = "\n".join(line for line in lines if not line.startswith("alpha0"))
     test = config.parse_test(text, overrides={"test.duration_s": "8"})
     setup = experiment.prepare(test, again)
-    rec = experiment.run(setup)
+    rec = virtual_time.run(setup)
     assert rec.meta["end_reason"] == "completed"
     assert_allclose(rec.samples["alpha"][0], table.alpha, rtol=1e-3)
     error = rec.samples["x_meas_m"] - rec.samples["x_num_m"]

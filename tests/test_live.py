@@ -29,7 +29,7 @@ from starlette.websockets import WebSocketDisconnect
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from rthyb_rt import config, core, experiment, recording
+from rthyb_rt import config, core, experiment, recording, virtual_time
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.live import app as live_app
 from rthyb_rt.live import guard
@@ -283,7 +283,7 @@ def test_histogram_has_each_waking_and_no_tick_that_nobody_woke_for() -> None:
 def rec() -> Recording:
     """A short test of the past."""
     test = config.load_test(config.builtin_test_path(), {"test.duration_s": "4"})
-    return experiment.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
+    return virtual_time.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
 
 
 @contextmanager
@@ -460,7 +460,7 @@ def test_recording_is_shown_at_its_own_time_with_its_end(rec: Recording, past: T
         socket.send_json({"view": {"first": 500, "last": 1500, "columns": 1000}})
         screen = Screen()
         kind, state, ticks, at, zero, *_ = screen.take(next_frame(socket))
-        assert (kind, state, ticks, at) == (ANEW, RUNNING, 1, 1499)
+        assert (kind, state, ticks, at) == (ANEW, rec.samples["state"][1499], 1, 1499)
         assert zero == int(np.argmax(rec.running()))
         shown = np.array([screen.columns[i][2, 0] for i in range(500, 1500)])
         np.testing.assert_array_equal(shown, channels(rec.samples)[2, 500:1500])
@@ -623,7 +623,7 @@ def test_ring_of_a_trip_says_its_first_cause_without_a_service(memory: Path) -> 
     assert source.status()["cause"] == ""
     source.look()
     status = source.status()
-    assert (status["state"], status["cause"]) == ("TRIPPED", "force limit")
+    assert (status["state"], status["cause"]) == ("TRIPPED", "force 0.604 kN (limit 0.6 kN)")
     ring.remove()
     # The ring of the next test may have its name.
     following = Ring.create(memory, rec)
@@ -673,8 +673,8 @@ class Everybody:
         return self._role
 
 
-def give(socket: Any, command: str) -> tuple[bool, str]:
-    socket.send_json({"command": command})
+def give(socket: Any, command: str, **also: str) -> tuple[bool, str]:
+    socket.send_json({"command": command, **also})
     answer = told(socket, "answer")
     assert answer["command"] == command
     return answer["ok"], answer["text"]
@@ -700,7 +700,13 @@ def test_operator_conducts_a_test_and_a_looker_may_only_hold_and_stop(memory: Pa
             assert "ARMED" in text
             assert give(operator, "zero") == (True, "Zeroing")
             await_state(memory, "ZEROED")
-            assert give(operator, "arm") == (True, "Armed for 3600 s")
+            # A page that still shows the test of before arms nothing.
+            digest = daemon.status()["test"]["digest"]
+            for other in ("", "0" * 64):
+                good, text = give(operator, "arm", digest=other)
+                assert not good
+                assert "look which test is loaded" in text
+            assert give(operator, "arm", digest=digest) == (True, "Armed for 3600 s")
             assert give(operator, "start") == (True, "Started")
             await_state(memory, "RUNNING")
             assert give(looker, "hold") == (True, "Held")
@@ -759,7 +765,8 @@ def test_trip_stays_on_the_screen_until_somebody_resets_it(memory: Path) -> None
             source.look()
             source.poll()
             status, last = source.status(), source.history.last
-            assert (status["state"], status["cause"]) == ("TRIPPED", "force limit")
+            assert status["state"] == "TRIPPED"
+            assert re.fullmatch(r"force 0\.60\d kN \(limit 0\.6 kN\)", status["cause"])
             assert source.history.rows(last, last + 1)[2][0] == TRIPPED
             ticks = daemon.engine.loop.counts.elapsed
             until(lambda: daemon.engine.loop.counts.elapsed > ticks + 2000, "time to pass")

@@ -41,6 +41,7 @@ from loop_bench import (
 )
 from recording_data import recording as made_up_recording
 from rthyb_rt._core import lib
+from test_live_replay import assert_the_same
 
 from rthyb_rt import core, loop, ticker
 from rthyb_rt.errors import RthybError
@@ -108,12 +109,9 @@ def test_record_has_due_time_echo_count_and_raw_reading_of_its_tick(bench: Bench
     np.testing.assert_array_equal(rows["count"], np.arange(rows.size) % 256)
     np.testing.assert_array_equal(rows["echo"], log["seq"] % 256)
     running = rows[rows["state"] == STATE["RUNNING"]]
-    np.testing.assert_allclose(
-        running["x_raw"] * 1e-9 - bench.station.tare[0], running["x_meas_m"], atol=1e-15
-    )
-    np.testing.assert_allclose(
-        running["f_raw"] * 1e-3 - bench.station.tare[1], running["f_meas_n"], atol=1e-9
-    )
+    tare_m, tare_n = bench.station.tare
+    np.testing.assert_array_equal(running["x_read_m"] - tare_m, running["x_meas_m"])
+    np.testing.assert_array_equal(running["f_read_n"] - tare_n, running["f_meas_n"])
 
 
 def test_running_part_is_what_the_virtual_test_computes(bench: Bench) -> None:
@@ -223,8 +221,8 @@ def test_pair_that_did_not_come_is_flagged_lost_and_one_that_was_refused_is_not(
         bench.step()
         assert bench.last_flags() & FLAGS["predicted"]
         assert told(bench) == set()
-        raw_m = float(bench.records[-1]["x_raw"][-1]) * 1e-9
-        assert raw_m - bench.station.tare[0] == pytest.approx(0.05, abs=0.01)
+        read_m = float(bench.records[-1]["x_read_m"][-1])
+        assert read_m - bench.station.tare[0] == pytest.approx(0.05, abs=0.01)
 
 
 def test_blind_records_tell_nothing_of_their_tick(bench: Bench) -> None:
@@ -327,11 +325,14 @@ def test_zero_is_refused_until_the_drive_says_that_it_follows(bench: Bench) -> N
     bench.steps(60)
     bench.step("reset")
     assert told(bench) == {"stopped"}
-    bench.drive.schedule([loop.Fault("drop-command", 0, bench.drive.ticks + 5)])
-    for _ in range(5):
+    bench.drive.schedule([loop.Fault("drop-command", 0, bench.drive.ticks + 25)])
+    for _ in range(24):
         bench.step("zero")
         assert bench.refused
         assert told(bench) == {"stopped", "refused"}
+    # All three commands that told it were lost: it is reset once more, at rest.
+    bench.step("reset")
+    assert not bench.refused
     bench.fault("drop", 1)
     bench.step("zero")
     assert bench.refused, "it follows, but has not said so yet"
@@ -362,10 +363,10 @@ def test_rig_behind_a_calibration_runs_the_same_test(medium: str) -> None:
             bench.drive.log["target_m"], plain.drive.log["target_m"], atol=2e-8
         )
         begin = 10
-        x_m = -2.0 * 1e-9 * ours["x_raw"][begin:] + 0.004
-        f_n = -0.5 * 1e-3 * ours["f_raw"][begin:] + 12.0
-        np.testing.assert_allclose(x_m, 1e-9 * theirs["x_raw"][begin:], atol=2e-8)
-        np.testing.assert_allclose(f_n, 1e-3 * theirs["f_raw"][begin:], atol=2e-2)
+        for name, atol in (("x_read_m", 2e-8), ("f_read_n", 2e-2)):
+            np.testing.assert_allclose(ours[name][begin:], theirs[name][begin:], atol=atol)
+        read_m = -2.0 * bench.drive.log["read_x_m"][begin:] + 0.004
+        np.testing.assert_allclose(read_m, ours["x_read_m"][begin:], atol=2e-8)
         wire_m = bench.drive.log["x_m"][begin:]
         np.testing.assert_allclose(bench.drive.log["target_m"][begin:], (wire_m - 0.002) / -0.5)
         assert_adds_up(bench)
@@ -481,7 +482,7 @@ def test_reading_that_is_no_number_trips_and_is_never_sent(bench: Bench) -> None
     bench.fault("not-finite", 1)
     bench.step()
     last = bench.records[-1][-1]
-    assert last["x_raw"] == np.iinfo(np.int32).min
+    assert np.isnan(last["x_read_m"])
     assert bench.wire.counters()["not_finite"] == 1
     assert np.isfinite(last["x_meas_m"])
     assert_tripped(bench, "not_finite")
@@ -646,7 +647,8 @@ def test_drive_brakes_at_its_own_deceleration_when_told_of_a_trip(bench: Bench) 
 
 def tell(bench: Bench, seq: int, state: str, x_m: float = 0.05) -> None:
     """A command that does not come from the loop."""
-    frame, _ = wire.can().encode_setpoint(wire.Setpoint(x_m, seq % 65536, STATE[state]))
+    number = (STATE | {name: raw for raw, name in wire.TOLD.items()})[state]
+    frame, _ = wire.can().encode_setpoint(wire.Setpoint(x_m, seq % 65536, number))
     os.write(bench.ends[0], CAN_FRAME.pack(frame.id, len(frame.data), frame.data))
 
 
@@ -664,22 +666,144 @@ def test_old_and_repeated_commands_neither_move_the_drive_nor_keep_it_going(
         assert np.abs(np.diff(bench.drive.log["target_m"][begin - 1 :])).max() < 1e-4
 
 
-def test_drive_that_stands_waits_for_a_fresh_command_in_state_idle(can_medium: str) -> None:
+@pytest.mark.parametrize("first_seq", [1, 700])
+def test_drive_that_stopped_by_itself_waits_for_a_reset_whoever_commands(
+    can_medium: str, first_seq: int
+) -> None:
+    """It followed again on the first fresh command in state IDLE: six ticks after a new start."""
     with Bench(can_medium) as bench:
         bench.running(700)
         bench.drive_ticks(100)
         stands, last = bench.drive.log["target_m"][-1], int(bench.drive.log["seq"][-1])
-        for n, state in enumerate(("RUNNING", "TRIPPED", "ZEROED", "RAMP_IN")):
+        for n, state in enumerate(("RUNNING", "TRIPPED", "ZEROED", "RAMP_IN", "LEAVING")):
             tell(bench, last + 1 + n, state)
             bench.drive_ticks()
             assert bench.drive.phase == "stopped"
-        tell(bench, last + 4, "IDLE")
-        bench.drive_ticks()
+        # Another controller that has begun anew, for a second.
+        for n in range(1024):
+            tell(bench, first_seq + n, "IDLE")
+            bench.drive_ticks()
         assert bench.drive.phase == "stopped"
+        assert bench.drive.latched
         assert bench.drive.log["target_m"][-1] == stands
-        tell(bench, 1, "IDLE", x_m=float(stands))
+        tell(bench, first_seq + 1023, "RESET")
+        bench.drive_ticks()
+        assert bench.drive.phase == "stopped", "no fresh command"
+        tell(bench, first_seq + 1024, "RESET", x_m=float(stands))
+        bench.drive_ticks()
+        assert (bench.drive.phase, bench.drive.latched) == ("following", False)
+
+
+def test_reset_that_comes_while_the_drive_still_brakes_does_not_have_it_follow(
+    can_medium: str,
+) -> None:
+    with Bench(can_medium) as bench:
+        bench.running(700)
+        bench.drive._c.stop_decel_m_per_s2 = 1e-2
+        tell(bench, int(bench.drive.log["seq"][-1]) + 2, "TRIPPED")
+        bench.drive_ticks()
+        assert bench.drive.phase == "stopping"
+        tell(bench, int(bench.drive.log["seq"][-1]) + 1, "RESET")
+        bench.drive_ticks()
+        assert bench.drive.phase in ("stopping", "stopped")
+        bench.drive_ticks(20_000)
+        assert (bench.drive.phase, bench.drive.latched) == ("stopped", True)
+
+
+def test_drive_that_was_told_the_silence_is_meant_follows_the_next_controller(
+    can_medium: str,
+) -> None:
+    with Bench(can_medium) as bench:
+        bench.steps(50)
+        bench.loop.stop()
+        bench.loop.leave()
+        bench.drive_ticks(5)
+        assert bench.drive.phase == "following", "it stands, and hears that this is meant"
+        assert bench.drive.told == "LEAVING"
+        bench.drive_ticks(loop.WATCHDOG_TICKS)
+        assert (bench.drive.phase, bench.drive.latched) == ("stopped", False)
+        tell(bench, 1, "IDLE", x_m=float(bench.drive.log["target_m"][-1]))
         bench.drive_ticks()
         assert bench.drive.phase == "following"
+
+
+def test_nothing_that_moves_takes_leave(bench: Bench) -> None:
+    bench.running(300)
+    sent = int(bench.wire.struct.seq)
+    bench.loop.leave()
+    assert int(bench.wire.struct.seq) == sent
+
+
+def test_reset_at_rest_is_for_a_drive_that_has_stopped(bench: Bench) -> None:
+    bench.steps(100)
+    bench.step("reset")
+    assert bench.refused
+    bench.drive_ticks(loop.WATCHDOG_TICKS + 40)
+    bench.steps(40)
+    assert told(bench) == {"stopped"}
+    bench.step("zero")
+    assert bench.refused
+    bench.step("reset")
+    assert not bench.refused
+    bench.steps(3)
+    assert told(bench) == set()
+    bench.step("zero")
+    assert not bench.refused
+    bench.until("ZEROED")
+
+
+# ---- what no status byte tells ------------------------------------------------------------------
+
+
+def test_path_that_takes_no_command_ends_the_test_of_a_drive_without_status() -> None:
+    """It went on for 6,266 ticks: readings came, and nobody said that the drive stood."""
+    with Bench(seconds=8.0, send_buffer=1) as bench:
+        bench.running(700)
+        last = bench.drive.log[-1]
+        for n in range(2000):
+            # Its frames go out as ever, without a word of a stop; nobody reads the commands.
+            reading = wire.Reading(
+                last["read_x_m"], last["read_f_n"], last["seq"] % 256, (bench.drive.ticks + n) % 256
+            )
+            for frame in wire.can().encode_feedback(reading):
+                os.write(bench.ends[1], CAN_FRAME.pack(frame.id, len(frame.data), frame.data))
+            bench.tick()
+            if bench.loop.state == "TRIPPED":
+                break
+        assert (bench.loop.state, bench.loop.cause) == ("TRIPPED", "link_down")
+        assert bench.link.counters()["no_room"] <= loop.WATCHDOG_TICKS + 3
+        assert_adds_up(bench)
+
+
+@pytest.mark.parametrize(("ticks", "state"), [(30, "RUNNING"), (40, "TRIPPED")])
+def test_feedback_that_grows_old_on_the_way_counts_as_lost(
+    bench: Bench, ticks: int, state: str
+) -> None:
+    """Its readings are fresh; what the drive acts on is not."""
+    bench.running(300)
+    for delay in range(10, ticks + 1, 10):
+        bench.fault("delay", 10**6, delay)
+        bench.steps(60)
+    assert bench.loop.state == state
+    if state == "TRIPPED":
+        assert bench.loop.cause == "link_lost"
+        assert bench.loop.counters()["belated"] > 0
+
+
+@pytest.mark.parametrize(("asleep_s", "state"), [(0.05, "RUNNING"), (2.0, "TRIPPED")])
+def test_pc_that_was_suspended_does_not_go_on_where_it_was(
+    bench: Bench, asleep_s: float, state: str
+) -> None:
+    """The clock of the ticks stood still meanwhile: not one of them was skipped."""
+    bench.loop._c.unpaced = 1  # as at a drive that does not wait
+    bench.running(300)
+    bench.loop._c.asleep_ns -= round(asleep_s * 1e9)
+    bench.step()
+    assert bench.loop.state == state
+    assert bench.loop.counters()["suspended"] == (state == "TRIPPED")
+    if state == "TRIPPED":
+        assert bench.loop.cause == "stalled"
+        assert_the_same(bench)
 
 
 # ---- overruns -----------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from rthyb_rt import core
 
 pytestmark = pytest.mark.alone
 
-WATCHABLE = core.CAUSES[core.CAUSES.index("sensor_stuck") :]
+WATCHABLE = core.WATCHABLE
 
 
 def changed(bench: Bench, **changes: Any) -> core.Parameters:
@@ -44,6 +44,7 @@ def in_force(bench: Bench) -> core.Parameters:
         c.cfg.path_velocity_m_per_s,
         c.cfg.path_acceleration_m_per_s2,
         not c.controller.cfg.estimate_held,
+        c.cfg.brake_acceleration_m_per_s2,
     )
 
 
@@ -160,6 +161,7 @@ def test_path_limits_are_for_the_next_path() -> None:
         "acceleration_limit_m_per_s2",
         "path_velocity_m_per_s",
         "path_acceleration_m_per_s2",
+        "brake_acceleration_m_per_s2",
         "force",
     ],
 )
@@ -205,6 +207,7 @@ sets = st.builds(
     numbers,
     numbers,
     st.booleans(),
+    st.one_of(st.just(0.0), numbers),
 )
 
 
@@ -249,7 +252,7 @@ def test_no_tick_ever_has_half_of_one_set_and_half_of_another() -> None:
                 n += 1
                 value = float(n % 1000 + 1)
                 watches = {name: core.Watch(value, "none") for name in WATCHABLE}
-                one = core.Parameters(watches, value, value, value, value, n % 2 == 0)
+                one = core.Parameters(watches, value, value, value, value, n % 2 == 0, value)
                 assert bench.loop.set_parameters(one) == n
 
         publisher = threading.Thread(target=publish)
@@ -276,6 +279,7 @@ def test_no_tick_ever_has_half_of_one_set_and_half_of_another() -> None:
                     found.acceleration_limit_m_per_s2,
                     found.path_velocity_m_per_s,
                     found.path_acceleration_m_per_s2,
+                    found.brake_acceleration_m_per_s2,
                 }
                 assert others == {value}
         finally:

@@ -28,16 +28,25 @@ import pytest
 from can_dump import Dump, candump, decoded
 from command_line import Answer, Rthyb
 from loop_bench import BUS_OFF, CAN_FRAME, can_socket, set_interface
-from realtime_bench import PROGRAM, ROWS, STALLED, STATE, Process, process, stop_begins
+from realtime_bench import (
+    PROGRAM,
+    ROWS,
+    STATE,
+    Process,
+    process,
+    require_calm,
+    stop_begins,
+)
 from realtime_lab import (
     NOT_SENT,
-    TOO_EARLY,
     Lab,
+    TooEarly,
     assert_whole,
     cause_of,
     memory_folder,
     repeated,
 )
+from stalls import Stalled
 
 from rthyb_rt import config, core, loop, realtime, ring
 from rthyb_rt.core import FLAGS
@@ -55,6 +64,9 @@ BITRATE = 1_000_000
 TIOCSETD, SIOCGIFNAME, N_SLCAN = 0x5423, 0x8910, 17  # asm-generic/ioctls.h, linux/sockios.h, tty.h
 WITHOUT_PRIVILEGES = ("setpriv", "--bounding-set=-sys_nice,-ipc_lock")
 LOST_TICKS = 20
+LEAVING = 9
+FAREWELL = 3
+"""Commands at the end of a test at rest, by which the drive knows that the silence is meant."""
 FAULT_S = 1.75
 """When the drive goes wrong, by its own clock: the test is well in its motion then."""
 LATER_S = 1.75
@@ -162,6 +174,7 @@ class Running:
 
     Attributes:
         rig, controller: their processes.
+        begun_s: when (CLOCK_MONOTONIC).
     """
 
     def __init__(
@@ -175,7 +188,7 @@ class Running:
         faults: Sequence[str] = (),
         dump: bool = True,
     ) -> None:
-        self.lab, self.out = lab, out
+        self.lab, self.out, self.begun_s = lab, out, time.monotonic()
         self.log = lab.folder / f"{out}.npy"
         self._owned = ExitStack()
         folder = lab.folder / f"{out}-bus"
@@ -203,6 +216,8 @@ class Running:
 
     def ended(self) -> Ended:
         status, out, err = self.controller.end()
+        if not (self.lab.folder / self.out).is_dir() and "the drive" in err:
+            raise Stalled(f"drive_stopped: {err}", self.begun_s, time.monotonic())
         frames = self._dump.frames() if self._dump else []
         drive = self.rig_ended()
         rec, folder = self.lab.recorded(self.out, err), self.lab.folder / self.out
@@ -220,11 +235,6 @@ class Running:
         status, out, err = self.rig.end()
         assert status == 0, err
         return dict(json.loads(out))
-
-
-def stalled(found: Ended, *expected: str) -> str:
-    """Return by what the machine ended the test in the fault's stead; "": it did not."""
-    return found.cause if found.cause in set(STALLED) - set(expected) else ""
 
 
 def tell(fault: str, found: Ended) -> None:
@@ -251,7 +261,10 @@ def assert_commands_in_order(found: Ended, lost: int = 0) -> dict[str, np.ndarra
 
     ``lost`` ones a full queue has swallowed after they were numbered: the drive sees the gap.
     """
-    command = found.commands()
+    said = found.commands()
+    goes = said["state"] == LEAVING
+    assert not goes[: goes.size - np.count_nonzero(goes)].any(), "spoke after its farewell"
+    command = {signal: values[~goes] for signal, values in said.items()}
     count = np.count_nonzero(found.rows["flags"] & NOT_SENT == 0)
     if not lost:
         np.testing.assert_array_equal(command["seq"], (np.arange(count) + 1) & 0xFFFF)
@@ -297,8 +310,8 @@ def assert_tripped(found: Ended, cause: str, trip_frames: int | None = 3) -> Non
 
 def begun_in_running(found: Ended, state: str) -> bool:
     """Whether the test was in its motion when it came to this state."""
-    first = np.flatnonzero(found.rows["state"] == STATE[state])[0]
-    return bool(found.rows["state"][first - 1] == STATE["RUNNING"])
+    first = np.flatnonzero(found.rows["state"] == STATE[state])[:1]
+    return bool((found.rows["state"][first - 1] == STATE["RUNNING"]).any())
 
 
 # ---- an ordinary day ----------------------------------------------------------------------------
@@ -331,11 +344,11 @@ def assert_recording_is_what_was_on_the_bus(found: Ended) -> None:
     begins = [
         begin
         for begin in range(int(fresh["count"][0]), size - int(since[-1]), 256)
-        if np.array_equal(actuator["x_meas"][begin + since], fresh["x_raw"])
+        if np.array_equal(actuator["x_meas"][begin + since], np.rint(1e9 * fresh["x_read_m"]))
     ]
     assert len(begins) == 1
     taken = begins[0] + since
-    np.testing.assert_array_equal(load_cell["f_meas"][taken], fresh["f_raw"])
+    np.testing.assert_array_equal(load_cell["f_meas"][taken], np.rint(1e3 * fresh["f_read_n"]))
     np.testing.assert_array_equal(actuator["echo"][taken], fresh["echo"])
 
 
@@ -345,11 +358,10 @@ def test_twenty_seconds_of_a_test_go_through_and_the_bus_has_what_is_recorded(
 ) -> None:
     lab.rig_on(os.environ["RTHYB_VCAN"], clock=clock)
 
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with Running(lab, out, "--set", "test.duration_s=20", "--json") as test:
             found = test.ended()
-        if stalled(found):
-            return stalled(found)
+        require_calm(found.rec)
         assert found.status == 0, found.err
         assert found.rec.meta["end_reason"] == "completed"
         assert np.count_nonzero(found.rows["state"] == STATE["RUNNING"]) == 20 * core.FS_HZ
@@ -367,7 +379,6 @@ def test_twenty_seconds_of_a_test_go_through_and_the_bus_has_what_is_recorded(
         facts = found.rec.meta["real_time"]
         assert facts["clock"] == clock
         assert facts["link_facts"]["driver"] == "vcan"
-        return "completed"
 
     repeated(attempt)
 
@@ -390,20 +401,18 @@ def test_drive_that_goes_wrong_in_the_motion_trips_the_test(
 ) -> None:
     at_s = FAULT_S
 
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         nonlocal at_s
         with Running(lab, out, *LONG, faults=[fault.format(at_s)]) as test:
             found = test.ended()
-        if stalled(found, cause):
-            return stalled(found, cause)
+        require_calm(found.rec, cause)
         if not begun_in_running(found, "TRIPPED"):
             at_s += LATER_S
-            return TOO_EARLY
+            raise TooEarly
         if cause == "link_lost" and not lost_by(found, round(at_s * core.FS_HZ)):
-            return found.cause
+            require_calm(found.rec)
         assert_tripped(found, cause)
         tell(fault.format(at_s), found)
-        return "as expected"
 
     repeated(attempt)
 
@@ -432,15 +441,22 @@ def test_sensor_that_goes_wrong_in_the_motion_ramps_out(
 ) -> None:
     at_s = FAULT_S
 
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         nonlocal at_s
         with Running(lab, out, *LONG, faults=[fault.format(at_s)]) as test:
-            found = test.ended()
-        if stalled(found):
-            return stalled(found)
-        if not begun_in_running(found, "RAMP_OUT"):
+            try:
+                found = test.ended()
+            except AssertionError as error:
+                if "start: refused" not in str(error):
+                    raise
+                # The sensor was wrong before the test began, and nothing was recorded.
+                at_s += LATER_S
+                raise TooEarly from error
+        require_calm(found.rec)
+        leapt_before_zero = abs(found.rec.replay.tares["displacement_m"]) > 5e-3
+        if leapt_before_zero or not begun_in_running(found, "RAMP_OUT"):
             at_s += LATER_S
-            return TOO_EARLY
+            raise TooEarly
         tell(fault.format(at_s), found)
         assert (found.status, found.cause) == (6, cause), found.err
         assert found.rec.meta["end_reason"] == f"ramped out: {cause.replace('_', ' ')}"
@@ -448,27 +464,26 @@ def test_sensor_that_goes_wrong_in_the_motion_ramps_out(
         command = assert_commands_in_order(found)
         assert STATE["TRIPPED"] not in command["state"]
         assert_stop_is_in_time(found.log)
-        return "as expected"
 
     repeated(attempt)
 
 
 def test_bus_on_which_a_few_frames_go_wrong_carries_the_test_to_its_end(lab: CanLab) -> None:
     faults = [
-        "drop@1.5:0.2=0.3",
+        # Fewer than a tenth of any second, or the limit on lost pairs ramps the test out.
+        "drop@1.5:0.2=0.1",
         "corrupt@1.8:0.01",
         "duplicate@2:0.2",
-        "reorder@2.4:0.2",
+        "reorder@2.4:0.05",
         "delay@2.8:0.1=3",
         "drop-force@3:0.004",
         "drop-command@3.2:0.01",
     ]
 
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with Running(lab, out, "--set", "test.duration_s=4", faults=faults) as test:
             found = test.ended()
-        if stalled(found):
-            return stalled(found)
+        require_calm(found.rec)
         assert found.status == 0, found.err
         assert found.cause == "completed"
         assert_commands_in_order(found)
@@ -481,7 +496,6 @@ def test_bus_on_which_a_few_frames_go_wrong_carries_the_test_to_its_end(lab: Can
         for name in ("predicted", "frozen", "lost"):
             assert (flags & FLAGS[name]).any(), name
         tell("few frames", found)
-        return "as expected"
 
     repeated(attempt)
 
@@ -494,15 +508,14 @@ def test_interface_that_goes_down_trips_and_stays_tripped_when_it_is_back(
 ) -> None:
     lab.rig_on(interface)
 
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with ip_at_hand() as order, Running(lab, out, *LONG, bus=interface) as test:
             if test.is_running():
                 order(f"link set {interface} down")
                 time.sleep(0.3)
                 order(f"link set {interface} up")
             found = test.ended()
-        if stalled(found):
-            return stalled(found)
+        require_calm(found.rec)
         assert begun_in_running(found, "TRIPPED")
         assert_tripped(found, "link_down", trip_frames=0)
         tell("ip link set down, up", found)
@@ -513,7 +526,6 @@ def test_interface_that_goes_down_trips_and_stays_tripped_when_it_is_back(
         after = found.rows["flags"][found.rows["state"] == STATE["TRIPPED"]]
         assert (after & FLAGS["down"]).any()
         assert after[-1] & FLAGS["fresh"]
-        return "as expected"
 
     repeated(attempt)
 
@@ -524,7 +536,7 @@ def test_interface_that_is_deleted_trips_and_the_drive_stops_by_itself(
     bus = "rig0"
     lab.rig_on(bus)
 
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with (
             vcan(bus),
             ip_at_hand() as order,
@@ -533,8 +545,7 @@ def test_interface_that_is_deleted_trips_and_the_drive_stops_by_itself(
             if test.is_running():
                 order(f"link delete {bus}")
             found = test.ended()
-        if stalled(found):
-            return stalled(found)
+        require_calm(found.rec)
         assert begun_in_running(found, "TRIPPED")
         assert_tripped(found, "link_down", trip_frames=None)
         tell("ip link delete", found)
@@ -543,7 +554,6 @@ def test_interface_that_is_deleted_trips_and_the_drive_stops_by_itself(
         assert found.log["silent"][begins] == loop.WATCHDOG_TICKS
         late = found.rows["flags"][-ring.AFTER_TRIP // 2 :]
         assert (late & (FLAGS["down"] | FLAGS["blind"])).all()
-        return "as expected"
 
     repeated(attempt)
 
@@ -551,19 +561,17 @@ def test_interface_that_is_deleted_trips_and_the_drive_stops_by_itself(
 def test_bus_off_that_the_adapter_reports_trips(lab: CanLab, interface: str) -> None:
     lab.rig_on(interface)
 
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with Running(lab, out, *LONG, bus=interface) as test:
             if test.is_running():
                 with can_socket(interface, ()) as driver:
                     driver.send(CAN_FRAME.pack(BUS_OFF, 8, bytes(8)))
             found = test.ended()
-        if stalled(found):
-            return stalled(found)
+        require_calm(found.rec)
         assert begun_in_running(found, "TRIPPED")
         assert_tripped(found, "link_down")
         tell("bus-off", found)
         assert counter(found, "wire_counters", "error_frames") == 1
-        return "as expected"
 
     repeated(attempt)
 
@@ -574,11 +582,13 @@ def test_bus_off_that_the_adapter_reports_trips(lab: CanLab, interface: str) -> 
 def test_controller_that_is_killed_is_recovered_and_the_drive_stops_by_itself(
     lab: CanLab, rthyb: Rthyb
 ) -> None:
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with Running(lab, out, *LONG) as test:
             if not test.is_running():
-                return cause_of(test.ended().rec)
+                require_calm(test.ended().rec)
+                pytest.fail("over before it was killed")
             path = lab.ring_of(test.controller)
+            killed_s = time.monotonic()
             test.controller.signal(signal.SIGKILL)
             test.controller.end()
             time.sleep(0.3)  # the drive's 20 ticks, and its way to rest
@@ -587,7 +597,7 @@ def test_controller_that_is_killed_is_recovered_and_the_drive_stops_by_itself(
         log = np.load(test.log)
         begins = stop_begins(log)
         if log["state"][begins] != STATE["RUNNING"]:
-            return "skips"
+            raise Stalled("drive_stopped", test.begun_s, killed_s)
         assert path is not None
         assert log["silent"][begins] == loop.WATCHDOG_TICKS
         assert_stop_is_in_time(log)
@@ -605,7 +615,6 @@ def test_controller_that_is_killed_is_recovered_and_the_drive_stops_by_itself(
         sent = np.count_nonzero(rows["flags"] & NOT_SENT == 0)
         assert heard - 1 <= sent <= heard
         print(f"seen | kill -9 | recovered {sent} of {heard} | silent {log['silent'][begins]} |")
-        return "as expected"
 
     repeated(attempt)
 
@@ -613,15 +622,14 @@ def test_controller_that_is_killed_is_recovered_and_the_drive_stops_by_itself(
 def test_second_test_on_the_bus_is_refused_and_ctrl_c_ends_the_first(
     lab: CanLab, rthyb: Rthyb
 ) -> None:
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with Running(lab, out, *LONG) as test:
             answers = []
             if test.is_running():
                 answers = [rthyb(*second), rthyb("rig", "--can", os.environ["RTHYB_VCAN"])]
                 test.controller.signal(signal.SIGINT)
             found = test.ended()
-        if stalled(found):
-            return stalled(found)
+        require_calm(found.rec)
         assert [answer.code for answer in answers] == [3, 3]
         holders = {"controller": test.controller, "drive": test.rig}
         for answer, (side, holder) in zip(answers, holders.items(), strict=True):
@@ -635,7 +643,6 @@ def test_second_test_on_the_bus_is_refused_and_ctrl_c_ends_the_first(
         assert STATE["TRIPPED"] not in command["state"]
         assert_stop_is_in_time(found.log)
         tell("SIGINT", found)
-        return "as expected"
 
     second = ("run", lab.folder / "test.toml", "--rig", lab.folder / "rig.toml", "--realtime")
     second += ("--out", lab.folder / "second")
@@ -643,20 +650,18 @@ def test_second_test_on_the_bus_is_refused_and_ctrl_c_ends_the_first(
 
 
 def test_second_ctrl_c_trips(lab: CanLab) -> None:
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with Running(lab, out, *LONG) as test:
             if test.is_running():
                 test.controller.signal(signal.SIGINT)
                 test.is_running("RAMP_OUT", 10)
                 test.controller.signal(signal.SIGINT)
             found = test.ended()
-        if stalled(found):
-            return stalled(found)
+        require_calm(found.rec)
         if STATE["TRIPPED"] not in found.rows["state"]:
-            return TOO_EARLY
+            raise TooEarly
         assert_tripped(found, "signal")
         tell("SIGINT twice", found)
-        return "as expected"
 
     repeated(attempt)
 
@@ -664,23 +669,21 @@ def test_second_ctrl_c_trips(lab: CanLab) -> None:
 def test_controller_that_was_held_for_a_tenth_of_a_second_trips_without_a_burst(
     lab: CanLab,
 ) -> None:
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with Running(lab, out, *LONG) as test:
             if test.is_running():
                 test.controller.signal(signal.SIGSTOP)
                 time.sleep(0.1)
                 test.controller.signal(signal.SIGCONT)
             found = test.ended()
-        if stalled(found, "stalled"):
-            return stalled(found, "stalled")
+        require_calm(found.rec, "stalled")
         if not begun_in_running(found, "TRIPPED"):
-            return TOO_EARLY
+            raise TooEarly
         assert_tripped(found, "stalled")
         tell("SIGSTOP 0.1 s", found)
         begins = stop_begins(found.log)
         assert found.log["silent"][begins] == loop.WATCHDOG_TICKS
         assert counter(found, "ticks", "longest_skip") >= 60
-        return "as expected"
 
     repeated(attempt)
 
@@ -725,7 +728,7 @@ def jumped_at(test: Running, jump: Callable[[float], None]) -> list[int]:
 
 
 def test_wall_clock_that_jumps_by_an_hour_costs_no_tick(lab: CanLab) -> None:
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         ticks: list[int] = []
         with wall_clock() as jump, Running(lab, out, *LONG) as test:
             if test.is_running():
@@ -737,11 +740,9 @@ def test_wall_clock_that_jumps_by_an_hour_costs_no_tick(lab: CanLab) -> None:
         rows = found.rows
         blind = rows["tick"][rows["flags"] & FLAGS["blind"] != 0].astype(np.int64)
         beside = [at for at in ticks if ((blind > at) & (blind <= at + AFTER_JUMP)).any()]
-        assert not ticks or len(beside) < len(ticks), "each jump has skipped a tick"
-        if stalled(found):
-            return stalled(found)
-        if beside:  # by this machine: not each of them was
-            return "skips"
+        require_calm(found.rec)
+        # A jump that cost a tick would do so each time; one in a while is this machine's.
+        assert len(beside) <= JUMPS // 2, "jumps have skipped ticks"
         assert found.status == 0, found.err
         assert found.rec.meta["end_reason"] == "completed"
         assert np.count_nonzero(rows["state"] == STATE["RUNNING"]) == 6 * core.FS_HZ
@@ -751,7 +752,6 @@ def test_wall_clock_that_jumps_by_an_hour_costs_no_tick(lab: CanLab) -> None:
         assert (np.diff(rows["due_ns"]) < 2 * core.PERIOD_S * 1e9).all()
         assert_commands_in_order(found)
         print(f"seen | wall clock {len(ticks)} x 1 h | {counts['skipped']} ticks skipped in all |")
-        return "completed"
 
     repeated(attempt)
 
@@ -765,22 +765,20 @@ def assert_completed(found: Ended) -> None:
     assert np.count_nonzero(found.rows["state"] == STATE["RUNNING"]) == ROWS
     assert found.log["refused"].max() == 0
     sent = np.count_nonzero(found.rows["flags"] & NOT_SENT == 0)
-    assert found.log["frames"].sum() == sent
+    assert found.log["frames"].sum() - sent in (0, FAREWELL)
 
 
 def test_test_over_a_cable_between_two_interfaces(lab: CanLab) -> None:
     ours, theirs = os.environ["RTHYB_VXCAN"].split(",")
     lab.rig_on(ours)
 
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with Running(lab, out, bus=ours, far=theirs) as test:
             found = test.ended()
-        if stalled(found):
-            return stalled(found)
+        require_calm(found.rec)
         assert_completed(found)
         assert_commands_in_order(found)
         assert found.rec.meta["real_time"]["link_facts"]["driver"] == "vxcan"
-        return "completed"
 
     repeated(attempt)
 
@@ -823,19 +821,19 @@ def pass_on(a: int, b: int, done: threading.Event) -> None:
 
 
 def test_test_over_serial_adapters(lab: CanLab) -> None:
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with serial_adapters() as (ours, theirs):
             lab.rig_on(ours)
-            with Running(lab, out, bus=ours, far=theirs) as test:
+            # What these adapters lose is this machine's doing, not a fault of the link.
+            calm = ("--set", "limits.lost_pairs_share=0.5")
+            with Running(lab, out, *calm, bus=ours, far=theirs) as test:
                 found = test.ended()
-        if stalled(found):
-            return stalled(found)
+        require_calm(found.rec, serial=True)
         assert_completed(found)
         # Adapters and the bus between them are as slow as this machine.
         assert_commands_in_order(found, lost=counter(found, "loop", "not_sent"))
         facts = found.rec.meta["real_time"]["link_facts"]
         assert (facts["driver"], facts["bitrate"], facts["restart_ms"]) == ("can", BITRATE, 0)
-        return "completed"
 
     repeated(attempt)
 
@@ -847,19 +845,18 @@ def test_drive_of_another_make_over_can_fd(lab: CanLab) -> None:
     names = '{ x_cmd = "SetPos" }'
     lab.rig_on(bus, dbc='"drive.dbc"', fd="true", names=names, bitrate="")
 
-    def attempt(out: str) -> str:
+    def attempt(out: str) -> None:
         with Running(lab, out, bus=bus) as test:
             found = test.ended()
-        if stalled(found):
-            return stalled(found)
+        require_calm(found.rec)
         assert_completed(found)
         assert all(is_fd for _, _, is_fd in found.frames)
         command, actual = (decoded(found.frames, FD_DBC, name) for name in ("Command", "Actual"))
         sent = np.count_nonzero(found.rows["flags"] & NOT_SENT == 0)
-        np.testing.assert_array_equal(command["seq"], np.arange(sent) + 1)
+        np.testing.assert_array_equal(command["seq"][:sent], np.arange(sent) + 1)
+        assert command["seq"].size - sent in (0, FAREWELL)
         assert np.ptp(command["SetPos"]) > 1000  # um
         np.testing.assert_array_equal(actual["count"], np.arange(actual["count"].size))
-        return "completed"
 
     repeated(attempt)
 
@@ -981,5 +978,5 @@ def test_pc_without_privileges_is_refused_where_real_time_is_required(lab: CanLa
     assert "rthyb jitter says how to obtain them" in answer.stderr
     assert not (lab.folder / "out").exists()
     seen = np.load(log)
-    assert not seen["state"][seen["frames"] > 0].any()
+    assert np.isin(seen["state"][seen["frames"] > 0], (STATE["IDLE"], LEAVING)).all()
     assert np.ptp(seen["target_m"]) < 1e-4

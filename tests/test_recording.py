@@ -65,7 +65,7 @@ def test_recording_comes_back_bit_for_bit(path: Path, short: Recording) -> None:
     )
     assert back.ground_motion == short.ground_motion
     assert back.meta == short.meta
-    assert back.replay.controller_state == short.replay.controller_state
+    assert back.replay.codec == short.replay.codec
     assert back.replay.parameters == short.replay.parameters
     assert back.replay.commands == short.replay.commands
     assert back.replay.tares == short.replay.tares
@@ -230,8 +230,12 @@ def test_foreign_hdf5_file_is_refused(tmp_path: Path) -> None:
 
 def test_recording_of_a_later_version_is_refused_by_its_schema(path: Path) -> None:
     with h5py.File(path, "a") as file:
-        file.attrs["schema"] = "rthyb-recording/2"
-    assert "schema 'rthyb-recording/2', this version reads 'rthyb-recording/1'" in refusal(path)
+        file.attrs["schema"] = "rthyb-recording/3"
+        file.attrs["rthyb_version"] = "0.3.0"
+    assert refusal(path).endswith(
+        "schema 'rthyb-recording/3', this version reads rthyb-recording/1 to 2; "
+        "pip install 'rthyb-rt>=0.3.0'"
+    )
 
 
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 0.999])

@@ -19,15 +19,13 @@ from recording_data import FS_HZ, K_E, recording
 
 from rthyb_rt import measures
 from rthyb_rt.errors import InputError
+from rthyb_rt.numbers import number, percent, quantity
 from rthyb_rt.recording import FLAGS, STATES, UNITS, Recording
 from rthyb_rt.report import render, write_report
 from rthyb_rt.report.decimate import envelope, robust_limit, trace
 from rthyb_rt.summary import (
     OUT_OF_RANGE,
     notices,
-    number,
-    percent,
-    quantity,
     result_table,
     setup,
     stiffness_shares,
@@ -197,7 +195,9 @@ def test_response_or_tracking_off_by_more_than_half_is_an_alarm() -> None:
     assert "Response NRMSE" in alarms(lagging)
     within = sine_test(0.0, 0.6)
     assert rows(within)["Tracking, NRMSE"] == "40.0 %"
-    assert alarms(within) == ""
+    # Within half of the motion it may be of use; that it is off by a fifth is told all the same.
+    assert "the measured motion is not that" not in alarms(within)
+    assert "its rms difference was 40.6 % of the reference's, allowed is 20 %" in alarms(within)
 
 
 def test_error_that_moves_more_energy_than_the_earthquake_is_an_alarm() -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import json
 import os
 import random
 import re
 import signal
+import socket
 import stat
 import struct
 import subprocess
@@ -26,7 +28,18 @@ from hypothesis import strategies as st
 from recording_data import recording as made_up_recording
 from ring_rows import CYCLE, rows
 
-from rthyb_rt import cli, config, core, experiment, recording, report, ring, summary
+from rthyb_rt import (
+    cli,
+    config,
+    core,
+    experiment,
+    realtime,
+    recording,
+    report,
+    ring,
+    summary,
+    virtual_time,
+)
 from rthyb_rt.core import RecordArray
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.recording import STATES, Recording
@@ -37,7 +50,7 @@ pytestmark = pytest.mark.alone
 TESTS = Path(__file__).resolve().parent
 CORE = TESTS.parent / "csrc"
 
-SLOT_BYTES = 144
+SLOT_BYTES = 152
 NEWEST_AT = 128
 ABOUT_AT = 4096
 
@@ -140,7 +153,7 @@ def test_full_tmpfs_is_one_clear_message_and_nothing_is_left(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(RthybError, match=r"no room .* 9\.4 MB needed, [\d.]+ MB free; delete"):
+    with pytest.raises(RthybError, match=r"no room .* 10\.0 MB needed, [\d.]+ MB free; delete"):
         Ring.create(tmp_path, session)
     assert list(tmp_path.iterdir()) == []
 
@@ -183,6 +196,105 @@ def test_rings_of_a_user_go_to_the_runtime_folder(
     assert ring.default_folder() == Path("/run/user/1000/rthyb")
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     assert ring.default_folder() == Path(f"/dev/shm/rthyb-{os.geteuid()}")
+
+
+@pytest.fixture
+def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder like /dev/shm, with the one of this user's rings still to be made."""
+    folder = tmp_path / "shm"
+    folder.mkdir()
+    folder.chmod(0o1777)
+    monkeypatch.setattr(ring, "_SHARED", folder)
+    monkeypatch.setattr(ring, "_SERVICE", tmp_path / "service")
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    return ring.default_folder()
+
+
+def put_there_by_another_user(folder: Path) -> None:
+    folder.mkdir(mode=0o777)
+    folder.chmod(0o777)
+    if os.geteuid() != 0:
+        pytest.skip("only root can make a folder that belongs to somebody else")
+    os.chown(folder, 65534, 65534)
+
+
+def test_ring_folder_that_another_user_has_put_there_is_refused(
+    shared: Path, session: Recording
+) -> None:
+    """Its owner could have had any file of the victim's overwritten."""
+    put_there_by_another_user(shared)
+    with pytest.raises(RthybError, match=r"everybody may write in .*belongs to user 65534"):
+        Ring.create(shared, session, 64)
+    assert list(shared.iterdir()) == []
+
+
+def test_ring_folder_that_leads_elsewhere_is_refused(
+    shared: Path, session: Recording, tmp_path: Path
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir(mode=0o700)
+    shared.symlink_to(elsewhere)
+    with pytest.raises(RthybError, match="leads elsewhere"):
+        Ring.create(shared, session, 64)
+    assert list(elsewhere.iterdir()) == []
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o755, 0o710])
+def test_ring_folder_with_rights_for_others_is_refused_with_the_remedy(
+    shared: Path, session: Recording, mode: int
+) -> None:
+    shared.mkdir()
+    shared.chmod(mode)
+    with pytest.raises(RthybError, match=f"mode {mode:o}; chmod 700 {shared}"):
+        Ring.create(shared, session, 64)
+    shared.chmod(0o700)
+    Ring.create(shared, session, 64).remove()
+
+
+def test_ring_folder_that_is_missing_is_made_for_this_user_alone(
+    shared: Path, session: Recording
+) -> None:
+    made = Ring.create(shared, session, 64)
+    assert stat.S_IMODE(shared.stat().st_mode) == 0o700
+    made.remove()
+
+
+def test_other_users_control_socket_is_not_taken_for_the_own_service(
+    shared: Path, rthyb: Rthyb, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("RTHYB_SOCKET", raising=False)
+    put_there_by_another_user(shared)
+    with socket.socket(socket.AF_UNIX) as imposter:
+        imposter.bind(str(shared / "control.sock"))
+        imposter.listen()
+        imposter.setblocking(False)
+        for command in (("ctl", "status"), ("live",)):
+            answer = rthyb(*command)
+            assert answer.code != 0
+            assert "belongs to user 65534" in answer.err
+        with pytest.raises(BlockingIOError):
+            imposter.accept()
+    answer = rthyb("recover")
+    assert answer.code == 0
+    assert "belongs to user 65534" in answer.err
+
+
+def test_name_that_leads_to_a_file_of_the_users_does_not_have_it_overwritten(
+    tmp_path: Path, session: Recording
+) -> None:
+    """The session's temporary name can be guessed by who may write beside it."""
+    mine = tmp_path / "mine"
+    mine.write_text("precious")
+    path = tmp_path / f"ring.{ring._boot_id()[:8]}.1"
+    path.symlink_to(mine)
+    second = tmp_path / f"ring.{ring._boot_id()[:8]}.2"
+    part = tmp_path / f".{ring.session_path(second).name}.{os.getpid()}.part"
+    part.symlink_to(mine)
+    made = Ring.create(tmp_path, session, 64)
+    assert made.path == second
+    assert mine.read_text() == "precious"
+    assert not ring.session_path(second).is_symlink()
+    made.remove()
 
 
 def test_closed_ring_takes_no_more(small: Ring) -> None:
@@ -337,7 +449,7 @@ def test_file_is_what_the_guide_says(small: Ring) -> None:
     assert data[:8] == b"rthybrng"
     layout, record_bytes = struct.unpack_from("<II", data, 8)
     about_at, about_bytes, slots_at, size = struct.unpack_from("<4Q", data, 16)
-    assert (layout, record_bytes, size) == (1, core.RECORD_DTYPE.itemsize, len(data))
+    assert (layout, record_bytes, size) == (2, core.RECORD_DTYPE.itemsize, len(data))
     assert struct.unpack_from("<II", data, 48) == (64, SLOT_BYTES)
     assert struct.unpack_from("<QQ", data, 64) == (70, 0)
     assert about_at == ABOUT_AT
@@ -411,10 +523,10 @@ def refusal(path: Path) -> str:
 
 
 def test_ring_of_another_layout_is_refused_with_the_version_that_wrote_it(small: Ring) -> None:
-    patch(small.path, 8, struct.pack("<I", 2))
-    assert re.search(r"layout 2 of the ring of rthyb_rt \d.*reads layout 1", refusal(small.path))
+    patch(small.path, 8, struct.pack("<I", 3))
+    assert re.search(r"layout 3 of the ring of rthyb_rt \d.*reads layout 2", refusal(small.path))
     patch(small.path, ABOUT_AT, b"?")
-    assert "layout 2 of the ring, this version reads layout 1" in refusal(small.path)
+    assert "layout 3 of the ring, this version reads layout 2" in refusal(small.path)
 
 
 def test_ring_with_other_fields_is_refused(small: Ring) -> None:
@@ -424,7 +536,7 @@ def test_ring_with_other_fields_is_refused(small: Ring) -> None:
 
 
 def test_ring_with_longer_records_is_refused(small: Ring) -> None:
-    patch(small.path, 12, struct.pack("<I", 144))
+    patch(small.path, 12, struct.pack("<I", 152))
     assert "records are of another size" in refusal(small.path)
 
 
@@ -435,7 +547,7 @@ def test_ring_with_longer_records_is_refused(small: Ring) -> None:
         (0, b"RIFF", "not a telemetry ring"),
         (16, struct.pack("<Q", 2**63), "header is damaged"),
         (24, struct.pack("<Q", 2**63), "header is damaged"),
-        (32, struct.pack("<Q", 2**64 - 144), "header is damaged"),
+        (32, struct.pack("<Q", 2**64 - 152), "header is damaged"),
         (40, struct.pack("<Q", 2**40), "header is damaged"),
         (48, struct.pack("<I", 0), "header is damaged"),
         (48, struct.pack("<I", 63), "header is damaged"),
@@ -632,15 +744,24 @@ damping_ratio = 0.02
 
 
 @pytest.fixture(scope="module")
-def tested() -> Recording:
-    """A whole test of 2 s."""
+def whole() -> Recording:
+    """A test of 2 s from its first tick in IDLE to its last."""
     test = config.parse_test(TEST)
-    return experiment.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
+    return virtual_time.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
+
+
+@pytest.fixture(scope="module")
+def tested(whole: Recording) -> Recording:
+    """The test proper alone, counted from its own first tick."""
+    samples = whole.samples[whole.running()]
+    samples["tick"] -= samples["tick"][0]
+    return dataclasses.replace(whole, samples=samples)
 
 
 def test_recovered_test_is_the_test_and_replays_bit_for_bit(
-    tmp_path: Path, tested: Recording
+    tmp_path: Path, whole: Recording
 ) -> None:
+    tested = whole
     made = Ring.create(tmp_path, tested)
     made.push(tested.samples)
     made.close()
@@ -654,10 +775,10 @@ def test_recovered_test_is_the_test_and_replays_bit_for_bit(
     assert (back.test_toml, back.rig_toml) == (tested.test_toml, tested.rig_toml)
     assert back.ground_motion == tested.ground_motion
     assert back.ag_mps2.tobytes() == tested.ag_mps2.tobytes()
-    assert experiment.replay(back).identical
+    assert realtime.replay(back).identical
     assert back.meta["end_reason"] == "closed (recovered from the telemetry ring)"
     assert back.meta["missing_rows"] == back.meta["missing_ticks"] == []
-    assert back.meta["recovered_rows"] == [0, 2047]
+    assert back.meta["recovered_rows"] == [0, whole.samples.size - 1]
     assert back.meta["core_version"] == tested.meta["core_version"]
 
 
@@ -672,7 +793,6 @@ def test_lapped_ring_gives_a_recording_from_the_first_row_that_is_left(
     assert found.missing_rows == rec.meta["missing_rows"] == [[0, 1023]]
     assert rec.samples.tobytes() == tested.samples[1024:].tobytes()
     assert rec.reference is None  # its rows would belong to other samples
-    assert rec.replay.controller_state == b""
     assert rec.meta["end_reason"] == "still running (recovered from the telemetry ring)"
     assert summary.result_table(rec)
     report.write_report(rec, tmp_path / "report.html")
@@ -704,7 +824,7 @@ def test_gap_within_the_test_costs_its_reference(tmp_path: Path, tested: Recordi
     found = ring.recover(made.path)
     assert found.missing_rows == [[700, 700]]
     assert found.recording.reference is None
-    assert found.recording.replay.controller_state == tested.replay.controller_state
+    assert found.recording.replay.codec == tested.replay.codec
     made.remove()
 
 

@@ -201,9 +201,9 @@ def test_refusal_says_why_and_where_it_is_allowed(real: daemon.Daemon) -> None:
     found = ask(real.dispatcher, call("Hold"))
     assert found["error"] == f"{INTERFACE}.Refused"
     assert found["parameters"] == {
-        "reason": "hold: not in this state; the state is IDLE, hold is allowed in RUNNING",
+        "reason": "hold: not in this state; the state is IDLE, hold is allowed in RUNNING or HOLD",
         "state": "IDLE",
-        "allowed": ["RUNNING"],
+        "allowed": ["RUNNING", "HOLD"],
     }
 
 
@@ -330,6 +330,24 @@ def echoing(may_begin: Any = lambda: None) -> Dispatcher:
         },
         Rights.of_system(),
     )
+
+
+def test_long_request_is_not_taken_apart_where_a_test_has_begun_meanwhile(place: Path) -> None:
+    """8 MB keep the thread that gives the sign of life for a while: at rest that does no harm."""
+    asked: list[bool] = []
+
+    def may_begin() -> None:
+        asked.append(True)
+        if len(asked) > 1:
+            raise engine.StateError("load", "a test is loaded between two tests only", "RUNNING")
+
+    with (
+        listening(place / "s", echoing(may_begin)),
+        Client(place / "s") as client,
+        pytest.raises(Refusal, match="a test is loaded between two tests only"),
+    ):
+        client.call("Load", text="x" * (LOAD_BYTES - 1000))
+    assert len(asked) == 2
 
 
 def raw(path: Path, data: bytes, seconds: float = 10.0) -> bytes:
@@ -552,6 +570,18 @@ def test_second_service_on_one_socket_is_refused_and_a_dead_one_replaced(place: 
         with Client(path) as client:
             assert client.call("Hold")
     assert not path.exists()
+
+
+def test_socket_path_that_leads_elsewhere_is_refused_and_nothing_there_removed(
+    place: Path,
+) -> None:
+    left_over = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    left_over.bind(str(place / "other"))
+    left_over.close()
+    (place / "s").symlink_to(place / "other")
+    with pytest.raises(RthybError, match="leads elsewhere; remove it"):
+        listening(place / "s", echoing()).__enter__()
+    assert (place / "other").is_socket()
 
 
 def test_no_service_is_exit_4_and_a_refusal_5(place: Path) -> None:

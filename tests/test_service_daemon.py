@@ -26,10 +26,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import stalls
 from command_line import Rthyb
-from realtime_bench import ATTEMPTS, PROGRAM, STALLED, STATE, Process, until
+from realtime_bench import ATTEMPTS, PROGRAM, STALLED, STATE, Process, require_calm, until
 from recording_data import recording as made_up
 from service_bench import ROOT, await_state, rig_file, served, short_test
+from stalls import Stalled
 
 from rthyb_rt import config, experiment, loop, realtime, recording, ticker, virtual_rig
 from rthyb_rt.commissioning import certificate
@@ -45,10 +47,6 @@ from rthyb_rt.service.engine import Engine, StateError
 from rthyb_rt.service.recorder import read_index, read_status
 
 pytestmark = pytest.mark.alone
-
-
-class Stalled(Exception):
-    """This machine stalled, and the service did what it then should."""
 
 
 class Lab:
@@ -113,7 +111,9 @@ class Lab:
         until(lambda: self.status()["progress"]["ticks"] >= ticks or self._over(), "the test")
         run_id = str(self.status()["run_id"])
         if not run_id:
-            raise Stalled(self.status()["last"]["end_reason"])
+            last = self.status()["last"]
+            require_calm(self.recorded(last["run_id"]))
+            pytest.fail(last["end_reason"])
         return run_id
 
     def require_calm_at_rest(self, seen: object = "") -> None:
@@ -153,9 +153,6 @@ class Lab:
     def close(self) -> None:
         for made in self.processes:
             made.kill()
-            for stream in (made.process.stdout, made.process.stderr):
-                if stream is not None:
-                    stream.close()
 
 
 @contextmanager
@@ -174,21 +171,12 @@ def lab() -> Iterator[Lab]:
 
 def repeated(attempt: Callable[[Lab], None]) -> None:
     """Try again where the machine stalled, which ends a test in its own way."""
-    stalled = ""
-    for _ in range(ATTEMPTS):
+
+    def with_lab(_: int) -> None:
         with lab() as made:
-            try:
-                attempt(made)
-                return
-            except Stalled as error:
-                stalled = str(error)
-    pytest.skip(f"this machine stalled in each of {ATTEMPTS} attempts: {stalled}")
+            attempt(made)
 
-
-def require_calm(rec: Recording) -> None:
-    cause = rec.meta.get("real_time", {}).get("cause", "none")
-    if cause in STALLED:
-        raise Stalled(str(cause))
+    stalls.repeated(with_lab, ATTEMPTS)
 
 
 def assert_drive_heard(rec: Recording, log: np.ndarray) -> int:
@@ -568,9 +556,10 @@ def test_dbc_file_of_a_rig_goes_with_it(
     own = home / "my-rig.toml"
     own.write_text(config.dump(rig_file()) + link, encoding="utf-8")
     rig = config.load_rig(own)
-    step = certificate.Step("polarity", True, certificate.now())
     made = certificate.Certificate(rig.rig.name, certificate.rig_hash(rig), False, "can0")
-    certificate.write(certificate.place(own), made.with_step(step))
+    for name in certificate.STEPS:
+        made = made.with_step(certificate.Step(name, True, certificate.now()))
+    certificate.write(certificate.place(own), made)
     root = tmp_path / "system"
     answer = rthyb("install-service", "--root", root, "--rig", own)
     assert answer.code == 0, answer.err

@@ -4,6 +4,9 @@ notices where one test ends and the next begins.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +14,11 @@ import pytest
 from realtime_bench import ROWS, STATE
 from service_bench import Bench, bench, left, rig_file, short_test
 
-from rthyb_rt import core, experiment, loop, realtime, ring, ticker
+from rthyb_rt import core, experiment, loop, realtime, ring, ticker, virtual_rig
 from rthyb_rt.errors import InputError
+from rthyb_rt.links import opening
 from rthyb_rt.recording import STATES
-from rthyb_rt.service.engine import COMMANDS, StateError, allowed_states
+from rthyb_rt.service.engine import COMMANDS, Engine, Event, StateError, allowed_states
 
 pytestmark = pytest.mark.alone
 
@@ -132,7 +136,7 @@ def test_every_command_is_refused_outside_its_states_with_the_reason(
 
 def test_stop_is_for_every_state_but_tripped() -> None:
     assert allowed_states("stop") == tuple(s for s in STATES if s != "TRIPPED")
-    assert allowed_states("hold") == ("RUNNING",)
+    assert allowed_states("hold") == ("RUNNING", "HOLD")  # while RESUME moves
     assert allowed_states("load") == ("IDLE",)
     assert allowed_states("trip") == STATES
 
@@ -220,7 +224,9 @@ def test_rig_that_is_not_at_rest_is_not_zeroed_and_says_why(rings: Path) -> None
         made.engine.wait(1.0)
         assert made.engine.state == "IDLE"
         assert made.engine.recorded is None
-        assert any("moved by more than 0.1 mm" in text for text in made.said)
+        (why,) = (text for text in made.said if text.startswith("not zeroed: "))
+        assert "the displacement moved by " in why
+        assert "allowed is 0.1 mm" in why
 
 
 def test_feedback_that_stops_during_the_tare_is_named(rings: Path) -> None:
@@ -244,6 +250,95 @@ def test_drive_that_goes_silent_is_not_one_that_says_it_has_stopped(rings: Path)
         made.engine.wait(3.0)
         with pytest.raises(StateError, match="reports that it has stopped"):
             made.engine.zero()
+
+
+@contextmanager
+def engines_at_one_drive(rings: Path) -> Iterator[tuple[Callable[[], Bench], loop.Drive]]:
+    """Give a way to begin a service anew, at a drive that has seen the others."""
+    rig = rig_file()
+    plan = virtual_rig.Plan(log_ticks=60000)
+    ours, theirs = opening.socket_pair()
+    made: list[Bench] = []
+    with ours, theirs, virtual_rig.in_step(rig, theirs, plan) as drive:
+
+        def begin() -> Bench:
+            events: list[Event] = []
+            engine = Engine(
+                rig,
+                ours,
+                clock="stepped",
+                folder=rings,
+                before_tick=drive.tick,
+                tell=events.append,
+            )
+            made.append(Bench(engine, drive, events))
+            engine.start()
+            engine.wait(0.2)
+            return made[-1]
+
+        try:
+            yield begin, drive
+        finally:
+            for bench in made:
+                bench.engine.close()
+
+
+@pytest.mark.parametrize("state", ["IDLE", "RUNNING"])
+def test_drive_of_a_service_that_was_killed_stays_stopped_until_an_operator_resets_it(
+    rings: Path, state: str
+) -> None:
+    """It followed again six ticks after the next service had begun."""
+    with engines_at_one_drive(rings) as (begin, drive):
+        killed = begin()
+        killed.reach(state)
+        killed.engine.fall_silent()  # kill -9: no trip, no farewell
+        for _ in range(200):
+            drive.tick()
+        assert drive.phase == "stopped"
+        made = begin()
+        began = drive.ticks
+        made.loaded()
+        made.engine.wait(3.0)
+        assert (drive.log["phase"][began:] == loop.PHASES.index("stopped")).all()
+        assert made.engine.stays_stopped()
+        assert "reset" in made.engine.allowed
+        with pytest.raises(StateError, match="follows nobody until an operator resets it"):
+            made.engine.zero()
+        made.engine.command("reset")
+        assert drive.phase == "following"
+        assert "reset" not in made.engine.allowed
+        with pytest.raises(StateError, match="there is nothing to reset"):
+            made.engine.command("reset")
+        made.engine.wait(0.1)
+        made.reach("RUNNING")
+        made.engine.command("stop")
+        made.finish()
+        steps = np.abs(np.diff(drive.log["target_m"][began:]))
+        assert steps.max() < 5e-4, "nothing leaps on the way"
+
+
+def test_service_that_ends_in_good_order_needs_no_reset(rings: Path) -> None:
+    with engines_at_one_drive(rings) as (begin, drive):
+        begin().engine.close()
+        for _ in range(200):
+            drive.tick()
+        assert drive.phase == "stopped"
+        begin()
+        assert drive.phase == "following"
+
+
+def test_drive_that_does_not_hear_a_reset_is_named(rings: Path) -> None:
+    with engines_at_one_drive(rings) as (begin, drive):
+        begin().engine.fall_silent()
+        for _ in range(200):
+            drive.tick()
+        made = begin()
+        drive.schedule([loop.Fault("drop-command", 0, 2**40)])
+        with pytest.raises(StateError, match="the drive was told, and stays stopped"):
+            made.engine.command("reset")
+        drive.schedule([])
+        made.engine.command("reset")
+        assert drive.phase == "following"
 
 
 def test_zeroing_that_is_stopped_ends_at_once_and_is_no_fault_of_the_drive(rings: Path) -> None:
@@ -287,6 +382,23 @@ def test_zero_that_the_station_refuses_leaves_a_service_that_can_be_loaded(
         assert len(ring.find(rings)) == 2
 
 
+def test_arming_beyond_a_limit_is_refused_with_the_figures(rings: Path) -> None:
+    """Somebody leans on the specimen after the tare."""
+    limit = {"limits.force_n": '{ value = "5 kN", action = "hold" }'}
+    with bench(rings) as made:
+        loaded = made.loaded(limit)
+        made.engine.zero()
+        made.until("ZEROED")
+        made.drive.schedule([loop.Fault("force", 0, 2**40, 6e3)])
+        made.engine.wait(0.1)
+        with pytest.raises(StateError, match=r"force 6\.\d* kN \(limit 5 kN\); bring") as told:
+            made.engine.arm(loaded.digest, "somebody")
+        assert told.value.state == "ZEROED"
+        made.drive.schedule([])
+        made.engine.wait(0.1)
+        made.engine.arm(loaded.digest, "somebody")
+
+
 def test_trip_is_recorded_at_once_and_stays_until_it_is_reset(rings: Path) -> None:
     limit = {"limits.command_position_m": '{ value = "0.5 mm", action = "trip" }'}
     with bench(rings) as made:
@@ -298,6 +410,12 @@ def test_trip_is_recorded_at_once_and_stays_until_it_is_reset(rings: Path) -> No
         assert made.engine.recorded is None
         assert made.engine.last is not None
         assert made.engine.last["end_reason"] == "tripped: position limit"
+        figures = made.engine.cause_in_figures
+        assert re.fullmatch(r"command 0\.5\d+ mm \(limit 0\.5 mm\)", figures)
+        assert made.engine.last["ending"].startswith(f"{figures} at ")
+        told = made.said
+        assert any(text.endswith(f"cause: {figures}") for text in told)
+        assert any(f"ended: tripped: position limit, {figures} at " in text for text in told)
         (path, *_) = [p for p in ring.find(rings) if p != made.engine.ring_path]
         with ring.Reader(path) as reader:
             assert reader.closed
@@ -394,7 +512,7 @@ def test_limits_are_reloaded_in_hold_with_a_generation(rings: Path) -> None:
 
 
 def test_reload_that_the_tick_refuses_says_why_and_changes_nothing(rings: Path) -> None:
-    limited = {"rig.limits.command_velocity_m_per_s": '"0.2 m/s"'}
+    limited = {"rig.limits.command_acceleration_m_per_s2": "20"}
     with bench(rings, limited) as made:
         made.reach("HOLD")
         engine, loaded = made.engine, made.engine.loaded
@@ -403,7 +521,7 @@ def test_reload_that_the_tick_refuses_says_why_and_changes_nothing(rings: Path) 
         assert "would switch off a limit of the command's velocity" in str(told.value)
         assert "stop, and change them in IDLE" in str(told.value)
         assert "the state is HOLD" in str(told.value)
-        assert engine.rig.limits.command_velocity_m_per_s is not None
+        assert engine.rig.limits.command_acceleration_m_per_s2 is not None
         assert engine.loaded is loaded
         assert not any("limits reloaded" in text for text in made.said)
         assert engine.reload(rig_file(limited | TIGHT)) == 2

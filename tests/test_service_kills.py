@@ -94,8 +94,8 @@ def answered_ticks(rec: Recording, log: np.ndarray) -> tuple[np.ndarray, np.ndar
     # No more than 20 lost ticks in a row pass before the test is over.
     since = np.concatenate([[0], np.cumsum(np.diff(counts) % 256)])
     first = rec.samples[rows[0]]
-    near = (np.abs(log["read_x_m"] - first["x_raw"] * WIRE_X_M) <= WIRE_X_M) & (
-        np.abs(log["read_f_n"] - first["f_raw"] * WIRE_F_N) <= WIRE_F_N
+    near = (np.abs(log["read_x_m"] - first["x_read_m"]) <= WIRE_X_M) & (
+        np.abs(log["read_f_n"] - first["f_read_n"]) <= WIRE_F_N
     )
     begins = np.flatnonzero(near & (np.arange(log.size) % 256 == counts[0]))
     begins = begins[begins + since[-1] < log.size]
@@ -108,8 +108,8 @@ def answered_ticks(rec: Recording, log: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def same_readings(rows: np.ndarray, entries: np.ndarray) -> np.ndarray:
     """Whether each row has the reading of the rig, as the wire rounds it."""
-    x = np.abs(entries["read_x_m"] / WIRE_X_M - rows["x_raw"]) <= 0.5 + 1e-6
-    f = np.abs(entries["read_f_n"] / WIRE_F_N - rows["f_raw"]) <= 0.5 + 1e-6
+    x = np.abs(entries["read_x_m"] - rows["x_read_m"]) <= (0.5 + 1e-6) * WIRE_X_M
+    f = np.abs(entries["read_f_n"] - rows["f_read_n"]) <= (0.5 + 1e-6) * WIRE_F_N
     return np.asarray(x & f)
 
 
@@ -253,9 +253,9 @@ class Victims:
         pytest.fail("no test could be begun")
 
     def _ready(self) -> bool:
-        """Whether a test may begin; what a stall has tripped is reset."""
+        """Whether a test may begin; what a stall has tripped, or a kill has stopped, is reset."""
         found = self.lab.status()
-        if found["state"] == "TRIPPED" and not found["run_id"]:
+        if (found["state"] == "TRIPPED" or found["drive_stopped"]) and not found["run_id"]:
             with Client(self.lab.socket) as client, suppress(Refusal):
                 client.call("Reset")
         return found["state"] == "IDLE" and not found["run_id"] and found["follows"]

@@ -56,7 +56,6 @@ def truth(count: int, seed: int = 1) -> core.RecordArray:
         if np.issubdtype(rows[name].dtype, np.floating):
             rows[name] = rng.standard_normal(count)
     rows["tick"] = np.arange(count)
-    rows["x_raw"] = rng.integers(-(2**30), 2**30, count)
     rows["state"] = STATE["RUNNING"]
     rows["state"][:64] = STATE["IDLE"]
     return rows

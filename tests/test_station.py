@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -103,6 +104,34 @@ def watched(name: str, value: float, reaction: core.Reaction) -> dict[str, Any]:
     return {"watches": {name: core.Watch(value, reaction)}}
 
 
+# ---- a second time ------------------------------------------------------------------------------
+
+
+READINGS: list[dict[str, Any]] = [
+    {"x_m": 3.0, "f_n": 5e6},
+    {"x_m": math.nan},
+    {"f_n": -math.inf},
+    {"x_m": 1e300},
+    {"x_m": 1.0 / 3.0, "f_n": 1e-300},
+    {"lost": True},
+]
+"""What may come in: more than a lab has, less than a count of its wire, no number, nothing."""
+
+
+@pytest.mark.parametrize("reading", READINGS)
+@pytest.mark.parametrize("tare_ticks", [1, 64])
+def test_a_test_without_a_wire_is_replayed_to_the_last_bit(
+    reading: dict[str, Any], tare_ticks: int
+) -> None:
+    bench = Bench(0.5, {"tare_ticks": tare_ticks}).running(100)
+    for pause in (3, 1, 30):
+        bench.step(**reading)
+        for _ in range(pause):
+            bench.step(skipped=pause - 1)
+    again = core.Station(config(tare_ticks=tare_ticks), shaking(0.5)).replay(bench.rows())
+    assert again.tobytes() == bench.rows().tobytes()
+
+
 # ---- an ordinary day ----------------------------------------------------------------------------
 
 
@@ -190,16 +219,29 @@ def test_tare_of_a_moving_specimen_is_refused() -> None:
     assert bench.station.zeroing_failed
 
 
+def test_pairs_lost_while_zeroing_prolong_it_and_leave_the_tare_what_it_is() -> None:
+    bench = Bench()
+    bench.step()
+    bench.step("zero")
+    for n in range(80):
+        bench.step(lost=n % 2 == 0)
+    assert bench.station.state == "IDLE"
+    for _ in range(23):
+        bench.step()
+    assert bench.station.state == "ZEROED"
+    assert bench.station.tare == pytest.approx((OFFSET_M, OFFSET_N), abs=1e-12)
+
+
 # ---- what is allowed when -----------------------------------------------------------------------
 
 ALLOWED = {
     "zero": {"IDLE", "ZEROED"},
     "arm": {"ZEROED"},
     "start": {"ARMED"},
-    "hold": {"RUNNING"},
+    "hold": {"RUNNING", "HOLD"},
     "resume": {"HOLD"},
     "stop": set(core.STATE_NAMES) - {"TRIPPED"},
-    "reset": {"TRIPPED"},
+    "reset": {"TRIPPED", "IDLE"},
     "trip": set(core.STATE_NAMES),
 }
 
@@ -232,6 +274,22 @@ def test_start_while_the_link_is_silent_is_refused() -> None:
     bench.step("arm")
     bench.step(lost=True)
     assert bench.step("start", lost=True).refused
+
+
+def test_a_test_that_stays_is_over_when_its_command_stands_and_not_when_it_swings_by() -> None:
+    """With weights that hardly damp, the compensator swings on where the braking has ended."""
+    swinging = core.EstimatorConfig(law="fixed", w1=1.05, w2=-1.9, alpha0=20.0)
+    controller = dataclasses.replace(
+        config().controller, estimator=swinging, velocity_limit_m_per_s=0.0
+    )
+    changes = {"controller": controller, "stay": True, "path_acceleration_m_per_s2": 5.0}
+    bench = Bench(changes=changes).running(440)
+    bench.step("stop")
+    bench.until("IDLE")
+    sent_from = len(bench.sent) - 1
+    for _ in range(100):
+        bench.step()
+    assert np.ptp([x for x, _ in bench.sent[sent_from:]]) < 10e-6
 
 
 # ---- hold, resume, stop -------------------------------------------------------------------------
@@ -317,7 +375,9 @@ def test_stop_of_a_test_that_stays_ends_where_its_deceleration_does() -> None:
     rows = bench.rows()
     way = rows["x_num_m"][-1] - stopped_at
     assert abs(velocity) > 1e-3
-    assert way == pytest.approx(velocity * abs(velocity) / (2 * 0.2), rel=0.1)
+    least = velocity**2 / (2 * 0.2)
+    # Its deceleration comes and goes in 16 ticks.
+    assert least < way * np.sign(velocity) < least + 1.2 * 16 * H * abs(velocity)
     assert np.ptp(rows["x_num_m"][-100:]) == 0.0
     assert bench.station.cause == "operator"
     out = rows[rows["state"] == core.STATE_NAMES.index("RAMP_OUT")]
@@ -448,7 +508,9 @@ def test_record_says_which_limit_was_passed(name: str, reaction: core.Reaction) 
     codes = np.bitwise_or.reduce(bench.rows()["code"])
     bit = core.STATUS[f"{name}_limit"]
     assert bool(codes & bit) == (reaction != "none")
-    assert bool(codes & core.STATUS["trip"]) == (reaction == "trip")
+    # A force far beyond its limit, and the test off its course already: nothing is left but a trip.
+    escalated = name == "force" and reaction in ("hold", "ramp-out")
+    assert bool(codes & core.STATUS["trip"]) == (reaction == "trip" or escalated)
 
 
 def test_force_limit_trips() -> None:
@@ -688,10 +750,8 @@ def test_first_cause_is_kept() -> None:
 
 
 def slowed(bench: Bench, velocity_m_per_s: float) -> Bench:
-    """Narrow the command's velocity limit in motion; the path, which is wider, leaves it behind."""
-    base = core.Parameters.of(config(**bench.changes))
-    narrow = dataclasses.replace(base, velocity_limit_m_per_s=velocity_m_per_s)
-    assert core.lib.rthyb_station_adopt(bench.station._c, narrow.struct(1))
+    """Narrow the command's velocity limit behind the station's back: its path leaves it behind."""
+    bench.station._c.controller.cfg.velocity_limit_m_per_s = velocity_m_per_s
     return bench
 
 
@@ -855,3 +915,37 @@ def test_executed_and_skipped_ticks_are_all_ticks(skips: list[int]) -> None:
         bench.step(skipped=skipped)
     assert bench.station.ticks == len(skips) + sum(skips)
     assert bench.station.skipped == sum(skips)
+
+
+# ---- the cause with its figures -----------------------------------------------------------------
+
+
+def test_a_trip_keeps_the_value_met_and_the_limit_until_the_reset() -> None:
+    bench = Bench(changes=watched("force", 500.0, "trip")).running(100)
+    bench.until("TRIPPED")
+    station = bench.station
+    met = bench.rows()["f_meas_n"][-1]
+    assert station.cause == "force"
+    assert (station.cause_value, station.cause_limit) == (met, 500.0)
+    for _ in range(60):
+        bench.step()
+    bench.step("reset")
+    assert station.state == "IDLE"
+    assert (station.cause, station.cause_value, station.cause_limit) == ("none", 0.0, 0.0)
+
+
+def test_a_cause_without_a_number_has_none() -> None:
+    bench = Bench().running(100)
+    bench.step("trip")
+    assert bench.station.cause == "signal"
+    assert (bench.station.cause_value, bench.station.cause_limit) == (0.0, 0.0)
+
+
+def test_the_fault_that_comes_after_a_stop_brings_its_own_figures() -> None:
+    bench = Bench().running(700)
+    bench.step("stop")
+    assert bench.station.cause_limit == 0.0
+    for _ in range(25):
+        bench.step(lost=True)
+    assert bench.station.cause == "link_lost"
+    assert (bench.station.cause_value, bench.station.cause_limit) == (20.0, 20.0)

@@ -349,8 +349,7 @@ def sample_of(w: Wire) -> int | None:
     feedback = w.take()
     if feedback.lost:
         return None
-    assert feedback.x_raw == round(feedback.x_m * 1e9)
-    assert feedback.f_n == feedback.x_raw // 1000
+    assert feedback.f_n == round(feedback.x_m * 1e9) // 1000
     return int(feedback.f_n)
 
 
@@ -392,6 +391,84 @@ def test_half_does_not_wait_for_the_same_count_one_round_later() -> None:
         assert sample_of(w) is None
     assert receive(w, Drive(start=1 + 256).frames()[1]) == [["half"]]
     assert w.counters()["lone"] == 1
+
+
+TOLD = {name: number for number, name in wire.TOLD.items()}
+
+
+def told(codec: wire.Codec, name: str) -> tuple[int, int]:
+    """Return the state that leaves for what a drive is told, and what comes of it there."""
+    frame, _ = codec.encode_setpoint(Setpoint(1e-3, 7, TOLD[name]))
+    return frame.data[6], codec.decode_setpoint(frame)[1].state
+
+
+def test_reset_and_leaving_are_states_of_our_own_frames() -> None:
+    for codec in (CODECS["can"], dbc.load(OWN_DBC)):
+        assert told(codec, "RESET") == (8, TOLD["RESET"])
+        assert told(codec, "LEAVING") == (9, TOLD["LEAVING"])
+        assert codec.has_reset
+
+
+def test_state_that_resets_a_users_drive_is_named_in_the_dbc_or_in_the_rig_file(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "drive.dbc"
+    path.write_text(OWN_TEXT + 'VAL_ 257 state 0 "Idle" 32 "Reset" ;\n', encoding="utf-8")
+    named = dbc.load(path)
+    assert told(named, "RESET") == (32, TOLD["RESET"])
+    assert told(named, "LEAVING") == (0, 0), "a drive that has no word for it hears IDLE"
+    assert told(dbc.load(path, reset_state=33), "RESET") == (33, TOLD["RESET"])
+    path.write_text(OWN_TEXT, encoding="utf-8")
+    silent = dbc.load(path)
+    assert not silent.has_reset
+    assert told(silent, "RESET") == (0, 0)
+    # What this program calls RESET is nothing to a drive that has another word for it, or none.
+    frame, _ = dbc.load(path, reset_state=8).encode_setpoint(Setpoint(1e-3, 7, TOLD["RESET"]))
+    assert frame.data[6] == 8
+    assert silent.decode_setpoint(frame)[1].state not in (*TOLD.values(), *range(8))
+
+
+@pytest.mark.parametrize(
+    ("values", "reset_state", "message"),
+    [
+        ('3 "reset"', None, "found 3 for reset; 0 to 7 are the controller's own states"),
+        ('8 "idle"', 256, "found 256 for reset; 0 to 7 .*8 bits hold 255 at most"),
+        ('9 "leaving"', 9, "found 9 for reset and for leaving"),
+    ],
+)
+def test_state_that_cannot_reset_a_drive_is_refused(
+    tmp_path: Path, values: str, reset_state: int | None, message: str
+) -> None:
+    path = tmp_path / "drive.dbc"
+    path.write_text(f"{OWN_TEXT}VAL_ 257 state {values} ;\n", encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        dbc.load(path, reset_state=reset_state)
+
+
+def short_count(bits: int) -> wire.Codec:
+    """Return our own frames with a shorter count in both feedbacks, as a table."""
+    text, n = re.subn(r"count : 40\|8", f"count : 40|{bits}", OWN_TEXT)
+    assert n == 2
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "short.dbc"
+        path.write_text(text, encoding="utf-8")
+        return dbc.load(path)
+
+
+def test_displacement_never_meets_the_force_of_the_next_round_of_a_short_count() -> None:
+    """With 4 bits the displacement of tick 20 met the force of tick 36, and passed for fresh."""
+    with pytest.raises(InputError, match=r"found 4 bits; the drive's count of samples has 5"):
+        short_count(4)
+    codec = short_count(5)
+    for skipped in (0, 10, 15):
+        w = Wire(codec)
+        w.receive(codec.encode_feedback(Reading(1e-3, 0.0, count=20))[0])
+        # The displacements of a whole round are lost, and this PC skips some of its ticks.
+        for _ in range(32 - skipped):
+            assert w.take().lost
+        late = codec.encode_feedback(Reading(0.0, 5e3, count=20 + 32))[1]
+        assert names(w.receive(late)) == ["half"]
+        assert w.take().lost
 
 
 def test_late_half_completes_its_pair_a_tick_later() -> None:
@@ -666,8 +743,9 @@ def layouts(draw: st.DrawFn) -> tuple[str, dict[str, tuple[float, float]]]:
         for role in draw(st.permutations(roles)):
             value = role in ("x_cmd", "x_meas", "f_meas")
             is_float = value and draw(st.booleans())
+            least = 5 if role == "count" else 4
             bits = draw(
-                st.sampled_from([32, 64]) if is_float else st.integers(4, 53 if value else 32)
+                st.sampled_from([32, 64]) if is_float else st.integers(least, 53 if value else 32)
             )
             shift = draw(st.integers(0, 7))
             n_bytes = (shift + bits + 7) // 8
@@ -725,7 +803,8 @@ def test_any_layout_packs_and_unpacks_as_cantools_does(
         number = drawn if signal.is_float else max(ranges[role][0], float(math.floor(drawn)))
         return number * signal.scale + signal.offset
 
-    counts = {key: data.draw(st.integers(0, 15)) for key in ("seq", "state", "count", "echo")}
+    counts = {key: data.draw(st.integers(0, 15)) for key in ("seq", "count", "echo")}
+    counts["state"] = data.draw(st.integers(0, 7))
     values = (
         {role: physical(role) for role in ("x_cmd", "x_meas", "f_meas")} | counts | {"status": 0}
     )
@@ -841,7 +920,6 @@ def test_what_our_own_frames_hold_is_taken_to_the_last_bit(name: str, x: int, f:
         else:
             w.receive(frame)
     taken = w.take()
-    assert (taken.x_raw, taken.f_raw) == (x, f)
     assert (taken.x_m, taken.f_n) == (x * 1e-9, f * 1e-3)
 
 
@@ -868,15 +946,12 @@ SIG_VALTYPE_ 768 Load : 1;""",
 
 
 @given(x_m=st.floats(-4.0, 4.0, width=32), f_n=st.floats(-4e6, 4e6, width=32))
-def test_reading_finer_than_a_record_becomes_what_the_record_says(x_m: float, f_n: float) -> None:
+def test_reading_finer_than_our_own_frames_is_taken_to_the_last_bit(x_m: float, f_n: float) -> None:
     codec = float_codec()
     w = Wire(codec)
     w.receive(codec.encode_feedback(Reading(x_m, f_n, count=1))[0])
     taken = w.take()
-    assert taken.x_raw == max(-MOST, min(MOST, round(x_m / 1e-9)))
-    assert taken.f_raw == max(-MOST, min(MOST, round(f_n / 1e-3)))
-    assert taken.x_m == (taken.x_raw * 1e-9 if abs(x_m / 1e-9) <= MOST else x_m)
-    assert taken.f_n == (taken.f_raw * 1e-3 if abs(f_n / 1e-3) <= MOST else f_n)
+    assert (taken.x_m, taken.f_n) == (x_m, f_n)
 
 
 @functools.cache
@@ -926,6 +1001,11 @@ FAULTS = {
         r"seq : 32\|16",
         "seq : 32|3",
         "found 3 bits; the command's sequence number has 4",
+    ),
+    "short count": (
+        r"(LC_FB.*\n.*\n.*\n SG_ count : 40)\|8",
+        r"\1|4",
+        "LC_FB.count: found 4 bits; the drive's count of samples has 5 to 32",
     ),
     "wide": (r"x_cmd : 0\|32@1- (.*)\n.*\n.*\n", r"x_cmd : 0|54@1- \1\n", "1 to 53"),
     "crc place": (

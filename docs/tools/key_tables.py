@@ -77,10 +77,19 @@ MEANINGS: dict[str, str] = {
     "Limits.energy_error_j": "energy that the tracking error has fed in",
     "Limits.sensor_stuck_samples": "samples that repeat one displacement while the command moves",
     "Limits.sensor_jump_m": "change of the measured displacement from sample to sample",
+    "Limits.force_stuck_samples": "samples that repeat one force while the command moves",
+    "Limits.force_jump_n": "change of the measured force from sample to sample",
+    "Limits.lost_pairs_share": "share of the last second's ticks without a usable pair",
+    "Limits.lost_pairs_warning_share": "the same, from which on it is said",
+    "Limits.skipped_ticks_share": "share of the last second's ticks that were skipped",
+    "Limits.skipped_ticks_warning_share": "the same, from which on it is said",
     "Limits.path_velocity_m_per_s": "velocity on the way back of ramp-out and resume; absent: "
     f"{limits.DEFAULT_PATH_VELOCITY_M_PER_S:g}, at most half the command's limit",
-    "Limits.path_acceleration_m_per_s2": "acceleration of HOLD, ramp-out and resume; absent: "
+    "Limits.path_acceleration_m_per_s2": "acceleration of ramps and resume; absent: "
     f"{limits.DEFAULT_PATH_ACCELERATION_M_PER_S2:g}, at most half the command's limit",
+    "Limits.brake_acceleration_m_per_s2": "how hard HOLD and ramp-out brake; absent: "
+    f"{limits.BRAKE_MARGIN:g} times the reference's peak acceleration, at least that of paths, at "
+    "most half the command's limit",
     "Limits.ramp_in_s": f"length of the ramp-in; absent: {limits.DEFAULT_RAMP_IN_S:g}",
     "Limits.armed_timeout_s": "time after which ARMED ends by itself; absent: "
     f"{limits.DEFAULT_ARMED_TIMEOUT_S:g}",
@@ -88,6 +97,8 @@ MEANINGS: dict[str, str] = {
     "Limits.rest_spread_m": "movement at rest that zeroing allows; absent: "
     f"{limits.REST_SPREAD_SIGMAS} times the noise at rest, at least "
     f"{limits.LEAST_REST_SPREAD_M:g}",
+    "Limits.tare_share_most": "largest tare, as a share of the rig's own limit; absent: "
+    f"{limits.DEFAULT_TARE_SHARE_MOST:g}",
     "Link.kind": "what the wire is",
     "Link.channel": "CAN interface (`can0`), path of the serial line (`/dev/ttyUSB0`) or of the "
     "socket, channel of python-can",
@@ -139,13 +150,13 @@ FIELD_MEANINGS: dict[str, str] = {
     "sent_late_ns": "command sent after that; 0 in virtual time",
     "flags": "what the sample was like, see below",
     "generation": "set of parameters in force",
-    "x_raw": "displacement, whole nanometres, saturates",
-    "f_raw": "force, whole millinewtons, saturates",
     "state": "state of the test, see below",
-    "echo": "low byte of the command number that the drive applied; 0 in virtual time",
-    "count": "the drive's sample count; 0 in virtual time",
-    "code": "status bits: 1 not finite, 2 out of range, 4 limited, 8 position limit, "
-    "16 force limit, 32 tracking limit, 128 trip",
+    "echo": "low bits of the command number that the drive applied; 0 in virtual time",
+    "count": "low bits of the drive's sample count; 0 in virtual time",
+    "code": "status bits, see below",
+    "x_read_m": "displacement as it came, accepted or not, calibrated, before the tare; NaN: what "
+    "came was no number; 0 where nothing came",
+    "f_read_n": "the same of the force",
     "ag_mps2": "ground acceleration at $t_n$",
     "x_num_m": "$x_c[n]$, command of the integration",
     "x_plc_m": "output of the phase-lead compensator for $t_n$",

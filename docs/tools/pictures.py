@@ -10,7 +10,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from rthyb_rt import config, experiment, report, summary
+from rthyb_rt import config, experiment, report, summary, virtual_time
 from rthyb_rt.recording import Recording
 from rthyb_rt.report.figures import draw_all
 
@@ -22,7 +22,9 @@ FONT = "font-family: system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, san
 def run(test: Path) -> Recording:
     """Return the recording of a test file on the rig that it names."""
     loaded = config.load_test(test)
-    return experiment.run(experiment.prepare(loaded, config.load_rig(config.find_rig(loaded.rig))))
+    return virtual_time.run(
+        experiment.prepare(loaded, config.load_rig(config.find_rig(loaded.rig)))
+    )
 
 
 def draw(rec: Recording, prefix: str, keys: tuple[str, ...]) -> None:

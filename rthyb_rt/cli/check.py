@@ -14,6 +14,7 @@ from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
+    from rthyb_rt.braking import RunOn
     from rthyb_rt.config import Link
     from rthyb_rt.experiment import Setup
 
@@ -29,6 +30,9 @@ _CHECKS = {
 
 MUCH_DAMPING = 0.5
 """As a part of critical. No structure has it; who wrote 2 meant per cent."""
+
+RUN_ON_TOLERANCE = 1.005
+"""A smooth brake so near a peak that it is past it before it has begun is no run-on."""
 
 NOISE_SPAN = 7
 """Standard deviations that 1024 samples of noise span."""
@@ -54,14 +58,16 @@ def check(
       rthyb check my-test.toml
       rthyb check my-test.toml --rig my-rig.toml --set numerical.period_s=0.8
     """
-    from rthyb_rt import experiment
+    from rthyb_rt import braking, experiment
 
     test_file, rig_file = load(test, rig, settings)
     setup = experiment.prepare(test_file, rig_file, real_time=rig_file.link is not None)
     figures, limits, link = _figures(setup), _limits(setup), _link(setup)
+    runs_on = braking.run_on(setup)
     factors = _calibration(setup)
     commissioning = _commissioning(setup, rig or test_file.rig)
     notes, warnings = _remarks(setup, figures)
+    warnings += _run_on_warnings(setup, figures, runs_on)
     file = terminal.people(as_json)
     print(f"{setup.test.test.name} on {setup.rig.rig.name}: no fault found\n", file=file)
     terminal.print_table(_rows(setup, figures), file)
@@ -72,6 +78,7 @@ def check(
         _commissioning_rows(commissioning),
         _calibration_rows(factors),
         _limit_rows(setup, limits),
+        _run_on_rows(runs_on),
     ):
         if rows:
             print("", file=file)
@@ -87,6 +94,7 @@ def check(
                 "test_name": setup.test.test.name,
                 "rig_name": setup.rig.rig.name,
                 "figures": asdict(figures),
+                "run_on": asdict(runs_on),
                 "limits": limits,
                 "link": link,
                 "commissioning": commissioning,
@@ -226,8 +234,13 @@ def _real_time_remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
             "link.dbc was not read, and its frames not checked: a test in real time will be "
             "refused; reading a DBC file needs cantools: pip install 'rthyb-rt[wire]'"
         )
-    stuck, jump, spread = limits.sensor_stuck_samples, limits.sensor_jump_m, limits.rest_spread_m
-    if not (stuck and stuck.ends) and not (jump and jump.ends):
+    jump, spread = limits.sensor_jump_m, limits.rest_spread_m
+    derived = setup.derived.limits.derived
+    watched = [
+        getattr(limits, key) or derived.get(key)
+        for key in ("sensor_stuck_samples", "sensor_jump_m")
+    ]
+    if not any(limit is not None and limit.ends for limit in watched):
         notes.append(
             "nothing ends a test whose displacement sensor sticks or jumps: set "
             "limits.sensor_stuck_samples and limits.sensor_jump_m"
@@ -323,11 +336,36 @@ def _limits_in_reach(setup: Setup, f: Figures) -> list[str]:
     return found
 
 
+def _run_on_warnings(setup: Setup, f: Figures, found: RunOn) -> list[str]:
+    """Name what a HOLD, a STOP or a ramp-out runs on to that the test itself does not reach."""
+    from rthyb_rt.numbers import quantity
+
+    limits = setup.test.limits
+    warnings = []
+    for key, limit, value, own, unit, factor in (
+        ("command_position_m", limits.command_position_m, found.displacement_m,
+         f.reference_peak_m, "mm", 1e3),
+        ("force_n", limits.force_n, found.force_n, f.reference_peak_n, "kN", 1e-3),
+    ):  # fmt: skip
+        beyond = limit is not None and limit.acts and value > limit.value >= own
+        if not beyond and value <= RUN_ON_TOLERANCE * own:
+            continue
+        than = f"limits.{key}" if beyond else "the test's own peak"
+        allowed = limit.value if limit is not None and beyond else own
+        warnings.append(
+            f"a HOLD, a STOP or a ramp-out runs on to {quantity(value, unit, factor)}, beyond "
+            f"{than} of {quantity(allowed, unit, factor)}: it brakes with "
+            f"{found.brake_m_per_s2:.3g} m/s^2; raise limits.brake_acceleration_m_per_s2, or leave "
+            "it out, and see that limits.command_acceleration_m_per_s2 allows it"
+        )
+    return warnings
+
+
 # ---- for people ---------------------------------------------------------------------------------
 
 
 def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
-    from rthyb_rt.summary import number, percent, quantity
+    from rthyb_rt.numbers import number, percent, quantity
 
     fs_hz = setup.derived.fs_hz
 
@@ -423,15 +461,37 @@ def _limits(setup: Setup) -> list[dict[str, Any]]:
                 "from": source,
             }
         )
-    return found
+    return found + _derived(setup)
+
+
+def _derived(setup: Setup) -> list[dict[str, Any]]:
+    """Return the limits that no file states and a test at a link has all the same."""
+    from rthyb_rt.config.limits import unit_of
+
+    return [
+        {
+            "key": key,
+            "value": limit.value,
+            "unit": unit_of(key),
+            "action": limit.action,
+            "enable": True,
+            "from": "derived",
+        }
+        for key, limit in setup.derived.limits.derived.items()
+    ]
 
 
 def _limit_rows(setup: Setup, limits: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
     """Return the limits that were given; for a rig with a link also what the others come to."""
-    words = {"test": "limit of the test", "rig": "limit of the rig", "default": "limit by default"}
+    words = {
+        "test": "limit of the test",
+        "rig": "limit of the rig",
+        "default": "limit by default",
+        "derived": "limit that follows from the test",
+    }
     rows = []
     for limit in limits:
-        if limit["from"] == "default" and setup.rig.link is None:
+        if limit["from"] in ("default", "derived") and setup.rig.link is None:
             continue
         action = limit["action"] if limit["enable"] else "off"
         if action == "none" and limit["key"] == "command_velocity_m_per_s":
@@ -439,6 +499,24 @@ def _limit_rows(setup: Setup, limits: list[dict[str, Any]]) -> list[tuple[str, s
         value = f"{limit['value']:g} {limit['unit']}"
         rows.append((limit["key"], f"{value}, {action}" if action else value, words[limit["from"]]))
     return rows
+
+
+def _run_on_rows(found: RunOn) -> list[tuple[str, str, str]]:
+    """Return the lines of how far the test runs on when it is braked."""
+    from rthyb_rt.numbers import quantity
+
+    return [
+        (
+            "Run-on, displacement",
+            quantity(found.displacement_m, "mm", 1e3),
+            f"HOLD, STOP or ramp-out at the worst instant, {found.displacement_at_s:.2f} s",
+        ),
+        (
+            "Run-on, force",
+            quantity(found.force_n, "kN", 1e-3),
+            f"the same at {found.force_at_s:.2f} s, braking with {found.brake_m_per_s2:.3g} m/s²",
+        ),
+    ]
 
 
 def _link(setup: Setup) -> dict[str, Any] | None:
@@ -471,7 +549,7 @@ def _dbc_is_read(link: Link) -> bool:
 
 
 def _link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
-    from rthyb_rt.summary import percent
+    from rthyb_rt.numbers import percent
 
     if link is None:
         return []
@@ -530,7 +608,7 @@ def _commissioning_rows(found: dict[str, Any] | None) -> list[tuple[str, str, st
     for name, step in found["steps"].items():
         if step is not None:
             rows.append((f"Check of {_CHECKS[name]}", words[step["passed"]], step["date"]))
-        elif found["commissioned"]:
+        elif any(found["steps"].values()):
             rows.append((f"Check of {_CHECKS[name]}", "not made", ""))
     return rows
 

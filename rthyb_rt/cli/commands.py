@@ -24,6 +24,7 @@ from rthyb_rt.cli import (
     replay,
     report,
     reproduce,
+    reset,
     rig,
     run,
     schema,
@@ -47,6 +48,7 @@ app.command()(check.check)
 app.command()(identify.identify)
 app.command(context_settings=jog.CONTEXT)(jog.jog)
 app.command()(commission.commission)
+app.command()(reset.reset)
 app.command()(reproduce.reproduce)
 app.command()(diagnose.diagnose)
 app.command()(replay.replay)

@@ -52,7 +52,7 @@ def commission(
       link       feedback 1024 times a second, noise and zero at rest
       polarity   a slow motion: displacement follows, force rises with it
       limits     each limit, lowered for one small motion, does what the rig file says
-      watchdog   without commands the drive stops by itself
+      watchdog   without commands the drive stops by itself, until it is reset
       trip       told TRIPPED, the drive stops at once
 
     \b
@@ -83,7 +83,8 @@ def commission(
     def tell(text: str) -> None:
         print(text, file=people, flush=True)
 
-    plan = guide.Plan(wanted, distance_m, _asker(yes, tell), tell)
+    ask = _asker(yes, tell)
+    plan = guide.Plan(wanted, distance_m, ask, tell, lambda text: None if yes else ask(text))
     with connected(given) as connection:
         tell(f"{given.rig.name} over {connection.opened.name}")
         made = guide.commission(connection, plan, known, keep)

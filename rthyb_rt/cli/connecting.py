@@ -78,6 +78,8 @@ def connected(rig: RigFile) -> Iterator[Connection]:
             before_tick,
             told=interrupts.told,
             warn=lambda text: terminal.tell(f"warning: {text}"),
+            # A virtual rig of its own has no other operator.
+            resets=rig.link is None,
         )
 
 

@@ -64,8 +64,12 @@ def place(socket: Path | None) -> Path:
         return socket
     if os.environ.get("RTHYB_SOCKET"):
         return Path(os.environ["RTHYB_SOCKET"])
-    own = ring.default_folder() / SOCKET.name
-    return own if not SOCKET.exists() and own.exists() else SOCKET
+    folder = ring.default_folder()
+    own = folder / SOCKET.name
+    if SOCKET.exists() or not own.exists():
+        return SOCKET
+    ring.trusted(folder)
+    return own
 
 
 @contextlib.contextmanager
@@ -140,16 +144,24 @@ def _table(found: dict[str, Any]) -> Any:
     return table
 
 
+def _drive(found: dict[str, Any]) -> tuple[str, str]:
+    if found["follows"]:
+        return "follows", ""
+    if found["drive_stopped"]:
+        return "has stopped by itself", "look why; rthyb ctl reset"
+    return "does not follow", ""
+
+
 def rows(found: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Return a status as rows of label, value and explanation."""
     test, ticks, recorder = found["test"], found["ticks"], found["recorder"]
     newest = found["newest"] or {}
-    cause = found["cause"].replace("_", " ")
+    cause = found.get("cause_in_figures") or found["cause"].replace("_", " ")
     state = found["state"] + (f", {cause}" if cause != "none" else "")
     table = [
         ("Rig", found["rig"], found["link"]),
         ("State", state, f"allowed now: {', '.join(found['allowed'])}"),
-        ("Drive", "follows" if found["follows"] else "does not follow", ""),
+        ("Drive", *_drive(found)),
         ("Test", *_test(found, test)),
         ("Displacement", _number(newest.get("x_meas_m"), 1e3, "mm"), _command(newest)),
         ("Force", _number(newest.get("f_meas_n"), 1e-3, "kN"), ""),
@@ -166,7 +178,10 @@ def rows(found: dict[str, Any]) -> list[tuple[str, str, str]]:
     if found["indicated"]:
         table.append(("Indicated", ", ".join(found["indicated"]), "limits that only indicate"))
     if found["last"]:
-        table.append(("Last test", found["last"]["test_name"], found["last"]["end_reason"]))
+        last = found["last"]
+        table.append(("Last test", last["test_name"], last["end_reason"]))
+        if last.get("ending"):
+            table.append(("", last["ending"], ""))
     return table
 
 
@@ -288,23 +303,29 @@ def zero(
     """Zero both sensors at rest; the recording of the test begins."""
     with _client(socket) as client:
         client.call("Zero")
-        state = "IDLE" if no_wait else _await_zeroed(client)
-    _say("zero", "Zeroing" if no_wait else "Zeroed; next: rthyb ctl arm", as_json, state=state)
+        found = {"state": "IDLE"} if no_wait else _await_zeroed(client)
+    _say("zero", "Zeroing" if no_wait else f"Zeroed, {_tare(found)}; next: rthyb ctl arm", as_json,
+         state=found["state"], tare=found.get("tare"))  # fmt: skip
 
 
-def _await_zeroed(client: Client) -> str:
-    """Wait for the tare; the service gives it up by itself."""
+def _tare(found: dict[str, Any]) -> str:
+    tare = found["tare"]
+    return f"tare {tare['displacement_m'] * 1e3:.3f} mm, {tare['force_n'] * 1e-3:.3f} kN"
+
+
+def _await_zeroed(client: Client) -> dict[str, Any]:
+    """Wait for the tare, and return the status then; the service gives it up by itself."""
     from rthyb_rt.errors import RthybError
 
     while True:
-        found = client.call("GetStatus")["status"]
+        found: dict[str, Any] = client.call("GetStatus")["status"]
         if found["state"] == "TRIPPED":
             cause = found["cause"].replace("_", " ")
             raise RthybError(
                 f"not zeroed: the rig is TRIPPED, cause: {cause}; look why, then rthyb ctl reset"
             )
         if found["state"] != "IDLE":
-            return str(found["state"])
+            return found
         if not found["run_id"]:
             raise RthybError(f"not zeroed: {found['not_zeroed'] or 'somebody else has stopped it'}")
         time.sleep(0.05)
@@ -401,7 +422,7 @@ def stop(
 
 @ctl.command()
 def reset(socket: SocketOption = None, as_json: JsonOption = False) -> None:
-    """Leave TRIPPED, once its cause is gone."""
+    """Leave TRIPPED, once its cause is gone, and have a drive follow that stopped by itself."""
     with _client(socket) as client:
         client.call("Reset")
     _say("reset", "Reset", as_json)

@@ -67,7 +67,7 @@ def identify(
     delay estimate that a test starts with, the elastic stiffness that bounds the tangent
     stiffness, and the noise at rest that the estimator must not mistake for motion.
 
-    With --realtime the actuator moves: the rig file must have passed the polarity check of `rthyb
+    With --realtime the actuator moves: the rig file must have passed every check of `rthyb
     commission`, or exit code 5 says what is missing. Ctrl-C brings it back to rest, a second one
     trips.
 
@@ -144,7 +144,7 @@ def _print_result(rig: RigFile, result: Result, file: IO[str]) -> None:
     from rich.table import Table as Grid
 
     from rthyb_rt.core import FS_HZ
-    from rthyb_rt.summary import number, quantity
+    from rthyb_rt.numbers import number, quantity
 
     print(f"{rig.rig.name}: {rig.rig.description or rig.actuator.kind}\n", file=file)
     grid = Grid(

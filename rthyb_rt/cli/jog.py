@@ -83,7 +83,7 @@ def _status(found: Jogged) -> int:
 
 
 def _print_result(rig: RigFile, found: Jogged, file: IO[str]) -> None:
-    from rthyb_rt.summary import quantity
+    from rthyb_rt.numbers import quantity
 
     stiffness = "too little moved to tell"
     if found.stiffness_n_per_m is not None:

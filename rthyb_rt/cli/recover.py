@@ -11,6 +11,7 @@ import typer
 from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.folders import publish, refuse_taken, staged
 from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.errors import RthybError
 
 if TYPE_CHECKING:
     from rthyb_rt.ring import Recovered, Sight
@@ -99,7 +100,10 @@ def _rings_in(folder: Path) -> list[Path]:
     from rthyb_rt import ring as rings
 
     try:
-        return rings.find(folder)
+        return rings.find(rings.trusted(folder))
+    except RthybError as error:
+        terminal.tell(str(error))
+        return []
     except OSError as error:
         terminal.tell(f"{folder}: cannot be read ({error.strerror or error})")
         return []

@@ -17,20 +17,19 @@ def replay(recording: RecordingArgument, as_json: JsonOption = False) -> None:
     """Compute a recording again and compare bit for bit.
 
     The measured displacement, force and the ground motion are taken from the recording; commands,
-    estimates and states are computed anew. Of a test in real time all rows are, from its first
-    tick in IDLE on, with every fault and every command that the operator gave. Exit code 0 says
-    bit-identical, 8 that it departs.
+    estimates and states are computed anew, from the first tick in IDLE on, with every fault and
+    every command that the operator gave. Exit code 0 says bit-identical, 8 that it departs, 3 that
+    another version of the program has to replay it.
 
     \b
     Example:
       rthyb replay runs/section5-t0.5-20260301T101500Z
     """
-    from rthyb_rt import experiment, realtime
+    from rthyb_rt import realtime
     from rthyb_rt.recording import UNITS, open_run
 
     rec = open_run(recording)
-    virtual = rec.meta.get("clock", "virtual") == "virtual"
-    found = experiment.replay(rec) if virtual else realtime.replay(rec)
+    found = realtime.replay(rec)
     file = terminal.people(as_json)
     if found.identical:
         print(f"bit-identical: {found.rows} samples, every field", file=file)

@@ -18,7 +18,7 @@ from rthyb_rt.errors import InputError
 if TYPE_CHECKING:
     from rthyb_rt.config import RigFile
     from rthyb_rt.experiment import Progress, Setup
-    from rthyb_rt.loop import Clock
+    from rthyb_rt.loop import Clock, Fault
     from rthyb_rt.realtime import Session
     from rthyb_rt.recording import Recording
     from rthyb_rt.summary import Summary
@@ -63,6 +63,15 @@ def run(
             show_default=False,
         ),
     ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KIND[:KEY=NUMBER,...]",
+            help="What goes wrong at the virtual rig, such as drop:p=0.02,from=5,to=8 (seconds of "
+            "the test). Can be repeated; kinds as in `rthyb rig --help`.",
+            show_default=False,
+        ),
+    ] = None,
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Leave the HTML report out.")
     ] = False,
@@ -82,19 +91,26 @@ def run(
       rthyb run my-test.toml --rig my-rig.toml
       rthyb run my-test.toml --set ground_motion.pga_g=0.1 --set controller.type=robust
       rthyb run my-test.toml --set rig.actuator.delay_samples=12 --json
+      rthyb run my-test.toml --fault drop:p=0.02,from=5,to=8 --fault silence:from=12
       rthyb run my-test.toml --rig my-rig.toml --realtime
 
     Exit code 6 says that a limit or a trip ended the test, 7 that this PC was not punctual enough;
     recording and report are there all the same.
     """
-    from rthyb_rt import experiment, recording, summary
+    from rthyb_rt import experiment, recording, summary, virtual_time
 
     if clock is not None and not realtime:
         raise typer.BadParameter("needs --realtime", param_hint="--clock")
+    if fault and realtime:
+        raise typer.BadParameter(
+            "is for the virtual rig without --realtime; at a wire it is an option of `rthyb rig`",
+            param_hint="--fault",
+        )
+    mishaps = _mishaps(fault) if fault else ()
 
     started = datetime.datetime.now(datetime.UTC)
     test_file, rig_file = load(test, rig, settings)
-    setup = experiment.prepare(test_file, rig_file, real_time=realtime)
+    setup = experiment.prepare(test_file, rig_file, real_time=realtime or bool(mishaps))
     for note in setup.notes:
         terminal.tell(f"note: {note}")
     facts = _commissioned(rig or test_file.rig, rig_file) if realtime else {}
@@ -112,9 +128,11 @@ def run(
         with terminal.progress("Testing", setup.ticks, setup.derived.fs_hz) as progress:
             if realtime:
                 rec, folder = _run_live(setup, clock, progress, keep, facts)
+            elif mishaps:
+                rec, folder = _run_faulty(setup, mishaps, progress, keep)
             else:
-                rec = experiment.run(setup, progress)
-        if not realtime:
+                rec = virtual_time.run(setup, progress)
+        if not realtime and not mishaps:
             folder = keep(rec)
     result = summary.summarize(rec)
     file = terminal.people(as_json)
@@ -182,14 +200,53 @@ def _run_live(
             warn=lambda text: terminal.tell(f"warning: {text}"),
             save=lambda rec: kept.append(keep(rec)),
             facts=facts,
+            # A virtual rig of its own has no other operator.
+            resets=link is None,
             heard=_tell_ring,
+            zeroed=_tell_tare,
+        )
+    return rec, kept[0]
+
+
+def _mishaps(texts: list[str]) -> tuple[Fault, ...]:
+    from rthyb_rt import virtual_rig
+
+    try:
+        return virtual_rig.parse_mishaps(texts)
+    except InputError as error:
+        raise typer.BadParameter(str(error), param_hint="--fault") from error
+
+
+def _run_faulty(
+    setup: Setup,
+    mishaps: tuple[Fault, ...],
+    progress: Progress,
+    keep: Callable[[Recording], Path],
+) -> tuple[Recording, Path]:
+    """Run the test on a virtual rig that fails as it is told; return where it is kept."""
+    from rthyb_rt import realtime, virtual_rig
+
+    operator = realtime.Operator()
+    kept: list[Path] = []
+    with interrupts.told(operator.stop):
+        rec = virtual_rig.run_faulty(
+            setup,
+            mishaps,
+            progress=progress,
+            operator=operator,
+            warn=lambda text: terminal.tell(f"warning: {text}"),
+            save=lambda rec: kept.append(keep(rec)),
         )
     return rec, kept[0]
 
 
 def _tell_ring(session: Session) -> None:
-    path = session.ring.path
+    path = session.run.ring.path
     terminal.tell(f"telemetry ring {path}; should this process die: rthyb recover {path}")
+
+
+def _tell_tare(session: Session) -> None:
+    terminal.tell(f"zeroed: {session.tare_in_words()}")
 
 
 def _write_settings(folder: Path, setup: Setup, rec: Recording) -> None:
@@ -222,11 +279,16 @@ def _print_result(setup: Setup, result: Summary, recording: Path, as_json: bool)
 
     file = terminal.people(as_json)
     print(f"{setup.test.test.name} on {setup.rig.rig.name}: {_motion(setup)}\n", file=file)
+    notices = summary.notices(result)
+    # What must not be missed stands above the figures that it takes the worth of.
+    alarms = [f"Attention: {notice.text}" for notice in notices if notice.level == "alarm"]
+    if alarms:
+        print(*alarms, "", sep="\n", file=file)
     terminal.print_table(summary.table(result), file)
     print(f"\n{summary.verdict(result)}", file=file)
-    for notice in summary.notices(result):
-        label = "Attention: " if notice.level == "alarm" else "Note: "
-        print(f"{label}{notice.text}", file=file)
+    for notice in notices:
+        if notice.level == "note":
+            print(f"Note: {notice.text}", file=file)
     print(f"\nRecording  {recording}", file=file)
 
 
@@ -235,11 +297,18 @@ def _motion(setup: Setup) -> str:
 
 
 def _document(result: Summary, folder: Path, report: Path | None) -> dict[str, Any]:
+    from rthyb_rt import summary
+
     measures = result.as_json()
-    identity = {key: measures.pop(key) for key in ("test_name", "end_reason", "setup")}
+    identity = {
+        key: measures.pop(key)
+        for key in ("test_name", "end_reason", "ended_by", "attention", "setup")
+    }
     return {
         "schema": SCHEMA,
         **identity,
+        "ending": result.ending,
+        "notices": [notice._asdict() for notice in summary.notices(result)],
         "measures": measures,
         "paths": {
             "folder": str(folder),

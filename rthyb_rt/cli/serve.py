@@ -82,8 +82,7 @@ def serve(
 
     rig_file = read_rig()
     demand(rig_file)
-    folder = rings or ring.default_folder()
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    folder = ring.claim(rings or ring.default_folder())
     options = Options(
         socket=socket or folder / "control.sock",
         rings=folder,

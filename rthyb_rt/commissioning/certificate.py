@@ -27,6 +27,17 @@ STEPS: Final = ("link", "polarity", "limits", "watchdog", "trip")
 SUFFIX: Final = ".commissioned.json"
 
 _MATTERS: Final = ("link", "calibration", "actuator", "sensors", "limits")
+_FIRST_KEYS: Final[dict[str, tuple[str, ...]]] = {
+    "link": ("interface", "bitrate", "data_bitrate", "dbc"),
+    "limits": (
+        *("command_position_m", "command_velocity_m_per_s", "command_acceleration_m_per_s2"),
+        *("command_increment_m", "force_n", "tracking_error_m", "energy_error_j"),
+        *("tracking_indicator_slope_m2_per_s", "sensor_stuck_samples", "sensor_jump_m"),
+        *("path_velocity_m_per_s", "path_acceleration_m_per_s2", "ramp_in_s", "armed_timeout_s"),
+        *("tare_s", "rest_spread_m"),
+    ),
+}
+"""Keys without a value that have been in the hash from the first version on."""
 _MAX_BYTES: Final = 10**6
 
 
@@ -83,6 +94,17 @@ class Certificate:
         return step.date if step is not None and step.passed else ""
 
     @property
+    def lacking(self) -> list[str]:
+        """What stands against a test, step by step, in words; empty: every step has passed."""
+        return [f"{name} {self._why(name)}" for name in STEPS if not self.date_of(name)]
+
+    def _why(self, name: str) -> str:
+        step = self.steps.get(name)
+        if step is None:
+            return "was not made"
+        return "FAILED" if step.passed is False else "could not be checked"
+
+    @property
     def date(self) -> str:
         """When its last step was made; "" without one."""
         return max((step.date for step in self.steps.values()), default="")
@@ -107,6 +129,11 @@ def rig_hash(rig: RigFile) -> str:
     identification found. Of a DBC file its content counts, and not where it lies.
     """
     content = {key: value for key, value in rig.model_dump().items() if key in _MATTERS}
+    for table, first in _FIRST_KEYS.items():
+        given = content[table] or {}
+        # A key of later versions that the file does not set makes no other rig of it.
+        for key in [key for key in given if key not in first and given[key] is None]:
+            del given[key]
     if rig.link is not None and rig.link.dbc is not None:
         content["link"]["dbc"] = _digest(Path(rig.link.dbc))
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
@@ -279,7 +306,7 @@ class Standing:
         }
         return {
             "demanded": self.demanded,
-            "commissioned": self.holds is not None and bool(self.holds.date_of("polarity")),
+            "commissioned": self.holds is not None and not self.holds.lacking,
             "certificate": str(self.path),
             "why_not": self.why_not,
             "steps": steps,
@@ -294,7 +321,7 @@ def standing(rig: RigFile, rig_path: Path) -> Standing:
     """
     demanded = rig.link is not None and not rig.link.virtual
     holds, older = find(rig, rig_path)
-    lacks = demanded and (holds is None or not holds.date_of("polarity"))
+    lacks = demanded and (holds is None or bool(holds.lacking))
     why_not = _why_not(rig_path, holds, older) if lacks else ""
     return Standing(demanded, holds, place(rig_path), why_not)
 
@@ -305,7 +332,7 @@ def demand(rig: RigFile, rig_path: Path) -> dict[str, Any]:
     With a virtual rig at the other end nothing is demanded: no ``[link]``, or ``link.virtual``.
 
     Raises:
-        RefusedError: the polarity of this very rig file has not been checked.
+        RefusedError: a check of `STEPS` has not passed for this very rig file; which ones is said.
     """
     found = standing(rig, rig_path)
     if found.why_not:
@@ -325,7 +352,9 @@ def demand(rig: RigFile, rig_path: Path) -> dict[str, Any]:
 def _why_not(rig_path: Path, holds: Certificate | None, older: Certificate | None) -> str:
     remedy = f"run `rthyb commission {rig_path}`"
     if holds is not None:
-        return f"its polarity check has not passed; {remedy}"
+        names = ",".join(name for name in STEPS if not holds.date_of(name))
+        told = ", ".join(holds.lacking)
+        return f"not every check of its commissioning has passed: {told}; {remedy} --steps {names}"
     if older is not None:
         return (
             "link, calibration, actuator, sensors or limits have changed since the rig was "

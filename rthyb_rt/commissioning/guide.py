@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import core
+from rthyb_rt import core, experiment
 from rthyb_rt.commissioning import limits, polarity, stops
 from rthyb_rt.commissioning.certificate import STEPS, Certificate, Step, now, rig_hash
 from rthyb_rt.commissioning.moving import (
@@ -22,7 +22,6 @@ from rthyb_rt.commissioning.moving import (
     check_distance,
     check_limits,
     fresh,
-    setup_of,
     undisturbed,
 )
 from rthyb_rt.errors import InputError
@@ -35,7 +34,7 @@ FRESH_SHARE: Final = 0.98
 """Of the ticks: less feedback than this is no feedback 1024 times a second."""
 RATE_TOLERANCE: Final = 0.01
 
-_NEEDS_DRIVE: Final = "release the drive at its panel, if it asks for it"
+_PANEL: Final = "release the drive at its own panel, for its frames have no word for a reset"
 
 
 @dataclass(frozen=True)
@@ -47,12 +46,14 @@ class Plan:
         distance_m: of the small motions, of the structure.
         allowed: asks the operator before each motion; False leaves it.
         tell: takes a line for the operator.
+        witness: asks the operator for what no frame tells; None: nobody is there to look.
     """
 
     steps: Sequence[str] = STEPS
     distance_m: float = 1e-3
     allowed: Callable[[str], bool] = lambda _: True
     tell: Callable[[str], None] = lambda _: None
+    witness: Callable[[str], bool | None] = lambda _: None
 
 
 def commission(
@@ -81,6 +82,8 @@ def commission(
     check_limits(connection.rig)
     check_distance(connection.rig, plan.distance_m)
     rig = connection.rig
+    # Whoever is asked before each motion knows what stopped the drive: most often a check of these.
+    connection = replace(connection, resets=True)
     certificate = known or Certificate(
         rig_name=rig.rig.name,
         rig_hash=rig_hash(rig),
@@ -117,7 +120,9 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
         "disagree on the wire, it will jump now: let it have little pressure and little way to go."
     ):
         return None
-    rest = Motion("rest", np.zeros(round(REST_S * core.FS_HZ)))
+    # What is lost is counted here, and told with what is needed.
+    counted = {"lost_pairs": core.Watch(1.0 - FRESH_SHARE, "indicate")}
+    rest = Motion("rest", np.zeros(round(REST_S * core.FS_HZ)), counted)
     try:
         moved = undisturbed(connection, rest)
     except InputError as error:
@@ -131,7 +136,8 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
             f"{100 * figures['fresh_share']:.1f} % of the ticks had a new pair of displacement "
             f"and force, {100 * FRESH_SHARE:g} % are needed; check the wire, and the drive's rate"
         )
-    spread_m = setup_of(connection.rig, rest).derived.limits.rest_spread_m
+    setup = experiment.prescribed(connection.rig, rest.name, rest.path_m)
+    spread_m = setup.derived.limits.rest_spread_m
     if abs(figures["jump_m"]) > spread_m:
         faults.append(
             f"the displacement went from {figures['displacement_m'] - figures['jump_m']:.4g} m to "
@@ -202,6 +208,11 @@ def _polarity(connection: Connection, plan: Plan) -> Step | None:
 
 
 def _limits(connection: Connection, plan: Plan) -> Step | None:
+    if connection.rig.limits.command_velocity_m_per_s is None:
+        plan.tell(
+            "limits.command_velocity_m_per_s is missing in the rig file: each test will be held to "
+            "a velocity that follows from its own reference; better say what this rig may do"
+        )
     checks = limits.check_all(connection, plan.distance_m, plan.allowed)
     if all(check.reason == "not allowed" for check in checks):
         return None
@@ -220,14 +231,21 @@ def _limits(connection: Connection, plan: Plan) -> Step | None:
 
 
 def _watchdog(connection: Connection, plan: Plan) -> Step | None:
+    codec = connection.opened.codec
+    after = "is reset" if codec.has_reset else "is released at its own panel"
     if not plan.allowed(
         f"Fall silent, at rest? The drive shall stop by itself after {WATCHDOG_TICKS} of its "
-        f"samples; then {_NEEDS_DRIVE}."
+        f"samples, and stay stopped, though commands come again, until it {after}."
     ):
         return None
-    if not connection.opened.codec.has_status:
-        return _no_status("watchdog")
     stop = stops.watchdog(connection)
+    if not codec.has_status:
+        return _witnessed(
+            plan,
+            "watchdog",
+            "The commands ceased, and came again. Did the drive stop by itself, and does its panel "
+            "say that it stays stopped until it is released there?",
+        )
     faults = []
     if not stop.stopped:
         faults.append(
@@ -236,23 +254,44 @@ def _watchdog(connection: Connection, plan: Plan) -> Step | None:
         )
     else:
         faults += _late(stop, WATCHDOG_TICKS, "its last command")
-        if stop.seen_again is False:
-            faults.append("the drive no longer said that it had stopped when commands came again")
-    return Step("watchdog", not faults, now(), {"drive_ticks": stop.ticks}, tuple(faults))
+        faults += _follows_again(stop)
+    if stop.stays and not codec.has_reset:
+        plan.tell(f"  {_PANEL}")
+    figures = {"drive_ticks": stop.ticks, "stays_stopped": stop.stays, "reset": stop.released}
+    return Step("watchdog", not faults, now(), figures, tuple(faults))
+
+
+def _follows_again(stop: stops.Stop) -> list[str]:
+    """Return what is wrong with a drive that ends its stop by itself, or does not when reset."""
+    if stop.seen_again is False:
+        return ["the drive no longer said that it had stopped when commands came again"]
+    if stop.stays is False:
+        return [
+            "the drive followed again as soon as commands came, though nobody had reset it: after "
+            "a crash of this PC it would take up whatever comes; let it wait for its reset, or for "
+            "a release at its own panel"
+        ]
+    if stop.released is False:
+        return ["the drive stayed stopped when it was reset: look at what its state means to it"]
+    return []
 
 
 def _trip(connection: Connection, plan: Plan) -> Step | None:
-    question = f"Trip, at rest? The drive shall stop at once; then {_NEEDS_DRIVE}."
-    if not plan.allowed(question):
+    if not plan.allowed("Trip, at rest? The drive shall stop at once."):
         return None
-    if not connection.opened.codec.has_status:
-        return _no_status("trip")
     stop = stops.trip(connection)
+    codec = connection.opened.codec
+    if not codec.has_status:
+        return _witnessed(plan, "trip", "The drive was told TRIPPED. Did it stop at once?")
     faults = []
     if not stop.stopped:
         faults.append("the drive did not say that it stopped when it was told TRIPPED")
     else:
         faults += _late(stop, stops.TRIP_TICKS, "the command that said TRIPPED")
+    if codec.has_reset:
+        stops.release(connection)
+    elif stop.stopped:
+        plan.tell(f"  {_PANEL}")
     return Step("trip", not faults, now(), {"drive_ticks": stop.ticks}, tuple(faults))
 
 
@@ -266,16 +305,19 @@ def _late(stop: stops.Stop, allowed: int, since: str) -> list[str]:
     return [f"the drive stopped {stop.ticks} of its samples after {since}; {allowed} are allowed"]
 
 
-def _no_status(name: str) -> Step:
-    return Step(
-        name,
-        None,
-        now(),
-        faults=(
-            "the drive's frames have no status, so that its stop cannot be seen here; pull the "
-            "plug of the link at rest and read its panel",
+def _witnessed(plan: Plan, name: str, question: str) -> Step:
+    """Return what the operator has seen of a drive whose frames have no status."""
+    seen = plan.witness(question)
+    plan.tell(f"  {_PANEL}")
+    faults = {
+        True: (),
+        False: ("by the operator's word it did not; do not use it",),
+        None: (
+            "the drive's frames have no status, so that its stop cannot be seen here, and nobody "
+            "was asked: make this check in a terminal, without --yes",
         ),
-    )
+    }[seen]
+    return Step(name, seen, now(), {} if seen is None else {"seen_by": "operator"}, faults)
 
 
 _MADE: Final[dict[str, Callable[[Connection, Plan], Step | None]]] = {

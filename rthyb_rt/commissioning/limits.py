@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -34,7 +34,13 @@ STUCK: Final = "sensor_stuck_samples"
 
 _NOT_PROVOKED: Final = {
     STUCK: "needs a sensor that stands still while the actuator moves; pull its plug in a jog, "
-    "with nobody near"
+    "with nobody near",
+    "force_stuck_samples": "needs a load cell that stands still while the actuator moves",
+    "force_jump_n": "needs a load cell that jumps",
+    "lost_pairs_share": "needs a link that loses pairs",
+    "lost_pairs_warning_share": "needs a link that loses pairs",
+    "skipped_ticks_share": "needs a PC that is late",
+    "skipped_ticks_warning_share": "needs a PC that is late",
 }
 _SHARE: Final = 0.5
 """Of what the small motion reaches: so low a limit is set for it."""
@@ -125,6 +131,8 @@ def check_all(
     """
     wanted = configured(connection.rig)
     plain = small_motion(connection.rig, distance_m)
+    # A limit that trips has the drive stop by itself, and the next motion begins with its reset.
+    connection = replace(connection, resets=True)
     if not wanted or not allowed(f"Move by {distance_m * 1e3:g} mm and back, with no limit near?"):
         return [Check(key, action, reason="not allowed") for key, action in wanted]
     usual = undisturbed(connection, plain)

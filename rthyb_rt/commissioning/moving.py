@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import config, core, experiment, realtime
+from rthyb_rt import core, experiment, realtime
 from rthyb_rt.config import Limit, RigFile
 from rthyb_rt.errors import InputError, Problem, RthybError
 from rthyb_rt.experiment import Setup
-from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.loop import Clock
 from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
 
@@ -39,12 +38,6 @@ _MEAN_TICKS: Final = 256
 _PEAK_SPEED: Final = 1.875
 _PEAK_ACCELERATION: Final = 10.0 / math.sqrt(3.0)
 """Of the quintic from 0 to 1 in the time 1."""
-
-_TEST = """schema = "rthyb-test/1"
-test = {{ name = "{name}", description = "prescribed motion, not a test" }}
-numerical = {{ period_s = 1, damping_ratio = 0 }}
-controller = {{ type = "none" }}
-"""
 
 
 class LimitError(RthybError):
@@ -73,6 +66,7 @@ class Connection:
         clock, before_tick: as in `rthyb_rt.realtime.Session`.
         told: has a function called, while something may move, when the operator wants a stop.
         warn: takes a sentence that the operator should read; none comes twice.
+        resets: a drive that has stopped by itself is reset before a motion.
     """
 
     rig: RigFile
@@ -81,6 +75,7 @@ class Connection:
     before_tick: Callable[[], None] | None = None
     told: Callable[[Callable[[], None]], AbstractContextManager[None]] = _untold
     warn: Callable[[str], None] = lambda _: None
+    resets: bool = False
     _warned: set[str] = field(default_factory=set, repr=False)
 
     def warn_once(self, text: str) -> None:
@@ -257,43 +252,29 @@ def with_rests(path_m: Floats, before_s: float = 0.25, after_s: float = 0.5) -> 
 # ---- what a motion needs ------------------------------------------------------------------------
 
 
-def setup_of(rig: RigFile, motion: Motion) -> Setup:
-    """Return a motion as the setup of a test, with the rig's limits.
-
-    Raises:
-        InputError: the rig file's own figures do not fit together.
-    """
-    test = config.parse_test(_TEST.format(name=motion.name), motion.name)
-    derived = config.derive(test, rig)
-    test = config.resolve(test, derived)
-    return Setup(
-        test=test,
-        rig=rig,
-        derived=derived,
-        motion=GroundMotion("none", motion.name, core.PERIOD_S, np.zeros(1)),
-        ag_mps2=motion.path_m,
-        controller=experiment.controller_config(test, rig, derived, motion.path_m.size),
-        virtual_rig=experiment.rig_config(rig),
-    )
-
-
 def station_of(setup: Setup, motion: Motion) -> core.StationConfig:
-    """Return the settings of the station: the rig's limits, and what the motion has instead."""
-    base = experiment.station_config(setup)
+    """Return the settings of the station: the rig's limits, and what the motion has instead.
+
+    The rig's limits count from where the motion begins, and the force from zero load if it says so;
+    any tare will do: a specimen that stands where no test may begin is brought back by a motion.
+    """
+    base = experiment.station_config(setup, real=True)
+    watches = dict(base.watches)
+    for name in ("position", "force"):
+        of_rig = watches.pop(f"rig_{name}", None)
+        if of_rig is not None:
+            watches.setdefault(name, of_rig)
     limits = {
         name: value
         for name in ("velocity_limit_m_per_s", "acceleration_limit_m_per_s2")
         if (value := getattr(motion, name)) is not None
     }
-    controller = replace(
-        base.controller,
-        motion=core.MotionConfig("prescribed"),
-        **limits,
-    )
     return replace(
         base,
-        controller=controller,
-        watches={**base.watches, **motion.watches},
+        controller=replace(base.controller, **limits),
+        watches={**watches, **motion.watches},
+        tare_most_m=0.0,
+        tare_most_n=0.0,
         # A command that does not begin where the specimen stands goes there no faster.
         path_velocity_m_per_s=min(base.path_velocity_m_per_s, GENTLE_M_PER_S),
         ramp_in_ticks=_RAMP_IN_TICKS,
@@ -326,7 +307,7 @@ def check_limits(rig: RigFile) -> None:
 
 def path_figures(rig: RigFile) -> tuple[float, float]:
     """Return velocity (m/s) and acceleration (m/s^2) that no small motion may exceed."""
-    limits = setup_of(rig, Motion("figures", np.zeros(1))).derived.limits
+    limits = experiment.prescribed(rig, "figures", np.zeros(1)).derived.limits
     return limits.path_velocity_m_per_s, limits.path_acceleration_m_per_s2
 
 
@@ -347,31 +328,23 @@ def check_distance(rig: RigFile, distance_m: float) -> None:
 # ---- the motion ---------------------------------------------------------------------------------
 
 
-class _Attendant:
-    """What is looked after while a motion is under way."""
+@dataclass(frozen=True)
+class _Beginning:
+    """What is looked at before a motion begins."""
 
-    def __init__(self, connection: Connection, motion: Motion, operator: realtime.Operator) -> None:
-        self._connection, self._motion, self._operator = connection, motion, operator
-        self._session: realtime.Session | None = None
-        self._held = False
+    connection: Connection
+    motion: Motion
 
-    def zeroed(self, session: realtime.Session) -> None:
+    def judge(self, session: realtime.Session) -> None:
         """Judge where the specimen stands, before anything moves."""
-        self._session = session
-        x_m, f_n = session.station.tare
+        x_m, f_n = session.run.station.tare
         self._check_reach(x_m)
-        if self._motion.whole_force:
+        if self.motion.whole_force:
             self._count_force_from_zero(session, f_n)
 
-    def look(self) -> None:
-        """Let nothing stand in HOLD: here there is nothing to go on with."""
-        if self._session is not None and self._session.state == "HOLD" and not self._held:
-            self._held = True
-            self._operator.stop()
-
     def _check_reach(self, x_m: float) -> None:
-        reach = self._connection.rig.sensors.displacement.range_m
-        path = self._motion.path_m
+        reach = self.connection.rig.sensors.displacement.range_m
+        path = self.motion.path_m
         ends = (x_m + float(path.min()), x_m + float(path.max()))
         if reach is not None and max(map(abs, ends)) >= reach:
             raise realtime.RefusedError(
@@ -381,7 +354,7 @@ class _Attendant:
             )
 
     def _count_force_from_zero(self, session: realtime.Session, f_n: float) -> None:
-        limit = session.config.watches.get("force")
+        limit = session.run.config.watches.get("force")
         if limit is None:
             return
         left = limit.value - abs(f_n)
@@ -391,8 +364,8 @@ class _Attendant:
                 "relieve the specimen, correct the load cell's zero ([calibration] "
                 "force.offset_n), or raise the limit for this motion with --set limits.force_n=..."
             )
-        watches = {**session.config.watches, "force": core.Watch(left, limit.reaction)}
-        session.set_parameters(replace(core.Parameters.of(session.config), watches=watches))
+        watches = {**session.run.config.watches, "force": core.Watch(left, limit.reaction)}
+        session.set_parameters(replace(core.Parameters.of(session.run.config), watches=watches))
 
 
 def carry_out(
@@ -415,35 +388,24 @@ def carry_out(
         InputError: no feedback, no rest, or figures that do not fit; nothing moved.
         RthybError: something else failed; what moved is stopped.
     """
-    setup = setup_of(connection.rig, motion)
+    setup = experiment.prescribed(connection.rig, motion.name, motion.path_m)
     operator = operator or realtime.Operator()
-    attendant = _Attendant(connection, motion, operator)
     link = connection.rig.link
-
-    def attend(done: int, ticks: int) -> None:
-        attendant.look()
-        if progress is not None:
-            progress(done, ticks)
-
-    def warn(text: str) -> None:
-        # A motion that holds is not left standing here.
-        if text.startswith("held: "):
-            attendant.look()
-        else:
-            connection.warn_once(text)
-
     with connection.told(operator.stop):
         rec = realtime.run(
             setup,
             connection.opened,
             clock=connection.clock,
             before_tick=connection.before_tick,
-            progress=attend,
+            progress=progress,
             operator=operator,
+            # Here is nothing to go on with.
+            hold_s=0.0,
             require_realtime=link is not None and link.require_realtime,
-            warn=warn,
+            warn=connection.warn_once,
             station=station_of(setup, motion),
-            zeroed=attendant.zeroed,
+            resets=connection.resets,
+            zeroed=_Beginning(connection, motion).judge,
         )
     return Moved(rec)
 
@@ -468,6 +430,8 @@ def undisturbed(
             raise StoppedError(f"{motion.name}: {moved.end_reason}")
         if moved.cause not in SPOILT:
             return moved
+        # Its stop is this program's doing, in a motion that the operator has asked for.
+        connection = replace(connection, resets=True)
         bring_back(connection, moved)
     raise ended(
         moved,

@@ -10,12 +10,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from rthyb_rt import core, realtime
+from rthyb_rt import core, experiment, realtime
 from rthyb_rt.commissioning.moving import (
     ATTEMPTS,
     Connection,
@@ -23,13 +23,12 @@ from rthyb_rt.commissioning.moving import (
     Rows,
     command_numbers,
     fresh,
-    setup_of,
     station_of,
 )
 from rthyb_rt.errors import InputError
 from rthyb_rt.links.wire import DEVICE_STOPPED, VERDICTS, Feedback
 from rthyb_rt.loop import WATCHDOG_TICKS
-from rthyb_rt.realtime import Session
+from rthyb_rt.realtime import FEEDBACK_S, RefusedError, Session
 from rthyb_rt.recording import FLAGS, STATES
 
 TRIP_TICKS: Final = 1
@@ -40,6 +39,8 @@ _SILENCE_TICKS: Final = 4 * WATCHDOG_TICKS
 _SILENCE_S: Final = 2.0
 _AFTER_TRIP_S: Final = 0.25
 _REST_S: Final = 0.25
+_STANDS_S: Final = 0.5
+"""A drive that follows nobody for so long, though commands come, stays stopped."""
 _BYTE: Final = 0x100
 _PAIR: Final = VERDICTS["pair"]
 
@@ -54,12 +55,16 @@ class Stop:
             saying so; None where its frames do not tell.
         gap: frames are missing there, so that it may have been fewer.
         seen_again: it still said so when the next connection began; None where none was made.
+        stays: and it went on saying so, though commands came, until it was reset.
+        released: it followed again when it was reset; None where its frames have no word for that.
     """
 
     stopped: bool
     ticks: int | None = None
     gap: bool = False
     seen_again: bool | None = None
+    stays: bool | None = None
+    released: bool | None = None
 
 
 def _without_gap(attempt: Callable[[], Stop]) -> Stop:
@@ -92,6 +97,24 @@ def trip(connection: Connection) -> Stop:
     return _without_gap(lambda: _by_trip(connection))
 
 
+def release(connection: Connection) -> bool:
+    """Reset a drive that has stopped by itself; False: it had not.
+
+    Raises:
+        InputError: no feedback comes.
+        RefusedError: it does not stand still, or does not follow after the reset.
+        RthybError: the system refused what is needed.
+    """
+    with _begun(connection) as session:
+        if _await(session, session.follows, _STANDS_S):
+            return False
+        if not session.stays_stopped():
+            raise InputError(session.no_feedback(), session.opened.name)
+        session.command("reset")
+        _await(session, session.follows, _STANDS_S)
+        return True
+
+
 @contextmanager
 def at_rest(connection: Connection) -> Iterator[Session]:
     """Give a session in IDLE, of a drive that follows.
@@ -100,8 +123,20 @@ def at_rest(connection: Connection) -> Iterator[Session]:
         InputError: no feedback comes, or the drive does not follow.
         RthybError: the system refused what is needed.
     """
+    with _begun(connection) as session:
+        _await(session, lambda: session.follows() or session.stays_stopped(), FEEDBACK_S)
+        if connection.resets and session.stays_stopped():
+            session.command("reset")
+        if not _await(session, session.follows, FEEDBACK_S):
+            raise InputError(session.no_feedback(), session.opened.name)
+        session.wait(_REST_S)
+        yield session
+
+
+@contextmanager
+def _begun(connection: Connection) -> Iterator[Session]:
     motion = Motion("at-rest", np.zeros(1))
-    setup = setup_of(connection.rig, motion)
+    setup = experiment.prescribed(connection.rig, motion.name, motion.path_m)
     with Session(
         setup,
         connection.opened,
@@ -111,22 +146,19 @@ def at_rest(connection: Connection) -> Iterator[Session]:
     ) as session:
         try:
             session.start()
-            _await_following(session)
             yield session
         finally:
             session.close()
             session.discard()
 
 
-def _await_following(session: Session) -> None:
-    waited_s, begun_s = 0.0, time.monotonic()
-    while not session.follows():
+def _await(session: Session, done: Callable[[], bool], most_s: float) -> bool:
+    begun_s = session.now_s
+    while not done():
+        if session.now_s - begun_s > most_s:
+            return False
         session.wait(realtime.RECORDER_PERIOD_S)
-        waited_s += realtime.RECORDER_PERIOD_S
-        passed_s = waited_s if session.clock == "stepped" else time.monotonic() - begun_s
-        if passed_s > realtime.FEEDBACK_S:
-            raise InputError(realtime.no_feedback(session), session.opened.name)
-    session.wait(_REST_S)
+    return True
 
 
 # ---- silence ------------------------------------------------------------------------------------
@@ -134,14 +166,26 @@ def _await_following(session: Session) -> None:
 
 def _in_silence(connection: Connection) -> Stop:
     with at_rest(connection) as session:
-        session.loop.stop()
+        session.fall_silent()
         stop = _first_stop(connection, session)
-    if not stop.stopped:
-        return stop
-    with at_rest(connection) as again:
-        pass
-    said = again.loop.counters()["stopped"] > 0
-    return Stop(stop.stopped, stop.ticks, stop.gap, said)
+    unseen = not connection.opened.codec.has_status
+    return _with_another_controller(connection, stop) if stop.stopped or unseen else stop
+
+
+def _with_another_controller(connection: Connection, stop: Stop) -> Stop:
+    """Send commands again, as a controller does that begins anew after a crash; then reset."""
+    with _begun(connection) as again:
+        _await(again, lambda: again.follows() or again.stays_stopped(), FEEDBACK_S)
+        again.wait(_STANDS_S)
+        said, stays = again.loop.counters()["stopped"] > 0, again.stays_stopped()
+        released = None
+        if stays and again.opened.codec.has_reset:
+            try:
+                again.command("reset")
+                released = True
+            except RefusedError:
+                released = False
+    return replace(stop, seen_again=said, stays=stays, released=released)
 
 
 def _first_stop(connection: Connection, session: Session) -> Stop:

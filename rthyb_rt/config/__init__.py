@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rthyb_rt.config.defaults import derived_limits
 from rthyb_rt.config.deriving import Derived, derive, resolve
 from rthyb_rt.config.limits import Limit, Limits
 from rthyb_rt.config.loading import (
@@ -34,6 +35,7 @@ __all__ = [
     "TestFile",
     "builtin_test_path",
     "derive",
+    "derived_limits",
     "dump",
     "find_rig",
     "frames_of_link",

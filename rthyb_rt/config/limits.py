@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import GetJsonSchemaHandler, StrictBool
@@ -26,9 +27,19 @@ DEFAULT_PATH_ACCELERATION_M_PER_S2 = 0.2
 DEFAULT_RAMP_IN_S = 2.0
 DEFAULT_ARMED_TIMEOUT_S = 30.0
 DEFAULT_TARE_S = 1.0
+DEFAULT_TARE_SHARE_MOST = 0.2
 LEAST_REST_SPREAD_M = 1e-4
 REST_SPREAD_SIGMAS = 20
 """Noise of one second spans about 6.5 of its standard deviations; a creeping actuator more."""
+
+BRAKE_MARGIN = 1.25
+"""Times the peak acceleration of the reference. A motion that turned round with its own would need
+1; what goes without a step needs 1.04 near a turning point, and elsewhere makes up for the 16 ms in
+which it comes."""
+
+VELOCITY_MARGIN = 2.0
+"""Times the peak velocity of the compensated reference: as much as the position limit is advised to
+have, for what specimen and delay estimate make of the motion."""
 
 PATH_SHARE = 0.5
 """Of the command's own limits: the phase lead makes the ends of a path faster than it is."""
@@ -117,6 +128,26 @@ class SampleLimit(Limit):
     value: Annotated[int, Count(2, 1024 * 60, "the number of samples")]
 
 
+class StepLimit(Limit):
+    """A limit on what a force may change by in one sample."""
+
+    value: Annotated[float, Range("N", 1e-3, 1e10, "the limit")]
+
+
+class ShareLimit(Limit):
+    """A limit on a share of the ticks of the last second."""
+
+    plain: ClassVar[Action] = "ramp-out"
+
+    value: Annotated[float, Range("", 1 / 1024, 1, "the share of the last second's ticks")]
+
+
+class WarningLimit(ShareLimit):
+    """The share from which on it is worth to say so."""
+
+    plain: ClassVar[Action] = "indicate"
+
+
 class Limits(Table):
     """What a test may not exceed; in a rig file: what no test on this rig may exceed.
 
@@ -136,12 +167,20 @@ class Limits(Table):
     energy_error_j: EnergyLimit | None = None
     sensor_stuck_samples: SampleLimit | None = None
     sensor_jump_m: IncrementLimit | None = None
+    force_stuck_samples: SampleLimit | None = None
+    force_jump_n: StepLimit | None = None
+    lost_pairs_share: ShareLimit | None = None
+    lost_pairs_warning_share: WarningLimit | None = None
+    skipped_ticks_share: ShareLimit | None = None
+    skipped_ticks_warning_share: WarningLimit | None = None
     path_velocity_m_per_s: (
         Annotated[float, Range("m/s", 1e-7, 100, "the velocity of ramp-out and resume")] | None
     ) = None
     path_acceleration_m_per_s2: (
-        Annotated[float, Range("m/s^2", 1e-4, 1e4, "the acceleration of HOLD, ramp-out and resume")]
-        | None
+        Annotated[float, Range("m/s^2", 1e-4, 1e4, "the acceleration of ramps and resume")] | None
+    ) = None
+    brake_acceleration_m_per_s2: (
+        Annotated[float, Range("m/s^2", 1e-4, 1e4, "the deceleration of HOLD and ramp-out")] | None
     ) = None
     ramp_in_s: Annotated[float, Range("s", 0.01, 600, "the length of the ramp-in")] | None = None
     armed_timeout_s: (
@@ -150,6 +189,9 @@ class Limits(Table):
     tare_s: Annotated[float, Range("s", 0.01, 60, "the time that zeroing averages")] | None = None
     rest_spread_m: (
         Annotated[float, Range("m", 1e-9, 10, "the movement at rest that zeroing allows")] | None
+    ) = None
+    tare_share_most: (
+        Annotated[float, Range("", 1e-3, 1, "the tare, as a share of the rig's limit")] | None
     ) = None
 
 
@@ -163,11 +205,17 @@ WATCHED: tuple[str, ...] = (
     "energy_error_j",
     "sensor_stuck_samples",
     "sensor_jump_m",
+    "force_stuck_samples",
+    "force_jump_n",
+    "lost_pairs_share",
+    "lost_pairs_warning_share",
+    "skipped_ticks_share",
+    "skipped_ticks_warning_share",
 )
 """The keys that hold a `Limit`."""
 
-VIRTUAL: tuple[str, ...] = ("command_position_m", "force_n", "tracking_error_m")
-"""The limits that are watched in virtual time as well."""
+BEFORE_TARE: tuple[str, ...] = ("command_position_m", "force_n")
+"""Those of which a rig file's acts on what is read before the tare, a test's on what is left."""
 
 AT_LEAST: tuple[str, ...] = ("ramp_in_s", "tare_s")
 """Figures of which a test may have more than its rig says, and not less."""
@@ -178,9 +226,13 @@ class Resolved:
     """The limits that a test on a rig really has.
 
     Attributes:
-        limits: both files together; the six figures of paths and zeroing are there always.
+        limits: both files together; the figures of paths and zeroing are there always.
         sources: where each key comes from; a key that is nowhere is not in it.
-        path_velocity_m_per_s ... rest_spread_m: the six figures.
+        path_velocity_m_per_s ... tare_share_most: those figures.
+        brake_acceleration_m_per_s2: how hard HOLD and ramp-out brake; None: no file says so, and
+            there is no reference yet that it could follow from.
+        derived: limits that no file gives, by key: what follows from sensors and test. They act
+            where something real may break, and only indicate in virtual time.
     """
 
     limits: Limits
@@ -191,6 +243,9 @@ class Resolved:
     armed_timeout_s: float
     tare_s: float
     rest_spread_m: float
+    tare_share_most: float
+    brake_acceleration_m_per_s2: float | None = None
+    derived: Mapping[str, Limit] = field(default_factory=dict)
 
 
 def unit_of(key: str) -> str:
@@ -202,6 +257,8 @@ def unit_of(key: str) -> str:
 
 
 _UNITS = {
+    "_share": "of 1",
+    "_most": "of 1",
     "_m2_per_s": "m^2/s",
     "_m_per_s2": "m/s^2",
     "_m_per_s": "m/s",
@@ -229,12 +286,14 @@ def resolve(
     for key in Limits.model_fields:
         own, bound = getattr(test, key), getattr(rig, key)
         if own is not None:
-            merged[key], sources[key] = own, "test"
+            # What a test says with its rig's own words is the rig's: a resolved test does.
+            repeated = key in BEFORE_TARE and own == bound
+            merged[key], sources[key] = own, "rig" if repeated else "test"
             problems += _weaker(key, own, bound, rig_name)
         elif bound is not None:
             merged[key], sources[key] = bound, "rig"
     limits = Limits.model_construct(**merged)
-    figures = _figures(limits, sources, rest_noise_m, problems)
+    figures: dict[str, Any] = _figures(limits, sources, rest_noise_m, problems)
     for key in figures:
         sources.setdefault(key, "default")
     return Resolved(limits.model_copy(update=figures), sources, **figures)
@@ -301,21 +360,18 @@ def _weaker_limit(key: str, own: Limit, bound: Limit | None, rig_name: str) -> I
 
 def _figures(
     limits: Limits, sources: dict[str, Source], rest_noise_m: float, problems: list[Problem]
-) -> dict[str, float]:
-    """Return the six figures of paths and zeroing."""
+) -> dict[str, Any]:
+    """Return the figures of paths and zeroing, and the brake's where a file has it."""
     velocity, increment = limits.command_velocity_m_per_s, limits.command_increment_m
-    acceleration = limits.command_acceleration_m_per_s2
-    fastest, hardest = list[tuple[str, float]](), list[tuple[str, float]]()
+    fastest = list[tuple[str, float]]()
     if velocity is not None and velocity.enable:
         name = f"limits.command_velocity_m_per_s = {velocity.value:g} m/s"
         fastest.append((name, velocity.value))
     if increment is not None and increment.acts:
         name = f"limits.command_increment_m = {increment.value:g} m"
         fastest.append((name, increment.value * SAMPLE_RATE_HZ))
-    if acceleration is not None:
-        name = f"limits.command_acceleration_m_per_s2 = {acceleration:g} m/s^2"
-        hardest.append((name, acceleration))
-    return {
+    hardest = _hardest(limits)
+    figures = {
         "path_velocity_m_per_s": _path_figure(
             limits,
             "path_velocity_m_per_s",
@@ -338,7 +394,46 @@ def _figures(
         "rest_spread_m": _given(
             limits.rest_spread_m, max(LEAST_REST_SPREAD_M, REST_SPREAD_SIGMAS * rest_noise_m)
         ),
+        "tare_share_most": _given(limits.tare_share_most, DEFAULT_TARE_SHARE_MOST),
     }
+    if limits.brake_acceleration_m_per_s2 is not None:
+        key = "brake_acceleration_m_per_s2"
+        figures[key] = _path_figure(limits, key, math.inf, hardest, sources, problems)
+    return figures
+
+
+def _hardest(limits: Limits) -> list[tuple[str, float]]:
+    """Return what bounds the acceleration of a path, by name."""
+    acceleration = limits.command_acceleration_m_per_s2
+    if acceleration is None:
+        return []
+    return [(f"limits.command_acceleration_m_per_s2 = {acceleration:g} m/s^2", acceleration)]
+
+
+def with_reference(resolved: Resolved, peak_m_per_s: float, peak_m_per_s2: float) -> Resolved:
+    """Fill in what follows from the reference simulation, where no file says it.
+
+    Args:
+        resolved: the limits of test and rig.
+        peak_m_per_s: peak velocity of the reference as the phase lead makes it.
+        peak_m_per_s2: peak acceleration of the reference.
+    """
+    if resolved.brake_acceleration_m_per_s2 is None:
+        own = max(BRAKE_MARGIN * peak_m_per_s2, resolved.path_acceleration_m_per_s2)
+        brake = min([own, *(PATH_SHARE * bound for _, bound in _hardest(resolved.limits))])
+        key = "brake_acceleration_m_per_s2"
+        resolved = replace(
+            resolved,
+            limits=resolved.limits.model_copy(update={key: brake}),
+            sources={**resolved.sources, key: "default"},
+            brake_acceleration_m_per_s2=brake,
+        )
+    if resolved.limits.command_velocity_m_per_s is None:
+        least = resolved.path_velocity_m_per_s / PATH_SHARE
+        limit = VelocityLimit(value=max(VELOCITY_MARGIN * peak_m_per_s, least), action="none")
+        derived = {**resolved.derived, "command_velocity_m_per_s": limit}
+        resolved = replace(resolved, derived=derived)
+    return resolved
 
 
 def _given(value: float | None, default: float) -> float:

@@ -521,7 +521,9 @@ class Link(Table):
     """Where commands go and readings come from in a test in real time.
 
     ``bitrate`` of CAN absent: whatever the interface has; of a serial line absent: 921600 baud.
-    ``dbc`` is relative to the rig file. ``lead_us`` is read with ``clock = "link"`` alone.
+    ``dbc`` is relative to the rig file; ``reset_state`` is the raw value of its state signal by
+    which the drive is reset after a stop of its own. ``lead_us`` is read with ``clock = "link"``
+    alone.
     """
 
     checks: ClassVar[tuple[Check, ...]] = (
@@ -540,6 +542,15 @@ class Link(Table):
                 else None
             ),
         ),
+        Check(
+            "reset_state",
+            ("dbc", "reset_state"),
+            lambda dbc, reset_state: (
+                "is a state in a DBC file, and none is given; add dbc, or leave it out"
+                if reset_state is not None and dbc is None
+                else None
+            ),
+        ),
     )
 
     kind: LinkKind
@@ -552,6 +563,9 @@ class Link(Table):
     ) = None
     dbc: Annotated[str, _words("the DBC file")] | None = None
     names: SignalNames = Field(default_factory=dict)
+    reset_state: Annotated[int, Count(8, 2**32 - 1, "the state that resets the drive")] | None = (
+        None
+    )
     clock: Literal["host", "link", "stepped"] = "host"
     lead_us: Annotated[float, Range("us", 20, 480, "the lead of the feedback before its tick")] = (
         200.0

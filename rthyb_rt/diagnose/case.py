@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.simulate import ActuatorModel, Hold
+from rthyb_rt.recording import FLAGS, STATES
 
 if TYPE_CHECKING:
     from rthyb_rt.config import RigFile
@@ -149,6 +150,23 @@ class Case:
     def dt(self) -> float:
         """Sampling period, s."""
         return 1.0 / self.model.fs_hz
+
+    @property
+    def tare_error_n(self) -> float:
+        """Standard error of the force's zero in a recording of this program, N; 0: not known.
+
+        The zero is a mean over rows at rest: what it is off by is no fault of the load cell.
+        """
+        if self.own is None:
+            return 0.0
+        rows = self.own.samples
+        zeroed = np.flatnonzero(rows["state"] == STATES.index("ZEROED"))
+        taken = rows[: zeroed[0]] if zeroed.size else rows[:0]
+        taken = taken[(taken["flags"] & FLAGS["fresh"]) != 0]
+        values = self.own.replay.parameters[0]["values"] if self.own.replay.parameters else {}
+        ticks = int(values.get("station", {}).get("tare_ticks", 0))
+        readings = taken["f_read_n"][-ticks:]
+        return float(readings.std(ddof=1) / np.sqrt(readings.size)) if readings.size > 2 else 0.0
 
     def get(self, name: str) -> Floats | None:
         """Return a channel, or None."""

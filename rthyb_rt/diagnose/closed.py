@@ -13,11 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt import config, core, experiment
+from rthyb_rt import config, core, endings, experiment, trips, virtual_time
 from rthyb_rt.diagnose.case import Floats, Model
 from rthyb_rt.diagnose.predict import nrmse
 from rthyb_rt.errors import InputError
-from rthyb_rt.recording import FLAGS, Recording
+from rthyb_rt.experiment import Setup
+from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.recording import FLAGS, RUNNING, Recording
+from rthyb_rt.virtual_time import Bench
 
 Law = Callable[[float, float], float]
 
@@ -75,18 +78,9 @@ def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = Non
     """
     if rec.meta.get("interrupted"):
         raise InputError("the test was held and resumed: its ground motion does not run through")
-    test = config.parse_test(rec.test_toml, "recording: test")
-    rig = config.parse_rig(rec.rig_toml, "recording: rig")
-    derived = config.derive(test, rig)
     mask = rec.running()
     count = int(mask.sum())
-    ag = np.zeros(count)
-    known = rec.ag_mps2[:count]
-    ag[: known.size] = known
-    moving = np.flatnonzero(rec.ag_mps2)
-    end_tick = int(moving[-1]) + 1 if moving.size else count
-    settings = experiment.controller_config(test, rig, derived, end_tick)
-    state = rec.replay.controller_state if rec.meta.get("clock") == "virtual" else b""
+    setup, settings = _as_recorded(rec, count)
     recorded = _signals(rec.samples[mask])
     notes: list[str] = []
     runs = []
@@ -94,12 +88,15 @@ def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = Non
         ("the model as given", given, None), ("what was found", augmented, law),
     ):  # fmt: skip
         virtual = experiment.rig_config(config.parse_rig(text, name))
-        samples, status = _run(settings, state, virtual, ag, beside)
+        bench = Bench(setup, virtual, settings) if beside is None else _Beside(
+            setup, virtual, settings, beside
+        )  # fmt: skip
+        virtual_time.conduct(bench)
+        samples = bench.rows[bench.rows["state"] == RUNNING]
         if samples.size < count:
-            reason = ", ".join(n for n in core.status_names(status) if n not in ("trip", "limited"))
+            why = trips.figures(*bench.causing) or endings.in_words(bench.causing[0])
             notes.append(
-                f"simulated with {name}, the test ends at {samples.size / rec.fs_hz:.2f} s: "
-                f"{reason.replace('_', ' ') or 'tripped'}"
+                f"simulated with {name}, the test ends at {samples.size / rec.fs_hz:.2f} s: {why}"
             )
         made = _signals(samples)
         runs.append({k: np.r_[v, np.full(count - v.size, np.nan)] for k, v in made.items()})
@@ -110,44 +107,58 @@ def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = Non
     )  # fmt: skip
 
 
-def _run(
-    settings: core.ControllerConfig,
-    state: bytes,
-    rig: core.RigConfig,
-    ag: Floats,
-    law: Law | None,
-) -> tuple[core.RecordArray, int]:
-    controller = core.Controller(settings)
-    if state:
-        controller.restore(state)
-    samples = np.zeros(ag.size, dtype=core.RECORD_DTYPE)
-    if law is not None:
-        return _stepped(controller, core.Rig(rig), ag, samples, law)
-    done, status = controller.run_virtual(core.Rig(rig), ag, samples)
-    return samples[:done], status
+def _as_recorded(rec: Recording, count: int) -> tuple[Setup, core.StationConfig | None]:
+    """Return the recorded test, so long, and its station's settings where they were recorded."""
+    test = config.parse_test(rec.test_toml, "recording: test")
+    rig = config.parse_rig(rec.rig_toml, "recording: rig")
+    derived = config.derive(test, rig)
+    ag = np.zeros(count)
+    known = rec.ag_mps2[:count]
+    ag[: known.size] = known
+    moving = np.flatnonzero(rec.ag_mps2)
+    end_tick = int(moving[-1]) + 1 if moving.size else count
+    setup = Setup(
+        test=test,
+        rig=rig,
+        derived=derived,
+        motion=GroundMotion("recorded", "recording", core.PERIOD_S, ag),
+        ag_mps2=ag,
+        controller=experiment.controller_config(test, rig, derived, end_tick),
+        virtual_rig=experiment.rig_config(rig),
+    )
+    first = rec.replay.parameters[0]["values"] if rec.replay.parameters else {}
+    stated = core.StationConfig.of(first["station"]) if "station" in first else None
+    return setup, stated
 
 
-def _stepped(
-    controller: core.Controller,
-    rig: core.Rig,
-    ag: Floats,
-    samples: core.RecordArray,
-    law: Law,
-) -> tuple[core.RecordArray, int]:
-    """Run sample by sample, with a force of Python's beside the specimen's."""
-    before, status = rig.true_displacement_m, 0
-    for n, excitation in enumerate(ag.tolist()):
-        x, f, _ = rig.step(controller.x_cmd_m)
-        now = rig.true_displacement_m
-        f += law(now, (now - before) / core.PERIOD_S)
-        before = now
-        sample = controller.step(x, f, excitation)
-        for key in SIGNALS.values():
-            samples[key][n] = sample.record[key]
-        status |= sample.status
-        if status & core.STATUS["trip"]:
-            return samples[: n + 1], status
-    return samples, status
+class _Beside(Bench):
+    """The same with a force of Python's beside the specimen's, sample by sample."""
+
+    def __init__(
+        self, setup: Setup, rig: core.RigConfig, settings: core.StationConfig | None, law: Law
+    ) -> None:
+        super().__init__(setup, rig, settings)
+        self._rig, self._law = core.Rig(rig), law
+        self._command_m = 0.0
+        self._was_m = self._rig.true_displacement_m
+
+    def _fill(self, rows: core.RecordArray, command: core.Command) -> int:
+        state = self.state
+        for n in range(rows.size):
+            x_m, f_n, _ = self._rig.step(self._command_m)
+            now_m = self._rig.true_displacement_m
+            f_n += self._law(now_m, (now_m - self._was_m) / core.PERIOD_S)
+            self._was_m = now_m
+            first = self._command_m if self.run.station.ticks == 0 else None
+            tick = self.run.station.tick(x_m, f_n, command=command, taken_over_m=first)
+            rows[n] = tick.records[-1]
+            self._command_m = tick.x_cmd_m if tick.sent else self._command_m
+            command = "none"
+            if tick.state != state or self.zeroing_failed:
+                if (state, tick.state) == ("RAMP_IN", "RUNNING"):
+                    self._rig.reseed()  # as the core does it
+                return n + 1
+        return int(rows.size)
 
 
 def _signals(samples: core.RecordArray) -> dict[str, Floats]:

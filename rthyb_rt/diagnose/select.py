@@ -140,6 +140,8 @@ class Problem:
             yield Nuisance("inertia", ctx.a, None)
         if quasi(self.case):
             return
+        if "f_meas" in self.case.channels and self.case.tare_error_n:
+            yield Nuisance("bias", np.ones_like(ctx.t), self.case.tare_error_n)
         if model.k_tol is not None and not self.estimate.exact:
             # An estimated acceleration is a little too small: no finding about the mass.
             mass = model.moving_mass + (model.mass if model.family == "ground" else 0.0)

@@ -24,6 +24,13 @@ if TYPE_CHECKING:
 NONE_NAME: Final = "not_a_number"
 """In a signal's value table: the raw value by which a device says that it has no number."""
 
+RESET_NAME: Final = "reset"
+LEAVING_NAME: Final = "leaving"
+"""In the value table of ``state``: what a drive is told beside the controller's own states."""
+
+OWN_STATES: Final = 8
+"""Raw values of ``state`` below this are the controller's own states."""
+
 EXACT_BITS: Final = 53
 """Bits of a whole number that a double still holds."""
 
@@ -52,7 +59,9 @@ ROLES: Final[dict[str, Role]] = {
     "seq": Role(lib.RTHYB_FIELD_SEQ, None, 4, "the command's sequence number"),
     "state": Role(lib.RTHYB_FIELD_STATE, None, 0, "the controller's state"),
     "echo": Role(lib.RTHYB_FIELD_ECHO, None, 0, "the sequence number that the drive applied"),
-    "count": Role(lib.RTHYB_FIELD_COUNT, None, 4, "the drive's count of samples"),
+    "count": Role(
+        lib.RTHYB_FIELD_COUNT, None, lib.RTHYB_COUNT_BITS_MIN, "the drive's count of samples"
+    ),
     "status": Role(lib.RTHYB_FIELD_STATUS, None, 0, "the device's status bits"),
     "crc8": Role(-1, None, 0, "the checksum"),
 }
@@ -63,25 +72,30 @@ _LEADS: Final = {
 }
 
 
-def load(path: str | Path, names: Mapping[str, str] | None = None) -> Codec:
+def load(
+    path: str | Path, names: Mapping[str, str] | None = None, reset_state: int | None = None
+) -> Codec:
     """Return the codec of the command and feedback frames that a DBC file describes.
 
     Args:
         path: the DBC file.
         names: what a signal is called in the file where it is not the name in `ROLES`, as
             ``{"x_cmd": "SetPos"}`` or, where several frames have it, ``{"x_cmd": "DRIVE.SetPos"}``.
+        reset_state: raw value of ``state`` by which the drive is reset after a stop of its own;
+            None: what the file's value table calls `RESET_NAME`, if anything.
 
     Raises:
         InputError: with every fault at once: cantools missing, no such file, not a DBC, a signal
             missing or ambiguous, of the wrong unit, kind or size, or multiplexed.
     """
-    return _Reader(Path(path), names or {}).codec()
+    return _Reader(Path(path), names or {}, reset_state).codec()
 
 
 class _Reader:
-    def __init__(self, path: Path, names: Mapping[str, str]) -> None:
+    def __init__(self, path: Path, names: Mapping[str, str], reset_state: int | None) -> None:
         self.path = path
         self.names = names
+        self.reset_state = reset_state
         self.problems: list[Problem] = []
         self.found: set[str] = set()
 
@@ -99,6 +113,12 @@ class _Reader:
             if message is not None:
                 frames[lead] = message.name
                 self.fill_message(getattr(struct, part), message, lead)
+                if lead == "x_cmd":
+                    self.fill_told(struct, message)
+        if self.reset_state is not None and "state" not in self.found:
+            self.fault(
+                frames.get("x_cmd", ""), "has no state that link.reset_state could be sent in"
+            )
         if frames.get("x_cmd", "") in (frames.get("x_meas"), frames.get("f_meas")):
             self.fault(frames["x_cmd"], "holds command and feedback; they need a frame each")
         for role, name in self.names.items():
@@ -193,6 +213,27 @@ class _Reader:
             self.fault(message.name, f"a start value does not fit its signal: {error}")
             return
         ffi.memmove(c.fill, data, len(data))
+
+    def fill_told(self, struct: Any, message: Message) -> None:
+        """Note by which raw states the drive is reset, and left."""
+        signal = next((s for s in message.signals if s.name == self.name("state")[1]), None)
+        if signal is None:
+            return
+        named = {str(text).lower(): int(raw) for raw, text in (signal.choices or {}).items()}
+        reset = named.get(RESET_NAME) if self.reset_state is None else self.reset_state
+        leaving = named.get(LEAVING_NAME)
+        most = 2**signal.length - 1
+        for raw, name in ((reset, RESET_NAME), (leaving, LEAVING_NAME)):
+            if raw is not None and not OWN_STATES <= raw <= most:
+                where = f"{message.name}.{signal.name}"
+                self.fault(
+                    where,
+                    f"found {raw} for {name}; 0 to {OWN_STATES - 1} are the controller's own "
+                    f"states, and {signal.length} bits hold {most} at most",
+                )
+        if reset is not None and reset == leaving:
+            self.fault(message.name, f"found {reset} for {RESET_NAME} and for {LEAVING_NAME}")
+        struct.reset, struct.leaving = reset or 0, leaving or 0
 
     def fill_crc(self, c: Any, signal: Signal, where: str) -> None:
         top = signal.start if signal.byte_order == "big_endian" else signal.start + 7

@@ -57,4 +57,4 @@ def _codec(wanted: Link, folder: Path | None) -> wire.Codec:
     if not wanted.dbc:
         return wire.can()
     names = {str(role): name for role, name in wanted.names.items()}
-    return dbc.load((folder or Path()) / wanted.dbc, names)
+    return dbc.load((folder or Path()) / wanted.dbc, names, wanted.reset_state)

@@ -26,6 +26,9 @@ COBS_MAX: Final = 253
 DEVICE_STOPPED: Final[int] = lib.RTHYB_DEVICE_STOPPED
 DEVICE_INVALID: Final[int] = lib.RTHYB_DEVICE_INVALID
 
+TOLD: Final[dict[int, str]] = {lib.RTHYB_TOLD_RESET: "RESET", lib.RTHYB_TOLD_LEAVING: "LEAVING"}
+"""What a command may say in the place of the controller's state, by its number."""
+
 LOST: Final[int] = lib.RTHYB_LOST
 _NOT_FINITE: Final[int] = lib.RTHYB_S_NOT_FINITE
 _WORD: Final = 0xFFFF_FFFF
@@ -66,7 +69,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Setpoint:
-    """A command: displacement, sequence number, state of the controller (its number)."""
+    """A command: displacement, sequence number, state of the controller (its number, or `TOLD`)."""
 
     x_m: float
     seq: int = 0
@@ -91,7 +94,6 @@ class Feedback:
     Attributes:
         lost: 0 for a fresh pair, else `LOST` with the ``core.STATUS`` bits that refused a reading.
         x_m, f_n: newest pair, 0 before the first.
-        x_raw, f_raw: the same in 1 nm and 1 mN.
         echo, count, status: as the drive sent them.
         delay: samples between the command for this tick and the one that the drive had applied at
             the instant of the pair; ``None`` while that is not known.
@@ -102,8 +104,6 @@ class Feedback:
     lost: int
     x_m: float
     f_n: float
-    x_raw: int
-    f_raw: int
     echo: int
     count: int
     status: int
@@ -149,6 +149,20 @@ class Codec:
         self._setpoint = ffi.new("rthyb_setpoint *")
         self._reading = ffi.new("rthyb_reading *")
 
+    @classmethod
+    def of(cls, table: bytes) -> Codec:
+        """Return the codec that `table` is of; raises ``CoreError`` if it is of none."""
+        struct = ffi.new("rthyb_codec *")
+        if len(table) != ffi.sizeof(struct[0]):
+            raise CoreError("the table of signals is not one of this version")
+        ffi.memmove(struct, table, len(table))
+        return cls(struct)
+
+    @property
+    def table(self) -> bytes:
+        """All that it knows, for a recording."""
+        return bytes(ffi.buffer(self.struct))
+
     @property
     def is_serial(self) -> bool:
         """Whether frames are bytes of a serial line."""
@@ -178,6 +192,11 @@ class Codec:
         feedback = (self.struct.displacement, self.struct.force)
         status = lib.RTHYB_FIELD_STATUS
         return not self._by_table or any(part.field[status].length for part in feedback)
+
+    @property
+    def has_reset(self) -> bool:
+        """Whether a drive that has stopped by itself can be told to follow again."""
+        return not self._by_table or bool(self.struct.reset)
 
     @property
     def _by_table(self) -> bool:
@@ -304,8 +323,6 @@ class Wire:
             lost=lost,
             x_m=c.x_m,
             f_n=c.f_n,
-            x_raw=c.x_raw,
-            f_raw=c.f_raw,
             echo=c.echo,
             count=c.count,
             status=c.status,

@@ -149,8 +149,13 @@ class Commander:
         self._socket = socket
         self._token = ""
 
-    async def give(self, name: str, opened: Pass) -> str:
+    async def give(self, name: str, opened: Pass, digest: str = "") -> str:
         """Give a command; return what became of it, in words.
+
+        Args:
+            name: of `NEEDS`.
+            opened: what the page's token opens.
+            digest: of the test that the page shows: that one is armed, or none.
 
         Raises:
             RthybError: it is refused, here or there.
@@ -164,13 +169,12 @@ class Commander:
             )
         if self._socket is None:
             raise RthybError("no service is behind this page: only rthyb serve takes commands")
-        return await asyncio.to_thread(self._give, self._socket, name)
+        return await asyncio.to_thread(self._give, self._socket, name, digest)
 
-    def _give(self, socket: Path, name: str) -> str:
+    def _give(self, socket: Path, name: str, digest: str) -> str:
         with Client(socket, _COMMAND_S) as client:
             if name == "arm":
-                test = client.call("GetStatus")["status"]["test"] or {}
-                found = client.call("Arm", digest=str(test.get("digest", "")))
+                found = client.call("Arm", digest=digest)
                 self._token = found["token"]
                 return f"Armed for {found['timeout_s']:g} s"
             if name == "start":
@@ -254,13 +258,13 @@ class Page:
             # Not with the next beat only: whoever drags a window sees it move.
             await self._send_frames()
         elif isinstance(said.get("command"), str):
-            await self._command(said["command"])
+            await self._command(said["command"], str(said.get("digest", "")))
         else:
             raise ValueError("neither view nor command")
 
-    async def _command(self, name: str) -> None:
+    async def _command(self, name: str, digest: str) -> None:
         try:
-            text, good = await self._commander.give(name, self._opened), True
+            text, good = await self._commander.give(name, self._opened, digest), True
         except RthybError as error:
             text, good = str(error), False
         answer = {"kind": "answer", "command": name[:20], "ok": good, "text": text}

@@ -6,16 +6,18 @@ import contextlib
 import os
 import time
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import core, realtime, ring
+from rthyb_rt import core, realtime, recording, ring, summary, trips
+from rthyb_rt.attention import WINDOW_S, Judge, Subject
+from rthyb_rt.endings import in_words
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.live.history import CHANNELS, History, Tally, channels
-from rthyb_rt.realtime.endings import in_words
 from rthyb_rt.recording import RUNNING, STATES, Recording, open_run
 from rthyb_rt.service.control import SOCKET, Client, Refusal, UnreachableError
 from rthyb_rt.service.peers import Peer, Rights, Role
@@ -93,7 +95,7 @@ def open_source(where: Path | None, service: Path) -> Source:
 def _of_user(service: Path) -> Source:
     if service.is_socket():
         return LiveSource(service.parent, service)
-    folder = ring.default_folder()
+    folder = ring.trusted(ring.default_folder())
     if ring.find(folder):
         return LiveSource(folder, None)
     raise InputError(
@@ -126,6 +128,31 @@ def _identity(path: Path) -> _Identity | None:
     return found.st_dev, found.st_ino
 
 
+@dataclass(frozen=True)
+class _Session:
+    """What a ring's test is judged by.
+
+    Attributes:
+        identity: of the ring.
+        setup: what its files say.
+        subject: the same, for the judge.
+        x_ref_m: the reference simulation, empty without one, shape (n,).
+    """
+
+    identity: _Identity
+    setup: summary.Setup
+    subject: Subject
+    x_ref_m: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, rec: Recording, identity: _Identity) -> _Session:
+        """Return it from the session beside the ring."""
+        setup = summary.setup(rec)
+        none = np.zeros(0)
+        x_ref_m = none if rec.reference is None else rec.reference["x_ref_m"]
+        return cls(identity, setup, summary.subject(setup, rec.fs_hz), x_ref_m)
+
+
 class LiveSource:
     """Rows of a ring as they come, and of the rings that follow it.
 
@@ -155,6 +182,10 @@ class LiveSource:
         self._client: Client | None = None
         self._service: dict[str, Any] | None = None
         self._cause: tuple[_Identity | None, str] = (None, "")
+        self._session: _Session | None = None
+        self._judge: Judge | None = None
+        self._whole, self._judged = False, 0
+        self._attended: tuple[float, list[str]] = (-WINDOW_S, [])
         self.look()
 
     # ---- rows -----------------------------------------------------------------------------------
@@ -201,6 +232,13 @@ class LiveSource:
         self._at_rest = service is not None and not service["run_id"]
         if not self._at_rest:
             self._tally, self._began = Tally(), False
+            session = self._session
+            self._judge = None
+            if session is not None and session.identity == seen:
+                self._judge = Judge(session.subject)
+            # From the first row on, or nobody knows which row of the reference belongs to which.
+            self._whole, self._judged = reader.next == 0, 0
+            self._attended = (-WINDOW_S, [])
         elif self.history.size:
             # Rest of long ago lies before the test that has ended.
             while reader.read(_CHUNK).samples.size:
@@ -217,7 +255,19 @@ class LiveSource:
                 rows = rows[rows["state"] != _TRIPPED]
             else:
                 self._tally.add(rows)
+                self._weigh(rows)
             self._take(rows)
+
+    def _weigh(self, rows: NDArray[np.void]) -> None:
+        """Judge the rows of the test proper; with its reference, unless rows have been missed."""
+        judge, session, reader = self._judge, self._session, self._reader
+        if judge is None or session is None or reader is None:
+            return
+        running = rows[rows["state"] == RUNNING]
+        self._whole = self._whole and reader.lost == 0
+        reference = session.x_ref_m[self._judged : self._judged + running.size]
+        judge.add(running, reference if self._whole else None)
+        self._judged += running.size
 
     def _take(self, rows: NDArray[np.void]) -> None:
         """Put rows behind those that are there; another station counts its ticks anew."""
@@ -253,6 +303,7 @@ class LiveSource:
             self._wanted = self._place
         if self._wanted is not None and (self.socket is None or self._service is not None):
             self._seen = _identity(self._wanted)
+            self._find_session(self._wanted, self._seen)
         if self._service is None:
             self._find_cause()
 
@@ -273,6 +324,15 @@ class LiveSource:
         if client is not None:
             client.close()
 
+    def _find_session(self, path: Path, seen: _Identity | None) -> None:
+        """Read what a ring's test is to be judged by."""
+        if seen is None or (self._session is not None and self._session.identity == seen):
+            return
+        # It may not be for everybody to read, or gone by now: then nothing is judged.
+        with contextlib.suppress(RthybError, OSError):
+            rec = recording.read(ring.session_path(path), rows=False)
+            self._session = _Session.of(rec, seen)
+
     def _find_cause(self) -> None:
         """Compute what no row says: which limit it was."""
         path, held, (known, cause) = self._wanted, self._held, self._cause
@@ -282,8 +342,8 @@ class LiveSource:
             return
         # Its process may be writing beside it; what is not there now comes later.
         with contextlib.suppress(RthybError):
-            found = realtime.first_cause(ring.recover(path).recording)
-            self._cause = (held, "" if found == "none" else found)
+            cause, *met = realtime.first_cause(ring.recover(path).recording)
+            self._cause = (held, "" if cause == "none" else _words(cause, *met))
 
     @property
     def state(self) -> str:
@@ -302,7 +362,7 @@ class LiveSource:
             known, cause = self._cause
             told |= {
                 "state": self.state,
-                "cause": in_words(cause) if cause and known == self._held else "",
+                "cause": cause if known == self._held else "",
                 "test": "" if self._wanted is None else self._wanted.name,
                 "ended": self._reader is not None and not self._reader.alive,
                 "end_reason": self._end(),
@@ -316,9 +376,23 @@ class LiveSource:
             "flows": still_s < _STILL_S,
             "still_s": still_s,
             "role": "" if self.socket is None else _role(self.socket),
+            "attention": self._attention(),
             "counters": [*_counters(self._tally), *told["counters"]],
             "wake": _wake(self._tally),
         }
+
+    def _attention(self) -> list[str]:
+        """Return what is wrong with the test so far, in sentences."""
+        judge, session = self._judge, self._session
+        if judge is None or session is None:
+            return []
+        # Figures that change four times a second nobody can read, or have read out.
+        now, (since, told) = time.monotonic(), self._attended
+        if now - since >= WINDOW_S:
+            found = judge.findings(over=self.state in ("IDLE", "TRIPPED"))
+            told = [summary.attention_in_words(one, session.setup, found) for one in found]
+            self._attended = (now, told)
+        return told
 
     def _end(self) -> str:
         reader = self._reader
@@ -371,6 +445,7 @@ def _nothing() -> dict[str, Any]:
         "link": "",
         "progress": None,
         "indicated": [],
+        "attention": [],
         "armed_by": "",
         "last": None,
         "counters": [],
@@ -385,7 +460,9 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
     progress = found["progress"]
     return _nothing() | {
         "state": found["state"],
-        "cause": "" if cause in ("none", "completed") else in_words(cause),
+        "cause": ""
+        if cause in ("none", "completed")
+        else found.get("cause_in_figures") or in_words(cause),
         "allowed": found["allowed"],
         "rig": found["rig"],
         "test": "" if test is None else test["name"],
@@ -401,6 +478,11 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
         "counters": list(_recorder(found["recorder"])),
         "now": None if found["newest"] is None else _now(found["newest"]),
     }
+
+
+def _words(cause: str, value: float, limit: float) -> str:
+    """Return a cause as people say it, with its figures where it has any."""
+    return trips.figures(cause, value, limit) or in_words(cause)
 
 
 def _now(newest: Any) -> list[float | None]:
@@ -498,6 +580,8 @@ class PastSource:
             # Nobody woke for these ticks: they were computed.
             self._tally.forget_waking()
         self._rec = rec
+        self._found = summary.summarize(rec)
+        self._alarms = [n.text for n in summary.notices(self._found) if n.level == "alarm"]
 
     def poll(self) -> None:
         """Nothing comes."""
@@ -516,11 +600,11 @@ class PastSource:
     def status(self) -> dict[str, Any]:
         """Return what there is to say besides the rows."""
         meta = self._rec.meta
-        facts = meta.get("real_time")
-        cause = facts.get("cause", "") if isinstance(facts, dict) else ""
+        cause = "" if self._found.ended_by is None else self._found.ended_by.cause
         told = _nothing() | {
             "state": self.state,
-            "cause": "" if cause in ("", "none", "completed") else in_words(cause),
+            "cause": self._found.ending or (in_words(cause) if cause else ""),
+            "attention": self._alarms,
             "test": str(meta.get("test_name", "")),
             "ended": True,
             "end_reason": str(meta.get("end_reason", "")),

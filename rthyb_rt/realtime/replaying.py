@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -9,41 +10,48 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import config, core, experiment
-from rthyb_rt.config import RigFile
+from rthyb_rt.config import RigFile, TestFile
 from rthyb_rt.errors import InputError
 from rthyb_rt.experiment import Setup
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.links import wire
 from rthyb_rt.links.wire import Codec
-from rthyb_rt.recording import FLAGS, Recording
+from rthyb_rt.recording import FLAGS, Recording, require_replayable
 
 
 def replay(rec: Recording) -> experiment.Replay:
-    """Run all that a test in real time was told through a fresh station, and compare every field.
+    """Run all that a test was told through a fresh station, and compare every field.
 
     Skipped ticks at the very end, whose next executed one is not in the recording, are left out:
     a black box may be full there, and a process killed.
 
     Raises:
-        InputError: the configuration cannot be read by this version, or rows are missing.
+        InputError: another version has recorded it, its configuration cannot be read by this one,
+            or rows are missing.
     """
     rows, rec, _ = _rerun(rec)
     return experiment.compare(rec, _padded(rows, rec.samples.size))
 
 
-def first_cause(rec: Recording) -> str:
-    """Return what took a test off its course, "none" if nothing did: a fresh station's finding.
+def first_cause(rec: Recording) -> tuple[str, float, float]:
+    """Return what took a test off its course, by a fresh station's finding.
 
     For rows of a test that still runs, or whose process has not said it.
 
+    Returns:
+        The cause, "none" if nothing did, the value that was met and the limit's, SI; both 0 where
+        the cause has no number.
+
     Raises:
-        InputError: the configuration cannot be read by this version, or rows are missing.
+        InputError: another version has recorded it, its configuration cannot be read by this one,
+            or rows are missing.
     """
-    return _rerun(rec)[2].cause
+    station = _rerun(rec)[2]
+    return station.cause, station.cause_value, station.cause_limit
 
 
 def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
     """Return the rows that a fresh station computes, of which recording, and the station then."""
+    require_replayable(rec)
     own = np.flatnonzero((rec.samples["flags"] & FLAGS["blind"]) == 0)
     rec = replace(rec, samples=rec.samples[: own[-1] + 1 if own.size else 0])
     ticks = rec.samples["tick"]
@@ -55,34 +63,38 @@ def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
         )
     test = config.parse_test(rec.test_toml, "recording: test")
     rig = config.parse_rig(rec.rig_toml, "recording: rig")
-    derived = config.derive(test, rig)
     first, *later = rec.replay.parameters
-    end_tick = int(first["values"]["rfc_end_tick"])
+    station = core.Station(_settings(rec, test, rig, first["values"]), rec.ag_mps2)
+    published = [(int(one["generation"]), _parameters(one["values"])) for one in later]
+    codec = Codec.of(rec.replay.codec) if rec.replay.codec else None
+    rows = station.replay(rec.samples, codec, experiment.calibration(rig), published)
+    return rows, rec, station
+
+
+def _settings(
+    rec: Recording, test: TestFile, rig: RigFile, values: Mapping[str, Any]
+) -> core.StationConfig:
+    """Return the settings that a recording began with: as it states them, else as they follow."""
+    if "station" in values:
+        return core.StationConfig.of(values["station"])
+    derived = config.derive(test, rig)
+    # Before settings were recorded there were no limits but those of the files.
+    derived = replace(derived, limits=replace(derived.limits, derived={}))
     setup = Setup(
         test=test,
         rig=rig,
         derived=derived,
         motion=GroundMotion("recorded", "recording", core.PERIOD_S, rec.ag_mps2),
         ag_mps2=rec.ag_mps2,
-        controller=experiment.controller_config(test, rig, derived, end_tick),
+        controller=experiment.controller_config(test, rig, derived, int(values["rfc_end_tick"])),
         virtual_rig=experiment.rig_config(rig),
     )
-    station = core.Station(experiment.station_config(setup), rec.ag_mps2)
-    published = [(int(one["generation"]), _parameters(one["values"])) for one in later]
-    rows = station.replay(rec.samples, _codec(rig), experiment.calibration(rig), published)
-    return rows, rec, station
+    return experiment.station_config(setup)
 
 
 def _parameters(values: dict[str, Any]) -> core.Parameters:
     watches = {name: core.Watch(**watch) for name, watch in values["watches"].items()}
     return core.Parameters(**(values | {"watches": watches}))
-
-
-def _codec(rig: RigFile) -> Codec | None:
-    """Return the frames of a link; None where a DBC file would be needed: the rows then tell."""
-    if rig.link is None or rig.link.kind == "serial":
-        return wire.can() if rig.link is None else wire.serial()
-    return wire.can() if rig.link.dbc is None else None
 
 
 def _padded(rows: NDArray[np.void], count: int) -> NDArray[np.void]:

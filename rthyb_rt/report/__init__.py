@@ -6,14 +6,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+from rthyb_rt.numbers import percent, quantity
 from rthyb_rt.recording import Recording, replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
 from rthyb_rt.summary import (
     Summary,
     key_figures,
     notices,
-    percent,
-    quantity,
     summarize,
     table,
     verdict,
@@ -59,12 +58,14 @@ def render(rec: Recording) -> str:
 
         template = environment().get_template("report.html.j2")
     summary = summarize(rec)
+    told = notices(summary)
     return template.render(
         s=summary,
         title=summary.test_name or "Hybrid test",
         figures_of_test=key_figures(summary),
         verdict=verdict(summary),
-        notices=notices(summary),
+        alarms=[notice for notice in told if notice.level == "alarm"],
+        notes=[notice for notice in told if notice.level == "note"],
         pairs=_pairs(summary),
         rows=_rest(summary),
         sheets=sheets(draw_all(rec, summary)),

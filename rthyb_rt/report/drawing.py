@@ -17,8 +17,8 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import offset_copy
 from numpy.typing import NDArray
 
+from rthyb_rt.numbers import number
 from rthyb_rt.report.decimate import envelope, robust_limit, trace
-from rthyb_rt.summary import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,10 +10,11 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rthyb_rt import measures
+from rthyb_rt.numbers import number, quantity
 from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
 from rthyb_rt.report import drawing as draw
 from rthyb_rt.report.decimate import robust_limit
-from rthyb_rt.summary import Summary, number, quantity, reference_pair, stiffness_shares
+from rthyb_rt.summary import Summary, reference_pair, stiffness_shares
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

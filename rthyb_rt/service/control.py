@@ -506,13 +506,7 @@ class _Conversation:
 
     async def _large_message(self) -> bytes | None:
         """Read on where a test may be loaded: for whom, when, and one at a time."""
-        for name, method in self._dispatcher.methods.items():
-            if method.large:
-                self._dispatcher.require(self._peer, method.role, f"a request this long ({name})")
-                try:
-                    method.may_begin()
-                except StateError as error:
-                    raise _refused(error) from error
+        self._check_large()
         if self._server._large.locked():
             raise limited("another test is being loaded; try again")
         async with self._server._large:
@@ -525,7 +519,24 @@ class _Conversation:
                     raise limited(f"a request is {LOAD_BYTES} bytes long at most")
                 if not await self._receive(end - time.monotonic()):
                     return None
+            # To take it apart keeps this thread, which gives the sign of life, for a while: not
+            # where a motion has begun since. None can meanwhile, for START comes through here.
+            self._check_large()
             return self._cut()
+
+    def _check_large(self) -> None:
+        """Refuse a request this long from whom, or when, none may be loaded.
+
+        Raises:
+            ReplyError: it is refused.
+        """
+        for name, method in self._dispatcher.methods.items():
+            if method.large:
+                self._dispatcher.require(self._peer, method.role, f"a request this long ({name})")
+                try:
+                    method.may_begin()
+                except StateError as error:
+                    raise _refused(error) from error
 
     def _cut(self) -> bytes:
         at = self._buffer.index(b"\0")
@@ -564,6 +575,8 @@ def encode(document: dict[str, Any]) -> bytes:
 
 
 def _remove_abandoned(path: Path) -> None:
+    if path.is_symlink():
+        raise RthybError(f"{path}: leads elsewhere; remove it, or name another with --socket")
     if not path.is_socket():
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:

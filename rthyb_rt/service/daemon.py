@@ -58,6 +58,10 @@ SCHEMA: Final = "rthyb-status/1"
 TRIPPED: Final = 6
 """Exit status after a second signal, or a trip on the way out."""
 
+_PRIVILEGES: Final = (
+    "LimitRTPRIO=80 and LimitMEMLOCK=infinity in its unit give both, link.require_realtime = false "
+    "in the rig file does without"
+)
 _STATUS_S: Final = 1.0
 _METRICS_S: Final = 5.0
 _STEPPED_S: Final = 0.001
@@ -193,7 +197,9 @@ class Daemon:
         # Load, zero and reload come one at a time; each further thread would be a locked stack.
         asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(1, "prepare"))
         self.engine.start()
-        self.engine.check_privileges(self.options.require_realtime)
+        self.engine.check_privileges(
+            log.warning, required=self.options.require_realtime, hint=_PRIVILEGES
+        )
         server = ControlServer(self.options.socket, self.dispatcher, self.options.limits)
         await server.start()
         self._server = server
@@ -250,6 +256,8 @@ class Daemon:
             words += f", {name} {done / core.FS_HZ:.0f} of {ticks / core.FS_HZ:.0f} s"
         elif self.engine.loaded is not None:
             words += f", {self.engine.loaded.setup.test.test.name} loaded"
+        if self.engine.state == "IDLE" and self.engine.stays_stopped():
+            words += "; the drive has stopped by itself: look why, then rthyb ctl reset"
         if self._told_fault:
             words += f"; {self._told_fault}"
         return f"STATUS={words}"
@@ -470,7 +478,7 @@ class Daemon:
             self._check_recorder(run.setup.ticks)
             token = self.engine.arm(given["digest"], peer.name)
         log.info("armed by %s", peer.name)
-        return {"token": token, "timeout_s": run.station_config.armed_ticks / core.FS_HZ}
+        return {"token": token, "timeout_s": run.config.armed_ticks / core.FS_HZ}
 
     async def _start(self, peer: Peer, given: dict[str, Any]) -> dict[str, Any]:
         with self._alone("start"):
@@ -565,9 +573,12 @@ class Daemon:
             "state": engine.state,
             "states": list(STATES),
             "cause": engine.loop.cause,
+            "cause_in_figures": engine.cause_in_figures,
             "allowed": engine.allowed,
             "not_zeroed": engine.not_zeroed,
+            "tare": engine.tare,
             "follows": engine.follows(),
+            "drive_stopped": engine.stays_stopped(),
             "test": None
             if loaded is None
             else {

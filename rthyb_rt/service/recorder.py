@@ -484,10 +484,11 @@ class Recorder:
 
     def __init__(self, rings: Path, runs: Path, patience_s: float = 0.0) -> None:
         self.rings, self.runs = rings, runs
+        ring.claim(rings)
         try:
-            rings.mkdir(mode=0o700, parents=True, exist_ok=True)
             runs.mkdir(parents=True, exist_ok=True)
-            self._lock = os.open(rings / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+            self._lock = os.open(rings / _LOCK, flags, 0o600)
             # Whoever could open it could hold it, and nothing would be recorded.
             os.fchmod(self._lock, 0o600)
         except OSError as error:

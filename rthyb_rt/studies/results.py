@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.summary import number
+from rthyb_rt.numbers import number
 
 Floats = NDArray[np.float64]
 Colour = Literal["black", "orange", "green", "blue", "red", "purple", "grey"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt import config, core, experiment
+from rthyb_rt import config, core, experiment, virtual_time
 from rthyb_rt.recording import Recording
 from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Row, Study, grouped, rms
 from rthyb_rt.summary import stiffness_shares
@@ -84,9 +84,14 @@ class Outcome:
     naive: Floats
 
     @property
+    def rows(self) -> core.RecordArray:
+        """Rows of the test proper, (n,)."""
+        return self.rec.samples[self.rec.running()]
+
+    @property
     def x_meas(self) -> Floats:
         """Measured displacement, m."""
-        x: Floats = self.rec.samples["x_meas_m"]
+        x: Floats = self.rows["x_meas_m"]
         return x
 
     @property
@@ -101,7 +106,7 @@ class Outcome:
 
     def tracking(self) -> float:
         """Return the tracking NRMSE, per cent."""
-        x_num = self.rec.samples["x_num_m"]
+        x_num = self.rows["x_num_m"]
         return 100 * rms(self.x_meas - x_num) / rms(x_num)
 
     def largest_mm(self) -> float:
@@ -114,7 +119,7 @@ def perform(structure: Structure, changes: dict[str, str]) -> Outcome:
     prepared = setup(structure, changes)
     return Outcome(
         prepared,
-        experiment.run(prepared),
+        virtual_time.run(prepared),
         experiment.reference(prepared, table_forces=True)["x_ref_m"],
         experiment.reference(prepared, table_forces=False)["x_ref_m"],
     )
@@ -186,7 +191,7 @@ def _rows(
             found = _measures(outcome, structure, banded="RFC" in name)
             rows += grouped(f"{head}: compensation side by side", found, name)
     for name, outcome in windows.items():
-        k = outcome.rec.samples["k_t_n_per_m"]
+        k = outcome.rows["k_t_n_per_m"]
         found = [
             *_measures(outcome, structure, banded=True),
             *_delays(outcome),
@@ -232,7 +237,7 @@ def _measures(outcome: Outcome, structure: Structure, *, banded: bool) -> list[R
 
 
 def _delays(outcome: Outcome) -> list[Row]:
-    alpha = outcome.rec.samples["alpha"]
+    alpha = outcome.rows["alpha"]
     paper, stated = "16 to 19", (16.0, 19.0)
     return [
         Row("Smallest delay estimate", float(alpha.min()), "samples", paper=paper, stated=stated),
@@ -249,7 +254,7 @@ def _loud() -> list[Row]:
         for seed in SEEDS:
             changes = {**LOUD, "controller.type": name, "rig.rig.seed": str(seed)}
             outcome = perform(STRUCTURES[0], changes)
-            alphas.append(float(outcome.rec.samples["alpha"][-1]))
+            alphas.append(float(outcome.rows["alpha"][-1]))
             responses.append(outcome.response(outcome.calibrated))
             tracking.append(outcome.tracking())
         worst = None if name == "paper" else 3.0
@@ -350,7 +355,7 @@ def _at_peak(structure: Structure, t: Floats, x: Floats) -> tuple[float, float]:
 
 def _shares(outcome: Outcome) -> tuple[Curve, ...]:
     """Return the shares of the tangent stiffness at its bounds as areas on top of one another."""
-    k_t = outcome.rec.samples["k_t_n_per_m"]
+    k_t = outcome.rows["k_t_n_per_m"]
     edges, shares = stiffness_shares(k_t, outcome.setup.derived.k_e_n_per_m, core.FS_HZ)
     x = np.repeat(edges, 2)[1:-1]
     levels = 100.0 * np.vstack([np.zeros(shares.shape[1]), np.cumsum(shares, axis=0)])
@@ -368,5 +373,5 @@ def _shares(outcome: Outcome) -> tuple[Curve, ...]:
 
 
 def _curve(label: str, t: Floats, outcome: Outcome, field: str, factor: float) -> Curve:
-    values = outcome.rec.samples[field]
+    values = outcome.rows[field]
     return Curve(label, t[: values.size], values * factor)

@@ -6,6 +6,8 @@ end of a socket pair.
 """
 
 from rthyb_rt.virtual_rig.companion import Companion
+from rthyb_rt.virtual_rig.faulty import parse_mishaps
+from rthyb_rt.virtual_rig.faulty import run as run_faulty
 from rthyb_rt.virtual_rig.lines import Line, OpenedLine, inherited_line, line_of, pty_line
 from rthyb_rt.virtual_rig.plan import DRIFT_MAX_PPM, FAULT_KINDS, POWER_CUT, Plan, parse_faults
 from rthyb_rt.virtual_rig.serving import (
@@ -36,7 +38,9 @@ __all__ = [
     "inherited_line",
     "line_of",
     "parse_faults",
+    "parse_mishaps",
     "pty_line",
+    "run_faulty",
     "serve",
     "write_log",
 ]

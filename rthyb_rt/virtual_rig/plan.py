@@ -25,6 +25,15 @@ _VALUES: Final[dict[str, tuple[float, float, str, float | None]]] = {
 """Lowest and highest value of a fault, its unit, and what it is without one."""
 
 _FOR_EVER: Final = 2**62
+_KEYS: Final[dict[str, str]] = {
+    "drop": "p",
+    "drop-command": "p",
+    "drop-force": "p",
+    "delay": "ticks",
+    "jump": "m",
+    "force": "n",
+}
+"""What a fault's value is called."""
 _FAULT = re.compile(
     r"(?P<kind>[a-z-]+)@(?P<at>[0-9.eE+-]+)(?::(?P<for>[0-9.eE+-]+))?(?:=(?P<value>[0-9.eE+-]+))?"
 )
@@ -56,9 +65,11 @@ NO_PLAN: Final = Plan()
 
 
 def parse_faults(texts: Sequence[str]) -> tuple[tuple[loop.Fault, ...], float | None]:
-    """Return the faults, and when the power goes, from ``KIND@SECONDS[:DURATION_S][=VALUE]``.
+    """Return the faults, and when the power goes.
 
-    Without a duration a fault stays to the end; the shortest one lasts a tick.
+    Each is ``KIND@SECONDS[:DURATION_S][=VALUE]``, or ``KIND[:KEY=NUMBER,...]`` with the keys from
+    and to (s) and that of its value: p of lost frames, ticks of a delay, m of a jump, n of a force.
+    Without an end a fault stays for good; the shortest one lasts a tick.
 
     Raises:
         InputError: with every text that cannot be understood.
@@ -84,14 +95,41 @@ def parse_faults(texts: Sequence[str]) -> tuple[tuple[loop.Fault, ...], float | 
 
 
 def _fault_parts(text: str) -> tuple[str, float, float | None, float]:
+    if "@" not in text:
+        return _named_parts(text)
     match = _FAULT.fullmatch(text)
     if match is None:
         raise ValueError("not KIND@SECONDS[:DURATION_S][=VALUE], such as drop@2.5:0.1=0.5")
-    if match["kind"] not in FAULT_KINDS:
-        raise ValueError(f"no such kind of fault, allowed are {', '.join(FAULT_KINDS)}")
+    _known(match["kind"])
     at = _seconds(match["at"])
     lasts = None if match["for"] is None else _seconds(match["for"])
     return match["kind"], at, lasts, _value(match["kind"], match["value"])
+
+
+def _known(kind: str) -> None:
+    if kind not in FAULT_KINDS:
+        raise ValueError(f"no such kind of fault, allowed are {', '.join(FAULT_KINDS)}")
+
+
+def _named_parts(text: str) -> tuple[str, float, float | None, float]:
+    """Return the parts of ``drop:p=0.02,from=5,to=8``."""
+    kind, _, rest = text.partition(":")
+    _known(kind)
+    allowed = ("from", "to", *([_KEYS[kind]] if kind in _KEYS else []))
+    given: dict[str, str] = {}
+    for part in rest.split(",") if rest else ():
+        key, equals, number = part.partition("=")
+        if not equals or key not in allowed or key in given:
+            raise ValueError(
+                f"found {part!r}, {kind} takes each of {', '.join(allowed)} once, such as "
+                f"{kind}:from=5,to=8"
+            )
+        given[key] = number
+    at = _seconds(given.get("from", "0"))
+    lasts = None if "to" not in given else _seconds(given["to"]) - at
+    if lasts is not None and lasts <= 0.0:
+        raise ValueError(f"it ends at {given['to']} s, before it begins at {at:g} s")
+    return kind, at, lasts, _value(kind, given.get(_KEYS.get(kind, "")))
 
 
 def _value(kind: str, text: str | None) -> float:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from rthyb_rt import core, experiment, loop, ticker
 from rthyb_rt.config import RigFile
-from rthyb_rt.config.rigfile import Link
 from rthyb_rt.errors import InputError
 from rthyb_rt.links import wire
 from rthyb_rt.links.opened import Opened
@@ -27,9 +26,6 @@ from rthyb_rt.virtual_rig.plan import NO_PLAN, Plan
 
 LOG_SECONDS: Final = 600.0
 """Length of the drive log where nothing says how long the rig will run."""
-DEFAULT_LINK: Final = Link(kind="socket", channel="-")
-"""What a rig file without a link says of its drive."""
-
 _SERIAL_COMMAND: Final = 12
 """Bytes of a command on the serial line."""
 _LOOK_S: Final = 0.005
@@ -115,7 +111,7 @@ def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: Plan) -> lo
         core.Rig(dataclasses.replace(experiment.rig_config(rig), seed=seed)),
         codec,
         link,
-        stop_decel_m_per_s2=(rig.link or DEFAULT_LINK).stop_decel_m_per_s2,
+        stop_decel_m_per_s2=experiment.stop_decel_m_per_s2(rig),
         log_ticks=plan.log_ticks,
         seed=seed,
         drift_ppm=plan.drift_ppm,

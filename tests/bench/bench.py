@@ -27,7 +27,7 @@ import punctuality
 import screen
 from rthyb_rt._core import ffi, lib
 
-from rthyb_rt import config, core, experiment
+from rthyb_rt import config, core, experiment, virtual_time
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "bench"
@@ -192,7 +192,7 @@ def virtual_time_figures() -> list[Figure]:
     setup = experiment.prepare(
         test, config.load_rig(ROOT / "hw/rigs/shaking-table-portal-frame.toml")
     )
-    whole = statistics.median(loops.timed(lambda: experiment.run(setup)) for _ in range(7))
+    whole = statistics.median(loops.timed(lambda: virtual_time.run(setup)) for _ in range(7))
     figures.append(
         Figure(
             "experiment.run of 60 s", whole * 1e3, "ms", note="with reference simulation, TOML, git"

@@ -179,8 +179,6 @@ static void set_up_controller(rthyb_controller *controller, int which)
         .motion = motion_config(RTHYB_CENTRAL_DIFFERENCE),
         .x_range_m = 0.075,
         .f_range_n = 25e3,
-        .position = {0.04, RTHYB_INDICATE},
-        .force = {15e3, RTHYB_INDICATE},
     };
     cfg.rfc.enabled = compensated;
     must(rthyb_controller_init(controller, &cfg), "controller");

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt import config, core, experiment
+from rthyb_rt import config, core, experiment, virtual_time
 from rthyb_rt.recording import FLAGS, RUNNING
 from rthyb_rt.ring import Ring
 
@@ -122,7 +122,7 @@ def family(pid: int) -> list[int]:
 def measure() -> Screen:
     """Measure for a quarter of a minute."""
     test = config.load_test(config.builtin_test_path())
-    rec = experiment.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
+    rec = virtual_time.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as name:
         ring = Ring.create(Path(name), rec)

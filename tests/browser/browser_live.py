@@ -18,7 +18,7 @@ from live_process import live, load, paced, start
 from realtime_bench import process, until
 from service_bench import await_state, status
 
-from rthyb_rt import config, experiment, recording
+from rthyb_rt import config, experiment, recording, virtual_time
 from rthyb_rt.ring import Ring
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import Daemon
@@ -217,7 +217,7 @@ def test_trip_is_shown_with_its_first_cause_and_the_curves_stay(
     start(place, {"limits.force_n": "1500"})
     await_state(place, "TRIPPED")
     await_text(page, "#state", "TRIPPED")
-    await_text(page, "#cause", "first cause: force limit")
+    await_text(page, "#cause", "first cause: force 1.5")
     band = "getComputedStyle(document.querySelector('#band')).backgroundColor"
     assert page.evaluate(band) == "rgb(179, 71, 0)"
     page.wait_for_timeout(1500)
@@ -348,7 +348,7 @@ def test_window_can_be_paused_zoomed_and_followed_again(
 @pytest.fixture(scope="session")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     test = config.load_test(config.builtin_test_path())
-    rec = experiment.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
+    rec = virtual_time.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
     folder = tmp_path_factory.mktemp("run")
     recording.write(folder / recording.FILE_NAME, rec)
     return folder

@@ -95,8 +95,8 @@ static void describe_two_frames(rthyb_codec *codec)
     x->field[RTHYB_FIELD_X].low = 100.0;
     x->field[RTHYB_FIELD_X].has_none = 1;
     x->field[RTHYB_FIELD_X].none = 99;
-    x->field[RTHYB_FIELD_COUNT] = whole(32, 4, 0);
-    x->field[RTHYB_FIELD_ECHO] = whole(36, 4, 0);
+    x->field[RTHYB_FIELD_COUNT] = whole(32, RTHYB_COUNT_BITS_MIN, 0);
+    x->field[RTHYB_FIELD_ECHO] = whole(37, 3, 0);
     *f = *x;
     f->id = 0x182;
     f->field[RTHYB_FIELD_F] = x->field[RTHYB_FIELD_X];

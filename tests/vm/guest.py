@@ -6,13 +6,14 @@ writes is gone afterwards, except in the job folder. Nothing is installed; the k
 unpacked below ``build/vm``. With ``systemd`` it is a whole system whose first process that is, on a
 disk that outlives its power: the command may ask for another boot, see `AGAIN`.
 
-From a shell: ``python tests/vm/guest.py [--systemd] -- COMMAND...``
+From a shell: ``python tests/vm/guest.py [--systemd] [--preload] -- COMMAND...``
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
 import os
 import platform
 import shlex
@@ -35,6 +36,8 @@ LINUX: Final = UNPACKED / "usr/bin/linux.uml"
 BUSYBOX: Final = UNPACKED / "bin/busybox"
 PACKAGES: Final = ("user-mode-linux", "busybox-static", "can-utils")
 MODULES: Final = ("overlay", "can-raw", "vcan", "vxcan", "slcan")
+GUEST_XSTATE: Final = 2696
+"""Bytes in which Debian's user-mode kernel 6.1 keeps a process's extended registers (FP_SIZE)."""
 
 INTERFACES: Final = """\
 link add vcan0 type vcan
@@ -86,7 +89,7 @@ mount -t devtmpfs devtmpfs /new/dev
 mkdir -p /new/dev/pts /new/dev/shm
 mount -t devpts -o ptmxmode=666 devpts /new/dev/pts
 mount -t tmpfs tmpfs /new/dev/shm
-mount -t tmpfs tmpfs /new/run
+mount -t tmpfs -o mode=755 tmpfs /new/run
 mkdir -m 1777 /new/run/job /new/run/tmp
 mount -t hostfs -o "$(sed 's/.* rthyb_job=\\([^ ]*\\).*/\\1/' /proc/cmdline)" job /new/run/job
 rm -f /new/.dockerenv
@@ -235,6 +238,38 @@ def fetch() -> None:
         root.rename(UNPACKED)
 
 
+def build(name: str, *options: str) -> Path:
+    """Have a C source of this folder compiled below ``build/vm``; return its file."""
+    _require(("gcc", "gcc"), ("gcc", "libc6-dev"))
+    source, built = Path(__file__).with_name(f"{name}.c"), STORE / name
+    if not built.exists() or built.stat().st_mtime < source.stat().st_mtime:
+        STORE.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=STORE) as made:
+            part = Path(made) / name
+            strict = ("-std=c11", "-O2", "-Wall", "-Wextra", "-Werror")
+            _call("gcc", *strict, str(source), "-o", str(part), *options)
+            part.replace(built)
+    return built
+
+
+def preloaded(always: bool = False) -> Path | None:
+    """Return what the kernel needs before its own libraries here; None: it starts as it is.
+
+    Args:
+        always: even where this processor's registers fit into the kernel's area.
+    """
+    library = build("xstate", "-shared", "-fPIC", "-ldl")
+    area = int(ctypes.CDLL(str(library)).xstate_area())
+    if area <= GUEST_XSTATE and not always:
+        return None
+    print(
+        f"This processor's registers take {area} bytes, the guest's kernel knows {GUEST_XSTATE}: "
+        "it starts with xstate.c before it",
+        flush=True,
+    )
+    return library
+
+
 def modules(wanted: Iterable[str] = MODULES) -> list[Path]:
     """Return the files of kernel modules, each after those that it needs."""
     (index,) = (UNPACKED / "usr/lib/uml/modules").glob("*/modules.dep")
@@ -279,6 +314,7 @@ def run(
     timeout: float = 300.0,
     memory_mib: int = MEMORY_MIB,
     systemd: bool = False,
+    preload: bool = False,
 ) -> Done:
     """Boot the guest, run a command there in the project's folder, pass its output on.
 
@@ -286,10 +322,12 @@ def run(
         command: the program, found on the host's PATH with this Python's folder first, and its
             arguments.
         interfaces: what ``ip -batch`` makes before; `INTERFACES` by default.
-        environment: all that the command finds in its environment, beside PATH, HOME and TMPDIR.
+        environment: all that the command finds in its environment, beside PATH, HOME, TMPDIR, the
+            boot's number and the reference thread's program.
         timeout: seconds for the command; boot has `BOOT_TIMEOUT_S` of its own.
         memory_mib: of the guest.
         systemd: with a system around the command, see the module.
+        preload: have `xstate.c` before the kernel even where the processor does not ask for it.
 
     Raises:
         GuestError: the machine cannot be had, failed twice, or the command took too long; with the
@@ -302,7 +340,17 @@ def run(
         raise GuestError(f"the guest sees nothing of {ROOT}: move the project elsewhere")
     with tempfile.TemporaryDirectory(dir=STORE, prefix="job-") as made:
         initramfs(Path(made) / "initramfs")
-        job = _Job(Path(made), command, interfaces, environment, timeout, memory_mib, systemd)
+        job = _Job(
+            Path(made),
+            command,
+            interfaces,
+            environment,
+            timeout,
+            memory_mib,
+            systemd,
+            preloaded(preload),
+            build("reference", "-lpthread"),
+        )
         for last in (False, True):
             try:
                 return _attempt(job)
@@ -324,6 +372,8 @@ class _Job:
     timeout: float
     memory_mib: int
     systemd: bool
+    library: Path | None
+    reference: Path
 
     @property
     def shared(self) -> Path:
@@ -422,7 +472,8 @@ def _prepare() -> str:
 
 def _boot(job: _Job, number: int) -> str:
     known = {"PATH": _path(), "HOME": "/run/tmp", "TMPDIR": "/run/tmp", "LANG": "C.UTF-8"}
-    known |= {"RTHYB_BOOT": str(number), **job.environment}
+    known |= {"RTHYB_BOOT": str(number), "RTHYB_REFERENCE": str(job.reference)}
+    known |= job.environment
     assignments = [f"{name}={value}" for name, value in known.items()]
     return BOOT.format(
         path=shlex.quote(known["PATH"]),
@@ -458,6 +509,9 @@ def _start(job: _Job, console: BinaryIO, output: int) -> subprocess.Popen[bytes]
     """One processor only: a user-mode kernel that is moved about loses two fifths of its speed."""
     folder = job.folder
     cpu = _idlest()
+    environment = {"PATH": os.defpath, "TMPDIR": str(_memory_folder(folder, job.memory_mib))}
+    if job.library:
+        environment["LD_PRELOAD"] = str(job.library)
     machine = subprocess.Popen(
         [
             *("taskset", "-c", str(cpu)),
@@ -479,7 +533,7 @@ def _start(job: _Job, console: BinaryIO, output: int) -> subprocess.Popen[bytes]
         stderr=console,
         pass_fds=(output,),
         start_new_session=True,
-        env={"PATH": os.defpath, "TMPDIR": str(_memory_folder(folder, job.memory_mib))},
+        env=environment,
     )
     # What else is busy here is another session, and between sessions this counts and not `nice`.
     with contextlib.suppress(OSError):
@@ -541,10 +595,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Run a command on a kernel that has SocketCAN.")
     parser.add_argument("--timeout", type=float, default=300.0, help="seconds for the command")
     parser.add_argument("--systemd", action="store_true", help="a whole system, see AGAIN")
+    parser.add_argument("--preload", action="store_true", help="xstate.c, on any processor")
     parser.add_argument("command", nargs="+")
     given = parser.parse_args()
     try:
-        done = run(given.command, timeout=given.timeout, systemd=given.systemd)
+        done = run(
+            given.command, timeout=given.timeout, systemd=given.systemd, preload=given.preload
+        )
     except GuestError as error:
         print(f"guest: {error}", file=sys.stderr)
         return 125

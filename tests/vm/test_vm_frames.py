@@ -56,8 +56,8 @@ def test_candump_and_cantools_see_the_numbers_of_the_record(tmp_path: Path) -> N
         )
         np.testing.assert_array_equal(command["seq"], np.arange(rows.size) + 1)
         np.testing.assert_array_equal(command["state"][:-1], log["state"][1:])
-        np.testing.assert_array_equal(actuator["x_meas"], rows["x_raw"])
-        np.testing.assert_array_equal(load_cell["f_meas"], rows["f_raw"])
+        np.testing.assert_array_equal(actuator["x_meas"], np.rint(1e9 * rows["x_read_m"]))
+        np.testing.assert_array_equal(load_cell["f_meas"], np.rint(1e3 * rows["f_read_n"]))
         for reading in (actuator, load_cell):
             np.testing.assert_array_equal(reading["count"], rows["count"])
             np.testing.assert_array_equal(reading["echo"], rows["echo"])
@@ -97,8 +97,8 @@ def test_drive_of_another_make_is_tested_over_can_fd(tmp_path: Path) -> None:
         assert set(command["Enable"]) == {3}
         np.testing.assert_array_equal(command["Mode"][:-1], log["state"][1:])
         np.testing.assert_allclose(1e-9 * command["Setpoint"][:-1], log["x_m"][1:], rtol=1e-15)
-        np.testing.assert_array_equal(actual["Position"], rows["x_raw"])
-        np.testing.assert_allclose(actual["Load"], 1e-3 * rows["f_raw"], atol=5.1e-4)
+        np.testing.assert_array_equal(actual["Position"], np.rint(1e9 * rows["x_read_m"]))
+        np.testing.assert_array_equal(actual["Load"], rows["f_read_n"])
         np.testing.assert_array_equal(actual["Count"], np.arange(rows.size))
         assert bench.loop.link_delay == 0
         assert bench.wire.counters()["pairs"] == rows.size

@@ -192,7 +192,8 @@ def test_sunny_day_with_a_drive_that_python_can_plays(
     tare_m, tare_n = controller.station.tare
     assert (tare_m, tare_n) == pytest.approx((1e-9 * ORIGIN_NM, 1e-3 * BIAS_MN), abs=1e-8)
     np.testing.assert_array_equal(rows["tick"], np.arange(rows.size))
-    np.testing.assert_array_equal(rows[["x_raw", "f_raw"]].tolist(), drive.readings)
+    readings = np.column_stack([1e9 * rows["x_read_m"], 1e3 * rows["f_read_n"]])
+    np.testing.assert_array_equal(np.rint(readings), drive.readings)
     assert set(rows["state"]) >= {STATE["RAMP_IN"], STATE["RUNNING"], STATE["RAMP_OUT"]}
     counters = controller.wire.counters()
     assert counters.pop("pairs") == counters.pop("sent") == rows.size

@@ -132,6 +132,7 @@ function tell() {
   if ($("cause").textContent !== cause) $("cause").textContent = cause;
   $("band").dataset.state = state;
   $("band").classList.toggle("off", state === "RAMP_OUT" && cause !== "");
+  $("band").classList.toggle("doubt", Boolean(status) && status.attention.length > 0);
 }
 
 // Coarser as it grows: whoever has the page read out need not hear every second.
@@ -174,12 +175,21 @@ function onStatus(found) {
     $("progress-text").textContent = `${text(done, 1)} of ${text(of, 1)} s`;
   }
   $("counters").replaceChildren(...found.counters.map(counter));
+  attend(found.attention);
   const wake = found.wake;
   $("wake").textContent = wake.max_us > 0 ? `p50 ${micro(wake.p50_us)}, p99 ${micro(wake.p99_us)}, longest ${micro(wake.max_us)}` : hello.past ? "not in real time" : "";
   histogram.draw(hello.edges_us, wake.counts, wake.p99_us);
   enable();
   if (store.head && found.now && !(following && flows())) numbers(found.now);
   tell();
+}
+
+// Only what is new: whoever has the page read out hears each sentence once.
+function attend(sentences) {
+  const list = $("attention"), shown = [...list.children].map((item) => item.textContent);
+  list.hidden = !sentences.length;
+  if (sentences.length === shown.length && sentences.every((sentence, i) => sentence === shown[i])) return;
+  list.replaceChildren(...sentences.map((sentence) => { const item = document.createElement("li"); item.textContent = sentence; return item; }));
 }
 
 function counter({ label, value, alarm }) {
@@ -252,7 +262,7 @@ function give(button, { detail, timeStamp }) {
   if (sure && asking.button !== button) { askBack(button); return; }
   if (sure && timeStamp - asking.since < SURE_AFTER_MS) return;
   settle();
-  if (!send({ command })) answer({ ok: false, text: "Not sent: there is no connection" });
+  if (!send(command === "arm" ? { command, digest: status.digest } : { command })) answer({ ok: false, text: "Not sent: there is no connection" });
 }
 
 let answered = 0;

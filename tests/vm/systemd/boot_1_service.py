@@ -19,9 +19,10 @@ from urllib.request import urlopen
 import h5py
 import numpy as np
 import pytest
-from realtime_bench import STATE, until
+from realtime_bench import STATE, moment_s, require_calm, until
+from stalls import Stalled
 from test_links_socketcan import Adapter
-from test_service_daemon import Stalled, assert_drive_heard, require_calm
+from test_service_daemon import assert_drive_heard
 from vm.systemd import lab as labs
 from vm.systemd.lab import (
     LIVE,
@@ -94,9 +95,7 @@ def test_service_is_installed_enabled_and_started() -> None:
     labs.add_users()
     systemctl("enable", "--now", RECORDER, SERVICE)
     assert systemctl("is-active", RECORDER, SERVICE).split() == ["active", "active"]
-    # A machine that stalls trips it, at rest as well.
-    stalled = re.search(r"IDLE -> TRIPPED at tick \d+, cause: stalled", labs.journal(SERVICE))
-    assert shown(SERVICE, "StatusText") == ("TRIPPED" if stalled else "IDLE")
+    labs.assert_idle_unless_stalled()
     assert systemctl("--failed", "--no-legend", "--plain") == ""
 
 
@@ -278,12 +277,16 @@ def test_limits_are_reloaded_by_systemctl_and_end_the_next_test() -> None:
         assert "not reloaded" in said, said
         assert "the state is RUNNING" in said, said
         told = reload_says(f"{good}\n[limit]\n")
+        if "TRIPPED" in told:
+            raise Stalled(told)
         assert told.startswith("not reloaded"), told
         assert f"{labs.RIG}" in told
         assert shown(SERVICE, "ActiveState") == "active"
         assert made.main_pid() == pid
         tight = '{ value = "0.05 mm", action = "ramp-out" }'
         told = reload_says(labs.rig_text({"rig.limits.tracking_error_m": tight}))
+        if "TRIPPED" in told:
+            raise Stalled(told)
         assert "tracking_error_m" in told
         run_id = made.run_until("RAMP_IN", 0, {"limits.ramp_in_s": "3"})
         made.await_state("IDLE")
@@ -401,6 +404,8 @@ def back_in_idle(made: Lab, restarts: int) -> None:
     until(lambda: made.restarts() > restarts, "a restart")
     until(lambda: shown(SERVICE, "ActiveState") == "active", "the service")
     after = made.status()
+    if after["state"] == "TRIPPED":
+        raise Stalled("tripped at rest")
     assert (after["state"], after["test"], after["run_id"]) == ("IDLE", None, "")
 
 
@@ -460,6 +465,10 @@ def test_killed_recorder_is_started_again_and_no_row_is_lost() -> None:
         rec = made.recorded(run_id)
         log = made.end_drive()
         assert rec.meta["missing_rows"] == []
+        tripped = np.flatnonzero(rec.samples["state"] == STATE["TRIPPED"])
+        if tripped.size:
+            at_s = moment_s(rec, int(tripped[0]))
+            raise Stalled("stalled", at_s, at_s)
         ticks = rec.samples["tick"].astype(np.int64)
         np.testing.assert_array_equal(ticks, np.arange(ticks.size))
         assert realtime.replay(rec).identical
@@ -486,7 +495,9 @@ def test_stop_of_the_unit_while_a_test_runs_ends_at_rest_with_status_0() -> None
         assert rec.meta["missing_rows"] == []
         assert (rec.samples["state"][-1], rec.samples["x_num_m"][-1]) == (STATE["IDLE"], 0.0)
         assert realtime.replay(rec).identical
-        assert STATE["TRIPPED"] not in log["state"][log["frames"] > 0]
+        told = log["state"][log["frames"] > 0]
+        begins = np.flatnonzero(told == STATE["RUNNING"])[0]
+        assert STATE["TRIPPED"] not in told[begins:]
 
     repeated("stopped", attempt)
 
@@ -508,26 +519,12 @@ def test_daemon_that_hangs_is_ended_by_the_watchdog_and_comes_back_in_idle() -> 
 # ---- the power fails ----------------------------------------------------------------------------
 
 
-def test_power_fails_while_a_test_runs(
-    request: pytest.FixtureRequest, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_power_fails_while_a_test_runs(request: pytest.FixtureRequest) -> None:
     """The next boot looks at what is left."""
-    labs.require_good_end(request.session)
-    with capfd.disabled():
-        print(f"\n{request.session.testscollected} scenarios, the last one without power")
-    made = Lab("power")
-    systemctl("restart", SERVICE)
-    made.await_service()
-    os.sync()
-    for _ in range(3):
-        try:
-            run_id = made.run_until("RUNNING", 1600, {"test.duration_s": "30"})
-        except Stalled:
-            systemctl("restart", SERVICE)
-            continue
+
+    def about() -> dict[str, Any]:
         rows = read_status(RINGS)
         assert rows is not None
-        rig = labs.RIG.read_text(encoding="utf-8")
-        labs.end_boot("cut", run_id=run_id, rows=rows.rows, folder=rows.folder, rig=rig)
-    # The boots after this one look at what the power cut has left: there is none.
-    pytest.skip("this machine stalled in each of 3 attempts: no power cut, no boot after it")
+        return {"rows": rows.rows, "folder": rows.folder}
+
+    labs.end_boot_in_motion(request, "cut", 1600, about)

@@ -8,9 +8,8 @@ import h5py
 import numpy as np
 import pytest
 from realtime_bench import STATE, until
-from test_service_daemon import Stalled
 from vm.systemd import lab as labs
-from vm.systemd.lab import RECORDER, RUNS, SERVICE, Lab, shown, systemctl
+from vm.systemd.lab import RECORDER, RUNS, SERVICE, Lab, shown
 
 from rthyb_rt import core, recording
 from rthyb_rt.recording import BLOCK_ROWS, FILE_NAME
@@ -21,15 +20,14 @@ def test_service_is_back_by_itself_in_idle() -> None:
     for unit in (RECORDER, SERVICE):
         until(lambda unit=unit: shown(unit, "ActiveState") == "active", unit)
     made = Lab("after-power")
-    made.await_service()
-    after = made.status()
+    after = made.await_service()
     assert (after["state"], after["test"], after["run_id"]) == ("IDLE", None, "")
-    assert labs.RIG.read_text(encoding="utf-8") == labs.kept()["rig"]
+    assert labs.RIG.read_text(encoding="utf-8") == labs.rig_text()
     made.close()
 
 
 def test_recording_of_the_test_that_lost_its_power_is_finished_and_readable() -> None:
-    kept = labs.kept()
+    run_id, kept = labs.run_in_motion(), labs.kept()
     folder = RUNS / Path(kept["folder"]).name
     until((folder / FILE_NAME).is_file, "the recording")
     with h5py.File(folder / FILE_NAME, "r") as file:
@@ -40,25 +38,11 @@ def test_recording_of_the_test_that_lost_its_power_is_finished_and_readable() ->
     assert rows["state"][-1] == STATE["RUNNING"]
     # On the disk every second, in blocks.
     assert rows.size >= kept["rows"] - core.FS_HZ - 2 * BLOCK_ROWS
-    (entry,) = [entry for entry in read_index(RUNS) if entry["run_id"] == kept["run_id"]]
+    (entry,) = [entry for entry in read_index(RUNS) if entry["run_id"] == run_id]
     assert entry["rows"] == rows.size
     print(f"{kept['rows']} rows were seen before the cut, {rows.size} are there after it")
 
 
-def test_shutdown_while_a_test_runs(
-    request: pytest.FixtureRequest, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_shutdown_while_a_test_runs(request: pytest.FixtureRequest) -> None:
     """The next boot looks at what is left."""
-    labs.require_good_end(request.session)
-    with capfd.disabled():
-        print(f"\n{request.session.testscollected} scenarios, the last one told to shut down")
-    made = Lab("shutdown")
-    made.await_service()
-    for _ in range(3):
-        try:
-            run_id = made.run_until("RUNNING", 600, {"test.duration_s": "30"})
-        except Stalled:
-            systemctl("restart", SERVICE)
-            continue
-        labs.end_boot("off", run_id=run_id)
-    pytest.skip("this machine stalled in each of 3 attempts: no shutdown, no boot after it")
+    labs.end_boot_in_motion(request, "off", 600, dict)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import pwd
+import re
 import subprocess
 import sys
 import sysconfig
@@ -16,10 +18,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import stalls
 import test_service_daemon
 from realtime_bench import until
 from service_bench import rig_file
-from test_service_daemon import Stalled
+from stalls import Stalled
 
 from rthyb_rt import config
 from rthyb_rt.service import installing
@@ -241,11 +244,11 @@ class Lab(test_service_daemon.Lab):
         run("systemd-run", "--quiet", "--collect", *unit, *what)
 
     def status(self) -> dict[str, Any]:
-        """Return the status; what a stall has tripped between two tests is reset."""
+        """Return the status; what a stall has tripped or stopped between two tests is reset."""
         # Who asks all the time takes the one processor away from those who tick.
         time.sleep(LOOK_S)
         found = super().status()
-        if found["state"] == "TRIPPED" and not found["run_id"]:
+        if not found["run_id"] and (found["state"] == "TRIPPED" or not found["follows"]):
             with Client(self.socket) as client, suppress(Refusal):
                 client.call("Reset")
         return found
@@ -256,9 +259,15 @@ class Lab(test_service_daemon.Lab):
         except Refusal as error:
             raise Stalled(str(error)) from error
 
-    def await_service(self) -> None:
-        """Wait until the drive follows."""
-        until(lambda: bool(self.status()["follows"]), "a service whose drive follows")
+    def await_service(self) -> dict[str, Any]:
+        """Wait until all is at rest and the drive follows; return the status then."""
+
+        def at_rest() -> dict[str, Any] | None:
+            found = self.status()
+            return found if found["state"] == "IDLE" and found["follows"] else None
+
+        found: dict[str, Any] = until(at_rest, "a service in IDLE whose drive follows")
+        return found
 
     def main_pid(self, unit: str = SERVICE) -> int:
         return int(shown(unit, "MainPID"))
@@ -294,27 +303,69 @@ def lab(name: str) -> Iterator[Lab]:
         made.close()
 
 
+# ---- stalls -------------------------------------------------------------------------------------
+
+TOLD = re.compile(
+    r"^\[ *(\d+\.\d+)\] .*-> (?:TRIPPED|RAMP_OUT) at tick .*, cause: ([a-z ]+)$", re.M
+)
+TOLD_LATE_S = 1.5
+"""By which a line may stand in the journal after what it tells of."""
+
+
+def proved(stalled: Stalled, since_s: float) -> str:
+    """Return what proves a stall; one without a moment of its own by what the service has told."""
+    if stalled.to_s < math.inf:
+        return stalls.seen(stalled)
+    return stall_told(since_s) or stalls.seen(Stalled(stalled.cause, since_s, time.monotonic()))
+
+
+def stall_told(since_s: float) -> str:
+    """Return what proves one of the stalls that the service has told of; "": none is proved."""
+    for at, words in TOLD.findall(journal(SERVICE)):
+        told_s, cause = float(at), words.replace(" ", "_")
+        if told_s >= since_s and cause in stalls.CAUSES:
+            found = stalls.seen(Stalled(cause, told_s - TOLD_LATE_S, told_s))
+            if found:
+                return f"{cause}; {found}"
+    return ""
+
+
+def assert_idle_unless_stalled(since_s: float = 0.0) -> None:
+    """A machine that stalls trips the service at rest as well."""
+    state = shown(SERVICE, "StatusText")
+    assert state == "IDLE" or (state == "TRIPPED" and stall_told(since_s)), state
+
+
 _in_vain: list[str] = []
 
 
 def repeated(name: str, attempt: Callable[[Lab], None]) -> None:
-    """Try again where the machine stalled, which ends a test in its own way."""
-    stalled, number = "", 0
-    while number < (ATTEMPTS if len(_in_vain) < SPARE else 2):
+    """Try again where the machine stalled, each time with a service and a drive at rest."""
+    since_s = time.monotonic()
+
+    def with_lab(number: int) -> None:
+        nonlocal since_s
+        since_s = time.monotonic()
         with lab(f"{name}-{number}") as made:
-            try:
-                attempt(made)
-                return
-            except Stalled as error:
-                stalled = str(error)
-                print(f"stalled: {stalled}")
-        number += 1
-        _in_vain.append(stalled)
-    pytest.skip(f"this machine stalled in each of {number} attempts: {stalled}")
+            attempt(made)
+
+    def spent(stalled: Stalled) -> str:
+        _in_vain.append(name)
+        return proved(stalled, since_s)
+
+    stalls.repeated(with_lab, ATTEMPTS if len(_in_vain) < SPARE else 2, spent)
 
 
-def end_boot(how: str, **facts: Any) -> None:
+# ---- the end of a boot --------------------------------------------------------------------------
+
+
+def end_boot(request: pytest.FixtureRequest, how: str, **facts: Any) -> None:
     """End this boot here and now, as `AGAIN` of guest.py says; the next one knows the facts."""
+    accounts = stalls.of(request.config)
+    accounts.add(request.node.nodeid)
+    with request.getfixturevalue("capfd").disabled():
+        print(f"\nend of boot {os.environ['RTHYB_BOOT']}: {accounts.total} scenarios so far")
+        print("\n".join(accounts.lines()))
     KEPT.write_text(json.dumps(facts), encoding="utf-8")
     part = AGAIN.with_suffix(".part")
     part.write_text(how, encoding="ascii")
@@ -324,11 +375,45 @@ def end_boot(how: str, **facts: Any) -> None:
     time.sleep(60.0)
 
 
-def require_good_end(session: pytest.Session) -> None:
+def end_boot_in_motion(
+    request: pytest.FixtureRequest, how: str, ticks: int, about: Callable[[], dict[str, Any]]
+) -> None:
+    """End this boot while a test runs, for the next one to look at; without one after stalls.
+
+    Args:
+        request: of the scenario.
+        how: as in `end_boot`.
+        ticks: of the test's motion before the end.
+        about: what else the next boot is to know, of the moment before.
+    """
+    require_no_failure(request.session)
+
+    def attempt(made: Lab) -> None:
+        os.sync()
+        run_id = made.run_until("RUNNING", ticks, {"test.duration_s": "30"})
+        end_boot(request, how, run_id=run_id, **about())
+
+    try:
+        repeated(how, attempt)
+    except stalls.NotRun as error:
+        end_boot(request, how, run_id="", why=str(error))
+
+
+def run_in_motion() -> str:
+    """Return the run in whose motion the last boot ended.
+
+    Raises:
+        NotRun: stalls have left it without one.
+    """
+    if not kept()["run_id"]:
+        raise stalls.NotRun(f"the last boot ended at rest: {kept()['why']}")
+    return str(kept()["run_id"])
+
+
+def require_no_failure(session: pytest.Session) -> None:
     """Nobody hears of this boot's failures once it has ended: so go no further with one."""
-    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
-    if session.testsfailed or (reporter and reporter.stats.get("skipped")):
-        pytest.fail("a scenario before has failed or was skipped: the guest is not booted again")
+    if session.testsfailed:
+        pytest.fail("a scenario before has failed: the guest is not booted again")
 
 
 def kept() -> dict[str, Any]:

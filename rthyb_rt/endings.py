@@ -21,6 +21,9 @@ WORDS: Final[dict[str, str]] = {
     "tracking": "tracking limit",
     "indicator": "tracking indicator limit",
     "energy": "energy error limit",
+    "rig_position": "position limit of the rig",
+    "rig_force": "force limit of the rig",
+    "lost_pairs": "too many lost pairs",
     "skips": "too many skipped ticks",
     "stalled": "this PC stalled",
     "heartbeat": "the program was silent for a second",
@@ -40,6 +43,12 @@ REMEDIES: Final[dict[str, str]] = {
     "its plug.",
     "sensor_jump": "The displacement jumped farther than anything can move: look at the sensor and "
     "its plug.",
+    "force_stuck": "The force stood still while the command moved: look at the load cell and its "
+    "plug.",
+    "force_jump": "The force jumped farther than the motion can change it: look at the load cell "
+    "and its plug.",
+    "lost_pairs": "Too many pairs of displacement and force were lost within a second: look at "
+    "cable, plugs and the load of the bus.",
     "skips": "This PC was late too often: `rthyb jitter` says what to change.",
     "stalled": "This PC stood still for 20 ticks: `rthyb jitter` says what to change.",
     "heartbeat": "Something kept the program from working for a second, such as a full disk, a "
@@ -126,5 +135,5 @@ def _unusable(samples: NDArray[np.void]) -> str:
 def _as_it_came(whole: NDArray[np.void]) -> str:
     if not whole.size:
         return ""
-    x_mm, f_kn = 1e-6 * float(whole["x_raw"][-1]), 1e-6 * float(whole["f_raw"][-1])
-    return f" (the last one read {x_mm:.6g} mm and {f_kn:.6g} kN, before calibration)"
+    x_mm, f_kn = 1e3 * float(whole["x_read_m"][-1]), 1e-3 * float(whole["f_read_n"][-1])
+    return f" (the last one read {x_mm:.6g} mm and {f_kn:.6g} kN, before the tare)"

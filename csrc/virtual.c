@@ -1,0 +1,64 @@
+/* Tests in virtual time: the station of a test in real time, with the virtual rig called directly. */
+#include "internal.h"
+#include "numeric.h"
+
+int rthyb_virtual_init(rthyb_virtual *test)
+{
+    if (!(test->stop_decel_m_per_s2 > 0.0))
+        return RTHYB_E_LIMIT;
+    test->phase = RTHYB_DRIVE_FOLLOWING;
+    test->target_m = test->target1_m = 0.0;
+    return 0;
+}
+
+/* What the drive makes of what the station sent, for the next tick. */
+static void drive(rthyb_virtual *test, const rthyb_station_output *out)
+{
+    double next = test->target_m;
+    if (test->phase == RTHYB_DRIVE_FOLLOWING && out->state == RTHYB_TRIPPED)
+        test->phase = RTHYB_DRIVE_STOPPING;
+    if (test->phase == RTHYB_DRIVE_FOLLOWING) {
+        next = out->send ? out->x_cmd_m : next;
+    } else if (test->phase == RTHYB_DRIVE_STOPPING) {
+        next = braked_target(test->target_m, test->target1_m, test->stop_decel_m_per_s2,
+                             test->rig->cfg.servo.period_s);
+        test->phase = next == test->target_m ? RTHYB_DRIVE_STOPPED : RTHYB_DRIVE_STOPPING;
+    }
+    test->target1_m = test->target_m;
+    test->target_m = next;
+}
+
+static void tick(rthyb_virtual *test, int32_t command, rthyb_record *record)
+{
+    rthyb_station *station = test->station;
+    const int32_t before = station->state;
+    rthyb_station_output out;
+    rthyb_station_input in = {
+        .command = command,
+        .drive_stopped = test->phase != RTHYB_DRIVE_FOLLOWING,
+        .taken_over = !station->seen,
+        .x_cmd_m = test->target_m,
+    };
+    (void)rthyb_rig_step(test->rig, test->target_m, &in.x_m, &in.f_n);
+    (void)rthyb_station_tick(station, &in, test->ag_mps2, test->ag_count, record, &out);
+    record->due_ns = llrint((double)record->tick * station->cfg.controller.period_s * 1e9);
+    note_pair(record, in.x_m, in.f_n, 0);
+    drive(test, &out);
+    /* What a test comes to must not depend on how long its rig was zeroed and ramped in. */
+    if (before == RTHYB_RAMP_IN && station->state == RTHYB_RUNNING)
+        rthyb_rig_reseed(test->rig);
+}
+
+size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, rthyb_record *records)
+{
+    const rthyb_station *station = test->station;
+    size_t done = 0;
+    int told = 0;
+    while (done < count && !told) {
+        const int32_t state = station->state, zeroing = station->zeroing;
+        tick(test, done == 0 ? command : RTHYB_CMD_NONE, &records[done]);
+        told = station->state != state || (station->zeroing == 2 && zeroing != 2);
+        done++;
+    }
+    return done;
+}

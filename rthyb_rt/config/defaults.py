@@ -1,0 +1,113 @@
+"""Limits that no file states: what follows from the sensors' noise at rest and from the motion.
+
+A limit of a file, of the test or of the rig, always takes the place of one of these.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from rthyb_rt.config.fields import SAMPLE_RATE_HZ
+from rthyb_rt.config.limits import (
+    IncrementLimit,
+    Limit,
+    Limits,
+    Resolved,
+    SampleLimit,
+    ShareLimit,
+    StepLimit,
+)
+from rthyb_rt.config.rigfile import RigFile, ServoHydraulic
+
+LEAST_STUCK_SAMPLES: Final = 20
+"""As many as without any pair are a lost link: a reading that repeats itself says as little."""
+STUCK_ODDS: Final = 1e-12
+"""By noise alone: once in thirty years of testing, 1024 samples a second."""
+MOST_LIKELY: Final = 0.7
+"""Odds of one repeated reading, with noise of half a step; a quieter sensor stands on its step."""
+JUMP_SIGMAS: Final = 20.0
+FASTER: Final = 2.0
+"""Times the command's velocity limit: what a drive that overshoots may reach."""
+FASTER_THAN_REFERENCE: Final = 8.0
+"""Times what the reference simulation reaches, where the command has no velocity limit."""
+STEEPER: Final = 4.0
+"""Times the steepest step of the force in the reference simulation."""
+SHARE_OF_FORCE_LIMIT: Final = 0.1
+"""A jump that is smaller is none that the force limit could miss."""
+LOST_WARNING: Final = 0.01
+LOST: Final = 0.1
+SKIP_WARNING: Final = 0.01
+SKIPS: Final = 50 / 1024
+
+
+def derived_limits(
+    rig: RigFile, limits: Resolved, peak_velocity_m_per_s: float, force_step_n: float
+) -> dict[str, Limit]:
+    """Return every limit that can be derived, by key.
+
+    Args:
+        rig: its sensors and what was identified of it.
+        limits: of test and rig together, with the velocity limit that is derived if there is one.
+        peak_velocity_m_per_s, force_step_n: of the reference simulation, the second from sample to
+            sample; 0 where there is none.
+    """
+    displacement, force = rig.sensors.displacement, rig.sensors.force
+    identified = rig.identified
+    noise_m = identified.rest_noise_displacement_m if identified is not None else None
+    noise_n = identified.rest_noise_force_n if identified is not None else None
+    sigma_m = displacement.noise_std_m if noise_m is None else noise_m
+    sigma_n = force.noise_std_n if noise_n is None else noise_n
+    found: dict[str, Limit | None] = {
+        "sensor_stuck_samples": _stuck(sigma_m, displacement.lsb_m),
+        "force_stuck_samples": _stuck(sigma_n, force.lsb_n),
+        "sensor_jump_m": _jump_m(_velocity(limits), sigma_m, peak_velocity_m_per_s),
+        "force_jump_n": _jump_n(rig, limits.limits, sigma_n, force_step_n),
+        "lost_pairs_share": ShareLimit(value=LOST, action="ramp-out"),
+        "lost_pairs_warning_share": ShareLimit(value=LOST_WARNING, action="indicate"),
+        "skipped_ticks_share": ShareLimit(value=SKIPS, action="ramp-out"),
+        "skipped_ticks_warning_share": ShareLimit(value=SKIP_WARNING, action="indicate"),
+    }
+    return {key: limit for key, limit in found.items() if limit is not None}
+
+
+def repeat_odds(sigma: float, step: float) -> float:
+    """Return the odds that a sensor of a step repeats a reading, at worst: from its middle."""
+    return math.erf(step / (2.0 * math.sqrt(2.0) * sigma)) if sigma > 0 else 1.0
+
+
+def _stuck(sigma: float, step: float) -> SampleLimit | None:
+    odds = repeat_odds(sigma, step)
+    if odds > MOST_LIKELY:
+        return None
+    samples = math.ceil(math.log(STUCK_ODDS) / math.log(odds)) if odds > 0 else 0
+    return SampleLimit(value=max(samples, LEAST_STUCK_SAMPLES), action="ramp-out")
+
+
+def _velocity(limits: Resolved) -> Limit | None:
+    given = limits.limits.command_velocity_m_per_s
+    return given or limits.derived.get("command_velocity_m_per_s")
+
+
+def _jump_m(velocity: Limit | None, sigma_m: float, peak_m_per_s: float) -> IncrementLimit | None:
+    if velocity is not None and velocity.enable:
+        fastest = FASTER * velocity.value
+    else:
+        fastest = FASTER_THAN_REFERENCE * peak_m_per_s
+    if not (sigma_m > 0 and fastest > 0):
+        return None
+    jump_m = fastest / SAMPLE_RATE_HZ + JUMP_SIGMAS * sigma_m
+    return IncrementLimit(value=min(jump_m, 100.0), action="ramp-out")
+
+
+def _jump_n(rig: RigFile, limits: Limits, sigma_n: float, step_n: float) -> StepLimit | None:
+    if not (sigma_n > 0 and step_n > 0):
+        return None
+    table = rig.actuator
+    seen = isinstance(table, ServoHydraulic) and rig.rig.load_cell == "actuator-end"
+    friction_n = table.friction_n if seen and isinstance(table, ServoHydraulic) else 0.0
+    jump_n = STEEPER * step_n + 2.0 * friction_n + JUMP_SIGMAS * sigma_n
+    force = limits.force_n
+    if force is not None and force.acts:
+        jump_n = max(jump_n, SHARE_OF_FORCE_LIMIT * force.value)
+    return StepLimit(value=min(jump_n, 1e10), action="ramp-out")

@@ -1,0 +1,46 @@
+"""Numbers for people: significant digits, units, per cent."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return ``value`` with that many significant digits, a dash where there is none."""
+    if value is None or np.isnan(value):
+        return "–"
+    if np.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    # Below a ten-billionth only round-off is left, in every unit that is shown.
+    if abs(value) < 1e-10:
+        return "0"
+    if not 1e-4 <= abs(value) < 1e5:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        text = f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    else:
+        decimals = digits - 1 - int(np.floor(np.log10(abs(float(f"{value:.{digits - 1}e}")))))
+        text = f"{value:.{max(decimals, 0)}f}"
+    return text.replace("-", "−", 1) if text.startswith("-") else text
+
+
+def percent(fraction: float | None, digits: int = 2) -> str:
+    """Return a fraction as per cent, ``2.1 %``; above ten times the exact figure says nothing."""
+    if fraction is None or np.isnan(fraction):
+        return "–"
+    if fraction > 10.0:
+        return "> 1000 %"
+    return f"{number(100.0 * fraction, 3 if abs(fraction) >= 0.1 else digits)} %"
+
+
+def quantity(value: float | None, unit: str, factor: float = 1.0, digits: int = 3) -> str:
+    """Return a value in a unit, ``0.12 mm``; ``factor`` turns SI into that unit."""
+    if value is None or np.isnan(value):
+        return "–"
+    return f"{number(value * factor, digits)} {unit}"
+
+
+def count(n: int, noun: str) -> str:
+    """Return a number of things, ``1 sample``, ``2 samples``."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"

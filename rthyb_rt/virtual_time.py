@@ -1,0 +1,162 @@
+"""A test in virtual time: the station of one in real time, at the virtual rig, without a clock."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from rthyb_rt import core, experiment
+from rthyb_rt.endings import RefusedError
+from rthyb_rt.errors import RthybError
+from rthyb_rt.experiment import Progress, Setup
+from rthyb_rt.recording import FLAGS, Recording
+from rthyb_rt.ring import AFTER_TRIP
+from rthyb_rt.runs import Run
+from rthyb_rt.sequence import REST_TICKS, STEP_TICKS, Sequence
+
+WAY_OUT_S: Final = 120.0
+"""How long a ramp-out is followed: a motion that ran away, without limits, comes back for hours."""
+HOLD_S: Final = 1.0
+"""How long a held test stands: nobody is there who could have it resumed."""
+
+
+class Bench:
+    """A station and a virtual rig, conducted tick by tick as fast as it goes.
+
+    Args:
+        setup: the test.
+        rig: what moves and measures; None takes the rig file's.
+        config: settings of the station; None takes those of the test.
+
+    Attributes:
+        run: the station, and the book that is kept of it.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        rig: core.RigConfig | None = None,
+        config: core.StationConfig | None = None,
+    ) -> None:
+        self.run = Run.begin(setup, "virtual", config or experiment.station_config(setup))
+        virtual = core.Rig(rig or setup.virtual_rig)
+        stop_decel = experiment.stop_decel_m_per_s2(setup.rig)
+        self._test = core.Virtual(self.run.station, virtual, stop_decel)
+        before = self.config.tare_ticks + self.config.ramp_in_ticks
+        self._rows = np.empty(before + setup.ticks + 2 * STEP_TICKS, dtype=core.RECORD_DTYPE)
+        self._count = 0
+
+    @property
+    def config(self) -> core.StationConfig:
+        """Settings of the station."""
+        return self.run.config
+
+    @property
+    def state(self) -> str:
+        """Name of the station's state."""
+        return self.run.station.state
+
+    @property
+    def causing(self) -> tuple[str, float, float]:
+        """The station's latched first cause, the value that was met and the limit's."""
+        return self.run.causing
+
+    @property
+    def zeroing_failed(self) -> bool:
+        """Whether the last tare was refused because the reading moved."""
+        return self.run.station.zeroing_failed
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Samples of the test proper so far, and of the whole test."""
+        whole = self.run.setup.ticks
+        return min(self.run.station.test_tick, whole), whole
+
+    @property
+    def now_s(self) -> float:
+        """The time of its ticks."""
+        return self._count / core.FS_HZ
+
+    def command(self, name: core.Command) -> int:
+        """Run one tick with an operator's command; return its number.
+
+        Raises:
+            RefusedError: it was refused.
+        """
+        state = self.state
+        self._tick(1, name)
+        refused = bool(self.rows["flags"][-1] & FLAGS["refused"])
+        tick = self._count - 1
+        self.run.commands.append({"tick": tick, "command": name, "refused": refused})
+        if refused:
+            raise RefusedError(f"{name}: refused in state {state}")
+        return tick
+
+    def advance(self, ticks: int) -> None:
+        """Run so many ticks, fewer where the state becomes another, or a tare has failed."""
+        self._tick(ticks, "none")
+
+    def settle(self) -> None:
+        """Run what is kept behind a test."""
+        self.advance(AFTER_TRIP if self.state == "TRIPPED" else REST_TICKS)
+
+    def not_zeroed(self) -> RthybError:
+        """Return why the tare did not come to its end."""
+        return RthybError(
+            "the virtual rig is not at rest: its displacement moves by more than "
+            f"{self.config.rest_spread_m * 1e3:.3g} mm (limits.rest_spread_m) during the tare; "
+            "raise that, or lower the noise of sensors.displacement"
+        )
+
+    def _tick(self, ticks: int, command: core.Command) -> None:
+        end = self._count + ticks
+        if end > self._rows.size:
+            longer = np.empty(end + self._rows.size, dtype=core.RECORD_DTYPE)
+            longer[: self._count] = self.rows
+            self._rows = longer
+        self._count += self._fill(self._rows[self._count : end], command)
+
+    def _fill(self, rows: core.RecordArray, command: core.Command) -> int:
+        """Run as many ticks as there are rows, or until the state becomes another."""
+        return self._test.run(rows, command)
+
+    @property
+    def rows(self) -> core.RecordArray:
+        """All rows so far, (n,)."""
+        return self._rows[: self._count]
+
+    def recording(self) -> Recording:
+        """Return the recording of all that was."""
+        self.run.take(self.rows)
+        rec = self.run.known()
+        rec.samples = self.rows
+        rec.meta |= self.run.ending(self.state)
+        return rec
+
+
+def run(setup: Setup, progress: Progress | None = None) -> Recording:
+    """Run the test against the virtual rig as fast as it goes.
+
+    Args:
+        setup: the test.
+        progress: called with (ticks done, ticks of the test) now and then.
+
+    Returns:
+        The recording, all rows from the first tick on; ``meta["end_reason"]`` says how it ended.
+
+    Raises:
+        RthybError: the test cannot be begun.
+    """
+    bench = Bench(setup)
+    conduct(bench, progress)
+    return bench.recording()
+
+
+def conduct(bench: Bench, progress: Progress | None = None) -> None:
+    """Zero, arm, start, and bring it back to rest, whatever happens on the way.
+
+    Raises:
+        RthybError: the rig does not come to rest, or a command is refused.
+    """
+    Sequence(bench, hold_s=HOLD_S, way_out_s=WAY_OUT_S, progress=progress).conduct()

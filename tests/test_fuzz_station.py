@@ -1,0 +1,159 @@
+"""The fuzz of the station finds nothing in a short run, and finds what is broken on purpose."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).resolve().parent
+CORE = TESTS.parent / "csrc"
+FUZZ = TESTS / "fuzz"
+FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno", f"-I{CORE}")
+TICKS, SEED = "200000", "1"
+MORE_TICKS = "1500000"  # what is rare takes longer
+TABLE = re.compile(r" *(\d+)  (.+)(\n +broken .*)?")
+
+Fuzz = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def compiled(source: Path, target: Path, *more: str) -> Path:
+    command = ["gcc", *FLAGS, *more, "-c", source, "-o", target]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return target
+
+
+@pytest.fixture(scope="module")
+def objects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The objects of the core and of the fuzz by the names of their sources."""
+    folder = tmp_path_factory.mktemp("fuzz")
+    sources = [*sorted(CORE.glob("*.c")), FUZZ / "fuzz_station.c"]
+    with ThreadPoolExecutor(2) as compilers:
+        made = compilers.map(lambda s: compiled(s, folder / f"{s.stem}.o"), sources)
+        return dict(zip([source.name for source in sources], made, strict=True))
+
+
+@pytest.fixture
+def fuzz(objects: dict[str, Path], tmp_path: Path) -> Fuzz:
+    """Run the fuzz, with another object in the place of a source's."""
+
+    def run(*arguments: str, **other: Path) -> subprocess.CompletedProcess[str]:
+        parts = objects | {f"{name}.c": made for name, made in other.items()}
+        program = tmp_path / "fuzz_station"
+        subprocess.run(["gcc", *parts.values(), "-lm", "-lpthread", "-o", program], check=True)
+        return subprocess.run(
+            [program, *arguments], capture_output=True, text=True, timeout=300, check=False
+        )
+
+    return run
+
+
+def told(output: str) -> dict[str, tuple[int, str]]:
+    """How often each rule had its say, and what was broken of it."""
+    rows = TABLE.finditer(output)
+    return {row[2]: (int(row[1]), (row[3] or "").strip()) for row in rows}
+
+
+def test_random_days_break_no_rule_and_give_each_its_say(fuzz: Fuzz) -> None:
+    done = fuzz("ticks", TICKS, SEED)
+    assert done.returncode == 0, done.stdout
+    rules = told(done.stdout)
+    assert len(rules) > 30
+    assert [rule for rule, (met, _) in rules.items() if not met] == []
+    assert "nothing broken" in done.stdout
+
+
+def test_a_seed_gives_the_same_days_again(fuzz: Fuzz) -> None:
+    first, again = (told(fuzz("ticks", "20000", SEED).stdout) for _ in range(2))
+    assert first == again
+    assert first != told(fuzz("ticks", "20000", "2").stdout)
+
+
+# Source, what is changed there, and the rule that must notice.
+BROKEN_ON_PURPOSE = {
+    "a lost link is noticed late": (
+        "station",
+        "#define LOST_TRIP 20",
+        "#define LOST_TRIP 23",
+        "twenty ticks without a pair: TRIPPED",
+    ),
+    "a trip is told once more": (
+        "station",
+        "#define TRIP_FRAMES 3",
+        "#define TRIP_FRAMES 4",
+        "a trip sends three times the last command, then nothing",
+    ),
+    "skips are forgiven": (
+        "station",
+        "#define SKIPS_RAMP_OUT 10",
+        "#define SKIPS_RAMP_OUT 19",
+        "more than 10 ticks skipped in a row: motion ends",
+    ),
+    "an overload is borne a little longer": (
+        "station",
+        "#define OVERLOAD_TICKS 256",
+        "#define OVERLOAD_TICKS 260",
+        "force beyond its limit for .25 s in HOLD or RAMP_OUT: TRIPPED",
+    ),
+    "an overload may grow a little further": (
+        "station",
+        "#define OVERLOAD 1.5",
+        "#define OVERLOAD 1.8",
+        "force beyond 1.5 times its limit in HOLD or RAMP_OUT: TRIPPED",
+    ),
+    "a lost pair takes its share off the tare": (
+        "station",
+        "++s->tare_readings < s->cfg.tare_ticks",
+        "(int64_t)s->in_state + 1 < s->cfg.tare_ticks",
+        "a tare is the mean of as many readings as it has ticks",
+    ),
+    "after a gap the command stands": (
+        "controller",
+        "c->step = blind ? c->step : x_cmd - c->x_lim;",
+        "c->step = blind ? 0.0 : x_cmd - c->x_lim;",
+        "no change of step beyond the acceleration limit a tick",
+    ),
+    "a reset trusts one reading": (
+        "station",
+        "#define REST_TICKS 20",
+        "#define REST_TICKS 1",
+        "TRIPPED is left by RESET alone, at rest",
+    ),
+    "an acceleration a hundredth too large": (
+        "controller",
+        "const double h = c->cfg.period_s, a_max = c->cfg.acceleration_limit_m_per_s2;",
+        "const double h = c->cfg.period_s, a_max = 1.01 * c->cfg.acceleration_limit_m_per_s2;",
+        "no change of step beyond the acceleration limit a tick",
+    ),
+    "a replay that is a little off": (
+        "replay",
+        ".x_m = row->x_read_m,",
+        ".x_m = row->x_read_m * (1.0 + 3e-16),",
+        "the rows replay bit for bit",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN_ON_PURPOSE)
+def test_what_is_broken_on_purpose_is_found_with_its_seed(
+    what: str, fuzz: Fuzz, tmp_path: Path
+) -> None:
+    name, text, other, rule = BROKEN_ON_PURPOSE[what]
+    source = (CORE / f"{name}.c").read_text()
+    assert source.count(text) == 1
+    changed = tmp_path / f"{name}.c"
+    changed.write_text(source.replace(text, other))
+    broken = {name: compiled(changed, tmp_path / f"{name}.o")}
+    done = fuzz("ticks", MORE_TICKS, SEED, **broken)
+    assert done.returncode == 1
+    found = told(done.stdout)[rule][1]
+    seed = re.search(r"episode (0x[0-9a-f]+)", found)
+    assert seed, done.stdout
+    again = fuzz("episode", seed[1], "3", **broken)
+    assert again.returncode == 1
+    assert told(again.stdout)[rule][1]
