@@ -777,7 +777,10 @@ static const double *next_on_path(rthyb_station *s, double *x)
 static int has_arrived(rthyb_station *s)
 {
     const rthyb_controller *c = &s->controller;
-    const double off = fmax(fabs(c->x_lim - c->x_plc), fabs(c->x_plc - c->x_num));
+    const range within = reach(s);
+    /* What brakes in front of a limit ends at it. */
+    const double aim = fmin(fmax(c->x_plc, within.low), within.high);
+    const double off = fmax(fabs(c->x_lim - aim), fabs(c->x_plc - c->x_num));
     const double away = fmax(off, fabs(c->x_lim - c->x_lim1));
     if (away <= ARRIVED_M)
         return 1;

@@ -5,8 +5,9 @@ without any compensation. Each sine is fitted to command, displacement and force
 with whole cycles and the noise spread over thousands of samples, delay comes out to a hundredth
 of a sample.
 
-The rig is a virtual one, or what is at the other end of a link: then the sweep goes through the
-station under all limits, and rows without a reading of their own are left out of every fit.
+The rig is a virtual one, in virtual time, or what is at the other end of a link. Either way the
+sweep goes through the station under the limits of the rig file, and rows without a reading of their
+own are left out of every fit.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import core, experiment
+from rthyb_rt import core, experiment, virtual_time
 from rthyb_rt.commissioning import moving, polarity
 from rthyb_rt.commissioning.moving import Connection, Moved
 from rthyb_rt.config import Identified, RigFile, dump, parse_rig
@@ -29,9 +30,6 @@ from rthyb_rt.recording import FLAGS, RUNNING
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-CHUNK_TICKS = 8192
-"""Ticks between two reports of progress: 8 s."""
 
 REST_S = 3.0
 RAMP_CYCLES = 1
@@ -188,17 +186,18 @@ class _Signals:
 
 
 def identify(rig: RigFile, sweep: Sweep | None = None, progress: Progress | None = None) -> Result:
-    """Sweep the virtual rig of ``rig`` and work out what a test needs.
+    """Sweep the virtual rig of ``rig``, in virtual time, and work out what a test needs.
 
     Raises:
         InputError: a sweep that cannot be run, or a rig that does not follow it.
+        LimitError: a limit that the rig file states ended the sweep.
+        RthybError: the rig does not come to rest.
     """
     sweep = sweep or Sweep()
     _check(sweep)
-    command, parts = _command(sweep)
-    x_m, f = _drive(rig, command, progress)
-    _check_ranges(rig, x_m, f)
-    return _result(rig, _Signals(command, x_m, f, np.ones(x_m.size, np.bool_)), parts)
+    motion, parts = _motion(sweep)
+    setup = experiment.prescribed(rig, motion.name, motion.path_m)
+    return _found(rig, Moved(virtual_time.run(setup, progress)), parts)
 
 
 def identify_live(
@@ -230,10 +229,21 @@ def identify_live(
     _check(sweep)
     moving.check_limits(connection.rig)
     moving.check_distance(connection.rig, sweep.amplitude_m)
+    motion, parts = _motion(sweep)
+    moved = moving.carry_out(connection, motion, operator=operator, progress=progress)
+    found = _found(connection.rig, moved, parts)
+    return replace(found, link_delay_samples=_link_delay(moved))
+
+
+def _motion(sweep: Sweep) -> tuple[moving.Motion, list[_Part]]:
     command, parts = _command(sweep)
     # The command of a row is that of the row before on the path: one more brings the last.
-    motion = moving.Motion("identify", np.append(command, 0.0), stay=False)
-    moved = moving.carry_out(connection, motion, operator=operator, progress=progress)
+    return moving.Motion("identify", np.append(command, 0.0), stay=False), parts
+
+
+def _found(rig: RigFile, moved: Moved, parts: list[_Part]) -> Result:
+    """Work out what a sweep that was carried out has shown."""
+    _check_ranges(rig, moved.running)
     running = moved.running[1:]
     if moved.cause != "completed":
         raise _broken_off(moved, parts, running.size)
@@ -242,19 +252,12 @@ def identify_live(
         running["x_cmd_m"], running["x_meas_m"], running["f_meas_n"], moving.fresh(running)
     )
     _check_read(signals, parts)
-    # Ranges are those of the sensors; what was tared off is in them.
-    start_m, start_n = moved.start_m, moved.start_n
-    _check_ranges(connection.rig, signals.x_m + start_m, signals.f + start_n)
-    found = _result(connection.rig, signals, parts, (start_m, start_n))
-    return replace(
-        found,
-        link_delay_samples=_link_delay(moved),
-        left_out=int(np.count_nonzero(~signals.read)),
-    )
+    found = _result(rig, signals, parts, (moved.start_m, moved.start_n))
+    return replace(found, left_out=int(np.count_nonzero(~signals.read)))
 
 
 def _result(
-    rig: RigFile, signals: _Signals, parts: list[_Part], tare: tuple[float, float] = (0.0, 0.0)
+    rig: RigFile, signals: _Signals, parts: list[_Part], tare: tuple[float, float]
 ) -> Result:
     rest = np.zeros(signals.read.size, np.bool_)
     rest[int(0.2 * core.FS_HZ) : int(REST_S * core.FS_HZ)] = True
@@ -290,9 +293,7 @@ def _result(
         rest_noise_n=noise_n,
         offset_m=offset_m + tare[0],
         offset_n=offset_n + tare[1],
-        notes=tuple(
-            _notes(tones, stiffness, alpha, (offset_m, noise_m), (offset_n, noise_n)),
-        ),
+        notes=tuple(_notes(tones, stiffness, alpha)),
     )
 
 
@@ -365,17 +366,6 @@ def _command(sweep: Sweep) -> tuple[Floats, list[_Part]]:
         pieces.append(pause)
         at += pause.size
     return np.concatenate(pieces), parts
-
-
-def _drive(rig: RigFile, command: Floats, progress: Progress | None) -> tuple[Floats, Floats]:
-    virtual = core.Rig(experiment.rig_config(rig))
-    x_m, f = np.empty_like(command), np.empty_like(command)
-    for start in range(0, command.size, CHUNK_TICKS):
-        part = slice(start, start + CHUNK_TICKS)
-        x_m[part], f[part] = virtual.run(command[part])
-        if progress is not None:
-            progress(min(start + CHUNK_TICKS, command.size), command.size)
-    return x_m, f
 
 
 def _phasor(part: _Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
@@ -477,14 +467,18 @@ def _standard_error(part: _Part, noise: float) -> float:
     return noise * float(np.sqrt(2.0 / (part.fit.stop - part.fit.start)))
 
 
-def _check_ranges(rig: RigFile, x_m: Floats, f: Floats) -> None:
-    """Refuse a sweep that drove a sensor to its end, where it says nothing more."""
+def _check_ranges(rig: RigFile, rows: NDArray[np.void]) -> None:
+    """Refuse a sweep that drove a sensor to its end, where it says nothing more.
+
+    Ranges are those of the sensors: what was tared off is in them, and so is a reading that the
+    station did not take.
+    """
     displacement, force = rig.sensors.displacement.range_m, rig.sensors.force.range_n
     for name, signal, limit, unit in (
-        ("displacement", x_m, displacement, "m"),
-        ("force", f, force, "N"),
+        ("displacement", rows["x_read_m"], displacement, "m"),
+        ("force", rows["f_read_n"], force, "N"),
     ):
-        if limit is not None and float(np.abs(signal).max()) >= limit:
+        if limit is not None and (np.abs(signal) >= limit).any():
             raise InputError(
                 f"the {name} sensor reached the end of its range, {limit:g} {unit}; identify with "
                 "a smaller amplitude (--amplitude), or check the sensor",
@@ -595,24 +589,9 @@ def _check_specimen(rig: RigFile, part: _Part, slowest: Tone, noise_n: float) ->
         )
 
 
-def _notes(
-    tones: list[Tone],
-    stiffness: float,
-    alpha: float,
-    displacement: tuple[float, float],
-    force: tuple[float, float],
-) -> list[str]:
-    """Say what the user should know; displacement and force as offset and noise at rest."""
+def _notes(tones: list[Tone], stiffness: float, alpha: float) -> list[str]:
+    """Say what the user should know."""
     notes = []
-    for name, (offset, noise), factor, unit, harm in (
-        ("displacement", displacement, 1e6, "um", "disturbs the delay estimate"),
-        ("force", force, 1.0, "N", "pushes the structure aside"),
-    ):
-        if abs(offset) > 5 * noise + 1e-9:
-            notes.append(
-                f"{name} reads {offset * factor:.3g} {unit} at rest: tare the sensor, such an "
-                f"offset {harm}"
-            )
     worst = max(tones[: max(1, len(tones) // 2)], key=lambda tone: tone.distortion)
     if worst.distortion > STIFFNESS_NONLINEAR:
         notes.append(

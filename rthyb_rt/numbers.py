@@ -25,6 +25,11 @@ def number(value: float | None, digits: int = 3) -> str:
     return text.replace("-", "−", 1) if text.startswith("-") else text
 
 
+def tare(tare_m: float, tare_n: float) -> str:
+    """Return what zeroing takes off both readings, ``tare 1.204 mm, -0.310 kN``."""
+    return f"tare {tare_m * 1e3:.3f} mm, {tare_n * 1e-3:.3f} kN"
+
+
 def percent(fraction: float | None, digits: int = 2) -> str:
     """Return a fraction as per cent, ``2.1 %``; above ten times the exact figure says nothing."""
     if fraction is None or np.isnan(fraction):

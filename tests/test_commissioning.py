@@ -136,6 +136,23 @@ def test_force_limit_of_a_jog_counts_from_zero_load() -> None:
     assert second.end_n == pytest.approx(700.0, abs=40.0)
 
 
+def test_position_limit_of_a_jog_counts_from_the_zero_of_the_rig() -> None:
+    """A row of jogs leads no farther than one may, and from beyond the limit there is a way back."""
+    limit = {"limits.command_position_m": '{ value = "5 mm", action = "ramp-out" }'}
+    with at(rig(limit)) as there:
+        first = jogging.jog(there.connection, 3e-3, 4e-3)
+        second = jogging.jog(there.connection, 3e-3, 4e-3)
+        beyond_m = there.position_m
+        farther = jogging.jog(there.connection, 1e-3, 4e-3)
+        back = jogging.jog(there.connection, -3e-3, 4e-3)
+    assert first.cause == "completed"
+    assert second.cause == "rig_position"
+    assert beyond_m == pytest.approx(5e-3, abs=0.1e-3)
+    assert farther.cause == "rig_position"
+    assert abs(farther.moved_m) < 0.1e-3
+    assert back.cause == "completed"
+
+
 def test_jog_that_would_leave_the_sensor_or_the_load_cell_is_refused_and_nothing_moves() -> None:
     far = rig({"sensors.displacement.range_m": '"12 mm"'})
     with at(far) as there:
@@ -322,7 +339,13 @@ def test_recording_of_a_motion_that_went_on_is_replayed_bit_for_bit() -> None:
     assert rec.samples["x_cmd_m"][taken[0]] == pytest.approx(0.6e-3, abs=5e-6)
     assert rec.meta["real_time"]["commands_before"] > 0
     settings = moving.station_of(experiment.prescribed(rig(), still.name, still.path_m), still)
-    again = core.Station(settings, still.path_m).replay(rec.samples, codec, core.IDENTITY, [])
+    reach = settings.watches["position"]
+    counted = dataclasses.replace(
+        core.Parameters.of(settings), watches={**settings.watches, "rig_position": reach}
+    )
+    again = core.Station(settings, still.path_m).replay(
+        rec.samples, codec, core.IDENTITY, [(1, counted)]
+    )
     assert again.tobytes() == rec.samples.tobytes()
 
 
@@ -750,6 +773,13 @@ def test_limit_that_ends_the_sweep_is_named_with_its_frequency() -> None:
     assert caught.value.exit_code == 6
 
 
+def test_limit_of_the_rig_file_ends_a_sweep_in_virtual_time_as_well() -> None:
+    limit = {"limits.tracking_error_m": '"0.11 mm"'}  # 12 samples at 4 Hz, 0.5 mm: 0.15 mm
+    with pytest.raises(moving.LimitError) as caught:
+        identify(rig(limit), QUICK)
+    assert "the sweep ended at 4 Hz: tripped: tracking limit" in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("cause", "code"), [("skips", 7), ("stalled", 7), ("heartbeat", 7), ("link_lost", 6)]
 )
@@ -759,7 +789,7 @@ def test_motion_that_this_pc_spoils_every_time_is_a_matter_of_timing(
     still = moving.Motion("still", np.zeros(100))
     with at(rig()) as there:
         moved = moving.carry_out(there.connection, still)
-        moved.recording.meta["real_time"]["cause"] = cause
+        moved.recording.meta["station"]["cause"] = cause
         monkeypatch.setattr(moving, "carry_out", lambda *_, **__: moved)
         with pytest.raises(RthybError, match="3 times; rthyb jitter says") as caught:
             moving.undisturbed(there.connection, still)

@@ -309,8 +309,9 @@ def zero(
 
 
 def _tare(found: dict[str, Any]) -> str:
-    tare = found["tare"]
-    return f"tare {tare['displacement_m'] * 1e3:.3f} mm, {tare['force_n'] * 1e-3:.3f} kN"
+    from rthyb_rt import numbers
+
+    return numbers.tare(found["tare"]["displacement_m"], found["tare"]["force_n"])
 
 
 def _await_zeroed(client: Client) -> dict[str, Any]:

@@ -178,7 +178,7 @@ def _print_result(rig: RigFile, result: Result, file: IO[str]) -> None:
             ("Noise at rest", f"{quantity(result.rest_noise_m, 'µm', 1e6)}, "
              f"{quantity(result.rest_noise_n, 'N')}", "standard deviation"),
             ("Offset at rest", f"{quantity(result.offset_m, 'µm', 1e6)}, "
-             f"{quantity(result.offset_n, 'N')}", "mean; large ones want a tare"),
+             f"{quantity(result.offset_n, 'N')}", "mean; every test begins by taking it off"),
         ],
         file,
     )  # fmt: skip

@@ -26,7 +26,7 @@ Rows = NDArray[np.void]
 
 ATTEMPTS: Final = 3
 """A PC or a wire that stalls spoils a motion; it is repeated so often."""
-SPOILT: Final = (*realtime.TIMING_CAUSES, "link_lost")
+SPOILT: Final = (*realtime.TIMING_CAUSES, "link_lost", "lost_pairs")
 
 GENTLE_M_PER_S: Final = 1e-3
 """Speed of motions that nobody asked a speed for."""
@@ -155,12 +155,12 @@ class Moved:
     @property
     def cause(self) -> str:
         """What ended it: "completed", or a cause of the station."""
-        return str(self.facts["cause"])
+        return str(self.recording.meta["station"]["cause"])
 
     @property
     def state(self) -> str:
         """Name of the last state."""
-        return str(self.facts["state"])
+        return str(self.recording.meta["station"]["state"])
 
     @property
     def states(self) -> set[str]:
@@ -255,8 +255,9 @@ def with_rests(path_m: Floats, before_s: float = 0.25, after_s: float = 0.5) -> 
 def station_of(setup: Setup, motion: Motion) -> core.StationConfig:
     """Return the settings of the station: the rig's limits, and what the motion has instead.
 
-    The rig's limits count from where the motion begins, and the force from zero load if it says so;
-    any tare will do: a specimen that stands where no test may begin is brought back by a motion.
+    The rig's limits count from where the motion begins, and once that is known from their own zero
+    as well, the force's if the motion says so. Any tare will do: a specimen that stands where no
+    test may begin is brought back by a motion.
     """
     base = experiment.station_config(setup, real=True)
     watches = dict(base.watches)
@@ -339,8 +340,26 @@ class _Beginning:
         """Judge where the specimen stands, before anything moves."""
         x_m, f_n = session.run.station.tare
         self._check_reach(x_m)
+        watches = self._position_from_zero(session, x_m)
         if self.motion.whole_force:
-            self._count_force_from_zero(session, f_n)
+            watches |= self._force_from_zero(session, f_n)
+        if watches:
+            config = session.run.config
+            wanted = {**config.watches, **watches}
+            session.set_parameters(replace(core.Parameters.of(config), watches=wanted))
+
+    def _position_from_zero(self, session: realtime.Session, x_m: float) -> dict[str, core.Watch]:
+        """Watch the position before the tare as well: a row of jogs leads no farther than one.
+
+        A specimen that stands beyond the rig's limit may come back, and go no farther: by what the
+        reading may move at rest.
+        """
+        limit = self.connection.rig.limits.command_position_m
+        if limit is None or not limit.acts:
+            return {}
+        stands_m = max(abs(x_m), abs(session.run.station.command_tare_m))
+        most_m = max(limit.value, stands_m + session.run.config.rest_spread_m)
+        return {"rig_position": core.Watch(most_m, limit.action)}
 
     def _check_reach(self, x_m: float) -> None:
         reach = self.connection.rig.sensors.displacement.range_m
@@ -353,10 +372,10 @@ class _Beginning:
                 f"{reach * 1e3:g} mm (sensors.displacement.range_m)"
             )
 
-    def _count_force_from_zero(self, session: realtime.Session, f_n: float) -> None:
+    def _force_from_zero(self, session: realtime.Session, f_n: float) -> dict[str, core.Watch]:
         limit = session.run.config.watches.get("force")
         if limit is None:
-            return
+            return {}
         left = limit.value - abs(f_n)
         if left <= 0.0:
             raise realtime.RefusedError(
@@ -364,8 +383,7 @@ class _Beginning:
                 "relieve the specimen, correct the load cell's zero ([calibration] "
                 "force.offset_n), or raise the limit for this motion with --set limits.force_n=..."
             )
-        watches = {**session.run.config.watches, "force": core.Watch(left, limit.reaction)}
-        session.set_parameters(replace(core.Parameters.of(session.run.config), watches=watches))
+        return {"force": core.Watch(left, limit.reaction)}
 
 
 def carry_out(

@@ -13,7 +13,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import core, realtime, recording, ring, summary, trips
+from rthyb_rt import core, numbers, realtime, recording, ring, summary, trips
 from rthyb_rt.attention import WINDOW_S, Judge, Subject
 from rthyb_rt.endings import in_words
 from rthyb_rt.errors import InputError, RthybError
@@ -447,6 +447,7 @@ def _nothing() -> dict[str, Any]:
         "indicated": [],
         "attention": [],
         "armed_by": "",
+        "tare": "",
         "last": None,
         "counters": [],
         "now": None,
@@ -474,6 +475,7 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
         else [progress["ticks"] / core.FS_HZ, progress["of"] / core.FS_HZ],
         "indicated": found["indicated"],
         "armed_by": found["armed_by"],
+        "tare": numbers.tare(found["tare"]["displacement_m"], found["tare"]["force_n"]),
         "last": found["last"],
         "counters": list(_recorder(found["recorder"])),
         "now": None if found["newest"] is None else _now(found["newest"]),

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import core, experiment, jitter, ticker, trips
+from rthyb_rt import core, experiment, jitter, numbers, ticker, trips
 from rthyb_rt.endings import RefusedError, TimingError
 from rthyb_rt.errors import RthybError
 from rthyb_rt.links.wire import Wire
@@ -422,8 +422,7 @@ class Conductor:
 
     def tare_in_words(self) -> str:
         """Return it for people."""
-        x_m, f_n = self.run.station.tare
-        return f"tare {x_m * 1e3:.3f} mm, {f_n * 1e-3:.3f} kN"
+        return numbers.tare(*self.run.station.tare)
 
     def no_feedback(self) -> str:
         """Return in words why good pairs of a drive that follows do not come."""
@@ -505,7 +504,10 @@ def _no_more(recent: NDArray[np.uint32]) -> str:
             "it; look why it stopped, then `rthyb reset RIG` (a service: `rthyb ctl reset`)"
         )
     if (recent & FLAGS["fresh"]).any():
-        return "the feedback was interrupted a moment ago; try again"
+        return (
+            "the feedback was interrupted, or leapt, a moment ago; try again, and if it comes "
+            "back, look at the sensors and their cables"
+        )
     return (
         "the drive has gone silent: no pair of displacement and force comes any more; is it "
         "switched on, and its cable in place?"

@@ -163,6 +163,7 @@ def test_operator_takes_a_test_from_zero_to_start(
 ) -> None:
     page = armed(place, view, open_page)
     await_text(page, "#state", "ARMED")
+    await_text(page, "#cause", "tare ")
     page.click("[data-command=start]" + USEFUL, timeout=PATIENCE_MS)
     # The first click only asks back.
     assert page.text_content("[data-command=start]") == "Really start?"

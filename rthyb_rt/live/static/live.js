@@ -125,6 +125,7 @@ function tell() {
     else if (state === "") words = "WAITING";
     else if (state === "IDLE" && status.last && status.last.end_reason !== "completed") cause = `last test ${status.last.end_reason}`;
     else if (cause && state !== "RAMP_OUT" && state !== "HOLD") cause = "";
+    if (!cause && (state === "ZEROED" || state === "ARMED")) cause = status.tare;
     if (!cause && status.indicated && status.indicated.length) cause = `indicated: ${status.indicated.join(", ")}`;
   }
   const name = words || state.replace("_", " ");
