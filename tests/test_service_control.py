@@ -332,6 +332,25 @@ def echoing(may_begin: Any = lambda: None) -> Dispatcher:
     )
 
 
+@pytest.mark.parametrize("turns", range(5))
+def test_service_ends_whatever_comes_at_that_moment(place: Path, turns: int) -> None:
+    """A request that arrives as its connection is ended must not have it wait for another one."""
+
+    async def end_with_a_request_on_its_way() -> None:
+        server = control.ControlServer(place / "s", echoing(), control.Limits(message_s=60.0))
+        await server.start()
+        with socket.socket(socket.AF_UNIX) as client:
+            client.connect(str(place / "s"))
+            await asyncio.sleep(0.05)
+            client.send(b"{")
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            async with asyncio.timeout(10.0):
+                await server.stop()
+
+    asyncio.run(end_with_a_request_on_its_way())
+
+
 def test_long_request_is_not_taken_apart_where_a_test_has_begun_meanwhile(place: Path) -> None:
     """8 MB keep the thread that gives the sign of life for a while: at rest that does no harm."""
     asked: list[bool] = []

@@ -126,7 +126,8 @@ class Feed:
                 continue
             due = now
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._opened.wait(), _IDLE_S)
+                async with asyncio.timeout(_IDLE_S):
+                    await self._opened.wait()
 
     async def _look(self) -> None:
         await asyncio.to_thread(self.source.look)

@@ -451,7 +451,8 @@ class ControlServer:
     async def _send(self, connection: socket.socket, reply: dict[str, Any]) -> None:
         data = encode(reply)
         loop = asyncio.get_running_loop()
-        await asyncio.wait_for(loop.sock_sendall(connection, data), self._limits.answer_s)
+        async with asyncio.timeout(self._limits.answer_s):
+            await loop.sock_sendall(connection, data)
 
 
 class _Conversation:
@@ -547,9 +548,9 @@ class _Conversation:
     async def _receive(self, seconds: float) -> bool:
         loop = asyncio.get_running_loop()
         try:
-            data = await asyncio.wait_for(
-                loop.sock_recv(self._connection, REQUEST_BYTES), max(seconds, 0.001)
-            )
+            # Not wait_for: before Python 3.12 it forgets a cancellation that comes with the data.
+            async with asyncio.timeout(max(seconds, 0.001)):
+                data = await loop.sock_recv(self._connection, REQUEST_BYTES)
         except TimeoutError:
             raise limited("nothing came for too long") from None
         self._buffer += data
