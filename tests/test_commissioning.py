@@ -137,7 +137,7 @@ def test_force_limit_of_a_jog_counts_from_zero_load() -> None:
 
 
 def test_position_limit_of_a_jog_counts_from_the_zero_of_the_rig() -> None:
-    """A row of jogs leads no farther than one may, and from beyond the limit there is a way back."""
+    """A row of jogs leads no farther than one may; from beyond the limit there is a way back."""
     limit = {"limits.command_position_m": '{ value = "5 mm", action = "ramp-out" }'}
     with at(rig(limit)) as there:
         first = jogging.jog(there.connection, 3e-3, 4e-3)

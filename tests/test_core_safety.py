@@ -126,6 +126,20 @@ def test_reset_without_a_fresh_reading_is_refused(bench: Bench) -> None:
     assert bench.loop.state == "TRIPPED"
 
 
+def test_one_reading_after_a_silence_is_no_rest_that_a_reset_could_trust(bench: Bench) -> None:
+    bench.running(500)
+    bench.fault("drop", 800)
+    bench.until("TRIPPED")
+    while not bench.last_flags() & FLAGS["fresh"]:
+        bench.step()
+    bench.step("reset")
+    assert bench.refused
+    bench.steps(20)
+    bench.step("reset")
+    assert not bench.refused
+    assert_the_same(bench)
+
+
 @pytest.mark.usefixtures("biased")
 def test_specimen_moved_while_the_drive_was_off_does_not_leap_when_it_is_released() -> None:
     with Bench() as bench:

@@ -6,6 +6,7 @@ import os
 import platform
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -58,9 +59,9 @@ def test_library_is_used_where_the_processors_area_is_the_larger_one(
     needed: bool,
 ) -> None:
     monkeypatch.setattr(guest, "GUEST_XSTATE", known)
-    assert guest.preloaded() == (library if needed else None)
+    assert guest.preloaded() == ([library] if needed else [])
     assert capsys.readouterr().out.count("\n") == needed
-    assert guest.preloaded(always=True) == library
+    assert guest.preloaded(always=True) == [library]
 
 
 def test_what_is_built_is_built_once_and_again_when_its_source_is_newer(
@@ -72,6 +73,55 @@ def test_what_is_built_is_built_once_and_again_when_its_source_is_newer(
     assert guest.build("reference").stat().st_mtime_ns == built_ns
     os.utime(built, (0, 0))
     assert guest.build("reference", "-lpthread").stat().st_mtime_ns >= built_ns
+
+
+_TIMED = """
+import ctypes, select, time
+
+class Timespec(ctypes.Structure):
+    _fields_ = [("s", ctypes.c_long), ("ns", ctypes.c_long)]
+
+class Setting(ctypes.Structure):
+    _fields_ = [("every", Timespec), ("ahead", Timespec)]
+
+class Event(ctypes.Structure):
+    _fields_ = [("value", ctypes.c_void_p), ("signal", ctypes.c_int), ("notify", ctypes.c_int),
+                ("rest", ctypes.c_byte * 64)]
+
+libc, timer = ctypes.CDLL(None), ctypes.c_void_p()
+assert libc.timer_create(1, ctypes.byref(Event(notify=1)), ctypes.byref(timer)) == 0
+
+def waited(sleep_s, ahead_ns):
+    setting = Setting(ahead=Timespec(0, ahead_ns))
+    assert libc.timer_settime(timer, 0, ctypes.byref(setting), None) == 0
+    begun = time.monotonic()
+    for _ in range(3):
+        select.select([], [], [], sleep_s / 3)
+        ended = time.monotonic()
+    return ended - begun
+
+print(waited(0.6, 0), waited(0.6, 100_000_000), waited(0.6, 900_000_000), waited(6.0, 100_000_000))
+"""
+
+
+def test_clock_of_the_guest_stands_where_the_host_is_late(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At half the pace, and not beyond what is due, unless nobody ever asks for a timer again."""
+    monkeypatch.setattr(guest, "STORE", tmp_path / "vm")
+    clock = guest.build("clock", "-shared", "-fPIC", "-ldl")
+    ran = subprocess.run(
+        [sys.executable, "-I", "-c", _TIMED],
+        env={"LD_PRELOAD": str(clock)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    without, late, early, for_ever = map(float, ran.stdout.split())
+    assert without == pytest.approx(0.3, abs=0.1)
+    assert late == pytest.approx(0.1005, abs=2e-4)
+    assert early == pytest.approx(0.3, abs=0.1)
+    assert for_ever > 2.5
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="a thread that comes before all others is root's")

@@ -252,8 +252,8 @@ def build(name: str, *options: str) -> Path:
     return built
 
 
-def preloaded(always: bool = False) -> Path | None:
-    """Return what the kernel needs before its own libraries here; None: it starts as it is.
+def preloaded(always: bool = False) -> list[Path]:
+    """Return what this processor has the kernel need before its own libraries.
 
     Args:
         always: even where this processor's registers fit into the kernel's area.
@@ -261,13 +261,13 @@ def preloaded(always: bool = False) -> Path | None:
     library = build("xstate", "-shared", "-fPIC", "-ldl")
     area = int(ctypes.CDLL(str(library)).xstate_area())
     if area <= GUEST_XSTATE and not always:
-        return None
+        return []
     print(
         f"This processor's registers take {area} bytes, the guest's kernel knows {GUEST_XSTATE}: "
         "it starts with xstate.c before it",
         flush=True,
     )
-    return library
+    return [library]
 
 
 def modules(wanted: Iterable[str] = MODULES) -> list[Path]:
@@ -348,7 +348,7 @@ def run(
             timeout,
             memory_mib,
             systemd,
-            preloaded(preload),
+            [build("clock", "-shared", "-fPIC", "-ldl"), *preloaded(preload)],
             build("reference", "-lpthread"),
         )
         for last in (False, True):
@@ -372,7 +372,7 @@ class _Job:
     timeout: float
     memory_mib: int
     systemd: bool
-    library: Path | None
+    preloaded: Sequence[Path]
     reference: Path
 
     @property
@@ -509,9 +509,11 @@ def _start(job: _Job, console: BinaryIO, output: int) -> subprocess.Popen[bytes]
     """One processor only: a user-mode kernel that is moved about loses two fifths of its speed."""
     folder = job.folder
     cpu = _idlest()
-    environment = {"PATH": os.defpath, "TMPDIR": str(_memory_folder(folder, job.memory_mib))}
-    if job.library:
-        environment["LD_PRELOAD"] = str(job.library)
+    environment = {
+        "PATH": os.defpath,
+        "TMPDIR": str(_memory_folder(folder, job.memory_mib)),
+        "LD_PRELOAD": ":".join(map(str, job.preloaded)),
+    }
     machine = subprocess.Popen(
         [
             *("taskset", "-c", str(cpu)),
