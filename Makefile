@@ -72,7 +72,7 @@ test: $(TEST_READY)
 VM_TESTS := tests/vm $(wildcard $(addprefix tests/test_,loop.py links_socketcan.py realtime_vcan.py))
 test-vm: $(TEST_READY)
 	@$(BIN)/python -c 'import rthyb_rt._core'
-	@$(BIN)/python tests/vm/guest.py --timeout 1500 -- python -m pytest -p no:cacheprovider -rs \
+	@$(BIN)/python tests/vm/guest.py --timeout 1200 -- python -m pytest -p no:cacheprovider -rs \
 	    -o faulthandler_timeout=240 $(VM_TESTS)
 
 # A day of the service in three boots of a guest whose first process is systemd; it is installed from
