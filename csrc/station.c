@@ -815,6 +815,9 @@ static void arrive(rthyb_station *s)
         s->path = plan(s, from, rest);
         s->leg = 1;
     } else if (s->state == RTHYB_RAMP_OUT) {
+        /* At rest nothing confines it: what a limit has kept it from is not gone to after all. */
+        if (fabs(s->controller.x_lim - s->controller.x_plc) > ARRIVED_M)
+            settle(s, s->controller.x_lim);
         enter(s, RTHYB_IDLE);
     }
 }
