@@ -1,4 +1,4 @@
-/* The virtual actuator that the C drivers of the tests measure and watch: the shaking table's figures,
+/* The virtual actuator that the C drivers of the tests measure, watch and fuzz: the shaking table's figures,
  * and some for every other kind. */
 #ifndef SERVO_EXAMPLE_H
 #define SERVO_EXAMPLE_H

@@ -6,6 +6,7 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "../servo_example.h"
 #include "rthyb.h"
 #include "station_rules.h"
 
@@ -263,27 +264,12 @@ static rthyb_servo_config some_servo(dice *d, const scale *s)
 {
     static const int32_t KINDS[] = {RTHYB_PURE_DELAY,   RTHYB_PURE_DELAY,   RTHYB_PURE_DELAY,
                                     RTHYB_SECOND_ORDER, RTHYB_SECOND_ORDER, RTHYB_SERVO_HYDRAULIC};
-    return (rthyb_servo_config){
-        .kind = KINDS[below(d, 6)],
-        .hold = (int32_t)below(d, 2),
-        .period_s = PERIOD_S,
-        .delay_samples = s->delay,
-        .natural_frequency_hz = some(d, 5.0, 60.0),
-        .damping_ratio = between(d, 0.4, 1.2),
-        .gain = 1.0,
-        .kp_per_s = 63.5,
-        .ki_per_s2 = 6.0,
-        .valve_time_constant_s = 0.0018,
-        .stall_force_n = 4.0 * s->k_e_n_per_m * s->peak_m,
-        .flow_limit_m_per_s = 1.0,
-        .oil_stiffness_n_per_m = 2e7,
-        .oil_damping_n_s_per_m = 1.2e4,
-        .moving_mass_kg = 45.0,
-        .friction_n = 80.0,
-        .friction_width_m_per_s = 5e-4,
-        .viscous_n_s_per_m = 600.0,
-        .substeps = 16,
-    };
+    const int32_t kind = KINDS[below(d, 6)], hold = (int32_t)below(d, 2);
+    rthyb_servo_config servo = servo_example(kind, hold, s->delay);
+    servo.natural_frequency_hz = some(d, 5.0, 60.0);
+    servo.damping_ratio = between(d, 0.4, 1.2);
+    servo.stall_force_n = 4.0 * s->k_e_n_per_m * s->peak_m;
+    return servo;
 }
 
 static void set_up_rig(dice *d, world *w)
