@@ -23,7 +23,7 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: help run install reproduce test test-vm test-systemd test-live soak sanitize fuzz fuzz-station \
-        tsan proof prove bench lint clean
+        tsan proof prove validate-diagnosis bench lint clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
@@ -40,6 +40,7 @@ help:
 	@echo 'make proof      the long proofs of real time: stalls, drifting clocks, jitter; minutes'
 	@echo 'make soak       a service for five minutes, and nothing that grows (SECONDS=300)'
 	@echo 'make prove      the diagnosis on hundreds of cases that it has not seen; a quarter of an hour'
+	@echo 'make validate-diagnosis  the same on the shipped rigs and by a second generator (SEED=1, COUNT=12)'
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
 	@echo 'make clean      remove .venv, build and caches; runs/ stays'
@@ -150,6 +151,12 @@ soak: $(TEST_READY)
 prove: $(TEST_READY)
 	@$(BIN)/python -m pip install -qq --group prove
 	@$(BIN)/python tests/prove/prove.py
+
+# What is hidden in the shipped rigs, then cases of a generator that knows nothing of the first one's.
+COUNT := 12
+validate-diagnosis: $(TEST_READY)
+	@$(BIN)/python tests/validate/own_rigs.py --seed $(SEED) --jobs 2
+	@$(BIN)/python tests/validate/run.py --seed $(SEED) --count $(COUNT) --jobs 2 --out build/validate/$(SEED)
 
 # clang and its run-time library (Debian: clang, libclang-rt-14-dev) are asked for here only. What was
 # found stays in build/fuzz and is where the next run begins.

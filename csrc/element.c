@@ -3,6 +3,7 @@
  * History is advanced by the increment of x, so a law without rate in it stays without rate. */
 #include <string.h>
 
+#include "laws.h"
 #include "numeric.h"
 
 #define PARAM_MAX 1e15
@@ -10,7 +11,9 @@
 #define ETA_MAX 50.0    /* keeps |z|^eta finite for any z that is accepted */
 #define VELOCITY_MAX 1e6
 #define ACCELERATION_MAX 1e9
-#define BOUC_WEN_STEPS_MAX 64
+#define EXPONENT_MIN 0.05
+#define EXPONENT_MAX 10.0
+#define LOSS_MAX 0.99 /* what is left of a strength divides */
 
 /* One sign a parameter, in the order of enum rthyb_element_kind: '+' positive, '0' not negative,
  * '-' any. */
@@ -34,6 +37,16 @@ static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
     [RTHYB_SECOND_MODE] = "0+0",
     [RTHYB_P_DELTA] = "0+",
     [RTHYB_GAP_FRICTION] = "+0000",
+    [RTHYB_COULOMB_UNEVEN] = "00+",
+    [RTHYB_GAP_UNEVEN] = "0000",
+    [RTHYB_POWER_DAMPING] = "-+++",
+    [RTHYB_POWER_SPRING] = "-+++",
+    [RTHYB_PENDULUM] = "-+",
+    [RTHYB_FRICTION_PENDULUM] = "++000+",
+    [RTHYB_IWAN] = "+0+0",
+    [RTHYB_MENEGOTTO_PINTO] = "+0++0+",
+    [RTHYB_CHABOCHE] = "++0000",
+    [RTHYB_RC_COLUMN] = "+0++0+0+000-+",
 };
 /* clang-format on */
 
@@ -49,11 +62,29 @@ static int param_ok(double value, char sign)
     return sign == '-' || value >= (sign == '+' ? PARAM_MIN : 0.0);
 }
 
-/* Where the hysteretic variable of Eqn 4.2 comes to rest: A = (B + C) |z|^eta. */
-static double bouc_wen_ceiling(const double *p)
+static int within(double value, double low, double high)
 {
-    const double sum = p[3] + p[4];
-    return sum > 0.0 ? pow(p[2] / sum, 1.0 / p[5]) : RTHYB_DISPLACEMENT_MAX_M;
+    return value >= low && value <= high;
+}
+
+/* What a law asks of its shape beyond the signs. */
+static int shape_ok(int32_t kind, const double *p)
+{
+    switch (kind) {
+    case RTHYB_POWER_DAMPING:
+    case RTHYB_POWER_SPRING:
+        return within(p[2], EXPONENT_MIN, EXPONENT_MAX);
+    case RTHYB_IWAN:
+        return p[1] <= 1.0 && p[3] <= 1.0;
+    case RTHYB_MENEGOTTO_PINTO:
+        return p[1] <= LOSS_MAX && within(p[3], 1.0, ETA_MAX) && p[4] <= LOSS_MAX;
+    case RTHYB_RC_COLUMN:
+        return p[1] <= 1.0 && within(p[3], 0.1, ETA_MAX) && p[5] > p[2] && p[6] <= LOSS_MAX &&
+               p[8] <= LOSS_MAX && p[9] <= LOSS_MAX && p[10] <= 0.5 && fabs(p[11]) <= 1.0 &&
+               within(p[12], 0.01, EXPONENT_MAX);
+    default:
+        return 1;
+    }
 }
 
 int rthyb_element_init(rthyb_element *element, int32_t kind, const double *params, size_t n)
@@ -65,13 +96,15 @@ int rthyb_element_init(rthyb_element *element, int32_t kind, const double *param
         if (!param_ok(params[i], SIGNS[kind][i]))
             return RTHYB_E_ELEMENT;
     }
+    if (!shape_ok(kind, params))
+        return RTHYB_E_ELEMENT;
     *element = (rthyb_element){.kind = kind};
     for (int i = 0; i < count; i++)
         element->params[i] = params[i];
     const int hysteretic =
         kind == RTHYB_HYSTERESIS || kind == RTHYB_PINCHING || kind == RTHYB_DEGRADATION;
     if (hysteretic) {
-        element->params[8] = fmin(bouc_wen_ceiling(params), RTHYB_DISPLACEMENT_MAX_M);
+        element->params[8] = fmin(rthyb_bouc_wen_ceiling(params), RTHYB_DISPLACEMENT_MAX_M);
         if (kind != RTHYB_HYSTERESIS && params[6] > 1.0) /* depth, loss: shares */
             return RTHYB_E_ELEMENT;
         if (!(element->params[8] > 0.0 && params[5] >= 0.1 && params[5] <= ETA_MAX))
@@ -83,95 +116,16 @@ int rthyb_element_init(rthyb_element *element, int32_t kind, const double *param
     return 0;
 }
 
-static double stribeck_level(const double *p, double v)
+/* A spring each way behind its own gap. */
+static double beyond(double x, double k_up, double up, double k_down, double down)
 {
-    const double r = v / p[2];
-    return p[0] + (p[1] - p[0]) * exp(-r * r);
+    return x > up ? k_up * (x - up) : (x < -down ? k_down * (x + down) : 0.0);
 }
 
-/* Canudas de Wit (1995); exact over dt for a constant velocity. state: z. */
-static double lugre(const double *p, double *s, double v, double dt)
+/* sgn(r) |r|^n, straight within |r| < width: the root keeps the slope at 0 finite where n < 1. */
+static double signed_power(double r, double n, double width)
 {
-    const double level = stribeck_level(p, v);
-    const double rate = p[3] * fabs(v) / level;
-    const double shrink = rate * dt;
-    const double decay = exp(-shrink);
-    const double travel = shrink > 1e-9 ? -expm1(-shrink) / rate : dt;
-    s[0] = s[0] * decay + v * travel;
-    const double z_rate = v - rate * s[0];
-    return p[3] * s[0] + p[4] * z_rate + p[5] * v;
-}
-
-/* What lies beyond +-half. */
-static double beyond(double x, double half)
-{
-    return x > half ? x - half : (x < -half ? x + half : 0.0);
-}
-
-/* A slider behind a play and a spring: it takes what the spring cannot hold; Fc depends on the
- * direction. The play's faces meet one by one over +-seat, so that the spring's slope grows evenly
- * there. state: x of the last call, way between specimen and slider. */
-static double gap_friction(const double *p, double *s, double x)
-{
-    const double k = p[0], gap = p[1], seat = p[5];
-    s[1] = clamp(s[1] + (x - s[0]), -(gap + p[3] / k), gap + p[2] / k);
-    s[0] = x;
-    const double past = fabs(s[1]) - gap;
-    const double closed = past >= seat   ? past
-                          : past > -seat ? (past + seat) * (past + seat) / (4.0 * seat)
-                                         : 0.0;
-    return s[1] < 0.0 ? -k * closed : k * closed;
-}
-
-static double power(double base, double exponent)
-{
-    if (exponent == 1.0)
-        return base;
-    if (exponent == 1.5)
-        return base * sqrt(base);
-    if (exponent == 2.0)
-        return base * base;
-    return pow(base, exponent);
-}
-
-/* dz/du of Eqn 4.2, with v for z as the paper has it; du only gives its sign. Pinching slackens it
- * near z = 0 (Baber & Noori 1985, with their q = 0). */
-static double bouc_wen_slope(const rthyb_element *e, double z, double du)
-{
-    const double *p = e->params;
-    const double toward = du * z >= 0.0 ? 1.0 : -1.0;
-    const double slope = p[2] - (p[3] * toward + p[4]) * power(fabs(z), p[5]);
-    if (e->kind != RTHYB_PINCHING)
-        return slope;
-    const double r = z / (p[7] * p[8]);
-    return slope * (1.0 - p[6] * exp(-r * r));
-}
-
-/* Eqn 4.1, 4.2: midpoint rule in steps of at most a twentieth of the ceiling of z.
- * state: x of the last call, z, travel. */
-static double bouc_wen(rthyb_element *e, double x)
-{
-    const double *p = e->params;
-    double *s = e->state;
-    const double du = x - s[0], ceiling = p[8];
-    const double most = 0.05 * ceiling;
-    int steps = 1;
-    if (fabs(du) > most)
-        steps = (int)clamp(ceil(fabs(du) / most), 1.0, BOUC_WEN_STEPS_MAX);
-    const double h = steps > 1 ? du / steps : du;
-    double z = s[1];
-    for (int i = 0; i < steps && du != 0.0; i++) {
-        const double middle = clamp(z + 0.5 * h * bouc_wen_slope(e, z, du), -ceiling, ceiling);
-        z = clamp(z + h * bouc_wen_slope(e, middle, du), -ceiling, ceiling);
-    }
-    s[0] = x;
-    s[1] = z;
-    double strength = 1.0;
-    if (e->kind == RTHYB_DEGRADATION) {
-        s[2] = fmin(s[2] + fabs(du), 1e6);
-        strength = 1.0 - p[6] * -expm1(-s[2] / p[7]);
-    }
-    return p[1] * p[0] * x + (1.0 - p[1]) * p[0] * strength * z;
+    return r * pow(r * r + width * width, 0.5 * (n - 1.0));
 }
 
 /* Spring and dashpot in series; exact for x running straight. state: x of the last call, force. */
@@ -209,16 +163,16 @@ static double law(rthyb_element *element, double x, double v, double a, double d
     case RTHYB_COULOMB:
         return p[0] * smooth_sign(v / p[1]);
     case RTHYB_STRIBECK:
-        return stribeck_level(p, v) * smooth_sign(v / p[3]);
+        return rthyb_stribeck_level(p, v) * smooth_sign(v / p[3]);
     case RTHYB_LUGRE:
-        return lugre(p, s, v, dt);
+        return rthyb_lugre(p, s, v, dt);
     case RTHYB_QUAD_DAMPING:
         return p[0] * v * fabs(v);
     case RTHYB_INERTIA:
         return p[0] * a;
     case RTHYB_GAP:
     case RTHYB_STOPPER:
-        return p[0] * beyond(x, p[1]);
+        return beyond(x, p[0], p[1], p[0], p[1]);
     case RTHYB_CUBIC:
         return p[0] * x * x * x;
     case RTHYB_QUADRATIC:
@@ -226,7 +180,7 @@ static double law(rthyb_element *element, double x, double v, double a, double d
     case RTHYB_HYSTERESIS:
     case RTHYB_PINCHING:
     case RTHYB_DEGRADATION:
-        return bouc_wen(element, x);
+        return rthyb_bouc_wen(element, x);
     case RTHYB_MAXWELL:
         return maxwell(p, s, x, dt);
     case RTHYB_SECOND_MODE:
@@ -234,7 +188,27 @@ static double law(rthyb_element *element, double x, double v, double a, double d
     case RTHYB_P_DELTA:
         return -p[0] / p[1] * x;
     case RTHYB_GAP_FRICTION:
-        return gap_friction(p, s, x);
+        return rthyb_gap_friction(p, s, x);
+    case RTHYB_COULOMB_UNEVEN:
+        return (v < 0.0 ? p[1] : p[0]) * smooth_sign(v / p[2]);
+    case RTHYB_GAP_UNEVEN:
+        return beyond(x, p[0], p[1], p[2], p[3]);
+    case RTHYB_POWER_DAMPING: /* Constantinou & Symans, NCEER-92-0032, 1992: C |v|^a sgn(v) */
+        return p[0] * signed_power(v / p[1], p[2], p[3] / p[1]);
+    case RTHYB_POWER_SPRING:
+        return p[0] * signed_power(x / p[1], p[2], p[3] / p[1]);
+    case RTHYB_PENDULUM: /* x along the arc; Huygens: weight sin(x / length) */
+        return p[0] * sin(x / p[1]);
+    case RTHYB_FRICTION_PENDULUM:
+        return rthyb_friction_pendulum(p, s, x, v);
+    case RTHYB_IWAN:
+        return rthyb_iwan(p, s, x);
+    case RTHYB_MENEGOTTO_PINTO:
+        return rthyb_menegotto_pinto(p, s, x);
+    case RTHYB_CHABOCHE:
+        return rthyb_chaboche(p, s, x);
+    case RTHYB_RC_COLUMN:
+        return rthyb_rc_column(p, s, x);
     default:
         return 0.0;
     }

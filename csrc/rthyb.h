@@ -29,8 +29,9 @@ enum rthyb_size {
     RTHYB_WINDOW_MAX = 1024,   /* largest T0 of the tangent stiffness, samples */
     RTHYB_DELAY_MAX = 1024,    /* longest transport delay of a virtual actuator, samples */
     RTHYB_ELEMENTS_MAX = 16,   /* elements of one specimen */
-    RTHYB_ELEMENT_PARAMS = 12, /* parameters of one element */
-    RTHYB_ELEMENT_STATES = 6   /* history variables of one element */
+    RTHYB_ELEMENT_PARAMS = 16, /* parameters of one element */
+    RTHYB_IWAN_SLIDERS = 12,   /* springs of a chain that yield one by one */
+    RTHYB_ELEMENT_STATES = 16  /* history variables of one element */
 };
 
 /* What a sample was like; bits, because several may be true at once. A record has sixteen of them. */
@@ -283,24 +284,35 @@ double rthyb_motion_velocity(const rthyb_motion *motion);
 /* ---- specimen elements (element.c) ---------------------------------------------------------- */
 
 enum rthyb_element_kind {
-    RTHYB_STIFFNESS,    /* k */
-    RTHYB_VISCOUS,      /* c */
-    RTHYB_COULOMB,      /* Fc, width m/s */
-    RTHYB_STRIBECK,     /* Fc, Fs, vs, width */
-    RTHYB_LUGRE,        /* Fc, Fs, vs, sigma0, sigma1, sigma2 */
-    RTHYB_QUAD_DAMPING, /* c2 */
-    RTHYB_INERTIA,      /* m */
-    RTHYB_GAP,          /* k, gap (half width) */
-    RTHYB_CUBIC,        /* k3 */
-    RTHYB_QUADRATIC,    /* k2 */
-    RTHYB_STOPPER,      /* ks, xs */
-    RTHYB_HYSTERESIS,   /* k, a, A, B, C, eta: Eqn 4.1-4.2 */
-    RTHYB_PINCHING,     /* k, a, A, B, C, eta, depth, width */
-    RTHYB_DEGRADATION,  /* k, a, A, B, C, eta, loss, travel */
-    RTHYB_MAXWELL,      /* km, tau */
-    RTHYB_SECOND_MODE,  /* m2, f2 Hz, zeta2 */
-    RTHYB_P_DELTA,      /* gravity load, height */
-    RTHYB_GAP_FRICTION, /* k, gap (half width), Fc up, Fc down, seat */
+    RTHYB_STIFFNESS,         /* k */
+    RTHYB_VISCOUS,           /* c */
+    RTHYB_COULOMB,           /* Fc, width m/s */
+    RTHYB_STRIBECK,          /* Fc, Fs, vs, width */
+    RTHYB_LUGRE,             /* Fc, Fs, vs, sigma0, sigma1, sigma2 */
+    RTHYB_QUAD_DAMPING,      /* c2 */
+    RTHYB_INERTIA,           /* m */
+    RTHYB_GAP,               /* k, gap (half width) */
+    RTHYB_CUBIC,             /* k3 */
+    RTHYB_QUADRATIC,         /* k2 */
+    RTHYB_STOPPER,           /* ks, xs */
+    RTHYB_HYSTERESIS,        /* k, a, A, B, C, eta: Eqn 4.1-4.2 */
+    RTHYB_PINCHING,          /* k, a, A, B, C, eta, depth, width */
+    RTHYB_DEGRADATION,       /* k, a, A, B, C, eta, loss, travel */
+    RTHYB_MAXWELL,           /* km, tau */
+    RTHYB_SECOND_MODE,       /* m2, f2 Hz, zeta2 */
+    RTHYB_P_DELTA,           /* gravity load, height */
+    RTHYB_GAP_FRICTION,      /* k, gap (half width), Fc up, Fc down, seat */
+    RTHYB_COULOMB_UNEVEN,    /* Fc up, Fc down, width m/s */
+    RTHYB_GAP_UNEVEN,        /* k up, gap up, k down, gap down */
+    RTHYB_POWER_DAMPING,     /* force, at velocity, exponent, width m/s */
+    RTHYB_POWER_SPRING,      /* force, at displacement, exponent, width m */
+    RTHYB_PENDULUM,          /* weight, length */
+    RTHYB_FRICTION_PENDULUM, /* weight, radius, mu slow, mu fast, rate s/m, xy */
+    RTHYB_IWAN,              /* k, a, xy, spread */
+    RTHYB_MENEGOTTO_PINTO,   /* k, a, xy, R0, cR1, cR2 */
+    RTHYB_CHABOCHE,          /* k, fy, H, gamma 1/m, Q, rate 1/m */
+    RTHYB_RC_COLUMN,         /* k, a, xy, eta, pivot, ultimate m, strength lost there, energy J,
+                              * strength and stiffness lost with it, slip, its level and width */
     RTHYB_ELEMENT_KINDS
 };
 

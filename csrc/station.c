@@ -1073,7 +1073,8 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
                 RTHYB_S_LINK_LOST, record);
     if (code & RTHYB_S_NOT_FINITE)
         trip_at(s, plain(RTHYB_CAUSE_NOT_FINITE), RTHYB_S_NOT_FINITE, record);
-    if (s->state != RTHYB_TRIPPED)
+    /* An arrival moves the command to its goal: not in a tick that sends nothing. */
+    if (s->state != RTHYB_TRIPPED && !blind)
         arrive(s);
     if (s->state == RTHYB_TRIPPED)
         s->controller.x_cmd = s->controller.x_lim = sent;

@@ -29,6 +29,7 @@ PERIOD_S: Final = 1.0 / FS_HZ
 WINDOW_MAX: Final[int] = lib.RTHYB_WINDOW_MAX
 DELAY_MAX: Final[int] = lib.RTHYB_DELAY_MAX
 ELEMENTS_MAX: Final[int] = lib.RTHYB_ELEMENTS_MAX
+IWAN_SLIDERS: Final[int] = lib.RTHYB_IWAN_SLIDERS
 
 FloatArray = npt.NDArray[np.float64]
 RecordArray = npt.NDArray[np.void]
@@ -321,6 +322,44 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
     "second_mode": ("m2_kg", "f2_hz", "zeta2"),
     "p_delta": ("gravity_load_n", "height_m"),
     "gap_friction": ("k_n_per_m", "gap_m", "fc_up_n", "fc_down_n", "seat_m"),
+    "coulomb_uneven": ("fc_up_n", "fc_down_n", "width_m_per_s"),
+    "gap_uneven": ("k_up_n_per_m", "gap_up_m", "k_down_n_per_m", "gap_down_m"),
+    "power_damping": ("force_n", "at_m_per_s", "exponent", "width_m_per_s"),
+    "power_spring": ("force_n", "at_m", "exponent", "width_m"),
+    "pendulum": ("weight_n", "length_m"),
+    "friction_pendulum": (
+        "weight_n",
+        "radius_m",
+        "mu_slow",
+        "mu_fast",
+        "mu_rate_s_per_m",
+        "xy_m",
+    ),
+    "iwan": ("k_n_per_m", "post_yield_ratio", "xy_m", "spread"),
+    "menegotto_pinto": ("k_n_per_m", "post_yield_ratio", "xy_m", "r0", "cr1", "cr2"),
+    "chaboche": (
+        "k_n_per_m",
+        "fy_n",
+        "kinematic_n_per_m",
+        "recovery_per_m",
+        "isotropic_n",
+        "isotropic_rate_per_m",
+    ),
+    "rc_column": (
+        "k_n_per_m",
+        "post_yield_ratio",
+        "xy_m",
+        "eta",
+        "pivot",
+        "ultimate_m",
+        "strength_lost_at_ultimate",
+        "energy_j",
+        "strength_lost_with_energy",
+        "stiffness_lost_with_energy",
+        "slip",
+        "slip_level",
+        "slip_width",
+    ),
 }
 _ELEMENT_KIND: Final = {name: getattr(lib, f"RTHYB_{name.upper()}") for name in ELEMENT_PARAMS}
 

@@ -18,7 +18,7 @@ from rthyb_rt.config import Derived, Limit, Limits, RigFile, TestFile
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import testfile as test_file
 from rthyb_rt.config.limits import VelocityLimit
-from rthyb_rt.config.rigfile import Link
+from rthyb_rt.config.rigfile import TOLERANCES, Link
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
 
@@ -454,7 +454,7 @@ def rig_config(rig: RigFile) -> core.RigConfig:
 
 def _servo_config(rig: RigFile) -> core.ServoConfig:
     """Translate the actuator; whatever its kind, transport is the core's ``delay_samples``."""
-    given = rig.actuator.model_dump()
+    given = rig.actuator.model_dump(exclude=set(TOLERANCES))
     samples = given.pop("delay_samples", 0) + given.pop("extra_delay_samples", 0)
     delay = samples + given.pop("delay_s", 0.0) * core.FS_HZ
     return core.ServoConfig(hold=rig.rig.command_hold, delay_samples=float(delay), **given)

@@ -33,7 +33,7 @@ static void note_allocation(void)
 static const struct {
     int32_t kind;
     size_t n;
-    double params[8];
+    double params[RTHYB_ELEMENT_PARAMS];
 } ELEMENTS[] = {
     {RTHYB_STIFFNESS, 1, {K_E}},
     {RTHYB_VISCOUS, 1, {2000.0}},
@@ -53,6 +53,16 @@ static const struct {
     {RTHYB_SECOND_MODE, 3, {500.0, 12.0, 0.02}},
     {RTHYB_P_DELTA, 2, {4e4, 3.0}},
     {RTHYB_GAP_FRICTION, 5, {K_E, 1e-3, 400.0, 600.0, 2e-4}},
+    {RTHYB_COULOMB_UNEVEN, 3, {80.0, 120.0, 5e-4}},
+    {RTHYB_GAP_UNEVEN, 4, {K_E, 1e-3, 1e6, 2e-3}},
+    {RTHYB_POWER_DAMPING, 4, {500.0, 0.1, 0.3, 5e-4}},
+    {RTHYB_POWER_SPRING, 4, {3000.0, 5e-3, 1.3, 1e-5}},
+    {RTHYB_PENDULUM, 2, {4e4, 0.5}},
+    {RTHYB_FRICTION_PENDULUM, 6, {4e4, 1.0, 0.03, 0.06, 30.0, 5e-4}},
+    {RTHYB_IWAN, 4, {K_E, 0.02, 3e-3, 0.8}},
+    {RTHYB_MENEGOTTO_PINTO, 6, {K_E, 0.02, 3e-3, 20.0, 0.925, 0.15}},
+    {RTHYB_CHABOCHE, 6, {K_E, 1500.0, 5e4, 50.0, 500.0, 5.0}},
+    {RTHYB_RC_COLUMN, 13, {K_E, 0.02, 3e-3, 2.0, 4.0, 0.02, 0.3, 500.0, 0.2, 0.3, 0.2, 0.3, 0.2}},
 };
 enum { ELEMENT_COUNT = sizeof ELEMENTS / sizeof *ELEMENTS, HALF = (ELEMENT_COUNT + 1) / 2 };
 

@@ -179,7 +179,16 @@ def symbols(objects: dict[Path, Path]) -> Symbols:
 @pytest.fixture(scope="module")
 def sample_path(symbols: Symbols) -> set[str]:
     files = symbols.reached_from("rthyb_controller_step", "rthyb_rig_step")
-    assert {"controller.c", "plc.c", "rfc.c", "motion.c", "rig.c", "element.c"} <= files
+    assert {
+        "controller.c",
+        "plc.c",
+        "rfc.c",
+        "motion.c",
+        "rig.c",
+        "element.c",
+        "loops.c",
+        "friction.c",
+    } <= files
     return files
 
 

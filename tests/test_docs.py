@@ -17,6 +17,7 @@ import typer.main
 
 from rthyb_rt import cli, config, experiment, identify, recording, studies, summary, virtual_time
 from rthyb_rt.cli import commands
+from rthyb_rt.diagnose import catalogue, effects
 from rthyb_rt.errors import InputError
 from rthyb_rt.studies.results import Study
 
@@ -164,11 +165,17 @@ def test_files_that_claim_a_schema_load_and_fit_a_rig(tmp_path: Path) -> None:
 
 def test_parts_of_files_are_valid_where_they_stand() -> None:
     head = 'schema = "rthyb-test/1"\n[test]\nname = "part"\n'
+    rig_head = (
+        'schema = "rthyb-rig/1"\n[rig]\nname = "part"\nelastic_stiffness_n_per_m = 1e6\n'
+        '[actuator]\nkind = "pure-delay"\ndelay_samples = 1\n'
+    )
     parts = [(p, t) for p, t in blocks("toml") if "schema" not in tomllib.loads(t)]
     assert parts
     for page, text in parts:
         if not text.startswith("["):
             _valid_values(text)
+        elif text.startswith("[[specimen]]"):
+            experiment.rig_config(config.parse_rig(rig_head + text, page))
         else:
             config.parse_test(head + "[numerical]\nperiod_s=1\ndamping_ratio=0\n" + text, page)
 
@@ -247,6 +254,46 @@ def test_tables_of_keys_and_fields_are_up_to_date() -> None:
     assert key_tables.renewed(page, key_tables.tables()) == page, "run docs/tools/key_tables.py"
 
 
+def test_catalogue_of_effects_is_that_of_the_program() -> None:
+    """An effect that is added has its section, its picture, and what it is confused with."""
+    pytest.importorskip("matplotlib", reason="the pictures of the catalogue")
+    import effect_pages
+
+    assert effect_pages.page() == read(ROOT / "docs" / "effects.md"), (
+        "run docs/tools/effect_pages.py"
+    )
+    known = catalogue.entries()
+    assert set(effect_pages.EXAMPLES) | set(effect_pages.CHANGES) == set(known)
+    assert {name for pair in catalogue.PAIRS for name in pair[:2]} == set(known)
+    for name in known:
+        picture = f"effect-{effect_pages.file_name(name)}.svg"
+        assert (ROOT / "docs" / "images" / picture).is_file(), "run docs/tools/effect_pages.py"
+
+
+def test_an_effect_without_a_section_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib", reason="the pictures of the catalogue")
+    import effect_pages
+
+    rocking = type("Rocking", (effects.Effect,), {"name": "rocking", "equation": "f = m g sgn(x)"})
+    monkeypatch.setitem(effects._REGISTER, "rocking", rocking())
+    assert effect_pages.page() != read(ROOT / "docs" / "effects.md")
+
+
+def test_a_picture_shows_what_its_effect_adds() -> None:
+    """Friction over velocity jumps at rest: its curve has both levels, with their sign."""
+    pytest.importorskip("matplotlib", reason="the pictures of the catalogue")
+    import effect_pages
+
+    known = catalogue.entries()
+    *_, (v, (added,), _, ordinate) = effect_pages.panels_of_force(known["coulomb"])
+    assert ordinate == "what is added, N"
+    assert added[v > 10.0] == pytest.approx(600.0)
+    assert added[v < -10.0] == pytest.approx(-600.0)
+    (x, (longer,), _, _) = effect_pages.panels_of_actuator(known["act_gain"])[1]
+    assert longer == pytest.approx(-0.1 * x)
+    assert effect_pages.picture(known["coulomb"]).startswith("<svg")
+
+
 def test_flags_and_states_of_the_guide_are_those_of_the_core() -> None:
     page = read(ROOT / "docs" / "file-formats.md")
     for name, bit in recording.FLAGS.items():
@@ -302,7 +349,7 @@ def test_check_table_is_that_of_the_specimen_of_the_guide(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = "own-specimen.md"
-    rig, test, _ = (text for name, text in blocks("toml") if name == page)
+    rig, test, *_ = (text for name, text in blocks("toml") if name == page)
     rig_file = config.parse_rig(rig, page)
     found = identify.identified_rig(rig_file, identify.identify(rig_file))
     (tmp_path / IDENTIFIED).write_text(config.dump(found), encoding="utf-8")

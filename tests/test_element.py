@@ -43,6 +43,34 @@ ONE_OF_EACH = {
     "gap_friction": {
         "k_n_per_m": 7e6, "gap_m": 2.7e-3, "fc_up_n": 14e3, "fc_down_n": 18e3, "seat_m": 1e-3,
     },
+    "coulomb_uneven": {"fc_up_n": 80.0, "fc_down_n": 120.0, "width_m_per_s": 5e-4},
+    "gap_uneven": {
+        "k_up_n_per_m": 1e6, "gap_up_m": 1e-3, "k_down_n_per_m": 4e5, "gap_down_m": 4e-3,
+    },
+    "power_damping": {
+        "force_n": 900.0, "at_m_per_s": 0.2, "exponent": 0.35, "width_m_per_s": 1e-4,
+    },
+    "power_spring": {"force_n": 3e3, "at_m": 5e-3, "exponent": 1.7, "width_m": 1e-6},
+    "pendulum": {"weight_n": 4e4, "length_m": 0.05},
+    "friction_pendulum": {
+        "weight_n": 4e4, "radius_m": 1.5, "mu_slow": 0.03, "mu_fast": 0.07,
+        "mu_rate_s_per_m": 30.0, "xy_m": 5e-4,
+    },
+    "iwan": {"k_n_per_m": 1e6, "post_yield_ratio": 0.05, "xy_m": 4e-3, "spread": 0.8},
+    "menegotto_pinto": {
+        "k_n_per_m": 1e6, "post_yield_ratio": 0.03, "xy_m": 4e-3, "r0": 20.0, "cr1": 0.925,
+        "cr2": 0.15,
+    },
+    "chaboche": {
+        "k_n_per_m": 1e6, "fy_n": 3e3, "kinematic_n_per_m": 3e5, "recovery_per_m": 150.0,
+        "isotropic_n": 1500.0, "isotropic_rate_per_m": 12.0,
+    },
+    "rc_column": {
+        "k_n_per_m": 1e6, "post_yield_ratio": 0.04, "xy_m": 5e-3, "eta": 2.0, "pivot": 4.0,
+        "ultimate_m": 0.05, "strength_lost_at_ultimate": 0.3, "energy_j": 800.0,
+        "strength_lost_with_energy": 0.2, "stiffness_lost_with_energy": 0.3, "slip": 0.2,
+        "slip_level": 0.3, "slip_width": 0.2,
+    },
 }  # fmt: skip
 
 
@@ -74,6 +102,11 @@ FORMULA: dict[str, Callable[[Floats, Floats, Floats], Floats]] = {
     "quadratic": lambda x, v, a: 1e7 * x**2,
     "stopper": lambda x, v, a: 1e7 * np.sign(x) * np.maximum(np.abs(x) - 8e-3, 0.0),
     "p_delta": lambda x, v, a: -5e4 / 0.63 * x,
+    "coulomb_uneven": lambda x, v, a: np.where(v > 0, 80.0, 120.0) * np.tanh(v / 5e-4),
+    "gap_uneven": lambda x, v, a: 1e6 * np.maximum(x - 1e-3, 0.0) + 4e5 * np.minimum(x + 4e-3, 0.0),
+    "power_damping": lambda x, v, a: 4500.0 * v * ((v / 0.2) ** 2 + 2.5e-7) ** -0.325,
+    "power_spring": lambda x, v, a: 6e5 * x * ((x / 5e-3) ** 2 + 4e-8) ** 0.35,
+    "pendulum": lambda x, v, a: 4e4 * np.sin(x / 0.05),
 }
 
 
@@ -379,6 +412,25 @@ MUST_BE_POSITIVE = [
     ("second_mode", "f2_hz"),
     ("p_delta", "height_m"),
     ("gap_friction", "k_n_per_m"),
+    ("coulomb_uneven", "width_m_per_s"),
+    ("power_damping", "at_m_per_s"),
+    ("power_damping", "exponent"),
+    ("power_damping", "width_m_per_s"),
+    ("power_spring", "at_m"),
+    ("power_spring", "width_m"),
+    ("pendulum", "length_m"),
+    ("friction_pendulum", "weight_n"),
+    ("friction_pendulum", "radius_m"),
+    ("friction_pendulum", "xy_m"),
+    ("iwan", "xy_m"),
+    ("menegotto_pinto", "xy_m"),
+    ("menegotto_pinto", "r0"),
+    ("menegotto_pinto", "cr2"),
+    ("chaboche", "k_n_per_m"),
+    ("chaboche", "fy_n"),
+    ("rc_column", "xy_m"),
+    ("rc_column", "energy_j"),
+    ("rc_column", "slip_width"),
 ]
 NOT_NEGATIVE = [
     ("coulomb", "fc_n"),
@@ -398,6 +450,40 @@ NOT_NEGATIVE = [
     ("gap_friction", "gap_m"),
     ("gap_friction", "fc_up_n"),
     ("gap_friction", "seat_m"),
+    ("coulomb_uneven", "fc_up_n"),
+    ("gap_uneven", "k_down_n_per_m"),
+    ("gap_uneven", "gap_up_m"),
+    ("friction_pendulum", "mu_slow"),
+    ("friction_pendulum", "mu_rate_s_per_m"),
+    ("iwan", "post_yield_ratio"),
+    ("iwan", "spread"),
+    ("menegotto_pinto", "post_yield_ratio"),
+    ("menegotto_pinto", "cr1"),
+    ("chaboche", "kinematic_n_per_m"),
+    ("chaboche", "recovery_per_m"),
+    ("chaboche", "isotropic_n"),
+    ("chaboche", "isotropic_rate_per_m"),
+    ("rc_column", "pivot"),
+    ("rc_column", "strength_lost_at_ultimate"),
+    ("rc_column", "slip"),
+]
+NOT_ABOVE = [
+    ("power_damping", "exponent", 11.0),
+    ("power_spring", "exponent", 11.0),
+    ("iwan", "post_yield_ratio", 1.1),
+    ("iwan", "spread", 1.1),
+    ("menegotto_pinto", "post_yield_ratio", 1.0),
+    ("menegotto_pinto", "r0", 60.0),
+    ("menegotto_pinto", "cr1", 1.0),
+    ("rc_column", "post_yield_ratio", 1.1),
+    ("rc_column", "eta", 60.0),
+    ("rc_column", "xy_m", 0.05),
+    ("rc_column", "strength_lost_at_ultimate", 1.0),
+    ("rc_column", "strength_lost_with_energy", 1.0),
+    ("rc_column", "stiffness_lost_with_energy", 1.0),
+    ("rc_column", "slip", 0.6),
+    ("rc_column", "slip_level", -1.1),
+    ("rc_column", "slip_width", 11.0),
 ]
 
 
@@ -413,6 +499,12 @@ def test_parameter_that_cannot_be_negative_is_refused(kind: str, name: str) -> N
     core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: 0.0})))
     with pytest.raises(core.CoreError):
         core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: -1.0})))
+
+
+@pytest.mark.parametrize(("kind", "name", "value"), NOT_ABOVE)
+def test_shape_that_the_law_cannot_have_is_refused(kind: str, name: str, value: float) -> None:
+    with pytest.raises(core.CoreError):
+        core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: value})))
 
 
 @pytest.mark.parametrize("kind", core.ELEMENT_PARAMS)
@@ -437,6 +529,33 @@ def test_hysteresis_that_never_yields_or_is_too_sharp_is_refused_or_bounded() ->
         ("lugre", {"fc_n": 1e-300, "fs_n": 1e-300}),
         ("p_delta", {"height_m": 1e-300}),
         ("hysteresis", {"b": 1e15, "c": -1e15, "eta": 100.0}),
+        ("power_damping", {"force_n": 1e15, "at_m_per_s": 1e-15, "exponent": 10.0}),
+        ("power_damping", {"width_m_per_s": 1e-15, "at_m_per_s": 1e15, "exponent": 0.05}),
+        ("power_spring", {"force_n": -1e15, "at_m": 1e-15, "exponent": 10.0}),
+        ("pendulum", {"weight_n": 1e15, "length_m": 1e-15}),
+        ("friction_pendulum", {"weight_n": 1e15, "radius_m": 1e-15, "xy_m": 1e-15}),
+        ("friction_pendulum", {"mu_slow": 1e15, "mu_fast": 0.0, "mu_rate_s_per_m": 1e15}),
+        ("iwan", {"k_n_per_m": 1e15, "xy_m": 1e15}),
+        ("iwan", {"xy_m": 1e-15}),
+        ("menegotto_pinto", {"k_n_per_m": 1e15, "xy_m": 1e-15, "r0": 50.0}),
+        ("menegotto_pinto", {"xy_m": 1e-15, "r0": 1.0, "cr1": 0.99, "cr2": 1e-15}),
+        ("menegotto_pinto", {"k_n_per_m": 1e-15, "xy_m": 1e15, "post_yield_ratio": 0.99}),
+        ("chaboche", {"k_n_per_m": 1e15, "fy_n": 1e-15, "recovery_per_m": 1e15}),
+        ("chaboche", {"k_n_per_m": 1e-15, "isotropic_n": 1e15, "isotropic_rate_per_m": 1e15}),
+        ("chaboche", {"kinematic_n_per_m": 1e15, "recovery_per_m": 1e-15}),
+        ("rc_column", {"k_n_per_m": 1e15, "xy_m": 1e-15, "ultimate_m": 1e15, "slip": 0.5}),
+        ("rc_column", {"xy_m": 1e-15, "energy_j": 1e-15, "slip_width": 0.01, "pivot": 1e15}),
+        (
+            "rc_column",
+            {
+                "strength_lost_at_ultimate": 0.99,
+                "strength_lost_with_energy": 0.99,
+                "pivot": 0.0,
+                "stiffness_lost_with_energy": 0.99,
+                "eta": 50.0,
+                "energy_j": 1e-15,
+            },
+        ),
     ],
 )
 def test_parameters_at_the_end_of_what_is_accepted_still_give_finite_forces(

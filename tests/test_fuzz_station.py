@@ -157,3 +157,11 @@ def test_what_is_broken_on_purpose_is_found_with_its_seed(
     again = fuzz("episode", seed[1], "3", **broken)
     assert again.returncode == 1
     assert told(again.stdout)[rule][1]
+
+
+def test_trip_after_a_gap_repeats_what_was_sent_also_where_a_motion_ended_in_the_gap(
+    fuzz: Fuzz,
+) -> None:
+    """Found once in 52 million ticks: the arrival took the command to its goal, 46 um further."""
+    done = fuzz("episode", "0x9417fba592779b73")
+    assert done.returncode == 0, done.stdout

@@ -423,7 +423,8 @@ def lost_by(found: Ended, first: int) -> bool:
     fresh = np.flatnonzero(rows["flags"] & FLAGS["fresh"])[-1]
     if rows["count"][fresh] != (first - 1) & 255:
         return False
-    trip = np.flatnonzero(rows["state"] == STATE["TRIPPED"])[0]
+    # The row that trips bears the cause; its state is the one that the tick began in.
+    trip = np.flatnonzero(rows["code"] & core.STATUS["link_lost"])[0]
     after = int(rows["tick"][trip] - rows["tick"][fresh])
     longest = int(found.rec.meta["real_time"]["ticks"]["longest_skip"])
     assert LOST_TICKS <= after <= LOST_TICKS + longest

@@ -19,7 +19,7 @@ from typing import Any, Literal
 from pydantic.fields import FieldInfo
 
 from rthyb_rt import core, recording
-from rthyb_rt.config import deriving, limits, rigfile, testfile
+from rthyb_rt.config import baselinefile, deriving, limits, rigfile, testfile
 from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
 
 PAGE = Path(__file__).resolve().parents[1] / "file-formats.md"
@@ -99,6 +99,14 @@ MEANINGS: dict[str, str] = {
     f"{limits.LEAST_REST_SPREAD_M:g}",
     "Limits.tare_share_most": "largest tare, as a share of the rig's own limit; absent: "
     f"{limits.DEFAULT_TARE_SHARE_MOST:g}",
+    "BaselineFile.schema": "first line of the file",
+    "BaselineFile.family": "what drives the specimen: an actuator, moving ground, a known force, "
+    "or a closed hybrid test",
+    "BaselineFile.command_hold": "a command is held between the rows, or runs straight",
+    "Controller.plc_w1": "weighting W1 of the phase-lead compensator; needed with W2 to recover "
+    "what it did",
+    "Controller.rfc": "true: the measured force was compensated",
+    "Controller.adaptive": "true: the delay was estimated during the test",
     "Link.kind": "what the wire is",
     "Link.channel": "CAN interface (`can0`), path of the serial line (`/dev/ttyUSB0`) or of the "
     "socket, channel of python-can",
@@ -128,6 +136,12 @@ MEANINGS: dict[str, str] = {
     "ServoHydraulic.moving_mass_kg": "table, fixtures and piston",
     "StribeckElement.fs_n": "the static friction",
     "LugreElement.fs_n": "the static friction",
+    "PowerDampingElement.at_m_per_s": "the velocity of that force; 1: force_n is C in N (s/m)^a",
+    "RcColumnElement.ultimate_m": "the displacement at which strength_lost_at_ultimate is lost",
+    "RcColumnElement.energy_j": "the work at which what is lost with energy is lost",
+    "RcColumnElement.strength_lost_at_ultimate": "share of strength, growing from yield",
+    "RcColumnElement.strength_lost_with_energy": "share of strength, growing with the work",
+    "RcColumnElement.stiffness_lost_with_energy": "share of unloading stiffness, the same way",
     "Identified.alpha": "delay as the compensator wants it; the next test's alpha0",
     "Identified.delay_s": "mean delay of the slow sines",
     "Identified.gain": "mean amplitude ratio of the slow sines",
@@ -174,7 +188,11 @@ FIELD_MEANINGS: dict[str, str] = {
 def tables() -> dict[str, str]:
     """Return every generated part of the page by its name."""
     parts: dict[str, str] = {}
-    for prefix, file in (("test", testfile.TestFile), ("rig", rigfile.RigFile)):
+    for prefix, file in (
+        ("test", testfile.TestFile),
+        ("rig", rigfile.RigFile),
+        ("baseline", baselinefile.BaselineFile),
+    ):
         for key, models in _sections(file):
             parts[f"{prefix}.{key}"] = _choices(models) if len(models) > 1 else _table(models[0])
     del parts["rig.limits"]  # the test file's

@@ -28,19 +28,22 @@ def run(test: Path) -> Recording:
 
 
 def draw(rec: Recording, prefix: str, keys: tuple[str, ...]) -> None:
-    """Write figures of the report as SVG files on white paper, for light and dark pages."""
+    """Write figures of the report as SVG files."""
     for plate in draw_all(rec, summary.summarize(rec)):
         if plate.key not in keys:
             continue
-        head, rest = plate.svg.split(">", 1)
-        width, height = (float(n) for n in head.split('viewBox="0 0 ')[1].split('"')[0].split())
-        box = f"{-MARGIN:g} {-MARGIN:g} {width + 2 * MARGIN:g} {height + 2 * MARGIN:g}"
-        head = head.replace(f'viewBox="0 0 {width:.1f} {height:.1f}"', f'viewBox="{box}"')
-        paper = f'<rect x="{-MARGIN:g}" y="{-MARGIN:g}" width="100%" height="100%" fill="#ffffff"/>'
-        size = f'width="{(width + 2 * MARGIN) * 1.5:.0f}" style="{FONT}"'
-        (IMAGES / f"{prefix}-{plate.key}.svg").write_text(
-            f"{head} {size}>{paper}{rest}\n", encoding="utf-8"
-        )
+        (IMAGES / f"{prefix}-{plate.key}.svg").write_text(on_paper(plate.svg), encoding="utf-8")
+
+
+def on_paper(svg: str) -> str:
+    """Return a figure as a file of its own on white paper, for light and dark pages."""
+    head, rest = svg.split(">", 1)
+    width, height = (float(n) for n in head.split('viewBox="0 0 ')[1].split('"')[0].split())
+    box = f"{-MARGIN:g} {-MARGIN:g} {width + 2 * MARGIN:g} {height + 2 * MARGIN:g}"
+    head = head.replace(f'viewBox="0 0 {width:.1f} {height:.1f}"', f'viewBox="{box}"')
+    paper = f'<rect x="{-MARGIN:g}" y="{-MARGIN:g}" width="100%" height="100%" fill="#ffffff"/>'
+    size = f'width="{(width + 2 * MARGIN) * 1.5:.0f}" style="{FONT}"'
+    return f"{head} {size}>{paper}{rest}\n"
 
 
 def photograph(rec: Recording) -> None:

@@ -13,6 +13,7 @@ from rthyb_rt.cli import (
     commission,
     ctl,
     diagnose,
+    effects,
     export,
     identify,
     install_service,
@@ -51,6 +52,7 @@ app.command()(commission.commission)
 app.command()(reset.reset)
 app.command()(reproduce.reproduce)
 app.command()(diagnose.diagnose)
+app.command()(effects.effects)
 app.command()(replay.replay)
 app.command()(recover.recover)
 app.command()(rig.rig)

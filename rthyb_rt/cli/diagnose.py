@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +14,10 @@ from rthyb_rt.cli.inputs import JsonOption
 from rthyb_rt.errors import InputError, RthybError
 
 if TYPE_CHECKING:
+    from rthyb_rt.diagnose.case import Case
     from rthyb_rt.diagnose.engine import Diagnosis
+    from rthyb_rt.diagnose.mapping import Wish
+    from rthyb_rt.diagnose.outcome import Outcome
 
 MISMATCH = 8
 
@@ -28,14 +32,25 @@ def diagnose(
         ),
     ],
     model: Annotated[
-        Path,
+        str,
         typer.Option(
             "--model",
             metavar="MODEL.toml",
             show_default=False,
-            help="What the lab believes: a baseline file (rthyb-baseline/1), a rig or a test file.",
+            help="What the lab believes: a baseline file (rthyb-baseline/1), a rig or a test file, "
+            "or the name of a shipped rig.",
         ),
     ],
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map",
+            metavar='CHANNEL="COLUMN [UNIT]"',
+            show_default=False,
+            help="Which column of a CSV file is a channel, its unit, and a minus before it for "
+            "the other sign; or a mapping file. Can be repeated.",
+        ),
+    ] = None,
     heldout: Annotated[
         Path | None,
         typer.Option(
@@ -80,6 +95,13 @@ def diagnose(
             help="Python file that registers an effect of your own; more than one may be given.",
         ),
     ] = None,
+    why: Annotated[
+        bool,
+        typer.Option(
+            "--why",
+            help="Say what every set of effects brought and why it lost, and what all rests on.",
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Say what physics a model leaves out, and where.
@@ -95,10 +117,11 @@ def diagnose(
       rthyb diagnose recording.csv --model baseline.toml --report runs/diagnosis
       rthyb diagnose runs/my-test-20260301T101500Z --model rig.toml
       rthyb diagnose recording.csv --model baseline.toml --effect magnet.py
+      rthyb diagnose lab.txt --model baseline.toml --map x_meas="LVDT 1 [mm]"
     """
     # Its products are long and narrow: shared between cores they take four times as long.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from rthyb_rt.diagnose import effects, engine, reading
+    from rthyb_rt.diagnose import effects, engine, mapping, reading
     from rthyb_rt.diagnose.outcome import finish
 
     if (predict is None) != (out is None):
@@ -107,15 +130,18 @@ def diagnose(
         _writable(report)
     for path in effect or ():
         effects.load(path)
-    lab = reading.read_model(model)
-    case = reading.read_case(recording, lab)
-    second = reading.read_case(heldout, lab, judged=False) if heldout else None
+    wishes = mapping.read_wishes(columns or ())
+    model_path = reading.find_model(model)
+    lab = reading.read_model(model_path)
+    case = reading.read_case(recording, lab, wishes=wishes)
+    _say(case.notes)
+    second = _second(heldout, case, wishes) if heldout else None
     if second is not None and not second.channels.keys() & {"x_meas", "f_meas"}:
         raise InputError(
             f"{heldout}: holds no x_meas, fx_meas or fy_meas that the model could be held against; "
             "a recording of the commands alone goes to --predict"
         )
-    wanted = reading.read_case(predict, lab, judged=False) if predict else None
+    wanted = _second(predict, case, wishes) if predict else None
     with terminal.sections("Diagnosing") as bar:
         done = [0]
 
@@ -131,20 +157,39 @@ def diagnose(
             from rthyb_rt.diagnose.power import self_check as check
 
             checks = check(found, step)
+        reasons = _reasons(found, step) if why or report is not None else {}
     if out is not None and outcome.prediction is not None:
         _write_prediction(out, outcome.prediction)
         interrupts.wrote(out)
     answer = outcome.answer | ({"self_check": checks} if checks is not None else {})
+    if why:
+        answer["why"] = reasons
     if report is not None:
         from rthyb_rt.diagnose.page import write_report
 
-        for path in write_report(report, found, outcome, checks, model):
+        for path in write_report(report, found, outcome, checks, model_path, reasons):
             interrupts.wrote(path)
-    _tell(found, answer, terminal.people(as_json))
+    _tell(found, answer, terminal.people(as_json), outcome)
     if as_json:
         terminal.print_json(answer)
     if found.verdict != "none":
         raise typer.Exit(MISMATCH)
+
+
+def _second(path: Path, case: Case, wishes: list[Wish]) -> Case:
+    """Return a second recording, with what was made of its columns said on stderr."""
+    from rthyb_rt.diagnose.reading import read_case
+
+    second = read_case(path, case.model, judged=False, wishes=wishes, beside=case)
+    _say([f"{path}: {note}" for note in second.notes])
+    return second
+
+
+def _say(notes: list[str]) -> None:
+    """Say before the work, on stderr, what was taken for something that the file does not say."""
+    for note in notes:
+        if "taken for" in note or "taken to be" in note:
+            print(f"rthyb: {note}", file=sys.stderr)
 
 
 def _writable(folder: Path) -> None:
@@ -167,8 +212,16 @@ def _write_prediction(path: Path, prediction: Any) -> None:
         np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header="t,f,x", comments="")
 
 
-def _tell(found: Diagnosis, answer: dict[str, Any], file: Any) -> None:
+def _reasons(found: Diagnosis, step: Any) -> dict[str, Any]:
+    from rthyb_rt.diagnose import why
+
+    step("reasons")
+    return why.to_json(found)
+
+
+def _tell(found: Diagnosis, answer: dict[str, Any], file: Any, outcome: Outcome) -> None:
     from rthyb_rt.diagnose import words
+    from rthyb_rt.diagnose.why import lines
 
     print(words.sentence(found, answer), file=file)
     rows = []
@@ -191,8 +244,14 @@ def _tell(found: Diagnosis, answer: dict[str, Any], file: Any) -> None:
         terminal.print_table([(name, text, "") for name, text in checks], file)
     elif "self_check" in answer:
         print("Nothing can be hidden in a recording without a measured force.", file=file)
-    for note in found.notes:
-        print(f"Note: {note}", file=file)
+    limits = words.unheld(found, outcome) + words.loop_notes(found, answer)
+    told = words.heldout_lines(found) + [f"Note: {note}" for note in (*found.notes, *limits)]
     following = words.next_text(found)
     if following:
-        print(f"Next experiment: {following}", file=file)
+        told.append(f"Next experiment: {following}")
+    for line in ([""] if told and (rows or checks) else []) + told:
+        print(line, file=file)
+    if "why" in answer:
+        print("", file=file)
+        for line in lines(answer["why"], min(terminal.width(file), 120)):
+            print(line, file=file)

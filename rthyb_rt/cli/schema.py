@@ -1,4 +1,4 @@
-"""``rthyb schema``: what a test file or a rig file may hold, for editors."""
+"""``rthyb schema``: what a test, rig, baseline or mapping file may hold, for editors."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from rthyb_rt.cli import terminal
 
 
 class Kind(StrEnum):
-    """The two kinds of files."""
+    """The kinds of files."""
 
     TEST = "test"
     RIG = "rig"
+    BASELINE = "baseline"
+    MAP = "map"
 
 
 def schema(
-    kind: Annotated[Kind, typer.Argument(help="Which of the two files.", show_default=False)],
+    kind: Annotated[Kind, typer.Argument(help="Which kind of file.", show_default=False)],
 ) -> None:
-    """Print the JSON schema of test or rig files.
+    """Print the JSON schema of one kind of file.
 
     An editor that knows it completes keys and marks faults while you write.
 

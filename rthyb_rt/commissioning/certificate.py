@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from rthyb_rt import __version__, config
 from rthyb_rt.config import RigFile
+from rthyb_rt.config.rigfile import TOLERANCES
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.realtime import RefusedError
 from rthyb_rt.recording import replacing
@@ -136,6 +137,8 @@ def rig_hash(rig: RigFile) -> str:
             del given[key]
     if rig.link is not None and rig.link.dbc is not None:
         content["link"]["dbc"] = _digest(Path(rig.link.dbc))
+    for key in TOLERANCES:
+        content["actuator"].pop(key, None)
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 

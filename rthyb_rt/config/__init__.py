@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rthyb_rt.config.baselinefile import BaselineFile
 from rthyb_rt.config.defaults import derived_limits
 from rthyb_rt.config.deriving import Derived, derive, resolve
 from rthyb_rt.config.limits import Limit, Limits
@@ -12,24 +13,30 @@ from rthyb_rt.config.loading import (
     json_schema,
     load_rig,
     load_test,
+    parse_baseline,
+    parse_map,
     parse_rig,
     parse_test,
     read_text,
     rig_of_test,
+    schema_of,
     shipped_rig,
     split_overrides,
 )
+from rthyb_rt.config.mapfile import MapFile
 from rthyb_rt.config.rigfile import Calibration, Identified, Link, RigFile, SpecimenElement
 from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.config.writing import dump
 
 __all__ = [
+    "BaselineFile",
     "Calibration",
     "Derived",
     "Identified",
     "Limit",
     "Limits",
     "Link",
+    "MapFile",
     "RigFile",
     "SpecimenElement",
     "TestFile",
@@ -42,11 +49,14 @@ __all__ = [
     "json_schema",
     "load_rig",
     "load_test",
+    "parse_baseline",
+    "parse_map",
     "parse_rig",
     "parse_test",
     "read_text",
     "resolve",
     "rig_of_test",
+    "schema_of",
     "shipped_rig",
     "split_overrides",
 ]

@@ -9,11 +9,19 @@ from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config.fields import SAMPLE_RATE_HZ
 from rthyb_rt.config.rigfile import (
     BoucWen,
+    ChabocheElement,
     CoulombElement,
+    CoulombUnevenElement,
     InertiaElement,
+    IwanElement,
+    MenegottoPintoElement,
     PDeltaElement,
+    PendulumElement,
+    PowerDampingElement,
+    RcColumnElement,
     RigFile,
     ServoHydraulic,
+    SpecimenElement,
     StiffnessElement,
     StribeckElement,
 )
@@ -293,17 +301,22 @@ def _rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, 
     return noise_m, noise_n
 
 
+_YIELDING = (IwanElement, MenegottoPintoElement, ChabocheElement, RcColumnElement)
+
+
 def _note_stiffness(rig: RigFile, notes: list[str]) -> None:
     """Compare k_e with the initial stiffness that the elements of the specimen add up to."""
     total = 0.0
     for element in rig.specimen:
-        if isinstance(element, StiffnessElement):
+        if isinstance(element, (StiffnessElement, *_YIELDING)):
             total += element.k_n_per_m
         elif isinstance(element, BoucWen):
             ratio = element.post_yield_ratio
             total += element.k_n_per_m * (ratio + (1 - ratio) * element.a)
         elif isinstance(element, PDeltaElement):
             total -= element.gravity_load_n / element.height_m
+        elif isinstance(element, PendulumElement):
+            total += element.weight_n / element.length_m
     k_e = rig.rig.elastic_stiffness_n_per_m
     if total > 0 and abs(k_e / total - 1) > 0.2:
         notes.append(
@@ -328,28 +341,43 @@ def _note_sensor_ranges(limits: limits_file.Limits, rig: RigFile, notes: list[st
         )
 
 
+_Steep = tuple[str, float, float, float, float]
+"""Key, force at the velocity, that velocity, exponent, width: force (width / velocity)^exponent."""
+
+
+def _steep(element: SpecimenElement) -> _Steep | None:
+    """Return what of an element grows from nothing within a width of velocity."""
+    match element:
+        case CoulombElement(fc_n=force, width_m_per_s=width):
+            return "fc_n", force, 1.0, 0.0, width
+        case StribeckElement(fs_n=force, width_m_per_s=width):
+            return "fs_n", force, 1.0, 0.0, width
+        case CoulombUnevenElement(fc_up_n=up, fc_down_n=down, width_m_per_s=width):
+            return ("fc_up_n" if up > down else "fc_down_n"), max(up, down), 1.0, 0.0, width
+        case PowerDampingElement(exponent=n) if n < 1:
+            return "force_n", abs(element.force_n), element.at_m_per_s, n, element.width_m_per_s
+    return None
+
+
 def _note_friction(test: TestFile, rig: RigFile, mass: float, notes: list[str]) -> None:
     """Name friction that changes sign faster than an explicit step can follow: F_c h > m w."""
-    found = [
-        (f"specimen.{i}", element.fc_n if isinstance(element, CoulombElement) else element.fs_n,
-         "fc_n" if isinstance(element, CoulombElement) else "fs_n", element.width_m_per_s)
-        for i, element in enumerate(rig.specimen)
-        if isinstance(element, (CoulombElement, StribeckElement))
-    ]  # fmt: skip
+    found = [(f"specimen.{i}", *steep) for i, e in enumerate(rig.specimen) if (steep := _steep(e))]
     moving = mass + sum(e.m_kg for e in rig.specimen if isinstance(e, InertiaElement))
     table = rig.actuator
     seen = test.reference.table_forces and rig.rig.load_cell == "actuator-end"
     if isinstance(table, ServoHydraulic) and seen:
-        found.append(("actuator", table.friction_n, "friction_n", table.friction_width_m_per_s))
+        width = table.friction_width_m_per_s
+        found.append(("actuator", "friction_n", table.friction_n, 1.0, 0.0, width))
         moving += table.moving_mass_kg
-    for place, force, key, width in found:
-        needed = force / (SAMPLE_RATE_HZ * moving)
+    for place, key, force, at, n, width in found:
+        needed = (force / (SAMPLE_RATE_HZ * moving * at**n)) ** (1 / (1 - n))
         if width < needed:
             name = "friction_width_m_per_s" if place == "actuator" else "width_m_per_s"
+            how = f" ({key} h / m)" if n == 0 else ""
             notes.append(
                 f"rig {place}: {key} = {force:g} N over {name} = {width:g} m/s is too steep for a "
                 f"step of the reference simulation, which chatters on {moving:.4g} kg and must not "
-                f"be trusted; give it a width of at least {needed:.2g} m/s ({key} h / m)"
+                f"be trusted; give it a width of at least {needed:.2g} m/s{how}"
             )
 
 

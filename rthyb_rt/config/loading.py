@@ -13,14 +13,16 @@ from typing import Any, Literal, TypeVar, get_args
 from pydantic import ValidationError
 
 from rthyb_rt.config import busload
+from rthyb_rt.config.baselinefile import BASELINE_SCHEMA, BaselineFile
 from rthyb_rt.config.fields import Table, nearest, written
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
+from rthyb_rt.config.mapfile import MAP_SCHEMA, MapFile
 from rthyb_rt.config.rigfile import RIG_SCHEMA, Link, RigFile, kinds
 from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile
 from rthyb_rt.errors import InputError, Problem
 
-_Model = TypeVar("_Model", TestFile, RigFile)
+_Model = TypeVar("_Model", TestFile, RigFile, BaselineFile, MapFile)
 
 MAX_BYTES = 10 * 10**6
 
@@ -142,6 +144,53 @@ def parse_rig(
     return _parse(RigFile, RIG_SCHEMA, text, source, overrides or {})
 
 
+def parse_baseline(text: str, source: str = "baseline") -> tuple[BaselineFile, list[str]]:
+    """Check the text of a baseline file; ``source`` is its name in messages.
+
+    Returns:
+        The file, and the keys in it that mean nothing here. Labs keep more in such a file than the
+        diagnosis reads; a key that is near to one that it knows is a slip of the pen, and a fault.
+
+    Raises:
+        InputError: with every fault, its line and what is allowed there.
+    """
+    raw = _toml(text, source)
+    strange: list[str] = []
+    if raw.get("schema") == BASELINE_SCHEMA:
+        _set_aside(raw, BaselineFile, "", strange)
+    return _parse(BaselineFile, BASELINE_SCHEMA, text, source, {}, raw), strange
+
+
+def schema_of(text: str, source: str) -> object:
+    """Return what a TOML text says of its schema, None where it says nothing.
+
+    Raises:
+        InputError: the text is no TOML; with the line.
+    """
+    return _toml(text, source).get("schema")
+
+
+def parse_map(text: str, source: str = "mapping") -> MapFile:
+    """Check the text of a mapping file; ``source`` is its name in messages."""
+    return _parse(MapFile, MAP_SCHEMA, text, source, {})
+
+
+def _set_aside(table: dict[str, Any], model: type[Table], prefix: str, strange: list[str]) -> None:
+    """Take the keys out of a table that a model does not have, and that are near to none of its."""
+    fields = {info.alias or name: info for name, info in model.model_fields.items()}
+    for key in list(table):
+        if key not in fields:
+            if not nearest(key, list(fields)):
+                del table[key]
+                inside = [name for name in fields if key in name]
+                hint = f" (is {inside[0]} meant?)" if inside else ""
+                strange.append(f"{prefix}{key}{hint}")
+        elif isinstance(table[key], dict):
+            for part in (fields[key].annotation, *get_args(fields[key].annotation)):
+                if isinstance(part, type) and issubclass(part, Table):
+                    _set_aside(table[key], part, f"{prefix}{key}.", strange)
+
+
 def split_overrides(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, str]]:
     """Sort ``key=value`` settings into those of the test file and those of the rig file.
 
@@ -168,9 +217,11 @@ def split_overrides(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, 
     return test, rig
 
 
-def json_schema(kind: Literal["test", "rig"]) -> dict[str, Any]:
-    """Return the JSON schema of test files or of rig files, for editors that complete TOML."""
-    models: dict[str, type[Table]] = {"test": TestFile, "rig": RigFile}
+def json_schema(kind: Literal["test", "rig", "baseline", "map"]) -> dict[str, Any]:
+    """Return the JSON schema of one kind of files, for editors that complete TOML."""
+    models: dict[str, type[Table]] = {
+        "test": TestFile, "rig": RigFile, "baseline": BaselineFile, "map": MapFile,
+    }  # fmt: skip
     schema = models[kind].model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
@@ -289,9 +340,10 @@ def read_text(path: str | Path, kind: str) -> str:
 
 
 def _parse(
-    model: type[_Model], schema: str, text: str, source: str, overrides: Mapping[str, str]
-) -> _Model:
-    raw = _toml(text, source)
+    model: type[_Model], schema: str, text: str, source: str, overrides: Mapping[str, str],
+    raw: dict[str, Any] | None = None,
+) -> _Model:  # fmt: skip
+    raw = _toml(text, source) if raw is None else raw
     if isinstance(raw.get("schema"), str) and raw["schema"] != schema:
         raise InputError(
             _schema_message(raw["schema"], schema), f"{source}:{KeyLines(text).find(('schema',))}"
@@ -392,7 +444,12 @@ def _override_to_blame(
 
 
 def _schema_message(found: str, wanted: str) -> str:
-    kinds = {TEST_SCHEMA: "a test file", RIG_SCHEMA: "a rig file"}
+    kinds = {
+        TEST_SCHEMA: "a test file",
+        RIG_SCHEMA: "a rig file",
+        BASELINE_SCHEMA: "a baseline file",
+        MAP_SCHEMA: "a mapping file",
+    }
     if found in kinds:
         return f"this is {kinds[found]}, and {kinds[wanted]} (schema = {written(wanted)}) is needed"
     return (

@@ -80,14 +80,34 @@ class FirstOrder(Table):
     extra_delay_samples: DelaySamples = 0
 
 
+_ActuatorTolerance = Annotated[
+    float,
+    Range("", 1e-9, 1e3, "the standard deviation over the value"),
+]
+
+
 class SecondOrder(Table):
-    """gain exp(-s delay) w^2 / (s^2 + 2 zeta w s + w^2)."""
+    """gain exp(-s delay) w^2 / (s^2 + 2 zeta w s + w^2).
+
+    The tolerances say what the numbers are good for (one standard deviation); a diagnosis reads
+    them, a test does not.
+    """
 
     kind: Literal["second-order"]
     natural_frequency_hz: Annotated[float, Range("Hz", 0.1, 500, "the natural frequency")]
     damping_ratio: Annotated[float, Range("", 0.01, 10, "the damping ratio")]
     gain: Annotated[float, Range("", 0.01, 100, "the static gain")] = 1.0
     delay_s: Annotated[float, Range("s", 0, 1, "the delay")] = 0.0
+    delay_tol_s: Annotated[float, Range("s", 1e-12, 1, "the delay's standard deviation")] | None = (
+        None
+    )
+    natural_frequency_tol: _ActuatorTolerance | None = None
+    damping_ratio_tol: _ActuatorTolerance | None = None
+    gain_tol: _ActuatorTolerance | None = None
+
+
+TOLERANCES = ("delay_tol_s", "natural_frequency_tol", "damping_ratio_tol", "gain_tol")
+"""Keys of an actuator that say how well it is known: no part of the machine itself."""
 
 
 def _oil_column_resolved(oil: float, mass: float, substeps: int) -> str | None:
@@ -338,6 +358,139 @@ class GapFrictionElement(Table):
     seat_m: Annotated[float, Range("m", 0, 10, "the way over which the faces meet")] = 0.0
 
 
+class CoulombUnevenElement(Table):
+    """Dry friction that grips harder one way."""
+
+    element: Literal["coulomb_uneven"]
+    fc_up_n: Annotated[float, Range("N", 0, 1e8, "the friction upwards")]
+    fc_down_n: Annotated[float, Range("N", 0, 1e8, "the friction downwards")]
+    width_m_per_s: FrictionWidth = 0.0005
+
+
+class GapUnevenElement(Table):
+    """A spring each way behind its own gap; a stiffness of 0 leaves a stop on one side only."""
+
+    element: Literal["gap_uneven"]
+    k_up_n_per_m: Annotated[float, Range("N/m", 0, 1e12, "the stiffness upwards")]
+    gap_up_m: Annotated[float, Range("m", 0, 10, "the gap upwards")]
+    k_down_n_per_m: Annotated[float, Range("N/m", 0, 1e12, "the stiffness downwards")]
+    gap_down_m: Annotated[float, Range("m", 0, 10, "the gap downwards")]
+
+
+class PowerDampingElement(Table):
+    """Fluid viscous damper, f = C |v|^a sgn(v); C in N (s/m)^a is ``force_n`` where at = 1 m/s."""
+
+    element: Literal["power_damping"]
+    force_n: Annotated[float, Range("N", -1e10, 1e10, "the force at the velocity at_m_per_s")]
+    at_m_per_s: Annotated[float, Range("m/s", 1e-6, 100, "the velocity of that force")] = 1.0
+    exponent: Annotated[float, Range("", 0.05, 10, "the exponent of the velocity")]
+    width_m_per_s: Annotated[
+        float, Range("m/s", 1e-7, 1, "the velocity below which the force is linear")
+    ] = 0.0005
+
+
+class PowerSpringElement(Table):
+    """A spring that softens (exponent below 1) or hardens, f = force |x / at|^n sgn(x)."""
+
+    element: Literal["power_spring"]
+    force_n: Annotated[float, Range("N", -1e10, 1e10, "the force at the displacement at_m")]
+    at_m: Annotated[float, Range("m", 1e-6, 10, "the displacement of that force")]
+    exponent: Annotated[float, Range("", 0.05, 10, "the exponent of the displacement")]
+    width_m: Annotated[
+        float, Range("m", 1e-9, 1, "the displacement below which the force is linear")
+    ] = 1e-5
+
+
+class PendulumElement(Table):
+    """f = weight sin(x / length), x along the arc; a negative weight stands on its head."""
+
+    element: Literal["pendulum"]
+    weight_n: Annotated[float, Range("N", -1e10, 1e10, "the weight")]
+    length_m: Annotated[float, Range("m", 1e-3, 1e3, "the length")]
+
+
+class FrictionPendulumElement(Table):
+    """A slider in a bowl: weight over radius, and friction that grows with velocity."""
+
+    element: Literal["friction_pendulum"]
+    weight_n: Annotated[float, Range("N", 1e-3, 1e10, "the weight on the slider")]
+    radius_m: Annotated[float, Range("m", 0.01, 1e4, "the bowl's radius")]
+    mu_slow: Annotated[float, Range("", 0, 2, "the friction coefficient at low velocity")]
+    mu_fast: Annotated[float, Range("", 0, 2, "the friction coefficient at high velocity")]
+    mu_rate_s_per_m: Annotated[float, Range("s/m", 0, 1e5, "the rate between both")] = 20.0
+    xy_m: Annotated[float, Range("m", 1e-7, 1, "the displacement before sliding")] = 2.5e-4
+
+
+class IwanElement(Table):
+    """Twelve springs side by side that yield one by one: Masing's loops."""
+
+    element: Literal["iwan"]
+    k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
+    post_yield_ratio: Annotated[float, Range("", 0, 1, "post-yield over elastic stiffness")]
+    xy_m: Annotated[float, Range("m", 1e-7, 10, "the mean yield displacement")]
+    spread: Annotated[float, Range("", 0, 1, "the spread of yielding about its mean")] = 1.0
+
+
+class MenegottoPintoElement(Table):
+    """Steel: branches that bend from the elastic line into the hardening one."""
+
+    element: Literal["menegotto_pinto"]
+    k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
+    post_yield_ratio: Annotated[float, Range("", 0, 0.9, "post-yield over elastic stiffness")]
+    xy_m: Annotated[float, Range("m", 1e-7, 10, "the yield displacement")]
+    r0: Annotated[float, Range("", 1, 50, "the sharpness R0 of the first bend")] = 20.0
+    cr1: Annotated[float, Range("", 0, 0.99, "the share cR1 of R0 lost in the end")] = 0.925
+    cr2: Annotated[float, Range("", 1e-3, 10, "the plastic way cR2 of half that loss")] = 0.15
+
+
+class ChabocheElement(Table):
+    """Yielding with kinematic and isotropic hardening."""
+
+    element: Literal["chaboche"]
+    k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
+    fy_n: Annotated[float, Range("N", 1e-3, 1e10, "the first yield force")]
+    kinematic_n_per_m: Annotated[float, Range("N/m", 0, 1e12, "the kinematic modulus H")] = 0.0
+    recovery_per_m: Annotated[
+        float, Range("1/m", 0, 1e8, "the recovery gamma; the shift ends at H / gamma")
+    ] = 0.0
+    isotropic_n: Annotated[float, Range("N", 0, 1e10, "the growth Q of the yield force")] = 0.0
+    isotropic_rate_per_m: Annotated[float, Range("1/m", 0, 1e8, "the rate of that growth")] = 0.0
+
+
+def _beyond_yield(xy_m: float, ultimate_m: float) -> str | None:
+    if ultimate_m > xy_m:
+        return None
+    return f"found {ultimate_m:g}; must lie beyond the yield displacement xy_m = {xy_m:g} m"
+
+
+Lost = Annotated[float, Range("", 0, 0.99, "the share lost")]
+
+
+class RcColumnElement(Table):
+    """A reinforced concrete column: a loop that pinches and wears, by amplitude and by energy."""
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("ultimate_m", ("xy_m", "ultimate_m"), _beyond_yield),
+    )
+
+    element: Literal["rc_column"]
+    k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
+    post_yield_ratio: Annotated[float, Range("", 0, 1, "post-yield over elastic stiffness")]
+    xy_m: Annotated[float, Range("m", 1e-6, 10, "the yield displacement")]
+    eta: Annotated[float, Range("", 1, 20, "the sharpness of yielding")] = 2.0
+    pivot: Annotated[
+        float, Range("", 0, 1e6, "the pivot of unloading; 4 wears much, 200 hardly")
+    ] = 200.0
+    ultimate_m: Annotated[float, Range("m", 1e-5, 100, "the displacement of that loss")] = 10.0
+    strength_lost_at_ultimate: Lost = 0.0
+    energy_j: Annotated[float, Range("J", 1e-6, 1e15, "the energy of the losses with it")] = 1e12
+    strength_lost_with_energy: Lost = 0.0
+    stiffness_lost_with_energy: Lost = 0.0
+    slip: Annotated[float, Range("", 0, 0.5, "slip over the way beyond yield")] = 0.0
+    slip_level: Annotated[float, Range("", -1, 1, "the force of slip over the strength")] = 0.3
+    slip_width: Annotated[float, Range("", 0.01, 10, "the width of slip over the strength")] = 0.2
+
+
 SpecimenElement = (
     StiffnessElement
     | ViscousElement
@@ -357,6 +510,16 @@ SpecimenElement = (
     | SecondModeElement
     | PDeltaElement
     | GapFrictionElement
+    | CoulombUnevenElement
+    | GapUnevenElement
+    | PowerDampingElement
+    | PowerSpringElement
+    | PendulumElement
+    | FrictionPendulumElement
+    | IwanElement
+    | MenegottoPintoElement
+    | ChabocheElement
+    | RcColumnElement
 )
 
 

@@ -39,6 +39,8 @@ _DIMENSION_NAMES: dict[Dimension, str] = {
     (1, 0, -2, 0): "a stiffness",
     (1, 0, -1, 0): "a damping coefficient",
     (0, 0, -2, 0): "a rate per second squared",
+    (0, -1, 0, 0): "a rate per length",
+    (0, -1, 1, 0): "a time per length",
     (1, -1, 0, 0): "a quadratic damping coefficient",
     (1, -1, -2, 0): "a quadratic stiffness",
     (1, -2, -2, 0): "a cubic stiffness",

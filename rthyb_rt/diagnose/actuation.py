@@ -90,8 +90,6 @@ MASK_S = 0.4
 STEPS = 12
 ZEROS = 10
 """Parts of a recording whose displacement may have a zero of its own."""
-FOLLOWS = 1.5
-"""Mean square of (measured - simulated) / noise up to which a simulated motion is the true one."""
 AT_NOISE = 0.05
 """Misfit beyond noise, in units of the noise, that the estimate of the noise may be wrong by."""
 CHANCE = 1.5
@@ -413,22 +411,3 @@ def search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
     for f in fits:
         first.setdefault(f.names, f)
     return null, list(first.values()), scale
-
-
-def of_rig(case: Case) -> Motion | None:
-    """Return the motion that the model's own rig makes of the recorded command, without noise.
-
-    For an actuator that is no second-order lag, such as a servo-hydraulic one; None where there is
-    no such rig, or where the specimen moved otherwise.
-    """
-    from rthyb_rt import core, experiment
-
-    rig = case.model.rig
-    x_cmd, x_meas = case.get("x_cmd"), case.get("x_meas")
-    if rig is None or case.model.actuator is not None or x_cmd is None or x_meas is None:
-        return None
-    motion = Motion(*core.Rig(experiment.rig_config(rig)).motion(filled(x_cmd)))
-    rows = case.rows & np.isfinite(x_meas)
-    sigma = noise_of(x_meas, case.model.x_std)
-    off = float(np.mean(((x_meas - motion.x)[rows] / sigma) ** 2))
-    return motion if off < FOLLOWS else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,12 +18,23 @@ if TYPE_CHECKING:
 DESCRIPTION = "model with what the diagnosis found in it"
 
 
-def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]:
-    """Return a rig file's text, and what it cannot hold.
+@dataclass(frozen=True)
+class Specimen:
+    """What a rig's specimen and load cell are made of.
 
-    The specimen's effects become elements; those of sensors become sensor settings where there are
-    such; the rest is named.
+    Attributes:
+        elements: of the core, the whole specimen.
+        bias_n: zero of the load cell.
+        lost: effects that a rig cannot hold, by name.
     """
+
+    elements: list[core.ElementConfig]
+    bias_n: float
+    lost: list[str]
+
+
+def specimen(model: Augmented) -> Specimen:
+    """Return the specimen of a model with its effects: elements, and sensor settings."""
     lost: list[str] = []
     base = model.model
     ctx = Context(
@@ -44,6 +55,10 @@ def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]
             bias += float(beta[0])
             continue
         own = None if member.effect.sensor else member.effect.elements(ctx, member.trial, beta)
+        added = member.effect.mass_kg(beta)
+        if own is None and added is not None:
+            # Less mass: no element, but it comes off what there is.
+            own = [core.element("inertia", m_kg=added)]
         if own is None:
             lost.append(member.name)
         elif member.name in ("pinching", "degradation"):
@@ -52,6 +67,17 @@ def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]
             elements += own
     if replaced_spring is not None:
         elements = [*replaced_spring, *elements[1:]]
+    return Specimen(elements, bias, lost)
+
+
+def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]:
+    """Return a rig file's text, and what it cannot hold.
+
+    The specimen's effects become elements; those of sensors become sensor settings where there are
+    such; the rest is named.
+    """
+    made, base = specimen(model), model.model
+    elements, bias, lost = made.elements, made.bias_n, list(made.lost)
     lag = model.actuator
     lost += [
         word
@@ -71,7 +97,10 @@ def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]
 
 def _specimen(elements: list[core.ElementConfig], rig: RigFile | None) -> list[str]:
     lines = []
-    for item in _merged([*elements, *(_opposite(rig) if rig is not None else ())]):
+    beside = beside_table(elements, rig)
+    if rig is not None:
+        beside, _ = mass_off_table(beside, rig)
+    for item in beside:
         lines += ["", "[[specimen]]", f'element = "{item.kind}"']
         lines += [
             f"{key} = {value:.9g}"
@@ -134,9 +163,19 @@ def _within(
             "actuator": SecondOrder.model_construct(**_second_order(lag)),
             "identified": None,
         }
+    _, mass_kg = mass_off_table(beside_table(elements, rig), rig)
+    if rig.actuator.kind == "servo-hydraulic" and mass_kg != rig.actuator.moving_mass_kg:
+        changes["actuator"] = rig.actuator.model_copy(update={"moving_mass_kg": mass_kg})
     changes["rig"] = rig.rig.model_copy(update=head)
     text = config.dump(rig.model_copy(update=changes))
     return "\n".join(line for line in text.splitlines() if line != "specimen = []")
+
+
+def beside_table(
+    elements: list[core.ElementConfig], rig: RigFile | None
+) -> list[core.ElementConfig]:
+    """Return the elements that stand in a rig file beside what its table has of itself."""
+    return _merged([*elements, *(_opposite(rig) if rig is not None else ())])
 
 
 def _opposite(rig: RigFile) -> list[core.ElementConfig]:
@@ -148,7 +187,22 @@ def _opposite(rig: RigFile) -> list[core.ElementConfig]:
     ]
 
 
-SPRINGS = ("stiffness", "hysteresis", "pinching", "degradation", "gap", "gap_friction")
+def mass_off_table(
+    elements: list[core.ElementConfig], rig: RigFile
+) -> tuple[list[core.ElementConfig], float]:
+    """Return the elements without mass to be taken off, and the table's mass less that, kg."""
+    table = rig.actuator
+    own = table.moving_mass_kg if table.kind == "servo-hydraulic" else 0.0
+    less = sum(e.params[0] for e in elements if e.kind == "inertia" and e.params[0] < 0.0)
+    if own + less <= 0.0:
+        return elements, own
+    return [e for e in elements if e.kind != "inertia" or e.params[0] > 0.0], own + less
+
+
+SPRINGS = (
+    "stiffness", "hysteresis", "pinching", "degradation", "gap", "gap_friction", "iwan",
+    "menegotto_pinto", "chaboche", "rc_column",
+)  # fmt: skip
 """Elements whose first parameter is a stiffness that acts from the start."""
 
 
@@ -157,6 +211,8 @@ def _stiffness(elements: list[core.ElementConfig]) -> float:
     for item in elements:
         if item.kind in SPRINGS:
             total += item.params[0]
+        elif item.kind == "pendulum":
+            total += item.params[0] / item.params[1]
     return max(total, 1e-3)
 
 

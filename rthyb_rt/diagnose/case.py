@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 Family = Literal["drive", "ground", "forced", "loop"]
 FAMILIES: tuple[Family, ...] = ("drive", "ground", "forced", "loop")
 
+NO_READING = 1e12
+"""What no sensor reads, in any unit: far beyond the core's own bounds."""
 CHANNELS: dict[str, str] = {
     "ag": "m/s^2",
     "x_num": "m",

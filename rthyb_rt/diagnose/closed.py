@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rthyb_rt import config, core, endings, experiment, trips, virtual_time
-from rthyb_rt.diagnose.case import Floats, Model
+from rthyb_rt.diagnose.case import NO_READING, Floats, Model
 from rthyb_rt.diagnose.predict import nrmse
 from rthyb_rt.errors import InputError
 from rthyb_rt.experiment import Setup
@@ -163,6 +163,8 @@ class _Beside(Bench):
 
 def _signals(samples: core.RecordArray) -> dict[str, Floats]:
     out = {name: samples[key].astype(np.float64) for name, key in SIGNALS.items()}
+    for values in out.values():
+        values[~(np.abs(values) < NO_READING)] = np.nan
     made_up = (samples["flags"] & (FLAGS["predicted"] | FLAGS["blind"])) != 0
     out["x_meas"][made_up] = out["f_meas"][made_up] = np.nan
     return out

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rthyb_rt.diagnose import actuation, effects, estimate, force, freebody, localise
+from rthyb_rt.diagnose import actuation, effects, estimate, force, freebody, localise, rigged
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorEffect, ActuatorFit
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
@@ -67,8 +67,8 @@ MERE_NOISE = 5.0
 NOISE_LEFT = 0.1
 """Misfit beyond noise, in units of the noise, that is never held against a set."""
 SHEET = 1.2
-"""Times the load cell's noise by its data sheet that noise of any colour may have: data sheets are
-right within 20 per cent."""
+"""Times a sensor's noise by its data sheet that noise of any colour may have: data sheets are right
+within 20 per cent (the interchange format says so)."""
 BURST = 1.35
 """Times its rms over all that noise may have over a second of it: more is an event."""
 
@@ -83,6 +83,7 @@ class Found:
         evidence: fall of the information criterion when it is added, negative is better.
         signal: what it adds along the recording, N or m, (n,).
         shape: variant of its law and shape parameters, for the report.
+        form: the law itself in a few words, of those that share the name.
     """
 
     name: str
@@ -93,11 +94,18 @@ class Found:
     evidence: float
     signal: Floats | None = None
     shape: str = ""
+    form: str = ""
 
 
 @dataclass
 class Displacement:
-    """Outcome on the displacement channel."""
+    """Outcome on the displacement channel.
+
+    Attributes:
+        left: part of the misfit beyond noise that the best fit leaves.
+        known: whether that is no more than noise, or the form of a law.
+        quiet: whether it is within the sensor's data sheet.
+    """
 
     task: Actuation
     null: ActuatorFit
@@ -107,6 +115,7 @@ class Displacement:
     scale: float
     left: float
     known: bool
+    quiet: bool = False
 
     @property
     def found(self) -> bool:
@@ -192,8 +201,12 @@ def displacement(case: Case) -> Displacement | None:
     known = after < NOISE_LEFT or left < _allowed(case, len(best.effects) or 1)
     if not best.effects and before < NOISE_LEFT + 0.3:
         known = True
+    # As of the force: noise has any colour, and only its white part is measured.
+    rest = best.residual * task.sigma
+    quiet = bool(case.model.x_std) and _mere_noise(rest, case.model.x_std or 0.0, case.fs_hz)
+    known = known or quiet
     rivals = [f for f in fits if f is not best][:5]
-    return Displacement(task, null, best, equal, rivals, scale, left, known)
+    return Displacement(task, null, best, equal, rivals, scale, left, known, quiet)
 
 
 def _allowed(case: Case, size: int) -> float:
@@ -240,11 +253,15 @@ def _forgotten(case: Case, found: Estimate) -> int:
 
 
 def _motion(case: Case, disp: Displacement | None) -> Estimate | None:
-    if disp is not None and disp.known and disp.best.chi2 / disp.task.rows.size < 1.5:
+    if (
+        disp is not None
+        and disp.known
+        and (disp.quiet or disp.best.chi2 / disp.task.rows.size < 1.5)
+    ):
         found = estimate.along(case, disp.best.motion, settled(case))
         if found is not None:
             return found
-    by_rig = actuation.of_rig(case)
+    by_rig = rigged.as_given(case)
     if by_rig is not None:
         found = estimate.along(case, by_rig, settled(case))
         if found is not None:
@@ -290,6 +307,10 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         progress("force laws")
         ctx = context_of(case, found)
         problem = Problem(case, ctx, found, effects.catalogue().values())
+        if rigged.given(case):
+            found, ctx, search = _in_the_rig(problem, progress)
+            progress("verdict")
+            return _verdict(case, disp, found, ctx, search)
         held = freebody.shown(case) and not found.exact
         body = freebody.Body(case, ctx) if held or freebody.judged(case) else None
 
@@ -317,6 +338,24 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         )
     progress("verdict")
     return _verdict(case, disp, found, ctx, search)
+
+
+def _in_the_rig(problem: Problem, progress: Progress) -> tuple[Estimate, Context, force.Search]:
+    """Search by the balance of forces, and judge what it proposes by the rig that it simulates."""
+    case, ctx, found = problem.case, problem.ctx, problem.estimate
+    body = rigged.RigBody(case, ctx)
+
+    def doubtful(done: force.Search) -> bool:
+        return bool(done.best.members) or not found.exact or not _force_known(case, done)
+
+    search = force.search(problem, progress, body, doubtful)
+    motion = body.motion(search.problem, search.best) if search.moved else None
+    along = estimate.along(case, motion, settled(case)) if motion is not None else None
+    if along is None:
+        return found, ctx, search
+    now = context_of(case, along, ctx.all_ranges)
+    moved = Problem(case, now, along, effects.catalogue().values(), search.problem.blurred)
+    return along, now, replace(search, problem=moved)
 
 
 def _along_its_motion(
@@ -404,18 +443,23 @@ def _force_known(case: Case, search: force.Search) -> bool:
 
 
 def _by_the_sheet(case: Case, search: force.Search) -> bool:
-    """Return whether nothing is named and what is left is within the load cell's data sheet.
+    """Return whether what is left is within the load cell's data sheet.
 
     A sheet does not say of what colour the noise is; only its white part is measured. What no law
     explains, stays in size within the sheet and comes in no bursts is not known to be anything
-    else.
+    else, be there a set beside it that is named or none.
     """
     sheet = case.model.f_std
-    if search.best.members or not sheet or "f_meas" not in case.channels or not _within(search):
+    if not sheet or "f_meas" not in case.channels or not _within(search, search.best):
         return False
-    rest = _left_by(search, search.null)[search.problem.estimate.rows]
+    rest = _left_by(search, search.best)[search.problem.estimate.rows]
+    return _mere_noise(rest, sheet, case.fs_hz)
+
+
+def _mere_noise(rest: Floats, sheet: float, fs_hz: float) -> bool:
+    """Return whether what is left of a channel is within its data sheet, and in no bursts."""
     rms = float(np.sqrt(np.mean(rest**2)))
-    count = max(int(rest.size / max(case.fs_hz, 1.0)), 1)
+    count = max(int(rest.size / max(fs_hz, 1.0)), 1)
     loudest = max(float(np.sqrt(np.mean(part**2))) for part in np.array_split(rest, count))
     return rms < SHEET * sheet and loudest < BURST * rms
 
@@ -532,16 +576,23 @@ def _small(search: force.Search, excess: float) -> bool:
     found = search.problem.estimate
     if found.exact:
         return False
+    # Nothing pushes in a free decay, and so no noise of a push is the measure of what is left.
+    if not np.any(found.force):
+        fit = search.null if excess == search.excess_before else search.best
+        rows, whole = found.rows, search.problem.ctx.spring
+        left = float(np.sqrt(np.mean(_left_by(search, fit)[rows] ** 2)))
+        return left < BLUR * float(np.sqrt(np.mean(whole[rows] ** 2)))
     force_rms = float(np.sqrt(np.mean(found.force[found.rows] ** 2))) or 1.0
     least = BLUR_CELL if "f_meas" in search.problem.case.channels else BLUR
     return float(np.sqrt(max(excess, 0.0))) * found.sigma_n < least * force_rms
 
 
-def _within(search: force.Search) -> bool:
-    """Return whether the model alone meets the record without leaving its stated tolerances."""
+def _within(search: force.Search, fit: Fit | None = None) -> bool:
+    """Return whether a fit, else the model alone, stays within the stated tolerances."""
+    fit = fit or search.null
     return all(
         n.sigma is None or abs(float(b)) < 3.6 * n.sigma
-        for b, n in zip(search.null.nuisance, search.problem.nuisances, strict=True)
+        for b, n in zip(fit.nuisance, search.problem.nuisances, strict=True)
     )
 
 
@@ -743,8 +794,8 @@ def _errors(
         problem = search.problem
         # All of the recording, however little of it the search looked at.
         rows = np.flatnonzero(found.rows)
-        target = found.force[rows]
-        spread = float(np.std(target)) or 1.0
+        # Where nothing pushes, what the spring holds is the measure.
+        spread = float(np.std(found.force[rows])) or float(np.std(problem.ctx.spring[rows])) or 1.0
         before = (found.force - problem.ctx.total)[rows]
         fit = search.best if search.best.members and verdict != "unknown" else search.null
         model = problem.ctx.total.copy()
@@ -802,6 +853,7 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
                         -2.0 * 0.5 * (search.null.chi2 - fit.chi2),
                         force.contribution(problem, fit, i) if number == 0 else None,
                         f"{m.trial.variant} {m.trial.theta}".strip(),
+                        m.effect.form(ctx, m.trial),
                     )
                 )  # fmt: skip
         if number and len(out) > 8:
@@ -1003,7 +1055,8 @@ def to_json(d: Diagnosis) -> dict[str, Any]:
         "effects": d.effects,
         "candidates": [
             {"name": c.name, "score": c.score, "params": c.params, "ci95": c.ci95,
-             "delta_bic": c.evidence, "channel": c.channel} | _work(d, c)
+             "delta_bic": c.evidence, "channel": c.channel}
+            | ({"form": c.form} if c.form else {}) | _work(d, c)
             for c in known
         ],
         "ambiguous_with": d.ambiguous_with,

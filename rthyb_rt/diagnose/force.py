@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
+from rthyb_rt.diagnose.freebody import MET_ALONE as MET
 from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.select import (
     Dictionary,
@@ -66,12 +67,12 @@ DECISIVE = 0.005
 FORM_SEEN, FORM_MOVED = 0.03, 1.0
 """Misfit beyond noise, in units of the noise, that may be the form of a law: of the force that a
 load cell sees, and of a motion that is simulated."""
+FORM_OF_RIG = 0.1
+"""The same of a rig that is simulated whole: nothing magnifies there what a law's form leaves."""
 SETTLED = 0.01
 """Part of a misfit by which one more fit of a motion has to better it."""
 AGAIN = 3
 """Times that such a fit is begun again at most."""
-MET = 1.05
-"""Misfit per row, in units of the noise, up to which a motion is met."""
 OPEN = 0.3
 """Misfit beyond noise from which an effect that was refused is looked at again."""
 MANY = 5.0
@@ -188,7 +189,8 @@ class _Mover(_Fitter):
         self.body, self.first = body, first
         self.tried: list[Fit] = []
         # A simulated motion is no estimate; but two good simulators differ by a little.
-        self.exact, self.rows, self.open = True, float(body.rows.size), FORM_MOVED
+        self.exact, self.rows = True, float(body.rows.size)
+        self.open = FORM_OF_RIG if body.whole_rig else FORM_MOVED
 
     def move(self, fit: Fit) -> Fit | None:
         """Refine a set that was found in the balance of forces; the better of its shapes stays."""
@@ -205,6 +207,37 @@ class _Mover(_Fitter):
         begun = self.first.fit(members)
         return self.move(begun) if begun is not None else None
 
+    def pointless(self, names: tuple[str, ...]) -> bool:
+        """Return whether a set need not be simulated: without one of its effects or more, or with
+        fewer of others, the noise is reached, and no stated number is bent for it.
+
+        Only where the whole rig is simulated: there nothing else is left to be explained.
+        """
+        if not self.body.whole_rig:
+            return False
+        met = [f for f in self.by_names.values() if f.chi2 < MET * self.rows]
+        return any(
+            len(f.names) + (set(f.names) < set(names)) < len(names)
+            for f in met
+            if not bent(self.problem, f)
+        )
+
+    def plain_friction(self) -> None:
+        """Put dry friction in the place of a richer one in the best sets.
+
+        Both go over into it, and a rig that is met with a richer one may be met without.
+        """
+        dry = next((e for e in self.problem.effects if e.name == "coulomb"), None)
+        for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
+            rich = [i for i, m in enumerate(fit.members) if m.name in ("stribeck", "lugre")]
+            if dry is None or len(rich) != 1 or "coulomb" in fit.names:
+                continue
+            members, betas = list(fit.members), list(fit.betas)
+            members[rich[0]], betas[rich[0]] = Member(dry, Trial()), fit.betas[rich[0]][:1]
+            twin = replace(fit, members=tuple(members), betas=tuple(betas), covariance=None)
+            if twin.names not in self.by_names:
+                self.move(twin)
+
     def settle(self) -> None:
         """Go on with the best sets until they move no more, then with their parts from there.
 
@@ -218,7 +251,11 @@ class _Mover(_Fitter):
             for fit in [f for f in ahead if len(f.members) > 1 and f.names not in done]:
                 done.add(fit.names)
                 for i in range(len(fit.members)):
-                    self.move(_without(self.problem, fit, i))
+                    part = _without(self.problem, fit, i)
+                    # Of a rig that is met nothing but the parts' own misfit is asked.
+                    met = self.body.whole_rig and fit.chi2 < MET * self.rows
+                    if not (met and part.names in self.by_names):
+                        self.move(part)
 
     def _go_on(self, fit: Fit) -> None:
         for _ in range(AGAIN):
@@ -264,7 +301,7 @@ def _linear(problem: Problem, body: Body, fitter: _Fitter, null: Fit) -> tuple[F
     by_name = {e.name: e for e in problem.effects}
     stiff = _stiff(problem)
     for name in LINEAR:
-        if name in by_name:
+        if name in by_name and body.linear:
             member = Member(by_name[name], Trial())
             begun = solve(stiff, [member], [stiff.columns(member)])
             if begun is not None:
@@ -305,17 +342,17 @@ def _moved(
     leading = [f for f in {f.names: f for f in felt}.values() if len(f.members) == 2]
     parts = [f for f in singles if any(set(f.names) < set(pair.names) for pair in leading)]
     for fit in [*parts, *leading, *singles[:POOL], *ranked[:POOL]]:
-        if fit.names not in mover.by_names:
+        if fit.names not in mover.by_names and not mover.pointless(fit.names):
             mover.move(fit)
     n = float(body.rows.size)
     grown: set[tuple[str, ...]] = set()
     for _ in range(2):
         best = min((plain, *mover.by_names.values()), key=mover.score)
-        if best.chi2 < MET * n:
+        if best.chi2 < body.met * n:
             break
         mover.relieve()
         ahead = sorted(mover.by_names.values(), key=mover.score)[:LEADING]
-        for fit in [f for f in ahead if len(f.names) == 1 and f.names not in grown]:
+        for fit in [f for f in ahead if len(f.names) < body.largest and f.names not in grown]:
             grown.add(fit.names)
             for members in _beside(dictionary, fit, POOL):
                 names = {n for m in members for n in m.effect.names}
@@ -324,6 +361,8 @@ def _moved(
                 if len(DRY & names) < 2 and tuple(sorted(names)) not in mover.by_names:
                     mover.fit(members)
     mover.relieve()
+    if body.whole_rig:
+        mover.plain_friction()
     mover.settle()
     best = min((plain, *mover.by_names.values()), key=mover.score)
     scale = inflation(best.residual)
@@ -623,6 +662,10 @@ class Late(Effect):
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the effect's own parameters."""
         return self.effect.report(ctx, self._inner(trial), beta)
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the effect's own law."""
+        return f"{self.effect.form(ctx, self._inner(trial))}, from {trial.theta[-1]:.4g} s on"
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return the effect's own judgement."""

@@ -8,6 +8,7 @@ such error: it meets the measured one to the sensor's noise, or the set is wrong
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +28,8 @@ NUISANCE = 3.0
 """Standard deviations that mass and offset in time move at most."""
 MET = 1.5
 """Mean square, in units of the noise, up to which a simulated displacement is the measured one."""
+MET_ALONE = 1.05
+"""The same of a fit that is not to be bettered: noise is not known any better."""
 CLOSE = 0.005
 """The same as a part of what the model alone leaves: simulators of friction differ by so much."""
 RUNS = 4000
@@ -35,6 +38,8 @@ SLOW = 4
 """Simulations that one takes the time of where a law is no single element of the core."""
 STEPS = 6
 STEP = 1e-4
+LITTLE = 0.03
+"""Part of a rough fit's chi-squared by which a step has to better it."""
 
 
 def judged(case: Case) -> bool:
@@ -60,7 +65,27 @@ class Body:
 
     Attributes:
         held: whether a load cell holds the body, which has effects of its own.
+        largest: effects of the largest set that is looked for.
+        whole_rig: whether actuator, specimen and load cell are simulated, and nothing else is left.
+        linear: whether each linear effect is judged before all others.
+        threads: simulations at a time.
+        met: chi-squared a row from which on no further effect is looked for.
+        rough: chi-squared a row from which a fit need not be a good one of its kind.
+        rows: one for each difference between simulation and recording.
+        loose: what moves beside the parameters within what is known of it: names of nuisances, or
+            the start, and how far one step and the fit may take each in its unit.
+        units: standard deviation of each of them that has a prior.
     """
+
+    largest = 2
+    linear = True
+    rough = np.inf
+    whole_rig = False
+    threads = 1
+    met = MET_ALONE
+    loose: tuple[tuple[str, float, float], ...] = (
+        ("blur", 2.0, NUISANCE), ("skew", 2.0, NUISANCE), ("x", 0.4, np.inf), ("v", 0.4, np.inf),
+    )  # fmt: skip
 
     def __init__(self, case: Case, ctx: Context) -> None:
         self.case, self.ctx, self.runs = case, ctx, RUNS
@@ -78,6 +103,7 @@ class Body:
         self.spread = spread
         model = case.model
         self.whole = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
+        self.units = {"blur": MASS_BLUR * self.whole, "skew": SKEW_PRIOR_S}
 
     def _push(self, factor: float) -> tuple[Floats, float]:
         """Return the force on the body, and the mass that no element has."""
@@ -151,24 +177,45 @@ class Body:
         )
         return replace(fit, members=members) if members != fit.members else None
 
-    def _begun(self, problem: Problem, fit: Fit, size: int) -> Floats:
-        """Return where a fit begins: mass and offset in time as an earlier one has left them.
+    def _known(self, problem: Problem, fit: Fit) -> Floats:
+        """Return what is loose as an earlier fit has left it, in units of its priors.
 
-        What the balance of forces made of them is not theirs.
+        What the balance of forces made of mass and offset in time is not theirs.
         """
-        p = np.zeros(size)
+        known: dict[str, float] = {}
         if fit.scatter is not None:
-            unit = {"blur": MASS_BLUR * self.whole, "skew": SKEW_PRIOR_S}
             known = {n.name: float(b) for b, n in zip(fit.nuisance, problem.nuisances, strict=True)}
-            for j, name in enumerate(("blur", "skew"), size - 4):
-                p[j] = np.clip(known.get(name, 0.0) / unit[name], -NUISANCE, NUISANCE)
-        return p
+        return np.array(
+            [
+                np.clip(known.get(name, 0.0) / self.units[name], -most, most)
+                if name in self.units
+                else 0.0
+                for name, _, most in self.loose
+            ]
+        )
+
+    def start(self, first: Augmented) -> tuple[float, float] | None:
+        """Return displacement (m) and velocity (m/s) that a set begins with; None: it cannot."""
+        push, mass = self._push(1.0)
+        try:
+            return start_of(first, push, mass, self.case, self.other, self.x)
+        except (SimulationError, core.CoreError):
+            return None
+
+    def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
+        """Return recording less simulation in units of the noise, one for each of the rows."""
+        rate = 2.0 * np.pi * self.spread
+        push, mass = self._push(float(np.exp(MASS_BLUR * loose[0])))
+        start = (at[0] + loose[2] * self.spread, at[1] + loose[3] * rate)
+        motion = now.moved_by(push, mass, self.case.t, self.other, start)
+        x = motion.x - loose[1] * SKEW_PRIOR_S * motion.v
+        return np.asarray((x - self.x)[self.rows] / self.sigma)
 
     def refined(self, problem: Problem, fit: Fit) -> Fit | None:
-        """Fit a set's parameters to the displacement; None where it cannot be simulated.
+        """Fit a set's parameters to what it simulates; None where it cannot be simulated.
 
-        Beside them stiffness, damping, mass and the offset in time move within what is known of
-        them, and the start is free. Chi-squared and residual are those of the displacement.
+        Beside them stiffness, damping and what is loose move within what is known of them.
+        Chi-squared and residual are those of the simulation.
         """
         base = self.case.model
         fit = _as_effects(problem, fit)
@@ -177,46 +224,37 @@ class Body:
         places = [p for p in parameters(first) if p[0] != "m"]
         held = {"k": (base.k, plain.k, base.k_tol), "c": (base.c, plain.c, base.c_tol)}
         count = len(places)
-        # Beyond the places: mass, offset in time, displacement and velocity at the start.
-        push, mass = self._push(1.0)
-        try:
-            at = start_of(first, push, mass, self.case, self.other, self.x)
-        except (SimulationError, core.CoreError):
+        start = self.start(first)
+        if start is None or self.runs <= 0:
             return None
-        rate = 2.0 * np.pi * self.spread
-
-        if self.runs <= 0:
-            return None
-
         cost = 1 if self.quick(fit) else SLOW
+        stated = [j for j, (name, _, _) in enumerate(self.loose) if name in self.units]
 
         def residual(p: Floats) -> Floats:
             self.runs -= cost
-            push, mass = self._push(float(np.exp(MASS_BLUR * p[count])))
             now = changed(first, places, _logs(places, p))
-            start = (at[0] + p[count + 2] * self.spread, at[1] + p[count + 3] * rate)
-            motion = now.moved_by(push, mass, self.case.t, self.other, start)
-            x = motion.x - p[count + 1] * SKEW_PRIOR_S * motion.v
-            prior = [p[count], p[count + 1]]
+            prior = [p[count + j] for j in stated]
             for j, (kind, _, _) in enumerate(places):
                 if kind in held:
-                    known, begun, tolerance = held[kind]
+                    known, at, tolerance = held[kind]
                     if tolerance:
-                        prior.append((begun / known * (1.0 + p[j]) - 1.0) / tolerance)
-            return np.asarray(np.r_[(x - self.x)[self.rows] / self.sigma, prior])
+                        prior.append((at / known * (1.0 + p[j]) - 1.0) / tolerance)
+            return np.asarray(np.r_[self.differences(now, p[count:], start), prior])
 
         try:
             shapes = [kind == "theta" for kind, _, _ in places]
-            reach = np.r_[np.where(shapes, 0.4, 2.0), 2.0, 2.0, 0.4, 0.4]
+            reach = np.r_[np.where(shapes, 0.4, 2.0), [step for _, step, _ in self.loose]]
             ends = np.array([self._ends(first, place) for place in places]).reshape(-1, 2)
-            loose = [[-NUISANCE, NUISANCE]] * 2 + [[-np.inf, np.inf]] * 2
+            loose = [[-most, most] for _, _, most in self.loose]
             linear = {m.name for m in fit.members} & {n.name for n in problem.nuisances}
             p, r, gram, slopes = _least(
                 residual,
-                self._begun(problem, fit, reach.size),
+                np.r_[np.zeros(count), self._known(problem, fit)],
                 reach,
                 np.vstack((ends, loose)),
                 central=bool(linear) or not any(shapes),
+                rough=self.rough * self.rows.size,
+                threads=self.threads,
             )
         except (SimulationError, core.CoreError, np.linalg.LinAlgError):
             return None
@@ -226,12 +264,9 @@ class Body:
             for m, b in zip(best.members, best.betas, strict=True)
         ):
             return None
-        moved = {
-            "stiffness": best.model.k / base.k - 1.0,
-            "viscous": best.model.c - base.c,
-            "blur": MASS_BLUR * float(p[count]) * self.whole,
-            "skew": SKEW_PRIOR_S * float(p[count + 1]),
-        }
+        moved = {"stiffness": best.model.k / base.k - 1.0, "viscous": best.model.c - base.c}
+        for (name, _, _), q in zip(self.loose, p[count:], strict=True):
+            moved[name] = float(q) * self.units.get(name, 1.0)
         nuisance = np.array([moved.get(n.name, 0.0) for n in problem.nuisances])
         inverse = _inverse(gram)
         n = self.rows.size
@@ -275,17 +310,27 @@ def _least(
     reach: Floats,
     ends: Floats,
     central: bool,
+    rough: float = np.inf,
+    threads: int = 1,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the parameters, residual, normal matrix and slopes of least squares from a point.
 
     A step goes no farther than ``reach``, (n,), a parameter no farther than its ``ends``, (n, 2).
     Slopes are ``central`` where priors decide: at resonance a one-sided one is wrong by more, and
-    so it is along the valley of a number and the effect that moves it.
+    so it is along the valley of a number and the effect that moves it. Above a chi-squared of
+    ``rough`` nothing of this is asked: such a fit is only to be told from better ones.
     """
     size, p = reach.size, begun
 
+    def slopes(p: Floats, r: Floats) -> list[Floats]:
+        steps = list(STEP * np.eye(size))
+        if threads == 1:
+            return [slope(p, r, e) for e in steps]
+        with ThreadPoolExecutor(threads) as pool:
+            return list(pool.map(lambda e: slope(p, r, e), steps))
+
     def slope(p: Floats, r: Floats, e: Floats) -> Floats:
-        if central:
+        if central and best < rough:
             return (residual(p + e) - residual(p - e)) / (2.0 * STEP)
         return (residual(p + e) - r) / STEP
 
@@ -297,7 +342,7 @@ def _least(
     gram, jacobian = np.eye(size), np.zeros((r.size, size))
     for _ in range(STEPS):
         try:
-            jacobian = np.column_stack([slope(p, r, e) for e in STEP * np.eye(size)])
+            jacobian = np.column_stack(slopes(p, r))
         except (SimulationError, core.CoreError):
             break
         gram = jacobian.T @ jacobian
@@ -317,7 +362,7 @@ def _least(
                 damping = max(damping * 0.1, 1e-10)
                 break
             damping *= 30.0
-        if gain < 1e-6 * best + 0.05:
+        if gain < (1e-6 if best < rough else LITTLE) * best + 0.05:
             break
     return p, r, gram, jacobian
 

@@ -58,7 +58,7 @@ def finish(d: Diagnosis, heldout: Case | None, wanted: Case | None) -> Outcome:
             d.verdict, d.effects, d.ambiguous_with = "unknown", [], []
             d.notes.append("what was found does not hold on the second recording")
     prediction = predict(model, wanted, d.case) if wanted is not None else None
-    out = Outcome(engine.to_json(d), model, prediction, errors)
+    out = Outcome({**engine.to_json(d), "notes": list(d.notes)}, model, prediction, errors)
     _close(d, out)
     return out
 

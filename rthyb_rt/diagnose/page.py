@@ -13,12 +13,23 @@ from numpy.typing import NDArray
 
 from rthyb_rt import __version__
 from rthyb_rt.diagnose import force as forces
+from rthyb_rt.diagnose import why
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.engine import Diagnosis
 from rthyb_rt.diagnose.estimate import filled
+from rthyb_rt.diagnose.laws import draw_laws
 from rthyb_rt.diagnose.ranking import rows_of
-from rthyb_rt.diagnose.words import LOOP_WORDS, check_rows, next_text, sentence
+from rthyb_rt.diagnose.words import (
+    LOOP_WORDS,
+    PLAIN,
+    check_rows,
+    loop_notes,
+    next_text,
+    sentence,
+    unheld,
+)
 from rthyb_rt.recording import replacing
+from rthyb_rt.report.decimate import trace
 from rthyb_rt.report.html import environment, extra_needed, sheets
 
 if TYPE_CHECKING:
@@ -28,6 +39,13 @@ if TYPE_CHECKING:
     from rthyb_rt.diagnose.recovered import Recovered
     from rthyb_rt.report.drawing import Plate
 
+STATES = {"none": "good", "explained": "found", "ambiguous": "open", "unknown": "dark"}
+"""Colour of a verdict; none of them is an alarm's."""
+SHADES = 21
+"""Colours of a map, an odd number: the middle one is for nothing."""
+LOOP_CELLS, LOOP_POINTS = 250, 6000
+"""Pixels across a loop, and points that it has at most."""
+
 
 def write_report(
     folder: Path,
@@ -35,13 +53,23 @@ def write_report(
     outcome: Outcome,
     checks: list[dict[str, Any]] | None,
     model_path: Path,
+    reasons: dict[str, Any] | None = None,
 ) -> list[Path]:
     """Write report.html, diagnosis.json and augmented.toml; return their paths.
+
+    Args:
+        folder: where.
+        d: the diagnosis.
+        outcome: what followed from it.
+        checks: of the self-check; None where there was none.
+        model_path: the model's file, to be named.
+        reasons: the ledger of decisions, see `why.to_json`; made here where it is not given.
 
     Raises:
         InputError: matplotlib or jinja2 is not installed.
         RthybError: a file cannot be written.
     """
+    reasons = reasons or why.to_json(d)
     with extra_needed("the page"):
         plates = [*draw_all(d), *draw_loop(outcome)]
         engine = environment()
@@ -49,6 +77,7 @@ def write_report(
         name=_name(d),
         after=_after(d),
         verdict=d.verdict,
+        state=STATES[d.verdict],
         sentence=sentence(d, outcome.answer),
         notes=d.notes,
         next=next_text(d),
@@ -57,11 +86,18 @@ def write_report(
         checks=check_rows(checks),
         checked=checks is not None,
         figures_of=sheets(plates),
-        closed=_closed(outcome.answer),
+        closed=_closed(d, outcome.answer),
+        limits=unheld(d, outcome),
+        facts=reasons["facts"],
+        ledger=[
+            (t, [(why.words_of(r), r, why.figures(r)) for r in rows])
+            for t, rows in why.groups(reasons)
+        ],
         versions=f"rthyb_rt {__version__} · model {model_path.name}",
     )
     text, _ = rig_toml(outcome.model)
-    answer = json.dumps(_plain(outcome.answer), indent=2, ensure_ascii=False)
+    whole = _plain(outcome.answer | {"why": reasons})
+    answer = json.dumps(whole, indent=2, ensure_ascii=False)
     paths = []
     for file, content in (
         ("report.html", html), ("diagnosis.json", answer + "\n"), ("augmented.toml", text),
@@ -102,19 +138,16 @@ def _errors(d: Diagnosis) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _closed(answer: dict[str, Any]) -> dict[str, Any]:
+def _closed(d: Diagnosis, answer: dict[str, Any]) -> dict[str, Any]:
     """Return what the page says of the closed loop; empty where there is none."""
     loop = answer.get("closed_loop")
     if loop is None:
         return {}
-    rows, notes = [], []
+    rows, notes = [], loop_notes(d, answer)
     if loop["possible"]:
-        notes = loop["notes"]
         for name, word in LOOP_WORDS.items():
             before, after = loop["nrmse_before"][name], loop["nrmse_after"][name]
             rows.append((word, _percent(before), _percent(after)))
-    else:
-        notes = [f"The test could not be simulated again: {loop['why']}."]
     for name, symbol in (("alpha", "alpha"), ("k_t_n_per_m", "k_t")):
         found = answer.get("recovered", {}).get(name, {"possible": True})
         if not found["possible"]:
@@ -168,6 +201,7 @@ def draw_all(d: Diagnosis) -> list[Plate]:
         signals = _signals(d)
         if signals is not None:
             plates.append(_overlay(d, signals))
+            plates += draw_laws(d)
             plates.append(_map(d, signals))
             plates.append(_loops(d, signals))
             plates.append(_energy(d))
@@ -323,6 +357,8 @@ def _motion_of(d: Diagnosis) -> tuple[Floats, Floats]:
 
 
 def _map(d: Diagnosis, s: _Signals) -> Plate:
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
     from matplotlib.ticker import MaxNLocator
 
     from rthyb_rt.report import drawing as draw
@@ -337,19 +373,24 @@ def _map(d: Diagnosis, s: _Signals) -> Plate:
     counts, _, _ = np.histogram2d(x, v, bins=(xs, vs))
     mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
     limit = draw.largest(mean) or 1.0
-    picture = axes.pcolormesh(
-        xs, vs, mean.T, cmap="RdBu_r", vmin=-limit, vmax=limit, rasterized=False
-    )
+    edges = np.linspace(-limit, limit, SHADES + 1)
+    colours = [to_hex(c) for c in colormaps["RdBu_r"](np.linspace(0.0, 1.0, SHADES))]
+    kind = np.where(counts > 0, np.clip(np.digitize(mean, edges) - 1, 0, SHADES - 1), -1)
+    draw.tiles(axes, xs, vs, kind, colours)
+    axes.set_xlim(xs[0], xs[-1])
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.set_ylim(vs[0], vs[-1])
     box = axes.get_position()
     beside = paper.figure.add_axes((box.x1 + 0.02, box.y0, 0.025, box.height))
-    bar = paper.figure.colorbar(picture, cax=beside)
-    # A picture inside the drawing is barred by the page's own policy: the bar is drawn as areas.
-    if bar.solids is not None:
-        bar.solids.set_rasterized(False)
-        bar.solids.set_edgecolor("face")
-    bar.outline.set_linewidth(0.0)
-    bar.ax.tick_params(labelsize=7)
-    bar.ax.yaxis.set_major_locator(MaxNLocator(5))
+    draw.tiles(beside, np.array([0.0, 1.0]), edges, np.arange(SHADES)[None, :], colours)
+    beside.set_xlim(0.0, 1.0)
+    beside.set_ylim(-limit, limit)
+    beside.xaxis.set_visible(False)
+    beside.yaxis.tick_right()
+    beside.tick_params(labelsize=7)
+    beside.yaxis.set_major_locator(MaxNLocator(5))
+    for side in beside.spines.values():
+        side.set_visible(False)
     draw.head(axes, "velocity, mm/s", right=s.unit)
     draw.x_label(axes, "displacement, mm")
     return paper.plate(
@@ -359,48 +400,62 @@ def _map(d: Diagnosis, s: _Signals) -> Plate:
 
 
 def _loops(d: Diagnosis, s: _Signals) -> Plate:
-    from rthyb_rt.report import drawing as draw
-
     if s.what == "displacement":
-        return _followed(d, s)
-    paper = draw.Paper("loops", draw.HALF_WIDTH_IN, (2.3,))
-    (axes,) = paper.axes
-    x = np.where(s.judged, _motion_of(d)[0], np.nan)
-    x_limit, y_limit = (
-        draw.largest(x) or 1.0,
-        max(draw.largest(y[s.judged]) for y in (s.measured, s.before, s.after)) or 1.0,
-    )
-    for y, colour, width, label in (
-        (s.measured, draw.BLACK, 1.2, "recorded"), (s.before, draw.ORANGE, 0.7, "model"),
-        (s.after, draw.BLUE, 0.7, "mended"),
-    ):  # fmt: skip
-        kept = s.judged
-        draw.loop(axes, x[kept], y[kept], colour, width, label, x_limit=x_limit, y_limit=y_limit)
-    draw.symmetric(axes, y_limit)
-    draw.head(axes, f"{s.what}, {s.unit}")
-    draw.x_label(axes, "displacement, mm")
-    return paper.plate(f"{s.what.capitalize()} over displacement", "Loops of record and model.")
+        u = filled(d.case.channels["x_cmd"]) * 1e3
+        curves = [y - u for y in (s.measured, s.before, s.after)]
+        return _looped(
+            s, u, curves, ("command, mm", "x_meas − x_cmd, mm"),
+            "What the actuator leaves of its command", "A lag is a loop.",
+        )  # fmt: skip
+    return _looped(
+        s, _motion_of(d)[0], [s.measured, s.before, s.after],
+        ("displacement, mm", f"{s.what}, {s.unit}"),
+        f"{s.what.capitalize()} over displacement", "Loops of record and model.",
+    )  # fmt: skip
 
 
-def _followed(d: Diagnosis, s: _Signals) -> Plate:
-    """Return what the actuator left of its command over the command, recorded and simulated."""
+def _looped(
+    s: _Signals, x: Floats, curves: list[Floats], names: tuple[str, str], title: str, note: str
+) -> Plate:
+    """Return the loops of record, model and mended model, named at both axes."""
+    from matplotlib.ticker import MaxNLocator
+
     from rthyb_rt.report import drawing as draw
 
-    paper = draw.Paper("loops", draw.HALF_WIDTH_IN, (2.3,), bottom_in=0.62)
+    paper = draw.Paper("loops", draw.HALF_WIDTH_IN, (2.3,), bottom_in=draw.room_below(3, 3))
     (axes,) = paper.axes
-    u = filled(d.case.channels["x_cmd"])[s.judged] * 1e3
-    gaps = [y[s.judged] - u for y in (s.measured, s.before, s.after)]
-    x_limit = draw.largest(u) or 1.0
-    y_limit = max(draw.largest(g) for g in gaps) or 1.0
+    draw.head(axes, names[1])
+    x_limit = draw.largest(x[s.judged]) or 1.0
+    y_limit = max(draw.largest(y[s.judged]) for y in curves) or 1.0
+    rows = _around_the_largest(np.flatnonzero(s.judged), x, curves[0], x_limit, y_limit)
     for y, colour, width, label in zip(
-        gaps, (draw.BLACK, draw.ORANGE, draw.BLUE), (1.2, 0.7, 0.7),
+        curves, (draw.BLACK, draw.ORANGE, draw.BLUE), (1.2, 0.7, 0.7),
         ("recorded", "model", "mended"), strict=True,
     ):  # fmt: skip
-        draw.loop(axes, u, y, colour, width, label, x_limit=x_limit, y_limit=y_limit)
+        draw.loop(
+            axes, x[rows], y[rows], colour, width, label,
+            x_limit=x_limit, y_limit=y_limit, cells=LOOP_CELLS,
+        )  # fmt: skip
     draw.symmetric(axes, y_limit)
-    draw.head(axes, "x_meas − x_cmd, mm", below=True)
-    draw.x_label(axes, "command, mm")
-    return paper.plate("What the actuator leaves of its command", "A lag is a loop.")
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    draw.legend_below(axes, 3)
+    draw.x_label(axes, names[0])
+    if rows.size < int(s.judged.sum()):
+        note += " Shown is the part around the largest displacement."
+    return paper.plate(title, note)
+
+
+def _around_the_largest(
+    rows: NDArray[np.int_], x: Floats, y: Floats, x_limit: float, y_limit: float
+) -> NDArray[np.int_]:
+    """Return so many rows around the largest abscissa that a loop of them is not too heavy."""
+    kept = trace(x[rows], y[rows], 2.0 * x_limit, 2.0 * y_limit, LOOP_CELLS)[0].size
+    if kept <= LOOP_POINTS:
+        return rows
+    width = rows.size * LOOP_POINTS // kept
+    top = int(np.argmax(np.abs(x[rows])))
+    first = int(np.clip(top - width // 2, 0, rows.size - width))
+    return rows[first : first + width]
 
 
 def _energy(d: Diagnosis) -> Plate:
@@ -411,23 +466,25 @@ def _energy(d: Diagnosis) -> Plate:
     if motion is None or ctx is None or search is None:
         return draw.Plate("energy", "Energy by term", "", "no force was recorded", True)
     dx = np.where(search.problem.estimate.rows, np.diff(motion.x, prepend=motion.x[0]), 0.0)
-    paper = draw.Paper("energy", draw.HALF_WIDTH_IN, (2.3,))
-    (axes,) = paper.axes
-    # Before there is anything to be listed: the legend of up to six terms goes inside.
-    draw.head(axes, "energy, J")
     terms = [(ctx.force, draw.BLACK, "recorded"), (ctx.total, draw.ORANGE, "model as given")]
     colours = (draw.BLUE, draw.GREEN, draw.PURPLE, draw.RED)
     found = [c for c in d.candidates if c.signal is not None and c.channel == "force"]
     if d.verdict in ("explained", "ambiguous"):
         terms += [
-            (c.signal, colour, c.name.replace("_", " "))
+            (c.signal, colour, PLAIN.get(c.name, c.name))
             for c, colour in zip(found, colours, strict=False)
             if c.signal is not None
         ]
+    paper = draw.Paper(
+        "energy", draw.HALF_WIDTH_IN, (2.3,), bottom_in=draw.room_below(len(terms), 2)
+    )
+    (axes,) = paper.axes
+    # Before there is anything to be listed: the legend stands below.
+    draw.head(axes, "energy, J")
     for force, colour, label in terms:
         draw.curve(axes, d.case.t, np.cumsum(force * dx), colour, 0.9, label)
     axes.set_xlim(*draw.span(d.case.t[0], d.case.t[-1]))
-    axes.legend(loc="upper left", handlelength=1.2)
+    draw.legend_below(axes, 2)
     draw.x_label(axes, "time, s")
     return paper.plate("Work of each term up to each moment", "Rising: taken out of the motion.")
 

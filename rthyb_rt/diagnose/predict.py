@@ -172,6 +172,11 @@ def predict(augmented: Augmented, case: Case, before: Case | None = None) -> Pre
     x_only = np.full(case.t.size, np.nan)
     motion: Motion | None = None
     if model.family in ("drive", "loop"):
+        from rthyb_rt.diagnose import rigged
+
+        answered = rigged.along(augmented, case, other)
+        if answered is not None:
+            return Prediction(case.t, answered[1], answered[0])
         if augmented.actuator is not None and "x_cmd" in other:
             motion = _commanded(augmented, case)
             x_only = motion.x

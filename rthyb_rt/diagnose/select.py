@@ -99,9 +99,15 @@ class Problem:
     """The residual of one recording, the nuisance, and the dictionary of effects."""
 
     def __init__(
-        self, case: Case, ctx: Context, estimate: Estimate, effects: Iterable[Effect]
+        self,
+        case: Case,
+        ctx: Context,
+        estimate: Estimate,
+        effects: Iterable[Effect],
+        blurred: bool | None = None,
     ) -> None:
         self.case, self.ctx, self.estimate = case, ctx, estimate
+        self.blurred = not estimate.exact if blurred is None else blurred
         self.loudness = 1.0
         rows = np.flatnonzero(estimate.rows)
         self.thin = max(1, -(-rows.size // ROWS_MAX))
@@ -123,11 +129,18 @@ class Problem:
         names = {n.name for n in self.nuisances if n.sigma is None}
         if effect.name in names:
             return False
+        if effect.name == "inertia" and self._decays and model.k_tol is None:
+            return False
         if effect.sensor and model.family == "forced":
             return effect.name in ("bias", "drift")
         if effect.sensor and model.family == "ground" and "f_meas" not in self.case.channels:
             return effect.name in ("bias",)
         return not (quasi(self.case) and effect.name not in STATIC)
+
+    @property
+    def _decays(self) -> bool:
+        """Whether nothing acts on a body: then its mass is the scale of all forces, and stays."""
+        return self.case.model.family == "forced" and not np.any(self.ctx.force)
 
     def _nuisances(self) -> Iterable[Nuisance]:
         model, ctx = self.case.model, self.ctx
@@ -136,13 +149,14 @@ class Problem:
         if model.c:
             sigma = None if model.c_tol is None else model.c_tol * abs(model.c)
             yield Nuisance("viscous", ctx.v, sigma)
-        if model.k_tol is None and (model.moving_mass or model.family == "forced"):
+        massive = bool(model.moving_mass) or model.family == "forced"
+        if model.k_tol is None and massive and not self._decays:
             yield Nuisance("inertia", ctx.a, None)
         if quasi(self.case):
             return
         if "f_meas" in self.case.channels and self.case.tare_error_n:
             yield Nuisance("bias", np.ones_like(ctx.t), self.case.tare_error_n)
-        if model.k_tol is not None and not self.estimate.exact:
+        if model.k_tol is not None and self.blurred:
             # An estimated acceleration is a little too small: no finding about the mass.
             mass = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
             if mass > 0.0:
@@ -337,7 +351,7 @@ class Dictionary:
             blocks.append(slope[:, None])
             pins.append(0.0)
         base = np.column_stack(blocks)
-        size = np.sqrt(np.maximum(np.sum(base**2, axis=0), 1e-300))
+        size = np.sqrt(np.maximum(np.sum(base**2, axis=0), 1e-200))
         base = base / size
         held = base.T @ base + np.diag(np.array(pins) / size**2 + 1e-9)
         data = self.data[:, : self.p] / self._loudness()

@@ -30,6 +30,8 @@ class ActuatorModel:
         shift_s: of the command against the rows, beside the delay.
         kappa_s2_m: delay that comes with each m/s; of the command's velocity, or the actuator's.
         vmax_m_s: 0 for none; of the command, or of the actuator itself.
+        delay_tol_s: one standard deviation of the delay, s; None: not stated, free to refit.
+        f_tol, zeta_tol, gain_tol: of the others, relative to the value; None as above.
     """
 
     delay_s: float
@@ -42,6 +44,10 @@ class ActuatorModel:
     vmax_m_s: float = 0.0
     vmax_of: Literal["command", "actuator"] = "command"
     hold: Hold = "foh"
+    delay_tol_s: float | None = None
+    f_tol: float | None = None
+    zeta_tol: float | None = None
+    gain_tol: float | None = None
 
 
 @dataclass(frozen=True)

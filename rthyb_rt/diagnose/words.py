@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.engine import Diagnosis, Found
+
+if TYPE_CHECKING:
+    from rthyb_rt.diagnose.outcome import Outcome
 
 PLAIN: dict[str, str] = {
     "coulomb": "dry friction",
@@ -16,9 +20,12 @@ PLAIN: dict[str, str] = {
     "stribeck": "friction that falls with velocity",
     "lugre": "friction with elastic bristles",
     "quad_damping": "damping with the square of velocity",
+    "power_damping": "damping with a power of velocity",
     "inertia": "a moving mass",
     "gap": "a gap",
     "cubic": "a cubic spring",
+    "gap+coulomb": "dry friction behind a gap",
+    "gap+coulomb+bias": "dry friction behind a gap, harder one way",
     "quadratic": "a quadratic spring",
     "stopper": "a stop",
     "stiffness": "an error of the stiffness",
@@ -66,6 +73,10 @@ LOCAL = 0.3
 """Part of the largest displacement below which a force has to be nothing to be called local."""
 ACTS = 0.05
 """Part of its largest size from which a force acts."""
+MET = 0.05
+"""NRMSE of a test simulated again up to which it is met."""
+HARDLY = 0.7
+"""Part of the error as given from which what was found hardly betters it."""
 ALWAYS = 0.9
 """Part of the recording from which something acts throughout."""
 
@@ -140,6 +151,10 @@ def _phrase(c: Found) -> str:
         ),
         "quad_damping": lambda: (
             f"{q('c2_Ns2_m2')} {more(p['c2_Ns2_m2'])} of damping with the square of velocity"
+        ),
+        "power_damping": lambda: (
+            f"damping with velocity to the power of {_plain(p['exponent'], 3)}, "
+            f"{q('F1_N')} at 1 m/s"
         ),
         "inertia": lambda: f"{q('m_kg')} {more(p['m_kg'])} of moving mass",
         "gap": lambda: f"a gap of {q('gap_m')}",
@@ -222,6 +237,56 @@ def loop_rows(answer: dict[str, Any]) -> list[tuple[str, str, str]]:
         elif found:
             rows.append((word, "not possible", found["why"]))
     return rows
+
+
+def heldout_lines(d: Diagnosis) -> list[str]:
+    """Return what a second recording says of the answer, or how to have it judged by one."""
+    after = (
+        "with what was found"
+        if d.verdict in ("explained", "ambiguous")
+        else "with its numbers moved within tolerance"
+    )
+    out = []
+    for key, word in (("force", "force"), ("disp", "displacement")):
+        before = d.fit.get(f"heldout_nrmse_before_{key}")
+        if before is not None:
+            now = d.fit.get(f"heldout_nrmse_after_{key}", float("nan"))
+            out.append(
+                f"Held out: of the second recording's {word} the model as given misses "
+                f"{100 * before:.3g} %, {after} {100 * now:.3g} % (NRMSE)."
+            )
+    if not out and d.verdict in ("explained", "ambiguous"):
+        out.append("Not judged by a second recording; --heldout FILE does that.")
+    return out
+
+
+def unheld(d: Diagnosis, outcome: Outcome) -> list[str]:
+    """Return what of the answer the augmented model's rig file does not hold."""
+    if d.verdict not in ("explained", "ambiguous"):
+        return []
+    lost = [*rig_toml(outcome.model)[1], *(n for n in d.effects if n == "quantisation")]
+    if not lost:
+        return []
+    names = " and ".join(PLAIN.get(n, n) for n in dict.fromkeys(lost))
+    return [f"A rig file cannot hold {names}: a test with augmented.toml runs without it."]
+
+
+def loop_notes(d: Diagnosis, answer: dict[str, Any]) -> list[str]:
+    """Return what is to be known of the loop simulated again; why it was not, where it was not."""
+    loop = answer.get("closed_loop")
+    if not loop:
+        return []
+    if not loop["possible"]:
+        return [f"The test could not be simulated again: {loop['why']}."]
+    out = [f"With the loop closed: {note}." for note in loop["notes"]]
+    before, after = loop["nrmse_before"]["x_meas"], loop["nrmse_after"]["x_meas"]
+    if d.verdict in ("explained", "ambiguous") and after > max(MET, HARDLY * before):
+        out.append(
+            "With the loop closed, what was found does not bring the test back: its measured "
+            f"displacement is missed by {100 * before:.3g} % without it and by {100 * after:.3g} % "
+            "with it."
+        )
+    return out
 
 
 def next_text(d: Diagnosis) -> str:

@@ -152,11 +152,38 @@ def curve(
 
 def loop(
     axes: Axes, x: Floats, y: Floats, colour: str, width: float, label: str = "", *,
-    x_limit: float, y_limit: float,
+    x_limit: float, y_limit: float, cells: int = LOOP_CELLS,
 ) -> None:  # fmt: skip
     """Draw a curve that turns back on itself, in a frame of ``limit`` either side of zero."""
-    x, y = trace(clip(x, x_limit), clip(y, y_limit), 2 * x_limit, 2 * y_limit, LOOP_CELLS)
+    x, y = trace(clip(x, x_limit), clip(y, y_limit), 2 * x_limit, 2 * y_limit, cells)
     axes.plot(x, y, color=colour, linewidth=width, label=label)
+
+
+def tiles(axes: Axes, xs: Floats, ys: Floats, kind: NDArray[np.int_], colours: list[str]) -> None:
+    """Fill cells of a grid, of each colour all at once: a hundredth of the text of a mesh.
+
+    Args:
+        axes: where.
+        xs, ys: edges of the cells, (nx + 1,), (ny + 1,).
+        kind: number of the colour of each cell, (nx, ny); negative for none.
+        colours: by that number.
+    """
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    for n, colour in enumerate(colours):
+        corners: list[tuple[float, float]] = []
+        for j in range(ys.size - 1):
+            there = np.concatenate(([False], kind[:, j] == n, [False]))
+            edges = np.flatnonzero(there[1:] != there[:-1])
+            for a, b in edges.reshape(-1, 2):
+                low, high = float(ys[j]), float(ys[j + 1])
+                left, right = float(xs[a]), float(xs[b])
+                corners += [(left, low), (right, low), (right, high), (left, high), (left, low)]
+        if corners:
+            one = [Path.MOVETO, *[Path.LINETO] * 3, Path.CLOSEPOLY]
+            path = Path(np.array(corners), np.array(one * (len(corners) // 5)))
+            axes.add_patch(PathPatch(path, facecolor=colour, linewidth=0.0))
 
 
 def clip(y: Floats, limit: float) -> Floats:
@@ -240,6 +267,23 @@ def head(
                 axes.transAxes, axes.get_figure(root=True), 0, shift, "points"
             ),
         )  # fmt: skip
+
+
+LINE_IN = 0.16
+"""Height of a line of a legend."""
+
+
+def room_below(entries: int, columns: int) -> float:
+    """Return the height below axes, inches, that a legend of so many entries needs there."""
+    return 0.46 + LINE_IN * -(-entries // columns)
+
+
+def legend_below(axes: Axes, columns: int) -> None:
+    """Write the legend below the label of the abscissa, where no curve is."""
+    axes.legend(
+        ncols=columns, loc="upper left", bbox_to_anchor=(0.0, 0.0),
+        bbox_transform=offset_copy(axes.transAxes, axes.get_figure(root=True), 0, -27, "points"),
+    )  # fmt: skip
 
 
 def x_label(axes: Axes, text: str) -> None:

@@ -319,7 +319,7 @@ static void time_elements(void)
     static const struct {
         const char *name;
         size_t n;
-        double params[8];
+        double params[RTHYB_ELEMENT_PARAMS];
     } ELEMENTS[RTHYB_ELEMENT_KINDS] = {
         [RTHYB_STIFFNESS] = {"stiffness", 1, {K_E}},
         [RTHYB_VISCOUS] = {"viscous", 1, {2000.0}},
@@ -339,6 +339,19 @@ static void time_elements(void)
         [RTHYB_SECOND_MODE] = {"second_mode", 3, {500.0, 12.0, 0.02}},
         [RTHYB_P_DELTA] = {"p_delta", 2, {4e4, 3.0}},
         [RTHYB_GAP_FRICTION] = {"gap_friction", 5, {K_E, 1e-3, 400.0, 600.0, 2e-4}},
+        [RTHYB_COULOMB_UNEVEN] = {"coulomb_uneven", 3, {80.0, 120.0, 5e-4}},
+        [RTHYB_GAP_UNEVEN] = {"gap_uneven", 4, {K_E, 1e-3, 1e6, 2e-3}},
+        [RTHYB_POWER_DAMPING] = {"power_damping", 4, {500.0, 0.1, 0.3, 5e-4}},
+        [RTHYB_POWER_SPRING] = {"power_spring", 4, {3000.0, 5e-3, 1.3, 1e-5}},
+        [RTHYB_PENDULUM] = {"pendulum", 2, {4e4, 0.5}},
+        [RTHYB_FRICTION_PENDULUM] = {"friction_pendulum", 6, {4e4, 1.0, 0.03, 0.06, 30.0, 5e-4}},
+        [RTHYB_IWAN] = {"iwan", 4, {K_E, 0.02, 3e-3, 0.8}},
+        [RTHYB_MENEGOTTO_PINTO] = {"menegotto_pinto", 6, {K_E, 0.02, 3e-3, 20.0, 0.925, 0.15}},
+        [RTHYB_CHABOCHE] = {"chaboche", 6, {K_E, 1500.0, 5e4, 50.0, 500.0, 5.0}},
+        [RTHYB_RC_COLUMN] = {"rc_column",
+                             13,
+                             {K_E, 0.02, 3e-3, 2.0, 4.0, 0.02, 0.3, 500.0, 0.2, 0.3, 0.2, 0.3,
+                              0.2}},
     };
     rthyb_element element;
     for (int kind = 0; kind < RTHYB_ELEMENT_KINDS; kind++) {

@@ -184,6 +184,10 @@ class Effect:
         """Return the parameters by name from linear coefficients and shape."""
         return {self.params[0].name: float(beta[0])}
 
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the law itself in a few words: which of those that share the effect's name."""
+        return self.equation
+
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return whether the coefficients make a physical law; signs are checked already."""
         return True

@@ -52,6 +52,63 @@ class QuadDamping(Effect):
         return [core.element("quad_damping", c2_n_s2_per_m2=float(beta[0]))]
 
 
+EXPONENTS = ((0.2, 0.9), (1.1, 1.85), (2.15, 3.5))
+"""Exponents of velocity that have a name of their own: at 1 it is a dashpot, at 2 quadratic."""
+
+
+class PowerDamping(Effect):
+    """A fluid viscous damper: its force goes with a power of velocity."""
+
+    name = "power_damping"
+    params = (Param("F1_N", "N", 0.0, 1e10), Param("exponent", "", 0.05, 10.0))
+    equation = "f = F1 |v / (1 m/s)|^exponent sgn(v)"
+    fingerprint = "residual over velocity is a power, neither straight nor a parabola"
+    shown_by = ("multi_amplitude", "a power of velocity shows at several amplitudes")
+    signs = "+"
+    momentary = True
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return exponents below, between and above those of the laws with their own names."""
+        return [Trial((a,)) for a in (0.3, 0.45, 0.6, 0.75, 1.25, 1.5, 1.75, 2.5, 3.0)]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep the exponent where it has no other name."""
+        return [min(EXPONENTS, key=lambda ends: abs(trial.theta[0] - 0.5 * sum(ends)))]
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return one coefficient, the force."""
+        return ("+", (None,)), 2
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the force per N at the largest velocity."""
+        r = ctx.v / ctx.v_range
+        return [r * (r**2 + LINEAR**2) ** (0.5 * (trial.theta[0] - 1.0))]
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return the force at 1 m/s, which is C in N (s/m)^exponent, and the exponent."""
+        a = trial.theta[0]
+        return {"F1_N": float(beta[0]) / ctx.v_range**a, "exponent": a}
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the damper with its exponent."""
+        return f"fluid viscous damper, |v|^{trial.theta[0]:.3g} sgn(v)"
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        return [
+            core.element(
+                "power_damping", force_n=float(beta[0]), at_m_per_s=float(ctx.v_range),
+                exponent=trial.theta[0],
+                width_m_per_s=float(np.clip(LINEAR * ctx.v_range, 1e-7, 1.0)),
+            )
+        ]  # fmt: skip
+
+
+LINEAR = 3e-3
+"""Part of the largest velocity below which such a damper is straight."""
+
 CONTACT = (2e-5, 4e-3)
 """Way before a dry contact slips, as part of the amplitude: more of it is bristle friction."""
 
@@ -101,6 +158,14 @@ class Coulomb(Effect):
         if trial.variant == "root":
             return [ctx.v / np.hypot(ctx.v, trial.theta[0])]
         return [np.tanh(ctx.v / trial.theta[0])]
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return how the sign of velocity is rounded."""
+        if trial.variant == "contact":
+            return "Fc of a contact that shears before it slips"
+        if trial.variant == "root":
+            return "Fc v / sqrt(v^2 + width^2)"
+        return "Fc tanh(v / width)"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
@@ -160,6 +225,12 @@ class Stribeck(Effect):
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False where it is a smooth hump rather than friction."""
         return bool(beta[1] > 0.05 * beta[0] and beta[0] > 0.02 * beta[1])
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the law of the peak, and what its sign is."""
+        power = 1 if trial.variant == "contact1" else 2
+        sign = "a contact that shears before it slips" if trial.variant else "tanh(v / width)"
+        return f"[Fc + (Fs - Fc) exp(-|v/vs|^{power})] by {sign}"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
@@ -237,6 +308,16 @@ class Lugre(Effect):
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return sliding friction and bristle stiffness."""
         return {"Fc_N": float(beta[0]), "sigma0_N_m": float(beta[0]) / trial.theta[0]}
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the law of the bristles."""
+        if trial.variant == "dahl":
+            return "bristles of Dahl and LuGre"
+        if trial.variant == "elastic":
+            return "one bristle, elastic until it slides"
+        if trial.variant == "slips":
+            return "Iwan chain, yields spread exponentially"
+        return f"Iwan chain, spread {trial.variant.removeprefix('spread')}"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
@@ -403,6 +484,6 @@ class UnevenFrictionBehindGap(Effect):
 
 
 EFFECTS: tuple[Effect, ...] = (
-    Viscous(), QuadDamping(), Coulomb(), Stribeck(), Lugre(), FrictionBehindGap(),
+    Viscous(), QuadDamping(), PowerDamping(), Coulomb(), Stribeck(), Lugre(), FrictionBehindGap(),
     UnevenFrictionBehindGap(),
 )  # fmt: skip

@@ -11,7 +11,9 @@ from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.simulate import iwan
 
 LARGE = ("multi_amplitude", "a memory of amplitude shows when small cycles follow large ones")
-SPRINGS = 12
+SPRINGS = core.IWAN_SLIDERS
+BAR = {"r0": 20.0, "cr1": 0.925, "cr2": 0.15}
+"""How the branches of steel bend: Menegotto & Pinto 1973, constants of Filippou et al. 1983."""
 
 
 def plastic(ctx: Context, variant: str, xy: float) -> Floats:
@@ -23,6 +25,9 @@ def plastic(ctx: Context, variant: str, xy: float) -> Floats:
             "hysteresis", k_n_per_m=1.0, post_yield_ratio=0.0, a=1.0, b=0.5, c=0.5, eta=n
         )
         return core.Element(loop).run(ctx.x / xy) * xy
+    if variant == "mp":
+        bar = core.element("menegotto_pinto", k_n_per_m=1.0, post_yield_ratio=0.0, xy_m=1.0, **BAR)
+        return core.Element(bar).run(ctx.x / xy) * xy
     spread = float(variant[4:])
     if spread == 0.0:
         return iwan(np.array([xy]), np.array([1.0]), ctx.x)
@@ -30,8 +35,47 @@ def plastic(ctx: Context, variant: str, xy: float) -> Floats:
     return iwan(xy * at, np.full(SPRINGS, 1.0 / SPRINGS), ctx.x)
 
 
+def hardened(ctx: Context, xy: float, shape: Sequence[float]) -> Floats:
+    """Return a yielding displacement with slope 1 at first whose yield range moves and grows, m.
+
+    ``shape`` counts in the elastic stiffness and the yield displacement: kinematic modulus,
+    recovery, growth and its rate.
+    """
+    kinematic, recovery, growth, rate = (*shape, 0.0, 0.0)[:4]
+    bar = core.element(
+        "chaboche", k_n_per_m=1.0, fy_n=1.0, kinematic_n_per_m=kinematic,
+        recovery_per_m=recovery, isotropic_n=growth, isotropic_rate_per_m=rate,
+    )  # fmt: skip
+    return core.Element(bar).run(ctx.x / xy) * xy
+
+
+def contact(ctx: Context, xy: float) -> Floats:
+    """Return the force per N of the sliding contact of an isolator, (n,)."""
+    slider = core.element(
+        "friction_pendulum", weight_n=1.0, radius_m=1e15, mu_slow=1.0, mu_fast=1.0,
+        mu_rate_s_per_m=0.0, xy_m=1.0,
+    )  # fmt: skip
+    return core.Element(slider).run(ctx.x / xy)
+
+
+BACKSTRESS = ((0.02, 0.01), (0.07, 0.1), (0.3, 0.3))
+"""Kinematic moduli and recoveries to begin with, in units of the yield point."""
+GROWTH = (0.2, 0.02)
+"""Growth of the yield force, and its rate, to begin with."""
+HARDENING = ("kinematic", "both")
+"""Forms of yielding that harden by plastic flow."""
+FORMS = {
+    "mp": "Menegotto-Pinto",
+    "kinematic": "kinematic hardening (Armstrong-Frederick)",
+    "both": "kinematic and isotropic hardening (Chaboche)",
+    "slider": "friction pendulum, friction that grows with velocity",
+}
+FLAT = 1e4
+"""Radius of a bowl that is as good as flat, m: what is left of the weight's spring is taken off."""
+
+
 class Hysteresis(Effect):
-    """Yielding: Bouc-Wen loops, and Iwan's springs that yield one by one."""
+    """Yielding: Bouc-Wen's loops, Iwan's springs that yield one by one, Menegotto-Pinto's bars."""
 
     name = "hysteresis"
     params = (Param("xy_m", "m", 1e-9, 10.0), Param("alpha", "", -1.0, 1.0))
@@ -51,7 +95,19 @@ class Hysteresis(Effect):
         trials = [Trial((float(xy),), shape) for shape in shapes for xy in at]
         # Springs that yield one by one, over a spread that is fitted.
         trials += [Trial((float(xy), s), "iwan") for s in (1.0, 0.5, 0.2) for xy in at]
-        if ctx.k_free:
+        trials += [Trial((float(xy),), "mp") for xy in at[::2]]
+        trials += [Trial((float(xy), *b), "kinematic") for b in BACKSTRESS for xy in at[1::3]]
+        trials += [
+            Trial((float(xy), float(rate)), "slider")
+            for xy in ctx.x_range * np.array([2e-3, 1e-2, 5e-2])
+            for rate in np.array([4.0, 8.0, 20.0]) / ctx.v_range
+        ]
+        if not ctx.k_free:
+            # Beside a naive model two loops foretell more than one backstress fitted so closely.
+            trials += [
+                Trial((float(xy), *b, *GROWTH), "both") for b in BACKSTRESS for xy in at[1::2]
+            ]
+        else:
             trials += [
                 Trial((float(xy), 6.0 * float(xy)), "two") for xy in at[::2] if 6 * xy < ctx.x_range
             ]
@@ -62,14 +118,25 @@ class Hysteresis(Effect):
         least = 1e-3 if ctx.k_free else 0.03
         if trial.variant == "iwan":
             return [(least * ctx.x_range, 1.5 * ctx.x_range), (0.02, 1.0)]
+        if trial.variant == "slider":
+            # Slower, friction that grows with velocity is a dashpot beside a plain one.
+            return [
+                (1e-4 * ctx.x_range, 0.3 * ctx.x_range),
+                (3.0 / ctx.v_range, 60.0 / ctx.v_range),
+            ]
+        if trial.variant in HARDENING:
+            ends = [(1e-3, 3.0), (1e-4, 3.0), (0.01, 3.0), (1e-4, 1.0)]
+            return [(least * ctx.x_range, 1.5 * ctx.x_range), *ends[: len(trial.theta) - 1]]
         return [(least * ctx.x_range, 1.5 * ctx.x_range)] * len(trial.theta)
 
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
         """Return one coefficient, 1 - alpha; with a dashpot or a second loop beside it, two."""
-        if trial.variant == "two":
+        if trial.variant in ("two", "slider"):
             return ("++", (None, None)), 4
+        if trial.variant in HARDENING:
+            return ("+", (None,)), 1 + len(trial.theta)
         if trial.variant.endswith("+"):
             return ("+*", (None, None)), 2
         return ("+", (None,)), 2
@@ -79,14 +146,22 @@ class Hysteresis(Effect):
         xy = trial.theta[0]
         if trial.variant == "two":
             return [ctx.k_scale * plastic(ctx, "bw1", y) for y in trial.theta]
+        if trial.variant == "slider":
+            z = contact(ctx, xy)
+            return [z, -z * np.exp(-trial.theta[1] * np.abs(ctx.v))]
         shape = f"iwan{trial.theta[1]}" if trial.variant == "iwan" else trial.variant
-        z = plastic(ctx, shape.rstrip("+"), xy)
+        if shape in HARDENING:
+            z = hardened(ctx, xy, trial.theta[1:])
+        else:
+            z = plastic(ctx, shape.rstrip("+"), xy)
         if trial.variant.endswith("+"):
             return [ctx.k_scale * z, ctx.k_scale * np.gradient(z) / ctx.dt * (xy / ctx.v_range)]
         return [ctx.k_scale * (z if ctx.k_free else z - ctx.x)]
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False where the spring after yielding would push outwards."""
+        if trial.variant == "slider":
+            return bool(0.1 * beta[0] < beta[1] <= beta[0])
         if ctx.k_free:
             return (
                 len(beta) == 1
@@ -98,13 +173,39 @@ class Hysteresis(Effect):
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return yield displacement and the share of stiffness that remains."""
         share = float(beta[0])
+        if trial.variant == "slider":
+            elastic = share / trial.theta[0]
+            return {"xy_m": trial.theta[0], "alpha": ctx.model.k / (ctx.model.k + elastic)}
         alpha = 1.0 - share if not ctx.k_free else ctx.model.k / (ctx.model.k + share * ctx.k_scale)
         return {"xy_m": trial.theta[0], "alpha": alpha}
 
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the loop by the names of those who wrote it down."""
+        shape = trial.variant.rstrip("+")
+        beside = ", with a dashpot on it" if trial.variant.endswith("+") else ""
+        if shape == "two":
+            return "two Bouc-Wen loops, eta 1"
+        if shape in FORMS:
+            return FORMS[shape]
+        if shape.startswith("bw"):
+            return f"Bouc-Wen, eta {shape[2:]}{beside}"
+        spread = trial.theta[1] if shape == "iwan" else float(shape[4:])
+        what = f"Iwan, spread {spread:.2g}" if spread else "elastic, perfectly plastic"
+        return what + beside
+
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return loops of the core's Bouc-Wen element, an Iwan chain as several sharp ones."""
+        """Return the element of the loop."""
         k = float(beta[0]) * ctx.k_scale
         xy = trial.theta[0]
+        if trial.variant == "slider":
+            weight, drop = (float(b) for b in beta)
+            return [
+                core.element(
+                    "friction_pendulum", weight_n=weight, radius_m=FLAT, mu_fast=1.0,
+                    mu_slow=1.0 - drop / weight, mu_rate_s_per_m=trial.theta[1], xy_m=xy,
+                ),
+                core.element("stiffness", k_n_per_m=-weight / FLAT),
+            ]  # fmt: skip
         out = [] if ctx.k_free else [core.element("stiffness", k_n_per_m=-k)]
         if trial.variant == "two":
             return [
@@ -114,13 +215,27 @@ class Hysteresis(Effect):
                     for b, y in zip(beta, trial.theta, strict=True)
                 ),
             ]
+        if trial.variant in HARDENING:
+            kinematic, recovery, growth, rate = (*trial.theta[1:], 0.0, 0.0)[:4]
+            return [
+                *out,
+                core.element(
+                    "chaboche", k_n_per_m=k, fy_n=k * xy, kinematic_n_per_m=kinematic * k,
+                    recovery_per_m=recovery / xy, isotropic_n=growth * k * xy,
+                    isotropic_rate_per_m=rate / xy,
+                ),
+            ]  # fmt: skip
         shape = trial.variant.rstrip("+")
         if shape.startswith("bw"):
             return [*out, _loop(k, xy, float(shape[2:]))]
+        if shape == "mp":
+            bar = {"k_n_per_m": k, "post_yield_ratio": 0.0, "xy_m": xy}
+            return [*out, core.element("menegotto_pinto", **bar, **BAR)]
         spread = trial.theta[1] if shape == "iwan" else float(shape[4:])
-        count = 1 if spread == 0.0 else 6
-        at = 1.0 + spread * (2.0 * (np.arange(count) + 0.5) / count - 1.0)
-        return [*out, *(_loop(k / count, float(xy * r), 12.0) for r in at)]
+        return [
+            *out,
+            core.element("iwan", k_n_per_m=k, post_yield_ratio=0.0, xy_m=xy, spread=spread),
+        ]
 
 
 def _loop(k: float, xy: float, eta: float) -> core.ElementConfig:
@@ -216,6 +331,15 @@ class Pinching(Effect):
         unit = 1.0 if trial.variant.startswith(("peak", "worn")) else self._unit(ctx)
         return {"depth": float(beta[0]), "width_ratio": trial.theta[0] / unit}
 
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return what the force is slack over."""
+        return {
+            "z": "slack over the loop's own force",
+            "slope": "slope of the loop slack (Baber-Noori)",
+            "worn": "slack within the largest displacement so far, closed where it is reached",
+            "x": "slack over displacement",
+        }.get(trial.variant, "slack over displacement, as a part of the largest so far")
+
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the pinched loop instead of the model's own."""
         bw = ctx.model.bouc_wen
@@ -276,6 +400,10 @@ class Degradation(Effect):
         """Return loss and travel."""
         return {"loss": float(beta[0]), "travel_m": trial.theta[0]}
 
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return what is lost."""
+        return "of the loop, with travel" if trial.variant == "loop" else "of all, with travel"
+
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return a loop of the model's own spring that loses it."""
         bw = ctx.model.bouc_wen
@@ -288,6 +416,130 @@ class Degradation(Effect):
                 travel_m=trial.theta[0],
             )
         ]  # fmt: skip
+
+
+SEEN_WEAR = 0.1
+"""Least share of slack, and of what is lost, for which a column is said to pinch and to degrade."""
+BELL = (0.15, 0.25)
+"""Force at which cracks slip most, and the bell's width, over the strength."""
+CYCLES = 12.5
+"""Full cycles in whose work the losses with energy are counted."""
+
+
+class WornColumn(Effect):
+    """A reinforced concrete column: yielding, pinching and degradation are one law there.
+
+    Unloading softens with the largest displacement, strength falls with it and with the work done,
+    and cracks slip before they close.
+    """
+
+    name = "hysteresis+pinching+degradation"
+    params = (
+        Param("xy_m", "m", 1e-9, 10.0),
+        Param("alpha", "", -1.0, 1.0),
+        Param("depth", "", 0.0, 1.0),
+        Param("width_ratio", "", 0.0, 10.0),
+        Param("loss", "", 0.0, 1.0),
+        Param("travel_m", "m", 1e-9, 1e6),
+    )
+    equation = "a loop in series with a slip-lock spring, worn by amplitude and energy"
+    fingerprint = "loops that grow flatter and slacker around zero from cycle to cycle"
+    shown_by = LARGE
+    signs = "+"
+    complete = True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All three names."""
+        return ("degradation", "hysteresis", "pinching")
+
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return columns that yield early and late, wear much and little; none beside a known k.
+
+        Variant "slack" has the losses of unloading and slip alone, "worn" all of them.
+        """
+        if not ctx.k_free:
+            return []
+        shapes = [
+            (float(xy), pivot, slip)
+            for xy in ctx.x_range * np.array([0.12, 0.25, 0.45])
+            for pivot in (1.5, 6.0)
+            for slip in (0.08, 0.25)
+        ]
+        worn = (1.2, 0.1, 0.1, *BELL)
+        return [
+            *(Trial(shape, "slack") for shape in shapes),
+            *(Trial((*shape, *worn), "worn") for shape in shapes),
+        ]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep yielding within the motion and all shares below one."""
+        ends = [
+            (0.02 * ctx.x_range, 0.9 * ctx.x_range), (0.05, 200.0), (1e-3, 0.5), (1.0, 10.0),
+            (1e-3, 0.9), (1e-3, 0.9), (0.02, 0.9), (0.05, 1.0),
+        ]  # fmt: skip
+        return ends[: len(trial.theta)]
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return one coefficient, the stiffness, and what shapes the loop."""
+        return ("+", (None,)), 1 + len(trial.theta)
+
+    @staticmethod
+    def _whole(trial: Trial) -> tuple[float, ...]:
+        return (*trial.theta, 1.0, 0.0, 0.0, *BELL) if len(trial.theta) == 3 else trial.theta
+
+    def _element(self, ctx: Context, trial: Trial, k: float, xy: float) -> core.ElementConfig:
+        """Return the column with the yield displacement in a unit of one's own."""
+        per = xy / trial.theta[0]
+        _, pivot, slip, eta, amplitude, energy, level, width = self._whole(trial)
+        reach = ctx.x_range * per
+        return core.element(
+            "rc_column", k_n_per_m=k, post_yield_ratio=0.0, xy_m=xy, eta=eta, pivot=pivot,
+            ultimate_m=2.0 * reach, strength_lost_at_ultimate=amplitude,
+            energy_j=4.0 * CYCLES * k * xy * reach, strength_lost_with_energy=energy,
+            stiffness_lost_with_energy=0.0, slip=slip, slip_level=level, slip_width=width,
+        )  # fmt: skip
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the loop's force per share of the stiffness."""
+        xy = trial.theta[0]
+        column = core.Element(self._element(ctx, trial, 1.0, 1.0))
+        return [ctx.k_scale * xy * column.run(ctx.x / xy)]
+
+    def _worn(self, ctx: Context, trial: Trial) -> tuple[float, float]:
+        """Return the slack in the bell's middle and the share lost, at the largest displacement."""
+        xy, pivot, slip, _, amplitude, _, _, width = self._whole(trial)
+        beyond = ctx.x_range / xy - 1.0
+        left = (1.0 + pivot) / (1.0 + beyond + pivot)
+        bell = np.sqrt(2.0 / np.pi) * slip * 2.0 * beyond / width
+        strength = 1.0 - amplitude * beyond / (2.0 * ctx.x_range / xy - 1.0)
+        return float(1.0 - 1.0 / (1.0 + left * bell)), float(1.0 - strength * left)
+
+    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
+        """Return False where it neither pinches nor wears: then it is a plain loop."""
+        return min(self._worn(ctx, trial)) > SEEN_WEAR
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return the loop, its slack, and what stiffness and strength have lost in the end."""
+        slack, lost = self._worn(ctx, trial)
+        return {
+            "xy_m": trial.theta[0],
+            "alpha": ctx.model.k / (ctx.model.k + float(beta[0]) * ctx.k_scale),
+            "depth": slack,
+            "width_ratio": self._whole(trial)[7],
+            "loss": lost,
+            "travel_m": float(ctx.travel[-1]) or 1.0,
+        }
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the law by those who wrote it down."""
+        return "reinforced concrete column (Sivaselvan-Reinhorn, Park-Ang)"
+
+    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        return [self._element(ctx, trial, float(beta[0]) * ctx.k_scale, trial.theta[0])]
 
 
 class Maxwell(Effect):
@@ -327,4 +579,6 @@ class Maxwell(Effect):
         return [core.element("maxwell", km_n_per_m=float(beta[0]), tau_s=trial.theta[0])]
 
 
-EFFECTS: tuple[Effect, ...] = (Hysteresis(), Pinching(), Degradation(), Maxwell())
+EFFECTS: tuple[Effect, ...] = (
+    Hysteresis(), Pinching(), Degradation(), WornColumn(), Maxwell(),
+)  # fmt: skip

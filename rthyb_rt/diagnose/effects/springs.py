@@ -45,21 +45,80 @@ class Stiffness(Effect):
 
 
 class Cubic(Effect):
-    """Hardening or softening spring."""
+    """Hardening or softening spring.
+
+    Variant "sine" is a pendulum's, of which x^3 is the first term: its force is that of a spring at
+    small amplitude, and k3 = -k / (6 L^2). Variant "power" has another exponent than three.
+    """
 
     name = "cubic"
     params = (Param("k3_N_m3", "N/m^3", -1e15, 1e15),)
-    equation = "f = k3 x^3"
+    equation = "f = k3 x^3, or k [L sin(x / L) - x], or k x |x / x0|^(n - 1)"
     fingerprint = "residual over displacement is an odd cubic, without loop"
     shown_by = AMPLITUDES
 
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return the cubic, and pendulums that swing far enough to be told from it."""
+        lengths = ctx.x_range * np.array([0.4, 0.55, 0.75, 1.0, 1.4])
+        return [
+            Trial(),
+            *(Trial((float(length),), "sine") for length in lengths),
+            *(Trial((n,), "power") for n in (1.5, 1.8, 2.2, 2.5, 3.8, 5.0)),
+        ]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep the swing between half a right angle and one that turns over."""
+        if trial.variant == "power":
+            return [(1.3, 2.8) if trial.theta[0] < 3.0 else (3.2, 7.0)]
+        return [(0.32 * ctx.x_range, 1.6 * ctx.x_range)] if trial.variant else []
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return one coefficient; a pendulum only softens."""
+        return (("+" if trial.variant == "sine" else "*"), (None,)), 1 + len(trial.theta)
+
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return x^3."""
+        """Return x^3, or what a pendulum has less than its spring."""
+        if trial.variant == "power":
+            return [ctx.k_scale * ctx.x * np.abs(ctx.x / ctx.x_range) ** (trial.theta[0] - 1.0)]
+        if trial.variant:
+            length = trial.theta[0]
+            return [ctx.k_scale * (length * np.sin(ctx.x / length) - ctx.x)]
         return [ctx.x**3]
 
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return the coefficient of x^3: of a pendulum its series', of a power the nearest."""
+        if trial.variant == "power":
+            nearest = 7.0 / (trial.theta[0] + 4.0) / ctx.x_range**2
+            return {"k3_N_m3": float(beta[0]) * ctx.k_scale * nearest}
+        if trial.variant:
+            return {"k3_N_m3": -float(beta[0]) * ctx.k_scale / (6.0 * trial.theta[0] ** 2)}
+        return {"k3_N_m3": float(beta[0])}
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the law."""
+        if trial.variant == "power":
+            return f"power law, |x|^{trial.theta[0]:.3g} sgn(x)"
+        return "pendulum, sin(x / L)" if trial.variant else "k3 x^3"
+
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the element."""
-        return [core.element("cubic", k3_n_per_m3=float(beta[0]))]
+        """Return the element; a pendulum takes the place of a spring."""
+        if not trial.variant:
+            return [core.element("cubic", k3_n_per_m3=float(beta[0]))]
+        if trial.variant == "power":
+            return [
+                core.element(
+                    "power_spring", force_n=float(beta[0]) * ctx.k_scale * ctx.x_range,
+                    at_m=ctx.x_range, exponent=trial.theta[0],
+                    width_m=float(np.clip(1e-4 * ctx.x_range, 1e-9, 1.0)),
+                )
+            ]  # fmt: skip
+        k, length = float(beta[0]) * ctx.k_scale, trial.theta[0]
+        return [
+            core.element("pendulum", weight_n=k * length, length_m=length),
+            core.element("stiffness", k_n_per_m=-k),
+        ]
 
 
 class Quadratic(Effect):
@@ -96,35 +155,55 @@ class Gap(Effect):
         if not ctx.model.k:
             return []
         gaps = ctx.x_range * np.geomspace(2e-3, 0.8, 14)
-        return [Trial((float(g),), v) for v in ("deadband", "play") for g in gaps]
+        uneven = [
+            Trial((float(up), float(up * ratio)), "uneven")
+            for up in gaps[2:-2:3]
+            for ratio in (0.2, 0.5, 2.0, 5.0)
+        ]
+        return [*(Trial((float(g),), v) for v in ("deadband", "play") for g in gaps), *uneven]
 
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
         """Leave the coefficient free where the stiffness is."""
-        return ("+", (ctx.model.k_tol,)), 1
+        return ("+", (ctx.model.k_tol,)), len(trial.theta)
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return what the spring loses."""
         half = trial.theta[0]
-        if trial.variant == "deadband":
-            moved = ctx.x - np.clip(ctx.x, -half, half)
+        if trial.variant != "play":
+            moved = ctx.x - np.clip(ctx.x, -trial.theta[-1], half)
         else:
             moved = play(half, ctx.x)
         return [ctx.model.spring(moved) - ctx.spring if ctx.model.k else moved - ctx.x]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return the gap."""
-        return {"gap_m": trial.theta[0]}
+        """Return the gap; half its width where the sides differ."""
+        return {"gap_m": float(np.mean(trial.theta))}
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the kind of gap."""
+        if trial.variant == "uneven":
+            up, down = trial.theta
+            return f"dead band from {-down:.4g} to {up:.4g} m, the spring beyond"
+        if trial.variant == "deadband":
+            return "dead band, the spring beyond +-gap"
+        return "play, the spring behind +-gap"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return a spring behind the gap instead of the model's own; play has no element."""
         k = float(beta[0]) * ctx.model.k
-        if ctx.model.bouc_wen or k <= 0 or trial.variant != "deadband":
+        if ctx.model.bouc_wen or k <= 0 or trial.variant == "play":
             return None
+        out = [core.element("stiffness", k_n_per_m=-k)]
+        if trial.variant == "deadband":
+            return [*out, core.element("gap", k_n_per_m=k, gap_m=trial.theta[0])]
+        up, down = trial.theta
         return [
-            core.element("stiffness", k_n_per_m=-k),
-            core.element("gap", k_n_per_m=k, gap_m=trial.theta[0]),
+            *out,
+            core.element(
+                "gap_uneven", k_up_n_per_m=k, gap_up_m=up, k_down_n_per_m=k, gap_down_m=down
+            ),
         ]
 
 
@@ -161,11 +240,21 @@ class Stopper(Effect):
         """Return stiffness and position."""
         return {"ks_N_m": float(beta[0]), "xs_m": trial.theta[0]}
 
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return its sides."""
+        return {"up": "upwards only", "down": "downwards only"}.get(trial.variant, "both sides")
+
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the element; one-sided stops have none."""
-        if trial.variant != "both":
-            return None
-        return [core.element("stopper", ks_n_per_m=float(beta[0]), xs_m=trial.theta[0])]
+        """Return the element."""
+        ks, xs = float(beta[0]), trial.theta[0]
+        if trial.variant == "both":
+            return [core.element("stopper", ks_n_per_m=ks, xs_m=xs)]
+        up, down = (ks, 0.0) if trial.variant == "up" else (0.0, ks)
+        return [
+            core.element(
+                "gap_uneven", k_up_n_per_m=up, gap_up_m=xs, k_down_n_per_m=down, gap_down_m=xs
+            )
+        ]
 
 
 EFFECTS: tuple[Effect, ...] = (Stiffness(), Cubic(), Quadratic(), Gap(), Stopper())

@@ -1,0 +1,67 @@
+/* Friction laws of the catalogue of elements that are more than a formula in the velocity. */
+#include "laws.h"
+#include "numeric.h"
+
+double rthyb_stribeck_level(const double *p, double v)
+{
+    const double r = v / p[2];
+    return p[0] + (p[1] - p[0]) * exp(-r * r);
+}
+
+/* Canudas de Wit (1995); exact over dt for a constant velocity. state: z. */
+double rthyb_lugre(const double *p, double *s, double v, double dt)
+{
+    const double level = rthyb_stribeck_level(p, v);
+    const double rate = p[3] * fabs(v) / level;
+    const double shrink = rate * dt;
+    const double decay = exp(-shrink);
+    const double travel = shrink > 1e-9 ? -expm1(-shrink) / rate : dt;
+    s[0] = s[0] * decay + v * travel;
+    const double z_rate = v - rate * s[0];
+    return p[3] * s[0] + p[4] * z_rate + p[5] * v;
+}
+
+/* A slider behind a play and a spring: it takes what the spring cannot hold; Fc depends on the
+ * direction. The play's faces meet one by one over +-seat, so that the spring's slope grows evenly
+ * there. state: x of the last call, way between specimen and slider. */
+double rthyb_gap_friction(const double *p, double *s, double x)
+{
+    const double k = p[0], gap = p[1], seat = p[5];
+    s[1] = clamp(s[1] + (x - s[0]), -(gap + p[3] / k), gap + p[2] / k);
+    s[0] = x;
+    const double past = fabs(s[1]) - gap;
+    const double closed = past >= seat   ? past
+                          : past > -seat ? (past + seat) * (past + seat) / (4.0 * seat)
+                                         : 0.0;
+    return s[1] < 0.0 ? -k * closed : k * closed;
+}
+
+#define UNLOADING 0.8 /* gamma - beta of the sliding contact: 0.9 and 0.1 */
+
+/* Y dZ = [1 - Z^2 (gamma sgn(Z dx) + beta)] dx, exact over dx whatever its length (Constantinou,
+ * Mokha & Reinhorn, J. Struct. Eng. 116, 1990, Eqn 5): towards its end Z is a tanh, away from it a tan. */
+static double contact(double z, double dx, double y)
+{
+    const double way = dx < 0.0 ? -1.0 : 1.0, root = sqrt(UNLOADING);
+    double left = fabs(dx) / y, ahead = way * z;
+    if (ahead < 0.0) {
+        const double angle = atan(-root * ahead); /* what is left of it is nothing at Z = 0 */
+        if (root * left < angle)
+            return -way * tan(angle - root * left) / root;
+        left -= angle / root;
+        ahead = 0.0;
+    }
+    const double t = tanh(left);
+    return way * clamp((ahead + t) / (1.0 + ahead * t), -1.0, 1.0);
+}
+
+/* f = W / R x + mu W Z with mu = fast - (fast - slow) e^(-rate |v|) (Zayas, Low & Mahin, Earthquake
+ * Spectra 6, 1990; Mokha, Constantinou & Reinhorn, J. Struct. Eng. 116, 1990). state: x, Z. */
+double rthyb_friction_pendulum(const double *p, double *s, double x, double v)
+{
+    const double weight = p[0], mu = p[3] - (p[3] - p[2]) * exp(-p[4] * fabs(v));
+    if (x != s[0])
+        s[1] = contact(s[1], x - s[0], p[5]);
+    s[0] = x;
+    return weight / p[1] * x + mu * weight * s[1];
+}

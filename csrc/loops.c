@@ -1,0 +1,211 @@
+/* Laws of yielding: loops over displacement. All advance by the increment of x, without rate. */
+#include "laws.h"
+#include "numeric.h"
+
+#define STEPS_MAX 64
+#define STEP 0.05 /* of the ceiling of z, in which a loop is followed */
+#define NEWTON_MAX 20
+
+static double power(double base, double exponent)
+{
+    if (exponent == 1.0)
+        return base;
+    if (exponent == 1.5)
+        return base * sqrt(base);
+    if (exponent == 2.0)
+        return base * base;
+    return pow(base, exponent);
+}
+
+static int steps_for(double du, double most)
+{
+    return fabs(du) > most ? (int)clamp(ceil(fabs(du) / most), 1.0, STEPS_MAX) : 1;
+}
+
+double rthyb_bouc_wen_ceiling(const double *p)
+{
+    const double sum = p[3] + p[4];
+    return sum > 0.0 ? pow(p[2] / sum, 1.0 / p[5]) : RTHYB_DISPLACEMENT_MAX_M;
+}
+
+/* dz/du of Eqn 4.2, with v for z as the paper has it; du only gives its sign. Pinching slackens it
+ * near z = 0 (Baber & Noori 1985, with their q = 0). */
+static double bouc_wen_slope(const rthyb_element *e, double z, double du)
+{
+    const double *p = e->params;
+    const double toward = du * z >= 0.0 ? 1.0 : -1.0;
+    const double slope = p[2] - (p[3] * toward + p[4]) * power(fabs(z), p[5]);
+    if (e->kind != RTHYB_PINCHING)
+        return slope;
+    const double r = z / (p[7] * p[8]);
+    return slope * (1.0 - p[6] * exp(-r * r));
+}
+
+/* Eqn 4.1, 4.2: midpoint rule in steps of at most a twentieth of the ceiling of z.
+ * state: x of the last call, z, travel. */
+double rthyb_bouc_wen(rthyb_element *e, double x)
+{
+    const double *p = e->params;
+    double *s = e->state;
+    const double du = x - s[0], ceiling = p[8];
+    const int steps = steps_for(du, STEP * ceiling);
+    const double h = steps > 1 ? du / steps : du;
+    double z = s[1];
+    for (int i = 0; i < steps && du != 0.0; i++) {
+        const double middle = clamp(z + 0.5 * h * bouc_wen_slope(e, z, du), -ceiling, ceiling);
+        z = clamp(z + h * bouc_wen_slope(e, middle, du), -ceiling, ceiling);
+    }
+    s[0] = x;
+    s[1] = z;
+    double strength = 1.0;
+    if (e->kind == RTHYB_DEGRADATION) {
+        s[2] = fmin(s[2] + fabs(du), 1e6);
+        strength = 1.0 - p[6] * -expm1(-s[2] / p[7]);
+    }
+    return p[1] * p[0] * x + (1.0 - p[1]) * p[0] * strength * z;
+}
+
+/* Springs side by side, each with a slider, that yield evenly over xy (1 +- spread): Iwan, J. Appl.
+ * Mech. 33, 1966; turned loops follow Masing's rule (1926). state: x, then each spring's stretch. */
+double rthyb_iwan(const double *p, double *s, double x)
+{
+    const double k = p[0], ratio = p[1], xy = p[2], spread = p[3];
+    const double du = x - s[0];
+    double *stretch = s + 1;
+    double sum = 0.0;
+    for (int j = 0; j < RTHYB_IWAN_SLIDERS; j++) {
+        const double most = xy * (1.0 + spread * ((2 * j + 1.0) / RTHYB_IWAN_SLIDERS - 1.0));
+        stretch[j] = clamp(stretch[j] + du, -most, most);
+        sum += stretch[j];
+    }
+    s[0] = x;
+    return k * (ratio * x + (1.0 - ratio) * sum / RTHYB_IWAN_SLIDERS);
+}
+
+/* r / (1 + r^n)^(1/n) for r >= 0, written so that no power overflows. */
+static double rounded(double r, double n)
+{
+    return r <= 1.0 ? r / pow(1.0 + pow(r, n), 1.0 / n) : 1.0 / pow(1.0 + pow(r, -n), 1.0 / n);
+}
+
+/* Each branch leaves its reversal (xr, fr) along k and bends into the line of slope b k through the
+ * yield point ahead, the rounder the farther it has been plastic: Menegotto & Pinto, IABSE Reports
+ * 13, 1973, with R = R0 (1 - cR1 xi / (cR2 + xi)) as Filippou, Popov & Bertero, EERC 83-19, 1983.
+ * state: x, f, xr, fr, direction, largest and smallest x of a reversal. */
+double rthyb_menegotto_pinto(const double *p, double *s, double x)
+{
+    const double k = p[0], b = p[1], xy = p[2];
+    if (x == s[0])
+        return s[1];
+    const double way = x > s[0] ? 1.0 : -1.0;
+    if (way != s[4]) {
+        s[2] = s[0];
+        s[3] = s[1];
+        s[4] = way;
+        s[5] = fmax(s[5], s[0]);
+        s[6] = fmin(s[6], s[0]);
+    }
+    /* From the reversal to where both lines meet; in rounding a reversal may lie upon the second. */
+    const double reach = fmax(xy + way * (b * s[2] - s[3] / k) / (1.0 - b), 1e-6 * xy);
+    const double peak = fmax(way > 0.0 ? s[5] : -s[6], xy);
+    const double xi = fabs(peak - (way * s[2] + reach)) / xy;
+    const double bend = fmax(p[3] * (1.0 - p[4] * xi / (p[5] + xi)), 0.05);
+    const double r = way * (x - s[2]) / reach;
+    const double f = s[3] + way * k * reach * (b * r + (1.0 - b) * rounded(r, bend));
+    const double line = b * k * x, half = (1.0 - b) * k * xy;
+    s[0] = x;
+    s[1] = clamp(f, line - half, line + half);
+    return s[1];
+}
+
+/* A spring behind a slider whose yield force fy moves and grows: its middle q by q' = H xp' - gamma q
+ * |xp'| (Armstrong & Frederick, CEGB RD/B/N731, 1966), its size by r = Q (1 - e^(-rate path)) (Voce
+ * 1948), as Chaboche, Int. J. Plasticity 2, 1986, joins them. Both are exact along the plastic path d;
+ * k (x - xp - d) = q + fy + r is convex in d, so that Newton's steps come from one side.
+ * state: plastic displacement, q, plastic path. */
+double rthyb_chaboche(const double *p, double *s, double x)
+{
+    const double k = p[0], fy = p[1], h = p[2], gamma = p[3], growth = p[4], rate = p[5];
+    const double trial = k * (x - s[0]), way = trial < s[1] ? -1.0 : 1.0;
+    const double middle = way * s[1];
+    double d = 0.0, q = middle;
+    for (int i = 0; i < NEWTON_MAX; i++) {
+        const double shed = -expm1(-gamma * d);
+        q = middle * (1.0 - shed) + h * (gamma * d > 1e-9 ? shed / gamma : d);
+        const double lost = growth * exp(-rate * (s[2] + d));
+        const double excess = way * trial - k * d - q - fy - (growth - lost);
+        if (excess <= 1e-13 * (fabs(trial) + fy))
+            break;
+        d += excess / (k + (1.0 - shed) * fmax(h - gamma * middle, 0.0) + rate * lost);
+    }
+    s[0] += way * d;
+    s[1] = way * q;
+    s[2] = fmin(s[2] + d, 1e6);
+    return k * (x - s[0]);
+}
+
+static double share(double part, double whole)
+{
+    return clamp(part / whole, 0.0, 1.0);
+}
+
+/* What is left of strength and of the stiffness on either side, and the way that cracks slip. */
+typedef struct {
+    double strength, stiffness_up, stiffness_down, slip_m;
+} wear;
+
+/* By amplitude and by energy, as the two terms of Park & Ang, J. Struct. Eng. 111, 1985. Unloading
+ * heads for a pivot at -pivot times the yield point: (1 + pivot) / (ductility + pivot) of the yielding
+ * part's stiffness is what the pivot rule of Sivaselvan & Reinhorn comes to at the largest x. */
+static wear column_wear(const double *p, const double *s)
+{
+    const double xy = p[2], pivot = p[4], spent = share(s[5], p[7]);
+    const double up = fmax(s[2] - xy, 0.0), down = fmax(-s[3] - xy, 0.0);
+    const double stiffness = (1.0 + pivot) * (1.0 - p[9] * spent);
+    return (wear){
+        .strength = (1.0 - p[6] * share(fmax(up, down), p[5] - xy)) * (1.0 - p[8] * spent),
+        .stiffness_up = stiffness / (1.0 + up / xy + pivot),
+        .stiffness_down = stiffness / (1.0 + down / xy + pivot),
+        .slip_m = p[10] * (up + down),
+    };
+}
+
+/* dz/du, way = sgn(du): a Bouc-Wen loop with eta1 = eta2 = 1/2, in series with a slip-lock spring whose
+ * flexibility is a bell over the force. */
+static double column_slope(const double *p, const wear *left, double z, double way)
+{
+    const double ahead = way * z; /* above 0: the motion drives the force up */
+    const double unloading = z < 0.0 ? left->stiffness_down : left->stiffness_up;
+    const double bent = ahead > 0.0 ? 1.0 - power(ahead, p[3]) : 1.0;
+    const double slope = unloading / (p[2] * left->strength) * bent;
+    const double off = (ahead - p[11]) / p[12];
+    const double slip = sqrt(2.0 / RTHYB_PI) * left->slip_m / p[12] * exp(-0.5 * off * off);
+    return slope / (1.0 + slope * slip);
+}
+
+/* The smooth model of Sivaselvan & Reinhorn, J. Eng. Mech. 126, 2000; slip begins with yielding. z:
+ * the yielding part's force over its strength. state: x, z, largest and smallest x, work, most of it, f. */
+double rthyb_rc_column(const double *p, double *s, double x)
+{
+    const double elastic = p[1] * p[0], yielding = (1.0 - p[1]) * p[0] * p[2];
+    const double du = x - s[0], way = du < 0.0 ? -1.0 : 1.0;
+    if (du == 0.0)
+        return s[6];
+    s[2] = fmax(s[2], x);
+    s[3] = fmin(s[3], x);
+    const wear left = column_wear(p, s);
+    const int steps = steps_for(du, STEP * p[2] * left.strength);
+    const double h = du / steps;
+    double z = s[1];
+    for (int i = 0; i < steps; i++) {
+        const double middle = clamp(z + 0.5 * h * column_slope(p, &left, z, way), -1.0, 1.0);
+        z = clamp(z + h * column_slope(p, &left, middle, way), -1.0, 1.0);
+    }
+    const double force = yielding * left.strength;
+    s[4] = clamp(s[4] + 0.5 * force * (s[1] + z) * du, -1e100, 1e100);
+    s[5] = fmax(s[5], s[4]);
+    s[0] = x;
+    s[1] = z;
+    s[6] = elastic * x + force * z;
+    return s[6];
+}

@@ -1,0 +1,63 @@
+"""``rthyb effects``: what a diagnosis can name."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rthyb_rt.cli import terminal
+from rthyb_rt.cli.inputs import JsonOption
+
+if TYPE_CHECKING:
+    from rthyb_rt.diagnose.catalogue import Entry
+
+
+def effects(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="One of them.", show_default=False)
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List what a diagnosis can name; say what one effect is.
+
+    Its equation, what it looks like, which experiment shows it, and what it is confused with. With
+    pictures the same is in docs/effects.md.
+
+    \b
+    Examples:
+      rthyb effects
+      rthyb effects stribeck
+    """
+    from rthyb_rt.diagnose.catalogue import entries
+
+    known = entries()
+    if name is not None and name not in known:
+        raise typer.BadParameter(
+            f"no effect is called {name!r}; they are {', '.join(known)}", param_hint="NAME"
+        )
+    if as_json:
+        one: Any = asdict(known[name]) if name is not None else None
+        terminal.print_json(one or {key: asdict(e) for key, e in known.items()})
+        return
+    file = terminal.people(as_json)
+    if name is None:
+        terminal.print_table([(e.name, e.plain, e.place) for e in known.values()], file)
+    else:
+        _tell(known[name], known, file)
+
+
+def _tell(entry: Entry, known: dict[str, Entry], file: Any) -> None:
+    from rthyb_rt.diagnose.words import KINDS
+
+    kind, why = entry.shown_by
+    rows = [
+        ("effect", f"{entry.name}: {entry.plain} ({entry.place})"),
+        ("equation", entry.equation),
+        ("parameters", ", ".join(entry.params)),
+        ("fingerprint", entry.fingerprint),
+        ("shown by", f"{KINDS.get(kind, kind)}: {why}"),
+    ]
+    rows += [("confused with", f"{known[n].plain}: {parts}") for n, parts in entry.alike]
+    terminal.print_table(rows, file)

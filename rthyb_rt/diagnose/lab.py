@@ -1,0 +1,242 @@
+"""A lab's table as channels in SI: columns chosen, units converted, time counted in seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.diagnose import sizes
+from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
+from rthyb_rt.diagnose.mapping import Source, Wish, sources
+from rthyb_rt.diagnose.table import Column, Table, read_table
+from rthyb_rt.diagnose.units import SI, USUAL, in_si, read_unit
+from rthyb_rt.errors import InputError
+
+DAY_S = 86400.0
+STAMP_S = 1e8
+"""Seconds from which on a time is one of the calendar: no clock of a lab runs for three years."""
+HUGE = 1e30
+"""What no reading of any unit comes near to; squares of larger ones overflow."""
+SAME_RATE = 0.02
+"""Part by which the rows' distance may miss the model's sampling period."""
+_TIME_UNITS = ("s", "ms", "us", "ns")
+
+
+@dataclass(frozen=True)
+class Lab:
+    """A recording out of a lab's table.
+
+    Attributes:
+        t: time of each row, (n,), s.
+        channels: each (n,), SI.
+        notes: what was made of the file, in words.
+        lines: line of each row in the file, (n,).
+        labels: what stands over the column of each channel, without its unit.
+        stated: unit of each channel whose unit the file or the user states.
+        table, sources: the columns, and which of them are channels.
+    """
+
+    t: Floats
+    channels: dict[str, Floats]
+    notes: list[str]
+    lines: NDArray[np.int64]
+    labels: dict[str, str]
+    stated: dict[str, str]
+    table: Table
+    sources: dict[str, Source]
+
+
+def read_lab(path: Path, model: Model, wishes: Sequence[Wish], needed: bool) -> Lab:
+    """Read a table as a lab exports it.
+
+    Args:
+        path: the file.
+        model: gives the sampling rate, and the sizes that an unstated unit is told by.
+        wishes: what the user says of the columns.
+        needed: whether each wished column must be there.
+
+    Raises:
+        InputError: with line and column, what is allowed there and what to do.
+    """
+    where = str(path)
+    table = read_table(path)
+    found, notes = sources(table, list(wishes), where, needed)
+    for channel, source in found.items():
+        _refuse_words(table.columns[source.column], channel, where)
+    labels = {k: _label(table.columns[s.column]) for k, s in found.items()}
+    notes = table.notes + notes
+    t = _time(table, found.get("t"), labels, model, where, notes)
+    channels = _channels(table, found, labels, model, where, notes)
+    for channel, source in found.items():
+        if source.unit is not None and not source.presumed and source.unit.factor != 1:
+            notes.append(f"{channel}: {labels[channel]!r} in {source.unit.text}, converted")
+    stated = {k: s.unit.text for k, s in found.items() if s.unit is not None and not s.presumed}
+    return Lab(t, channels, notes, table.lines, labels, stated, table, found)
+
+
+def time_unit(ratio: float) -> str | None:
+    """Return the unit of a time whose rows are ``ratio`` sampling periods apart; None for none."""
+    for unit in _TIME_UNITS:
+        found = read_unit(unit)
+        assert found is not None
+        if abs(ratio * float(found.factor) - 1.0) < SAME_RATE:
+            return unit
+    return None
+
+
+def _label(column: Column) -> str:
+    return (column.name or column.header).replace('"', "'")
+
+
+def _refuse_words(column: Column, channel: str, where: str) -> None:
+    if column.fault is None:
+        return
+    line, text = column.fault
+    hint = ""
+    if any(c.isdigit() for c in text):
+        hint = "; write numbers as 1234.5 or 1.2345e3, without separators of thousands"
+        if channel == "t":
+            hint += ", and times of day as 2026-01-31 12:00:00.125"
+    raise InputError(
+        f"column {column.header}: {text[:40]!r} is no number{hint}; an empty field or nan stands "
+        "for no reading",
+        f"{where}:{line}",
+    )
+
+
+# ---- time ---------------------------------------------------------------------------------------
+
+
+def _time(
+    table: Table, source: Source | None, labels: dict[str, str], model: Model, where: str,
+    notes: list[str],
+) -> Floats:  # fmt: skip
+    """Return the time of each row, (n,), s."""
+    n = table.lines.size
+    source = source or _counting(table, labels, model, notes)
+    if source is None:
+        notes.append(
+            f"no column of time: rows are taken to be 1/{model.fs_hz:g} s apart, as fs_hz of the "
+            "model says"
+        )
+        return np.arange(n) / model.fs_hz
+    column = table.columns[source.column]
+    if source.sign < 0:
+        raise InputError("time cannot be counted backwards; leave the minus out", "--map t")
+    if column.day:
+        notes.append(f"time is of day; counted in s from {_midnight(column.day)}")
+        return column.values
+    unit = source.unit
+    if unit is None:
+        steps = np.diff(column.values[np.isfinite(column.values)])
+        text = time_unit(float(np.median(steps)) * model.fs_hz) if steps.size else None
+        if text is None:
+            raise InputError(
+                f"column {column.header!r}: its unit is not stated, and in none of "
+                f"{', '.join(_TIME_UNITS)} are its rows 1/{model.fs_hz:g} s apart, as fs_hz of the "
+                f'model says; say it, as in --map t="{labels["t"]} [ms]", or correct fs_hz',
+                where,
+            )
+        notes.append(f"time: {column.header!r} states no unit; taken for {text}, as fs_hz says")
+        unit = read_unit(text)
+    t = in_si(column.values, unit.factor if unit is not None else Fraction(1))
+    first = t[np.isfinite(t)][:1]
+    if first.size and first[0] >= STAMP_S:
+        day = float(DAY_S * np.floor(first[0] / DAY_S))
+        notes.append(f"time is of the calendar; counted from {day:.0f} s, a midnight")
+        return t - day
+    return t
+
+
+def _midnight(day: str) -> str:
+    return "midnight" if day == "midnight" else f"midnight of {day}"
+
+
+def _counting(
+    table: Table, labels: dict[str, str], model: Model, notes: list[str]
+) -> Source | None:
+    """Return a column that counts up with the model's sampling rate, though no name says so.
+
+    To leave it out would leave gaps in time unseen.
+    """
+    known = {*CHANNELS}
+    for j, column in enumerate(table.columns):
+        if column.header in known or column.fault is not None:
+            continue
+        steps = np.diff(column.values)
+        if steps.size < 2 or not np.isfinite(steps).all() or not np.all(steps > 0.0):
+            continue
+        unit = time_unit(float(np.median(steps)) * model.fs_hz)
+        if unit is not None and np.mean(np.abs(steps / np.median(steps) - 1.0) < 0.1) > 0.9:
+            labels["t"] = _label(column)
+            notes.append(
+                f"column {column.header!r} counts up as fs_hz says: taken for t, in {unit}"
+            )
+            return Source(j, read_unit(unit))
+    return None
+
+
+# ---- channels -----------------------------------------------------------------------------------
+
+
+def _channels(
+    table: Table, found: dict[str, Source], labels: dict[str, str], model: Model, where: str,
+    notes: list[str],
+) -> dict[str, Floats]:  # fmt: skip
+    """Return the channels in SI; what states no unit is judged by those that do."""
+    known: dict[str, Floats] = {}
+    open_: dict[str, Floats] = {}
+    for channel, source in found.items():
+        if channel == "t":
+            continue
+        values = table.columns[source.column].values
+        # An infinite reading, or one that no sensor has, is as little a number as none.
+        values = np.where(np.abs(values) < HUGE, values, np.nan) * source.sign
+        if source.unit is None:
+            open_[channel] = values
+        else:
+            known[channel] = in_si(values, source.unit.factor)
+    while open_:
+        told = None
+        for channel, values in open_.items():
+            told = sizes.guess(channel, values, known, model)
+            if told is not None:
+                break
+        if told is None:
+            raise InputError(_untold(table, found, labels, list(open_)), where)
+        text, relation = told
+        unit = read_unit(text)
+        assert unit is not None
+        known[channel] = in_si(open_.pop(channel), unit.factor)
+        notes.append(
+            f"{channel}: {labels[channel]!r} states no unit; taken for {text}, in which it is "
+            f"{abs(relation.ratio) * float(unit.factor):.3g} of what {_basis(relation)} gives: "
+            "check it"
+        )
+    return {channel: known[channel] for channel in found if channel in known}
+
+
+def _basis(relation: sizes.Relation) -> str:
+    others = [name for name in relation.of if name != relation.channel]
+    return f"the model with {' and '.join(others)}" if others else "the model"
+
+
+def _untold(
+    table: Table, found: dict[str, Source], labels: dict[str, str], names: list[str]
+) -> str:
+    parts = []
+    for channel in names:
+        column = table.columns[found[channel].column]
+        none = f"no unit that is known ({column.unit})" if column.sure else "no unit"
+        usual = ", ".join(USUAL[SI[channel]])
+        parts.append(
+            f"column {column.header!r} ({channel}) states {none}, and nothing tells it for sure; "
+            "say it "
+            f'({usual}): --map {channel}="{labels[channel]} [{USUAL[SI[channel]][0]}]"'
+        )
+    return "; ".join(parts)

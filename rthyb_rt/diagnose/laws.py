@@ -1,0 +1,475 @@
+"""What the model leaves over what moves it, with the law that was found and its 95 % band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.engine import Diagnosis, intervals
+from rthyb_rt.diagnose.select import columns_of
+from rthyb_rt.diagnose.words import PLAIN
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from rthyb_rt.diagnose import force as forces
+    from rthyb_rt.diagnose.case import Floats
+    from rthyb_rt.diagnose.engine import Displacement
+    from rthyb_rt.diagnose.select import Fit
+    from rthyb_rt.report.drawing import Plate
+
+STEP = 1e-4
+"""Relative step by which a parameter is moved to see what the law does."""
+BINS, ROWS = 200, 40
+"""Most parts of the abscissa in which a law is one value, and rows that each should have."""
+LINE = 0.97
+"""Part of a law's variance between such parts from which it is drawn as a line."""
+FLAT = 1e-9
+"""Part of its size by which a constant varies."""
+BELONGS = 0.8
+"""The same from which a law is said to belong to what it is drawn over."""
+THIN = 0.006
+"""Part of a picture's height below which half a band is hidden by its line."""
+JAGGED = 10.0
+"""Way of the abscissa along a cycle, in widths of the picture, from which it is noisy."""
+PARTS, POINTS = 60, 600
+"""Parts of such a cycle of which the mean is drawn, and points that a cycle has at most."""
+SIDE = 0.2
+"""Part of the largest displacement beyond which it is to one side."""
+GRID = (88, 52)
+"""Cells in which rows are counted."""
+GREYS = ["#e2e2dd", "#c4c4be", "#9d9d97", "#6f6f6a"]
+"""Few rows in a cell to many."""
+RIVALS = 2
+"""Laws drawn beside the one that is named."""
+OTHER = {
+    "inertia": "a", "time_skew": "rate", "crosstalk": "fy", "bias": "t", "drift": "t",
+}  # fmt: skip
+"""What a law is a line over where that is neither displacement nor velocity."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One effect of a set along the recording.
+
+    Attributes:
+        names: as in the answer.
+        signal: what it adds, (n,).
+        slopes: the same for a unit of each parameter of the whole set, (n, parameters).
+    """
+
+    names: tuple[str, ...]
+    signal: Floats
+    slopes: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A set of effects that was fitted.
+
+    Attributes:
+        parts: its effects.
+        covariance: of the parameters that the parts' slopes are for; None where it is not known.
+    """
+
+    parts: tuple[Part, ...]
+    covariance: Floats | None
+
+    @property
+    def label(self) -> str:
+        """What it is made of, in words."""
+        return " with ".join(PLAIN.get(n, n) for p in self.parts for n in p.names)
+
+    def of(self, kept: Sequence[Part]) -> tuple[Floats, Floats | None]:
+        """Return what some of its parts add, and half the width of their 95 % band."""
+        signal = np.asarray(np.sum([p.signal for p in kept], axis=0))
+        if self.covariance is None:
+            return signal, None
+        slopes = np.sum([p.slopes for p in kept], axis=0)
+        variance = np.einsum("ij,jk,ik->i", slopes, self.covariance, slopes)
+        return signal, 1.96 * np.sqrt(np.maximum(variance, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """What a model leaves on one channel, and the laws that were found for it.
+
+    Attributes:
+        left: what the model leaves with its numbers moved within tolerance, (n,).
+        rows: those that were judged, (n,).
+        laws: the one that is named, then its equals.
+        over: by key, what it may depend on and how that is called, (n,).
+        unit: of ``left``.
+        channel: "force" or "disp".
+    """
+
+    left: Floats
+    rows: NDArray[np.bool_]
+    laws: tuple[Law, ...]
+    over: dict[str, tuple[Floats, str]]
+    unit: str
+    channel: str
+
+
+# ---- laws with their bands ----------------------------------------------------------------------
+
+
+def law_of(search: forces.Search, fit: Fit, wider: Sequence[float]) -> Law:
+    """Return a set of effects on the force along the recording, with its covariance.
+
+    Args:
+        search: what it was found in.
+        fit: the set.
+        wider: of each effect, how many times as wide its intervals are as noise alone makes them.
+    """
+    ctx, members = search.problem.ctx, list(fit.members)
+    columns = columns_of(ctx, members)
+    signals = [_sum(b, c) for b, c in zip(fit.betas, columns, strict=True)]
+    shapes = [(i, j) for i, m in enumerate(members) for j in range(len(m.trial.theta))]
+    betas = [(i, j) for i, b in enumerate(fit.betas) for j in range(len(b))]
+    covariance = fit.covariance
+    if covariance is not None and covariance.shape[0] < len(shapes) + len(betas) + len(
+        fit.nuisance
+    ):
+        shapes = []  # fitted without: a set whose shapes are at an end of their range
+    places = [*shapes, *betas]
+    slopes = np.zeros((len(members), ctx.t.size, len(places)))
+    for k, (i, j) in enumerate(shapes):
+        theta = list(members[i].trial.theta)
+        theta[j] *= np.exp(STEP)
+        moved = [*members]
+        moved[i] = replace(members[i], trial=Trial(tuple(theta), members[i].trial.variant))
+        # All of them: what a late load cell shows of the others moves with its own shape.
+        for m, (b, c) in enumerate(zip(fit.betas, columns_of(ctx, moved), strict=True)):
+            slopes[m, :, k] = (_sum(b, c) - signals[m]) / STEP
+    for k, (i, j) in enumerate(betas, start=len(shapes)):
+        slopes[i, :, k] = columns[i][j]
+    known = None
+    if covariance is not None:
+        size = np.array([wider[i] for i, _ in places])
+        known = covariance[: len(places), : len(places)] * np.outer(size, size)
+    parts = [
+        Part(m.effect.names, signal, slopes[i])
+        for i, (m, signal) in enumerate(zip(members, signals, strict=True))
+    ]
+    return Law(tuple(parts), known)
+
+
+def _sum(beta: Floats, columns: Sequence[Floats]) -> Floats:
+    return np.asarray(np.sum([b * c for b, c in zip(beta, columns, strict=True)], axis=0))
+
+
+def _wider(d: Diagnosis, search: forces.Search) -> list[float]:
+    """Return by how much the answer's intervals of each effect exceed those of noise alone."""
+    assert d.context is not None
+    by_name = {c.name: c for c in d.candidates if c.channel == "force"}
+    out = []
+    for i, m in enumerate(search.best.members):
+        _, plain = intervals(search.best, i, d.context)
+        answer = {k: v for n in m.effect.names if n in by_name for k, v in by_name[n].ci95.items()}
+        ratios = [
+            (answer[k][1] - answer[k][0]) / (high - low)
+            for k, (low, high) in plain.items()
+            if k in answer and high > low
+        ]
+        # The middle one: a floor that holds for the surest of them says nothing of the others.
+        out.append(max(1.0, float(np.median(ratios))) if ratios else 1.0)
+    return out
+
+
+def actuator_law(disp: Displacement) -> Law:
+    """Return what was found in the actuator along the recording: one law, its lags do not add."""
+    task, fit = disp.task, disp.best
+    plain = task.simulate(task.base).x
+    fields = [(f, v) for e, values in zip(fit.effects, fit.values, strict=True)
+              for f, v in zip(e.fields, values, strict=True)]  # fmt: skip
+    made = task.simulate(fit.model).x
+    slopes = np.zeros((plain.size, len(fields)))
+    for k, (name, value) in enumerate(fields):
+        step = STEP * (abs(value) or 1e-3)
+        change: dict[str, Any] = {name: value + step}
+        slopes[:, k] = (task.simulate(replace(fit.model, **change)).x - made) / step
+    known = None
+    if fit.covariance is not None:
+        known = fit.covariance[: len(fields), : len(fields)] * disp.scale
+    part = Part(fit.names, (made - plain) * 1e3, slopes * 1e3)
+    return Law((part,), known)
+
+
+# ---- what is left -------------------------------------------------------------------------------
+
+
+def rests(d: Diagnosis) -> list[Rest]:
+    """Return what the model leaves on the channels that were judged, the one that differs first."""
+    out = []
+    if d.disp is not None and (d.channel == "disp" or d.force is None or _named_disp(d)):
+        out.append(_of_displacement(d, d.disp))
+    if d.force is not None and d.context is not None and not (d.channel == "disp" and out
+                                                             and not _named_force(d)):  # fmt: skip
+        out.append(_of_force(d, d.force))
+    return out
+
+
+def _named_disp(d: Diagnosis) -> bool:
+    found = d.verdict in ("explained", "ambiguous")
+    return found and d.disp is not None and bool(set(d.disp.best.names) & set(d.effects))
+
+
+def _named_force(d: Diagnosis) -> bool:
+    found = d.verdict in ("explained", "ambiguous")
+    return found and d.force is not None and bool(set(d.force.best.names) & set(d.effects))
+
+
+def _of_force(d: Diagnosis, search: forces.Search) -> Rest:
+    problem, ctx = search.problem, search.problem.ctx
+    found = problem.estimate
+    named = _named_force(d)
+    fit = search.best if named else search.null
+    if d.verdict == "unknown" and d.residual is not None and d.channel == "force":
+        left = d.residual
+    else:
+        left = found.force - ctx.total
+        for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
+            left = left - b * nuisance.column
+    laws = []
+    if named:
+        laws.append(law_of(search, search.best, _wider(d, search)))
+        laws += [law_of(search, f, [1.0] * len(f.members)) for f in search.equal[:RIVALS]]
+    over = {
+        "v": (ctx.v * 1e3, "velocity, mm/s"),
+        "x": (ctx.x * 1e3, "displacement, mm"),
+        "a": (ctx.a, "acceleration, m/s²"),
+        "rate": (np.gradient(ctx.total) / ctx.dt * 1e-3, "rate of the model's force, kN/s"),
+        "t": (ctx.t, "time, s"),
+    }
+    if "fy_meas" in ctx.other:
+        over["fy"] = (ctx.other["fy_meas"], "force in the other direction, N")
+    return Rest(left, found.rows, tuple(laws), over, "N", "force")
+
+
+def _of_displacement(d: Diagnosis, disp: Displacement) -> Rest:
+    task = disp.task
+    plain = task.simulate(task.base)
+    named = _named_disp(d)
+    fit = disp.best if named else disp.null
+    rows = np.zeros(task.x.size, dtype=np.bool_)
+    rows[task.rows] = True
+    left = (task.x - plain.x - fit.zero_m) * 1e3
+    # Along the model's own motion a delay is a straight line, and so is a gain; along the command
+    # either is a loop, as the lag that the model knows of turns it.
+    over = {
+        "v": (plain.v * 1e3, "velocity of the model, mm/s"),
+        "x": (plain.x * 1e3, "displacement of the model, mm"),
+    }
+    laws = (actuator_law(disp),) if named else ()
+    return Rest(left, rows, laws, over, "mm", "disp")
+
+
+# ---- figures ------------------------------------------------------------------------------------
+
+
+def draw_laws(d: Diagnosis) -> list[Plate]:
+    """Return what is left over velocity and over displacement, and over what else a law follows."""
+    plates = []
+    for rest in rests(d):
+        parts = rest.laws[0].parts if rest.laws else ()
+        keys = ["v", "x", *dict.fromkeys(k for k in map(_own, parts) if k)]
+        plates += [_plate(rest, key) for key in keys if key in rest.over]
+    return plates
+
+
+def _own(part: Part) -> str:
+    """Return what an effect follows where that is neither displacement nor velocity."""
+    return OTHER.get(part.names[0], "") if len(part.names) == 1 else ""
+
+
+def line_share(signal: Floats, x: Floats) -> float:
+    """Return what part of a signal's variance is there between narrow parts of the abscissa."""
+    total = float(np.var(signal))
+    if total <= FLAT**2 * float(np.mean(signal**2)):
+        return 1.0  # a constant is a line over anything
+    if float(np.ptp(x)) == 0.0:
+        return 0.0
+    at, count = _bins(x)
+    mean = np.bincount(at, signal, count.size) / count
+    return 1.0 - float(np.mean((signal - mean[at]) ** 2)) / total
+
+
+def _bins(x: Floats) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Return to which of some narrow parts of its range each value belongs, and how many do so.
+
+    No part is wide, for laws that are steep at the ends, and none has many rows, for those that
+    jump at rest, where most rows are.
+    """
+    share = np.linspace(0.0, 1.0, int(np.clip(x.size // ROWS, 24, BINS)) // 2 + 1)[1:-1]
+    even = float(x.min()) + share * float(np.ptp(x))
+    edges = np.unique(np.concatenate((np.quantile(x, share), even)))
+    at = np.searchsorted(edges, x, side="right")
+    _, at, count = np.unique(at, return_inverse=True, return_counts=True)
+    return at, count
+
+
+def _elsewhere(rest: Rest, key: str) -> list[Part]:
+    """Return the effects of the named set that belong over something else, and not over this.
+
+    They are taken off where that shows another one as what it is. Of laws that fit alike none is:
+    what they share and what they do not would have to be told apart.
+    """
+    parts = rest.laws[0].parts if len(rest.laws) == 1 else ()
+    if key not in ("v", "x"):
+        return [p for p in parts if _own(p) != key]
+
+    def belongs(part: Part, over: str) -> bool:
+        x = rest.over[over][0][rest.rows]
+        return line_share(part.signal[rest.rows], x) > BELONGS
+
+    if not any(belongs(p, key) for p in parts):
+        return []
+    beside = "x" if key == "v" else "v"
+    return [
+        p
+        for p in parts
+        if not belongs(p, key) and any(belongs(p, k) for k in (beside, _own(p)) if k in rest.over)
+    ]
+
+
+def _plate(rest: Rest, key: str) -> Plate:
+    from matplotlib.ticker import MaxNLocator
+
+    from rthyb_rt.report import drawing as draw
+
+    over, name = rest.over[key]
+    off = _elsewhere(rest, key)
+    left = rest.left - np.sum([p.signal for p in off], axis=0) if off else rest.left
+    several = len(rest.laws) > 1
+    entries = 1 + len(rest.laws) + bool(rest.laws)
+    columns = 1 if several else 3
+    paper = draw.Paper(
+        f"law-{rest.channel}-{key}", draw.HALF_WIDTH_IN, (2.3,),
+        bottom_in=draw.room_below(entries, columns),
+    )  # fmt: skip
+    (axes,) = paper.axes
+    draw.head(axes, f"residual, {rest.unit}")
+    x, y = over[rest.rows], left[rest.rows]
+    _density(axes, x, y)
+    limits, cycle, thin = [y], False, False
+    for law, colour in zip(rest.laws, (draw.BLUE, draw.RED, draw.GREEN), strict=False):
+        first = law is rest.laws[0]
+        signal, half = law.of([p for p in law.parts if p not in off])
+        drawn = _drawn(rest, over, signal, half)
+        label = law.label if several else "law found"
+        axes.plot(
+            drawn.x, drawn.f, color=colour, linewidth=1.1, label=label,
+            linestyle="-" if first else "--",
+        )  # fmt: skip
+        if first and drawn.half is not None:
+            _band(axes, drawn, colour)
+            thin = float(drawn.half.max()) < THIN * float(np.ptp(signal[rest.rows]))
+        cycle = cycle or drawn.cycle
+        limits.append(signal[rest.rows])
+    draw.set_range(axes, *_limits(limits))
+    axes.set_xlim(*_limits([x], 1e-3))
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    draw.legend_below(axes, columns)
+    draw.x_label(axes, name)
+    quantity = name.split(",")[0]
+    return paper.plate(
+        f"What the model leaves, over {quantity}", _note(rest, quantity, off, cycle, thin)
+    )
+
+
+def _note(rest: Rest, quantity: str, off: Sequence[Part], cycle: bool, thin: bool) -> str:
+    if not rest.laws:
+        return "Recorded less the model; darker: more rows."
+    words = ["Grey: recorded less the model, its numbers moved within tolerance."]
+    if off:
+        names = " and ".join(PLAIN.get(n, n) for p in off for n in p.names)
+        do = "it does" if len(off) == 1 else "they do"
+        words.append(f"Without {names}: {do} not follow {quantity}.")
+    if cycle:
+        words.append("The law is drawn along the largest cycle.")
+    if thin:
+        words.append("Its band is narrower than the line.")
+    return " ".join(words)
+
+
+def _limits(signals: Sequence[Floats], share: float = 2e-3) -> tuple[float, float]:
+    """Return the range of some signals but for a few rows, with a margin."""
+    low = min(float(np.quantile(s, share)) for s in signals)
+    high = max(float(np.quantile(s, 1.0 - share)) for s in signals)
+    margin = 0.08 * (high - low) or 1.0
+    return low - margin, high + margin
+
+
+def _density(axes: Axes, x: Floats, y: Floats) -> None:
+    """Draw where the rows are: the more of them in a cell, the darker."""
+    from rthyb_rt.report import drawing as draw
+
+    limits = (_limits([x], 1e-3), _limits([y]))
+    count, xs, ys = np.histogram2d(x, y, bins=GRID, range=limits)
+    # Even a single row shows; from there by how rare a cell as full is.
+    levels = np.quantile(count[count > 0], [0.5, 0.8, 0.95]) if count.any() else [1.0]
+    kind = np.where(count > 0, np.digitize(count, levels), -1)
+    draw.tiles(axes, xs, ys, kind, GREYS)
+    axes.fill([], [], facecolor=GREYS[2], linewidth=0.0, label="residual")
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """A law as it is drawn: a line where it is one, else along a cycle."""
+
+    x: Floats
+    f: Floats
+    half: Floats | None
+    cycle: bool
+
+
+def _drawn(rest: Rest, over: Floats, signal: Floats, half: Floats | None) -> _Drawn:
+    x, f = over[rest.rows], signal[rest.rows]
+    if line_share(f, x) <= LINE:
+        part = _cycle(rest)
+        found = [over[part], signal[part]] + ([half[part]] if half is not None else [])
+        if float(np.sum(np.abs(np.diff(found[0])))) > JAGGED * float(np.ptp(found[0])):
+            # A velocity that is estimated has the noise of its sensors, and would fill the picture.
+            found = [_smooth(y, max(part.size // PARTS, 1)) for y in found]
+        x, f, *width = (y[:: max(1, part.size // POINTS)] for y in found)
+        return _Drawn(x, f, width[0] if width else None, True)
+    at, count = _bins(x)
+    x, f = np.bincount(at, x) / count, np.bincount(at, f) / count
+    mean = np.bincount(at, half[rest.rows]) / count if half is not None else None
+    return _Drawn(x, f, mean, False)
+
+
+def _smooth(y: Floats, rows: int) -> Floats:
+    """Return a moving mean of so many rows."""
+    padded = np.pad(y, (rows // 2, rows - 1 - rows // 2), mode="edge")
+    return np.convolve(padded, np.full(rows, 1.0 / rows), mode="valid")
+
+
+def _band(axes: Axes, drawn: _Drawn, colour: str) -> None:
+    assert drawn.half is not None
+    low, high = drawn.f - drawn.half, drawn.f + drawn.half
+    axes.fill(
+        np.concatenate((drawn.x, drawn.x[::-1])), np.concatenate((high, low[::-1])),
+        facecolor=colour, alpha=0.3, linewidth=0.0, label="95 % band",
+    )  # fmt: skip
+
+
+def _cycle(rest: Rest) -> NDArray[np.int_]:
+    """Return the rows of the cycle in which the displacement is largest."""
+    x = np.where(rest.rows, rest.over["x"][0], 0.0)
+    top = int(np.argmax(np.abs(x)))
+    # On which side of rest it was last, so that noise around rest is no reversal.
+    known = np.abs(x) > SIDE * abs(x[top])
+    last = np.maximum.accumulate(np.where(known, np.arange(x.size), 0))
+    turns = np.flatnonzero(np.diff(np.sign(x[last]) > 0))
+    before, after = turns[turns < top], turns[turns >= top]
+    begin = int(before[-2]) if before.size > 1 else 0
+    end = int(after[1]) if after.size > 1 else x.size - 1
+    part = np.arange(begin, end + 1)
+    return part[rest.rows[part]]

@@ -1,0 +1,191 @@
+"""The lab's model from a file: ``rthyb-baseline/1``, a rig file, or a test file with its rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rthyb_rt import core
+from rthyb_rt.diagnose.case import BoucWen, Model
+from rthyb_rt.diagnose.simulate import ActuatorModel
+from rthyb_rt.errors import InputError
+
+if TYPE_CHECKING:
+    from rthyb_rt.config import BaselineFile
+
+RIG_K_TOL, RIG_C_TOL = 0.02, 0.2
+"""What a rig file's numbers are taken to be good for; it does not say."""
+
+
+def find_model(name_or_path: str) -> Path:
+    """Return the file of a model, given by its path or by the name of a shipped rig.
+
+    Raises:
+        InputError: there is neither; with the names that there are.
+    """
+    from rthyb_rt import config
+
+    path = Path(name_or_path)
+    if path.is_dir():
+        raise InputError(
+            "is a folder; a model is a baseline file (rthyb-baseline/1), a rig file, a test file "
+            "or the name of a shipped rig",
+            str(path),
+        )
+    try:
+        return config.find_rig(name_or_path)
+    except InputError as error:
+        message = error.problems[0].message.replace(
+            "give the path of a rig file", "give the path of a baseline, rig or test file"
+        )
+        raise InputError(message, "--model") from None
+
+
+def read_model(path: Path) -> Model:
+    """Read ``rthyb-baseline/1``, a rig file, or a test file with the rig that it names.
+
+    Raises:
+        InputError: with every fault found, its line and what is allowed there.
+    """
+    from rthyb_rt import config
+
+    text = config.read_text(path, "model")
+    schema = config.schema_of(text, str(path))
+    if isinstance(schema, str) and schema.startswith(("rthyb-rig/", "rthyb-test/")):
+        return _from_rig(path, schema)
+    if isinstance(schema, str) and schema.startswith("rthyb-baseline/"):
+        file, strange = config.parse_baseline(text, str(path))
+        return _of_baseline(file, tuple(strange))
+    raise InputError(
+        f'found schema = {schema!r}; a model starts with schema = "rthyb-baseline/1", or is a rig '
+        'file ("rthyb-rig/1") or a test file ("rthyb-test/1")',
+        str(path),
+    )
+
+
+def _of_baseline(file: BaselineFile, strange: tuple[str, ...]) -> Model:
+    s, c, noise = file.specimen, file.controller, file.noise
+    lag = file.actuator
+    weights = (c.plc_w1, c.plc_w2) if c.plc_w1 is not None and c.plc_w2 is not None else None
+    bouc_wen = s.bouc_wen
+    return Model(
+        family=file.family,
+        fs_hz=file.fs_hz,
+        k=s.k,
+        c=s.c,
+        moving_mass=s.moving_mass,
+        k_tol=s.k_tol,
+        c_tol=s.c_tol,
+        bouc_wen=BoucWen(**bouc_wen.model_dump()) if bouc_wen is not None else None,
+        actuator=None
+        if lag is None
+        else ActuatorModel(
+            lag.delay_s + file.command_shift_s, lag.f_hz, lag.zeta, lag.gain,
+            hold=file.command_hold, delay_tol_s=lag.delay_tol_s, f_tol=lag.f_tol,
+            zeta_tol=lag.zeta_tol, gain_tol=lag.gain_tol,
+        ),
+        mass=file.numerical.m,
+        c_num=file.numerical.c,
+        x_std=noise.x_std,
+        f_std=noise.f_std,
+        a_std=noise.a_std,
+        plc=weights,
+        rfc=c.rfc,
+        unused=strange,
+    )  # fmt: skip
+
+
+def _from_rig(path: Path, schema: str) -> Model:
+    from rthyb_rt import config
+
+    test = None
+    if schema.startswith("rthyb-test/"):
+        test = config.load_test(path)
+        rig = config.load_rig(config.find_rig(test.rig))
+    else:
+        rig = config.load_rig(path)
+    return model_of_rig(rig, test)
+
+
+def model_of_rig(rig: Any, test: Any = None) -> Model:
+    """Return the model that a rig file (and, for the numerical part, a test file) stands for."""
+    from rthyb_rt.experiment import specimen_elements, table_elements
+
+    k = c = mass = 0.0
+    bouc_wen = None
+    extra: list[core.ElementConfig] = []
+    for item in (*specimen_elements(rig), *table_elements(rig)):
+        p = dict(zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True))
+        if item.kind == "stiffness":
+            k += p["k_n_per_m"]
+        elif item.kind == "viscous":
+            c += p["c_n_s_per_m"]
+        elif item.kind == "inertia":
+            mass += p["m_kg"]
+        elif (
+            item.kind == "hysteresis" and bouc_wen is None and p["a"] == 1.0 and p["b"] + p["c"] > 0
+        ):
+            xy = (p["b"] + p["c"]) ** (-1.0 / p["eta"])
+            bouc_wen = BoucWen(
+                p["post_yield_ratio"],
+                xy,
+                p["eta"],
+                p["c"] * xy ** p["eta"],
+                p["b"] * xy ** p["eta"],
+            )
+            extra_k = p["k_n_per_m"]
+        else:
+            extra.append(item)
+    if bouc_wen is not None:
+        if k:
+            extra.append(core.element("stiffness", k_n_per_m=k))
+        k = extra_k
+    numerical_m = numerical_c = 0.0
+    if test is not None:
+        numerical_m = float(test.numerical.mass_kg or 0.0)
+        numerical_c = float(test.numerical.damping_n_s_per_m or 0.0)
+    sensors = rig.sensors
+    return Model(
+        family="loop",
+        fs_hz=core.FS_HZ,
+        k=k,
+        c=c,
+        moving_mass=mass,
+        k_tol=RIG_K_TOL,
+        c_tol=RIG_C_TOL,
+        bouc_wen=bouc_wen,
+        actuator=_rig_actuator(rig),
+        mass=numerical_m,
+        c_num=numerical_c,
+        x_std=sensors.displacement.noise_std_m or None,
+        f_std=sensors.force.noise_std_n or None,
+        extra=tuple(extra),
+        rig=rig,
+        plc=(test.controller.w1, test.controller.w2) if test is not None else None,
+        rfc=test.controller.rfc.enabled if test is not None else None,
+    )
+
+
+def _rig_actuator(rig: Any) -> ActuatorModel | None:
+    """Return a rig's actuator as a second-order lag; None for one that is no such thing."""
+    a, h = rig.actuator, core.PERIOD_S
+    hold, shift = rig.rig.command_hold, rig.rig.command_shift_s
+    fast = 4000.0
+    if a.kind == "second-order":
+        return ActuatorModel(
+            a.delay_s + shift, a.natural_frequency_hz, a.damping_ratio, a.gain, hold=hold,
+            delay_tol_s=a.delay_tol_s, f_tol=a.natural_frequency_tol,
+            zeta_tol=a.damping_ratio_tol, gain_tol=a.gain_tol,
+        )  # fmt: skip
+    if a.kind == "pure-delay":
+        # Half a row earlier, so that the held command of that row is met in its middle.
+        late = (a.delay_samples - 0.5) * h if hold == "zoh" else a.delay_samples * h
+        return ActuatorModel(late + shift, fast, 1.0, 1.0, hold=hold)
+    if a.kind == "first-order":
+        f = float(np.sqrt(a.roll_off_hz * fast))
+        return ActuatorModel(
+            a.extra_delay_samples * h + shift, f, (a.roll_off_hz + fast) / (2.0 * f), 1.0, hold=hold
+        )
+    return None

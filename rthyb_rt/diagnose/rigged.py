@@ -1,0 +1,242 @@
+"""Sets of effects judged by the whole rig that they simulate: actuators that give way.
+
+A servo-hydraulic actuator gives way to its specimen, and a specimen that sticks has no force that
+its motion tells: force along an estimated motion proposes there, and no more. What decides is the
+rig simulated from the recorded command, in the core, with the set in its specimen: displacement and
+load cell have to be those that were recorded, to their noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import ceil
+
+import numpy as np
+
+from rthyb_rt import core, experiment
+from rthyb_rt.diagnose import augment, estimate
+from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.effects.sensor import shifted
+from rthyb_rt.diagnose.freebody import NUISANCE, Body, _with_nuisance
+from rthyb_rt.diagnose.predict import Augmented
+from rthyb_rt.diagnose.select import SKEW_PRIOR_S, Fit, Member, Problem
+from rthyb_rt.diagnose.simulate import Motion, SimulationError
+
+FOLLOWS = 1.5
+"""Mean square of (measured - simulated) / noise up to which a simulated motion is the true one."""
+RUNS = 700
+"""Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
+NOTHING_LEFT = 1.01
+"""Chi-squared a row of a simulated rig from which on no further effect is looked for: less than the
+noise is known by, 3 per cent in twenty seconds, so that a small one beside a large one is found."""
+LONGEST_S, BEYOND_S = 20.0, 2.0
+"""What is simulated of a recording: so much, and so much beyond its largest displacement."""
+STEEP = 1.0
+"""Largest part of a velocity that a friction's slope takes off a table in one substep: two is where
+the leapfrog runs off."""
+SMOOTH = 5e-3
+"""Least width of a friction's step that is simulated, as part of the largest velocity."""
+FINER = 4
+"""Times as many substeps as the rig's own that a steep friction gets: then its step is widened."""
+
+
+def given(case: Case) -> bool:
+    """Return whether a case's motion is that of its model's own rig and of nothing simpler."""
+    model = case.model
+    if model.rig is None or model.actuator is not None:
+        return False
+    return all(case.get(name) is not None for name in ("x_cmd", "x_meas", "f_meas"))
+
+
+def as_given(case: Case) -> Motion | None:
+    """Return the motion that the model's own rig makes of the recorded command, without noise.
+
+    None where the specimen moved otherwise.
+    """
+    if not given(case):
+        return None
+    rig = case.model.rig
+    assert rig is not None
+    made = Motion(
+        *core.Rig(experiment.rig_config(rig)).motion(estimate.filled(case.channels["x_cmd"]))
+    )
+    x_meas = case.channels["x_meas"]
+    rows = case.rows & np.isfinite(x_meas)
+    sigma = estimate.noise_of(x_meas, case.model.x_std)
+    off = float(np.mean(((x_meas - made.x)[rows] / sigma) ** 2))
+    return made if off < FOLLOWS else None
+
+
+def config_of(model: Augmented) -> core.RigConfig:
+    """Return the model's rig with its effects in the specimen and sensors without an error."""
+    rig = model.base.rig
+    assert rig is not None
+    config = experiment.rig_config(rig)
+    made = augment.specimen(model)
+    elements = augment.beside_table(made.elements, rig)
+    elements, mass_kg = augment.mass_off_table(elements, rig)
+    servo = config.servo
+    if servo.kind == "servo-hydraulic":
+        servo = replace(servo, moving_mass_kg=mass_kg)
+        ridden = sum(e.params[0] for e in elements if e.kind == "inertia")
+        most = STEEP * max(servo.moving_mass_kg + ridden, 1e-6) / core.PERIOD_S
+        wanted = ceil(sum(_steepness(e) for e in elements) / most)
+        servo = replace(servo, substeps=min(max(servo.substeps, wanted), FINER * servo.substeps))
+        elements = [_no_steeper(e, most * servo.substeps) for e in elements]
+    exact = core.SensorConfig()
+    return replace(config, servo=servo, elements=tuple(elements), displacement=exact, force=exact)
+
+
+def _steepness(item: core.ElementConfig) -> float:
+    """Return the largest slope of an element's force over velocity, N s/m."""
+    p = dict(zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True))
+    if item.kind == "viscous":
+        return abs(p["c_n_s_per_m"])
+    if item.kind in ("coulomb", "stribeck"):
+        return abs(p.get("fs_n", p["fc_n"])) / p["width_m_per_s"]
+    return 0.0
+
+
+def _no_steeper(item: core.ElementConfig, most: float) -> core.ElementConfig:
+    """Return an element whose step over velocity the substeps can follow."""
+    if item.kind not in ("coulomb", "stribeck") or _steepness(item) <= most:
+        return item
+    p = dict(zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True))
+    p["width_m_per_s"] *= _steepness(item) / most
+    return core.element(item.kind, **p)
+
+
+def read(model: Augmented, force: Floats, ctx: Context) -> Floats:
+    """Return what the load cell makes of a force, (n,), with its own effects among the set's."""
+    n = force.size
+    for member, beta in zip(model.members, model.betas, strict=True):
+        if member.effect.carries:
+            force = shifted(force, member.trial.theta[0] * float(beta[0]) / ctx.dt)
+        elif member.effect.sensor:
+            columns = member.effect.columns(ctx, member.trial)
+            for b, c in zip(beta, columns, strict=True):
+                force = force + b * c[:n]
+    return force
+
+
+def along(model: Augmented, case: Case, other: dict[str, Floats]) -> tuple[Floats, Floats] | None:
+    """Return displacement and force, each (n,), that the model's rig answers a command with.
+
+    None where the model has no such rig, where an effect is none that a rig can hold or foretell,
+    or where the specimen moved otherwise.
+    """
+    if model.base.rig is None or model.actuator is not None or "x_cmd" not in other:
+        return None
+    sensors = {m.name for m in model.members if m.effect.sensor}
+    if not set(augment.specimen(model).lost) <= sensors - {"hum", "crosstalk"}:
+        return None
+    try:
+        rig = core.Rig(config_of(model))
+    except core.CoreError:
+        return None
+    x, f = rig.run(other["x_cmd"])
+    x_meas = case.channels.get("x_meas")
+    if x_meas is not None and np.isfinite(x_meas).any():
+        sigma = estimate.noise_of(x_meas, model.base.x_std)
+        if not float(np.nanmean((x_meas - x) ** 2)) < FOLLOWS * sigma**2:
+            return None
+    still = Motion(x, np.gradient(x) * case.fs_hz, np.zeros_like(x))
+    return x, read(model, f, model.context(still, case.t, other))
+
+
+class RigBody(Body):
+    """The recorded command, and the displacement and the force that answer it.
+
+    Attributes:
+        rows: those of the force, then those of the displacement.
+    """
+
+    largest = 3
+    linear = False
+    rough = 3.0
+    whole_rig = True
+    threads = 2
+    met = NOTHING_LEFT
+    loose = (("bias", 2.0, NUISANCE), ("skew", 2.0, NUISANCE))
+
+    def __init__(self, case: Case, ctx: Context) -> None:
+        super().__init__(case, ctx)
+        self.held = False
+        self.f = case.channels["f_meas"]
+        peak = int(np.argmax(np.abs(self.other["x_meas"])))
+        last = max(LONGEST_S * case.fs_hz, peak + BEYOND_S * case.fs_hz)
+        self.command = self.other["x_cmd"]
+        self.simulated = self.command[: int(min(last, case.t.size))]
+        self.sigma_f = estimate.force_noise(self.f, case.model.f_std)
+        self.sigma = estimate.noise_of(self.x, case.model.x_std)
+        good = case.rows & np.isfinite(self.x) & np.isfinite(self.f)
+        self.judged = np.flatnonzero(good[: self.simulated.size])
+        self.rows = np.arange(2 * self.judged.size)
+        self.units = {"bias": case.tare_error_n or 1e-9, "skew": SKEW_PRIOR_S}
+        self.runs = RUNS
+
+    def quick(self, fit: Fit) -> bool:
+        """Return whether a rig can hold every effect on the specimen."""
+        model = self.case.model
+        made = augment.specimen(
+            Augmented(model, model, fit.members, fit.betas, None, self.ctx.all_ranges)
+        )
+        sensors = {m.name for m in fit.members if m.effect.sensor}
+        return set(made.lost) <= sensors
+
+    def start(self, first: Augmented) -> tuple[float, float] | None:
+        """Return rest: a test of this program begins so."""
+        return 0.0, 0.0
+
+    def refined(self, problem: Problem, fit: Fit) -> Fit | None:
+        """Fit a set's parameters to displacement and force; None where it cannot be simulated."""
+        return super().refined(problem, self._smooth(fit))
+
+    def _smooth(self, fit: Fit) -> Fit:
+        """Return a set whose dry contacts have a step over velocity, as the rig's friction has."""
+        least = SMOOTH * self.ctx.v_range
+
+        def smooth(member: Member) -> Member:
+            theta = member.trial.theta
+            if member.name == "coulomb":
+                old = theta[0] if theta and not member.trial.variant else least
+                return replace(member, trial=Trial((max(old, least),)))
+            if member.name == "stribeck":
+                old = theta[1] if not member.trial.variant else least
+                return replace(member, trial=Trial((theta[0], max(old, least))))
+            return member
+
+        if any(m.effect.complete for m in fit.members):
+            return fit
+        return replace(fit, members=tuple(smooth(m) for m in fit.members))
+
+    def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
+        """Return recording less simulation in units of the noise, force and then displacement."""
+        if not all(
+            m.effect.sensible(self.ctx, m.trial, b)
+            for m, b in zip(now.members, now.betas, strict=True)
+        ):
+            raise SimulationError("no physical law")
+        try:
+            x, f = core.Rig(config_of(now)).run(self.simulated)
+        except core.CoreError as error:
+            raise SimulationError(str(error)) from error
+        f = read(now, f, self.ctx)
+        late_s = loose[1] * SKEW_PRIOR_S
+        f = f + loose[0] * self.units["bias"] - late_s * np.gradient(f) / self.ctx.dt
+        rows = self.judged
+        off_f, off_x = f[rows] - self.f[rows], x[rows] - self.x[rows]
+        # The sensor's zero is the tare's, a mean over noise.
+        off_x = off_x - np.mean(off_x)
+        return np.asarray(np.r_[off_f / self.sigma_f, off_x / self.sigma])
+
+    def motion(self, problem: Problem, fit: Fit) -> Motion | None:
+        """Return the motion of the rig with a set in it, as it was fitted."""
+        base = self.case.model
+        plain = _with_nuisance(base, problem, fit)
+        own = Augmented(plain, base, fit.members, fit.betas, None, self.ctx.all_ranges)
+        try:
+            return Motion(*core.Rig(config_of(own)).motion(self.command))
+        except core.CoreError:
+            return None

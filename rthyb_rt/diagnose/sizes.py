@@ -1,0 +1,520 @@
+"""How large a channel is beside what the others and the model make of it: units, and slips in them.
+
+A wrong unit leaves the shape of a signal and changes its size, by 1000, 9.81 or their like. What a
+model leaves out changes both, and seldom the size by much: a specimen may be 30 times softer than
+its model (it yielded, or a play is never taken up), and is then diagnosed. `BEYOND` lies past that
+by as much again as a factor of 1000 beside a model that is wrong by ten lies past `BEYOND`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core
+from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
+from rthyb_rt.diagnose.estimate import filled, white_noise
+from rthyb_rt.diagnose.simulate import SimulationError, actuator
+from rthyb_rt.diagnose.units import USUAL, read_unit
+from rthyb_rt.errors import InputError
+
+Channels = dict[str, Floats]
+
+BEYOND = 100.0
+"""Ratio from which on (or from its inverse down) a channel that has the shape has a wrong unit."""
+ALIKE = 0.5
+"""Correlation from which on a channel has the shape of what it is held against, more or less."""
+CLEARLY_ALIKE = 0.9
+"""Correlation from which on it has that shape and no other."""
+NEAR = 0.12
+"""Part by which a ratio may miss a factor of units, and be one."""
+SURE = 1.33
+"""Factor by which a column of unstated unit may miss its size; units differ by more than two."""
+OTHER_TEST = 300.0
+"""Ratio of one channel in two tests of a rig: between a sensor's noise and its range."""
+LEAST = 64
+"""Rows that a size is taken from; of more than twice as many, half must be there."""
+
+_FACTORS: tuple[tuple[float, str], ...] = (
+    (1000.0, "1000 (milli or kilo)"),
+    (9.81, "9.81 (g or kgf)"),
+    (9810.0, "9810 (kN and kgf)"),
+)
+_SAID = {
+    "x_cmd": "x_num", "x_meas": "x_cmd", "f_meas": "the model's force", "f_in": "the model",
+    "ag": "the model", "x_num": "the model", "a_meas": "the other channels", "fy_meas": "f_meas",
+}  # fmt: skip
+
+
+_GAINED = "the energy that the body gains"
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A channel's size as a multiple of what is expected of it.
+
+    Attributes:
+        channel: its name.
+        ratio: found over expected; negative where it runs against it.
+        alike: correlation of the two, 0 to 1.
+        of: the channels that the expectation comes from.
+        bound: the expectation is the most that can be: a ratio below one says nothing.
+        exact: the sizes alone decide, within `NEAR`, for factors that units are made of.
+        than: what it is held against, in words, where that is not what it always is.
+    """
+
+    channel: str
+    ratio: float
+    alike: float
+    of: tuple[str, ...]
+    bound: bool = False
+    exact: bool = False
+    than: str = ""
+
+
+def check(
+    channels: Channels, model: Model, where: str, labels: dict[str, str] | None,
+    stated: dict[str, str] | None = None,
+) -> None:  # fmt: skip
+    """Refuse channels whose size is off by a factor that units are made of, or by the sign.
+
+    Args:
+        channels: each (n,), SI as far as is known.
+        model: what they are held against.
+        where: the file, for the message.
+        labels: column of each channel in a lab's table; None for a recording of this program.
+        stated: unit of each channel whose unit the file or the user states: a factor of 9.81 is
+            believed there.
+
+    Raises:
+        InputError: with what was found, the likely unit and the option that mends it.
+    """
+    for r in relations(channels, model):
+        size = abs(r.ratio)
+        if not math.isfinite(size) or size == 0.0:
+            continue
+        factors = _FACTORS if r.channel not in (stated or {}) else _FACTORS[:1]
+        said = next(
+            (
+                words
+                for factor, words in factors
+                for f in (factor, 1.0 / factor)
+                if r.exact and abs(r.ratio / f - 1.0) < NEAR
+            ),
+            "",
+        )
+        if said or _far(r):
+            raise InputError(_message(r, said, model, labels), where)
+        if abs(r.ratio + 1.0) < NEAR and _opposed(r, channels, model):
+            raise InputError(_sign(r, labels, (stated or {}).get(r.channel)), where)
+
+
+def _far(r: Relation) -> bool:
+    """Return whether a channel's size is beyond what a model may be wrong by.
+
+    A shape that is not quite the model's (a play that is hardly taken up) has a wrong unit only
+    where the ratio is near a power of 1000.
+    """
+    size = abs(r.ratio)
+    if r.bound:
+        return size > BEYOND
+    near = abs(math.log(size, 1000.0) - round(math.log(size, 1000.0))) < math.log(3.0, 1000.0)
+    alike = r.alike > (ALIKE if near else CLEARLY_ALIKE)
+    return alike and not 1.0 / BEYOND <= size <= BEYOND
+
+
+def likely(channel: str, ratio: float) -> str:
+    """Return the unit in which a column is that many times too large as SI."""
+    units = USUAL[CHANNELS[channel]]
+    off = [abs(math.log(ratio * _factor(unit))) for unit in units]
+    best = units[int(np.argmin(off))]
+    return best if min(off) < math.log(4.0) else ""
+
+
+def _factor(unit: str) -> float:
+    found = read_unit(unit)
+    assert found is not None
+    return float(found.factor)
+
+
+def _mend(channel: str, unit: str, labels: dict[str, str]) -> str:
+    return f'--map {channel}="{labels.get(channel, channel)} [{unit}]"'
+
+
+def _message(r: Relation, said: str, model: Model, labels: dict[str, str] | None) -> str:
+    size = "large" if abs(r.ratio) > 1 else "small"
+    times = said or f"{max(abs(r.ratio), 1 / abs(r.ratio)):.4g}"
+    text = (
+        f"{r.channel} is {times} times too {size} for {r.than or _SAID[r.channel]} "
+        f"(ratio {r.ratio:.4g}): a wrong unit is suspected; channels are in SI, {r.channel} in "
+        f"{CHANNELS[r.channel]}"
+    )
+    if labels is None:
+        return f"{text}: correct the model"
+    ways = []
+    unit = likely(r.channel, abs(r.ratio))
+    if r.channel == "fy_meas" or r.than == _GAINED:
+        # No law gives the size any nearer.
+        unit = "kN" if abs(r.ratio) < 1.0 and CHANNELS[r.channel] == "N" else ""
+    if unit and unit != CHANNELS[r.channel]:
+        ways.append(f"if the column is in {unit}, give {_mend(r.channel, unit, labels)}")
+    for other in r.of:
+        # Twice the fault in one channel is the inverse in what it is held against.
+        unit = likely(other, 1.0 / abs(r.ratio))
+        same = CHANNELS[other] == CHANNELS[r.channel] or other.startswith("x_")
+        if unit and same and unit != CHANNELS[other]:
+            ways.append(f"if {other} is in {unit}, give {_mend(other, unit, labels)}")
+    return f"{text}; {'; '.join([*ways, 'else convert the column, or correct the model'])}"
+
+
+def _sign(r: Relation, labels: dict[str, str] | None, unit: str | None) -> str:
+    label = (labels or {}).get(r.channel, r.channel) + (f" [{unit}]" if unit else "")
+    way = f'; give --map {r.channel}="-{label}"' if labels is not None else ""
+    return (
+        f"{r.channel} runs against {_SAID[r.channel]} (ratio {r.ratio:.4g}): a wrong sign is "
+        "suspected; a command, the displacement and the force that resists it count in one "
+        f"direction{way}"
+    )
+
+
+def _opposed(r: Relation, channels: Channels, model: Model) -> bool:
+    """Return whether a channel is nothing but the other with its sign turned.
+
+    A force alone may be against the displacement above resonance, where mass outweighs the spring.
+    """
+    if r.channel == "x_meas":
+        return True
+    if r.channel != "f_meas" or not model.k or "x_meas" not in channels:
+        return False
+    x, f = filled(channels["x_meas"]), filled(channels["f_meas"])
+    if np.corrcoef(f, model.spring(x))[0, 1] > -0.95:
+        return False
+    speed, k = float(np.std(np.diff(x))) * model.fs_hz, max(abs(model.k), 1e-300)
+    omega = speed / (float(np.std(x)) or 1.0)
+    return (model.moving_mass + model.mass) * omega**2 < 0.3 * k
+
+
+def check_against(first: Channels, second: Channels, where: str, labels: dict[str, str]) -> None:
+    """Refuse an input of a second recording whose size has nothing to do with that of the first.
+
+    What was found in one test says nothing of another that is `OTHER_TEST` times smaller, below
+    the noise of the first, or as many times larger.
+
+    Raises:
+        InputError: with the likely unit and the option that mends it.
+    """
+    for name in set(first) & set(second):
+        a, b = (float(np.nanstd(_finite(channels[name]))) for channels in (first, second))
+        if a <= 0.0 or b <= 0.0 or 1.0 / OTHER_TEST < b / a < OTHER_TEST:
+            continue
+        unit = likely(name, b / a)
+        way = f"give {_mend(name, unit, labels)}, or " if unit and unit != CHANNELS[name] else ""
+        raise InputError(
+            f"{name} is {max(b / a, a / b):.4g} times too {'large' if b > a else 'small'} for the "
+            f"recording that the answer comes from: a wrong unit is suspected, {name} is to be in "
+            f"{CHANNELS[name]}; {way}convert the column",
+            where,
+        )
+
+
+def _finite(values: Floats) -> Floats:
+    good = values[np.isfinite(values)]
+    return good if good.size else np.zeros(1)
+
+
+# ---- a unit that nobody states ------------------------------------------------------------------
+
+
+def guess(
+    channel: str, values: Floats, known: Channels, model: Model
+) -> tuple[str, Relation] | None:
+    """Return the one usual unit in which a column fits the channels whose unit is known.
+
+    None where nothing speaks for any, or not for one alone.
+    """
+    found = []
+    # Held against what is known; what is known is not to be judged by it.
+    for r in relations({**known, channel: values}, model):
+        if r.channel != channel and channel in r.of and len(r.of) == 1 and not r.bound:
+            r = Relation(channel, 1.0 / r.ratio if r.ratio else 0.0, r.alike, (r.channel,))
+        if r.channel == channel and not r.bound and r.alike > 0.9 and r.ratio != 0.0:
+            fitting = [
+                unit
+                for unit in USUAL[CHANNELS[channel]]
+                if 1.0 / SURE < abs(r.ratio) * _factor(unit) < SURE
+            ]
+            found.append((fitting, r))
+    if not found:
+        return None
+    units = set.intersection(*(set(fitting) for fitting, _ in found))
+    return (units.pop(), found[0][1]) if len(units) == 1 else None
+
+
+# ---- what is expected of each channel -----------------------------------------------------------
+
+
+def relations(channels: Channels, model: Model) -> Iterator[Relation]:
+    """Give channels with their size as a multiple of what the others and the model make of them."""
+    c = {k: v for k, v in channels.items() if np.isfinite(v).sum() >= max(LEAST, v.size / 2)}
+    found = [
+        *_displacements(c, model),
+        *_force(c, model),
+        *_accelerations(c, model),
+        *_inputs(c, model),
+        *_orthogonal(c, model),
+    ]
+    yield from found
+    told = [r for r in found if r.alike > ALIKE and not r.bound]
+    yield from _noises(c, model, {name for r in told for name in (r.channel, *r.of)})
+
+
+def _displacements(c: Channels, model: Model) -> Iterator[Relation]:
+    if "x_num" in c and "x_cmd" in c:
+        yield _relation("x_cmd", filled(c["x_cmd"]), filled(c["x_num"]), ("x_num",))
+    if "x_meas" in c and "x_cmd" in c:
+        u = _moved(filled(c["x_cmd"]), model)
+        yield _relation("x_meas", filled(c["x_meas"]), u, ("x_cmd",), exact=True)
+
+
+def _moved(command: Floats, model: Model) -> Floats:
+    """Return what the model's actuator makes of a command."""
+    if model.actuator is None:
+        return command
+    try:
+        return actuator(model.actuator, command, model.fs_hz).x
+    except SimulationError as error:
+        raise InputError(f"{error}", where="actuator") from error
+
+
+def _force(c: Channels, model: Model) -> Iterator[Relation]:
+    if "f_meas" not in c:
+        return
+    f = filled(c["f_meas"])
+    name = "x_meas" if "x_meas" in c else "x_cmd"
+    if name in c:
+        x = filled(c[name]) if name == "x_meas" else _moved(filled(c[name]), model)
+        if model.k and name == "x_meas":
+            yield _relation("f_meas", f, model.spring(x), (name,), exact=True)
+        band = _Band(x, model.fs_hz)
+        if band.whole:
+            omega = 1j * band.omega
+            # Beyond the linear part a yielding spring has no transfer function: its own force.
+            spring = _spectrum(model.spring(x)) if model.k else np.zeros_like(band.x)
+            rest = (model.c * omega + model.moving_mass * omega**2) * band.x
+            yield band.held("f_meas", f, spring + rest, (name,), whole=True)
+
+
+def _accelerations(c: Channels, model: Model) -> Iterator[Relation]:
+    ground = model.family == "ground"
+    if ground and {"f_meas", "ag", "a_meas"} <= set(c) and model.mass:
+        expected = -filled(c["f_meas"]) / model.mass
+        yield _relation("a_meas", filled(c["a_meas"]), expected, ("f_meas",), exact=True)
+    if "a_meas" in c and "x_meas" in c and (not ground or "ag" in c):
+        band = _Band(filled(c["x_meas"]), model.fs_hz)
+        if band.whole:
+            total = -(band.omega**2) * band.x
+            of: tuple[str, ...] = ("x_meas",)
+            if ground:
+                total = total + _spectrum(filled(c["ag"]))
+                of = ("x_meas", "ag")
+            yield band.held("a_meas", filled(c["a_meas"]), total, of, exact=True)
+    if model.family == "loop" and {"ag", "x_num", "f_meas"} <= set(c) and model.mass:
+        band = _Band(filled(c["x_num"]), model.fs_hz)
+        if band.whole:
+            omega = 1j * band.omega
+            inner = (model.mass * omega**2 + model.c_num * omega) * band.x
+            needed = -(inner + _spectrum(filled(c["f_meas"]))) / model.mass
+            r = band.held("ag", filled(c["ag"]), needed, ("x_num", "f_meas"), exact=True)
+            # Forces that a compensator has changed balance less well: the shape must agree.
+            if r.alike > 0.8:
+                yield r
+
+
+def _inputs(c: Channels, model: Model) -> Iterator[Relation]:
+    """Give the known push of a free body: simulated, from the balance, and the most it can be."""
+    name, mass = ("f_in", 0.0) if model.family == "forced" else ("ag", model.mass)
+    if model.family not in ("forced", "ground") or not {name, "x_meas"} <= set(c):
+        return
+    if name == "ag" and not mass:
+        return
+    x, push = filled(c["x_meas"]), filled(c[name]) * (-mass if mass else 1.0)
+    if model.k:
+        yield _simulated(name, push, mass, x, model)
+    yield from _energy(name, push, x, model, mass + model.moving_mass)
+    band = _Band(x, model.fs_hz)
+    if not band.whole:
+        return
+    omega = band.omega
+    inertia = -(mass + model.moving_mass) * omega**2 * band.x
+    parts = [model.k * band.x, 1j * model.c * omega * band.x, inertia]
+    if "f_meas" in c and mass:
+        # A load cell knows better than the model what the specimen does.
+        parts = [_spectrum(filled(c["f_meas"])), inertia]
+    sizes = [float(np.linalg.norm(part[band.rows])) for part in parts]
+    most = sum(sizes)
+    balance = np.sum(parts, axis=0)
+    # At resonance the parts cancel, and what is left is the model's error, or the sensors'.
+    least = 0.05 if "f_meas" in c and mass else 0.3
+    if np.linalg.norm(balance[band.rows]) > least * most > 0.0:
+        r = band.held(name, push, balance, ("x_meas",), exact=True)
+        if r.alike > 0.8:
+            yield r
+    found = float(np.linalg.norm(_spectrum(push)))
+    yield Relation(name, found / most if most > 0.0 else 0.0, 1.0, ("x_meas",), bound=True)
+
+
+def _energy(name: str, push: Floats, x: Floats, model: Model, mass: float) -> Iterator[Relation]:
+    """Give the work of a push over the energy that a body has gained by it, one where it is more.
+
+    A specimen may take energy and has none to give; at resonance, where forces say little, this
+    holds as well.
+    """
+    h = min(max(1, round(model.fs_hz / 200.0)), (x.size - 1) // 4)
+    v = (x[2 * h :] - x[: -2 * h]) * (model.fs_hz / (2 * h))
+    inner = slice(h, -h)
+    energy = 0.5 * model.k * x[inner] ** 2 + 0.5 * mass * v**2
+    last = int(np.argmax(energy))
+    gain = float(energy[last] - np.max(energy[: max(2, energy.size // 50)]))
+    # Of a body that was let go, or is held in a steady state, nothing is gained.
+    if gain > 0.5 * float(energy[last]) > 0.0:
+        work = float(np.sum(np.abs(push[inner][:last] * v[:last]))) / model.fs_hz
+        yield Relation(name, min(work / gain, 1.0), 1.0, ("x_meas",), than=_GAINED)
+
+
+def _simulated(name: str, push: Floats, mass: float, x_meas: Floats, model: Model) -> Relation:
+    """Return the inverse of measured over simulated displacement; 1 where they differ in shape.
+
+    Near resonance size alone says nothing of units: damping decides it.
+    """
+    from rthyb_rt.diagnose.predict import Augmented
+
+    nothing = Relation(name, 1.0, 0.0, ("x_meas",))
+    bare = Augmented(model, model, (), (), None, None)
+    t = np.arange(push.size) / model.fs_hz
+    try:
+        x = bare.moved_by(push, mass, t, {}).x
+    except (SimulationError, core.CoreError):
+        return nothing
+    if np.std(x) == 0 or np.std(x_meas) == 0 or np.corrcoef(x, x_meas)[0, 1] < 0.95:
+        return nothing
+    slope = max(_slope(x_meas, x), 1e-12)
+    return Relation(name, 1.0 / slope, 1.0, ("x_meas",), exact=True)
+
+
+def _orthogonal(c: Channels, model: Model) -> Iterator[Relation]:
+    """Give the force of the other direction: no law binds it, but what a load cell sees of it.
+
+    At `BEYOND` times the force measured along it, the crosstalk of a good load cell (one per cent)
+    would be as large as that force itself. A crosstalk of more than `BEYOND` is none.
+    """
+    if "fy_meas" not in c or "f_meas" not in c:
+        return
+    f, fy = filled(c["f_meas"]), filled(c["fy_meas"])
+    spread = float(np.std(f))
+    if spread > 0.0:
+        yield Relation("fy_meas", float(np.std(fy)) / spread, 1.0, ("f_meas",), bound=True)
+    if "x_meas" in c and np.std(fy) > 0.0:
+        x = filled(c["x_meas"])
+        columns = np.column_stack([x, np.gradient(x), np.ones(x.size), fy])
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        whole, part = (
+            np.linalg.lstsq((columns / scale)[:, :n], f, rcond=None)[0] / scale[:n] for n in (4, 3)
+        )
+        left = f - columns[:, :3] @ part
+        gained = 1.0 - float(np.sum((f - columns @ whole) ** 2)) / max(float(left @ left), 1e-300)
+        if gained > 0.2 and whole[3] != 0.0:
+            ratio = 1.0 / abs(float(whole[3]))
+            yield Relation("fy_meas", min(ratio, 1.0), 1.0, ("f_meas",), bound=ratio > 1.0 / BEYOND)
+
+
+def _noises(c: Channels, model: Model, told: set[str]) -> Iterator[Relation]:
+    """Give the noise of channels that nothing else tells the size of, over the data sheet's.
+
+    Of those that something tells it is given where all have a hundred times theirs.
+
+    Filtered readings have less noise than the sheet says, and none has a hundred times more. A
+    force of the other direction that is `BEYOND` times smaller than the one measured, and by as
+    much less noisy than a load cell, is one in other units.
+    """
+    sheet = {"x_meas": model.x_std, "f_meas": model.f_std, "f_in": model.f_std,
+             "a_meas": model.a_std}  # fmt: skip
+    noises = {k: white_noise(c[k]) / std for k, std in sheet.items() if std and k in c}
+    # Channels that agree with one another may be wrong all together: metres and meganewtons.
+    together = len(noises) > 1 and min(noises.values()) > BEYOND
+    for name, noise in noises.items():
+        if together or name not in told:
+            yield Relation(name, noise, 1.0, (), bound=True, than="the noise that the model states")
+    if "fy_meas" in c and model.f_std and "fy_meas" not in told:
+        noise = white_noise(c["fy_meas"]) / model.f_std
+        alone = "f_meas" not in c
+        spread = 1.0 if alone else float(np.std(filled(c["f_meas"]))) or 1.0
+        ratio = float(np.std(filled(c["fy_meas"]))) / spread
+        than = "the noise of a load cell" if alone else "f_meas, and so is its noise,"
+        if (alone or ratio < 1.0 / BEYOND) and 1.0 / BEYOND**2 < noise < 1.0 / BEYOND:
+            yield Relation("fy_meas", noise if alone else ratio, 1.0, (), than=than)
+        if alone or ratio > 10.0:
+            yield Relation("fy_meas", noise, 1.0, (), bound=True, than=than)
+
+
+# ---- sizes --------------------------------------------------------------------------------------
+
+
+class _Band:
+    """A displacement at the frequencies at which it stands out of its noise.
+
+    Attributes:
+        x, omega: spectrum and angular frequency, (n // 2 + 1,).
+        rows: where it stands out, (n // 2 + 1,).
+        whole: whether that is anywhere.
+    """
+
+    def __init__(self, x: Floats, fs_hz: float) -> None:
+        self.x = _spectrum(x)
+        self.omega = 2.0 * np.pi * np.fft.rfftfreq(x.size, 1.0 / fs_hz)
+        size = np.abs(self.x)
+        self.rows: NDArray[np.bool_] = (size > 30.0 * np.median(size)) & (self.omega > 0.0)
+        # Derivatives lift what is left of the noise: frequencies of the motion alone count.
+        self.rows &= size > 1e-3 * np.max(size, initial=0.0)
+        self.whole = bool(self.rows.sum() >= 2)
+
+    def held(
+        self, name: str, values: Floats, expected: NDArray[np.complex128], of: tuple[str, ...],
+        exact: bool = False, whole: bool = False,
+    ) -> Relation:  # fmt: skip
+        """Return a channel over what is expected, at these frequencies.
+
+        ``whole``: what the channel has at others counts as of another shape.
+        """
+        spectrum = _spectrum(values)
+        found, wanted = spectrum[self.rows], expected[self.rows]
+        power = float(np.vdot(wanted, wanted).real)
+        joint = np.vdot(wanted, found)
+        norms = math.sqrt(power) * float(np.linalg.norm(spectrum if whole else found))
+        if norms == 0.0:
+            return Relation(name, 1.0, 0.0, of)
+        alike = float(abs(joint)) / norms
+        return Relation(name, float(joint.real) / power, alike, of, exact=exact and alike > 0.9)
+
+
+def _spectrum(values: Floats) -> NDArray[np.complex128]:
+    return np.fft.rfft((values - values.mean()) * np.hanning(values.size))
+
+
+def _relation(
+    name: str, found: Floats, expected: Floats, of: tuple[str, ...], exact: bool = False
+) -> Relation:
+    norms = float(np.std(found) * np.std(expected))
+    if norms == 0.0:
+        return Relation(name, 1.0, 0.0, of)
+    joint = float(np.mean((found - found.mean()) * (expected - expected.mean())))
+    return Relation(name, _slope(found, expected), abs(joint) / norms, of, exact=exact)
+
+
+def _slope(found: Floats, expected: Floats) -> float:
+    expected = expected - expected.mean()
+    power = float(expected @ expected)
+    return float((found - found.mean()) @ expected) / power if power > 0 else 1.0

@@ -1,0 +1,549 @@
+"""The ledger of a diagnosis: the sets that were weighed, what each brought, and why it lost.
+
+All of it is read off what the search came to; nothing is decided here. Sets that the search dropped
+on the way are not kept in what it came to, and so not here.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from rthyb_rt.diagnose import effects, engine
+from rthyb_rt.diagnose import force as forces
+from rthyb_rt.diagnose.actuation import ActuatorFit
+from rthyb_rt.diagnose.engine import Diagnosis, Displacement
+from rthyb_rt.diagnose.select import Dictionary, Fit, Problem, price
+from rthyb_rt.diagnose.words import PLAIN, quantity, value_text
+
+Fate = Literal["named", "as good", "lost", "refused"]
+
+HELD = 0.3
+"""Part of its gain that a set has to keep on rows that it was not fitted to."""
+SEVERAL = 1.25
+"""Times its price that a set of several effects has to earn."""
+NUISANCE: dict[str, tuple[str, str]] = {
+    "stiffness": ("stiffness", ""),
+    "viscous": ("damping", "N s/m"),
+    "inertia": ("moving mass", "kg"),
+    "bias": ("zero of the load cell", "N"),
+    "blur": ("mass", "kg"),
+    "skew": ("time offset", "s"),
+}
+"""What may move without being a finding: in words, and the unit of how far."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One set of effects and what became of it.
+
+    Attributes:
+        channel: "force" or "disp".
+        effects: names as in the answer.
+        fate: "refused" is an effect that came into no set that was worth a closer look.
+        params: in words, as the set has them.
+        chi2: sum of squares of what it leaves, in units of the noise.
+        price: what it had to earn, in the same.
+        left: part of the misfit beyond noise that it leaves.
+        why: the reason in words.
+    """
+
+    channel: Literal["force", "disp"]
+    effects: tuple[str, ...]
+    fate: Fate
+    params: tuple[str, ...]
+    chi2: float
+    price: float
+    left: float
+    why: str
+
+
+def ledger(d: Diagnosis, catalogue: bool = True) -> list[Decision]:
+    """Return the sets that were weighed, the actuator's first, and why each lost.
+
+    Args:
+        d: the diagnosis.
+        catalogue: whether the effects that came into no set are tried once more, alone and beside
+            the best set, to say what they would have brought; that takes a moment.
+    """
+    out: list[Decision] = []
+    if d.disp is not None:
+        out += _actuator(d.disp)
+    if d.force is not None:
+        sets = _force(d, d.force)
+        out += sets
+        if catalogue:
+            known = {n for s in sets for n in s.effects}
+            out += _refused(d.force, known)
+    return out
+
+
+def facts(d: Diagnosis) -> list[tuple[str, str]]:
+    """Return what the answer rests on: noise, tolerances, rows, what may be left, notes."""
+    rows: list[tuple[str, str]] = [("verdict", _verdict(d))]
+    if d.disp is not None:
+        rows += _facts_of_displacement(d, d.disp)
+    if d.force is not None:
+        rows += _facts_of_force(d, d.force)
+    return rows + [("note", note) for note in d.notes]
+
+
+def to_json(d: Diagnosis, catalogue: bool = True) -> dict[str, Any]:
+    """Return facts and ledger as they stand in the answer."""
+    sets = [asdict(row) for row in ledger(d, catalogue)]
+    for row in sets:
+        row |= {k: None for k, v in row.items() if isinstance(v, float) and not np.isfinite(v)}
+    return {
+        "facts": [{"what": what, "says": says} for what, says in facts(d)],
+        "sets": sets,
+    }
+
+
+TITLES = {
+    "disp": "Sets of effects of the actuator, best first",
+    "force": "Sets of effects on the force, best first",
+    "refused": "Other effects on the force, in the best of the shapes that are tried first",
+}
+
+
+def groups(why: dict[str, Any]) -> list[tuple[str, list[dict[str, Any]]]]:
+    """Return the sets of what `to_json` made under their titles, empty ones left out."""
+    out: dict[str, list[dict[str, Any]]] = {key: [] for key in TITLES}
+    for row in why["sets"]:
+        out["refused" if row["fate"] == "refused" else row["channel"]].append(row)
+    return [(TITLES[key], rows) for key, rows in out.items() if rows]
+
+
+def lines(why: dict[str, Any], width: int = 100) -> list[str]:
+    """Return what `to_json` made as lines of a terminal."""
+    out = ["Why:"]
+    column = max((len(row["what"]) for row in why["facts"]), default=0)
+
+    def put(text: str, indent: int, first: str = "") -> None:
+        lead = first or " " * indent
+        out.extend(textwrap.wrap(text, width, initial_indent=lead, subsequent_indent=" " * indent))
+
+    for row in why["facts"]:
+        put(row["says"], column + 4, f"  {row['what']:<{column}}  ")
+    for title, rows in groups(why):
+        out += ["", f"{title}:"]
+        for row in rows:
+            if row["fate"] == "refused":
+                put(f"{words_of(row)}: {row['why']}", 6, "  ")
+                continue
+            put(f"{row['fate']}: {words_of(row)}", 6, "  ")
+            for text in (*row["params"], figures(row), row["why"]):
+                put(text, 8, "      ")
+    return out
+
+
+def words_of(row: dict[str, Any]) -> str:
+    """Return the effects of a set as a laboratory calls them."""
+    return _words(row["effects"])
+
+
+def figures(row: dict[str, Any]) -> str:
+    """Return the figures of a set in words; empty where there are none."""
+    if row["chi2"] is None:
+        return ""
+    left = "" if row["left"] is None else f"; leaves {_percent(row['left'])} of the misfit"
+    return f"chi-squared {count(row['chi2'])}, price {count(row['price'])}{left}"
+
+
+def count(value: float) -> str:
+    """Return a number of chi-squared: whole, its thousands apart."""
+    digits = 2 if abs(value) < 9.95 else 1 if abs(value) < 99.5 else 0
+    return f"{value:,.{digits}f}".replace("-", "−").replace(",", "\u202f")
+
+
+def _gain(value: float) -> str:
+    return count(value) if value > 0.0 else "nothing"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.3g} %" if share >= 5e-5 else "less than 0.01 %"
+
+
+def _words(names: Sequence[str]) -> str:
+    return " with ".join(PLAIN.get(n, n) for n in names)
+
+
+# ---- the force ----------------------------------------------------------------------------------
+
+
+def price_of(problem: Problem, fit: Fit) -> float:
+    """Return what a set on the force has to earn."""
+    ctx = problem.ctx
+    return sum(price(problem, m.effect, m.effect.settings(ctx, m.trial)[1]) for m in fit.members)
+
+
+def _left(search: forces.Search, fit: Fit) -> float:
+    """Return which part of the misfit beyond noise a set leaves."""
+    n = search.problem.y.size * search.problem.estimate.share
+    if search.moved:
+        n = float(fit.residual.size) or n
+    own = float(fit.residual @ fit.residual) if fit.residual.size else fit.chi2
+    excess = own * (1.0 if search.moved else search.scale) / n - 1.0
+    return max(excess, 0.0) / search.excess_before if search.excess_before > 0.0 else float("nan")
+
+
+def _force(d: Diagnosis, search: forces.Search) -> list[Decision]:
+    problem, best = search.problem, search.best
+    believed = d.verdict == "ambiguous" or set(best.names) <= set(d.effects)
+    equal = {f.names for f in search.equal} if believed else set()
+    seen: set[tuple[str, ...]] = set()
+    out = []
+    for fit in [best, *search.equal, *search.fits, *search.rivals]:
+        if fit.names in seen or not fit.members:
+            continue
+        seen.add(fit.names)
+        fate: Fate = "as good" if fit.names in equal else "lost"
+        if fit is best and believed:
+            fate = "as good" if equal else "named"
+        own = price_of(problem, fit)
+        why = _why_force(search, fit, fate, own)
+        if fit is best and not believed:
+            why = f"the best there is, but not named; see the verdict above ({why})"
+        out.append(
+            Decision(
+                "force", fit.names, fate, _params(search, fit), fit.chi2, own, _left(search, fit),
+                why,
+            )
+        )  # fmt: skip
+    return out
+
+
+def _params(search: forces.Search, fit: Fit) -> tuple[str, ...]:
+    ctx = search.problem.ctx
+    return _texts(
+        [(m.name, m.effect.report(ctx, m.trial, b))
+         for m, b in zip(fit.members, fit.betas, strict=True)]
+    )  # fmt: skip
+
+
+def _texts(values: Sequence[tuple[str, dict[str, float]]]) -> tuple[str, ...]:
+    """Return the parameters of each effect in words, with its name where there are several."""
+    texts = [", ".join(value_text(k, v) for k, v in params.items()) for _, params in values]
+    if len(texts) == 1:
+        return tuple(texts)
+    return tuple(f"{PLAIN.get(n, n)}: {t}" for (n, _), t in zip(values, texts, strict=True))
+
+
+def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
+    problem, best = search.problem, search.best
+    gain = search.null.chi2 - fit.chi2
+    if fit is best and best.members:
+        share = _percent(min(search.held_gain, 1.0))
+        held = "" if search.moved else f"; {share} of that holds on rows left out"
+        return f"brings {count(gain)}, {count(gain - own)} beyond its price{held}"
+    if not best.members:
+        return _not_enough(search, fit, gain, own)
+    named = (best.chi2, price_of(problem, best), best.names)
+    if fate == "as good":
+        more = forces.count(problem, fit) - forces.count(problem, best)
+        return (
+            f"{_apart(fit.chi2 - best.chi2)} in chi-squared with {_parameters(more)}; "
+            f"{forces.AMBIGUOUS:g} would part them"
+        )
+    return _against((fit.chi2, own, fit.names), named)
+
+
+def _not_enough(search: forces.Search, fit: Fit, gain: float, own: float) -> str:
+    """Return why a set is not named where none is."""
+    needs = own * (SEVERAL if len(fit.members) > 1 else 1.0)
+    if gain <= needs:
+        return f"brings {_gain(gain)}, where it had to bring {count(needs)}"
+    size = _size(search, fit)
+    if size <= forces.SMALLEST:
+        return (
+            f"brings {count(gain)}, but is {_percent(size)} of the force; less than "
+            f"{_percent(forces.SMALLEST)} is no finding"
+        )
+    if not search.moved:
+        held = forces.held_out_gain(search.problem, fit)
+        if held < HELD:
+            return (
+                f"brings {count(gain)}, of which {_percent(max(held, 0.0))} holds on rows left "
+                f"out; {_percent(HELD)} has to"
+            )
+    return f"brings {count(gain)}; the set before it was refused, and none behind it is looked at"
+
+
+def _size(search: forces.Search, fit: Fit) -> float:
+    """Return the size of a set as a part of the force."""
+    problem = search.problem
+    total = sum(
+        (forces.contribution(problem, fit, i) for i in range(len(fit.members))),
+        start=np.zeros(problem.ctx.t.size),
+    )[problem.rows]
+    whole = float(np.sqrt(np.mean(problem.estimate.force[problem.rows] ** 2))) or 1.0
+    return float(np.std(total) + abs(np.mean(total))) / whole
+
+
+def _against(
+    own: tuple[float, float, tuple[str, ...]], named: tuple[float, float, tuple[str, ...]]
+) -> str:
+    """Return why one set lost to another, each as (chi-squared, price, names)."""
+    (chi2, costs, names), (best, best_costs, best_names) = own, named
+    score = chi2 + costs - best - best_costs
+    if set(names) > set(best_names):
+        more = _words(sorted(set(names) - set(best_names)))
+        return (
+            f"{more} beside the best set brings {_gain(best - chi2)} and costs "
+            f"{count(costs - best_costs)}"
+            + ("" if score >= 0.0 else "; so little of the whole may be the form of a law")
+        )
+    if set(names) < set(best_names):
+        less = _words(sorted(set(best_names) - set(names)))
+        return (
+            f"without {less} chi-squared is {count(chi2 - best)} higher, and the price "
+            f"{count(best_costs - costs)} lower"
+        )
+    if score < 0.0:
+        return (
+            f"better by {count(-score)}, price included, which may be the form of a law: the "
+            "plainer set goes before it"
+        )
+    return f"{count(score)} worse than the best set, price included"
+
+
+def _apart(value: float) -> str:
+    return f"{count(abs(value))} {'behind' if value >= 0.0 else 'ahead'}"
+
+
+def _parameters(more: int) -> str:
+    if more == 0:
+        return "as many parameters"
+    return f"{abs(more)} parameter{'s' if abs(more) > 1 else ''} {'more' if more > 0 else 'less'}"
+
+
+def _refused(search: forces.Search, known: set[str]) -> list[Decision]:
+    """Return what the effects that came into no set bring alone, and beside the best set."""
+    problem = search.problem
+    dictionary = Dictionary(problem)
+    alone = _best_of(dictionary, dictionary.singles())
+    base = dictionary.reduced()[2]
+    beside: dict[str, tuple[float, float]] = {}
+    if search.best.members and not search.moved:
+        groups = [
+            (g,)
+            for g, group in enumerate(dictionary.groups)
+            if not set(group.member.effect.names) & set(search.best.names)
+        ]
+        products = dictionary.beside(search.best)
+        beside = _best_of(dictionary, dictionary.sets(groups, products))
+        floor = products[2]
+    out = []
+    n = problem.y.size * problem.estimate.share
+    free = {nuisance.name for nuisance in problem.nuisances if nuisance.sigma is None}
+    for name, effect in effects.catalogue().items():
+        if name in known or set(effect.names) <= known:
+            continue
+        if name not in alone:
+            why = "not tried: this kind of recording does not show it"
+            if name in free:
+                why = "refitted with the model, which states no tolerance of it"
+            if any(e.name == name for e in problem.effects):
+                why = "not tried: nothing in this recording or model calls for it"
+                if effect.trials(problem.ctx):
+                    why = "helps in none of its shapes: its force would have the wrong sign"
+            nan = float("nan")
+            out.append(Decision("force", (name,), "refused", (), nan, nan, nan, why))
+            continue
+        chi2, costs = alone[name]
+        words = [f"alone it brings {count(max(base - chi2, 0.0))}"]
+        if name in beside:
+            words.append(f"beside the best set {count(max(floor - beside[name][0], 0.0))}")
+        why = f"{', '.join(words)}, and costs {count(costs)}"
+        left = max(chi2 * search.scale / n - 1.0, 0.0) / max(search.excess_before, 1e-12)
+        out.append(Decision("force", (name,), "refused", (), chi2, costs, min(left, 1.0), why))
+    return out
+
+
+def _best_of(
+    dictionary: Dictionary, found: Sequence[tuple[float, tuple[int, ...]]]
+) -> dict[str, tuple[float, float]]:
+    """Return chi-squared and price of the best shape of each effect, by name."""
+    out: dict[str, tuple[float, float]] = {}
+    for chi2, groups in found:
+        name = dictionary.groups[groups[0]].member.name
+        costs = dictionary.penalty(groups)
+        if name not in out or chi2 + costs < sum(out[name]):
+            out[name] = (chi2, costs)
+    return out
+
+
+# ---- the actuator -------------------------------------------------------------------------------
+
+
+def _actuator(disp: Displacement) -> list[Decision]:
+    n = max(disp.task.rows.size, 1)
+    before = disp.null.chi2 / n - 1.0
+    equal = {f.names for f in disp.equal}
+    out: list[Decision] = []
+    seen: set[tuple[str, ...]] = set()
+    for fit in [disp.best, *disp.equal, *disp.rivals]:
+        if fit.names in seen or not fit.effects:
+            continue
+        seen.add(fit.names)
+        fate: Fate = "lost"
+        if fit is disp.best:
+            fate = "named" if disp.known else "lost"
+        elif fit.names in equal:
+            fate = "as good"
+        params = _texts(
+            [(e.name, e.report(disp.task.base, v))
+             for e, v in zip(fit.effects, fit.values, strict=True)]
+        )  # fmt: skip
+        left = max(fit.chi2 / n - 1.0, 0.0) / before if before > 0.0 else float("nan")
+        out.append(
+            Decision(
+                "disp", fit.names, fate, params, fit.misfit(disp.scale), disp.task.price(fit), left,
+                _why_actuator(disp, fit, fate),
+            )
+        )  # fmt: skip
+    return out
+
+
+def _why_actuator(disp: Displacement, fit: ActuatorFit, fate: Fate) -> str:
+    scale, best = disp.scale, disp.best
+    own = disp.task.price(fit)
+    gain = disp.null.misfit(scale) - fit.misfit(scale)
+    if fit is best and fate == "named":
+        return f"brings {count(gain)}, {count(gain - own)} beyond its price"
+    if fit is best:
+        return f"the best there is, but it leaves {_percent(disp.left)} of the misfit"
+    if not best.effects:
+        if gain <= own:
+            return f"brings {_gain(gain)}, where it had to bring {count(own)}"
+        return f"brings {count(gain)}, but moves next to nothing, or one of it does"
+    if fate == "as good":
+        return (
+            f"{_apart(fit.misfit(scale) - best.misfit(scale))} in chi-squared with "
+            f"{_parameters(fit.count - best.count)}; {forces.AMBIGUOUS:g} would part them"
+        )
+    return _against(
+        (fit.misfit(scale), own, fit.names),
+        (best.misfit(scale), disp.task.price(best), best.names),
+    )
+
+
+# ---- what the answer rests on -------------------------------------------------------------------
+
+
+def _verdict(d: Diagnosis) -> str:
+    search = d.force
+    if d.verdict == "unknown" and "heldout_nrmse_after" in d.fit:
+        before, after = d.fit["heldout_nrmse_before"], d.fit["heldout_nrmse_after"]
+        if after > before:
+            return (
+                f"unknown: on the second recording the error grows from {_percent(before)} to "
+                f"{_percent(after)}"
+            )
+    if d.verdict == "unknown":
+        if d.disp is not None and not d.disp.known:
+            left = _percent(d.disp.left)
+            return f"unknown: the best set of the actuator leaves {left} of the misfit"
+        if search is not None and not search.best.members:
+            return (
+                "unknown: no set earns its price, and the model alone leaves "
+                f"{count(search.excess_before + 1.0)} times the noise's power"
+            )
+        if search is not None:
+            share = search.excess_after / max(search.excess_before, 1e-12)
+            return (
+                f"unknown: the best set leaves {_percent(share)} of the misfit, where "
+                f"{_percent(_allowed(d, search))} may be the form of a law"
+            )
+    if d.verdict == "none" and search is not None and search.best.members:
+        return (
+            "none: the best set is no larger than what the motion, the rounding or the data sheet "
+            "leave open"
+        )
+    return {
+        "none": "none: no set earns its price, and what the model alone leaves is noise",
+        "explained": "explained: one set is better than all others, and what it leaves is noise or "
+        "the form of its law",
+        "ambiguous": "ambiguous: several sets fit alike",
+    }.get(d.verdict, d.verdict)
+
+
+def _allowed(d: Diagnosis, search: forces.Search) -> float:
+    size = len(search.best.names)
+    if search.moved:
+        return engine.MOVED.get(size, min(engine.MOVED.values()))
+    blur = 1.0 if search.problem.estimate.exact else 2.5
+    if d.case.model.k_tol is None:
+        return blur * engine.LEFT_FREE
+    return blur * engine.LEFT.get(size, min(engine.LEFT.values()))
+
+
+def _noise(believed: float, sheet: float | None, unit: str) -> str:
+    text = f"{quantity(believed, unit)} believed"
+    if not sheet:
+        return f"{text}; the model states none"
+    return f"{text}, {quantity(sheet, unit)} stated"
+
+
+def _facts_of_displacement(d: Diagnosis, disp: Displacement) -> list[tuple[str, str]]:
+    task, fit = disp.task, disp.best
+    rows = [
+        ("noise of the displacement", _noise(task.sigma, d.case.model.x_std, "m")),
+        ("rows judged, actuator", f"{task.rows.size} of {d.case.t.size}"),
+        (
+            "misfit, actuator",
+            f"{count(disp.null.chi2 / task.rows.size)} times the noise's power before, "
+            f"{count(fit.chi2 / task.rows.size)} after",
+        ),
+    ]
+    if disp.scale > 1.0:
+        rows.append(
+            ("evidence, actuator", f"divided by {count(disp.scale)}: its rows hang together")
+        )
+    if fit.zero_m:
+        rows.append(("zero of the displacement", f"{quantity(fit.zero_m, 'm')} off the command's"))
+    return rows
+
+
+def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]]:
+    problem, model = search.problem, d.case.model
+    found = problem.estimate
+    motion = "estimated from the sensors"
+    if found.exact:
+        motion = "simulated from the command, without noise"
+    if search.moved:
+        motion = "simulated with each set, and held against the measured one"
+    looked = f", one in {problem.thin} of them looked at" if problem.thin > 1 else ""
+    rows = [
+        ("noise of the force", _noise(found.sigma_n, model.f_std, "N")),
+        ("motion", motion),
+        ("rows judged, force", f"{int(found.rows.sum())} of {d.case.t.size}{looked}"),
+        (
+            "misfit, force",
+            f"{count(search.excess_before + 1.0)} times the noise's power before, "
+            f"{count(search.excess_after + 1.0)} after",
+        ),
+    ]
+    if search.scale > 1.0:
+        rows.append(
+            ("evidence, force", f"divided by {count(search.scale)}: its rows hang together")
+        )
+    fit = search.best if search.best.members and d.verdict != "unknown" else search.null
+    for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
+        word, _ = NUISANCE.get(nuisance.name, (nuisance.name, ""))
+        held = "free, no tolerance stated"
+        if nuisance.sigma:
+            held = f"{_moved(nuisance.name, nuisance.sigma)} stated"
+        rows.append((f"tolerance, {word}", f"moved by {_moved(nuisance.name, float(b))}; {held}"))
+    rows.append(("price of a parameter", f"{count(problem.ln_n)}, and 12 for each effect"))
+    return rows
+
+
+def _moved(name: str, value: float) -> str:
+    if name == "stiffness":
+        return f"{100.0 * value:.2f} %".replace("-", "−")
+    return quantity(value, NUISANCE.get(name, ("", ""))[1])

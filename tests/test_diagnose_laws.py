@@ -1,0 +1,210 @@
+"""Forms of laws that the diagnosis tells apart, and the elements that they become."""
+
+from __future__ import annotations
+
+import tomllib
+
+import diagnose_cases as cases
+import numpy as np
+import pytest
+
+from rthyb_rt import config, core
+from rthyb_rt.diagnose import effects, engine, reading
+from rthyb_rt.diagnose.augment import rig_toml
+from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.simulate import Motion
+
+K, H = cases.K, 1 / cases.FS
+
+
+def diagnosed(folder, law, **kwargs):
+    recording, toml = cases.write(folder, cases.channels(law, **kwargs))
+    return engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+
+
+def element(kind, x, v=0.0, a=0.0, **params):
+    return core.Element(core.element(kind, **params)).run(x, v, a, H)
+
+
+@pytest.fixture(scope="module")
+def ctx(tmp_path_factory):
+    _, toml = cases.write(tmp_path_factory.mktemp("ctx"), cases.channels())
+    x, v, a = cases.moved(cases.command())
+    t = np.arange(x.size) * H
+    return Context(reading.read_model(toml), Motion(x, v, a), t, K * x, {})
+
+
+def force_of(found, ctx):
+    return sum(core.Element(one).run(ctx.x, ctx.v, ctx.a, ctx.dt) for one in found)
+
+
+BETAS = {"gap": 1.0, "hysteresis": 0.8, "cubic": 0.7, "stopper": 3e5, "power_damping": 200.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "trial"),
+    [
+        ("hysteresis", Trial((2e-3,), "mp")),
+        ("hysteresis", Trial((2e-3,), "iwan0")),
+        ("hysteresis", Trial((2e-3, 0.7), "iwan")),
+        ("hysteresis", Trial((2e-3, 0.1, 0.2), "kinematic")),
+        ("hysteresis", Trial((2e-3, 0.1, 0.2, 0.3, 0.05), "both")),
+        ("cubic", Trial((5e-3,), "sine")),
+        ("cubic", Trial()),
+        ("cubic", Trial((2.3,), "power")),
+        ("gap", Trial((1e-3,), "deadband")),
+        ("gap", Trial((1e-3, 3e-4), "uneven")),
+        ("stopper", Trial((4e-3,), "up")),
+        ("stopper", Trial((4e-3,), "down")),
+        ("stopper", Trial((4e-3,), "both")),
+        ("power_damping", Trial((0.4,))),
+        ("power_damping", Trial((1.4,))),
+    ],
+)
+def test_elements_of_a_law_give_the_force_that_was_fitted(name, trial, ctx):
+    effect = effects.catalogue()[name]
+    beta = np.array([BETAS[name]])
+    fitted = effect.columns(ctx, trial)[0] * beta[0]
+    found = force_of(effect.elements(ctx, trial, beta), ctx)
+    np.testing.assert_allclose(found, fitted, atol=2e-4 * np.max(np.abs(fitted)))
+
+
+def test_the_slider_of_an_isolator_becomes_a_friction_pendulum_on_a_flat_bowl(ctx):
+    effect, trial = effects.catalogue()["hysteresis"], Trial((4e-4, 50.0), "slider")
+    beta = np.array([600.0, 250.0])
+    fitted = np.column_stack(effect.columns(ctx, trial)) @ beta
+    found = force_of(effect.elements(ctx, trial, beta), ctx)
+    np.testing.assert_allclose(found, fitted, atol=1e-6 * 600.0)
+
+
+def test_every_form_says_what_it_is(ctx):
+    forms = {}
+    for name, effect in effects.catalogue().items():
+        for trial in effect.trials(ctx):
+            forms.setdefault(name, set()).add(effect.form(ctx, trial))
+    assert all(text for texts in forms.values() for text in texts)
+    text = " ".join(forms["hysteresis"])
+    for word in ("Bouc-Wen", "Iwan", "Menegotto-Pinto", "isotropic", "friction pendulum"):
+        assert word in text
+    assert any("sin" in form for form in forms["cubic"])
+    assert any("one" in form or "only" in form for form in forms["stopper"])
+
+
+LAWS = {
+    "hysteresis, Menegotto-Pinto": lambda x, v: (
+        element("menegotto_pinto", x, k_n_per_m=K, post_yield_ratio=0.1, xy_m=3e-3, r0=20.0,
+                cr1=0.925, cr2=0.15) - K * x
+    ),
+    "hysteresis, Iwan": lambda x, v: (
+        element("iwan", x, k_n_per_m=K, post_yield_ratio=0.1, xy_m=3e-3, spread=0.8) - K * x
+    ),
+    "hysteresis, kinematic and isotropic": lambda x, v: (
+        element("chaboche", x, k_n_per_m=K, fy_n=1200.0, kinematic_n_per_m=2e5,
+                recovery_per_m=150.0, isotropic_n=300.0, isotropic_rate_per_m=20.0) - K * x
+    ),
+    "hysteresis, friction pendulum": lambda x, v: element(
+        "friction_pendulum", x, v, weight_n=8e3, radius_m=1e3, mu_slow=0.03, mu_fast=0.07,
+        mu_rate_s_per_m=60.0, xy_m=3e-4,
+    ),
+    "cubic, pendulum": lambda x, v: K * 5e-3 * np.sin(x / 5e-3) - K * x,
+    "cubic, power": lambda x, v: 500.0 * np.sign(x) * np.abs(x / 7e-3) ** 2.3,
+    "gap, dead band from to": lambda x, v: (
+        K * (np.maximum(x - 1e-3, 0.0) + np.minimum(x + 3e-4, 0.0)) - K * x
+    ),
+    "power_damping, fluid": lambda x, v: 400.0 * np.sign(v) * np.abs(v / 0.1) ** 0.5,
+    "stopper, upwards": lambda x, v: 1e6 * np.maximum(x - 5e-3, 0.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_law_is_named_with_its_form_and_becomes_a_rig(law, tmp_path):
+    name, form = law.split(", ", 1)
+    d = diagnosed(tmp_path, lambda t, x, v, a: LAWS[law](x, v), seed=3)
+    assert (d.verdict, d.effects) == ("explained", [name])
+    model = engine.augmented(d)
+    (member,) = [m for m in model.members if m.name == name]
+    said = member.effect.form(d.context, member.trial)
+    assert all(word in said for word in form.split())
+    text, lost = rig_toml(model)
+    assert lost == []
+    config.parse_rig(text)
+    assert tomllib.loads(text)["specimen"]
+
+
+def naive():
+    return "\n".join(line for line in cases.baseline().splitlines() if "_tol" not in line)
+
+
+def test_a_worn_column_beside_a_naive_model_yields_pinches_and_degrades(tmp_path):
+    def law(t, x, v, a):
+        return element(
+            "rc_column", x, k_n_per_m=K, post_yield_ratio=0.05, xy_m=2e-3, eta=2.0, pivot=4.0,
+            ultimate_m=2e-2, strength_lost_at_ultimate=0.2, energy_j=40.0,
+            strength_lost_with_energy=0.2, stiffness_lost_with_energy=0.3, slip=0.2,
+            slip_level=0.3, slip_width=0.2,
+        ) - K * x  # fmt: skip
+
+    recording, toml = cases.write(tmp_path, cases.channels(law, seed=3), naive())
+    d = engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+    assert (d.verdict, d.effects) == ("explained", ["degradation", "hysteresis", "pinching"])
+    params = {k: v for c in d.candidates[:3] for k, v in c.params.items()}
+    assert params["xy_m"] == pytest.approx(2e-3, rel=0.15)
+    assert set(params) == {"xy_m", "alpha", "depth", "width_ratio", "loss", "travel_m"}
+    text, lost = rig_toml(engine.augmented(d))
+    assert lost == []
+    assert any(one.element == "rc_column" for one in config.parse_rig(text).specimen)
+
+
+RIG = """schema = "rthyb-rig/1"
+[rig]
+name = "chain"
+elastic_stiffness_n_per_m = 5e5
+command_hold = "foh"
+[actuator]
+kind = "second-order"
+natural_frequency_hz = 28
+damping_ratio = 0.9
+delay_s = 0.0052
+[[specimen]]
+element = "iwan"
+k_n_per_m = 5e5
+post_yield_ratio = 0.1
+xy_m = 3e-3
+spread = 0.8
+[sensors.displacement]
+noise_std_m = 3e-6
+[sensors.force]
+noise_std_n = 15
+"""
+
+
+def test_a_rig_file_may_have_nothing_but_a_loop_for_a_specimen(tmp_path):
+    def law(t, x, v, a):
+        f = element("iwan", x, k_n_per_m=5e5, post_yield_ratio=0.1, xy_m=3e-3, spread=0.8)
+        plain = 1.004 * K * x + 0.95 * cases.C * v + cases.M * a
+        return f + 100.0 * np.tanh(v / 4e-4) - plain
+
+    recording, _ = cases.write(tmp_path, cases.channels(law, seed=6))
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG, encoding="utf-8")
+    d = engine.diagnose(reading.read_case(recording, reading.read_model(rig)))
+    assert (d.verdict, d.effects) == ("explained", ["coulomb"])
+
+
+@pytest.mark.parametrize("variant", ["slack", "worn"])
+def test_the_column_of_the_core_is_the_one_that_was_fitted(variant, tmp_path):
+    _, toml = cases.write(tmp_path, cases.channels(), naive())
+    x, v, a = cases.moved(cases.command())
+    ctx = Context(reading.read_model(toml), Motion(x, v, a), np.arange(x.size) * H, K * x, {})
+    effect = effects.catalogue()["hysteresis+pinching+degradation"]
+    trial = next(one for one in effect.trials(ctx) if one.variant == variant)
+    fitted = effect.columns(ctx, trial)[0] * 0.9
+    found = force_of(effect.elements(ctx, trial, np.array([0.9])), ctx)
+    np.testing.assert_allclose(found, fitted, atol=1e-9 * np.max(np.abs(fitted)))
+
+
+def test_the_exponent_of_a_fluid_damper_is_found(tmp_path):
+    d = diagnosed(tmp_path, lambda t, x, v, a: 400.0 * np.sign(v) * np.abs(v / 0.1) ** 0.35)
+    (found,) = [c for c in d.candidates if c.name == "power_damping"]
+    assert found.params["exponent"] == pytest.approx(0.35, abs=0.02)
+    assert found.params["F1_N"] == pytest.approx(400.0 * 10**0.35, rel=0.05)
