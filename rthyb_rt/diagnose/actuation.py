@@ -12,7 +12,15 @@ import numpy as np
 
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Param
-from rthyb_rt.diagnose.estimate import GAP_S, away_from_gaps, filled, noise_of
+from rthyb_rt.diagnose.estimate import (
+    GAP_S,
+    Filter,
+    away_from_gaps,
+    filled,
+    likelihood,
+    noise_of,
+)
+from rthyb_rt.diagnose.noise import TRIED
 from rthyb_rt.diagnose.select import SKEW_PRIOR_S, inflation, penalty
 from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, actuator
 
@@ -140,6 +148,7 @@ class Actuation:
         self.u = filled(case.channels["x_cmd"])
         x = case.channels["x_meas"]
         self.sigma = noise_of(x, case.model.x_std)
+        self.own: Filter | None = None
         rows = case.rows & np.isfinite(x) & np.isfinite(case.channels["x_cmd"])
         rest = abs(self.u[0]) < 1e-3 * (np.max(np.abs(self.u)) or 1.0)
         self.first = 0 if rest else int(MASK_S * case.fs_hz)
@@ -163,7 +172,37 @@ class Actuation:
         motion = self.simulate(model)
         off = (self.x - motion.x)[self.rows]
         zero = float(np.mean(off))
-        return (off - zero) / self.sigma, replace(motion, x=motion.x + zero), zero
+        motion = replace(motion, x=motion.x + zero)
+        white = (off - zero) / self.sigma
+        if self.own is not None:
+            white = self.own.whiten(self._between(self.x - motion.x))[self.rows]
+        return white, motion, zero
+
+    def _between(self, off: Floats) -> Floats:
+        """Return a residual with a straight line over the rows that are not judged, (n,)."""
+        return np.interp(np.arange(off.size), self.rows, off[self.rows])
+
+    def left(self, fit: ActuatorFit) -> Floats:
+        """Return what a fit leaves of the displacement, (n,), m; between judged rows a line."""
+        return self._between(self.x - fit.motion.x)
+
+    def hear(self, fits: Sequence[ActuatorFit]) -> bool:
+        """Take the noise for what the likeliest of some fits leaves; return whether it is coloured.
+
+        As of the force, see `noise`.
+        """
+        judged = np.zeros(self.x.size, dtype=np.bool_)
+        judged[self.rows] = True
+
+        def told(fit: ActuatorFit) -> tuple[float, Filter | None]:
+            cost, own = likelihood(
+                self.left(fit), judged, fit.motion.v, self.case.fs_hz, self.sigma,
+                self.case.model.x_std,
+            )  # fmt: skip
+            return cost + self.price(fit), own
+
+        self.own = min((told(f) for f in fits), key=lambda t: t[0])[1]
+        return self.own is not None
 
     def fit(
         self,
@@ -289,7 +328,7 @@ class Actuation:
         It wanders where the mean of a tenth of the recording tells that of the next one better than
         the whole's does (von Neumann's ratio below one; 2 for tenths that know nothing of another).
         """
-        off = fit.residual * self.sigma
+        off = self.left(fit)[self.rows]
         parts = np.array([float(np.mean(p)) for p in np.array_split(off, ZEROS)])
         if off.size < 10 * ZEROS or np.sum(np.diff(parts) ** 2) > np.sum(parts**2):
             return fit.zero_m
@@ -374,6 +413,11 @@ def search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
 
     Returns the fit of nothing, all others best first, and the factor that scales evidence.
     """
+    found = _search(task)
+    return _search(task) if task.hear([found[0], *found[1][:TRIED]]) else found
+
+
+def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
     null = task.fit(())
     if null is None:
         raise SimulationError("the model's own actuator cannot be simulated along this command")

@@ -8,13 +8,31 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rthyb_rt.diagnose import actuation, effects, estimate, force, freebody, localise, rigged
+from rthyb_rt.diagnose import (
+    actuation,
+    effects,
+    estimate,
+    force,
+    freebody,
+    localise,
+    noise,
+    rigged,
+)
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorEffect, ActuatorFit
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import Estimate
 from rthyb_rt.diagnose.predict import Augmented, followed, nrmse, output_error, predict
-from rthyb_rt.diagnose.select import Fit, Problem, clustered, design_of, inflation, price, refine
+from rthyb_rt.diagnose.select import (
+    Fit,
+    Problem,
+    clustered,
+    design_of,
+    inflation,
+    leaning,
+    price,
+    refine,
+)
 from rthyb_rt.diagnose.simulate import Motion
 from rthyb_rt.errors import InputError
 
@@ -66,9 +84,6 @@ MERE_NOISE = 5.0
 """Times the residual where the motion is known, from which all of it is taken for mere noise."""
 NOISE_LEFT = 0.1
 """Misfit beyond noise, in units of the noise, that is never held against a set."""
-SHEET = 1.2
-"""Times a sensor's noise by its data sheet that noise of any colour may have: data sheets are right
-within 20 per cent (the interchange format says so)."""
 BURST = 1.35
 """Times its rms over all that noise may have over a second of it: more is an event."""
 
@@ -198,12 +213,17 @@ def displacement(case: Case) -> Displacement | None:
     ]
     after = best.chi2 / n - 1.0
     left = after / before if before > 0 else 0.0
-    known = after < NOISE_LEFT or left < _allowed(case, len(best.effects) or 1)
-    if not best.effects and before < NOISE_LEFT + 0.3:
-        known = True
+    known = after < NOISE_LEFT or (not best.effects and before < NOISE_LEFT + 0.3)
+    # Noise that takes any colour to fit is to be as large as the sheet says, and no event.
+    known = known and task.own is None
+    known = known or left < _allowed(case, len(best.effects) or 1)
     # As of the force: noise has any colour, and only its white part is measured.
-    rest = best.residual * task.sigma
-    quiet = bool(case.model.x_std) and _mere_noise(rest, case.model.x_std or 0.0, case.fs_hz)
+    quiet = bool(case.model.x_std) and _mere_noise(
+        task.left(best)[task.rows],
+        best.residual,
+        (case.model.x_std or 0.0) * (1.0 + (task.own.scatter if task.own is not None else 0.0)),
+        case.fs_hz,
+    )
     known = known or quiet
     rivals = [f for f in fits if f is not best][:5]
     return Displacement(task, null, best, equal, rivals, scale, left, known, quiet)
@@ -325,6 +345,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             return coloured and bool(done.best.members) and not body.motion(problem, done.best)
 
         search = force.search(problem, progress, body, doubtful)
+        found, search = _in_its_noise(case, found, search, progress)
         if held and not (search.moved and _felt(case, search, ctx)):
             by_balance = search.balance or search
             tried = [search, by_balance] if search.moved else [search]
@@ -338,6 +359,34 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         )
     progress("verdict")
     return _verdict(case, disp, found, ctx, search)
+
+
+def _in_its_noise(
+    case: Case, found: Estimate, search: force.Search, progress: Progress
+) -> tuple[Estimate, force.Search]:
+    """Search again in noise of its own colour, where a set beside such noise is likelier.
+
+    What is left by a set that fits white noise lacks what the set took up of slow noise: each of
+    the sets is tried with the colour of what it leaves itself, nothing at all among them.
+    """
+    if not found.exact:
+        return found, search
+
+    def told(fit: Fit) -> tuple[float, estimate.Filter | None]:
+        cost, own = estimate.likelihood(
+            _left_by(search, fit), found.rows, found.motion.v, case.fs_hz, found.sigma_n,
+            case.model.f_std,
+        )  # fmt: skip
+        return cost + force.cost(search.problem, fit), own
+
+    tried = [told(fit) for fit in (search.null, *search.fits[: noise.TRIED])]
+    own = min(tried, key=lambda t: t[0])[1]
+    if own is None:
+        return found, search
+    progress("noise")
+    now = replace(found, whiten=own.whiten, pieces=own.pieces, scatter=own.scatter)
+    problem = Problem(case, search.problem.ctx, now, effects.catalogue().values())
+    return now, force.search(problem, progress)
 
 
 def _in_the_rig(problem: Problem, progress: Progress) -> tuple[Estimate, Context, force.Search]:
@@ -422,16 +471,21 @@ def _force_known(case: Case, search: force.Search) -> bool:
     if search.moved and search.best.members:
         left = search.excess_after / max(search.excess_before, 1e-12)
         return search.excess_after < NOISE_LEFT or left < MOVED[len(search.best.names)]
+    if search.problem.estimate.coloured and _by_the_sheet(case, search):
+        return True
     if not search.best.members:
         # Small colour that no law earns its price for is not a finding.
-        return (
+        return not search.problem.estimate.coloured and (
             search.excess_before < NOISE_LEFT + 0.15
             or case.model.k_tol is None
             or (_small(search, search.excess_before) and _within(search))
         )
-    if search.excess_after < NOISE_LEFT or (search.scale < 1.5 and search.excess_after < 0.5):
-        # At the noise, or above it without colour: the data sheet's figure is low.
-        return True
+    at_noise = search.excess_after < NOISE_LEFT
+    if at_noise or (search.scale < 1.5 and search.excess_after < 0.5):
+        # At the noise, or above it without colour: the data sheet's figure is low. Noise that takes
+        # any colour to fit is to be as large as the sheet says, and no event.
+        if not search.problem.estimate.coloured:
+            return True
     left = search.excess_after / max(search.excess_before, 1e-12)
     found = search.problem.estimate
     # A moment at which a law begins can be moved to meet much: what is left then is no blur.
@@ -452,24 +506,32 @@ def _by_the_sheet(case: Case, search: force.Search) -> bool:
     sheet = case.model.f_std
     if not sheet or "f_meas" not in case.channels or not _within(search, search.best):
         return False
-    rest = _left_by(search, search.best)[search.problem.estimate.rows]
-    return _mere_noise(rest, sheet, case.fs_hz)
+    found = search.problem.estimate
+    rest = _left_by(search, search.best)
+    return _mere_noise(
+        rest[found.rows], found.whiten(rest)[found.rows], sheet * (1.0 + found.scatter), case.fs_hz
+    )
 
 
-def _mere_noise(rest: Floats, sheet: float, fs_hz: float) -> bool:
-    """Return whether what is left of a channel is within its data sheet, and in no bursts."""
-    rms = float(np.sqrt(np.mean(rest**2)))
-    count = max(int(rest.size / max(fs_hz, 1.0)), 1)
-    loudest = max(float(np.sqrt(np.mean(part**2))) for part in np.array_split(rest, count))
-    return rms < SHEET * sheet and loudest < BURST * rms
+def _mere_noise(rest: Floats, white: Floats, sheet: float, fs_hz: float) -> bool:
+    """Return whether what is left of a channel is within its data sheet, and in no bursts.
+
+    As it is, (n,), and as it would be were its noise white, (n,): slow noise swells by itself, and
+    the rms of one recording scatters about what a sheet states.
+    """
+    count = max(int(white.size / max(fs_hz, 1.0)), 1)
+    loudest = max(_rms(part) for part in np.array_split(white, count))
+    return _rms(rest) < noise.SHEET * sheet and loudest < BURST * _rms(white)
+
+
+def _rms(signal: Floats) -> float:
+    return float(np.sqrt(np.mean(signal**2)))
 
 
 def _left_by(search: force.Search, fit: Fit) -> Floats:
     """Return what model and effects leave of the force, the nuisance as fitted, (n,), N."""
     problem = search.problem
-    rest = problem.estimate.force - problem.ctx.total
-    for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-        rest = rest - b * nuisance.column
+    rest = problem.estimate.force - problem.ctx.total - leaning(problem, fit)
     for i in range(len(fit.members)):
         rest = rest - force.contribution(problem, fit, i)
     return np.asarray(rest)
@@ -748,10 +810,10 @@ def robust_residual(search: force.Search) -> Floats:
     reach = np.array([np.inf if s is None else BENT * s for s in sigmas])
     for _ in range(20):
         beta = _robust(problem, prior)
-        bent = np.abs(beta) > reach
-        if not bent.any():
+        over = np.abs(beta) > reach
+        if not over.any():
             break
-        prior[bent] *= 4.0
+        prior[over] *= 4.0
     out = problem.estimate.force - problem.ctx.total
     for b, nuisance in zip(beta, problem.nuisances, strict=True):
         out = out - b * nuisance.column
@@ -798,9 +860,7 @@ def _errors(
         spread = float(np.std(found.force[rows])) or float(np.std(problem.ctx.spring[rows])) or 1.0
         before = (found.force - problem.ctx.total)[rows]
         fit = search.best if search.best.members and verdict != "unknown" else search.null
-        model = problem.ctx.total.copy()
-        for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-            model += b * nuisance.column
+        model = problem.ctx.total + leaning(problem, fit)
         for i in range(len(fit.members)):
             model += force.contribution(problem, fit, i)
         out["nrmse_before_force"] = float(np.std(before)) / spread

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt.diagnose import noise
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.simulate import Motion
 
@@ -102,6 +103,8 @@ class Estimate:
         exact: whether the motion is simulated, so that it has no noise.
         pieces: whitens pieces of a long residual alone, from their first rows (m,) and their
             length, to (m, length); None where whitening looks at no row but its own.
+        scatter: relative standard deviation of the noise's rms over such a recording, where it has
+            a colour of its own, fitted to what a set leaves; 0: the noise is white.
     """
 
     motion: Motion
@@ -112,6 +115,12 @@ class Estimate:
     exact: bool
     share: float = 1.0
     pieces: Callable[[Floats, Rows, int], Floats] | None = None
+    scatter: float = 0.0
+
+    @property
+    def coloured(self) -> bool:
+        """Whether the noise has a colour of its own."""
+        return self.scatter > 0.0
 
 
 def _extended(signal: Floats, pad: int, odd: bool) -> Floats:
@@ -313,6 +322,61 @@ def _in_pieces(
         return np.asarray(clean[:, MARGIN:-MARGIN])
 
     return whiten
+
+
+@dataclass(frozen=True)
+class Filter:
+    """What makes the noise of a channel white with unit variance.
+
+    Attributes:
+        whiten: all of a signal, (n,) to (n,); linear.
+        pieces: stretches of it, see `Estimate`.
+        scatter: relative standard deviation of the noise's rms over such a recording.
+    """
+
+    whiten: Callable[[Floats], Floats]
+    pieces: Callable[[Floats, Rows, int], Floats]
+    scatter: float
+
+
+def likelihood(
+    residual: Floats,
+    rows: NDArray[np.bool_],
+    velocity: Floats,
+    fs_hz: float,
+    sigma: float,
+    sheet: float | None,
+) -> tuple[float, Filter | None]:
+    """Return -2 ln of the likelihood of what a set of effects leaves, in noise of its colour.
+
+    Up to a constant, with the price of the colour's numbers. The noise is as large as fits best
+    within the data sheet. None instead of a filter where the noise is white.
+
+    Args:
+        residual: what is left of a channel, (n,), in its unit.
+        rows: which of them count, (n,).
+        velocity: of the motion, (n,), m/s.
+        fs_hz: rows per second.
+        sigma: standard deviation of the noise were it white, in the channel's unit.
+        sheet: the same as the data sheet states it.
+    """
+    count = int(rows.sum())
+    stated = sheet / sigma if sheet else 1.0
+    colour = noise.colour_of(residual / sigma, rows, velocity, fs_hz, sheet and stated)
+    if colour is None:
+        white = residual[rows] / sigma
+        size = float(np.sqrt(np.mean(white**2)))
+        level = float(np.clip(size, stated / noise.SHEET, stated * noise.SHEET))
+        return float(white @ white) / level**2 + 2.0 * count * float(np.log(level)), None
+    s = _Spectral.of(residual.size, fs_hz)
+    power = colour.at(s.omega / (2.0 * np.pi))
+    cost = count * float(np.mean(np.log(power))) + colour.count * float(np.log(count))
+    flat, power = np.ones(power.size), sigma**2 * power
+    made = Filter(
+        _coloured(s, power, flat), _in_pieces(s, power, flat, fs_hz), colour.scatter(count, fs_hz)
+    )
+    own = made.whiten(residual)[rows]
+    return float(own @ own) + cost, made
 
 
 def away_from_gaps(

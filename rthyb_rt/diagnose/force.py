@@ -158,10 +158,7 @@ class _Fitter:
                         self.fit(members)
 
     def price(self, fit: Fit) -> float:
-        ctx = self.problem.ctx
-        return sum(
-            price(self.problem, m.effect, m.effect.settings(ctx, m.trial)[1]) for m in fit.members
-        )
+        return cost(self.problem, fit)
 
     def score(self, fit: Fit) -> float:
         return fit.chi2 + self.price(fit)
@@ -179,6 +176,13 @@ def bent(problem: Problem, fit: Fit) -> set[str]:
 def count(problem: Problem, fit: Fit) -> int:
     """Return how many parameters a set has."""
     return sum(m.effect.settings(problem.ctx, m.trial)[1] for m in fit.members)
+
+
+def cost(problem: Problem, fit: Fit) -> float:
+    """Return what a set has to earn."""
+    return sum(
+        price(problem, m.effect, m.effect.settings(problem.ctx, m.trial)[1]) for m in fit.members
+    )
 
 
 class _Mover(_Fitter):

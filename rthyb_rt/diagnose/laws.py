@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.engine import Diagnosis, intervals
-from rthyb_rt.diagnose.select import columns_of
+from rthyb_rt.diagnose.select import columns_of, leaning
 from rthyb_rt.diagnose.words import PLAIN
 
 if TYPE_CHECKING:
@@ -233,9 +233,7 @@ def _of_force(d: Diagnosis, search: forces.Search) -> Rest:
     if d.verdict == "unknown" and d.residual is not None and d.channel == "force":
         left = d.residual
     else:
-        left = found.force - ctx.total
-        for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-            left = left - b * nuisance.column
+        left = found.force - ctx.total - leaning(problem, fit)
     laws = []
     if named:
         laws.append(law_of(search, search.best, _wider(d, search)))

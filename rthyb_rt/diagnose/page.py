@@ -19,6 +19,7 @@ from rthyb_rt.diagnose.engine import Diagnosis
 from rthyb_rt.diagnose.estimate import filled
 from rthyb_rt.diagnose.laws import draw_laws
 from rthyb_rt.diagnose.ranking import rows_of
+from rthyb_rt.diagnose.select import leaning
 from rthyb_rt.diagnose.words import (
     LOOP_WORDS,
     PLAIN,
@@ -313,9 +314,7 @@ def _signals(d: Diagnosis) -> _Signals | None:
         return _only_motion(d, label)
     problem = search.problem
     fit = search.best if search.best.members and d.verdict != "unknown" else search.null
-    after = problem.ctx.total.copy()
-    for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-        after += b * nuisance.column
+    after = problem.ctx.total + leaning(problem, fit)
     for i in range(len(fit.members)):
         after += forces.contribution(problem, fit, i)
     return _Signals(found.force, problem.ctx.total, after, found.rows, "N", "force", label)

@@ -19,6 +19,7 @@ from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context, Effect, Trial
 from rthyb_rt.diagnose.engine import Diagnosis
 from rthyb_rt.diagnose.force import contribution
+from rthyb_rt.diagnose.select import leaning
 
 PROBES = ("coulomb", "viscous", "inertia", "cubic")
 SIZES = (0.16, 0.08, 0.04, 0.02, 0.01, 0.005)
@@ -146,9 +147,7 @@ def _without_findings(d: Diagnosis) -> Case:
     assert ctx is not None
     f = d.case.channels["f_meas"]
     fit = search.best if d.verdict in ("explained", "ambiguous") else search.null
-    model = ctx.total.copy()
-    for b, nuisance in zip(fit.nuisance, search.problem.nuisances, strict=True):
-        model += b * nuisance.column
+    model = ctx.total + leaning(search.problem, fit)
     added = np.zeros_like(f)
     for i in range(len(fit.members)):
         added += contribution(search.problem, fit, i)

@@ -23,6 +23,8 @@ SKEW_PRIOR_S = 5e-5
 """Standard deviation of the time offset between channels: 0.1 ms is normal."""
 MASS_BLUR = 0.005
 """Relative standard deviation that the estimate of a motion puts on the mass."""
+OF_THE_CELL = ("bias", "skew")
+"""Nuisance of the load cell, which nothing carries."""
 BLOCKS = 16
 STRETCHES = 24
 """Stretches of a recording whose misfits scatter independently."""
@@ -63,6 +65,27 @@ def columns_of(ctx: Context, members: Sequence[Member]) -> list[list[Floats]]:
         for i, m in enumerate(members):
             if not m.effect.sensor:
                 out[i] = [cell.effect.carried(ctx, cell.trial, c) for c in out[i]]
+    return out
+
+
+def bending(problem: Problem, members: Sequence[Member]) -> list[Floats]:
+    """Return the columns of the nuisance, each (n,), N, as the load cell shows them.
+
+    What it says of the specimen goes through the cell as the specimen's force does.
+    """
+    out = [n.column for n in problem.nuisances]
+    for cell in (m for m in members if m.effect.carries):
+        for j, n in enumerate(problem.nuisances):
+            if n.name not in OF_THE_CELL:
+                out[j] = cell.effect.carried(problem.ctx, cell.trial, out[j])
+    return out
+
+
+def leaning(problem: Problem, fit: Fit) -> Floats:
+    """Return what the nuisance of a fit adds to the model's force, (n,), N."""
+    out = np.zeros(problem.ctx.t.size)
+    for b, column in zip(fit.nuisance, bending(problem, fit.members), strict=True):
+        out += b * column
     return out
 
 
@@ -190,6 +213,12 @@ class Problem:
             m.effect.sensible(self.ctx, m.trial, b)
             for m, b in zip(fit.members, fit.betas, strict=True)
         )
+
+    def beside(self, members: Sequence[Member]) -> Floats:
+        """Return the judged columns of the nuisance beside a set, (rows, nuisances)."""
+        if not any(m.effect.carries for m in members):
+            return self.base
+        return np.column_stack([self.seen(c) for c in bending(self, members)] or [self.base])
 
     def columns(self, member: Member) -> Floats:
         """Return the judged columns of an effect in one shape, (rows, coefficients)."""
@@ -332,7 +361,7 @@ class Dictionary:
     def beside(self, fit: Fit) -> tuple[Floats, Floats, float]:
         """Return the products with the nuisance and a set, its shapes free to move, taken out."""
         problem = self.problem
-        blocks, pins = [problem.base], [0.0 if n.sigma is None else n.sigma**-2
+        blocks, pins = [problem.beside(fit.members)], [0.0 if n.sigma is None else n.sigma**-2
                                         for n in problem.nuisances]  # fmt: skip
         y = problem.y
         extra = 0.0
@@ -495,7 +524,8 @@ def price(problem: Problem, effect: Effect, count: int) -> float:
 
 def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats]) -> Fit | None:
     """Solve for the linear coefficients of effects whose judged columns are given."""
-    design = np.column_stack([*blocks, problem.base]) if blocks else problem.base
+    base = problem.beside(members)
+    design = np.column_stack([*blocks, base]) if blocks else base
     y = problem.y
     if design.shape[1] == 0:
         return Fit((), (), float(y @ y), 0, residual=y)
@@ -651,7 +681,8 @@ def _design(
     places: Sequence[tuple[int, int]],
     fit: Fit,
 ) -> Floats:
-    return np.column_stack([*_slopes(problem, members, blocks, places, fit), *blocks, problem.base])
+    slopes = _slopes(problem, members, blocks, places, fit)
+    return np.column_stack([*slopes, *blocks, problem.beside(members)])
 
 
 def _slopes(

@@ -1,0 +1,202 @@
+"""Of what colour a channel's noise is, read where the motion has no part in it.
+
+A data sheet states how large noise is, not of what colour. Of what the best set of effects leaves,
+all that lies outside the band of the motion is noise; within the band it may be a law as well, and
+the noise there is what stands to either side of it (Whittle's likelihood of a spectrum, Ark. Mat.
+2 (1953) 423, with one level for each of some bands). All of it together is no larger than the sheet
+allows: a misfit beyond that is a finding, whatever its spectrum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.diagnose.case import Floats
+
+SHEET = 1.25
+"""Times its data sheet that a noise may be, or its inverse: sheets are right within 20 per cent
+(the interchange format says so), and one that states 20 per cent too little is met by 1 / 0.8."""
+BESIDE = 0.01
+"""Part of the motion's power, by velocity, that may lie outside its band, half at either end."""
+OCTAVE = 0.5
+"""Width of one level of the spectrum, octaves, where that holds `LINES` lines."""
+LINES = 12
+"""Least number of lines of one level: it is known to 1 / sqrt(12), 30 per cent, then."""
+STEEPEST = 2.0
+"""Largest power of 1 / f that noise rises with towards slow motion: a random walk."""
+NEAR = 4.0
+"""Times the top of the motion's band up to which noise tells of the noise within."""
+LOUDEST = 6.0
+"""Times its level that the power of a line of noise has; one in 400 has more."""
+SCORINGS = 12
+TRIED = 12
+"""Sets that are tried with the colour of what they leave."""
+FADE_S = 0.25
+"""Time within which rows that are not judged are faded out."""
+EULER = 0.5772156649015329
+"""The mean of the logarithm of a line's power lies so far below the logarithm of the mean."""
+
+
+@dataclass(frozen=True)
+class Colour:
+    """A spectrum of noise, in units of the white noise that stood for it.
+
+    Attributes:
+        f_hz: middles of its levels above the motion, (m,).
+        power: power at each of them over that of the white noise, (m,).
+        red: the same below: a floor, what adds to it at 1 Hz, and the power of 1 / f it goes with.
+        from_hz: where the levels begin to count.
+        least_hz: below this it is taken to change no more: half of the lowest line that was seen.
+    """
+
+    f_hz: Floats
+    power: Floats
+    red: tuple[float, float, float]
+    from_hz: float
+    least_hz: float
+
+    @property
+    def count(self) -> int:
+        """How many numbers it has."""
+        return self.f_hz.size + len(self.red)
+
+    def at(self, f_hz: Floats) -> Floats:
+        """Return the power at any frequencies, over that of the white noise, (n,)."""
+        low = np.maximum(f_hz, self.least_hz)
+        above = _between(low, self.f_hz, self.power)
+        return np.where(low < self.from_hz, _red(low, self.red), above)
+
+    def scatter(self, rows: int, fs_hz: float) -> float:
+        """Return the relative standard deviation of such noise's rms over a number of rows.
+
+        Of a Gaussian process each line of the spectrum scatters by its own power.
+        """
+        power = self.at(np.asarray(np.fft.rfftfreq(rows, 1.0 / fs_hz), dtype=np.float64)[1:])
+        return float(0.5 * np.sqrt(np.sum(power**2)) / np.sum(power))
+
+
+def colour_of(
+    residual: Floats,
+    rows: NDArray[np.bool_],
+    velocity: Floats,
+    fs_hz: float,
+    sheet: float | None,
+) -> Colour | None:
+    """Return the colour of what is left of a channel; None where it is white or cannot be told.
+
+    Args:
+        residual: what is left, over the standard deviation of its noise were that white, (n,).
+        rows: which of them count, (n,).
+        velocity: of the motion, of any unit, (n,).
+        fs_hz: rows per second.
+        sheet: what the data sheet states, in the residual's unit; None: nothing bounds the noise,
+            and a misfit that is no noise could not be told from it.
+    """
+    if not sheet or rows.mean() < 0.5 or rows.size < 256:
+        return None
+    taper = _faded(rows, fs_hz)
+    scale = float(np.sum(taper**2))
+    if scale < 128:
+        return None
+    f_hz = np.asarray(np.fft.rfftfreq(rows.size, 1.0 / fs_hz), dtype=np.float64)
+    mean = float(np.sum(taper * residual) / np.sum(taper))
+    power = np.abs(np.fft.rfft(taper * (residual - mean))) ** 2 / scale
+    moved = np.cumsum(np.abs(np.fft.rfft(taper * velocity)) ** 2)
+    low_hz, high_hz = np.interp([0.5 * BESIDE, 1.0 - 0.5 * BESIDE], moved / moved[-1], f_hz)
+    beside = np.flatnonzero(((f_hz < low_hz) | (f_hz > high_hz)) & (np.arange(f_hz.size) > 1))
+    beside = beside[beside < f_hz.size - 1]
+    if not np.isfinite(power).all() or not moved[-1] > 0.0:
+        return None
+    # With little room above the motion nothing tells its noise from what it makes.
+    if beside.size < 8 * LINES or high_hz > 0.25 * fs_hz:
+        return None
+    high_hz = float(high_hz)
+    # Seen from above only, noise is known as far as it goes on evenly: an octave to either side.
+    below = f_hz[beside[0]] < low_hz
+    near = beside[f_hz[beside] < (NEAR if below else 2.0) * high_hz]
+    above = beside[f_hz[beside] > high_hz]
+    red = _fitted_red(f_hz[near], power[near])
+    found = Colour(*_levels(f_hz[above], power[above]), red, high_hz, 0.5 * float(f_hz[near[0]]))
+    if not _better(found, f_hz[beside], power[beside]):
+        return None
+    total = float(np.mean(found.at(f_hz)))
+    held = float(np.clip(total, (sheet / SHEET) ** 2, (sheet * SHEET) ** 2)) / total
+    return replace(found, power=held * found.power, red=(held * red[0], held * red[1], red[2]))
+
+
+def _faded(rows: NDArray[np.bool_], fs_hz: float) -> Floats:
+    """Return a weight for each row that falls to nothing towards those that do not count."""
+    reach = max(int(FADE_S * fs_hz), 2)
+    inner = np.convolve(~rows, np.ones(2 * reach + 1), mode="same") < 0.5
+    inner[:reach] = inner[-reach:] = False
+    window = np.hanning(2 * reach + 1)
+    return np.convolve(inner, window / window.sum(), mode="same")
+
+
+def _levels(f_hz: Floats, power: Floats) -> tuple[Floats, Floats]:
+    """Return the levels of a spectrum, of `OCTAVE` each where there are lines enough."""
+    cuts = [0]
+    for i in range(1, f_hz.size):
+        if f_hz[i] > f_hz[cuts[-1]] * 2.0**OCTAVE and i - cuts[-1] >= LINES:
+            cuts.append(i)
+    if f_hz.size - cuts[-1] < LINES and len(cuts) > 1:
+        cuts.pop()
+    parts = [slice(a, b) for a, b in zip(cuts, [*cuts[1:], f_hz.size], strict=True)]
+    middles = np.array([float(np.exp(np.mean(np.log(f_hz[p])))) for p in parts])
+    # By the logarithm: a line, such as hum, does not count as noise.
+    logs = np.array([float(np.mean(np.log(power[p] + 1e-300))) + EULER for p in parts])
+    return middles, np.exp(logs)
+
+
+def _between(f_hz: Floats, at_hz: Floats, power: Floats) -> Floats:
+    return np.exp(np.interp(np.log(f_hz), np.log(at_hz), np.log(power)))
+
+
+def _red(f_hz: Floats, red: tuple[float, float, float]) -> Floats:
+    floor, more, slope = red
+    return np.asarray(floor + more * f_hz**-slope)
+
+
+def _fitted_red(f_hz: Floats, power: Floats) -> tuple[float, float, float]:
+    """Return floor, rise at 1 Hz and its slope of greatest Whittle likelihood.
+
+    For each slope the two others by Fisher scoring, neither below nothing.
+    """
+    best, found = np.inf, (float(np.mean(power)), 0.0, 0.0)
+    for slope in np.linspace(0.0, STEEPEST, 9):
+        design = np.column_stack((np.ones(f_hz.size), f_hz**-slope))
+        level = np.full(f_hz.size, float(np.mean(power)))
+        beta = np.zeros(2)
+        for turn in range(SCORINGS):
+            part = design[:, :1] if slope == 0.0 else design
+            # What stands far out of such a spectrum is a line, and no noise.
+            noise = power if turn < SCORINGS // 2 else np.minimum(power, LOUDEST * level)
+            beta = _not_negative(part / level[:, None], noise / level)
+            level = np.maximum(design @ beta, 1e-6 * float(np.mean(power)))
+        likelihood = float(np.sum(np.log(level) + np.minimum(power / level, LOUDEST)))
+        if likelihood < best - 1e-9:
+            best, found = likelihood, (float(beta[0]), float(beta[1]), float(slope))
+    return found
+
+
+def _not_negative(design: Floats, y: Floats) -> Floats:
+    """Return the least squares of one or two coefficients that are not negative, (2,)."""
+    norms = np.sum(design**2, axis=0)
+    alone = np.maximum(design.T @ y / norms, 0.0)
+    if design.shape[1] == 1:
+        return np.array([alone[0], 0.0])
+    both = np.linalg.lstsq(design, y, rcond=None)[0]
+    if (both >= 0.0).all():
+        return np.asarray(both)
+    better = int(np.argmax(alone**2 * norms))
+    return np.where(np.arange(2) == better, alone, 0.0)
+
+
+def _better(found: Colour, f_hz: Floats, power: Floats) -> bool:
+    """Return whether the levels tell the lines better than one for all of them (BIC)."""
+    level, white = found.at(f_hz), float(np.mean(power))
+    gain = np.sum(np.log(white) + power / white) - np.sum(np.log(level) + power / level)
+    return bool(2.0 * gain > found.count * np.log(f_hz.size))

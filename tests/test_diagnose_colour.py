@@ -1,0 +1,182 @@
+"""The colour of a channel's noise: read beside the motion, held by the sheet, never a law's hide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_diagnose_noise import DRIVE, FS_HZ, F_STD, X_STD, C, K, M, motion, written
+
+from rthyb_rt.diagnose import noise
+
+N = 14336
+F_GRID = np.fft.rfftfreq(N, 1.0 / FS_HZ)
+
+
+def coloured(random: np.random.Generator, shape: np.ndarray, size: int = N) -> np.ndarray:
+    """Noise of unit rms whose spectrum has a shape over `F_GRID`, cut out of twice as much."""
+    f = np.fft.rfftfreq(2 * size, 1.0 / FS_HZ)
+    spectrum = np.fft.rfft(random.standard_normal(2 * size))
+    y = np.fft.irfft(spectrum * np.sqrt(np.interp(f, F_GRID, shape)), 2 * size)[:size]
+    return np.asarray(y / np.std(y))
+
+
+def pink() -> np.ndarray:
+    return 1.0 / np.maximum(F_GRID, 0.05)
+
+
+def random_walk_over_white() -> np.ndarray:
+    return 1.0 + (2.0 / np.maximum(F_GRID, 0.05)) ** 2
+
+
+def filtered() -> np.ndarray:
+    return 1.0 / (1.0 + (F_GRID / 80.0) ** 4) + 4e-4
+
+
+def resonant() -> np.ndarray:
+    r = F_GRID / 60.0
+    return (0.5 + 1.0 / np.sqrt((1.0 - r**2) ** 2 + (0.15 * r) ** 2)) ** 2
+
+
+COLOURS = [pink, random_walk_over_white, filtered, resonant]
+
+
+def velocity() -> np.ndarray:
+    return motion(FS_HZ)[3]
+
+
+@pytest.mark.parametrize("colour", COLOURS)
+def test_noise_within_the_band_of_the_motion_is_told_from_beside_it(colour):
+    """From 0.7 to 3.3 Hz nothing is looked at; what stands there is within a factor of 2.5."""
+    inside = (F_GRID > 0.7) & (F_GRID < 3.3)
+    ratios = []
+    for seed in range(8):
+        y = coloured(np.random.default_rng(seed), colour())
+        found = noise.colour_of(y, np.ones(N, dtype=np.bool_), velocity(), FS_HZ, 1.0)
+        assert found is not None
+        truth = colour() / np.mean(colour())
+        ratios.append(np.mean(found.at(F_GRID[inside])) / np.mean(truth[inside]))
+        assert np.mean(found.at(F_GRID)) == pytest.approx(1.0, rel=0.6)
+    assert np.exp(np.mean(np.log(ratios))) == pytest.approx(1.0, rel=0.35)
+    assert 0.4 < min(ratios)
+    assert max(ratios) < 2.5
+
+
+def test_white_noise_is_called_white():
+    """By BIC: not once in forty."""
+    found = [
+        noise.colour_of(
+            np.random.default_rng(seed).standard_normal(N),
+            np.ones(N, dtype=np.bool_), velocity(), FS_HZ, 1.0,
+        )
+        for seed in range(40)
+    ]  # fmt: skip
+    assert found == [None] * 40
+
+
+def test_mains_line_is_not_taken_for_noise():
+    y = np.random.default_rng(3).standard_normal(N)
+    hum = 0.5 * np.sin(2.0 * np.pi * 50.0 * np.arange(N) / FS_HZ)
+    found = noise.colour_of(y + hum, np.ones(N, dtype=np.bool_), velocity(), FS_HZ, 1.0)
+    assert found is None or found.at(np.array([50.0]))[0] < 1.5
+
+
+def test_noise_is_never_larger_than_its_sheet_allows():
+    """Three times the sheet, and all of it below 40 Hz: two thirds are left to be explained."""
+    y = 3.0 * coloured(np.random.default_rng(4), filtered())
+    found = noise.colour_of(y, np.ones(N, dtype=np.bool_), velocity(), FS_HZ, 1.0)
+    assert found is not None
+    assert np.mean(found.at(F_GRID)) <= 1.25**2 * 1.001
+
+
+@pytest.mark.parametrize("broken", ["no sheet", "gaps", "short", "nan"])
+def test_recording_that_tells_no_colour_is_left_white(broken):
+    y, rows = coloured(np.random.default_rng(5), pink()), np.ones(N, dtype=np.bool_)
+    v, sheet = velocity(), 1.0
+    if broken == "no sheet":
+        sheet = None
+    elif broken == "gaps":
+        rows[::2] = False
+    elif broken == "short":
+        y, rows, v = y[:200], rows[:200], v[:200]
+    else:
+        y = np.full(N, np.nan)
+    assert noise.colour_of(y, rows, v, FS_HZ, sheet) is None
+
+
+def recorded(random: np.random.Generator, extra, shape: np.ndarray, of_x: bool = False):
+    """A drive of 14 s in coloured noise of the load cell, or of the displacement."""
+    t, u, x, v, a = motion(FS_HZ)
+    hears = coloured(random, shape, t.size)
+    white = random.standard_normal(t.size)
+    return {
+        "t": t,
+        "x_cmd": u,
+        "x_meas": x + X_STD * (hears if of_x else white),
+        "f_meas": K * x + C * v + M * a + extra(t, x, v) + F_STD * (white if of_x else hears),
+    }
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+@pytest.mark.parametrize("colour", COLOURS)
+def test_load_cell_of_coloured_noise_within_its_sheet_misses_nothing(tmp_path, colour, seed):
+    columns = recorded(np.random.default_rng(seed), lambda t, x, v: 0.0, colour())
+    d = written(tmp_path, columns, DRIVE)
+    assert (d.verdict, d.effects) == ("none", [])
+
+
+@pytest.mark.parametrize("colour", COLOURS)
+def test_displacement_of_coloured_noise_within_its_sheet_misses_nothing(tmp_path, colour):
+    columns = recorded(np.random.default_rng(21), lambda t, x, v: 0.0, colour(), of_x=True)
+    d = written(tmp_path, columns, DRIVE)
+    assert (d.verdict, d.effects) == ("none", [])
+
+
+@pytest.mark.parametrize("colour", COLOURS)
+@pytest.mark.parametrize(
+    ("name", "extra", "param", "value"),
+    [
+        ("coulomb", lambda t, x, v: 60.0 * np.tanh(v / 1e-3), "Fc_N", 60.0),
+        ("cubic", lambda t, x, v: 1.2e9 * x**3, "k3_N_m3", 1.2e9),
+        ("drift", lambda t, x, v: 8.0 * t, "rate_N_s", 8.0),
+    ],
+)
+def test_law_in_coloured_noise_has_its_name_and_no_other(
+    tmp_path, colour, name, extra, param, value
+):
+    columns = recorded(np.random.default_rng(31), extra, colour())
+    d = written(tmp_path, columns, DRIVE)
+    assert (d.verdict, d.effects) == ("explained", [name])
+    found = d.candidates[0]
+    low, high = found.ci95[param]
+    assert found.params[param] == pytest.approx(value, rel=0.15)
+    assert low < value < high
+
+
+@pytest.mark.parametrize("colour", COLOURS)
+def test_force_that_nothing_explains_is_not_taken_for_coloured_noise(tmp_path, colour):
+    """A ripple of the force over 0.4 mm of the displacement, as large as the noise."""
+    columns = recorded(
+        np.random.default_rng(41),
+        lambda t, x, v: 14.0 * F_STD * np.exp(-(((x - 2e-3) / 2e-4) ** 2)) * np.sin(x / 4e-5),
+        colour(),
+    )
+    d = written(tmp_path, columns, DRIVE)
+    assert d.verdict == "unknown"
+
+
+def test_late_load_cell_does_not_make_a_stated_damping_wrong(tmp_path):
+    """What the model's damping may be wrong by comes as late as all of the force."""
+    random = np.random.default_rng(51)
+    t, u, x, v, a = motion(FS_HZ)
+    late_s = 4.0e-3
+    shifted = motion(FS_HZ, 0.004 + late_s)
+    force = K * shifted[2] + 0.85 * C * shifted[3] + M * shifted[4]
+    columns = {
+        "t": t,
+        "x_cmd": u,
+        "x_meas": x + X_STD * random.standard_normal(t.size),
+        "f_meas": force + F_STD * random.standard_normal(t.size),
+    }
+    d = written(tmp_path, columns, DRIVE)
+    assert (d.verdict, d.effects) == ("explained", ["time_skew"])
+    assert d.candidates[0].params["skew_s"] == pytest.approx(late_s, abs=1e-4)
