@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
+from rthyb_rt.diagnose import onset
+from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
 from rthyb_rt.diagnose.freebody import MET_ALONE as MET
 from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.select import (
@@ -135,11 +136,14 @@ class _Fitter:
                 found = None
             self.known[key] = found
             if found is not None:
-                names = found.names
-                old = self.by_names.get(names)
-                if old is None or found.chi2 < old.chi2:
-                    self.by_names[names] = found
+                self.keep(found)
         return self.known[key]
+
+    def keep(self, found: Fit) -> None:
+        """Take a refined set, where it is better than the one of its names."""
+        old = self.by_names.get(found.names)
+        if old is None or self.score(found) < self.score(old):
+            self.by_names[found.names] = found
 
     def relieve(self) -> None:
         """Give the best sets, where they bend a stated number out of its tolerance, its effect.
@@ -400,7 +404,10 @@ def search(
     progress("onset")
     if problem.case.model.k_tol is not None:
         # A naive model is refitted as a whole: what it lacks does not begin anywhere.
-        _late(dictionary, fitter, null, n)
+        for fit in onset.propose(dictionary, fitter)[:LEADING]:
+            for members in _beside(dictionary, fit, 4) if len(fit.members) < 3 else ():
+                fitter.fit(members)
+        onset.settle(fitter, LEADING)
     plain_best = plain_null
     if fitter.by_names:
         best = min(fitter.by_names.values(), key=fitter.score)
@@ -584,108 +591,6 @@ def _promising(
     ]
 
 
-def _late(dictionary: Dictionary, fitter: _Fitter, null: Fit, n: float) -> None:
-    """Try effects that begin in mid-record, where nothing that acts throughout explains enough."""
-    problem = fitter.problem
-    fits = fitter.by_names.values()
-    best = min(fits, key=fitter.score) if fits else None
-    if null.chi2 < 1.05 * n:
-        return
-    left = (best.chi2 - n) / (null.chi2 - n) if best is not None else 1.0
-    if best is not None and (left < 0.02 or inflation(best.residual) < 1.5):
-        return
-    found = []
-    for begin, reduced in dictionary.begun():
-        for chi2, groups in dictionary.sets([(g,) for g in range(len(dictionary.groups))], reduced):
-            found.append((chi2 + dictionary.penalty(groups), begin, groups[0]))
-    found.sort()
-    tried: dict[str, int] = {}
-    for _, begin, g in found:
-        member = dictionary.groups[g].member
-        if member.effect.sensor or member.effect.complete or tried.get(member.name, 0) >= 2:
-            continue
-        if len(tried) >= 8 and member.name not in tried:
-            continue
-        if len(tried) > 4 and member.name in tried:
-            continue
-        tried[member.name] = tried.get(member.name, 0) + 1
-        t0 = float(problem.ctx.t[problem.rows[begin]])
-        late = Late(member.effect)
-        span = float(problem.ctx.t[-1] - problem.ctx.t[0]) / 16
-        at = t0
-        for steps in (np.linspace(-1.0, 1.0, 17), np.linspace(-0.1, 0.1, 21)):
-            solved = []
-            for d in steps:
-                if at + d * span <= problem.ctx.t[0]:
-                    continue
-                m = Member(late, Trial((*member.trial.theta, at + d * span), member.trial.variant))
-                fit = solve(problem, [m], [problem.columns(m)])
-                if fit is not None:
-                    solved.append((fit.chi2, m.trial.theta[-1], m))
-            if not solved:
-                break
-            at = min(solved, key=lambda s: s[0])[1]
-        if solved:
-            fitter.fit([min(solved, key=lambda s: s[0])[2]])
-
-
-class Late(Effect):
-    """An effect that begins in mid-record."""
-
-    def __init__(self, effect: Effect) -> None:
-        self.effect = effect
-        self.name = effect.name
-        self.params = effect.params
-        self.signs = effect.signs
-        self.pinned = effect.pinned
-        self.equation = f"{effect.equation}, from t0 on"
-        self.fingerprint = f"{effect.fingerprint}, from a moment on"
-        self.shown_by = effect.shown_by
-        self._kept: tuple[Context, Trial, list[Floats]] | None = None
-
-    def _whole(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the effect's own columns, kept while only the beginning moves."""
-        inner, kept = self._inner(trial), self._kept
-        if kept is None or kept[0] is not ctx or kept[1] != inner:
-            self._kept = kept = (ctx, inner, self.effect.columns(ctx, inner))
-        return kept[2]
-
-    @staticmethod
-    def _inner(trial: Trial) -> Trial:
-        return Trial(trial.theta[:-1], trial.variant)
-
-    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the effect's own, switched on within a few rows."""
-        step = 0.5 * (1.0 + np.tanh((ctx.t - trial.theta[-1]) / 0.005))
-        return [c * step for c in self._whole(ctx, trial)]
-
-    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return the effect's own parameters."""
-        return self.effect.report(ctx, self._inner(trial), beta)
-
-    def form(self, ctx: Context, trial: Trial) -> str:
-        """Return the effect's own law."""
-        return f"{self.effect.form(ctx, self._inner(trial))}, from {trial.theta[-1]:.4g} s on"
-
-    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return the effect's own judgement."""
-        return self.effect.sensible(ctx, self._inner(trial), beta)
-
-    def settings(
-        self, ctx: Context, trial: Trial
-    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return the effect's own, and the beginning as one more parameter."""
-        own, count = self.effect.settings(ctx, self._inner(trial))
-        return own, count + 1
-
-    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Return the effect's own, and the recording's length."""
-        return [
-            *self.effect.limits(ctx, self._inner(trial)),
-            (max(float(ctx.t[0]), 1e-3), float(ctx.t[-1])),
-        ]
-
-
 def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
     """Return whether no effect of a set can be left out."""
     explained = null.chi2 - fit.chi2
@@ -704,8 +609,9 @@ def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
             return False
         # What moves a stated number is seen against its tolerance, not in the residual.
         least = NEEDED[min(len(fit.names), 3)] * (1.0 if fitter.exact else 2.5)
-        stated = member.name in bent(fitter.problem, without) or (
-            member.name in fitter.stated and not isinstance(fitter, _Mover)
+        stated = not member.effect.late and (
+            member.name in bent(fitter.problem, without)
+            or (member.name in fitter.stated and not isinstance(fitter, _Mover))
         )
         small = rest and own < least * explained and not stated
         if not small or _completes(fitter, fit, without):
@@ -876,6 +782,8 @@ def _twins(fitter: _Fitter, best: Fit, fits: list[Fit]) -> list[Fit]:
     """
     if len(best.members) != 1 or best.members[0].name not in fitter.stated:
         return []
+    if best.members[0].effect.late:
+        return []
     own, known = count(fitter.problem, best), {f.names for f in fits}
     return [
         f
@@ -984,12 +892,14 @@ def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
         return fits
     problem, best = fitter.problem, fits[0]
     form = FORM_ALONE * (null.chi2 - best.chi2)
+    # One that begins in mid-record has been chosen among as many moments, whatever its law.
+    late = any(m.effect.late for m in best.members)
     simple = [
         f
         for f in fits
-        if len(f.names) == len(best.names) > 1
+        if len(f.names) == len(best.names)
         and count(problem, f) < count(problem, best)
-        and set(f.names) & set(best.names)
+        and (late or (len(best.names) > 1 and set(f.names) & set(best.names)))
         and fitter.score(f) - fitter.score(best) < form
         and not _ends_at_noise(fitter, best, f)
     ]

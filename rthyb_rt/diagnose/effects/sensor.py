@@ -109,6 +109,10 @@ class Drift(Effect):
         """Return time since the start."""
         return [ctx.t - ctx.t[0]]
 
+    def begun(self, ctx: Context, columns: list[Floats], t0: float) -> list[Floats]:
+        """Return time since it began: it grows from nothing."""
+        return [np.maximum(ctx.t - t0, 0.0)]
+
 
 class Hum(Effect):
     """Mains or a pump in the load cell's signal."""
