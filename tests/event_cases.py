@@ -52,7 +52,9 @@ def rig(seed: int) -> Rig:
     out.delay_s, out.f_hz, out.zeta = u(0.003, 0.008), u(20.0, 38.0), u(0.6, 1.0)
     out.t = np.arange(round(out.seconds * out.fs_hz)) / out.fs_hz
     out.t0 = out.seconds * u(0.35, 0.65)
-    out.command = u(0.004, 0.012) * shape(out.t, str(random.choice(["random", "cyclic", "sweep"])), random)
+    out.command = u(0.004, 0.012) * shape(
+        out.t, str(random.choice(["random", "cyclic", "sweep"])), random
+    )
     out.x_std = float(np.std(out.command)) * u(2e-4, 6e-4)
     out.f_std = out.k * float(np.std(out.command)) * u(0.003, 0.008)
     return out
@@ -84,7 +86,7 @@ def shape(t: np.ndarray, kind: str, random: np.random.Generator) -> np.ndarray:
 
 
 def moved(bench: Rig, before: dict[str, float], after: dict[str, float]) -> np.ndarray:
-    """x, v, a at the rows, (3, n): the lag exact over fine steps, its numbers another from t0 on."""
+    """x, v, a at the rows, (3, n): the lag exact over fine steps, its numbers others from t0 on."""
     h = 1.0 / (FINE * bench.fs_hz)
     n = (bench.t.size - 1) * FINE + 1
     fine = np.arange(n) * h
@@ -185,4 +187,6 @@ def late(signal: np.ndarray, seconds: float, fs_hz: float) -> np.ndarray:
     pad = 2048
     whole = np.pad(signal, pad, mode="reflect", reflect_type="odd")
     f = np.fft.rfftfreq(whole.size, 1.0 / fs_hz)
-    return np.fft.irfft(np.fft.rfft(whole) * np.exp(-2j * np.pi * f * seconds), whole.size)[pad:-pad]
+    return np.fft.irfft(np.fft.rfft(whole) * np.exp(-2j * np.pi * f * seconds), whole.size)[
+        pad:-pad
+    ]

@@ -83,9 +83,7 @@ def _beside(task: Actuation, base: ActuatorFit) -> list[ActuatorFit]:
     return found
 
 
-def _promising(
-    task: Actuation, base: ActuatorFit, effect: ActuatorEffect
-) -> list[_Promise]:
+def _promising(task: Actuation, base: ActuatorFit, effect: ActuatorEffect) -> list[_Promise]:
     """Return of each variant of an effect the moment from which it would explain most."""
     late = replace(effect, late=True)
     out = []
@@ -120,14 +118,13 @@ def _columns(
     model = replace(base.model, **settings)
     for name, value, step in zip(effect.fields, values, _steps(values), strict=True):
         own = value if effect.name == "rate_limit" else getattr(base.model, name) + step
-        changed.append(task.simulate(replace(model, **{name: float(own)})).x)
+        moved: dict[str, Any] = {name: float(own)}
+        changed.append(task.simulate(replace(model, **moved)).x)
     plain = task.simulate(base.model).x
     return np.column_stack([(c - plain)[task.rows] / task.sigma for c in changed])
 
 
-def _cut(
-    task: Actuation, base: ActuatorFit, columns: Floats
-) -> list[tuple[float, float, Floats]]:
+def _cut(task: Actuation, base: ActuatorFit, columns: Floats) -> list[tuple[float, float, Floats]]:
     """Return (chi-squared, row, coefficients) of the moment from which columns explain most.
 
     Zero and time offset are free beside them, and so are the numbers of the set that there is.

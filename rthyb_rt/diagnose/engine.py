@@ -8,7 +8,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rthyb_rt.diagnose import actuation, effects, estimate, force, freebody, localise, rigged
+from rthyb_rt.diagnose import (
+    actuation,
+    effects,
+    estimate,
+    force,
+    freebody,
+    localise,
+    redundant,
+    rigged,
+)
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorEffect, ActuatorFit
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
@@ -705,7 +714,9 @@ def _located(
     return Diagnosis(
         case, verdict, channel, names, candidates, sets, spans, x_m, v_m_s,
         _errors(disp, found, search, verdict), propose(case, ctx, disp, search, verdict, sets),
-        disp, search, found, ctx, [*case.notes, *_begun(candidates, names)], residual,
+        disp, search, found, ctx,
+        [*case.notes, *_begun(candidates, names), *filter(None, [redundant.disagreement(case)])],
+        residual,
     )  # fmt: skip
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rthyb_rt.diagnose import onset
+from rthyb_rt.diagnose import onset, redundant
 from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
 from rthyb_rt.diagnose.freebody import MET_ALONE as MET
 from rthyb_rt.diagnose.freebody import Body
@@ -126,6 +126,7 @@ class _Fitter:
         self.exact = problem.estimate.exact
         self.rows = problem.y.size * problem.estimate.share
         self.open = FORM_SEEN
+        self.testimony: Callable[[Fit], float] = lambda _: 0.0
 
     def fit(self, members: Iterable[Member]) -> Fit | None:
         members = tuple(members)
@@ -136,6 +137,7 @@ class _Fitter:
                 found = None
             self.known[key] = found
             if found is not None:
+                found.chi2 += self.testimony(found)
                 self.keep(found)
         return self.known[key]
 
@@ -144,6 +146,30 @@ class _Fitter:
         old = self.by_names.get(found.names)
         if old is None or self.score(found) < self.score(old):
             self.by_names[found.names] = found
+
+    def hear(self, known: redundant.Witness, members: Sequence[Member], null: Fit) -> Fit:
+        """Count what channels say of the load cell that tell it besides; return the null as well.
+
+        Args:
+            known: what they say.
+            members: effects in the shapes that are tried first.
+            null: nothing but nuisance.
+        """
+        ranked = sorted(self.by_names.values(), key=self.score)[:LEADING]
+        culprit = redundant.accused(known, members)
+        for fit in (null, *ranked):
+            if culprit is not None and culprit.name not in fit.names:
+                beside = (*fit.members, culprit)
+                if compatible(beside):
+                    self.fit(beside)
+        kept = [f for f in (*self.known.values(), *self.by_names.values()) if f is not None]
+        fits = list({id(f): f for f in kept}.values())
+        self.testimony = redundant.testimony(known, [null, *fits])
+        self.by_names = {}
+        for fit in fits:
+            fit.chi2 += self.testimony(fit)
+            self.keep(fit)
+        return replace(null, chi2=null.chi2 + self.testimony(null))
 
     def relieve(self) -> None:
         """Give the best sets, where they bend a stated number out of its tolerance, its effect.
@@ -422,11 +448,21 @@ def search(
             _sweep(dictionary, fitter, seeds)
         else:
             scale = 1.0
+    known = redundant.witness(problem.case, problem.ctx, problem.estimate)
+    if known is not None:
+        progress("redundant channels")
+        null = fitter.hear(known, [g.member for g in dictionary.groups], null)
+        plain_null += fitter.testimony(null)
+    against = fitter.testimony(null)
+
+    def held(fit: Fit) -> float:
+        # Their channels are rows that no set is fitted to.
+        if against - fitter.testimony(fit) > fitter.price(fit):
+            return 1.0
+        return held_out_gain(problem, fit)
+
     progress("gate")
-    done = _decide(
-        problem, fitter, null, (plain_null, plain_best, n), scale,
-        lambda fit: held_out_gain(problem, fit),
-    )  # fmt: skip
+    done = _decide(problem, fitter, null, (plain_null, plain_best, n), scale, held)
     if body is None:
         return done
     doubted = doubtful(done) or _refused(fitter, done)

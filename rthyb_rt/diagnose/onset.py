@@ -232,9 +232,7 @@ def _with(beside: Sequence[Member], member: Member, start: float) -> list[Member
     return [*beside, Member(Late(member.effect), trial)]
 
 
-def _scan(
-    problem: Problem, members: Sequence[Member], starts: Floats
-) -> list[tuple[float, float]]:
+def _scan(problem: Problem, members: Sequence[Member], starts: Floats) -> list[tuple[float, float]]:
     """Return (chi-squared, beginning) of a set for each beginning of its last effect."""
     last, out = len(members) - 1, []
     blocks = problem.blocks(members)

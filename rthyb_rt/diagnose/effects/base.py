@@ -122,7 +122,7 @@ class Context:
 
 
 SWITCH_S = 0.005
-"""Time in which an effect that begins in mid-record is switched on: a search by slopes needs one."""
+"""Time in which an effect is switched on in mid-record: a search by slopes needs one."""
 Theta = tuple[float, ...]
 
 
