@@ -189,8 +189,7 @@ static void run_part(const lag *s, double from, double to, place *p)
 static lag lag_of(const rthyb_actuator_model *model, const double *u, size_t n)
 {
     const double w = 2.0 * RTHYB_PI * model->natural_frequency_hz;
-    return (lag){
-        .model = model, .u = u, .n = n, .w2 = w * w, .d = 2.0 * model->damping_ratio * w};
+    return (lag){.model = model, .u = u, .n = n, .w2 = w * w, .d = 2.0 * model->damping_ratio * w};
 }
 
 static void run_actuator(const lag *s, size_t first, size_t end, place *p, rows out)

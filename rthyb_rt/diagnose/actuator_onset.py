@@ -25,6 +25,8 @@ MOST = 3
 """Effects that are simulated beside one set."""
 STEP = 1e-3
 """Relative step of a parameter whose slope is taken."""
+NEAR = 25
+"""Moments that are looked at between two of those beside the best one."""
 STEPS = (0.0, 25.0, 5.0)
 """Rows in steps of which the beginning is looked for before each fit; 0: not at all."""
 
@@ -92,10 +94,10 @@ def _promising(task: Actuation, base: ActuatorFit, effect: ActuatorEffect) -> li
             columns = _columns(task, base, effect, settings, values)
         except SimulationError:
             continue
-        for chi2, row, change in _cut(task, base, columns):
-            start = values if effect.name == "rate_limit" else values + change * _steps(values)
-            logged = np.maximum(start, 0.3 * values) if effect.log else start
-            out.append(_Promise(late, settings, logged, row, chi2))
+        chi2, row, change = _cut(task, base, columns)
+        start = values if effect.name == "rate_limit" else values + change * _steps(values)
+        logged = np.maximum(start, 0.3 * values) if effect.log else start
+        out.append(_Promise(late, settings, logged, row, chi2))
     return out
 
 
@@ -124,33 +126,38 @@ def _columns(
     return np.column_stack([(c - plain)[task.rows] / task.sigma for c in changed])
 
 
-def _cut(task: Actuation, base: ActuatorFit, columns: Floats) -> list[tuple[float, float, Floats]]:
+def _cut(task: Actuation, base: ActuatorFit, columns: Floats) -> tuple[float, float, Floats]:
     """Return (chi-squared, row, coefficients) of the moment from which columns explain most.
 
     Zero and time offset are free beside them, and so are the numbers of the set that there is.
     """
-    cuts = np.linspace(0, task.rows.size, BLOCKS + 1).astype(int)
-    if base.before is not None:
-        cuts = np.array([0, np.searchsorted(task.rows, base.before[0]), task.rows.size])
     nuisance = np.column_stack([np.ones(task.rows.size), *_moved_by(task, base)])
-    y = base.residual
-    best: tuple[float, float, Floats] | None = None
     held = nuisance.T @ nuisance
     held[1, 1] += SKEW_PRIOR_S**-2
     held += np.diag(1e-9 * held.diagonal())
-    right = nuisance.T @ y
-    for cut in cuts[1:-1]:
+    y = base.residual
+    from_nuisance = np.linalg.solve(held, nuisance.T @ y)
+
+    def brought(cut: int) -> tuple[float, int, Floats]:
         late = columns[cut:]
         cross = nuisance[cut:].T @ late
         own = late.T @ late - cross.T @ np.linalg.solve(held, cross)
         size = np.sqrt(np.maximum(own.diagonal(), 1e-300))
-        wanted = late.T @ y[cut:] - cross.T @ np.linalg.solve(held, right)
+        wanted = late.T @ y[cut:] - cross.T @ from_nuisance
         scaled = own / np.outer(size, size) + 1e-6 * np.eye(size.size)
         beta = np.linalg.solve(scaled, wanted / size) / size
-        chi2 = float(y @ y - wanted @ beta)
-        if best is None or chi2 < best[0]:
-            best = (chi2, float(task.rows[cut]), beta)
-    return [best] if best is not None else []
+        return float(y @ y - wanted @ beta), cut, beta
+
+    if base.before is not None:
+        cuts = np.array([np.searchsorted(task.rows, base.before[0])])
+        found = min(map(brought, cuts), key=lambda b: b[0])
+    else:
+        cuts = np.linspace(0, task.rows.size, BLOCKS + 1).astype(int)
+        found = min(map(brought, cuts[1:-1]), key=lambda b: b[0])
+        near = np.linspace(-cuts[1], cuts[1], NEAR).astype(int) + found[1]
+        inside = near[(near > 0) & (near < task.rows.size - 1)]
+        found = min([found, *map(brought, inside)], key=lambda b: b[0])
+    return found[0], float(task.rows[found[1]]), found[2]
 
 
 def _moved_by(task: Actuation, base: ActuatorFit) -> list[Floats]:
@@ -185,8 +192,8 @@ def _fitted(task: Actuation, base: ActuatorFit, promise: _Promise) -> ActuatorFi
         fit = task.fit(effects, [(settings, values)], row)
         if fit is None or fit.before is None:
             break
-        best, row = fit, fit.before[0]
-        values = np.array([v for own in fit.values for v in own])
+        best = fit if best is None or fit.chi2 < best.chi2 else best
+        row, values = fit.before[0], np.array([v for own in fit.values for v in own])
     return best
 
 
