@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import StateSpace, butter, lsim, sosfiltfilt
 
 FINE = 8
 
@@ -190,3 +190,56 @@ def late(signal: np.ndarray, seconds: float, fs_hz: float) -> np.ndarray:
     return np.fft.irfft(np.fft.rfft(whole) * np.exp(-2j * np.pi * f * seconds), whole.size)[
         pad:-pad
     ]
+
+
+def on_ground(
+    seed: int,
+    folder: Path,
+    dashpot: float = 0.0,
+    cell: Callable[[np.ndarray, float], np.ndarray] | None = None,
+    felt: Callable[[np.ndarray, float], np.ndarray] | None = None,
+) -> tuple[Path, Path]:
+    """Write a recording of a body on a shaking table, and the laboratory's model; return the paths.
+
+    Args:
+        seed: of all numbers.
+        folder: where they go.
+        dashpot: damping that the model leaves out, as a part of its own.
+        cell, felt: what the load cell shows of the force, and the accelerometer of a, at a rate.
+    """
+    random, fs_hz = np.random.default_rng([2027, seed]), 1024.0
+    u, t = random.uniform, np.arange(round(12.0 * fs_hz)) / fs_hz
+    k, f0, zeta = np.exp(u(*np.log((3e5, 1.5e6)))), u(1.2, 2.4), u(0.03, 0.06)
+    mass = k / (2 * np.pi * f0) ** 2
+    c = 2.0 * zeta * np.sqrt(k * mass)
+    error = np.clip(random.standard_normal(2), -1.5, 1.5)
+    stiff, damp = k * (1 + 0.01 * error[0]), c * (1 + 0.15 * error[1] + dashpot)
+    ag = u(1.0, 2.0) * band(t, 0.4, 6.0, random)
+    system = StateSpace(
+        [[0.0, 1.0], [-stiff / mass, -damp / mass]], [[0.0], [-1.0]], np.eye(2), np.zeros((2, 1))
+    )
+    x, v = lsim(system, ag, t)[1].T
+    force, a = stiff * x + damp * v, -(stiff * x + damp * v) / mass
+    shown = cell(force, fs_hz) if cell else force
+    weighed = felt(a, fs_hz) if felt else a
+    stds = [part * float(np.std(s)) for part, s in ((5e-4, x), (0.006, force), (0.01, a))]
+    noise = [std * random.standard_normal(t.size) for std in stds]
+    columns = {
+        "t": t, "ag": ag, "x_meas": x + noise[0], "f_meas": shown + noise[1],
+        "a_meas": weighed + noise[2],
+    }  # fmt: skip
+    return written(folder, columns, f"""schema = "rthyb-baseline/1"
+family = "ground"
+fs_hz = {fs_hz}
+[specimen]
+k = {k}
+c = {c}
+k_tol = 0.01
+c_tol = 0.15
+[numerical]
+m = {mass}
+[noise]
+x_std = {stds[0]}
+f_std = {stds[1]}
+a_std = {stds[2]}
+""")  # fmt: skip

@@ -4,14 +4,15 @@ seeds other than those that the search was developed on (1 to 3)."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from event_cases import Rig, late, moved, recorded, rig
+from event_cases import Rig, late, moved, on_ground, recorded, rig
 
-from rthyb_rt.diagnose import engine, outcome, reading
+from rthyb_rt.diagnose import engine, outcome, reading, why
 from rthyb_rt.diagnose.simulate import ActuatorModel, actuator
 
 SEEDS = (101, 102)
@@ -215,6 +216,40 @@ def test_crosstalk_of_a_noisy_orthogonal_cell_has_its_true_ratio(seed: int, tmp_
     d = diagnosed(recorded(bench, tmp_path, cell=lambda f, fy: f + ratio * fy, fy_std=0.25))
     assert (d.verdict, d.effects) == ("explained", ["crosstalk"])
     assert d.candidates[0].params["ratio"] == pytest.approx(ratio, rel=0.01)
+
+
+# ---- channels that say the same twice -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_late_cell_on_a_shaking_table_is_no_dashpot(seed: int, tmp_path: Path) -> None:
+    """Around resonance both turn the force alike; the body's own acceleration tells them apart."""
+    d = diagnosed(on_ground(seed, tmp_path, cell=lambda f, fs: late(f, 0.004, fs)))
+    assert (d.verdict, d.effects) == ("explained", ["time_skew"])
+    assert d.candidates[0].params["skew_s"] == pytest.approx(0.004, abs=4e-4)
+    facts = dict(why.facts(d))
+    assert "the load cell's own" in facts["load cell against m a_meas"]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_dashpot_on_a_shaking_table_is_no_late_cell(seed: int, tmp_path: Path) -> None:
+    d = diagnosed(on_ground(seed, tmp_path, dashpot=1.0))
+    assert (d.verdict, d.effects) == ("explained", ["viscous"])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_accelerometer_at_fault_is_said_and_no_witness_against_the_cell(
+    seed: int, tmp_path: Path
+) -> None:
+    """Its charge amplifier delays it by 3 ms and shows it 6 % too large; the cell is right."""
+    paths = on_ground(seed, tmp_path, felt=lambda a, fs: 1.06 * late(a, 0.003, fs))
+    d = diagnosed(paths)
+    (note,) = [n for n in d.notes if n.startswith("a_meas ")]
+    told = re.fullmatch(r"a_meas is \+(.*) % larger and comes \+(.*) ms later than .*", note)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(6.0, abs=0.5)
+    assert float(told[2]) == pytest.approx(3.0, abs=0.15)
+    assert "time_skew" not in d.effects
 
 
 # ---- what follows from it -----------------------------------------------------------------------

@@ -171,6 +171,18 @@ class _Fitter:
             self.keep(fit)
         return replace(null, chi2=null.chi2 + self.testimony(null))
 
+    def held(self, null: Fit) -> Callable[[Fit], float]:
+        """Return how much of a set's gain is there on rows that it was not fitted to."""
+        against = self.testimony(null)
+
+        def share(fit: Fit) -> float:
+            # No set is fitted to the rows of channels that tell the load cell besides.
+            if against - self.testimony(fit) > self.price(fit):
+                return 1.0
+            return held_out_gain(self.problem, fit)
+
+        return share
+
     def relieve(self) -> None:
         """Give the best sets, where they bend a stated number out of its tolerance, its effect.
 
@@ -430,10 +442,7 @@ def search(
     progress("onset")
     if problem.case.model.k_tol is not None:
         # A naive model is refitted as a whole: what it lacks does not begin anywhere.
-        for fit in onset.propose(dictionary, fitter)[:LEADING]:
-            for members in _beside(dictionary, fit, 4) if len(fit.members) < 3 else ():
-                fitter.fit(members)
-        onset.settle(fitter, LEADING)
+        _begun(dictionary, fitter)
     plain_best = plain_null
     if fitter.by_names:
         best = min(fitter.by_names.values(), key=fitter.score)
@@ -453,16 +462,8 @@ def search(
         progress("redundant channels")
         null = fitter.hear(known, [g.member for g in dictionary.groups], null)
         plain_null += fitter.testimony(null)
-    against = fitter.testimony(null)
-
-    def held(fit: Fit) -> float:
-        # Their channels are rows that no set is fitted to.
-        if against - fitter.testimony(fit) > fitter.price(fit):
-            return 1.0
-        return held_out_gain(problem, fit)
-
     progress("gate")
-    done = _decide(problem, fitter, null, (plain_null, plain_best, n), scale, held)
+    done = _decide(problem, fitter, null, (plain_null, plain_best, n), scale, fitter.held(null))
     if body is None:
         return done
     doubted = doubtful(done) or _refused(fitter, done)
@@ -474,6 +475,14 @@ def search(
             by_motion = _moved(dictionary, body, fitter, done.best, *begun)
             return replace(by_motion, balance=done) if by_motion is not None else done
     return done
+
+
+def _begun(dictionary: Dictionary, fitter: _Fitter) -> None:
+    """Try effects that begin in mid-record, others beside them, and then their beginning anew."""
+    for fit in onset.propose(dictionary, fitter)[:LEADING]:
+        for members in _beside(dictionary, fit, 4) if len(fit.members) < 3 else ():
+            fitter.fit(members)
+    onset.settle(fitter, LEADING)
 
 
 def _refused(fitter: _Fitter, done: Search) -> bool:

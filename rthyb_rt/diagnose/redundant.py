@@ -124,6 +124,7 @@ def disagreement(case: Case) -> str:
     # Real and imaginary part have half of a frequency's power each.
     spread = max(1.0, float(np.mean(np.abs(rest[weight > 0.0]) ** 2)))
     unsure = SURE * np.sqrt(0.5 * spread * inverse.diagonal())
+    late /= 1.0 + gain  # of what is larger as well
     words = []
     if abs(gain) - unsure[0] > GAIN:
         words.append(f"is {100.0 * gain:+.2g} % larger")

@@ -21,7 +21,7 @@ class Stiffness(Effect):
 
     name = "stiffness"
     params = (Param("dk_ratio", "", -1.0, 10.0),)
-    equation = "f = dk_ratio k x, or all of the model's force dk_ratio larger"
+    equation = "f = dk_ratio k x"
     fingerprint = "a straight line over displacement, the same at every frequency"
     shown_by = ("sweep", "stiffness stays the same over frequency, mass does not")
 
