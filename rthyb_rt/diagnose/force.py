@@ -142,9 +142,14 @@ class _Fitter:
         return self.known[key]
 
     def keep(self, found: Fit) -> None:
-        """Take a refined set, where it is better than the one of its names."""
+        """Take a refined set, where it is better than the one of its names.
+
+        Forms of a law have no price beside one another; to begin in mid-record has.
+        """
         old = self.by_names.get(found.names)
-        if old is None or self.score(found) < self.score(old):
+        late = any(m.effect.late for m in (*found.members, *(old.members if old else ())))
+        rank = self.score if late else (lambda fit: fit.chi2)
+        if old is None or rank(found) < rank(old):
             self.by_names[found.names] = found
 
     def hear(self, known: redundant.Witness, members: Sequence[Member], null: Fit) -> Fit:
