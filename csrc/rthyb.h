@@ -1528,9 +1528,12 @@ typedef struct {
 } rthyb_actuator_model;
 
 /* Displacement, velocity and acceleration at the rows, begun at rest where the first command is.
- * 0 or RTHYB_E_SERVO; RTHYB_E_LIMIT when it ran off. */
-int rthyb_simulate_actuator(const rthyb_actuator_model *model, const double *x_cmd_m, size_t n,
-                            double *x_m, double *v_m_per_s, double *a_m_per_s2);
+ * Up to a row, which need not be whole, the actuator is another one; place and velocity go on. With
+ * row 0 it is the model throughout. 0 or RTHYB_E_SERVO;
+ * RTHYB_E_LIMIT when it ran off. */
+int rthyb_simulate_actuator(const rthyb_actuator_model *before, const rthyb_actuator_model *model,
+                            double row, const double *x_cmd_m, size_t n, double *x_m,
+                            double *v_m_per_s, double *a_m_per_s2);
 
 typedef struct {
     double period_s, mass_kg;

@@ -93,7 +93,16 @@ static void follow(const lag *s, const passage *p, double h, double u0, double u
     *v = p->vx * y + p->vv * w + slope;
 }
 
-static void run_linear(lag *s, double *x, double *v, double *a)
+/* Where the actuator is, how fast, and the command that it follows there. */
+typedef struct {
+    double x, v, u;
+} place;
+
+typedef struct {
+    double *x, *v, *a;
+} rows;
+
+static void run_linear(const lag *s, size_t first, size_t end, place *p, rows out)
 {
     const rthyb_actuator_model *m = s->model;
     const double late = (m->delay_s + m->shift_s) / m->period_s;
@@ -101,65 +110,119 @@ static void run_linear(lag *s, double *x, double *v, double *a)
     const double knot = late - floor(late), h = m->period_s;
     const passage before = passage_of(s->w2, s->d, knot * h);
     const passage after = passage_of(s->w2, s->d, (1.0 - knot) * h);
-    double at = wanted(s, 0.0, 0.0), speed = 0.0;
-    for (size_t i = 0; i < s->n; i++) {
+    for (size_t i = first; i < end; i++) {
         const double row = (double)i, u0 = wanted(s, row, 0.0), tiny = 1e-9;
-        x[i] = at;
-        v[i] = speed;
-        a[i] = pull(s, u0, at, speed);
+        out.x[i] = p->x;
+        out.v[i] = p->v;
+        out.a[i] = pull(s, u0, p->x, p->v);
         const double u1 = m->hold == RTHYB_FOH ? wanted(s, row + knot, 0.0) : u0;
         const double u2 = m->hold == RTHYB_FOH ? u1 : wanted(s, row + knot + tiny, 0.0);
         const double u3 = m->hold == RTHYB_FOH ? wanted(s, row + 1.0, 0.0) : u2;
-        follow(s, &before, knot * h, u0, u1, &at, &speed);
-        follow(s, &after, (1.0 - knot) * h, u2, u3, &at, &speed);
+        follow(s, &before, knot * h, u0, u1, &p->x, &p->v);
+        follow(s, &after, (1.0 - knot) * h, u2, u3, &p->x, &p->v);
+        p->u = u3;
     }
 }
 
 enum { PIECES = 8 };
 
-static void run_limited(lag *s, double *x, double *v, double *a)
+static void run_limited(const lag *s, size_t first, size_t end, place *p, rows out)
 {
     const rthyb_actuator_model *m = s->model;
     const double h = m->period_s / PIECES, most = m->velocity_limit_m_per_s;
     const int command = most > 0.0 && m->limit_at == 0, actuator = most > 0.0 && m->limit_at == 1;
     const passage piece = passage_of(s->w2, s->d, h);
-    double at = wanted(s, 0.0, 0.0), speed = 0.0, u0 = at;
-    for (size_t i = 0; i < s->n; i++) {
-        x[i] = at;
-        v[i] = speed;
-        a[i] = pull(s, u0, at, speed);
+    for (size_t i = first; i < end; i++) {
+        out.x[i] = p->x;
+        out.v[i] = p->v;
+        out.a[i] = pull(s, p->u, p->x, p->v);
         /* At the limit of its own velocity it does not gain any. */
-        if (actuator && speed * a[i] > 0.0 && fabs(speed) >= most)
-            a[i] = 0.0;
+        if (actuator && p->v * out.a[i] > 0.0 && fabs(p->v) >= most)
+            out.a[i] = 0.0;
         for (int k = 1; k <= PIECES; k++) {
-            double u1 = wanted(s, (double)i + (double)k / PIECES, speed);
+            double u1 = wanted(s, (double)i + (double)k / PIECES, p->v);
             if (command)
-                u1 = u0 + clamp(u1 - u0, -most * h, most * h);
-            const double from = at;
-            follow(s, &piece, h, u0, u1, &at, &speed);
+                u1 = p->u + clamp(u1 - p->u, -most * h, most * h);
+            const double from = p->x;
+            follow(s, &piece, h, p->u, u1, &p->x, &p->v);
             if (actuator) {
-                at = from + clamp(at - from, -most * h, most * h);
-                speed = clamp(speed, -most, most);
+                p->x = from + clamp(p->x - from, -most * h, most * h);
+                p->v = clamp(p->v, -most, most);
             }
-            u0 = u1;
+            p->u = u1;
         }
     }
 }
 
-int rthyb_simulate_actuator(const rthyb_actuator_model *model, const double *x_cmd_m, size_t n,
-                            double *x_m, double *v_m_per_s, double *a_m_per_s2)
+/* From one instant to another within a row, both counted in rows. */
+static void run_part(const lag *s, double from, double to, place *p)
 {
-    if (!actuator_ok(model))
+    const rthyb_actuator_model *m = s->model;
+    const int curved = m->delay_rate_s2_per_m != 0.0 || m->velocity_limit_m_per_s != 0.0;
+    const double late = (m->delay_s + m->shift_s) / m->period_s;
+    const double at = floor(from) + (late - floor(late)), knot = clamp(at, from, to);
+    const double most = m->velocity_limit_m_per_s, tiny = 1e-9;
+    const int pieces = curved ? PIECES : 2;
+    for (int k = 0; k < pieces; k++) {
+        const double even = (to - from) / pieces;
+        const double r0 = curved ? from + k * even : (k ? knot : from);
+        const double r1 = curved ? r0 + even : (k ? to : knot);
+        const double h = (r1 - r0) * m->period_s;
+        if (!(h > 0.0))
+            continue;
+        const double held = wanted(s, r0 + tiny, p->v);
+        double u0 = curved ? p->u : held;
+        double u1 = m->hold == RTHYB_FOH || curved ? wanted(s, r1, p->v) : held;
+        if (most > 0.0 && m->limit_at == 0)
+            u1 = u0 + clamp(u1 - u0, -most * h, most * h);
+        const passage piece = passage_of(s->w2, s->d, h);
+        const double before = p->x;
+        follow(s, &piece, h, u0, u1, &p->x, &p->v);
+        if (most > 0.0 && m->limit_at == 1) {
+            p->x = before + clamp(p->x - before, -most * h, most * h);
+            p->v = clamp(p->v, -most, most);
+        }
+        p->u = u1;
+    }
+}
+
+static lag lag_of(const rthyb_actuator_model *model, const double *u, size_t n)
+{
+    const double w = 2.0 * RTHYB_PI * model->natural_frequency_hz;
+    return (lag){.model = model, .u = u, .n = n, .w2 = w * w, .d = 2.0 * model->damping_ratio * w};
+}
+
+static void run_actuator(const lag *s, size_t first, size_t end, place *p, rows out)
+{
+    const rthyb_actuator_model *m = s->model;
+    if (m->delay_rate_s2_per_m == 0.0 && m->velocity_limit_m_per_s == 0.0)
+        run_linear(s, first, end, p, out);
+    else
+        run_limited(s, first, end, p, out);
+}
+
+int rthyb_simulate_actuator(const rthyb_actuator_model *before, const rthyb_actuator_model *model,
+                            double row, const double *x_cmd_m, size_t n, double *x_m,
+                            double *v_m_per_s, double *a_m_per_s2)
+{
+    if (!actuator_ok(model) || !actuator_ok(before))
         return RTHYB_E_SERVO;
     if (n == 0)
         return 0;
-    const double w = 2.0 * RTHYB_PI * model->natural_frequency_hz;
-    lag s = {
-        .model = model, .u = x_cmd_m, .n = n, .w2 = w * w, .d = 2.0 * model->damping_ratio * w};
-    if (model->delay_rate_s2_per_m == 0.0 && model->velocity_limit_m_per_s == 0.0)
-        run_linear(&s, x_m, v_m_per_s, a_m_per_s2);
-    else
-        run_limited(&s, x_m, v_m_per_s, a_m_per_s2);
+    const lag first = lag_of(before, x_cmd_m, n), then = lag_of(model, x_cmd_m, n);
+    const rows out = {x_m, v_m_per_s, a_m_per_s2};
+    const double last = (double)(n - 1), change = clamp(row, 0.0, last);
+    const size_t whole = (size_t)change;
+    place p = {.x = wanted(change > 0.0 ? &first : &then, 0.0, 0.0)};
+    p.u = p.x;
+    run_actuator(&first, 0, whole, &p, out);
+    if (change > (double)whole) { /* within this row */
+        place kept = p;
+        run_actuator(&first, whole, whole + 1, &kept, out);
+        run_part(&first, (double)whole, change, &p);
+        run_part(&then, change, (double)whole + 1.0, &p);
+    }
+    run_actuator(&then, change > (double)whole ? whole + 1 : whole, n, &p, out);
     return fabs(x_m[n - 1]) <= RTHYB_DISPLACEMENT_MAX_M ? 0 : RTHYB_E_LIMIT;
 }
 

@@ -27,7 +27,11 @@ from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, a
 
 @dataclass(frozen=True)
 class ActuatorEffect:
-    """A parameter, or two, of the actuator's model that may be wrong."""
+    """A parameter, or two, of the actuator's model that may be wrong.
+
+    Attributes:
+        late: from a moment in mid-record on only; up to then the model has it right.
+    """
 
     name: str
     params: tuple[Param, ...]
@@ -36,6 +40,12 @@ class ActuatorEffect:
     fingerprint: str
     shown_by: tuple[str, str]
     log: bool = True
+    late: bool = False
+
+    @property
+    def count(self) -> int:
+        """How many parameters are fitted, a beginning among them."""
+        return len(self.fields) + int(self.late)
 
     def starts(self, base: ActuatorModel, v_max: float) -> list[tuple[dict[str, Any], Floats]]:
         """Return settings of the variants and where to begin each."""
@@ -102,6 +112,8 @@ AT_NOISE = 0.05
 """Misfit beyond noise, in units of the noise, that the estimate of the noise may be wrong by."""
 CHANCE = 1.5
 """Standard deviations of chi-squared by which it lies beyond the noise by chance."""
+ROW = "row"
+"""The field that stands for when an effect begins."""
 LAGS = {"delay", "oil_column"}
 """Effects whose lag a slow motion does not tell apart."""
 TRADES = (1.4, 2.0, 2.8, 4.0)
@@ -110,11 +122,17 @@ SHIFT_MAX_S = 1.5e-4
 """Time offset that is still nuisance: against a large effect its prior alone would give way."""
 
 
+Before = tuple[float, ActuatorModel] | None
+"""What an actuator is up to a row, where it changes in mid-record."""
+
+
 @dataclass
 class ActuatorFit:
     """Effects of the actuator fitted to the displacement.
 
     Attributes:
+        model: the actuator, as it is at the end of the recording.
+        before: what it was up to a row, where an effect begins there.
         motion: as simulated, on the zero of the displacement sensor.
         zero_m: by how much that lies off the command's, mean of the rows.
     """
@@ -128,6 +146,7 @@ class ActuatorFit:
     covariance: Floats | None
     motion: Motion
     zero_m: float = 0.0
+    before: Before = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -159,17 +178,17 @@ class Actuation:
         self.v_max = float(np.max(np.abs(self.simulate(base).v))) or 1e-6
         self.ln_n = float(np.log(max(self.rows.size, 2)))
 
-    def simulate(self, model: ActuatorModel) -> Motion:
-        """Return the motion that a model makes of the recorded command."""
-        return actuator(model, self.u, self.case.fs_hz)
+    def simulate(self, model: ActuatorModel, before: Before = None) -> Motion:
+        """Return the motion that a model, another one up to a row, makes of the command."""
+        return actuator(model, self.u, self.case.fs_hz, before)
 
-    def _residual(self, model: ActuatorModel) -> tuple[Floats, Motion, float]:
+    def residual(self, model: ActuatorModel, before: Before = None) -> tuple[Floats, Motion, float]:
         """Return what a model leaves, less its mean: command and sensor have zeros of their own.
 
         A lag, a gain, a limit of velocity move no mean; what does is the sensor's zero or a
         servo valve's, and to be read as one of them it would bend the others.
         """
-        motion = self.simulate(model)
+        motion = self.simulate(model, before)
         off = (self.x - motion.x)[self.rows]
         zero = float(np.mean(off))
         motion = replace(motion, x=motion.x + zero)
@@ -208,22 +227,20 @@ class Actuation:
         self,
         effects: Sequence[ActuatorEffect],
         starts: Sequence[tuple[dict[str, Any], Floats]] | None = None,
+        row: float = 0.0,
     ) -> ActuatorFit | None:
         """Fit the parameters of some effects and the time offset between the channels.
 
         ``starts`` are settings of variants with the parameters' first values; without them the
-        effect's own, of a single one.
+        effect's own, of a single one. Effects that are late begin within a few rows of ``row``.
         """
         if starts is None:
             starts = effects[0].starts(self.base, self.v_max) if effects else [({}, np.zeros(0))]
-        fields = [f for e in effects for f in e.fields]
 
         def first(start: tuple[dict[str, Any], Floats]) -> float:
             settings, values = start
-            changes: dict[str, Any] = dict(zip(fields, map(float, values), strict=True))
-            model = replace(self.base, **settings, **changes)
             try:
-                r = self._residual(model)[0]
+                r = self.residual(*self.models(effects, settings, values, 0.0, row))[0]
             except SimulationError:
                 return np.inf
             return float(r @ r)
@@ -231,30 +248,49 @@ class Actuation:
         if len(starts) > 2:
             # Of each variant the most promising ones.
             starts = sorted(starts, key=first)[:3]
-        fits = [self._from(effects, settings, start) for settings, start in starts]
+        fits = [self._from(effects, settings, start, row) for settings, start in starts]
         good = [f for f in fits if f is not None]
         return min(good, key=lambda f: f.chi2) if good else None
 
+    def models(
+        self,
+        effects: Sequence[ActuatorEffect],
+        settings: dict[str, Any],
+        values: Sequence[float] | Floats,
+        shift_s: float,
+        row: float,
+    ) -> tuple[ActuatorModel, Before]:
+        """Return the actuator with the effects' values, and what it is up to where one begins."""
+        always: dict[str, Any] = {}
+        later: dict[str, Any] = {}
+        given = iter(values)
+        for effect in effects:
+            for name in effect.fields:
+                (later if effect.late else always)[name] = float(next(given))
+        first = replace(self.base, **settings, **always, shift_s=shift_s)
+        return replace(first, **later), (row, first) if later else None
+
     def _from(
-        self, effects: Sequence[ActuatorEffect], settings: dict[str, Any], start: Floats
+        self, effects: Sequence[ActuatorEffect], settings: dict[str, Any], start: Floats, row: float
     ) -> ActuatorFit | None:
         fields = [f for e in effects for f in e.fields]
         logs = [e.log for e in effects for _ in e.fields]
-        scales = np.array(
-            [{"delay_s": 1e-3, "kappa_s2_m": 1e-2}.get(f, 1.0) for f in fields] + [1e-5]
-        )
+        if any(e.late for e in effects):  # when they begin, in rows, is fitted as well
+            fields, logs, start = [*fields, ROW], [*logs, False], np.r_[start, row]
+        own_scales = {"delay_s": 1e-3, "kappa_s2_m": 1e-2}
+        scales = np.array([own_scales.get(f, 1.0) for f in fields] + [1e-5])
 
-        def model(p: Floats) -> ActuatorModel:
+        def model(p: Floats) -> tuple[ActuatorModel, Before]:
             values = [
                 float(np.exp(q * s)) if log else float(q * s)
                 for q, s, log in zip(p[:-1], scales[:-1], logs, strict=True)
             ]
-            changes: dict[str, Any] = dict(zip(fields, values, strict=True))
-            return replace(self.base, **settings, **changes, shift_s=float(p[-1] * scales[-1]))
+            at = values.pop() if ROW in fields else 0.0
+            return self.models(effects, settings, values, float(p[-1] * scales[-1]), at)
 
         # One more row holds the prior of the time offset.
         def residual(p: Floats) -> Floats:
-            r = self._residual(model(p))[0]
+            r = self.residual(*model(p))[0]
             return np.asarray(np.r_[r, p[-1] * scales[-1] / SKEW_PRIOR_S])
 
         p = (
@@ -302,7 +338,7 @@ class Actuation:
                 damping *= 10.0
             if not better or gain < 1e-5 * chi2 + 0.02:
                 break
-        best = model(p)
+        best, before = model(p)
         values, j = [], 0
         for effect in effects:
             values.append(tuple(float(getattr(best, f)) for f in effect.fields))
@@ -316,10 +352,10 @@ class Actuation:
             ]
             + [scales[-1]]
         )
-        whole, motion, zero = self._residual(best)
+        whole, motion, zero = self.residual(best, before)
         return ActuatorFit(
-            tuple(effects), best, tuple(values), chi2, len(fields), whole,
-            inverse * np.outer(chain, chain), motion, zero,
+            tuple(effects), best, tuple(values), chi2, sum(e.count for e in effects), whole,
+            inverse * np.outer(chain, chain), motion, zero, before,
         )  # fmt: skip
 
     def late_zero(self, fit: ActuatorFit) -> float:
@@ -340,7 +376,7 @@ class Actuation:
 
     def price_of(self, effect: ActuatorEffect) -> float:
         """Return what one effect has to earn."""
-        return penalty(self.ln_n, len(effect.fields))
+        return penalty(self.ln_n, effect.count)
 
 
 def _warm(
@@ -385,7 +421,8 @@ def _parts(task: Actuation, fit: ActuatorFit) -> list[ActuatorFit]:
         rest = tuple(e for e in fit.effects if e is not gone)
         settings = {"kappa_of": fit.model.kappa_of, "vmax_of": fit.model.vmax_of}
         values = [float(getattr(fit.model, f)) for e in rest for f in e.fields]
-        found.append(task.fit(rest, [(settings, np.array(values))]))
+        row = fit.before[0] if fit.before else 0.0
+        found.append(task.fit(rest, [(settings, np.array(values))], row))
     return [f for f in found if f is not None]
 
 
@@ -418,6 +455,9 @@ def search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
 
 
 def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
+    """Fit nothing, every effect, and pairs and triples in the noise as it is heard so far."""
+    from rthyb_rt.diagnose import actuator_onset
+
     null = task.fit(())
     if null is None:
         raise SimulationError("the model's own actuator cannot be simulated along this command")
@@ -430,6 +470,8 @@ def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
     fits = [f for f in singles if f is not None]
     known = {f.names[0]: f for f in fits}
     n = max(task.rows.size, 1)
+    # First what begins in mid-record alone: where that is all, no pair throughout is looked for.
+    fits += actuator_onset.propose(task, null, fits)
     for size in (2, 3):
         best = min(fits, key=lambda f: f.chi2)
         left = best.chi2 - n
@@ -439,7 +481,7 @@ def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
         # ends the search for a pair; a delay and an oil column may leave less than that.
         stated = size == 2 and task.case.model.k_tol is not None
         if left < (CHANCE * np.sqrt(2.0 * n) if stated else 0.05 * n + 2e-3 * (null.chi2 - n)):
-            if not stated or best.names[0] not in LAGS:
+            if not stated or best.before or best.names[0] not in LAGS:
                 break
             groups = [g for g in groups if {e.name for e in g} == LAGS]
         for group in groups:
@@ -449,6 +491,7 @@ def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
             if starts and (f := task.fit(group, starts)) is not None:
                 fits.append(f)
         fits += _parts(task, min(fits, key=lambda f: f.chi2))
+    fits += actuator_onset.propose_beside(task, fits)
     scale = inflation(min(fits, key=lambda f: f.chi2).residual)
     fits.sort(key=lambda f: f.misfit(scale) + task.price(f))
     first: dict[tuple[str, ...], ActuatorFit] = {}

@@ -73,9 +73,11 @@ def specimen(model: Augmented) -> Specimen:
 def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]:
     """Return a rig file's text, and what it cannot hold.
 
-    The specimen's effects become elements; those of sensors become sensor settings where there are
+    What began in mid-record is there throughout. The specimen's effects become elements; those of
+    sensors become sensor settings where there are
     such; the rest is named.
     """
+    model = model.lasting()
     made, base = specimen(model), model.model
     elements, bias, lost = made.elements, made.bias_n, list(made.lost)
     lag = model.actuator

@@ -16,6 +16,7 @@ from rthyb_rt.diagnose import (
     freebody,
     localise,
     noise,
+    redundant,
     rigged,
 )
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorEffect, ActuatorFit
@@ -99,6 +100,7 @@ class Found:
         signal: what it adds along the recording, N or m, (n,).
         shape: variant of its law and shape parameters, for the report.
         form: the law itself in a few words, of those that share the name.
+        from_s: when it begins, where that is in mid-record, s.
     """
 
     name: str
@@ -110,6 +112,7 @@ class Found:
     signal: Floats | None = None
     shape: str = ""
     form: str = ""
+    from_s: float | None = None
 
 
 @dataclass
@@ -489,7 +492,7 @@ def _force_known(case: Case, search: force.Search) -> bool:
     left = search.excess_after / max(search.excess_before, 1e-12)
     found = search.problem.estimate
     # A moment at which a law begins can be moved to meet much: what is left then is no blur.
-    late = any(isinstance(m.effect, force.Late) for m in search.best.members)
+    late = any(m.effect.late for m in search.best.members)
     blur = 1.0 if found.exact or late else 2.5
     return _small(search, search.excess_after) or left < blur * _allowed(
         case, len(search.best.names)
@@ -746,7 +749,9 @@ def _located(
         for c in candidates:
             if c.name in names and c.signal is not None:
                 parts.append(c.signal)
-                mask |= localise.active(c.signal, case.fs_hz)
+                acts = localise.active(c.signal, case.fs_hz)
+                # Its running rms looks ahead by half a window.
+                mask |= acts & (case.t >= (case.t[0] if c.from_s is None else c.from_s))
         if candidates and candidates[0].channel == "disp":
             channel = "disp"
     x_m, v_m_s = [0.0, 0.0], [0.0, 0.0]
@@ -763,8 +768,20 @@ def _located(
     return Diagnosis(
         case, verdict, channel, names, candidates, sets, spans, x_m, v_m_s,
         _errors(disp, found, search, verdict), propose(case, ctx, disp, search, verdict, sets),
-        disp, search, found, ctx, list(case.notes), residual,
+        disp, search, found, ctx,
+        [*case.notes, *_begun(candidates, names), *filter(None, [redundant.disagreement(case)])],
+        residual,
     )  # fmt: skip
+
+
+def _begun(candidates: list[Found], names: list[str]) -> list[str]:
+    """Return a note for each effect named that begins in mid-record."""
+    return [
+        f"{c.name} begins at {c.from_s:.4g} s; the augmented model, and a prediction of another "
+        "recording, have it throughout"
+        for c in candidates
+        if c.name in names and c.from_s is not None
+    ]
 
 
 def _without_noise(residual: Floats, noise: float, fs_hz: float, share: float = 1.0) -> Floats:
@@ -914,6 +931,7 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
                         force.contribution(problem, fit, i) if number == 0 else None,
                         f"{m.trial.variant} {m.trial.theta}".strip(),
                         m.effect.form(ctx, m.trial),
+                        float(ctx.t[0]) + m.trial.theta[-1] if m.effect.late else None,
                     )
                 )  # fmt: skip
         if number and len(out) > 8:
@@ -1065,18 +1083,21 @@ def _disp_found(disp: Displacement) -> list[Found]:
                 continue
             seen.add(effect.name)
             signal = None
+            since = fit.before[0] if fit.before and effect.late else 0.0
             if number == 0:
-                from dataclasses import replace
-
                 changes: dict[str, Any] = dict(zip(effect.fields, values, strict=True))
                 alone = replace(
                     disp.task.base, kappa_of=fit.model.kappa_of, vmax_of=fit.model.vmax_of,
                     **changes,
                 )  # fmt: skip
-                signal = disp.task.simulate(alone).x - plain.x
+                signal = disp.task.simulate(alone, (since, disp.task.base)).x - plain.x
+            begins = float(disp.task.case.t[0]) + since * disp.task.case.dt
+            form = f"{effect.equation}, from {begins:.5g} s on" if effect.late else ""
+            from_s = begins if effect.late else None
             out.append(
                 Found(effect.name, "disp", float(weight), params, ci,
-                      fit.misfit(disp.scale) - disp.null.misfit(disp.scale), signal)
+                      fit.misfit(disp.scale) - disp.null.misfit(disp.scale), signal, form=form,
+                      from_s=from_s)
             )  # fmt: skip
     return out
 
@@ -1117,6 +1138,7 @@ def to_json(d: Diagnosis) -> dict[str, Any]:
             {"name": c.name, "score": c.score, "params": c.params, "ci95": c.ci95,
              "delta_bic": c.evidence, "channel": c.channel}
             | ({"form": c.form} if c.form else {}) | _work(d, c)
+            | ({"from_s": c.from_s} if c.from_s is not None else {})
             for c in known
         ],
         "ambiguous_with": d.ambiguous_with,

@@ -21,6 +21,8 @@ from rthyb_rt.diagnose.simulate import Motion
 
 Complex = NDArray[np.complex128]
 Rows = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Filter = Callable[[Floats], Floats]
 ACCURACY = 0.004
 """Part of the force that a body's free motion tells at best."""
 SHIFT_S = 0.025
@@ -266,12 +268,18 @@ def aligned(case: Case, parts: list[Floats], sigma: float) -> Floats:
     )
 
 
-def quiet(signal: Floats, fs_hz: float, sigma: float) -> Floats:
-    """Return a signal without the noise outside its band, (n,)."""
+def band_of(signal: Floats, fs_hz: float, sigma: float) -> Filter:
+    """Return the filter (Wiener's) that takes white noise off a signal of shape (n,)."""
     s = _Spectral.of(signal.size, fs_hz)
     spectrum = s.forward(signal, odd=True)
     power = _envelope(_above_noise(spectrum, signal.size + 2 * s.pad, sigma), s.omega)
-    return s.back(spectrum * power / (power + sigma**2))
+    gain = power / (power + sigma**2)
+    return lambda other: s.back(gain * s.forward(other, odd=True))
+
+
+def quiet(signal: Floats, fs_hz: float, sigma: float) -> Floats:
+    """Return a signal without the noise outside its band, (n,)."""
+    return band_of(signal, fs_hz, sigma)(signal)
 
 
 def _edges(rows: NDArray[np.bool_], fs_hz: float, x: Floats) -> NDArray[np.bool_]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
+from rthyb_rt.diagnose import onset, redundant
+from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
 from rthyb_rt.diagnose.freebody import MET_ALONE as MET
 from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.select import (
@@ -125,6 +126,7 @@ class _Fitter:
         self.exact = problem.estimate.exact
         self.rows = problem.y.size * problem.estimate.share
         self.open = FORM_SEEN
+        self.testimony: Callable[[Fit], float] = lambda _: 0.0
 
     def fit(self, members: Iterable[Member]) -> Fit | None:
         members = tuple(members)
@@ -135,11 +137,56 @@ class _Fitter:
                 found = None
             self.known[key] = found
             if found is not None:
-                names = found.names
-                old = self.by_names.get(names)
-                if old is None or found.chi2 < old.chi2:
-                    self.by_names[names] = found
+                found.chi2 += self.testimony(found)
+                self.keep(found)
         return self.known[key]
+
+    def keep(self, found: Fit) -> None:
+        """Take a refined set, where it is better than the one of its names.
+
+        Forms of a law have no price beside one another; to begin in mid-record has.
+        """
+        old = self.by_names.get(found.names)
+        late = any(m.effect.late for m in (*found.members, *(old.members if old else ())))
+        rank = self.score if late else (lambda fit: fit.chi2)
+        if old is None or rank(found) < rank(old):
+            self.by_names[found.names] = found
+
+    def hear(self, known: redundant.Witness, members: Sequence[Member], null: Fit) -> Fit:
+        """Count what channels say of the load cell that tell it besides; return the null as well.
+
+        Args:
+            known: what they say.
+            members: effects in the shapes that are tried first.
+            null: nothing but nuisance.
+        """
+        ranked = sorted(self.by_names.values(), key=self.score)[:LEADING]
+        culprit = redundant.accused(known, members)
+        for fit in (null, *ranked):
+            if culprit is not None and culprit.name not in fit.names:
+                beside = (*fit.members, culprit)
+                if compatible(beside):
+                    self.fit(beside)
+        kept = [f for f in (*self.known.values(), *self.by_names.values()) if f is not None]
+        fits = list({id(f): f for f in kept}.values())
+        self.testimony = redundant.testimony(known, [null, *fits])
+        self.by_names = {}
+        for fit in fits:
+            fit.chi2 += self.testimony(fit)
+            self.keep(fit)
+        return replace(null, chi2=null.chi2 + self.testimony(null))
+
+    def held(self, null: Fit) -> Callable[[Fit], float]:
+        """Return how much of a set's gain is there on rows that it was not fitted to."""
+        against = self.testimony(null)
+
+        def share(fit: Fit) -> float:
+            # No set is fitted to the rows of channels that tell the load cell besides.
+            if against - self.testimony(fit) > self.price(fit):
+                return 1.0
+            return held_out_gain(self.problem, fit)
+
+        return share
 
     def relieve(self) -> None:
         """Give the best sets, where they bend a stated number out of its tolerance, its effect.
@@ -404,7 +451,7 @@ def search(
     progress("onset")
     if problem.case.model.k_tol is not None:
         # A naive model is refitted as a whole: what it lacks does not begin anywhere.
-        _late(dictionary, fitter, null, n)
+        _begun(dictionary, fitter)
     plain_best = plain_null
     if fitter.by_names:
         best = min(fitter.by_names.values(), key=fitter.score)
@@ -419,11 +466,13 @@ def search(
             _sweep(dictionary, fitter, seeds)
         else:
             scale = 1.0
+    known = redundant.witness(problem.case, problem.ctx, problem.estimate)
+    if known is not None:
+        progress("redundant channels")
+        null = fitter.hear(known, [g.member for g in dictionary.groups], null)
+        plain_null += fitter.testimony(null)
     progress("gate")
-    done = _decide(
-        problem, fitter, null, (plain_null, plain_best, n), scale,
-        lambda fit: held_out_gain(problem, fit),
-    )  # fmt: skip
+    done = _decide(problem, fitter, null, (plain_null, plain_best, n), scale, fitter.held(null))
     if body is None:
         return done
     doubted = doubtful(done) or _refused(fitter, done)
@@ -435,6 +484,14 @@ def search(
             by_motion = _moved(dictionary, body, fitter, done.best, *begun)
             return replace(by_motion, balance=done) if by_motion is not None else done
     return done
+
+
+def _begun(dictionary: Dictionary, fitter: _Fitter) -> None:
+    """Try effects that begin in mid-record, others beside them, and then their beginning anew."""
+    for fit in onset.propose(dictionary, fitter)[:LEADING]:
+        for members in _beside(dictionary, fit, 4) if len(fit.members) < 3 else ():
+            fitter.fit(members)
+    onset.settle(fitter, LEADING)
 
 
 def _refused(fitter: _Fitter, done: Search) -> bool:
@@ -588,108 +645,6 @@ def _promising(
     ]
 
 
-def _late(dictionary: Dictionary, fitter: _Fitter, null: Fit, n: float) -> None:
-    """Try effects that begin in mid-record, where nothing that acts throughout explains enough."""
-    problem = fitter.problem
-    fits = fitter.by_names.values()
-    best = min(fits, key=fitter.score) if fits else None
-    if null.chi2 < 1.05 * n:
-        return
-    left = (best.chi2 - n) / (null.chi2 - n) if best is not None else 1.0
-    if best is not None and (left < 0.02 or inflation(best.residual) < 1.5):
-        return
-    found = []
-    for begin, reduced in dictionary.begun():
-        for chi2, groups in dictionary.sets([(g,) for g in range(len(dictionary.groups))], reduced):
-            found.append((chi2 + dictionary.penalty(groups), begin, groups[0]))
-    found.sort()
-    tried: dict[str, int] = {}
-    for _, begin, g in found:
-        member = dictionary.groups[g].member
-        if member.effect.sensor or member.effect.complete or tried.get(member.name, 0) >= 2:
-            continue
-        if len(tried) >= 8 and member.name not in tried:
-            continue
-        if len(tried) > 4 and member.name in tried:
-            continue
-        tried[member.name] = tried.get(member.name, 0) + 1
-        t0 = float(problem.ctx.t[problem.rows[begin]])
-        late = Late(member.effect)
-        span = float(problem.ctx.t[-1] - problem.ctx.t[0]) / 16
-        at = t0
-        for steps in (np.linspace(-1.0, 1.0, 17), np.linspace(-0.1, 0.1, 21)):
-            solved = []
-            for d in steps:
-                if at + d * span <= problem.ctx.t[0]:
-                    continue
-                m = Member(late, Trial((*member.trial.theta, at + d * span), member.trial.variant))
-                fit = solve(problem, [m], [problem.columns(m)])
-                if fit is not None:
-                    solved.append((fit.chi2, m.trial.theta[-1], m))
-            if not solved:
-                break
-            at = min(solved, key=lambda s: s[0])[1]
-        if solved:
-            fitter.fit([min(solved, key=lambda s: s[0])[2]])
-
-
-class Late(Effect):
-    """An effect that begins in mid-record."""
-
-    def __init__(self, effect: Effect) -> None:
-        self.effect = effect
-        self.name = effect.name
-        self.params = effect.params
-        self.signs = effect.signs
-        self.pinned = effect.pinned
-        self.equation = f"{effect.equation}, from t0 on"
-        self.fingerprint = f"{effect.fingerprint}, from a moment on"
-        self.shown_by = effect.shown_by
-        self._kept: tuple[Context, Trial, list[Floats]] | None = None
-
-    def _whole(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the effect's own columns, kept while only the beginning moves."""
-        inner, kept = self._inner(trial), self._kept
-        if kept is None or kept[0] is not ctx or kept[1] != inner:
-            self._kept = kept = (ctx, inner, self.effect.columns(ctx, inner))
-        return kept[2]
-
-    @staticmethod
-    def _inner(trial: Trial) -> Trial:
-        return Trial(trial.theta[:-1], trial.variant)
-
-    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the effect's own, switched on within a few rows."""
-        step = 0.5 * (1.0 + np.tanh((ctx.t - trial.theta[-1]) / 0.005))
-        return [c * step for c in self._whole(ctx, trial)]
-
-    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return the effect's own parameters."""
-        return self.effect.report(ctx, self._inner(trial), beta)
-
-    def form(self, ctx: Context, trial: Trial) -> str:
-        """Return the effect's own law."""
-        return f"{self.effect.form(ctx, self._inner(trial))}, from {trial.theta[-1]:.4g} s on"
-
-    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return the effect's own judgement."""
-        return self.effect.sensible(ctx, self._inner(trial), beta)
-
-    def settings(
-        self, ctx: Context, trial: Trial
-    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return the effect's own, and the beginning as one more parameter."""
-        own, count = self.effect.settings(ctx, self._inner(trial))
-        return own, count + 1
-
-    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Return the effect's own, and the recording's length."""
-        return [
-            *self.effect.limits(ctx, self._inner(trial)),
-            (max(float(ctx.t[0]), 1e-3), float(ctx.t[-1])),
-        ]
-
-
 def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
     """Return whether no effect of a set can be left out."""
     explained = null.chi2 - fit.chi2
@@ -708,8 +663,9 @@ def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
             return False
         # What moves a stated number is seen against its tolerance, not in the residual.
         least = NEEDED[min(len(fit.names), 3)] * (1.0 if fitter.exact else 2.5)
-        stated = member.name in bent(fitter.problem, without) or (
-            member.name in fitter.stated and not isinstance(fitter, _Mover)
+        stated = not member.effect.late and (
+            member.name in bent(fitter.problem, without)
+            or (member.name in fitter.stated and not isinstance(fitter, _Mover))
         )
         small = rest and own < least * explained and not stated
         if not small or _completes(fitter, fit, without):
@@ -880,6 +836,8 @@ def _twins(fitter: _Fitter, best: Fit, fits: list[Fit]) -> list[Fit]:
     """
     if len(best.members) != 1 or best.members[0].name not in fitter.stated:
         return []
+    if best.members[0].effect.late:
+        return []
     own, known = count(fitter.problem, best), {f.names for f in fits}
     return [
         f
@@ -988,12 +946,14 @@ def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
         return fits
     problem, best = fitter.problem, fits[0]
     form = FORM_ALONE * (null.chi2 - best.chi2)
+    # One that begins in mid-record has been chosen among as many moments, whatever its law.
+    late = any(m.effect.late for m in best.members)
     simple = [
         f
         for f in fits
-        if len(f.names) == len(best.names) > 1
+        if len(f.names) == len(best.names)
         and count(problem, f) < count(problem, best)
-        and set(f.names) & set(best.names)
+        and (late or (len(best.names) > 1 and set(f.names) & set(best.names)))
         and fitter.score(f) - fitter.score(best) < form
         and not _ends_at_noise(fitter, best, f)
     ]

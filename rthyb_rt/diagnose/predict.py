@@ -15,6 +15,7 @@ from rthyb_rt import core
 from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.onset import lasting
 from rthyb_rt.diagnose.select import Member, columns_of
 from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, actuator, body
 
@@ -45,6 +46,10 @@ class Augmented:
     skew_s: float = 0.0
     zeros_m: tuple[float, float] = (0.0, 0.0)
     cell: bool = False
+
+    def lasting(self) -> Augmented:
+        """Return the model as it is at the end of the recording: what began in it is there."""
+        return replace(self, members=tuple(lasting(m) for m in self.members))
 
     def context(self, motion: Motion, t: Floats, other: dict[str, Floats]) -> Context:
         """Return what the laws see along a motion."""
@@ -157,8 +162,11 @@ def predict(augmented: Augmented, case: Case, before: Case | None = None) -> Pre
     Args:
         augmented: the model.
         case: the recording; outputs may be missing.
-        before: a recording that this one continues: then its history is run through first.
+        before: the recording that the model was fitted to. What began in it is there throughout
+            in another one; where this one goes on from it, its history is run through first.
     """
+    if before is not None and not continues(before, case):
+        augmented = augmented.lasting()
     if before is not None and continues(before, case):
         whole = _joined(before, case)
         late = augmented.zeros_m[1]

@@ -328,9 +328,9 @@ class Dictionary:
         self.scale[self.scale == 0] = 1.0
         self.scale[-1] = 1.0
         data = data / self.scale
-        cuts = np.linspace(0, data.shape[0], BLOCKS + 1).astype(int)
+        self.cuts = np.linspace(0, data.shape[0], BLOCKS + 1).astype(int)
         self.data = data
-        self.grams = np.stack([data[i:j].T @ data[i:j] for i, j in pairwise(cuts)])
+        self.grams = np.stack([data[i:j].T @ data[i:j] for i, j in pairwise(self.cuts)])
         self.ridge = np.zeros(self.b)
         for j, nuisance in enumerate(problem.nuisances):
             if nuisance.sigma is not None:
@@ -360,9 +360,44 @@ class Dictionary:
 
     def beside(self, fit: Fit) -> tuple[Floats, Floats, float]:
         """Return the products with the nuisance and a set, its shapes free to move, taken out."""
+        return self.begun(fit, self.cuts[:-1])[0]
+
+    def begun(self, fit: Fit, rows: Rows) -> list[tuple[Floats, Floats, float]]:
+        """Return the same products of columns that begin at each of some judged rows, in order."""
+        base, pins, y, extra = self._taken_out(fit)
+        size = np.sqrt(np.maximum(np.sum(base**2, axis=0), 1e-200))
+        base = base / size
+        held = base.T @ base + np.diag(pins / size**2 + 1e-9)
+        data = self.data[:, : self.p] / self._loudness()
+        from_base = np.linalg.solve(held, base.T @ y)
+        left = float(y @ y - (base.T @ y) @ from_base) + extra
+        # In the columns' products alone the nuisance is still there: none of it is out yet.
+        gram, cross = np.zeros((self.p, self.p)), np.zeros((pins.size, self.p))
+        right, end = np.zeros(self.p), y.size
+        out = []
+        for first in map(int, rows[::-1]):
+            for part, whole in self._parts(first, end):
+                own = data[part]
+                gram += own.T @ own if whole is None else self.grams[whole, : self.p, : self.p]
+                cross += base[part].T @ own
+                right += own.T @ y[part]
+            end = first
+            a = gram - cross.T @ np.linalg.solve(held, cross)
+            out.append((a, right - cross.T @ from_base, left))
+        return out[::-1]
+
+    def _parts(self, first: int, end: int) -> Iterable[tuple[slice, int | None]]:
+        """Give a stretch of judged rows in parts: blocks whose products are known, and the rest."""
+        inside = self.cuts[(self.cuts > first) & (self.cuts < end)]
+        known = {(int(i), int(j)): b for b, (i, j) in enumerate(pairwise(self.cuts))}
+        for i, j in pairwise([first, *map(int, inside), end]):
+            yield slice(i, j), known.get((i, j))
+
+    def _taken_out(self, fit: Fit) -> tuple[Floats, Floats, Floats, float]:
+        """Return nuisance and columns of a set, their priors, what it leaves, its own priors."""
         problem = self.problem
-        blocks, pins = [problem.beside(fit.members)], [0.0 if n.sigma is None else n.sigma**-2
-                                        for n in problem.nuisances]  # fmt: skip
+        blocks = [problem.beside(fit.members)]
+        pins = [0.0 if n.sigma is None else n.sigma**-2 for n in problem.nuisances]
         y = problem.y
         extra = 0.0
         own = problem.blocks(fit.members)
@@ -379,20 +414,7 @@ class Dictionary:
         for slope in _slopes(problem, fit.members, own, places, fit):
             blocks.append(slope[:, None])
             pins.append(0.0)
-        base = np.column_stack(blocks)
-        size = np.sqrt(np.maximum(np.sum(base**2, axis=0), 1e-200))
-        base = base / size
-        held = base.T @ base + np.diag(np.array(pins) / size**2 + 1e-9)
-        data = self.data[:, : self.p] / self._loudness()
-        whole = np.column_stack([data, y])
-        cross = base.T @ whole
-        # In the columns' products alone the nuisance is still there: none of it is taken out yet.
-        gram = np.empty((self.p + 1, self.p + 1))
-        gram[: self.p, : self.p] = self.grams.sum(axis=0)[: self.p, : self.p]
-        gram[: self.p, -1] = gram[-1, : self.p] = data.T @ y
-        gram[-1, -1] = y @ y
-        rest = gram - cross.T @ np.linalg.solve(held, cross)
-        return rest[:-1, :-1], rest[:-1, -1], float(rest[-1, -1]) + extra
+        return np.column_stack(blocks), np.array(pins), y, extra
 
     def _loudness(self) -> float:
         """Return by how much rows have been scaled down since the dictionary was made."""
@@ -401,17 +423,6 @@ class Dictionary:
     def singles(self) -> list[tuple[float, tuple[int, ...]]]:
         """Return (chi2, group) of every group on its own; impossible ones are left out."""
         return self.sets([(g,) for g in range(len(self.groups))])
-
-    def begun(self) -> Iterable[tuple[int, tuple[Floats, Floats, float]]]:
-        """Give, for each block, its first row and the products of columns that begin there."""
-        whole = self.grams.sum(axis=0)
-        rows = self.problem.y.size
-        p = self.p
-        for block in range(1, BLOCKS):
-            gram = whole.copy()
-            late = self.grams[block:].sum(axis=0)
-            gram[:p], gram[:, :p] = late[:p], late[:, :p]
-            yield int(rows * block / BLOCKS), self.reduced(gram)
 
     def sets(
         self,
@@ -519,7 +530,8 @@ def penalty(ln_n: float, count: int) -> float:
 def price(problem: Problem, effect: Effect, count: int) -> float:
     """Return the price of an effect; one that only moves a stated number has nothing to choose."""
     known = {n.name for n in problem.nuisances if n.sigma is not None}
-    return 13.0 if effect.name in known else penalty(problem.ln_n, count)
+    moved = effect.name in known and not effect.late
+    return 13.0 if moved else penalty(problem.ln_n, count)
 
 
 def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats]) -> Fit | None:

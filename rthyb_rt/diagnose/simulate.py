@@ -71,13 +71,37 @@ def _holds(hold: Hold) -> int:
     return int(lib.RTHYB_ZOH if hold == "zoh" else lib.RTHYB_FOH)
 
 
-def actuator(model: ActuatorModel, x_cmd_m: Floats, fs_hz: float) -> Motion:
+def actuator(
+    model: ActuatorModel,
+    x_cmd_m: Floats,
+    fs_hz: float,
+    before: tuple[float, ActuatorModel] | None = None,
+) -> Motion:
     """Return the motion of an actuator along commands of shape (n,), m, from rest at the first.
+
+    Args:
+        model: the actuator.
+        x_cmd_m: command, (n,), m.
+        fs_hz: rows per second.
+        before: what it was up to a row, which need not be whole; place and velocity go on there.
 
     Raises:
         SimulationError: a setting is out of range, or the motion ran off.
     """
-    c = ffi.new(
+    first = _compiled(before[1] if before else model, fs_hz)
+    u = np.ascontiguousarray(x_cmd_m, dtype=np.float64)
+    x, v, a = np.empty_like(u), np.empty_like(u), np.empty_like(u)
+    code = lib.rthyb_simulate_actuator(
+        first, _compiled(model, fs_hz), before[0] if before else 0.0, _in(u), u.size,
+        _out(x), _out(v), _out(a),
+    )  # fmt: skip
+    if code:
+        raise SimulationError(f"the actuator {model} cannot be simulated ({code})")
+    return Motion(x, v, a)
+
+
+def _compiled(model: ActuatorModel, fs_hz: float) -> Any:
+    return ffi.new(
         "rthyb_actuator_model *",
         {
             "period_s": 1.0 / fs_hz,
@@ -93,12 +117,6 @@ def actuator(model: ActuatorModel, x_cmd_m: Floats, fs_hz: float) -> Motion:
             "hold": _holds(model.hold),
         },
     )
-    u = np.ascontiguousarray(x_cmd_m, dtype=np.float64)
-    x, v, a = np.empty_like(u), np.empty_like(u), np.empty_like(u)
-    code = lib.rthyb_simulate_actuator(c, _in(u), u.size, _out(x), _out(v), _out(a))
-    if code:
-        raise SimulationError(f"the actuator {model} cannot be simulated ({code})")
-    return Motion(x, v, a)
 
 
 def body(

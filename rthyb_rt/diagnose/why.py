@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rthyb_rt.diagnose import effects, engine
+from rthyb_rt.diagnose import effects, engine, redundant
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import Diagnosis, Displacement
@@ -539,6 +539,16 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
         if nuisance.sigma:
             held = f"{_moved(nuisance.name, nuisance.sigma)} stated"
         rows.append((f"tolerance, {word}", f"moved by {_moved(nuisance.name, float(b))}; {held}"))
+    known = redundant.witness(d.case, problem.ctx, found)
+    if known is not None:
+        before, after = (float(np.mean(known.left(f) ** 2)) for f in (search.null, fit))
+        rows.append(
+            (
+                "load cell against m a_meas",
+                f"{count(before)} times the noise's power beside the force that moves the body, "
+                f"{count(after)} with what is named: what is there is the load cell's own",
+            )
+        )
     rows.append(("price of a parameter", f"{count(problem.ln_n)}, and 12 for each effect"))
     return rows
 

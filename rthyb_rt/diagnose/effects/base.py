@@ -121,6 +121,8 @@ class Context:
         return element.run(self.x, self.v, self.a, self.dt)
 
 
+SWITCH_S = 0.005
+"""Time in which an effect is switched on in mid-record: a search by slopes needs one."""
 Theta = tuple[float, ...]
 
 
@@ -146,6 +148,8 @@ class Effect:
             simulated with it though the core has no element for it.
         carries: of a sensor, which passes on what others do to the specimen in its own way.
         complete: a joint law that no other effect of the specimen stands beside.
+        begins: it may begin in mid-record; not where all of the past is in it anyhow.
+        late: it begins in mid-record.
         signs: one a linear coefficient: '+', '-' or '*' for any.
         pinned: standard deviation of each coefficient around 1, or None for a free one.
         bounds: range of each shape parameter as multiples of the trial's own.
@@ -160,6 +164,8 @@ class Effect:
     momentary = False
     carries = False
     complete = False
+    begins = True
+    late = False
     signs: str = "*"
     pinned: tuple[float | None, ...] | None = None
 
@@ -175,6 +181,15 @@ class Effect:
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the force per unit of each linear coefficient, each (n,), N."""
         raise NotImplementedError
+
+    def forms_begun(self, ctx: Context, trial: Trial) -> Sequence[Trial]:
+        """Return the forms in which an effect of this shape may begin in mid-record."""
+        return [trial]
+
+    def begun(self, ctx: Context, columns: list[Floats], t0: float) -> list[Floats]:
+        """Return its columns, each (n,), N, for an effect that begins at ``t0``, s."""
+        switch = 0.5 * (1.0 + np.tanh((ctx.t - t0) / SWITCH_S))
+        return [c * switch for c in columns]
 
     def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
         """Return what a sensor that `carries` shows of a force on the specimen, (n,), N."""

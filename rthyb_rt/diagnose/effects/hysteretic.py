@@ -366,6 +366,7 @@ class Degradation(Effect):
     equation = "the loop's force times 1 - loss (1 - exp(-travel / travel_m))"
     fingerprint = "residual in phase with displacement that grows during the test"
     shown_by = LARGE
+    begins = False
     signs = "+"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:

@@ -14,7 +14,10 @@ AMPLITUDES = ("multi_amplitude", "stiffness that changes with amplitude shows at
 
 
 class Stiffness(Effect):
-    """Stiffness error, P-delta, force gain, flexible fixture: one thing while linear."""
+    """Stiffness error, P-delta, force gain, flexible fixture: one thing while linear.
+
+    Variant "gain" is a load cell's or an amplifier's, which shows damping and inertia larger too.
+    """
 
     name = "stiffness"
     params = (Param("dk_ratio", "", -1.0, 10.0),)
@@ -26,22 +29,41 @@ class Stiffness(Effect):
         """Return one trial where there is a spring."""
         return [Trial()] if ctx.model.k else []
 
+    def forms_begun(self, ctx: Context, trial: Trial) -> Sequence[Trial]:
+        """Return a gain as well: specimens seldom change at once in mid-test, amplifiers do."""
+        model = ctx.model
+        gain = model.family in ("drive", "loop") and bool(model.c or model.moving_mass)
+        return [trial, Trial((), "gain")] if gain else [trial]
+
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the model's own restoring force."""
+        """Return the model's own restoring force, or all of its force."""
+        if trial.variant:
+            return [ctx.total]
         return [ctx.spring if ctx.model.k else ctx.x]
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return which of the two it is."""
+        return "f = f0 (1 + dk_ratio), a gain" if trial.variant else "f = dk_ratio k x"
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False where nothing would be left of the spring."""
         return bool(beta[0] > -1.0) or not ctx.model.k
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return a spring, negative where the model has too much."""
-        if ctx.model.bouc_wen:
-            share = float(beta[0])
-            if share > 0:
-                return [ctx.model.bouc_wen.element(ctx.model.k, share)]
+        """Return a spring, negative where the model has too much; of a gain all that it shows."""
+        share, model = float(beta[0]), ctx.model
+        if trial.variant and (model.extra or (share < 0.0 and model.moving_mass)):
             return None
-        return [core.element("stiffness", k_n_per_m=float(beta[0]) * (ctx.model.k or 1.0))]
+        out = [core.element("stiffness", k_n_per_m=share * (model.k or 1.0))]
+        if model.bouc_wen:
+            if share <= 0.0:
+                return None
+            out = [model.bouc_wen.element(model.k, share)]
+        if trial.variant and model.c:
+            out.append(core.element("viscous", c_n_s_per_m=share * model.c))
+        if trial.variant and model.moving_mass:
+            out.append(core.element("inertia", m_kg=share * model.moving_mass))
+        return out
 
 
 class Cubic(Effect):

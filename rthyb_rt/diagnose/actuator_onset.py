@@ -1,0 +1,250 @@
+"""Effects of the actuator that begin in mid-record.
+
+What a small change of each parameter does to the displacement is a column; cut off before a
+moment, it says at once from when on the change would explain most (the same idea as in `onset`).
+What promises is simulated: the actuator's numbers change at a row, its place and velocity go on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rthyb_rt.diagnose.actuation import CATALOGUE, Actuation, ActuatorEffect, ActuatorFit
+from rthyb_rt.diagnose.case import Floats
+from rthyb_rt.diagnose.onset import PRESENT, SINGLES, SURE, WHITE
+from rthyb_rt.diagnose.select import SKEW_PRIOR_S, inflation
+from rthyb_rt.diagnose.simulate import ActuatorModel, SimulationError
+
+BLOCKS = 48
+"""Moments that are looked at: a quarter of a second of a recording of twelve."""
+MOST = 3
+"""Effects that are simulated beside one set."""
+STEP = 1e-3
+"""Relative step of a parameter whose slope is taken."""
+NEAR = 25
+"""Moments that are looked at between two of those beside the best one."""
+STEPS = (0.0, 25.0, 5.0)
+"""Rows in steps of which the beginning is looked for before each fit; 0: not at all."""
+
+
+@dataclass(frozen=True)
+class _Promise:
+    effect: ActuatorEffect
+    settings: dict[str, Any]
+    values: Floats
+    row: float
+    chi2: float
+
+
+def propose(task: Actuation, null: ActuatorFit, fits: Sequence[ActuatorFit]) -> list[ActuatorFit]:
+    """Fit effects that begin in mid-record, one alone.
+
+    Returns:
+        The fits; none where what the best set leaves is white.
+    """
+    return _beside(task, null) if _missing(fits) else []
+
+
+def propose_beside(task: Actuation, fits: Sequence[ActuatorFit]) -> list[ActuatorFit]:
+    """Fit effects that begin in mid-record beside the best sets, or at once with one that does.
+
+    Returns:
+        The fits; none where what the best set leaves is white.
+    """
+    if not _missing(fits):
+        return []
+    late = sorted((f for f in fits if f.before and len(f.effects) == 1), key=lambda f: f.chi2)
+    whole = sorted((f for f in fits if not f.before and f.effects), key=lambda f: f.chi2)
+    singles = [f for f in whole if len(f.effects) == 1]
+    return [fit for base in [*late[:1], *singles[:SINGLES]] for fit in _beside(task, base)]
+
+
+def _missing(fits: Sequence[ActuatorFit]) -> bool:
+    return inflation(min(fits, key=lambda f: f.chi2).residual) > WHITE
+
+
+def _beside(task: Actuation, base: ActuatorFit) -> list[ActuatorFit]:
+    """Fit what promises most from a moment on beside a set; with one that is late, from then on."""
+    promises: dict[str, _Promise] = {}
+    for effect in CATALOGUE:
+        for promise in _promising(task, base, effect) if effect.name not in base.names else ():
+            old = promises.get(effect.name)
+            if old is None or promise.chi2 < old.chi2:
+                promises[effect.name] = promise
+    found = []
+    own = float(base.residual @ base.residual)
+    for promise in sorted(promises.values(), key=lambda p: p.chi2)[:MOST]:
+        if own - promise.chi2 > task.price_of(promise.effect):
+            fit = _fitted(task, base, promise)
+            if fit is not None and _absent_before(task, fit):
+                found.append(fit)
+    return found
+
+
+def _promising(task: Actuation, base: ActuatorFit, effect: ActuatorEffect) -> list[_Promise]:
+    """Return of each variant of an effect the moment from which it would explain most."""
+    late = replace(effect, late=True)
+    out = []
+    for settings, values in effect.starts(task.base, task.v_max):
+        try:
+            columns = _columns(task, base, effect, settings, values)
+        except SimulationError:
+            continue
+        chi2, row, change = _cut(task, base, columns)
+        start = values if effect.name == "rate_limit" else values + change * _steps(values)
+        logged = np.maximum(start, 0.3 * values) if effect.log else start
+        out.append(_Promise(late, settings, logged, row, chi2))
+    return out
+
+
+def _steps(values: Floats) -> Floats:
+    return STEP * np.where(values != 0.0, np.abs(values), 1.0)
+
+
+def _columns(
+    task: Actuation,
+    base: ActuatorFit,
+    effect: ActuatorEffect,
+    settings: dict[str, Any],
+    values: Floats,
+) -> Floats:
+    """Return what a step of each parameter does to the displacement, (rows, parameters).
+
+    Of a limit, which has no slope where it is not met, what itself does.
+    """
+    changed = []
+    model = replace(base.model, **settings)
+    for name, value, step in zip(effect.fields, values, _steps(values), strict=True):
+        own = value if effect.name == "rate_limit" else getattr(base.model, name) + step
+        moved: dict[str, Any] = {name: float(own)}
+        changed.append(task.simulate(replace(model, **moved)).x)
+    plain = task.simulate(base.model).x
+    return np.column_stack([(c - plain)[task.rows] / task.sigma for c in changed])
+
+
+def _cut(task: Actuation, base: ActuatorFit, columns: Floats) -> tuple[float, float, Floats]:
+    """Return (chi-squared, row, coefficients) of the moment from which columns explain most.
+
+    Zero and time offset are free beside them, and so are the numbers of the set that there is.
+    """
+    nuisance = np.column_stack([np.ones(task.rows.size), *_moved_by(task, base)])
+    held = nuisance.T @ nuisance
+    held[1, 1] += SKEW_PRIOR_S**-2
+    held += np.diag(1e-9 * held.diagonal())
+    y = base.residual
+    from_nuisance = np.linalg.solve(held, nuisance.T @ y)
+
+    def brought(cut: int) -> tuple[float, int, Floats]:
+        late = columns[cut:]
+        cross = nuisance[cut:].T @ late
+        own = late.T @ late - cross.T @ np.linalg.solve(held, cross)
+        size = np.sqrt(np.maximum(own.diagonal(), 1e-300))
+        wanted = late.T @ y[cut:] - cross.T @ from_nuisance
+        scaled = own / np.outer(size, size) + 1e-6 * np.eye(size.size)
+        beta = np.linalg.solve(scaled, wanted / size) / size
+        return float(y @ y - wanted @ beta), cut, beta
+
+    if base.before is not None:
+        cuts = np.array([np.searchsorted(task.rows, base.before[0])])
+        found = min(map(brought, cuts), key=lambda b: b[0])
+    else:
+        cuts = np.linspace(0, task.rows.size, BLOCKS + 1).astype(int)
+        found = min(map(brought, cuts[1:-1]), key=lambda b: b[0])
+        near = np.linspace(-cuts[1], cuts[1], NEAR).astype(int) + found[1]
+        inside = near[(near > 0) & (near < task.rows.size - 1)]
+        found = min([found, *map(brought, inside)], key=lambda b: b[0])
+    return found[0], float(task.rows[found[1]]), found[2]
+
+
+def _moved_by(task: Actuation, base: ActuatorFit) -> list[Floats]:
+    """Return slopes of the displacement to time offset and to the set's own numbers."""
+    plain = task.simulate(base.model, base.before).x
+
+    def slope(later: ActuatorModel, first: ActuatorModel, step: float) -> Floats:
+        before = (base.before[0], first) if base.before else None
+        return np.asarray((task.simulate(later, before).x - plain)[task.rows] / task.sigma / step)
+
+    first = base.before[1] if base.before else base.model
+    moved = {"shift_s": base.model.shift_s + 1e-5}
+    out = [slope(replace(base.model, **moved), replace(first, **moved), 1e-5)]  # type: ignore[arg-type]
+    for effect in base.effects:
+        for name in effect.fields:
+            value = float(getattr(base.model, name))
+            step = float(_steps(np.array([value]))[0])
+            change: dict[str, Any] = {name: value + step}
+            kept = first if effect.late else replace(first, **change)
+            out.append(slope(replace(base.model, **change), kept, step))
+    return out
+
+
+def _fitted(task: Actuation, base: ActuatorFit, promise: _Promise) -> ActuatorFit | None:
+    """Fit a set with one effect more, and look for its beginning in ever smaller steps."""
+    effects = (*base.effects, promise.effect)
+    settings = {"kappa_of": base.model.kappa_of, "vmax_of": base.model.vmax_of} | promise.settings
+    values = np.array([*(v for own in base.values for v in own), *promise.values])
+    row, best = promise.row, None
+    for step in STEPS:
+        row = _row(task, effects, settings, values, row, step)
+        fit = task.fit(effects, [(settings, values)], row)
+        if fit is None or fit.before is None:
+            break
+        best = fit if best is None or fit.chi2 < best.chi2 else best
+        row, values = fit.before[0], np.array([v for own in fit.values for v in own])
+    return best
+
+
+def _row(
+    task: Actuation,
+    effects: Sequence[ActuatorEffect],
+    settings: dict[str, Any],
+    values: Floats,
+    row: float,
+    step: float,
+) -> float:
+    """Return the row near one from which on the late effects meet the displacement best."""
+    while step >= 1.0:
+        found = []
+        for at in row + step * np.arange(-5, 6):
+            if 0 < at < task.u.size:
+                try:
+                    r = task.residual(*task.models(effects, settings, values, 0.0, float(at)))[0]
+                except SimulationError:
+                    continue
+                found.append((float(r @ r), float(at)))
+        if not found:
+            break
+        row, step = min(found)[1], step / 5.0
+    return row
+
+
+def _absent_before(task: Actuation, fit: ActuatorFit) -> bool:
+    """Return whether the last effect of a set, which begins in mid-record, is not there before.
+
+    As `onset.absent_before`: what a step of its numbers, as large as they change, would do before
+    is left free in size beside the set.
+    """
+    assert fit.before is not None
+    row, first = fit.before
+    effect = fit.effects[-1]
+    changes: dict[str, Any] = {f: float(getattr(fit.model, f)) for f in effect.fields}
+    try:
+        there = task.simulate(fit.model, (row, replace(first, **changes))).x
+    except SimulationError:
+        return False
+    # There before alone: what it does from then on is in the set.
+    column = ((there - fit.motion.x + fit.zero_m)[task.rows] / task.sigma)[:, None]
+    if not np.any(column):
+        return False
+    base = np.column_stack([np.ones(task.rows.size), *_moved_by(task, fit)])
+    design = np.column_stack([column, base])
+    gram = design.T @ design
+    gram[2, 2] += SKEW_PRIOR_S**-2
+    size = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
+    inverse = np.linalg.pinv(gram / np.outer(size, size), hermitian=True) / np.outer(size, size)
+    part = float((inverse @ (design.T @ fit.residual))[0])
+    width = float(np.sqrt(inverse[0, 0] * inflation(fit.residual)))
+    return part + SURE * width < PRESENT

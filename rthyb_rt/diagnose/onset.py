@@ -1,0 +1,291 @@
+"""Effects on the force, of the specimen or of the load cell, that begin in mid-record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
+from rthyb_rt.diagnose.estimate import Rows
+from rthyb_rt.diagnose.select import (
+    BLOCKS,
+    Dictionary,
+    Fit,
+    Member,
+    Problem,
+    compatible,
+    inflation,
+    refine,
+    solve,
+)
+
+WHITE = 1.1
+"""Inflation of what the best set leaves, see `select.inflation`, up to which nothing is missing."""
+SINGLES = 3
+"""Single effects beside which others are tried from a moment on; the best pair is one more."""
+MOST = 5
+"""Effects that are looked at more closely beside one set."""
+NEAR = 25
+"""Beginnings that are looked at between the blocks beside the best one."""
+PRESENT = 0.5
+"""Part of its later size that an effect must not have before it begins: half way between an effect
+that is not there and one that is there throughout."""
+SURE = 2.0
+"""Standard deviations by which it has to be known that it has not."""
+
+
+class Late(Effect):
+    """An effect that begins in mid-record.
+
+    The last shape parameter is when, in seconds since the first row.
+    """
+
+    late = True
+
+    def __init__(self, effect: Effect) -> None:
+        self.effect = effect
+        self.name = effect.name
+        self.params = effect.params
+        self.signs = effect.signs
+        self.pinned = effect.pinned
+        self.sensor = effect.sensor
+        self.carries = effect.carries
+        self.equation = f"{effect.equation}, from t0 on"
+        self.fingerprint = f"{effect.fingerprint}, from a moment on"
+        self.shown_by = effect.shown_by
+        self._kept: tuple[Context, Trial, list[Floats]] | None = None
+
+    @staticmethod
+    def inner(trial: Trial) -> Trial:
+        """Return the shape of the effect itself."""
+        return Trial(trial.theta[:-1], trial.variant)
+
+    def whole(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the effect's own columns, kept while only the beginning moves."""
+        inner, kept = self.inner(trial), self._kept
+        if kept is None or kept[0] is not ctx or kept[1] != inner:
+            self._kept = kept = (ctx, inner, self.effect.columns(ctx, inner))
+        return kept[2]
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the effect's own, from its beginning on."""
+        whole = self.whole(ctx, trial)
+        return self.effect.begun(ctx, whole, float(ctx.t[0]) + trial.theta[-1])
+
+    def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
+        """Return the force as it is up to the beginning, and as the sensor shows it from there."""
+        shown = self.effect.carried(ctx, self.inner(trial), force)
+        changed = Effect.begun(self.effect, ctx, [shown - force], float(ctx.t[0]) + trial.theta[-1])
+        return np.asarray(force + changed[0])
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return the effect's own parameters."""
+        return self.effect.report(ctx, self.inner(trial), beta)
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the effect's own law."""
+        start = float(ctx.t[0]) + trial.theta[-1]
+        return f"{self.effect.form(ctx, self.inner(trial))}, from {start:.5g} s on"
+
+    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
+        """Return the effect's own judgement."""
+        return self.effect.sensible(ctx, self.inner(trial), beta)
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return the effect's own, and the beginning as one more parameter."""
+        own, count = self.effect.settings(ctx, self.inner(trial))
+        return own, count + 1
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Return the effect's own, and the recording's length."""
+        length = float(ctx.t[-1] - ctx.t[0])
+        return [*self.effect.limits(ctx, self.inner(trial)), (ctx.dt, length)]
+
+
+class _Before(Effect):
+    """What an effect would show before it begins, free in size."""
+
+    sensor = True  # as the load cell has it already
+
+    def __init__(self, late: Late, count: int) -> None:
+        self.late_one = late
+        self.signs = "*" * count
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return what the beginning took away."""
+        late = self.late_one
+        pairs = zip(late.whole(ctx, trial), late.columns(ctx, trial), strict=True)
+        return [whole - later for whole, later in pairs]
+
+
+def lasting(member: Member) -> Member:
+    """Return an effect as it is at the end of the recording, and from then on."""
+    if not isinstance(member.effect, Late):
+        return member
+    return Member(member.effect.effect, Late.inner(member.trial))
+
+
+class Fitter(Protocol):
+    """What refines sets, see `force`."""
+
+    problem: Problem
+    by_names: dict[tuple[str, ...], Fit]
+
+    def keep(self, fit: Fit) -> None:
+        """Take a refined set, where it is better than the one of its names."""
+
+    def score(self, fit: Fit) -> float:
+        """Return chi-squared and price."""
+
+
+def propose(dictionary: Dictionary, fitter: Fitter) -> list[Fit]:
+    """Fit effects that begin in mid-record, alone and beside the best sets.
+
+    Returns:
+        The best sets with one, best first; others may be missing beside them.
+    """
+    problem = fitter.problem
+    ranked = sorted(fitter.by_names.values(), key=fitter.score)
+    null = solve(problem, [], [])
+    if null is None or inflation((ranked[0] if ranked else null).residual) < WHITE:
+        return []
+    singles = [f for f in ranked if len(f.members) == 1][:SINGLES]
+    pair = [f for f in ranked if len(f.members) == 2][:1]
+    found: dict[tuple[str, ...], Fit] = {}
+    for base in [null, *singles, *pair]:
+        for fit in _beside(dictionary, fitter, base):
+            found[fit.names] = min(fit, found.get(fit.names, fit), key=fitter.score)
+    return sorted(found.values(), key=fitter.score)
+
+
+def settle(fitter: Fitter, most: int) -> None:
+    """Look anew for the beginning in the best sets; one found alone may be another one's."""
+    ranked = sorted(fitter.by_names.values(), key=fitter.score)
+    for fit in ranked[:most]:
+        late = [i for i, m in enumerate(fit.members) if m.effect.late]
+        for i in late if len(fit.members) > 1 else ():
+            rest = [m for j, m in enumerate(fit.members) if j != i]
+            _begun(fitter, [*rest, fit.members[i]])
+
+
+def _beside(dictionary: Dictionary, fitter: Fitter, base: Fit) -> list[Fit]:
+    """Fit the effects that promise most from a moment on beside a set."""
+    problem, groups = fitter.problem, dictionary.groups
+    promising: dict[str, tuple[float, float, int]] = {}
+    free = [
+        (g,)
+        for g, group in enumerate(groups)
+        if group.member.effect.begins
+        and not group.member.effect.complete
+        and not set(group.member.effect.names) & set(base.names)
+        and compatible([*base.members, group.member])
+    ]
+
+    def promises(chi2: float, start: float, g: int, without: float) -> None:
+        name = groups[g].member.name
+        score = chi2 + dictionary.penalty((g,)) + problem.ln_n
+        if score < min(without, promising.get(name, (np.inf,))[0]):
+            promising[name] = (score, start, g)
+
+    def look(rows: Rows) -> None:
+        for row, products in zip(rows, dictionary.begun(base, rows), strict=True):
+            start = float(problem.ctx.t[problem.rows[row]] - problem.ctx.t[0])
+            for chi2, (g,) in dictionary.sets(switched, products):
+                promises(chi2, start, g, products[2])
+
+    switched = [g for g in free if _switched(groups[g[0]].member.effect)]
+    look(dictionary.cuts[1:-1])
+    if promising:
+        # Most effects promise about the same from rows that far apart; nearer, the right one leads.
+        start = min(promising.values())[1]
+        near = int(np.searchsorted(problem.ctx.t[problem.rows] - problem.ctx.t[0], start))
+        reach = problem.y.size // BLOCKS
+        rows = np.linspace(near - reach, near + reach, NEAR).astype(np.int64)
+        look(np.unique(rows[(rows > 0) & (rows < problem.y.size - 1)]))
+    # What grows from its beginning on is no column of the dictionary with its head cut off.
+    length = float(problem.ctx.t[-1] - problem.ctx.t[0])
+    for (g,) in free:
+        if not _switched(groups[g].member.effect):
+            members = _with(base.members, groups[g].member, 0.5 * length)
+            for chi2, start in _scan(problem, members, np.linspace(0.0, length, 2 * BLOCKS)[1:-1]):
+                promises(chi2, start, g, base.chi2)
+    tried = []
+    for _, start, g in sorted(promising.values())[:MOST]:
+        member = groups[g].member
+        for trial in member.effect.forms_begun(problem.ctx, member.trial):
+            own = Member(member.effect, trial)
+            tried.append(_begun(fitter, _with(base.members, own, start)))
+    return [fit for fit in tried if fit is not None]
+
+
+def _switched(effect: Effect) -> bool:
+    return type(effect).begun is Effect.begun
+
+
+def _with(beside: Sequence[Member], member: Member, start: float) -> list[Member]:
+    """Return a set with one effect more, from a time since the first row on."""
+    trial = Trial((*member.trial.theta, start), member.trial.variant)
+    return [*beside, Member(Late(member.effect), trial)]
+
+
+def _scan(problem: Problem, members: Sequence[Member], starts: Floats) -> list[tuple[float, float]]:
+    """Return (chi-squared, beginning) of a set for each beginning of its last effect."""
+    last, out = len(members) - 1, []
+    blocks = problem.blocks(members)
+    for start in starts:
+        theta = (*members[-1].trial.theta[:-1], float(start))
+        moved = Member(members[-1].effect, Trial(theta, members[-1].trial.variant))
+        now = [*members[:-1], moved]
+        fit = solve(problem, now, problem.changed(now, blocks, last))
+        if fit is not None:
+            out.append((fit.chi2, float(start)))
+    return out
+
+
+def _begun(fitter: Fitter, members: list[Member]) -> Fit | None:
+    """Fit a set whose last effect begins about then; None where that is there before as well."""
+    problem = fitter.problem
+    t, trial = problem.ctx.t, members[-1].trial
+    length = float(t[-1] - t[0])
+    start = trial.theta[-1]
+    for reach, steps in ((length / BLOCKS, 17), (0.1 * length / BLOCKS, 21)):
+        starts = start + np.linspace(-reach, reach, steps)
+        found = _scan(problem, members, starts[(starts > problem.ctx.dt) & (starts < length)])
+        start = min(found)[1] if found else start
+    shape = Trial((*trial.theta[:-1], start), trial.variant)
+    fit = refine(problem, [*members[:-1], Member(members[-1].effect, shape)])
+    if fit is None or not problem.sensible(fit) or not absent_before(problem, fit):
+        return None
+    fitter.keep(fit)
+    return fit
+
+
+def absent_before(problem: Problem, fit: Fit) -> bool:
+    """Return whether the last effect of a set, which begins in mid-record, is not there before.
+
+    With what it would show before left free in size, that comes to less than half of its later
+    size, and is known so well that it is not half of it.
+    """
+    member, beta = fit.members[-1], fit.betas[-1]
+    assert isinstance(member.effect, Late)
+    before = Member(_Before(member.effect, beta.size), member.trial)
+    members = [*fit.members, before]
+    blocks = [*problem.blocks(fit.members), problem.columns(before)]
+    both = solve(problem, members, blocks)
+    if both is None or both.covariance is None:
+        return False
+    shown = blocks[-1] @ beta
+    size = float(shown @ shown)
+    if size == 0.0:
+        return False
+    # How much of its later self there is before, and how well that is known.
+    along = blocks[-1].T @ shown / size
+    first = sum(b.size for b in both.betas[:-1])
+    own = slice(first, first + beta.size)
+    part = float(along @ both.betas[-1])
+    width = float(along @ both.covariance[own, own] @ along) * inflation(both.residual)
+    return part + SURE * float(np.sqrt(max(width, 0.0))) < PRESENT

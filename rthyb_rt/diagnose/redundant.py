@@ -1,0 +1,212 @@
+"""What the channels that say the same thing twice tell of the sensors.
+
+On moving ground the body itself weighs the force: m (x'' + ag) + f = 0, whatever the specimen
+does. What a load cell shows beside that is the cell's own: a law of the specimen is not in it, a
+cell that is late, hums or feels another direction is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rthyb_rt.diagnose import estimate
+from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.effects.base import Context
+from rthyb_rt.diagnose.estimate import Complex
+from rthyb_rt.diagnose.select import (
+    MASS_BLUR,
+    SKEW_PRIOR_S,
+    Fit,
+    Member,
+    columns_of,
+    inflation,
+    penalty,
+)
+
+
+@dataclass(frozen=True)
+class Witness:
+    """The force by the cell and by the accelerometer, in the band where the force moves.
+
+    Attributes:
+        ctx: what the effects see.
+        rest: their sum, which is noise where both are right, (n,), N.
+        rows: rows to be judged, (n,).
+        nuisance: mass, offset in time, zero of the accelerometer; (n, 3).
+        priors: one over the variance of the coefficient of each; 0: free.
+        sigma_n: noise of the sum, N.
+        filter: takes the band.
+    """
+
+    ctx: Context
+    rest: Floats
+    rows: estimate.Mask
+    nuisance: Floats
+    priors: Floats
+    sigma_n: float
+    filter: estimate.Filter
+
+    def left(self, fit: Fit) -> Floats:
+        """Return what a set leaves unexplained of the sum, in units of the noise, and priors."""
+        return self._solved(self.rest - cell_error(self.ctx, fit), self.nuisance, self.priors)
+
+    def beside(self, columns: Sequence[Floats]) -> Floats:
+        """Return what errors of the load cell of free size, each (n,), leave of the sum."""
+        more = np.column_stack([self.filter(c) for c in columns])
+        priors = np.concatenate([self.priors, np.zeros(len(columns))])
+        return self._solved(self.rest, np.column_stack([self.nuisance, more]), priors)
+
+    def _solved(self, off: Floats, columns: Floats, priors: Floats) -> Floats:
+        y = self.filter(off)[self.rows] / self.sigma_n
+        design = columns[self.rows] / self.sigma_n
+        size = np.sqrt(np.maximum(np.mean(design**2, axis=0), 1e-300))
+        design = np.vstack([design / size, np.diag(np.sqrt(priors) / size)])
+        y = np.concatenate([y, np.zeros(size.size)])
+        beta = np.linalg.lstsq(design, y, rcond=None)[0]
+        return np.asarray(y - design @ beta)
+
+
+def cell_error(ctx: Context, fit: Fit) -> Floats:
+    """Return what a set says the load cell shows beside the force on the specimen, (n,), N."""
+    felt = [(m, b) for m, b in zip(fit.members, fit.betas, strict=True) if not m.effect.sensor]
+    out = np.zeros(ctx.t.size)
+    for pairs, sign in ((list(zip(fit.members, fit.betas, strict=True)), 1.0), (felt, -1.0)):
+        for (_, beta), columns in zip(pairs, columns_of(ctx, [m for m, _ in pairs]), strict=True):
+            for b, c in zip(beta, columns, strict=True):
+                out += sign * b * c
+    return out
+
+
+LOWEST_HZ = 0.3
+"""Frequency below which a window over the recording and a wandering zero stand in for motion."""
+LINES = 8
+"""Frequencies that have to stand out for gain and time to be told from them."""
+GAIN, LATE_S = 0.02, 2e-4
+"""Gain and time by which an accelerometer may differ from the displacement's second derivative:
+sensors are calibrated to a per cent each, and each channel may be off by 0.1 ms as is normal."""
+CLEAR = 10.0
+"""Times its noise by which a frequency has to stand out: its bias is then one per cent at most."""
+SURE = 3.0
+"""Standard deviations by which it has to differ by more."""
+
+
+def disagreement(case: Case) -> str:
+    """Return in words how a_meas differs from x_meas'' (on moving ground + ag); empty if it agrees.
+
+    In gain and in time, where both stand out of their noise. One of the channels is wrong then, and
+    the accelerometer is no witness against the load cell.
+    """
+    ground = case.model.family == "ground"
+    if any(name not in case.channels for name in ("x_meas", "a_meas", *("ag",) * ground)):
+        return ""
+    x, felt = (estimate.filled(case.channels[name]) for name in ("x_meas", "a_meas"))
+    ag = estimate.filled(case.channels["ag"]) if ground else np.zeros(x.size)
+    window, made = _accelerations(x, ag, case.dt)
+    w = 2.0 * np.pi * np.fft.rfftfreq(x.size, case.dt)
+    noise = np.hypot(
+        estimate.noise_of(case.channels["a_meas"], case.model.a_std),
+        w**2 * estimate.noise_of(case.channels["x_meas"], case.model.x_std),
+    )
+    weight = 1.0 / (noise * np.sqrt(np.sum(window**2)))
+    # Noise in what is compared with would bend gain and time towards zero.
+    weight[(w < 2.0 * np.pi * LOWEST_HZ) | (np.abs(made) * weight < CLEAR)] = 0.0
+    if np.count_nonzero(weight) < LINES:
+        return ""
+    design = np.column_stack([made * weight, -1j * w * made * weight])
+    off = (np.fft.rfft(window * (felt - felt.mean())) - made) * weight
+    stacked = np.vstack([design.real, design.imag])
+    inverse = np.linalg.pinv(stacked.T @ stacked, hermitian=True)
+    gain, late = inverse @ (stacked.T @ np.concatenate([off.real, off.imag]))
+    rest = off - design @ np.array([gain, late])
+    # Real and imaginary part have half of a frequency's power each.
+    spread = max(1.0, float(np.mean(np.abs(rest[weight > 0.0]) ** 2)))
+    unsure = SURE * np.sqrt(0.5 * spread * inverse.diagonal())
+    late /= 1.0 + gain  # of what is larger as well
+    words = []
+    if abs(gain) - unsure[0] > GAIN:
+        words.append(f"is {100.0 * gain:+.2g} % larger")
+    if abs(late) - unsure[1] > LATE_S:
+        words.append(f"comes {1e3 * late:+.2g} ms later")
+    made_of = "x_meas'' + ag" if ground else "x_meas''"
+    return f"a_meas {' and '.join(words)} than {made_of}: one of them is wrong" if words else ""
+
+
+def _accelerations(x: Floats, ag: Floats, dt: float) -> tuple[Floats, Complex]:
+    """Return a window, (n,), and the spectrum of x'' + ag under it, by the window's own slopes."""
+    x, turn = x - x.mean(), 2.0 * np.pi / (x.size - 1)
+    angle, rate = turn * np.arange(x.size), turn / dt
+    window = 0.5 - 0.5 * np.cos(angle)
+    slope, bend = 0.5 * rate * np.sin(angle), 0.5 * rate**2 * np.cos(angle)
+    w = 2.0 * np.pi * np.fft.rfftfreq(x.size, dt)
+    # A window times x'' is (window x)'' - 2 (window' x)' + window'' x.
+    wx, sx, bx, ground = (
+        np.fft.rfft(part) for part in (window * x, slope * x, bend * x, window * (ag - ag.mean()))
+    )
+    return window, np.asarray(ground - w**2 * wx - 2j * w * sx + bx)
+
+
+def witness(case: Case, ctx: Context, found: estimate.Estimate) -> Witness | None:
+    """Return the balance of the body, None where a channel of it is missing or no witness."""
+    model, channels = case.model, case.channels
+    if model.family != "ground" or model.mass <= 0.0 or model.k_tol is None:
+        return None
+    if "f_meas" not in channels or "a_meas" not in channels or disagreement(case):
+        return None
+    force, felt = estimate.filled(channels["f_meas"]), estimate.filled(channels["a_meas"])
+    sigma = float(
+        np.hypot(
+            estimate.force_noise(channels["f_meas"], model.f_std),
+            model.mass * estimate.noise_of(channels["a_meas"], model.a_std),
+        )
+    )
+    band = estimate.band_of(force, case.fs_hz, sigma)
+    # Either channel may be off in time as is normal.
+    skew = np.gradient(force) * case.fs_hz
+    nuisance = np.column_stack([band(model.mass * felt), band(skew), np.ones(force.size)])
+    priors = np.array([MASS_BLUR**-2, 0.5 * SKEW_PRIOR_S**-2, 0.0])
+    rest = force + model.mass * felt
+    return Witness(ctx, rest, found.rows, nuisance, priors, sigma, band)
+
+
+def testimony(known: Witness, fits: Sequence[Fit]) -> Callable[[Fit], float]:
+    """Return what a set adds to chi-squared by what it leaves of the balance of the body.
+
+    Counted from the set that leaves the least, and divided by how much its rows hang together.
+    """
+    best = min((known.left(f) for f in fits), key=lambda r: float(r @ r))
+    least, together = float(best @ best), inflation(best)
+
+    def added(fit: Fit) -> float:
+        left = known.left(fit)
+        return max(float(left @ left) - least, 0.0) / together
+
+    return added
+
+
+def accused(known: Witness, members: Sequence[Member]) -> Member | None:
+    """Return which of some effects of the load cell explains most of what both do not agree in.
+
+    Args:
+        known: the balance of the body.
+        members: effects in the shapes to be tried.
+
+    Returns:
+        The effect in its best shape; None where none brings what an effect has to.
+    """
+    free = Fit((), (), 0.0, 0)
+    plain = known.left(free)
+    found: list[tuple[float, int, Floats]] = []
+    for i, member in enumerate(members):
+        if not member.effect.sensor:
+            continue
+        columns = member.effect.columns(known.ctx, member.trial)
+        left = known.beside(columns)
+        costs = penalty(float(np.log(max(plain.size, 2))), len(columns) + len(member.trial.theta))
+        found.append((float(left @ left) + costs * inflation(left), i, left))
+    if not found:
+        return None
+    worth, i, _ = min(found, key=lambda f: f[0])
+    return members[i] if worth < float(plain @ plain) else None
