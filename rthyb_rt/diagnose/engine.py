@@ -8,7 +8,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rthyb_rt.diagnose import actuation, effects, estimate, force, freebody, localise, rigged
+from rthyb_rt.diagnose import (
+    actuation,
+    decay,
+    effects,
+    estimate,
+    force,
+    freebody,
+    localise,
+    modulation,
+    rigged,
+)
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorEffect, ActuatorFit
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
@@ -84,6 +94,7 @@ class Found:
         signal: what it adds along the recording, N or m, (n,).
         shape: variant of its law and shape parameters, for the report.
         form: the law itself in a few words, of those that share the name.
+        modulated_by: the channel that changes it, and by how much; see `Modulated.slope`.
     """
 
     name: str
@@ -95,6 +106,7 @@ class Found:
     signal: Floats | None = None
     shape: str = ""
     form: str = ""
+    modulated_by: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -286,7 +298,7 @@ def context_of(
     """Return what force laws see of a recording."""
     other = {
         name: estimate.filled(values)
-        for name, values in case.channels.items()
+        for name, values in case.recorded.items()
         if np.isfinite(values).any()
     }
     return Context(case.model, found.motion, case.t, found.force, other, ranges)
@@ -313,6 +325,8 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             return _verdict(case, disp, found, ctx, search)
         held = freebody.shown(case) and not found.exact
         body = freebody.Body(case, ctx) if held or freebody.judged(case) else None
+        if decay.judged(case):
+            body = decay.Swing(case, ctx)
 
         def doubtful(done: force.Search) -> bool:
             # Several laws fit almost any estimate of a motion, but they have to simulate it.
@@ -516,6 +530,15 @@ def _simulates(case: Case, search: force.Search | None) -> bool:
     return off < SIMULATION and off**2 - noise**2 < UNSEEN**2
 
 
+def _lost_in_form(case: Case, search: force.Search, quantised: Found) -> bool:
+    """Return whether beside a naive model rounding explains less than a further law has to."""
+    if case.model.k_tol is not None or not search.best.members:
+        return False
+    missing = _left_by(search, search.null)[search.problem.estimate.rows]
+    share = quantised.params["lsb_N"] ** 2 / 12.0 / float(np.mean(missing**2))
+    return share < force.NEEDED[min(len(search.best.names) + 1, 3)]
+
+
 def _rounded(case: Case, search: force.Search, quantised: Found) -> bool:
     """Return whether the model with nothing in it stays within half a step of nearly all rows.
 
@@ -604,6 +627,8 @@ def _verdict(
     search: force.Search | None,
 ) -> Diagnosis:
     quantised = quantisation(case)
+    if quantised is not None and search is not None and _lost_in_form(case, search, quantised):
+        quantised = None
     if quantised is not None and search is not None:
         search = _by_rounding(case, search, quantised)
     disp_known = disp is None or disp.known
@@ -649,7 +674,10 @@ def _verdict(
         verdict = "ambiguous"
     if not disp_known or not force_known:
         verdict, names, unique = "unknown", [], []
-    return _located(case, disp, found, ctx, search, verdict, names, candidates, unique)
+    done = _located(case, disp, found, ctx, search, verdict, names, candidates, unique)
+    named = [c for c in candidates if c.name in names]
+    done.notes += modulation.in_words([c.name for c in named], [c.modulated_by for c in named])
+    return done
 
 
 def _located(
@@ -845,6 +873,7 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
                     continue
                 seen.add(name)
                 wanted = effects.params_of(name, m.effect)
+                form, slope = modulation.told(m.effect, ctx, m.trial, fit.betas[i])
                 out.append(
                     Found(
                         name, "force", float(weight),
@@ -853,7 +882,8 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
                         -2.0 * 0.5 * (search.null.chi2 - fit.chi2),
                         force.contribution(problem, fit, i) if number == 0 else None,
                         f"{m.trial.variant} {m.trial.theta}".strip(),
-                        m.effect.form(ctx, m.trial),
+                        form,
+                        slope,
                     )
                 )  # fmt: skip
         if number and len(out) > 8:
@@ -1056,7 +1086,8 @@ def to_json(d: Diagnosis) -> dict[str, Any]:
         "candidates": [
             {"name": c.name, "score": c.score, "params": c.params, "ci95": c.ci95,
              "delta_bic": c.evidence, "channel": c.channel}
-            | ({"form": c.form} if c.form else {}) | _work(d, c)
+            | ({"form": c.form} if c.form else {})
+            | ({"modulated_by": c.modulated_by} if c.modulated_by else {}) | _work(d, c)
             for c in known
         ],
         "ambiguous_with": d.ambiguous_with,

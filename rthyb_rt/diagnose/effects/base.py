@@ -145,6 +145,9 @@ class Effect:
         momentary: its force follows from x and v of the moment alone, so that a closed loop can be
             simulated with it though the core has no element for it.
         carries: of a sensor, which passes on what others do to the specimen in its own way.
+        elastic: its force follows from the displacement of the moment alone.
+        dissipates: it takes energy out of a motion at every moment, and stores none.
+        yields: its spring gives way by plastic flow.
         complete: a joint law that no other effect of the specimen stands beside.
         signs: one a linear coefficient: '+', '-' or '*' for any.
         pinned: standard deviation of each coefficient around 1, or None for a free one.
@@ -159,6 +162,9 @@ class Effect:
     sensor = False
     momentary = False
     carries = False
+    elastic = False
+    dissipates = False
+    yields = False
     complete = False
     signs: str = "*"
     pinned: tuple[float | None, ...] | None = None
