@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -38,3 +39,38 @@ def test_known_physics_of_a_real_recording_is_named_and_foretells_the_rest(
     miss = prediction[channel][first:] - truth
     error = 100.0 * np.sqrt(np.nanmean(miss**2)) / np.nanstd(truth)
     assert error <= known["nrmse_heldout_known"]
+
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "diagnosis" / "real-open"
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the shared recordings are not on this machine")
+@pytest.mark.parametrize(
+    "name", sorted(p.parent.name for p in SHARED.glob("*/answer.json")) or ["none"]
+)
+def test_shared_recordings_are_named_and_foretold_as_well_as_by_their_known_physics(
+    name: str, tmp_path: Path
+) -> None:
+    folder = SHARED / name
+    known = json.loads((folder / "answer.json").read_text())
+    out = tmp_path / "pred.csv"
+    run = subprocess.run(
+        [
+            str(Path(sys.executable).with_name("rthyb")), "diagnose", folder / "recording.csv",
+            "--model", folder / "baseline.toml", "--json",
+            "--predict", folder / "heldout_input.csv", "--out", out,
+        ],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    said = json.loads(run.stdout)
+
+    assert (said["verdict"] == "none") == (not known["effects"])
+    assert said["verdict"] != "unknown"
+    assert set(said["effects"]) <= {*known["effects"], *known["also_acceptable"]}
+    channel = "x" if "channel x" in known["metric"] else "f"
+    first = int(known["metric"].split("rows from ")[1].split()[0])
+    truth = scoring.read_csv(folder / "heldout.csv")[f"{channel}_meas"][first:]
+    miss = scoring.read_csv(out)[channel][first:] - truth
+    error = 100.0 * np.sqrt(np.nanmean(miss**2)) / np.nanstd(truth)
+    print(f"{name}: {error:.2f}, {error / known['nrmse_heldout_known']:.2f} of the known physics")
+    assert error <= known["pass_heldout_nrmse"]

@@ -14,7 +14,7 @@ from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Param
 from rthyb_rt.diagnose.estimate import (
     GAP_S,
-    Filter,
+    Whitener,
     away_from_gaps,
     filled,
     likelihood,
@@ -167,7 +167,7 @@ class Actuation:
         self.u = filled(case.channels["x_cmd"])
         x = case.channels["x_meas"]
         self.sigma = noise_of(x, case.model.x_std)
-        self.own: Filter | None = None
+        self.own: Whitener | None = None
         rows = case.rows & np.isfinite(x) & np.isfinite(case.channels["x_cmd"])
         rest = abs(self.u[0]) < 1e-3 * (np.max(np.abs(self.u)) or 1.0)
         self.first = 0 if rest else int(MASK_S * case.fs_hz)
@@ -213,7 +213,7 @@ class Actuation:
         judged = np.zeros(self.x.size, dtype=np.bool_)
         judged[self.rows] = True
 
-        def told(fit: ActuatorFit) -> tuple[float, Filter | None]:
+        def told(fit: ActuatorFit) -> tuple[float, Whitener | None]:
             cost, own = likelihood(
                 self.left(fit), judged, fit.motion.v, self.case.fs_hz, self.sigma,
                 self.case.model.x_std,

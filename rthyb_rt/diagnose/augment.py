@@ -9,6 +9,7 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context
+from rthyb_rt.diagnose.modulation import Modulated
 from rthyb_rt.diagnose.predict import Augmented
 from rthyb_rt.diagnose.simulate import ActuatorModel, Motion
 
@@ -59,7 +60,12 @@ def specimen(model: Augmented) -> Specimen:
         if own is None and added is not None:
             # Less mass: no element, but it comes off what there is.
             own = [core.element("inertia", m_kg=added)]
-        if own is None:
+        if isinstance(member.effect, Modulated):
+            # A rig's laws know no channel beside the motion: the law as it is at the mean.
+            own = member.effect.at_mean(ctx, member.trial, beta)
+            lost.append(member.effect.in_words())
+            elements += own or []
+        elif own is None:
             lost.append(member.name)
         elif member.name in ("pinching", "degradation"):
             replaced_spring = own

@@ -132,6 +132,8 @@ class Case:
         notes: conditions met in the data and handled, in words.
         own: the whole recording, where it is one of this program.
         folder: name of the folder that it lies in.
+        further: columns that are no channel, by what stands over them, each (n,), in a unit of
+            their own.
     """
 
     name: str
@@ -142,6 +144,12 @@ class Case:
     notes: list[str] = field(default_factory=list)
     own: Recording | None = None
     folder: str = ""
+    further: dict[str, Floats] = field(default_factory=dict)
+
+    @property
+    def recorded(self) -> dict[str, Floats]:
+        """All that was recorded, channels or not, each (n,)."""
+        return {**self.further, **self.channels}
 
     @property
     def fs_hz(self) -> float:

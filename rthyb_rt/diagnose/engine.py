@@ -10,11 +10,13 @@ import numpy as np
 
 from rthyb_rt.diagnose import (
     actuation,
+    decay,
     effects,
     estimate,
     force,
     freebody,
     localise,
+    modulation,
     noise,
     redundant,
     rigged,
@@ -101,6 +103,7 @@ class Found:
         shape: variant of its law and shape parameters, for the report.
         form: the law itself in a few words, of those that share the name.
         from_s: when it begins, where that is in mid-record, s.
+        modulated_by: the channel that changes it, and by how much; see `Modulated.slope`.
     """
 
     name: str
@@ -113,6 +116,7 @@ class Found:
     shape: str = ""
     form: str = ""
     from_s: float | None = None
+    modulated_by: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -309,7 +313,7 @@ def context_of(
     """Return what force laws see of a recording."""
     other = {
         name: estimate.filled(values)
-        for name, values in case.channels.items()
+        for name, values in case.recorded.items()
         if np.isfinite(values).any()
     }
     return Context(case.model, found.motion, case.t, found.force, other, ranges)
@@ -336,6 +340,8 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             return _verdict(case, disp, found, ctx, search)
         held = freebody.shown(case) and not found.exact
         body = freebody.Body(case, ctx) if held or freebody.judged(case) else None
+        if decay.judged(case):
+            body = decay.Swing(case, ctx)
 
         def doubtful(done: force.Search) -> bool:
             # Several laws fit almost any estimate of a motion, but they have to simulate it.
@@ -375,7 +381,7 @@ def _in_its_noise(
     if not found.exact:
         return found, search
 
-    def told(fit: Fit) -> tuple[float, estimate.Filter | None]:
+    def told(fit: Fit) -> tuple[float, estimate.Whitener | None]:
         cost, own = estimate.likelihood(
             _left_by(search, fit), found.rows, found.motion.v, case.fs_hz, found.sigma_n,
             case.model.f_std,
@@ -484,11 +490,11 @@ def _force_known(case: Case, search: force.Search) -> bool:
             or (_small(search, search.excess_before) and _within(search))
         )
     at_noise = search.excess_after < NOISE_LEFT
-    if at_noise or (search.scale < 1.5 and search.excess_after < 0.5):
+    above = search.scale < 1.5 and search.excess_after < 0.5
+    if (at_noise or above) and not search.problem.estimate.coloured:
         # At the noise, or above it without colour: the data sheet's figure is low. Noise that takes
         # any colour to fit is to be as large as the sheet says, and no event.
-        if not search.problem.estimate.coloured:
-            return True
+        return True
     left = search.excess_after / max(search.excess_before, 1e-12)
     found = search.problem.estimate
     # A moment at which a law begins can be moved to meet much: what is left then is no blur.
@@ -581,6 +587,15 @@ def _simulates(case: Case, search: force.Search | None) -> bool:
     return off < SIMULATION and off**2 - noise**2 < UNSEEN**2
 
 
+def _lost_in_form(case: Case, search: force.Search, quantised: Found) -> bool:
+    """Return whether beside a naive model rounding explains less than a further law has to."""
+    if case.model.k_tol is not None or not search.best.members:
+        return False
+    missing = _left_by(search, search.null)[search.problem.estimate.rows]
+    share = quantised.params["lsb_N"] ** 2 / 12.0 / float(np.mean(missing**2))
+    return share < force.NEEDED[min(len(search.best.names) + 1, 3)]
+
+
 def _rounded(case: Case, search: force.Search, quantised: Found) -> bool:
     """Return whether the model with nothing in it stays within half a step of nearly all rows.
 
@@ -669,6 +684,8 @@ def _verdict(
     search: force.Search | None,
 ) -> Diagnosis:
     quantised = quantisation(case)
+    if quantised is not None and search is not None and _lost_in_form(case, search, quantised):
+        quantised = None
     if quantised is not None and search is not None:
         search = _by_rounding(case, search, quantised)
     disp_known = disp is None or disp.known
@@ -714,7 +731,10 @@ def _verdict(
         verdict = "ambiguous"
     if not disp_known or not force_known:
         verdict, names, unique = "unknown", [], []
-    return _located(case, disp, found, ctx, search, verdict, names, candidates, unique)
+    done = _located(case, disp, found, ctx, search, verdict, names, candidates, unique)
+    named = [c for c in candidates if c.name in names]
+    done.notes += modulation.in_words([c.name for c in named], [c.modulated_by for c in named])
+    return done
 
 
 def _located(
@@ -922,6 +942,7 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
                     continue
                 seen.add(name)
                 wanted = effects.params_of(name, m.effect)
+                form, slope = modulation.told(m.effect, ctx, m.trial, fit.betas[i])
                 out.append(
                     Found(
                         name, "force", float(weight),
@@ -930,8 +951,9 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
                         -2.0 * 0.5 * (search.null.chi2 - fit.chi2),
                         force.contribution(problem, fit, i) if number == 0 else None,
                         f"{m.trial.variant} {m.trial.theta}".strip(),
-                        m.effect.form(ctx, m.trial),
+                        form,
                         float(ctx.t[0]) + m.trial.theta[-1] if m.effect.late else None,
+                        slope,
                     )
                 )  # fmt: skip
         if number and len(out) > 8:
@@ -1137,7 +1159,8 @@ def to_json(d: Diagnosis) -> dict[str, Any]:
         "candidates": [
             {"name": c.name, "score": c.score, "params": c.params, "ci95": c.ci95,
              "delta_bic": c.evidence, "channel": c.channel}
-            | ({"form": c.form} if c.form else {}) | _work(d, c)
+            | ({"form": c.form} if c.form else {})
+            | ({"modulated_by": c.modulated_by} if c.modulated_by else {}) | _work(d, c)
             | ({"from_s": c.from_s} if c.from_s is not None else {})
             for c in known
         ],

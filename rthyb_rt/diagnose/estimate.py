@@ -34,6 +34,8 @@ MOVING_EDGE_S = 1.5
 """The same where a recording begins or ends in full motion."""
 STRAIGHT = 0.3
 """Part of a quasi-static recording in straight strokes from which it is one of ramps."""
+APART = 4.0
+"""Standard deviations of noise by which two displacements differ that are not one: six in 1e5."""
 TURN_ROWS = 20
 """Rows at either end of a quasi-static recording in which a turn would not be seen."""
 
@@ -333,7 +335,7 @@ def _in_pieces(
 
 
 @dataclass(frozen=True)
-class Filter:
+class Whitener:
     """What makes the noise of a channel white with unit variance.
 
     Attributes:
@@ -354,7 +356,7 @@ def likelihood(
     fs_hz: float,
     sigma: float,
     sheet: float | None,
-) -> tuple[float, Filter | None]:
+) -> tuple[float, Whitener | None]:
     """Return -2 ln of the likelihood of what a set of effects leaves, in noise of its colour.
 
     Up to a constant, with the price of the colour's numbers. The noise is as large as fits best
@@ -380,7 +382,7 @@ def likelihood(
     power = colour.at(s.omega / (2.0 * np.pi))
     cost = count * float(np.mean(np.log(power))) + colour.count * float(np.log(count))
     flat, power = np.ones(power.size), sigma**2 * power
-    made = Filter(
+    made = Whitener(
         _coloured(s, power, flat), _in_pieces(s, power, flat, fs_hz), colour.scatter(count, fs_hz)
     )
     own = made.whiten(residual)[rows]
@@ -516,6 +518,18 @@ def _legs(x: Floats, v: Floats, fs_hz: float) -> tuple[Floats, NDArray[np.bool_]
     return out, straight
 
 
+def _plainly_moving(x: Floats, v: Floats, sigma: float) -> NDArray[np.bool_]:
+    """Return the rows whose neighbours are farther apart than noise makes them, the way of v.
+
+    There the direction is not in doubt, however near a turn is: of a coarse recording of cycles the
+    rows around the turns are those that show what the specimen bears.
+    """
+    across = np.zeros(x.size)
+    across[1:-1] = x[2:] - x[:-2]
+    apart = np.abs(across) > APART * np.sqrt(2.0) * sigma
+    return np.asarray(apart & (np.sign(across) == np.sign(v)))
+
+
 def _static(case: Case) -> Estimate | None:
     f_meas = case.get("f_meas")
     if f_meas is None:
@@ -525,7 +539,8 @@ def _static(case: Case) -> Estimate | None:
     sure = np.ones(x.size, dtype=np.bool_)
     if (case.model.x_std or 0.0) * case.fs_hz > 0.02 * float(np.median(np.abs(v))):
         v, straight = _legs(x, _rate(x, case.fs_hz), case.fs_hz)
-        if np.mean(straight) < STRAIGHT:
+        bent = bool(np.mean(straight) < STRAIGHT)
+        if bent:
             # A slow sweep or random motion bends within any span that averages its noise.
             v = smoothed(case, [])[0].v
         # In which row exactly it turns is not known: those are not judged.
@@ -533,6 +548,8 @@ def _static(case: Case) -> Estimate | None:
         for reach in range(-5, 7):
             sure[np.clip(turns + reach, 0, x.size - 1)] = False
         sure[-TURN_ROWS:] = False
+        if bent:
+            sure |= _plainly_moving(x, v, noise_of(case.channels["x_meas"], case.model.x_std))
     sigma = case.model.f_std or noise_of(f_meas, None)
     sigma = float(np.hypot(sigma, abs(case.model.k) * (case.model.x_std or 0.0)))
     rows = case.rows & np.isfinite(f_meas) & np.isfinite(case.channels["x_meas"])

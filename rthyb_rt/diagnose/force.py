@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rthyb_rt.diagnose import onset, redundant
+from rthyb_rt.diagnose import decay, modulation, onset, redundant
 from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
 from rthyb_rt.diagnose.freebody import MET_ALONE as MET
 from rthyb_rt.diagnose.freebody import Body
@@ -135,6 +135,8 @@ class _Fitter:
             found = refine(self.problem, members)
             if found is not None and not self.problem.sensible(found):
                 found = None
+            if found is not None and not modulation.holds(self.problem, found):
+                found = None
             self.known[key] = found
             if found is not None:
                 found.chi2 += self.testimony(found)
@@ -144,12 +146,10 @@ class _Fitter:
     def keep(self, found: Fit) -> None:
         """Take a refined set, where it is better than the one of its names.
 
-        Forms of a law have no price beside one another; to begin in mid-record has.
+        Of two forms of a law the one with more parameters has to earn them.
         """
         old = self.by_names.get(found.names)
-        late = any(m.effect.late for m in (*found.members, *(old.members if old else ())))
-        rank = self.score if late else (lambda fit: fit.chi2)
-        if old is None or rank(found) < rank(old):
+        if old is None or self.score(found) < self.score(old):
             self.by_names[found.names] = found
 
     def hear(self, known: redundant.Witness, members: Sequence[Member], null: Fit) -> Fit:
@@ -392,7 +392,13 @@ def _moved(
     felt = [f for f in (named, *ranked[:1]) if not body.held or not _seen_only(f.members)]
     leading = [f for f in {f.names: f for f in felt}.values() if len(f.members) == 2]
     parts = [f for f in singles if any(set(f.names) < set(pair.names) for pair in leading)]
-    for fit in [*parts, *leading, *singles[:POOL], *ranked[:POOL]]:
+    first = body.first(ranked)
+    for fit in first:
+        mover.move(fit)
+    # Where those explain the motion, no others than their like are looked at.
+    enough = any(f.chi2 < DECISIVE * plain.chi2 for f in mover.by_names.values() if first)
+    pool = [f for f in ranked if body.plain(f.members)] if enough else ranked
+    for fit in [*([] if enough else (*parts, *leading, *singles[:POOL])), *pool[:POOL]]:
         if fit.names not in mover.by_names and not mover.pointless(fit.names):
             mover.move(fit)
     n = float(body.rows.size)
@@ -407,7 +413,7 @@ def _moved(
             grown.add(fit.names)
             for members in _beside(dictionary, fit, POOL):
                 names = {n for m in members for n in m.effect.names}
-                if body.held and _seen_only(members):
+                if (body.held and _seen_only(members)) or (enough and not body.plain(members)):
                     continue
                 if len(DRY & names) < 2 and tuple(sorted(names)) not in mover.by_names:
                     mover.fit(members)
@@ -532,6 +538,8 @@ def _sweep(
     for group in members(leading[:10]):
         fitter.fit(group)
     _grow(dictionary, fitter)
+    _damped(dictionary, fitter)
+    _modulated(fitter)
     reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
     rows = dictionary.problem.y.size * dictionary.problem.estimate.share
     if reached > 1.03 * rows:
@@ -611,6 +619,28 @@ def _grow(dictionary: Dictionary, fitter: _Fitter) -> None:
                 fitter.fit(members)
 
 
+def _damped(dictionary: Dictionary, fitter: _Fitter) -> None:
+    """Try two laws of damping beside the best spring of a body that is let go."""
+    problem = fitter.problem
+    if not problem.decays or problem.case.model.k_tol is not None:
+        return
+    springs = [f for f in fitter.by_names.values() if decay.conservative(f) == f.members]
+    if springs:
+        for members in decay.damped_twice(dictionary, min(springs, key=fitter.score)):
+            fitter.fit(members)
+
+
+def _modulated(fitter: _Fitter) -> None:
+    """Let channels that no model knows change the laws of the best sets, one law after another."""
+    done: set[int] = set()
+    for _ in range(3 if fitter.problem.case.further else 0):
+        for fit in sorted(fitter.by_names.values(), key=fitter.score)[:LEADING]:
+            if id(fit) not in done:
+                done.add(id(fit))
+                for members in modulation.modulated(fitter.problem, fit):
+                    fitter.fit(members)
+
+
 def _beside(dictionary: Dictionary, fit: Fit, most: int) -> list[tuple[Member, ...]]:
     """Return a set with each of the effects that promise most beside it.
 
@@ -647,7 +677,6 @@ def _promising(
 
 def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
     """Return whether no effect of a set can be left out."""
-    explained = null.chi2 - fit.chi2
     for i, member in enumerate(fit.members):
         rest = [m for j, m in enumerate(fit.members) if j != i]
         names = tuple(sorted(n for m in rest for n in m.effect.names))
@@ -667,6 +696,7 @@ def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
             member.name in bent(fitter.problem, without)
             or (member.name in fitter.stated and not isinstance(fitter, _Mover))
         )
+        explained = decay.explained(fitter.problem, fitter.fit, fit, member, null)
         small = rest and own < least * explained and not stated
         if not small or _completes(fitter, fit, without):
             continue
@@ -791,7 +821,9 @@ def _worth_their_size(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
         size = len(fit.members)
         smaller = min((f.chi2 for f in fits if len(f.members) < size), default=np.inf)
         least = NEEDED[min(size, 3)] * (1.0 if fitter.exact else 2.5)
-        if smaller - fit.chi2 >= least * (null.chi2 - fit.chi2):
+        # What the last of them is to explain; of a decay the damping, see there.
+        whole = min(decay.explained(problem, fitter.fit, fit, m, null) for m in fit.members)
+        if smaller - fit.chi2 >= least * whole:
             out.append(fit)
     return out
 

@@ -19,7 +19,14 @@ from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.effects.friction import SHARP
 from rthyb_rt.diagnose.predict import Augmented, changed, parameters, start_of
-from rthyb_rt.diagnose.select import MASS_BLUR, SKEW_PRIOR_S, Fit, Problem, clustered
+from rthyb_rt.diagnose.select import (
+    MASS_BLUR,
+    SKEW_PRIOR_S,
+    Fit,
+    Member,
+    Problem,
+    clustered,
+)
 from rthyb_rt.diagnose.simulate import Motion, SimulationError
 
 EXACT = 1.5e-4
@@ -91,7 +98,7 @@ class Body:
         self.case, self.ctx, self.runs = case, ctx, RUNS
         self.held = "f_meas" in case.channels and case.model.family == "ground"
         self.x = case.channels["x_meas"]
-        self.other = {k: estimate.filled(v) for k, v in case.channels.items()}
+        self.other = {k: estimate.filled(v) for k, v in case.recorded.items()}
         rows = case.rows & np.isfinite(self.x)
         for name in ("ag", "f_in"):
             if name in case.channels:
@@ -111,6 +118,18 @@ class Body:
         if model.family == "ground":
             return -model.mass * factor * self.other["ag"], model.mass * factor
         return self.other["f_in"], model.moving_mass * (factor - 1.0)
+
+    def first(self, ranked: Sequence[Fit]) -> list[Fit]:
+        """Return the sets whose motion is looked at before all others, of those by their balance.
+
+        Args:
+            ranked: what the balance of forces found, best first.
+        """
+        return []
+
+    def plain(self, members: Sequence[Member]) -> bool:
+        """Return whether a set may stand beside those where they explain the motion."""
+        return True
 
     def quick(self, fit: Fit) -> bool:
         """Return whether every effect is one element of the core, and no loop of many springs."""

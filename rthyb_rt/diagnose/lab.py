@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rthyb_rt.diagnose import sizes
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
 from rthyb_rt.diagnose.mapping import Source, Wish, sources
-from rthyb_rt.diagnose.table import Column, Table, read_table
+from rthyb_rt.diagnose.table import TIME_NAMES, Column, Table, plain, read_table
 from rthyb_rt.diagnose.units import SI, USUAL, in_si, read_unit
 from rthyb_rt.errors import InputError
 
@@ -39,6 +39,7 @@ class Lab:
         labels: what stands over the column of each channel, without its unit.
         stated: unit of each channel whose unit the file or the user states.
         table, sources: the columns, and which of them are channels.
+        further: columns of numbers that are no channel, as written, by what stands over them.
     """
 
     t: Floats
@@ -49,6 +50,7 @@ class Lab:
     stated: dict[str, str]
     table: Table
     sources: dict[str, Source]
+    further: dict[str, Floats] = field(default_factory=dict)
 
 
 def read_lab(path: Path, model: Model, wishes: Sequence[Wish], needed: bool) -> Lab:
@@ -76,7 +78,28 @@ def read_lab(path: Path, model: Model, wishes: Sequence[Wish], needed: bool) -> 
         if source.unit is not None and not source.presumed and source.unit.factor != 1:
             notes.append(f"{channel}: {labels[channel]!r} in {source.unit.text}, converted")
     stated = {k: s.unit.text for k, s in found.items() if s.unit is not None and not s.presumed}
-    return Lab(t, channels, notes, table.lines, labels, stated, table, found)
+    further = _further(table, found, labels)
+    return Lab(t, channels, notes, table.lines, labels, stated, table, found, further)
+
+
+def _further(table: Table, found: dict[str, Source], labels: dict[str, str]) -> dict[str, Floats]:
+    """Return the columns of numbers that are no channel and no time."""
+    used = {source.column for source in found.values()}
+    out = {}
+    for j, column in enumerate(table.columns):
+        time = plain(column.name) in TIME_NAMES or _label(column) == labels.get("t") or column.day
+        if j in used or time or not column.header or column.fault is not None:
+            continue
+        values = np.where(np.abs(column.values) < HUGE, column.values, np.nan)
+        if np.isfinite(values).any() and not _counts(values):
+            out[column.header] = values
+    return out
+
+
+def _counts(values: Floats) -> bool:
+    """Return whether a column counts its rows."""
+    steps = np.diff(values)
+    return bool(steps.size) and bool(np.all(steps == steps[0])) and steps[0] != 0.0
 
 
 def time_unit(ratio: float) -> str | None:

@@ -167,7 +167,10 @@ def _unused(table: Table, found: dict[str, Source]) -> list[str]:
     strange = [c.header for j, c in enumerate(table.columns) if j not in used and c.header]
     if not strange:
         return []
-    return [f"columns not used: {', '.join(strange)} (known: {', '.join(CHANNELS)})"]
+    return [
+        f"columns that are no channel: {', '.join(strange)}; numbers in them are tried as what "
+        f"changes a law (channels: {', '.join(CHANNELS)})"
+    ]
 
 
 def _matches(table: Table, name: str, exactly: bool) -> list[int]:

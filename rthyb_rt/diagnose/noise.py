@@ -105,7 +105,8 @@ def colour_of(
     mean = float(np.sum(taper * residual) / np.sum(taper))
     power = np.abs(np.fft.rfft(taper * (residual - mean))) ** 2 / scale
     moved = np.cumsum(np.abs(np.fft.rfft(taper * velocity)) ** 2)
-    low_hz, high_hz = np.interp([0.5 * BESIDE, 1.0 - 0.5 * BESIDE], moved / moved[-1], f_hz)
+    ends = np.interp([0.5 * BESIDE, 1.0 - 0.5 * BESIDE], moved / moved[-1], f_hz)
+    low_hz, high_hz = map(float, ends)
     beside = np.flatnonzero(((f_hz < low_hz) | (f_hz > high_hz)) & (np.arange(f_hz.size) > 1))
     beside = beside[beside < f_hz.size - 1]
     if not np.isfinite(power).all() or not moved[-1] > 0.0:
@@ -113,7 +114,6 @@ def colour_of(
     # With little room above the motion nothing tells its noise from what it makes.
     if beside.size < 8 * LINES or high_hz > 0.25 * fs_hz:
         return None
-    high_hz = float(high_hz)
     # Seen from above only, noise is known as far as it goes on evenly: an octave to either side.
     below = f_hz[beside[0]] < low_hz
     near = beside[f_hz[beside] < (NEAR if below else 2.0) * high_hz]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rthyb_rt import core
-from rthyb_rt.diagnose import estimate
+from rthyb_rt.diagnose import estimate, history
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.onset import lasting
@@ -156,7 +156,9 @@ class Prediction:
     x: Floats
 
 
-def predict(augmented: Augmented, case: Case, before: Case | None = None) -> Prediction:
+def predict(
+    augmented: Augmented, case: Case, before: Case | None = None, begun: bool = True
+) -> Prediction:
     """Return what a model makes of a recording's inputs.
 
     Args:
@@ -164,17 +166,18 @@ def predict(augmented: Augmented, case: Case, before: Case | None = None) -> Pre
         case: the recording; outputs may be missing.
         before: the recording that the model was fitted to. What began in it is there throughout
             in another one; where this one goes on from it, its history is run through first.
+        begun: whether the first rows of its force tell what the specimen went through before.
     """
     if before is not None and not continues(before, case):
         augmented = augmented.lasting()
     if before is not None and continues(before, case):
         whole = _joined(before, case)
         late = augmented.zeros_m[1]
-        result = predict(replace(augmented, zeros_m=(late, late)), whole)
+        result = predict(replace(augmented, zeros_m=(late, late)), whole, begun=False)
         n = case.t.size
         return Prediction(case.t, result.f[-n:], result.x[-n:])
     model = augmented.model
-    other = {k: estimate.filled(v) for k, v in case.channels.items() if np.isfinite(v).any()}
+    other = {k: estimate.filled(v) for k, v in case.recorded.items() if np.isfinite(v).any()}
     x_meas = case.channels.get("x_meas")
     measured = _measured(case)
     x_only = np.full(case.t.size, np.nan)
@@ -197,7 +200,11 @@ def predict(augmented: Augmented, case: Case, before: Case | None = None) -> Pre
             motion = _measured_motion(case)
     if motion is None:
         return Prediction(case.t, np.full(case.t.size, np.nan), x_only)
-    return Prediction(case.t, augmented.force(motion, case.t, other), x_only)
+    if model.family != "drive" or not begun:
+        return Prediction(case.t, augmented.force(motion, case.t, other), x_only)
+    reach = max(float(np.max(np.abs(motion.x))), augmented.ranges[0] if augmented.ranges else 0.0)
+    force = history.force_after(augmented.force, case, motion, other, reach)
+    return Prediction(case.t, force, x_only)
 
 
 def _measured(case: Case) -> bool:
@@ -312,19 +319,20 @@ def continues(before: Case, case: Case) -> bool:
 
 
 def _joined(before: Case, case: Case) -> Case:
-    names = set(before.channels) | set(case.channels)
     n, m = before.t.size, case.t.size
-    channels = {
-        k: np.concatenate(
-            (before.channels.get(k, np.full(n, np.nan)), case.channels.get(k, np.full(m, np.nan)))
-        )
-        for k in names
-    }
+
+    def chained(first: dict[str, Floats], then: dict[str, Floats]) -> dict[str, Floats]:
+        return {
+            k: np.concatenate((first.get(k, np.full(n, np.nan)), then.get(k, np.full(m, np.nan))))
+            for k in set(first) | set(then)
+        }
+
     # The displacement must not be known where it is to be predicted.
     return replace(
         case,
         t=np.concatenate((before.t, case.t)),
-        channels=channels,
+        channels=chained(before.channels, case.channels),
+        further=chained(before.further, case.further),
         rows=np.concatenate((before.rows, case.rows)),
     )
 
@@ -396,7 +404,7 @@ def output_error(
     x_meas = case.channels.get("x_meas")
     if case.model.family not in ("ground", "forced") or x_meas is None:
         return augmented
-    other = {k: estimate.filled(v) for k, v in case.channels.items()}
+    other = {k: estimate.filled(v) for k, v in case.recorded.items()}
     places = parameters(augmented)
     rows = case.rows & np.isfinite(x_meas)
     sigma = float(np.std(x_meas[rows])) or 1.0

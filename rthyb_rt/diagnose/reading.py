@@ -73,7 +73,10 @@ def read_case(
         t, channels, notes = lab.t, lab.channels, lab.notes
     if model.unused:
         notes.append(f"not used of the model: {', '.join(model.unused)}")
-    t, channels, more = _uniform(t, channels, model.fs_hz, where, lab)
+    beyond = lab.further if lab is not None else {}
+    t, whole, more = _uniform(t, {**beyond, **channels}, model.fs_hz, where, lab)
+    channels = {k: whole[k] for k in channels}
+    further = {k: whole[k] for k in beyond}
     notes += more
     rows = np.ones(t.size, dtype=np.bool_)
     _filled_in(channels, notes)
@@ -83,7 +86,7 @@ def read_case(
         _clipped(channels, where, notes)
         _fits_family(channels, model, where)
     folder = recording.resolve().parent.name
-    case = Case(recording.stem, model, t, channels, rows, notes, own, folder)
+    case = Case(recording.stem, model, t, channels, rows, notes, own, folder, further)
     if judged and t.size < LEAST_ROWS:
         raise InputError(f"has {t.size} rows; a diagnosis needs at least {LEAST_ROWS}", where)
     labels = lab.labels if lab is not None else None

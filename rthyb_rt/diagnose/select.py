@@ -15,9 +15,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt.diagnose import modulation
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
 from rthyb_rt.diagnose.estimate import Estimate, Rows
+from rthyb_rt.diagnose.simulate import Motion
 
 SKEW_PRIOR_S = 5e-5
 """Standard deviation of the time offset between channels: 0.1 ms is normal."""
@@ -34,6 +36,10 @@ LONG = 4
 """Times as many from which a search whitens pieces of the recording, and not all of it."""
 PIECE = 1024
 """Rows of such a piece."""
+SLOPES = 101
+"""Displacements between the ends of the motion at which the slope of a spring is taken."""
+LEVEL = 0.01
+"""Part of its steepest slope below which a spring's slope is level: numerics."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +150,12 @@ class Problem:
         self.base = np.column_stack(
             [self.seen(n.column) for n in self.nuisances] or [np.zeros((self.y.size, 0))]
         )
-        self.effects = [e for e in effects if self._admitted(e)]
+        catalogue = list(effects)
+        free = {n.name for n in self.nuisances if n.sigma is None}
+        self.effects = [e for e in catalogue if self._admitted(e)]
+        if case.further and case.model.family != "loop":
+            possible = [e for e in catalogue if e.name in free or e in self.effects]
+            self.effects += modulation.forms(possible, case.further, free)
         self.ln_n = float(np.log(max(self.y.size, 2)))
 
     def _admitted(self, effect: Effect) -> bool:
@@ -152,16 +163,16 @@ class Problem:
         names = {n.name for n in self.nuisances if n.sigma is None}
         if effect.name in names:
             return False
-        if effect.name == "inertia" and self._decays and model.k_tol is None:
+        if effect.name == "inertia" and self.decays and model.k_tol is None:
             return False
         if effect.sensor and model.family == "forced":
             return effect.name in ("bias", "drift")
         if effect.sensor and model.family == "ground" and "f_meas" not in self.case.channels:
             return effect.name in ("bias",)
-        return not (quasi(self.case) and effect.name not in STATIC)
+        return not quasi(self.case) or STATIC.issuperset(effect.names)
 
     @property
-    def _decays(self) -> bool:
+    def decays(self) -> bool:
         """Whether nothing acts on a body: then its mass is the scale of all forces, and stays."""
         return self.case.model.family == "forced" and not np.any(self.ctx.force)
 
@@ -173,7 +184,7 @@ class Problem:
             sigma = None if model.c_tol is None else model.c_tol * abs(model.c)
             yield Nuisance("viscous", ctx.v, sigma)
         massive = bool(model.moving_mass) or model.family == "forced"
-        if model.k_tol is None and massive and not self._decays:
+        if model.k_tol is None and massive and not self.decays:
             yield Nuisance("inertia", ctx.a, None)
         if quasi(self.case):
             return
@@ -208,11 +219,33 @@ class Problem:
         return np.asarray(clean[pieces.judged] / self.loudness)
 
     def sensible(self, fit: Fit) -> bool:
-        """Return whether every effect of a fit makes a physical law."""
+        """Return whether every effect of a fit makes a physical law, and so do its springs."""
         return all(
             m.effect.sensible(self.ctx, m.trial, b)
             for m, b in zip(fit.members, fit.betas, strict=True)
-        )
+        ) and not self._gives_way(fit)
+
+    def _gives_way(self, fit: Fit) -> bool:
+        """Return whether beside a yielding law an elastic spring pushes outwards, of a naive model.
+
+        What softens there is the loop. A polynomial that takes that over has a slope below zero
+        within the motion, and foretells nothing beyond it.
+        """
+        ctx = self.ctx
+        if not ctx.k_free or not any(m.effect.yields for m in fit.members):
+            return False
+        x = np.linspace(-ctx.x_range, ctx.x_range, SLOPES)
+        still, t = Motion(x, np.zeros(SLOPES), np.zeros(SLOPES)), np.linspace(0.0, 1.0, SLOPES)
+        along = Context(ctx.model, still, t, still.v, {}, ctx.all_ranges)
+        force = along.spring.copy()
+        for b, nuisance in zip(fit.nuisance, self.nuisances, strict=True):
+            if nuisance.name == "stiffness":
+                force += b * along.spring
+        elastic = [(m, b) for m, b in zip(fit.members, fit.betas, strict=True) if m.effect.elastic]
+        for member, beta in elastic:
+            force += np.asarray(beta) @ np.array(member.effect.columns(along, member.trial))
+        slope = np.diff(force)
+        return bool(elastic) and float(slope.min()) < -LEVEL * float(np.abs(slope).max())
 
     def beside(self, members: Sequence[Member]) -> Floats:
         """Return the judged columns of the nuisance beside a set, (rows, nuisances)."""

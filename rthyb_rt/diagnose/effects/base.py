@@ -147,6 +147,9 @@ class Effect:
         momentary: its force follows from x and v of the moment alone, so that a closed loop can be
             simulated with it though the core has no element for it.
         carries: of a sensor, which passes on what others do to the specimen in its own way.
+        elastic: its force follows from the displacement of the moment alone.
+        dissipates: it takes energy out of a motion at every moment, and stores none.
+        yields: its spring gives way by plastic flow.
         complete: a joint law that no other effect of the specimen stands beside.
         begins: it may begin in mid-record; not where all of the past is in it anyhow.
         late: it begins in mid-record.
@@ -163,6 +166,9 @@ class Effect:
     sensor = False
     momentary = False
     carries = False
+    elastic = False
+    dissipates = False
+    yields = False
     complete = False
     begins = True
     late = False

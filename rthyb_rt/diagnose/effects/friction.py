@@ -20,6 +20,7 @@ class Viscous(Effect):
     params = (Param("c_Ns_m", "N s/m", -1e10, 1e10),)
     equation = "f = c v"
     fingerprint = "residual is a straight line over velocity"
+    dissipates = True
     shown_by = ("sweep", "a dashpot's force grows with frequency, that of a skew with force")
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
@@ -38,6 +39,7 @@ class QuadDamping(Effect):
     params = (Param("c2_Ns2_m2", "N s^2/m^2", -1e12, 1e12),)
     equation = "f = c2 v |v|"
     fingerprint = "residual grows with the square of velocity"
+    dissipates = True
     shown_by = (
         "multi_amplitude",
         "a force with the square of velocity shows at several amplitudes",
@@ -63,6 +65,7 @@ class PowerDamping(Effect):
     params = (Param("F1_N", "N", 0.0, 1e10), Param("exponent", "", 0.05, 10.0))
     equation = "f = F1 |v / (1 m/s)|^exponent sgn(v)"
     fingerprint = "residual over velocity is a power, neither straight nor a parabola"
+    dissipates = True
     shown_by = ("multi_amplitude", "a power of velocity shows at several amplitudes")
     signs = "+"
     momentary = True
@@ -134,6 +137,7 @@ class Coulomb(Effect):
     params = (Param("Fc_N", "N", 0.0, 1e8),)
     equation = "f = Fc tanh(v / width), or Fc v / sqrt(v^2 + width^2)"
     fingerprint = "residual jumps with the sign of velocity, its size does not change"
+    dissipates = True
     shown_by = SLOW
     signs = "+"
 
@@ -185,6 +189,7 @@ class Stribeck(Effect):
     )
     equation = "f = [Fc + (Fs - Fc) exp(-(v/vs)^2)] tanh(v / width)"
     fingerprint = "friction with a peak at low velocity"
+    dissipates = True
     shown_by = SLOW
     signs = "++"
 

@@ -81,6 +81,7 @@ class Hysteresis(Effect):
     params = (Param("xy_m", "m", 1e-9, 10.0), Param("alpha", "", -1.0, 1.0))
     equation = "f = k (alpha x + (1 - alpha) z) instead of k x"
     fingerprint = "loops over displacement that do not depend on rate"
+    yields = True
     shown_by = LARGE
     signs = "+"
 

@@ -23,6 +23,7 @@ class Stiffness(Effect):
     params = (Param("dk_ratio", "", -1.0, 10.0),)
     equation = "f = dk_ratio k x"
     fingerprint = "a straight line over displacement, the same at every frequency"
+    elastic = True
     shown_by = ("sweep", "stiffness stays the same over frequency, mass does not")
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
@@ -77,6 +78,7 @@ class Cubic(Effect):
     params = (Param("k3_N_m3", "N/m^3", -1e15, 1e15),)
     equation = "f = k3 x^3, or k [L sin(x / L) - x], or k x |x / x0|^(n - 1)"
     fingerprint = "residual over displacement is an odd cubic, without loop"
+    elastic = True
     shown_by = AMPLITUDES
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
@@ -150,6 +152,7 @@ class Quadratic(Effect):
     params = (Param("k2_N_m2", "N/m^2", -1e15, 1e15),)
     equation = "f = k2 x^2"
     fingerprint = "residual over displacement is an even parabola"
+    elastic = True
     shown_by = AMPLITUDES
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:

@@ -1,0 +1,129 @@
+"""Free decays of a naive model: what is left of the energy shows the damping, and nothing else.
+
+Nothing pushes, so that nearly all of the force is the spring's. The laws of damping are a part in a
+thousand of it and yet all that ends the motion: they are measured against one another, and not
+against what the spring lacks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from itertools import combinations
+
+import numpy as np
+
+from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.freebody import Body
+from rthyb_rt.diagnose.predict import Augmented
+from rthyb_rt.diagnose.select import Dictionary, Fit, Member, Problem, compatible, solve
+
+MOST = 6
+"""Pairs of damping laws that are refined beside the spring, and sets that are simulated first."""
+HARDLY = 1e-3
+"""Part of the model's dashpot that is as good as none; a parameter has to be something."""
+
+
+def judged(case: Case) -> bool:
+    """Return whether a recording is a free decay beside a naive model: its motion tells all."""
+    model, push = case.model, case.channels.get("f_in")
+    free = model.family == "forced" and model.k_tol is None and model.k != 0.0
+    return free and push is not None and not np.nan_to_num(push).any()
+
+
+class Swing(Body):
+    """A body that is let go: its start is fitted, and so is the reading at which it would rest.
+
+    A sensor's zero and a constant force are one thing there, and no finding.
+    """
+
+    linear = False
+    largest = 3
+    loose = (("x", 0.4, np.inf), ("v", 0.4, np.inf), ("zero", 0.4, np.inf))
+
+    def first(self, ranked: Sequence[Fit]) -> list[Fit]:
+        """Return the sets of springs and damping alone: what ends most swings."""
+        plain = [f for f in ranked if len(f.names) <= self.largest and self.plain(f.members)]
+        return plain[:MOST]
+
+    def plain(self, members: Sequence[Member]) -> bool:
+        """Return whether a set has elastic springs and damping alone."""
+        return all(m.effect.elastic or m.effect.dissipates for m in members)
+
+    def refined(self, problem: Problem, fit: Fit) -> Fit | None:
+        """Fit a set to the motion as `Body` does, from a dashpot that does not push.
+
+        Laws of damping make up for one another in the balance, down to a dashpot below zero. What
+        is begun there is a motion that grows: the others are solved for anew without it.
+        """
+        names = [n.name for n in problem.nuisances]
+        c = self.case.model.c
+        at = names.index("viscous") if "viscous" in names else -1
+        if at < 0 or fit.scatter is not None or c + float(fit.nuisance[at]) > 0.0:
+            return super().refined(problem, fit)
+        held = copy(problem)
+        held.nuisances = [n for n in problem.nuisances if n.name != "viscous"]
+        held.base = np.delete(problem.base, at, axis=1)
+        held.y = problem.y + c * problem.base[:, at]
+        begun = solve(held, fit.members, held.blocks(fit.members))
+        if begun is None:
+            return None
+        begun.nuisance = np.insert(begun.nuisance, at, -(1.0 - HARDLY) * c)
+        return super().refined(problem, begun)
+
+    def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
+        """Return recording less simulation in units of the noise, one for each of the rows."""
+        rate = 2.0 * np.pi * self.spread
+        push, mass = self._push(1.0)
+        start = (at[0] + loose[0] * self.spread, at[1] + loose[1] * rate)
+        motion = now.moved_by(push, mass, self.case.t, self.other, start)
+        x = motion.x + loose[2] * self.spread
+        return np.asarray((x - self.x)[self.rows] / self.sigma)
+
+
+def conservative(fit: Fit) -> tuple[Member, ...]:
+    """Return the members of a set that take no energy out of the motion."""
+    return tuple(m for m in fit.members if not m.effect.dissipates)
+
+
+def explained(
+    problem: Problem, known: Callable[[Sequence[Member]], Fit | None], fit: Fit,
+    member: Member, null: Fit,
+) -> float:  # fmt: skip
+    """Return the misfit that a set has explained of the kind that one of its effects is to explain.
+
+    Args:
+        problem: the recording.
+        known: refines a set, or returns None where that makes no physical law.
+        fit: the set.
+        member: the effect of it.
+        null: nothing but nuisance.
+
+    Returns:
+        A fall of chi-squared: for a law of damping in a free decay, of all such laws of the set;
+        else of the whole set.
+    """
+    whole = null.chi2 - fit.chi2
+    if not (problem.decays and problem.case.model.k_tol is None and member.effect.dissipates):
+        return whole
+    spring = conservative(fit)
+    without = known(spring) if spring else null
+    return whole if without is None else without.chi2 - fit.chi2
+
+
+def damped_twice(dictionary: Dictionary, begun: Fit) -> list[tuple[Member, ...]]:
+    """Return a set's spring with each pair of damping laws that promises most beside it.
+
+    Friction that does not change and drag that dies out with the motion look, over one range of
+    amplitudes, like one dashpot: neither is worth much beside it without the other.
+    """
+    spring = conservative(begun)
+    groups = dictionary.groups
+    laws = [g for g, group in enumerate(groups) if group.member.effect.dissipates]
+    pairs = [
+        pair for pair in combinations(laws, 2)
+        if groups[pair[0]].member.name != groups[pair[1]].member.name
+    ]  # fmt: skip
+    found = dictionary.sets(pairs, dictionary.beside(begun))
+    sets = [(*spring, *(groups[g].member for g in pair)) for pair in dictionary.best(found, MOST)]
+    return [members for members in sets if compatible(members)]

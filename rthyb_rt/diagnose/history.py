@@ -1,0 +1,80 @@
+"""What a specimen with a memory went through before a recording began.
+
+A play that is taken up, a slider that was pushed, a loop that was left half way: a second recording
+begins there, and its first rows of force show it. The past is taken to be one excursion, out and
+back to the first displacement; how far it went is what best gives those rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.simulate import Motion
+
+HEAD = 0.15
+"""Part of a recording whose force may tell of its past: in files of inputs so much is given."""
+LEAST = 8
+"""Rows that it takes."""
+ROWS = 400
+"""Rows of each way of the excursion, and of the rest after it, in which relaxation ends."""
+FARTHEST = 33
+"""Excursions that are tried first, evenly over the displacements that the specimen knows."""
+CLOSER = 2
+"""Times that the place between the neighbours of the best is divided anew."""
+BETTER = 0.5
+"""Part of the misfit of the first rows that a past may leave: else none is taken to have been."""
+
+Force = Callable[[Motion, Floats, dict[str, Floats]], Floats]
+
+
+def force_after(
+    force: Force, case: Case, motion: Motion, other: dict[str, Floats], reach_m: float
+) -> Floats:
+    """Return the force along a motion, begun where the first recorded rows of force say, (n,), N.
+
+    Args:
+        force: of a motion, its times and other channels, from a state that knows no past.
+        case: the recording; `f_meas` may hold its first rows only.
+        motion: along which the force is wanted, each (n,).
+        other: further channels, each (n,).
+        reach_m: displacement up to which the past may have gone to either side.
+    """
+    plain = force(motion, case.t, other)
+    f_meas = case.channels.get("f_meas")
+    if f_meas is None or not np.isfinite(f_meas[0]):
+        return plain
+    known = np.isfinite(f_meas)
+    end = int(min(np.argmin(known) if not known.all() else known.size, HEAD * known.size))
+    if end < LEAST:
+        return plain
+
+    def begun(top: float, rows: int) -> Floats:
+        past = _excursion(top, float(motion.x[0]))
+        n = past.size
+        x = np.concatenate((past, motion.x[:rows]))
+        v = np.concatenate((np.gradient(past) * case.fs_hz, motion.v[:rows]))
+        a = np.concatenate((np.zeros(n), motion.a[:rows]))
+        t = np.concatenate((case.t[0] - np.arange(n, 0, -1) * case.dt, case.t[:rows]))
+        more = {k: np.concatenate((np.full(n, u[0]), u[:rows])) for k, u in other.items()}
+        return force(Motion(x, v, a), t, more)[n:]
+
+    def off(made: Floats) -> float:
+        return float(np.sqrt(np.mean((made[:end] - f_meas[:end]) ** 2)))
+
+    best, span = 0.0, reach_m
+    for _ in range(1 + CLOSER):
+        tops = np.linspace(best - span, best + span, FARTHEST)
+        best = float(tops[np.argmin([off(begun(float(top), end)) for top in tops])])
+        span *= 2.0 / (FARTHEST - 1)
+    if off(begun(best, end)) > BETTER * off(plain):
+        return plain
+    return begun(best, case.t.size)
+
+
+def _excursion(top: float, first: float) -> Floats:
+    """Return displacements from zero to ``top`` and back to the first, and a rest there, m."""
+    way = np.linspace(0.0, 1.0, ROWS)
+    return np.concatenate((top * way, top + (first - top) * way, np.full(ROWS, first)))
