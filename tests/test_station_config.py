@@ -454,7 +454,7 @@ def test_noisy_sensor_can_be_zeroed_with_the_spread_that_follows_from_its_noise(
 def test_ramp_out_of_the_file_keeps_to_the_path_velocity() -> None:
     given = {"path_velocity_m_per_s": "0.004"}
     bench = Bench(prepared(limits(**QUICK, **given))).running()
-    while abs(bench.all_rows()["x_num_m"][-1]) < 0.003:
+    while abs(bench.rows[-1]["x_num_m"][-1]) < 0.003:
         bench.step()
     bench.step("stop")
     bench.until("IDLE")

@@ -11,7 +11,7 @@ from prove import bench
 from prove.answers import Case
 
 
-def _table(names: list[str], columns: list[np.ndarray]) -> str:
+def table(names: list[str], columns: list[np.ndarray]) -> str:
     """CSV with seven significant figures, the time with twelve."""
     forms = ["%.12g" if n == "t" else "%.7g" for n in names]
     line = ",".join(forms)
@@ -85,18 +85,18 @@ def write(case: Case, folder: Path, name: str) -> None:
     """The folder of a case, as the open examples have it."""
     folder.mkdir(parents=True, exist_ok=True)
     columns = recorded(case, case.run, True)
-    (folder / "recording.csv").write_text(_table(list(columns), list(columns.values())))
+    (folder / "recording.csv").write_text(table(list(columns), list(columns.values())))
     (folder / "baseline.toml").write_text(baseline_text(case))
     columns = recorded(case, case.held, False)
-    (folder / "heldout_input.csv").write_text(_table(list(columns), list(columns.values())))
+    (folder / "heldout_input.csv").write_text(table(list(columns), list(columns.values())))
     x_base, f_base = bench.believed_outputs(case.lab, case.held)
     truth = [case.held.t, case.held.x, case.held.f, x_base, f_base]
-    (folder / "heldout_truth.csv").write_text(_table(["t", "x", "f", "x_base", "f_base"], truth))
-    answer = {"id": name, **case.answer}
-    (folder / "answer.json").write_text(json.dumps(answer, indent=1) + "\n")
+    (folder / "heldout_truth.csv").write_text(table(["t", "x", "f", "x_base", "f_base"], truth))
     for kind, run in case.follow_ups.items():
         follow = folder / f"next_{kind}"
         follow.mkdir(exist_ok=True)
         columns = recorded(case, run, True)
-        (follow / "recording.csv").write_text(_table(list(columns), list(columns.values())))
+        (follow / "recording.csv").write_text(table(list(columns), list(columns.values())))
         (follow / "baseline.toml").write_text(baseline_text(case))
+    answer = {"id": name, **case.answer}
+    (folder / "answer.json").write_text(json.dumps(answer, indent=1) + "\n")

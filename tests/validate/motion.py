@@ -153,13 +153,25 @@ def _hydraulic(y, u, h, w, zeta, stall, load_k, vmax):
 
 
 @njit(cache=True)
+def _slewed(y, u, slope, h, vmax):
+    """Where a signal that is no faster than vmax comes to in h behind one that runs straight.
+
+    Exact where both meet inside the step: what a step misses there stays until they meet again.
+    """
+    gap, along = u - y, min(max(slope, -vmax), vmax)
+    chase = math.copysign(vmax, gap)
+    closing = math.copysign(1.0, gap) * (chase - slope)
+    alone = h if closing <= 0.0 else min(abs(gap) / closing, h)
+    return y + chase * alone + along * (h - alone)
+
+
+@njit(cache=True)
 def _step(code, par, table, y, u0, u1, h):
     """One step of an actuator without its delay; y holds its state, y[2:4] motion, y[4] shaper."""
     vmax, valve = par[3], par[4] > 0.0
     if not valve and vmax < 1e9:
-        before = y[4]
-        y[4] += min(max(u1 - y[4], -vmax * h), vmax * h)
-        u0, u1 = before, y[4]
+        u0, u1 = y[4], _slewed(y[4], u0, (u1 - u0) / h, h, vmax)
+        y[4] = u1
     if code == 3:
         return _hydraulic(y, u0, h, par[0], par[1], par[5], par[6], vmax if valve else 1e9)
     if code == 2:

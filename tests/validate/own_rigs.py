@@ -1,7 +1,5 @@
 """Effects hidden in the rigs that the project ships, recorded by its own hybrid tests.
 
-    python tests/validate/own_rigs.py [--only hydraulic] [--seed 1] [--jobs 2]
-
 A case is a shipped rig with one or more effects put into its specimen (or its table), a test of
 Section 5 on it in virtual time, and the rig as shipped for a model. The command line is asked what
 is missing; right is the set that was hidden, alone or among the sets said to fit alike, and a loop
@@ -10,19 +8,15 @@ that closes with it.
 
 from __future__ import annotations
 
-import argparse
 import json
-import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections import defaultdict
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from prove import scoring
 
 from rthyb_rt import config, experiment, recording, virtual_time
 
@@ -200,80 +194,73 @@ def write(case: Case, folder: Path, pga_g: float | None = None, name: str = "run
     return model
 
 
+def make(case: Case, folder: Path) -> Path:
+    """Write model, recording, a stronger test held out, and what is hidden, where not yet there."""
+    if not (folder / "answer.json").exists():  # it is written last
+        write(case, folder)
+        write(case, folder, 1.5 * case.pga_g, "heldout")
+        wanted = [sorted(case.hidden.names), *map(sorted, case.hidden.accepted)]
+        truth = {"rig": case.rig, "kind": case.kind, "label": case.label, "wanted": wanted}
+        (folder / "answer.json").write_text(json.dumps(truth) + "\n")
+    return folder
+
+
+def chosen(seed: int, count: int, kinds: Collection[str] = ()) -> list[Case]:
+    """Return at most so many cases of each kind and rig; which ones, the seed says."""
+    groups: dict[tuple[str, str], list[Case]] = defaultdict(list)
+    for case in plans(seed):
+        if not kinds or case.kind in kinds:
+            groups[case.rig, case.kind].append(case)
+    random = np.random.default_rng(seed)
+    picked: list[Case] = []
+    for group in groups.values():
+        which = random.permutation(len(group))[:count]
+        picked += [group[i] for i in sorted(which)]
+    return picked
+
+
+def tool(program: str) -> scoring.Tool:
+    """Return the command line as it is asked about the recording of a run."""
+
+    def run(folder: Path) -> tuple[scoring.Answer, scoring.Prediction]:
+        files = [str(folder / "run"), "--model", str(folder / "model.toml")]
+        call = [program, "diagnose", *files, "--heldout", str(folder / "heldout"), "--json"]
+        return scoring.said_by(call, 300.0), None
+
+    return run
+
+
 @dataclass
 class Row:
-    """What was said of a case."""
+    """What was said of a case.
 
-    case: Case
+    Attributes:
+        right: that set was named and no other.
+        among: it was named, alone or among sets said to fit alike.
+        closed: NRMSE of the displacement of the loop, simulated with what was found.
+    """
+
+    rig: str
+    kind: str
+    label: str
     verdict: str
     said: list[list[str]]
     right: bool
+    among: bool
     closed: float
-    heldout: float
     seconds: float
-    error: str = ""
 
 
-def judge(case: Case, folder: Path) -> Row:
-    """Record a case, ask the command line about it, and score what it says."""
-    model = write(case, folder)
-    write(case, folder, 1.5 * case.pga_g, "heldout")
-    tool = Path(sys.executable).with_name("rthyb")
-    call = [str(tool), "diagnose", str(folder / "run"), "--model", str(model),
-            "--heldout", str(folder / "heldout"), "--json"]  # fmt: skip
-    began = time.monotonic()
-    done = subprocess.run(call, capture_output=True, text=True, check=False)
-    seconds = time.monotonic() - began
-    try:
-        answer = json.loads(done.stdout)
-    except json.JSONDecodeError:
-        return Row(case, "refused", [], False, np.nan, np.nan, seconds, done.stderr[-300:])
-    said = answer["ambiguous_with"] or [answer["effects"]]
+def score(folder: Path, answer: scoring.Answer, seconds: float) -> Row:
+    """Compare an answer with what was hidden."""
+    truth = json.loads((folder / "answer.json").read_text())
+    verdict = str(answer.get("verdict", "failed"))
+    said = answer.get("ambiguous_with") or [answer.get("effects") or []]
     said = [sorted(s) for s in said]
-    wanted = [sorted(case.hidden.names), *map(sorted, case.hidden.accepted)]
-    right = any(w in said for w in wanted) and answer["verdict"] not in ("unknown",)
-    loop = answer.get("closed_loop") or {}
-    closed = float((loop.get("nrmse_after") or {}).get("x_meas", np.nan))
-    heldout = float(answer["fit"].get("heldout_nrmse_after", np.nan))
-    return Row(case, answer["verdict"], said, right, closed, heldout, seconds)
-
-
-def told(row: Row) -> str:
-    """Return a line of the table."""
-    mark, sets = "ok  " if row.right else "MISS", "|".join("+".join(s) for s in row.said)
-    return (
-        f"{mark} {row.case.rig:13} {row.case.label:32} {row.verdict:9} {sets:50} "
-        f"loop {row.closed:.3f} held {row.heldout:.3f} {row.seconds:.1f} s {row.error}"
-    )
-
-
-def main() -> int:
-    """Run the cases and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="part of a rig's, kind's or effect's name")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--keep", type=Path)
-    args = parser.parse_args()
-    with tempfile.TemporaryDirectory() as temporary:
-        root = args.keep or Path(temporary)
-        cases = [c for c in plans(args.seed) if args.only in f"{c.rig} {c.label}"]
-
-        def one(numbered: tuple[int, Case]) -> Row:
-            number, case = numbered
-            row = judge(case, root / f"{number:03d}")
-            print(f"{number:03d} {told(row)}", flush=True)
-            return row
-
-        with ThreadPoolExecutor(args.jobs) as pool:
-            rows = list(pool.map(one, enumerate(cases)))
-    for rig in dict.fromkeys(r.case.rig for r in rows):
-        own = [r for r in rows if r.case.rig == rig]
-        right = sum(r.right for r in own)
-        closed = sum(r.closed < CLOSED for r in own)
-        print(f"{rig:13} named {right} of {len(own)}, loop closed {closed} of {len(own)}")
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    told = "explained" if truth["wanted"][0] else "none"
+    right = verdict == told and said[0] in truth["wanted"]
+    among = right or (verdict == "ambiguous" and any(w in said for w in truth["wanted"]))
+    after = (answer.get("closed_loop") or {}).get("nrmse_after") or {}
+    closed = float(after.get("x_meas", np.nan))
+    return Row(truth["rig"], truth["kind"], truth["label"], verdict, said, right, among, closed,
+               seconds)  # fmt: skip

@@ -120,11 +120,14 @@ def _bench(plan: Plan, rng: Rng) -> tuple[Bench, float, float]:
         core = (k, rng.uniform(0.1, 0.4), reach * rng.uniform(0.25, 0.45))
     unit = Noise(1.0)
     limited = np.clip(rng.standard_normal(2), -1.5, 1.5)
+    k_true = k * (1 + 0.01 * limited[0])
+    if core is not None:  # a stiffness that is stated wrong is that of the whole loop
+        core = (k_true, *core[1:])
     bench = Bench(
         family, float(rng.choice([512.0, 1000.0, 1024.0, 1024.0])), k, c, moving,
         0.0 if family in ("drive", "forced") else whole,
         2 * rng.uniform(0.02, 0.05) * whole * w if family == "loop" else 0.0,
-        k * (1 + 0.01 * limited[0]), c * (1 + 0.15 * limited[1]), unit, unit, unit,
+        k_true, c * (1 + 0.15 * limited[1]), unit, unit, unit,
         actuator, actuator and motion.stated(actuator), core,
         f_offset_s=rng.uniform(-1e-4, 1e-4) if family != "loop" else rng.uniform(0, 1e-4),
         a_offset_s=rng.uniform(-1e-4, 1e-4),
@@ -206,7 +209,7 @@ def _force_scale(bench: Bench, run: Run) -> Scale:
         (noise.std * noise.spectrum(f, bench.fs)[keep]) ** 2
         for noise in (bench.x_noise, bench.f_noise, bench.a_noise)
     )
-    nuisance = [0.01 * bench.k * run.x, 0.15 * bench.c * run.v]
+    nuisance = [0.01 * rig.restoring(bench, run), 0.15 * bench.c * run.v]
     # The mass that the force on the body has to be told from: of a load cell, what rides on it.
     mass = bench.moving if bench.cell else bench.body
     dynamic = (bench.k - w**2 * mass) ** 2 + (w * bench.c) ** 2

@@ -52,7 +52,7 @@ class Bench:
     a_noise: Noise
     actuator: Actuator | None = None
     believed: Actuator | None = None  # None: the baseline states no actuator
-    core: tuple[float, float, float] | None = None  # k, alpha, xy of a yielding baseline
+    core: tuple[float, float, float] | None = None  # true k, alpha, xy of a specimen that yields
     f_offset_s: float = 0.0
     a_offset_s: float = 0.0
     ag_shift: int = 0
@@ -245,6 +245,14 @@ def plain_part(bench: Bench, e: Effect, run: Run, law: Law) -> np.ndarray:
     return y[:: bench.sub][run.lead :]
 
 
+def restoring(bench: Bench, run: Run) -> np.ndarray:
+    """Force of the true spring, or of the loop that stands in its place, at the rows of a run."""
+    f = bench.k_true * run.fine[0]
+    if bench.core_laws:
+        f = f + laws.along(bench.core_laws, bench.dt / bench.sub, *run.fine).sum(0)
+    return f[:: bench.sub][run.lead :]
+
+
 def _part(bench: Bench, effects: list[Effect], i: int, run: Run) -> np.ndarray:
     """What one effect adds to the channel that it shows in, the others being there."""
     e = effects[i]
@@ -265,13 +273,14 @@ def _part(bench: Bench, effects: list[Effect], i: int, run: Run) -> np.ndarray:
 
 def baseline_run(bench: Bench, run: Run, signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """x and f that the baseline gives for a test from rest: f along the true motion if driven."""
-    stated = replace(bench, k_true=bench.k, c_true=bench.c)
+    core = bench.core and (bench.k, *bench.core[1:])
+    stated = replace(bench, k_true=bench.k, c_true=bench.c, core=core)
     if bench.family in ("ground", "forced"):
         fine, f = _free(stated, signal, [], 0.0)
         return fine[0][:: bench.sub], f[:: bench.sub]
     f = bench.k * run.fine[0] + bench.c * run.fine[1] + bench.moving * run.fine[2]
-    if bench.core is not None:
-        f = f + laws.along(bench.core_laws, bench.dt / bench.sub, *run.fine).sum(0)
+    if stated.core_laws:
+        f = f + laws.along(stated.core_laws, bench.dt / bench.sub, *run.fine).sum(0)
     x = run.x
     if bench.believed is not None:
         x = motion.track(run.command, bench.dt, bench.sub, bench.believed)[0][:: bench.sub]

@@ -1,0 +1,165 @@
+"""What the diagnosis says of bodies that move freely, on moving ground or under a force."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import diagnose_cases as cases
+import numpy as np
+import pytest
+from diagnose_answers import diagnosed, found, holds
+from scipy import signal
+
+MASS, SPRING, DASHPOT = 6700.0, 4.5e5, 3600.0
+
+
+def of_a_free_body(
+    x: np.ndarray,
+    push: np.ndarray,
+    a: np.ndarray,
+    folder: Path,
+    x_std: float = 4e-6,
+    f_std: float = 0.4,
+):
+    rng = np.random.default_rng(7)
+    n = x.size
+    columns = {
+        "t": np.arange(n) / cases.FS,
+        "f_in": push,
+        "x_meas": x + x_std * rng.standard_normal(n),
+        "a_meas": a + 5e-3 * rng.standard_normal(n),
+    }
+    model = cases.baseline(
+        family='"forced"', k=SPRING, c=DASHPOT, moving_mass=MASS, c_tol=0.1
+    ).replace(f"f_std = {cases.F_STD}", f"f_std = {f_std}")
+    head, _, tail = model.partition("[actuator]")
+    return diagnosed(folder, columns, head + "[noise]" + tail.partition("[noise]")[2])
+
+
+@pytest.mark.parametrize("missing", ["inertia", "stiffness"])
+def test_a_body_under_a_sine_of_force_does_not_tell_mass_from_stiffness(missing, tmp_path):
+    """The closed form of the steady state: only k - m w^2 is in it."""
+    w = 2 * np.pi * 0.9
+    k, m = (SPRING, 1.25 * MASS) if missing == "inertia" else (0.9 * SPRING, MASS)
+    swing = (
+        1200.0 / (k - m * w**2 + 1j * DASHPOT * w) * np.exp(1j * w * np.arange(12288) / cases.FS)
+    )
+    push = 1200.0 * np.cos(w * np.arange(12288) / cases.FS)
+    d = of_a_free_body(swing.real, push, -(w**2) * swing.real, tmp_path)
+    assert d.verdict == "ambiguous"
+    assert sorted(d.ambiguous_with) == [["inertia"], ["stiffness"]]
+
+
+@pytest.mark.parametrize("missing", ["inertia", "stiffness"])
+def test_a_body_under_a_sweep_of_force_tells_mass_from_stiffness(missing, tmp_path):
+    n = 16384
+    t = np.arange(n) / cases.FS
+    k, m = (SPRING, 1.25 * MASS) if missing == "inertia" else (0.87 * SPRING, MASS)
+    ramp = np.clip(t / 0.5, 0, 1) * np.clip((t[-1] - t) / 0.5, 0, 1)
+    push = 900.0 * ramp * np.sin(2 * np.pi * (0.3 * t + 0.1 * t**2))
+    system = signal.StateSpace(
+        [[0, 1], [-k / m, -DASHPOT / m]], [[0], [1 / m]], np.eye(2), np.zeros((2, 1))
+    )
+    _, y, _ = signal.lsim(system, push, t)
+    d = of_a_free_body(y[:, 0], push, (push - k * y[:, 0] - DASHPOT * y[:, 1]) / m, tmp_path)
+    assert (d.verdict, d.effects) == ("explained", [missing])
+
+
+def test_what_the_balance_of_forces_would_lose_shows_in_the_motion(tmp_path):
+    """A relaxation that is nearly a dashpot, beside a dashpot known to a tenth."""
+    n = 10240
+    t = np.arange(n) / cases.FS
+    km, tau = 6.0e4, 0.03
+    push = 900.0 * np.clip(t / 0.5, 0, 1) * np.sin(2 * np.pi * (0.3 * t + 0.2 * t**2))
+    system = signal.StateSpace(
+        [[0, 1, 0], [-SPRING / MASS, -DASHPOT / MASS, -1 / MASS], [0, km, -1 / tau]],
+        [[0], [1 / MASS], [0]], np.eye(3), np.zeros((3, 1)),
+    )  # fmt: skip
+    _, y, _ = signal.lsim(system, push, t)
+    a = (push - SPRING * y[:, 0] - DASHPOT * y[:, 1] - y[:, 2]) / MASS
+    d = of_a_free_body(y[:, 0], push, a, tmp_path)
+    assert (d.verdict, d.effects) == ("explained", ["maxwell"])
+    # Beside a dashpot of a tenth more or less, stiffness and time alone are not known to a tenth.
+    assert holds(d, "maxwell", "km_N_m", km)
+    assert holds(d, "maxwell", "tau_s", tau)
+
+
+FINE = 16
+"""Steps of a simulated body in a row."""
+
+
+def moved_body(push, law, mass: float, n: int, friction=lambda v: 0.0):
+    """Return x and a of a body by symplectic Euler steps, from rest: (n,) each.
+
+    ``push`` has the force of each step, ``law(x, v)`` is that of the specimen, ``friction(v)`` the
+    level of dry friction, of which no more acts than stops the body.
+    """
+    h = 1.0 / (FINE * cases.FS)
+    x = v = 0.0
+    out = np.empty((n, 2))
+    for i in range(n * FINE):
+        free = push[i] - law(x, v)
+        # A body that friction could stop within the step is stopped: it sticks.
+        grip = friction(v)
+        need = free + mass * v / h
+        a = (free - np.clip(need, -grip, grip)) / mass
+        if i % FINE == 0:
+            out[i // FINE] = x, a
+        v += h * a
+        x += h * v
+    return out[:, 0], out[:, 1]
+
+
+def swept(n: int, f0: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a swept sine at the rows and at the steps between, of amplitude one."""
+    fine = np.arange(n * FINE) / (FINE * cases.FS)
+    rise = np.clip(fine / 0.5, 0, 1)
+    wave = rise * np.sin(2 * np.pi * (f0 * fine + rate * fine**2))
+    return wave[::FINE], wave
+
+
+def test_a_mass_beside_a_play_of_a_body_under_a_force_is_named_too(tmp_path):
+    """What an estimate may blur of the mass is half a per cent, and no fifteen."""
+    n, gap = 10240, 1.5e-4
+    rows, fine = swept(n, 0.3, 0.12)
+    x, a = moved_body(
+        900.0 * fine,
+        lambda x, v: SPRING * (x - min(max(x, -gap), gap)) + DASHPOT * v,
+        1.15 * MASS,
+        n,
+    )
+    d = of_a_free_body(x, 900.0 * rows, a, tmp_path, x_std=1.5e-6, f_std=0.15)
+    assert (d.verdict, sorted(d.effects)) == ("explained", ["gap", "inertia"])
+    assert found(d, "inertia", "m_kg") == pytest.approx(0.15 * MASS, rel=0.05)
+    assert found(d, "gap", "gap_m") == pytest.approx(gap, rel=0.05)
+
+
+def test_a_stop_beside_sticking_friction_on_moving_ground_shows_in_the_motion(tmp_path):
+    """A friction with a peak, before a noisy cell: no estimate follows a body that sticks."""
+    n, fc, fs, vs, ks, xs = 12288, 245.0, 590.0, 4e-3, 2.5e5, 9e-3
+    rows, fine = swept(n, 0.5, 0.1)
+    x, a = moved_body(
+        -MASS * 0.15 * fine,
+        lambda x, v: SPRING * x + DASHPOT * v + ks * (x - min(max(x, -xs), xs)),
+        MASS,
+        n,
+        lambda v: fc + (fs - fc) * math.exp(-((v / vs) ** 2)),
+    )
+    rng = np.random.default_rng(5)
+    ag = 0.15 * rows
+    columns = {
+        "t": np.arange(n) / cases.FS,
+        "ag": ag,
+        "x_meas": x + 7e-6 * rng.standard_normal(n),
+        "f_meas": -MASS * (a + ag) + 100.0 * rng.standard_normal(n),
+    }
+    model = cases.baseline(family='"ground"', k=SPRING, c=DASHPOT, moving_mass=0.0)
+    model = model.replace(f"f_std = {cases.F_STD}", "f_std = 100.0")
+    model = model.replace(f"x_std = {cases.X_STD}", "x_std = 7e-6")
+    head, _, tail = model.partition("[actuator]")
+    noise = f"[numerical]\nm = {MASS}\n[noise]" + tail.partition("[noise]")[2]
+    d = diagnosed(tmp_path, columns, head + noise)
+    assert (d.verdict, sorted(d.effects)) == ("explained", ["stopper", "stribeck"])
+    assert found(d, "stopper", "xs_m") == pytest.approx(xs, rel=0.05)
+    assert found(d, "stribeck", "Fc_N") == pytest.approx(fc, rel=0.1)

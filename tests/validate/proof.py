@@ -1,0 +1,239 @@
+"""The proof of the diagnosis: two generators, shipped rigs, real recordings, the page in docs/.
+
+    python tests/validate/proof.py [--seed 7] [--count 60] [--jobs 2] [--page docs/...md]
+        [--sources first second own real times] [--kinds single pair] [--level normal hard]
+
+Cases stay in --out under the hash of what makes them, answers beside them under the hash of the
+program: a run that was stopped goes on, and a changed program is asked anew. Without a seed that
+hash gives it, so that a changed program gets other cases. The tool is called on its command line
+only. --short: a fixed few cases, held against what the page says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from prove import generate, plans, scoring, stlsq
+
+from validate import own_rigs, page, real, recipes, second, timed
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "diagnosis-proof.md"
+OPEN = ROOT.parent / "shared" / "diagnosis" / "real-open"
+SHIPPED = ROOT / "tests" / "data" / "diagnosis"
+SOURCES = ("first", "second", "own", "real", "times")
+SHORT_SEED = 20260
+PROGRAM = ("rthyb_rt", "csrc")
+LOOKING_ON = ("scoring.py", "stlsq.py", "page.py", "proof.py", "real.py")
+"""Of the folders of the generators, what makes no case."""
+REPEATS = 5
+"""Recordings of each sort whose answers are timed, at most."""
+
+
+def digest(*trees: str) -> str:
+    """SHA-256 of the sources under these folders as they are on the disk, eight bytes of it."""
+    made = hashlib.sha256()
+    for tree in trees:
+        for path in sorted((ROOT / tree).rglob("*")):
+            if path.suffix in (".py", ".c", ".h") and path.name not in LOOKING_ON:
+                made.update(f"{path.relative_to(ROOT)}\0".encode() + path.read_bytes())
+    return made.hexdigest()[:16]
+
+
+class Proof:
+    """One run: where it keeps its cases, how many it makes, and whom it asks."""
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self.args = args
+        self.state = digest(*PROGRAM)
+        self.seed = int(self.state[:8], 16) if args.seed is None else args.seed
+        self.cases = digest("tests/prove", "tests/validate")[:8]
+        self.tool = scoring.kept(scoring.command_line([args.tool]), f"said-{self.state}")
+        rival = hashlib.sha256(Path(stlsq.__file__).read_bytes()).hexdigest()[:8]
+        self.rival = scoring.kept(self._tried, f"{stlsq.SOLVER.replace(' ', '-')}-{rival}")
+
+    @staticmethod
+    def _tried(folder: Path) -> tuple[scoring.Answer, scoring.Prediction]:
+        try:
+            with warnings.catch_warnings():  # it says where it takes every term out
+                warnings.simplefilter("ignore")
+                return stlsq.diagnose(folder)
+        except (KeyError, ValueError, np.linalg.LinAlgError) as error:
+            return {"verdict": "failed", "error": str(error)}, None
+
+    def folder(self, source: str) -> Path:
+        return Path(self.args.out) / f"{source}-{self.cases}" / str(self.seed)
+
+    def ask(
+        self,
+        folders: Iterable[Path],
+        what: str,
+        asked: Callable[[Path], scoring.Said] | None = None,
+    ) -> list[Path]:
+        """Have every case answered while the next ones are made; return their folders."""
+        done: list[Path] = []
+        asked = asked or self.tool
+        with ThreadPoolExecutor(self.args.jobs) as pool:
+            waiting = []
+            for folder in folders:
+                done.append(folder)
+                waiting.append(pool.submit(asked, folder))
+                print(f"\r{what}: {len(done)} made ", end="", file=sys.stderr, flush=True)
+            for i, one in enumerate(waiting, 1):
+                one.result()
+                print(
+                    f"\r{what}: {i} of {len(done)} answered ", end="", file=sys.stderr, flush=True
+                )
+        print(file=sys.stderr)
+        return done
+
+    def rows(self, folders: list[Path], asked: Callable[[Path], scoring.Said]) -> list[scoring.Row]:
+        """Answers scored; what the next experiment of a case says is asked here."""
+        found = []
+        for folder in folders:
+            said = asked(folder)
+            row = scoring.score(folder, said.answer, said.prediction)
+            row.seconds = said.seconds
+            scoring.resolve(row, lambda f: asked(f)[:2], folder, said.answer)
+            found.append(row)
+        return found
+
+    def first(self, results: page.Results) -> None:
+        def made() -> Iterator[Path]:
+            for kind in self._kinds(plans.MIX):
+                out = self.folder("first") / kind
+                for name, _ in generate.generate(self.seed, self.args.count, out, [kind], jobs=1):
+                    yield out / name
+
+        self._both(results, page.FIRST, made())
+        times = [r.seconds for r in results.rows[page.FIRST]]
+        results.times[page.TIMES[0][0]] = times
+
+    def second(self, results: page.Results) -> None:
+        for level in self.args.level:
+            folders = (
+                folder
+                for kind in self._kinds(recipes.KINDS)
+                for folder in second.generate(
+                    kind, level, self.seed, self.args.count, self.folder("second")
+                )
+            )
+            self._both(results, page.NORMAL if level == "normal" else page.HARD, folders)
+
+    def _kinds(self, known: Iterable[str]) -> list[str]:
+        return [k for k in known if k in (self.args.kinds or known)]
+
+    def _both(self, results: page.Results, source: str, folders: Iterable[Path]) -> None:
+        done = self.ask(folders, source)
+        results.rows[source] = self.rows(done, self.tool)
+        if not self.args.short:
+            results.rivals[source] = self.rows(done, self.rival)
+
+    def own(self, results: page.Results) -> None:
+        kinds = ("single",) if self.args.short else self.args.kinds
+        cases = own_rigs.chosen(self.seed, self.args.count, kinds)
+        # The rigs that are recorded are the program's own: another program makes other recordings.
+        out = self.folder("own") / self.state
+        made = (
+            own_rigs.make(c, out / f"{c.rig}_{c.label.replace(':', '_')}_{c.seed}") for c in cases
+        )
+        asked = scoring.kept(own_rigs.tool(self.args.tool), f"said-{self.state}")
+        said = [(f, asked(f)) for f in self.ask(made, page.OWN, asked)]
+        results.own = [own_rigs.score(f, s.answer, s.seconds) for f, s in said]
+        hydraulic = [r.seconds for r in results.own if r.rig in page.HYDRAULIC]
+        results.times[page.TIMES[1][0]] = hydraulic
+
+    def real(self, results: page.Results) -> None:
+        source = Path(self.args.recordings)
+        if not source.is_dir():
+            results.no_real = f"Only those that this repository holds: {source.name} is not there."
+            source = SHIPPED
+        folders = self.ask(real.copies(source, Path(self.args.out) / "real"), "real recordings")
+        results.real = [real.score(f, self.tool(f), self.rival(f)) for f in folders]
+
+    def times(self, results: page.Results) -> None:
+        """One at a time: what is timed has the machine for itself."""
+        out = self.folder("times")
+        for folder in timed.generate(self.seed, min(REPEATS, self.args.count), out):
+            seconds = self.tool(folder).seconds
+            results.times.setdefault(timed.what(folder), []).append(seconds)
+
+    def said(self) -> str:
+        """Which program was asked, with which cases."""
+        call = ["git", "describe", "--always", "--dirty", "--exclude=*"]
+        commit = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=False).stdout
+        load = os.getloadavg()[2]
+        return (
+            f"State of the program: `{self.state}` (hash of its sources; commit\n"
+            f"`{commit.strip() or 'unknown'}`), seed {self.seed}, {self.args.count} cases of each "
+            f"kind at most. Times\nare those of {os.cpu_count()} processors under a mean load of "
+            f"{load:.1f}, {self.args.jobs} answers at a time."
+        )
+
+
+def held(results: page.Results, before: dict[str, tuple[int, int]]) -> list[str]:
+    """Say how each source stands to its floor; return what is below."""
+    below = []
+    for source, (asked, right) in results.counts().items():
+        cases, were = before[source]
+        least = page.floor(cases, were, asked)
+        line = (
+            f"{source}: {right} of {asked} right, at least {least} wanted: the page has {were} of "
+            f"{cases}, and by chance so few fall below once in {1 / page.CHANCE:.0f}"
+        )
+        print(line)
+        if right < least:
+            below.append(line)
+    return below
+
+
+def options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seed", type=int, help="instead of the one that the program's hash gives")
+    parser.add_argument("--count", type=int, default=60, help="cases of each kind and level")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "validate")
+    parser.add_argument("--page", type=Path, help="where the page goes; else it is printed")
+    parser.add_argument("--sources", nargs="*", choices=SOURCES, default=SOURCES)
+    parser.add_argument("--kinds", nargs="*", default=())
+    parser.add_argument("--level", nargs="*", choices=second.LEVELS, default=second.LEVELS)
+    parser.add_argument("--recordings", type=Path, default=OPEN)
+    parser.add_argument("--short", action="store_true", help="a fixed few cases, against the page")
+    parser.add_argument("--tool", default=str(Path(sys.executable).with_name("rthyb")))
+    args = parser.parse_args()
+    if args.short:
+        args.seed, args.count, args.sources = SHORT_SEED, 1, SOURCES[:3]
+    return args
+
+
+def main() -> int:
+    args = options()
+    proof, results = Proof(args), page.Results()
+    for source in args.sources:
+        getattr(proof, source)(results)
+    failed = results.failed()
+    if failed:
+        print(f"{len(failed)} cases without an answer, first: {failed[0]}", file=sys.stderr)
+    if args.short:
+        return 1 if held(results, page.measured(PAGE)) or failed else 0
+    text = page.written(results, proof.said(), stlsq.SOLVER)
+    if args.page:
+        args.page.write_text(text)
+    print(text)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
