@@ -381,11 +381,12 @@ def _in_its_noise(
     if not found.exact:
         return found, search
 
+    sheet = estimate.force_sheet(case.get("f_meas"), case.model.f_std)
+
     def told(fit: Fit) -> tuple[float, estimate.Whitener | None]:
         cost, own = estimate.likelihood(
-            _left_by(search, fit), found.rows, found.motion.v, case.fs_hz, found.sigma_n,
-            case.model.f_std,
-        )  # fmt: skip
+            _left_by(search, fit), found.rows, found.motion.v, case.fs_hz, found.sigma_n, sheet
+        )
         return cost + force.cost(search.problem, fit), own
 
     tried = [told(fit) for fit in (search.null, *search.fits[: noise.TRIED])]
@@ -512,7 +513,7 @@ def _by_the_sheet(case: Case, search: force.Search) -> bool:
     explains, stays in size within the sheet and comes in no bursts is not known to be anything
     else, be there a set beside it that is named or none.
     """
-    sheet = case.model.f_std
+    sheet = estimate.force_sheet(case.get("f_meas"), case.model.f_std)
     if not sheet or "f_meas" not in case.channels or not _within(search, search.best):
         return False
     found = search.problem.estimate

@@ -84,6 +84,13 @@ def force_noise(f_meas: Floats | None, f_std: float | None) -> float:
     return noise_of(f_meas, f_std)
 
 
+def force_sheet(f_meas: Floats | None, f_std: float | None) -> float | None:
+    """Return the noise that a data sheet states, with that of the load cell's steps, N."""
+    if not f_std:
+        return None
+    return float(np.hypot(f_std, step_of(f_meas, f_std) / np.sqrt(12.0)))
+
+
 def filled(signal: Floats) -> Floats:
     """Return a signal with a straight line over its gaps."""
     good = np.isfinite(signal)
