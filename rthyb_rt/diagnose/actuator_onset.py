@@ -134,7 +134,8 @@ def _cut(task: Actuation, base: ActuatorFit, columns: Floats) -> tuple[float, fl
     nuisance = np.column_stack([np.ones(task.rows.size), *_moved_by(task, base)])
     held = nuisance.T @ nuisance
     held[1, 1] += SKEW_PRIOR_S**-2
-    held += np.diag(1e-9 * held.diagonal())
+    # A number that moves nothing here has no column: its own may be all nothing.
+    held += np.diag(1e-9 * held.diagonal() + np.where(held.diagonal() > 0.0, 0.0, 1.0))
     y = base.residual
     from_nuisance = np.linalg.solve(held, nuisance.T @ y)
 

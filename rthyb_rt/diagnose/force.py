@@ -460,7 +460,7 @@ def search(
         _begun(dictionary, fitter)
     plain_best = plain_null
     if fitter.by_names:
-        best = min(fitter.by_names.values(), key=fitter.score)
+        best = _sure_of_its_beginning(fitter)
         plain_best = best.chi2
         scale = inflation(best.residual)
         if scale > 1.3:
@@ -498,6 +498,22 @@ def _begun(dictionary: Dictionary, fitter: _Fitter) -> None:
         for members in _beside(dictionary, fit, 4) if len(fit.members) < 3 else ():
             fitter.fit(members)
     onset.settle(fitter, LEADING)
+
+
+def _sure_of_its_beginning(fitter: _Fitter) -> Fit:
+    """Return the best set; one with a beginning in mid-record only where noise makes none of it.
+
+    A law that may begin anywhere takes up what slow noise does from somewhere on: its gain counts
+    as little as rows do that hang together, before what it leaves says how much they do.
+    """
+    fits = fitter.by_names.values()
+    best = min(fits, key=fitter.score)
+    throughout = [f for f in fits if not any(m.effect.late for m in f.members)]
+    if best in throughout or not throughout:
+        return best
+    plain = min(throughout, key=fitter.score)
+    gain = (plain.chi2 - best.chi2) / inflation(plain.residual)
+    return best if gain > fitter.price(best) - fitter.price(plain) else plain
 
 
 def _refused(fitter: _Fitter, done: Search) -> bool:

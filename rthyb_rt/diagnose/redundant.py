@@ -35,7 +35,7 @@ class Witness:
         ctx: what the effects see.
         rest: their sum, which is noise where both are right, (n,), N.
         rows: rows to be judged, (n,).
-        nuisance: mass, offset in time, zero of the accelerometer; (n, 3).
+        nuisance: mass, offset in time, zero of the accelerometer and how it wanders; (n, 4).
         priors: one over the variance of the coefficient of each; 0: free.
         sigma_n: noise of the sum, N.
         filter: takes the band.
@@ -165,8 +165,10 @@ def witness(case: Case, ctx: Context, found: estimate.Estimate) -> Witness | Non
     band = estimate.band_of(force, case.fs_hz, sigma)
     # Either channel may be off in time as is normal.
     skew = np.gradient(force) * case.fs_hz
-    nuisance = np.column_stack([band(model.mass * felt), band(skew), np.ones(force.size)])
-    priors = np.array([MASS_BLUR**-2, 0.5 * SKEW_PRIOR_S**-2, 0.0])
+    # An accelerometer wanders as a load cell does: it is no witness of what is slow.
+    slow = np.column_stack([np.ones(force.size), ctx.t - ctx.t[0]])
+    nuisance = np.column_stack([band(model.mass * felt), band(skew), slow])
+    priors = np.array([MASS_BLUR**-2, 0.5 * SKEW_PRIOR_S**-2, 0.0, 0.0])
     rest = force + model.mass * felt
     return Witness(ctx, rest, found.rows, nuisance, priors, sigma, band)
 
