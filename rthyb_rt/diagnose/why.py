@@ -482,8 +482,10 @@ def _allowed(d: Diagnosis, search: forces.Search) -> float:
     return blur * engine.LEFT.get(size, min(engine.LEFT.values()))
 
 
-def _noise(believed: float, sheet: float | None, unit: str) -> str:
+def _noise(believed: float, sheet: float | None, unit: str, coloured: bool) -> str:
     text = f"{quantity(believed, unit)} believed"
+    if coloured:
+        text = f"of a colour of its own; were it white, {text}"
     if not sheet:
         return f"{text}; the model states none"
     return f"{text}, {quantity(sheet, unit)} stated"
@@ -492,7 +494,10 @@ def _noise(believed: float, sheet: float | None, unit: str) -> str:
 def _facts_of_displacement(d: Diagnosis, disp: Displacement) -> list[tuple[str, str]]:
     task, fit = disp.task, disp.best
     rows = [
-        ("noise of the displacement", _noise(task.sigma, d.case.model.x_std, "m")),
+        (
+            "noise of the displacement",
+            _noise(task.sigma, d.case.model.x_std, "m", task.own is not None),
+        ),
         ("rows judged, actuator", f"{task.rows.size} of {d.case.t.size}"),
         (
             "misfit, actuator",
@@ -519,7 +524,7 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
         motion = "simulated with each set, and held against the measured one"
     looked = f", one in {problem.thin} of them looked at" if problem.thin > 1 else ""
     rows = [
-        ("noise of the force", _noise(found.sigma_n, model.f_std, "N")),
+        ("noise of the force", _noise(found.sigma_n, model.f_std, "N", found.coloured)),
         ("motion", motion),
         ("rows judged, force", f"{int(found.rows.sum())} of {d.case.t.size}{looked}"),
         (
