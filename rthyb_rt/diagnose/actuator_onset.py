@@ -150,7 +150,8 @@ def _cut(task: Actuation, base: ActuatorFit, columns: Floats) -> tuple[float, fl
         return float(y @ y - wanted @ beta), cut, beta
 
     if base.before is not None:
-        cuts = np.array([np.searchsorted(task.rows, base.before[0])])
+        begun = min(int(np.searchsorted(task.rows, base.before[0])), task.rows.size - 1)
+        cuts = np.array([begun])
         found = min(map(brought, cuts), key=lambda b: b[0])
     else:
         cuts = np.linspace(0, task.rows.size, BLOCKS + 1).astype(int)
@@ -210,7 +211,8 @@ def _row(
     while step >= 1.0:
         found = []
         for at in row + step * np.arange(-5, 6):
-            if 0 < at < task.u.size:
+            # Beyond the last row that is judged nothing could begin.
+            if 0 < at < task.rows[-1]:
                 try:
                     r = task.residual(*task.models(effects, settings, values, 0.0, float(at)))[0]
                 except SimulationError:

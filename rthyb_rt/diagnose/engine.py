@@ -28,6 +28,7 @@ from rthyb_rt.diagnose.estimate import Estimate
 from rthyb_rt.diagnose.predict import Augmented, followed, nrmse, output_error, predict
 from rthyb_rt.diagnose.select import (
     Fit,
+    Member,
     Problem,
     clustered,
     design_of,
@@ -354,7 +355,11 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             return coloured and bool(done.best.members) and not body.motion(problem, done.best)
 
         search = force.search(problem, progress, body, doubtful)
-        found, search = _in_its_noise(case, found, search, progress)
+
+        def anew(judged: Problem, known: list[tuple[Member, ...]]) -> force.Search:
+            return force.search(judged, progress, body, doubtful, known)
+
+        found, search = _in_its_noise(case, found, search, anew, progress)
         if held and not (search.moved and _felt(case, search, ctx)):
             by_balance = search.balance or search
             tried = [search, by_balance] if search.moved else [search]
@@ -371,32 +376,43 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
 
 
 def _in_its_noise(
-    case: Case, found: Estimate, search: force.Search, progress: Progress
+    case: Case,
+    found: Estimate,
+    search: force.Search,
+    anew: Callable[[Problem, list[tuple[Member, ...]]], force.Search],
+    progress: Progress,
 ) -> tuple[Estimate, force.Search]:
     """Search again in noise of its own colour, where a set beside such noise is likelier.
 
     What is left by a set that fits white noise lacks what the set took up of slow noise: each of
     the sets is tried with the colour of what it leaves itself, nothing at all among them.
     """
-    if not found.exact:
+    blur = found.blur
+    # Along a motion that is estimated a naive model leaves form, and no noise that could be read.
+    if not found.exact and (blur is None or case.model.k_tol is None):
         return found, search
-
-    sheet = estimate.force_sheet(case.get("f_meas"), case.model.f_std)
+    sheet, sigma = _stated(case), found.sigma_n if blur is None else blur.sigma_n
 
     def told(fit: Fit) -> tuple[float, estimate.Whitener | None]:
         cost, own = estimate.likelihood(
-            _left_by(search, fit), found.rows, found.motion.v, case.fs_hz, found.sigma_n, sheet
+            _left_by(search, fit), found.rows, found.motion.v, case.fs_hz, sigma, sheet, blur
         )
         return cost + force.cost(search.problem, fit), own
 
-    tried = [told(fit) for fit in (search.null, *search.fits[: noise.TRIED])]
-    own = min(tried, key=lambda t: t[0])[1]
+    sets = {id(f): f for f in (search.null, *search.fits[: noise.TRIED], *search.pool)}
+    own = min(map(told, sets.values()), key=lambda t: t[0])[1]
     if own is None:
         return found, search
     progress("noise")
     now = replace(found, whiten=own.whiten, pieces=own.pieces, scatter=own.scatter)
     problem = Problem(case, search.problem.ctx, now, effects.catalogue().values())
-    return now, force.search(problem, progress)
+    return now, anew(problem, [f.members for f in search.pool])
+
+
+def _stated(case: Case) -> float | None:
+    """Return the noise that the data sheet of the force states, N."""
+    forced = case.model.family == "forced"
+    return estimate.force_sheet(case.get("f_in" if forced else "f_meas"), case.model.f_std)
 
 
 def _in_the_rig(problem: Problem, progress: Progress) -> tuple[Estimate, Context, force.Search]:
@@ -447,7 +463,12 @@ def _along_its_motion(
             if found is None or found.rows.sum() < 50:
                 break
             now = context_of(case, found)
-            again = force.search(Problem(case, now, found, effects.catalogue().values()), progress)
+            along = Problem(case, now, found, effects.catalogue().values())
+
+            def anew(judged: Problem, known: list[tuple[Member, ...]]) -> force.Search:
+                return force.search(judged, progress, seeds=known)
+
+            found, again = _in_its_noise(case, found, force.search(along, progress), anew, progress)
             if laws(again.best) != laws(fit):
                 break
             if _force_known(case, again):
@@ -513,12 +534,17 @@ def _by_the_sheet(case: Case, search: force.Search) -> bool:
     explains, stays in size within the sheet and comes in no bursts is not known to be anything
     else, be there a set beside it that is named or none.
     """
-    sheet = estimate.force_sheet(case.get("f_meas"), case.model.f_std)
-    if not sheet or "f_meas" not in case.channels or not _within(search, search.best):
+    sheet, found = _stated(case), search.problem.estimate
+    if not sheet or not _within(search, search.best):
         return False
-    found = search.problem.estimate
     rest = _left_by(search, search.best)
-    return _mere_noise(
+    if found.coloured and found.blur is not None:
+        # What the estimate of the motion adds has no sheet; the colour was held within its own.
+        white = found.whiten(rest)[found.rows]
+        return float(white @ white) < (1.0 + NOISE_LEFT) * found.share * white.size and _steady(
+            white, case.fs_hz
+        )
+    return "f_meas" in case.channels and _mere_noise(
         rest[found.rows], found.whiten(rest)[found.rows], sheet * (1.0 + found.scatter), case.fs_hz
     )
 
@@ -529,9 +555,14 @@ def _mere_noise(rest: Floats, white: Floats, sheet: float, fs_hz: float) -> bool
     As it is, (n,), and as it would be were its noise white, (n,): slow noise swells by itself, and
     the rms of one recording scatters about what a sheet states.
     """
+    return _rms(rest) < noise.SHEET * sheet and _steady(white, fs_hz)
+
+
+def _steady(white: Floats, fs_hz: float) -> bool:
+    """Return whether noise that is made white, (n,), comes in no bursts of a second."""
     count = max(int(white.size / max(fs_hz, 1.0)), 1)
     loudest = max(_rms(part) for part in np.array_split(white, count))
-    return _rms(rest) < noise.SHEET * sheet and loudest < BURST * _rms(white)
+    return loudest < BURST * _rms(white)
 
 
 def _rms(signal: Floats) -> float:

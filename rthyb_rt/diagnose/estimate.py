@@ -101,6 +101,21 @@ def filled(signal: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
+class Blur:
+    """What the estimate of a motion adds to the noise of a force.
+
+    Attributes:
+        power: of that at each frequency of the transform, N^2 a row, (m,).
+        band: how much of each frequency is judged, 0 to 1, (m,).
+        sigma_n: standard deviation of the force channel's own noise where it is white, N.
+    """
+
+    power: Floats
+    band: Floats
+    sigma_n: float
+
+
+@dataclass(frozen=True)
 class Estimate:
     """A motion and the force that the specimen showed along it.
 
@@ -116,6 +131,7 @@ class Estimate:
             length, to (m, length); None where whitening looks at no row but its own.
         scatter: relative standard deviation of the noise's rms over such a recording, where it has
             a colour of its own, fitted to what a set leaves; 0: the noise is white.
+        blur: what the estimate of the motion adds to it; None where nobody knows, or it is exact.
     """
 
     motion: Motion
@@ -127,6 +143,7 @@ class Estimate:
     share: float = 1.0
     pieces: Callable[[Floats, Rows, int], Floats] | None = None
     scatter: float = 0.0
+    blur: Blur | None = None
 
     @property
     def coloured(self) -> bool:
@@ -363,6 +380,7 @@ def likelihood(
     fs_hz: float,
     sigma: float,
     sheet: float | None,
+    blur: Blur | None = None,
 ) -> tuple[float, Whitener | None]:
     """Return -2 ln of the likelihood of what a set of effects leaves, in noise of its colour.
 
@@ -376,24 +394,58 @@ def likelihood(
         fs_hz: rows per second.
         sigma: standard deviation of the noise were it white, in the channel's unit.
         sheet: the same as the data sheet states it.
+        blur: what the estimate of the motion adds to that noise, whatever its colour.
     """
-    count = int(rows.sum())
     stated = sheet / sigma if sheet else 1.0
-    colour = noise.colour_of(residual / sigma, rows, velocity, fs_hz, sheet and stated)
-    if colour is None:
-        white = residual[rows] / sigma
-        size = float(np.sqrt(np.mean(white**2)))
-        level = float(np.clip(size, stated / noise.SHEET, stated * noise.SHEET))
-        return float(white @ white) / level**2 + 2.0 * count * float(np.log(level)), None
+    colours = (
+        noise.colour_of(residual / sigma, rows, velocity, fs_hz, sheet and stated),
+        noise.red_of(residual / sigma, rows, fs_hz, sheet and stated),
+    )
+    found = [_in_colour(c, residual, rows, fs_hz, sigma, blur) for c in colours if c is not None]
+    # Where its colour is seen beside the motion, white it is not.
+    if colours[0] is None:
+        found.append(
+            _in_white(residual[rows] / sigma, stated)
+            if blur is None
+            else _in_colour(None, residual, rows, fs_hz, sigma, blur)
+        )
+    return min(found, key=lambda f: f[0])
+
+
+def _in_white(white: Floats, stated: float) -> tuple[float, None]:
+    """Return -2 ln of the likelihood in white noise as large as fits best within the sheet."""
+    size = float(np.sqrt(np.mean(white**2)))
+    level = float(np.clip(size, stated / noise.SHEET, stated * noise.SHEET))
+    return float(white @ white) / level**2 + 2.0 * white.size * float(np.log(level)), None
+
+
+def _in_colour(
+    colour: noise.Colour | None,
+    residual: Floats,
+    rows: NDArray[np.bool_],
+    fs_hz: float,
+    sigma: float,
+    blur: Blur | None,
+) -> tuple[float, Whitener | None]:
+    """Return the same in noise of one colour and the blur, with what makes that white."""
+    count = int(rows.sum())
     s = _Spectral.of(residual.size, fs_hz)
-    power = colour.at(s.omega / (2.0 * np.pi))
-    cost = count * float(np.mean(np.log(power))) + colour.count * float(np.log(count))
-    flat, power = np.ones(power.size), sigma**2 * power
+    power = np.ones(s.omega.size) if colour is None else colour.at(s.omega / (2.0 * np.pi))
+    band = np.ones(power.size) if blur is None else blur.band
+    if blur is not None:
+        power = power + blur.power / sigma**2
+    cost = count * float(np.mean(band**2 * np.log(power)))
+    power = sigma**2 * power
     made = Whitener(
-        _coloured(s, power, flat), _in_pieces(s, power, flat, fs_hz), colour.scatter(count, fs_hz)
+        _coloured(s, power, band),
+        _in_pieces(s, power, band, fs_hz),
+        0.0 if colour is None else colour.scatter(count, fs_hz),
     )
     own = made.whiten(residual)[rows]
-    return float(own @ own) + cost, made
+    cost += float(own @ own)
+    if colour is None:
+        return cost, None
+    return cost + colour.count * float(np.log(count)), made
 
 
 def away_from_gaps(
@@ -463,6 +515,7 @@ def from_sensors(case: Case) -> Estimate | None:
         rows = rows & np.isfinite(ag)
     else:
         return None
+    channel = sigma
     if model.family in ("forced", "ground"):
         # Near resonance a small force moves much: nothing is known better than a few parts in 1000.
         sigma = max(sigma, ACCURACY * float(np.sqrt(np.mean(force[rows] ** 2))))
@@ -472,9 +525,11 @@ def from_sensors(case: Case) -> Estimate | None:
     band = np.maximum(sigma**2 / (sigma**2 + z2 * known.measured), known.seen)
     rows = _edges(rows, case.fs_hz, filled(channels["x_meas"]))
     share = float(np.mean(band**2))
+    measured = model.family == "forced" or f_meas is not None
     return Estimate(
         motion, force, rows, _coloured(s, power, band), sigma, False, max(share, 1e-3),
         _in_pieces(s, power, band, case.fs_hz),
+        blur=Blur(power - channel**2, band, channel) if measured else None,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rthyb_rt.diagnose import decay, modulation, onset, redundant
+from rthyb_rt.diagnose import decay, modulation, noise, onset, redundant
 from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
 from rthyb_rt.diagnose.freebody import MET_ALONE as MET
 from rthyb_rt.diagnose.freebody import Body
@@ -97,6 +97,7 @@ class Search:
         scale: by how much evidence was scaled down for coloured noise.
         moved: whether it is the simulated motion that was judged, see `freebody`.
         balance: what the balance of forces came to, where it was not believed.
+        pool: the best sets while every row still counted, whatever came of them.
     """
 
     problem: Problem
@@ -113,6 +114,7 @@ class Search:
     forms: list[Fit] = field(default_factory=list)
     moved: bool = False
     balance: Search | None = None
+    pool: list[Fit] = field(default_factory=list)
 
 
 class _Fitter:
@@ -438,6 +440,7 @@ def search(
     progress: Callable[[str], None] = lambda _: None,
     body: Body | None = None,
     doubtful: Callable[[Search], bool] = lambda _: False,
+    seeds: Sequence[tuple[Member, ...]] = (),
 ) -> Search:
     """Find the set of effects that explains the force residual.
 
@@ -446,6 +449,7 @@ def search(
         progress: told the name of each effect and stage.
         body: where a body moves freely: its sets can be judged by their motion.
         doubtful: whether what the balance of forces says has to be judged so.
+        seeds: sets that are refined as well, from the shapes given.
     """
     null = solve(problem, [], [])
     if null is None:
@@ -453,23 +457,23 @@ def search(
     plain_null, n = null.chi2, problem.y.size * problem.estimate.share
     dictionary = Dictionary(problem, progress)
     fitter, scale = _Fitter(problem), 1.0
-    _sweep(dictionary, fitter)
+    _sweep(dictionary, fitter, seeds)
     progress("onset")
     if problem.case.model.k_tol is not None:
         # A naive model is refitted as a whole: what it lacks does not begin anywhere.
         _begun(dictionary, fitter)
     plain_best = plain_null
+    pool = sorted(fitter.by_names.values(), key=fitter.score)[: noise.TRIED]
     if fitter.by_names:
         best = _sure_of_its_beginning(fitter)
         plain_best = best.chi2
         scale = inflation(best.residual)
         if scale > 1.3:
-            seeds = [f.members for f in sorted(fitter.by_names.values(), key=fitter.score)[:8]]
             problem.rescale(scale)
             dictionary.grams /= scale
             null = solve(problem, [], []) or null
             fitter = _Fitter(problem)
-            _sweep(dictionary, fitter, seeds)
+            _sweep(dictionary, fitter, [f.members for f in pool[:8]])
         else:
             scale = 1.0
     known = redundant.witness(problem.case, problem.ctx, problem.estimate)
@@ -479,6 +483,7 @@ def search(
         plain_null += fitter.testimony(null)
     progress("gate")
     done = _decide(problem, fitter, null, (plain_null, plain_best, n), scale, fitter.held(null))
+    done.pool = pool
     if body is None:
         return done
     doubted = doubtful(done) or _refused(fitter, done)

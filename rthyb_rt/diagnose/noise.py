@@ -95,22 +95,17 @@ def colour_of(
         sheet: what the data sheet states, in the residual's unit; None: nothing bounds the noise,
             and a misfit that is no noise could not be told from it.
     """
-    if not sheet or rows.mean() < 0.5 or rows.size < 256:
+    seen = _spectrum(residual, rows, fs_hz) if sheet else None
+    if seen is None or sheet is None:
         return None
-    taper = _faded(rows, fs_hz)
-    scale = float(np.sum(taper**2))
-    if scale < 128:
+    f_hz, power = seen
+    moved = np.cumsum(np.abs(np.fft.rfft(_faded(rows, fs_hz) * velocity)) ** 2)
+    if not moved[-1] > 0.0:
         return None
-    f_hz = np.asarray(np.fft.rfftfreq(rows.size, 1.0 / fs_hz), dtype=np.float64)
-    mean = float(np.sum(taper * residual) / np.sum(taper))
-    power = np.abs(np.fft.rfft(taper * (residual - mean))) ** 2 / scale
-    moved = np.cumsum(np.abs(np.fft.rfft(taper * velocity)) ** 2)
     ends = np.interp([0.5 * BESIDE, 1.0 - 0.5 * BESIDE], moved / moved[-1], f_hz)
     low_hz, high_hz = map(float, ends)
     beside = np.flatnonzero(((f_hz < low_hz) | (f_hz > high_hz)) & (np.arange(f_hz.size) > 1))
     beside = beside[beside < f_hz.size - 1]
-    if not np.isfinite(power).all() or not moved[-1] > 0.0:
-        return None
     # With little room above the motion nothing tells its noise from what it makes.
     if beside.size < 8 * LINES or high_hz > 0.25 * fs_hz:
         return None
@@ -122,7 +117,50 @@ def colour_of(
     found = Colour(*_levels(f_hz[above], power[above]), red, high_hz, 0.5 * float(f_hz[near[0]]))
     if not _better(found, f_hz[beside], power[beside]):
         return None
-    total = float(np.mean(found.at(f_hz)))
+    return _held(found, f_hz, sheet)
+
+
+def red_of(
+    residual: Floats, rows: NDArray[np.bool_], fs_hz: float, sheet: float | None
+) -> Colour | None:
+    """Return a floor and what rises from it towards slow motion, read within the motion's band too.
+
+    Slow noise swells over all of the band, where the force of a law has the lines of the motion: if
+    a set leaves such noise, it is for the likelihoods of all sets to say.
+
+    Args:
+        residual, rows, fs_hz, sheet: as of `colour_of`.
+    """
+    seen = _spectrum(residual, rows, fs_hz) if sheet else None
+    if seen is None or sheet is None:
+        return None
+    f_hz, power = seen[0][1:-1], seen[1][1:-1]
+    if f_hz.size < 8 * LINES:
+        return None
+    red = _fitted_red(f_hz, power)
+    found = Colour(f_hz[-1:], _red(f_hz[-1:], red), red, np.inf, 0.5 * float(f_hz[0]))
+    return _held(found, seen[0], sheet) if red[1] > 0.0 and _better(found, f_hz, power) else None
+
+
+def _spectrum(
+    residual: Floats, rows: NDArray[np.bool_], fs_hz: float
+) -> tuple[Floats, Floats] | None:
+    """Return the lines of the rows that count, Hz, and their power; None of too few rows."""
+    if rows.mean() < 0.5 or rows.size < 256:
+        return None
+    taper = _faded(rows, fs_hz)
+    scale = float(np.sum(taper**2))
+    if scale < 128:
+        return None
+    f_hz = np.asarray(np.fft.rfftfreq(rows.size, 1.0 / fs_hz), dtype=np.float64)
+    mean = float(np.sum(taper * residual) / np.sum(taper))
+    power = np.abs(np.fft.rfft(taper * (residual - mean))) ** 2 / scale
+    return (f_hz, power) if np.isfinite(power).all() else None
+
+
+def _held(found: Colour, f_hz: Floats, sheet: float) -> Colour:
+    """Return a colour as large as the data sheet allows."""
+    total, red = float(np.mean(found.at(f_hz))), found.red
     held = float(np.clip(total, (sheet / SHEET) ** 2, (sheet * SHEET) ** 2)) / total
     return replace(found, power=held * found.power, red=(held * red[0], held * red[1], red[2]))
 

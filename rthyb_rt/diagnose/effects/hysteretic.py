@@ -255,6 +255,10 @@ def _loop_part(ctx: Context) -> Floats:
     return ctx.spring - bw.alpha * ctx.model.k * ctx.x
 
 
+SLACK = (0.3, 0.6, 0.85)
+"""Parts of a loop's slope that are lost around zero, of the shapes that are tried first."""
+
+
 class Pinching(Effect):
     """A spring or loop that is slack around zero."""
 
@@ -273,7 +277,6 @@ class Pinching(Effect):
         if not ctx.model.k:
             return []
         at = ctx.x_range * np.geomspace(0.03, 1.0, 10)
-        variants = ("x", "z", "slope") if ctx.model.bouc_wen else ("x",)
         if not ctx.model.bouc_wen:
             # Slack that widens with the largest displacement so far.
             peaks = [
@@ -281,10 +284,14 @@ class Pinching(Effect):
             ]
             peaks += [Trial((float(w),), "worn") for w in np.linspace(0.1, 0.9, 7)]
             return [*(Trial((float(w),), "x") for w in at), *peaks]
-        return [Trial((float(w),), v) for v in variants for w in at]
+        # A loop whose slope is slack does not go with the depth of that.
+        slopes = [Trial((float(w), depth), "slope") for depth in SLACK for w in at]
+        return [*(Trial((float(w),), v) for v in ("x", "z") for w in at), *slopes]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep the width within the motion."""
+        """Keep the width within the motion, and some of the slope."""
+        if trial.variant == "slope":
+            return [(0.01 * ctx.x_range, 2.0 * ctx.x_range), (1e-3, 0.98)]
         if trial.variant.startswith("peak"):
             return [(0.05, 2.0)]
         if trial.variant == "worn":
@@ -294,8 +301,8 @@ class Pinching(Effect):
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return one coefficient, the depth."""
-        return ("+", (None,)), 2
+        """Return one coefficient: the depth, or one that is held at 1."""
+        return ("+", (0.02 if trial.variant == "slope" else None,)), 2
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return what the pinched force loses per depth."""
@@ -306,13 +313,13 @@ class Pinching(Effect):
             z = loop / ((1.0 - bw.alpha) * ctx.model.k)
             return [-loop * np.exp(-((z / width) ** 2))]
         if trial.variant == "slope" and bw:
-            depth, per = 0.3, bw.xy**bw.n
+            depth, per = trial.theta[1], bw.xy**bw.n
             pinched = ctx.unit(
                 "pinching", k_n_per_m=ctx.model.k, post_yield_ratio=bw.alpha, a=1.0,
                 b=bw.gamma / per, c=bw.beta / per, eta=bw.n, depth=depth,
                 width_ratio=width / bw.xy,
             )  # fmt: skip
-            return [(pinched - ctx.spring) / depth]
+            return [pinched - ctx.spring]
         if trial.variant == "worn":
             # Soft within a part of the largest excursion, and closed again where that is reached.
             peak = np.maximum.accumulate(np.abs(ctx.x)) + 1e-9 * ctx.x_range
@@ -330,7 +337,8 @@ class Pinching(Effect):
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return depth and width, as a part of the yield displacement or of the amplitude."""
         unit = 1.0 if trial.variant.startswith(("peak", "worn")) else self._unit(ctx)
-        return {"depth": float(beta[0]), "width_ratio": trial.theta[0] / unit}
+        depth = float(beta[0]) * (trial.theta[1] if trial.variant == "slope" else 1.0)
+        return {"depth": depth, "width_ratio": trial.theta[0] / unit}
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return what the force is slack over."""
@@ -346,10 +354,10 @@ class Pinching(Effect):
         bw = ctx.model.bouc_wen
         if bw is None:
             return None
-        per = bw.xy**bw.n
+        per, depth = bw.xy**bw.n, self.report(ctx, trial, beta)["depth"]
         pinched = core.element(
             "pinching", k_n_per_m=ctx.model.k, post_yield_ratio=bw.alpha, a=1.0,
-            b=bw.gamma / per, c=bw.beta / per, eta=bw.n, depth=min(float(beta[0]), 1.0),
+            b=bw.gamma / per, c=bw.beta / per, eta=bw.n, depth=min(depth, 1.0),
             width_ratio=trial.theta[0] / bw.xy,
         )  # fmt: skip
         return [pinched]

@@ -17,6 +17,8 @@ class Stiffness(Effect):
     """Stiffness error, P-delta, force gain, flexible fixture: one thing while linear.
 
     Variant "gain" is a load cell's or an amplifier's, which shows damping and inertia larger too.
+    Of a specimen that yields the error is that of its whole loop; variant "beside" is a spring
+    beside the loop that does not yield with it, such as P-delta.
     """
 
     name = "stiffness"
@@ -27,8 +29,9 @@ class Stiffness(Effect):
     shown_by = ("sweep", "stiffness stays the same over frequency, mass does not")
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return one trial where there is a spring."""
-        return [Trial()] if ctx.model.k else []
+        """Return one trial where there is a spring, another one where it yields."""
+        beside = [Trial((), "beside")] if ctx.model.bouc_wen else []
+        return [Trial(), *beside] if ctx.model.k else []
 
     def forms_begun(self, ctx: Context, trial: Trial) -> Sequence[Trial]:
         """Return a gain as well: specimens seldom change at once in mid-test, amplifiers do."""
@@ -37,14 +40,20 @@ class Stiffness(Effect):
         return [trial, Trial((), "gain")] if gain else [trial]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the model's own restoring force, or all of its force."""
-        if trial.variant:
+        """Return the model's own restoring force, all of its force, or that of a spring beside."""
+        if trial.variant == "gain":
             return [ctx.total]
+        if trial.variant == "beside":
+            return [ctx.model.k * ctx.x]
         return [ctx.spring if ctx.model.k else ctx.x]
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return which of the two it is."""
-        return "f = f0 (1 + dk_ratio), a gain" if trial.variant else "f = dk_ratio k x"
+        """Return which of them it is."""
+        forms = {
+            "gain": "f = f0 (1 + dk_ratio), a gain",
+            "beside": "f = dk_ratio k x, beside the loop",
+        }
+        return forms.get(trial.variant, "f = dk_ratio k x")
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False where nothing would be left of the spring."""
@@ -53,6 +62,8 @@ class Stiffness(Effect):
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return a spring, negative where the model has too much; of a gain all that it shows."""
         share, model = float(beta[0]), ctx.model
+        if trial.variant == "beside":
+            return [core.element("stiffness", k_n_per_m=share * model.k)]
         if trial.variant and (model.extra or (share < 0.0 and model.moving_mass)):
             return None
         out = [core.element("stiffness", k_n_per_m=share * (model.k or 1.0))]
@@ -164,8 +175,30 @@ class Quadratic(Effect):
         return [core.element("quadratic", k2_n_per_m2=float(beta[0]))]
 
 
+PARTS = 8
+"""Springs that stand for a contact that spreads, where a rig file is to hold it."""
+
+
+def met(depth: Floats, width: float) -> Floats:
+    """Return how deep a contact is met whose clearance is spread evenly by +-width, (n,), m.
+
+    Surfaces that are not parallel touch at one end first: what is seen is the mean over the
+    clearances, a parabola between none and all of them.
+    """
+    within = (depth + width) ** 2 / (4.0 * width)
+    return np.where(depth < -width, 0.0, np.where(depth < width, within, depth))
+
+
+def spread(middle: float, width: float) -> Floats:
+    """Return clearances that stand for such a contact, (`PARTS`,), m."""
+    return middle + width * (2.0 * (np.arange(PARTS) + 0.5) / PARTS - 1.0)
+
+
 class Gap(Effect):
-    """Backlash or dead band in the specimen's connection."""
+    """Backlash or dead band in the specimen's connection.
+
+    The dead band of variant "spread" ends earlier in one place than in another.
+    """
 
     name = "gap"
     params = (Param("gap_m", "m", 1e-9, 1.0),)
@@ -185,7 +218,12 @@ class Gap(Effect):
             for up in gaps[2:-2:3]
             for ratio in (0.2, 0.5, 2.0, 5.0)
         ]
-        return [*(Trial((float(g),), v) for v in ("deadband", "play") for g in gaps), *uneven]
+        even = [Trial((float(g),), v) for v in ("deadband", "play") for g in gaps]
+        return [
+            *even,
+            *uneven,
+            *(Trial((float(g), 0.3 * float(g)), "spread") for g in gaps[3:-1:3]),
+        ]
 
     def settings(
         self, ctx: Context, trial: Trial
@@ -196,7 +234,10 @@ class Gap(Effect):
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return what the spring loses."""
         half = trial.theta[0]
-        if trial.variant != "play":
+        if trial.variant == "spread":
+            width = trial.theta[1]
+            moved = met(ctx.x - half, width) - met(-ctx.x - half, width)
+        elif trial.variant != "play":
             moved = ctx.x - np.clip(ctx.x, -trial.theta[-1], half)
         else:
             moved = play(half, ctx.x)
@@ -204,13 +245,16 @@ class Gap(Effect):
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the gap; half its width where the sides differ."""
-        return {"gap_m": float(np.mean(trial.theta))}
+        ends = trial.theta[:1] if trial.variant == "spread" else trial.theta
+        return {"gap_m": float(np.mean(ends))}
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the kind of gap."""
         if trial.variant == "uneven":
             up, down = trial.theta
             return f"dead band from {-down:.4g} to {up:.4g} m, the spring beyond"
+        if trial.variant == "spread":
+            return f"dead band that ends over +-{trial.theta[1]:.4g} m, the spring beyond"
         if trial.variant == "deadband":
             return "dead band, the spring beyond +-gap"
         return "play, the spring behind +-gap"
@@ -223,6 +267,11 @@ class Gap(Effect):
         out = [core.element("stiffness", k_n_per_m=-k)]
         if trial.variant == "deadband":
             return [*out, core.element("gap", k_n_per_m=k, gap_m=trial.theta[0])]
+        if trial.variant == "spread":
+            if trial.theta[1] > trial.theta[0]:
+                return None
+            gaps = map(float, spread(*trial.theta))
+            return [*out, *(core.element("gap", k_n_per_m=k / PARTS, gap_m=g) for g in gaps)]
         up, down = trial.theta
         return [
             *out,
@@ -233,7 +282,7 @@ class Gap(Effect):
 
 
 class Stopper(Effect):
-    """A stop that is met beyond a displacement."""
+    """A stop that is met beyond a displacement; in variant "spread" in one place before another."""
 
     name = "stopper"
     params = (Param("ks_N_m", "N/m", 0.0, 1e12), Param("xs_m", "m", 0.0, 10.0))
@@ -247,15 +296,25 @@ class Stopper(Effect):
         at = ctx.x_range * np.array(
             [0.3, 0.4, 0.5, 0.58, 0.65, 0.7, 0.75, 0.8, 0.84, 0.88, 0.91, 0.94, 0.96, 0.98]
         )
-        return [Trial((float(xs),), side) for side in ("both", "up", "down") for xs in at]
+        sharp = [Trial((float(xs),), side) for side in ("both", "up", "down") for xs in at]
+        return [*sharp, *(Trial((float(xs), 0.2 * float(xs)), "spread") for xs in at[1:-2:3])]
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Count the width over which it is met."""
+        return ("+", (None,)), 1 + len(trial.theta)
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep the stop within the motion."""
-        return [(0.1 * ctx.x_range, 0.999 * ctx.x_range)]
+        width = [(1e-3 * ctx.x_range, ctx.x_range)] if trial.variant == "spread" else []
+        return [(0.1 * ctx.x_range, 0.999 * ctx.x_range), *width]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the depth beyond the stop."""
         xs = trial.theta[0]
+        if trial.variant == "spread":
+            return [met(ctx.x - xs, trial.theta[1]) - met(-ctx.x - xs, trial.theta[1])]
         up, down = np.maximum(ctx.x - xs, 0.0), np.minimum(ctx.x + xs, 0.0)
         if trial.variant == "up":
             return [up]
@@ -267,6 +326,8 @@ class Stopper(Effect):
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return its sides."""
+        if trial.variant == "spread":
+            return f"both sides, met over +-{trial.theta[1]:.4g} m"
         return {"up": "upwards only", "down": "downwards only"}.get(trial.variant, "both sides")
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
@@ -274,6 +335,11 @@ class Stopper(Effect):
         ks, xs = float(beta[0]), trial.theta[0]
         if trial.variant == "both":
             return [core.element("stopper", ks_n_per_m=ks, xs_m=xs)]
+        if trial.variant == "spread":
+            if trial.theta[1] > xs:
+                return None
+            places = map(float, spread(*trial.theta))
+            return [core.element("stopper", ks_n_per_m=ks / PARTS, xs_m=at) for at in places]
         up, down = (ks, 0.0) if trial.variant == "up" else (0.0, ks)
         return [
             core.element(

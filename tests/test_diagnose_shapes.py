@@ -1,0 +1,104 @@
+"""Contacts that are not sharp, loops as slack as they are, springs beside a loop that yields."""
+
+from __future__ import annotations
+
+import diagnose_cases as cases
+import numpy as np
+import pytest
+
+from rthyb_rt import core
+from rthyb_rt.diagnose import effects, engine, reading
+from rthyb_rt.diagnose.effects import springs
+from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.simulate import Motion
+
+K = cases.K
+XY = 2.5e-3
+SPRING = 1.004 * K  # that the recordings have, whose place the loop takes
+LOOP = f"\n[specimen.bouc_wen]\nalpha = 0.2\nxy = {XY}\nn = 2\n"
+
+
+def loop(x: np.ndarray, depth: float | None = None) -> np.ndarray:
+    """The force of a Bouc-Wen spring of n = 2, of slack slope if so asked, by fine steps, (n,)."""
+    z, out = 0.0, np.zeros(x.size)
+    for i in range(1, x.size):
+        steps = 40
+        part = (x[i] - x[i - 1]) / steps
+        for _ in range(steps):
+            rate = 1.0 - abs(z / XY) ** 2 * (0.5 + 0.5 * np.sign(part * z))
+            if depth is not None:
+                rate *= 1.0 - depth * np.exp(-((z / (0.5 * XY)) ** 2))
+            z += part * rate
+        out[i] = K * (0.2 * x[i] + 0.8 * z)
+    return out
+
+
+def diagnosed(folder, extra, model: str | None = None):
+    recording, toml = cases.write(folder, cases.channels(lambda t, x, v, a: extra(x)), model)
+    return engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+
+
+@pytest.mark.parametrize("width_m", [1e-6, 3e-4, 2e-3])
+def test_contact_that_spreads_is_the_mean_over_its_clearances(width_m):
+    x = np.linspace(-8e-3, 8e-3, 301)
+    places = 3e-3 + width_m * (2.0 * (np.arange(20_000) + 0.5) / 20_000 - 1.0)
+    mean = np.mean(np.maximum(x[:, None] - places, 0.0), axis=1)
+    np.testing.assert_allclose(springs.met(x - 3e-3, width_m), mean, atol=2e-8)
+
+
+@pytest.mark.parametrize(
+    ("name", "trial", "beta"),
+    [("stopper", Trial((4e-3, 8e-4), "spread"), 3e5), ("gap", Trial((1e-3, 4e-4), "spread"), 1.0)],
+)
+def test_contact_that_spreads_becomes_springs_of_a_rig_file(name, trial, beta, tmp_path):
+    _, toml = cases.write(tmp_path, cases.channels())
+    x, v, a = cases.moved(cases.command())
+    t = np.arange(x.size) / cases.FS
+    ctx = Context(reading.read_model(toml), Motion(x, v, a), t, K * x, {})
+    effect = effects.catalogue()[name]
+    fitted = beta * effect.columns(ctx, trial)[0]
+    elements = effect.elements(ctx, trial, np.array([beta]))
+    found = sum(core.Element(one).run(x, v, a, 1.0 / cases.FS) for one in elements)
+    # Eight springs in the place of a parabola of curvature 1 / (2 width), a fourth of it apart.
+    width = trial.theta[1]
+    np.testing.assert_allclose(found, fitted, atol=(width / 4.0) ** 2 / (16.0 * width) * K)
+    wide = Trial((1e-3, 2e-3), "spread")
+    assert effect.elements(ctx, wide, np.array([beta])) is None
+
+
+def test_stop_on_surfaces_that_are_not_parallel_is_one_stop(tmp_path):
+    """Beside it nothing: neither a cubic spring nor a loop stands in for its rounded corner."""
+    d = diagnosed(
+        tmp_path,
+        lambda x: 4e5 * (springs.met(x - 4e-3, 1.2e-3) - springs.met(-x - 4e-3, 1.2e-3)),
+    )
+    assert (d.verdict, d.effects) == ("explained", ["stopper"])
+    found = d.candidates[0]
+    assert found.params["xs_m"] == pytest.approx(4e-3, rel=0.02)
+    assert found.params["ks_N_m"] == pytest.approx(4e5, rel=0.02)
+    assert "met over" in found.form
+
+
+def test_sharp_stop_is_not_said_to_spread(tmp_path):
+    d = diagnosed(
+        tmp_path, lambda x: 4e5 * (np.maximum(x - 4e-3, 0.0) - np.maximum(-x - 4e-3, 0.0))
+    )
+    assert (d.verdict, d.effects) == ("explained", ["stopper"])
+    assert d.candidates[0].form == "both sides"
+
+
+@pytest.mark.parametrize("depth", [0.3, 0.7])
+def test_slope_of_a_loop_is_as_slack_as_it_is(depth, tmp_path):
+    """What it loses does not go with the depth: at 0.7 a shape of 0.3 would leave a third law."""
+    d = diagnosed(tmp_path, lambda x: loop(x, depth) - SPRING * x, cases.baseline() + LOOP)
+    assert (d.verdict, d.effects) == ("explained", ["pinching"])
+    assert d.candidates[0].params["depth"] == pytest.approx(depth, rel=0.03)
+    assert d.candidates[0].params["width_ratio"] == pytest.approx(0.5, rel=0.03)
+
+
+def test_spring_beside_a_loop_does_not_yield_with_it(tmp_path):
+    """P-delta: eight per cent of the elastic stiffness less, at every displacement."""
+    d = diagnosed(tmp_path, lambda x: loop(x) - (SPRING + 0.08 * K) * x, cases.baseline() + LOOP)
+    assert (d.verdict, d.effects) == ("explained", ["stiffness"])
+    assert d.candidates[0].params["dk_ratio"] == pytest.approx(-0.08, rel=0.05)
+    assert "beside" in d.candidates[0].form

@@ -1,0 +1,97 @@
+"""Noise that swells towards slow motion, where nothing is seen beside the motion's band."""
+
+from __future__ import annotations
+
+import re
+
+import event_cases
+import numpy as np
+import pytest
+from test_diagnose_colour import F_GRID, N, coloured, pink, random_walk_over_white, recorded
+from test_diagnose_noise import DRIVE, F_STD, FS_HZ, written
+
+from rthyb_rt.diagnose import engine, estimate, noise, reading
+
+ALL = np.ones(N, dtype=np.bool_)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_random_walk_is_read_within_the_band_as_well(seed):
+    y = coloured(np.random.default_rng(seed), random_walk_over_white())
+    found = noise.red_of(y, ALL, FS_HZ, 1.0)
+    assert found is not None
+    truth = random_walk_over_white() / np.mean(random_walk_over_white())
+    at = np.array([0.3, 1.0, 3.0, 30.0])
+    ratio = found.at(at) / np.interp(at, F_GRID, truth)
+    assert ratio.min() > 0.3
+    assert ratio.max() < 3.0
+
+
+def test_white_noise_and_a_line_are_not_red():
+    """By BIC: not once in twenty; nor is a motion's line at 1 Hz in it."""
+    line = 0.5 * np.sin(2.0 * np.pi * np.arange(N) / FS_HZ)
+    for seed in range(20):
+        white = np.random.default_rng(seed).standard_normal(N)
+        assert noise.red_of(white, ALL, FS_HZ, 1.0) is None
+        found = noise.red_of(white + line, ALL, FS_HZ, 1.0)
+        assert found is None or found.at(np.array([1.0]))[0] < 10.0
+
+
+def test_drift_is_likelier_in_white_noise_than_slow_noise_without_it():
+    """Its own lines are not those of a random walk, and the sheet holds both."""
+    random, t = np.random.default_rng(6), np.arange(N) / FS_HZ
+    white, drift = random.standard_normal(N), 0.5 * (t - t.mean()) / t.max()
+    v = np.sin(2.0 * np.pi * t)
+    kept = estimate.likelihood(white, ALL, v, FS_HZ, 1.0, 1.0)[0]
+    swallowed = estimate.likelihood(white + drift, ALL, v, FS_HZ, 1.0, 1.0)[0]
+    assert kept + 40.0 < swallowed
+
+
+def red_at_the_ends(random: np.random.Generator, extra) -> dict[str, np.ndarray]:
+    shape = 1.0 + (1.0 / np.maximum(F_GRID, 0.03)) ** 2
+    return recorded(random, extra, shape)
+
+
+@pytest.mark.parametrize("seed", [61, 62])
+def test_slow_noise_of_a_load_cell_is_neither_an_offset_nor_a_drift(tmp_path, seed):
+    d = written(tmp_path, red_at_the_ends(np.random.default_rng(seed), lambda t, x, v: 0.0), DRIVE)
+    assert (d.verdict, d.effects) == ("none", [])
+
+
+def test_hum_that_sets_in_amid_pink_noise_is_hum(tmp_path):
+    """Its beginning was believed to be noise, and what rings at 50 Hz a mass on a spring."""
+    columns = recorded(
+        np.random.default_rng(71),
+        lambda t, x, v: 3.0 * F_STD * np.sin(2.0 * np.pi * 49.93 * t) * (t > 6.2),
+        pink(),
+    )
+    d = written(tmp_path, columns, DRIVE)
+    assert (d.verdict, d.effects) == ("explained", ["hum"])
+    assert d.candidates[0].params["f_Hz"] == pytest.approx(49.93, abs=0.05)
+    assert d.candidates[0].from_s == pytest.approx(6.2, abs=0.1)
+
+
+def on_ground(folder, seed: int, dashpot: float = 0.0):
+    """A body on a shaking table whose load cell has pink noise as its sheet says."""
+    random = np.random.default_rng(seed)
+    level = {}
+
+    def cell(force: np.ndarray, fs_hz: float) -> np.ndarray:
+        level["n"] = 0.02 * float(np.std(force))
+        return force + level["n"] * coloured(random, pink(), force.size)
+
+    recording, toml = event_cases.on_ground(seed, folder, dashpot, cell)
+    stated = float(np.hypot(level["n"], 0.3 * level["n"]))
+    toml.write_text(re.sub(r"f_std = \S+", f"f_std = {stated}", toml.read_text()))
+    return engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_pink_noise_of_a_load_cell_on_a_shaking_table_misses_nothing(tmp_path, seed):
+    d = on_ground(tmp_path, seed)
+    assert (d.verdict, d.effects) == ("none", [])
+
+
+def test_damping_on_a_shaking_table_is_found_in_pink_noise(tmp_path):
+    d = on_ground(tmp_path, 3, dashpot=1.5)
+    assert (d.verdict, d.effects) == ("explained", ["viscous"])
