@@ -21,7 +21,8 @@ from rthyb_rt.diagnose.estimate import (
     noise_of,
 )
 from rthyb_rt.diagnose.noise import TRIED
-from rthyb_rt.diagnose.select import SKEW_PRIOR_S, inflation, penalty
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.select import inflation, penalty
 from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, actuator
 
 
@@ -108,18 +109,12 @@ MASK_S = 0.4
 STEPS = 12
 ZEROS = 10
 """Parts of a recording whose displacement may have a zero of its own."""
-AT_NOISE = 0.05
-"""Misfit beyond noise, in units of the noise, that the estimate of the noise may be wrong by."""
-CHANCE = 1.5
-"""Standard deviations of chi-squared by which it lies beyond the noise by chance."""
 ROW = "row"
 """The field that stands for when an effect begins."""
 LAGS = {"delay", "oil_column"}
 """Effects whose lag a slow motion does not tell apart."""
 TRADES = (1.4, 2.0, 2.8, 4.0)
 """Factors of an oil column's frequency to begin with beside a delay."""
-SHIFT_MAX_S = 1.5e-4
-"""Time offset that is still nuisance: against a large effect its prior alone would give way."""
 
 
 Before = tuple[float, ActuatorModel] | None
@@ -155,7 +150,7 @@ class ActuatorFit:
 
     def misfit(self, scale: float) -> float:
         """Return chi-squared with the rows' share scaled down; the prior's is not."""
-        prior = (self.model.shift_s / SKEW_PRIOR_S) ** 2
+        prior = (self.model.shift_s / POLICY.offset_prior_s) ** 2
         return (self.chi2 - prior) / scale + prior
 
 
@@ -291,7 +286,7 @@ class Actuation:
         # One more row holds the prior of the time offset.
         def residual(p: Floats) -> Floats:
             r = self.residual(*model(p))[0]
-            return np.asarray(np.r_[r, p[-1] * scales[-1] / SKEW_PRIOR_S])
+            return np.asarray(np.r_[r, p[-1] * scales[-1] / POLICY.offset_prior_s])
 
         p = (
             np.r_[[np.log(v) if log else v for v, log in zip(start, logs, strict=True)], 0.0]
@@ -302,7 +297,7 @@ class Actuation:
         except SimulationError:
             return None
         chi2, damping = float(r @ r), 1e-3
-        most = SHIFT_MAX_S / float(scales[-1])
+        most = POLICY.offset_reach_s / float(scales[-1])
         jacobian = np.zeros((r.size, p.size))
         for _ in range(STEPS):
             for j in range(p.size):
@@ -480,7 +475,11 @@ def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
         # model is known well two that nearly cancel leave little of one another, so that only noise
         # ends the search for a pair; a delay and an oil column may leave less than that.
         stated = size == 2 and task.case.model.k_tol is not None
-        if left < (CHANCE * np.sqrt(2.0 * n) if stated else 0.05 * n + 2e-3 * (null.chi2 - n)):
+        if left < (
+            POLICY.pair_beyond_chance * np.sqrt(2.0 * n)
+            if stated
+            else POLICY.pair_excess * n + POLICY.pair_share * (null.chi2 - n)
+        ):
             if not stated or best.before or best.names[0] not in LAGS:
                 break
             groups = [g for g in groups if {e.name for e in g} == LAGS]

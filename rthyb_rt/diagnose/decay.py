@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from rthyb_rt.diagnose.case import Case, Floats
-from rthyb_rt.diagnose.freebody import Body
+from rthyb_rt.diagnose.freebody import Body, Loose
 from rthyb_rt.diagnose.predict import Augmented
 from rthyb_rt.diagnose.select import Dictionary, Fit, Member, Problem, compatible, solve
 
@@ -39,7 +39,9 @@ class Swing(Body):
 
     linear = False
     largest = 3
-    loose = (("x", 0.4, np.inf), ("v", 0.4, np.inf), ("zero", 0.4, np.inf))
+
+    def _loose(self) -> Loose:
+        return (("x", 0.4, np.inf), ("v", 0.4, np.inf), ("zero", 0.4, np.inf))
 
     def first(self, ranked: Sequence[Fit]) -> list[Fit]:
         """Return the sets of springs and damping alone: what ends most swings."""

@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import noise
 from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import Motion
 
 Complex = NDArray[np.complex128]
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Filter = Callable[[Floats], Floats]
-ACCURACY = 0.004
-"""Part of the force that a body's free motion tells at best."""
 SHIFT_S = 0.025
 GAP_S = 0.4
 """A simulated motion has forgotten a gap of its command after so long."""
@@ -57,7 +56,7 @@ def noise_of(signal: Floats | None, sheet: float | None) -> float:
         return found if found > 0.0 else 1e-6 * (scale or 1.0)
     if not np.isfinite(found):
         return sheet
-    return float(np.clip(found, sheet / 1.3, sheet * 1.3))
+    return float(np.clip(found, sheet / POLICY.noise_held, sheet * POLICY.noise_held))
 
 
 def step_of(f_meas: Floats | None, f_std: float | None) -> float:
@@ -66,14 +65,14 @@ def step_of(f_meas: Floats | None, f_std: float | None) -> float:
         return 0.0
     good = np.isfinite(f_meas)
     values = np.unique(f_meas[good])
-    if values.size < 3 or values.size > 0.5 * good.sum():
+    if values.size < 3 or values.size > POLICY.coarse_readings * good.sum():
         return 0.0
     steps = np.diff(values)
     lsb = float(np.median(steps[steps < 1.5 * steps.min()]))
     at = values / lsb
     mean = np.mean(np.exp(2j * np.pi * at))
     away = np.abs(np.exp(2j * np.pi * at) - mean / (abs(mean) or 1.0))
-    return lsb if lsb >= f_std and np.mean(away < 0.15) >= 0.98 else 0.0
+    return lsb if lsb >= f_std and np.mean(away < 0.15) >= POLICY.coarse_on_grid else 0.0
 
 
 def force_noise(f_meas: Floats | None, f_std: float | None) -> float:
@@ -383,7 +382,7 @@ def likelihood(
     if colour is None:
         white = residual[rows] / sigma
         size = float(np.sqrt(np.mean(white**2)))
-        level = float(np.clip(size, stated / noise.SHEET, stated * noise.SHEET))
+        level = float(np.clip(size, stated / POLICY.sheet_factor, stated * POLICY.sheet_factor))
         return float(white @ white) / level**2 + 2.0 * count * float(np.log(level)), None
     s = _Spectral.of(residual.size, fs_hz)
     power = colour.at(s.omega / (2.0 * np.pi))
@@ -465,7 +464,7 @@ def from_sensors(case: Case) -> Estimate | None:
         return None
     if model.family in ("forced", "ground"):
         # Near resonance a small force moves much: nothing is known better than a few parts in 1000.
-        sigma = max(sigma, ACCURACY * float(np.sqrt(np.mean(force[rows] ** 2))))
+        sigma = max(sigma, POLICY.force_accuracy * float(np.sqrt(np.mean(force[rows] ** 2))))
     z2 = _impedance(case, s.omega, mass) ** 2
     power = sigma**2 + z2 * known.variance
     # Where displacement is nothing but noise, force laws evaluated on it are: no band to judge in.

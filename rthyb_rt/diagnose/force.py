@@ -10,8 +10,8 @@ import numpy as np
 
 from rthyb_rt.diagnose import decay, modulation, onset, redundant
 from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
-from rthyb_rt.diagnose.freebody import MET_ALONE as MET
 from rthyb_rt.diagnose.freebody import Body
+from rthyb_rt.diagnose.policy import POLICY, of_size
 from rthyb_rt.diagnose.select import (
     Dictionary,
     Fit,
@@ -25,34 +25,10 @@ from rthyb_rt.diagnose.select import (
     solve,
 )
 
-AMBIGUOUS = 9.0
-"""Sets that differ by less in chi-squared cannot be told apart."""
-TWIN = 2.0
-"""Difference in the same up to which a recording shows none at all between two effects."""
-DEARER = 1.5
-"""Price of one more parameter in a rival, in the same: a law that goes over into a simpler one fits
-as well by its nature, and is a rival only where its parameter brings something."""
-NEEDED = {1: 0.0, 2: 4e-3, 3: 2.5e-2}
-"""Least part of what a set of two or three explains that each of its effects has to explain alone:
-less may be the form of the other one's law. More than twice that where the motion is estimated."""
-SMALLEST = 1e-3
-"""Least size of an effect, as part of the force: less is not a finding."""
-NESTED = 1e-3
-"""Least part of what dry friction explains that a Stribeck peak or bristles have to add to it."""
-STRAIN = 6.0
-"""Time offset, in standard deviations of its prior, that is no nuisance any more."""
-BENT = 4.0
-"""The same of a stated number, or of the mass that an estimated motion blurs."""
 BEARS = {"stiffness": "stiffness", "viscous": "viscous", "blur": "inertia"}
 """The effect that each nuisance stands in for."""
 ALIKE = ("maxwell", "time_skew")
 """Effects that a slow motion does not tell from a dashpot."""
-SLOW = 0.1
-"""Relaxation time times the motion's frequency up to which relaxation is a dashpot."""
-FORM_ALONE = 1.5e-3
-"""Part of what is explained by which two sets may differ for the form of a law alone."""
-FORM = 0.03
-"""Part of what a law explains by which another form of it may do worse and still be thinkable."""
 FOLD_S = 0.25
 FOLDS = 4
 POOL = 6
@@ -61,23 +37,10 @@ LEADING = 3
 """Sets that are looked at more closely."""
 DRY = {"coulomb", "stribeck", "lugre"}
 SLIDERS = {"hysteresis", "lugre"}
-WHITE = 1.1
-"""Inflation, see `select.inflation`, up to which a residual is mere noise."""
-DECISIVE = 0.005
-"""Part of the misfit of the motion that a set may leave to be believed against the balance."""
-FORM_SEEN, FORM_MOVED = 0.03, 1.0
-"""Misfit beyond noise, in units of the noise, that may be the form of a law: of the force that a
-load cell sees, and of a motion that is simulated."""
-FORM_OF_RIG = 0.1
-"""The same of a rig that is simulated whole: nothing magnifies there what a law's form leaves."""
 SETTLED = 0.01
 """Part of a misfit by which one more fit of a motion has to better it."""
 AGAIN = 3
 """Times that such a fit is begun again at most."""
-OPEN = 0.3
-"""Misfit beyond noise from which an effect that was refused is looked at again."""
-MANY = 5.0
-"""Times its price that such an effect has to earn."""
 LINEAR = ("stiffness", "viscous", "inertia")
 """Effects that are always among them: what is missing may look like them at one frequency."""
 
@@ -125,7 +88,7 @@ class _Fitter:
         self.stated = {n.name for n in problem.nuisances if n.sigma is not None}
         self.exact = problem.estimate.exact
         self.rows = problem.y.size * problem.estimate.share
-        self.open = FORM_SEEN
+        self.open = POLICY.form_seen
         self.testimony: Callable[[Fit], float] = lambda _: 0.0
 
     def fit(self, members: Iterable[Member]) -> Fit | None:
@@ -216,7 +179,7 @@ def bent(problem: Problem, fit: Fit) -> set[str]:
     return {
         BEARS[n.name]
         for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
-        if n.name in BEARS and n.sigma is not None and abs(float(b)) > BENT * n.sigma
+        if n.name in BEARS and n.sigma is not None and abs(float(b)) > POLICY.bent_number * n.sigma
     }
 
 
@@ -241,7 +204,7 @@ class _Mover(_Fitter):
         self.tried: list[Fit] = []
         # A simulated motion is no estimate; but two good simulators differ by a little.
         self.exact, self.rows = True, float(body.rows.size)
-        self.open = FORM_OF_RIG if body.whole_rig else FORM_MOVED
+        self.open = POLICY.form_of_rig if body.whole_rig else POLICY.form_moved
 
     def move(self, fit: Fit) -> Fit | None:
         """Refine a set that was found in the balance of forces; the better of its shapes stays."""
@@ -266,7 +229,7 @@ class _Mover(_Fitter):
         """
         if not self.body.whole_rig:
             return False
-        met = [f for f in self.by_names.values() if f.chi2 < MET * self.rows]
+        met = [f for f in self.by_names.values() if f.chi2 < POLICY.motion_met_alone * self.rows]
         return any(
             len(f.names) + (set(f.names) < set(names)) < len(names)
             for f in met
@@ -304,14 +267,14 @@ class _Mover(_Fitter):
                 for i in range(len(fit.members)):
                     part = _without(self.problem, fit, i)
                     # Of a rig that is met nothing but the parts' own misfit is asked.
-                    met = self.body.whole_rig and fit.chi2 < MET * self.rows
+                    met = self.body.whole_rig and fit.chi2 < POLICY.motion_met_alone * self.rows
                     if not (met and part.names in self.by_names):
                         self.move(part)
 
     def _go_on(self, fit: Fit) -> None:
         for _ in range(AGAIN):
             before = fit.chi2
-            if before < MET * self.rows:
+            if before < POLICY.motion_met_alone * self.rows:
                 break
             found = self.move(fit)
             if found is None or found.chi2 > (1.0 - SETTLED) * before:
@@ -366,7 +329,7 @@ def _met(plain: Fit, mover: _Mover) -> bool:
     What a displacement does not show at all is left to the balance of forces.
     """
     return any(
-        inflation(f.residual) < WHITE and mover.score(f) < plain.chi2
+        inflation(f.residual) < POLICY.white_residual and mover.score(f) < plain.chi2
         for f in mover.by_names.values()
     )
 
@@ -396,7 +359,9 @@ def _moved(
     for fit in first:
         mover.move(fit)
     # Where those explain the motion, no others than their like are looked at.
-    enough = any(f.chi2 < DECISIVE * plain.chi2 for f in mover.by_names.values() if first)
+    enough = any(
+        f.chi2 < POLICY.moved_decisive * plain.chi2 for f in mover.by_names.values() if first
+    )
     pool = [f for f in ranked if body.plain(f.members)] if enough else ranked
     for fit in [*([] if enough else (*parts, *leading, *singles[:POOL])), *pool[:POOL]]:
         if fit.names not in mover.by_names and not mover.pointless(fit.names):
@@ -430,7 +395,9 @@ def _moved(
         fit.chi2 += own / scale - own
     found = _decide(problem, mover, plain, (before, after, n), scale, lambda _: 1.0)
     left = found.excess_after / max(found.excess_before, 1e-12)
-    return found if found.excess_after < 0.2 or left < DECISIVE else None
+    return (
+        found if found.excess_after < POLICY.moved_excess or left < POLICY.moved_decisive else None
+    )
 
 
 def search(
@@ -463,7 +430,7 @@ def search(
         best = _sure_of_its_beginning(fitter)
         plain_best = best.chi2
         scale = inflation(best.residual)
-        if scale > 1.3:
+        if scale > POLICY.coloured_evidence:
             seeds = [f.members for f in sorted(fitter.by_names.values(), key=fitter.score)[:8]]
             problem.rescale(scale)
             dictionary.grams /= scale
@@ -523,12 +490,12 @@ def _refused(fitter: _Fitter, done: Search) -> bool:
     simulation tells.
     """
     best = done.best
-    if not best.members or done.excess_after < OPEN:
+    if not best.members or done.excess_after < POLICY.refused_excess:
         return False
     return any(
         len(f.names) == len(best.names) + 1
         and set(best.names) < set(f.names)
-        and best.chi2 - f.chi2 > MANY * (fitter.price(f) - fitter.price(best))
+        and best.chi2 - f.chi2 > POLICY.refused_price * (fitter.price(f) - fitter.price(best))
         for f in fitter.by_names.values()
     )
 
@@ -558,7 +525,7 @@ def _sweep(
     _modulated(fitter)
     reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
     rows = dictionary.problem.y.size * dictionary.problem.estimate.share
-    if reached > 1.03 * rows:
+    if reached > POLICY.search_ends * rows:
         triples = _promising(dictionary, dictionary.extended(leading), null)
         for group in members(dictionary.best(triples, 6)):
             fitter.fit(group)
@@ -567,7 +534,7 @@ def _sweep(
     _dashpots(dictionary, fitter)
     fitter.relieve()
     reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
-    _reform(dictionary, fitter, reached > 1.03 * rows)
+    _reform(dictionary, fitter, reached > POLICY.search_ends * rows)
     # Parts of what was refined must be there to be compared with.
     for fit in list(fitter.by_names.values()):
         for i in range(len(fit.members) if len(fit.members) > 1 else 0):
@@ -672,7 +639,7 @@ def _beside(dictionary: Dictionary, fit: Fit, most: int) -> list[tuple[Member, .
     found = [
         (chi2, groups)
         for chi2, groups in dictionary.sets(others, beside)
-        if beside[2] - chi2 > 0.5 * dictionary.penalty(groups)
+        if beside[2] - chi2 > POLICY.promising_price_beside * dictionary.penalty(groups)
     ]
     out = []
     for groups in dictionary.best(found, most):
@@ -687,7 +654,9 @@ def _promising(
 ) -> list[tuple[float, tuple[int, ...]]]:
     """Leave out sets that earn so little that no fitting of shapes could make up for it."""
     return [
-        (chi2, groups) for chi2, groups in found if null - chi2 > 0.3 * dictionary.penalty(groups)
+        (chi2, groups)
+        for chi2, groups in found
+        if null - chi2 > POLICY.promising_price * dictionary.penalty(groups)
     ]
 
 
@@ -704,10 +673,10 @@ def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
         own = without.chi2 - fit.chi2
         n = member.effect.settings(fitter.problem.ctx, member.trial)[1]
         cost = price(fitter.problem, member.effect, n)
-        if own < cost * (1.25 if rest else 1.0):
+        if own < cost * (POLICY.several_price if rest else 1.0):
             return False
         # What moves a stated number is seen against its tolerance, not in the residual.
-        least = NEEDED[min(len(fit.names), 3)] * (1.0 if fitter.exact else 2.5)
+        least = _share_needed(fitter, len(fit.names))
         stated = not member.effect.late and (
             member.name in bent(fitter.problem, without)
             or (member.name in fitter.stated and not isinstance(fitter, _Mover))
@@ -737,20 +706,24 @@ def _before_a_dashpot(fitter: _Fitter, fit: Fit, member: int, null: Fit) -> bool
     rest = [m for j, m in enumerate(fit.members) if j != member]
     names = tuple(sorted(["viscous", *(n for m in rest for n in m.effect.names)]))
     other = fitter.by_names.get(names)
-    if other is None or fitter.score(fit) + AMBIGUOUS > fitter.score(other):
+    if other is None or fitter.score(fit) + POLICY.same_evidence > fitter.score(other):
         return False
     return _needed(fitter, other, null)
 
 
 def _earns(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
     """Return whether a set is worth its price; of several there are many to choose from."""
-    return null.chi2 - fit.chi2 > fitter.price(fit) * (1.25 if len(fit.members) > 1 else 1.0)
+    return null.chi2 - fit.chi2 > fitter.price(fit) * (
+        POLICY.several_price if len(fit.members) > 1 else 1.0
+    )
 
 
 def _strained(problem: Problem, fit: Fit) -> bool:
     """Return whether a fit needs a time offset between the channels beyond its tolerance."""
     return any(
-        n.name == "skew" and n.sigma is not None and abs(float(b)) > STRAIN * n.sigma
+        n.name == "skew"
+        and n.sigma is not None
+        and abs(float(b)) > POLICY.strained_offset * n.sigma
         for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
     )
 
@@ -768,7 +741,9 @@ def _completes(fitter: _Fitter, fit: Fit, without: Fit) -> bool:
 def _ends_at_noise(fitter: _Fitter, fit: Fit, other: Fit) -> bool:
     """Return whether a fit leaves little beyond the noise where another one leaves more."""
     n = fitter.rows
-    return other.chi2 - n > fitter.open * n and fit.chi2 - n < 0.2 * (other.chi2 - n)
+    return other.chi2 - n > fitter.open * n and fit.chi2 - n < POLICY.noise_reached * (
+        other.chi2 - n
+    )
 
 
 def _decide(
@@ -788,20 +763,24 @@ def _decide(
     fits = _plainest(fitter, fits, null)
     fits = _simplest_first(fitter, fits, null)
     best = null
-    if fits and _earns(fitter, fits[0], null) and _size(problem, fits[0]) > SMALLEST:
+    if fits and _earns(fitter, fits[0], null) and _size(problem, fits[0]) > POLICY.least_force:
         best = fits[0]
     held = held_out(best) if best.members else 0.0
-    if best.members and held < 0.3:
+    if best.members and held < POLICY.held_out_share:
         best = null
     equal = []
     if best.members:
         own = count(problem, best)
         for fit in fits:
             extra = max(0, count(problem, fit) - own)
-            worse = fit.chi2 - best.chi2 + DEARER * AMBIGUOUS * extra
-            if fit.names != best.names and worse < AMBIGUOUS and held_out(fit) > 0.3:
+            worse = fit.chi2 - best.chi2 + POLICY.dearer_rival * POLICY.same_evidence * extra
+            if (
+                fit.names != best.names
+                and worse < POLICY.same_evidence
+                and held_out(fit) > POLICY.held_out_share
+            ):
                 equal.append(fit)
-        equal += [f for f in _twins(fitter, best, fits) if held_out(f) > 0.3]
+        equal += [f for f in _twins(fitter, best, fits) if held_out(f) > POLICY.held_out_share]
     equal += [f for f in _by_another_name(fitter, best) if f.names not in {e.names for e in equal}]
     # The residual of a motion is that of its rows, the balance's is scaled like its problem.
     moved = isinstance(fitter, _Mover)
@@ -824,6 +803,16 @@ def _decide(
     )
 
 
+def _blurred(fitter: _Fitter) -> float:
+    """Return by how much more a share has to be where the motion is estimated."""
+    return 1.0 if fitter.exact else POLICY.estimated_motion
+
+
+def _share_needed(fitter: _Fitter, size: int) -> float:
+    """Return the part of what a set of so many effects explains that each has to explain alone."""
+    return of_size(POLICY.needed_share, size) * _blurred(fitter)
+
+
 def _worth_their_size(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     """Leave out sets beside a naive model that do little better than the best of fewer laws.
 
@@ -836,7 +825,7 @@ def _worth_their_size(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     for fit in fits:
         size = len(fit.members)
         smaller = min((f.chi2 for f in fits if len(f.members) < size), default=np.inf)
-        least = NEEDED[min(size, 3)] * (1.0 if fitter.exact else 2.5)
+        least = _share_needed(fitter, size)
         # What the last of them is to explain; of a decay the damping, see there.
         whole = min(decay.explained(problem, fitter.fit, fit, m, null) for m in fit.members)
         if smaller - fit.chi2 >= least * whole:
@@ -872,8 +861,8 @@ def _goes_on(fitter: _Fitter, fit: Fit) -> bool:
     weights = 1.0 / np.maximum(np.array(widths), 1e-300)
     within = float(np.sum(weights * np.array(rates)) / np.sum(weights))
     whole = float(fit.betas[fit.members.index(member)][0]) * float(size[0])
-    unsure = float(np.sum(weights)) ** -0.5 > 0.5 * abs(whole)
-    return unsure or within / whole > 0.5
+    unsure = float(np.sum(weights)) ** -0.5 > POLICY.drift_unsure * abs(whole)
+    return unsure or within / whole > POLICY.drift_in_halves
 
 
 def _twins(fitter: _Fitter, best: Fit, fits: list[Fit]) -> list[Fit]:
@@ -893,7 +882,7 @@ def _twins(fitter: _Fitter, best: Fit, fits: list[Fit]) -> list[Fit]:
         if len(f.members) == 1
         and f.names not in known
         and count(fitter.problem, f) <= own
-        and f.chi2 - best.chi2 < TWIN
+        and f.chi2 - best.chi2 < POLICY.twin_evidence
     ]
 
 
@@ -906,7 +895,9 @@ def _yields(fitter: _Fitter, fit: Fit) -> bool:
             held = m.effect.report(ctx, m.trial, b).get("sigma0_N_m", 0.0)
         elif m.name == "stiffness":
             lost = -float(b[0]) * ctx.model.k
-    reach = 0.1 * held + 3.0 * (ctx.model.k_tol or 0.0) * abs(ctx.model.k)
+    reach = POLICY.bristles_as_lost * held + POLICY.bristles_as_lost_tolerance * (
+        ctx.model.k_tol or 0.0
+    ) * abs(ctx.model.k)
     return held > 0.0 and abs(held - lost) < reach
 
 
@@ -924,7 +915,9 @@ def _one_of_a_kind(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
             twin = by_name.get(tuple(sorted([*rest, "hysteresis"])))
             other = by_name.get(tuple(sorted([*rest, "hysteresis", "stiffness"])))
             margin = (
-                max(25.0, FORM_ALONE * (null.chi2 - fit.chi2)) if _yields(fitter, fit) else 25.0
+                max(POLICY.yielding_gain, POLICY.form_alone * (null.chi2 - fit.chi2))
+                if _yields(fitter, fit)
+                else POLICY.yielding_gain
             )
             alike = twin is not None and fitter.score(twin) < fitter.score(fit) + margin
             if alike or (other is not None and fitter.score(other) < fitter.score(fit)):
@@ -961,7 +954,7 @@ def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     Both go over into it; what they gain then is the form of the jump. So does relaxation that is
     over at once: it is a dashpot.
     """
-    share = NESTED * (1.0 if fitter.exact else 2.5)
+    share = POLICY.richer_friction_share * _blurred(fitter)
     out = []
     for fit in fits:
         richer = {"stribeck", "lugre"} & set(fit.names)
@@ -975,7 +968,7 @@ def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
             plain = next((f for f in fits if f.names == tuple(sorted(names))), None)
             gain = plain.chi2 - fit.chi2 if plain is not None else np.inf
         if gain > fitter.price(fit) - (fitter.price(plain) if plain else 0.0) + max(
-            12.0, share * (null.chi2 - fit.chi2)
+            POLICY.richer_friction_gain, share * (null.chi2 - fit.chi2)
         ):
             out.append(fit)
     return out
@@ -985,7 +978,9 @@ def _quick(ctx: Context, fit: Fit) -> bool:
     """Return whether a set holds a relaxation that the motion is too slow to show."""
     times = [m.trial.theta[0] for m in fit.members if m.name == "maxwell"]
     omega = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
-    return bool(times) and "viscous" not in fit.names and max(times) * omega < SLOW
+    return (
+        bool(times) and "viscous" not in fit.names and max(times) * omega < POLICY.quick_relaxation
+    )
 
 
 def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
@@ -993,7 +988,7 @@ def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     if not fits:
         return fits
     problem, best = fitter.problem, fits[0]
-    form = FORM_ALONE * (null.chi2 - best.chi2)
+    form = POLICY.form_alone * (null.chi2 - best.chi2)
     # One that begins in mid-record has been chosen among as many moments, whatever its law.
     late = any(m.effect.late for m in best.members)
     simple = [
@@ -1018,9 +1013,9 @@ def _forms(fitter: _Fitter, best: Fit, null: Fit) -> list[Fit]:
     a body sticks, the next row's noise decides in which of many valleys that is.
     """
     others: Iterable[Fit | None] = fitter.known.values()
-    share = FORM
+    share = POLICY.other_form
     if isinstance(fitter, _Mover):
-        others, share = fitter.tried, FORM_ALONE
+        others, share = fitter.tried, POLICY.form_alone
     reach = share * (null.chi2 - best.chi2)
     return [
         f

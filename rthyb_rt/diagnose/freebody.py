@@ -18,10 +18,9 @@ from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.effects.friction import SHARP
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented, changed, parameters, start_of
 from rthyb_rt.diagnose.select import (
-    MASS_BLUR,
-    SKEW_PRIOR_S,
     Fit,
     Member,
     Problem,
@@ -29,16 +28,6 @@ from rthyb_rt.diagnose.select import (
 )
 from rthyb_rt.diagnose.simulate import Motion, SimulationError
 
-EXACT = 1.5e-4
-"""Part of a displacement that two good simulators differ by."""
-NUISANCE = 3.0
-"""Standard deviations that mass and offset in time move at most."""
-MET = 1.5
-"""Mean square, in units of the noise, up to which a simulated displacement is the measured one."""
-MET_ALONE = 1.05
-"""The same of a fit that is not to be bettered: noise is not known any better."""
-CLOSE = 0.005
-"""The same as a part of what the model alone leaves: simulators of friction differ by so much."""
 RUNS = 4000
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
 SLOW = 4
@@ -47,6 +36,9 @@ STEPS = 6
 STEP = 1e-4
 LITTLE = 0.03
 """Part of a rough fit's chi-squared by which a step has to better it."""
+
+Loose = tuple[tuple[str, float, float], ...]
+"""What moves in a simulation beside the parameters: see `Body`."""
 
 
 def judged(case: Case) -> bool:
@@ -89,13 +81,11 @@ class Body:
     rough = np.inf
     whole_rig = False
     threads = 1
-    met = MET_ALONE
-    loose: tuple[tuple[str, float, float], ...] = (
-        ("blur", 2.0, NUISANCE), ("skew", 2.0, NUISANCE), ("x", 0.4, np.inf), ("v", 0.4, np.inf),
-    )  # fmt: skip
 
     def __init__(self, case: Case, ctx: Context) -> None:
         self.case, self.ctx, self.runs = case, ctx, RUNS
+        self.met = POLICY.motion_met_alone
+        self.loose = self._loose()
         self.held = "f_meas" in case.channels and case.model.family == "ground"
         self.x = case.channels["x_meas"]
         self.other = {k: estimate.filled(v) for k, v in case.recorded.items()}
@@ -106,11 +96,15 @@ class Body:
         self.rows = np.flatnonzero(rows)
         spread = float(np.std(self.x[self.rows])) or 1.0
         noise = estimate.noise_of(self.x, case.model.x_std)
-        self.sigma = float(np.hypot(noise, EXACT * spread))
+        self.sigma = float(np.hypot(noise, POLICY.simulators_differ * spread))
         self.spread = spread
         model = case.model
         self.whole = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
-        self.units = {"blur": MASS_BLUR * self.whole, "skew": SKEW_PRIOR_S}
+        self.units = {"blur": POLICY.mass_blur * self.whole, "skew": POLICY.offset_prior_s}
+
+    def _loose(self) -> Loose:
+        reach = POLICY.nuisance_reach
+        return (("blur", 2.0, reach), ("skew", 2.0, reach), ("x", 0.4, np.inf), ("v", 0.4, np.inf))
 
     def _push(self, factor: float) -> tuple[Floats, float]:
         """Return the force on the body, and the mass that no element has."""
@@ -169,10 +163,10 @@ class Body:
         if not fits:
             return None
         found = min(fits, key=lambda f: f.chi2)
-        allowed = MET * self.rows.size
+        allowed = POLICY.motion_met * self.rows.size
         if found.chi2 > allowed:
             null = self.refined(problem, replace(fit, members=(), betas=()))
-            allowed = max(allowed, CLOSE * null.chi2) if null is not None else allowed
+            allowed = max(allowed, POLICY.motion_close * null.chi2) if null is not None else allowed
         base = self.case.model
         plain = _with_nuisance(base, problem, found)
         own = Augmented(plain, base, found.members, found.betas, None, self.ctx.all_ranges)
@@ -224,10 +218,10 @@ class Body:
     def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
         """Return recording less simulation in units of the noise, one for each of the rows."""
         rate = 2.0 * np.pi * self.spread
-        push, mass = self._push(float(np.exp(MASS_BLUR * loose[0])))
+        push, mass = self._push(float(np.exp(POLICY.mass_blur * loose[0])))
         start = (at[0] + loose[2] * self.spread, at[1] + loose[3] * rate)
         motion = now.moved_by(push, mass, self.case.t, self.other, start)
-        x = motion.x - loose[1] * SKEW_PRIOR_S * motion.v
+        x = motion.x - loose[1] * POLICY.offset_prior_s * motion.v
         return np.asarray((x - self.x)[self.rows] / self.sigma)
 
     def refined(self, problem: Problem, fit: Fit) -> Fit | None:

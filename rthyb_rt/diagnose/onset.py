@@ -9,6 +9,7 @@ import numpy as np
 
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
 from rthyb_rt.diagnose.estimate import Rows
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
     BLOCKS,
     Dictionary,
@@ -21,19 +22,12 @@ from rthyb_rt.diagnose.select import (
     solve,
 )
 
-WHITE = 1.1
-"""Inflation of what the best set leaves, see `select.inflation`, up to which nothing is missing."""
 SINGLES = 3
 """Single effects beside which others are tried from a moment on; the best pair is one more."""
 MOST = 5
 """Effects that are looked at more closely beside one set."""
 NEAR = 25
 """Beginnings that are looked at between the blocks beside the best one."""
-PRESENT = 0.5
-"""Part of its later size that an effect must not have before it begins: half way between an effect
-that is not there and one that is there throughout."""
-SURE = 2.0
-"""Standard deviations by which it has to be known that it has not."""
 
 
 class Late(Effect):
@@ -151,7 +145,7 @@ def propose(dictionary: Dictionary, fitter: Fitter) -> list[Fit]:
     problem = fitter.problem
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     null = solve(problem, [], [])
-    if null is None or inflation((ranked[0] if ranked else null).residual) < WHITE:
+    if null is None or inflation((ranked[0] if ranked else null).residual) < POLICY.white_residual:
         return []
     singles = [f for f in ranked if len(f.members) == 1][:SINGLES]
     pair = [f for f in ranked if len(f.members) == 2][:1]
@@ -288,4 +282,4 @@ def absent_before(problem: Problem, fit: Fit) -> bool:
     own = slice(first, first + beta.size)
     part = float(along @ both.betas[-1])
     width = float(along @ both.covariance[own, own] @ along) * inflation(both.residual)
-    return part + SURE * float(np.sqrt(max(width, 0.0))) < PRESENT
+    return part + POLICY.absent_sure * float(np.sqrt(max(width, 0.0))) < POLICY.absent_before

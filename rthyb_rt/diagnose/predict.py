@@ -16,6 +16,7 @@ from rthyb_rt.diagnose import estimate, history
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.onset import lasting
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Member, columns_of
 from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, actuator, body
 
@@ -238,7 +239,7 @@ def followed(augmented: Augmented, case: Case, wanted: Case) -> Motion | None:
 
 def _follows(x: Floats, x_meas: Floats, model: Model) -> bool:
     sigma = estimate.noise_of(x_meas, model.x_std)
-    return float(np.std(x - x_meas)) < 2.0 * sigma
+    return float(np.std(x - x_meas)) < POLICY.prediction_follows * sigma
 
 
 def _measured_motion(case: Case) -> Motion:
@@ -463,5 +464,7 @@ def output_error(
     except (SimulationError, core.CoreError, np.linalg.LinAlgError):
         return augmented
     return (
-        changed(augmented, places, p[: len(places)]) if force or best < 0.98 * first else augmented
+        changed(augmented, places, p[: len(places)])
+        if force or best < POLICY.refined_better * first
+        else augmented
     )

@@ -19,12 +19,9 @@ from rthyb_rt.diagnose import modulation
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
 from rthyb_rt.diagnose.estimate import Estimate, Rows
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import Motion
 
-SKEW_PRIOR_S = 5e-5
-"""Standard deviation of the time offset between channels: 0.1 ms is normal."""
-MASS_BLUR = 0.005
-"""Relative standard deviation that the estimate of a motion puts on the mass."""
 OF_THE_CELL = ("bias", "skew")
 """Nuisance of the load cell, which nothing carries."""
 BLOCKS = 16
@@ -38,8 +35,6 @@ PIECE = 1024
 """Rows of such a piece."""
 SLOPES = 101
 """Displacements between the ends of the motion at which the slope of a spring is taken."""
-LEVEL = 0.01
-"""Part of its steepest slope below which a spring's slope is level: numerics."""
 
 
 @dataclass(frozen=True)
@@ -194,14 +189,14 @@ class Problem:
             # An estimated acceleration is a little too small: no finding about the mass.
             mass = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
             if mass > 0.0:
-                yield Nuisance("blur", ctx.a, MASS_BLUR * mass)
+                yield Nuisance("blur", ctx.a, POLICY.mass_blur * mass)
         if model.family == "forced":
-            yield Nuisance("skew", np.gradient(ctx.force) / ctx.dt, SKEW_PRIOR_S)
+            yield Nuisance("skew", np.gradient(ctx.force) / ctx.dt, POLICY.offset_prior_s)
         elif model.family == "ground" and "f_meas" not in self.case.channels:
             ag = ctx.other["ag"]
-            yield Nuisance("skew", model.mass * np.gradient(ag) / ctx.dt, SKEW_PRIOR_S)
+            yield Nuisance("skew", model.mass * np.gradient(ag) / ctx.dt, POLICY.offset_prior_s)
         else:
-            yield Nuisance("skew", -np.gradient(ctx.total) / ctx.dt, SKEW_PRIOR_S)
+            yield Nuisance("skew", -np.gradient(ctx.total) / ctx.dt, POLICY.offset_prior_s)
 
     def rescale(self, factor: float) -> None:
         """Take the noise ``sqrt(factor)`` times as large: rows of coloured noise tell less."""
@@ -245,7 +240,9 @@ class Problem:
         for member, beta in elastic:
             force += np.asarray(beta) @ np.array(member.effect.columns(along, member.trial))
         slope = np.diff(force)
-        return bool(elastic) and float(slope.min()) < -LEVEL * float(np.abs(slope).max())
+        return bool(elastic) and float(slope.min()) < -POLICY.spring_level * float(
+            np.abs(slope).max()
+        )
 
     def beside(self, members: Sequence[Member]) -> Floats:
         """Return the judged columns of the nuisance beside a set, (rows, nuisances)."""
@@ -557,14 +554,14 @@ def compatible(members: Sequence[Member]) -> bool:
 
 def penalty(ln_n: float, count: int) -> float:
     """Return the price of an effect with ``count`` parameters."""
-    return count * ln_n + 12.0
+    return count * ln_n + POLICY.effect_price
 
 
 def price(problem: Problem, effect: Effect, count: int) -> float:
     """Return the price of an effect; one that only moves a stated number has nothing to choose."""
     known = {n.name for n in problem.nuisances if n.sigma is not None}
     moved = effect.name in known and not effect.late
-    return 13.0 if moved else penalty(problem.ln_n, count)
+    return POLICY.stated_number_price if moved else penalty(problem.ln_n, count)
 
 
 def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats]) -> Fit | None:

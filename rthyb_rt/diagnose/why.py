@@ -13,19 +13,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rthyb_rt.diagnose import effects, engine, redundant
+from rthyb_rt.diagnose import effects, redundant
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import Diagnosis, Displacement
+from rthyb_rt.diagnose.policy import POLICY, of_size
 from rthyb_rt.diagnose.select import Dictionary, Fit, Problem, price
 from rthyb_rt.diagnose.words import PLAIN, quantity, value_text
 
 Fate = Literal["named", "as good", "lost", "refused"]
 
-HELD = 0.3
-"""Part of its gain that a set has to keep on rows that it was not fitted to."""
-SEVERAL = 1.25
-"""Times its price that a set of several effects has to earn."""
 NUISANCE: dict[str, tuple[str, str]] = {
     "stiffness": ("stiffness", ""),
     "viscous": ("damping", "N s/m"),
@@ -247,28 +244,28 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
         more = forces.count(problem, fit) - forces.count(problem, best)
         return (
             f"{_apart(fit.chi2 - best.chi2)} in chi-squared with {_parameters(more)}; "
-            f"{forces.AMBIGUOUS:g} would part them"
+            f"{POLICY.same_evidence:g} would part them"
         )
     return _against((fit.chi2, own, fit.names), named)
 
 
 def _not_enough(search: forces.Search, fit: Fit, gain: float, own: float) -> str:
     """Return why a set is not named where none is."""
-    needs = own * (SEVERAL if len(fit.members) > 1 else 1.0)
+    needs = own * (POLICY.several_price if len(fit.members) > 1 else 1.0)
     if gain <= needs:
         return f"brings {_gain(gain)}, where it had to bring {count(needs)}"
     size = _size(search, fit)
-    if size <= forces.SMALLEST:
+    if size <= POLICY.least_force:
         return (
             f"brings {count(gain)}, but is {_percent(size)} of the force; less than "
-            f"{_percent(forces.SMALLEST)} is no finding"
+            f"{_percent(POLICY.least_force)} is no finding"
         )
     if not search.moved:
         held = forces.held_out_gain(search.problem, fit)
-        if held < HELD:
+        if held < POLICY.held_out_share:
             return (
                 f"brings {count(gain)}, of which {_percent(max(held, 0.0))} holds on rows left "
-                f"out; {_percent(HELD)} has to"
+                f"out; {_percent(POLICY.held_out_share)} has to"
             )
     return f"brings {count(gain)}; the set before it was refused, and none behind it is looked at"
 
@@ -424,7 +421,7 @@ def _why_actuator(disp: Displacement, fit: ActuatorFit, fate: Fate) -> str:
     if fate == "as good":
         return (
             f"{_apart(fit.misfit(scale) - best.misfit(scale))} in chi-squared with "
-            f"{_parameters(fit.count - best.count)}; {forces.AMBIGUOUS:g} would part them"
+            f"{_parameters(fit.count - best.count)}; {POLICY.same_evidence:g} would part them"
         )
     return _against(
         (fit.misfit(scale), own, fit.names),
@@ -475,11 +472,11 @@ def _verdict(d: Diagnosis) -> str:
 def _allowed(d: Diagnosis, search: forces.Search) -> float:
     size = len(search.best.names)
     if search.moved:
-        return engine.MOVED.get(size, min(engine.MOVED.values()))
-    blur = 1.0 if search.problem.estimate.exact else 2.5
+        return of_size(POLICY.left_moved, size)
+    blur = 1.0 if search.problem.estimate.exact else POLICY.estimated_motion
     if d.case.model.k_tol is None:
-        return blur * engine.LEFT_FREE
-    return blur * engine.LEFT.get(size, min(engine.LEFT.values()))
+        return blur * POLICY.left_naive
+    return blur * of_size(POLICY.left_stated, size)
 
 
 def _noise(believed: float, sheet: float | None, unit: str, coloured: bool) -> str:
@@ -554,7 +551,12 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
                 f"{count(after)} with what is named: what is there is the load cell's own",
             )
         )
-    rows.append(("price of a parameter", f"{count(problem.ln_n)}, and 12 for each effect"))
+    rows.append(
+        (
+            "price of a parameter",
+            f"{count(problem.ln_n)}, and {POLICY.effect_price:g} for each effect",
+        )
+    )
     return rows
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.engine import Diagnosis, Found
+from rthyb_rt.diagnose.policy import POLICY
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose.outcome import Outcome
@@ -69,16 +70,6 @@ PREFIXES: dict[str, tuple[tuple[float, str], ...]] = {
     "m/s": ((1.0, "m/s"), (1e-3, "mm/s")),
     "s": ((1.0, "s"), (1e-3, "ms")),
 }
-LOCAL = 0.3
-"""Part of the largest displacement below which a force has to be nothing to be called local."""
-ACTS = 0.05
-"""Part of its largest size from which a force acts."""
-MET = 0.05
-"""NRMSE of a test simulated again up to which it is met."""
-HARDLY = 0.7
-"""Part of the error as given from which what was found hardly betters it."""
-ALWAYS = 0.9
-"""Part of the recording from which something acts throughout."""
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
@@ -280,7 +271,9 @@ def loop_notes(d: Diagnosis, answer: dict[str, Any]) -> list[str]:
         return [f"The test could not be simulated again: {loop['why']}."]
     out = [f"With the loop closed: {note}." for note in loop["notes"]]
     before, after = loop["nrmse_before"]["x_meas"], loop["nrmse_after"]["x_meas"]
-    if d.verdict in ("explained", "ambiguous") and after > max(MET, HARDLY * before):
+    if d.verdict in ("explained", "ambiguous") and after > max(
+        POLICY.loop_met, POLICY.loop_hardly * before
+    ):
         out.append(
             "With the loop closed, what was found does not bring the test back: its measured "
             f"displacement is missed by {100 * before:.3g} % without it and by {100 * after:.3g} % "
@@ -326,7 +319,7 @@ def _when(d: Diagnosis) -> str:
         return ""
     whole = float(d.case.t[-1] - d.case.t[0]) or 1.0
     covered = sum(b - a for a, b in d.windows)
-    if covered > ALWAYS * whole:
+    if covered > POLICY.told_always * whole:
         return "throughout the recording"
     if len(d.windows) > 6:
         first, last = d.windows[0][0], d.windows[-1][1]
@@ -343,12 +336,12 @@ def _where(d: Diagnosis, signal: Floats) -> str:
     if motion is None or d.channel != "force":
         return ""
     size = np.abs(signal)
-    acts = size > ACTS * float(size.max())
+    acts = size > POLICY.active_rows * float(size.max())
     if not acts.any() or acts.all():
         return ""
     x, top = motion.x, float(np.max(np.abs(motion.x)))
     least = float(np.min(np.abs(x[acts])))
-    if least > LOCAL * top:
+    if least > POLICY.told_local * top:
         if np.all(x[acts] > 0):
             return f"x > {quantity(least, 'm')}"
         if np.all(x[acts] < 0):
@@ -371,11 +364,11 @@ def _difference(d: Diagnosis, signal: Floats | None) -> str:
         together = float(signal @ ctx.total) / (
             float(np.linalg.norm(signal) * np.linalg.norm(ctx.total)) or 1.0
         )
-        acts = np.abs(signal) > ACTS * float(np.max(np.abs(signal)))
+        acts = np.abs(signal) > POLICY.active_rows * float(np.max(np.abs(signal)))
         same = np.sign(signal[acts]) == np.sign(ctx.total[acts])
-        if together > 0 and np.mean(same) > 0.95:
+        if together > 0 and np.mean(same) > POLICY.told_one_sided:
             return "the load cell reads more than the model"
-        if together < 0 and np.mean(~same) > 0.95:
+        if together < 0 and np.mean(~same) > POLICY.told_one_sided:
             return "the load cell reads less than the model"
     return "the load cell reads otherwise than the model"
 
@@ -395,7 +388,11 @@ def _rest(d: Diagnosis) -> str:
     left = d.disp.best.chi2 / d.disp.task.rows.size - 1.0 if only_disp and d.disp else None
     if left is None and d.force is not None:
         left = d.force.excess_after
-    return f"{error}, the rest is noise" if left is not None and left < 0.1 else error
+    return (
+        f"{error}, the rest is noise"
+        if left is not None and left < POLICY.excess_as_noise
+        else error
+    )
 
 
 def sentence(d: Diagnosis, answer: dict[str, Any]) -> str:

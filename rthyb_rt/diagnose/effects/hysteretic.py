@@ -8,6 +8,7 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import iwan
 
 LARGE = ("multi_amplitude", "a memory of amplitude shows when small cycles follow large ones")
@@ -420,8 +421,6 @@ class Degradation(Effect):
         ]  # fmt: skip
 
 
-SEEN_WEAR = 0.1
-"""Least share of slack, and of what is lost, for which a column is said to pinch and to degrade."""
 BELL = (0.15, 0.25)
 """Force at which cracks slip most, and the bell's width, over the strength."""
 CYCLES = 12.5
@@ -521,7 +520,7 @@ class WornColumn(Effect):
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False where it neither pinches nor wears: then it is a plain loop."""
-        return min(self._worn(ctx, trial)) > SEEN_WEAR
+        return min(self._worn(ctx, trial)) > POLICY.seen_wear
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the loop, its slack, and what stiffness and strength have lost in the end."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+from rthyb_rt.diagnose.policy import POLICY
 
 SKEW_TOLERANCE_S = 1e-4
 
@@ -28,12 +29,6 @@ def shifted(signal: Floats, rows: float) -> Floats:
         + take(0) * ((1.0 - u) * (1.0 + u) * (2.0 - u) / 2.0)
         + take(1) * (-u * (1.0 - u) * (2.0 - u) / 6.0)
     )
-
-
-ABRUPT = 3.0
-"""Times as much of it above that frequency as of the model's force, from which a force jumps."""
-FAINT = 0.1
-"""Part of the load cell's noise, hertz by hertz, below which a force tells nothing of its time."""
 
 
 def standing_out(force: Floats, noise: float, dt: float) -> Floats:
@@ -56,7 +51,7 @@ def _loudest_hz(force: Floats, noise: float, dt: float) -> float | None:
     spectrum, f, size = _faded(force, dt)
     hertz = np.floor(f).astype(np.int64)
     power = np.bincount(hertz, np.abs(spectrum) ** 2) / np.bincount(hertz)
-    above = np.flatnonzero(power > FAINT**2 * noise**2 * size)
+    above = np.flatnonzero(power > POLICY.faint_force**2 * noise**2 * size)
     return 2.0 * (float(above[-1]) + 1.0) if above.size else None
 
 
@@ -148,7 +143,7 @@ class Hum(Effect):
         found = []
         for _ in range(3):
             i = int(np.argmax(strength))
-            if strength[i] < 6.0 or not 0 < i < f.size - 1:
+            if strength[i] < POLICY.hum_line or not 0 < i < f.size - 1:
                 break
             low, mid, high = np.log(np.maximum(spectrum[i - 1 : i + 2], 1e-300))
             step = 0.5 * (low - high) / min(low - 2.0 * mid + high, -1e-12)
@@ -218,7 +213,9 @@ class TimeSkew(Effect):
                 slow = _up_to(cut, force, ctx.dt)
                 heard = slow if force is ctx.total else _up_to(cut, ctx.total, ctx.dt)
                 # What changes more abruptly than by the noise that moves all is a law's own.
-                if _part(force - slow, force) > ABRUPT * _part(ctx.total - heard, ctx.total):
+                if _part(force - slow, force) > POLICY.abrupt_force * _part(
+                    ctx.total - heard, ctx.total
+                ):
                     slow = force
         return force + shifted(slow, trial.theta[0] / ctx.dt) - slow
 
