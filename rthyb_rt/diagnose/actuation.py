@@ -31,6 +31,7 @@ class ActuatorEffect:
     """A parameter, or two, of the actuator's model that may be wrong.
 
     Attributes:
+        plain, phrase: as a laboratory calls it, and the same with its size; see `effects.Effect`.
         late: from a moment in mid-record on only; up to then the model has it right.
     """
 
@@ -40,6 +41,8 @@ class ActuatorEffect:
     equation: str
     fingerprint: str
     shown_by: tuple[str, str]
+    plain: str
+    phrase: str
     log: bool = True
     late: bool = False
 
@@ -78,28 +81,35 @@ CATALOGUE: tuple[ActuatorEffect, ...] = (
     ActuatorEffect(
         "delay", (Param("dtau_s", "s", -1.0, 1.0),), ("delay_s",), "x(t) = x0(t - dtau)",
         "displacement residual is a straight line over velocity",
-        ("sweep", "a delay's phase grows with frequency without a change of amplitude"), False,
+        ("sweep", "a delay's phase grows with frequency without a change of amplitude"),
+        "a delay of the actuator", "{dtau_s} {dtau_s:less|more} delay of the actuator", False,
     ),
     ActuatorEffect(
         "delay_rate", (Param("kappa_s2_m", "s^2/m", -10.0, 10.0),), ("kappa_s2_m",),
         "delay + kappa |v|", "displacement residual grows with the square of velocity",
-        ("multi_amplitude", "a delay that grows with velocity differs between amplitudes"), False,
+        ("multi_amplitude", "a delay that grows with velocity differs between amplitudes"),
+        "a delay that grows with velocity", "a delay that grows with velocity by {kappa_s2_m}",
+        False,
     ),
     ActuatorEffect(
         "act_gain", (Param("gain", "", 0.01, 100.0),), ("gain",), "x = gain x0",
         "displacement residual is a straight line over displacement",
         ("sweep", "a gain is the same at every frequency"),
+        "a gain error of the actuator", "an actuator that goes {gain:4} times as far",
     ),
     ActuatorEffect(
         "oil_column", (Param("f_Hz", "Hz", 0.1, 1e5), Param("zeta", "", 1e-3, 1e3)),
         ("f_hz", "zeta"), "x'' + 2 zeta w x' + w^2 x = w^2 u",
         "displacement residual grows with acceleration as well as velocity",
         ("sweep", "the corner of a second-order lag shows where frequency passes it"),
+        "another second-order lag of the actuator",
+        "an actuator with {f_Hz} and a damping ratio of {zeta:3}",
     ),
     ActuatorEffect(
         "rate_limit", (Param("vmax_m_s", "m/s", 1e-6, 100.0),), ("vmax_m_s",), "|v| <= vmax",
         "displacement lags only where velocity is large",
         ("multi_amplitude", "a limit of velocity is met at large amplitude only"),
+        "a velocity limit of the actuator", "an actuator that is no faster than {vmax_m_s}",
     ),
 )  # fmt: skip
 
@@ -268,88 +278,18 @@ class Actuation:
     def _from(
         self, effects: Sequence[ActuatorEffect], settings: dict[str, Any], start: Floats, row: float
     ) -> ActuatorFit | None:
-        fields = [f for e in effects for f in e.fields]
-        logs = [e.log for e in effects for _ in e.fields]
-        if any(e.late for e in effects):  # when they begin, in rows, is fitted as well
-            fields, logs, start = [*fields, ROW], [*logs, False], np.r_[start, row]
-        own_scales = {"delay_s": 1e-3, "kappa_s2_m": 1e-2}
-        scales = np.array([own_scales.get(f, 1.0) for f in fields] + [1e-5])
-
-        def model(p: Floats) -> tuple[ActuatorModel, Before]:
-            values = [
-                float(np.exp(q * s)) if log else float(q * s)
-                for q, s, log in zip(p[:-1], scales[:-1], logs, strict=True)
-            ]
-            at = values.pop() if ROW in fields else 0.0
-            return self.models(effects, settings, values, float(p[-1] * scales[-1]), at)
-
-        # One more row holds the prior of the time offset.
-        def residual(p: Floats) -> Floats:
-            r = self.residual(*model(p))[0]
-            return np.asarray(np.r_[r, p[-1] * scales[-1] / POLICY.offset_prior_s])
-
-        p = (
-            np.r_[[np.log(v) if log else v for v, log in zip(start, logs, strict=True)], 0.0]
-            / scales
-        )
-        try:
-            r = residual(p)
-        except SimulationError:
+        unknown = _Unknown(self, effects, settings, row)
+        found = unknown.least(unknown.first(start))
+        if found is None:
             return None
-        chi2, damping = float(r @ r), 1e-3
-        most = POLICY.offset_reach_s / float(scales[-1])
-        jacobian = np.zeros((r.size, p.size))
-        for _ in range(STEPS):
-            for j in range(p.size):
-                step = 1e-3 if j < p.size - 1 else 1e-1
-                moved = p.copy()
-                moved[j] += step
-                try:
-                    jacobian[:, j] = (residual(moved) - r) / step
-                except SimulationError:
-                    jacobian[:, j] = 0.0
-            gram, right = jacobian.T @ jacobian, -jacobian.T @ r
-            better = False
-            gain = 0.0
-            for _ in range(5):
-                damped = gram + np.diag(damping * gram.diagonal() + 1e-9)
-                delta = np.clip(
-                    np.linalg.solve(damped, right),
-                    -1.0 / scales.clip(1e-3),
-                    1.0 / scales.clip(1e-3),
-                )
-                moved = p + delta
-                moved[-1] = np.clip(moved[-1], -most, most)
-                try:
-                    trial = residual(moved)
-                except SimulationError:
-                    damping *= 10.0
-                    continue
-                now = float(trial @ trial)
-                if now < chi2:
-                    gain, chi2, p, r = chi2 - now, now, moved, trial
-                    damping, better = max(damping * 0.2, 1e-9), True
-                    break
-                damping *= 10.0
-            if not better or gain < 1e-5 * chi2 + 0.02:
-                break
-        best, before = model(p)
-        values, j = [], 0
-        for effect in effects:
-            values.append(tuple(float(getattr(best, f)) for f in effect.fields))
-            j += len(effect.fields)
-        gram = jacobian.T @ jacobian
-        inverse = np.linalg.pinv(gram, hermitian=True)
-        chain = np.array(
-            [
-                s * (float(getattr(best, f)) if log else 1.0)
-                for f, s, log in zip(fields, scales, logs, strict=False)
-            ]
-            + [scales[-1]]
-        )
+        p, chi2, jacobian = found
+        best, before = unknown.model(p)
+        values = tuple(tuple(float(getattr(best, f)) for f in e.fields) for e in effects)
+        inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+        chain = unknown.chain(best)
         whole, motion, zero = self.residual(best, before)
         return ActuatorFit(
-            tuple(effects), best, tuple(values), chi2, sum(e.count for e in effects), whole,
+            tuple(effects), best, values, chi2, sum(e.count for e in effects), whole,
             inverse * np.outer(chain, chain), motion, zero, before,
         )  # fmt: skip
 
@@ -372,6 +312,97 @@ class Actuation:
     def price_of(self, effect: ActuatorEffect) -> float:
         """Return what one effect has to earn."""
         return penalty(self.ln_n, effect.count)
+
+
+class _Unknown:
+    """The numbers of some effects, scaled for least squares; the last one is the time offset."""
+
+    def __init__(
+        self, task: Actuation, effects: Sequence[ActuatorEffect], settings: dict[str, Any],
+        row: float,
+    ) -> None:  # fmt: skip
+        self.task, self.effects, self.settings, self.row = task, effects, settings, row
+        self.fields = [f for e in effects for f in e.fields]
+        self.logs = [e.log for e in effects for _ in e.fields]
+        if any(e.late for e in effects):  # when they begin, in rows, is fitted as well
+            self.fields, self.logs = [*self.fields, ROW], [*self.logs, False]
+        own_scales = {"delay_s": 1e-3, "kappa_s2_m": 1e-2}
+        self.scales = np.array([own_scales.get(f, 1.0) for f in self.fields] + [1e-5])
+
+    def first(self, start: Floats) -> Floats:
+        """Return the scaled numbers of a start, with no time offset."""
+        if ROW in self.fields:
+            start = np.r_[start, self.row]
+        own = [np.log(v) if log else v for v, log in zip(start, self.logs, strict=True)]
+        return np.asarray(np.r_[own, 0.0] / self.scales)
+
+    def model(self, p: Floats) -> tuple[ActuatorModel, Before]:
+        """Return the actuator that scaled numbers stand for, and what it is up to a row."""
+        values = [
+            float(np.exp(q * s)) if log else float(q * s)
+            for q, s, log in zip(p[:-1], self.scales[:-1], self.logs, strict=True)
+        ]
+        at = values.pop() if ROW in self.fields else 0.0
+        shift_s = float(p[-1] * self.scales[-1])
+        return self.task.models(self.effects, self.settings, values, shift_s, at)
+
+    def residual(self, p: Floats) -> Floats:
+        """Return what is left of the displacement; one more row holds the time offset's prior."""
+        r = self.task.residual(*self.model(p))[0]
+        return np.asarray(np.r_[r, p[-1] * self.scales[-1] / POLICY.offset_prior_s])
+
+    def chain(self, best: ActuatorModel) -> Floats:
+        """Return the slope of each number in its own unit to the scaled one."""
+        own = [
+            s * (float(getattr(best, f)) if log else 1.0)
+            for f, s, log in zip(self.fields, self.scales, self.logs, strict=False)
+        ]
+        return np.array([*own, self.scales[-1]])
+
+    def least(self, p: Floats) -> tuple[Floats, float, Floats] | None:
+        """Return numbers of least squares, chi-squared and slopes; None: it cannot be simulated."""
+        try:
+            r = self.residual(p)
+        except SimulationError:
+            return None
+        chi2, damping = float(r @ r), 1e-3
+        most = POLICY.offset_reach_s / float(self.scales[-1])
+        reach = 1.0 / self.scales.clip(1e-3)
+        jacobian = np.zeros((r.size, p.size))
+        for _ in range(STEPS):
+            self._slopes(p, r, jacobian)
+            gram, right = jacobian.T @ jacobian, -jacobian.T @ r
+            better = False
+            gain = 0.0
+            for _ in range(5):
+                damped = gram + np.diag(damping * gram.diagonal() + 1e-9)
+                moved = p + np.clip(np.linalg.solve(damped, right), -reach, reach)
+                moved[-1] = np.clip(moved[-1], -most, most)
+                try:
+                    trial = self.residual(moved)
+                except SimulationError:
+                    damping *= 10.0
+                    continue
+                now = float(trial @ trial)
+                if now < chi2:
+                    gain, chi2, p, r = chi2 - now, now, moved, trial
+                    damping, better = max(damping * 0.2, 1e-9), True
+                    break
+                damping *= 10.0
+            if not better or gain < 1e-5 * chi2 + 0.02:
+                break
+        return p, chi2, jacobian
+
+    def _slopes(self, p: Floats, r: Floats, jacobian: Floats) -> None:
+        """Put the slopes of the residual to each number into their columns, (rows, numbers)."""
+        for j in range(p.size):
+            step = 1e-3 if j < p.size - 1 else 1e-1
+            moved = p.copy()
+            moved[j] += step
+            try:
+                jacobian[:, j] = (self.residual(moved) - r) / step
+            except SimulationError:
+                jacobian[:, j] = 0.0
 
 
 def _warm(

@@ -128,6 +128,66 @@ class Diagnosis:
     residual: Floats | None = None
 
 
+@dataclass(frozen=True)
+class _Weighed:
+    """Sets of the actuator's effects against one another.
+
+    Attributes:
+        size: of the displacement, in units of its noise.
+        plain: as the model given simulates it.
+    """
+
+    task: Actuation
+    null: ActuatorFit
+    fits: list[ActuatorFit]
+    scale: float
+    size: float
+    plain: Motion
+
+    def gain(self, fit: ActuatorFit, less: ActuatorFit) -> float:
+        """Return how far chi-squared falls from one set to another."""
+        return less.misfit(self.scale) - fit.misfit(self.scale)
+
+    def worth(self, fit: ActuatorFit) -> bool:
+        """Return whether a set earns its price, and moves something."""
+        # Against the model as given: a time offset may have taken part of it over already.
+        moved = float(np.std((fit.motion.x - self.plain.x)[self.task.rows])) / self.task.sigma
+        earned = self.gain(fit, self.null) > self.task.price(fit)
+        return earned and moved > POLICY.least_force * self.size
+
+    def completes(self, fit: ActuatorFit, effect: ActuatorEffect, own: float) -> bool:
+        """Return whether an effect ends at the noise where the model is known well.
+
+        It is no matter of form then.
+        """
+        n = self.task.rows.size
+        stated = self.task.case.model.k_tol is not None
+        at_noise = stated and fit.chi2 - n < POLICY.actuator_at_noise * n
+        return at_noise and own > POLICY.actuator_at_noise_price * self.task.price_of(effect)
+
+    def needed(self, fit: ActuatorFit) -> bool:
+        """Return whether no effect of a set can be left out."""
+        least = POLICY.needed_share_actuator * self.gain(fit, self.null)
+        for effect in fit.effects:
+            rest = tuple(sorted(e.name for e in fit.effects if e is not effect))
+            without = next((f for f in self.fits if f.names == rest), None) if rest else self.null
+            if without is None:
+                continue
+            own = self.gain(fit, without)
+            if own < self.task.price(fit) / len(fit.effects):
+                return False
+            if rest and own < least and not self.completes(fit, effect, own):
+                return False
+        return True
+
+    def alike(self, fit: ActuatorFit, best: ActuatorFit) -> bool:
+        """Return whether a set cannot be told apart from the best one."""
+        more = max(0, fit.count - best.count)
+        dearer = POLICY.dearer_rival_actuator * POLICY.same_evidence * more
+        apart = fit.misfit(self.scale) - best.misfit(self.scale)
+        return apart + dearer < POLICY.same_evidence
+
+
 def displacement(case: Case) -> Displacement | None:
     """Diagnose x_cmd -> x_meas; None where one of the three is missing."""
     base = case.model.actuator
@@ -140,53 +200,14 @@ def displacement(case: Case) -> Displacement | None:
     n = task.rows.size
     before = null.chi2 / n - 1.0
     size = float(np.std(task.x[task.rows])) / task.sigma
-    plain = task.simulate(base)
-
-    def worth(fit: ActuatorFit) -> bool:
-        gain = null.misfit(scale) - fit.misfit(scale)
-        # Against the model as given: a time offset may have taken part of it over already.
-        moved = float(np.std((fit.motion.x - plain.x)[task.rows])) / task.sigma
-        return gain > task.price(fit) and moved > POLICY.least_force * size
-
-    def completes(fit: ActuatorFit, effect: ActuatorEffect, own: float) -> bool:
-        # Where the model is known well, an effect that ends at the noise is no matter of form.
-        at_noise = case.model.k_tol is not None and fit.chi2 - n < POLICY.actuator_at_noise * n
-        return at_noise and own > POLICY.actuator_at_noise_price * task.price_of(effect)
-
-    def needed(fit: ActuatorFit) -> bool:
-        explained = null.misfit(scale) - fit.misfit(scale)
-        for effect in fit.effects:
-            rest = tuple(sorted(e.name for e in fit.effects if e is not effect))
-            without = next((f for f in fits if f.names == rest), None) if rest else null
-            if without is None:
-                continue
-            own = without.misfit(scale) - fit.misfit(scale)
-            if own < task.price(fit) / len(fit.effects):
-                return False
-            if (
-                rest
-                and own < POLICY.needed_share_actuator * explained
-                and not completes(fit, effect, own)
-            ):
-                return False
-        return True
-
-    good = [f for f in fits if worth(f) and needed(f)]
+    sets = _Weighed(task, null, fits, scale, size, task.simulate(base))
+    good = [f for f in fits if sets.worth(f) and sets.needed(f)]
     best = good[0] if good else null
-    equal = [
-        f
-        for f in good
-        if f is not best
-        and f.misfit(scale)
-        - best.misfit(scale)
-        + POLICY.dearer_rival_actuator * POLICY.same_evidence * max(0, f.count - best.count)
-        < POLICY.same_evidence
-    ]
+    equal = [f for f in good if f is not best and sets.alike(f, best)]
     after = best.chi2 / n - 1.0
     left = after / before if before > 0 else 0.0
-    known = after < POLICY.excess_as_noise or (
-        not best.effects and before < POLICY.excess_as_noise + POLICY.excess_of_nothing_actuator
-    )
+    nothing = POLICY.excess_as_noise + POLICY.excess_of_nothing_actuator
+    known = after < POLICY.excess_as_noise or (not best.effects and before < nothing)
     # Noise that takes any colour to fit is to be as large as the sheet says, and no event.
     known = known and task.own is None
     known = known or left < _allowed(case, len(best.effects) or 1)

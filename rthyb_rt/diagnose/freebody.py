@@ -235,23 +235,16 @@ class Body:
         plain = _with_nuisance(base, problem, fit)
         first = Augmented(plain, base, fit.members, fit.betas, None, self.ctx.all_ranges)
         places = [p for p in parameters(first) if p[0] != "m"]
-        held = {"k": (base.k, plain.k, base.k_tol), "c": (base.c, plain.c, base.c_tol)}
         count = len(places)
         start = self.start(first)
         if start is None or self.runs <= 0:
             return None
         cost = 1 if self.quick(fit) else SLOW
-        stated = [j for j, (name, _, _) in enumerate(self.loose) if name in self.units]
 
         def residual(p: Floats) -> Floats:
             self.runs -= cost
             now = changed(first, places, _logs(places, p))
-            prior = [p[count + j] for j in stated]
-            for j, (kind, _, _) in enumerate(places):
-                if kind in held:
-                    known, at, tolerance = held[kind]
-                    if tolerance:
-                        prior.append((at / known * (1.0 + p[j]) - 1.0) / tolerance)
+            prior = self._priors(places, plain, p)
             return np.asarray(np.r_[self.differences(now, p[count:], start), prior])
 
         try:
@@ -277,10 +270,7 @@ class Body:
             for m, b in zip(best.members, best.betas, strict=True)
         ):
             return None
-        moved = {"stiffness": best.model.k / base.k - 1.0, "viscous": best.model.c - base.c}
-        for (name, _, _), q in zip(self.loose, p[count:], strict=True):
-            moved[name] = float(q) * self.units.get(name, 1.0)
-        nuisance = np.array([moved.get(n.name, 0.0) for n in problem.nuisances])
+        nuisance = self._nuisance(problem, best.model, p[count:])
         inverse = _inverse(gram)
         n = self.rows.size
         scatter = clustered(slopes[:n], r[:n], inverse)
@@ -290,6 +280,35 @@ class Body:
             _covariance(first, places, scatter, nuisance.size),
         )  # fmt: skip
         return _as_effects(problem, found)
+
+    def _priors(
+        self, places: Sequence[tuple[str, int, int]], begun: Model, p: Floats
+    ) -> list[float]:
+        """Return how far what is loose, and the stated numbers, are off in units of their priors.
+
+        Args:
+            places: the parameters of a set.
+            begun: the model as the fit begins with it.
+            p: what the parameters are moved by, then what is loose.
+        """
+        base = self.case.model
+        held = {"k": (base.k, begun.k, base.k_tol), "c": (base.c, begun.c, base.c_tol)}
+        stated = [j for j, (name, _, _) in enumerate(self.loose) if name in self.units]
+        prior = [float(p[len(places) + j]) for j in stated]
+        for j, (kind, _, _) in enumerate(places):
+            if kind in held:
+                known, at, tolerance = held[kind]
+                if tolerance:
+                    prior.append((at / known * (1.0 + float(p[j])) - 1.0) / tolerance)
+        return prior
+
+    def _nuisance(self, problem: Problem, best: Model, loose: Floats) -> Floats:
+        """Return what a model, and what is loose in units of its priors, come to as nuisance."""
+        base = self.case.model
+        moved = {"stiffness": best.k / base.k - 1.0, "viscous": best.c - base.c}
+        for (name, _, _), q in zip(self.loose, loose, strict=True):
+            moved[name] = float(q) * self.units.get(name, 1.0)
+        return np.array([moved.get(n.name, 0.0) for n in problem.nuisances])
 
 
 def _as_effects(problem: Problem, fit: Fit) -> Fit:
@@ -348,6 +367,7 @@ def _least(
         return (residual(p + e) - r) / STEP
 
     r = residual(p)
+    low, high = ends.T
     # What only its prior holds is weak beside the rest: heavy damping would keep it from moving.
     best, damping = float(r @ r), 1e-8
     if not np.isfinite(best):
@@ -363,14 +383,10 @@ def _least(
         gain = 0.0
         for _ in range(7):
             step = np.linalg.solve(gram + damping * np.diag(gram.diagonal() + 1e-12), right)
-            trial = np.clip(p + np.clip(step, -reach, reach), ends[:, 0], ends[:, 1])
-            try:
-                new = residual(trial)
-            except (SimulationError, core.CoreError):
-                damping *= 30.0
-                continue
-            now = float(new @ new)
-            if np.isfinite(now) and now < best:
+            trial = np.clip(p + np.clip(step, -reach, reach), low, high)
+            new = _simulated(residual, trial)
+            now = float(new @ new) if new is not None else np.inf
+            if new is not None and np.isfinite(now) and now < best:
                 gain, p, r, best = best - now, trial, new, now
                 damping = max(damping * 0.1, 1e-10)
                 break
@@ -378,6 +394,13 @@ def _least(
         if gain < (1e-6 if best < rough else LITTLE) * best + 0.05:
             break
     return p, r, gram, jacobian
+
+
+def _simulated(residual: Callable[[Floats], Floats], p: Floats) -> Floats | None:
+    try:
+        return residual(p)
+    except (SimulationError, core.CoreError):
+        return None
 
 
 def _logs(places: Sequence[tuple[str, int, int]], p: Floats) -> Floats:

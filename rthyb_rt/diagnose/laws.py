@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.engine import Diagnosis, intervals
 from rthyb_rt.diagnose.select import columns_of, leaning
-from rthyb_rt.diagnose.words import PLAIN
+from rthyb_rt.diagnose.words import called
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,7 +83,7 @@ class Law:
     @property
     def label(self) -> str:
         """What it is made of, in words."""
-        return " with ".join(PLAIN.get(n, n) for p in self.parts for n in p.names)
+        return " with ".join(called(n) for p in self.parts for n in p.names)
 
     def of(self, kept: Sequence[Part]) -> tuple[Floats, Floats | None]:
         """Return what some of its parts add, and half the width of their 95 % band."""
@@ -386,7 +386,7 @@ def _note(rest: Rest, quantity: str, off: Sequence[Part], cycle: bool, thin: boo
         return "Recorded less the model; darker: more rows."
     words = ["Grey: recorded less the model, its numbers moved within tolerance."]
     if off:
-        names = " and ".join(PLAIN.get(n, n) for p in off for n in p.names)
+        names = " and ".join(called(n) for p in off for n in p.names)
         do = "it does" if len(off) == 1 else "they do"
         words.append(f"Without {names}: {do} not follow {quantity}.")
     if cycle:

@@ -51,15 +51,10 @@ def read_case(
         InputError: the file cannot be read, or no honest answer can come from it.
     """
     where = str(recording)
-    own = None
-    if recording.is_dir() or recording.suffix in (".h5", ".hdf5"):
-        from rthyb_rt.recording import open_run
-
-        if wishes and beside is None:
-            raise InputError("is a recording of this program, whose columns are known", "--map")
-        own = open_run(recording)
+    own = _run(recording, wishes if beside is None else ())
+    lab = None
+    if own is not None:
         t, channels, notes = _own(own)
-        lab = None
     else:
         lab = read_lab(recording, model, wishes, needed=beside is None and judged)
         t, channels, notes = lab.t, lab.channels, lab.notes
@@ -95,6 +90,17 @@ def read_case(
     if judged:
         _means_nothing(case, where)
     return case
+
+
+def _run(path: Path, wishes: Sequence[Wish]) -> Recording | None:
+    """Return a recording of this program; None where the file is a lab's."""
+    if not path.is_dir() and path.suffix not in (".h5", ".hdf5"):
+        return None
+    from rthyb_rt.recording import open_run
+
+    if wishes:
+        raise InputError("is a recording of this program, whose columns are known", "--map")
+    return open_run(path)
 
 
 def _own(rec: Recording) -> tuple[Floats, dict[str, Floats], list[str]]:

@@ -19,7 +19,7 @@ from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import Diagnosis, Displacement
 from rthyb_rt.diagnose.policy import POLICY, of_size
 from rthyb_rt.diagnose.select import Dictionary, Fit, Problem, price
-from rthyb_rt.diagnose.words import PLAIN, quantity, value_text
+from rthyb_rt.diagnose.words import called, quantity, value_text
 
 Fate = Literal["named", "as good", "lost", "refused"]
 
@@ -166,7 +166,7 @@ def _percent(share: float) -> str:
 
 
 def _words(names: Sequence[str]) -> str:
-    return " with ".join(PLAIN.get(n, n) for n in names)
+    return " with ".join(called(n) for n in names)
 
 
 # ---- the force ----------------------------------------------------------------------------------
@@ -227,7 +227,7 @@ def _texts(values: Sequence[tuple[str, dict[str, float]]]) -> tuple[str, ...]:
     texts = [", ".join(value_text(k, v) for k, v in params.items()) for _, params in values]
     if len(texts) == 1:
         return tuple(texts)
-    return tuple(f"{PLAIN.get(n, n)}: {t}" for (n, _), t in zip(values, texts, strict=True))
+    return tuple(f"{called(n)}: {t}" for (n, _), t in zip(values, texts, strict=True))
 
 
 def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:

@@ -139,6 +139,9 @@ class Effect:
 
     Class attributes:
         name: as in the answer.
+        plain: as a laboratory calls it; empty: by its name.
+        phrase: the same with its size, ``"a gap of {gap_m}"``: `words.Size` says what may stand in
+            the braces. Empty: plain, with all parameters.
         params: what is reported.
         equation: the law in one line.
         fingerprint: what it looks like in a residual.
@@ -159,6 +162,8 @@ class Effect:
     """
 
     name = ""
+    plain = ""
+    phrase = ""
     params: tuple[Param, ...] = ()
     equation = ""
     fingerprint = ""

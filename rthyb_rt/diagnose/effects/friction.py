@@ -17,6 +17,8 @@ class Viscous(Effect):
     """A dashpot, or one too many in the model."""
 
     name = "viscous"
+    plain = "viscous damping"
+    phrase = "{c_Ns_m} {c_Ns_m:less|more} of viscous damping"
     params = (Param("c_Ns_m", "N s/m", -1e10, 1e10),)
     equation = "f = c v"
     fingerprint = "residual is a straight line over velocity"
@@ -36,6 +38,8 @@ class QuadDamping(Effect):
     """Damping of orifices and drag."""
 
     name = "quad_damping"
+    plain = "damping with the square of velocity"
+    phrase = "{c2_Ns2_m2} {c2_Ns2_m2:less|more} of damping with the square of velocity"
     params = (Param("c2_Ns2_m2", "N s^2/m^2", -1e12, 1e12),)
     equation = "f = c2 v |v|"
     fingerprint = "residual grows with the square of velocity"
@@ -62,6 +66,8 @@ class PowerDamping(Effect):
     """A fluid viscous damper: its force goes with a power of velocity."""
 
     name = "power_damping"
+    plain = "damping with a power of velocity"
+    phrase = "damping with velocity to the power of {exponent:3}, {F1_N} at 1 m/s"
     params = (Param("F1_N", "N", 0.0, 1e10), Param("exponent", "", 0.05, 10.0))
     equation = "f = F1 |v / (1 m/s)|^exponent sgn(v)"
     fingerprint = "residual over velocity is a power, neither straight nor a parabola"
@@ -134,6 +140,8 @@ class Coulomb(Effect):
     """
 
     name = "coulomb"
+    plain = "dry friction"
+    phrase = "dry friction of {Fc_N}"
     params = (Param("Fc_N", "N", 0.0, 1e8),)
     equation = "f = Fc tanh(v / width), or Fc v / sqrt(v^2 + width^2)"
     fingerprint = "residual jumps with the sign of velocity, its size does not change"
@@ -182,6 +190,8 @@ class Stribeck(Effect):
     """Friction that falls with velocity."""
 
     name = "stribeck"
+    plain = "friction that falls with velocity"
+    phrase = "friction that falls with velocity from {Fs_N} to {Fc_N} within {vs_m_s}"
     params = (
         Param("Fc_N", "N", 0.0, 1e8),
         Param("Fs_N", "N", 0.0, 1e8),
@@ -265,6 +275,8 @@ class Lugre(Effect):
     """Friction with bristles that bend before they slide."""
 
     name = "lugre"
+    plain = "friction with elastic bristles"
+    phrase = "friction of {Fc_N} with elastic bristles of {sigma0_N_m}"
     params = (Param("Fc_N", "N", 0.0, 1e8), Param("sigma0_N_m", "N/m", 1.0, 1e12))
     equation = "f = s0 z + s1 z', z' = v - s0 |v| z / g(v)"
     fingerprint = "friction that is a spring after each reversal"
@@ -359,6 +371,7 @@ class FrictionBehindGap(Effect):
     """Dry friction that is driven through a backlash: nothing is felt until the gap is taken up."""
 
     name = "gap+coulomb"
+    plain = "dry friction behind a gap"
     params = (Param("gap_m", "m", 1e-9, 1.0), Param("Fc_N", "N", 0.0, 1e8))
     equation = "slider of +-Fc on a spring k behind a play of +-gap"
     fingerprint = "after each reversal force falls to nothing, stays there, and returns"
@@ -425,6 +438,7 @@ class UnevenFrictionBehindGap(Effect):
     """
 
     name = "gap+coulomb+bias"
+    plain = "dry friction behind a gap, harder one way"
     params = (
         Param("gap_m", "m", 1e-9, 1.0),
         Param("Fc_N", "N", 0.0, 1e8),

@@ -79,6 +79,8 @@ class Hysteresis(Effect):
     """Yielding: Bouc-Wen's loops, Iwan's springs that yield one by one, Menegotto-Pinto's bars."""
 
     name = "hysteresis"
+    plain = "yielding"
+    phrase = "yielding from {xy_m} on, with {alpha:%} of the stiffness left"
     params = (Param("xy_m", "m", 1e-9, 10.0), Param("alpha", "", -1.0, 1.0))
     equation = "f = k (alpha x + (1 - alpha) z) instead of k x"
     fingerprint = "loops over displacement that do not depend on rate"
@@ -260,6 +262,8 @@ class Pinching(Effect):
     """A spring or loop that is slack around zero."""
 
     name = "pinching"
+    plain = "pinching"
+    phrase = "pinching by {depth:%} around zero displacement"
     params = (Param("depth", "", 0.0, 1.0), Param("width_ratio", "", 0.0, 10.0))
     equation = "the loop's force times 1 - depth exp(-(x / width)^2)"
     fingerprint = "force is missing around zero displacement, in both directions"
@@ -364,6 +368,8 @@ class Degradation(Effect):
     """Stiffness that is lost with the path covered."""
 
     name = "degradation"
+    plain = "degradation"
+    phrase = "a stiffness that loses {loss:%} over {travel_m} of travel"
     params = (Param("loss", "", 0.0, 1.0), Param("travel_m", "m", 1e-9, 1e6))
     equation = "the loop's force times 1 - loss (1 - exp(-travel / travel_m))"
     fingerprint = "residual in phase with displacement that grows during the test"
@@ -547,6 +553,8 @@ class Maxwell(Effect):
     """Relaxation: a spring and a dashpot in series."""
 
     name = "maxwell"
+    plain = "relaxation"
+    phrase = "relaxation of {km_N_m} within {tau_s}"
     params = (Param("km_N_m", "N/m", 0.0, 1e12), Param("tau_s", "s", 1e-4, 1e4))
     equation = "f' + f / tau = km v"
     fingerprint = "a dashpot at low frequency that turns into a spring at high"

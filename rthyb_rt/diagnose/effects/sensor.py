@@ -80,6 +80,8 @@ class Bias(Effect):
     """A load cell that reads force at rest."""
 
     name = "bias"
+    plain = "an offset of the load cell"
+    phrase = "an offset of the load cell of {bias_N:+}"
     params = (Param("bias_N", "N", -1e8, 1e8),)
     equation = "f_meas = f + bias"
     fingerprint = "residual is a constant"
@@ -95,6 +97,8 @@ class Drift(Effect):
     """A load cell that wanders."""
 
     name = "drift"
+    plain = "a drift of the load cell"
+    phrase = "a drift of the load cell of {rate_N_s:+}"
     params = (Param("rate_N_s", "N/s", -1e8, 1e8),)
     equation = "f_meas = f + rate t"
     fingerprint = "residual is a straight line over time"
@@ -114,6 +118,8 @@ class Hum(Effect):
     """Mains or a pump in the load cell's signal."""
 
     name = "hum"
+    plain = "hum in the load cell"
+    phrase = "hum of {amp_N} at {f_Hz} in the load cell"
     params = (Param("f_Hz", "Hz", 0.1, 1e4), Param("amp_N", "N", 0.0, 1e8))
     equation = "f_meas = f + amp sin(2 pi f t + phase)"
     fingerprint = "a single line in the residual's spectrum that is none of the motion's"
@@ -180,6 +186,8 @@ class TimeSkew(Effect):
     """
 
     name = "time_skew"
+    plain = "a time skew of the load cell"
+    phrase = "a load cell that is {skew_s} {skew_s:early|late}"
     params = (Param("skew_s", "s", -0.1, 0.1),)
     equation = "f_meas(t) = f(t - skew)"
     fingerprint = "residual is a straight line over the rate of the force"
@@ -263,6 +271,8 @@ class Crosstalk(Effect):
     """A load cell that feels the force in the orthogonal direction."""
 
     name = "crosstalk"
+    plain = "crosstalk from the other direction"
+    phrase = "{ratio:%} of the orthogonal force in the load cell"
     params = (Param("ratio", "", -1.0, 1.0),)
     equation = "f_meas = f + ratio fy"
     fingerprint = "residual follows the orthogonal force"
@@ -282,4 +292,18 @@ class Crosstalk(Effect):
         return [kept[1]]
 
 
+class Quantisation(Effect):
+    """A coarse load cell. Read off its readings themselves, so that it is no law of a search."""
+
+    name = "quantisation"
+    plain = "a coarse load cell"
+    phrase = "a load cell that reads in steps of {lsb_N}"
+    params = (Param("lsb_N", "N", 0.0, 1e8),)
+    equation = "f_meas = lsb round(f / lsb)"
+    fingerprint = "all readings lie on one grid; what is left is a saw tooth of half a step"
+    shown_by = ("multi_amplitude", "small motion shows the steps one by one")
+    sensor = True
+
+
+QUANTISATION = Quantisation()
 EFFECTS: tuple[Effect, ...] = (Bias(), Drift(), Hum(), TimeSkew(), Crosstalk())

@@ -20,6 +20,8 @@ class Stiffness(Effect):
     """
 
     name = "stiffness"
+    plain = "an error of the stiffness"
+    phrase = "a stiffness {dk_ratio:%} {dk_ratio:below|above} the model's"
     params = (Param("dk_ratio", "", -1.0, 10.0),)
     equation = "f = dk_ratio k x"
     fingerprint = "a straight line over displacement, the same at every frequency"
@@ -75,6 +77,10 @@ class Cubic(Effect):
     """
 
     name = "cubic"
+    plain = "a cubic spring"
+    phrase = (
+        "a spring that {k3_N_m3:softens|hardens} with the third power of displacement ({k3_N_m3})"
+    )
     params = (Param("k3_N_m3", "N/m^3", -1e15, 1e15),)
     equation = "f = k3 x^3, or k [L sin(x / L) - x], or k x |x / x0|^(n - 1)"
     fingerprint = "residual over displacement is an odd cubic, without loop"
@@ -149,6 +155,8 @@ class Quadratic(Effect):
     """A spring that differs between push and pull."""
 
     name = "quadratic"
+    plain = "a quadratic spring"
+    phrase = "a spring of another stiffness to either side (quadratic, {k2_N_m2})"
     params = (Param("k2_N_m2", "N/m^2", -1e15, 1e15),)
     equation = "f = k2 x^2"
     fingerprint = "residual over displacement is an even parabola"
@@ -168,6 +176,8 @@ class Gap(Effect):
     """Backlash or dead band in the specimen's connection."""
 
     name = "gap"
+    plain = "a gap"
+    phrase = "a gap of {gap_m}"
     params = (Param("gap_m", "m", 1e-9, 1.0),)
     equation = "spring force at x beyond +-gap (dead band), or behind a play of +-gap"
     fingerprint = "force is missing around zero (dead band) or after each reversal (play)"
@@ -236,6 +246,8 @@ class Stopper(Effect):
     """A stop that is met beyond a displacement."""
 
     name = "stopper"
+    plain = "a stop"
+    phrase = "a stop at {xs_m} with {ks_N_m}"
     params = (Param("ks_N_m", "N/m", 0.0, 1e12), Param("xs_m", "m", 0.0, 10.0))
     equation = "f = ks (|x| - xs) sgn(x) where |x| > xs"
     fingerprint = "residual only beyond a displacement, growing from there"
