@@ -17,7 +17,7 @@ from rthyb_rt.diagnose.estimate import (
     Whitener,
     away_from_gaps,
     filled,
-    likelihood,
+    likeliest,
     noise_of,
 )
 from rthyb_rt.diagnose.noise import TRIED
@@ -32,7 +32,10 @@ class ActuatorEffect:
 
     Attributes:
         plain, phrase: as a laboratory calls it, and the same with its size; see `effects.Effect`.
+        log: its numbers are positive, and fitted by their logarithms.
         late: from a moment in mid-record on only; up to then the model has it right.
+        limit: it does nothing where it is not met, and has no slope there.
+        in_rig_file: a rig file's actuator can hold it.
     """
 
     name: str
@@ -45,6 +48,12 @@ class ActuatorEffect:
     phrase: str
     log: bool = True
     late: bool = False
+    limit: bool = False
+    in_rig_file: bool = True
+
+    def acts(self, model: ActuatorModel) -> bool:
+        """Return whether a model, in which 0 stands for none of it, has any of it."""
+        return any(getattr(model, name) != 0.0 for name in self.fields)
 
     @property
     def count(self) -> int:
@@ -89,7 +98,7 @@ CATALOGUE: tuple[ActuatorEffect, ...] = (
         "delay + kappa |v|", "displacement residual grows with the square of velocity",
         ("multi_amplitude", "a delay that grows with velocity differs between amplitudes"),
         "a delay that grows with velocity", "a delay that grows with velocity by {kappa_s2_m}",
-        False,
+        False, in_rig_file=False,
     ),
     ActuatorEffect(
         "act_gain", (Param("gain", "", 0.01, 100.0),), ("gain",), "x = gain x0",
@@ -110,6 +119,7 @@ CATALOGUE: tuple[ActuatorEffect, ...] = (
         "displacement lags only where velocity is large",
         ("multi_amplitude", "a limit of velocity is met at large amplitude only"),
         "a velocity limit of the actuator", "an actuator that is no faster than {vmax_m_s}",
+        limit=True, in_rig_file=False,
     ),
 )  # fmt: skip
 
@@ -218,14 +228,9 @@ class Actuation:
         judged = np.zeros(self.x.size, dtype=np.bool_)
         judged[self.rows] = True
 
-        def told(fit: ActuatorFit) -> tuple[float, Whitener | None]:
-            cost, own = likelihood(
-                self.left(fit), judged, fit.motion.v, self.case.fs_hz, self.sigma,
-                self.case.model.x_std,
-            )  # fmt: skip
-            return cost + self.price(fit), own
-
-        self.own = min((told(f) for f in fits), key=lambda t: t[0])[1]
+        tried = [(self.left(f), f.motion.v, self.price(f)) for f in fits]
+        sheet = self.case.model.x_std
+        self.own = likeliest(tried, judged, self.case.fs_hz, self.sigma, sheet)
         return self.own is not None
 
     def fit(
@@ -426,7 +431,7 @@ def _warm(
             }.get(effect.name, {})
             if effect is lead:
                 values += [float(getattr(fit.model, f)) for f in effect.fields]
-            elif effect.name == "rate_limit":
+            elif effect.limit:
                 values.append(task.v_max)
             else:
                 values += [float(getattr(task.base, f)) for f in effect.fields]

@@ -96,7 +96,7 @@ def _promising(task: Actuation, base: ActuatorFit, effect: ActuatorEffect) -> li
         except SimulationError:
             continue
         chi2, row, change = _cut(task, base, columns)
-        start = values if effect.name == "rate_limit" else values + change * _steps(values)
+        start = values if effect.limit else values + change * _steps(values)
         logged = np.maximum(start, 0.3 * values) if effect.log else start
         out.append(_Promise(late, settings, logged, row, chi2))
     return out
@@ -120,7 +120,7 @@ def _columns(
     changed = []
     model = replace(base.model, **settings)
     for name, value, step in zip(effect.fields, values, _steps(values), strict=True):
-        own = value if effect.name == "rate_limit" else getattr(base.model, name) + step
+        own = value if effect.limit else getattr(base.model, name) + step
         moved: dict[str, Any] = {name: float(own)}
         changed.append(task.simulate(replace(model, **moved)).x)
     plain = task.simulate(base.model).x

@@ -58,13 +58,13 @@ class Swing(Body):
         Laws of damping make up for one another in the balance, down to a dashpot below zero. What
         is begun there is a motion that grows: the others are solved for anew without it.
         """
-        names = [n.name for n in problem.nuisances]
+        numbers = [n.number for n in problem.nuisances]
         c = self.case.model.c
-        at = names.index("viscous") if "viscous" in names else -1
+        at = numbers.index("c") if "c" in numbers else -1
         if at < 0 or fit.scatter is not None or c + float(fit.nuisance[at]) > 0.0:
             return super().refined(problem, fit)
         held = copy(problem)
-        held.nuisances = [n for n in problem.nuisances if n.name != "viscous"]
+        held.nuisances = [n for n in problem.nuisances if n.number != "c"]
         held.base = np.delete(problem.base, at, axis=1)
         held.y = problem.y + c * problem.base[:, at]
         begun = solve(held, fit.members, held.blocks(fit.members))

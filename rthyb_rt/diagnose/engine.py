@@ -24,6 +24,7 @@ from rthyb_rt.diagnose import (
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorEffect, ActuatorFit
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
+from rthyb_rt.diagnose.effects.sensor import QUANTISATION
 from rthyb_rt.diagnose.estimate import Estimate
 from rthyb_rt.diagnose.policy import POLICY, of_size
 from rthyb_rt.diagnose.predict import Augmented, followed, nrmse, output_error, predict
@@ -373,19 +374,17 @@ def _in_its_noise(
 
     sheet = estimate.force_sheet(case.get("f_meas"), case.model.f_std)
 
-    def told(fit: Fit) -> tuple[float, estimate.Whitener | None]:
-        cost, own = estimate.likelihood(
-            _left_by(search, fit), found.rows, found.motion.v, case.fs_hz, found.sigma_n, sheet
-        )
-        return cost + force.cost(search.problem, fit), own
-
-    tried = [told(fit) for fit in (search.null, *search.fits[: noise.TRIED])]
-    own = min(tried, key=lambda t: t[0])[1]
+    problem = search.problem
+    tried = [
+        (_left_by(search, fit), found.motion.v, force.cost(problem, fit))
+        for fit in (search.null, *search.fits[: noise.TRIED])
+    ]
+    own = estimate.likeliest(tried, found.rows, case.fs_hz, found.sigma_n, sheet)
     if own is None:
         return found, search
     progress("noise")
     now = replace(found, whiten=own.whiten, pieces=own.pieces, scatter=own.scatter)
-    problem = Problem(case, search.problem.ctx, now, effects.catalogue().values())
+    problem = Problem(case, problem.ctx, now, effects.catalogue().values())
     return now, force.search(problem, progress)
 
 
@@ -555,7 +554,7 @@ def _doubtful(case: Case, search: force.Search) -> bool:
     names = set(search.best.names)
     blurred = _small(search, search.excess_before) and _within(search)
     # The estimate rounds off where the body sticks: as a law, that is a friction with more to it.
-    leans = names & {*force.LINEAR, "stribeck", "lugre"}
+    leans = names & effects.having(lambda e: e.number or (e.dry and e.plainer))
     return bool(leans) or blurred or _simulates(case, search)
 
 
@@ -727,10 +726,10 @@ def _verdict(
         names += list(search.best.names)
     if quantised is not None:
         candidates.append(quantised)
-        names.append("quantisation")
+        names.append(quantised.name)
     base_disp = list(disp.best.names) if disp is not None and named_disp else []
     base_force = list(search.best.names) if search is not None and named_force else []
-    extra = ["quantisation"] if quantised is not None else []
+    extra = [quantised.name] if quantised is not None else []
     verdict: Verdict = "explained" if names else "none"
     if search is not None and named_force and search.equal:
         sets += [base_disp + list(f.names) + extra for f in [search.best, *search.equal]]
@@ -982,17 +981,18 @@ def _of_the_spring_there_is(
     Be that a finding or within the tolerance of the model's.
     """
     stiffer = sum(
-        float(b[0]) for m, b in zip(fit.members, fit.betas, strict=True) if m.name == "stiffness"
+        float(b[0])
+        for m, b in zip(fit.members, fit.betas, strict=True)
+        if m.name == effects.of_number("k")
     )
-    key = {"degradation": "loss", "pinching": "depth", "hysteresis": "alpha", "gap": "gap_m"}.get(
-        name
-    )
+    law = effects.catalogue().get(name)
+    key = law.of_spring if law is not None else ""
     # A loop's spring is not the model's where that is only a line through the loop.
     if key != "alpha":
         stiffer += sum(
             float(b)
             for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True)
-            if nuisance.name == "stiffness"
+            if nuisance.number == "k"
         )
     if key not in params or not stiffer > -0.9:
         return
@@ -1150,7 +1150,12 @@ def quantisation(case: Case) -> Found | None:
     if lsb == 0.0:
         return None
     return Found(
-        "quantisation", "force", 1.0, {"lsb_N": lsb}, {"lsb_N": [0.999 * lsb, 1.001 * lsb]}, -100.0
+        QUANTISATION.name,
+        "force",
+        1.0,
+        {"lsb_N": lsb},
+        {"lsb_N": [0.999 * lsb, 1.001 * lsb]},
+        -100.0,
     )
 
 
@@ -1245,10 +1250,10 @@ def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Au
     fitted = _with_nuisance(d.case.model, problem, fit)
     if any(m.effect.complete for m in fit.members) and min(fitted.k, fitted.c) < 0.0:
         # Nothing of the specimen stands beside a joint law, and least of all what drives it.
-        below = {"stiffness": fitted.k < 0.0, "viscous": fitted.c < 0.0}
-        gone = [below.get(n.name, False) for n in problem.nuisances]
+        below = {"k": fitted.k < 0.0, "c": fitted.c < 0.0}
+        gone = [below.get(n.number, False) for n in problem.nuisances]
         for j in np.flatnonzero(gone):
-            whole = 1.0 if problem.nuisances[j].name == "stiffness" else d.case.model.c
+            whole = 1.0 if problem.nuisances[j].number == "k" else d.case.model.c
             problem.y = problem.y + whole * problem.base[:, j]
         problem.base = problem.base[:, ~np.array(gone)]
         problem.nuisances = [n for n, g in zip(problem.nuisances, gone, strict=True) if not g]
@@ -1258,21 +1263,16 @@ def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Au
             kept = _with_nuisance(d.case.model, problem, fit)
             fitted = replace(
                 kept,
-                k=0.0 if below["stiffness"] else kept.k,
-                c=0.0 if below["viscous"] else kept.c,
+                k=0.0 if below["k"] else kept.k,
+                c=0.0 if below["c"] else kept.c,
             )
     return replace(model, model=fitted, members=fit.members, betas=fit.betas)
 
 
 def _with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-        if nuisance.name == "stiffness":
-            model = replace(model, k=model.k * (1.0 + float(b)))
-        elif nuisance.name == "viscous":
-            model = replace(model, c=model.c + float(b))
-        elif nuisance.name == "inertia":
-            model = replace(model, moving_mass=max(model.moving_mass + float(b), 0.0))
-    return model
+        model = nuisance.moves(model, float(b))
+    return replace(model, moving_mass=max(model.moving_mass, 0.0))
 
 
 def baseline(d: Diagnosis) -> Augmented:

@@ -8,7 +8,7 @@ through the specimen's impedance, gives the noise of the force residual, which n
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -23,7 +23,9 @@ from rthyb_rt.diagnose.simulate import Motion
 Complex = NDArray[np.complex128]
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Filter = Callable[[Floats], Floats]
+Denoiser = Callable[[Floats], Floats]
+"""Takes white noise off a signal of shape (n,), outside the signal's band; `Whitener` makes noise
+that has a colour white."""
 SHIFT_S = 0.025
 GAP_S = 0.4
 """A simulated motion has forgotten a gap of its command after so long."""
@@ -276,7 +278,7 @@ def aligned(case: Case, parts: list[Floats], sigma: float) -> Floats:
     )
 
 
-def band_of(signal: Floats, fs_hz: float, sigma: float) -> Filter:
+def band_of(signal: Floats, fs_hz: float, sigma: float) -> Denoiser:
     """Return the filter (Wiener's) that takes white noise off a signal of shape (n,)."""
     s = _Spectral.of(signal.size, fs_hz)
     spectrum = s.forward(signal, odd=True)
@@ -393,6 +395,28 @@ def likelihood(
     )
     own = made.whiten(residual)[rows]
     return float(own @ own) + cost, made
+
+
+def likeliest(
+    tried: Iterable[tuple[Floats, Floats, float]],
+    rows: NDArray[np.bool_],
+    fs_hz: float,
+    sigma: float,
+    sheet: float | None,
+) -> Whitener | None:
+    """Return the filter for the noise that the likeliest of some sets leaves; None: it is white.
+
+    Args:
+        tried: of each set what it leaves of a channel, (n,), in its unit; the velocity of its
+            motion, (n,), m/s; and its price.
+        rows, fs_hz, sigma, sheet: see `likelihood`.
+    """
+    told = [
+        (cost + price, own)
+        for left, velocity, price in tried
+        for cost, own in [likelihood(left, rows, velocity, fs_hz, sigma, sheet)]
+    ]
+    return min(told, key=lambda t: t[0])[1]
 
 
 def away_from_gaps(

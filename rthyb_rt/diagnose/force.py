@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rthyb_rt.diagnose import decay, modulation, onset, redundant
+from rthyb_rt.diagnose.effects import catalogue, having, of_number
 from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
 from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.policy import POLICY, of_size
@@ -25,24 +26,19 @@ from rthyb_rt.diagnose.select import (
     solve,
 )
 
-BEARS = {"stiffness": "stiffness", "viscous": "viscous", "blur": "inertia"}
-"""The effect that each nuisance stands in for."""
-ALIKE = ("maxwell", "time_skew")
-"""Effects that a slow motion does not tell from a dashpot."""
 FOLD_S = 0.25
 FOLDS = 4
 POOL = 6
 """Sets, and single effects, whose motion is simulated."""
 LEADING = 3
 """Sets that are looked at more closely."""
-DRY = {"coulomb", "stribeck", "lugre"}
-SLIDERS = {"hysteresis", "lugre"}
 SETTLED = 0.01
 """Part of a misfit by which one more fit of a motion has to better it."""
 AGAIN = 3
 """Times that such a fit is begun again at most."""
-LINEAR = ("stiffness", "viscous", "inertia")
-"""Effects that are always among them: what is missing may look like them at one frequency."""
+NUMBERS = ("k", "c", "moving_mass")
+"""Numbers of the model whose effects are always among them: what is missing may look like them at
+one frequency."""
 
 
 @dataclass
@@ -177,9 +173,9 @@ class _Fitter:
 def bent(problem: Problem, fit: Fit) -> set[str]:
     """Return the effects in whose place a fit bends a stated number out of its tolerance."""
     return {
-        BEARS[n.name]
+        n.effect
         for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
-        if n.name in BEARS and n.sigma is not None and abs(float(b)) > POLICY.bent_number * n.sigma
+        if n.effect and n.sigma is not None and abs(float(b)) > POLICY.bent_number * n.sigma
     }
 
 
@@ -241,10 +237,14 @@ class _Mover(_Fitter):
 
         Both go over into it, and a rig that is met with a richer one may be met without.
         """
-        dry = next((e for e in self.problem.effects if e.name == "coulomb"), None)
+        plainer = _plainer_friction()
         for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
-            rich = [i for i, m in enumerate(fit.members) if m.name in ("stribeck", "lugre")]
-            if dry is None or len(rich) != 1 or "coulomb" in fit.names:
+            rich = [i for i, m in enumerate(fit.members) if m.name in plainer]
+            if len(rich) != 1 or plainer[fit.members[rich[0]].name] in fit.names:
+                continue
+            name = plainer[fit.members[rich[0]].name]
+            dry = next((e for e in self.problem.effects if e.name == name), None)
+            if dry is None:
                 continue
             members, betas = list(fit.members), list(fit.betas)
             members[rich[0]], betas[rich[0]] = Member(dry, Trial()), fit.betas[rich[0]][:1]
@@ -285,7 +285,7 @@ class _Mover(_Fitter):
 def _without(problem: Problem, fit: Fit, member: int) -> Fit:
     """Return a set less one effect; what that had of a stated number goes to the number."""
     gone, beta = fit.members[member], fit.betas[member]
-    shift = [float(beta[0]) if BEARS.get(n.name) == gone.name else 0.0 for n in problem.nuisances]
+    shift = [float(beta[0]) if n.effect == gone.name else 0.0 for n in problem.nuisances]
     return replace(
         fit,
         members=fit.members[:member] + fit.members[member + 1 :],
@@ -314,7 +314,7 @@ def _linear(problem: Problem, body: Body, fitter: _Fitter, null: Fit) -> tuple[F
     mover = _Mover(problem, body, fitter)
     by_name = {e.name: e for e in problem.effects}
     stiff = _stiff(problem)
-    for name in LINEAR:
+    for name in map(of_number, NUMBERS):
         if name in by_name and body.linear:
             member = Member(by_name[name], Trial())
             begun = solve(stiff, [member], [stiff.columns(member)])
@@ -334,6 +334,26 @@ def _met(plain: Fit, mover: _Mover) -> bool:
     )
 
 
+def _plainer_friction() -> dict[str, str]:
+    """Return the richer laws of dry friction, each with the one that it goes over into."""
+    return {n: e.plainer for n, e in catalogue().items() if e.dry and e.plainer}
+
+
+def _relaxing() -> dict[str, str]:
+    """Return the laws that relax, each with what it is where that is over at once."""
+    return {n: e.plainer for n, e in catalogue().items() if e.relaxes}
+
+
+def _slow_as() -> dict[str, str]:
+    """Return the effects that a slow motion does not tell from a plainer one, each with that."""
+    return {n: e.slow_as for n, e in catalogue().items() if e.slow_as}
+
+
+def _also() -> dict[str, str]:
+    """Return the laws that are another one by name beside a spring of free stiffness, with it."""
+    return {e.also: n for n, e in catalogue().items() if e.also}
+
+
 def _seen_only(members: Iterable[Member]) -> bool:
     """Return whether a set holds an effect of the load cell, which moves nothing."""
     return any(m.effect.sensor for m in members)
@@ -346,7 +366,8 @@ def _moved(
     problem = dictionary.problem
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     # Two laws of dry friction beside one another are one law in a third form.
-    ranked = [f for f in ranked if len(DRY & set(f.names)) < 2 and body.quick(f)]
+    dry = having(lambda e: e.dry)
+    ranked = [f for f in ranked if len(dry & set(f.names)) < 2 and body.quick(f)]
     # What only a load cell sees does not move the body.
     ranked = [f for f in ranked if not body.held or not _seen_only(f.members)]
     singles = [f for f in ranked if len(f.members) == 1]
@@ -380,7 +401,7 @@ def _moved(
                 names = {n for m in members for n in m.effect.names}
                 if (body.held and _seen_only(members)) or (enough and not body.plain(members)):
                     continue
-                if len(DRY & names) < 2 and tuple(sorted(names)) not in mover.by_names:
+                if len(dry & names) < 2 and tuple(sorted(names)) not in mover.by_names:
                     mover.fit(members)
     mover.relieve()
     if body.whole_rig:
@@ -556,10 +577,11 @@ def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
     friction are forms of one another here, if so asked.
     """
     problem, groups = fitter.problem, dictionary.groups
+    friction = having(lambda e: e.dry)
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     for fit in [f for f in ranked if len(f.members) > 1][:2]:
         for i, member in enumerate(fit.members):
-            like = DRY if dry and member.name in DRY else {member.name}
+            like = friction if dry and member.name in friction else frozenset((member.name,))
             others = [
                 (g,)
                 for g, group in enumerate(groups)
@@ -581,10 +603,12 @@ def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
 
 def _dashpots(dictionary: Dictionary, fitter: _Fitter) -> None:
     """Put a dashpot in the place of what looks like one where the motion is slow."""
-    plain = next((g.member for g in dictionary.groups if g.member.name == "viscous"), None)
+    slow_as = _slow_as()
     for fit in list(fitter.by_names.values()):
         for i, member in enumerate(fit.members):
-            if plain is None or member.name not in ALIKE or "viscous" in fit.names:
+            name = slow_as.get(member.name)
+            plain = next((g.member for g in dictionary.groups if g.member.name == name), None)
+            if plain is None or name in fit.names:
                 continue
             twin = (*fit.members[:i], plain, *fit.members[i + 1 :])
             if tuple(sorted(n for m in twin for n in m.effect.names)) not in fitter.by_names:
@@ -701,10 +725,11 @@ def _before_a_dashpot(fitter: _Fitter, fit: Fit, member: int, null: Fit) -> bool
     The dashpot moves a stated number and is excused from the share; what it only looks like is
     not to lose to it by that.
     """
-    if fit.members[member].name not in ALIKE:
+    dashpot = _slow_as().get(fit.members[member].name)
+    if dashpot is None:
         return False
     rest = [m for j, m in enumerate(fit.members) if j != member]
-    names = tuple(sorted(["viscous", *(n for m in rest for n in m.effect.names)]))
+    names = tuple(sorted([dashpot, *(n for m in rest for n in m.effect.names)]))
     other = fitter.by_names.get(names)
     if other is None or fitter.score(fit) + POLICY.same_evidence > fitter.score(other):
         return False
@@ -734,8 +759,9 @@ def _completes(fitter: _Fitter, fit: Fit, without: Fit) -> bool:
     What one law leaves of another's form is not all taken up by a third.
     """
     # Sliders in a row are a form of one slider, with as many as one likes.
-    sliders = SLIDERS.issubset(fit.names) and not SLIDERS.issubset(without.names)
-    return fitter.exact and not sliders and _ends_at_noise(fitter, fit, without)
+    sliders = having(lambda e: e.slides)
+    more = sliders.issubset(fit.names) and not sliders.issubset(without.names)
+    return fitter.exact and not more and _ends_at_noise(fitter, fit, without)
 
 
 def _ends_at_noise(fitter: _Fitter, fit: Fit, other: Fit) -> bool:
@@ -841,11 +867,12 @@ def _goes_on(fitter: _Fitter, fit: Fit) -> bool:
     is there within each half, whatever level it has there, if the half can show it at all.
     """
     problem = fitter.problem
-    if "drift" not in fit.names or problem.case.model.k_tol is not None:
+    wanders, zeros = having(lambda e: e.wanders), having(lambda e: e.zero)
+    if wanders.isdisjoint(fit.names) or problem.case.model.k_tol is not None:
         return True
-    member = next(m for m in fit.members if m.name == "drift")
+    member = next(m for m in fit.members if m.name in wanders)
     rest = [problem.columns(m) for m in fit.members if m is not member]
-    level = [] if "bias" in fit.names else [problem.seen(np.ones(problem.ctx.t.size))]
+    level = [] if zeros & set(fit.names) else [problem.seen(np.ones(problem.ctx.t.size))]
     design = np.column_stack([problem.columns(member), *rest, problem.base, *level])
     size = np.sqrt(np.mean(design**2, axis=0))
     size[size == 0.0] = 1.0
@@ -891,9 +918,10 @@ def _yields(fitter: _Fitter, fit: Fit) -> bool:
     ctx = fitter.problem.ctx
     held = lost = 0.0
     for m, b in zip(fit.members, fit.betas, strict=True):
-        if m.name == "lugre":
-            held = m.effect.report(ctx, m.trial, b).get("sigma0_N_m", 0.0)
-        elif m.name == "stiffness":
+        own = m.effect.holds_n_per_m(ctx, m.trial, b)
+        if own > 0.0:
+            held = own
+        elif m.name == of_number("k"):
             lost = -float(b[0]) * ctx.model.k
     reach = POLICY.bristles_as_lost * held + POLICY.bristles_as_lost_tolerance * (
         ctx.model.k_tol or 0.0
@@ -909,11 +937,14 @@ def _one_of_a_kind(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     """
     out = list(fits)
     by_name = {f.names: f for f in fits}
+    stiffness = of_number("k")
     for fit in fits:
-        if "lugre" in fit.names and "stiffness" in fit.names:
-            rest = [n for n in fit.names if n not in ("lugre", "stiffness")]
-            twin = by_name.get(tuple(sorted([*rest, "hysteresis"])))
-            other = by_name.get(tuple(sorted([*rest, "hysteresis", "stiffness"])))
+        bristles = next((n for n in _also() if n in fit.names), "")
+        if bristles and stiffness in fit.names:
+            yielding = _also()[bristles]
+            rest = [n for n in fit.names if n not in (bristles, stiffness)]
+            twin = by_name.get(tuple(sorted([*rest, yielding])))
+            other = by_name.get(tuple(sorted([*rest, yielding, stiffness])))
             margin = (
                 max(POLICY.yielding_gain, POLICY.form_alone * (null.chi2 - fit.chi2))
                 if _yields(fitter, fit)
@@ -932,17 +963,16 @@ def _by_another_name(fitter: _Fitter, best: Fit) -> list[Fit]:
     what is seen of it, the way to slipping, is the form of either law.
     """
     model = fitter.problem.case.model
-    if model.k_tol is not None or model.k == 0.0 or "lugre" not in best.names:
+    bristles = next((n for n in _also() if n in best.names), "")
+    if model.k_tol is not None or model.k == 0.0 or not bristles:
         return []
-    by_name = {e.name: e for e in fitter.problem.effects}
-    if "hysteresis" in best.names or "hysteresis" not in by_name:
+    name = _also()[bristles]
+    yielding = next((e for e in fitter.problem.effects if e.name == name), None)
+    if name in best.names or yielding is None:
         return []
-    twin = []
-    for m in best.members:
-        if m.name == "lugre":
-            form = {"dahl": "bw1", "slips": "bw1"}.get(m.trial.variant, "iwan0")
-            m = Member(by_name["hysteresis"], Trial(m.trial.theta[:1], form))
-        twin.append(m)
+    twin = [
+        Member(yielding, yielding.like(m.trial)) if m.name == bristles else m for m in best.members
+    ]
     names = tuple(sorted(n for m in twin for n in m.effect.names))
     found = fitter.by_names.get(names) or fitter.fit(twin)
     return [found] if found is not None else []
@@ -955,16 +985,17 @@ def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     over at once: it is a dashpot.
     """
     share = POLICY.richer_friction_share * _blurred(fitter)
+    friction, relaxing = _plainer_friction(), _relaxing()
     out = []
     for fit in fits:
-        richer = {"stribeck", "lugre"} & set(fit.names)
+        richer = {n for n in fit.names if n in friction}
         plain = None
-        if len(richer) == 1 and "coulomb" not in fit.names:
-            names = [n if n not in richer else "coulomb" for n in fit.names]
+        if len(richer) == 1 and not {friction[n] for n in richer} & set(fit.names):
+            names = [friction.get(n, n) for n in fit.names]
             plain = next((f for f in fits if f.names == tuple(sorted(names))), None)
         gain = plain.chi2 - fit.chi2 if plain is not None else np.inf
         if plain is None and _quick(fitter.problem.ctx, fit):
-            names = [n if n != "maxwell" else "viscous" for n in fit.names]
+            names = [relaxing.get(n, n) for n in fit.names]
             plain = next((f for f in fits if f.names == tuple(sorted(names))), None)
             gain = plain.chi2 - fit.chi2 if plain is not None else np.inf
         if gain > fitter.price(fit) - (fitter.price(plain) if plain else 0.0) + max(
@@ -976,11 +1007,11 @@ def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
 
 def _quick(ctx: Context, fit: Fit) -> bool:
     """Return whether a set holds a relaxation that the motion is too slow to show."""
-    times = [m.trial.theta[0] for m in fit.members if m.name == "maxwell"]
+    relaxing = _relaxing()
+    times = [m.trial.theta[0] for m in fit.members if m.name in relaxing]
     omega = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
-    return (
-        bool(times) and "viscous" not in fit.names and max(times) * omega < POLICY.quick_relaxation
-    )
+    alone = set(relaxing.values()).isdisjoint(fit.names)
+    return bool(times) and alone and max(times) * omega < POLICY.quick_relaxation
 
 
 def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:

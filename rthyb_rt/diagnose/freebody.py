@@ -16,7 +16,8 @@ import numpy as np
 from rthyb_rt import core
 from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.case import Case, Floats, Model
-from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.effects import having, of_number
+from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.effects.friction import SHARP
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented, changed, parameters, start_of
@@ -130,7 +131,7 @@ class Body:
         rest = Augmented(
             self.case.model, self.case.model, fit.members, fit.betas, None, self.ctx.all_ranges
         ).elements(self.case.model.mass)[2]
-        slow = ("hysteresis", "pinching", "degradation")
+        slow = having(lambda e: e.many_springs)
         return not any(m.name in slow or not m.effect.sensor for m, _ in rest) and not any(
             n in slow for n in fit.names
         )
@@ -184,10 +185,7 @@ class Body:
     def _sharp(self, fit: Fit) -> Fit | None:
         """Return a set with the step of its dry friction sharp; None where it has none."""
         width = SHARP * self.ctx.v_range
-        members = tuple(
-            replace(m, trial=Trial((width,))) if m.name == "coulomb" and m.trial.theta else m
-            for m in fit.members
-        )
+        members = tuple(replace(m, trial=m.effect.sharp(m.trial, width)) for m in fit.members)
         return replace(fit, members=members) if members != fit.members else None
 
     def _known(self, problem: Problem, fit: Fit) -> Floats:
@@ -305,7 +303,7 @@ class Body:
     def _nuisance(self, problem: Problem, best: Model, loose: Floats) -> Floats:
         """Return what a model, and what is loose in units of its priors, come to as nuisance."""
         base = self.case.model
-        moved = {"stiffness": best.k / base.k - 1.0, "viscous": best.c - base.c}
+        moved = {of_number("k"): best.k / base.k - 1.0, of_number("c"): best.c - base.c}
         for (name, _, _), q in zip(self.loose, loose, strict=True):
             moved[name] = float(q) * self.units.get(name, 1.0)
         return np.array([moved.get(n.name, 0.0) for n in problem.nuisances])
@@ -319,7 +317,7 @@ def _as_effects(problem: Problem, fit: Fit) -> Fit:
     betas, nuisance, chi2 = list(fit.betas), fit.nuisance.copy(), fit.chi2
     names = [m.name for m in fit.members]
     for j, n in enumerate(problem.nuisances):
-        if n.sigma is not None and n.name in names and n.name in ("stiffness", "viscous"):
+        if n.sigma is not None and n.name in names and n.number in ("k", "c"):
             i = names.index(n.name)
             betas[i] = betas[i] + nuisance[j]
             chi2 -= (float(nuisance[j]) / n.sigma) ** 2
@@ -329,10 +327,9 @@ def _as_effects(problem: Problem, fit: Fit) -> Fit:
 
 def _with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-        if nuisance.name == "stiffness":
-            model = replace(model, k=model.k * (1.0 + float(b)))
-        elif nuisance.name == "viscous" and model.c + float(b) > 0.0:
-            model = replace(model, c=model.c + float(b))
+        # A mass is not stated where it is nuisance, and a dashpot that pushes makes motion run off.
+        if nuisance.number == "k" or (nuisance.number == "c" and model.c + float(b) > 0.0):
+            model = nuisance.moves(model, float(b))
     return model
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.engine import Diagnosis, intervals
 from rthyb_rt.diagnose.select import columns_of, leaning
@@ -47,10 +48,6 @@ GREYS = ["#e2e2dd", "#c4c4be", "#9d9d97", "#6f6f6a"]
 """Few rows in a cell to many."""
 RIVALS = 2
 """Laws drawn beside the one that is named."""
-OTHER = {
-    "inertia": "a", "time_skew": "rate", "crosstalk": "fy", "bias": "t", "drift": "t",
-}  # fmt: skip
-"""What a law is a line over where that is neither displacement nor velocity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +280,8 @@ def draw_laws(d: Diagnosis) -> list[Plate]:
 
 def _own(part: Part) -> str:
     """Return what an effect follows where that is neither displacement nor velocity."""
-    return OTHER.get(part.names[0], "") if len(part.names) == 1 else ""
+    law = effects.catalogue().get(part.names[0]) if len(part.names) == 1 else None
+    return law.over if law is not None else ""
 
 
 def line_share(signal: Floats, x: Floats) -> float:

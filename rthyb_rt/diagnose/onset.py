@@ -46,6 +46,7 @@ class Late(Effect):
         self.pinned = effect.pinned
         self.sensor = effect.sensor
         self.carries = effect.carries
+        self.zero, self.foretold, self.needs = effect.zero, effect.foretold, effect.needs
         self.equation = f"{effect.equation}, from t0 on"
         self.fingerprint = f"{effect.fingerprint}, from a moment on"
         self.shown_by = effect.shown_by
@@ -82,6 +83,10 @@ class Late(Effect):
         """Return the effect's own law."""
         start = float(ctx.t[0]) + trial.theta[-1]
         return f"{self.effect.form(ctx, self.inner(trial))}, from {start:.5g} s on"
+
+    def holds_n_per_m(self, ctx: Context, trial: Trial, beta: Floats) -> float:
+        """Return the effect's own stiffness."""
+        return self.effect.holds_n_per_m(ctx, self.inner(trial), beta)
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return the effect's own judgement."""

@@ -65,9 +65,9 @@ class Augmented:
 
         def there(member: Member) -> bool:
             # The phase of a hum in another recording is not known.
-            if member.effect.sensor and (not sensor or member.name == "hum"):
+            if member.effect.sensor and not (sensor and member.effect.foretold):
                 return False
-            return member.name != "crosstalk" or "fy_meas" in other
+            return not member.effect.needs or member.effect.needs in other
 
         shown = [(m, b) for m, b in zip(self.members, self.betas, strict=True) if there(m)]
         for (_, beta), columns in zip(shown, columns_of(ctx, [m for m, _ in shown]), strict=True):
@@ -97,7 +97,7 @@ class Augmented:
             if added is not None and beside + mass + added > 0.0:
                 mass += added
                 continue
-            if not member.effect.sensor and member.name not in ("pinching", "degradation"):
+            if not member.effect.sensor and not member.effect.replaces_spring:
                 own = member.effect.elements(ctx, member.trial, beta)
             if own is None:
                 rest.append((member, beta))

@@ -37,7 +37,7 @@ class Witness:
         nuisance: mass, offset in time, zero of the accelerometer and how it wanders; (n, 4).
         priors: one over the variance of the coefficient of each; 0: free.
         sigma_n: noise of the sum, N.
-        filter: takes the band.
+        denoise: takes the band.
     """
 
     ctx: Context
@@ -46,7 +46,7 @@ class Witness:
     nuisance: Floats
     priors: Floats
     sigma_n: float
-    filter: estimate.Filter
+    denoise: estimate.Denoiser
 
     def left(self, fit: Fit) -> Floats:
         """Return what a set leaves unexplained of the sum, in units of the noise, and priors."""
@@ -54,12 +54,12 @@ class Witness:
 
     def beside(self, columns: Sequence[Floats]) -> Floats:
         """Return what errors of the load cell of free size, each (n,), leave of the sum."""
-        more = np.column_stack([self.filter(c) for c in columns])
+        more = np.column_stack([self.denoise(c) for c in columns])
         priors = np.concatenate([self.priors, np.zeros(len(columns))])
         return self._solved(self.rest, np.column_stack([self.nuisance, more]), priors)
 
     def _solved(self, off: Floats, columns: Floats, priors: Floats) -> Floats:
-        y = self.filter(off)[self.rows] / self.sigma_n
+        y = self.denoise(off)[self.rows] / self.sigma_n
         design = columns[self.rows] / self.sigma_n
         size = np.sqrt(np.maximum(np.mean(design**2, axis=0), 1e-300))
         design = np.vstack([design / size, np.diag(np.sqrt(priors) / size)])

@@ -16,12 +16,12 @@ import numpy as np
 from rthyb_rt import core, experiment
 from rthyb_rt.diagnose import augment, estimate
 from rthyb_rt.diagnose.case import Case, Floats
-from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.effects.sensor import shifted
 from rthyb_rt.diagnose.freebody import Body, Loose, _with_nuisance
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.select import Fit, Member, Problem
+from rthyb_rt.diagnose.select import Fit, Problem
 from rthyb_rt.diagnose.simulate import Motion, SimulationError
 
 RUNS = 700
@@ -124,8 +124,9 @@ def along(model: Augmented, case: Case, other: dict[str, Floats]) -> tuple[Float
     """
     if model.base.rig is None or model.actuator is not None or "x_cmd" not in other:
         return None
-    sensors = {m.name for m in model.members if m.effect.sensor}
-    if not set(augment.specimen(model).lost) <= sensors - {"hum", "crosstalk"}:
+    sensors = [m for m in model.members if m.effect.sensor]
+    known = {m.name for m in sensors if m.effect.foretold and not m.effect.needs}
+    if not set(augment.specimen(model).lost) <= known:
         return None
     try:
         rig = core.Rig(config_of(model))
@@ -194,20 +195,10 @@ class RigBody(Body):
     def _smooth(self, fit: Fit) -> Fit:
         """Return a set whose dry contacts have a step over velocity, as the rig's friction has."""
         least = SMOOTH * self.ctx.v_range
-
-        def smooth(member: Member) -> Member:
-            theta = member.trial.theta
-            if member.name == "coulomb":
-                old = theta[0] if theta and not member.trial.variant else least
-                return replace(member, trial=Trial((max(old, least),)))
-            if member.name == "stribeck":
-                old = theta[1] if not member.trial.variant else least
-                return replace(member, trial=Trial((theta[0], max(old, least))))
-            return member
-
         if any(m.effect.complete for m in fit.members):
             return fit
-        return replace(fit, members=tuple(smooth(m) for m in fit.members))
+        members = [replace(m, trial=m.effect.rounded(m.trial, least)) for m in fit.members]
+        return replace(fit, members=tuple(members))
 
     def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
         """Return recording less simulation in units of the noise, force and then displacement."""

@@ -18,20 +18,10 @@ from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import Diagnosis, Displacement
 from rthyb_rt.diagnose.policy import POLICY, of_size
-from rthyb_rt.diagnose.select import Dictionary, Fit, Problem, price
+from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Problem, price
 from rthyb_rt.diagnose.words import called, quantity, value_text
 
 Fate = Literal["named", "as good", "lost", "refused"]
-
-NUISANCE: dict[str, tuple[str, str]] = {
-    "stiffness": ("stiffness", ""),
-    "viscous": ("damping", "N s/m"),
-    "inertia": ("moving mass", "kg"),
-    "bias": ("zero of the load cell", "N"),
-    "blur": ("mass", "kg"),
-    "skew": ("time offset", "s"),
-}
-"""What may move without being a finding: in words, and the unit of how far."""
 
 
 @dataclass(frozen=True)
@@ -536,11 +526,12 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
         )
     fit = search.best if search.best.members and d.verdict != "unknown" else search.null
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-        word, _ = NUISANCE.get(nuisance.name, (nuisance.name, ""))
         held = "free, no tolerance stated"
         if nuisance.sigma:
-            held = f"{_moved(nuisance.name, nuisance.sigma)} stated"
-        rows.append((f"tolerance, {word}", f"moved by {_moved(nuisance.name, float(b))}; {held}"))
+            held = f"{_moved(nuisance, nuisance.sigma)} stated"
+        rows.append(
+            (f"tolerance, {nuisance.plain}", f"moved by {_moved(nuisance, float(b))}; {held}")
+        )
     known = redundant.witness(d.case, problem.ctx, found)
     if known is not None:
         before, after = (float(np.mean(known.left(f) ** 2)) for f in (search.null, fit))
@@ -560,7 +551,7 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
     return rows
 
 
-def _moved(name: str, value: float) -> str:
-    if name == "stiffness":
+def _moved(nuisance: Nuisance, value: float) -> str:
+    if nuisance.unit == "%":
         return f"{100.0 * value:.2f} %".replace("-", "−")
-    return quantity(value, NUISANCE.get(name, ("", ""))[1])
+    return quantity(value, nuisance.unit)

@@ -8,6 +8,7 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+from rthyb_rt.diagnose.effects.friction import Lugre, Viscous
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import iwan
 
@@ -84,6 +85,11 @@ class Hysteresis(Effect):
     params = (Param("xy_m", "m", 1e-9, 10.0), Param("alpha", "", -1.0, 1.0))
     equation = "f = k (alpha x + (1 - alpha) z) instead of k x"
     fingerprint = "loops over displacement that do not depend on rate"
+    static = True
+    slides = True
+    many_springs = True
+    of_spring = "alpha"
+    also = Lugre.name
     yields = True
     shown_by = LARGE
     signs = "+"
@@ -183,6 +189,11 @@ class Hysteresis(Effect):
         alpha = 1.0 - share if not ctx.k_free else ctx.model.k / (ctx.model.k + share * ctx.k_scale)
         return {"xy_m": trial.theta[0], "alpha": alpha}
 
+    def like(self, trial: Trial) -> Trial:
+        """Return the loop whose way to slipping has the form of some bristles'."""
+        form = {"dahl": "bw1", "slips": "bw1"}.get(trial.variant, "iwan0")
+        return Trial(trial.theta[:1], form)
+
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the loop by the names of those who wrote it down."""
         shape = trial.variant.rstrip("+")
@@ -267,6 +278,10 @@ class Pinching(Effect):
     params = (Param("depth", "", 0.0, 1.0), Param("width_ratio", "", 0.0, 10.0))
     equation = "the loop's force times 1 - depth exp(-(x / width)^2)"
     fingerprint = "force is missing around zero displacement, in both directions"
+    static = True
+    many_springs = True
+    replaces_spring = True
+    of_spring = "depth"
     shown_by = LARGE
     signs = "+"
 
@@ -373,6 +388,10 @@ class Degradation(Effect):
     params = (Param("loss", "", 0.0, 1.0), Param("travel_m", "m", 1e-9, 1e6))
     equation = "the loop's force times 1 - loss (1 - exp(-travel / travel_m))"
     fingerprint = "residual in phase with displacement that grows during the test"
+    static = True
+    many_springs = True
+    replaces_spring = True
+    of_spring = "loss"
     shown_by = LARGE
     begins = False
     signs = "+"
@@ -451,6 +470,7 @@ class WornColumn(Effect):
     )
     equation = "a loop in series with a slip-lock spring, worn by amplitude and energy"
     fingerprint = "loops that grow flatter and slacker around zero from cycle to cycle"
+    static = True
     shown_by = LARGE
     signs = "+"
     complete = True
@@ -558,6 +578,9 @@ class Maxwell(Effect):
     params = (Param("km_N_m", "N/m", 0.0, 1e12), Param("tau_s", "s", 1e-4, 1e4))
     equation = "f' + f / tau = km v"
     fingerprint = "a dashpot at low frequency that turns into a spring at high"
+    relaxes = True
+    plainer = Viscous.name
+    slow_as = Viscous.name
     shown_by = ("sweep", "its force turns from velocity to displacement around 1 / (2 pi tau)")
     signs = "+"
 

@@ -19,6 +19,8 @@ class Inertia(Effect):
     params = (Param("m_kg", "kg", -1e7, 1e7),)
     equation = "f = m a"
     fingerprint = "residual is a straight line over acceleration, growing with frequency squared"
+    number = "moving_mass"
+    over = "a"
     shown_by = ("sweep", "a mass's force grows with the square of frequency")
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:

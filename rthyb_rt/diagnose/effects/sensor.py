@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+from rthyb_rt.diagnose.effects.friction import Viscous
 from rthyb_rt.diagnose.policy import POLICY
 
 SKEW_TOLERANCE_S = 1e-4
@@ -85,6 +86,10 @@ class Bias(Effect):
     params = (Param("bias_N", "N", -1e8, 1e8),)
     equation = "f_meas = f + bias"
     fingerprint = "residual is a constant"
+    static = True
+    zero = True
+    on_body = ("forced", "ground")
+    over = "t"
     shown_by = ("multi_amplitude", "a constant stays where amplitude goes to zero")
     sensor = True
 
@@ -102,6 +107,10 @@ class Drift(Effect):
     params = (Param("rate_N_s", "N/s", -1e8, 1e8),)
     equation = "f_meas = f + rate t"
     fingerprint = "residual is a straight line over time"
+    static = True
+    wanders = True
+    on_body = ("forced",)
+    over = "t"
     shown_by = ("multi_amplitude", "a drift goes on where nothing moves")
     sensor = True
 
@@ -123,6 +132,7 @@ class Hum(Effect):
     params = (Param("f_Hz", "Hz", 0.1, 1e4), Param("amp_N", "N", 0.0, 1e8))
     equation = "f_meas = f + amp sin(2 pi f t + phase)"
     fingerprint = "a single line in the residual's spectrum that is none of the motion's"
+    foretold = False
     shown_by = ("sweep", "a line that stays while the motion's frequency moves")
     sensor = True
     signs = "**"
@@ -191,6 +201,8 @@ class TimeSkew(Effect):
     params = (Param("skew_s", "s", -0.1, 0.1),)
     equation = "f_meas(t) = f(t - skew)"
     fingerprint = "residual is a straight line over the rate of the force"
+    slow_as = Viscous.name
+    over = "rate"
     shown_by = ("sweep", "a skew turns with frequency what a dashpot does not")
     sensor = True
     carries = True
@@ -276,6 +288,8 @@ class Crosstalk(Effect):
     params = (Param("ratio", "", -1.0, 1.0),)
     equation = "f_meas = f + ratio fy"
     fingerprint = "residual follows the orthogonal force"
+    needs = "fy_meas"
+    over = "fy"
     shown_by = ("random", "an orthogonal force that is independent of this one tells them apart")
     sensor = True
     _kept: tuple[Context, Floats] | None = None

@@ -25,6 +25,8 @@ class Stiffness(Effect):
     params = (Param("dk_ratio", "", -1.0, 10.0),)
     equation = "f = dk_ratio k x"
     fingerprint = "a straight line over displacement, the same at every frequency"
+    number = "k"
+    static = True
     elastic = True
     shown_by = ("sweep", "stiffness stays the same over frequency, mass does not")
 
@@ -84,6 +86,7 @@ class Cubic(Effect):
     params = (Param("k3_N_m3", "N/m^3", -1e15, 1e15),)
     equation = "f = k3 x^3, or k [L sin(x / L) - x], or k x |x / x0|^(n - 1)"
     fingerprint = "residual over displacement is an odd cubic, without loop"
+    static = True
     elastic = True
     shown_by = AMPLITUDES
 
@@ -160,6 +163,7 @@ class Quadratic(Effect):
     params = (Param("k2_N_m2", "N/m^2", -1e15, 1e15),)
     equation = "f = k2 x^2"
     fingerprint = "residual over displacement is an even parabola"
+    static = True
     elastic = True
     shown_by = AMPLITUDES
 
@@ -181,6 +185,8 @@ class Gap(Effect):
     params = (Param("gap_m", "m", 1e-9, 1.0),)
     equation = "spring force at x beyond +-gap (dead band), or behind a play of +-gap"
     fingerprint = "force is missing around zero (dead band) or after each reversal (play)"
+    static = True
+    of_spring = "gap_m"
     shown_by = ("multi_amplitude", "a gap takes the same displacement at every amplitude")
     signs = "+"
     pinned = (0.03,)
@@ -251,6 +257,7 @@ class Stopper(Effect):
     params = (Param("ks_N_m", "N/m", 0.0, 1e12), Param("xs_m", "m", 0.0, 10.0))
     equation = "f = ks (|x| - xs) sgn(x) where |x| > xs"
     fingerprint = "residual only beyond a displacement, growing from there"
+    static = True
     shown_by = ("multi_amplitude", "a stop is met at large amplitude only")
     signs = "+"
 
