@@ -34,7 +34,7 @@ from validate import second
 from validate.proof import PROGRAM, ROOT, digest
 
 FACTORS = (0.7, 1.4)
-KINDS = ("single", "pair", "null", "cancel", "unknown", "ambiguous")
+KINDS = ("single", "null", "pair", "unknown", "ambiguous", "cancel")
 Value = float | int | tuple[float, ...]
 Answer = dict[str, Any]
 Moves = dict[str, dict[str, Answer]]
@@ -86,9 +86,7 @@ class Tried(Policy):
 _NOTHING = '{"verdict": "failed", "error": "no answer"}'
 
 
-def tried(
-    ask: Callable[[], Answer], names: set[str]
-) -> tuple[Answer, dict[str, dict[str, Answer]]]:
+def tried(ask: Callable[[], Answer], names: set[str]) -> tuple[Answer, Moves]:
     """An answer with the table as it is, and those with each entry moved that it has read."""
     Tried.waiting, Tried.found = set(names), {}
     object.__setattr__(POLICY, "__class__", Tried)
@@ -144,7 +142,7 @@ def compared(folder: Path, what: str) -> dict[str, Any]:
         name: {
             factor: {
                 "changed": decided(now) != decided(plain), "right": judged(now),
-                "same": now == plain, "verdict": now["verdict"],
+                "same": json.dumps(now) == json.dumps(plain), "verdict": now["verdict"],
             }
             for factor, now in answers.items()
         }
