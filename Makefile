@@ -23,7 +23,7 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: help run install reproduce test test-vm test-systemd test-live soak sanitize fuzz fuzz-station \
-        tsan proof validate-diagnosis validate-diagnosis-short bench lint clean
+        tsan proof validate-diagnosis validate-diagnosis-short validate-policy bench lint clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
@@ -41,6 +41,7 @@ help:
 	@echo 'make soak       a service for five minutes, and nothing that grows (SECONDS=300)'
 	@echo 'make validate-diagnosis  the diagnosis on cases that it has not seen, into docs (COUNT=60, SEED=)'
 	@echo 'make validate-diagnosis-short  a fixed few of them, held against that page; two minutes'
+	@echo 'make validate-policy  each threshold of the diagnosis moved, into docs; minutes a case (COUNT=10)'
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
 	@echo 'make clean      remove .venv, build and caches; runs/ stays'
@@ -159,6 +160,12 @@ validate-diagnosis: $(TEST_READY)
 
 validate-diagnosis-short: $(TEST_READY)
 	@$(PROOF) --short
+
+# Minutes a case, one processor. What was stopped goes on at its case: build/policy.
+validate-policy: $(TEST_READY)
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/validate/sensitivity.py \
+	    $(if $(filter command line,$(origin COUNT)),--count $(COUNT)) \
+	    $(if $(filter command line,$(origin SEED)),--seed $(SEED)) --page docs/diagnosis-policy.md
 
 # clang and its run-time library (Debian: clang, libclang-rt-14-dev) are asked for here only. What was
 # found stays in build/fuzz and is where the next run begins.

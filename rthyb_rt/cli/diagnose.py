@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,87 +22,126 @@ if TYPE_CHECKING:
 
 MISMATCH = 8
 
+RecordingArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RECORDING",
+        help="CSV file, or folder or recording.h5 of a run.",
+        show_default=False,
+    ),
+]
+ModelOption = Annotated[
+    str,
+    typer.Option(
+        "--model",
+        metavar="MODEL.toml",
+        show_default=False,
+        help="What the lab believes: a baseline file (rthyb-baseline/1), a rig or a test file, "
+        "or the name of a shipped rig.",
+    ),
+]
+MapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map",
+        metavar='CHANNEL="COLUMN [UNIT]"',
+        show_default=False,
+        help="Which column of a CSV file is a channel, its unit, and a minus before it for "
+        "the other sign; or a mapping file. Can be repeated.",
+    ),
+]
+HeldoutOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        show_default=False,
+        help="A second recording, to judge the answer by.",
+    ),
+]
+PredictOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        show_default=False,
+        help="Inputs of a second recording; its force and displacement go to --out.",
+    ),
+]
+OutOption = Annotated[
+    Path | None,
+    typer.Option(metavar="PRED.csv", help="Where the prediction goes.", show_default=False),
+]
+ReportOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        show_default=False,
+        help="Write report.html, diagnosis.json and augmented.toml there.",
+    ),
+]
+SelfCheckOption = Annotated[
+    bool,
+    typer.Option(
+        "--self-check",
+        help="Hide a known effect in this very recording and see whether it is found again.",
+    ),
+]
+EffectOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--effect",
+        metavar="FILE.py",
+        show_default=False,
+        help="Python file that registers an effect of your own; more than one may be given.",
+    ),
+]
+WhyOption = Annotated[
+    bool,
+    typer.Option(
+        "--why",
+        help="Say what every set of effects brought and why it lost, and what all rests on.",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What a call asks for.
+
+    Attributes:
+        second: a recording that the answer is judged by.
+        wanted: inputs that are to be predicted.
+        report: whether a page is written, which holds the ledger.
+    """
+
+    case: Case
+    second: Case | None
+    wanted: Case | None
+    self_check: bool
+    why: bool
+    report: bool
+
+
+@dataclass(frozen=True)
+class _Answered:
+    """What came of it: the diagnosis, what follows from it, the self-check, the ledger."""
+
+    found: Diagnosis
+    outcome: Outcome
+    checks: list[dict[str, Any]] | None
+    reasons: dict[str, Any]
+
 
 def diagnose(
-    recording: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RECORDING",
-            help="CSV file, or folder or recording.h5 of a run.",
-            show_default=False,
-        ),
-    ],
-    model: Annotated[
-        str,
-        typer.Option(
-            "--model",
-            metavar="MODEL.toml",
-            show_default=False,
-            help="What the lab believes: a baseline file (rthyb-baseline/1), a rig or a test file, "
-            "or the name of a shipped rig.",
-        ),
-    ],
-    columns: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--map",
-            metavar='CHANNEL="COLUMN [UNIT]"',
-            show_default=False,
-            help="Which column of a CSV file is a channel, its unit, and a minus before it for "
-            "the other sign; or a mapping file. Can be repeated.",
-        ),
-    ] = None,
-    heldout: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            show_default=False,
-            help="A second recording, to judge the answer by.",
-        ),
-    ] = None,
-    predict: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            show_default=False,
-            help="Inputs of a second recording; its force and displacement go to --out.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="PRED.csv", help="Where the prediction goes.", show_default=False),
-    ] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            show_default=False,
-            help="Write report.html, diagnosis.json and augmented.toml there.",
-        ),
-    ] = None,
-    self_check: Annotated[
-        bool,
-        typer.Option(
-            "--self-check",
-            help="Hide a known effect in this very recording and see whether it is found again.",
-        ),
-    ] = False,
-    effect: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--effect",
-            metavar="FILE.py",
-            show_default=False,
-            help="Python file that registers an effect of your own; more than one may be given.",
-        ),
-    ] = None,
-    why: Annotated[
-        bool,
-        typer.Option(
-            "--why",
-            help="Say what every set of effects brought and why it lost, and what all rests on.",
-        ),
-    ] = False,
+    recording: RecordingArgument,
+    model: ModelOption,
+    columns: MapOption = None,
+    heldout: HeldoutOption = None,
+    predict: PredictOption = None,
+    out: OutOption = None,
+    report: ReportOption = None,
+    self_check: SelfCheckOption = False,
+    effect: EffectOption = None,
+    why: WhyOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Say what physics a model leaves out, and where.
@@ -121,8 +161,7 @@ def diagnose(
     """
     # Its products are long and narrow: shared between cores they take four times as long.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from rthyb_rt.diagnose import effects, engine, mapping, reading
-    from rthyb_rt.diagnose.outcome import finish
+    from rthyb_rt.diagnose import effects, mapping, reading
 
     if (predict is None) != (out is None):
         raise typer.BadParameter("--predict and --out belong together", param_hint="--predict")
@@ -132,16 +171,32 @@ def diagnose(
         effects.load(path)
     wishes = mapping.read_wishes(columns or ())
     model_path = reading.find_model(model)
-    lab = reading.read_model(model_path)
-    case = reading.read_case(recording, lab, wishes=wishes)
+    case = reading.read_case(recording, reading.read_model(model_path), wishes=wishes)
     _say(case.notes)
-    second = _second(heldout, case, wishes) if heldout else None
-    if second is not None and not second.channels.keys() & {"x_meas", "f_meas"}:
-        raise InputError(
-            f"{heldout}: holds no x_meas, fx_meas or fy_meas that the model could be held against; "
-            "a recording of the commands alone goes to --predict"
-        )
+    second = _judge(heldout, case, wishes) if heldout else None
     wanted = _second(predict, case, wishes) if predict else None
+    done = _answered(_Asked(case, second, wanted, self_check, why, report is not None))
+    found, outcome = done.found, done.outcome
+    if out is not None and outcome.prediction is not None:
+        _write_prediction(out, outcome.prediction)
+        interrupts.wrote(out)
+    if report is not None:
+        _write_report(report, done, model_path)
+    answer = outcome.answer | ({"self_check": done.checks} if done.checks is not None else {})
+    if why:
+        answer["why"] = done.reasons
+    _tell(found, answer, terminal.people(as_json), outcome)
+    if as_json:
+        terminal.print_json(answer)
+    if found.verdict != "none":
+        raise typer.Exit(MISMATCH)
+
+
+def _answered(asked: _Asked) -> _Answered:
+    """Diagnose, and do what else was asked for, with a bar for those who wait."""
+    from rthyb_rt.diagnose import engine
+    from rthyb_rt.diagnose.outcome import finish
+
     with terminal.sections("Diagnosing") as bar:
         done = [0]
 
@@ -149,31 +204,27 @@ def diagnose(
             done[0] += 1
             bar(min(done[0], 39), 40, part)
 
-        found = engine.diagnose(case, step)
+        found = engine.diagnose(asked.case, step)
         step("held out")
-        outcome = finish(found, second, wanted)
+        outcome = finish(found, asked.second, asked.wanted)
         checks = None
-        if self_check:
-            from rthyb_rt.diagnose.power import self_check as check
+        if asked.self_check:
+            from rthyb_rt.diagnose.power import self_check
 
-            checks = check(found, step)
-        reasons = _reasons(found, step) if why or report is not None else {}
-    if out is not None and outcome.prediction is not None:
-        _write_prediction(out, outcome.prediction)
-        interrupts.wrote(out)
-    answer = outcome.answer | ({"self_check": checks} if checks is not None else {})
-    if why:
-        answer["why"] = reasons
-    if report is not None:
-        from rthyb_rt.diagnose.page import write_report
+            checks = self_check(found, step)
+        reasons = _reasons(found, step) if asked.why or asked.report else {}
+    return _Answered(found, outcome, checks, reasons)
 
-        for path in write_report(report, found, outcome, checks, model_path, reasons):
-            interrupts.wrote(path)
-    _tell(found, answer, terminal.people(as_json), outcome)
-    if as_json:
-        terminal.print_json(answer)
-    if found.verdict != "none":
-        raise typer.Exit(MISMATCH)
+
+def _judge(path: Path, case: Case, wishes: list[Wish]) -> Case:
+    """Return a second recording that the answer can be judged by."""
+    second = _second(path, case, wishes)
+    if not second.channels.keys() & {"x_meas", "f_meas"}:
+        raise InputError(
+            f"{path}: holds no x_meas, fx_meas or fy_meas that the model could be held against; "
+            "a recording of the commands alone goes to --predict"
+        )
+    return second
 
 
 def _second(path: Path, case: Case, wishes: list[Wish]) -> Case:
@@ -200,6 +251,13 @@ def _writable(folder: Path) -> None:
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
         why = "may not be written to" if there.is_dir() else "is a file and no folder"
         raise RthybError(f"{why}; give --report another folder", where=str(there))
+
+
+def _write_report(folder: Path, done: _Answered, model: Path) -> None:
+    from rthyb_rt.diagnose.page import write_report
+
+    for path in write_report(folder, done.found, done.outcome, done.checks, model, done.reasons):
+        interrupts.wrote(path)
 
 
 def _write_prediction(path: Path, prediction: Any) -> None:

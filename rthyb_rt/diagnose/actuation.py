@@ -17,11 +17,12 @@ from rthyb_rt.diagnose.estimate import (
     Whitener,
     away_from_gaps,
     filled,
-    likelihood,
+    likeliest,
     noise_of,
 )
 from rthyb_rt.diagnose.noise import TRIED
-from rthyb_rt.diagnose.select import SKEW_PRIOR_S, inflation, penalty
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.select import inflation, penalty
 from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, actuator
 
 
@@ -30,7 +31,11 @@ class ActuatorEffect:
     """A parameter, or two, of the actuator's model that may be wrong.
 
     Attributes:
+        plain, phrase: as a laboratory calls it, and the same with its size; see `effects.Effect`.
+        log: its numbers are positive, and fitted by their logarithms.
         late: from a moment in mid-record on only; up to then the model has it right.
+        limit: it does nothing where it is not met, and has no slope there.
+        in_rig_file: a rig file's actuator can hold it.
     """
 
     name: str
@@ -39,8 +44,16 @@ class ActuatorEffect:
     equation: str
     fingerprint: str
     shown_by: tuple[str, str]
+    plain: str
+    phrase: str
     log: bool = True
     late: bool = False
+    limit: bool = False
+    in_rig_file: bool = True
+
+    def acts(self, model: ActuatorModel) -> bool:
+        """Return whether a model, in which 0 stands for none of it, has any of it."""
+        return any(getattr(model, name) != 0.0 for name in self.fields)
 
     @property
     def count(self) -> int:
@@ -77,28 +90,36 @@ CATALOGUE: tuple[ActuatorEffect, ...] = (
     ActuatorEffect(
         "delay", (Param("dtau_s", "s", -1.0, 1.0),), ("delay_s",), "x(t) = x0(t - dtau)",
         "displacement residual is a straight line over velocity",
-        ("sweep", "a delay's phase grows with frequency without a change of amplitude"), False,
+        ("sweep", "a delay's phase grows with frequency without a change of amplitude"),
+        "a delay of the actuator", "{dtau_s} {dtau_s:less|more} delay of the actuator", False,
     ),
     ActuatorEffect(
         "delay_rate", (Param("kappa_s2_m", "s^2/m", -10.0, 10.0),), ("kappa_s2_m",),
         "delay + kappa |v|", "displacement residual grows with the square of velocity",
-        ("multi_amplitude", "a delay that grows with velocity differs between amplitudes"), False,
+        ("multi_amplitude", "a delay that grows with velocity differs between amplitudes"),
+        "a delay that grows with velocity", "a delay that grows with velocity by {kappa_s2_m}",
+        False, in_rig_file=False,
     ),
     ActuatorEffect(
         "act_gain", (Param("gain", "", 0.01, 100.0),), ("gain",), "x = gain x0",
         "displacement residual is a straight line over displacement",
         ("sweep", "a gain is the same at every frequency"),
+        "a gain error of the actuator", "an actuator that goes {gain:4} times as far",
     ),
     ActuatorEffect(
         "oil_column", (Param("f_Hz", "Hz", 0.1, 1e5), Param("zeta", "", 1e-3, 1e3)),
         ("f_hz", "zeta"), "x'' + 2 zeta w x' + w^2 x = w^2 u",
         "displacement residual grows with acceleration as well as velocity",
         ("sweep", "the corner of a second-order lag shows where frequency passes it"),
+        "another second-order lag of the actuator",
+        "an actuator with {f_Hz} and a damping ratio of {zeta:3}",
     ),
     ActuatorEffect(
         "rate_limit", (Param("vmax_m_s", "m/s", 1e-6, 100.0),), ("vmax_m_s",), "|v| <= vmax",
         "displacement lags only where velocity is large",
         ("multi_amplitude", "a limit of velocity is met at large amplitude only"),
+        "a velocity limit of the actuator", "an actuator that is no faster than {vmax_m_s}",
+        limit=True, in_rig_file=False,
     ),
 )  # fmt: skip
 
@@ -108,18 +129,12 @@ MASK_S = 0.4
 STEPS = 12
 ZEROS = 10
 """Parts of a recording whose displacement may have a zero of its own."""
-AT_NOISE = 0.05
-"""Misfit beyond noise, in units of the noise, that the estimate of the noise may be wrong by."""
-CHANCE = 1.5
-"""Standard deviations of chi-squared by which it lies beyond the noise by chance."""
 ROW = "row"
 """The field that stands for when an effect begins."""
 LAGS = {"delay", "oil_column"}
 """Effects whose lag a slow motion does not tell apart."""
 TRADES = (1.4, 2.0, 2.8, 4.0)
 """Factors of an oil column's frequency to begin with beside a delay."""
-SHIFT_MAX_S = 1.5e-4
-"""Time offset that is still nuisance: against a large effect its prior alone would give way."""
 
 
 Before = tuple[float, ActuatorModel] | None
@@ -155,7 +170,7 @@ class ActuatorFit:
 
     def misfit(self, scale: float) -> float:
         """Return chi-squared with the rows' share scaled down; the prior's is not."""
-        prior = (self.model.shift_s / SKEW_PRIOR_S) ** 2
+        prior = (self.model.shift_s / POLICY.offset_prior_s) ** 2
         return (self.chi2 - prior) / scale + prior
 
 
@@ -213,14 +228,9 @@ class Actuation:
         judged = np.zeros(self.x.size, dtype=np.bool_)
         judged[self.rows] = True
 
-        def told(fit: ActuatorFit) -> tuple[float, Whitener | None]:
-            cost, own = likelihood(
-                self.left(fit), judged, fit.motion.v, self.case.fs_hz, self.sigma,
-                self.case.model.x_std,
-            )  # fmt: skip
-            return cost + self.price(fit), own
-
-        self.own = min((told(f) for f in fits), key=lambda t: t[0])[1]
+        tried = [(self.left(f), f.motion.v, self.price(f)) for f in fits]
+        sheet = self.case.model.x_std
+        self.own = likeliest(tried, judged, self.case.fs_hz, self.sigma, sheet)
         return self.own is not None
 
     def fit(
@@ -273,88 +283,18 @@ class Actuation:
     def _from(
         self, effects: Sequence[ActuatorEffect], settings: dict[str, Any], start: Floats, row: float
     ) -> ActuatorFit | None:
-        fields = [f for e in effects for f in e.fields]
-        logs = [e.log for e in effects for _ in e.fields]
-        if any(e.late for e in effects):  # when they begin, in rows, is fitted as well
-            fields, logs, start = [*fields, ROW], [*logs, False], np.r_[start, row]
-        own_scales = {"delay_s": 1e-3, "kappa_s2_m": 1e-2}
-        scales = np.array([own_scales.get(f, 1.0) for f in fields] + [1e-5])
-
-        def model(p: Floats) -> tuple[ActuatorModel, Before]:
-            values = [
-                float(np.exp(q * s)) if log else float(q * s)
-                for q, s, log in zip(p[:-1], scales[:-1], logs, strict=True)
-            ]
-            at = values.pop() if ROW in fields else 0.0
-            return self.models(effects, settings, values, float(p[-1] * scales[-1]), at)
-
-        # One more row holds the prior of the time offset.
-        def residual(p: Floats) -> Floats:
-            r = self.residual(*model(p))[0]
-            return np.asarray(np.r_[r, p[-1] * scales[-1] / SKEW_PRIOR_S])
-
-        p = (
-            np.r_[[np.log(v) if log else v for v, log in zip(start, logs, strict=True)], 0.0]
-            / scales
-        )
-        try:
-            r = residual(p)
-        except SimulationError:
+        unknown = _Unknown(self, effects, settings, row)
+        found = unknown.least(unknown.first(start))
+        if found is None:
             return None
-        chi2, damping = float(r @ r), 1e-3
-        most = SHIFT_MAX_S / float(scales[-1])
-        jacobian = np.zeros((r.size, p.size))
-        for _ in range(STEPS):
-            for j in range(p.size):
-                step = 1e-3 if j < p.size - 1 else 1e-1
-                moved = p.copy()
-                moved[j] += step
-                try:
-                    jacobian[:, j] = (residual(moved) - r) / step
-                except SimulationError:
-                    jacobian[:, j] = 0.0
-            gram, right = jacobian.T @ jacobian, -jacobian.T @ r
-            better = False
-            gain = 0.0
-            for _ in range(5):
-                damped = gram + np.diag(damping * gram.diagonal() + 1e-9)
-                delta = np.clip(
-                    np.linalg.solve(damped, right),
-                    -1.0 / scales.clip(1e-3),
-                    1.0 / scales.clip(1e-3),
-                )
-                moved = p + delta
-                moved[-1] = np.clip(moved[-1], -most, most)
-                try:
-                    trial = residual(moved)
-                except SimulationError:
-                    damping *= 10.0
-                    continue
-                now = float(trial @ trial)
-                if now < chi2:
-                    gain, chi2, p, r = chi2 - now, now, moved, trial
-                    damping, better = max(damping * 0.2, 1e-9), True
-                    break
-                damping *= 10.0
-            if not better or gain < 1e-5 * chi2 + 0.02:
-                break
-        best, before = model(p)
-        values, j = [], 0
-        for effect in effects:
-            values.append(tuple(float(getattr(best, f)) for f in effect.fields))
-            j += len(effect.fields)
-        gram = jacobian.T @ jacobian
-        inverse = np.linalg.pinv(gram, hermitian=True)
-        chain = np.array(
-            [
-                s * (float(getattr(best, f)) if log else 1.0)
-                for f, s, log in zip(fields, scales, logs, strict=False)
-            ]
-            + [scales[-1]]
-        )
+        p, chi2, jacobian = found
+        best, before = unknown.model(p)
+        values = tuple(tuple(float(getattr(best, f)) for f in e.fields) for e in effects)
+        inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+        chain = unknown.chain(best)
         whole, motion, zero = self.residual(best, before)
         return ActuatorFit(
-            tuple(effects), best, tuple(values), chi2, sum(e.count for e in effects), whole,
+            tuple(effects), best, values, chi2, sum(e.count for e in effects), whole,
             inverse * np.outer(chain, chain), motion, zero, before,
         )  # fmt: skip
 
@@ -379,6 +319,97 @@ class Actuation:
         return penalty(self.ln_n, effect.count)
 
 
+class _Unknown:
+    """The numbers of some effects, scaled for least squares; the last one is the time offset."""
+
+    def __init__(
+        self, task: Actuation, effects: Sequence[ActuatorEffect], settings: dict[str, Any],
+        row: float,
+    ) -> None:  # fmt: skip
+        self.task, self.effects, self.settings, self.row = task, effects, settings, row
+        self.fields = [f for e in effects for f in e.fields]
+        self.logs = [e.log for e in effects for _ in e.fields]
+        if any(e.late for e in effects):  # when they begin, in rows, is fitted as well
+            self.fields, self.logs = [*self.fields, ROW], [*self.logs, False]
+        own_scales = {"delay_s": 1e-3, "kappa_s2_m": 1e-2}
+        self.scales = np.array([own_scales.get(f, 1.0) for f in self.fields] + [1e-5])
+
+    def first(self, start: Floats) -> Floats:
+        """Return the scaled numbers of a start, with no time offset."""
+        if ROW in self.fields:
+            start = np.r_[start, self.row]
+        own = [np.log(v) if log else v for v, log in zip(start, self.logs, strict=True)]
+        return np.asarray(np.r_[own, 0.0] / self.scales)
+
+    def model(self, p: Floats) -> tuple[ActuatorModel, Before]:
+        """Return the actuator that scaled numbers stand for, and what it is up to a row."""
+        values = [
+            float(np.exp(q * s)) if log else float(q * s)
+            for q, s, log in zip(p[:-1], self.scales[:-1], self.logs, strict=True)
+        ]
+        at = values.pop() if ROW in self.fields else 0.0
+        shift_s = float(p[-1] * self.scales[-1])
+        return self.task.models(self.effects, self.settings, values, shift_s, at)
+
+    def residual(self, p: Floats) -> Floats:
+        """Return what is left of the displacement; one more row holds the time offset's prior."""
+        r = self.task.residual(*self.model(p))[0]
+        return np.asarray(np.r_[r, p[-1] * self.scales[-1] / POLICY.offset_prior_s])
+
+    def chain(self, best: ActuatorModel) -> Floats:
+        """Return the slope of each number in its own unit to the scaled one."""
+        own = [
+            s * (float(getattr(best, f)) if log else 1.0)
+            for f, s, log in zip(self.fields, self.scales, self.logs, strict=False)
+        ]
+        return np.array([*own, self.scales[-1]])
+
+    def least(self, p: Floats) -> tuple[Floats, float, Floats] | None:
+        """Return numbers of least squares, chi-squared and slopes; None: it cannot be simulated."""
+        try:
+            r = self.residual(p)
+        except SimulationError:
+            return None
+        chi2, damping = float(r @ r), 1e-3
+        most = POLICY.offset_reach_s / float(self.scales[-1])
+        reach = 1.0 / self.scales.clip(1e-3)
+        jacobian = np.zeros((r.size, p.size))
+        for _ in range(STEPS):
+            self._slopes(p, r, jacobian)
+            gram, right = jacobian.T @ jacobian, -jacobian.T @ r
+            better = False
+            gain = 0.0
+            for _ in range(5):
+                damped = gram + np.diag(damping * gram.diagonal() + 1e-9)
+                moved = p + np.clip(np.linalg.solve(damped, right), -reach, reach)
+                moved[-1] = np.clip(moved[-1], -most, most)
+                try:
+                    trial = self.residual(moved)
+                except SimulationError:
+                    damping *= 10.0
+                    continue
+                now = float(trial @ trial)
+                if now < chi2:
+                    gain, chi2, p, r = chi2 - now, now, moved, trial
+                    damping, better = max(damping * 0.2, 1e-9), True
+                    break
+                damping *= 10.0
+            if not better or gain < 1e-5 * chi2 + 0.02:
+                break
+        return p, chi2, jacobian
+
+    def _slopes(self, p: Floats, r: Floats, jacobian: Floats) -> None:
+        """Put the slopes of the residual to each number into their columns, (rows, numbers)."""
+        for j in range(p.size):
+            step = 1e-3 if j < p.size - 1 else 1e-1
+            moved = p.copy()
+            moved[j] += step
+            try:
+                jacobian[:, j] = (self.residual(moved) - r) / step
+            except SimulationError:
+                jacobian[:, j] = 0.0
+
+
 def _warm(
     task: Actuation, group: Sequence[ActuatorEffect], known: dict[str, ActuatorFit]
 ) -> list[tuple[dict[str, Any], Floats]]:
@@ -400,7 +431,7 @@ def _warm(
             }.get(effect.name, {})
             if effect is lead:
                 values += [float(getattr(fit.model, f)) for f in effect.fields]
-            elif effect.name == "rate_limit":
+            elif effect.limit:
                 values.append(task.v_max)
             else:
                 values += [float(getattr(task.base, f)) for f in effect.fields]
@@ -480,7 +511,11 @@ def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
         # model is known well two that nearly cancel leave little of one another, so that only noise
         # ends the search for a pair; a delay and an oil column may leave less than that.
         stated = size == 2 and task.case.model.k_tol is not None
-        if left < (CHANCE * np.sqrt(2.0 * n) if stated else 0.05 * n + 2e-3 * (null.chi2 - n)):
+        if left < (
+            POLICY.pair_beyond_chance * np.sqrt(2.0 * n)
+            if stated
+            else POLICY.pair_excess * n + POLICY.pair_share * (null.chi2 - n)
+        ):
             if not stated or best.before or best.names[0] not in LAGS:
                 break
             groups = [g for g in groups if {e.name for e in g} == LAGS]

@@ -15,8 +15,9 @@ import numpy as np
 
 from rthyb_rt.diagnose.actuation import CATALOGUE, Actuation, ActuatorEffect, ActuatorFit
 from rthyb_rt.diagnose.case import Floats
-from rthyb_rt.diagnose.onset import PRESENT, SINGLES, SURE, WHITE
-from rthyb_rt.diagnose.select import SKEW_PRIOR_S, inflation
+from rthyb_rt.diagnose.onset import SINGLES
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.select import inflation
 from rthyb_rt.diagnose.simulate import ActuatorModel, SimulationError
 
 BLOCKS = 48
@@ -64,7 +65,7 @@ def propose_beside(task: Actuation, fits: Sequence[ActuatorFit]) -> list[Actuato
 
 
 def _missing(fits: Sequence[ActuatorFit]) -> bool:
-    return inflation(min(fits, key=lambda f: f.chi2).residual) > WHITE
+    return inflation(min(fits, key=lambda f: f.chi2).residual) > POLICY.white_residual
 
 
 def _beside(task: Actuation, base: ActuatorFit) -> list[ActuatorFit]:
@@ -95,7 +96,7 @@ def _promising(task: Actuation, base: ActuatorFit, effect: ActuatorEffect) -> li
         except SimulationError:
             continue
         chi2, row, change = _cut(task, base, columns)
-        start = values if effect.name == "rate_limit" else values + change * _steps(values)
+        start = values if effect.limit else values + change * _steps(values)
         logged = np.maximum(start, 0.3 * values) if effect.log else start
         out.append(_Promise(late, settings, logged, row, chi2))
     return out
@@ -119,7 +120,7 @@ def _columns(
     changed = []
     model = replace(base.model, **settings)
     for name, value, step in zip(effect.fields, values, _steps(values), strict=True):
-        own = value if effect.name == "rate_limit" else getattr(base.model, name) + step
+        own = value if effect.limit else getattr(base.model, name) + step
         moved: dict[str, Any] = {name: float(own)}
         changed.append(task.simulate(replace(model, **moved)).x)
     plain = task.simulate(base.model).x
@@ -133,7 +134,7 @@ def _cut(task: Actuation, base: ActuatorFit, columns: Floats) -> tuple[float, fl
     """
     nuisance = np.column_stack([np.ones(task.rows.size), *_moved_by(task, base)])
     held = nuisance.T @ nuisance
-    held[1, 1] += SKEW_PRIOR_S**-2
+    held[1, 1] += POLICY.offset_prior_s**-2
     # A number that moves nothing here has no column: its own may be all nothing.
     held += np.diag(1e-9 * held.diagonal() + np.where(held.diagonal() > 0.0, 0.0, 1.0))
     y = base.residual
@@ -245,9 +246,9 @@ def _absent_before(task: Actuation, fit: ActuatorFit) -> bool:
     base = np.column_stack([np.ones(task.rows.size), *_moved_by(task, fit)])
     design = np.column_stack([column, base])
     gram = design.T @ design
-    gram[2, 2] += SKEW_PRIOR_S**-2
+    gram[2, 2] += POLICY.offset_prior_s**-2
     size = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
     inverse = np.linalg.pinv(gram / np.outer(size, size), hermitian=True) / np.outer(size, size)
     part = float((inverse @ (design.T @ fit.residual))[0])
     width = float(np.sqrt(inverse[0, 0] * inflation(fit.residual)))
-    return part + SURE * width < PRESENT
+    return part + POLICY.absent_sure * width < POLICY.absent_before

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rthyb_rt import core
+from rthyb_rt.diagnose.actuation import CATALOGUE
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.modulation import Modulated
 from rthyb_rt.diagnose.predict import Augmented
@@ -52,7 +53,7 @@ def specimen(model: Augmented) -> Specimen:
     if base.moving_mass > 0:
         elements.append(core.element("inertia", m_kg=base.moving_mass))
     for member, beta in zip(model.members, model.betas, strict=True):
-        if member.name == "bias":
+        if member.effect.zero:
             bias += float(beta[0])
             continue
         own = None if member.effect.sensor else member.effect.elements(ctx, member.trial, beta)
@@ -67,7 +68,7 @@ def specimen(model: Augmented) -> Specimen:
             elements += own or []
         elif own is None:
             lost.append(member.name)
-        elif member.name in ("pinching", "degradation"):
+        elif member.effect.replaces_spring:
             replaced_spring = own
         else:
             elements += own
@@ -87,14 +88,8 @@ def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]
     made, base = specimen(model), model.model
     elements, bias, lost = made.elements, made.bias_n, list(made.lost)
     lag = model.actuator
-    lost += [
-        word
-        for word, there in (
-            ("delay_rate", lag is not None and lag.kappa_s2_m != 0.0),
-            ("rate_limit", lag is not None and lag.vmax_m_s > 0.0),
-        )
-        if there
-    ]
+    if lag is not None:
+        lost += [e.name for e in CATALOGUE if not e.in_rig_file and e.acts(lag)]
     lines = [f"# {word}: a rig file cannot hold it; see diagnosis.json" for word in lost]
     if base.rig is not None:
         body = _within(base.rig, model, elements, bias, name)

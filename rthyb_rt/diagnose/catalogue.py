@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from rthyb_rt.diagnose import effects
-from rthyb_rt.diagnose.actuation import CATALOGUE
-from rthyb_rt.diagnose.words import PLAIN
+from rthyb_rt.diagnose.actuation import CATALOGUE, ActuatorEffect
+from rthyb_rt.diagnose.effects.base import Effect
+from rthyb_rt.diagnose.effects.sensor import QUANTISATION
+from rthyb_rt.diagnose.words import called
 
 Place = Literal["specimen", "load cell", "actuator"]
 
@@ -160,38 +162,20 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
 )  # fmt: skip
 """Effects that are confused, and what parts them."""
 
-QUANTISATION = Entry(
-    "quantisation", PLAIN["quantisation"], "load cell", ("lsb_N",),
-    "f_meas = lsb round(f / lsb)",
-    "all readings lie on one grid; what is left is a saw tooth of half a step",
-    ("multi_amplitude", "small motion shows the steps one by one"), (),
-)  # fmt: skip
-"""Read off the load cell's readings themselves, so that it is no law of a search."""
-
 
 def entries() -> dict[str, Entry]:
     """Return every effect by name: of the specimen, of the load cell, of the actuator."""
-    laws = effects.catalogue()
-    out = [
-        Entry(
-            e.name, PLAIN.get(e.name, e.name), "load cell" if e.sensor else "specimen",
-            tuple(p.name for p in e.params), e.equation, e.fingerprint, e.shown_by, alike(e.name),
-        )
-        for e in sorted(laws.values(), key=lambda e: e.sensor)
-    ]  # fmt: skip
-    q = QUANTISATION
-    out.append(
-        Entry(q.name, q.plain, q.place, q.params, q.equation, q.fingerprint, q.shown_by,
-              alike(q.name))
-    )  # fmt: skip
-    out += [
-        Entry(
-            a.name, PLAIN.get(a.name, a.name), "actuator", tuple(p.name for p in a.params),
-            a.equation, a.fingerprint, a.shown_by, alike(a.name),
-        )
-        for a in CATALOGUE
-    ]  # fmt: skip
+    laws = sorted(effects.catalogue().values(), key=lambda e: e.sensor)
+    out = [_entry(e, "load cell" if e.sensor else "specimen") for e in (*laws, QUANTISATION)]
+    out += [_entry(a, "actuator") for a in CATALOGUE]
     return {e.name: e for e in out}
+
+
+def _entry(e: Effect | ActuatorEffect, place: Place) -> Entry:
+    return Entry(
+        e.name, called(e.name), place, tuple(p.name for p in e.params), e.equation, e.fingerprint,
+        e.shown_by, alike(e.name),
+    )  # fmt: skip
 
 
 def alike(name: str) -> tuple[tuple[str, str], ...]:

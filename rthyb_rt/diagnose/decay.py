@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from rthyb_rt.diagnose.case import Case, Floats
-from rthyb_rt.diagnose.freebody import Body
+from rthyb_rt.diagnose.freebody import Body, Loose
 from rthyb_rt.diagnose.predict import Augmented
 from rthyb_rt.diagnose.select import Dictionary, Fit, Member, Problem, compatible, solve
 
@@ -39,7 +39,9 @@ class Swing(Body):
 
     linear = False
     largest = 3
-    loose = (("x", 0.4, np.inf), ("v", 0.4, np.inf), ("zero", 0.4, np.inf))
+
+    def _loose(self) -> Loose:
+        return (("x", 0.4, np.inf), ("v", 0.4, np.inf), ("zero", 0.4, np.inf))
 
     def first(self, ranked: Sequence[Fit]) -> list[Fit]:
         """Return the sets of springs and damping alone: what ends most swings."""
@@ -56,13 +58,13 @@ class Swing(Body):
         Laws of damping make up for one another in the balance, down to a dashpot below zero. What
         is begun there is a motion that grows: the others are solved for anew without it.
         """
-        names = [n.name for n in problem.nuisances]
+        numbers = [n.number for n in problem.nuisances]
         c = self.case.model.c
-        at = names.index("viscous") if "viscous" in names else -1
+        at = numbers.index("c") if "c" in numbers else -1
         if at < 0 or fit.scatter is not None or c + float(fit.nuisance[at]) > 0.0:
             return super().refined(problem, fit)
         held = copy(problem)
-        held.nuisances = [n for n in problem.nuisances if n.name != "viscous"]
+        held.nuisances = [n for n in problem.nuisances if n.number != "c"]
         held.base = np.delete(problem.base, at, axis=1)
         held.y = problem.y + c * problem.base[:, at]
         begun = solve(held, fit.members, held.blocks(fit.members))

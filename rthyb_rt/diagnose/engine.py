@@ -24,7 +24,9 @@ from rthyb_rt.diagnose import (
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorEffect, ActuatorFit
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
+from rthyb_rt.diagnose.effects.sensor import QUANTISATION
 from rthyb_rt.diagnose.estimate import Estimate
+from rthyb_rt.diagnose.policy import POLICY, of_size
 from rthyb_rt.diagnose.predict import Augmented, followed, nrmse, output_error, predict
 from rthyb_rt.diagnose.select import (
     Fit,
@@ -43,53 +45,12 @@ from rthyb_rt.errors import InputError
 Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 Progress = Callable[[str], None]
 
-LEFT = {1: 0.05, 2: 0.015, 3: 0.008}
-"""Part of the misfit that a set of one, two, three effects may leave, beside noise, where the lab
-states how well it knows its model: laws differ in form, but several laws fit almost anything."""
-MOVED = {1: 0.02, 2: 0.01, 3: 0.005}
-"""The same of a simulated motion, near resonance a magnified picture of the force."""
-LEFT_FREE = 0.35
-"""The same for a first model without stated tolerances: real specimens are not clean laws."""
-SIMULATED = 5e-4
-"""Least relative half-width of an interval: what two good simulators differ by."""
-ESTIMATED = 2e-3
-"""The same where the motion is estimated from noisy sensors."""
-BLUR = 0.008
-"""Part of the force that the estimate of a free body's motion may leave unexplained."""
-BLUR_CELL = 0.002
-"""The same where a load cell tells the force."""
-SIMULATION = 0.012
-"""NRMSE of a simulated displacement below which nothing is missing that could be named."""
-UNSEEN = 0.004
-"""The same beyond the noise of the displacement: more is a motion that the model does not make."""
-OUTSIDE = 0.002
-"""Part of the rows that may lie farther off than rounding explains."""
-REST = 0.02
-"""Part of the largest displacement that a body at rest moves at most in a tenth of a second."""
 PAST = 400
 """Steps in which a yielding spring is led to its start."""
-COLOURED = 1.3
-"""Factor by which evidence was scaled down from which a load cell is not believed alone."""
-FELT = 0.05
-"""Part of the misfit of a load cell's readings that a simulated motion may leave in most rows."""
-TELLING = 0.3
-"""Standard deviations of noise by which two forces differ that count as one."""
-TWICE = 2.0
-"""Times its price that an effect of the actuator earns where it ends at the noise."""
 FEWER = 2
 """Sets of fewer laws whose motion is looked at."""
 PASSES = 2
 """Times that such a motion is simulated, the second time with what was found along it."""
-LATEST = 0.4
-"""Part of a recording that may be spent on forgetting its start."""
-BENT = 2.0
-"""Standard deviations that a stated number moves at most where something unknown is located."""
-MERE_NOISE = 5.0
-"""Times the residual where the motion is known, from which all of it is taken for mere noise."""
-NOISE_LEFT = 0.1
-"""Misfit beyond noise, in units of the noise, that is never held against a set."""
-BURST = 1.35
-"""Times its rms over all that noise may have over a second of it: more is an event."""
 
 
 @dataclass
@@ -169,59 +130,86 @@ class Diagnosis:
     residual: Floats | None = None
 
 
+@dataclass(frozen=True)
+class _Weighed:
+    """Sets of the actuator's effects against one another.
+
+    Attributes:
+        size: of the displacement, in units of its noise.
+        plain: as the model given simulates it.
+    """
+
+    task: Actuation
+    null: ActuatorFit
+    fits: list[ActuatorFit]
+    scale: float
+    size: float
+    plain: Motion
+
+    def gain(self, fit: ActuatorFit, less: ActuatorFit) -> float:
+        """Return how far chi-squared falls from one set to another."""
+        return less.misfit(self.scale) - fit.misfit(self.scale)
+
+    def worth(self, fit: ActuatorFit) -> bool:
+        """Return whether a set earns its price, and moves something."""
+        # Against the model as given: a time offset may have taken part of it over already.
+        moved = float(np.std((fit.motion.x - self.plain.x)[self.task.rows])) / self.task.sigma
+        earned = self.gain(fit, self.null) > self.task.price(fit)
+        return earned and moved > POLICY.least_force * self.size
+
+    def completes(self, fit: ActuatorFit, effect: ActuatorEffect, own: float) -> bool:
+        """Return whether an effect ends at the noise where the model is known well.
+
+        It is no matter of form then.
+        """
+        n = self.task.rows.size
+        stated = self.task.case.model.k_tol is not None
+        at_noise = stated and fit.chi2 - n < POLICY.actuator_at_noise * n
+        return at_noise and own > POLICY.actuator_at_noise_price * self.task.price_of(effect)
+
+    def needed(self, fit: ActuatorFit) -> bool:
+        """Return whether no effect of a set can be left out."""
+        least = POLICY.needed_share_actuator * self.gain(fit, self.null)
+        for effect in fit.effects:
+            rest = tuple(sorted(e.name for e in fit.effects if e is not effect))
+            without = next((f for f in self.fits if f.names == rest), None) if rest else self.null
+            if without is None:
+                continue
+            own = self.gain(fit, without)
+            if own < self.task.price(fit) / len(fit.effects):
+                return False
+            if rest and own < least and not self.completes(fit, effect, own):
+                return False
+        return True
+
+    def alike(self, fit: ActuatorFit, best: ActuatorFit) -> bool:
+        """Return whether a set cannot be told apart from the best one."""
+        more = max(0, fit.count - best.count)
+        dearer = POLICY.dearer_rival_actuator * POLICY.same_evidence * more
+        apart = fit.misfit(self.scale) - best.misfit(self.scale)
+        return apart + dearer < POLICY.same_evidence
+
+
 def displacement(case: Case) -> Displacement | None:
     """Diagnose x_cmd -> x_meas; None where one of the three is missing."""
     base = case.model.actuator
     if base is None or "x_cmd" not in case.channels or "x_meas" not in case.channels:
         return None
     task = Actuation(case, base)
-    if task.rows.size < 100:
+    if task.rows.size < POLICY.least_rows:
         return None
     null, fits, scale = actuation.search(task)
     n = task.rows.size
     before = null.chi2 / n - 1.0
     size = float(np.std(task.x[task.rows])) / task.sigma
-    plain = task.simulate(base)
-
-    def worth(fit: ActuatorFit) -> bool:
-        gain = null.misfit(scale) - fit.misfit(scale)
-        # Against the model as given: a time offset may have taken part of it over already.
-        moved = float(np.std((fit.motion.x - plain.x)[task.rows])) / task.sigma
-        return gain > task.price(fit) and moved > force.SMALLEST * size
-
-    def completes(fit: ActuatorFit, effect: ActuatorEffect, own: float) -> bool:
-        # Where the model is known well, an effect that ends at the noise is no matter of form.
-        at_noise = case.model.k_tol is not None and fit.chi2 - n < actuation.AT_NOISE * n
-        return at_noise and own > TWICE * task.price_of(effect)
-
-    def needed(fit: ActuatorFit) -> bool:
-        explained = null.misfit(scale) - fit.misfit(scale)
-        for effect in fit.effects:
-            rest = tuple(sorted(e.name for e in fit.effects if e is not effect))
-            without = next((f for f in fits if f.names == rest), None) if rest else null
-            if without is None:
-                continue
-            own = without.misfit(scale) - fit.misfit(scale)
-            if own < task.price(fit) / len(fit.effects):
-                return False
-            if rest and own < 1.5e-3 * explained and not completes(fit, effect, own):
-                return False
-        return True
-
-    good = [f for f in fits if worth(f) and needed(f)]
+    sets = _Weighed(task, null, fits, scale, size, task.simulate(base))
+    good = [f for f in fits if sets.worth(f) and sets.needed(f)]
     best = good[0] if good else null
-    equal = [
-        f
-        for f in good
-        if f is not best
-        and f.misfit(scale)
-        - best.misfit(scale)
-        + 1.1 * force.AMBIGUOUS * max(0, f.count - best.count)
-        < force.AMBIGUOUS
-    ]
+    equal = [f for f in good if f is not best and sets.alike(f, best)]
     after = best.chi2 / n - 1.0
     left = after / before if before > 0 else 0.0
-    known = after < NOISE_LEFT or (not best.effects and before < NOISE_LEFT + 0.3)
+    nothing = POLICY.excess_as_noise + POLICY.excess_of_nothing_actuator
+    known = after < POLICY.excess_as_noise or (not best.effects and before < nothing)
     # Noise that takes any colour to fit is to be as large as the sheet says, and no event.
     known = known and task.own is None
     known = known or left < _allowed(case, len(best.effects) or 1)
@@ -239,8 +227,8 @@ def displacement(case: Case) -> Displacement | None:
 
 def _allowed(case: Case, size: int) -> float:
     if case.model.k_tol is None:
-        return LEFT_FREE
-    return LEFT.get(size, 0.008)
+        return POLICY.left_naive
+    return of_size(POLICY.left_stated, size)
 
 
 def settled(case: Case) -> int:
@@ -268,23 +256,26 @@ def _forgotten(case: Case, found: Estimate) -> int:
     x = found.motion.x
     head = max(int(0.1 * case.fs_hz), 2)
     top = float(np.max(np.abs(x)))
-    if float(np.max(np.abs(x[:head] - x[0]))) < REST * top and abs(float(x[0])) < REST * top:
+    if (
+        float(np.max(np.abs(x[:head] - x[0]))) < POLICY.start_at_rest * top
+        and abs(float(x[0])) < POLICY.start_at_rest * top
+    ):
         return 0
     forces = []
     for end in (-top, top):
         past = np.concatenate((np.linspace(0.0, end, PAST), np.linspace(end, x[0], PAST)))
         forces.append(case.model.spring(np.concatenate((past, x)))[past.size :])
-    apart = np.flatnonzero(np.abs(forces[1] - forces[0]) > TELLING * found.sigma_n)
+    apart = np.flatnonzero(np.abs(forces[1] - forces[0]) > POLICY.forgotten_force * found.sigma_n)
     first = int(apart[-1]) + 1 if apart.size else 0
     # A motion that never yields again forgets nothing: all of it is looked at then.
-    return first if first < LATEST * x.size else 0
+    return first if first < POLICY.forgotten_by * x.size else 0
 
 
 def _motion(case: Case, disp: Displacement | None) -> Estimate | None:
     if (
         disp is not None
         and disp.known
-        and (disp.quiet or disp.best.chi2 / disp.task.rows.size < 1.5)
+        and (disp.quiet or disp.best.chi2 / disp.task.rows.size < POLICY.motion_understood)
     ):
         found = estimate.along(case, disp.best.motion, settled(case))
         if found is not None:
@@ -351,7 +342,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
                 return True
             if not _force_known(case, done):
                 return True
-            coloured = not held or done.scale > COLOURED
+            coloured = not held or done.scale > POLICY.coloured_cell
             return coloured and bool(done.best.members) and not body.motion(problem, done.best)
 
         search = force.search(problem, progress, body, doubtful)
@@ -393,19 +384,17 @@ def _in_its_noise(
         return found, search
     sheet, sigma = _stated(case), found.sigma_n if blur is None else blur.sigma_n
 
-    def told(fit: Fit) -> tuple[float, estimate.Whitener | None]:
-        cost, own = estimate.likelihood(
-            _left_by(search, fit), found.rows, found.motion.v, case.fs_hz, sigma, sheet, blur
-        )
-        return cost + force.cost(search.problem, fit), own
-
+    problem = search.problem
     sets = {id(f): f for f in (search.null, *search.fits[: noise.TRIED], *search.pool)}
-    own = min(map(told, sets.values()), key=lambda t: t[0])[1]
+    tried = [
+        (_left_by(search, fit), found.motion.v, force.cost(problem, fit)) for fit in sets.values()
+    ]
+    own = estimate.likeliest(tried, found.rows, case.fs_hz, sigma, sheet, blur)
     if own is None:
         return found, search
     progress("noise")
     now = replace(found, whiten=own.whiten, pieces=own.pieces, scatter=own.scatter)
-    problem = Problem(case, search.problem.ctx, now, effects.catalogue().values())
+    problem = Problem(case, problem.ctx, now, effects.catalogue().values())
     return now, anew(problem, [f.members for f in search.pool])
 
 
@@ -494,25 +483,29 @@ def _felt(case: Case, search: force.Search, ctx: Context) -> bool:
         return (1.4826 * float(np.median(np.abs(rest[rows]))) / sigma) ** 2 - 1.0
 
     left = excess(f_meas - inertia)
-    return left < NOISE_LEFT or left < FELT * excess(f_meas - search.problem.ctx.total)
+    return left < POLICY.excess_as_noise or left < POLICY.felt_by_cell * excess(
+        f_meas - search.problem.ctx.total
+    )
 
 
 def _force_known(case: Case, search: force.Search) -> bool:
     """Return whether what was found leaves no more than the form of a law."""
     if search.moved and search.best.members:
         left = search.excess_after / max(search.excess_before, 1e-12)
-        return search.excess_after < NOISE_LEFT or left < MOVED[len(search.best.names)]
+        return search.excess_after < POLICY.excess_as_noise or left < of_size(
+            POLICY.left_moved, len(search.best.names)
+        )
     if search.problem.estimate.coloured and _by_the_sheet(case, search):
         return True
     if not search.best.members:
         # Small colour that no law earns its price for is not a finding.
         return not search.problem.estimate.coloured and (
-            search.excess_before < NOISE_LEFT + 0.15
+            search.excess_before < POLICY.excess_as_noise + POLICY.excess_of_nothing
             or case.model.k_tol is None
             or (_small(search, search.excess_before) and _within(search))
         )
-    at_noise = search.excess_after < NOISE_LEFT
-    above = search.scale < 1.5 and search.excess_after < 0.5
+    at_noise = search.excess_after < POLICY.excess_as_noise
+    above = search.scale < POLICY.colourless and search.excess_after < POLICY.colourless_excess
     if (at_noise or above) and not search.problem.estimate.coloured:
         # At the noise, or above it without colour: the data sheet's figure is low. Noise that takes
         # any colour to fit is to be as large as the sheet says, and no event.
@@ -521,7 +514,7 @@ def _force_known(case: Case, search: force.Search) -> bool:
     found = search.problem.estimate
     # A moment at which a law begins can be moved to meet much: what is left then is no blur.
     late = any(m.effect.late for m in search.best.members)
-    blur = 1.0 if found.exact or late else 2.5
+    blur = 1.0 if found.exact or late else POLICY.estimated_motion
     return _small(search, search.excess_after) or left < blur * _allowed(
         case, len(search.best.names)
     )
@@ -541,9 +534,9 @@ def _by_the_sheet(case: Case, search: force.Search) -> bool:
     if found.coloured and found.blur is not None:
         # What the estimate of the motion adds has no sheet; the colour was held within its own.
         white = found.whiten(rest)[found.rows]
-        return float(white @ white) < (1.0 + NOISE_LEFT) * found.share * white.size and _steady(
-            white, case.fs_hz
-        )
+        return float(white @ white) < (
+            1.0 + POLICY.excess_as_noise
+        ) * found.share * white.size and _steady(white, case.fs_hz)
     return "f_meas" in case.channels and _mere_noise(
         rest[found.rows], found.whiten(rest)[found.rows], sheet * (1.0 + found.scatter), case.fs_hz
     )
@@ -555,14 +548,14 @@ def _mere_noise(rest: Floats, white: Floats, sheet: float, fs_hz: float) -> bool
     As it is, (n,), and as it would be were its noise white, (n,): slow noise swells by itself, and
     the rms of one recording scatters about what a sheet states.
     """
-    return _rms(rest) < noise.SHEET * sheet and _steady(white, fs_hz)
+    return _rms(rest) < POLICY.sheet_factor * sheet and _steady(white, fs_hz)
 
 
 def _steady(white: Floats, fs_hz: float) -> bool:
     """Return whether noise that is made white, (n,), comes in no bursts of a second."""
     count = max(int(white.size / max(fs_hz, 1.0)), 1)
     loudest = max(_rms(part) for part in np.array_split(white, count))
-    return loudest < BURST * _rms(white)
+    return loudest < POLICY.noise_burst * _rms(white)
 
 
 def _rms(signal: Floats) -> float:
@@ -592,7 +585,7 @@ def _doubtful(case: Case, search: force.Search) -> bool:
     names = set(search.best.names)
     blurred = _small(search, search.excess_before) and _within(search)
     # The estimate rounds off where the body sticks: as a law, that is a friction with more to it.
-    leans = names & {*force.LINEAR, "stribeck", "lugre"}
+    leans = names & effects.having(lambda e: e.number or (e.dry and e.plainer))
     return bool(leans) or blurred or _simulates(case, search)
 
 
@@ -608,15 +601,19 @@ def _simulates(case: Case, search: force.Search | None) -> bool:
         return False
     plain = Augmented(_with_nuisance(m, search.problem, search.null), m, (), (), m.actuator, None)
     fitted = output_error(plain, case, force=True)
-    reach = 3.6 * m.k_tol
+    reach = POLICY.within_tolerance * m.k_tol
     if abs(fitted.model.k / m.k - 1.0) > reach:
         return False
-    if m.c and m.c_tol is not None and abs(fitted.model.c / m.c - 1.0) > 3.6 * m.c_tol:
+    if (
+        m.c
+        and m.c_tol is not None
+        and abs(fitted.model.c / m.c - 1.0) > POLICY.within_tolerance * m.c_tol
+    ):
         return False
     made = predict(fitted, case).x
     off = nrmse(made, np.where(case.rows, x_meas, np.nan))
     noise = estimate.noise_of(x_meas, m.x_std) / (float(np.nanstd(x_meas)) or 1.0)
-    return off < SIMULATION and off**2 - noise**2 < UNSEEN**2
+    return off < POLICY.simulated_nrmse and off**2 - noise**2 < POLICY.simulated_unseen**2
 
 
 def _lost_in_form(case: Case, search: force.Search, quantised: Found) -> bool:
@@ -625,7 +622,7 @@ def _lost_in_form(case: Case, search: force.Search, quantised: Found) -> bool:
         return False
     missing = _left_by(search, search.null)[search.problem.estimate.rows]
     share = quantised.params["lsb_N"] ** 2 / 12.0 / float(np.mean(missing**2))
-    return share < force.NEEDED[min(len(search.best.names) + 1, 3)]
+    return share < of_size(POLICY.needed_share, len(search.best.names) + 1)
 
 
 def _rounded(case: Case, search: force.Search, quantised: Found) -> bool:
@@ -636,11 +633,13 @@ def _rounded(case: Case, search: force.Search, quantised: Found) -> bool:
     if not _within(search):
         return False
     beyond = _beyond(case, search, search.null, quantised)
-    if beyond > 0.02 or not search.best.members:
-        return beyond <= 0.02
-    if search.gain > 400.0 and search.excess_after < 0.25:
+    if beyond > POLICY.rounded_rows or not search.best.members:
+        return beyond <= POLICY.rounded_rows
+    if search.gain > POLICY.rounded_gain and search.excess_after < POLICY.rounded_excess:
         return False
-    return beyond < OUTSIDE + 5.0 * _beyond(case, search, search.best, quantised)
+    return beyond < POLICY.rounded_outside + POLICY.rounded_as_best * _beyond(
+        case, search, search.best, quantised
+    )
 
 
 def _beyond(case: Case, search: force.Search, fit: Fit, quantised: Found) -> float:
@@ -661,15 +660,27 @@ def _by_rounding(case: Case, search: force.Search, quantised: Found) -> force.Se
         return search
     off = {f.names: _beyond(case, search, f, quantised) for f in search.fits}
     own = off[search.best.names]
-    inside = [f for f in search.fits if off[f.names] < 0.2 * own] if own > OUTSIDE else []
+    inside = (
+        [f for f in search.fits if off[f.names] < POLICY.rounded_better * own]
+        if own > POLICY.rounded_outside
+        else []
+    )
     best = inside[0] if inside else search.best
     among = [f for f in inside[1:] if _alike(search, f, best)] if inside else search.equal
     # Nor does what one more law takes up of the rounding make it a law.
     parts = [f for f in search.fits if f.members and set(f.names) < set(best.names)]
-    enough = [f for f in parts if off[f.names] < OUTSIDE + 2.0 * off[best.names]]
+    enough = [
+        f
+        for f in parts
+        if off[f.names] < POLICY.rounded_outside + POLICY.rounded_alike * off[best.names]
+    ]
     if enough:
         best, among = min(enough, key=lambda f: (len(f.names), f.chi2)), []
-    equal = [f for f in among if off[f.names] < OUTSIDE + 2.0 * off[best.names]]
+    equal = [
+        f
+        for f in among
+        if off[f.names] < POLICY.rounded_outside + POLICY.rounded_alike * off[best.names]
+    ]
     n = search.problem.y.size * search.problem.estimate.share
     return replace(
         search, best=best, equal=equal, excess_after=best.chi2 * search.scale / n - 1.0,
@@ -680,7 +691,7 @@ def _by_rounding(case: Case, search: force.Search, quantised: Found) -> force.Se
 def _alike(search: force.Search, fit: Fit, best: Fit) -> bool:
     """Return whether a set fits as well as the best with no more parameters."""
     more = force.count(search.problem, fit) > force.count(search.problem, best)
-    return not more and fit.chi2 - best.chi2 < force.AMBIGUOUS
+    return not more and fit.chi2 - best.chi2 < POLICY.same_evidence
 
 
 def _small(search: force.Search, excess: float) -> bool:
@@ -693,9 +704,9 @@ def _small(search: force.Search, excess: float) -> bool:
         fit = search.null if excess == search.excess_before else search.best
         rows, whole = found.rows, search.problem.ctx.spring
         left = float(np.sqrt(np.mean(_left_by(search, fit)[rows] ** 2)))
-        return left < BLUR * float(np.sqrt(np.mean(whole[rows] ** 2)))
+        return left < POLICY.blur_free * float(np.sqrt(np.mean(whole[rows] ** 2)))
     force_rms = float(np.sqrt(np.mean(found.force[found.rows] ** 2))) or 1.0
-    least = BLUR_CELL if "f_meas" in search.problem.case.channels else BLUR
+    least = POLICY.blur_cell if "f_meas" in search.problem.case.channels else POLICY.blur_free
     return float(np.sqrt(max(excess, 0.0))) * found.sigma_n < least * force_rms
 
 
@@ -703,7 +714,7 @@ def _within(search: force.Search, fit: Fit | None = None) -> bool:
     """Return whether a fit, else the model alone, stays within the stated tolerances."""
     fit = fit or search.null
     return all(
-        n.sigma is None or abs(float(b)) < 3.6 * n.sigma
+        n.sigma is None or abs(float(b)) < POLICY.within_tolerance * n.sigma
         for b, n in zip(fit.nuisance, search.problem.nuisances, strict=True)
     )
 
@@ -746,10 +757,10 @@ def _verdict(
         names += list(search.best.names)
     if quantised is not None:
         candidates.append(quantised)
-        names.append("quantisation")
+        names.append(quantised.name)
     base_disp = list(disp.best.names) if disp is not None and named_disp else []
     base_force = list(search.best.names) if search is not None and named_force else []
-    extra = ["quantisation"] if quantised is not None else []
+    extra = [quantised.name] if quantised is not None else []
     verdict: Verdict = "explained" if names else "none"
     if search is not None and named_force and search.equal:
         sets += [base_disp + list(f.names) + extra for f in [search.best, *search.equal]]
@@ -848,7 +859,7 @@ def _without_noise(residual: Floats, noise: float, fs_hz: float, share: float = 
     k = max(int(0.02 * fs_hz) | 1, 1)
     smooth = np.convolve(np.pad(residual, k // 2, mode="edge"), np.ones(k) / k, mode="valid")
     level = noise * np.sqrt(min(share, 1.0 / k))
-    return np.where(np.abs(smooth) > 3.5 * level, smooth, 0.0)
+    return np.where(np.abs(smooth) > POLICY.located_noise * level, smooth, 0.0)
 
 
 def clear_residual(search: force.Search) -> Floats:
@@ -861,7 +872,7 @@ def clear_residual(search: force.Search) -> Floats:
     residual = robust_residual(search)
     white = np.where(found.rows, found.sigma_n * found.whiten(residual), 0.0)
     fs_hz = search.problem.case.fs_hz
-    if not found.exact and np.std(residual) > MERE_NOISE * np.std(white):
+    if not found.exact and np.std(residual) > POLICY.located_white * np.std(white):
         return _without_noise(white, found.sigma_n, fs_hz, found.share)
     return _without_noise(residual, found.sigma_n, fs_hz)
 
@@ -876,7 +887,7 @@ def robust_residual(search: force.Search) -> Floats:
     problem = search.problem
     sigmas = [n.sigma for n in problem.nuisances]
     prior = np.array([0.0 if s is None else s**-2.0 for s in sigmas])
-    reach = np.array([np.inf if s is None else BENT * s for s in sigmas])
+    reach = np.array([np.inf if s is None else POLICY.located_bend * s for s in sigmas])
     for _ in range(20):
         beta = _robust(problem, prior)
         over = np.abs(beta) > reach
@@ -1001,17 +1012,18 @@ def _of_the_spring_there_is(
     Be that a finding or within the tolerance of the model's.
     """
     stiffer = sum(
-        float(b[0]) for m, b in zip(fit.members, fit.betas, strict=True) if m.name == "stiffness"
+        float(b[0])
+        for m, b in zip(fit.members, fit.betas, strict=True)
+        if m.name == effects.of_number("k")
     )
-    key = {"degradation": "loss", "pinching": "depth", "hysteresis": "alpha", "gap": "gap_m"}.get(
-        name
-    )
+    law = effects.catalogue().get(name)
+    key = law.of_spring if law is not None else ""
     # A loop's spring is not the model's where that is only a line through the loop.
     if key != "alpha":
         stiffer += sum(
             float(b)
             for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True)
-            if nuisance.name == "stiffness"
+            if nuisance.number == "k"
         )
     if key not in params or not stiffer > -0.9:
         return
@@ -1067,7 +1079,11 @@ def _widen(
                     apart = abs(v - params[k])
                     ci[k] = [min(ci[k][0], params[k] - apart), max(ci[k][1], params[k] + apart)]
     for k, v in params.items():
-        half = (SIMULATED if search.problem.estimate.exact else ESTIMATED) * abs(v)
+        half = (
+            POLICY.interval_simulated
+            if search.problem.estimate.exact
+            else POLICY.interval_estimated
+        ) * abs(v)
         ci[k] = [min(ci[k][0], v - half), max(ci[k][1], v + half)]
 
 
@@ -1126,7 +1142,7 @@ def _disp_found(disp: Displacement) -> list[Found]:
             ci = {}
             for i, (k, v) in enumerate(params.items()):
                 cov = fit.covariance
-                half = SIMULATED * abs(v)
+                half = POLICY.interval_simulated * abs(v)
                 if cov is not None:
                     half = max(
                         half, 1.96 * float(np.sqrt(max(cov[j + i, j + i], 0.0) * disp.scale))
@@ -1165,7 +1181,12 @@ def quantisation(case: Case) -> Found | None:
     if lsb == 0.0:
         return None
     return Found(
-        "quantisation", "force", 1.0, {"lsb_N": lsb}, {"lsb_N": [0.999 * lsb, 1.001 * lsb]}, -100.0
+        QUANTISATION.name,
+        "force",
+        1.0,
+        {"lsb_N": lsb},
+        {"lsb_N": [0.999 * lsb, 1.001 * lsb]},
+        -100.0,
     )
 
 
@@ -1260,10 +1281,10 @@ def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Au
     fitted = _with_nuisance(d.case.model, problem, fit)
     if any(m.effect.complete for m in fit.members) and min(fitted.k, fitted.c) < 0.0:
         # Nothing of the specimen stands beside a joint law, and least of all what drives it.
-        below = {"stiffness": fitted.k < 0.0, "viscous": fitted.c < 0.0}
-        gone = [below.get(n.name, False) for n in problem.nuisances]
+        below = {"k": fitted.k < 0.0, "c": fitted.c < 0.0}
+        gone = [below.get(n.number, False) for n in problem.nuisances]
         for j in np.flatnonzero(gone):
-            whole = 1.0 if problem.nuisances[j].name == "stiffness" else d.case.model.c
+            whole = 1.0 if problem.nuisances[j].number == "k" else d.case.model.c
             problem.y = problem.y + whole * problem.base[:, j]
         problem.base = problem.base[:, ~np.array(gone)]
         problem.nuisances = [n for n, g in zip(problem.nuisances, gone, strict=True) if not g]
@@ -1273,21 +1294,16 @@ def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Au
             kept = _with_nuisance(d.case.model, problem, fit)
             fitted = replace(
                 kept,
-                k=0.0 if below["stiffness"] else kept.k,
-                c=0.0 if below["viscous"] else kept.c,
+                k=0.0 if below["k"] else kept.k,
+                c=0.0 if below["c"] else kept.c,
             )
     return replace(model, model=fitted, members=fit.members, betas=fit.betas)
 
 
 def _with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-        if nuisance.name == "stiffness":
-            model = replace(model, k=model.k * (1.0 + float(b)))
-        elif nuisance.name == "viscous":
-            model = replace(model, c=model.c + float(b))
-        elif nuisance.name == "inertia":
-            model = replace(model, moving_mass=max(model.moving_mass + float(b), 0.0))
-    return model
+        model = nuisance.moves(model, float(b))
+    return replace(model, moving_mass=max(model.moving_mass, 0.0))
 
 
 def baseline(d: Diagnosis) -> Augmented:

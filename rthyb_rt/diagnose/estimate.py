@@ -8,7 +8,7 @@ through the specimen's impedance, gives the noise of the force residual, which n
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import noise
 from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import Motion
 
 Complex = NDArray[np.complex128]
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Filter = Callable[[Floats], Floats]
-ACCURACY = 0.004
-"""Part of the force that a body's free motion tells at best."""
+Denoiser = Callable[[Floats], Floats]
+"""Takes white noise off a signal of shape (n,), outside the signal's band; `Whitener` makes noise
+that has a colour white."""
 SHIFT_S = 0.025
 GAP_S = 0.4
 """A simulated motion has forgotten a gap of its command after so long."""
@@ -57,7 +58,7 @@ def noise_of(signal: Floats | None, sheet: float | None) -> float:
         return found if found > 0.0 else 1e-6 * (scale or 1.0)
     if not np.isfinite(found):
         return sheet
-    return float(np.clip(found, sheet / 1.3, sheet * 1.3))
+    return float(np.clip(found, sheet / POLICY.noise_held, sheet * POLICY.noise_held))
 
 
 def step_of(f_meas: Floats | None, f_std: float | None) -> float:
@@ -66,14 +67,14 @@ def step_of(f_meas: Floats | None, f_std: float | None) -> float:
         return 0.0
     good = np.isfinite(f_meas)
     values = np.unique(f_meas[good])
-    if values.size < 3 or values.size > 0.5 * good.sum():
+    if values.size < 3 or values.size > POLICY.coarse_readings * good.sum():
         return 0.0
     steps = np.diff(values)
     lsb = float(np.median(steps[steps < 1.5 * steps.min()]))
     at = values / lsb
     mean = np.mean(np.exp(2j * np.pi * at))
     away = np.abs(np.exp(2j * np.pi * at) - mean / (abs(mean) or 1.0))
-    return lsb if lsb >= f_std and np.mean(away < 0.15) >= 0.98 else 0.0
+    return lsb if lsb >= f_std and np.mean(away < 0.15) >= POLICY.coarse_on_grid else 0.0
 
 
 def force_noise(f_meas: Floats | None, f_std: float | None) -> float:
@@ -294,7 +295,7 @@ def aligned(case: Case, parts: list[Floats], sigma: float) -> Floats:
     )
 
 
-def band_of(signal: Floats, fs_hz: float, sigma: float) -> Filter:
+def band_of(signal: Floats, fs_hz: float, sigma: float) -> Denoiser:
     """Return the filter (Wiener's) that takes white noise off a signal of shape (n,)."""
     s = _Spectral.of(signal.size, fs_hz)
     spectrum = s.forward(signal, odd=True)
@@ -415,7 +416,7 @@ def likelihood(
 def _in_white(white: Floats, stated: float) -> tuple[float, None]:
     """Return -2 ln of the likelihood in white noise as large as fits best within the sheet."""
     size = float(np.sqrt(np.mean(white**2)))
-    level = float(np.clip(size, stated / noise.SHEET, stated * noise.SHEET))
+    level = float(np.clip(size, stated / POLICY.sheet_factor, stated * POLICY.sheet_factor))
     return float(white @ white) / level**2 + 2.0 * white.size * float(np.log(level)), None
 
 
@@ -446,6 +447,29 @@ def _in_colour(
     if colour is None:
         return cost, None
     return cost + colour.count * float(np.log(count)), made
+
+
+def likeliest(
+    tried: Iterable[tuple[Floats, Floats, float]],
+    rows: NDArray[np.bool_],
+    fs_hz: float,
+    sigma: float,
+    sheet: float | None,
+    blur: Blur | None = None,
+) -> Whitener | None:
+    """Return the filter for the noise that the likeliest of some sets leaves; None: it is white.
+
+    Args:
+        tried: of each set what it leaves of a channel, (n,), in its unit; the velocity of its
+            motion, (n,), m/s; and its price.
+        rows, fs_hz, sigma, sheet, blur: see `likelihood`.
+    """
+    told = [
+        (cost + price, own)
+        for left, velocity, price in tried
+        for cost, own in [likelihood(left, rows, velocity, fs_hz, sigma, sheet, blur)]
+    ]
+    return min(told, key=lambda t: t[0])[1]
 
 
 def away_from_gaps(
@@ -518,7 +542,7 @@ def from_sensors(case: Case) -> Estimate | None:
     channel = sigma
     if model.family in ("forced", "ground"):
         # Near resonance a small force moves much: nothing is known better than a few parts in 1000.
-        sigma = max(sigma, ACCURACY * float(np.sqrt(np.mean(force[rows] ** 2))))
+        sigma = max(sigma, POLICY.force_accuracy * float(np.sqrt(np.mean(force[rows] ** 2))))
     z2 = _impedance(case, s.omega, mass) ** 2
     power = sigma**2 + z2 * known.variance
     # Where displacement is nothing but noise, force laws evaluated on it are: no band to judge in.

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rthyb_rt.diagnose import decay, modulation, noise, onset, redundant
+from rthyb_rt.diagnose.effects import catalogue, having, of_number
 from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
-from rthyb_rt.diagnose.freebody import MET_ALONE as MET
 from rthyb_rt.diagnose.freebody import Body
+from rthyb_rt.diagnose.policy import POLICY, of_size
 from rthyb_rt.diagnose.select import (
     Dictionary,
     Fit,
@@ -25,61 +26,19 @@ from rthyb_rt.diagnose.select import (
     solve,
 )
 
-AMBIGUOUS = 9.0
-"""Sets that differ by less in chi-squared cannot be told apart."""
-TWIN = 2.0
-"""Difference in the same up to which a recording shows none at all between two effects."""
-DEARER = 1.5
-"""Price of one more parameter in a rival, in the same: a law that goes over into a simpler one fits
-as well by its nature, and is a rival only where its parameter brings something."""
-NEEDED = {1: 0.0, 2: 4e-3, 3: 2.5e-2}
-"""Least part of what a set of two or three explains that each of its effects has to explain alone:
-less may be the form of the other one's law. More than twice that where the motion is estimated."""
-SMALLEST = 1e-3
-"""Least size of an effect, as part of the force: less is not a finding."""
-NESTED = 1e-3
-"""Least part of what dry friction explains that a Stribeck peak or bristles have to add to it."""
-STRAIN = 6.0
-"""Time offset, in standard deviations of its prior, that is no nuisance any more."""
-BENT = 4.0
-"""The same of a stated number, or of the mass that an estimated motion blurs."""
-BEARS = {"stiffness": "stiffness", "viscous": "viscous", "blur": "inertia"}
-"""The effect that each nuisance stands in for."""
-ALIKE = ("maxwell", "time_skew")
-"""Effects that a slow motion does not tell from a dashpot."""
-SLOW = 0.1
-"""Relaxation time times the motion's frequency up to which relaxation is a dashpot."""
-FORM_ALONE = 1.5e-3
-"""Part of what is explained by which two sets may differ for the form of a law alone."""
-FORM = 0.03
-"""Part of what a law explains by which another form of it may do worse and still be thinkable."""
 FOLD_S = 0.25
 FOLDS = 4
 POOL = 6
 """Sets, and single effects, whose motion is simulated."""
 LEADING = 3
 """Sets that are looked at more closely."""
-DRY = {"coulomb", "stribeck", "lugre"}
-SLIDERS = {"hysteresis", "lugre"}
-WHITE = 1.1
-"""Inflation, see `select.inflation`, up to which a residual is mere noise."""
-DECISIVE = 0.005
-"""Part of the misfit of the motion that a set may leave to be believed against the balance."""
-FORM_SEEN, FORM_MOVED = 0.03, 1.0
-"""Misfit beyond noise, in units of the noise, that may be the form of a law: of the force that a
-load cell sees, and of a motion that is simulated."""
-FORM_OF_RIG = 0.1
-"""The same of a rig that is simulated whole: nothing magnifies there what a law's form leaves."""
 SETTLED = 0.01
 """Part of a misfit by which one more fit of a motion has to better it."""
 AGAIN = 3
 """Times that such a fit is begun again at most."""
-OPEN = 0.3
-"""Misfit beyond noise from which an effect that was refused is looked at again."""
-MANY = 5.0
-"""Times its price that such an effect has to earn."""
-LINEAR = ("stiffness", "viscous", "inertia")
-"""Effects that are always among them: what is missing may look like them at one frequency."""
+NUMBERS = ("k", "c", "moving_mass")
+"""Numbers of the model whose effects are always among them: what is missing may look like them at
+one frequency."""
 
 
 @dataclass
@@ -127,7 +86,7 @@ class _Fitter:
         self.stated = {n.name for n in problem.nuisances if n.sigma is not None}
         self.exact = problem.estimate.exact
         self.rows = problem.y.size * problem.estimate.share
-        self.open = FORM_SEEN
+        self.open = POLICY.form_seen
         self.testimony: Callable[[Fit], float] = lambda _: 0.0
 
     def fit(self, members: Iterable[Member]) -> Fit | None:
@@ -216,9 +175,9 @@ class _Fitter:
 def bent(problem: Problem, fit: Fit) -> set[str]:
     """Return the effects in whose place a fit bends a stated number out of its tolerance."""
     return {
-        BEARS[n.name]
+        n.effect
         for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
-        if n.name in BEARS and n.sigma is not None and abs(float(b)) > BENT * n.sigma
+        if n.effect and n.sigma is not None and abs(float(b)) > POLICY.bent_number * n.sigma
     }
 
 
@@ -243,7 +202,7 @@ class _Mover(_Fitter):
         self.tried: list[Fit] = []
         # A simulated motion is no estimate; but two good simulators differ by a little.
         self.exact, self.rows = True, float(body.rows.size)
-        self.open = FORM_OF_RIG if body.whole_rig else FORM_MOVED
+        self.open = POLICY.form_of_rig if body.whole_rig else POLICY.form_moved
 
     def move(self, fit: Fit) -> Fit | None:
         """Refine a set that was found in the balance of forces; the better of its shapes stays."""
@@ -268,7 +227,7 @@ class _Mover(_Fitter):
         """
         if not self.body.whole_rig:
             return False
-        met = [f for f in self.by_names.values() if f.chi2 < MET * self.rows]
+        met = [f for f in self.by_names.values() if f.chi2 < POLICY.motion_met_alone * self.rows]
         return any(
             len(f.names) + (set(f.names) < set(names)) < len(names)
             for f in met
@@ -280,10 +239,14 @@ class _Mover(_Fitter):
 
         Both go over into it, and a rig that is met with a richer one may be met without.
         """
-        dry = next((e for e in self.problem.effects if e.name == "coulomb"), None)
+        plainer = _plainer_friction()
         for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
-            rich = [i for i, m in enumerate(fit.members) if m.name in ("stribeck", "lugre")]
-            if dry is None or len(rich) != 1 or "coulomb" in fit.names:
+            rich = [i for i, m in enumerate(fit.members) if m.name in plainer]
+            if len(rich) != 1 or plainer[fit.members[rich[0]].name] in fit.names:
+                continue
+            name = plainer[fit.members[rich[0]].name]
+            dry = next((e for e in self.problem.effects if e.name == name), None)
+            if dry is None:
                 continue
             members, betas = list(fit.members), list(fit.betas)
             members[rich[0]], betas[rich[0]] = Member(dry, Trial()), fit.betas[rich[0]][:1]
@@ -306,14 +269,14 @@ class _Mover(_Fitter):
                 for i in range(len(fit.members)):
                     part = _without(self.problem, fit, i)
                     # Of a rig that is met nothing but the parts' own misfit is asked.
-                    met = self.body.whole_rig and fit.chi2 < MET * self.rows
+                    met = self.body.whole_rig and fit.chi2 < POLICY.motion_met_alone * self.rows
                     if not (met and part.names in self.by_names):
                         self.move(part)
 
     def _go_on(self, fit: Fit) -> None:
         for _ in range(AGAIN):
             before = fit.chi2
-            if before < MET * self.rows:
+            if before < POLICY.motion_met_alone * self.rows:
                 break
             found = self.move(fit)
             if found is None or found.chi2 > (1.0 - SETTLED) * before:
@@ -324,7 +287,7 @@ class _Mover(_Fitter):
 def _without(problem: Problem, fit: Fit, member: int) -> Fit:
     """Return a set less one effect; what that had of a stated number goes to the number."""
     gone, beta = fit.members[member], fit.betas[member]
-    shift = [float(beta[0]) if BEARS.get(n.name) == gone.name else 0.0 for n in problem.nuisances]
+    shift = [float(beta[0]) if n.effect == gone.name else 0.0 for n in problem.nuisances]
     return replace(
         fit,
         members=fit.members[:member] + fit.members[member + 1 :],
@@ -353,7 +316,7 @@ def _linear(problem: Problem, body: Body, fitter: _Fitter, null: Fit) -> tuple[F
     mover = _Mover(problem, body, fitter)
     by_name = {e.name: e for e in problem.effects}
     stiff = _stiff(problem)
-    for name in LINEAR:
+    for name in map(of_number, NUMBERS):
         if name in by_name and body.linear:
             member = Member(by_name[name], Trial())
             begun = solve(stiff, [member], [stiff.columns(member)])
@@ -368,9 +331,29 @@ def _met(plain: Fit, mover: _Mover) -> bool:
     What a displacement does not show at all is left to the balance of forces.
     """
     return any(
-        inflation(f.residual) < WHITE and mover.score(f) < plain.chi2
+        inflation(f.residual) < POLICY.white_residual and mover.score(f) < plain.chi2
         for f in mover.by_names.values()
     )
+
+
+def _plainer_friction() -> dict[str, str]:
+    """Return the richer laws of dry friction, each with the one that it goes over into."""
+    return {n: e.plainer for n, e in catalogue().items() if e.dry and e.plainer}
+
+
+def _relaxing() -> dict[str, str]:
+    """Return the laws that relax, each with what it is where that is over at once."""
+    return {n: e.plainer for n, e in catalogue().items() if e.relaxes}
+
+
+def _slow_as() -> dict[str, str]:
+    """Return the effects that a slow motion does not tell from a plainer one, each with that."""
+    return {n: e.slow_as for n, e in catalogue().items() if e.slow_as}
+
+
+def _also() -> dict[str, str]:
+    """Return the laws that are another one by name beside a spring of free stiffness, with it."""
+    return {e.also: n for n, e in catalogue().items() if e.also}
 
 
 def _seen_only(members: Iterable[Member]) -> bool:
@@ -385,7 +368,8 @@ def _moved(
     problem = dictionary.problem
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     # Two laws of dry friction beside one another are one law in a third form.
-    ranked = [f for f in ranked if len(DRY & set(f.names)) < 2 and body.quick(f)]
+    dry = having(lambda e: e.dry)
+    ranked = [f for f in ranked if len(dry & set(f.names)) < 2 and body.quick(f)]
     # What only a load cell sees does not move the body.
     ranked = [f for f in ranked if not body.held or not _seen_only(f.members)]
     singles = [f for f in ranked if len(f.members) == 1]
@@ -398,7 +382,9 @@ def _moved(
     for fit in first:
         mover.move(fit)
     # Where those explain the motion, no others than their like are looked at.
-    enough = any(f.chi2 < DECISIVE * plain.chi2 for f in mover.by_names.values() if first)
+    enough = any(
+        f.chi2 < POLICY.moved_decisive * plain.chi2 for f in mover.by_names.values() if first
+    )
     pool = [f for f in ranked if body.plain(f.members)] if enough else ranked
     for fit in [*([] if enough else (*parts, *leading, *singles[:POOL])), *pool[:POOL]]:
         if fit.names not in mover.by_names and not mover.pointless(fit.names):
@@ -417,7 +403,7 @@ def _moved(
                 names = {n for m in members for n in m.effect.names}
                 if (body.held and _seen_only(members)) or (enough and not body.plain(members)):
                     continue
-                if len(DRY & names) < 2 and tuple(sorted(names)) not in mover.by_names:
+                if len(dry & names) < 2 and tuple(sorted(names)) not in mover.by_names:
                     mover.fit(members)
     mover.relieve()
     if body.whole_rig:
@@ -432,7 +418,9 @@ def _moved(
         fit.chi2 += own / scale - own
     found = _decide(problem, mover, plain, (before, after, n), scale, lambda _: 1.0)
     left = found.excess_after / max(found.excess_before, 1e-12)
-    return found if found.excess_after < 0.2 or left < DECISIVE else None
+    return (
+        found if found.excess_after < POLICY.moved_excess or left < POLICY.moved_decisive else None
+    )
 
 
 def search(
@@ -468,7 +456,7 @@ def search(
         best = _sure_of_its_beginning(fitter)
         plain_best = best.chi2
         scale = inflation(best.residual)
-        if scale > 1.3:
+        if scale > POLICY.coloured_evidence:
             problem.rescale(scale)
             dictionary.grams /= scale
             null = solve(problem, [], []) or null
@@ -528,12 +516,12 @@ def _refused(fitter: _Fitter, done: Search) -> bool:
     simulation tells.
     """
     best = done.best
-    if not best.members or done.excess_after < OPEN:
+    if not best.members or done.excess_after < POLICY.refused_excess:
         return False
     return any(
         len(f.names) == len(best.names) + 1
         and set(best.names) < set(f.names)
-        and best.chi2 - f.chi2 > MANY * (fitter.price(f) - fitter.price(best))
+        and best.chi2 - f.chi2 > POLICY.refused_price * (fitter.price(f) - fitter.price(best))
         for f in fitter.by_names.values()
     )
 
@@ -563,7 +551,7 @@ def _sweep(
     _modulated(fitter)
     reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
     rows = dictionary.problem.y.size * dictionary.problem.estimate.share
-    if reached > 1.03 * rows:
+    if reached > POLICY.search_ends * rows:
         triples = _promising(dictionary, dictionary.extended(leading), null)
         for group in members(dictionary.best(triples, 6)):
             fitter.fit(group)
@@ -572,7 +560,7 @@ def _sweep(
     _dashpots(dictionary, fitter)
     fitter.relieve()
     reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
-    _reform(dictionary, fitter, reached > 1.03 * rows)
+    _reform(dictionary, fitter, reached > POLICY.search_ends * rows)
     # Parts of what was refined must be there to be compared with.
     for fit in list(fitter.by_names.values()):
         for i in range(len(fit.members) if len(fit.members) > 1 else 0):
@@ -594,10 +582,11 @@ def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
     friction are forms of one another here, if so asked.
     """
     problem, groups = fitter.problem, dictionary.groups
+    friction = having(lambda e: e.dry)
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     for fit in [f for f in ranked if len(f.members) > 1][:2]:
         for i, member in enumerate(fit.members):
-            like = DRY if dry and member.name in DRY else {member.name}
+            like = friction if dry and member.name in friction else frozenset((member.name,))
             others = [
                 (g,)
                 for g, group in enumerate(groups)
@@ -619,10 +608,12 @@ def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
 
 def _dashpots(dictionary: Dictionary, fitter: _Fitter) -> None:
     """Put a dashpot in the place of what looks like one where the motion is slow."""
-    plain = next((g.member for g in dictionary.groups if g.member.name == "viscous"), None)
+    slow_as = _slow_as()
     for fit in list(fitter.by_names.values()):
         for i, member in enumerate(fit.members):
-            if plain is None or member.name not in ALIKE or "viscous" in fit.names:
+            name = slow_as.get(member.name)
+            plain = next((g.member for g in dictionary.groups if g.member.name == name), None)
+            if plain is None or name in fit.names:
                 continue
             twin = (*fit.members[:i], plain, *fit.members[i + 1 :])
             if tuple(sorted(n for m in twin for n in m.effect.names)) not in fitter.by_names:
@@ -677,7 +668,7 @@ def _beside(dictionary: Dictionary, fit: Fit, most: int) -> list[tuple[Member, .
     found = [
         (chi2, groups)
         for chi2, groups in dictionary.sets(others, beside)
-        if beside[2] - chi2 > 0.5 * dictionary.penalty(groups)
+        if beside[2] - chi2 > POLICY.promising_price_beside * dictionary.penalty(groups)
     ]
     out = []
     for groups in dictionary.best(found, most):
@@ -692,7 +683,9 @@ def _promising(
 ) -> list[tuple[float, tuple[int, ...]]]:
     """Leave out sets that earn so little that no fitting of shapes could make up for it."""
     return [
-        (chi2, groups) for chi2, groups in found if null - chi2 > 0.3 * dictionary.penalty(groups)
+        (chi2, groups)
+        for chi2, groups in found
+        if null - chi2 > POLICY.promising_price * dictionary.penalty(groups)
     ]
 
 
@@ -709,10 +702,10 @@ def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
         own = without.chi2 - fit.chi2
         n = member.effect.settings(fitter.problem.ctx, member.trial)[1]
         cost = price(fitter.problem, member.effect, n)
-        if own < cost * (1.25 if rest else 1.0):
+        if own < cost * (POLICY.several_price if rest else 1.0):
             return False
         # What moves a stated number is seen against its tolerance, not in the residual.
-        least = NEEDED[min(len(fit.names), 3)] * (1.0 if fitter.exact else 2.5)
+        least = _share_needed(fitter, len(fit.names))
         stated = not member.effect.late and (
             member.name in bent(fitter.problem, without)
             or (member.name in fitter.stated and not isinstance(fitter, _Mover))
@@ -737,25 +730,30 @@ def _before_a_dashpot(fitter: _Fitter, fit: Fit, member: int, null: Fit) -> bool
     The dashpot moves a stated number and is excused from the share; what it only looks like is
     not to lose to it by that.
     """
-    if fit.members[member].name not in ALIKE:
+    dashpot = _slow_as().get(fit.members[member].name)
+    if dashpot is None:
         return False
     rest = [m for j, m in enumerate(fit.members) if j != member]
-    names = tuple(sorted(["viscous", *(n for m in rest for n in m.effect.names)]))
+    names = tuple(sorted([dashpot, *(n for m in rest for n in m.effect.names)]))
     other = fitter.by_names.get(names)
-    if other is None or fitter.score(fit) + AMBIGUOUS > fitter.score(other):
+    if other is None or fitter.score(fit) + POLICY.same_evidence > fitter.score(other):
         return False
     return _needed(fitter, other, null)
 
 
 def _earns(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
     """Return whether a set is worth its price; of several there are many to choose from."""
-    return null.chi2 - fit.chi2 > fitter.price(fit) * (1.25 if len(fit.members) > 1 else 1.0)
+    return null.chi2 - fit.chi2 > fitter.price(fit) * (
+        POLICY.several_price if len(fit.members) > 1 else 1.0
+    )
 
 
 def _strained(problem: Problem, fit: Fit) -> bool:
     """Return whether a fit needs a time offset between the channels beyond its tolerance."""
     return any(
-        n.name == "skew" and n.sigma is not None and abs(float(b)) > STRAIN * n.sigma
+        n.name == "skew"
+        and n.sigma is not None
+        and abs(float(b)) > POLICY.strained_offset * n.sigma
         for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
     )
 
@@ -766,14 +764,17 @@ def _completes(fitter: _Fitter, fit: Fit, without: Fit) -> bool:
     What one law leaves of another's form is not all taken up by a third.
     """
     # Sliders in a row are a form of one slider, with as many as one likes.
-    sliders = SLIDERS.issubset(fit.names) and not SLIDERS.issubset(without.names)
-    return fitter.exact and not sliders and _ends_at_noise(fitter, fit, without)
+    sliders = having(lambda e: e.slides)
+    more = sliders.issubset(fit.names) and not sliders.issubset(without.names)
+    return fitter.exact and not more and _ends_at_noise(fitter, fit, without)
 
 
 def _ends_at_noise(fitter: _Fitter, fit: Fit, other: Fit) -> bool:
     """Return whether a fit leaves little beyond the noise where another one leaves more."""
     n = fitter.rows
-    return other.chi2 - n > fitter.open * n and fit.chi2 - n < 0.2 * (other.chi2 - n)
+    return other.chi2 - n > fitter.open * n and fit.chi2 - n < POLICY.noise_reached * (
+        other.chi2 - n
+    )
 
 
 def _decide(
@@ -793,20 +794,24 @@ def _decide(
     fits = _plainest(fitter, fits, null)
     fits = _simplest_first(fitter, fits, null)
     best = null
-    if fits and _earns(fitter, fits[0], null) and _size(problem, fits[0]) > SMALLEST:
+    if fits and _earns(fitter, fits[0], null) and _size(problem, fits[0]) > POLICY.least_force:
         best = fits[0]
     held = held_out(best) if best.members else 0.0
-    if best.members and held < 0.3:
+    if best.members and held < POLICY.held_out_share:
         best = null
     equal = []
     if best.members:
         own = count(problem, best)
         for fit in fits:
             extra = max(0, count(problem, fit) - own)
-            worse = fit.chi2 - best.chi2 + DEARER * AMBIGUOUS * extra
-            if fit.names != best.names and worse < AMBIGUOUS and held_out(fit) > 0.3:
+            worse = fit.chi2 - best.chi2 + POLICY.dearer_rival * POLICY.same_evidence * extra
+            if (
+                fit.names != best.names
+                and worse < POLICY.same_evidence
+                and held_out(fit) > POLICY.held_out_share
+            ):
                 equal.append(fit)
-        equal += [f for f in _twins(fitter, best, fits) if held_out(f) > 0.3]
+        equal += [f for f in _twins(fitter, best, fits) if held_out(f) > POLICY.held_out_share]
     equal += [f for f in _by_another_name(fitter, best) if f.names not in {e.names for e in equal}]
     # The residual of a motion is that of its rows, the balance's is scaled like its problem.
     moved = isinstance(fitter, _Mover)
@@ -829,6 +834,16 @@ def _decide(
     )
 
 
+def _blurred(fitter: _Fitter) -> float:
+    """Return by how much more a share has to be where the motion is estimated."""
+    return 1.0 if fitter.exact else POLICY.estimated_motion
+
+
+def _share_needed(fitter: _Fitter, size: int) -> float:
+    """Return the part of what a set of so many effects explains that each has to explain alone."""
+    return of_size(POLICY.needed_share, size) * _blurred(fitter)
+
+
 def _worth_their_size(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     """Leave out sets beside a naive model that do little better than the best of fewer laws.
 
@@ -841,7 +856,7 @@ def _worth_their_size(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     for fit in fits:
         size = len(fit.members)
         smaller = min((f.chi2 for f in fits if len(f.members) < size), default=np.inf)
-        least = NEEDED[min(size, 3)] * (1.0 if fitter.exact else 2.5)
+        least = _share_needed(fitter, size)
         # What the last of them is to explain; of a decay the damping, see there.
         whole = min(decay.explained(problem, fitter.fit, fit, m, null) for m in fit.members)
         if smaller - fit.chi2 >= least * whole:
@@ -857,11 +872,12 @@ def _goes_on(fitter: _Fitter, fit: Fit) -> bool:
     is there within each half, whatever level it has there, if the half can show it at all.
     """
     problem = fitter.problem
-    if "drift" not in fit.names or problem.case.model.k_tol is not None:
+    wanders, zeros = having(lambda e: e.wanders), having(lambda e: e.zero)
+    if wanders.isdisjoint(fit.names) or problem.case.model.k_tol is not None:
         return True
-    member = next(m for m in fit.members if m.name == "drift")
+    member = next(m for m in fit.members if m.name in wanders)
     rest = [problem.columns(m) for m in fit.members if m is not member]
-    level = [] if "bias" in fit.names else [problem.seen(np.ones(problem.ctx.t.size))]
+    level = [] if zeros & set(fit.names) else [problem.seen(np.ones(problem.ctx.t.size))]
     design = np.column_stack([problem.columns(member), *rest, problem.base, *level])
     size = np.sqrt(np.mean(design**2, axis=0))
     size[size == 0.0] = 1.0
@@ -877,8 +893,8 @@ def _goes_on(fitter: _Fitter, fit: Fit) -> bool:
     weights = 1.0 / np.maximum(np.array(widths), 1e-300)
     within = float(np.sum(weights * np.array(rates)) / np.sum(weights))
     whole = float(fit.betas[fit.members.index(member)][0]) * float(size[0])
-    unsure = float(np.sum(weights)) ** -0.5 > 0.5 * abs(whole)
-    return unsure or within / whole > 0.5
+    unsure = float(np.sum(weights)) ** -0.5 > POLICY.drift_unsure * abs(whole)
+    return unsure or within / whole > POLICY.drift_in_halves
 
 
 def _twins(fitter: _Fitter, best: Fit, fits: list[Fit]) -> list[Fit]:
@@ -898,7 +914,7 @@ def _twins(fitter: _Fitter, best: Fit, fits: list[Fit]) -> list[Fit]:
         if len(f.members) == 1
         and f.names not in known
         and count(fitter.problem, f) <= own
-        and f.chi2 - best.chi2 < TWIN
+        and f.chi2 - best.chi2 < POLICY.twin_evidence
     ]
 
 
@@ -907,11 +923,14 @@ def _yields(fitter: _Fitter, fit: Fit) -> bool:
     ctx = fitter.problem.ctx
     held = lost = 0.0
     for m, b in zip(fit.members, fit.betas, strict=True):
-        if m.name == "lugre":
-            held = m.effect.report(ctx, m.trial, b).get("sigma0_N_m", 0.0)
-        elif m.name == "stiffness":
+        own = m.effect.holds_n_per_m(ctx, m.trial, b)
+        if own > 0.0:
+            held = own
+        elif m.name == of_number("k"):
             lost = -float(b[0]) * ctx.model.k
-    reach = 0.1 * held + 3.0 * (ctx.model.k_tol or 0.0) * abs(ctx.model.k)
+    reach = POLICY.bristles_as_lost * held + POLICY.bristles_as_lost_tolerance * (
+        ctx.model.k_tol or 0.0
+    ) * abs(ctx.model.k)
     return held > 0.0 and abs(held - lost) < reach
 
 
@@ -923,13 +942,18 @@ def _one_of_a_kind(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     """
     out = list(fits)
     by_name = {f.names: f for f in fits}
+    stiffness = of_number("k")
     for fit in fits:
-        if "lugre" in fit.names and "stiffness" in fit.names:
-            rest = [n for n in fit.names if n not in ("lugre", "stiffness")]
-            twin = by_name.get(tuple(sorted([*rest, "hysteresis"])))
-            other = by_name.get(tuple(sorted([*rest, "hysteresis", "stiffness"])))
+        bristles = next((n for n in _also() if n in fit.names), "")
+        if bristles and stiffness in fit.names:
+            yielding = _also()[bristles]
+            rest = [n for n in fit.names if n not in (bristles, stiffness)]
+            twin = by_name.get(tuple(sorted([*rest, yielding])))
+            other = by_name.get(tuple(sorted([*rest, yielding, stiffness])))
             margin = (
-                max(25.0, FORM_ALONE * (null.chi2 - fit.chi2)) if _yields(fitter, fit) else 25.0
+                max(POLICY.yielding_gain, POLICY.form_alone * (null.chi2 - fit.chi2))
+                if _yields(fitter, fit)
+                else POLICY.yielding_gain
             )
             alike = twin is not None and fitter.score(twin) < fitter.score(fit) + margin
             if alike or (other is not None and fitter.score(other) < fitter.score(fit)):
@@ -944,17 +968,16 @@ def _by_another_name(fitter: _Fitter, best: Fit) -> list[Fit]:
     what is seen of it, the way to slipping, is the form of either law.
     """
     model = fitter.problem.case.model
-    if model.k_tol is not None or model.k == 0.0 or "lugre" not in best.names:
+    bristles = next((n for n in _also() if n in best.names), "")
+    if model.k_tol is not None or model.k == 0.0 or not bristles:
         return []
-    by_name = {e.name: e for e in fitter.problem.effects}
-    if "hysteresis" in best.names or "hysteresis" not in by_name:
+    name = _also()[bristles]
+    yielding = next((e for e in fitter.problem.effects if e.name == name), None)
+    if name in best.names or yielding is None:
         return []
-    twin = []
-    for m in best.members:
-        if m.name == "lugre":
-            form = {"dahl": "bw1", "slips": "bw1"}.get(m.trial.variant, "iwan0")
-            m = Member(by_name["hysteresis"], Trial(m.trial.theta[:1], form))
-        twin.append(m)
+    twin = [
+        Member(yielding, yielding.like(m.trial)) if m.name == bristles else m for m in best.members
+    ]
     names = tuple(sorted(n for m in twin for n in m.effect.names))
     found = fitter.by_names.get(names) or fitter.fit(twin)
     return [found] if found is not None else []
@@ -966,21 +989,22 @@ def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     Both go over into it; what they gain then is the form of the jump. So does relaxation that is
     over at once: it is a dashpot.
     """
-    share = NESTED * (1.0 if fitter.exact else 2.5)
+    share = POLICY.richer_friction_share * _blurred(fitter)
+    friction, relaxing = _plainer_friction(), _relaxing()
     out = []
     for fit in fits:
-        richer = {"stribeck", "lugre"} & set(fit.names)
+        richer = {n for n in fit.names if n in friction}
         plain = None
-        if len(richer) == 1 and "coulomb" not in fit.names:
-            names = [n if n not in richer else "coulomb" for n in fit.names]
+        if len(richer) == 1 and not {friction[n] for n in richer} & set(fit.names):
+            names = [friction.get(n, n) for n in fit.names]
             plain = next((f for f in fits if f.names == tuple(sorted(names))), None)
         gain = plain.chi2 - fit.chi2 if plain is not None else np.inf
         if plain is None and _quick(fitter.problem.ctx, fit):
-            names = [n if n != "maxwell" else "viscous" for n in fit.names]
+            names = [relaxing.get(n, n) for n in fit.names]
             plain = next((f for f in fits if f.names == tuple(sorted(names))), None)
             gain = plain.chi2 - fit.chi2 if plain is not None else np.inf
         if gain > fitter.price(fit) - (fitter.price(plain) if plain else 0.0) + max(
-            12.0, share * (null.chi2 - fit.chi2)
+            POLICY.richer_friction_gain, share * (null.chi2 - fit.chi2)
         ):
             out.append(fit)
     return out
@@ -988,9 +1012,11 @@ def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
 
 def _quick(ctx: Context, fit: Fit) -> bool:
     """Return whether a set holds a relaxation that the motion is too slow to show."""
-    times = [m.trial.theta[0] for m in fit.members if m.name == "maxwell"]
+    relaxing = _relaxing()
+    times = [m.trial.theta[0] for m in fit.members if m.name in relaxing]
     omega = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
-    return bool(times) and "viscous" not in fit.names and max(times) * omega < SLOW
+    alone = set(relaxing.values()).isdisjoint(fit.names)
+    return bool(times) and alone and max(times) * omega < POLICY.quick_relaxation
 
 
 def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
@@ -998,7 +1024,7 @@ def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     if not fits:
         return fits
     problem, best = fitter.problem, fits[0]
-    form = FORM_ALONE * (null.chi2 - best.chi2)
+    form = POLICY.form_alone * (null.chi2 - best.chi2)
     # One that begins in mid-record has been chosen among as many moments, whatever its law.
     late = any(m.effect.late for m in best.members)
     simple = [
@@ -1023,9 +1049,9 @@ def _forms(fitter: _Fitter, best: Fit, null: Fit) -> list[Fit]:
     a body sticks, the next row's noise decides in which of many valleys that is.
     """
     others: Iterable[Fit | None] = fitter.known.values()
-    share = FORM
+    share = POLICY.other_form
     if isinstance(fitter, _Mover):
-        others, share = fitter.tried, FORM_ALONE
+        others, share = fitter.tried, POLICY.form_alone
     reach = share * (null.chi2 - best.chi2)
     return [
         f

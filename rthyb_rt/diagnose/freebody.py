@@ -16,12 +16,12 @@ import numpy as np
 from rthyb_rt import core
 from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.case import Case, Floats, Model
-from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.effects import having, of_number
+from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.effects.friction import SHARP
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented, changed, parameters, start_of
 from rthyb_rt.diagnose.select import (
-    MASS_BLUR,
-    SKEW_PRIOR_S,
     Fit,
     Member,
     Problem,
@@ -29,16 +29,6 @@ from rthyb_rt.diagnose.select import (
 )
 from rthyb_rt.diagnose.simulate import Motion, SimulationError
 
-EXACT = 1.5e-4
-"""Part of a displacement that two good simulators differ by."""
-NUISANCE = 3.0
-"""Standard deviations that mass and offset in time move at most."""
-MET = 1.5
-"""Mean square, in units of the noise, up to which a simulated displacement is the measured one."""
-MET_ALONE = 1.05
-"""The same of a fit that is not to be bettered: noise is not known any better."""
-CLOSE = 0.005
-"""The same as a part of what the model alone leaves: simulators of friction differ by so much."""
 RUNS = 4000
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
 SLOW = 4
@@ -47,6 +37,9 @@ STEPS = 6
 STEP = 1e-4
 LITTLE = 0.03
 """Part of a rough fit's chi-squared by which a step has to better it."""
+
+Loose = tuple[tuple[str, float, float], ...]
+"""What moves in a simulation beside the parameters: see `Body`."""
 
 
 def judged(case: Case) -> bool:
@@ -89,13 +82,11 @@ class Body:
     rough = np.inf
     whole_rig = False
     threads = 1
-    met = MET_ALONE
-    loose: tuple[tuple[str, float, float], ...] = (
-        ("blur", 2.0, NUISANCE), ("skew", 2.0, NUISANCE), ("x", 0.4, np.inf), ("v", 0.4, np.inf),
-    )  # fmt: skip
 
     def __init__(self, case: Case, ctx: Context) -> None:
         self.case, self.ctx, self.runs = case, ctx, RUNS
+        self.met = POLICY.motion_met_alone
+        self.loose = self._loose()
         self.held = "f_meas" in case.channels and case.model.family == "ground"
         self.x = case.channels["x_meas"]
         self.other = {k: estimate.filled(v) for k, v in case.recorded.items()}
@@ -106,11 +97,15 @@ class Body:
         self.rows = np.flatnonzero(rows)
         spread = float(np.std(self.x[self.rows])) or 1.0
         noise = estimate.noise_of(self.x, case.model.x_std)
-        self.sigma = float(np.hypot(noise, EXACT * spread))
+        self.sigma = float(np.hypot(noise, POLICY.simulators_differ * spread))
         self.spread = spread
         model = case.model
         self.whole = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
-        self.units = {"blur": MASS_BLUR * self.whole, "skew": SKEW_PRIOR_S}
+        self.units = {"blur": POLICY.mass_blur * self.whole, "skew": POLICY.offset_prior_s}
+
+    def _loose(self) -> Loose:
+        reach = POLICY.nuisance_reach
+        return (("blur", 2.0, reach), ("skew", 2.0, reach), ("x", 0.4, np.inf), ("v", 0.4, np.inf))
 
     def _push(self, factor: float) -> tuple[Floats, float]:
         """Return the force on the body, and the mass that no element has."""
@@ -136,7 +131,7 @@ class Body:
         rest = Augmented(
             self.case.model, self.case.model, fit.members, fit.betas, None, self.ctx.all_ranges
         ).elements(self.case.model.mass)[2]
-        slow = ("hysteresis", "pinching", "degradation")
+        slow = having(lambda e: e.many_springs)
         return not any(m.name in slow or not m.effect.sensor for m, _ in rest) and not any(
             n in slow for n in fit.names
         )
@@ -169,10 +164,10 @@ class Body:
         if not fits:
             return None
         found = min(fits, key=lambda f: f.chi2)
-        allowed = MET * self.rows.size
+        allowed = POLICY.motion_met * self.rows.size
         if found.chi2 > allowed:
             null = self.refined(problem, replace(fit, members=(), betas=()))
-            allowed = max(allowed, CLOSE * null.chi2) if null is not None else allowed
+            allowed = max(allowed, POLICY.motion_close * null.chi2) if null is not None else allowed
         base = self.case.model
         plain = _with_nuisance(base, problem, found)
         own = Augmented(plain, base, found.members, found.betas, None, self.ctx.all_ranges)
@@ -190,10 +185,7 @@ class Body:
     def _sharp(self, fit: Fit) -> Fit | None:
         """Return a set with the step of its dry friction sharp; None where it has none."""
         width = SHARP * self.ctx.v_range
-        members = tuple(
-            replace(m, trial=Trial((width,))) if m.name == "coulomb" and m.trial.theta else m
-            for m in fit.members
-        )
+        members = tuple(replace(m, trial=m.effect.sharp(m.trial, width)) for m in fit.members)
         return replace(fit, members=members) if members != fit.members else None
 
     def _known(self, problem: Problem, fit: Fit) -> Floats:
@@ -224,10 +216,10 @@ class Body:
     def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
         """Return recording less simulation in units of the noise, one for each of the rows."""
         rate = 2.0 * np.pi * self.spread
-        push, mass = self._push(float(np.exp(MASS_BLUR * loose[0])))
+        push, mass = self._push(float(np.exp(POLICY.mass_blur * loose[0])))
         start = (at[0] + loose[2] * self.spread, at[1] + loose[3] * rate)
         motion = now.moved_by(push, mass, self.case.t, self.other, start)
-        x = motion.x - loose[1] * SKEW_PRIOR_S * motion.v
+        x = motion.x - loose[1] * POLICY.offset_prior_s * motion.v
         return np.asarray((x - self.x)[self.rows] / self.sigma)
 
     def refined(self, problem: Problem, fit: Fit) -> Fit | None:
@@ -241,23 +233,16 @@ class Body:
         plain = _with_nuisance(base, problem, fit)
         first = Augmented(plain, base, fit.members, fit.betas, None, self.ctx.all_ranges)
         places = [p for p in parameters(first) if p[0] != "m"]
-        held = {"k": (base.k, plain.k, base.k_tol), "c": (base.c, plain.c, base.c_tol)}
         count = len(places)
         start = self.start(first)
         if start is None or self.runs <= 0:
             return None
         cost = 1 if self.quick(fit) else SLOW
-        stated = [j for j, (name, _, _) in enumerate(self.loose) if name in self.units]
 
         def residual(p: Floats) -> Floats:
             self.runs -= cost
             now = changed(first, places, _logs(places, p))
-            prior = [p[count + j] for j in stated]
-            for j, (kind, _, _) in enumerate(places):
-                if kind in held:
-                    known, at, tolerance = held[kind]
-                    if tolerance:
-                        prior.append((at / known * (1.0 + p[j]) - 1.0) / tolerance)
+            prior = self._priors(places, plain, p)
             return np.asarray(np.r_[self.differences(now, p[count:], start), prior])
 
         try:
@@ -283,10 +268,7 @@ class Body:
             for m, b in zip(best.members, best.betas, strict=True)
         ):
             return None
-        moved = {"stiffness": best.model.k / base.k - 1.0, "viscous": best.model.c - base.c}
-        for (name, _, _), q in zip(self.loose, p[count:], strict=True):
-            moved[name] = float(q) * self.units.get(name, 1.0)
-        nuisance = np.array([moved.get(n.name, 0.0) for n in problem.nuisances])
+        nuisance = self._nuisance(problem, best.model, p[count:])
         inverse = _inverse(gram)
         n = self.rows.size
         scatter = clustered(slopes[:n], r[:n], inverse)
@@ -297,6 +279,35 @@ class Body:
         )  # fmt: skip
         return _as_effects(problem, found)
 
+    def _priors(
+        self, places: Sequence[tuple[str, int, int]], begun: Model, p: Floats
+    ) -> list[float]:
+        """Return how far what is loose, and the stated numbers, are off in units of their priors.
+
+        Args:
+            places: the parameters of a set.
+            begun: the model as the fit begins with it.
+            p: what the parameters are moved by, then what is loose.
+        """
+        base = self.case.model
+        held = {"k": (base.k, begun.k, base.k_tol), "c": (base.c, begun.c, base.c_tol)}
+        stated = [j for j, (name, _, _) in enumerate(self.loose) if name in self.units]
+        prior = [float(p[len(places) + j]) for j in stated]
+        for j, (kind, _, _) in enumerate(places):
+            if kind in held:
+                known, at, tolerance = held[kind]
+                if tolerance:
+                    prior.append((at / known * (1.0 + float(p[j])) - 1.0) / tolerance)
+        return prior
+
+    def _nuisance(self, problem: Problem, best: Model, loose: Floats) -> Floats:
+        """Return what a model, and what is loose in units of its priors, come to as nuisance."""
+        base = self.case.model
+        moved = {of_number("k"): best.k / base.k - 1.0, of_number("c"): best.c - base.c}
+        for (name, _, _), q in zip(self.loose, loose, strict=True):
+            moved[name] = float(q) * self.units.get(name, 1.0)
+        return np.array([moved.get(n.name, 0.0) for n in problem.nuisances])
+
 
 def _as_effects(problem: Problem, fit: Fit) -> Fit:
     """Return a set whose linear effects have all that a stated number was moved by beside them.
@@ -306,7 +317,7 @@ def _as_effects(problem: Problem, fit: Fit) -> Fit:
     betas, nuisance, chi2 = list(fit.betas), fit.nuisance.copy(), fit.chi2
     names = [m.name for m in fit.members]
     for j, n in enumerate(problem.nuisances):
-        if n.sigma is not None and n.name in names and n.name in ("stiffness", "viscous"):
+        if n.sigma is not None and n.name in names and n.number in ("k", "c"):
             i = names.index(n.name)
             betas[i] = betas[i] + nuisance[j]
             chi2 -= (float(nuisance[j]) / n.sigma) ** 2
@@ -316,10 +327,9 @@ def _as_effects(problem: Problem, fit: Fit) -> Fit:
 
 def _with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-        if nuisance.name == "stiffness":
-            model = replace(model, k=model.k * (1.0 + float(b)))
-        elif nuisance.name == "viscous" and model.c + float(b) > 0.0:
-            model = replace(model, c=model.c + float(b))
+        # A mass is not stated where it is nuisance, and a dashpot that pushes makes motion run off.
+        if nuisance.number == "k" or (nuisance.number == "c" and model.c + float(b) > 0.0):
+            model = nuisance.moves(model, float(b))
     return model
 
 
@@ -354,6 +364,7 @@ def _least(
         return (residual(p + e) - r) / STEP
 
     r = residual(p)
+    low, high = ends.T
     # What only its prior holds is weak beside the rest: heavy damping would keep it from moving.
     best, damping = float(r @ r), 1e-8
     if not np.isfinite(best):
@@ -369,14 +380,10 @@ def _least(
         gain = 0.0
         for _ in range(7):
             step = np.linalg.solve(gram + damping * np.diag(gram.diagonal() + 1e-12), right)
-            trial = np.clip(p + np.clip(step, -reach, reach), ends[:, 0], ends[:, 1])
-            try:
-                new = residual(trial)
-            except (SimulationError, core.CoreError):
-                damping *= 30.0
-                continue
-            now = float(new @ new)
-            if np.isfinite(now) and now < best:
+            trial = np.clip(p + np.clip(step, -reach, reach), low, high)
+            new = _simulated(residual, trial)
+            now = float(new @ new) if new is not None else np.inf
+            if new is not None and np.isfinite(now) and now < best:
                 gain, p, r, best = best - now, trial, new, now
                 damping = max(damping * 0.1, 1e-10)
                 break
@@ -384,6 +391,13 @@ def _least(
         if gain < (1e-6 if best < rough else LITTLE) * best + 0.05:
             break
     return p, r, gram, jacobian
+
+
+def _simulated(residual: Callable[[Floats], Floats], p: Floats) -> Floats | None:
+    try:
+        return residual(p)
+    except (SimulationError, core.CoreError):
+        return None
 
 
 def _logs(places: Sequence[tuple[str, int, int]], p: Floats) -> Floats:

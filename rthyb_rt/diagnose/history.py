@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import Motion
 
 HEAD = 0.15
@@ -24,8 +25,6 @@ FARTHEST = 33
 """Excursions that are tried first, evenly over the displacements that the specimen knows."""
 CLOSER = 2
 """Times that the place between the neighbours of the best is divided anew."""
-BETTER = 0.5
-"""Part of the misfit of the first rows that a past may leave: else none is taken to have been."""
 
 Force = Callable[[Motion, Floats, dict[str, Floats]], Floats]
 
@@ -69,7 +68,7 @@ def force_after(
         tops = np.linspace(best - span, best + span, FARTHEST)
         best = float(tops[np.argmin([off(begun(float(top), end)) for top in tops])])
         span *= 2.0 / (FARTHEST - 1)
-    if off(begun(best, end)) > BETTER * off(plain):
+    if off(begun(best, end)) > POLICY.past_better * off(plain):
         return plain
     return begun(best, case.t.size)
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.engine import Diagnosis, intervals
 from rthyb_rt.diagnose.select import columns_of, leaning
-from rthyb_rt.diagnose.words import PLAIN
+from rthyb_rt.diagnose.words import called
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,10 +48,6 @@ GREYS = ["#e2e2dd", "#c4c4be", "#9d9d97", "#6f6f6a"]
 """Few rows in a cell to many."""
 RIVALS = 2
 """Laws drawn beside the one that is named."""
-OTHER = {
-    "inertia": "a", "time_skew": "rate", "crosstalk": "fy", "bias": "t", "drift": "t",
-}  # fmt: skip
-"""What a law is a line over where that is neither displacement nor velocity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +80,7 @@ class Law:
     @property
     def label(self) -> str:
         """What it is made of, in words."""
-        return " with ".join(PLAIN.get(n, n) for p in self.parts for n in p.names)
+        return " with ".join(called(n) for p in self.parts for n in p.names)
 
     def of(self, kept: Sequence[Part]) -> tuple[Floats, Floats | None]:
         """Return what some of its parts add, and half the width of their 95 % band."""
@@ -283,7 +280,8 @@ def draw_laws(d: Diagnosis) -> list[Plate]:
 
 def _own(part: Part) -> str:
     """Return what an effect follows where that is neither displacement nor velocity."""
-    return OTHER.get(part.names[0], "") if len(part.names) == 1 else ""
+    law = effects.catalogue().get(part.names[0]) if len(part.names) == 1 else None
+    return law.over if law is not None else ""
 
 
 def line_share(signal: Floats, x: Floats) -> float:
@@ -386,7 +384,7 @@ def _note(rest: Rest, quantity: str, off: Sequence[Part], cycle: bool, thin: boo
         return "Recorded less the model; darker: more rows."
     words = ["Grey: recorded less the model, its numbers moved within tolerance."]
     if off:
-        names = " and ".join(PLAIN.get(n, n) for p in off for n in p.names)
+        names = " and ".join(called(n) for p in off for n in p.names)
         do = "it does" if len(off) == 1 else "they do"
         words.append(f"Without {names}: {do} not follow {quantity}.")
     if cycle:

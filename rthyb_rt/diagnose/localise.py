@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.diagnose.case import Floats
+from rthyb_rt.diagnose.policy import POLICY
 
 Mask = NDArray[np.bool_]
 RUNNING_S = 0.15
-PART = 0.25
-JOIN_S = 0.3
 
 
 def running_rms(signal: Floats, fs_hz: float, noise: float = 0.0) -> Floats:
@@ -31,10 +30,10 @@ def active(signal: Floats, fs_hz: float, noise: float = 0.0) -> Mask:
     level = running_rms(signal, fs_hz, noise)
     if not level.max() > 0.0:
         return np.zeros(signal.size, dtype=np.bool_)
-    mask = level > PART * level.max()
+    mask = level > POLICY.active_part * level.max()
     rows = np.flatnonzero(mask)
     breaks = np.diff(rows)
-    for i in np.flatnonzero((breaks > 1) & (breaks <= JOIN_S * fs_hz)):
+    for i in np.flatnonzero((breaks > 1) & (breaks <= POLICY.active_break_s * fs_hz)):
         mask[rows[i] : rows[i + 1]] = True
     return np.asarray(mask)
 
@@ -50,6 +49,6 @@ def windows(mask: Mask, t: Floats) -> list[list[float]]:
 
 def ranges(signal: Floats, mask: Mask, along: Floats) -> list[float]:
     """Return the range of ``along`` where a signal acts within a mask."""
-    strong = mask & (np.abs(signal) > 0.05 * (np.max(np.abs(signal)) or 1.0))
+    strong = mask & (np.abs(signal) > POLICY.active_rows * (np.max(np.abs(signal)) or 1.0))
     where = along[strong] if strong.any() else along
     return [float(where.min()), float(where.max())]

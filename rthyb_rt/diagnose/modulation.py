@@ -23,24 +23,13 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
+from rthyb_rt.diagnose.policy import POLICY
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose.select import Fit, Member, Problem
 
-MOST = 4
-"""Channels of a recording that are tried; more would make chance findings and hours of them."""
-SHIFTS = 19
-"""Shifts of a channel, forwards and backwards each: it gains more than all by chance in 1 of 39."""
 GOLDEN = 0.6180339887498949
 """Part of the recording between shifts (the golden section): no period is met twice."""
-LEAST = 4e-3
-"""Part of what a set explains that a modulation adds at least, as `force.NEEDED` has it of two."""
-OWN = 0.5
-"""Part of the coefficient that the rest of a channel has to have beside what follows motion."""
-ALONE = 1e-6
-"""Part of a channel's variance that is left of it beside the motion, for anything to be told."""
-TURNED = -0.1
-"""Least coefficient of a law within the recording, as part of its mean, where it has a sign."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +107,7 @@ class Modulated(Effect):
         g = self.channel.of(ctx)
         ends = [float(beta[0] + beta[1] * end) for end in (g.min(), g.max())]
         (sign, _), _ = self.effect.settings(ctx, trial)
-        if sign == "+" and min(ends) < TURNED * abs(float(beta[0])):
+        if sign == "+" and min(ends) < POLICY.modulation_turned * abs(float(beta[0])):
             return False
         return self.effect.sensible(ctx, trial, beta[:1])
 
@@ -197,7 +186,7 @@ def channels(further: dict[str, Floats]) -> list[Channel]:
         good = values[np.isfinite(values)]
         if good.size > 0.5 * values.size and np.std(good) > 0.0:
             out.append(Channel(name, float(np.mean(good)), float(np.std(good))))
-    return out[:MOST]
+    return out[: POLICY.modulation_channels]
 
 
 def forms(effects: Iterable[Effect], further: dict[str, Floats], free: set[str]) -> list[Modulated]:
@@ -270,7 +259,9 @@ def _holds(problem: Problem, fit: Fit, which: int) -> bool:
     own = rest(g)
     base, _ = np.linalg.qr(problem.base) if problem.base.size else (np.zeros((y.size, 0)), None)
     whole = problem.y - base @ (base.T @ problem.y)
-    if problem.case.model.k_tol is None and gain(own) < LEAST * float(whole @ whole):
+    if problem.case.model.k_tol is None and gain(own) < POLICY.modulation_share * float(
+        whole @ whole
+    ):
         return False
     from rthyb_rt.diagnose.select import penalty
 
@@ -278,7 +269,7 @@ def _holds(problem: Problem, fit: Fit, which: int) -> bool:
         return False
     follows = _by_motion(ctx, g, problem.estimate.rows)
     left = g - follows
-    if float(np.var(left)) < ALONE:
+    if float(np.var(left)) < POLICY.modulation_alone:
         return False
     first = rest(follows)
     size = float(first @ first)
@@ -288,14 +279,14 @@ def _holds(problem: Problem, fit: Fit, which: int) -> bool:
         left_column = left_column - first * (float(first @ left_column) / size)
     of_rest = float(left_column @ y) / max(float(left_column @ left_column), 1e-300)
     of_all = float(fit.betas[which][-1])
-    return gain(left_column) > penalty(problem.ln_n, 1) and of_rest * np.sign(of_all) > OWN * abs(
+    return gain(left_column) > penalty(problem.ln_n, 1) and of_rest * np.sign(
         of_all
-    )
+    ) > POLICY.modulation_own * abs(of_all)
 
 
 def _the_channel(g: Floats, own: float, gain: Any, rest: Any) -> bool:
     """Return whether a channel gains more than itself in other places of the recording."""
-    for j in range(1, SHIFTS + 1):
+    for j in range(1, POLICY.modulation_shifts + 1):
         by = round((j * GOLDEN % 1.0) * g.size)
         if any(gain(rest(np.roll(way, by))) >= own for way in (g, g[::-1])):
             return False

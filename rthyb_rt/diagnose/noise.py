@@ -15,22 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.diagnose.case import Floats
+from rthyb_rt.diagnose.policy import POLICY
 
-SHEET = 1.25
-"""Times its data sheet that a noise may be, or its inverse: sheets are right within 20 per cent
-(the interchange format says so), and one that states 20 per cent too little is met by 1 / 0.8."""
-BESIDE = 0.01
-"""Part of the motion's power, by velocity, that may lie outside its band, half at either end."""
 OCTAVE = 0.5
 """Width of one level of the spectrum, octaves, where that holds `LINES` lines."""
 LINES = 12
 """Least number of lines of one level: it is known to 1 / sqrt(12), 30 per cent, then."""
-STEEPEST = 2.0
-"""Largest power of 1 / f that noise rises with towards slow motion: a random walk."""
-NEAR = 4.0
-"""Times the top of the motion's band up to which noise tells of the noise within."""
-LOUDEST = 6.0
-"""Times its level that the power of a line of noise has; one in 400 has more."""
 SCORINGS = 12
 TRIED = 12
 """Sets that are tried with the colour of what they leave."""
@@ -102,16 +92,17 @@ def colour_of(
     moved = np.cumsum(np.abs(np.fft.rfft(_faded(rows, fs_hz) * velocity)) ** 2)
     if not moved[-1] > 0.0:
         return None
-    ends = np.interp([0.5 * BESIDE, 1.0 - 0.5 * BESIDE], moved / moved[-1], f_hz)
+    beside_it = 0.5 * POLICY.noise_beside_motion
+    ends = np.interp([beside_it, 1.0 - beside_it], moved / moved[-1], f_hz)
     low_hz, high_hz = map(float, ends)
     beside = np.flatnonzero(((f_hz < low_hz) | (f_hz > high_hz)) & (np.arange(f_hz.size) > 1))
     beside = beside[beside < f_hz.size - 1]
     # With little room above the motion nothing tells its noise from what it makes.
-    if beside.size < 8 * LINES or high_hz > 0.25 * fs_hz:
+    if beside.size < 8 * LINES or high_hz > POLICY.noise_room * fs_hz:
         return None
     # Seen from above only, noise is known as far as it goes on evenly: an octave to either side.
     below = f_hz[beside[0]] < low_hz
-    near = beside[f_hz[beside] < (NEAR if below else 2.0) * high_hz]
+    near = beside[f_hz[beside] < (POLICY.noise_near if below else 2.0) * high_hz]
     above = beside[f_hz[beside] > high_hz]
     red = _fitted_red(f_hz[near], power[near])
     found = Colour(*_levels(f_hz[above], power[above]), red, high_hz, 0.5 * float(f_hz[near[0]]))
@@ -161,7 +152,8 @@ def _spectrum(
 def _held(found: Colour, f_hz: Floats, sheet: float) -> Colour:
     """Return a colour as large as the data sheet allows."""
     total, red = float(np.mean(found.at(f_hz))), found.red
-    held = float(np.clip(total, (sheet / SHEET) ** 2, (sheet * SHEET) ** 2)) / total
+    factor = POLICY.sheet_factor
+    held = float(np.clip(total, (sheet / factor) ** 2, (sheet * factor) ** 2)) / total
     return replace(found, power=held * found.power, red=(held * red[0], held * red[1], red[2]))
 
 
@@ -204,17 +196,17 @@ def _fitted_red(f_hz: Floats, power: Floats) -> tuple[float, float, float]:
     For each slope the two others by Fisher scoring, neither below nothing.
     """
     best, found = np.inf, (float(np.mean(power)), 0.0, 0.0)
-    for slope in np.linspace(0.0, STEEPEST, 9):
+    for slope in np.linspace(0.0, POLICY.noise_steepest, 9):
         design = np.column_stack((np.ones(f_hz.size), f_hz**-slope))
         level = np.full(f_hz.size, float(np.mean(power)))
         beta = np.zeros(2)
         for turn in range(SCORINGS):
             part = design[:, :1] if slope == 0.0 else design
             # What stands far out of such a spectrum is a line, and no noise.
-            noise = power if turn < SCORINGS // 2 else np.minimum(power, LOUDEST * level)
+            noise = power if turn < SCORINGS // 2 else np.minimum(power, POLICY.noise_line * level)
             beta = _not_negative(part / level[:, None], noise / level)
             level = np.maximum(design @ beta, 1e-6 * float(np.mean(power)))
-        likelihood = float(np.sum(np.log(level) + np.minimum(power / level, LOUDEST)))
+        likelihood = float(np.sum(np.log(level) + np.minimum(power / level, POLICY.noise_line)))
         if likelihood < best - 1e-9:
             best, found = likelihood, (float(beta[0]), float(beta[1]), float(slope))
     return found

@@ -9,6 +9,7 @@ import numpy as np
 
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
 from rthyb_rt.diagnose.estimate import Rows
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
     BLOCKS,
     Dictionary,
@@ -21,19 +22,12 @@ from rthyb_rt.diagnose.select import (
     solve,
 )
 
-WHITE = 1.1
-"""Inflation of what the best set leaves, see `select.inflation`, up to which nothing is missing."""
 SINGLES = 3
 """Single effects beside which others are tried from a moment on; the best pair is one more."""
 MOST = 5
 """Effects that are looked at more closely beside one set."""
 NEAR = 25
 """Beginnings that are looked at between the blocks beside the best one."""
-PRESENT = 0.5
-"""Part of its later size that an effect must not have before it begins: half way between an effect
-that is not there and one that is there throughout."""
-SURE = 2.0
-"""Standard deviations by which it has to be known that it has not."""
 
 
 class Late(Effect):
@@ -52,6 +46,7 @@ class Late(Effect):
         self.pinned = effect.pinned
         self.sensor = effect.sensor
         self.carries = effect.carries
+        self.zero, self.foretold, self.needs = effect.zero, effect.foretold, effect.needs
         self.equation = f"{effect.equation}, from t0 on"
         self.fingerprint = f"{effect.fingerprint}, from a moment on"
         self.shown_by = effect.shown_by
@@ -88,6 +83,10 @@ class Late(Effect):
         """Return the effect's own law."""
         start = float(ctx.t[0]) + trial.theta[-1]
         return f"{self.effect.form(ctx, self.inner(trial))}, from {start:.5g} s on"
+
+    def holds_n_per_m(self, ctx: Context, trial: Trial, beta: Floats) -> float:
+        """Return the effect's own stiffness."""
+        return self.effect.holds_n_per_m(ctx, self.inner(trial), beta)
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return the effect's own judgement."""
@@ -151,7 +150,7 @@ def propose(dictionary: Dictionary, fitter: Fitter) -> list[Fit]:
     problem = fitter.problem
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     null = solve(problem, [], [])
-    if null is None or inflation((ranked[0] if ranked else null).residual) < WHITE:
+    if null is None or inflation((ranked[0] if ranked else null).residual) < POLICY.white_residual:
         return []
     singles = [f for f in ranked if len(f.members) == 1][:SINGLES]
     pair = [f for f in ranked if len(f.members) == 2][:1]
@@ -288,4 +287,4 @@ def absent_before(problem: Problem, fit: Fit) -> bool:
     own = slice(first, first + beta.size)
     part = float(along @ both.betas[-1])
     width = float(along @ both.covariance[own, own] @ along) * inflation(both.residual)
-    return part + SURE * float(np.sqrt(max(width, 0.0))) < PRESENT
+    return part + POLICY.absent_sure * float(np.sqrt(max(width, 0.0))) < POLICY.absent_before

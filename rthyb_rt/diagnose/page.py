@@ -22,7 +22,7 @@ from rthyb_rt.diagnose.ranking import rows_of
 from rthyb_rt.diagnose.select import leaning
 from rthyb_rt.diagnose.words import (
     LOOP_WORDS,
-    PLAIN,
+    called,
     check_rows,
     loop_notes,
     next_text,
@@ -470,7 +470,7 @@ def _energy(d: Diagnosis) -> Plate:
     found = [c for c in d.candidates if c.signal is not None and c.channel == "force"]
     if d.verdict in ("explained", "ambiguous"):
         terms += [
-            (c.signal, colour, PLAIN.get(c.name, c.name))
+            (c.signal, colour, called(c.name))
             for c, colour in zip(found, colours, strict=False)
             if c.signal is not None
         ]

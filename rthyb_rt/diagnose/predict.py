@@ -6,7 +6,7 @@ force is iterated with the motion until both agree.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from rthyb_rt.diagnose import estimate, history
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.onset import lasting
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Member, columns_of
 from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, actuator, body
 
@@ -64,9 +65,9 @@ class Augmented:
 
         def there(member: Member) -> bool:
             # The phase of a hum in another recording is not known.
-            if member.effect.sensor and (not sensor or member.name == "hum"):
+            if member.effect.sensor and not (sensor and member.effect.foretold):
                 return False
-            return member.name != "crosstalk" or "fy_meas" in other
+            return not member.effect.needs or member.effect.needs in other
 
         shown = [(m, b) for m, b in zip(self.members, self.betas, strict=True) if there(m)]
         for (_, beta), columns in zip(shown, columns_of(ctx, [m for m, _ in shown]), strict=True):
@@ -96,7 +97,7 @@ class Augmented:
             if added is not None and beside + mass + added > 0.0:
                 mass += added
                 continue
-            if not member.effect.sensor and member.name not in ("pinching", "degradation"):
+            if not member.effect.sensor and not member.effect.replaces_spring:
                 own = member.effect.elements(ctx, member.trial, beta)
             if own is None:
                 rest.append((member, beta))
@@ -238,7 +239,7 @@ def followed(augmented: Augmented, case: Case, wanted: Case) -> Motion | None:
 
 def _follows(x: Floats, x_meas: Floats, model: Model) -> bool:
     sigma = estimate.noise_of(x_meas, model.x_std)
-    return float(np.std(x - x_meas)) < 2.0 * sigma
+    return float(np.std(x - x_meas)) < POLICY.prediction_follows * sigma
 
 
 def _measured_motion(case: Case) -> Motion:
@@ -408,13 +409,7 @@ def output_error(
     places = parameters(augmented)
     rows = case.rows & np.isfinite(x_meas)
     sigma = float(np.std(x_meas[rows])) or 1.0
-    priors = np.zeros(len(places))
-    tolerances = {"k": case.model.k_tol, "c": case.model.c_tol}
-    noise = estimate.noise_of(x_meas, case.model.x_std)
-    for j, (kind, _, _) in enumerate(places):
-        tolerance = tolerances.get(kind)
-        if tolerance:
-            priors[j] = noise / sigma / tolerance
+    priors = _priors(case, places, estimate.noise_of(x_meas, case.model.x_std) / sigma)
     if augmented.model.family == "ground":
         push, mass = -case.model.mass * other["ag"], case.model.mass
     else:
@@ -433,35 +428,59 @@ def output_error(
         return np.asarray(np.r_[(motion.x - x_meas)[rows] / sigma, priors * p[: len(places)]])
 
     v_scale = sigma * 2 * np.pi
-    p = np.zeros(len(places) + 2)
     try:
-        r = residual(p)
-        first = best = float(r @ r)
-        damping = 1e-3
-        for _ in range(steps):
-            jacobian = np.column_stack(
-                [(residual(p + 1e-4 * np.eye(p.size)[j]) - r) / 1e-4 for j in range(p.size)]
-            )
-            gram, right = jacobian.T @ jacobian, -jacobian.T @ r
-            improved = False
-            for _ in range(4):
-                delta = np.linalg.solve(gram + damping * np.diag(gram.diagonal() + 1e-12), right)
-                trial = p + np.clip(delta, -0.3, 0.3)
-                try:
-                    r_new = residual(trial)
-                except (SimulationError, core.CoreError):
-                    damping *= 10
-                    continue
-                now = float(r_new @ r_new)
-                if np.isfinite(now) and now < best:
-                    improved = best - now > 1e-4 * best
-                    p, r, best, damping = trial, r_new, now, max(damping * 0.2, 1e-9)
-                    break
-                damping *= 10
-            if not improved:
-                break
+        p, best, first = _descended(residual, np.zeros(len(places) + 2), steps)
     except (SimulationError, core.CoreError, np.linalg.LinAlgError):
         return augmented
-    return (
-        changed(augmented, places, p[: len(places)]) if force or best < 0.98 * first else augmented
-    )
+    if force or best < POLICY.refined_better * first:
+        return changed(augmented, places, p[: len(places)])
+    return augmented
+
+
+def _priors(case: Case, places: Sequence[tuple[str, int, int]], noise: float) -> Floats:
+    """Return the weight of what each parameter is moved by, (parameters,): the lab's tolerances.
+
+    Args:
+        case: the recording.
+        places: the parameters.
+        noise: of the displacement, in units of what the residual is counted in.
+    """
+    tolerances = {"k": case.model.k_tol, "c": case.model.c_tol}
+    priors = np.zeros(len(places))
+    for j, (kind, _, _) in enumerate(places):
+        tolerance = tolerances.get(kind)
+        if tolerance:
+            priors[j] = noise / tolerance
+    return priors
+
+
+def _descended(
+    residual: Callable[[Floats], Floats], p: Floats, steps: int
+) -> tuple[Floats, float, float]:
+    """Return parameters of damped least squares, and the squares left with them and at first."""
+    r = residual(p)
+    first = best = float(r @ r)
+    damping = 1e-3
+    for _ in range(steps):
+        jacobian = np.column_stack(
+            [(residual(p + 1e-4 * np.eye(p.size)[j]) - r) / 1e-4 for j in range(p.size)]
+        )
+        gram, right = jacobian.T @ jacobian, -jacobian.T @ r
+        improved = False
+        for _ in range(4):
+            delta = np.linalg.solve(gram + damping * np.diag(gram.diagonal() + 1e-12), right)
+            trial = p + np.clip(delta, -0.3, 0.3)
+            try:
+                r_new = residual(trial)
+            except (SimulationError, core.CoreError):
+                damping *= 10
+                continue
+            now = float(r_new @ r_new)
+            if np.isfinite(now) and now < best:
+                improved = best - now > 1e-4 * best
+                p, r, best, damping = trial, r_new, now, max(damping * 0.2, 1e-9)
+                break
+            damping *= 10
+        if not improved:
+            break
+    return p, best, first

@@ -12,7 +12,7 @@ from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import Diagnosis, Displacement, intervals
 from rthyb_rt.diagnose.select import Fit, price
-from rthyb_rt.diagnose.words import PLAIN, interval_text, value_text
+from rthyb_rt.diagnose.words import called, interval_text, value_text
 
 _AnyFit = TypeVar("_AnyFit", Fit, ActuatorFit)
 
@@ -76,11 +76,11 @@ def _text(name: str, params: dict[str, float], ci: dict[str, list[float]], sever
         value_text(k, v) + (f" ({interval_text(k, ci[k])})" if k in ci else "")
         for k, v in params.items()
     ]
-    return f"{PLAIN.get(name, name)}: {', '.join(values)}" if several else ", ".join(values)
+    return f"{called(name)}: {', '.join(values)}" if several else ", ".join(values)
 
 
 def _words(names: Sequence[str]) -> str:
-    return " with ".join(PLAIN.get(n, n) for n in names)
+    return " with ".join(called(n) for n in names)
 
 
 def _actuator(d: Diagnosis, disp: Displacement) -> list[Row]:

@@ -19,6 +19,7 @@ from rthyb_rt.diagnose.estimate import filled, white_noise
 from rthyb_rt.diagnose.lab import Lab, read_lab, time_unit
 from rthyb_rt.diagnose.mapping import EXAMPLE, Wish, proposals
 from rthyb_rt.diagnose.modelfile import find_model, model_of_rig, read_model
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,15 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["find_model", "model_of_rig", "read_case", "read_model"]
 
-LEAST_ROWS = 100
-SPIKE = 10.0
-"""Ranges of a channel by which a reading is beyond it that cannot be one."""
-MERE_NOISE = 0.9
-"""Part of a channel that is white noise from which it is taken for nothing else."""
-UNLIKE = 0.02
-"""Part of such a channel that follows the model, up to which it is no measurement of it."""
-SHORT = 3
-"""Rows of a command that are missing in one place, and are filled in."""
 
 # ---- the recording ----------------------------------------------------------------------------
 
@@ -59,15 +51,10 @@ def read_case(
         InputError: the file cannot be read, or no honest answer can come from it.
     """
     where = str(recording)
-    own = None
-    if recording.is_dir() or recording.suffix in (".h5", ".hdf5"):
-        from rthyb_rt.recording import open_run
-
-        if wishes and beside is None:
-            raise InputError("is a recording of this program, whose columns are known", "--map")
-        own = open_run(recording)
+    own = _run(recording, wishes if beside is None else ())
+    lab = None
+    if own is not None:
         t, channels, notes = _own(own)
-        lab = None
     else:
         lab = read_lab(recording, model, wishes, needed=beside is None and judged)
         t, channels, notes = lab.t, lab.channels, lab.notes
@@ -87,13 +74,15 @@ def read_case(
         _fits_family(channels, model, where)
     folder = recording.resolve().parent.name
     case = Case(recording.stem, model, t, channels, rows, notes, own, folder, further)
-    if judged and t.size < LEAST_ROWS:
-        raise InputError(f"has {t.size} rows; a diagnosis needs at least {LEAST_ROWS}", where)
+    if judged and t.size < POLICY.least_rows:
+        raise InputError(
+            f"has {t.size} rows; a diagnosis needs at least {POLICY.least_rows}", where
+        )
     labels = lab.labels if lab is not None else None
     stated = lab.stated if lab is not None else CHANNELS
     if beside is not None:
         sizes.check_against(beside.channels, channels, where, labels or {})
-    if t.size >= LEAST_ROWS:
+    if t.size >= POLICY.least_rows:
         clean = dict(channels)
         if not judged:
             _spikes(clean, [])  # a stray reading has no size that says anything
@@ -101,6 +90,17 @@ def read_case(
     if judged:
         _means_nothing(case, where)
     return case
+
+
+def _run(path: Path, wishes: Sequence[Wish]) -> Recording | None:
+    """Return a recording of this program; None where the file is a lab's."""
+    if not path.is_dir() and path.suffix not in (".h5", ".hdf5"):
+        return None
+    from rthyb_rt.recording import open_run
+
+    if wishes:
+        raise InputError("is a recording of this program, whose columns are known", "--map")
+    return open_run(path)
 
 
 def _own(rec: Recording) -> tuple[Floats, dict[str, Floats], list[str]]:
@@ -145,7 +145,7 @@ def _uniform(
             _line(where, i + 1, lab),
         )
     dt = float(np.median(steps))
-    if abs(dt * fs_hz - 1.0) > 0.02:
+    if abs(dt * fs_hz - 1.0) > POLICY.rate_off:
         raise InputError(
             f"rows are {dt:.6g} s apart ({1 / dt:.6g} Hz), the model says fs_hz = {fs_hz:g}; "
             + _other_rate(dt * fs_hz, lab),
@@ -159,7 +159,7 @@ def _uniform(
     jitter = float(np.max(np.abs((t - t[0]) / dt - index)))
     if jitter > 0.5:
         notes.append(f"rows jitter by up to {jitter:.2f} of their distance; taken as uniform")
-    if jitter > 5.0:
+    if jitter > POLICY.uneven_rows:
         raise InputError(
             f"rows are spaced unevenly, by up to {jitter:.0f} of their distance; resample the "
             "recording to one rate",
@@ -224,7 +224,7 @@ def _usable(
             pass  # a body that is let go: nothing pushes it, and that is known
         elif good.size > 2 and np.all(good == good[0]):
             reasons[name] = f"is constant ({good[0]:g} {CHANNELS[name]})"
-        elif judged and good.size < 0.5 * values.size:
+        elif judged and good.size < POLICY.numbers_least * values.size:
             reasons[name] = (
                 f"holds numbers in {100 * good.size / values.size:.0f} % of its rows only"
             )
@@ -294,7 +294,10 @@ def _spikes(channels: dict[str, Floats], notes: list[str]) -> None:
         good = np.isfinite(values)
         low, high = np.quantile(values[good], (0.002, 0.998))
         span = float(high - low)
-        off = good & ((values < low - SPIKE * span) | (values > high + SPIKE * span))
+        off = good & (
+            (values < low - POLICY.stray_reading * span)
+            | (values > high + POLICY.stray_reading * span)
+        )
         # A real peak has flanks: a faulty sample stands alone.
         alone = off & ~np.r_[False, off[:-1]] & ~np.r_[off[1:], False]
         if span > 0.0 and off.any() and np.array_equal(alone, off):
@@ -318,7 +321,7 @@ def _clipped(channels: dict[str, Floats], where: str, notes: list[str]) -> None:
         share = float(rows.mean())
         if share == 0.0:
             continue
-        if share > 0.2:
+        if share > POLICY.clipped_rows:
             raise InputError(
                 f"{name} stands at the end of its range in {100 * share:.0f} % of the rows: the "
                 "sensor is clipped; choose a larger range and repeat the test",
@@ -363,13 +366,13 @@ def _means_nothing(case: Case, where: str) -> None:
     if f is None or x is None or not case.model.k:
         return
     spread = float(np.nanstd(f))
-    if spread == 0.0 or not white_noise(f) > MERE_NOISE * spread:
+    if spread == 0.0 or not white_noise(f) > POLICY.dead_cell * spread:
         return
     good = np.isfinite(f) & np.isfinite(x)
     expected = case.model.spring(filled(x))[good]
     if np.std(expected) == 0.0 or np.std(expected) < spread:
         return
-    if abs(float(np.corrcoef(f[good], expected)[0, 1])) < UNLIKE**0.5:
+    if abs(float(np.corrcoef(f[good], expected)[0, 1])) < POLICY.dead_cell_follows**0.5:
         raise InputError(
             f"f_meas shows nothing but noise ({spread:.3g} N) where the model has forces of "
             f"{float(np.std(expected)):.3g} N: is the load cell connected, is it the right "
@@ -392,7 +395,7 @@ def _filled_in(channels: dict[str, Floats], notes: list[str]) -> None:
         edges = np.flatnonzero(np.diff(np.concatenate(([0], lost.astype(np.int8), [0]))))
         short = np.zeros(values.size, dtype=np.bool_)
         for a, b in zip(edges[::2], edges[1::2], strict=True):
-            if b - a <= SHORT and a > 0 and b < values.size:
+            if b - a <= POLICY.short_gap and a > 0 and b < values.size:
                 short[a:b] = True
         if not short.any():
             continue

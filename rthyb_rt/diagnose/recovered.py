@@ -24,17 +24,12 @@ import numpy as np
 
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.estimate import white_noise
+from rthyb_rt.diagnose.policy import POLICY
 
 WINDOW_S = 1.0 / 32.0
 """Both quantities are taken to be constant for so long."""
 CYCLE_S = 0.5
 """alpha moves by no more than a few per cent in so long."""
-ALPHA_ERROR = 0.3
-"""Largest standard error of alpha that still is an answer, samples."""
-STIFFNESS_ERROR = 0.1
-"""The same of k_t, as a part of the specimen's stiffness."""
-UNCLOSED = 0.05
-"""Part of a signal that the equation may leave, beyond which it is not the one that was solved."""
 NOISE_SCATTER = 2.0
 """By how much the scatter of a window's white noise may exceed its mean."""
 
@@ -108,13 +103,13 @@ def recover_alpha(case: Case) -> Slope:
     value, error, _ = _slope(left, right, case.fs_hz)
     # Over a cycle another compensator's command is no such line; over a moment any one is.
     _, _, unclosed = _slope(left, right, case.fs_hz, CYCLE_S)
-    if unclosed > UNCLOSED:
+    if unclosed > POLICY.recovered_unclosed:
         return _without(
             case, "samples",
             f"x_cmd does not follow from x_num by Eqn 2.5 with W1 = {w1:g}, W2 = {w2:g}: "
             f"{100 * unclosed:.0f} % of it is left",
         )  # fmt: skip
-    value[error > ALPHA_ERROR] = np.nan
+    value[error > POLICY.alpha_error] = np.nan
     return Slope(value, error, "samples")
 
 
@@ -144,13 +139,13 @@ def recover_stiffness(case: Case) -> Slope:
             best = (unclosed, value, error)
     assert best is not None
     unclosed, value, error = best
-    if unclosed > UNCLOSED:
+    if unclosed > POLICY.recovered_unclosed:
         return _without(
             case, unit,
             f"x_num does not follow from ag and f_meas by m (x'' + ag) + c x' + F = 0: "
             f"{100 * unclosed:.0f} % of the force is left",
         )  # fmt: skip
-    value[error > STIFFNESS_ERROR * (abs(case.model.k) or 1e300)] = np.nan
+    value[error > POLICY.stiffness_error * (abs(case.model.k) or 1e300)] = np.nan
     return Slope(value, error, unit)
 
 

@@ -16,9 +16,8 @@ from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import Complex
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
-    MASS_BLUR,
-    SKEW_PRIOR_S,
     Fit,
     Member,
     columns_of,
@@ -38,7 +37,7 @@ class Witness:
         nuisance: mass, offset in time, zero of the accelerometer and how it wanders; (n, 4).
         priors: one over the variance of the coefficient of each; 0: free.
         sigma_n: noise of the sum, N.
-        filter: takes the band.
+        denoise: takes the band.
     """
 
     ctx: Context
@@ -47,7 +46,7 @@ class Witness:
     nuisance: Floats
     priors: Floats
     sigma_n: float
-    filter: estimate.Filter
+    denoise: estimate.Denoiser
 
     def left(self, fit: Fit) -> Floats:
         """Return what a set leaves unexplained of the sum, in units of the noise, and priors."""
@@ -55,12 +54,12 @@ class Witness:
 
     def beside(self, columns: Sequence[Floats]) -> Floats:
         """Return what errors of the load cell of free size, each (n,), leave of the sum."""
-        more = np.column_stack([self.filter(c) for c in columns])
+        more = np.column_stack([self.denoise(c) for c in columns])
         priors = np.concatenate([self.priors, np.zeros(len(columns))])
         return self._solved(self.rest, np.column_stack([self.nuisance, more]), priors)
 
     def _solved(self, off: Floats, columns: Floats, priors: Floats) -> Floats:
-        y = self.filter(off)[self.rows] / self.sigma_n
+        y = self.denoise(off)[self.rows] / self.sigma_n
         design = columns[self.rows] / self.sigma_n
         size = np.sqrt(np.maximum(np.mean(design**2, axis=0), 1e-300))
         design = np.vstack([design / size, np.diag(np.sqrt(priors) / size)])
@@ -84,13 +83,6 @@ LOWEST_HZ = 0.3
 """Frequency below which a window over the recording and a wandering zero stand in for motion."""
 LINES = 8
 """Frequencies that have to stand out for gain and time to be told from them."""
-GAIN, LATE_S = 0.02, 2e-4
-"""Gain and time by which an accelerometer may differ from the displacement's second derivative:
-sensors are calibrated to a per cent each, and each channel may be off by 0.1 ms as is normal."""
-CLEAR = 10.0
-"""Times its noise by which a frequency has to stand out: its bias is then one per cent at most."""
-SURE = 3.0
-"""Standard deviations by which it has to differ by more."""
 
 
 def disagreement(case: Case) -> str:
@@ -112,7 +104,9 @@ def disagreement(case: Case) -> str:
     )
     weight = 1.0 / (noise * np.sqrt(np.sum(window**2)))
     # Noise in what is compared with would bend gain and time towards zero.
-    weight[(w < 2.0 * np.pi * LOWEST_HZ) | (np.abs(made) * weight < CLEAR)] = 0.0
+    weight[(w < 2.0 * np.pi * LOWEST_HZ) | (np.abs(made) * weight < POLICY.accelerometer_clear)] = (
+        0.0
+    )
     if np.count_nonzero(weight) < LINES:
         return ""
     design = np.column_stack([made * weight, -1j * w * made * weight])
@@ -123,12 +117,12 @@ def disagreement(case: Case) -> str:
     rest = off - design @ np.array([gain, late])
     # Real and imaginary part have half of a frequency's power each.
     spread = max(1.0, float(np.mean(np.abs(rest[weight > 0.0]) ** 2)))
-    unsure = SURE * np.sqrt(0.5 * spread * inverse.diagonal())
+    unsure = POLICY.accelerometer_sure * np.sqrt(0.5 * spread * inverse.diagonal())
     late /= 1.0 + gain  # of what is larger as well
     words = []
-    if abs(gain) - unsure[0] > GAIN:
+    if abs(gain) - unsure[0] > POLICY.accelerometer_gain:
         words.append(f"is {100.0 * gain:+.2g} % larger")
-    if abs(late) - unsure[1] > LATE_S:
+    if abs(late) - unsure[1] > POLICY.accelerometer_late_s:
         words.append(f"comes {1e3 * late:+.2g} ms later")
     made_of = "x_meas'' + ag" if ground else "x_meas''"
     return f"a_meas {' and '.join(words)} than {made_of}: one of them is wrong" if words else ""
@@ -168,7 +162,7 @@ def witness(case: Case, ctx: Context, found: estimate.Estimate) -> Witness | Non
     # An accelerometer wanders as a load cell does: it is no witness of what is slow.
     slow = np.column_stack([np.ones(force.size), ctx.t - ctx.t[0]])
     nuisance = np.column_stack([band(model.mass * felt), band(skew), slow])
-    priors = np.array([MASS_BLUR**-2, 0.5 * SKEW_PRIOR_S**-2, 0.0, 0.0])
+    priors = np.array([POLICY.mass_blur**-2, 0.5 * POLICY.offset_prior_s**-2, 0.0, 0.0])
     rest = force + model.mass * felt
     return Witness(ctx, rest, found.rows, nuisance, priors, sigma, band)
 

@@ -16,20 +16,16 @@ import numpy as np
 from rthyb_rt import core, experiment
 from rthyb_rt.diagnose import augment, estimate
 from rthyb_rt.diagnose.case import Case, Floats
-from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.effects.sensor import shifted
-from rthyb_rt.diagnose.freebody import NUISANCE, Body, _with_nuisance
+from rthyb_rt.diagnose.freebody import Body, Loose, _with_nuisance
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.select import SKEW_PRIOR_S, Fit, Member, Problem
+from rthyb_rt.diagnose.select import Fit, Problem
 from rthyb_rt.diagnose.simulate import Motion, SimulationError
 
-FOLLOWS = 1.5
-"""Mean square of (measured - simulated) / noise up to which a simulated motion is the true one."""
 RUNS = 700
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
-NOTHING_LEFT = 1.01
-"""Chi-squared a row of a simulated rig from which on no further effect is looked for: less than the
-noise is known by, 3 per cent in twenty seconds, so that a small one beside a large one is found."""
 LONGEST_S, BEYOND_S = 20.0, 2.0
 """What is simulated of a recording: so much, and so much beyond its largest displacement."""
 STEEP = 1.0
@@ -65,7 +61,7 @@ def as_given(case: Case) -> Motion | None:
     rows = case.rows & np.isfinite(x_meas)
     sigma = estimate.noise_of(x_meas, case.model.x_std)
     off = float(np.mean(((x_meas - made.x)[rows] / sigma) ** 2))
-    return made if off < FOLLOWS else None
+    return made if off < POLICY.rig_follows else None
 
 
 def config_of(model: Augmented) -> core.RigConfig:
@@ -128,8 +124,9 @@ def along(model: Augmented, case: Case, other: dict[str, Floats]) -> tuple[Float
     """
     if model.base.rig is None or model.actuator is not None or "x_cmd" not in other:
         return None
-    sensors = {m.name for m in model.members if m.effect.sensor}
-    if not set(augment.specimen(model).lost) <= sensors - {"hum", "crosstalk"}:
+    sensors = [m for m in model.members if m.effect.sensor]
+    known = {m.name for m in sensors if m.effect.foretold and not m.effect.needs}
+    if not set(augment.specimen(model).lost) <= known:
         return None
     try:
         rig = core.Rig(config_of(model))
@@ -139,7 +136,7 @@ def along(model: Augmented, case: Case, other: dict[str, Floats]) -> tuple[Float
     x_meas = case.channels.get("x_meas")
     if x_meas is not None and np.isfinite(x_meas).any():
         sigma = estimate.noise_of(x_meas, model.base.x_std)
-        if not float(np.nanmean((x_meas - x) ** 2)) < FOLLOWS * sigma**2:
+        if not float(np.nanmean((x_meas - x) ** 2)) < POLICY.rig_follows * sigma**2:
             return None
     still = Motion(x, np.gradient(x) * case.fs_hz, np.zeros_like(x))
     return x, read(model, f, model.context(still, case.t, other))
@@ -154,15 +151,13 @@ class RigBody(Body):
 
     largest = 3
     linear = False
-    rough = 3.0
     whole_rig = True
     threads = 2
-    met = NOTHING_LEFT
-    loose = (("bias", 2.0, NUISANCE), ("skew", 2.0, NUISANCE))
 
     def __init__(self, case: Case, ctx: Context) -> None:
         super().__init__(case, ctx)
         self.held = False
+        self.met, self.rough = POLICY.rig_nothing_left, POLICY.rig_rough
         self.f = case.channels["f_meas"]
         peak = int(np.argmax(np.abs(self.other["x_meas"])))
         last = max(LONGEST_S * case.fs_hz, peak + BEYOND_S * case.fs_hz)
@@ -173,8 +168,12 @@ class RigBody(Body):
         good = case.rows & np.isfinite(self.x) & np.isfinite(self.f)
         self.judged = np.flatnonzero(good[: self.simulated.size])
         self.rows = np.arange(2 * self.judged.size)
-        self.units = {"bias": case.tare_error_n or 1e-9, "skew": SKEW_PRIOR_S}
+        self.units = {"bias": case.tare_error_n or 1e-9, "skew": POLICY.offset_prior_s}
         self.runs = RUNS
+
+    def _loose(self) -> Loose:
+        reach = POLICY.nuisance_reach
+        return (("bias", 2.0, reach), ("skew", 2.0, reach))
 
     def quick(self, fit: Fit) -> bool:
         """Return whether a rig can hold every effect on the specimen."""
@@ -196,20 +195,10 @@ class RigBody(Body):
     def _smooth(self, fit: Fit) -> Fit:
         """Return a set whose dry contacts have a step over velocity, as the rig's friction has."""
         least = SMOOTH * self.ctx.v_range
-
-        def smooth(member: Member) -> Member:
-            theta = member.trial.theta
-            if member.name == "coulomb":
-                old = theta[0] if theta and not member.trial.variant else least
-                return replace(member, trial=Trial((max(old, least),)))
-            if member.name == "stribeck":
-                old = theta[1] if not member.trial.variant else least
-                return replace(member, trial=Trial((theta[0], max(old, least))))
-            return member
-
         if any(m.effect.complete for m in fit.members):
             return fit
-        return replace(fit, members=tuple(smooth(m) for m in fit.members))
+        members = [replace(m, trial=m.effect.rounded(m.trial, least)) for m in fit.members]
+        return replace(fit, members=tuple(members))
 
     def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
         """Return recording less simulation in units of the noise, force and then displacement."""
@@ -223,7 +212,7 @@ class RigBody(Body):
         except core.CoreError as error:
             raise SimulationError(str(error)) from error
         f = read(now, f, self.ctx)
-        late_s = loose[1] * SKEW_PRIOR_S
+        late_s = loose[1] * POLICY.offset_prior_s
         f = f + loose[0] * self.units["bias"] - late_s * np.gradient(f) / self.ctx.dt
         rows = self.judged
         off_f, off_x = f[rows] - self.f[rows], x[rows] - self.x[rows]

@@ -9,24 +9,20 @@ nuisance columns with a prior.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import modulation
-from rthyb_rt.diagnose.case import Case
+from rthyb_rt.diagnose.case import Case, Model
+from rthyb_rt.diagnose.effects import having, of_number
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
 from rthyb_rt.diagnose.estimate import Estimate, Rows
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import Motion
 
-SKEW_PRIOR_S = 5e-5
-"""Standard deviation of the time offset between channels: 0.1 ms is normal."""
-MASS_BLUR = 0.005
-"""Relative standard deviation that the estimate of a motion puts on the mass."""
-OF_THE_CELL = ("bias", "skew")
-"""Nuisance of the load cell, which nothing carries."""
 BLOCKS = 16
 STRETCHES = 24
 """Stretches of a recording whose misfits scatter independently."""
@@ -38,17 +34,39 @@ PIECE = 1024
 """Rows of such a piece."""
 SLOPES = 101
 """Displacements between the ends of the motion at which the slope of a spring is taken."""
-LEVEL = 0.01
-"""Part of its steepest slope below which a spring's slope is level: numerics."""
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """A column that is always there: what may be wrong without being a finding."""
+    """A column that is always there: what may be wrong without being a finding.
+
+    Attributes:
+        name: of the effect that stands for it, or of what no effect does.
+        column: its force per unit, (n,), N.
+        sigma: its standard deviation; None: free.
+        plain: what it is, in words.
+        unit: of how far it is moved; "%" of a part.
+        number: the number of the model that it moves; empty: none.
+        effect: the effect in whose place it bends what is stated; empty: none.
+        cell: whether it is the load cell's, which nothing carries.
+    """
 
     name: str
     column: Floats
     sigma: float | None
+    plain: str
+    unit: str
+    number: str = ""
+    effect: str = ""
+    cell: bool = False
+
+    def moves(self, model: Model, by: float) -> Model:
+        """Return a model with the number moved: the stiffness as a part, the others as they are."""
+        if not self.number:
+            return model
+        old = getattr(model, self.number)
+        now = old * (1.0 + by) if self.number == "k" else old + by
+        return replace(model, **{self.number: now})
 
 
 @dataclass(frozen=True)
@@ -82,7 +100,7 @@ def bending(problem: Problem, members: Sequence[Member]) -> list[Floats]:
     out = [n.column for n in problem.nuisances]
     for cell in (m for m in members if m.effect.carries):
         for j, n in enumerate(problem.nuisances):
-            if n.name not in OF_THE_CELL:
+            if not n.cell:
                 out[j] = cell.effect.carried(problem.ctx, cell.trial, out[j])
     return out
 
@@ -163,13 +181,12 @@ class Problem:
         names = {n.name for n in self.nuisances if n.sigma is None}
         if effect.name in names:
             return False
-        if effect.name == "inertia" and self.decays and model.k_tol is None:
+        if effect.number == "moving_mass" and self.decays and model.k_tol is None:
             return False
-        if effect.sensor and model.family == "forced":
-            return effect.name in ("bias", "drift")
-        if effect.sensor and model.family == "ground" and "f_meas" not in self.case.channels:
-            return effect.name in ("bias",)
-        return not quasi(self.case) or STATIC.issuperset(effect.names)
+        cell = "f_meas" in self.case.channels and model.family != "forced"
+        if effect.sensor and model.family in ("forced", "ground") and not cell:
+            return model.family in effect.on_body
+        return not quasi(self.case) or effect.static
 
     @property
     def decays(self) -> bool:
@@ -179,29 +196,34 @@ class Problem:
     def _nuisances(self) -> Iterable[Nuisance]:
         model, ctx = self.case.model, self.ctx
         if model.k:
-            yield Nuisance("stiffness", ctx.spring, model.k_tol)
+            name = of_number("k")
+            yield Nuisance(name, ctx.spring, model.k_tol, "stiffness", "%", number="k", effect=name)
         if model.c:
             sigma = None if model.c_tol is None else model.c_tol * abs(model.c)
-            yield Nuisance("viscous", ctx.v, sigma)
+            name = of_number("c")
+            yield Nuisance(name, ctx.v, sigma, "damping", "N s/m", number="c", effect=name)
+        mass = of_number("moving_mass")
         massive = bool(model.moving_mass) or model.family == "forced"
         if model.k_tol is None and massive and not self.decays:
-            yield Nuisance("inertia", ctx.a, None)
+            yield Nuisance(mass, ctx.a, None, "moving mass", "kg", number="moving_mass")
         if quasi(self.case):
             return
         if "f_meas" in self.case.channels and self.case.tare_error_n:
-            yield Nuisance("bias", np.ones_like(ctx.t), self.case.tare_error_n)
+            name = min(having(lambda e: e.zero))
+            one, sigma = np.ones_like(ctx.t), self.case.tare_error_n
+            yield Nuisance(name, one, sigma, "zero of the load cell", "N", cell=True)
         if model.k_tol is not None and self.blurred:
             # An estimated acceleration is a little too small: no finding about the mass.
-            mass = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
-            if mass > 0.0:
-                yield Nuisance("blur", ctx.a, MASS_BLUR * mass)
+            kg = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
+            if kg > 0.0:
+                yield Nuisance("blur", ctx.a, POLICY.mass_blur * kg, "mass", "kg", effect=mass)
         if model.family == "forced":
-            yield Nuisance("skew", np.gradient(ctx.force) / ctx.dt, SKEW_PRIOR_S)
+            late = np.gradient(ctx.force) / ctx.dt
         elif model.family == "ground" and "f_meas" not in self.case.channels:
-            ag = ctx.other["ag"]
-            yield Nuisance("skew", model.mass * np.gradient(ag) / ctx.dt, SKEW_PRIOR_S)
+            late = model.mass * np.gradient(ctx.other["ag"]) / ctx.dt
         else:
-            yield Nuisance("skew", -np.gradient(ctx.total) / ctx.dt, SKEW_PRIOR_S)
+            late = -np.gradient(ctx.total) / ctx.dt
+        yield Nuisance("skew", late, POLICY.offset_prior_s, "time offset", "s", cell=True)
 
     def rescale(self, factor: float) -> None:
         """Take the noise ``sqrt(factor)`` times as large: rows of coloured noise tell less."""
@@ -239,13 +261,15 @@ class Problem:
         along = Context(ctx.model, still, t, still.v, {}, ctx.all_ranges)
         force = along.spring.copy()
         for b, nuisance in zip(fit.nuisance, self.nuisances, strict=True):
-            if nuisance.name == "stiffness":
+            if nuisance.number == "k":
                 force += b * along.spring
         elastic = [(m, b) for m, b in zip(fit.members, fit.betas, strict=True) if m.effect.elastic]
         for member, beta in elastic:
             force += np.asarray(beta) @ np.array(member.effect.columns(along, member.trial))
         slope = np.diff(force)
-        return bool(elastic) and float(slope.min()) < -LEVEL * float(np.abs(slope).max())
+        return bool(elastic) and float(slope.min()) < -POLICY.spring_level * float(
+            np.abs(slope).max()
+        )
 
     def beside(self, members: Sequence[Member]) -> Floats:
         """Return the judged columns of the nuisance beside a set, (rows, nuisances)."""
@@ -301,10 +325,6 @@ def _pieces(estimate: Estimate, ctx: Context) -> Pieces:
     first = np.sort(np.concatenate((even, np.array(loud, dtype=np.int64)))) * PIECE
     judged = estimate.rows[first[:, None] + np.arange(PIECE)]
     return Pieces(first, judged, (first[:, None] + np.arange(PIECE))[judged])
-
-
-STATIC = {"hysteresis", "cubic", "quadratic", "gap", "stopper", "pinching", "degradation",
-          "bias", "drift", "coulomb", "stiffness", "viscous", "quad_damping"}  # fmt: skip
 
 
 def quasi(case: Case) -> bool:
@@ -557,14 +577,14 @@ def compatible(members: Sequence[Member]) -> bool:
 
 def penalty(ln_n: float, count: int) -> float:
     """Return the price of an effect with ``count`` parameters."""
-    return count * ln_n + 12.0
+    return count * ln_n + POLICY.effect_price
 
 
 def price(problem: Problem, effect: Effect, count: int) -> float:
     """Return the price of an effect; one that only moves a stated number has nothing to choose."""
     known = {n.name for n in problem.nuisances if n.sigma is not None}
     moved = effect.name in known and not effect.late
-    return 13.0 if moved else penalty(problem.ln_n, count)
+    return POLICY.stated_number_price if moved else penalty(problem.ln_n, count)
 
 
 def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats]) -> Fit | None:

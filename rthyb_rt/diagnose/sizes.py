@@ -2,8 +2,8 @@
 
 A wrong unit leaves the shape of a signal and changes its size, by 1000, 9.81 or their like. What a
 model leaves out changes both, and seldom the size by much: a specimen may be 30 times softer than
-its model (it yielded, or a play is never taken up), and is then diagnosed. `BEYOND` lies past that
-by as much again as a factor of 1000 beside a model that is wrong by ten lies past `BEYOND`.
+its model (it yielded, or a play is never taken up), and is then diagnosed. `Policy.wrong_unit` lies
+past that by as much again as a factor of 1000 beside a model that is wrong by ten lies past it.
 """
 
 from __future__ import annotations
@@ -18,24 +18,13 @@ from numpy.typing import NDArray
 from rthyb_rt import core
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
 from rthyb_rt.diagnose.estimate import filled, white_noise
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import SimulationError, actuator
 from rthyb_rt.diagnose.units import USUAL, read_unit
 from rthyb_rt.errors import InputError
 
 Channels = dict[str, Floats]
 
-BEYOND = 100.0
-"""Ratio from which on (or from its inverse down) a channel that has the shape has a wrong unit."""
-ALIKE = 0.5
-"""Correlation from which on a channel has the shape of what it is held against, more or less."""
-CLEARLY_ALIKE = 0.9
-"""Correlation from which on it has that shape and no other."""
-NEAR = 0.12
-"""Part by which a ratio may miss a factor of units, and be one."""
-SURE = 1.33
-"""Factor by which a column of unstated unit may miss its size; units differ by more than two."""
-OTHER_TEST = 300.0
-"""Ratio of one channel in two tests of a rig: between a sensor's noise and its range."""
 LEAST = 64
 """Rows that a size is taken from; of more than twice as many, half must be there."""
 
@@ -63,7 +52,7 @@ class Relation:
         alike: correlation of the two, 0 to 1.
         of: the channels that the expectation comes from.
         bound: the expectation is the most that can be: a ratio below one says nothing.
-        exact: the sizes alone decide, within `NEAR`, for factors that units are made of.
+        exact: the sizes alone decide, within `unit_near`, for factors that units are made of.
         than: what it is held against, in words, where that is not what it always is.
     """
 
@@ -103,13 +92,13 @@ def check(
                 words
                 for factor, words in factors
                 for f in (factor, 1.0 / factor)
-                if r.exact and abs(r.ratio / f - 1.0) < NEAR
+                if r.exact and abs(r.ratio / f - 1.0) < POLICY.unit_near
             ),
             "",
         )
         if said or _far(r):
             raise InputError(_message(r, said, model, labels), where)
-        if abs(r.ratio + 1.0) < NEAR and _opposed(r, channels, model):
+        if abs(r.ratio + 1.0) < POLICY.unit_near and _opposed(r, channels, model):
             raise InputError(_sign(r, labels, (stated or {}).get(r.channel)), where)
 
 
@@ -121,10 +110,10 @@ def _far(r: Relation) -> bool:
     """
     size = abs(r.ratio)
     if r.bound:
-        return size > BEYOND
+        return size > POLICY.wrong_unit
     near = abs(math.log(size, 1000.0) - round(math.log(size, 1000.0))) < math.log(3.0, 1000.0)
-    alike = r.alike > (ALIKE if near else CLEARLY_ALIKE)
-    return alike and not 1.0 / BEYOND <= size <= BEYOND
+    alike = r.alike > (POLICY.shape_alike if near else POLICY.shape_clearly)
+    return alike and not 1.0 / POLICY.wrong_unit <= size <= POLICY.wrong_unit
 
 
 def likely(channel: str, ratio: float) -> str:
@@ -201,7 +190,7 @@ def _opposed(r: Relation, channels: Channels, model: Model) -> bool:
 def check_against(first: Channels, second: Channels, where: str, labels: dict[str, str]) -> None:
     """Refuse an input of a second recording whose size has nothing to do with that of the first.
 
-    What was found in one test says nothing of another that is `OTHER_TEST` times smaller, below
+    What was found in one test says nothing of another that is `other_test` times smaller, below
     the noise of the first, or as many times larger.
 
     Raises:
@@ -209,7 +198,7 @@ def check_against(first: Channels, second: Channels, where: str, labels: dict[st
     """
     for name in set(first) & set(second):
         a, b = (float(np.nanstd(_finite(channels[name]))) for channels in (first, second))
-        if a <= 0.0 or b <= 0.0 or 1.0 / OTHER_TEST < b / a < OTHER_TEST:
+        if a <= 0.0 or b <= 0.0 or 1.0 / POLICY.other_test < b / a < POLICY.other_test:
             continue
         unit = likely(name, b / a)
         way = f"give {_mend(name, unit, labels)}, or " if unit and unit != CHANNELS[name] else ""
@@ -245,7 +234,7 @@ def guess(
             fitting = [
                 unit
                 for unit in USUAL[CHANNELS[channel]]
-                if 1.0 / SURE < abs(r.ratio) * _factor(unit) < SURE
+                if 1.0 / POLICY.unit_sure < abs(r.ratio) * _factor(unit) < POLICY.unit_sure
             ]
             found.append((fitting, r))
     if not found:
@@ -268,7 +257,7 @@ def relations(channels: Channels, model: Model) -> Iterator[Relation]:
         *_orthogonal(c, model),
     ]
     yield from found
-    told = [r for r in found if r.alike > ALIKE and not r.bound]
+    told = [r for r in found if r.alike > POLICY.shape_alike and not r.bound]
     yield from _noises(c, model, {name for r in told for name in (r.channel, *r.of)})
 
 
@@ -408,8 +397,8 @@ def _simulated(name: str, push: Floats, mass: float, x_meas: Floats, model: Mode
 def _orthogonal(c: Channels, model: Model) -> Iterator[Relation]:
     """Give the force of the other direction: no law binds it, but what a load cell sees of it.
 
-    At `BEYOND` times the force measured along it, the crosstalk of a good load cell (one per cent)
-    would be as large as that force itself. A crosstalk of more than `BEYOND` is none.
+    At `wrong_unit` times the force measured along it, the crosstalk of a good load cell (one per
+    cent) would be as large as that force itself. A crosstalk of more than `wrong_unit` is none.
     """
     if "fy_meas" not in c or "f_meas" not in c:
         return
@@ -428,7 +417,9 @@ def _orthogonal(c: Channels, model: Model) -> Iterator[Relation]:
         gained = 1.0 - float(np.sum((f - columns @ whole) ** 2)) / max(float(left @ left), 1e-300)
         if gained > 0.2 and whole[3] != 0.0:
             ratio = 1.0 / abs(float(whole[3]))
-            yield Relation("fy_meas", min(ratio, 1.0), 1.0, ("f_meas",), bound=ratio > 1.0 / BEYOND)
+            yield Relation(
+                "fy_meas", min(ratio, 1.0), 1.0, ("f_meas",), bound=ratio > 1.0 / POLICY.wrong_unit
+            )
 
 
 def _noises(c: Channels, model: Model, told: set[str]) -> Iterator[Relation]:
@@ -437,14 +428,14 @@ def _noises(c: Channels, model: Model, told: set[str]) -> Iterator[Relation]:
     Of those that something tells it is given where all have a hundred times theirs.
 
     Filtered readings have less noise than the sheet says, and none has a hundred times more. A
-    force of the other direction that is `BEYOND` times smaller than the one measured, and by as
+    force of the other direction that is `wrong_unit` times smaller than the one measured, and by as
     much less noisy than a load cell, is one in other units.
     """
     sheet = {"x_meas": model.x_std, "f_meas": model.f_std, "f_in": model.f_std,
              "a_meas": model.a_std}  # fmt: skip
     noises = {k: white_noise(c[k]) / std for k, std in sheet.items() if std and k in c}
     # Channels that agree with one another may be wrong all together: metres and meganewtons.
-    together = len(noises) > 1 and min(noises.values()) > BEYOND
+    together = len(noises) > 1 and min(noises.values()) > POLICY.wrong_unit
     for name, noise in noises.items():
         if together or name not in told:
             yield Relation(name, noise, 1.0, (), bound=True, than="the noise that the model states")
@@ -454,7 +445,9 @@ def _noises(c: Channels, model: Model, told: set[str]) -> Iterator[Relation]:
         spread = 1.0 if alone else float(np.std(filled(c["f_meas"]))) or 1.0
         ratio = float(np.std(filled(c["fy_meas"]))) / spread
         than = "the noise of a load cell" if alone else "f_meas, and so is its noise,"
-        if (alone or ratio < 1.0 / BEYOND) and 1.0 / BEYOND**2 < noise < 1.0 / BEYOND:
+        if (
+            alone or ratio < 1.0 / POLICY.wrong_unit
+        ) and 1.0 / POLICY.wrong_unit**2 < noise < 1.0 / POLICY.wrong_unit:
             yield Relation("fy_meas", noise if alone else ratio, 1.0, (), than=than)
         if alone or ratio > 10.0:
             yield Relation("fy_meas", noise, 1.0, (), bound=True, than=than)

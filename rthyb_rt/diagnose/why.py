@@ -13,28 +13,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rthyb_rt.diagnose import effects, engine, redundant
+from rthyb_rt.diagnose import effects, redundant
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import Diagnosis, Displacement
-from rthyb_rt.diagnose.select import Dictionary, Fit, Problem, price
-from rthyb_rt.diagnose.words import PLAIN, quantity, value_text
+from rthyb_rt.diagnose.policy import POLICY, of_size
+from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Problem, price
+from rthyb_rt.diagnose.words import called, quantity, value_text
 
 Fate = Literal["named", "as good", "lost", "refused"]
-
-HELD = 0.3
-"""Part of its gain that a set has to keep on rows that it was not fitted to."""
-SEVERAL = 1.25
-"""Times its price that a set of several effects has to earn."""
-NUISANCE: dict[str, tuple[str, str]] = {
-    "stiffness": ("stiffness", ""),
-    "viscous": ("damping", "N s/m"),
-    "inertia": ("moving mass", "kg"),
-    "bias": ("zero of the load cell", "N"),
-    "blur": ("mass", "kg"),
-    "skew": ("time offset", "s"),
-}
-"""What may move without being a finding: in words, and the unit of how far."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +156,7 @@ def _percent(share: float) -> str:
 
 
 def _words(names: Sequence[str]) -> str:
-    return " with ".join(PLAIN.get(n, n) for n in names)
+    return " with ".join(called(n) for n in names)
 
 
 # ---- the force ----------------------------------------------------------------------------------
@@ -230,7 +217,7 @@ def _texts(values: Sequence[tuple[str, dict[str, float]]]) -> tuple[str, ...]:
     texts = [", ".join(value_text(k, v) for k, v in params.items()) for _, params in values]
     if len(texts) == 1:
         return tuple(texts)
-    return tuple(f"{PLAIN.get(n, n)}: {t}" for (n, _), t in zip(values, texts, strict=True))
+    return tuple(f"{called(n)}: {t}" for (n, _), t in zip(values, texts, strict=True))
 
 
 def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
@@ -247,28 +234,28 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
         more = forces.count(problem, fit) - forces.count(problem, best)
         return (
             f"{_apart(fit.chi2 - best.chi2)} in chi-squared with {_parameters(more)}; "
-            f"{forces.AMBIGUOUS:g} would part them"
+            f"{POLICY.same_evidence:g} would part them"
         )
     return _against((fit.chi2, own, fit.names), named)
 
 
 def _not_enough(search: forces.Search, fit: Fit, gain: float, own: float) -> str:
     """Return why a set is not named where none is."""
-    needs = own * (SEVERAL if len(fit.members) > 1 else 1.0)
+    needs = own * (POLICY.several_price if len(fit.members) > 1 else 1.0)
     if gain <= needs:
         return f"brings {_gain(gain)}, where it had to bring {count(needs)}"
     size = _size(search, fit)
-    if size <= forces.SMALLEST:
+    if size <= POLICY.least_force:
         return (
             f"brings {count(gain)}, but is {_percent(size)} of the force; less than "
-            f"{_percent(forces.SMALLEST)} is no finding"
+            f"{_percent(POLICY.least_force)} is no finding"
         )
     if not search.moved:
         held = forces.held_out_gain(search.problem, fit)
-        if held < HELD:
+        if held < POLICY.held_out_share:
             return (
                 f"brings {count(gain)}, of which {_percent(max(held, 0.0))} holds on rows left "
-                f"out; {_percent(HELD)} has to"
+                f"out; {_percent(POLICY.held_out_share)} has to"
             )
     return f"brings {count(gain)}; the set before it was refused, and none behind it is looked at"
 
@@ -424,7 +411,7 @@ def _why_actuator(disp: Displacement, fit: ActuatorFit, fate: Fate) -> str:
     if fate == "as good":
         return (
             f"{_apart(fit.misfit(scale) - best.misfit(scale))} in chi-squared with "
-            f"{_parameters(fit.count - best.count)}; {forces.AMBIGUOUS:g} would part them"
+            f"{_parameters(fit.count - best.count)}; {POLICY.same_evidence:g} would part them"
         )
     return _against(
         (fit.misfit(scale), own, fit.names),
@@ -475,11 +462,11 @@ def _verdict(d: Diagnosis) -> str:
 def _allowed(d: Diagnosis, search: forces.Search) -> float:
     size = len(search.best.names)
     if search.moved:
-        return engine.MOVED.get(size, min(engine.MOVED.values()))
-    blur = 1.0 if search.problem.estimate.exact else 2.5
+        return of_size(POLICY.left_moved, size)
+    blur = 1.0 if search.problem.estimate.exact else POLICY.estimated_motion
     if d.case.model.k_tol is None:
-        return blur * engine.LEFT_FREE
-    return blur * engine.LEFT.get(size, min(engine.LEFT.values()))
+        return blur * POLICY.left_naive
+    return blur * of_size(POLICY.left_stated, size)
 
 
 def _noise(believed: float, sheet: float | None, unit: str, coloured: bool) -> str:
@@ -539,11 +526,12 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
         )
     fit = search.best if search.best.members and d.verdict != "unknown" else search.null
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-        word, _ = NUISANCE.get(nuisance.name, (nuisance.name, ""))
         held = "free, no tolerance stated"
         if nuisance.sigma:
-            held = f"{_moved(nuisance.name, nuisance.sigma)} stated"
-        rows.append((f"tolerance, {word}", f"moved by {_moved(nuisance.name, float(b))}; {held}"))
+            held = f"{_moved(nuisance, nuisance.sigma)} stated"
+        rows.append(
+            (f"tolerance, {nuisance.plain}", f"moved by {_moved(nuisance, float(b))}; {held}")
+        )
     known = redundant.witness(d.case, problem.ctx, found)
     if known is not None:
         before, after = (float(np.mean(known.left(f) ** 2)) for f in (search.null, fit))
@@ -554,11 +542,16 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
                 f"{count(after)} with what is named: what is there is the load cell's own",
             )
         )
-    rows.append(("price of a parameter", f"{count(problem.ln_n)}, and 12 for each effect"))
+    rows.append(
+        (
+            "price of a parameter",
+            f"{count(problem.ln_n)}, and {POLICY.effect_price:g} for each effect",
+        )
+    )
     return rows
 
 
-def _moved(name: str, value: float) -> str:
-    if name == "stiffness":
+def _moved(nuisance: Nuisance, value: float) -> str:
+    if nuisance.unit == "%":
         return f"{100.0 * value:.2f} %".replace("-", "−")
-    return quantity(value, NUISANCE.get(name, ("", ""))[1])
+    return quantity(value, nuisance.unit)

@@ -2,50 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rthyb_rt.diagnose import effects
+from rthyb_rt.diagnose.actuation import CATALOGUE, ActuatorEffect
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Floats
+from rthyb_rt.diagnose.effects.base import Effect
+from rthyb_rt.diagnose.effects.sensor import QUANTISATION
 from rthyb_rt.diagnose.engine import Diagnosis, Found
+from rthyb_rt.diagnose.policy import POLICY
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose.outcome import Outcome
-
-PLAIN: dict[str, str] = {
-    "coulomb": "dry friction",
-    "viscous": "viscous damping",
-    "stribeck": "friction that falls with velocity",
-    "lugre": "friction with elastic bristles",
-    "quad_damping": "damping with the square of velocity",
-    "power_damping": "damping with a power of velocity",
-    "inertia": "a moving mass",
-    "gap": "a gap",
-    "cubic": "a cubic spring",
-    "gap+coulomb": "dry friction behind a gap",
-    "gap+coulomb+bias": "dry friction behind a gap, harder one way",
-    "quadratic": "a quadratic spring",
-    "stopper": "a stop",
-    "stiffness": "an error of the stiffness",
-    "hysteresis": "yielding",
-    "pinching": "pinching",
-    "degradation": "degradation",
-    "maxwell": "relaxation",
-    "second_mode": "a mass that rides along on a spring",
-    "bias": "an offset of the load cell",
-    "drift": "a drift of the load cell",
-    "hum": "hum in the load cell",
-    "time_skew": "a time skew of the load cell",
-    "crosstalk": "crosstalk from the other direction",
-    "quantisation": "a coarse load cell",
-    "delay": "a delay of the actuator",
-    "delay_rate": "a delay that grows with velocity",
-    "act_gain": "a gain error of the actuator",
-    "oil_column": "another second-order lag of the actuator",
-    "rate_limit": "a velocity limit of the actuator",
-}
 
 KINDS: dict[str, str] = {
     "sweep": "a sweep over frequency",
@@ -69,16 +41,6 @@ PREFIXES: dict[str, tuple[tuple[float, str], ...]] = {
     "m/s": ((1.0, "m/s"), (1e-3, "mm/s")),
     "s": ((1.0, "s"), (1e-3, "ms")),
 }
-LOCAL = 0.3
-"""Part of the largest displacement below which a force has to be nothing to be called local."""
-ACTS = 0.05
-"""Part of its largest size from which a force acts."""
-MET = 0.05
-"""NRMSE of a test simulated again up to which it is met."""
-HARDLY = 0.7
-"""Part of the error as given from which what was found hardly betters it."""
-ALWAYS = 0.9
-"""Part of the recording from which something acts throughout."""
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
@@ -121,8 +83,40 @@ def interval_text(name: str, ci: list[float] | None) -> str:
     return f"{low} to {high} {word}".rstrip()
 
 
-def _signed(less: str, more: str) -> Callable[[float], str]:
-    return lambda value: less if value < 0 else more
+@dataclass(frozen=True)
+class Size:
+    """A parameter's value as a phrase has it in braces: ``{xs_m}`` in its unit, without its sign.
+
+    Behind a colon: ``+`` with its sign, ``%`` in per cent, a number of digits for a value without a
+    unit, ``less|more`` for one of two words by the sign.
+    """
+
+    name: str
+    value: float
+
+    def __format__(self, spec: str) -> str:
+        """Return the value as asked for."""
+        less, either, more = spec.partition("|")
+        if either:
+            return less if self.value < 0 else more
+        if spec == "%":
+            return f"{_plain(100.0 * abs(self.value), 3)} %"
+        if spec.isdigit():
+            return _plain(self.value, int(spec))
+        unit = UNITS.get(self.name.partition("_")[2], "")
+        return quantity(self.value if spec == "+" else abs(self.value), unit)
+
+
+def _told() -> dict[str, Effect | ActuatorEffect]:
+    """Return whatever an answer may name, by name."""
+    own: list[Effect | ActuatorEffect] = [*CATALOGUE, QUANTISATION, *effects.catalogue().values()]
+    return {e.name: e for e in own}
+
+
+def called(name: str) -> str:
+    """Return an effect as a laboratory calls it; one that nobody has told so by its name."""
+    effect = _told().get(name)
+    return effect.plain if effect is not None and effect.plain else name
 
 
 def _phrase(c: Found) -> str:
@@ -130,81 +124,14 @@ def _phrase(c: Found) -> str:
 
     An effect of the user's own, or one without its parameters, is named with all that it has.
     """
-    p = c.params
-
-    def q(name: str) -> str:
-        return quantity(abs(p[name]), UNITS.get(name.partition("_")[2], ""))
-
-    def percent(value: float) -> str:
-        return f"{_plain(100.0 * abs(value), 3)} %"
-
-    more = _signed("less", "more")
-    phrases: dict[str, Callable[[], str]] = {
-        "coulomb": lambda: f"dry friction of {q('Fc_N')}",
-        "viscous": lambda: f"{q('c_Ns_m')} {more(p['c_Ns_m'])} of viscous damping",
-        "stribeck": lambda: (
-            f"friction that falls with velocity from {q('Fs_N')} to {q('Fc_N')} within "
-            f"{q('vs_m_s')}"
-        ),
-        "lugre": lambda: (
-            f"friction of {q('Fc_N')} with elastic bristles of {q('sigma0_N_m')}"
-        ),
-        "quad_damping": lambda: (
-            f"{q('c2_Ns2_m2')} {more(p['c2_Ns2_m2'])} of damping with the square of velocity"
-        ),
-        "power_damping": lambda: (
-            f"damping with velocity to the power of {_plain(p['exponent'], 3)}, "
-            f"{q('F1_N')} at 1 m/s"
-        ),
-        "inertia": lambda: f"{q('m_kg')} {more(p['m_kg'])} of moving mass",
-        "gap": lambda: f"a gap of {q('gap_m')}",
-        "cubic": lambda: (
-            f"a spring that {_signed('softens', 'hardens')(p['k3_N_m3'])} with the third power of "
-            f"displacement ({q('k3_N_m3')})"
-        ),
-        "quadratic": lambda: (
-            f"a spring of another stiffness to either side (quadratic, {q('k2_N_m2')})"
-        ),
-        "stopper": lambda: f"a stop at {q('xs_m')} with {q('ks_N_m')}",
-        "stiffness": lambda: (
-            f"a stiffness {percent(p['dk_ratio'])} "
-            f"{_signed('below', 'above')(p['dk_ratio'])} the model's"
-        ),
-        "hysteresis": lambda: (
-            f"yielding from {q('xy_m')} on, with {percent(p['alpha'])} of the stiffness left"
-        ),
-        "pinching": lambda: f"pinching by {percent(p['depth'])} around zero displacement",
-        "degradation": lambda: (
-            f"a stiffness that loses {percent(p['loss'])} over {q('travel_m')} of travel"
-        ),
-        "maxwell": lambda: f"relaxation of {q('km_N_m')} within {q('tau_s')}",
-        "second_mode": lambda: f"{q('m2_kg')} that ride along on a spring at {q('f2_Hz')}",
-        "bias": lambda: (
-            f"an offset of the load cell of {quantity(p['bias_N'], 'N')}"
-        ),
-        "drift": lambda: f"a drift of the load cell of {quantity(p['rate_N_s'], 'N/s')}",
-        "hum": lambda: f"hum of {q('amp_N')} at {q('f_Hz')} in the load cell",
-        "time_skew": lambda: (
-            f"a load cell that is {q('skew_s')} {_signed('early', 'late')(p['skew_s'])}"
-        ),
-        "crosstalk": lambda: f"{percent(p['ratio'])} of the orthogonal force in the load cell",
-        "quantisation": lambda: f"a load cell that reads in steps of {q('lsb_N')}",
-        "delay": lambda: (
-            f"{q('dtau_s')} {_signed('less', 'more')(p['dtau_s'])} delay of the actuator"
-        ),
-        "delay_rate": lambda: f"a delay that grows with velocity by {q('kappa_s2_m')}",
-        "oil_column": lambda: (
-            f"an actuator with {q('f_Hz')} and a damping ratio of {_plain(p['zeta'], 3)}"
-        ),
-        "act_gain": lambda: f"an actuator that goes {_plain(p['gain'], 4)} times as far",
-        "rate_limit": lambda: f"an actuator that is no faster than {q('vmax_m_s')}",
-    }  # fmt: skip
-    try:
-        return phrases[c.name]()
-    except KeyError:
-        values = ", ".join(value_text(k, v) for k, v in p.items())
-        plain = PLAIN.get(c.name, c.name)
-        return f"{plain} ({values})" if values else plain
+    effect = _told().get(c.name)
+    if effect is not None and effect.phrase:
+        try:
+            return effect.phrase.format_map({k: Size(k, v) for k, v in c.params.items()})
+        except KeyError:
+            pass
+    values = ", ".join(value_text(k, v) for k, v in c.params.items())
+    return f"{called(c.name)} ({values})" if values else called(c.name)
 
 
 LOOP_WORDS: dict[str, str] = {
@@ -264,10 +191,10 @@ def unheld(d: Diagnosis, outcome: Outcome) -> list[str]:
     """Return what of the answer the augmented model's rig file does not hold."""
     if d.verdict not in ("explained", "ambiguous"):
         return []
-    lost = [*rig_toml(outcome.model)[1], *(n for n in d.effects if n == "quantisation")]
+    lost = [*rig_toml(outcome.model)[1], *(n for n in d.effects if n == QUANTISATION.name)]
     if not lost:
         return []
-    names = " and ".join(PLAIN.get(n, n) for n in dict.fromkeys(lost))
+    names = " and ".join(called(n) for n in dict.fromkeys(lost))
     return [f"A rig file cannot hold {names}: a test with augmented.toml runs without it."]
 
 
@@ -280,7 +207,9 @@ def loop_notes(d: Diagnosis, answer: dict[str, Any]) -> list[str]:
         return [f"The test could not be simulated again: {loop['why']}."]
     out = [f"With the loop closed: {note}." for note in loop["notes"]]
     before, after = loop["nrmse_before"]["x_meas"], loop["nrmse_after"]["x_meas"]
-    if d.verdict in ("explained", "ambiguous") and after > max(MET, HARDLY * before):
+    if d.verdict in ("explained", "ambiguous") and after > max(
+        POLICY.loop_met, POLICY.loop_hardly * before
+    ):
         out.append(
             "With the loop closed, what was found does not bring the test back: its measured "
             f"displacement is missed by {100 * before:.3g} % without it and by {100 * after:.3g} % "
@@ -295,7 +224,7 @@ def next_text(d: Diagnosis) -> str:
         return ""
     kind, why = d.next_experiment["kind"], d.next_experiment["why"]
     for name in d.effects:
-        why = why.replace(f"to confirm {name}:", f"to confirm {PLAIN.get(name, name)}:")
+        why = why.replace(f"to confirm {name}:", f"to confirm {called(name)}:")
     return f"{KINDS.get(kind, kind.replace('_', ' '))}; {why}"
 
 
@@ -303,7 +232,7 @@ def check_rows(checks: list[dict[str, Any]] | None) -> list[tuple[str, str]]:
     """Return what the self-check came to, as rows of effect and result."""
     rows = []
     for row in checks or ():
-        name = PLAIN.get(row["effect"], row["effect"])
+        name = called(row["effect"])
         what = "displacement" if row.get("channel") == "disp" else "force"
         if "smallest_detectable_share" in row:
             share, least = row["smallest_detectable_share"], row.get("largest_tried_share", 0.16)
@@ -326,7 +255,7 @@ def _when(d: Diagnosis) -> str:
         return ""
     whole = float(d.case.t[-1] - d.case.t[0]) or 1.0
     covered = sum(b - a for a, b in d.windows)
-    if covered > ALWAYS * whole:
+    if covered > POLICY.told_always * whole:
         return "throughout the recording"
     if len(d.windows) > 6:
         first, last = d.windows[0][0], d.windows[-1][1]
@@ -343,12 +272,12 @@ def _where(d: Diagnosis, signal: Floats) -> str:
     if motion is None or d.channel != "force":
         return ""
     size = np.abs(signal)
-    acts = size > ACTS * float(size.max())
+    acts = size > POLICY.active_rows * float(size.max())
     if not acts.any() or acts.all():
         return ""
     x, top = motion.x, float(np.max(np.abs(motion.x)))
     least = float(np.min(np.abs(x[acts])))
-    if least > LOCAL * top:
+    if least > POLICY.told_local * top:
         if np.all(x[acts] > 0):
             return f"x > {quantity(least, 'm')}"
         if np.all(x[acts] < 0):
@@ -371,11 +300,11 @@ def _difference(d: Diagnosis, signal: Floats | None) -> str:
         together = float(signal @ ctx.total) / (
             float(np.linalg.norm(signal) * np.linalg.norm(ctx.total)) or 1.0
         )
-        acts = np.abs(signal) > ACTS * float(np.max(np.abs(signal)))
+        acts = np.abs(signal) > POLICY.active_rows * float(np.max(np.abs(signal)))
         same = np.sign(signal[acts]) == np.sign(ctx.total[acts])
-        if together > 0 and np.mean(same) > 0.95:
+        if together > 0 and np.mean(same) > POLICY.told_one_sided:
             return "the load cell reads more than the model"
-        if together < 0 and np.mean(~same) > 0.95:
+        if together < 0 and np.mean(~same) > POLICY.told_one_sided:
             return "the load cell reads less than the model"
     return "the load cell reads otherwise than the model"
 
@@ -395,7 +324,11 @@ def _rest(d: Diagnosis) -> str:
     left = d.disp.best.chi2 / d.disp.task.rows.size - 1.0 if only_disp and d.disp else None
     if left is None and d.force is not None:
         left = d.force.excess_after
-    return f"{error}, the rest is noise" if left is not None and left < 0.1 else error
+    return (
+        f"{error}, the rest is noise"
+        if left is not None and left < POLICY.excess_as_noise
+        else error
+    )
 
 
 def sentence(d: Diagnosis, answer: dict[str, Any]) -> str:
@@ -418,7 +351,7 @@ def sentence(d: Diagnosis, answer: dict[str, Any]) -> str:
         )
         return text[:1].upper() + text[1:]
     if d.verdict == "ambiguous":
-        sets = " or ".join(" with ".join(PLAIN.get(n, n) for n in s) for s in d.ambiguous_with)
+        sets = " or ".join(" with ".join(called(n) for n in s) for s in d.ambiguous_with)
         return (
             f"Something is missing that this recording cannot tell apart: {sets}; each explains "
             f"{sensor} equally well."

@@ -36,7 +36,7 @@ SHIPPED = ROOT / "tests" / "data" / "diagnosis"
 SOURCES = ("first", "second", "own", "real", "times")
 SHORT_SEED = 20260
 PROGRAM = ("rthyb_rt", "csrc")
-LOOKING_ON = ("scoring.py", "stlsq.py", "page.py", "proof.py", "real.py")
+LOOKING_ON = ("scoring.py", "stlsq.py", "page.py", "proof.py", "real.py", "sensitivity.py")
 """Of the folders of the generators, what makes no case."""
 REPEATS = 5
 """Recordings of each sort whose answers are timed, at most."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 
 from rthyb_rt.diagnose.effects import friction, hysteretic, inertial, sensor, springs
@@ -25,6 +26,16 @@ def remove(name: str) -> None:
 def catalogue() -> dict[str, Effect]:
     """Return the effects on the force by name, in a fixed order."""
     return dict(_REGISTER)
+
+
+def having(declared: Callable[[Effect], object]) -> frozenset[str]:
+    """Return the names of the effects of which something is so, as ``having(lambda e: e.dry)``."""
+    return frozenset(name for name, effect in _REGISTER.items() if declared(effect))
+
+
+def of_number(number: str) -> str:
+    """Return the name of the effect that moves a number of the model; empty where none does."""
+    return next((name for name, effect in _REGISTER.items() if effect.number == number), "")
 
 
 def load(path: Path) -> list[str]:
@@ -104,7 +115,9 @@ __all__ = [
     "Param",
     "Trial",
     "catalogue",
+    "having",
     "load",
+    "of_number",
     "params_of",
     "register",
     "remove",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
-from rthyb_rt.diagnose.case import Model
+from rthyb_rt.diagnose.case import Family, Model
 from rthyb_rt.diagnose.simulate import Motion
 
 Floats = NDArray[np.float64]
@@ -139,6 +139,9 @@ class Effect:
 
     Class attributes:
         name: as in the answer.
+        plain: as a laboratory calls it; empty: by its name.
+        phrase: the same with its size, ``"a gap of {gap_m}"``: `words.Size` says what may stand in
+            the braces. Empty: plain, with all parameters.
         params: what is reported.
         equation: the law in one line.
         fingerprint: what it looks like in a residual.
@@ -153,12 +156,33 @@ class Effect:
         complete: a joint law that no other effect of the specimen stands beside.
         begins: it may begin in mid-record; not where all of the past is in it anyhow.
         late: it begins in mid-record.
+        number: the number of the model (`case.Model`) that it moves; empty: none.
+        static: it shows where a recording's time is nominal.
+        dry: it is dry friction in one of its forms.
+        plainer: the law that it goes over into, by name; so that it is named instead where this one
+            does no better.
+        slow_as: the law that a slow motion does not tell it from, by name.
+        relaxes: its first shape parameter is the time in which its force fades, s.
+        slides: it is sliders in a row, of which any number is a form of one.
+        also: the law that is this one by another name, beside a spring of free stiffness.
+        of_spring: its parameter that counts as a part of the spring there is.
+        replaces_spring: its element holds the model's spring as well.
+        many_springs: it is simulated as many elements, or goes through its force anew.
+        zero: it is the zero of the load cell, which a rig file has.
+        wanders: it is a zero that does not stay.
+        on_body: families in which, without a load cell, it stands for a force on the body.
+        needs: a channel without which it does nothing.
+        foretold: what it does to another recording can be said.
+        over: what it is a line over where that is neither displacement nor velocity: "a", "t",
+            "rate" of the force, or "fy".
         signs: one a linear coefficient: '+', '-' or '*' for any.
         pinned: standard deviation of each coefficient around 1, or None for a free one.
         bounds: range of each shape parameter as multiples of the trial's own.
     """
 
     name = ""
+    plain = ""
+    phrase = ""
     params: tuple[Param, ...] = ()
     equation = ""
     fingerprint = ""
@@ -172,6 +196,23 @@ class Effect:
     complete = False
     begins = True
     late = False
+    number: str = ""
+    static = False
+    dry = False
+    plainer = ""
+    slow_as = ""
+    relaxes = False
+    slides = False
+    also = ""
+    of_spring = ""
+    replaces_spring = False
+    many_springs = False
+    zero = False
+    wanders = False
+    on_body: tuple[Family, ...] = ()
+    needs = ""
+    foretold = True
+    over = ""
     signs: str = "*"
     pinned: tuple[float | None, ...] | None = None
 
@@ -200,6 +241,22 @@ class Effect:
     def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
         """Return what a sensor that `carries` shows of a force on the specimen, (n,), N."""
         return force
+
+    def rounded(self, trial: Trial, least: float) -> Trial:
+        """Return the shape with a step over velocity no sharper than ``least``, m/s."""
+        return trial
+
+    def sharp(self, trial: Trial, width: float) -> Trial:
+        """Return the shape with its step over velocity as sharp as ``width``, m/s."""
+        return trial
+
+    def like(self, trial: Trial) -> Trial:
+        """Return the shape that is the same force as `also` in one of its own."""
+        return trial
+
+    def holds_n_per_m(self, ctx: Context, trial: Trial, beta: Floats) -> float:
+        """Return the stiffness that it has before it gives way, beside the model's; 0: none."""
+        return 0.0
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the parameters by name from linear coefficients and shape."""

@@ -17,9 +17,13 @@ class Viscous(Effect):
     """A dashpot, or one too many in the model."""
 
     name = "viscous"
+    plain = "viscous damping"
+    phrase = "{c_Ns_m} {c_Ns_m:less|more} of viscous damping"
     params = (Param("c_Ns_m", "N s/m", -1e10, 1e10),)
     equation = "f = c v"
     fingerprint = "residual is a straight line over velocity"
+    number = "c"
+    static = True
     dissipates = True
     shown_by = ("sweep", "a dashpot's force grows with frequency, that of a skew with force")
 
@@ -36,9 +40,12 @@ class QuadDamping(Effect):
     """Damping of orifices and drag."""
 
     name = "quad_damping"
+    plain = "damping with the square of velocity"
+    phrase = "{c2_Ns2_m2} {c2_Ns2_m2:less|more} of damping with the square of velocity"
     params = (Param("c2_Ns2_m2", "N s^2/m^2", -1e12, 1e12),)
     equation = "f = c2 v |v|"
     fingerprint = "residual grows with the square of velocity"
+    static = True
     dissipates = True
     shown_by = (
         "multi_amplitude",
@@ -62,6 +69,8 @@ class PowerDamping(Effect):
     """A fluid viscous damper: its force goes with a power of velocity."""
 
     name = "power_damping"
+    plain = "damping with a power of velocity"
+    phrase = "damping with velocity to the power of {exponent:3}, {F1_N} at 1 m/s"
     params = (Param("F1_N", "N", 0.0, 1e10), Param("exponent", "", 0.05, 10.0))
     equation = "f = F1 |v / (1 m/s)|^exponent sgn(v)"
     fingerprint = "residual over velocity is a power, neither straight nor a parabola"
@@ -134,9 +143,13 @@ class Coulomb(Effect):
     """
 
     name = "coulomb"
+    plain = "dry friction"
+    phrase = "dry friction of {Fc_N}"
     params = (Param("Fc_N", "N", 0.0, 1e8),)
     equation = "f = Fc tanh(v / width), or Fc v / sqrt(v^2 + width^2)"
     fingerprint = "residual jumps with the sign of velocity, its size does not change"
+    static = True
+    dry = True
     dissipates = True
     shown_by = SLOW
     signs = "+"
@@ -163,6 +176,15 @@ class Coulomb(Effect):
             return [ctx.v / np.hypot(ctx.v, trial.theta[0])]
         return [np.tanh(ctx.v / trial.theta[0])]
 
+    def rounded(self, trial: Trial, least: float) -> Trial:
+        """Return a step by tanh; a contact has one of the least width."""
+        old = trial.theta[0] if trial.theta and not trial.variant else least
+        return Trial((max(old, least),))
+
+    def sharp(self, trial: Trial, width: float) -> Trial:
+        """Return a step by tanh."""
+        return Trial((width,)) if trial.theta else trial
+
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return how the sign of velocity is rounded."""
         if trial.variant == "contact":
@@ -182,6 +204,8 @@ class Stribeck(Effect):
     """Friction that falls with velocity."""
 
     name = "stribeck"
+    plain = "friction that falls with velocity"
+    phrase = "friction that falls with velocity from {Fs_N} to {Fc_N} within {vs_m_s}"
     params = (
         Param("Fc_N", "N", 0.0, 1e8),
         Param("Fs_N", "N", 0.0, 1e8),
@@ -189,6 +213,8 @@ class Stribeck(Effect):
     )
     equation = "f = [Fc + (Fs - Fc) exp(-(v/vs)^2)] tanh(v / width)"
     fingerprint = "friction with a peak at low velocity"
+    dry = True
+    plainer = Coulomb.name
     dissipates = True
     shown_by = SLOW
     signs = "++"
@@ -231,6 +257,11 @@ class Stribeck(Effect):
         """Return False where it is a smooth hump rather than friction."""
         return bool(beta[1] > 0.05 * beta[0] and beta[0] > 0.02 * beta[1])
 
+    def rounded(self, trial: Trial, least: float) -> Trial:
+        """Return the same peak over a step by tanh."""
+        old = trial.theta[1] if not trial.variant else least
+        return Trial((trial.theta[0], max(old, least)))
+
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the law of the peak, and what its sign is."""
         power = 1 if trial.variant == "contact1" else 2
@@ -265,9 +296,14 @@ class Lugre(Effect):
     """Friction with bristles that bend before they slide."""
 
     name = "lugre"
+    plain = "friction with elastic bristles"
+    phrase = "friction of {Fc_N} with elastic bristles of {sigma0_N_m}"
     params = (Param("Fc_N", "N", 0.0, 1e8), Param("sigma0_N_m", "N/m", 1.0, 1e12))
     equation = "f = s0 z + s1 z', z' = v - s0 |v| z / g(v)"
     fingerprint = "friction that is a spring after each reversal"
+    dry = True
+    slides = True
+    plainer = Coulomb.name
     shown_by = ("multi_amplitude", "bristles bend alone at amplitudes below their travel")
     signs = "+*"
 
@@ -314,6 +350,10 @@ class Lugre(Effect):
         """Return sliding friction and bristle stiffness."""
         return {"Fc_N": float(beta[0]), "sigma0_N_m": float(beta[0]) / trial.theta[0]}
 
+    def holds_n_per_m(self, ctx: Context, trial: Trial, beta: Floats) -> float:
+        """Return the stiffness of the bristles."""
+        return self.report(ctx, trial, beta).get("sigma0_N_m", 0.0)
+
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the law of the bristles."""
         if trial.variant == "dahl":
@@ -359,9 +399,11 @@ class FrictionBehindGap(Effect):
     """Dry friction that is driven through a backlash: nothing is felt until the gap is taken up."""
 
     name = "gap+coulomb"
+    plain = "dry friction behind a gap"
     params = (Param("gap_m", "m", 1e-9, 1.0), Param("Fc_N", "N", 0.0, 1e8))
     equation = "slider of +-Fc on a spring k behind a play of +-gap"
     fingerprint = "after each reversal force falls to nothing, stays there, and returns"
+    static = True
     shown_by = ("multi_amplitude", "a gap takes the same displacement at every amplitude")
     signs = "+"
     complete = True
@@ -425,6 +467,7 @@ class UnevenFrictionBehindGap(Effect):
     """
 
     name = "gap+coulomb+bias"
+    plain = "dry friction behind a gap, harder one way"
     params = (
         Param("gap_m", "m", 1e-9, 1.0),
         Param("Fc_N", "N", 0.0, 1e8),
@@ -432,6 +475,7 @@ class UnevenFrictionBehindGap(Effect):
     )
     equation = "slider of bias +- Fc on a spring k behind a play of +-gap"
     fingerprint = "as one behind a gap, with two levels that are not the same; none in the gap"
+    static = True
     shown_by = ("multi_amplitude", "a gap takes the same displacement at every amplitude")
     signs = "+"
     complete = True

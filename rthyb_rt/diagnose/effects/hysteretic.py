@@ -8,6 +8,8 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+from rthyb_rt.diagnose.effects.friction import Lugre, Viscous
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import iwan
 
 LARGE = ("multi_amplitude", "a memory of amplitude shows when small cycles follow large ones")
@@ -78,9 +80,16 @@ class Hysteresis(Effect):
     """Yielding: Bouc-Wen's loops, Iwan's springs that yield one by one, Menegotto-Pinto's bars."""
 
     name = "hysteresis"
+    plain = "yielding"
+    phrase = "yielding from {xy_m} on, with {alpha:%} of the stiffness left"
     params = (Param("xy_m", "m", 1e-9, 10.0), Param("alpha", "", -1.0, 1.0))
     equation = "f = k (alpha x + (1 - alpha) z) instead of k x"
     fingerprint = "loops over displacement that do not depend on rate"
+    static = True
+    slides = True
+    many_springs = True
+    of_spring = "alpha"
+    also = Lugre.name
     yields = True
     shown_by = LARGE
     signs = "+"
@@ -180,6 +189,11 @@ class Hysteresis(Effect):
         alpha = 1.0 - share if not ctx.k_free else ctx.model.k / (ctx.model.k + share * ctx.k_scale)
         return {"xy_m": trial.theta[0], "alpha": alpha}
 
+    def like(self, trial: Trial) -> Trial:
+        """Return the loop whose way to slipping has the form of some bristles'."""
+        form = {"dahl": "bw1", "slips": "bw1"}.get(trial.variant, "iwan0")
+        return Trial(trial.theta[:1], form)
+
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the loop by the names of those who wrote it down."""
         shape = trial.variant.rstrip("+")
@@ -263,9 +277,15 @@ class Pinching(Effect):
     """A spring or loop that is slack around zero."""
 
     name = "pinching"
+    plain = "pinching"
+    phrase = "pinching by {depth:%} around zero displacement"
     params = (Param("depth", "", 0.0, 1.0), Param("width_ratio", "", 0.0, 10.0))
     equation = "the loop's force times 1 - depth exp(-(x / width)^2)"
     fingerprint = "force is missing around zero displacement, in both directions"
+    static = True
+    many_springs = True
+    replaces_spring = True
+    of_spring = "depth"
     shown_by = LARGE
     signs = "+"
 
@@ -371,9 +391,15 @@ class Degradation(Effect):
     """Stiffness that is lost with the path covered."""
 
     name = "degradation"
+    plain = "degradation"
+    phrase = "a stiffness that loses {loss:%} over {travel_m} of travel"
     params = (Param("loss", "", 0.0, 1.0), Param("travel_m", "m", 1e-9, 1e6))
     equation = "the loop's force times 1 - loss (1 - exp(-travel / travel_m))"
     fingerprint = "residual in phase with displacement that grows during the test"
+    static = True
+    many_springs = True
+    replaces_spring = True
+    of_spring = "loss"
     shown_by = LARGE
     begins = False
     signs = "+"
@@ -428,8 +454,6 @@ class Degradation(Effect):
         ]  # fmt: skip
 
 
-SEEN_WEAR = 0.1
-"""Least share of slack, and of what is lost, for which a column is said to pinch and to degrade."""
 BELL = (0.15, 0.25)
 """Force at which cracks slip most, and the bell's width, over the strength."""
 CYCLES = 12.5
@@ -454,6 +478,7 @@ class WornColumn(Effect):
     )
     equation = "a loop in series with a slip-lock spring, worn by amplitude and energy"
     fingerprint = "loops that grow flatter and slacker around zero from cycle to cycle"
+    static = True
     shown_by = LARGE
     signs = "+"
     complete = True
@@ -529,7 +554,7 @@ class WornColumn(Effect):
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False where it neither pinches nor wears: then it is a plain loop."""
-        return min(self._worn(ctx, trial)) > SEEN_WEAR
+        return min(self._worn(ctx, trial)) > POLICY.seen_wear
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the loop, its slack, and what stiffness and strength have lost in the end."""
@@ -556,9 +581,14 @@ class Maxwell(Effect):
     """Relaxation: a spring and a dashpot in series."""
 
     name = "maxwell"
+    plain = "relaxation"
+    phrase = "relaxation of {km_N_m} within {tau_s}"
     params = (Param("km_N_m", "N/m", 0.0, 1e12), Param("tau_s", "s", 1e-4, 1e4))
     equation = "f' + f / tau = km v"
     fingerprint = "a dashpot at low frequency that turns into a spring at high"
+    relaxes = True
+    plainer = Viscous.name
+    slow_as = Viscous.name
     shown_by = ("sweep", "its force turns from velocity to displacement around 1 / (2 pi tau)")
     signs = "+"
 

@@ -14,9 +14,13 @@ class Inertia(Effect):
     """Moving mass between load cell and specimen that the model does not have."""
 
     name = "inertia"
+    plain = "a moving mass"
+    phrase = "{m_kg} {m_kg:less|more} of moving mass"
     params = (Param("m_kg", "kg", -1e7, 1e7),)
     equation = "f = m a"
     fingerprint = "residual is a straight line over acceleration, growing with frequency squared"
+    number = "moving_mass"
+    over = "a"
     shown_by = ("sweep", "a mass's force grows with the square of frequency")
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
@@ -41,6 +45,8 @@ class SecondMode(Effect):
     """A mass on a spring that rides on the specimen."""
 
     name = "second_mode"
+    plain = "a mass that rides along on a spring"
+    phrase = "{m2_kg} that ride along on a spring at {f2_Hz}"
     params = (Param("m2_kg", "kg", 0.0, 1e8), Param("f2_Hz", "Hz", 0.01, 400.0))
     equation = "y'' + 2 zeta w2 y' + w2^2 y = -a, f = -m2 (2 zeta w2 y' + w2^2 y)"
     fingerprint = "residual rings at one frequency of its own"

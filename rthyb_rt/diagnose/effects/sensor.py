@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+from rthyb_rt.diagnose.effects.friction import Viscous
+from rthyb_rt.diagnose.policy import POLICY
 
 SKEW_TOLERANCE_S = 1e-4
 
@@ -28,12 +30,6 @@ def shifted(signal: Floats, rows: float) -> Floats:
         + take(0) * ((1.0 - u) * (1.0 + u) * (2.0 - u) / 2.0)
         + take(1) * (-u * (1.0 - u) * (2.0 - u) / 6.0)
     )
-
-
-ABRUPT = 3.0
-"""Times as much of it above that frequency as of the model's force, from which a force jumps."""
-FAINT = 0.1
-"""Part of the load cell's noise, hertz by hertz, below which a force tells nothing of its time."""
 
 
 def standing_out(force: Floats, noise: float, dt: float) -> Floats:
@@ -56,7 +52,7 @@ def _loudest_hz(force: Floats, noise: float, dt: float) -> float | None:
     spectrum, f, size = _faded(force, dt)
     hertz = np.floor(f).astype(np.int64)
     power = np.bincount(hertz, np.abs(spectrum) ** 2) / np.bincount(hertz)
-    above = np.flatnonzero(power > FAINT**2 * noise**2 * size)
+    above = np.flatnonzero(power > POLICY.faint_force**2 * noise**2 * size)
     return 2.0 * (float(above[-1]) + 1.0) if above.size else None
 
 
@@ -85,9 +81,15 @@ class Bias(Effect):
     """A load cell that reads force at rest."""
 
     name = "bias"
+    plain = "an offset of the load cell"
+    phrase = "an offset of the load cell of {bias_N:+}"
     params = (Param("bias_N", "N", -1e8, 1e8),)
     equation = "f_meas = f + bias"
     fingerprint = "residual is a constant"
+    static = True
+    zero = True
+    on_body = ("forced", "ground")
+    over = "t"
     shown_by = ("multi_amplitude", "a constant stays where amplitude goes to zero")
     sensor = True
 
@@ -100,9 +102,15 @@ class Drift(Effect):
     """A load cell that wanders."""
 
     name = "drift"
+    plain = "a drift of the load cell"
+    phrase = "a drift of the load cell of {rate_N_s:+}"
     params = (Param("rate_N_s", "N/s", -1e8, 1e8),)
     equation = "f_meas = f + rate t"
     fingerprint = "residual is a straight line over time"
+    static = True
+    wanders = True
+    on_body = ("forced",)
+    over = "t"
     shown_by = ("multi_amplitude", "a drift goes on where nothing moves")
     sensor = True
 
@@ -119,9 +127,12 @@ class Hum(Effect):
     """Mains or a pump in the load cell's signal."""
 
     name = "hum"
+    plain = "hum in the load cell"
+    phrase = "hum of {amp_N} at {f_Hz} in the load cell"
     params = (Param("f_Hz", "Hz", 0.1, 1e4), Param("amp_N", "N", 0.0, 1e8))
     equation = "f_meas = f + amp sin(2 pi f t + phase)"
     fingerprint = "a single line in the residual's spectrum that is none of the motion's"
+    foretold = False
     shown_by = ("sweep", "a line that stays while the motion's frequency moves")
     sensor = True
     signs = "**"
@@ -148,7 +159,7 @@ class Hum(Effect):
         found = []
         for _ in range(3):
             i = int(np.argmax(strength))
-            if strength[i] < 6.0 or not 0 < i < f.size - 1:
+            if strength[i] < POLICY.hum_line or not 0 < i < f.size - 1:
                 break
             low, mid, high = np.log(np.maximum(spectrum[i - 1 : i + 2], 1e-300))
             step = 0.5 * (low - high) / min(low - 2.0 * mid + high, -1e-12)
@@ -185,9 +196,13 @@ class TimeSkew(Effect):
     """
 
     name = "time_skew"
+    plain = "a time skew of the load cell"
+    phrase = "a load cell that is {skew_s} {skew_s:early|late}"
     params = (Param("skew_s", "s", -0.1, 0.1),)
     equation = "f_meas(t) = f(t - skew)"
     fingerprint = "residual is a straight line over the rate of the force"
+    slow_as = Viscous.name
+    over = "rate"
     shown_by = ("sweep", "a skew turns with frequency what a dashpot does not")
     sensor = True
     carries = True
@@ -218,7 +233,9 @@ class TimeSkew(Effect):
                 slow = _up_to(cut, force, ctx.dt)
                 heard = slow if force is ctx.total else _up_to(cut, ctx.total, ctx.dt)
                 # What changes more abruptly than by the noise that moves all is a law's own.
-                if _part(force - slow, force) > ABRUPT * _part(ctx.total - heard, ctx.total):
+                if _part(force - slow, force) > POLICY.abrupt_force * _part(
+                    ctx.total - heard, ctx.total
+                ):
                     slow = force
         return force + shifted(slow, trial.theta[0] / ctx.dt) - slow
 
@@ -266,9 +283,13 @@ class Crosstalk(Effect):
     """A load cell that feels the force in the orthogonal direction."""
 
     name = "crosstalk"
+    plain = "crosstalk from the other direction"
+    phrase = "{ratio:%} of the orthogonal force in the load cell"
     params = (Param("ratio", "", -1.0, 1.0),)
     equation = "f_meas = f + ratio fy"
     fingerprint = "residual follows the orthogonal force"
+    needs = "fy_meas"
+    over = "fy"
     shown_by = ("random", "an orthogonal force that is independent of this one tells them apart")
     sensor = True
     _kept: tuple[Context, Floats] | None = None
@@ -285,4 +306,18 @@ class Crosstalk(Effect):
         return [kept[1]]
 
 
+class Quantisation(Effect):
+    """A coarse load cell. Read off its readings themselves, so that it is no law of a search."""
+
+    name = "quantisation"
+    plain = "a coarse load cell"
+    phrase = "a load cell that reads in steps of {lsb_N}"
+    params = (Param("lsb_N", "N", 0.0, 1e8),)
+    equation = "f_meas = lsb round(f / lsb)"
+    fingerprint = "all readings lie on one grid; what is left is a saw tooth of half a step"
+    shown_by = ("multi_amplitude", "small motion shows the steps one by one")
+    sensor = True
+
+
+QUANTISATION = Quantisation()
 EFFECTS: tuple[Effect, ...] = (Bias(), Drift(), Hum(), TimeSkew(), Crosstalk())

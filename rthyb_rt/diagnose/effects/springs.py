@@ -22,9 +22,13 @@ class Stiffness(Effect):
     """
 
     name = "stiffness"
+    plain = "an error of the stiffness"
+    phrase = "a stiffness {dk_ratio:%} {dk_ratio:below|above} the model's"
     params = (Param("dk_ratio", "", -1.0, 10.0),)
     equation = "f = dk_ratio k x"
     fingerprint = "a straight line over displacement, the same at every frequency"
+    number = "k"
+    static = True
     elastic = True
     shown_by = ("sweep", "stiffness stays the same over frequency, mass does not")
 
@@ -86,9 +90,14 @@ class Cubic(Effect):
     """
 
     name = "cubic"
+    plain = "a cubic spring"
+    phrase = (
+        "a spring that {k3_N_m3:softens|hardens} with the third power of displacement ({k3_N_m3})"
+    )
     params = (Param("k3_N_m3", "N/m^3", -1e15, 1e15),)
     equation = "f = k3 x^3, or k [L sin(x / L) - x], or k x |x / x0|^(n - 1)"
     fingerprint = "residual over displacement is an odd cubic, without loop"
+    static = True
     elastic = True
     shown_by = AMPLITUDES
 
@@ -160,9 +169,12 @@ class Quadratic(Effect):
     """A spring that differs between push and pull."""
 
     name = "quadratic"
+    plain = "a quadratic spring"
+    phrase = "a spring of another stiffness to either side (quadratic, {k2_N_m2})"
     params = (Param("k2_N_m2", "N/m^2", -1e15, 1e15),)
     equation = "f = k2 x^2"
     fingerprint = "residual over displacement is an even parabola"
+    static = True
     elastic = True
     shown_by = AMPLITUDES
 
@@ -201,9 +213,13 @@ class Gap(Effect):
     """
 
     name = "gap"
+    plain = "a gap"
+    phrase = "a gap of {gap_m}"
     params = (Param("gap_m", "m", 1e-9, 1.0),)
     equation = "spring force at x beyond +-gap (dead band), or behind a play of +-gap"
     fingerprint = "force is missing around zero (dead band) or after each reversal (play)"
+    static = True
+    of_spring = "gap_m"
     shown_by = ("multi_amplitude", "a gap takes the same displacement at every amplitude")
     signs = "+"
     pinned = (0.03,)
@@ -285,9 +301,12 @@ class Stopper(Effect):
     """A stop that is met beyond a displacement; in variant "spread" in one place before another."""
 
     name = "stopper"
+    plain = "a stop"
+    phrase = "a stop at {xs_m} with {ks_N_m}"
     params = (Param("ks_N_m", "N/m", 0.0, 1e12), Param("xs_m", "m", 0.0, 10.0))
     equation = "f = ks (|x| - xs) sgn(x) where |x| > xs"
     fingerprint = "residual only beyond a displacement, growing from there"
+    static = True
     shown_by = ("multi_amplitude", "a stop is met at large amplitude only")
     signs = "+"
 
