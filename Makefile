@@ -22,14 +22,16 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help run install reproduce test test-vm test-systemd test-live soak sanitize fuzz fuzz-station \
-        tsan proof validate-diagnosis validate-diagnosis-short validate-policy bench lint clean
+.PHONY: help run install reproduce test test-long test-vm test-systemd test-live soak sanitize fuzz \
+        fuzz-station tsan proof validate-diagnosis validate-diagnosis-short validate-policy bench lint \
+        clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
 	@echo 'make install    the service of docs/service.md into this PC, as root (RIG=my-rig.toml)'
 	@echo "make reproduce  the paper's studies: figures, tables, accepted bands"
 	@echo 'make test       the test suite'
+	@echo 'make test-long  what of it takes long: whole stories of the diagnosis, every seed'
 	@echo 'make test-vm    the tests that need a kernel with SocketCAN, in a guest machine'
 	@echo 'make test-systemd  the service as systemd runs it, in a guest machine'
 	@echo 'make test-live  the live view in chromium: moving curves, hold, stop, a trip'
@@ -65,9 +67,14 @@ reproduce: $(TEST_READY)
 # Two halves: what may take the whole of two processors, then what goes by the clock and mostly waits
 # for it. A machine that stalls may make one of those fail: what has failed is tried once more, alone.
 test: $(TEST_READY)
-	@$(BIN)/python -m pytest -m 'not alone' -n 2 --dist loadfile
+	@$(BIN)/python -m pytest -m 'not alone and not long' -n 2 --dist loadfile
 	@$(BIN)/python -m pytest -m alone -n 2 --dist loadfile || { echo 'Once more, what has failed:'; \
 	    $(BIN)/python -m pytest -m alone --last-failed; }
+
+# Single scenarios of ten seconds and more, which share next to nothing: whoever is done takes half of
+# what the other one has before it.
+test-long: $(TEST_READY)
+	@$(BIN)/python -m pytest -m long -n 2 --dist worksteal
 
 # The guest is Debian's user-mode Linux, fetched into build/vm (Debian: user-mode-linux,
 # busybox-static, can-utils, iproute2). The core is built here first: in the guest nothing is.
@@ -123,7 +130,7 @@ sanitize: $(TEST_READY)
 	    -Ccmake.define.RTHYB_SANITIZE=address,undefined -e .
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so.6)" \
 	    ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
-	    $(OVERLAY)/bin/python -m pytest -p no:cacheprovider --capture=sys -m 'not speed'
+	    $(OVERLAY)/bin/python -m pytest -p no:cacheprovider --capture=sys -m 'not speed and not long'
 
 # Plain C, since the interpreter is not instrumented. Some kernels place memory where the detector cannot
 # follow, hence setarch. The last run has a race on purpose, and must be told of.

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 from scipy import signal
 
-FS = 1024.0
+FS = 256.0
+"""Rows per second: as few as tell a lag of 28 Hz. What goes by the core's rate sets its own."""
 K, C, M = 5.0e5, 1500.0, 40.0
 DELAY, F_HZ, ZETA = 0.0052, 28.0, 0.9
+FINE = 32  # steps in a row
 X_STD, F_STD = 3.0e-6, 15.0
 
 
@@ -25,7 +27,7 @@ def command(kind: str = "sweep", seconds: float = 8.0, amplitude: float = 7e-3) 
     return amplitude * rise * np.sin(phase)
 
 
-def moved(u: np.ndarray, delay: float = DELAY, gain: float = 1.0, fine: int = 8):
+def moved(u: np.ndarray, delay: float = DELAY, gain: float = 1.0, fine: int = FINE):
     """Return x, v, a of the actuator at the rows, from rest; the command runs straight.
 
     Most cases share one command: a motion is computed once, and cannot be written to.

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import StateSpace, butter, lsim, sosfiltfilt
 
-FINE = 8
+FINE = 32
 
 
 @dataclass
@@ -23,7 +23,7 @@ class Rig:
 
     random: np.random.Generator
     seconds: float = 12.0
-    fs_hz: float = 1024.0
+    fs_hz: float = 0.0
     k: float = 0.0
     c: float = 0.0
     mass: float = 0.0
@@ -42,11 +42,11 @@ class Rig:
                 "vmax": np.inf}  # fmt: skip
 
 
-def rig(seed: int) -> Rig:
+def rig(seed: int, fs_hz: float = 256.0) -> Rig:
     """A rig of numbers drawn from a seed; the moment lies in the middle third of the test."""
     random = np.random.default_rng([20_26, seed])
     u = random.uniform
-    out = Rig(random)
+    out = Rig(random, fs_hz=fs_hz)
     out.k, out.mass = np.exp(u(*np.log((2e5, 2e6)))), u(10.0, 60.0)
     out.c = u(0.002, 0.004) * out.k
     out.delay_s, out.f_hz, out.zeta = u(0.003, 0.008), u(20.0, 38.0), u(0.6, 1.0)
@@ -207,7 +207,7 @@ def on_ground(
         dashpot: damping that the model leaves out, as a part of its own.
         cell, felt: what the load cell shows of the force, and the accelerometer of a, at a rate.
     """
-    random, fs_hz = np.random.default_rng([2027, seed]), 1024.0
+    random, fs_hz = np.random.default_rng([2027, seed]), 256.0
     u, t = random.uniform, np.arange(round(12.0 * fs_hz)) / fs_hz
     k, f0, zeta = np.exp(u(*np.log((3e5, 1.5e6)))), u(1.2, 2.4), u(0.03, 0.06)
     mass = k / (2 * np.pi * f0) ** 2

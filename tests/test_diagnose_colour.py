@@ -8,13 +8,16 @@ from test_diagnose_noise import DRIVE, F_STD, FS_HZ, X_STD, C, K, M, motion, wri
 
 from rthyb_rt.diagnose import noise
 
-N = 14336
-F_GRID = np.fft.rfftfreq(N, 1.0 / FS_HZ)
+FINE_HZ, N = 1024.0, 14336
+"""Of what is asked of the noise alone; whole recordings have half as many rows."""
+F_GRID = np.fft.rfftfreq(N, 1.0 / FINE_HZ)
 
 
-def coloured(random: np.random.Generator, shape: np.ndarray, size: int = N) -> np.ndarray:
+def coloured(
+    random: np.random.Generator, shape: np.ndarray, size: int = N, fs_hz: float = FINE_HZ
+) -> np.ndarray:
     """Noise of unit rms whose spectrum has a shape over `F_GRID`, cut out of twice as much."""
-    f = np.fft.rfftfreq(2 * size, 1.0 / FS_HZ)
+    f = np.fft.rfftfreq(2 * size, 1.0 / fs_hz)
     spectrum = np.fft.rfft(random.standard_normal(2 * size))
     y = np.fft.irfft(spectrum * np.sqrt(np.interp(f, F_GRID, shape)), 2 * size)[:size]
     return np.asarray(y / np.std(y))
@@ -41,7 +44,7 @@ COLOURS = [pink, random_walk_over_white, filtered, resonant]
 
 
 def velocity() -> np.ndarray:
-    return motion(FS_HZ)[3]
+    return motion(FINE_HZ)[3]
 
 
 @pytest.mark.parametrize("colour", COLOURS)
@@ -51,7 +54,7 @@ def test_noise_within_the_band_of_the_motion_is_told_from_beside_it(colour):
     ratios = []
     for seed in range(8):
         y = coloured(np.random.default_rng(seed), colour())
-        found = noise.colour_of(y, np.ones(N, dtype=np.bool_), velocity(), FS_HZ, 1.0)
+        found = noise.colour_of(y, np.ones(N, dtype=np.bool_), velocity(), FINE_HZ, 1.0)
         assert found is not None
         truth = colour() / np.mean(colour())
         ratios.append(np.mean(found.at(F_GRID[inside])) / np.mean(truth[inside]))
@@ -66,7 +69,7 @@ def test_white_noise_is_called_white():
     found = [
         noise.colour_of(
             np.random.default_rng(seed).standard_normal(N),
-            np.ones(N, dtype=np.bool_), velocity(), FS_HZ, 1.0,
+            np.ones(N, dtype=np.bool_), velocity(), FINE_HZ, 1.0,
         )
         for seed in range(40)
     ]  # fmt: skip
@@ -75,15 +78,15 @@ def test_white_noise_is_called_white():
 
 def test_mains_line_is_not_taken_for_noise():
     y = np.random.default_rng(3).standard_normal(N)
-    hum = 0.5 * np.sin(2.0 * np.pi * 50.0 * np.arange(N) / FS_HZ)
-    found = noise.colour_of(y + hum, np.ones(N, dtype=np.bool_), velocity(), FS_HZ, 1.0)
+    hum = 0.5 * np.sin(2.0 * np.pi * 50.0 * np.arange(N) / FINE_HZ)
+    found = noise.colour_of(y + hum, np.ones(N, dtype=np.bool_), velocity(), FINE_HZ, 1.0)
     assert found is None or found.at(np.array([50.0]))[0] < 1.5
 
 
 def test_noise_is_never_larger_than_its_sheet_allows():
     """Three times the sheet, and all of it below 40 Hz: two thirds are left to be explained."""
     y = 3.0 * coloured(np.random.default_rng(4), filtered())
-    found = noise.colour_of(y, np.ones(N, dtype=np.bool_), velocity(), FS_HZ, 1.0)
+    found = noise.colour_of(y, np.ones(N, dtype=np.bool_), velocity(), FINE_HZ, 1.0)
     assert found is not None
     assert np.mean(found.at(F_GRID)) <= 1.25**2 * 1.001
 
@@ -100,13 +103,13 @@ def test_recording_that_tells_no_colour_is_left_white(broken):
         y, rows, v = y[:200], rows[:200], v[:200]
     else:
         y = np.full(N, np.nan)
-    assert noise.colour_of(y, rows, v, FS_HZ, sheet) is None
+    assert noise.colour_of(y, rows, v, FINE_HZ, sheet) is None
 
 
 def recorded(random: np.random.Generator, extra, shape: np.ndarray, of_x: bool = False):
     """A drive of 14 s in coloured noise of the load cell, or of the displacement."""
     t, u, x, v, a = motion(FS_HZ)
-    hears = coloured(random, shape, t.size)
+    hears = coloured(random, shape, t.size, FS_HZ)
     white = random.standard_normal(t.size)
     return {
         "t": t,
@@ -116,14 +119,15 @@ def recorded(random: np.random.Generator, extra, shape: np.ndarray, of_x: bool =
     }
 
 
-@pytest.mark.parametrize("colour", COLOURS)
+@pytest.mark.parametrize("colour", [pytest.param(pink, marks=pytest.mark.long), filtered, resonant])
 def test_load_cell_of_coloured_noise_within_its_sheet_misses_nothing(tmp_path, colour):
     columns = recorded(np.random.default_rng(11), lambda t, x, v: 0.0, colour())
     d = written(tmp_path, columns, DRIVE)
     assert (d.verdict, d.effects) == ("none", [])
 
 
-@pytest.mark.parametrize("colour", [pink, filtered])
+@pytest.mark.long
+@pytest.mark.parametrize("colour", [pink])
 def test_displacement_of_coloured_noise_within_its_sheet_misses_nothing(tmp_path, colour):
     columns = recorded(np.random.default_rng(21), lambda t, x, v: 0.0, colour(), of_x=True)
     d = written(tmp_path, columns, DRIVE)
@@ -137,13 +141,13 @@ LAWS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "colour"),
     [
         ("coulomb", pink),
         ("coulomb", resonant),
         ("cubic", filtered),
-        ("drift", pink),
         ("drift", random_walk_over_white),
     ],
 )
@@ -158,7 +162,8 @@ def test_law_in_coloured_noise_has_its_name_and_no_other(tmp_path, name, colour)
     assert low < value < high
 
 
-@pytest.mark.parametrize("colour", [pink, random_walk_over_white, filtered])
+@pytest.mark.long
+@pytest.mark.parametrize("colour", [pink, filtered])
 def test_force_that_nothing_explains_is_not_taken_for_coloured_noise(tmp_path, colour):
     """A ripple of the force over 0.4 mm of the displacement, as large as the noise."""
     columns = recorded(
@@ -170,12 +175,13 @@ def test_force_that_nothing_explains_is_not_taken_for_coloured_noise(tmp_path, c
     assert d.verdict == "unknown"
 
 
+@pytest.mark.long
 def test_late_load_cell_does_not_make_a_stated_damping_wrong(tmp_path):
     """What the model's damping may be wrong by comes as late as all of the force."""
     random = np.random.default_rng(51)
-    t, u, x, _v, _a = motion(FS_HZ)
+    t, u, x, _v, _a = motion(FINE_HZ)
     late_s = 4.0e-3
-    shifted = motion(FS_HZ, 0.004 + late_s)
+    shifted = motion(FINE_HZ, 0.004 + late_s)
     force = K * shifted[2] + 0.85 * C * shifted[3] + M * shifted[4]
     columns = {
         "t": t,
@@ -183,6 +189,6 @@ def test_late_load_cell_does_not_make_a_stated_damping_wrong(tmp_path):
         "x_meas": x + X_STD * random.standard_normal(t.size),
         "f_meas": force + F_STD * random.standard_normal(t.size),
     }
-    d = written(tmp_path, columns, DRIVE)
+    d = written(tmp_path, columns, DRIVE.replace(f"fs_hz = {FS_HZ}", f"fs_hz = {FINE_HZ}"))
     assert (d.verdict, d.effects) == ("explained", ["time_skew"])
     assert d.candidates[0].params["skew_s"] == pytest.approx(late_s, abs=1e-4)

@@ -116,7 +116,12 @@ LAWS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("law", LAWS)
+QUICK = ("hysteresis, Menegotto-Pinto", "cubic, power", "gap, dead band from to")
+
+
+@pytest.mark.parametrize(
+    "law", [pytest.param(one, marks=() if one in QUICK else pytest.mark.long) for one in LAWS]
+)
 def test_a_law_is_named_with_its_form_and_becomes_a_rig(law, tmp_path):
     name, form = law.split(", ", 1)
     d = diagnosed(tmp_path, lambda t, x, v, a: LAWS[law](x, v), seed=3)
@@ -135,6 +140,7 @@ def naive():
     return "\n".join(line for line in cases.baseline().splitlines() if "_tol" not in line)
 
 
+@pytest.mark.long
 def test_a_worn_column_beside_a_naive_model_yields_pinches_and_degrades(tmp_path):
     def law(t, x, v, a):
         return element(
@@ -178,7 +184,9 @@ noise_std_n = 15
 """
 
 
-def test_a_rig_file_may_have_nothing_but_a_loop_for_a_specimen(tmp_path):
+def test_a_rig_file_may_have_nothing_but_a_loop_for_a_specimen(tmp_path, monkeypatch):
+    monkeypatch.setattr(cases, "FS", core.FS_HZ)  # the rate of every rig file
+
     def law(t, x, v, a):
         f = element("iwan", x, k_n_per_m=5e5, post_yield_ratio=0.1, xy_m=3e-3, spread=0.8)
         plain = 1.004 * K * x + 0.95 * cases.C * v + cases.M * a

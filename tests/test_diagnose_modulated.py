@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from rthyb_rt.diagnose.reading import read_case
 from rthyb_rt.diagnose.simulate import Motion
 
 Floats = NDArray[np.float64]
-FS_HZ = 200.0
+FS_HZ = 100.0
 K, C, MASS = 4e5, 1500.0, 40.0
 FRICTION_N, FRICTION_PER_V, DRAG_PER_V = 300.0, 110.0, 3500.0
 X_STD, F_STD = 1e-6, 6.0
@@ -62,23 +63,35 @@ def friction(motion: Motion) -> Floats:
     return np.asarray(np.tanh(motion.v / 5e-4))
 
 
-@pytest.mark.parametrize("known", [True, False], ids=["tolerances", "naive"])
-@pytest.mark.parametrize("law", ["coulomb", "viscous", "both"])
+def under_voltage(seed: int, law: str, known: bool) -> Case:
+    """A recording in which a voltage changes friction, drag or both."""
+    t, motion = driven(seed)
+    u = voltage(seed, t)
+    missing = np.zeros(t.size)
+    if law != "viscous":
+        missing += (FRICTION_N + FRICTION_PER_V * (u - 1.5)) * friction(motion)
+    if law != "coulomb":
+        missing += DRAG_PER_V * (u - 1.5) * motion.v
+    return recorded(seed, t, motion, missing, {"voltage_V": u}, known)
+
+
+@cache
+def diagnosed(law: str, known: bool) -> engine.Diagnosis:
+    return engine.diagnose(under_voltage(1, law, known))
+
+
+@pytest.mark.parametrize(
+    ("law", "known"),
+    [
+        pytest.param("coulomb", True, marks=pytest.mark.long, id="coulomb"),
+        pytest.param("viscous", False, id="viscous beside a naive model"),
+        pytest.param("both", False, marks=pytest.mark.long, id="both beside a naive model"),
+    ],
+)
 def test_a_voltage_that_changes_a_law_is_named_with_its_size_and_foretells(
     law: str, known: bool
 ) -> None:
-    def case(seed: int) -> Case:
-        t, motion = driven(seed)
-        u = voltage(seed, t)
-        missing = np.zeros(t.size)
-        if law != "viscous":
-            missing += (FRICTION_N + FRICTION_PER_V * (u - 1.5)) * friction(motion)
-        if law != "coulomb":
-            missing += DRAG_PER_V * (u - 1.5) * motion.v
-        return recorded(seed, t, motion, missing, {"voltage_V": u}, known)
-
-    d = engine.diagnose(case(1))
-    other = case(2)
+    d, other = diagnosed(law, known), under_voltage(2, law, known)
     done = outcome.finish(d, other, None)
 
     wanted = {"both": ["coulomb", "viscous"]}.get(law, [law])
@@ -93,9 +106,6 @@ def test_a_voltage_that_changes_a_law_is_named_with_its_size_and_foretells(
     at_mean = outcome.finish(d, replace(other, further={}), None)
     after, mean = (o.heldout["heldout_nrmse_after"] for o in (done, at_mean))
     assert after < 0.3 * mean
-
-
-SPECTATORS = ("steps", "warming", "sine", "random", "follows speed", "follows friction's work")
 
 
 def spectator(kind: str, seed: int, t: Floats, motion: Motion) -> Floats:
@@ -115,15 +125,29 @@ def spectator(kind: str, seed: int, t: Floats, motion: Motion) -> Floats:
 
 
 @pytest.mark.parametrize(
-    ("missing", "known"),
-    [("nothing", True), ("coulomb", False), ("quad_damping", True)],
-    ids=["nothing", "coulomb beside a naive model", "quad_damping"],
+    ("kind", "missing"),
+    [
+        ("steps", "nothing"),
+        *(
+            pytest.param(kind, missing, marks=pytest.mark.long)
+            for kind, missing in (
+                ("random", "nothing"),
+                ("steps", "coulomb"),
+                ("warming", "nothing"),
+                ("sine", "quad_damping"),
+                ("follows speed", "coulomb"),
+                ("follows speed", "quad_damping"),
+                ("follows friction's work", "coulomb"),
+                ("follows friction's work", "quad_damping"),
+            )
+        ),
+    ],
 )
-@pytest.mark.parametrize("kind", SPECTATORS)
 def test_a_channel_that_only_stands_by_or_follows_the_motion_changes_no_law(
-    kind: str, missing: str, known: bool
+    kind: str, missing: str
 ) -> None:
-    seed = 3
+    """Beside dry friction the model is naive, and leaves more to be taken for another law."""
+    seed, known = 3, missing != "coulomb"
     t, motion = driven(seed)
     force = {
         "nothing": np.zeros(t.size),
@@ -152,11 +176,10 @@ def test_columns_that_are_no_channel_are_read_in_their_own_unit_and_said(tmp_pat
     assert set(case.channels) == {"x_meas", "f_meas"}
 
 
+@pytest.mark.long
 def test_a_recording_without_the_channel_is_foretold_at_its_mean() -> None:
     t, motion = driven(5)
-    u = voltage(5, t)
-    missing = (FRICTION_N + FRICTION_PER_V * (u - u.mean())) * friction(motion)
-    d = engine.diagnose(recorded(5, t, motion, missing, {"voltage_V": u}, True))
+    d = diagnosed("coulomb", True)
     model = engine.augmented(d)
     without = model.effect_force(motion, t, {})
     coulomb = next(c for c in d.candidates if c.name == "coulomb")

@@ -29,8 +29,8 @@ def quick(examples: int) -> settings:
 
 @pytest.fixture(scope="module")
 def columns() -> dict[str, np.ndarray]:
-    """A second of a drive, as it is in SI."""
-    return {k: v[1024:3072] for k, v in cases.channels().items()}
+    """Two seconds of a drive, as it is in SI."""
+    return {k: v[256:768] for k, v in cases.channels().items()}
 
 
 def model(folder: Path, text: str | None = None):
@@ -172,7 +172,7 @@ def test_without_a_column_of_time_the_rate_of_the_model_is_taken_and_said(tmp_pa
     text = written({k: columns[k] for k in NAMES[1:]}, "x_cmd,x_meas,f_meas", None, ",", ".")
     case = read(tmp_path, text)
     np.testing.assert_allclose(case.t, np.arange(case.t.size) / cases.FS)
-    assert any("1/1024 s apart, as fs_hz" in note for note in case.notes)
+    assert any("1/256 s apart, as fs_hz" in note for note in case.notes)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_date_times_are_counted_from_midnight_also_past_the_next(tmp_path, colum
 
     form = "%d.%m.%Y %H:%M:%S.%f" if "." in day else "%Y-%m-%dT%H:%M:%S.%f"
     start = dt.datetime.strptime(day.replace(" ", "T") + ".0", form.replace(" ", "T"))
-    stamps = [(start + dt.timedelta(seconds=i / cases.FS)).strftime(form) for i in range(2048)]
+    stamps = [(start + dt.timedelta(seconds=i / cases.FS)).strftime(form) for i in range(512)]
     rows = (
         ";".join([s, *(f"{v:.12g}" for v in row)])
         for s, *row in zip(stamps, *(columns[k] for k in NAMES[1:]), strict=True)
@@ -191,12 +191,12 @@ def test_date_times_are_counted_from_midnight_also_past_the_next(tmp_path, colum
     case = read(tmp_path, "Timestamp;x_cmd;x_meas;f_meas\n" + "\n".join(rows))
     midnight = start.replace(hour=0, minute=0, second=0)
     assert case.t[0] == pytest.approx((start - midnight).total_seconds())
-    assert case.t[-1] - case.t[0] == pytest.approx(2047 / cases.FS, abs=2e-6)
+    assert case.t[-1] - case.t[0] == pytest.approx(511 / cases.FS, abs=2e-6)
     assert any("midnight of 2026-01-31" in note for note in case.notes)
 
 
 def test_seconds_of_the_calendar_are_counted_from_a_midnight(tmp_path, columns):
-    late = {**columns, "t": 1_769_817_600.0 + 3600.0 + np.arange(2048) / cases.FS}
+    late = {**columns, "t": 1_769_817_600.0 + 3600.0 + np.arange(512) / cases.FS}
     head = ",".join(NAMES)
     text = head + "\n" + "\n".join(
         ",".join([f"{t:.6f}", *(f"{v:.12g}" for v in row)])
@@ -257,7 +257,7 @@ def test_metres_and_meganewtons_that_agree_are_refused_by_their_noise(tmp_path):
 
 
 def test_a_row_of_units_may_hold_some_that_nobody_asks_for(tmp_path, columns):
-    every = {**columns, "Temp": np.full(2048, 21.5)}
+    every = {**columns, "Temp": np.full(512, 21.5)}
     text = written(every, "Zeit;x_cmd;x_meas;f_meas;Temp\ns;mm;mm;kN;°C", MM_KN)
     same(read(tmp_path, text), columns)
 
@@ -422,6 +422,7 @@ def test_a_second_recording_is_mapped_like_the_first_and_may_lack_outputs(tmp_pa
 # ---- a body that is let go ----------------------------------------------------------------------
 
 
+@pytest.mark.long
 # The search divides by the size of a column of nothing, and goes on rightly.
 @pytest.mark.filterwarnings("ignore:overflow encountered in divide:RuntimeWarning")
 def test_a_free_decay_is_read_and_diagnosed(tmp_path):
@@ -475,7 +476,7 @@ def test_values_of_a_baseline_may_carry_units(tmp_path):
             2,
             'did you mean "drive".*must be one of "drive"',
         ),
-        ("fs_hz = 1024.0", "", 1, "fs_hz.*missing; the sampling rate"),
+        ("fs_hz = 256.0", "", 1, "fs_hz.*missing; the sampling rate"),
         ("k_tol = 0.01", 'k_tol = "1 mm"', 8, "that is a length.*a plain number or ratio"),
     ],
 )

@@ -13,9 +13,16 @@ import pytest
 from prove import scoring
 
 RECORDINGS = Path(__file__).parent / "data" / "diagnosis"
+QUICK = "steel_coupon_1"
 
 
-@pytest.mark.parametrize("name", sorted(p.parent.name for p in RECORDINGS.glob("*/answer.json")))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(p.parent.name, marks=() if p.parent.name == QUICK else pytest.mark.long)
+        for p in sorted(RECORDINGS.glob("*/answer.json"))
+    ],
+)
 def test_known_physics_of_a_real_recording_is_named_and_foretells_the_rest(
     name: str, tmp_path: Path
 ) -> None:
@@ -44,6 +51,7 @@ def test_known_physics_of_a_real_recording_is_named_and_foretells_the_rest(
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "diagnosis" / "real-open"
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the shared recordings are not on this machine")
 @pytest.mark.parametrize(
     "name", sorted(p.parent.name for p in SHARED.glob("*/answer.json")) or ["none"]

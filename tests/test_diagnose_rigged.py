@@ -53,6 +53,7 @@ def nothing(case: Case) -> Augmented:
 # ---- a lab's story -------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_table_that_the_model_leaves_out_is_named_and_the_loop_closes(table_run, tmp_path, capsys):
     """45 kg, 80 N and 600 N s/m were in the rig; the model has 0.5 kg and nothing else of them."""
     naive = file_of(changed(**BARE), tmp_path / "naive.toml")
@@ -81,6 +82,7 @@ def test_rig_that_is_as_its_model_lacks_nothing(table_run, capsys):
     assert answer["closed_loop"]["nrmse_after"]["x_meas"] < 0.02
 
 
+@pytest.mark.long
 def test_stiffer_specimen_that_softens_is_told_from_either_alone(tmp_path, capsys):
     rig = config.load_rig(TABLE)
     data = json.loads(json.dumps(rig.model_dump(mode="json", by_alias=True, exclude_unset=True)))

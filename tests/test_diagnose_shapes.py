@@ -79,6 +79,7 @@ def test_stop_on_surfaces_that_are_not_parallel_is_one_stop(tmp_path):
     assert "met over" in found.form
 
 
+@pytest.mark.long
 def test_sharp_stop_is_not_said_to_spread(tmp_path):
     d = diagnosed(
         tmp_path, lambda x: 4e5 * (np.maximum(x - 4e-3, 0.0) - np.maximum(-x - 4e-3, 0.0))
@@ -87,7 +88,7 @@ def test_sharp_stop_is_not_said_to_spread(tmp_path):
     assert d.candidates[0].form == "both sides"
 
 
-@pytest.mark.parametrize("depth", [0.3, 0.7])
+@pytest.mark.parametrize("depth", [pytest.param(0.3, marks=pytest.mark.long), 0.7])
 def test_slope_of_a_loop_is_as_slack_as_it_is(depth, tmp_path):
     """What it loses does not go with the depth: at 0.7 a shape of 0.3 would leave a third law."""
     d = diagnosed(tmp_path, lambda x: loop(x, depth) - SPRING * x, cases.baseline() + LOOP)

@@ -7,8 +7,16 @@ import re
 import event_cases
 import numpy as np
 import pytest
-from test_diagnose_colour import F_GRID, N, coloured, pink, random_walk_over_white, recorded
-from test_diagnose_noise import DRIVE, F_STD, FS_HZ, written
+from test_diagnose_colour import (
+    F_GRID,
+    FINE_HZ,
+    N,
+    coloured,
+    pink,
+    random_walk_over_white,
+    recorded,
+)
+from test_diagnose_noise import DRIVE, F_STD, written
 
 from rthyb_rt.diagnose import engine, estimate, noise, reading
 
@@ -18,7 +26,7 @@ ALL = np.ones(N, dtype=np.bool_)
 @pytest.mark.parametrize("seed", range(5))
 def test_random_walk_is_read_within_the_band_as_well(seed):
     y = coloured(np.random.default_rng(seed), random_walk_over_white())
-    found = noise.red_of(y, ALL, FS_HZ, 1.0)
+    found = noise.red_of(y, ALL, FINE_HZ, 1.0)
     assert found is not None
     truth = random_walk_over_white() / np.mean(random_walk_over_white())
     at = np.array([0.3, 1.0, 3.0, 30.0])
@@ -29,21 +37,21 @@ def test_random_walk_is_read_within_the_band_as_well(seed):
 
 def test_white_noise_and_a_line_are_not_red():
     """By BIC: not once in twenty; nor is a motion's line at 1 Hz in it."""
-    line = 0.5 * np.sin(2.0 * np.pi * np.arange(N) / FS_HZ)
+    line = 0.5 * np.sin(2.0 * np.pi * np.arange(N) / FINE_HZ)
     for seed in range(20):
         white = np.random.default_rng(seed).standard_normal(N)
-        assert noise.red_of(white, ALL, FS_HZ, 1.0) is None
-        found = noise.red_of(white + line, ALL, FS_HZ, 1.0)
+        assert noise.red_of(white, ALL, FINE_HZ, 1.0) is None
+        found = noise.red_of(white + line, ALL, FINE_HZ, 1.0)
         assert found is None or found.at(np.array([1.0]))[0] < 10.0
 
 
 def test_drift_is_likelier_in_white_noise_than_slow_noise_without_it():
     """Its own lines are not those of a random walk, and the sheet holds both."""
-    random, t = np.random.default_rng(6), np.arange(N) / FS_HZ
+    random, t = np.random.default_rng(6), np.arange(N) / FINE_HZ
     white, drift = random.standard_normal(N), 0.5 * (t - t.mean()) / t.max()
     v = np.sin(2.0 * np.pi * t)
-    kept = estimate.likelihood(white, ALL, v, FS_HZ, 1.0, 1.0)[0]
-    swallowed = estimate.likelihood(white + drift, ALL, v, FS_HZ, 1.0, 1.0)[0]
+    kept = estimate.likelihood(white, ALL, v, FINE_HZ, 1.0, 1.0)[0]
+    swallowed = estimate.likelihood(white + drift, ALL, v, FINE_HZ, 1.0, 1.0)[0]
     assert kept + 40.0 < swallowed
 
 
@@ -52,12 +60,13 @@ def red_at_the_ends(random: np.random.Generator, extra) -> dict[str, np.ndarray]
     return recorded(random, extra, shape)
 
 
-@pytest.mark.parametrize("seed", [61, 62])
+@pytest.mark.parametrize("seed", [61, pytest.param(62, marks=pytest.mark.long)])
 def test_slow_noise_of_a_load_cell_is_neither_an_offset_nor_a_drift(tmp_path, seed):
     d = written(tmp_path, red_at_the_ends(np.random.default_rng(seed), lambda t, x, v: 0.0), DRIVE)
     assert (d.verdict, d.effects) == ("none", [])
 
 
+@pytest.mark.long
 def test_hum_that_sets_in_amid_pink_noise_is_hum(tmp_path):
     """Its beginning was believed to be noise, and what rings at 50 Hz a mass on a spring."""
     columns = recorded(
@@ -78,7 +87,7 @@ def on_ground(folder, seed: int, dashpot: float = 0.0):
 
     def cell(force: np.ndarray, fs_hz: float) -> np.ndarray:
         level["n"] = 0.02 * float(np.std(force))
-        return force + level["n"] * coloured(random, pink(), force.size)
+        return force + level["n"] * coloured(random, pink(), force.size, fs_hz)
 
     recording, toml = event_cases.on_ground(seed, folder, dashpot, cell)
     stated = float(np.hypot(level["n"], 0.3 * level["n"]))
@@ -86,12 +95,13 @@ def on_ground(folder, seed: int, dashpot: float = 0.0):
     return engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.long)])
 def test_pink_noise_of_a_load_cell_on_a_shaking_table_misses_nothing(tmp_path, seed):
     d = on_ground(tmp_path, seed)
     assert (d.verdict, d.effects) == ("none", [])
 
 
+@pytest.mark.long
 def test_damping_on_a_shaking_table_is_found_in_pink_noise(tmp_path):
     d = on_ground(tmp_path, 3, dashpot=1.5)
     assert (d.verdict, d.effects) == ("explained", ["viscous"])

@@ -401,6 +401,15 @@ def test_a_case_is_written_as_the_format_says_and_scores(kind: str, tmp_path: Pa
     assert not any(row.errors.values())
 
 
+def test_a_servo_that_its_oil_column_cannot_carry_is_drawn_anew() -> None:
+    """The first draw of this seed has moved by 2e15 m at its end."""
+    refused: Counter[str] = Counter()
+    made = second.make("single", "hard", 2906386405, 0, refused)
+    assert any("the actuator runs away" in why for why in refused)
+    for run in (made.run, made.held):
+        assert np.max(np.abs(run.fine[0])) < 0.05
+
+
 def test_a_seed_gives_the_same_case_again() -> None:
     one, two = (second.make("single", "hard", 8, 1, Counter()) for _ in range(2))
     assert [e.params for e in one.effects] == [e.params for e in two.effects]

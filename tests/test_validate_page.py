@@ -81,8 +81,9 @@ def test_what_is_below_its_floor_is_told(capsys: pytest.CaptureFixture[str]) -> 
     replaced = results()
     assert not proof.held(replaced, before | {page.FIRST: (4, 2), page.HARD: (4, 2)})
     replaced.rows[page.FIRST] = [answered(verdict="unknown")] * 10
-    (below,) = proof.held(replaced, before | {page.HARD: (4, 2)})
+    below, whole = proof.held(replaced, before | {page.HARD: (4, 2)})
     assert below.startswith("first generator: 0 of 10 right, at least 7 wanted")
+    assert whole.startswith("all of them: 2 of 13 right")
     assert "shipped rigs: 1 of 1 right" in capsys.readouterr().out
 
 

@@ -35,6 +35,14 @@ OPEN = ROOT.parent / "shared" / "diagnosis" / "real-open"
 SHIPPED = ROOT / "tests" / "data" / "diagnosis"
 SOURCES = ("first", "second", "own", "real", "times")
 SHORT_SEED = 20260
+SHORT: dict[str, tuple[str, ...]] = {
+    "first": ("single", "pair", "cancel", "null", "onset"),
+    "second": ("single", "null", "dormant", "unknown"),
+    "own": ("single",),
+}
+"""Kinds of the short run by source, one case of each (in the shipped rigs, of each rig): what takes
+two processors two minutes. Of the second generator the normal level alone: of so few cases at a
+share of a half no floor is left."""
 PROGRAM = ("rthyb_rt", "csrc")
 LOOKING_ON = ("scoring.py", "stlsq.py", "page.py", "proof.py", "real.py", "sensitivity.py")
 """Of the folders of the generators, what makes no case."""
@@ -112,7 +120,7 @@ class Proof:
 
     def first(self, results: page.Results) -> None:
         def made() -> Iterator[Path]:
-            for kind in self._kinds(plans.MIX):
+            for kind in self._kinds("first", plans.MIX):
                 out = self.folder("first") / kind
                 for name, _ in generate.generate(self.seed, self.args.count, out, [kind], jobs=1):
                     yield out / name
@@ -125,15 +133,16 @@ class Proof:
         for level in self.args.level:
             folders = (
                 folder
-                for kind in self._kinds(recipes.KINDS)
+                for kind in self._kinds("second", recipes.KINDS)
                 for folder in second.generate(
                     kind, level, self.seed, self.args.count, self.folder("second")
                 )
             )
             self._both(results, page.NORMAL if level == "normal" else page.HARD, folders)
 
-    def _kinds(self, known: Iterable[str]) -> list[str]:
-        return [k for k in known if k in (self.args.kinds or known)]
+    def _kinds(self, source: str, known: Iterable[str]) -> list[str]:
+        wanted = SHORT[source] if self.args.short else self.args.kinds
+        return [k for k in known if k in (wanted or known)]
 
     def _both(self, results: page.Results, source: str, folders: Iterable[Path]) -> None:
         done = self.ask(folders, source)
@@ -142,7 +151,7 @@ class Proof:
             results.rivals[source] = self.rows(done, self.rival)
 
     def own(self, results: page.Results) -> None:
-        kinds = ("single",) if self.args.short else self.args.kinds
+        kinds = SHORT["own"] if self.args.short else self.args.kinds
         cases = own_rigs.chosen(self.seed, self.args.count, kinds)
         # The rigs that are recorded are the program's own: another program makes other recordings.
         out = self.folder("own") / self.state
@@ -184,11 +193,16 @@ class Proof:
 
 
 def held(results: page.Results, before: dict[str, tuple[int, int]]) -> list[str]:
-    """Say how each source stands to its floor; return what is below."""
-    below = []
-    for source, (asked, right) in results.counts().items():
-        cases, were = before[source]
-        least = page.floor(cases, were, asked)
+    """Say how each source stands to its floor; return what is below.
+
+    One case may always go the other way: of cases that stay the same, one is no sample. All of
+    them together are held as well: of a few of one source there may be no floor.
+    """
+    below, found = [], results.counts()
+    rows = [(source, *found[source], *before[source]) for source in found]
+    rows.append(("all of them", *(sum(row[i] for row in rows) for i in range(1, 5))))
+    for source, asked, right, cases, were in rows:
+        least = min(page.floor(cases, were, asked), asked - 1)
         line = (
             f"{source}: {right} of {asked} right, at least {least} wanted: the page has {were} of "
             f"{cases}, and by chance so few fall below once in {1 / page.CHANCE:.0f}"
@@ -214,7 +228,8 @@ def options() -> argparse.Namespace:
     parser.add_argument("--tool", default=str(Path(sys.executable).with_name("rthyb")))
     args = parser.parse_args()
     if args.short:
-        args.seed, args.count, args.sources = SHORT_SEED, 1, SOURCES[:3]
+        args.seed, args.count, args.sources = SHORT_SEED, 1, tuple(SHORT)
+        args.level = second.LEVELS[:1]
     return args
 
 
