@@ -29,7 +29,7 @@ def test_each_threshold_says_what_it_is() -> None:
     for name, entry in entries().items():
         assert entry.unit, name
         assert entry.basis, name
-        assert entry.origin in ("physics", "numerics", "calibrated"), name
+        assert entry.origin in ("physics", "numerics", "calibrated", "judgement"), name
         assert entry.meaning.endswith("."), name
 
 

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
-Origin = Literal["physics", "numerics", "calibrated"]
+Origin = Literal["physics", "numerics", "calibrated", "judgement"]
 
-JUDGEMENT = "judgement, not calibrated"
+BY_HAND = "set by hand"
 """What is said of the basis of a value of which nobody has written down how it was found."""
 
 
@@ -25,7 +25,8 @@ class Entry:
     Attributes:
         unit: of its value; "part" and "times" have none.
         origin: "physics" follows from sensors, the interchange format or the statistics of noise,
-            "numerics" from how well motions and forces are computed, "calibrated" from trial.
+            "numerics" from how well motions and forces are computed, "calibrated" was
+            found on recordings that are named, "judgement" is what its authors thought fit.
         meaning: what it decides.
         basis: what the value rests on.
     """
@@ -37,7 +38,7 @@ class Entry:
 
 
 def _entry(
-    value: Any, unit: str, origin: Origin, meaning: str, basis: str = JUDGEMENT
+    value: Any, unit: str, origin: Origin, meaning: str, basis: str = BY_HAND
 ) -> Any:  # the type of the field it stands for
     return field(default=value, metadata={"entry": Entry(unit, origin, meaning, basis)})
 
@@ -52,35 +53,35 @@ class Policy:
 
     # ---- what a set of effects has to bring ---------------------------------------------------
     effect_price: float = _entry(
-        12.0, "chi-squared", "calibrated",
+        12.0, "chi-squared", "judgement",
         "Price of an effect beside that of its parameters: it was picked among many.",
     )  # fmt: skip
     stated_number_price: float = _entry(
-        13.0, "chi-squared", "calibrated",
+        13.0, "chi-squared", "judgement",
         "Whole price of an effect that only moves a stated number: it has nothing to choose.",
     )  # fmt: skip
     several_price: float = _entry(
-        1.25, "times", "calibrated", "Times its price that a set of several effects has to earn.",
+        1.25, "times", "judgement", "Times its price that a set of several effects has to earn.",
     )  # fmt: skip
     held_out_share: float = _entry(
-        0.3, "part", "calibrated",
+        0.3, "part", "judgement",
         "Part of its gain that a set has to keep on rows that it was not fitted to.",
     )  # fmt: skip
     least_force: float = _entry(
-        1e-3, "part of the force", "calibrated",
+        1e-3, "part of the force", "judgement",
         "Least size of an effect, on the force or on the displacement: less is not a finding.",
     )  # fmt: skip
     needed_share: tuple[float, float, float] = _entry(
-        (0.0, 4e-3, 2.5e-2), "part of what is explained", "calibrated",
+        (0.0, 4e-3, 2.5e-2), "part of what is explained", "judgement",
         "Least part of what a set of one, two or three explains that each of its effects has to "
         "explain alone: less may be the form of the other one's law.",
     )  # fmt: skip
     needed_share_actuator: float = _entry(
-        1.5e-3, "part of what is explained", "calibrated",
+        1.5e-3, "part of what is explained", "judgement",
         "The same of effects of the actuator, beside one another.",
     )  # fmt: skip
     estimated_motion: float = _entry(
-        2.5, "times", "calibrated",
+        2.5, "times", "judgement",
         "Times that the shares above and the misfits below may be where the motion is estimated: "
         "it is blurred.",
     )  # fmt: skip
@@ -104,31 +105,31 @@ class Policy:
         "three standard deviations of one parameter",
     )  # fmt: skip
     twin_evidence: float = _entry(
-        2.0, "chi-squared", "calibrated",
+        2.0, "chi-squared", "judgement",
         "Difference up to which a recording shows none at all between two effects.",
     )  # fmt: skip
     dearer_rival: float = _entry(
-        1.5, "times same_evidence", "calibrated",
+        1.5, "times same_evidence", "judgement",
         "Price of one more parameter in a rival: a law that goes over into a simpler one fits as "
         "well by its nature, and is a rival only where its parameter brings something.",
     )  # fmt: skip
     dearer_rival_actuator: float = _entry(
-        1.1, "times same_evidence", "calibrated", "The same of effects of the actuator.",
+        1.1, "times same_evidence", "judgement", "The same of effects of the actuator.",
     )  # fmt: skip
     richer_friction_share: float = _entry(
-        1e-3, "part of what is explained", "calibrated",
+        1e-3, "part of what is explained", "judgement",
         "Least part of what dry friction explains that a Stribeck peak or bristles have to add.",
     )  # fmt: skip
     richer_friction_gain: float = _entry(
-        12.0, "chi-squared", "calibrated",
+        12.0, "chi-squared", "judgement",
         "What they have to add at least beyond their price, however little is explained.",
     )  # fmt: skip
     yielding_gain: float = _entry(
-        25.0, "chi-squared", "calibrated",
+        25.0, "chi-squared", "judgement",
         "What bristles beside another stiffness have to bring beyond yielding, which is the same.",
     )  # fmt: skip
     bristles_as_lost: float = _entry(
-        0.1, "part of the bristles' stiffness", "calibrated",
+        0.1, "part of the bristles' stiffness", "judgement",
         "How near that stiffness and what the spring beside it lost have to be to be one slider.",
     )  # fmt: skip
     bristles_as_lost_tolerance: float = _entry(
@@ -137,51 +138,51 @@ class Policy:
         "three standard deviations",
     )  # fmt: skip
     quick_relaxation: float = _entry(
-        0.1, "rad", "calibrated",
+        0.1, "rad", "judgement",
         "Relaxation time times the motion's frequency up to which relaxation is a dashpot.",
     )  # fmt: skip
     form_alone: float = _entry(
-        1.5e-3, "part of what is explained", "calibrated",
+        1.5e-3, "part of what is explained", "judgement",
         "By how much two sets may differ for the form of a law alone.",
     )  # fmt: skip
     other_form: float = _entry(
-        0.03, "part of what is explained", "calibrated",
+        0.03, "part of what is explained", "judgement",
         "By how much another form of a law may do worse and still widen its intervals.",
     )  # fmt: skip
     noise_reached: float = _entry(
-        0.2, "part of the misfit", "calibrated",
+        0.2, "part of the misfit", "judgement",
         "What a set may leave beyond noise, of what another leaves, to be one that ends at it.",
     )  # fmt: skip
     form_seen: float = _entry(
-        0.03, "misfit in noise power", "calibrated",
+        0.03, "misfit in noise power", "judgement",
         "Misfit beyond noise, of a load cell's force, that may be the form of a law.",
     )  # fmt: skip
     form_moved: float = _entry(
-        1.0, "misfit in noise power", "calibrated", "The same of a motion that is simulated.",
+        1.0, "misfit in noise power", "judgement", "The same of a motion that is simulated.",
     )  # fmt: skip
     form_of_rig: float = _entry(
-        0.1, "misfit in noise power", "calibrated",
+        0.1, "misfit in noise power", "judgement",
         "The same of a rig that is simulated whole: nothing magnifies there what a form leaves.",
     )  # fmt: skip
     refused_excess: float = _entry(
-        0.3, "misfit in noise power", "calibrated",
+        0.3, "misfit in noise power", "judgement",
         "Misfit beyond noise from which an effect that was refused is looked at again.",
     )  # fmt: skip
     refused_price: float = _entry(
-        5.0, "times its price", "calibrated", "What such an effect has to earn.",
+        5.0, "times its price", "judgement", "What such an effect has to earn.",
     )  # fmt: skip
     drift_in_halves: float = _entry(
-        0.5, "part of its rate", "calibrated",
+        0.5, "part of its rate", "judgement",
         "Rate that a drift beside a naive model has to have within each half of the recording.",
     )  # fmt: skip
     drift_unsure: float = _entry(
-        0.5, "part of its rate", "calibrated",
+        0.5, "part of its rate", "judgement",
         "Standard deviation of that rate from which the halves say nothing.",
     )  # fmt: skip
     pair_beyond_chance: float = _entry(
-        1.5, "standard deviations of chi-squared", "calibrated",
+        1.5, "standard deviations of chi-squared", "judgement",
         "Misfit of the displacement from which a pair of the actuator's effects is looked for.",
-        "judgement: one in fifteen by chance",
+        "one in fifteen by chance",
     )  # fmt: skip
     pair_excess: float = _entry(
         0.05, "misfit in noise power", "numerics",
@@ -191,95 +192,95 @@ class Policy:
         2e-3, "part of the misfit", "numerics", "What a single effect may leave more, beside that.",
     )  # fmt: skip
     actuator_at_noise: float = _entry(
-        0.05, "misfit in noise power", "calibrated",
+        0.05, "misfit in noise power", "judgement",
         "Misfit of the displacement that the estimate of its noise may be wrong by.",
     )  # fmt: skip
     actuator_at_noise_price: float = _entry(
-        2.0, "times its price", "calibrated",
+        2.0, "times its price", "judgement",
         "What an effect of the actuator has to earn to be excused from its share there.",
     )  # fmt: skip
 
     # ---- what a set may leave ------------------------------------------------------------------
     left_stated: tuple[float, float, float] = _entry(
-        (0.05, 0.015, 0.008), "part of the misfit", "calibrated",
+        (0.05, 0.015, 0.008), "part of the misfit", "judgement",
         "What a set of one, two, three effects may leave beside noise where the lab states how "
         "well it knows its model: laws differ in form, but several fit almost anything.",
     )  # fmt: skip
     left_moved: tuple[float, float, float] = _entry(
-        (0.02, 0.01, 0.005), "part of the misfit", "calibrated",
+        (0.02, 0.01, 0.005), "part of the misfit", "judgement",
         "The same of a simulated motion, near resonance a magnified picture of the force.",
     )  # fmt: skip
     left_naive: float = _entry(
-        0.35, "part of the misfit", "calibrated",
+        0.35, "part of the misfit", "judgement",
         "The same for a model without stated tolerances: real specimens are no clean laws.",
     )  # fmt: skip
     excess_as_noise: float = _entry(
-        0.1, "misfit in noise power", "calibrated",
+        0.1, "misfit in noise power", "judgement",
         "Misfit beyond noise that is never held against a set.",
     )  # fmt: skip
     excess_of_nothing: float = _entry(
-        0.15, "misfit in noise power", "calibrated",
+        0.15, "misfit in noise power", "judgement",
         "What the model alone may leave of the force more than that.",
     )  # fmt: skip
     excess_of_nothing_actuator: float = _entry(
-        0.3, "misfit in noise power", "calibrated", "The same of the displacement.",
+        0.3, "misfit in noise power", "judgement", "The same of the displacement.",
     )  # fmt: skip
     colourless: float = _entry(
-        1.5, "times", "calibrated",
+        1.5, "times", "judgement",
         "Factor by which evidence was scaled down below which a residual has no colour.",
     )  # fmt: skip
     colourless_excess: float = _entry(
-        0.5, "misfit in noise power", "calibrated",
+        0.5, "misfit in noise power", "judgement",
         "Misfit up to which such a residual is a data sheet that states too little.",
     )  # fmt: skip
     coloured_evidence: float = _entry(
-        1.3, "times", "calibrated",
+        1.3, "times", "judgement",
         "How much rows have to hang together for the search to be done again with less evidence.",
     )  # fmt: skip
     coloured_cell: float = _entry(
-        1.3, "times", "calibrated",
+        1.3, "times", "judgement",
         "The same from which a load cell on moving ground is not believed alone.",
     )  # fmt: skip
     white_residual: float = _entry(
-        1.1, "times", "calibrated",
+        1.1, "times", "judgement",
         "Inflation (`select.inflation`) up to which a residual is mere noise, and nothing that "
         "begins in mid-record is looked for.",
     )  # fmt: skip
     motion_understood: float = _entry(
-        1.5, "chi-squared a row", "calibrated",
+        1.5, "chi-squared a row", "judgement",
         "What the actuator's best set may leave for its simulated motion to be the true one.",
     )  # fmt: skip
     blur_free: float = _entry(
-        0.008, "part of the force", "calibrated",
+        0.008, "part of the force", "judgement",
         "What the estimate of a free body's motion may leave unexplained.",
     )  # fmt: skip
     blur_cell: float = _entry(
-        0.002, "part of the force", "calibrated", "The same where a load cell tells the force.",
+        0.002, "part of the force", "judgement", "The same where a load cell tells the force.",
     )  # fmt: skip
     within_tolerance: float = _entry(
-        3.6, "standard deviations", "calibrated",
+        3.6, "standard deviations", "judgement",
         "How far a stated number may be moved for the model to be right as it is.",
     )  # fmt: skip
     bent_number: float = _entry(
-        4.0, "standard deviations", "calibrated",
+        4.0, "standard deviations", "judgement",
         "How far a stated number, or the mass that an estimated motion blurs, is bent when its "
         "effect stands in for it.",
     )  # fmt: skip
     strained_offset: float = _entry(
-        6.0, "standard deviations", "calibrated", "Time offset that is no nuisance any more.",
+        6.0, "standard deviations", "judgement", "Time offset that is no nuisance any more.",
     )  # fmt: skip
 
     # ---- what is simulated ----------------------------------------------------------------------
     moved_decisive: float = _entry(
-        0.005, "part of the misfit", "calibrated",
+        0.005, "part of the misfit", "judgement",
         "What a set may leave of the motion's to be believed against the balance of forces.",
     )  # fmt: skip
     moved_excess: float = _entry(
-        0.2, "misfit in noise power", "calibrated",
+        0.2, "misfit in noise power", "judgement",
         "Misfit of a motion up to which the same holds.",
     )  # fmt: skip
     motion_met: float = _entry(
-        1.5, "mean square in noise power", "calibrated",
+        1.5, "mean square in noise power", "judgement",
         "Up to which a simulated displacement is the measured one.",
     )  # fmt: skip
     motion_met_alone: float = _entry(
@@ -299,11 +300,11 @@ class Policy:
         "three standard deviations",
     )  # fmt: skip
     rig_follows: float = _entry(
-        1.5, "mean square in noise power", "calibrated",
+        1.5, "mean square in noise power", "judgement",
         "Up to which the motion that a whole rig simulates is the true one.",
     )  # fmt: skip
     rig_nothing_left: float = _entry(
-        1.01, "chi-squared a row", "calibrated",
+        1.01, "chi-squared a row", "judgement",
         "What a simulated rig leaves from which on no further effect is looked for: less than "
         "noise is known by, 3 per cent in 20 s, so that a small one beside a large one is found.",
     )  # fmt: skip
@@ -312,16 +313,16 @@ class Policy:
         "What it leaves from which a fit need not be a good one of its kind.",
     )  # fmt: skip
     simulated_nrmse: float = _entry(
-        0.012, "NRMSE", "calibrated",
+        0.012, "NRMSE", "judgement",
         "Error of a free body's simulated displacement below which nothing is missing.",
     )  # fmt: skip
     simulated_unseen: float = _entry(
-        0.004, "NRMSE", "calibrated",
+        0.004, "NRMSE", "judgement",
         "The same beyond the noise of the displacement: more is a motion that the model does not "
         "make.",
     )  # fmt: skip
     felt_by_cell: float = _entry(
-        0.05, "part of the misfit", "calibrated",
+        0.05, "part of the misfit", "judgement",
         "What a simulated motion may leave of a load cell's readings in most rows.",
     )  # fmt: skip
 
@@ -331,12 +332,12 @@ class Policy:
         "the interchange format: 0.1 ms is normal and no finding",
     )  # fmt: skip
     offset_reach_s: float = _entry(
-        1.5e-4, "s", "calibrated",
+        1.5e-4, "s", "judgement",
         "Offset of the displacement that is still nuisance: against a large effect its prior alone "
         "would give way.",
     )  # fmt: skip
     mass_blur: float = _entry(
-        0.005, "part of the mass", "calibrated",
+        0.005, "part of the mass", "judgement",
         "Standard deviation that the estimate of a motion puts on the mass.",
     )  # fmt: skip
     noise_held: float = _entry(
@@ -349,15 +350,15 @@ class Policy:
         "sheets are right within 20 per cent (interchange format): 1 / 0.8",
     )  # fmt: skip
     noise_burst: float = _entry(
-        1.35, "times", "calibrated",
+        1.35, "times", "judgement",
         "Times its rms over all that noise may have over a second of it: more is an event.",
     )  # fmt: skip
     noise_beside_motion: float = _entry(
-        0.01, "part of the motion's power", "calibrated",
+        0.01, "part of the motion's power", "judgement",
         "What of it, by velocity, may lie outside its band, half at either end.",
     )  # fmt: skip
     noise_room: float = _entry(
-        0.25, "sampling rates", "calibrated",
+        0.25, "sampling rates", "judgement",
         "Top of the motion's band from which too little of the band is left to tell the noise.",
     )  # fmt: skip
     noise_steepest: float = _entry(
@@ -365,7 +366,7 @@ class Policy:
         "Steepest that noise rises towards slow motion.", "a random walk",
     )  # fmt: skip
     noise_near: float = _entry(
-        4.0, "times", "calibrated",
+        4.0, "times", "judgement",
         "Times the top of the motion's band up to which noise tells of the noise within.",
     )  # fmt: skip
     noise_line: float = _entry(
@@ -373,54 +374,54 @@ class Policy:
         "one in 400 has more",
     )  # fmt: skip
     force_accuracy: float = _entry(
-        0.004, "part of the force", "calibrated", "What a body's free motion tells of it at best.",
+        0.004, "part of the force", "judgement", "What a body's free motion tells of it at best.",
     )  # fmt: skip
     hum_line: float = _entry(
-        6.0, "times", "calibrated",
+        6.0, "times", "judgement",
         "Times the spectrum about it that a line has to stand out to be tried as hum.",
     )  # fmt: skip
     faint_force: float = _entry(
-        0.1, "part of the noise", "calibrated",
+        0.1, "part of the noise", "judgement",
         "Size of a force, hertz by hertz, below which it tells nothing of its time.",
     )  # fmt: skip
     abrupt_force: float = _entry(
-        3.0, "times", "calibrated",
+        3.0, "times", "judgement",
         "Times as much of it above that frequency as of the model's force, from which it jumps.",
     )  # fmt: skip
 
     # ---- steps of a coarse load cell ------------------------------------------------------------
     coarse_readings: float = _entry(
-        0.5, "part of the rows", "calibrated",
+        0.5, "part of the rows", "judgement",
         "Distinct readings from which a load cell is no coarse one.",
     )  # fmt: skip
     coarse_on_grid: float = _entry(
-        0.98, "part of the readings", "calibrated", "How many have to lie on one grid.",
+        0.98, "part of the readings", "judgement", "How many have to lie on one grid.",
     )  # fmt: skip
     rounded_rows: float = _entry(
-        0.02, "part of the rows", "calibrated",
+        0.02, "part of the rows", "judgement",
         "Rows beyond half a step and the noise where the model alone is right.",
     )  # fmt: skip
     rounded_outside: float = _entry(
-        0.002, "part of the rows", "calibrated",
+        0.002, "part of the rows", "judgement",
         "Rows that may lie farther off than rounding explains, whatever is named.",
     )  # fmt: skip
     rounded_as_best: float = _entry(
-        5.0, "times the best set's", "calibrated",
+        5.0, "times the best set's", "judgement",
         "Rows beyond rounding that the model alone may have more than the best set.",
     )  # fmt: skip
     rounded_gain: float = _entry(
-        400.0, "chi-squared", "calibrated",
+        400.0, "chi-squared", "judgement",
         "What a set brings beyond its price from which rounding is not all of it.",
     )  # fmt: skip
     rounded_excess: float = _entry(
-        0.25, "misfit in noise power", "calibrated", "What it may leave then.",
+        0.25, "misfit in noise power", "judgement", "What it may leave then.",
     )  # fmt: skip
     rounded_better: float = _entry(
-        0.2, "times the best set's", "calibrated",
+        0.2, "times the best set's", "judgement",
         "Rows beyond rounding of a set that goes before the best one by chi-squared.",
     )  # fmt: skip
     rounded_alike: float = _entry(
-        2.0, "times the best set's", "calibrated",
+        2.0, "times the best set's", "judgement",
         "The same of a part of it, or of a rival, that rounding does not part from it.",
     )  # fmt: skip
 
@@ -435,20 +436,20 @@ class Policy:
         "two standard deviations",
     )  # fmt: skip
     start_at_rest: float = _entry(
-        0.02, "part of the largest displacement", "calibrated",
+        0.02, "part of the largest displacement", "judgement",
         "What a body at rest moves at most in a tenth of a second.",
     )  # fmt: skip
     forgotten_force: float = _entry(
-        0.3, "standard deviations of noise", "calibrated",
+        0.3, "standard deviations of noise", "judgement",
         "By which two forces differ that count as one: a yielding model has forgotten its start.",
-        "judgement: it adds less than a tenth to the noise's power",
+        "it adds less than a tenth to the noise's power",
     )  # fmt: skip
     forgotten_by: float = _entry(
-        0.4, "part of the recording", "calibrated",
+        0.4, "part of the recording", "judgement",
         "What may be spent on forgetting the start; else all is looked at.",
     )  # fmt: skip
     past_better: float = _entry(
-        0.5, "part of the misfit", "calibrated",
+        0.5, "part of the misfit", "judgement",
         "What a past may leave of the first rows of a second recording: else none is taken.",
     )  # fmt: skip
 
@@ -480,12 +481,12 @@ class Policy:
         "a permutation test: by chance in 1 of 39",
     )  # fmt: skip
     modulation_share: float = _entry(
-        4e-3, "part of what is explained", "calibrated",
+        4e-3, "part of what is explained", "judgement",
         "What a modulation adds at least beside a naive model.",
-        "as `needed_share` of two effects; " + JUDGEMENT,
+        "as `needed_share` of two effects",
     )  # fmt: skip
     modulation_own: float = _entry(
-        0.5, "part of its coefficient", "calibrated",
+        0.5, "part of its coefficient", "judgement",
         "What the rest of a channel has to have beside what follows from the motion.",
     )  # fmt: skip
     modulation_alone: float = _entry(
@@ -493,7 +494,7 @@ class Policy:
         "What has to be left of a channel beside the motion for anything to be told.",
     )  # fmt: skip
     modulation_turned: float = _entry(
-        -0.1, "part of its mean", "calibrated",
+        -0.1, "part of its mean", "judgement",
         "Least coefficient of a law within the recording, where it has a sign.",
     )  # fmt: skip
 
@@ -503,7 +504,7 @@ class Policy:
         "Slope of a spring below which it is level, so that beside a yielding law it may be.",
     )  # fmt: skip
     seen_wear: float = _entry(
-        0.1, "part", "calibrated",
+        0.1, "part", "judgement",
         "Least share of slack, and of what is lost, for which a column pinches and degrades.",
     )  # fmt: skip
 
@@ -517,96 +518,96 @@ class Policy:
         "The same where the motion is estimated from noisy sensors.",
     )  # fmt: skip
     prediction_follows: float = _entry(
-        2.0, "times its noise", "calibrated",
+        2.0, "times its noise", "judgement",
         "How near a simulated motion has to be for a prediction to go along it.",
     )  # fmt: skip
     refined_better: float = _entry(
-        0.98, "part of the misfit", "calibrated",
+        0.98, "part of the misfit", "judgement",
         "What a refinement by the simulated displacement may leave to be kept.",
     )  # fmt: skip
     alpha_error: float = _entry(
-        0.3, "samples", "calibrated", "Largest standard error of a recovered alpha that is one.",
+        0.3, "samples", "judgement", "Largest standard error of a recovered alpha that is one.",
     )  # fmt: skip
     stiffness_error: float = _entry(
-        0.1, "part of the specimen's stiffness", "calibrated", "The same of k_t.",
+        0.1, "part of the specimen's stiffness", "judgement", "The same of k_t.",
     )  # fmt: skip
     recovered_unclosed: float = _entry(
-        0.05, "part of a signal", "calibrated",
+        0.05, "part of a signal", "judgement",
         "What the loop's equation may leave, beyond which it is not the one that was solved.",
     )  # fmt: skip
 
     # ---- where and how it is told ---------------------------------------------------------------
     located_bend: float = _entry(
-        2.0, "standard deviations", "calibrated",
+        2.0, "standard deviations", "judgement",
         "What a stated number moves at most where something unknown is located.",
     )  # fmt: skip
     located_white: float = _entry(
-        5.0, "times", "calibrated",
+        5.0, "times", "judgement",
         "Times the residual where the motion is known, from which all of it is mere noise.",
     )  # fmt: skip
     located_noise: float = _entry(
-        3.5, "standard deviations", "calibrated", "What stands out of the averaged noise.",
-        "judgement: one in two thousand by chance",
+        3.5, "standard deviations", "judgement", "What stands out of the averaged noise.",
+        "one in two thousand by chance",
     )  # fmt: skip
     active_part: float = _entry(
-        0.25, "part of the largest", "calibrated",
+        0.25, "part of the largest", "judgement",
         "Running rms of an effect from which it acts, and makes a window of time.",
     )  # fmt: skip
     active_break_s: float = _entry(
-        0.3, "s", "calibrated", "Break between two windows that is taken along.",
+        0.3, "s", "judgement", "Break between two windows that is taken along.",
     )  # fmt: skip
     active_rows: float = _entry(
-        0.05, "part of the largest", "calibrated",
+        0.05, "part of the largest", "judgement",
         "Force from which a row counts for where on the stroke, and to which side, it acts.",
     )  # fmt: skip
     told_local: float = _entry(
-        0.3, "part of the stroke", "calibrated",
+        0.3, "part of the stroke", "judgement",
         "Displacement beyond which alone an effect acts for that to be said.",
     )  # fmt: skip
     told_always: float = _entry(
-        0.9, "part of the recording", "calibrated", 'Windows from which it is "throughout".',
+        0.9, "part of the recording", "judgement", 'Windows from which it is "throughout".',
     )  # fmt: skip
     told_one_sided: float = _entry(
-        0.95, "part of the rows", "calibrated", "Rows of one sign from which it is more, or less.",
+        0.95, "part of the rows", "judgement", "Rows of one sign from which it is more, or less.",
     )  # fmt: skip
     loop_met: float = _entry(
-        0.05, "NRMSE", "calibrated",
+        0.05, "NRMSE", "judgement",
         "Error of a loop simulated again up to which what was found brings the test back.",
     )  # fmt: skip
     loop_hardly: float = _entry(
-        0.7, "part of the error before", "calibrated", "The same.",
+        0.7, "part of the error before", "judgement", "The same.",
     )  # fmt: skip
 
     # ---- what is refused ------------------------------------------------------------------------
     least_rows: int = _entry(
-        100, "rows", "calibrated", "Rows of a recording, and of the actuator's, to be judged.",
+        100, "rows", "judgement", "Rows of a recording, and of the actuator's, to be judged.",
     )  # fmt: skip
     rate_off: float = _entry(
-        0.02, "part", "calibrated", "How far the rows' distance may be off `fs_hz`.",
+        0.02, "part", "judgement", "How far the rows' distance may be off `fs_hz`.",
     )  # fmt: skip
     uneven_rows: float = _entry(
-        5.0, "rows", "calibrated", "How far a row may lie off an even distance.",
+        5.0, "rows", "judgement", "How far a row may lie off an even distance.",
     )  # fmt: skip
     numbers_least: float = _entry(
-        0.5, "part of the rows", "calibrated", "Rows with a number that a channel needs.",
+        0.5, "part of the rows", "judgement", "Rows with a number that a channel needs.",
     )  # fmt: skip
     clipped_rows: float = _entry(
-        0.2, "part of the rows", "calibrated", "Rows at a sensor's end from which it is refused.",
+        0.2, "part of the rows", "judgement", "Rows at a sensor's end from which it is refused.",
     )  # fmt: skip
     stray_reading: float = _entry(
-        10.0, "ranges of the channel", "calibrated",
+        10.0, "ranges of the channel", "judgement",
         "How far beyond it a reading is that cannot be one.",
     )  # fmt: skip
     dead_cell: float = _entry(
-        0.9, "part of the channel", "calibrated",
+        0.9, "part of the channel", "judgement",
         "White noise in a load cell from which it is taken for nothing else.",
     )  # fmt: skip
     dead_cell_follows: float = _entry(
-        0.02, "part of its power", "calibrated",
+        0.02, "part of its power", "judgement",
         "What may follow the model in it to be no measurement of it.",
     )  # fmt: skip
     short_gap: int = _entry(
-        3, "rows", "calibrated", "Rows of a command missing in one place that are filled in.",
+        3, "rows", "judgement", "Rows of a command missing in one place that are filled in.",
     )  # fmt: skip
     wrong_unit: float = _entry(
         100.0, "times", "physics",
@@ -616,21 +617,21 @@ class Policy:
         "ten lies as far beyond",
     )  # fmt: skip
     shape_alike: float = _entry(
-        0.5, "correlation", "calibrated",
+        0.5, "correlation", "judgement",
         "From which on a channel has the shape of what it is held against, more or less.",
     )  # fmt: skip
     shape_clearly: float = _entry(
-        0.9, "correlation", "calibrated", "From which on it has that shape and no other.",
+        0.9, "correlation", "judgement", "From which on it has that shape and no other.",
     )  # fmt: skip
     unit_near: float = _entry(
-        0.12, "part", "calibrated", "How far a ratio may miss a factor of units, and be one.",
+        0.12, "part", "judgement", "How far a ratio may miss a factor of units, and be one.",
     )  # fmt: skip
     unit_sure: float = _entry(
         1.33, "times", "physics", "How far a column of unstated unit may miss its size.",
         "units differ by more than two",
     )  # fmt: skip
     other_test: float = _entry(
-        300.0, "times", "calibrated",
+        300.0, "times", "judgement",
         "Ratio of one channel in two tests of a rig: between a sensor's noise and its range.",
     )  # fmt: skip
 

@@ -221,8 +221,8 @@ seed {seed}.
 
 All thresholds that decide what is said stand in one frozen table, `rthyb_rt/diagnose/policy.py`.
 "physics" follows from sensors, the interchange format or the statistics of noise, "numerics" from
-how well motions and forces are computed, "calibrated" was set by trial. Where nobody has written
-down how a value was found, it says "judgement, not calibrated".
+how well motions and forces are computed, "calibrated" was found on recordings that are named,
+"judgement" is what its authors thought fit.
 
 Sensitivity rests on {len(results)} cases, which is few: a threshold that changes none of them may
 still matter, above all one that few of them, or none, have read. The cases are those below; {right}
