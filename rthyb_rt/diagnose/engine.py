@@ -379,8 +379,10 @@ def _in_its_noise(
     the sets is tried with the colour of what it leaves itself, nothing at all among them.
     """
     blur = found.blur
-    # Along a motion that is estimated a naive model leaves form, and no noise that could be read.
-    if not found.exact and (blur is None or case.model.k_tol is None):
+    # Along a motion that is estimated a naive model leaves form, and no noise that could be read;
+    # nor has a push that there is not any noise.
+    told = blur is not None and case.model.k_tol is not None and not search.problem.decays
+    if not found.exact and not told:
         return found, search
     sheet, sigma = _stated(case), found.sigma_n if blur is None else blur.sigma_n
 
