@@ -22,6 +22,7 @@ SOURCES = [
 
 def test_the_table_cannot_be_written_to() -> None:
     with pytest.raises(FrozenInstanceError):
+        # The type checker refuses it as well, which is not what is asked here.
         POLICY.same_evidence = 1.0  # type: ignore[misc]
 
 
