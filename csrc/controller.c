@@ -3,8 +3,9 @@
 #include "internal.h"
 #include "numeric.h"
 
-#define FREEZE_AFTER 3       /* lost samples in a row after which alpha and k_t are held */
-#define EXTRAPOLATE_UNTIL 20 /* lost samples in a row until which the measurement is extrapolated */
+#define FREEZE_AFTER_S (3.0 / 1024.0) /* of lost samples, after which alpha and k_t are held */
+#define EXTRAPOLATE_UNTIL_S                                                                        \
+    (20.0 / 1024.0) /* of them, until which the measurement is extrapolated */
 #define COMMAND_MAX_M (1e2 * RTHYB_DISPLACEMENT_MAX_M)
 
 int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cfg)
@@ -23,6 +24,8 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
         error = rthyb_rfc_init(&c->rfc, &cfg->rfc, 0.0, 0.0);
     if (!error)
         error = rthyb_motion_init(&c->motion, &cfg->motion, 0.0);
+    c->freeze_after = ticks_of(FREEZE_AFTER_S, cfg->period_s);
+    c->extrapolate_until = ticks_of(EXTRAPOLATE_UNTIL_S, cfg->period_s);
     c->upper_m = COMMAND_MAX_M;
     c->lower_m = -COMMAND_MAX_M;
     c->alpha = cfg->estimator.alpha0;
@@ -53,7 +56,7 @@ static int gate(const rthyb_controller *c, const rthyb_input *in, double *x, dou
     }
     /* The specimen goes on as its command does, the force along the tangent stiffness. The noise of
      * two samples, run out over twenty, would be more than the motion. */
-    const double ahead = c->missing < EXTRAPOLATE_UNTIL ? c->x_num - c->x_num1 : 0.0;
+    const double ahead = c->missing < c->extrapolate_until ? c->x_num - c->x_num1 : 0.0;
     *x = clamp(c->x_m1 + ahead, -RTHYB_DISPLACEMENT_MAX_M, RTHYB_DISPLACEMENT_MAX_M);
     *f = clamp(c->f1 + c->rfc.k_n_per_m * ahead, -RTHYB_FORCE_MAX_N, RTHYB_FORCE_MAX_N);
     return code;
@@ -243,7 +246,7 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
     int code = gate(c, in, &x, &f);
     const int made_up = in->lost || code != RTHYB_OK;
     c->missing = made_up ? c->missing + (c->missing < UINT32_MAX) : 0;
-    const int frozen = blind || c->missing >= FREEZE_AFTER;
+    const int frozen = blind || c->missing >= c->freeze_after;
     if (path_m)
         code |= follow_path(c, x, f, *path_m, &x_num);
     else

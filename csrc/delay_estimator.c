@@ -9,13 +9,15 @@
  * of an untared sensor out of mu. */
 #include "numeric.h"
 
-#define ALPHA_GUARD 1e4       /* the printed law has no projection; its state is still finite */
-#define POWER_TIME_S 2.0      /* mean of phi^2 in the normalisation of the robust law */
-#define OFFSET_TIME_S 3.2     /* lower end of the pair: 0.05 Hz */
-#define GATE_TIME_S 0.2       /* mean of phi^2 that the gate looks at */
-#define RESPONSE_SAMPLES 8192 /* length of the impulse response summed by _init */
-#define RIDGE_FLOOR 1e-9      /* reference^2: keeps the normal equations regular without noise */
-#define NOISE_SHARE_MAX 0.5   /* of a moment that noise compensation may take away */
+#define ALPHA_GUARD 1e4        /* the printed law has no projection; its state is still finite */
+#define POWER_TIME_S 2.0       /* mean of phi^2 in the normalisation of the robust law */
+#define OFFSET_TIME_S 3.2      /* lower end of the pair: 0.05 Hz */
+#define GATE_TIME_S 0.2        /* mean of phi^2 that the gate looks at */
+#define RESPONSE_S 8.0         /* length of the impulse response summed by _init, */
+#define RESPONSE_MAX 32768u    /* and the most samples of it: at 4096 Hz */
+#define PRIOR_S (1.0 / 1024.0) /* how far alpha starts from the truth, beside a quarter of itself */
+#define RIDGE_FLOOR 1e-9       /* reference^2: keeps the normal equations regular without noise */
+#define NOISE_SHARE_MAX 0.5    /* of a moment that noise compensation may take away */
 
 typedef struct {
     double mu, phi1, phi2;
@@ -106,7 +108,9 @@ static void noise_moments(rthyb_estimator *est)
     prime(&probe, 0.0, 0.0);
     probe.level_weight = fmin(est->cfg.period_s / OFFSET_TIME_S, 1.0);
     double residual = 0.0;
-    for (int i = 0; i < RESPONSE_SAMPLES; i++) {
+    const uint32_t wanted = ticks_of(RESPONSE_S, est->cfg.period_s);
+    const uint32_t samples = wanted < RESPONSE_MAX ? wanted : RESPONSE_MAX;
+    for (uint32_t i = 0; i < samples; i++) {
         const double impulse = i == 0 ? est->cfg.rest_noise_m : 0.0;
         const double h = filter_step(&probe, probe.filter_m, &probe.level_m, impulse);
         const regressor g = form_regressor(&probe, 0.0, h);
@@ -119,11 +123,11 @@ static void noise_moments(rthyb_estimator *est)
         est->noise2 += g.phi2 * g.mu;
     }
     est->gate_power = est->cfg.gate_factor * est->noise11;
-    /* The starting values count as much as measurements that put alpha within 1 + alpha0/4 and
+    /* The starting values count as much as measurements that put alpha within 1 ms + alpha0/4 and
      * beta within the square of that. Filtered noise repeats itself over half a period of the
      * cut-off: so many samples are worth one. */
     const double repeats = 0.5 / (est->cfg.cutoff_hz * est->cfg.period_s);
-    const double sigma_alpha = 1.0 + 0.25 * fabs(est->cfg.alpha0);
+    const double sigma_alpha = PRIOR_S / est->cfg.period_s + 0.25 * fabs(est->cfg.alpha0);
     const double sigma_beta = sigma_alpha * sigma_alpha;
     est->ridge1 = fmax(repeats * residual / (sigma_alpha * sigma_alpha), RIDGE_FLOOR);
     est->ridge2 = fmax(repeats * residual / (sigma_beta * sigma_beta), RIDGE_FLOOR * 1e-3);

@@ -395,7 +395,7 @@ static uint32_t skipped_ticks(rthyb_loop *loop, const rthyb_tick *tick)
     if (woke_up)
         add(&loop->counters.suspended, 1);
     const uint64_t skipped =
-        woke_up && tick->skipped < RTHYB_BLIND_MAX ? RTHYB_BLIND_MAX : tick->skipped;
+        woke_up && tick->skipped < RTHYB_LOST_TICKS ? RTHYB_LOST_TICKS : tick->skipped;
     return skipped < UINT32_MAX ? (uint32_t)skipped : UINT32_MAX;
 }
 

@@ -18,6 +18,13 @@ static inline double clamp(double v, double low, double high)
     return v < low ? low : (v > high ? high : v);
 }
 
+/* A time in whole ticks of h, at least one. What is a whole number of 1/1024 s is exactly that many at
+ * 1024 Hz. */
+static inline uint32_t ticks_of(double duration_s, double h)
+{
+    return (uint32_t)clamp(rint(duration_s / h), 1.0, 1e9);
+}
+
 /* Stable, and small enough that no product of them overflows. */
 static inline int weights_ok(double w1, double w2)
 {

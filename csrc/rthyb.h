@@ -26,8 +26,8 @@
 /* cffi: begin */
 
 enum rthyb_size {
-    RTHYB_WINDOW_MAX = 1024,   /* largest T0 of the tangent stiffness, samples */
-    RTHYB_DELAY_MAX = 1024,    /* longest transport delay of a virtual actuator, samples */
+    RTHYB_WINDOW_MAX = 4096,   /* largest T0 of the tangent stiffness, samples: 1 s at 4096 Hz */
+    RTHYB_DELAY_MAX = 4096,    /* longest transport delay of a virtual actuator, samples: 1 s */
     RTHYB_ELEMENTS_MAX = 16,   /* elements of one specimen */
     RTHYB_ELEMENT_PARAMS = 16, /* parameters of one element */
     RTHYB_IWAN_SLIDERS = 12,   /* springs of a chain that yield one by one */
@@ -43,7 +43,7 @@ enum rthyb_status {
     RTHYB_S_POSITION_LIMIT = 8,        /* the command went past its position limit */
     RTHYB_S_FORCE_LIMIT = 16,          /* the measured force went past its limit */
     RTHYB_S_TRACKING_LIMIT = 32,       /* |x_m - x_c| went past its limit */
-    RTHYB_S_LINK_LOST = 64,            /* twenty samples in a row without an accepted pair */
+    RTHYB_S_LINK_LOST = 64,            /* for 19.5 ms no accepted pair */
     RTHYB_S_TRIP = 128,                /* one of these is set to end the test */
     RTHYB_S_VELOCITY_LIMIT = 1 << 8,   /* the command's velocity went past its limit */
     RTHYB_S_INCREMENT_LIMIT = 1 << 9,  /* its change from sample to sample did */
@@ -430,9 +430,10 @@ typedef struct {
     double x_lim, step;         /* command that left last, and its way from the one that left before
                                  * it: as the limiter had them, before the wire rounded */
     double x_lim1, step1;       /* the same before this sample, should its command not leave */
-    double lower_m, upper_m;    /* the command may be no further out than these now */
-    int32_t gap;                /* a tick since then in which none left */
-    double alpha, beta;         /* as the PLC has them, rate-limited */
+    uint32_t freeze_after, extrapolate_until; /* lost samples in a row: 2.9 ms, 19.5 ms */
+    double lower_m, upper_m;                  /* the command may be no further out than these now */
+    int32_t gap;                              /* a tick since then in which none left */
+    double alpha, beta;                       /* as the PLC has them, rate-limited */
     double x_m1, f1, x_num1;
     double energy_error, tracking_indicator;
     uint32_t missing; /* samples in a row without an accepted pair */
@@ -568,14 +569,35 @@ typedef struct {
     uint64_t ticks, calm, seen;
 } rthyb_overload;
 
-/* One bit for each of the last 1024 ticks, and how many of them are set. */
+enum rthyb_station_size {
+    RTHYB_LOST_TICKS = 20,  /* of 1/1024 s: so long without a pair, and the link is lost */
+    RTHYB_BLIND_MAX = 80,   /* ticks that are made up for: as long at 4096 Hz */
+    RTHYB_RECENT_MAX = 4096 /* ticks of the last second: as above */
+};
+
+/* One bit for each tick of the last second, and how many of them are set. */
 typedef struct {
-    uint64_t map[16];
+    uint64_t map[RTHYB_RECENT_MAX / 64];
     uint32_t count;
 } rthyb_recent;
 
+/* Times that a station goes by, in ticks of its own. */
+typedef struct {
+    uint32_t lost;      /* without a pair, then the link is lost; as many are made up for */
+    uint32_t rest;      /* of readings that stand still, then RESET is allowed */
+    uint32_t skips;     /* more skipped ones than this in a row: RAMP_OUT */
+    uint32_t recent;    /* of the last second; RTHYB_RECENT_MAX at most */
+    int64_t arrival;    /* in which the command has come no nearer: it never will */
+    uint64_t overload;  /* a force beyond its limit where nothing but a trip is left, at most */
+    int64_t least_way;  /* of a way between two points */
+    int64_t turn;       /* in which a brake's deceleration comes and goes: a lead's time, */
+    int64_t least_turn; /* and that of a motion that is nearly at rest */
+    double pace;        /* of them in 1/1024 s */
+} rthyb_station_ticks;
+
 typedef struct {
     rthyb_station_config cfg;
+    rthyb_station_ticks ticks;
     rthyb_controller controller;
     int32_t state;       /* enum rthyb_state */
     int32_t cause;       /* enum rthyb_cause, latched */
@@ -645,13 +667,11 @@ typedef struct {
     double low_m, high_m; /* with tare: the wire's rounding must not take it beyond these */
 } rthyb_station_output;
 
-enum rthyb_station_size { RTHYB_BLIND_MAX = 20 };
-
 int rthyb_station_init(rthyb_station *station, const rthyb_station_config *cfg);
 /* One executed tick: blind steps for what was skipped, then the sample. records takes up to
  * RTHYB_BLIND_MAX + 1 of them; the last one has what the station was told as flags. ag_mps2 is the
  * ground motion of the whole test, n of it. While the link is down or the drive stopped, ZERO, ARM
- * and START are refused; RESET without a fresh reading, or before 20 of them have stood still; ARM,
+ * and START are refused; RESET without a fresh reading, or before they have stood still for 19.5 ms; ARM,
  * START, RESUME and RESET beyond a limit, as refused_cause says. RESET is for TRIPPED, and for IDLE where
  * the drive has stopped: the next three commands tell it so. */
 int rthyb_station_tick(rthyb_station *station, const rthyb_station_input *in, const double *ag_mps2,
@@ -1506,8 +1526,8 @@ typedef struct {
     double target_m, target1_m; /* what the actuator is told, and was told before */
 } rthyb_virtual;
 
-/* The members up to stop_decel_m_per_s2 are the caller's; the rest becomes new. 0, or RTHYB_E_LIMIT for
- * a deceleration that is not positive. */
+/* The members up to stop_decel_m_per_s2 are the caller's; the rest becomes new. 0; RTHYB_E_LIMIT for a
+ * deceleration that is not positive, RTHYB_E_PERIOD where station and rig have not the same period. */
 int rthyb_virtual_init(rthyb_virtual *test);
 /* Runs up to count ticks, the first one with an operator's command (RTHYB_CMD_NONE: none); each gives one
  * record. Returns how many were run: fewer where the state has become another, or a tare has failed. */

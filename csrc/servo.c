@@ -3,7 +3,7 @@
 #include "internal.h"
 #include "numeric.h"
 
-#define SUBSTEPS_MAX 1024
+#define SUBSTEPS_MAX 4096 /* 1024 of a sample at 1024 Hz are as many at 256 */
 
 static int config_error(const rthyb_servo_config *c)
 {

@@ -11,23 +11,15 @@
 #include "internal.h"
 #include "numeric.h"
 
-#define LOST_TRIP 20        /* samples without a pair, in a row */
-#define JUMP_TAKEN 3        /* readings in a row that make a new level */
-#define REST_TICKS 20       /* readings that stand still, then RESET is allowed */
-#define ARRIVED_M 1e-6      /* what the command may lag behind at the end of a path */
-#define ARRIVAL_TICKS 10240 /* 10 s in which it has come no nearer: it never will */
-#define OVERLOAD_TICKS 256  /* a force beyond its limit at rest, held or ramping out, at most */
-#define OVERLOAD 1.5        /* times that limit: not even one tick */
-#define START_SPREADS 5.0   /* times rest_spread_m: how far from the command START may find x_m */
-#define SKIPS_RAMP_OUT 10   /* more skipped ticks than this in a row */
-#define SKIPS_RECENT_MAX 50 /* skipped ticks in RECENT_TICKS, where nothing else is said */
-#define RECENT_TICKS 1024
-#define OFF_X 1 /* bits of off_scale */
+#define STANDARD_S (1.0 / 1024.0) /* a tick of real time */
+#define JUMP_TAKEN 3              /* readings in a row that make a new level, at any rate */
+#define ARRIVED_M 1e-6            /* what the command may lag behind at the end of a path */
+#define OVERLOAD 1.5              /* times a force's limit: not even one tick */
+#define START_SPREADS 5.0 /* times rest_spread_m: how far from the command START may find x_m */
+#define SKIPS_SHARE (50.0 / 1024.0) /* of the last second, where nothing else is said */
+#define OFF_X 1                     /* bits of off_scale */
 #define OFF_F 2
 #define TRIP_FRAMES 3
-#define LEAST_TICKS 8   /* of a way between two points */
-#define TURN 16         /* ticks in which a brake's deceleration comes and goes: a lead's time */
-#define LEAST_TURN 2    /* the same of a motion that is nearly at rest */
 #define RESET_FRAMES 3  /* one that is lost does not matter */
 #define SEARCH_STEPS 80 /* of 1.25 each: from 8 ms to longer than any test */
 
@@ -76,6 +68,24 @@ static int fresh_controller(rthyb_station *s)
     return error;
 }
 
+/* What is told by time, in ticks of the station's own. */
+static rthyb_station_ticks station_ticks(double h)
+{
+    const uint32_t lost = ticks_of(RTHYB_LOST_TICKS * STANDARD_S, h), recent = ticks_of(1.0, h);
+    return (rthyb_station_ticks){
+        .lost = lost < RTHYB_BLIND_MAX ? lost : RTHYB_BLIND_MAX,
+        .rest = ticks_of(20.0 * STANDARD_S, h),
+        .skips = ticks_of(10.0 * STANDARD_S, h),
+        .recent = recent < RTHYB_RECENT_MAX ? recent : RTHYB_RECENT_MAX,
+        .arrival = ticks_of(10.0, h),
+        .overload = ticks_of(0.25, h),
+        .least_way = ticks_of(8.0 * STANDARD_S, h),
+        .turn = ticks_of(16.0 * STANDARD_S, h),
+        .least_turn = ticks_of(2.0 * STANDARD_S, h),
+        .pace = STANDARD_S / h,
+    };
+}
+
 int rthyb_station_init(rthyb_station *s, const rthyb_station_config *cfg)
 {
     int error = config_error(cfg);
@@ -83,6 +93,9 @@ int rthyb_station_init(rthyb_station *s, const rthyb_station_config *cfg)
         return error;
     *s = (rthyb_station){.cfg = *cfg, .state = RTHYB_IDLE};
     error = fresh_controller(s);
+    if (error)
+        return error;
+    s->ticks = station_ticks(cfg->controller.period_s);
     s->controller.state = RTHYB_IDLE;
     return error;
 }
@@ -173,7 +186,7 @@ static rthyb_path plan(const rthyb_station *s, const double from[3], const doubl
     const double h = s->cfg.controller.period_s;
     const double v = fmax(path_velocity(s), 1.01 * fmax(fabs(from[1]), fabs(to[1])));
     const double a = fmax(path_acceleration(s), 1.01 * fmax(fabs(from[2]), fabs(to[2])));
-    double T = LEAST_TICKS * h;
+    double T = (double)s->ticks.least_way * h;
     rthyb_path best = quintic(from, to, whole_ticks(T, h), h);
     double least = path_share(&best, h, v, a);
     for (int i = 0; i < SEARCH_STEPS && least > 1.0; i++) {
@@ -211,7 +224,8 @@ static rthyb_path brake(const rthyb_station *s, const double from[3])
 {
     const double h = s->cfg.controller.period_s, b = brake_acceleration(s), v = fabs(from[1]);
     const double a = clamp(from[1] < 0.0 ? -from[2] : from[2], -b, b);
-    const int64_t turn = (int64_t)clamp(v / (b - 0.5 * a) / h, LEAST_TURN, TURN);
+    const int64_t turn =
+        (int64_t)clamp(v / (b - 0.5 * a) / h, (double)s->ticks.least_turn, (double)s->ticks.turn);
     const double changes = (double)turn * h, rest = (v + 0.5 * a * changes) / b - changes;
     const int64_t steady = rest > 0.0 ? whole_ticks(rest, h) : 0;
     const double needed = (v + 0.5 * a * changes) / (changes + (double)steady * h);
@@ -617,8 +631,8 @@ static int can_reset(rthyb_station *s, const rthyb_station_input *in)
         return 0;
     if (is_sound(s, in) && trips && ends_beyond(s, RTHYB_CAUSE_RIG_FORCE, in->f_n, &found))
         return refuse(s, found);
-    return !in->link_down && is_sound(s, in) && s->rest_ticks >= REST_TICKS &&
-           s->in_state >= REST_TICKS && fabs(in->x_m - s->rest_x) <= s->cfg.rest_spread_m;
+    return !in->link_down && is_sound(s, in) && s->rest_ticks >= s->ticks.rest &&
+           s->in_state >= s->ticks.rest && fabs(in->x_m - s->rest_x) <= s->cfg.rest_spread_m;
 }
 
 /* What leads to motion needs a drive at the other end that follows. */
@@ -690,24 +704,25 @@ static int obey(rthyb_station *s, const rthyb_station_input *in)
 
 /* ---- one tick --------------------------------------------------------------------------------- */
 
-/* Keeps the bit of each of the last 1024 ticks. */
-static void remember(rthyb_recent *recent, uint64_t tick, int is_set)
+/* Keeps the bit of each tick of the last second. */
+static void remember(rthyb_recent *recent, uint64_t tick, uint32_t length, int is_set)
 {
-    uint64_t *word = &recent->map[(tick / 64) % 16];
-    const uint64_t bit = (uint64_t)1 << (tick % 64);
+    const uint64_t at = tick % length;
+    uint64_t *word = &recent->map[at / 64];
+    const uint64_t bit = (uint64_t)1 << (at % 64);
     recent->count += (uint32_t)(is_set != 0) - (uint32_t)((*word & bit) != 0);
     *word = is_set ? *word | bit : *word & ~bit;
 }
 
-static double share_of(const rthyb_recent *recent)
+static double share_of(const rthyb_station *s, const rthyb_recent *recent)
 {
-    return (double)recent->count / RECENT_TICKS;
+    return (double)recent->count / s->ticks.recent;
 }
 
 static void note_tick(rthyb_station *s, int was_skipped)
 {
-    remember(&s->skips, s->tick, was_skipped);
-    remember(&s->losses, s->tick, !was_skipped && s->controller.missing > 0);
+    remember(&s->skips, s->tick, s->ticks.recent, was_skipped);
+    remember(&s->losses, s->tick, s->ticks.recent, !was_skipped && s->controller.missing > 0);
     s->skipped += (uint64_t)(was_skipped != 0);
     s->tick++;
     s->in_state++;
@@ -781,13 +796,14 @@ static int has_arrived(rthyb_station *s)
     /* What brakes in front of a limit ends at it. */
     const double aim = fmin(fmax(c->x_plc, within.low), within.high);
     const double off = fmax(fabs(c->x_lim - aim), fabs(c->x_plc - c->x_num));
-    const double away = fmax(off, fabs(c->x_lim - c->x_lim1));
+    /* What it still goes, in 1/1024 s at any rate. */
+    const double away = fmax(off, fabs(c->x_lim - c->x_lim1) * s->ticks.pace);
     if (away <= ARRIVED_M)
         return 1;
     if (away < s->nearest_m - ARRIVED_M) {
         s->nearest_m = away;
         s->no_nearer = 0;
-    } else if (++s->no_nearer >= ARRIVAL_TICKS) {
+    } else if (++s->no_nearer >= s->ticks.arrival) {
         trip(s, (finding){RTHYB_CAUSE_NOT_ARRIVED, away, ARRIVED_M});
     }
     return 0;
@@ -849,10 +865,10 @@ static int is_off_course(int state)
  * for a while only, by its noise, begins no new count. */
 static void count_overload(const rthyb_station *s, rthyb_overload *over, int is_beyond)
 {
-    const uint64_t gone = s->tick - over->seen, ticks = gone < LOST_TRIP ? gone : LOST_TRIP;
+    const uint64_t gone = s->tick - over->seen, ticks = gone < s->ticks.lost ? gone : s->ticks.lost;
     over->seen = s->tick;
     over->calm = is_beyond ? 0 : over->calm + ticks;
-    if (!is_off_course(s->state) || over->calm >= OVERLOAD_TICKS)
+    if (!is_off_course(s->state) || over->calm >= s->ticks.overload)
         over->ticks = 0;
     else if (is_beyond)
         over->ticks += ticks;
@@ -871,7 +887,7 @@ static int check_force(rthyb_station *s, int cause, double value, rthyb_overload
     if (!is_beyond)
         return RTHYB_OK;
     const int too_much =
-        off_scale || fabs(value) > OVERLOAD * watch->value || over->ticks >= OVERLOAD_TICKS;
+        off_scale || fabs(value) > OVERLOAD * watch->value || over->ticks >= s->ticks.overload;
     const int escalates =
         watch->reaction >= RTHYB_REACT_HOLD && is_off_course(s->state) && too_much;
     const finding found = off_scale ? (finding){cause, s->told_f, s->cfg.controller.f_range_n}
@@ -933,8 +949,8 @@ static void watch_limits(rthyb_station *s, rthyb_record *r, double indicator_bef
     code |= check(s, RTHYB_CAUSE_TRACKING, r->x_meas_m - r->x_num_m, RTHYB_S_TRACKING_LIMIT);
     code |= check(s, RTHYB_CAUSE_INDICATOR, s->indicator_slope, RTHYB_S_INDICATOR_LIMIT);
     code |= check(s, RTHYB_CAUSE_ENERGY, r->energy_error_j, RTHYB_S_ENERGY_LIMIT);
-    code |= check(s, RTHYB_CAUSE_LOST_WARNING, share_of(&s->losses), RTHYB_S_LOST_RATE);
-    code |= check(s, RTHYB_CAUSE_LOST_PAIRS, share_of(&s->losses), RTHYB_S_LOST_RATE);
+    code |= check(s, RTHYB_CAUSE_LOST_WARNING, share_of(s, &s->losses), RTHYB_S_LOST_RATE);
+    code |= check(s, RTHYB_CAUSE_LOST_PAIRS, share_of(s, &s->losses), RTHYB_S_LOST_RATE);
     r->code = (uint16_t)code;
 }
 
@@ -998,11 +1014,11 @@ static int plausible(rthyb_station *s, const rthyb_station_input *in)
 /* What stood still before the readings ceased need not stand still now. */
 static void watch_rest(rthyb_station *s, double x)
 {
-    if (fabs(x - s->rest_x) > s->cfg.rest_spread_m || s->controller.missing >= LOST_TRIP) {
+    if (fabs(x - s->rest_x) > s->cfg.rest_spread_m || s->controller.missing >= s->ticks.lost) {
         s->rest_x = x;
         s->rest_ticks = 0;
     }
-    s->rest_ticks += s->rest_ticks < REST_TICKS;
+    s->rest_ticks += s->rest_ticks < s->ticks.rest;
 }
 
 static void note_reading(rthyb_station *s, const rthyb_station_input *in)
@@ -1068,8 +1084,8 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
     else if (!tripped && !blind)
         watch_at_rest(s, record);
     record->tick = s->tick;
-    if (!blind && s->controller.missing >= LOST_TRIP && s->state != RTHYB_IDLE)
-        trip_at(s, (finding){RTHYB_CAUSE_LINK_LOST, s->controller.missing, LOST_TRIP},
+    if (!blind && s->controller.missing >= s->ticks.lost && s->state != RTHYB_IDLE)
+        trip_at(s, (finding){RTHYB_CAUSE_LINK_LOST, s->controller.missing, s->ticks.lost},
                 RTHYB_S_LINK_LOST, record);
     if (code & RTHYB_S_NOT_FINITE)
         trip_at(s, plain(RTHYB_CAUSE_NOT_FINITE), RTHYB_S_NOT_FINITE, record);
@@ -1090,11 +1106,11 @@ static rthyb_input at_tick(const rthyb_station *s, const double *ag, size_t n)
 /* A row of skipped ticks, and their share of the last second. */
 static void watch_skips(rthyb_station *s, uint32_t skipped)
 {
-    const double share = share_of(&s->skips), most = (double)SKIPS_RECENT_MAX / RECENT_TICKS;
-    if (skipped >= LOST_TRIP) {
-        trip(s, (finding){RTHYB_CAUSE_STALLED, skipped, LOST_TRIP});
-    } else if (skipped > SKIPS_RAMP_OUT) {
-        ramp_out(s, (finding){RTHYB_CAUSE_SKIPS, skipped, SKIPS_RAMP_OUT});
+    const double share = share_of(s, &s->skips), most = SKIPS_SHARE;
+    if (skipped >= s->ticks.lost) {
+        trip(s, (finding){RTHYB_CAUSE_STALLED, skipped, s->ticks.lost});
+    } else if (skipped > s->ticks.skips) {
+        ramp_out(s, (finding){RTHYB_CAUSE_SKIPS, skipped, s->ticks.skips});
     } else if (is_on_its_way(s->state)) {
         s->noted |= check(s, RTHYB_CAUSE_SKIP_WARNING, share, RTHYB_S_SKIP_RATE);
         if (s->cfg.watch[RTHYB_CAUSE_SKIPS].value > 0.0)
@@ -1108,9 +1124,9 @@ static void watch_skips(rthyb_station *s, uint32_t skipped)
 static uint32_t blind_steps(rthyb_station *s, uint32_t skipped, const double *ag, size_t n,
                             rthyb_record *records)
 {
-    const uint32_t made_up = skipped < RTHYB_BLIND_MAX ? skipped : RTHYB_BLIND_MAX;
+    const uint32_t made_up = skipped < s->ticks.lost ? skipped : s->ticks.lost;
     /* More than the map of recent ticks holds are only counted: a long sleep is no long loop. */
-    const uint32_t noted = skipped < RECENT_TICKS ? skipped : RECENT_TICKS;
+    const uint32_t noted = skipped < s->ticks.recent ? skipped : s->ticks.recent;
     const uint32_t counted = skipped - noted;
     for (uint32_t i = 0; i < noted; i++) {
         if (i < made_up) {

@@ -6,6 +6,8 @@ int rthyb_virtual_init(rthyb_virtual *test)
 {
     if (!(test->stop_decel_m_per_s2 > 0.0))
         return RTHYB_E_LIMIT;
+    if (test->station->cfg.controller.period_s != test->rig->cfg.servo.period_s)
+        return RTHYB_E_PERIOD;
     test->phase = RTHYB_DRIVE_FOLLOWING;
     test->target_m = test->target1_m = 0.0;
     return 0;

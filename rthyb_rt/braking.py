@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rthyb_rt import core, experiment
+from rthyb_rt.config import STANDARD, STANDARD_HZ, Rate
 
 if TYPE_CHECKING:
     from rthyb_rt.experiment import Setup
 
 Floats = NDArray[np.float64]
 
-TURN_TICKS, LEAST_TURN_TICKS = 16, 2
-"""In which the deceleration comes and goes: csrc/station.c, TURN and LEAST_TURN."""
+TURN_S, LEAST_TURN_S = 16 / STANDARD_HZ, 2 / STANDARD_HZ
+"""In which the deceleration comes and goes: csrc/station.c, station_ticks."""
 
 _PIECES = 33
 """Points at which the way of a brake is looked at."""
@@ -39,12 +40,13 @@ class Course:
     a: Floats
 
     @classmethod
-    def of(cls, x_m: ArrayLike) -> Course:
-        """Return the course of displacements that begin at rest."""
+    def of(cls, x_m: ArrayLike, rate: Rate = STANDARD) -> Course:
+        """Return the course of displacements at a rate that begin at rest."""
+        h = rate.period_s
         x = np.asarray(x_m, dtype=np.float64)
         padded = np.concatenate([np.full(2, x[0] if x.size else 0.0), x])
-        a = np.diff(padded, 2) / core.PERIOD_S**2
-        v = np.diff(padded)[1:] / core.PERIOD_S + 0.5 * core.PERIOD_S * a
+        a = np.diff(padded, 2) / h**2
+        v = np.diff(padded)[1:] / h + 0.5 * h * a
         return cls(x, v, a)
 
 
@@ -64,12 +66,19 @@ class Brake:
     steady_s: Floats
 
     @classmethod
-    def of(cls, x: ArrayLike, v: ArrayLike, a: ArrayLike, most_m_per_s2: float) -> Brake:
-        """Return the brake with so much deceleration."""
-        h, most = core.PERIOD_S, most_m_per_s2
+    def of(
+        cls,
+        x: ArrayLike,
+        v: ArrayLike,
+        a: ArrayLike,
+        most_m_per_s2: float,
+        rate: Rate = STANDARD,
+    ) -> Brake:
+        """Return the brake with so much deceleration at a rate."""
+        h, most = rate.period_s, most_m_per_s2
         way = np.where(np.asarray(v) < 0, -1.0, 1.0)
         speed, ahead = np.abs(v), np.clip(way * np.asarray(a), -most, most)
-        soon = np.clip(speed / (most - ahead / 2) / h, LEAST_TURN_TICKS, TURN_TICKS)
+        soon = np.clip(speed / (most - ahead / 2) / h, rate.ticks(LEAST_TURN_S), rate.ticks(TURN_S))
         turn = h * np.floor(soon)
         rest = np.maximum((speed + ahead * turn / 2) / most - turn, 0)
         steady = h * np.ceil(rest / h - 1e-9)
@@ -124,8 +133,9 @@ def run_on(setup: Setup) -> RunOn:
     """
     limits = setup.derived.limits
     most = limits.brake_acceleration_m_per_s2 or limits.path_acceleration_m_per_s2
-    course = Course.of(setup.reference["x_ref_m"])
-    brakes = Brake.of(course.x, course.v, course.a, most)
+    rate = setup.rate
+    course = Course.of(setup.reference["x_ref_m"], rate)
+    brakes = Brake.of(course.x, course.v, course.a, most, rate)
     shares = np.linspace(0, 1, _PIECES)
     reach = np.max([np.abs(brakes.at(u * brakes.lasts_s)[0]) for u in shares], axis=0)
     # Where it may be worst, by the elastic stiffness; how bad it is there, by the elements.
@@ -137,9 +147,9 @@ def run_on(setup: Setup) -> RunOn:
     return RunOn(
         brake_m_per_s2=most,
         displacement_m=float(reach[furthest]),
-        displacement_at_s=furthest * core.PERIOD_S,
+        displacement_at_s=furthest * rate.period_s,
         force_n=forces[strongest],
-        force_at_s=instants[strongest] * core.PERIOD_S,
+        force_at_s=instants[strongest] * rate.period_s,
     )
 
 
@@ -155,12 +165,13 @@ def _worst(values: Floats) -> list[int]:
 
 def _force(setup: Setup, course: Course, n: int, most_m_per_s2: float) -> float:
     """Return the largest force of the specimen on its way to rest from tick n on."""
-    brake = Brake.of(course.x[n], course.v[n], course.a[n], most_m_per_s2)
-    ticks = round(float(brake.lasts_s) / core.PERIOD_S)
-    way = brake.at(core.PERIOD_S * np.arange(1, ticks + 1))
+    h = setup.rate.period_s
+    brake = Brake.of(course.x[n], course.v[n], course.a[n], most_m_per_s2, setup.rate)
+    ticks = round(float(brake.lasts_s) / h)
+    way = brake.at(h * np.arange(1, ticks + 1))
     x, v, a = (
         np.concatenate([before[: n + 1], after])
         for before, after in zip((course.x, course.v, course.a), way, strict=True)
     )
-    total = sum(core.Element(one).run(x, v, a) for one in experiment.reference_elements(setup))
+    total = sum(core.Element(one).run(x, v, a, h) for one in experiment.reference_elements(setup))
     return float(np.abs(np.asarray(total)[n:]).max(initial=0.0)) if np.size(total) > 1 else 0.0

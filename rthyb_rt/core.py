@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rthyb_rt.links.wire import Codec
 
 FS_HZ: Final = 1024.0
+"""The rate of real time. That of a test in virtual time is its own: `experiment.Setup.rate`."""
 PERIOD_S: Final = 1.0 / FS_HZ
 WINDOW_MAX: Final[int] = lib.RTHYB_WINDOW_MAX
 DELAY_MAX: Final[int] = lib.RTHYB_DELAY_MAX
@@ -699,6 +700,7 @@ CAUSES: Final[tuple[str, ...]] = (
 )
 WATCHABLE: Final = CAUSES[CAUSES.index("skips") :]
 BLIND_MAX: Final[int] = lib.RTHYB_BLIND_MAX
+LOST_TICKS: Final[int] = lib.RTHYB_LOST_TICKS
 
 
 @dataclass(frozen=True)
@@ -734,6 +736,11 @@ class StationConfig:
     ramp_in_ticks: int = 2048
     armed_ticks: int = 30720
     stay: bool = False
+
+    @property
+    def fs_hz(self) -> float:
+        """Sample rate."""
+        return 1.0 / self.controller.period_s
 
     def plain(self) -> dict[str, Any]:
         """Return all of it as plain values, for a recording: `of` takes them back."""
@@ -1025,7 +1032,7 @@ class Virtual:
         stop_decel_m_per_s2: how the drive brakes by itself after a trip.
 
     Raises:
-        CoreError: the deceleration is not positive.
+        CoreError: the deceleration is not positive, or station and rig are not of one rate.
     """
 
     def __init__(self, station: Station, rig: Rig, stop_decel_m_per_s2: float = 1.0) -> None:
@@ -1035,7 +1042,13 @@ class Virtual:
         self._c.station, self._c.rig = station._c, rig._c
         self._c.ag_mps2, self._c.ag_count = self._ag, station._ag.size
         self._c.stop_decel_m_per_s2 = stop_decel_m_per_s2
-        if lib.rthyb_virtual_init(self._c):
+        error = lib.rthyb_virtual_init(self._c)
+        if error == lib.RTHYB_E_PERIOD:
+            raise CoreError(
+                f"the station ticks every {station._c.cfg.controller.period_s:g} s, the virtual "
+                f"rig every {rig._c.cfg.servo.period_s:g} s; they must be the same"
+            )
+        if error:
             raise CoreError(
                 f"the drive brakes with {stop_decel_m_per_s2} m/s^2, more than 0 is needed"
             )

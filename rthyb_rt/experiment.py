@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import functools
+import math
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import __version__, config, core, ground_motion, recording
-from rthyb_rt.config import Derived, Limit, Limits, RigFile, TestFile
+from rthyb_rt.config import Derived, Limit, Limits, Rate, RigFile, TestFile
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import testfile as test_file
 from rthyb_rt.config.limits import VelocityLimit
@@ -65,6 +66,11 @@ class Setup:
         """Length of the test in samples."""
         return int(self.ag_mps2.size)
 
+    @property
+    def rate(self) -> Rate:
+        """Sample rate of the test."""
+        return self.derived.rate
+
 
 def prepare(
     test: TestFile,
@@ -88,6 +94,8 @@ def prepare(
     def read() -> GroundMotion:
         return load_motion(test) if record is None else record
 
+    if real_time:
+        _refuse_other_rate(test)
     derived, whole = _both(lambda: config.derive(test, rig), read)
     test = config.resolve(test, derived)
     baseline = ground_motion.baseline_check(whole)
@@ -96,9 +104,9 @@ def prepare(
     if lasts_s is None:
         lasts_s = motion.duration_s + test.test.free_vibration_s
     ag = ground_motion.resample(
-        motion, core.FS_HZ, method=test.ground_motion.interpolation, duration_s=lasts_s
+        motion, derived.fs_hz, method=test.ground_motion.interpolation, duration_s=lasts_s
     )
-    end_tick = round(min(motion.duration_s, lasts_s) * core.FS_HZ)
+    end_tick = round(min(motion.duration_s, lasts_s) * derived.fs_hz)
     setup = Setup(
         test=test,
         rig=rig,
@@ -106,7 +114,7 @@ def prepare(
         motion=motion,
         ag_mps2=ag,
         controller=controller_config(test, rig, derived, end_tick),
-        virtual_rig=rig_config(rig),
+        virtual_rig=rig_config(rig, derived.fs_hz),
         notes=derived.notes + (() if baseline.ok else (f"ground motion: {baseline.message}",)),
     )
     try:
@@ -125,34 +133,48 @@ def prepare(
     return replace(setup, notes=notes)
 
 
+def _refuse_other_rate(test: TestFile) -> None:
+    hz = test.test.sample_rate_hz
+    if hz != core.FS_HZ:
+        raise InputError(
+            f"found {hz:g} Hz; a test in real time goes at {core.FS_HZ:g} Hz, and other rates are "
+            "for virtual time; leave the key out (or --set test.sample_rate_hz="
+            f"{core.FS_HZ:g}), or run it without --realtime",
+            "test.sample_rate_hz",
+        )
+
+
 def follow_reference(setup: Setup) -> Setup:
     """Fill in what limits follow from the reference simulation, as far as no file says them.
 
     Args:
         setup: the test with its reference, and the limits of its files.
     """
-    derived, wanted = setup.derived, setup.test.controller
+    derived, wanted, h = setup.derived, setup.test.controller, setup.rate.period_s
     x_m = setup.reference["x_ref_m"]
     lead = core.Plc(wanted.w1, wanted.w2)
     sent_m = lead.run(x_m, derived.alpha0, derived.beta0) if derived.plc_enabled else x_m
     limits = limits_file.with_reference(
         derived.limits,
-        float(np.abs(np.diff(sent_m)).max(initial=0.0)) / core.PERIOD_S,
-        float(np.abs(np.diff(x_m, 2)).max(initial=0.0)) / core.PERIOD_S**2,
+        float(np.abs(np.diff(sent_m)).max(initial=0.0)) / h,
+        float(np.abs(np.diff(x_m, 2)).max(initial=0.0)) / h**2,
     )
-    derived = replace(derived, limits=_with_sensors(setup.rig, limits, setup.reference))
+    derived = replace(derived, limits=_with_sensors(setup.rig, limits, setup.rate, setup.reference))
     return replace(setup, derived=derived, test=config.resolve(setup.test, derived))
 
 
 def _with_sensors(
-    rig: RigFile, limits: limits_file.Resolved, expected: NDArray[np.void] | None = None
+    rig: RigFile,
+    limits: limits_file.Resolved,
+    rate: Rate,
+    expected: NDArray[np.void] | None = None,
 ) -> limits_file.Resolved:
     """Fill in the limits that follow from sensors and link, and from a reference."""
     peak, step = 0.0, 0.0
     if expected is not None:
         peak = float(np.abs(expected["v_ref_mps"]).max(initial=0.0))
         step = float(np.abs(np.diff(expected["f_ref_n"])).max(initial=0.0))
-    found = config.derived_limits(rig, limits, peak, step)
+    found = config.derived_limits(rig, limits, peak, step, rate)
     return replace(limits, derived={**limits.derived, **found})
 
 
@@ -237,17 +259,20 @@ def prescribed(rig: RigFile, name: str, path_m: NDArray[np.float64]) -> Setup:
     """
     test = config.parse_test(_PRESCRIBED.format(name=name), name)
     derived = config.derive(test, rig)
-    derived = replace(derived, limits=_with_sensors(rig, derived.limits))
+    derived = replace(derived, limits=_with_sensors(rig, derived.limits, derived.rate))
     test = config.resolve(test, derived)
     controller = controller_config(test, rig, derived, path_m.size)
     return Setup(
         test=test,
         rig=rig,
         derived=derived,
-        motion=GroundMotion("none", name, core.PERIOD_S, np.zeros(1)),
+        motion=GroundMotion("none", name, derived.rate.period_s, np.zeros(1)),
         ag_mps2=path_m,
-        controller=replace(controller, motion=core.MotionConfig("prescribed")),
-        virtual_rig=rig_config(rig),
+        controller=replace(
+            controller,
+            motion=core.MotionConfig("prescribed", period_s=derived.rate.period_s),
+        ),
+        virtual_rig=rig_config(rig, derived.fs_hz),
     )
 
 
@@ -277,6 +302,7 @@ def controller_config(
         f_range_n=sensors.force.range_n or 0.0,
         velocity_limit_m_per_s=velocity.value if velocity and velocity.enable else 0.0,
         acceleration_limit_m_per_s2=limits.command_acceleration_m_per_s2 or 0.0,
+        period_s=derived.rate.period_s,
     )
 
 
@@ -284,9 +310,12 @@ def _estimator_config(test: TestFile, derived: Derived) -> core.EstimatorConfig:
     wanted = test.controller
     estimator = wanted.delay_estimator
     law, with_beta = _LAWS[wanted.type] if derived.estimator_enabled else ("fixed", False)
-    # The file's gain is per mm^2, the core's per reference^2.
+    # The file's gain is per mm^2, the core's per reference^2. A slope per sample is the smaller the
+    # shorter the sample: in units of a reference that shrinks with it, phi is the same at any rate.
+    # And what is learnt in a sample is as much less as there are more of them.
     per_reference = (estimator.reference_displacement_m / 1e-3) ** 2
     gain = derived.gain_per_mm2_per_sample * per_reference
+    rate = derived.rate
     return core.EstimatorConfig(
         law=law,
         estimate_beta=with_beta,
@@ -294,12 +323,13 @@ def _estimator_config(test: TestFile, derived: Derived) -> core.EstimatorConfig:
         w2=wanted.w2,
         alpha0=derived.alpha0,
         beta0=derived.beta0,
-        reference_m=estimator.reference_displacement_m,
-        gain=derived.rate_per_sample if law == "robust" else gain,
-        memory_samples=derived.memory_s * core.FS_HZ,
+        period_s=rate.period_s,
+        reference_m=estimator.reference_displacement_m / rate.pace,
+        gain=(derived.rate_per_sample if law == "robust" else gain) / rate.pace,
+        memory_samples=derived.memory_s * rate.hz,
         cutoff_hz=estimator.cutoff_hz,
-        alpha_min=estimator.alpha_min,
-        alpha_max=estimator.alpha_max,
+        alpha_min=derived.alpha_min,
+        alpha_max=derived.alpha_max,
         rest_noise_m=derived.rest_noise_displacement_m,
         gate_factor=estimator.gate_factor,
     )
@@ -314,6 +344,7 @@ def motion_config(test: TestFile, derived: Derived) -> core.MotionConfig:
         stiffness_n_per_m=test.numerical.stiffness_n_per_m,
         k_e_n_per_m=derived.k_e_n_per_m,
         rho_inf=test.numerical.rho_inf,
+        period_s=derived.rate.period_s,
     )
 
 
@@ -337,6 +368,14 @@ WATCHES: Final[dict[str, str]] = {
 """What the station calls the limits of the files."""
 RIG_WATCHES: Final = {key: f"rig_{WATCHES[key]}" for key in limits_file.BEFORE_TARE}
 """And those of the rig file that act before the tare."""
+_TIMED: Final[dict[str, Callable[[Rate, float], float]]] = {
+    "command_increment_m": Rate.increment,
+    "sensor_stuck_samples": Rate.samples,
+    "force_stuck_samples": Rate.samples,
+    "sensor_jump_m": Rate.leap,
+    "force_jump_n": Rate.leap,
+}
+"""Limits that a file counts in samples of 1/1024 s, and what they are at another rate."""
 
 
 def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
@@ -347,8 +386,11 @@ def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
         real: there is a link, and something behind it that may break: limits that are derived, and
             that no file states, act as they say. Else they only indicate.
     """
-    limits, resolved = setup.test.limits, setup.derived.limits
+    limits, resolved, rate = setup.test.limits, setup.derived.limits, setup.rate
     given = {cause: _watched(limits, resolved, key, real) for key, cause in WATCHES.items()}
+    # Those that are derived are of the test's own samples already.
+    stated = {WATCHES[key] for key in _TIMED if getattr(limits, key) is not None}
+    keys = {cause: key for key, cause in WATCHES.items()}
     for key, cause in RIG_WATCHES.items():
         given[cause] = getattr(setup.rig.limits, key)
         if resolved.sources.get(key) != "test":
@@ -360,7 +402,10 @@ def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
     return core.StationConfig(
         controller=controller,
         watches={
-            cause: core.Watch(float(limit.value), limit.action)
+            cause: core.Watch(
+                at_rate(keys[cause], limit.value, rate) if cause in stated else float(limit.value),
+                limit.action,
+            )
             for cause, limit in given.items()
             # Switched off is not left out: the station has its own for skipped ticks.
             if limit is not None and (limit.acts or cause == "skips")
@@ -371,10 +416,17 @@ def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
         rest_spread_m=resolved.rest_spread_m,
         tare_most_m=_tare_most(setup, "command_position_m"),
         tare_most_n=_tare_most(setup, "force_n"),
-        tare_ticks=_ticks(resolved.tare_s),
-        ramp_in_ticks=_ticks(resolved.ramp_in_s),
-        armed_ticks=_ticks(resolved.armed_timeout_s),
+        tare_ticks=rate.ticks(resolved.tare_s),
+        ramp_in_ticks=rate.ticks(resolved.ramp_in_s),
+        armed_ticks=rate.ticks(resolved.armed_timeout_s),
     )
+
+
+def at_rate(key: str, value: float, rate: Rate) -> float:
+    """Return what a file's limit comes to at a rate, in samples of that."""
+    timed = _TIMED.get(key)
+    value = float(value) if timed is None else timed(rate, float(value))
+    return float(max(2, round(value))) if key.endswith("_samples") else value
 
 
 def _tare_most(setup: Setup, key: str) -> float:
@@ -405,10 +457,6 @@ def first_parameters(setup: Setup, station: core.StationConfig) -> dict[str, Any
     return {"generation": 0, "tick": 0, "values": values}
 
 
-def _ticks(seconds: float) -> int:
-    return max(1, round(seconds * core.FS_HZ))
-
-
 def calibration(rig: RigFile) -> core.Calibration:
     """Return the six factors between the wire and the structure.
 
@@ -434,11 +482,11 @@ def stop_decel_m_per_s2(rig: RigFile) -> float:
     return default if rig.link is None else rig.link.stop_decel_m_per_s2
 
 
-def rig_config(rig: RigFile) -> core.RigConfig:
-    """Return the virtual rig that a rig file describes."""
+def rig_config(rig: RigFile, fs_hz: float = core.FS_HZ) -> core.RigConfig:
+    """Return the virtual rig that a rig file describes, at a sample rate."""
     displacement, force = rig.sensors.displacement, rig.sensors.force
     return core.RigConfig(
-        servo=_servo_config(rig),
+        servo=_servo_config(rig, Rate(fs_hz)),
         elements=specimen_elements(rig),
         displacement=core.SensorConfig(
             displacement.noise_std_m,
@@ -452,12 +500,19 @@ def rig_config(rig: RigFile) -> core.RigConfig:
     )
 
 
-def _servo_config(rig: RigFile) -> core.ServoConfig:
-    """Translate the actuator; whatever its kind, transport is the core's ``delay_samples``."""
+def _servo_config(rig: RigFile, rate: Rate) -> core.ServoConfig:
+    """Translate the actuator; whatever its kind, transport is the core's ``delay_samples``.
+
+    Its substeps are those of a sample of 1/1024 s: at another rate they are as long.
+    """
     given = rig.actuator.model_dump(exclude=set(TOLERANCES))
     samples = given.pop("delay_samples", 0) + given.pop("extra_delay_samples", 0)
-    delay = samples + given.pop("delay_s", 0.0) * core.FS_HZ
-    return core.ServoConfig(hold=rig.rig.command_hold, delay_samples=float(delay), **given)
+    delay = rate.samples(samples) + given.pop("delay_s", 0.0) * rate.hz
+    if "substeps" in given:
+        given["substeps"] = math.ceil(given["substeps"] / rate.pace)
+    return core.ServoConfig(
+        hold=rig.rig.command_hold, period_s=rate.period_s, delay_samples=float(delay), **given
+    )
 
 
 def specimen_elements(rig: RigFile) -> tuple[core.ElementConfig, ...]:
@@ -543,7 +598,7 @@ def blank(setup: Setup, clock: str) -> recording.Recording:
     """
     return recording.Recording(
         samples=np.zeros(0, dtype=core.RECORD_DTYPE),
-        fs_hz=core.FS_HZ,
+        fs_hz=setup.derived.fs_hz,
         ag_mps2=setup.ag_mps2,
         ground_motion=_provenance(setup),
         reference=setup.reference,

@@ -216,7 +216,9 @@ def _crossings(p: Floats, q: Floats) -> list[float]:
     return [float(theta) for theta in low]
 
 
-def largest_followed_delay(motion: MotionConfig, lead: Lead, most: int) -> int | None:
+def largest_followed_delay(
+    motion: MotionConfig, lead: Lead, most: int, step: int = 1
+) -> int | None:
     """Return the largest pure delay that is survived while alpha equals the delay.
 
     Args:
@@ -224,14 +226,23 @@ def largest_followed_delay(motion: MotionConfig, lead: Lead, most: int) -> int |
         lead: the compensator; its alpha is replaced by the delay, and where it has a beta, that by
             delay^2 / 2.
         most: delay at which to stop looking, samples.
+        step: samples from one delay that is tried to the next, until one is too much; the last
+            stretch is then tried sample by sample.
 
     Returns:
         The delay, ``most`` if none is too much, None if not even 0 is survived.
     """
-    for delay in range(most + 1):
+
+    def survives(delay: int) -> bool:
         beta = delay**2 / 2.0 if lead.beta else 0.0
-        if not is_stable(motion, delay, Lead(float(delay), beta, lead.w1, lead.w2)):
-            return delay - 1 if delay else None
+        return is_stable(motion, delay, Lead(float(delay), beta, lead.w1, lead.w2))
+
+    survived = -1
+    for delay in (*range(0, most, step), most):
+        if not survives(delay):
+            too_much = next(n for n in range(survived + 1, delay + 1) if not survives(n))
+            return too_much - 1 if too_much else None
+        survived = delay
     return most
 
 

@@ -13,7 +13,7 @@ from rthyb_rt.endings import RefusedError, in_words
 from rthyb_rt.errors import RthybError
 
 REST_TICKS: Final = 103
-"""Rows at rest behind a test that are kept with it: a tenth of a second."""
+"""Rows of 1/1024 s at rest behind a test that are kept with it: a tenth of a second."""
 
 TARE_MARGIN_S: Final = 2.0
 """On top of the tare's own time, in which it has to come to its end."""
@@ -122,7 +122,7 @@ class Sequence:
             if test.now_s >= end_s:
                 return False
             left_s = min(end_s, self._hold_ends_s) - test.now_s
-            test.advance(max(math.ceil(min(left_s * core.FS_HZ, STEP_TICKS)), 1))
+            test.advance(max(math.ceil(min(left_s * test.config.fs_hz, STEP_TICKS)), 1))
             if self._progress is not None:
                 self._progress(*test.progress)
             self._attend_hold()
@@ -188,7 +188,7 @@ class Sequence:
             raise
         if name != "zero":
             return
-        tare_s = test.config.tare_ticks / core.FS_HZ
+        tare_s = test.config.tare_ticks / test.config.fs_hz
         self.until(lambda: test.state != "IDLE" or test.zeroing_failed, tare_s + TARE_MARGIN_S)
         if test.state == "IDLE" and not self.stopped:
             raise test.not_zeroed()

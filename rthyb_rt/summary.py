@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import margins, measures, trips
 from rthyb_rt.attention import Finding, Judge, Subject
+from rthyb_rt.config.rate import Rate
 from rthyb_rt.core import Integrator, MotionConfig
 from rthyb_rt.numbers import count, number, percent, quantity
 from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
@@ -107,7 +108,10 @@ def setup(rec: Recording) -> Setup:
             damping = ratio * critical
         elif damping is not None:
             ratio = damping / critical
-    window = _number(_get(test, "controller", "rfc", "window_samples"))
+    rate = Rate(rec.fs_hz)
+    window = _times(_number(_get(test, "controller", "rfc", "window_samples")), rate.pace)
+    if window is None:
+        window = _times(_number(_get(test, "controller", "rfc", "window_s")), rate.hz)
     plc = compensated and _get(test, "controller", "plc_enabled") is not False
     estimator = ("controller", "delay_estimator")
     return Setup(
@@ -115,18 +119,18 @@ def setup(rec: Recording) -> Setup:
         plc_enabled=plc,
         estimator_enabled=plc and _get(test, *estimator, "enabled") is not False,
         rfc_enabled=compensated and _get(test, "controller", "rfc", "enabled") is not False,
-        alpha_min=_number(_get(test, *estimator, "alpha_min")),
-        alpha_max=_number(_get(test, *estimator, "alpha_max")),
-        alpha_identified=_number(_get(rig, "identified", "alpha")),
+        alpha_min=_times(_number(_get(test, *estimator, "alpha_min")), rate.pace),
+        alpha_max=_times(_number(_get(test, *estimator, "alpha_max")), rate.pace),
+        alpha_identified=_times(_number(_get(rig, "identified", "alpha")), rate.pace),
         k_e_n_per_m=k_e,
         mass_kg=mass,
         period_s=period,
         damping_n_s_per_m=damping,
         damping_ratio=ratio,
-        critical_delay_samples=_critical_delay(test, mass, damping, k_e),
+        critical_delay_samples=_critical_delay(test, mass, damping, k_e, rate),
         window_samples=None if window is None else round(window),
         tangent=_words(_get(test, "controller", "rfc", "tangent")) or None,
-        gain=_gain(controller, _get(test, *estimator)),
+        gain=_gain(controller, _get(test, *estimator), rate),
         limits=_limits(test),
         reference_peak_m=_reference_peak(rec, "x_ref_m"),
         reference_peak_n=_reference_peak(rec, "f_ref_n"),
@@ -136,7 +140,11 @@ def setup(rec: Recording) -> Setup:
 
 
 def _critical_delay(
-    test: dict[str, Any], mass: float | None, damping: float | None, k_e: float | None
+    test: dict[str, Any],
+    mass: float | None,
+    damping: float | None,
+    k_e: float | None,
+    rate: Rate,
 ) -> float | None:
     """Return what `rthyb check` knows of the structure; None where the files do not say enough."""
     integrator = _get(test, "numerical", "integrator")
@@ -149,6 +157,7 @@ def _critical_delay(
         stiffness_n_per_m=_number(_get(test, "numerical", "stiffness_n_per_m")) or 0.0,
         k_e_n_per_m=k_e,
         rho_inf=_number(_get(test, "numerical", "rho_inf")) or 0.0,
+        period_s=rate.period_s,
     )
     try:
         return margins.critical_delay(motion)
@@ -178,11 +187,15 @@ _GAINS = {
 }
 
 
-def _gain(controller: str | None, estimator: Any) -> str | None:
+def _gain(controller: str | None, estimator: Any, rate: Rate) -> str | None:
     """Return the one setting of a controller's adaptive law in words."""
     key, words = _GAINS.get(controller or "", ("", ""))
     value = _number(_get(estimator, key))
-    return None if value is None else words.format(f"{value:g}")
+    if value is None:
+        return None
+    # A file's sample is one of 1/1024 s whatever the rate of its test.
+    of = " of 1/1024 s" if words.endswith("sample") and rate.pace != 1.0 else ""
+    return words.format(f"{value:g}") + of
 
 
 def _words(value: Any) -> str:
@@ -205,6 +218,10 @@ def _get(tree: Any, *path: str) -> Any:
 def _number(value: Any) -> float | None:
     usable = isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
     return float(value) if usable else None
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
 
 
 def _positive(value: Any) -> float | None:

@@ -76,7 +76,7 @@ class Bench:
     @property
     def now_s(self) -> float:
         """The time of its ticks."""
-        return self._count / core.FS_HZ
+        return self._count / self.run.setup.derived.fs_hz
 
     def command(self, name: core.Command) -> int:
         """Run one tick with an operator's command; return its number.
@@ -99,7 +99,8 @@ class Bench:
 
     def settle(self) -> None:
         """Run what is kept behind a test."""
-        self.advance(AFTER_TRIP if self.state == "TRIPPED" else REST_TICKS)
+        kept = AFTER_TRIP if self.state == "TRIPPED" else REST_TICKS
+        self.advance(self.run.setup.rate.ticks(kept / core.FS_HZ))
 
     def not_zeroed(self) -> RthybError:
         """Return why the tare did not come to its end."""

@@ -170,7 +170,7 @@ def test_start_away_from_zero_gives_no_false_first_ratio() -> None:
     ("settings", "message"),
     [
         ({"window": 0}, "T0"),
-        ({"window": 1025}, "T0"),
+        ({"window": core.WINDOW_MAX + 1}, "T0"),
         ({"k_e_n_per_m": 0.0}, "k_e"),
         ({"k_e_n_per_m": -1.0}, "k_e"),
         ({"k_e_n_per_m": np.nan}, "k_e"),

@@ -30,7 +30,7 @@ MEANINGS: dict[str, str] = {
     "GroundMotion.record": "name of a built-in record, or path of a file (beside the test file)",
     "GroundMotion.units": "unit of the file's numbers, for a file that does not say it",
     "GroundMotion.channel": "number, or part of the name, of one component of several",
-    "GroundMotion.interpolation": "how the record is brought to 1024 Hz",
+    "GroundMotion.interpolation": "how the record is brought to the test's rate",
     "Numerical.integrator": "integrator of the equation of motion",
     "DelayEstimator.enabled": "false: alpha stays at alpha0, beta at beta0",
     "Rfc.enabled": "false: the measured force goes uncorrected into the equation of motion",

@@ -59,9 +59,11 @@ def check(
       rthyb check my-test.toml --rig my-rig.toml --set numerical.period_s=0.8
     """
     from rthyb_rt import braking, experiment
+    from rthyb_rt.core import FS_HZ
 
     test_file, rig_file = load(test, rig, settings)
-    setup = experiment.prepare(test_file, rig_file, real_time=rig_file.link is not None)
+    real_time = rig_file.link is not None and test_file.test.sample_rate_hz == FS_HZ
+    setup = experiment.prepare(test_file, rig_file, real_time=real_time)
     figures, limits, link = _figures(setup), _limits(setup), _link(setup)
     runs_on = braking.run_on(setup)
     factors = _calibration(setup)
@@ -154,17 +156,21 @@ def _figures(setup: Setup) -> Figures:
     motion = setup.controller.motion
     lead = margins.Lead(derived.alpha0, derived.beta0, wanted.w1, wanted.w2)
     leads = derived.plc_enabled
-    most = math.floor(wanted.delay_estimator.alpha_max)
+    most = math.floor(derived.alpha_max)
+    rate = derived.rate
     reference = setup.reference
     phi = max(
-        margins.peak_excitation(x, lead, wanted.delay_estimator.reference_displacement_m)
+        margins.peak_excitation(
+            x, lead, wanted.delay_estimator.reference_displacement_m / rate.pace
+        )
         for x in (reference["x_ref_m"], margins.elastic_displacement_m(motion, setup.ag_mps2))
     )
-    identified = setup.rig.identified.alpha if setup.rig.identified else None
+    identified = rate.samples(setup.rig.identified.alpha) if setup.rig.identified else None
     loop_gain = None
     if wanted.type == "paper" and derived.estimator_enabled:
         delay = derived.alpha0 if identified is None else identified
-        loop_gain = margins.estimator_loop_gain(derived.gain_per_mm2_per_sample, delay, phi)
+        gain = derived.gain_per_mm2_per_sample / rate.pace
+        loop_gain = margins.estimator_loop_gain(gain, delay, phi)
     return Figures(
         samples=setup.ticks,
         duration_s=setup.ticks / derived.fs_hz,
@@ -181,7 +187,9 @@ def _figures(setup: Setup) -> Figures:
         lead_nyquist_gain=lead.nyquist_gain if leads else None,
         critical_delay_samples=margins.critical_delay(motion),
         critical_delay_with_lead_samples=margins.critical_delay(motion, lead) if leads else None,
-        critical_delay_followed_samples=margins.largest_followed_delay(motion, lead, most)
+        critical_delay_followed_samples=margins.largest_followed_delay(
+            motion, lead, most, max(1, round(rate.pace))
+        )
         if leads
         else None,
         identified_delay_samples=identified,
@@ -199,6 +207,8 @@ def _figures(setup: Setup) -> Figures:
 
 def _remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
     """Return notes and warnings."""
+
+    from rthyb_rt.config import STANDARD
 
     notes, warnings = list(setup.notes), list[str]()
     if "warning" in setup.motion.details:
@@ -220,6 +230,11 @@ def _remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
             "is set with an action that ends it"
         )
     if setup.rig.link is not None:
+        if setup.rate != STANDARD:
+            notes.append(
+                f"test.sample_rate_hz = {setup.rate.hz:g} Hz is for virtual time: a test in real "
+                f"time goes at {STANDARD.hz:g} Hz, and will be refused"
+            )
         more_notes, more_warnings = _real_time_remarks(setup, f)
         notes, warnings = notes + more_notes, warnings + more_warnings
     return notes, warnings
@@ -247,10 +262,11 @@ def _real_time_remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
         )
     # Two samples that are each off by four standard deviations.
     step = f.reference_peak_m_per_s / setup.derived.fs_hz + 8 * noise
-    if jump is not None and jump.acts and jump.value < step:
+    if jump is not None and jump.acts and setup.rate.leap(jump.value) < step:
         warnings.append(
-            f"limits.sensor_jump_m = {jump.value:g} m is below the {step:.2g} m that displacement "
-            "and noise change by from sample to sample: good readings will be refused"
+            f"limits.sensor_jump_m = {setup.rate.leap(jump.value):g} m is below the {step:.2g} m "
+            "that displacement and noise change by from sample to sample: good readings will be "
+            "refused"
         )
     if spread is not None and spread < NOISE_SPAN * noise:
         warnings.append(
@@ -309,6 +325,8 @@ def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
 
 def _limits_in_reach(setup: Setup, f: Figures) -> list[str]:
     """Name the limits that already the reference simulation exceeds."""
+    from rthyb_rt.config import STANDARD_HZ
+
     limits = setup.test.limits
     pairs = [
         ("command_position_m", limits.command_position_m, f.reference_peak_m, "m"),
@@ -327,7 +345,7 @@ def _limits_in_reach(setup: Setup, f: Figures) -> list[str]:
             f"limits.command_velocity_m_per_s = {velocity.value:g} m/s is below the "
             f"{peak_m_per_s:.3g} m/s of the reference simulation: the command will be held back"
         )
-    peak_m = peak_m_per_s / setup.derived.fs_hz
+    peak_m = peak_m_per_s / STANDARD_HZ
     if increment is not None and increment.acts and peak_m > increment.value:
         found.append(
             f"limits.command_increment_m = {increment.value:g} m is below the {peak_m:.3g} m a "
@@ -379,7 +397,7 @@ def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
 
     rows = [
         ("Ground motion", f"{setup.motion.name}, PGA {number(f.pga_g)} g", ""),
-        ("Length of the test", f"{f.duration_s:.2f} s ({f.samples} samples)", ""),
+        ("Length of the test", f"{f.duration_s:.2f} s ({f.samples} samples)", _rate_words(fs_hz)),
         (
             "Period",
             f"{number(f.period_s)} s ({number(1 / f.period_s)} Hz)",
@@ -402,7 +420,7 @@ def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
             ("alpha0", samples(f.alpha0), "delay that the phase lead begins with"),
             ("beta0", f"{number(f.beta0)} samples²", "its curvature term"),
             ("Lead, first sample", number(f.lead_first_sample_gain, 4), "gain on a step, C(∞)"),
-            ("Lead, Nyquist", number(f.lead_nyquist_gain, 4), "gain at 512 Hz, |C(−1)|"),
+            ("Lead, Nyquist", number(f.lead_nyquist_gain, 4), f"gain at {fs_hz / 2:g} Hz, |C(−1)|"),
         ]
     rows.append(
         ("Critical delay, none", samples(f.critical_delay_samples), "elastic specimen, no lead")
@@ -638,9 +656,15 @@ def _calibration_rows(c: dict[str, float]) -> list[tuple[str, str, str]]:
     ]
 
 
+def _rate_words(fs_hz: float) -> str:
+    from rthyb_rt.config import STANDARD_HZ
+
+    return "" if fs_hz == STANDARD_HZ else f"at {fs_hz:g} Hz, in virtual time"
+
+
 def _followed(setup: Setup, f: Figures, samples: Any) -> str:
     delay = f.critical_delay_followed_samples
-    most = math.floor(setup.test.controller.delay_estimator.alpha_max)
+    most = math.floor(setup.derived.alpha_max)
     return f"above alpha_max = {most}" if delay == most else str(samples(delay))
 
 

@@ -24,11 +24,14 @@ from rthyb_rt.config.loading import (
     split_overrides,
 )
 from rthyb_rt.config.mapfile import MapFile
+from rthyb_rt.config.rate import STANDARD, STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import Calibration, Identified, Link, RigFile, SpecimenElement
 from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.config.writing import dump
 
 __all__ = [
+    "STANDARD",
+    "STANDARD_HZ",
     "BaselineFile",
     "Calibration",
     "Derived",
@@ -37,6 +40,7 @@ __all__ = [
     "Limits",
     "Link",
     "MapFile",
+    "Rate",
     "RigFile",
     "SpecimenElement",
     "TestFile",

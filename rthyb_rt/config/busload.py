@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rthyb_rt.config.fields import SAMPLE_RATE_HZ
+from rthyb_rt.config.rate import STANDARD_HZ
 
 if TYPE_CHECKING:
     from rthyb_rt.links.wire import Codec
@@ -92,7 +92,7 @@ def bus_load(frames: Sequence[FrameSize], bitrate: int, data_bitrate: int | None
         arbitration, data = can_fd_bits(frame)
         switched = data_bitrate if data_bitrate and index else bitrate
         seconds += arbitration / bitrate + data / switched
-    return seconds * SAMPLE_RATE_HZ
+    return seconds * STANDARD_HZ
 
 
 def bus_fault(
@@ -124,7 +124,7 @@ def serial_load(baud: int) -> float:
 
 def serial_bits_per_s() -> int:
     """Return the bits of command and feedback in a second."""
-    return round((COMMAND_BYTES + FEEDBACK_BYTES) * BITS_PER_BYTE * SAMPLE_RATE_HZ)
+    return round((COMMAND_BYTES + FEEDBACK_BYTES) * BITS_PER_BYTE * STANDARD_HZ)
 
 
 def serial_fault(baud: int) -> str | None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from rthyb_rt.config.fields import SAMPLE_RATE_HZ
 from rthyb_rt.config.limits import (
     IncrementLimit,
     Limit,
@@ -18,10 +17,11 @@ from rthyb_rt.config.limits import (
     ShareLimit,
     StepLimit,
 )
+from rthyb_rt.config.rate import STANDARD, STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import RigFile, ServoHydraulic
 
-LEAST_STUCK_SAMPLES: Final = 20
-"""As many as without any pair are a lost link: a reading that repeats itself says as little."""
+LEAST_STUCK_S: Final = 20 / STANDARD_HZ
+"""As long as without any pair is a lost link: a reading that repeats itself says as little."""
 STUCK_ODDS: Final = 1e-12
 """By noise alone: once in thirty years of testing, 1024 samples a second."""
 MOST_LIKELY: Final = 0.7
@@ -42,15 +42,20 @@ SKIPS: Final = 50 / 1024
 
 
 def derived_limits(
-    rig: RigFile, limits: Resolved, peak_velocity_m_per_s: float, force_step_n: float
+    rig: RigFile,
+    limits: Resolved,
+    peak_velocity_m_per_s: float,
+    force_step_n: float,
+    rate: Rate = STANDARD,
 ) -> dict[str, Limit]:
-    """Return every limit that can be derived, by key.
+    """Return every limit that can be derived, by key; what is of a sample is of one at the rate.
 
     Args:
         rig: its sensors and what was identified of it.
         limits: of test and rig together, with the velocity limit that is derived if there is one.
         peak_velocity_m_per_s, force_step_n: of the reference simulation, the second from sample to
             sample; 0 where there is none.
+        rate: of the test.
     """
     displacement, force = rig.sensors.displacement, rig.sensors.force
     identified = rig.identified
@@ -59,9 +64,9 @@ def derived_limits(
     sigma_m = displacement.noise_std_m if noise_m is None else noise_m
     sigma_n = force.noise_std_n if noise_n is None else noise_n
     found: dict[str, Limit | None] = {
-        "sensor_stuck_samples": _stuck(sigma_m, displacement.lsb_m),
-        "force_stuck_samples": _stuck(sigma_n, force.lsb_n),
-        "sensor_jump_m": _jump_m(_velocity(limits), sigma_m, peak_velocity_m_per_s),
+        "sensor_stuck_samples": _stuck(sigma_m, displacement.lsb_m, rate),
+        "force_stuck_samples": _stuck(sigma_n, force.lsb_n, rate),
+        "sensor_jump_m": _jump_m(_velocity(limits), sigma_m, peak_velocity_m_per_s, rate),
         "force_jump_n": _jump_n(rig, limits.limits, sigma_n, force_step_n),
         "lost_pairs_share": ShareLimit(value=LOST, action="ramp-out"),
         "lost_pairs_warning_share": ShareLimit(value=LOST_WARNING, action="indicate"),
@@ -76,12 +81,12 @@ def repeat_odds(sigma: float, step: float) -> float:
     return math.erf(step / (2.0 * math.sqrt(2.0) * sigma)) if sigma > 0 else 1.0
 
 
-def _stuck(sigma: float, step: float) -> SampleLimit | None:
+def _stuck(sigma: float, step: float, rate: Rate) -> SampleLimit | None:
     odds = repeat_odds(sigma, step)
     if odds > MOST_LIKELY:
         return None
     samples = math.ceil(math.log(STUCK_ODDS) / math.log(odds)) if odds > 0 else 0
-    return SampleLimit(value=max(samples, LEAST_STUCK_SAMPLES), action="ramp-out")
+    return SampleLimit(value=max(samples, rate.ticks(LEAST_STUCK_S), 2), action="ramp-out")
 
 
 def _velocity(limits: Resolved) -> Limit | None:
@@ -89,14 +94,16 @@ def _velocity(limits: Resolved) -> Limit | None:
     return given or limits.derived.get("command_velocity_m_per_s")
 
 
-def _jump_m(velocity: Limit | None, sigma_m: float, peak_m_per_s: float) -> IncrementLimit | None:
+def _jump_m(
+    velocity: Limit | None, sigma_m: float, peak_m_per_s: float, rate: Rate
+) -> IncrementLimit | None:
     if velocity is not None and velocity.enable:
         fastest = FASTER * velocity.value
     else:
         fastest = FASTER_THAN_REFERENCE * peak_m_per_s
     if not (sigma_m > 0 and fastest > 0):
         return None
-    jump_m = fastest / SAMPLE_RATE_HZ + JUMP_SIGMAS * sigma_m
+    jump_m = fastest / rate.hz + JUMP_SIGMAS * sigma_m
     return IncrementLimit(value=min(jump_m, 100.0), action="ramp-out")
 
 

@@ -6,18 +6,20 @@ import math
 from dataclasses import dataclass
 
 from rthyb_rt.config import limits as limits_file
-from rthyb_rt.config.fields import SAMPLE_RATE_HZ
+from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import (
     BoucWen,
     ChabocheElement,
     CoulombElement,
     CoulombUnevenElement,
+    FirstOrder,
     InertiaElement,
     IwanElement,
     MenegottoPintoElement,
     PDeltaElement,
     PendulumElement,
     PowerDampingElement,
+    PureDelay,
     RcColumnElement,
     RigFile,
     ServoHydraulic,
@@ -33,7 +35,7 @@ DEFAULT_WINDOW_PERIODS = 0.1
 DEFAULT_GAIN_PER_MM2_PER_SAMPLE = 0.03
 DEFAULT_RATE_PER_SAMPLE = 0.002
 DEFAULT_MEMORY_S = 2.0
-MAX_WINDOW_SAMPLES = 1024
+MAX_WINDOW_S = 1.0
 OIL_SUBSTEPS = 75
 """Substeps that a period of the table on its oil column needs: with fewer the response to friction
 and valve changes with their number."""
@@ -49,11 +51,14 @@ class Derived:
         stiffness_n_per_m: k_e plus the computed stiffness.
         mass_kg, period_s: with m = k (T / 2 pi)^2 of the whole stiffness.
         damping_n_s_per_m, damping_ratio: with c = 2 zeta sqrt(k m).
-        window_samples: T0 of Eqn 3.3.
-        alpha0, beta0: what the phase-lead compensator starts with, samples and samples^2.
+        window_samples: T0 of Eqn 3.3, samples at that rate.
+        alpha0, beta0: what the phase-lead compensator starts with, samples and samples^2 at that
+            rate.
+        alpha_min, alpha_max: bounds of the delay estimate, in the same.
         plc_enabled, estimator_enabled, rfc_enabled: what runs; nothing does for type "none".
         tangent: the tangent-stiffness formula.
-        gain_per_mm2_per_sample, rate_per_sample, memory_s: settings of the three adaptive laws.
+        gain_per_mm2_per_sample, rate_per_sample, memory_s: settings of the three adaptive laws, as
+            a file has them: of samples of 1/1024 s.
         rest_noise_displacement_m, rest_noise_force_n: noise at rest behind the excitation gate.
         limits: the limits of test and rig together, with where each comes from.
         notes: what a user should know and need not act on.
@@ -69,6 +74,8 @@ class Derived:
     window_samples: int
     alpha0: float
     beta0: float
+    alpha_min: float
+    alpha_max: float
     plc_enabled: bool
     estimator_enabled: bool
     rfc_enabled: bool
@@ -80,6 +87,11 @@ class Derived:
     rest_noise_force_n: float
     limits: limits_file.Resolved
     notes: tuple[str, ...] = ()
+
+    @property
+    def rate(self) -> Rate:
+        """The rate of the test."""
+        return Rate(self.fs_hz)
 
     @property
     def k_e(self) -> float:
@@ -95,28 +107,30 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     """
     problems: list[Problem] = []
     notes: list[str] = []
+    rate = Rate(test.test.sample_rate_hz)
     k_e = rig.rig.elastic_stiffness_n_per_m
     stiffness = k_e + test.numerical.stiffness_n_per_m
     mass, period = _mass_and_period(test.numerical, stiffness, problems)
     damping, ratio = _damping(test.numerical, stiffness, mass)
-    _check_integration(test.numerical, period, ratio, problems, notes)
+    _check_integration(test.numerical, period, ratio, rate, problems, notes)
+    _check_rate(test, rig, rate, problems)
     alpha0 = _alpha0(test, rig, problems)
     beta0 = _beta0(test)
     noise_m, noise_n = _rest_noise(test, rig, notes)
     limits = limits_file.resolve(test.limits, rig.limits, rig.rig.name, noise_m, problems)
     _note_stiffness(rig, notes)
     _note_sensor_ranges(limits.limits, rig, notes)
-    _note_friction(test, rig, mass, notes)
+    _note_friction(test, rig, mass, rate, notes)
     _note_substeps(rig, notes)
     controller = test.controller
     estimator = controller.delay_estimator
-    window = _window_samples(test, period, problems)
+    window = _window_samples(test, period, rate, problems)
     if problems:
         raise InputError(problems)
     active = controller.type != "none"
     default_tangent = "mean-of-ratios" if controller.type == "paper" else "least-squares"
     return Derived(
-        fs_hz=SAMPLE_RATE_HZ,
+        fs_hz=rate.hz,
         k_e_n_per_m=k_e,
         stiffness_n_per_m=stiffness,
         mass_kg=mass,
@@ -124,8 +138,10 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         damping_n_s_per_m=damping,
         damping_ratio=ratio,
         window_samples=window,
-        alpha0=alpha0,
-        beta0=beta0,
+        alpha0=rate.samples(alpha0),
+        beta0=rate.samples(rate.samples(beta0)),
+        alpha_min=rate.samples(estimator.alpha_min),
+        alpha_max=rate.samples(estimator.alpha_max),
         plc_enabled=active and controller.plc_enabled,
         estimator_enabled=active and estimator.enabled,
         rfc_enabled=active and controller.rfc.enabled,
@@ -155,18 +171,19 @@ def resolve(test: TestFile, derived: Derived) -> TestFile:
             "memory_s": derived.memory_s,
         }
     )
+    standard = derived.rate.pace == 1.0
     rfc = controller.rfc.model_copy(
         update={
             "window_periods": None,
-            "window_s": None,
-            "window_samples": derived.window_samples,
+            "window_s": None if standard else derived.window_samples / derived.fs_hz,
+            "window_samples": derived.window_samples if standard else None,
             "tangent": derived.tangent,
         }
     )
     resolved = controller.model_copy(
         update={
-            "alpha0": derived.alpha0,
-            "beta0": derived.beta0,
+            "alpha0": derived.alpha0 / derived.rate.pace,
+            "beta0": derived.beta0 / derived.rate.pace / derived.rate.pace,
             "delay_estimator": estimator,
             "rfc": rfc,
         }
@@ -206,8 +223,22 @@ def _damping(numerical: Numerical, stiffness: float, mass: float) -> tuple[float
 
 
 def _check_integration(
-    numerical: Numerical, period: float, ratio: float, problems: list[Problem], notes: list[str]
+    numerical: Numerical,
+    period: float,
+    ratio: float,
+    rate: Rate,
+    problems: list[Problem],
+    notes: list[str],
 ) -> None:
+    if numerical.integrator == "central-difference" and period * rate.hz <= math.pi:
+        problems.append(
+            Problem(
+                "test.sample_rate_hz",
+                f"found {rate.hz:g} Hz; a period of {period:.3g} s needs more than "
+                f"{math.pi / period:.4g} Hz with the integrator central-difference, which runs off "
+                "below pi samples a period; raise it, or take cr or kr-alpha",
+            )
+        )
     if numerical.damping_n_s_per_m is not None and ratio > 2:
         problems.append(
             Problem(
@@ -217,11 +248,42 @@ def _check_integration(
             )
         )
     if numerical.integrator == "forward-euler":
-        lost = math.pi / (period * SAMPLE_RATE_HZ)
+        lost = math.pi / (period * rate.hz)
         notes.append(
             f"forward Euler takes {100 * lost:.2f} percentage points of the damping ratio away: "
             f"{100 * ratio:.2f} % acts as {100 * (ratio - lost):.2f} %"
             + (", so the motion grows by itself" if ratio < lost else "")
+        )
+
+
+def _check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]) -> None:
+    """Find what cannot be had at a rate: part of a sample of a pure delay, too high a cut-off."""
+    actuator = rig.actuator
+    key, delay = "", 0
+    if isinstance(actuator, PureDelay):
+        key, delay = "delay_samples", actuator.delay_samples
+    elif isinstance(actuator, FirstOrder):
+        key, delay = "extra_delay_samples", actuator.extra_delay_samples
+    if delay and rate.samples(delay) != round(rate.samples(delay)):
+        step = STANDARD_HZ / math.gcd(delay, int(STANDARD_HZ))
+        whole = [f"{hz:g}" for hz in (256, 512, 1024, 2048, 4096) if hz % step == 0]
+        problems.append(
+            Problem(
+                "test.sample_rate_hz",
+                f'found {rate.hz:g} Hz; the {actuator.kind} actuator of rig "{rig.rig.name}" has '
+                f"{key} = {delay} of 1/1024 s, which are {rate.samples(delay):.4g} samples at that "
+                f"rate and must be whole; rates that fit are multiples of {step:g} Hz "
+                f"({', '.join(whole)}), or take an actuator of kind second-order with delay_s",
+            )
+        )
+    cutoff_hz = test.controller.delay_estimator.cutoff_hz
+    if test.controller.type in ("robust", "alpha-beta") and cutoff_hz >= rate.hz / 2:
+        problems.append(
+            Problem(
+                "controller.delay_estimator.cutoff_hz",
+                f"found {cutoff_hz:g} Hz; must be below half of test.sample_rate_hz = "
+                f"{rate.hz:g} Hz; lower it, or raise the rate ({LEAST_HZ:g} to {MOST_HZ:g} Hz)",
+            )
         )
 
 
@@ -260,24 +322,24 @@ def _beta0(test: TestFile) -> float:
     return 0.0 if controller.type == "none" or controller.beta0 is None else controller.beta0
 
 
-def _window_samples(test: TestFile, period: float, problems: list[Problem]) -> int:
+def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Problem]) -> int:
     rfc = test.controller.rfc
     if rfc.window_samples is not None:
-        return rfc.window_samples
+        return max(1, round(rate.samples(rfc.window_samples)))
     if rfc.window_s is not None:
         key, window_s = "window_s", rfc.window_s
     else:
         key = "window_periods"
         window_s = _given(rfc.window_periods, DEFAULT_WINDOW_PERIODS) * period
-    samples = math.floor(window_s * SAMPLE_RATE_HZ + 0.5)
-    if not 1 <= samples <= MAX_WINDOW_SAMPLES:
+    samples = math.floor(window_s * rate.hz + 0.5)
+    most = math.floor(MAX_WINDOW_S * rate.hz + 0.5)
+    if not 1 <= samples <= most:
         problems.append(
             Problem(
                 f"controller.rfc.{key}",
                 f"a window of {window_s:.4g} s is T0 = {samples} samples; must be from 1 to "
-                f"{MAX_WINDOW_SAMPLES}, which at a period of {period:.4g} s are "
-                f"{1 / SAMPLE_RATE_HZ / period:.2g} to "
-                f"{MAX_WINDOW_SAMPLES / SAMPLE_RATE_HZ / period:.2g} periods",
+                f"{most}, which at a period of {period:.4g} s are {1 / rate.hz / period:.2g} to "
+                f"{most / rate.hz / period:.2g} periods",
             )
         )
     return samples
@@ -359,7 +421,7 @@ def _steep(element: SpecimenElement) -> _Steep | None:
     return None
 
 
-def _note_friction(test: TestFile, rig: RigFile, mass: float, notes: list[str]) -> None:
+def _note_friction(test: TestFile, rig: RigFile, mass: float, rate: Rate, notes: list[str]) -> None:
     """Name friction that changes sign faster than an explicit step can follow: F_c h > m w."""
     found = [(f"specimen.{i}", *steep) for i, e in enumerate(rig.specimen) if (steep := _steep(e))]
     moving = mass + sum(e.m_kg for e in rig.specimen if isinstance(e, InertiaElement))
@@ -370,7 +432,7 @@ def _note_friction(test: TestFile, rig: RigFile, mass: float, notes: list[str]) 
         found.append(("actuator", "friction_n", table.friction_n, 1.0, 0.0, width))
         moving += table.moving_mass_kg
     for place, key, force, at, n, width in found:
-        needed = (force / (SAMPLE_RATE_HZ * moving * at**n)) ** (1 / (1 - n))
+        needed = (force / (rate.hz * moving * at**n)) ** (1 / (1 - n))
         if width < needed:
             name = "friction_width_m_per_s" if place == "actuator" else "width_m_per_s"
             how = f" ({key} h / m)" if n == 0 else ""
@@ -388,7 +450,7 @@ def _note_substeps(rig: RigFile, notes: list[str]) -> None:
         return
     stiffness = actuator.oil_stiffness_n_per_m + rig.rig.elastic_stiffness_n_per_m
     omega = math.sqrt(stiffness / actuator.moving_mass_kg)
-    needed = math.ceil(OIL_SUBSTEPS * omega / (2 * math.pi * SAMPLE_RATE_HZ))
+    needed = math.ceil(OIL_SUBSTEPS * omega / (2 * math.pi * STANDARD_HZ))
     if actuator.substeps < needed:
         notes.append(
             f"actuator.substeps = {actuator.substeps} is coarse for a table that swings at "

@@ -36,9 +36,6 @@ from pydantic_core import (
 
 from rthyb_rt.config import units
 
-SAMPLE_RATE_HZ = 1024.0
-"""The controller's one sample rate (the paper's Section 4)."""
-
 _EXPLAINED = "explained"
 
 

@@ -10,7 +10,8 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 from pydantic import GetJsonSchemaHandler, StrictBool
 from pydantic_core import CoreSchema
 
-from rthyb_rt.config.fields import SAMPLE_RATE_HZ, Count, Range, Table
+from rthyb_rt.config.fields import Count, Range, Table
+from rthyb_rt.config.rate import STANDARD_HZ
 from rthyb_rt.errors import Problem
 
 Action = Literal["none", "indicate", "hold", "ramp-out", "trip"]
@@ -91,7 +92,7 @@ class DisplacementLimit(Limit):
 
 
 class IncrementLimit(Limit):
-    """A limit on what a displacement may change by in one sample."""
+    """A limit on what a displacement may change by in one sample of 1/1024 s."""
 
     value: Annotated[float, Range("m", 1e-9, 100, "the limit")]
 
@@ -123,13 +124,13 @@ class EnergyLimit(Limit):
 
 
 class SampleLimit(Limit):
-    """A limit on a number of samples."""
+    """A limit on a number of samples of 1/1024 s."""
 
     value: Annotated[int, Count(2, 1024 * 60, "the number of samples")]
 
 
 class StepLimit(Limit):
-    """A limit on what a force may change by in one sample."""
+    """A limit on what a force may change by in one sample of 1/1024 s."""
 
     value: Annotated[float, Range("N", 1e-3, 1e10, "the limit")]
 
@@ -369,7 +370,7 @@ def _figures(
         fastest.append((name, velocity.value))
     if increment is not None and increment.acts:
         name = f"limits.command_increment_m = {increment.value:g} m"
-        fastest.append((name, increment.value * SAMPLE_RATE_HZ))
+        fastest.append((name, increment.value * STANDARD_HZ))
     hardest = _hardest(limits)
     figures = {
         "path_velocity_m_per_s": _path_figure(

@@ -11,7 +11,6 @@ from pydantic import Field, StrictBool
 
 from rthyb_rt.config import busload
 from rthyb_rt.config.fields import (
-    SAMPLE_RATE_HZ,
     SLUG,
     SOME_TEXT,
     Check,
@@ -23,6 +22,7 @@ from rthyb_rt.config.fields import (
     Text,
 )
 from rthyb_rt.config.limits import Limits
+from rthyb_rt.config.rate import STANDARD_HZ
 
 RIG_SCHEMA = "rthyb-rig/1"
 MAX_SUBSTEPS = 1024
@@ -112,12 +112,12 @@ TOLERANCES = ("delay_tol_s", "natural_frequency_tol", "damping_ratio_tol", "gain
 
 def _oil_column_resolved(oil: float, mass: float, substeps: int) -> str | None:
     """The table on its oil column, stepped explicitly: h^2 k < 4 m, as the core demands."""
-    if (1 / (SAMPLE_RATE_HZ * substeps)) ** 2 * oil < 4 * mass:
+    if (1 / (STANDARD_HZ * substeps)) ** 2 * oil < 4 * mass:
         return None
-    needed = math.floor(math.sqrt(oil / (4 * mass)) / SAMPLE_RATE_HZ) + 1
+    needed = math.floor(math.sqrt(oil / (4 * mass)) / STANDARD_HZ) + 1
     remedy = f"at least substeps = {needed}"
     if needed > MAX_SUBSTEPS:
-        softest = 4 * mass * (SAMPLE_RATE_HZ * MAX_SUBSTEPS) ** 2
+        softest = 4 * mass * (STANDARD_HZ * MAX_SUBSTEPS) ** 2
         remedy = f"less than {softest:.3g} N/m even at substeps = {MAX_SUBSTEPS}"
     return (
         f"found {oil:g} N/m; on moving_mass_kg = {mass:g} kg with substeps = {substeps} the oil "

@@ -8,6 +8,7 @@ from pydantic import Field, StrictBool
 
 from rthyb_rt.config.fields import SLUG, SOME_TEXT, Check, Choice, Count, Range, Table, Text
 from rthyb_rt.config.limits import Limits
+from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ
 
 TEST_SCHEMA = "rthyb-test/1"
 
@@ -19,7 +20,8 @@ SampleCount = Annotated[
 class TestInfo(Table):
     """Name and length of the test.
 
-    ``duration_s`` absent means the ground motion followed by ``free_vibration_s``.
+    ``duration_s`` absent means the ground motion followed by ``free_vibration_s``. Another rate
+    than 1024 Hz is for virtual time; what the files count in samples is of 1/1024 s at any rate.
     """
 
     __test__: ClassVar[bool] = False
@@ -30,6 +32,9 @@ class TestInfo(Table):
     free_vibration_s: Annotated[
         float, Range("s", 0, 600, "the free vibration after the motion")
     ] = 10.0
+    sample_rate_hz: Annotated[
+        float, Range("Hz", LEAST_HZ, MOST_HZ, "the rate of the controller")
+    ] = STANDARD_HZ
 
 
 class GroundMotion(Table):

@@ -87,7 +87,7 @@ def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = Non
     for name, text, beside in (
         ("the model as given", given, None), ("what was found", augmented, law),
     ):  # fmt: skip
-        virtual = experiment.rig_config(config.parse_rig(text, name))
+        virtual = experiment.rig_config(config.parse_rig(text, name), rec.fs_hz)
         bench = Bench(setup, virtual, settings) if beside is None else _Beside(
             setup, virtual, settings, beside
         )  # fmt: skip
@@ -121,10 +121,10 @@ def _as_recorded(rec: Recording, count: int) -> tuple[Setup, core.StationConfig 
         test=test,
         rig=rig,
         derived=derived,
-        motion=GroundMotion("recorded", "recording", core.PERIOD_S, ag),
+        motion=GroundMotion("recorded", "recording", 1.0 / rec.fs_hz, ag),
         ag_mps2=ag,
         controller=experiment.controller_config(test, rig, derived, end_tick),
-        virtual_rig=experiment.rig_config(rig),
+        virtual_rig=experiment.rig_config(rig, rec.fs_hz),
     )
     first = rec.replay.parameters[0]["values"] if rec.replay.parameters else {}
     stated = core.StationConfig.of(first["station"]) if "station" in first else None
@@ -147,7 +147,7 @@ class _Beside(Bench):
         for n in range(rows.size):
             x_m, f_n, _ = self._rig.step(self._command_m)
             now_m = self._rig.true_displacement_m
-            f_n += self._law(now_m, (now_m - self._was_m) / core.PERIOD_S)
+            f_n += self._law(now_m, (now_m - self._was_m) * self.run.setup.derived.fs_hz)
             self._was_m = now_m
             first = self._command_m if self.run.station.ticks == 0 else None
             tick = self.run.station.tick(x_m, f_n, command=command, taken_over_m=first)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -106,11 +107,16 @@ def _from_rig(path: Path, schema: str) -> Model:
         rig = config.load_rig(config.find_rig(test.rig))
     else:
         rig = config.load_rig(path)
-    return model_of_rig(rig, test)
+    return model_of_rig(rig, test, core.FS_HZ if test is None else test.test.sample_rate_hz)
 
 
-def model_of_rig(rig: Any, test: Any = None) -> Model:
-    """Return the model that a rig file (and, for the numerical part, a test file) stands for."""
+def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model:
+    """Return the model that a rig file (and, for the numerical part, a test file) stands for.
+
+    Args:
+        rig, test: the files.
+        fs_hz: rows a second of what is simulated with it.
+    """
     from rthyb_rt.experiment import specimen_elements, table_elements
 
     k = c = mass = 0.0
@@ -149,14 +155,14 @@ def model_of_rig(rig: Any, test: Any = None) -> Model:
     sensors = rig.sensors
     return Model(
         family="loop",
-        fs_hz=core.FS_HZ,
+        fs_hz=fs_hz,
         k=k,
         c=c,
         moving_mass=mass,
         k_tol=RIG_K_TOL,
         c_tol=RIG_C_TOL,
         bouc_wen=bouc_wen,
-        actuator=_rig_actuator(rig),
+        actuator=_rig_actuator(rig, fs_hz),
         mass=numerical_m,
         c_num=numerical_c,
         x_std=sensors.displacement.noise_std_m or None,
@@ -168,8 +174,16 @@ def model_of_rig(rig: Any, test: Any = None) -> Model:
     )
 
 
-def _rig_actuator(rig: Any) -> ActuatorModel | None:
+def at_rate(model: Model, fs_hz: float) -> Model:
+    """Return a rig file's model for rows at a rate: the file says nothing of one."""
+    if model.rig is None or model.fs_hz == fs_hz:
+        return model
+    return replace(model, fs_hz=fs_hz, actuator=_rig_actuator(model.rig, fs_hz))
+
+
+def _rig_actuator(rig: Any, fs_hz: float) -> ActuatorModel | None:
     """Return a rig's actuator as a second-order lag; None for one that is no such thing."""
+    # The file's samples are of 1/1024 s, whatever the rows are.
     a, h = rig.actuator, core.PERIOD_S
     hold, shift = rig.rig.command_hold, rig.rig.command_shift_s
     fast = 4000.0
@@ -181,7 +195,7 @@ def _rig_actuator(rig: Any) -> ActuatorModel | None:
         )  # fmt: skip
     if a.kind == "pure-delay":
         # Half a row earlier, so that the held command of that row is met in its middle.
-        late = (a.delay_samples - 0.5) * h if hold == "zoh" else a.delay_samples * h
+        late = a.delay_samples * h - (0.5 / fs_hz if hold == "zoh" else 0.0)
         return ActuatorModel(late + shift, fast, 1.0, 1.0, hold=hold)
     if a.kind == "first-order":
         f = float(np.sqrt(a.roll_off_hz * fast))

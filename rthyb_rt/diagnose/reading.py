@@ -18,7 +18,7 @@ from rthyb_rt.diagnose.case import CHANNELS, NO_READING, Case, Floats, Model
 from rthyb_rt.diagnose.estimate import filled, white_noise
 from rthyb_rt.diagnose.lab import Lab, read_lab, time_unit
 from rthyb_rt.diagnose.mapping import EXAMPLE, Wish, proposals
-from rthyb_rt.diagnose.modelfile import find_model, model_of_rig, read_model
+from rthyb_rt.diagnose.modelfile import at_rate, find_model, model_of_rig, read_model
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.errors import InputError
 
@@ -55,6 +55,7 @@ def read_case(
     lab = None
     if own is not None:
         t, channels, notes = _own(own)
+        model = at_rate(model, own.fs_hz)
     else:
         lab = read_lab(recording, model, wishes, needed=beside is None and judged)
         t, channels, notes = lab.t, lab.channels, lab.notes

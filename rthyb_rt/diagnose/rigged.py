@@ -55,7 +55,9 @@ def as_given(case: Case) -> Motion | None:
     rig = case.model.rig
     assert rig is not None
     made = Motion(
-        *core.Rig(experiment.rig_config(rig)).motion(estimate.filled(case.channels["x_cmd"]))
+        *core.Rig(experiment.rig_config(rig, case.fs_hz)).motion(
+            estimate.filled(case.channels["x_cmd"])
+        )
     )
     x_meas = case.channels["x_meas"]
     rows = case.rows & np.isfinite(x_meas)
@@ -68,7 +70,7 @@ def config_of(model: Augmented) -> core.RigConfig:
     """Return the model's rig with its effects in the specimen and sensors without an error."""
     rig = model.base.rig
     assert rig is not None
-    config = experiment.rig_config(rig)
+    config = experiment.rig_config(rig, model.base.fs_hz)
     made = augment.specimen(model)
     elements = augment.beside_table(made.elements, rig)
     elements, mass_kg = augment.mass_off_table(elements, rig)
@@ -76,7 +78,7 @@ def config_of(model: Augmented) -> core.RigConfig:
     if servo.kind == "servo-hydraulic":
         servo = replace(servo, moving_mass_kg=mass_kg)
         ridden = sum(e.params[0] for e in elements if e.kind == "inertia")
-        most = STEEP * max(servo.moving_mass_kg + ridden, 1e-6) / core.PERIOD_S
+        most = STEEP * max(servo.moving_mass_kg + ridden, 1e-6) * model.base.fs_hz
         wanted = ceil(sum(_steepness(e) for e in elements) / most)
         servo = replace(servo, substeps=min(max(servo.substeps, wanted), FINER * servo.substeps))
         elements = [_no_steeper(e, most * servo.substeps) for e in elements]

@@ -84,10 +84,10 @@ def _settings(
         test=test,
         rig=rig,
         derived=derived,
-        motion=GroundMotion("recorded", "recording", core.PERIOD_S, rec.ag_mps2),
+        motion=GroundMotion("recorded", "recording", 1.0 / rec.fs_hz, rec.ag_mps2),
         ag_mps2=rec.ag_mps2,
         controller=experiment.controller_config(test, rig, derived, int(values["rfc_end_tick"])),
-        virtual_rig=experiment.rig_config(rig),
+        virtual_rig=experiment.rig_config(rig, rec.fs_hz),
     )
     return experiment.station_config(setup)
 

@@ -338,7 +338,7 @@ static void tick_alone(episode *e, plain_drive *p)
     last->flags |= v.sent ? 0u : (uint32_t)RTHYB_F_NOT_SENT;
     row_count += out.records;
     judge(e, &v);
-    station_ticks += 1u + (in->skipped < RTHYB_BLIND_MAX ? in->skipped : RTHYB_BLIND_MAX);
+    station_ticks += 1u + (in->skipped < RTHYB_LOST_TICKS ? in->skipped : RTHYB_LOST_TICKS);
 }
 
 /* Another test with the drive as it is. */

@@ -281,7 +281,7 @@ static int is_finite(const rthyb_record *r)
 
 static void judge_rows(observer *o, const event *e)
 {
-    const uint32_t made_up = e->in.skipped < RTHYB_BLIND_MAX ? e->in.skipped : RTHYB_BLIND_MAX;
+    const uint32_t made_up = e->in.skipped < RTHYB_LOST_TICKS ? e->in.skipped : RTHYB_LOST_TICKS;
     must(o, RULE_ROWS, e->count == made_up + 1, e->count, made_up + 1.0);
     for (uint32_t i = 0; i < e->count && !o->over; i++) {
         const rthyb_record *r = &e->rows[i];

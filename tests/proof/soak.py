@@ -139,13 +139,15 @@ class Operator:
 
 
 def unexplained(rec: Recording) -> int:
-    """Return how many ticks have no row. A stall has one for each of its first `core.BLIND_MAX`."""
+    """Return how many ticks have no row. Of a stall the first `core.LOST_TICKS` have one each."""
     tick = rec.samples["tick"].astype(np.int64)
     blind = np.cumsum(rec.samples["flags"] & core.FLAGS["blind"] != 0)
     before = np.flatnonzero(np.diff(tick) > 1)
-    made_up = blind[before] - np.where(before >= core.BLIND_MAX, blind[before - core.BLIND_MAX], 0)
+    made_up = blind[before] - np.where(
+        before >= core.LOST_TICKS, blind[before - core.LOST_TICKS], 0
+    )
     gaps = np.diff(tick)[before] - 1
-    return int(gaps[made_up != core.BLIND_MAX].sum())
+    return int(gaps[made_up != core.LOST_TICKS].sum())
 
 
 # ---- the verdict --------------------------------------------------------------------------------
