@@ -78,8 +78,8 @@ def test_a_seed_gives_the_same_days_again(fuzz: Fuzz) -> None:
 BROKEN_ON_PURPOSE = {
     "a lost link is noticed late": (
         "station",
-        "#define LOST_TRIP 20",
-        "#define LOST_TRIP 23",
+        "missing >= s->ticks.lost && s->state",
+        "missing >= s->ticks.lost + 3 && s->state",
         "twenty ticks without a pair: TRIPPED",
     ),
     "a trip is told once more": (
@@ -90,14 +90,14 @@ BROKEN_ON_PURPOSE = {
     ),
     "skips are forgiven": (
         "station",
-        "#define SKIPS_RAMP_OUT 10",
-        "#define SKIPS_RAMP_OUT 19",
+        ".skips = ticks_of(10.0 * STANDARD_S, h),",
+        ".skips = ticks_of(19.0 * STANDARD_S, h),",
         "more than 10 ticks skipped in a row: motion ends",
     ),
     "an overload is borne a little longer": (
         "station",
-        "#define OVERLOAD_TICKS 256",
-        "#define OVERLOAD_TICKS 260",
+        ".overload = ticks_of(0.25, h),",
+        ".overload = ticks_of(0.254, h),",
         "force beyond its limit for .25 s in HOLD or RAMP_OUT: TRIPPED",
     ),
     "an overload may grow a little further": (
@@ -120,8 +120,8 @@ BROKEN_ON_PURPOSE = {
     ),
     "a reset trusts one reading": (
         "station",
-        "#define REST_TICKS 20",
-        "#define REST_TICKS 1",
+        ".rest = ticks_of(20.0 * STANDARD_S, h),",
+        ".rest = ticks_of(1.0 * STANDARD_S, h),",
         "TRIPPED is left by RESET alone, at rest",
     ),
     "an acceleration a hundredth too large": (

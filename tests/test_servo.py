@@ -228,7 +228,7 @@ def test_mass_of_the_specimen_rides_on_the_table() -> None:
     [
         {"kind": "pure-delay", "delay_samples": -1},
         {"kind": "pure-delay", "delay_samples": 1.5},
-        {"kind": "pure-delay", "delay_samples": 1025},
+        {"kind": "pure-delay", "delay_samples": core.DELAY_MAX + 1},
         {"kind": "pure-delay", "delay_samples": np.nan},
         {"kind": "pure-delay", "period_s": 0.0},
         {"kind": "pure-delay", "period_s": np.nan},
@@ -255,7 +255,7 @@ def test_hydraulic_setting_out_of_range_is_refused(name: str, value: float) -> N
         core.Rig(core.RigConfig(core.ServoConfig(**(HYDRAULIC | {name: value}))))
 
 
-@pytest.mark.parametrize("substeps", [0, 1025])
+@pytest.mark.parametrize("substeps", [0, 4097])
 def test_substeps_out_of_range_are_refused(substeps: int) -> None:
     with pytest.raises(core.CoreError):
         core.Rig(core.RigConfig(core.ServoConfig(**HYDRAULIC, substeps=substeps)))
