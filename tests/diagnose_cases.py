@@ -78,6 +78,27 @@ def baseline(**changes: object) -> str:
     )
 
 
+def rig(actuator: str = "", more: str = "") -> str:
+    """Return a rig file's text, of a spring behind an actuator; ``more``: the specimen goes on.
+
+    ``actuator``: further lines of the actuator's table.
+    """
+    return f"""schema = "rthyb-rig/1"
+[rig]
+name = "lab"
+elastic_stiffness_n_per_m = 5e5
+[actuator]
+kind = "second-order"
+natural_frequency_hz = 30
+damping_ratio = 0.8
+delay_s = 0.004
+{actuator}
+[[specimen]]
+element = "stiffness"
+k_n_per_m = 5e5
+{more}"""
+
+
 def channels(extra=None, *, kind: str = "sweep", delay: float = DELAY, seed: int = 1,
              amplitude: float = 7e-3) -> dict[str, np.ndarray]:  # fmt: skip
     """Return t, x_cmd, x_meas, f_meas; ``extra(t, x, v, a)`` is the force that is left out."""

@@ -328,20 +328,7 @@ def test_open_examples_are_answered_rightly(name):
 
 # ---- the full circle ---------------------------------------------------------------------------
 
-RIG = """
-schema = "rthyb-rig/1"
-[rig]
-name = "lab"
-elastic_stiffness_n_per_m = 5e5
-[actuator]
-kind = "second-order"
-natural_frequency_hz = 30
-damping_ratio = 0.8
-delay_s = 0.004
-[[specimen]]
-element = "stiffness"
-k_n_per_m = 5e5
-[[specimen]]
+DAMPED_AND_MEASURED = """[[specimen]]
 element = "viscous"
 c_n_s_per_m = 1500
 [sensors.displacement]
@@ -356,8 +343,9 @@ def test_a_hybrid_test_in_closed_loop_is_diagnosed_and_its_model_mended(tmp_path
     """PLC and RFC hide the friction from the response; cut at its signals, the loop shows it."""
     monkeypatch.chdir(tmp_path)
     naive, true = tmp_path / "naive.toml", tmp_path / "true.toml"
-    naive.write_text(RIG, encoding="utf-8")
-    true.write_text(RIG + '[[specimen]]\nelement = "coulomb"\nfc_n = 300\n', encoding="utf-8")
+    text = cases.rig(more=DAMPED_AND_MEASURED)
+    naive.write_text(text, encoding="utf-8")
+    true.write_text(text + '[[specimen]]\nelement = "coulomb"\nfc_n = 300\n', encoding="utf-8")
     assert run("run", "--rig", true) == 0
     (folder,) = (tmp_path / "runs").iterdir()
     assert run("diagnose", folder, "--model", naive, "--report", tmp_path / "out") == 8

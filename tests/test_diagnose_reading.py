@@ -505,35 +505,20 @@ def test_tolerances_of_an_actuator_come_with_the_model(tmp_path):
     assert (plain.delay_tol_s, plain.f_tol, plain.zeta_tol, plain.gain_tol) == (None,) * 4
 
 
-RIG = """schema = "rthyb-rig/1"
-[rig]
-name = "lab"
-elastic_stiffness_n_per_m = 5e5
-[actuator]
-kind = "second-order"
-natural_frequency_hz = 30
-damping_ratio = 0.8
-delay_s = 0.004
-delay_tol_s = "0.1 ms"
-natural_frequency_tol = "5 %"
-damping_ratio_tol = 0.1
-gain_tol = 0.01
-[[specimen]]
-element = "stiffness"
-k_n_per_m = 5e5
-"""
-
-
 def test_tolerances_of_a_rig_file_are_read_and_change_no_rig(tmp_path):
     from rthyb_rt import experiment
     from rthyb_rt.commissioning.certificate import rig_hash
 
     path = tmp_path / "rig.toml"
-    path.write_text(RIG)
+    text = cases.rig(
+        'delay_tol_s = "0.1 ms"\nnatural_frequency_tol = "5 %"\n'
+        "damping_ratio_tol = 0.1\ngain_tol = 0.01"
+    )
+    path.write_text(text)
     lag = reading.read_model(path).actuator
     assert (lag.delay_tol_s, lag.f_tol, lag.zeta_tol, lag.gain_tol) == (1e-4, 0.05, 0.1, 0.01)
     rig = config.load_rig(path)
-    bare = config.parse_rig("\n".join(n for n in RIG.splitlines() if "_tol" not in n))
+    bare = config.parse_rig("\n".join(n for n in text.splitlines() if "_tol" not in n))
     assert experiment.rig_config(rig) == experiment.rig_config(bare)
     assert rig_hash(rig) == rig_hash(bare)
     assert config.parse_rig(config.dump(rig)) == rig
