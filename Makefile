@@ -72,9 +72,10 @@ test: $(TEST_READY)
 	    $(BIN)/python -m pytest -m alone --last-failed; }
 
 # Single scenarios of ten seconds and more, which share next to nothing: whoever is done takes half of
-# what the other one has before it.
+# what the other one has before it. One worker leaves a processor to something else.
+WORKERS := 2
 test-long: $(TEST_READY)
-	@$(BIN)/python -m pytest -m long -n 2 --dist worksteal
+	@$(BIN)/python -m pytest -m long -n $(WORKERS) --dist worksteal
 
 # The guest is Debian's user-mode Linux, fetched into build/vm (Debian: user-mode-linux,
 # busybox-static, can-utils, iproute2). The core is built here first: in the guest nothing is.
