@@ -14,8 +14,9 @@ LINT_READY := $(VENV)/.lint-$(KEY)
 C_SOURCES := $(wildcard csrc/*.c)
 C_FILES := $(C_SOURCES) $(wildcard csrc/*.h)
 
-# Another environment that happens to be active must not reach into this one.
-unexport VIRTUAL_ENV PYTHONPATH PYTHONHOME CONDA_PREFIX
+# Another environment that happens to be active must not reach into this one. Containers often forbid
+# bytecode: every process of the program, and every session of pytest, would then compile all of it anew.
+unexport VIRTUAL_ENV PYTHONPATH PYTHONHOME CONDA_PREFIX PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # cmake and ninja of the environment serve where the system has none.
 export PATH := $(PATH):$(CURDIR)/$(BIN)
@@ -65,17 +66,19 @@ reproduce: $(TEST_READY)
 	@$(BIN)/rthyb reproduce
 
 # Two halves: what may take the whole of two processors, then what goes by the clock and mostly waits
-# for it. A machine that stalls may make one of those fail: what has failed is tried once more, alone.
+# for it, four at a time. A machine that stalls may make one of those fail: what has failed is tried once
+# more, alone.
+with_mark = $(shell grep -l 'mark\.$(1)' tests/test_*.py)
 test: $(TEST_READY)
 	@$(BIN)/python -m pytest -m 'not alone and not long' -n 2 --dist loadfile
-	@$(BIN)/python -m pytest -m alone -n 2 --dist loadfile || { echo 'Once more, what has failed:'; \
-	    $(BIN)/python -m pytest -m alone --last-failed; }
+	@$(BIN)/python -m pytest -m alone -n 4 --dist loadfile $(call with_mark,alone) \
+	    || { echo 'Once more, what has failed:'; $(BIN)/python -m pytest -m alone --last-failed; }
 
 # Single scenarios of ten seconds and more, which share next to nothing: whoever is done takes half of
 # what the other one has before it. One worker leaves a processor to something else.
 WORKERS := 2
 test-long: $(TEST_READY)
-	@$(BIN)/python -m pytest -m long -n $(WORKERS) --dist worksteal
+	@$(BIN)/python -m pytest -m long -n $(WORKERS) --dist worksteal $(call with_mark,long)
 
 # The guest is Debian's user-mode Linux, fetched into build/vm (Debian: user-mode-linux,
 # busybox-static, can-utils, iproute2). The core is built here first: in the guest nothing is.

@@ -149,9 +149,14 @@ def test_what_is_broken_on_purpose_is_found_with_its_seed(
     changed = tmp_path / f"{name}.c"
     changed.write_text(source.replace(text, other))
     broken = {name: compiled(changed, tmp_path / f"{name}.o")}
-    done = fuzz("ticks", MORE_TICKS, SEED, **broken)
+    found = ""
+    # The days of a short run are the first ones of a long run.
+    for ticks in (TICKS, MORE_TICKS):
+        done = fuzz("ticks", ticks, SEED, **broken)
+        found = told(done.stdout)[rule][1]
+        if found:
+            break
     assert done.returncode == 1
-    found = told(done.stdout)[rule][1]
     seed = re.search(r"episode (0x[0-9a-f]+)", found)
     assert seed, done.stdout
     again = fuzz("episode", seed[1], "3", **broken)

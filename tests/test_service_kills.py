@@ -340,8 +340,12 @@ def kill_in_one_test(victims: Victims, wanted: int, chance: random.Random, tally
 
 @pytest.mark.parametrize(
     ("blocks", "first_block", "pages"),
-    [(3, 0, 0), (3, 0, 1), (66, 63, 0), (66, 63, 2)],
-    ids=["from its beginning", "torn", "where the index branches", "where it does, torn"],
+    [
+        pytest.param(3, 0, 0, id="from its beginning"),
+        pytest.param(3, 0, 1, id="torn", marks=pytest.mark.long),
+        pytest.param(66, 63, 0, id="where the index branches", marks=pytest.mark.long),
+        pytest.param(66, 63, 2, id="where it does, torn"),
+    ],
 )
 def test_file_of_a_recorder_that_is_killed_at_any_of_its_writes_is_whole_and_gone_on_with(
     tmp_path: Path, blocks: int, first_block: int, pages: int

@@ -151,6 +151,7 @@ def boot(folder: Path, total: int, stalled: int = 0, failed: int = 0) -> tuple[i
     (folder / name).write_text(text, encoding="utf-8")
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", name]
     known = {"PYTHONPATH": str(Path(__file__).parent), "PYTHONDONTWRITEBYTECODE": "1"}
+    known["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # most of a start is other people's plugins
     ran = subprocess.run(
         command,
         cwd=folder,
