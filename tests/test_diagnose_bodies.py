@@ -41,7 +41,10 @@ def of_a_free_body(
     return diagnosed(folder, columns, head + "[noise]" + tail.partition("[noise]")[2])
 
 
-@pytest.mark.parametrize("missing", ["inertia", "stiffness"])
+EITHER = [pytest.param("inertia", marks=pytest.mark.long), "stiffness"]
+
+
+@pytest.mark.parametrize("missing", EITHER)
 def test_a_body_under_a_sine_of_force_does_not_tell_mass_from_stiffness(missing, tmp_path):
     """The closed form of the steady state: only k - m w^2 is in it."""
     w = 2 * np.pi * 0.9
@@ -54,7 +57,7 @@ def test_a_body_under_a_sine_of_force_does_not_tell_mass_from_stiffness(missing,
     assert sorted(d.ambiguous_with) == [["inertia"], ["stiffness"]]
 
 
-@pytest.mark.parametrize("missing", ["inertia", "stiffness"])
+@pytest.mark.parametrize("missing", EITHER)
 def test_a_body_under_a_sweep_of_force_tells_mass_from_stiffness(missing, tmp_path):
     n = rows(16.0)
     t = np.arange(n) / cases.FS
@@ -122,6 +125,7 @@ def swept(n: int, f0: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
     return wave[::FINE], wave
 
 
+@pytest.mark.long
 def test_a_mass_beside_a_play_of_a_body_under_a_force_is_named_too(tmp_path):
     """What an estimate may blur of the mass is half a per cent, and no fifteen."""
     n, gap = rows(10.0), 1.5e-4

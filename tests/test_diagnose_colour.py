@@ -119,7 +119,9 @@ def recorded(random: np.random.Generator, extra, shape: np.ndarray, of_x: bool =
     }
 
 
-@pytest.mark.parametrize("colour", [pytest.param(pink, marks=pytest.mark.long), filtered, resonant])
+@pytest.mark.parametrize(
+    "colour", [*(pytest.param(one, marks=pytest.mark.long) for one in (pink, filtered)), resonant]
+)
 def test_load_cell_of_coloured_noise_within_its_sheet_misses_nothing(tmp_path, colour):
     columns = recorded(np.random.default_rng(11), lambda t, x, v: 0.0, colour())
     d = written(tmp_path, columns, DRIVE)

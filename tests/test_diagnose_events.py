@@ -163,7 +163,7 @@ EVENTS: dict[Scenario, tuple[set[str], str]] = {
 """What is wrong, and which of it only from t0 on."""
 
 
-@pytest.mark.parametrize(("scenario", "seed"), in_turn(EVENTS, cell_jumps, network_slower))
+@pytest.mark.parametrize(("scenario", "seed"), in_turn(EVENTS, network_slower))
 def test_what_happens_in_mid_test_is_named_with_when(
     scenario: Scenario, seed: int, tmp_path: Path
 ) -> None:

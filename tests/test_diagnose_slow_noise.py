@@ -95,7 +95,8 @@ def on_ground(folder, seed: int, dashpot: float = 0.0):
     return engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
 
 
-@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [3, 4])
 def test_pink_noise_of_a_load_cell_on_a_shaking_table_misses_nothing(tmp_path, seed):
     d = on_ground(tmp_path, seed)
     assert (d.verdict, d.effects) == ("none", [])
