@@ -65,14 +65,16 @@ install:
 reproduce: $(TEST_READY)
 	@$(BIN)/rthyb reproduce
 
-# Two halves: what may take the whole of two processors, then what goes by the clock and mostly waits
-# for it, four at a time. A machine that stalls may make one of those fail: what has failed is tried once
-# more, alone.
+# What may take the whole of two processors; then what goes by the clock and mostly waits for it, four
+# at a time; then what compares computing times. A machine that stalls may make one of the last two
+# fail: what has failed is tried once more, by itself.
 with_mark = $(shell grep -l 'mark\.$(1)' tests/test_*.py)
+COMPARED := tests/test_speed.py
 test: $(TEST_READY)
 	@$(BIN)/python -m pytest -m 'not alone and not long' -n 2 --dist loadfile
-	@$(BIN)/python -m pytest -m alone -n 4 --dist loadfile $(call with_mark,alone) \
+	@$(BIN)/python -m pytest -m alone -n 4 --dist loadfile $(filter-out $(COMPARED),$(call with_mark,alone)) \
 	    || { echo 'Once more, what has failed:'; $(BIN)/python -m pytest -m alone --last-failed; }
+	@$(BIN)/python -m pytest $(COMPARED) || $(BIN)/python -m pytest $(COMPARED) --last-failed
 
 # Single scenarios of ten seconds and more, which share next to nothing: whoever is done takes half of
 # what the other one has before it. One worker leaves a processor to something else.
