@@ -69,11 +69,12 @@ reproduce: $(TEST_READY)
 # at a time; then what compares computing times. A machine that stalls may make one of the last two
 # fail: what has failed is tried once more, by itself.
 with_mark = $(shell grep -l 'mark\.$(1)' tests/test_*.py)
+CLOCKED := alone and not long
 COMPARED := tests/test_speed.py
 test: $(TEST_READY)
 	@$(BIN)/python -m pytest -m 'not alone and not long' -n 2 --dist loadfile
-	@$(BIN)/python -m pytest -m alone -n 4 --dist loadfile $(filter-out $(COMPARED),$(call with_mark,alone)) \
-	    || { echo 'Once more, what has failed:'; $(BIN)/python -m pytest -m alone --last-failed; }
+	@$(BIN)/python -m pytest -m '$(CLOCKED)' -n 4 --dist loadfile $(filter-out $(COMPARED),$(call with_mark,alone)) \
+	    || { echo 'Once more, what has failed:'; $(BIN)/python -m pytest -m '$(CLOCKED)' --last-failed; }
 	@$(BIN)/python -m pytest $(COMPARED) || $(BIN)/python -m pytest $(COMPARED) --last-failed
 
 # Single scenarios of ten seconds and more, which share next to nothing: whoever is done takes half of

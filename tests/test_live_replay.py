@@ -418,7 +418,7 @@ def drawn(pick: random.Random) -> tuple[core.RigConfig, core.Calibration, int]:
     return rig, pick.choice([core.IDENTITY, MOUNTED, tilted]), pick.choice([1, 2, 4, 20])
 
 
-@pytest.mark.parametrize("first", [0, 300])
+@pytest.mark.parametrize("first", [0, pytest.param(300, marks=pytest.mark.long)])
 def test_bad_days_over_a_users_dbc_are_replayed_from_what_the_recording_holds(
     first: int, own_dbc: wire.Codec, floats: wire.Codec, monkeypatch: pytest.MonkeyPatch
 ) -> None:

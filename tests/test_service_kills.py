@@ -35,6 +35,8 @@ from rthyb_rt.service.control import Client, Refusal, UnreachableError
 from rthyb_rt.service.growing import PART_NAME
 from rthyb_rt.service.recorder import read_status
 
+pytestmark = pytest.mark.alone
+
 KILLS = int(os.environ.get("RTHYB_KILLS", "4"))
 """How many; the long proof asks for 500."""
 KILLS_A_RIG = 25
