@@ -173,7 +173,7 @@ validate-diagnosis: $(TEST_READY)
 	    --recordings '$(RECORDINGS)' --page docs/diagnosis-proof.md
 
 validate-diagnosis-short: $(TEST_READY)
-	@$(PROOF) --short
+	@$(PROOF) --short --jobs $(WORKERS)
 
 # Minutes a case, one processor. What was stopped goes on at its case: build/policy.
 validate-policy: $(TEST_READY)
