@@ -362,6 +362,7 @@ def test_recorder_that_is_killed_again_and_again_loses_nothing(place: Path) -> N
             status = place / "rings" / recorders.STATUS_NAME
             status.unlink(missing_ok=True)
             until(status.exists, "the recorder's first word")
+            until(lambda: any((place / "runs").glob(f"*/{PART_NAME}")), "a file of the test")
             time.sleep(rng.uniform(0.0, 0.4))
             process.kill()
             process.communicate()
