@@ -501,8 +501,12 @@ def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
     fits = [f for f in singles if f is not None]
     known = {f.names[0]: f for f in fits}
     n = max(task.rows.size, 1)
+    stated = task.case.model.k_tol is not None
     # First what begins in mid-record alone: where that is all, no pair throughout is looked for.
-    fits += actuator_onset.propose(task, null, fits)
+    # As of the force: what a naive model lacks does not begin anywhere, and what a lag in another
+    # form leaves of the rest before a test would pass for a beginning.
+    if stated:
+        fits += actuator_onset.propose(task, null, fits)
     for size in (2, 3):
         best = min(fits, key=lambda f: f.chi2)
         left = best.chi2 - n
@@ -510,13 +514,13 @@ def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
         # What is left beside what was explained: the law of a single effect does as well. Where the
         # model is known well two that nearly cancel leave little of one another, so that only noise
         # ends the search for a pair; a delay and an oil column may leave less than that.
-        stated = size == 2 and task.case.model.k_tol is not None
+        close = size == 2 and stated
         if left < (
             POLICY.pair_beyond_chance * np.sqrt(2.0 * n)
-            if stated
+            if close
             else POLICY.pair_excess * n + POLICY.pair_share * (null.chi2 - n)
         ):
-            if not stated or best.before or best.names[0] not in LAGS:
+            if not close or best.before or best.names[0] not in LAGS:
                 break
             groups = [g for g in groups if {e.name for e in g} == LAGS]
         for group in groups:
@@ -526,7 +530,8 @@ def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
             if starts and (f := task.fit(group, starts)) is not None:
                 fits.append(f)
         fits += _parts(task, min(fits, key=lambda f: f.chi2))
-    fits += actuator_onset.propose_beside(task, fits)
+    if stated:
+        fits += actuator_onset.propose_beside(task, fits)
     scale = inflation(min(fits, key=lambda f: f.chi2).residual)
     fits.sort(key=lambda f: f.misfit(scale) + task.price(f))
     first: dict[tuple[str, ...], ActuatorFit] = {}

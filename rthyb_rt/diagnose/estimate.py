@@ -43,10 +43,14 @@ TURN_ROWS = 20
 
 def white_noise(signal: Floats) -> float:
     """Return the standard deviation of a signal's white noise from its fourth differences."""
-    good = signal[np.isfinite(signal)]
-    if good.size < 16:
-        return float("nan")
-    fourth = np.diff(good, 4)
+    fourth = np.diff(signal, 4)
+    fourth = fourth[np.isfinite(fourth)]
+    if fourth.size < 16:
+        # Of a channel that is read less often than the others, those of its own rows.
+        good = signal[np.isfinite(signal)]
+        if good.size < 16:
+            return float("nan")
+        fourth = np.diff(good, 4)
     return float(1.4826 * np.median(np.abs(fourth - np.median(fourth))) / np.sqrt(70.0))
 
 
@@ -93,12 +97,51 @@ def force_sheet(f_meas: Floats | None, f_std: float | None) -> float | None:
 
 
 def filled(signal: Floats) -> Floats:
-    """Return a signal with a straight line over its gaps."""
+    """Return a signal with a straight line over its gaps, and a cubic over those of few rows."""
     good = np.isfinite(signal)
     if good.all():
         return signal
     rows = np.arange(signal.size)
-    return np.interp(rows, rows[good], signal[good])
+    out = np.interp(rows, rows[good], signal[good])
+    short = _within_short_gaps(signal)
+    if short.any() and good.sum() >= 4:
+        out[short] = _cubic(rows[good], signal[good], rows[short])
+    return out
+
+
+def filled_if_short(signal: Floats) -> Floats:
+    """Return a signal with a cubic over its gaps of few rows, and the others as they are."""
+    return np.where(_within_short_gaps(signal), filled(signal), signal)
+
+
+def _gaps(signal: Floats) -> Iterable[tuple[int, int]]:
+    """Give the first row of each gap and the first one behind it."""
+    lost = ~np.isfinite(signal)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], lost.astype(np.int8), [0]))))
+    return zip(map(int, edges[::2]), map(int, edges[1::2]), strict=True)
+
+
+def _within_short_gaps(signal: Floats) -> Mask:
+    out = np.zeros(signal.size, dtype=np.bool_)
+    for a, b in _gaps(signal):
+        if b - a <= POLICY.short_gap and a > 0 and b < signal.size:
+            out[a:b] = True
+    return out
+
+
+def _cubic(at: Rows, y: Floats, wanted: Rows) -> Floats:
+    """Return values between rows by the cubic through the two neighbours to either side."""
+    right = np.clip(np.searchsorted(at, wanted), 2, at.size - 2)
+    index = right[:, None] + np.array([-2, -1, 0, 1])
+    x, f = at[index].astype(np.float64), y[index]
+    out = np.zeros(wanted.size)
+    for i in range(4):
+        term = f[:, i].copy()
+        for j in range(4):
+            if i != j:
+                term *= (wanted - x[:, j]) / (x[:, i] - x[:, j])
+        out += term
+    return out
 
 
 @dataclass(frozen=True)
@@ -473,16 +516,19 @@ def likeliest(
 
 
 def away_from_gaps(
-    signal: Floats, fs_hz: float, before_s: float, after_s: float
+    signal: Floats, fs_hz: float, before_s: float, after_s: float, bridged: bool = False
 ) -> NDArray[np.bool_]:
-    """Return the rows that a missing stretch of a signal does not reach, (n,)."""
-    lost = ~np.isfinite(signal)
-    if not lost.any():
-        return ~lost
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], lost.astype(np.int8), [0]))))
+    """Return the rows that a missing stretch of a signal does not reach, (n,).
+
+    Of one that is ``bridged`` a gap of few rows, over which `filled` is as good as its neighbours,
+    reaches only as far as it is long.
+    """
     out = np.ones(signal.size, dtype=np.bool_)
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
-        out[max(0, a - int(before_s * fs_hz)) : b + int(after_s * fs_hz)] = False
+    for a, b in _gaps(signal):
+        before, after = int(before_s * fs_hz), int(after_s * fs_hz)
+        if bridged and b - a <= POLICY.short_gap:
+            before, after = min(before, b - a), min(after, b - a)
+        out[max(0, a - before) : b + after] = False
     return out
 
 
@@ -521,10 +567,10 @@ def from_sensors(case: Case) -> Estimate | None:
         accelerations.append((aligned(case, parts, sigma), sigma))
     motion, known, s = smoothed(case, accelerations)
     mass = model.moving_mass
-    rows = case.rows & away_from_gaps(channels["x_meas"], case.fs_hz, 0.1, 0.1)
+    rows = case.rows & away_from_gaps(channels["x_meas"], case.fs_hz, 0.1, 0.1, bridged=True)
     for name in ("a_meas", "ag"):
         if name in channels:
-            rows = rows & away_from_gaps(channels[name], case.fs_hz, 0.1, 0.1)
+            rows = rows & away_from_gaps(channels[name], case.fs_hz, 0.1, 0.1, bridged=True)
     if model.family == "forced":
         force, sigma = filled(channels["f_in"]), noise_of(channels["f_in"], model.f_std)
         sigma = min(sigma, model.f_std) if model.f_std else sigma

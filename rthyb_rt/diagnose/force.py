@@ -200,6 +200,7 @@ class _Mover(_Fitter):
         super().__init__(problem)
         self.body, self.first = body, first
         self.tried: list[Fit] = []
+        self.scale = 1.0
         # A simulated motion is no estimate; but two good simulators differ by a little.
         self.exact, self.rows = True, float(body.rows.size)
         self.open = POLICY.form_of_rig if body.whole_rig else POLICY.form_moved
@@ -209,6 +210,7 @@ class _Mover(_Fitter):
         found = self.body.refined(self.problem, fit)
         if found is None:
             return None
+        self._scaled(found)
         self.tried.append(found)
         old = self.by_names.get(fit.names)
         if old is None or found.chi2 < old.chi2:
@@ -218,6 +220,19 @@ class _Mover(_Fitter):
     def fit(self, members: Iterable[Member]) -> Fit | None:
         begun = self.first.fit(members)
         return self.move(begun) if begun is not None else None
+
+    def rescale(self, scale: float, plain: Fit) -> None:
+        """Take rows for less evidence, in all that was simulated and will be.
+
+        Rows of coloured noise tell less; what the lab states of its model tells what it did.
+        """
+        self.scale = scale
+        for fit in (plain, *self.tried):
+            self._scaled(fit)
+
+    def _scaled(self, fit: Fit) -> None:
+        own = float(fit.residual @ fit.residual)
+        fit.chi2 += own / self.scale - own
 
     def pointless(self, names: tuple[str, ...]) -> bool:
         """Return whether a set need not be simulated: without one of its effects or more, or with
@@ -412,10 +427,7 @@ def _moved(
     best = min((plain, *mover.by_names.values()), key=mover.score)
     scale = inflation(best.residual)
     before, after = plain.chi2, best.chi2
-    for fit in (plain, *mover.tried):
-        # Rows of coloured noise tell less; what the lab states of its model tells what it did.
-        own = float(fit.residual @ fit.residual)
-        fit.chi2 += own / scale - own
+    mover.rescale(scale, plain)
     found = _decide(problem, mover, plain, (before, after, n), scale, lambda _: 1.0)
     left = found.excess_after / max(found.excess_before, 1e-12)
     return (
@@ -812,7 +824,6 @@ def _decide(
             ):
                 equal.append(fit)
         equal += [f for f in _twins(fitter, best, fits) if held_out(f) > POLICY.held_out_share]
-    equal += [f for f in _by_another_name(fitter, best) if f.names not in {e.names for e in equal}]
     # The residual of a motion is that of its rows, the balance's is scaled like its problem.
     moved = isinstance(fitter, _Mover)
     rest = float(best.residual @ best.residual) * (1.0 if moved else scale)
@@ -938,14 +949,18 @@ def _one_of_a_kind(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     """Leave out bristle friction with another stiffness where it is yielding by another name.
 
     k (alpha x + (1 - alpha) z) is a weaker spring and a slider on a spring: the same force. So is
-    yielding beside a spring that is wrong as well; there the better one of the two stays.
+    yielding beside a spring that is wrong as well; there the better one of the two stays. Of a
+    model whose stiffness is free another one stands beside every set.
     """
+    free = fitter.problem.frees("k")
+    if free:
+        fits = _with_yielding(fitter, fits, null)
     out = list(fits)
     by_name = {f.names: f for f in fits}
     stiffness = of_number("k")
     for fit in fits:
         bristles = next((n for n in _also() if n in fit.names), "")
-        if bristles and stiffness in fit.names:
+        if bristles and (free or stiffness in fit.names):
             yielding = _also()[bristles]
             rest = [n for n in fit.names if n not in (bristles, stiffness)]
             twin = by_name.get(tuple(sorted([*rest, yielding])))
@@ -961,26 +976,24 @@ def _one_of_a_kind(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
     return out
 
 
-def _by_another_name(fitter: _Fitter, best: Fit) -> list[Fit]:
-    """Return the set with yielding in the place of bristles, where the stiffness is free.
-
-    A slider on a spring beside a spring that nobody knows is a spring that yields: one force, and
-    what is seen of it, the way to slipping, is the form of either law.
-    """
-    model = fitter.problem.case.model
-    bristles = next((n for n in _also() if n in best.names), "")
-    if model.k_tol is not None or model.k == 0.0 or not bristles:
-        return []
-    name = _also()[bristles]
-    yielding = next((e for e in fitter.problem.effects if e.name == name), None)
-    if name in best.names or yielding is None:
-        return []
-    twin = [
-        Member(yielding, yielding.like(m.trial)) if m.name == bristles else m for m in best.members
-    ]
-    names = tuple(sorted(n for m in twin for n in m.effect.names))
-    found = fitter.by_names.get(names) or fitter.fit(twin)
-    return [found] if found is not None else []
+def _with_yielding(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
+    """Return the sets with those that have yielding in the place of the best ones' bristles."""
+    by_name = {e.name: e for e in fitter.problem.effects}
+    names = {f.names for f in fits}
+    found = []
+    for fit in fits[:LEADING]:
+        bristles = next((n for n in _also() if n in fit.names), "")
+        yielding = by_name.get(_also().get(bristles, ""))
+        if yielding is None or yielding.name in fit.names:
+            continue
+        twin = [
+            Member(yielding, yielding.like(m.trial)) if m.name == bristles else m
+            for m in fit.members
+        ]
+        if tuple(sorted(n for m in twin for n in m.effect.names)) not in names:
+            found.append(fitter.fit(twin))
+    found = [f for f in found if f is not None and _needed(fitter, f, null)]
+    return sorted([*fits, *found], key=fitter.score)
 
 
 def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:

@@ -607,7 +607,8 @@ class Policy:
         "What may follow the model in it to be no measurement of it.",
     )  # fmt: skip
     short_gap: int = _entry(
-        3, "rows", "judgement", "Rows of a command missing in one place that are filled in.",
+        3, "rows", "judgement",
+        "Rows missing in one place that a cubic through their neighbours stands for.",
     )  # fmt: skip
     wrong_unit: float = _entry(
         100.0, "times", "physics",

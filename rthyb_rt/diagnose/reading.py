@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import sizes
 from rthyb_rt.diagnose.case import CHANNELS, NO_READING, Case, Floats, Model
-from rthyb_rt.diagnose.estimate import filled, white_noise
+from rthyb_rt.diagnose.estimate import filled, filled_if_short, white_noise
 from rthyb_rt.diagnose.lab import Lab, read_lab, time_unit
 from rthyb_rt.diagnose.mapping import EXAMPLE, Wish, proposals
 from rthyb_rt.diagnose.modelfile import at_rate, find_model, model_of_rig, read_model
@@ -392,31 +392,8 @@ def _filled_in(channels: dict[str, Floats], notes: list[str]) -> None:
         values = channels.get(name)
         if values is None or np.isfinite(values).all() or np.isfinite(values).sum() < 8:
             continue
-        lost = ~np.isfinite(values)
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], lost.astype(np.int8), [0]))))
-        short = np.zeros(values.size, dtype=np.bool_)
-        for a, b in zip(edges[::2], edges[1::2], strict=True):
-            if b - a <= POLICY.short_gap and a > 0 and b < values.size:
-                short[a:b] = True
-        if not short.any():
-            continue
-        clean = values.copy()
-        at = np.flatnonzero(~lost)
-        clean[short] = _cubic(at, values[at], np.flatnonzero(short))
-        channels[name] = clean
-        notes.append(f"{name}: {int(short.sum())} single missing rows were filled in")
-
-
-def _cubic(at: NDArray[np.int64], y: Floats, wanted: NDArray[np.int64]) -> Floats:
-    """Return values between rows by the cubic through the two neighbours to either side."""
-    right = np.clip(np.searchsorted(at, wanted), 2, at.size - 2)
-    index = right[:, None] + np.array([-2, -1, 0, 1])
-    x, f = at[index].astype(np.float64), y[index]
-    out = np.zeros(wanted.size)
-    for i in range(4):
-        term = f[:, i].copy()
-        for j in range(4):
-            if i != j:
-                term *= (wanted - x[:, j]) / (x[:, i] - x[:, j])
-        out += term
-    return out
+        clean = filled_if_short(values)
+        put_in = int(np.isfinite(clean).sum() - np.isfinite(values).sum())
+        if put_in:
+            channels[name] = clean
+            notes.append(f"{name}: {put_in} single missing rows were filled in")

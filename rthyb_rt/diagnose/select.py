@@ -225,6 +225,10 @@ class Problem:
             late = -np.gradient(ctx.total) / ctx.dt
         yield Nuisance("skew", late, POLICY.offset_prior_s, "time offset", "s", cell=True)
 
+    def frees(self, number: str) -> bool:
+        """Return whether a number of the model is refitted without a tolerance."""
+        return any(n.number == number and n.sigma is None for n in self.nuisances)
+
     def rescale(self, factor: float) -> None:
         """Take the noise ``sqrt(factor)`` times as large: rows of coloured noise tell less."""
         root = float(np.sqrt(factor))
@@ -242,10 +246,25 @@ class Problem:
 
     def sensible(self, fit: Fit) -> bool:
         """Return whether every effect of a fit makes a physical law, and so do its springs."""
-        return all(
-            m.effect.sensible(self.ctx, m.trial, b)
+        return (
+            all(
+                m.effect.sensible(self.ctx, m.trial, b)
+                for m, b in zip(fit.members, fit.betas, strict=True)
+            )
+            and not self._gives_way(fit)
+            and not self._pushes(fit)
+        )
+
+    def _pushes(self, fit: Fit) -> bool:
+        """Return whether a law of damping gives a naive model energy.
+
+        That model's dashpot is refitted beside it: what takes off from one there bends it down to
+        nothing, and drives the motion as soon as that is larger.
+        """
+        return self.case.model.k_tol is None and any(
+            m.effect.dissipates and min(b) < 0.0
             for m, b in zip(fit.members, fit.betas, strict=True)
-        ) and not self._gives_way(fit)
+        )
 
     def _gives_way(self, fit: Fit) -> bool:
         """Return whether beside a yielding law an elastic spring pushes outwards, of a naive model.
