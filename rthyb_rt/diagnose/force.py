@@ -269,6 +269,26 @@ class _Mover(_Fitter):
             if twin.names not in self.by_names:
                 self.move(twin)
 
+    def exchange(self) -> None:
+        """Put each law of the best sets in the form that it has in another one as well.
+
+        The balance of forces refines a set in one form of each law, in which its motion need not be
+        the nearest: of two sets with the same spring one would win by the spring's form.
+        """
+        ranked = sorted(self.by_names.values(), key=self.score)
+        for fit in ranked[:POOL]:
+            for i, own in enumerate(fit.members):
+                forms = {
+                    m.trial.variant: (m, b)
+                    for f in ranked[::-1]
+                    for m, b in zip(f.members, f.betas, strict=True)
+                    if m.name == own.name and m.trial.variant != own.trial.variant
+                }
+                for member, beta in forms.values():
+                    members = (*fit.members[:i], member, *fit.members[i + 1 :])
+                    betas = (*fit.betas[:i], beta, *fit.betas[i + 1 :])
+                    self.move(replace(fit, members=members, betas=betas, covariance=None))
+
     def settle(self) -> None:
         """Go on with the best sets until they move no more, then with their parts from there.
 
@@ -423,6 +443,8 @@ def _moved(
     mover.relieve()
     if body.whole_rig:
         mover.plain_friction()
+    if problem.decays:
+        mover.exchange()
     mover.settle()
     best = min((plain, *mover.by_names.values()), key=mover.score)
     scale = inflation(best.residual)
@@ -644,13 +666,19 @@ def _grow(dictionary: Dictionary, fitter: _Fitter) -> None:
 
 
 def _damped(dictionary: Dictionary, fitter: _Fitter) -> None:
-    """Try two laws of damping beside the best spring of a body that is let go."""
+    """Try two laws of damping beside the best spring of a body that is let go, and the best law.
+
+    Of several elastic laws one makes up for the form of another, and is no part of what is
+    simulated with two laws of damping.
+    """
     problem = fitter.problem
     if not problem.decays or problem.case.model.k_tol is not None:
         return
     springs = [f for f in fitter.by_names.values() if decay.conservative(f) == f.members]
-    if springs:
-        for members in decay.damped_twice(dictionary, min(springs, key=fitter.score)):
+    best = {min(own, key=fitter.score).names: min(own, key=fitter.score)
+            for own in (springs, [f for f in springs if len(f.members) == 1]) if own}  # fmt: skip
+    for spring in best.values():
+        for members in decay.damped_twice(dictionary, spring):
             fitter.fit(members)
 
 

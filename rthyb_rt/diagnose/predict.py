@@ -283,6 +283,7 @@ def start_of(
 ) -> tuple[float, float]:  # fmt: skip
     """Return displacement and velocity at the first row, from the first rows that were measured."""
     dt = case.dt
+    x_meas = estimate.filled_if_short(x_meas)
     good = np.isfinite(x_meas)
     end = int(np.argmin(good)) if not good.all() else x_meas.size
     end = min(end, 300)

@@ -87,6 +87,10 @@ class PowerDamping(Effect):
         """Keep the exponent where it has no other name."""
         return [min(EXPONENTS, key=lambda ends: abs(trial.theta[0] - 0.5 * sum(ends)))]
 
+    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
+        """Refuse the least exponent there is: what would have less is dry friction."""
+        return trial.theta[0] > 1.001 * EXPONENTS[0][0]
+
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
