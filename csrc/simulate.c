@@ -114,7 +114,8 @@ static void run_linear(const lag *s, size_t first, size_t end, place *p, rows ou
         const double row = (double)i, u0 = wanted(s, row, 0.0), tiny = 1e-9;
         out.x[i] = p->x;
         out.v[i] = p->v;
-        out.a[i] = pull(s, u0, p->x, p->v);
+        /* Of a held command the one that it has followed up to the row, as the rig latches it. */
+        out.a[i] = pull(s, m->hold == RTHYB_FOH ? u0 : p->u, p->x, p->v);
         const double u1 = m->hold == RTHYB_FOH ? wanted(s, row + knot, 0.0) : u0;
         const double u2 = m->hold == RTHYB_FOH ? u1 : wanted(s, row + knot + tiny, 0.0);
         const double u3 = m->hold == RTHYB_FOH ? wanted(s, row + 1.0, 0.0) : u2;

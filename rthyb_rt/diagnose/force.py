@@ -149,6 +149,29 @@ class _Fitter:
 
         return share
 
+    def exchange(self) -> None:
+        """Put each law of the best sets of each size in the form that it has in a leading one.
+
+        A set is refined in one form of each law, the one that lay nearest on the grid or by another
+        measure: of two with the same law one would win by that law's form.
+        """
+        ranked = sorted(self.by_names.values(), key=self.score)
+        sizes = [[f for f in ranked if len(f.members) == size][:LEADING] for size in (1, 2, 3)]
+        for fit in [f for own in sizes for f in own]:
+            for i, own in enumerate(fit.members):
+                forms = {
+                    m.trial.variant: (m, b)
+                    for f in ranked[:LEADING][::-1]
+                    for m, b in zip(f.members, f.betas, strict=True)
+                    if m.name == own.name and m.trial.variant != own.trial.variant
+                }
+                for member, beta in forms.values():
+                    self._in_form(fit, i, member, beta)
+
+    def _in_form(self, fit: Fit, which: int, member: Member, beta: Floats) -> None:
+        """Try a set with another form, and coefficients, of one of its laws."""
+        self.fit((*fit.members[:which], member, *fit.members[which + 1 :]))
+
     def relieve(self) -> None:
         """Give the best sets, where they bend a stated number out of its tolerance, its effect.
 
@@ -269,25 +292,10 @@ class _Mover(_Fitter):
             if twin.names not in self.by_names:
                 self.move(twin)
 
-    def exchange(self) -> None:
-        """Put each law of the best sets in the form that it has in another one as well.
-
-        The balance of forces refines a set in one form of each law, in which its motion need not be
-        the nearest: of two sets with the same spring one would win by the spring's form.
-        """
-        ranked = sorted(self.by_names.values(), key=self.score)
-        for fit in ranked[:POOL]:
-            for i, own in enumerate(fit.members):
-                forms = {
-                    m.trial.variant: (m, b)
-                    for f in ranked[::-1]
-                    for m, b in zip(f.members, f.betas, strict=True)
-                    if m.name == own.name and m.trial.variant != own.trial.variant
-                }
-                for member, beta in forms.values():
-                    members = (*fit.members[:i], member, *fit.members[i + 1 :])
-                    betas = (*fit.betas[:i], beta, *fit.betas[i + 1 :])
-                    self.move(replace(fit, members=members, betas=betas, covariance=None))
+    def _in_form(self, fit: Fit, which: int, member: Member, beta: Floats) -> None:
+        members = (*fit.members[:which], member, *fit.members[which + 1 :])
+        betas = (*fit.betas[:which], beta, *fit.betas[which + 1 :])
+        self.move(replace(fit, members=members, betas=betas, covariance=None))
 
     def settle(self) -> None:
         """Go on with the best sets until they move no more, then with their parts from there.
@@ -595,6 +603,7 @@ def _sweep(
     fitter.relieve()
     reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
     _reform(dictionary, fitter, reached > POLICY.search_ends * rows)
+    fitter.exchange()
     # Parts of what was refined must be there to be compared with.
     for fit in list(fitter.by_names.values()):
         for i in range(len(fit.members) if len(fit.members) > 1 else 0):

@@ -186,17 +186,19 @@ def _rig_actuator(rig: Any, fs_hz: float) -> ActuatorModel | None:
     # The file's samples are of 1/1024 s, whatever the rows are.
     a, h = rig.actuator, core.PERIOD_S
     hold, shift = rig.rig.command_hold, rig.rig.command_shift_s
-    fast = 4000.0
     if a.kind == "second-order":
         return ActuatorModel(
             a.delay_s + shift, a.natural_frequency_hz, a.damping_ratio, a.gain, hold=hold,
             delay_tol_s=a.delay_tol_s, f_tol=a.natural_frequency_tol,
             zeta_tol=a.damping_ratio_tol, gain_tol=a.gain_tol,
         )  # fmt: skip
+    # Poles so fast that they lag by nothing: a time offset that made up for a lag of theirs would
+    # meet the steps of a held command between the rows, and velocity with them.
+    fast = 4e6
     if a.kind == "pure-delay":
         # Half a row earlier, so that the held command of that row is met in its middle.
         late = a.delay_samples * h - (0.5 / fs_hz if hold == "zoh" else 0.0)
-        return ActuatorModel(late + shift, fast, 1.0, 1.0, hold=hold)
+        return ActuatorModel(late + shift, 1e5, 1.0, 1.0, hold=hold, jumps=True)
     if a.kind == "first-order":
         f = float(np.sqrt(a.roll_off_hz * fast))
         return ActuatorModel(

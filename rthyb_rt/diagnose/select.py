@@ -253,7 +253,19 @@ class Problem:
             )
             and not self._gives_way(fit)
             and not self._pushes(fit)
+            and not self._weighs_nothing(fit)
         )
+
+    def _weighs_nothing(self, fit: Fit) -> bool:
+        """Return whether a set takes more mass off than there is.
+
+        Along a motion whose acceleration follows its velocity, as behind a first-order lag, that
+        would be a dashpot by another name.
+        """
+        model = self.case.model
+        there = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
+        added = [m.effect.mass_kg(b) for m, b in zip(fit.members, fit.betas, strict=True)]
+        return there + sum(kg for kg in added if kg is not None) < 0.0
 
     def _pushes(self, fit: Fit) -> bool:
         """Return whether a law of damping gives a naive model energy.

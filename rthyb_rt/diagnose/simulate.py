@@ -30,6 +30,8 @@ class ActuatorModel:
         shift_s: of the command against the rows, beside the delay.
         kappa_s2_m: delay that comes with each m/s; of the command's velocity, or the actuator's.
         vmax_m_s: 0 for none; of the command, or of the actuator itself.
+        jumps: it jumps from row to row and has the velocity of its last step, as the virtual rig's
+            pure delay.
         delay_tol_s: one standard deviation of the delay, s; None: not stated, free to refit.
         f_tol, zeta_tol, gain_tol: of the others, relative to the value; None as above.
     """
@@ -44,6 +46,7 @@ class ActuatorModel:
     vmax_m_s: float = 0.0
     vmax_of: Literal["command", "actuator"] = "command"
     hold: Hold = "foh"
+    jumps: bool = False
     delay_tol_s: float | None = None
     f_tol: float | None = None
     zeta_tol: float | None = None
@@ -97,6 +100,9 @@ def actuator(
     )  # fmt: skip
     if code:
         raise SimulationError(f"the actuator {model} cannot be simulated ({code})")
+    if model.jumps:
+        v = np.diff(x, prepend=x[0]) * fs_hz
+        a = np.diff(v, prepend=v[0]) * fs_hz
     return Motion(x, v, a)
 
 
