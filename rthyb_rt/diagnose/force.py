@@ -34,6 +34,8 @@ LEADING = 3
 """Sets that are looked at more closely."""
 SETTLED = 0.01
 """Part of a misfit by which one more fit of a motion has to better it."""
+PARTS = 150
+"""Simulations that are left for the parts of the best sets: three fits of a set of two."""
 AGAIN = 3
 """Times that such a fit is begun again at most."""
 NUMBERS = ("k", "c", "moving_mass")
@@ -304,6 +306,9 @@ class _Mover(_Fitter):
         """
         for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
             self._go_on(fit)
+        # However many simulations the search has taken: a part that is not judged is none that
+        # would do.
+        self.body.runs = max(self.body.runs, PARTS)
         done: set[tuple[str, ...]] = set()
         for _ in range(2):
             ahead = sorted(self.by_names.values(), key=self.score)[:LEADING]

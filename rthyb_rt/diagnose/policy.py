@@ -503,6 +503,12 @@ class Policy:
         0.01, "part of the steepest slope", "numerics",
         "Slope of a spring below which it is level, so that beside a yielding law it may be.",
     )  # fmt: skip
+    gap_in_spring: float = _entry(
+        0.5, "part of the stated stiffness", "physics",
+        "Least part of a model's spring that does nothing within a gap; less is a stop beside a "
+        "softer spring.",
+        "half way between a spring that is there and one that is not",
+    )  # fmt: skip
     seen_wear: float = _entry(
         0.1, "part", "judgement",
         "Least share of slack, and of what is lost, for which a column pinches and degrades.",

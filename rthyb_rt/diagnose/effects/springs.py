@@ -8,6 +8,7 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import play
 
 AMPLITUDES = ("multi_amplitude", "stiffness that changes with amplitude shows at several of them")
@@ -240,6 +241,10 @@ class Gap(Effect):
             *uneven,
             *(Trial((float(g), 0.3 * float(g)), "spread") for g in gaps[3:-1:3]),
         ]
+
+    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
+        """Refuse a gap in less than half of a stated spring: that is a softer one, and a stop."""
+        return ctx.model.k_tol is None or bool(beta[0] > POLICY.gap_in_spring)
 
     def settings(
         self, ctx: Context, trial: Trial
