@@ -88,7 +88,10 @@ def test_noise_is_never_larger_than_its_sheet_allows():
     y = 3.0 * coloured(np.random.default_rng(4), filtered())
     found = noise.colour_of(y, np.ones(N, dtype=np.bool_), velocity(), FINE_HZ, 1.0)
     assert found is not None
-    assert np.mean(found.at(F_GRID)) <= 1.25**2 * 1.001
+    # A sheet is right within a fifth, and the rms of one recording of slow noise scatters about it.
+    allowed = 1.25 * (1.0 + found.scatter(N, FINE_HZ))
+    assert 1.25 < allowed < 1.4
+    assert np.mean(found.at(F_GRID)) <= allowed**2 * 1.001
 
 
 @pytest.mark.parametrize("broken", ["no sheet", "gaps", "short", "nan"])

@@ -64,7 +64,11 @@ class Colour:
 
         Of a Gaussian process each line of the spectrum scatters by its own power.
         """
-        power = self.at(np.asarray(np.fft.rfftfreq(rows, 1.0 / fs_hz), dtype=np.float64)[1:])
+        return self.scatter_of(np.asarray(np.fft.rfftfreq(rows, 1.0 / fs_hz), dtype=np.float64))
+
+    def scatter_of(self, f_hz: Floats) -> float:
+        """Return the same over the rows whose spectrum has these lines, (n,), Hz."""
+        power = self.at(f_hz[1:])
         return float(0.5 * np.sqrt(np.sum(power**2)) / np.sum(power))
 
 
@@ -150,9 +154,12 @@ def _spectrum(
 
 
 def _held(found: Colour, f_hz: Floats, sheet: float) -> Colour:
-    """Return a colour as large as the data sheet allows."""
+    """Return a colour as large as the data sheet allows, in a recording in which slow noise swells.
+
+    A sheet states what noise has on the whole; the rms of one recording scatters about that.
+    """
     total, red = float(np.mean(found.at(f_hz))), found.red
-    factor = POLICY.sheet_factor
+    factor = POLICY.sheet_factor * (1.0 + found.scatter_of(f_hz))
     held = float(np.clip(total, (sheet / factor) ** 2, (sheet * factor) ** 2)) / total
     return replace(found, power=held * found.power, red=(held * red[0], held * red[1], red[2]))
 

@@ -198,11 +198,15 @@ def _identified(bench: Bench, command: np.ndarray) -> Bench:
 # ---- performing and judging --------------------------------------------------------------------
 
 
-def _force_scale(bench: Bench, run: Run) -> Scale:
-    """Weights of a force: seen by the load cell, or by the motion of the body that it acts on."""
+def _force_scale(bench: Bench, run: Run, sharpest: bool = False) -> Scale:
+    """Weights of a force: seen by the load cell, or by the motion of the body that it acts on.
+
+    `sharpest`: as one sees it who knows the motion from its command and judges every frequency.
+    What is to be equal has to be so for him as well.
+    """
     n = run.t.size
     f = np.fft.rfftfreq(n, bench.dt)
-    keep = (f > 0) & (f < min(0.4 * bench.fs, 150.0))
+    keep = (f > 0) & (sharpest | (f < min(0.4 * bench.fs, 150.0)))
     keep[0] = bench.cell
     w = 2 * np.pi * f[keep]
     sx, sf, sa = (
@@ -214,7 +218,8 @@ def _force_scale(bench: Bench, run: Run) -> Scale:
     mass = bench.moving if bench.cell else bench.body
     dynamic = (bench.k - w**2 * mass) ** 2 + (w * bench.c) ** 2
     if bench.cell:
-        weight = 1 / (sf + dynamic * sx)
+        commanded = sharpest and bench.believed is not None
+        weight = 1 / (sf + (0.0 if commanded else dynamic * sx))
         nuisance.append(1e-4 * np.gradient(run.f, bench.dt))
     else:
         weight = 1 / (dynamic * sx)
