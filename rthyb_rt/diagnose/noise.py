@@ -64,11 +64,7 @@ class Colour:
 
         Of a Gaussian process each line of the spectrum scatters by its own power.
         """
-        return self.scatter_of(np.asarray(np.fft.rfftfreq(rows, 1.0 / fs_hz), dtype=np.float64))
-
-    def scatter_of(self, f_hz: Floats) -> float:
-        """Return the same over the rows whose spectrum has these lines, (n,), Hz."""
-        power = self.at(f_hz[1:])
+        power = self.at(np.asarray(np.fft.rfftfreq(rows, 1.0 / fs_hz), dtype=np.float64)[1:])
         return float(0.5 * np.sqrt(np.sum(power**2)) / np.sum(power))
 
 
@@ -154,12 +150,13 @@ def _spectrum(
 
 
 def _held(found: Colour, f_hz: Floats, sheet: float) -> Colour:
-    """Return a colour as large as the data sheet allows, in a recording in which slow noise swells.
+    """Return a colour as large as the data sheet allows, over the lines that were seen.
 
-    A sheet states what noise has on the whole; the rms of one recording scatters about that.
+    Slower noise stands in the mean of the recording, which is a nuisance.
     """
-    total, red = float(np.mean(found.at(f_hz))), found.red
-    factor = POLICY.sheet_factor * (1.0 + found.scatter_of(f_hz))
+    seen, red = f_hz >= 2.0 * found.least_hz, found.red
+    total = float(np.sum(found.at(f_hz[seen]))) / f_hz.size
+    factor = POLICY.sheet_factor
     held = float(np.clip(total, (sheet / factor) ** 2, (sheet * factor) ** 2)) / total
     return replace(found, power=held * found.power, red=(held * red[0], held * red[1], red[2]))
 

@@ -275,6 +275,19 @@ def _visible(scale: Scale, name: str, y: np.ndarray, level: str) -> None:
         raise Redraw(f"{name} hides in tolerances")
 
 
+def _beyond_tolerance(bench: Bench, e: Effect, run: Run, scale: Scale, level: str) -> None:
+    """What moves a stated number counts from what is stated, and that is off already."""
+    off = {
+        "stiffness": (bench.k_true - bench.k) * run.x,
+        "viscous": (bench.c_true - bench.c) * run.v,
+    }.get(e.name)
+    if off is None or bench.core is not None:
+        return
+    y = rig.plain_part(bench, e, run, e.law) + off if e.law is not None else off
+    if fairness.seen(scale, y)[1] < fairness.BEYOND[level]:
+        raise Redraw(f"{e.name} is within the tolerance of what is stated")
+
+
 def _shapes(bench: Bench, e: Effect, run: Run) -> list[np.ndarray]:
     """How the force of a law changes with each of its numbers: what a fit may take up."""
     if e.law is None:
@@ -298,6 +311,8 @@ def _judge(bench: Bench, effects: list[Effect], run: Run, level: str) -> dict[st
         scale = _force_scale(bench, run) if channel == "force" else _motion_scale(bench, run)
         for i in here:  # before the library is built, which takes longer
             _visible(scale, effects[i].name, run.parts[i], level)
+            if channel == "force":
+                _beyond_tolerance(bench, effects[i], run, scale, level)
         if channel == "force":
             library = _force_library(bench, run)
         else:
