@@ -22,6 +22,8 @@ def command(kind: str = "sweep", seconds: float = 8.0, amplitude: float = 7e-3) 
     t = np.arange(int(seconds * FS)) / FS
     if kind == "sine":
         return amplitude * np.sin(2 * np.pi * 1.5 * t + 0.4)
+    if kind == "triangle":
+        return amplitude * signal.sawtooth(2 * np.pi * 0.6 * t + np.pi / 2, 0.5)
     phase = 2 * np.pi * (0.3 * t + 0.5 * (4.0 - 0.3) / seconds * t**2)
     rise = np.clip(t / 0.5, 0.0, 1.0)
     return amplitude * rise * np.sin(phase)

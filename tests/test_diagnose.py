@@ -88,6 +88,27 @@ def test_a_longer_delay_that_a_stiffer_oil_column_hides_is_named_beside_it(tmp_p
     assert found(d, "oil_column", "f_Hz") == pytest.approx(cases.F_HZ, rel=0.1)
 
 
+def test_triangle_of_a_stiff_drive_is_judged_between_its_corners(tmp_path, monkeypatch):
+    monkeypatch.setattr(cases, "FS", 1000.0)
+    monkeypatch.setattr(cases, "F_HZ", 90.0)
+    mass, u = 1000.0, cases.command("triangle", 6.0)
+    x = cases.moved(u)[0]
+    # A load cell late by what is normal: at the corners that is fifty times its noise.
+    late = cases.moved(u, cases.DELAY + 1e-4)
+    rng = np.random.default_rng(4)
+    f = cases.K * late[0] - 1.5 * cases.C * late[1] + mass * late[2]
+    columns = {
+        "t": np.arange(u.size) / cases.FS,
+        "x_cmd": u,
+        "x_meas": x + cases.X_STD * rng.standard_normal(u.size),
+        "f_meas": f + cases.F_STD * rng.standard_normal(u.size),
+    }
+    d = diagnosed(tmp_path, columns, cases.baseline(moving_mass=mass, fs_hz=cases.FS))
+    # One velocity either way: a dashpot and one with its square, and no third.
+    assert d.verdict == "ambiguous"
+    assert sorted(d.ambiguous_with) == [["quad_damping"], ["viscous"]]
+
+
 def test_a_sine_cannot_tell_mass_from_stiffness_and_a_sweep_can(tmp_path):
     def softer(t, x, v, a):
         return -0.09 * cases.K * x

@@ -38,7 +38,10 @@ def force_of(found, ctx):
     return sum(core.Element(one).run(ctx.x, ctx.v, ctx.a, ctx.dt) for one in found)
 
 
-BETAS = {"gap": 1.0, "hysteresis": 0.8, "cubic": 0.7, "stopper": 3e5, "power_damping": 200.0}
+BETAS = {
+    "gap": 1.0, "hysteresis": 0.8, "cubic": 0.7, "stopper": 3e5, "power_damping": 200.0,
+    "quadratic": 6e6,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -52,6 +55,8 @@ BETAS = {"gap": 1.0, "hysteresis": 0.8, "cubic": 0.7, "stopper": 3e5, "power_dam
         ("cubic", Trial((5e-3,), "sine")),
         ("cubic", Trial()),
         ("cubic", Trial((2.3,), "power")),
+        ("quadratic", Trial((9e-2,), "exponential")),
+        ("quadratic", Trial((9e-2,), "exponential down")),
         ("gap", Trial((1e-3,), "deadband")),
         ("gap", Trial((1e-3, 3e-4), "uneven")),
         ("stopper", Trial((4e-3,), "up")),
@@ -108,6 +113,7 @@ LAWS = {
     ),
     "cubic, pendulum": lambda x, v: K * 5e-3 * np.sin(x / 5e-3) - K * x,
     "cubic, power": lambda x, v: 500.0 * np.sign(x) * np.abs(x / 7e-3) ** 2.3,
+    "quadratic, exponential": lambda x, v: 0.8 * K * (0.02 * (1.0 - np.exp(-x / 0.02)) - x),
     "gap, dead band from to": lambda x, v: (
         K * (np.maximum(x - 1e-3, 0.0) + np.minimum(x + 3e-4, 0.0)) - K * x
     ),

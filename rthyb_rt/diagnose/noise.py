@@ -150,8 +150,12 @@ def _spectrum(
 
 
 def _held(found: Colour, f_hz: Floats, sheet: float) -> Colour:
-    """Return a colour as large as the data sheet allows."""
-    total, red = float(np.mean(found.at(f_hz))), found.red
+    """Return a colour as large as the data sheet allows, over the lines that were seen.
+
+    Slower noise stands in the mean of the recording, which is a nuisance.
+    """
+    seen, red = f_hz >= 2.0 * found.least_hz, found.red
+    total = float(np.sum(found.at(f_hz[seen]))) / f_hz.size
     factor = POLICY.sheet_factor
     held = float(np.clip(total, (sheet / factor) ** 2, (sheet * factor) ** 2)) / total
     return replace(found, power=held * found.power, red=(held * red[0], held * red[1], red[2]))

@@ -376,6 +376,17 @@ class Policy:
     force_accuracy: float = _entry(
         0.004, "part of the force", "judgement", "What a body's free motion tells of it at best.",
     )  # fmt: skip
+    abrupt_model: float = _entry(
+        0.3, "standard deviations of noise", "physics",
+        "By what a normal offset in time may depart from a straight line over the force's rate in "
+        "a row that is judged.",
+        "it adds less than a tenth to the noise's power",
+    )  # fmt: skip
+    abrupt_rows: float = _entry(
+        0.9, "part of the rows", "judgement",
+        "Rows that have to be left for those in which it departs by more to be left out: a motion "
+        "that is abrupt throughout is judged as it is.",
+    )  # fmt: skip
     hum_line: float = _entry(
         6.0, "times", "judgement",
         "Times the spectrum about it that a line has to stand out to be tried as hum.",

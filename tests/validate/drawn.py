@@ -147,7 +147,18 @@ def quadratic(s: Size, rng: Rng) -> Effect:
     return _force("quadratic", "exponential", laws.EXPONENTIAL, p, {"k2_N_m2": k2}, plain)
 
 
+def _of_the_spring(s: Size) -> None:
+    """What takes force from the elastic spring has to find one.
+
+    Slack lies in series with what it connects, and what is lost is lost of what is there: beside a
+    loop that yields neither is a part of k x, which the loop does not bear.
+    """
+    if s.bench.core is not None:
+        raise Redraw("a spring that yields has no part of k x to lose")
+
+
 def gap(s: Size, rng: Rng) -> Effect:
+    _of_the_spring(s)
     k = s.bench.k_true
     g = min(1.3 * s.share * s.force / k, 0.4 * s.reach)
     if rng.random() < 0.5:
@@ -172,6 +183,7 @@ def stopper(s: Size, rng: Rng) -> Effect:
 
 
 def hysteresis(s: Size, rng: Rng) -> Effect:
+    _of_the_spring(s)
     k, xy = s.bench.k_true, s.reach * rng.uniform(0.25, 0.6)
     form = str(
         rng.choice(
@@ -218,6 +230,7 @@ def pinching(s: Size, rng: Rng) -> Effect:
 
 
 def degradation(s: Size, rng: Rng) -> Effect:
+    _of_the_spring(s)
     form = str(rng.choice(["travel", "energy", "amplitude"]))
     k, x = s.bench.k_true, s.fine[0]
     travel = float(np.abs(np.diff(x)).sum()) * rng.uniform(0.15, 0.4)

@@ -49,10 +49,18 @@ def equal_set(
 
 
 def _judged(bench: Bench, run: Run, e: Effect) -> tuple[set[str], set[str]]:
-    """Equal and doubtful names of a run with one effect."""
+    """Equal and doubtful names of a run with one effect.
+
+    Equal in the force are laws that are so to the sharpest eye; a duller one tells those apart that
+    are, and what the two see otherwise is in doubt.
+    """
     if e.channel == "force":
         library = recipes._force_library(bench, run)
-        return equal_set(recipes._force_scale(bench, run), library, run.parts[0], FORCE_ONE)
+        dull, sharp = (
+            equal_set(recipes._force_scale(bench, run, sharpest), library, run.parts[0], FORCE_ONE)
+            for sharpest in (False, True)
+        )
+        return dull[0], dull[1] | sharp[1] | (dull[0] ^ sharp[0])
     changes = recipes._motion_changes(bench, run)
     library = fairness.motion_library(run.x, run.v, run.a, bench.fs, changes)
     return equal_set(recipes._motion_scale(bench, run), library, run.parts[0], MOTION_ONE)

@@ -198,11 +198,15 @@ def _identified(bench: Bench, command: np.ndarray) -> Bench:
 # ---- performing and judging --------------------------------------------------------------------
 
 
-def _force_scale(bench: Bench, run: Run) -> Scale:
-    """Weights of a force: seen by the load cell, or by the motion of the body that it acts on."""
+def _force_scale(bench: Bench, run: Run, sharpest: bool = False) -> Scale:
+    """Weights of a force: seen by the load cell, or by the motion of the body that it acts on.
+
+    `sharpest`: as one sees it who knows the motion from its command and judges every frequency.
+    What is to be equal has to be so for him as well.
+    """
     n = run.t.size
     f = np.fft.rfftfreq(n, bench.dt)
-    keep = (f > 0) & (f < min(0.4 * bench.fs, 150.0))
+    keep = (f > 0) & (sharpest | (f < min(0.4 * bench.fs, 150.0)))
     keep[0] = bench.cell
     w = 2 * np.pi * f[keep]
     sx, sf, sa = (
@@ -214,7 +218,8 @@ def _force_scale(bench: Bench, run: Run) -> Scale:
     mass = bench.moving if bench.cell else bench.body
     dynamic = (bench.k - w**2 * mass) ** 2 + (w * bench.c) ** 2
     if bench.cell:
-        weight = 1 / (sf + dynamic * sx)
+        commanded = sharpest and bench.believed is not None
+        weight = 1 / (sf + (0.0 if commanded else dynamic * sx))
         nuisance.append(1e-4 * np.gradient(run.f, bench.dt))
     else:
         weight = 1 / (dynamic * sx)
@@ -270,6 +275,19 @@ def _visible(scale: Scale, name: str, y: np.ndarray, level: str) -> None:
         raise Redraw(f"{name} hides in tolerances")
 
 
+def _beyond_tolerance(bench: Bench, e: Effect, run: Run, scale: Scale, level: str) -> None:
+    """What moves a stated number counts from what is stated, and that is off already."""
+    off = {
+        "stiffness": (bench.k_true - bench.k) * run.x,
+        "viscous": (bench.c_true - bench.c) * run.v,
+    }.get(e.name)
+    if off is None or bench.core is not None:
+        return
+    y = rig.plain_part(bench, e, run, e.law) + off if e.law is not None else off
+    if fairness.seen(scale, y)[1] < fairness.BEYOND[level]:
+        raise Redraw(f"{e.name} is within the tolerance of what is stated")
+
+
 def _shapes(bench: Bench, e: Effect, run: Run) -> list[np.ndarray]:
     """How the force of a law changes with each of its numbers: what a fit may take up."""
     if e.law is None:
@@ -293,6 +311,8 @@ def _judge(bench: Bench, effects: list[Effect], run: Run, level: str) -> dict[st
         scale = _force_scale(bench, run) if channel == "force" else _motion_scale(bench, run)
         for i in here:  # before the library is built, which takes longer
             _visible(scale, effects[i].name, run.parts[i], level)
+            if channel == "force":
+                _beyond_tolerance(bench, effects[i], run, scale, level)
         if channel == "force":
             library = _force_library(bench, run)
         else:

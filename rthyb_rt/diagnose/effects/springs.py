@@ -166,26 +166,76 @@ class Cubic(Effect):
         ]
 
 
+RISES = ("exponential", "exponential down")
+"""Exponential springs, which stiffen towards positive and towards negative displacement."""
+
+
 class Quadratic(Effect):
-    """A spring that differs between push and pull."""
+    """A spring that differs between push and pull.
+
+    Variants "exponential": one whose stiffness grows with exp(x / L) to one side, as that of rubber
+    and soil, of which k2 x^2 is the first term.
+    """
 
     name = "quadratic"
     plain = "a quadratic spring"
     phrase = "a spring of another stiffness to either side (quadratic, {k2_N_m2})"
     params = (Param("k2_N_m2", "N/m^2", -1e15, 1e15),)
-    equation = "f = k2 x^2"
-    fingerprint = "residual over displacement is an even parabola"
+    equation = "f = k2 x^2, or 2 k2 L^2 [exp(x / L) - 1 - x / L]"
+    fingerprint = "residual over displacement is an even parabola, or one steeper to one side"
     static = True
     elastic = True
     shown_by = AMPLITUDES
 
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return the parabola, and springs that stiffen to either side of it."""
+        lengths = ctx.x_range * np.array([2.0, 5.0, 12.0])
+        return [Trial(), *(Trial((float(size),), to) for to in RISES for size in lengths)]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep the length between what a cubic beside it follows and what is a parabola."""
+        return [(1.5 * ctx.x_range, 30.0 * ctx.x_range)] if trial.variant else []
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return one coefficient; an exponential spring stiffens, to the side that it is of."""
+        return (("+" if trial.variant else "*"), (None,)), 1 + len(trial.theta)
+
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return x^2."""
-        return [ctx.x**2]
+        """Return x^2, or what an exponential spring has more than its stiffness at zero."""
+        return [_exponential(ctx.x, trial) if trial.variant else ctx.x**2]
+
+    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
+        """Return the coefficient of x^2: of an exponential spring its series'."""
+        return {"k2_N_m2": -float(beta[0]) if trial.variant == RISES[1] else float(beta[0])}
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the law."""
+        if not trial.variant:
+            return "k2 x^2"
+        way = "" if trial.variant == RISES[0] else "-"
+        return f"exponential, exp({way}x / {trial.theta[0]:.3g} m)"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the element."""
-        return [core.element("quadratic", k2_n_per_m2=float(beta[0]))]
+        """Return the element; of an exponential spring the polynomial that is it in the motion."""
+        if not trial.variant:
+            return [core.element("quadratic", k2_n_per_m2=float(beta[0]))]
+        unit = np.linspace(-1.0, 1.0, 201)
+        force = float(beta[0]) * _exponential(ctx.x_range * unit, trial)
+        k1, k2, k3 = np.linalg.lstsq(np.vander(unit, 4)[:, 2::-1], force, rcond=None)[0]
+        return [
+            core.element("stiffness", k_n_per_m=float(k1) / ctx.x_range),
+            core.element("quadratic", k2_n_per_m2=float(k2) / ctx.x_range**2),
+            core.element("cubic", k3_n_per_m3=float(k3) / ctx.x_range**3),
+        ]
+
+
+def _exponential(x: Floats, trial: Trial) -> Floats:
+    """Return an exponential spring's force beyond its stiffness at zero for abs(k2) = 1, (n,)."""
+    way = 1.0 if trial.variant == RISES[0] else -1.0
+    over = way * x / trial.theta[0]
+    return np.asarray(way * 2.0 * trial.theta[0] ** 2 * (np.expm1(over) - over))
 
 
 PARTS = 8
