@@ -193,7 +193,9 @@ def _beside(dictionary: Dictionary, fitter: Fitter, base: Fit) -> list[Fit]:
     def look(rows: Rows) -> None:
         for row, products in zip(rows, dictionary.begun(base, rows), strict=True):
             start = float(problem.ctx.t[problem.rows[row]] - problem.ctx.t[0])
-            for chi2, (g,) in dictionary.sets(switched, products):
+            found = dictionary.sets(switched, products)
+            scores = found.chi2 + dictionary.penalties(found.groups) + problem.ln_n
+            for chi2, (g,) in found.where(scores < products[2]):
                 promises(chi2, start, g, products[2])
 
     switched = [g for g in free if _switched(groups[g[0]].member.effect)]

@@ -8,7 +8,7 @@ nuisance columns with a prior.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -343,6 +343,29 @@ class _Group:
     count: int
 
 
+@dataclass(frozen=True)
+class Solved:
+    """Sets of groups of one size, each solved.
+
+    Attributes:
+        chi2: of each, (m,).
+        groups: of each, (m, size).
+    """
+
+    chi2: Floats
+    groups: Rows
+
+    def __len__(self) -> int:
+        return self.chi2.size
+
+    def __iter__(self) -> Iterator[tuple[float, tuple[int, ...]]]:
+        return ((c, tuple(g)) for c, g in zip(self.chi2.tolist(), self.groups.tolist(), strict=True))
+
+    def where(self, kept: NDArray[np.bool_]) -> Solved:
+        """Return some of them."""
+        return Solved(self.chi2[kept], self.groups[kept])
+
+
 class Dictionary:
     """All trial shapes of all effects, and their products block by block."""
 
@@ -370,6 +393,7 @@ class Dictionary:
                 )
             progress(effect.name)
         self.groups = groups
+        self.costs = np.array([price(problem, g.member.effect, g.count) for g in groups])
         base = problem.base
         data = (
             np.column_stack([*columns, base, problem.y])
@@ -421,7 +445,8 @@ class Dictionary:
         size = np.sqrt(np.maximum(np.sum(base**2, axis=0), 1e-200))
         base = base / size
         held = base.T @ base + np.diag(pins / size**2 + 1e-9)
-        data = self.data[:, : self.p] / self._loudness()
+        data, loudness = self.data[:, : self.p], self._loudness()
+        beside = np.column_stack([base, y])
         from_base = np.linalg.solve(held, base.T @ y)
         left = float(y @ y - (base.T @ y) @ from_base) + extra
         # In the columns' products alone the nuisance is still there: none of it is out yet.
@@ -431,9 +456,14 @@ class Dictionary:
         for first in map(int, rows[::-1]):
             for part, whole in self._parts(first, end):
                 own = data[part]
-                gram += own.T @ own if whole is None else self.grams[whole, : self.p, : self.p]
-                cross += base[part].T @ own
-                right += own.T @ y[part]
+                if whole is None:
+                    gram += (own.T @ own) / loudness**2
+                else:
+                    gram += self.grams[whole, : self.p, : self.p]
+            # One product for the nuisance, the set and what it leaves: each reads all columns.
+            products = beside[first:end].T @ data[first:end] / loudness
+            cross += products[:-1]
+            right += products[-1]
             end = first
             a = gram - cross.T @ np.linalg.solve(held, cross)
             out.append((a, right - cross.T @ from_base, left))
@@ -473,18 +503,18 @@ class Dictionary:
         """Return by how much rows have been scaled down since the dictionary was made."""
         return self.problem.loudness / self.made
 
-    def singles(self) -> list[tuple[float, tuple[int, ...]]]:
-        """Return (chi2, group) of every group on its own; impossible ones are left out."""
+    def singles(self) -> Solved:
+        """Return chi2 of every group on its own; impossible ones are left out."""
         return self.sets([(g,) for g in range(len(self.groups))])
 
     def sets(
         self,
-        sets: Sequence[tuple[int, ...]],
+        sets: Sequence[tuple[int, ...]] | Rows,
         reduced: tuple[Floats, Floats, float] | None = None,
-    ) -> list[tuple[float, tuple[int, ...]]]:
-        """Return (chi2, groups) of sets of groups of one size, impossible ones left out."""
+    ) -> Solved:
+        """Return chi2 of sets of groups of one size, impossible ones left out."""
         if len(sets) == 0:
-            return []
+            return Solved(np.zeros(0), np.zeros((0, 1), dtype=np.int64))
         a, b, j0 = self.reduced() if reduced is None else reduced
         width = 2
         groups = np.array(sets)
@@ -494,7 +524,7 @@ class Dictionary:
         for g, group in enumerate(self.groups):
             index[g, : len(group.columns)] = group.columns
             sign[g, : len(group.columns)] = [s == "+" for s in group.signs]
-        out: list[tuple[float, tuple[int, ...]]] = []
+        out: list[tuple[Floats, Rows]] = []
         aa = a + np.diag(self.pin_a)
         bb = b + self.pin_b
         for part in np.array_split(np.arange(len(sets)), max(1, len(sets) // 40000)):
@@ -515,28 +545,26 @@ class Dictionary:
             chi2 = j0 + self.pin_c[groups[part]].sum(axis=1) - np.sum(beta * rhs, axis=1)
             positive = sign[groups[part]].reshape(part.size, size)
             bad = np.any(positive & (beta < 0), axis=1) | ~np.isfinite(chi2)
-            out += [
-                (float(chi2[i]), tuple(int(g) for g in groups[part[i]]))
-                for i in np.flatnonzero(~bad)
-            ]
-        return out
+            out.append((chi2[~bad], groups[part[~bad]]))
+        return Solved(*map(np.concatenate, zip(*out, strict=True)))
+
+    def penalties(self, groups: Rows) -> Floats:
+        """Return what each of some sets, (m, size), has to earn, (m,)."""
+        return np.asarray(self.costs[groups].sum(axis=1))
 
     def penalty(self, groups: Sequence[int]) -> float:
         """Return what a set has to earn: its parameters, and having been picked among many."""
-        return sum(
-            price(self.problem, self.groups[g].member.effect, self.groups[g].count) for g in groups
-        )
+        return sum(float(self.costs[g]) for g in groups)
 
-    def best(
-        self, found: Sequence[tuple[float, tuple[int, ...]]], most: int, variants: int = 1
-    ) -> list[tuple[int, ...]]:
+    def best(self, found: Solved, most: int, variants: int = 1) -> list[tuple[int, ...]]:
         """Return the best sets of groups, up to ``most`` sets of names in order.
 
         Of each set of names up to ``variants`` shapes of different variants are kept.
         """
-        ranked = sorted((chi2 + self.penalty(groups), groups) for chi2, groups in found)
+        scores = found.chi2 + self.penalties(found.groups)
+        order = np.lexsort((*found.groups.T[::-1], scores))
         kept: dict[tuple[str, ...], dict[tuple[str, ...], tuple[int, ...]]] = {}
-        for _, groups in ranked:
+        for groups in (tuple(row) for row in found.groups[order].tolist()):
             parts = [self.groups[g].member for g in groups]
             names = tuple(sorted(n for m in parts for n in m.effect.names))
             if len(set(names)) < len(names) or not compatible(parts):
@@ -549,16 +577,16 @@ class Dictionary:
                 shapes[form] = groups
         return [groups for shapes in kept.values() for groups in shapes.values()]
 
-    def pairs(self) -> list[tuple[float, tuple[int, ...]]]:
-        """Return (chi2, groups) of all pairs of different effects."""
+    def pairs(self) -> Solved:
+        """Return chi2 of all pairs of different effects."""
         n = len(self.groups)
         names = np.array([hash(g.member.name) for g in self.groups])
         i, j = np.triu_indices(n, 1)
         differ = names[i] != names[j]
-        return self.sets(np.column_stack([i[differ], j[differ]]))  # type: ignore[arg-type]
+        return self.sets(np.column_stack([i[differ], j[differ]]))
 
-    def extended(self, seeds: Sequence[tuple[int, ...]]) -> list[tuple[float, tuple[int, ...]]]:
-        """Return (chi2, groups) of the seeds with one more effect each."""
+    def extended(self, seeds: Sequence[tuple[int, ...]]) -> Solved:
+        """Return chi2 of the seeds with one more effect each."""
         sets = []
         for seed in seeds:
             names = {self.groups[g].member.name for g in seed}
