@@ -19,7 +19,7 @@ from rthyb_rt.diagnose import modulation
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects import having, of_number
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
-from rthyb_rt.diagnose.estimate import Estimate, Rows
+from rthyb_rt.diagnose.estimate import Estimate, Rows, fast_length
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import Motion
 
@@ -844,8 +844,10 @@ def inflation(residual: Floats) -> float:
     n = residual.size
     if n < 32:
         return max(1.0, float(np.mean(residual**2)))
-    spectrum = np.abs(np.fft.rfft(residual - residual.mean(), 2 * n)) ** 2
-    correlation = np.fft.irfft(spectrum)[: n // 4] / (n - np.arange(n // 4))
+    # So long that no lag that is looked at goes round the transform.
+    size = fast_length(n + n // 4)
+    spectrum = np.abs(np.fft.rfft(residual - residual.mean(), size)) ** 2
+    correlation = np.fft.irfft(spectrum, size)[: n // 4] / (n - np.arange(n // 4))
     variance = float(correlation[0])
     if variance <= 0:
         return 1.0
