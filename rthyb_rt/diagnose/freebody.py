@@ -7,9 +7,11 @@ such error: it meets the measured one to the sensor's noise, or the set is wrong
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from threading import Lock
 
 import numpy as np
 
@@ -33,6 +35,8 @@ RUNS = 4000
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
 SLOW = 4
 """Simulations that one takes the time of where a law is no single element of the core."""
+KEPT = 32
+"""Motions that are kept for what is only read otherwise."""
 STEPS = 6
 STEP = 1e-4
 LITTLE = 0.03
@@ -81,10 +85,12 @@ class Body:
     linear = True
     rough = np.inf
     whole_rig = False
-    threads = 1
+    threads = 2
 
     def __init__(self, case: Case, ctx: Context) -> None:
         self.case, self.ctx, self.runs = case, ctx, RUNS
+        self.lock = Lock()
+        self._moved: deque[tuple[Augmented, tuple[float, ...], Motion]] = deque(maxlen=KEPT)
         self.met = POLICY.motion_met_alone
         self.loose = self._loose()
         self.held = "f_meas" in case.channels and case.model.family == "ground"
@@ -216,9 +222,14 @@ class Body:
     def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
         """Return recording less simulation in units of the noise, one for each of the rows."""
         rate = 2.0 * np.pi * self.spread
-        push, mass = self._push(float(np.exp(POLICY.mass_blur * loose[0])))
         start = (at[0] + loose[2] * self.spread, at[1] + loose[3] * rate)
-        motion = now.moved_by(push, mass, self.case.t, self.other, start)
+        key = (float(loose[0]), *start)
+        motion = next((m for n, k, m in list(self._moved) if n is now and k == key), None)
+        if motion is None:
+            push, mass = self._push(float(np.exp(POLICY.mass_blur * loose[0])))
+            motion = now.moved_by(push, mass, self.case.t, self.other, start)
+            # A shift in time moves no body: its slope needs no other motion.
+            self._moved.append((now, key, motion))
         x = motion.x - loose[1] * POLICY.offset_prior_s * motion.v
         return np.asarray((x - self.x)[self.rows] / self.sigma)
 
@@ -239,9 +250,15 @@ class Body:
             return None
         cost = 1 if self.quick(fit) else SLOW
 
+        models: dict[bytes, Augmented] = {}
+
         def residual(p: Floats) -> Floats:
-            self.runs -= cost
-            now = changed(first, places, _logs(places, p))
+            own = p[:count].tobytes()
+            with self.lock:
+                self.runs -= cost
+                now = models.get(own)
+                if now is None:
+                    now = models[own] = changed(first, places, _logs(places, p))
             prior = self._priors(places, plain, p)
             return np.asarray(np.r_[self.differences(now, p[count:], start), prior])
 

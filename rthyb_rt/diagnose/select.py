@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,6 +157,7 @@ class Problem:
         self.case, self.ctx, self.estimate = case, ctx, estimate
         self.blurred = not estimate.exact if blurred is None else blurred
         self.loudness = 1.0
+        self._kept: tuple[tuple[Any, ...], list[Nuisance], Floats] | None = None
         rows = np.flatnonzero(estimate.rows)
         self.thin = max(1, -(-rows.size // ROWS_MAX))
         self.rows = rows[:: self.thin]
@@ -273,9 +275,15 @@ class Problem:
 
     def beside(self, members: Sequence[Member]) -> Floats:
         """Return the judged columns of the nuisance beside a set, (rows, nuisances)."""
-        if not any(m.effect.carries for m in members):
+        cells = [m for m in members if m.effect.carries]
+        if not cells:
             return self.base
-        return np.column_stack([self.seen(c) for c in bending(self, members)] or [self.base])
+        # Of one set this is asked several times over while its cell's shape stays.
+        key, kept = (self.loudness, *((m.effect, m.trial) for m in cells)), self._kept
+        if kept is None or kept[0] != key or kept[1] is not self.nuisances:
+            seen = [self.seen(c) for c in bending(self, members)]
+            self._kept = kept = (key, self.nuisances, np.column_stack(seen or [self.base]))
+        return kept[2]
 
     def columns(self, member: Member) -> Floats:
         """Return the judged columns of an effect in one shape, (rows, coefficients)."""
@@ -715,9 +723,12 @@ def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit |
                 improved = True
                 break
             damping *= 8.0
-        if not improved or gain < 1e-5 * fit.chi2 + 0.02:
+        if not improved:  # the slopes are still those of the point
+            return _with_covariance(problem, members, design, len(places), fit)
+        if gain < 1e-5 * fit.chi2 + 0.02:
             break
-    return _with_covariance(problem, members, blocks, places, fit)
+    design = _design(problem, members, blocks, places, fit)
+    return _with_covariance(problem, members, design, len(places), fit)
 
 
 def _prior_gram(problem: Problem, members: Sequence[Member], first: int, size: int) -> Floats:
@@ -792,7 +803,14 @@ def _slopes(
         if moved is None:
             moved, step = _moved(problem, members[i], j, -1e-3), -1e-3
         slope = np.zeros(problem.y.size)
-        if moved is not None:
+        if moved is not None and moved.effect.carries:
+            # It changes every block: their sum is made white at once.
+            now_all = columns_of(problem.ctx, [*members[:i], moved, *members[i + 1 :]])
+            pairs = zip(fit.betas, now_all, strict=True)
+            force = sum(b * c for beta, own in pairs for b, c in zip(beta, own, strict=True))
+            before = sum(old @ beta for old, beta in zip(blocks, fit.betas, strict=True))
+            slope = (problem.seen(np.asarray(force)) - before) / step
+        elif moved is not None:
             now = problem.changed([*members[:i], moved, *members[i + 1 :]], blocks, i)
             for new, old, beta in zip(now, blocks, fit.betas, strict=True):
                 if new is not old:
@@ -802,15 +820,10 @@ def _slopes(
 
 
 def _with_covariance(
-    problem: Problem,
-    members: Sequence[Member],
-    blocks: Sequence[Floats],
-    places: Sequence[tuple[int, int]],
-    fit: Fit,
+    problem: Problem, members: Sequence[Member], design: Floats, shapes: int, fit: Fit
 ) -> Fit:
     """Put the joint covariance of (log shapes, coefficients, nuisance) in."""
-    design = _design(problem, members, blocks, places, fit)
-    gram = design.T @ design + _prior_gram(problem, members, len(places), design.shape[1])
+    gram = design.T @ design + _prior_gram(problem, members, shapes, design.shape[1])
     scale = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
     inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True)
     fit.covariance = inverse / np.outer(scale, scale)
