@@ -8,6 +8,7 @@ nuisance columns with a prior.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -33,6 +34,8 @@ LONG = 4
 """Times as many from which a search whitens pieces of the recording, and not all of it."""
 PIECE = 1024
 """Rows of such a piece."""
+KEPT = 64
+"""Blocks of columns that are kept, of a few tenths of a megabyte each."""
 SLOPES = 101
 """Displacements between the ends of the motion at which the slope of a spring is taken."""
 
@@ -157,6 +160,7 @@ class Problem:
         self.case, self.ctx, self.estimate = case, ctx, estimate
         self.blurred = not estimate.exact if blurred is None else blurred
         self.loudness = 1.0
+        self._blocks: OrderedDict[tuple[Any, ...], Floats] = OrderedDict()
         self._kept: tuple[tuple[Any, ...], list[Nuisance], Floats] | None = None
         rows = np.flatnonzero(estimate.rows)
         self.thin = max(1, -(-rows.size // ROWS_MAX))
@@ -290,11 +294,27 @@ class Problem:
         return self.blocks([member])[0]
 
     def blocks(self, members: Sequence[Member]) -> list[Floats]:
-        """Return the judged columns of a set, each (rows, coefficients)."""
-        return [
-            np.column_stack([self.seen(c) for c in columns])
-            for columns in columns_of(self.ctx, members)
-        ]
+        """Return the judged columns of a set, each (rows, coefficients); not to be written to.
+
+        The last ones are kept: a search asks again for most of what it has refined.
+        """
+        cells = [m for m in members if m.effect.carries]
+        return [self._block(m, [] if m.effect.sensor else cells) for m in members]
+
+    def _block(self, member: Member, cells: list[Member]) -> Floats:
+        key = (self.loudness, *((m.effect, m.trial) for m in (member, *cells)))
+        found = self._blocks.get(key)
+        if found is None:
+            columns = columns_of(self.ctx, [member, *cells])[0]
+            found = np.column_stack([self.seen(c) for c in columns])
+            # One that begins in mid-record is an effect of its own each time.
+            if not any(m.effect.late for m in (member, *cells)):
+                self._blocks[key] = found
+            if len(self._blocks) > KEPT:
+                self._blocks.popitem(last=False)
+        else:
+            self._blocks.move_to_end(key)
+        return found
 
     def changed(
         self, members: Sequence[Member], blocks: Sequence[Floats], which: int
