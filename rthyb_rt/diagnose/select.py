@@ -387,7 +387,9 @@ class Solved:
         return self.chi2.size
 
     def __iter__(self) -> Iterator[tuple[float, tuple[int, ...]]]:
-        return ((c, tuple(g)) for c, g in zip(self.chi2.tolist(), self.groups.tolist(), strict=True))
+        return (
+            (c, tuple(g)) for c, g in zip(self.chi2.tolist(), self.groups.tolist(), strict=True)
+        )
 
     def where(self, kept: NDArray[np.bool_]) -> Solved:
         """Return some of them."""
@@ -653,19 +655,38 @@ def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats])
     scale = np.sqrt(np.mean(design**2, axis=0))
     scale[scale == 0] = 1.0
     design = design / scale
-    gram, right = design.T @ design, design.T @ y
-    extra, signs, count, j = 0.0, [], 0, 0
-    widths = []
-    for member, block in zip(members, blocks, strict=True):
-        (sign, pinned), n = member.effect.settings(problem.ctx, member.trial)
-        count += n
-        widths.append(block.shape[1])
-        for s, sigma in zip(sign, pinned, strict=True):
+    found = _solved(problem, members, design.T @ design, design.T @ y, scale)
+    if found is None:
+        return None
+    real, inverse, chi2 = found
+    ends = np.cumsum([0, *(b.shape[1] for b in blocks)])
+    return Fit(
+        tuple(members),
+        tuple(real[i:k] for i, k in pairwise(ends)),
+        chi2,
+        sum(m.effect.settings(problem.ctx, m.trial)[1] for m in members),
+        nuisance=real[ends[-1] :],
+        residual=y - design @ (real * scale),
+        covariance=inverse / np.outer(scale, scale),
+    )
+
+
+def _solved(
+    problem: Problem, members: Sequence[Member], gram: Floats, right: Floats, scale: Floats
+) -> tuple[Floats, Floats, float] | None:
+    """Return coefficients, inverse and chi-squared of the normal equations of scaled columns.
+
+    None where they have no solution, or one of a sign that no law has.
+    """
+    extra, signs, j = 0.0, "", 0
+    for member in members:
+        (sign, pinned), _ = member.effect.settings(problem.ctx, member.trial)
+        signs += sign[: len(pinned)]
+        for sigma in pinned:
             if sigma is not None:
                 gram[j, j] += 1.0 / (sigma * scale[j]) ** 2
                 right[j] += 1.0 / (sigma**2 * scale[j])
                 extra += 1.0 / sigma**2
-            signs.append(s)
             j += 1
     for nuisance in problem.nuisances:
         if nuisance.sigma is not None:
@@ -677,21 +698,45 @@ def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats])
     except np.linalg.LinAlgError:
         return None
     beta = inverse @ right
-    residual = y - design @ beta
-    chi2 = float(y @ y + extra - beta @ right)
     real = beta / scale
     if any(s == "+" and real[i] < 0 for i, s in enumerate(signs)):
         return None
-    ends = np.cumsum([0, *widths])
-    return Fit(
-        tuple(members),
-        tuple(real[i:k] for i, k in pairwise(ends)),
-        chi2,
-        count,
-        nuisance=real[ends[-1] :],
-        residual=residual,
-        covariance=inverse / np.outer(scale, scale),
-    )
+    return real, np.asarray(inverse), float(problem.y @ problem.y + extra - beta @ right)
+
+
+class Scan:
+    """A set of which the last effect changes its shape, and all others stay: chi-squared of each.
+
+    What the others' columns come to with one another is known beforehand.
+    """
+
+    def __init__(self, problem: Problem, members: Sequence[Member]) -> None:
+        self.problem, self.rest = problem, list(members[:-1])
+        self.blocks = problem.blocks(members)
+        self.alone = not members[-1].effect.carries
+        if self.alone:
+            self.fixed = np.column_stack([*self.blocks[:-1], problem.beside(members)])
+            self.before = sum(b.shape[1] for b in self.blocks[:-1])
+            self.gram, self.right = self.fixed.T @ self.fixed, self.fixed.T @ problem.y
+
+    def chi2(self, last: Member) -> float | None:
+        """Return chi-squared with the last effect so; None where it cannot be solved for."""
+        problem, members = self.problem, [*self.rest, last]
+        blocks = problem.changed(members, self.blocks, len(self.rest))
+        if not self.alone:
+            fit = solve(problem, members, blocks)
+            return None if fit is None else fit.chi2
+        block, at = blocks[-1], self.before
+        size = at + block.shape[1]
+        order = np.r_[np.arange(at), np.arange(len(self.gram), len(self.gram) + size - at),
+                      np.arange(at, len(self.gram))]  # fmt: skip
+        cross = self.fixed.T @ block
+        gram = np.block([[self.gram, cross], [cross.T, block.T @ block]])[np.ix_(order, order)]
+        right = np.r_[self.right, block.T @ problem.y][order]
+        scale = np.sqrt(gram.diagonal() / problem.y.size)
+        scale[scale == 0] = 1.0
+        found = _solved(problem, members, gram / np.outer(scale, scale), right / scale, scale)
+        return None if found is None else found[2]
 
 
 def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit | None:

@@ -69,9 +69,7 @@ def _fade(force: Floats, dt: float) -> int:
     return min(int(1.0 / dt), force.size - 1)
 
 
-def _faded(
-    force: Floats, dt: float, size: int = 0
-) -> tuple[NDArray[np.complex128], Floats, int]:
+def _faded(force: Floats, dt: float, size: int = 0) -> tuple[NDArray[np.complex128], Floats, int]:
     """Return a spectrum with both ends faded in and out, its frequencies, and how many rows.
 
     Of ``size`` rows, those beyond the fading nothing; 0: of no more than there are.
