@@ -255,12 +255,14 @@ class Body:
         def residual(p: Floats) -> Floats:
             own = p[:count].tobytes()
             with self.lock:
-                self.runs -= cost
                 now = models.get(own)
                 if now is None:
                     now = models[own] = changed(first, places, _logs(places, p))
             prior = self._priors(places, plain, p)
             return np.asarray(np.r_[self.differences(now, p[count:], start), prior])
+
+        def spend(runs: int) -> None:
+            self.runs -= runs * cost
 
         try:
             shapes = [kind == "theta" for kind, _, _ in places]
@@ -269,21 +271,15 @@ class Body:
             loose = [[-most, most] for _, _, most in self.loose]
             linear = {m.name for m in fit.members} & {n.name for n in problem.nuisances}
             p, r, gram, slopes = _least(
-                residual,
-                np.r_[np.zeros(count), self._known(problem, fit)],
-                reach,
-                np.vstack((ends, loose)),
-                central=bool(linear) or not any(shapes),
-                rough=self.rough * self.rows.size,
-                threads=self.threads,
-            )
+                residual, np.r_[np.zeros(count), self._known(problem, fit)],
+                reach, np.vstack((ends, loose)), bool(linear) or not any(shapes),
+                self.rough * self.rows.size, spend, self.threads,
+            )  # fmt: skip
         except (SimulationError, core.CoreError, np.linalg.LinAlgError):
             return None
         best = changed(first, places, _logs(places, p))
-        if any(
-            not m.effect.sensible(self.ctx, m.trial, b)
-            for m, b in zip(best.members, best.betas, strict=True)
-        ):
+        pairs = zip(best.members, best.betas, strict=True)
+        if not all(m.effect.sensible(self.ctx, m.trial, b) for m, b in pairs):
             return None
         nuisance = self._nuisance(problem, best.model, p[count:])
         inverse = _inverse(gram)
@@ -356,30 +352,21 @@ def _least(
     reach: Floats,
     ends: Floats,
     central: bool,
-    rough: float = np.inf,
-    threads: int = 1,
+    rough: float,
+    spend: Callable[[int], None],
+    threads: int,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the parameters, residual, normal matrix and slopes of least squares from a point.
 
     A step goes no farther than ``reach``, (n,), a parameter no farther than its ``ends``, (n, 2).
     Slopes are ``central`` where priors decide: at resonance a one-sided one is wrong by more, and
     so it is along the valley of a number and the effect that moves it. Above a chi-squared of
-    ``rough`` nothing of this is asked: such a fit is only to be told from better ones.
+    ``rough`` nothing of this is asked: such a fit is only to be told from better ones. ``spend`` is
+    told how many residuals it took, in the same order on any number of ``threads``.
     """
     size, p = reach.size, begun
 
-    def slopes(p: Floats, r: Floats) -> list[Floats]:
-        steps = list(STEP * np.eye(size))
-        if threads == 1:
-            return [slope(p, r, e) for e in steps]
-        with ThreadPoolExecutor(threads) as pool:
-            return list(pool.map(lambda e: slope(p, r, e), steps))
-
-    def slope(p: Floats, r: Floats, e: Floats) -> Floats:
-        if central and best < rough:
-            return (residual(p + e) - residual(p - e)) / (2.0 * STEP)
-        return (residual(p + e) - r) / STEP
-
+    spend(1)
     r = residual(p)
     low, high = ends.T
     # What only its prior holds is weak beside the rest: heavy damping would keep it from moving.
@@ -388,16 +375,17 @@ def _least(
         raise SimulationError("the motion ran off")
     gram, jacobian = np.eye(size), np.zeros((r.size, size))
     for _ in range(STEPS):
-        try:
-            jacobian = np.column_stack(slopes(p, r))
-        except (SimulationError, core.CoreError):
+        columns = _slopes(residual, p, r, central and best < rough, spend, threads)
+        if columns is None:
             break
+        jacobian = np.column_stack(columns)
         gram = jacobian.T @ jacobian
         right = -jacobian.T @ r
         gain = 0.0
         for _ in range(7):
             step = np.linalg.solve(gram + damping * np.diag(gram.diagonal() + 1e-12), right)
             trial = np.clip(p + np.clip(step, -reach, reach), low, high)
+            spend(1)
             new = _simulated(residual, trial)
             now = float(new @ new) if new is not None else np.inf
             if new is not None and np.isfinite(now) and now < best:
@@ -408,6 +396,33 @@ def _least(
         if gain < (1e-6 if best < rough else LITTLE) * best + 0.05:
             break
     return p, r, gram, jacobian
+
+
+def _slopes(
+    residual: Callable[[Floats], Floats],
+    p: Floats,
+    r: Floats,
+    central: bool,
+    spend: Callable[[int], None],
+    threads: int,
+) -> list[Floats] | None:
+    """Return the slope to each parameter; None where one cannot be simulated. See `_least`."""
+
+    def slope(e: Floats) -> tuple[int, Floats | None]:
+        ahead = _simulated(residual, p + e)
+        if ahead is None or not central:
+            return 1, None if ahead is None else (ahead - r) / STEP
+        behind = _simulated(residual, p - e)
+        return 2, None if behind is None else (ahead - behind) / (2.0 * STEP)
+
+    found = []
+    with ThreadPoolExecutor(threads) as pool:
+        for runs, own in pool.map(slope, STEP * np.eye(p.size)):
+            spend(runs)
+            if own is None:
+                return None
+            found.append(own)
+    return found
 
 
 def _simulated(residual: Callable[[Floats], Floats], p: Floats) -> Floats | None:
