@@ -31,23 +31,24 @@ typedef struct {
     const rthyb_actuator_model *model;
     const double *u;
     size_t n;
-    double w2, d; /* omega squared, 2 zeta omega */
+    double w2, d;      /* omega squared, 2 zeta omega */
+    double lead;       /* 2 zeta / omega: seconds by which a straight command is followed late */
+    double late, rows; /* what it lags by without its velocity, s and in rows */
 } lag;
 
 static double wanted(const lag *s, double row, double v)
 {
     const rthyb_actuator_model *m = s->model;
-    double late = m->delay_s + m->shift_s;
-    if (m->delay_rate_s2_per_m != 0.0) {
-        double speed = v;
-        if (m->rate_of == 1) {
-            const double at = row - late / m->period_s;
-            speed = (command_at(s->u, s->n, at + 0.5, RTHYB_FOH) -
-                     command_at(s->u, s->n, at - 0.5, RTHYB_FOH)) /
-                    m->period_s;
-        }
-        late += m->delay_rate_s2_per_m * fabs(speed);
+    if (m->delay_rate_s2_per_m == 0.0)
+        return m->gain * command_at(s->u, s->n, row - s->rows, m->hold);
+    double speed = v;
+    if (m->rate_of == 1) {
+        const double at = row - s->rows;
+        speed = (command_at(s->u, s->n, at + 0.5, RTHYB_FOH) -
+                 command_at(s->u, s->n, at - 0.5, RTHYB_FOH)) /
+                m->period_s;
     }
+    const double late = s->late + m->delay_rate_s2_per_m * fabs(speed);
     return m->gain * command_at(s->u, s->n, row - late / m->period_s, m->hold);
 }
 
@@ -59,6 +60,7 @@ static double pull(const lag *s, double u, double x, double v)
 /* The lag's own motion over a time: displacement and velocity from those before. */
 typedef struct {
     double xx, xv, vx, vv;
+    double per_s; /* one over that time; 0 for none */
 } passage;
 
 /* exp(A t) of x'' + d x' + w^2 x = 0, for any damping. */
@@ -80,14 +82,17 @@ static passage passage_of(double w2, double d, double t)
         cosine = decay;
         sine = decay * t;
     }
-    return (passage){cosine + half * sine, sine, -w2 * sine, cosine - half * sine};
+    return (passage){.xx = cosine + half * sine,
+                     .xv = sine,
+                     .vx = -w2 * sine,
+                     .vv = cosine - half * sine,
+                     .per_s = t > 0.0 ? 1.0 / t : 0.0};
 }
 
-/* Exact for a command that runs straight from u0 to u1 in h seconds. */
-static void follow(const lag *s, const passage *p, double h, double u0, double u1, double *x,
-                   double *v)
+/* Exact for a command that runs straight from u0 to u1 in the passage's time. */
+static void follow(const lag *s, const passage *p, double u0, double u1, double *x, double *v)
 {
-    const double slope = h > 0.0 ? (u1 - u0) / h : 0.0, lead = slope * s->d / s->w2;
+    const double slope = (u1 - u0) * p->per_s, lead = slope * s->lead;
     const double y = *x - (u0 - lead), w = *v - slope;
     *x = p->xx * y + p->xv * w + u1 - lead;
     *v = p->vx * y + p->vv * w + slope;
@@ -105,13 +110,13 @@ typedef struct {
 static void run_linear(const lag *s, size_t first, size_t end, place *p, rows out)
 {
     const rthyb_actuator_model *m = s->model;
-    const double late = (m->delay_s + m->shift_s) / m->period_s;
     /* Where between two rows a row of the delayed command lies. */
-    const double knot = late - floor(late), h = m->period_s;
+    const double knot = s->rows - floor(s->rows), h = m->period_s;
     const passage before = passage_of(s->w2, s->d, knot * h);
     const passage after = passage_of(s->w2, s->d, (1.0 - knot) * h);
+    double u0 = wanted(s, (double)first, 0.0);
     for (size_t i = first; i < end; i++) {
-        const double row = (double)i, u0 = wanted(s, row, 0.0), tiny = 1e-9;
+        const double row = (double)i, tiny = 1e-9;
         out.x[i] = p->x;
         out.v[i] = p->v;
         /* Of a held command the one that it has followed up to the row, as the rig latches it. */
@@ -119,9 +124,10 @@ static void run_linear(const lag *s, size_t first, size_t end, place *p, rows ou
         const double u1 = m->hold == RTHYB_FOH ? wanted(s, row + knot, 0.0) : u0;
         const double u2 = m->hold == RTHYB_FOH ? u1 : wanted(s, row + knot + tiny, 0.0);
         const double u3 = m->hold == RTHYB_FOH ? wanted(s, row + 1.0, 0.0) : u2;
-        follow(s, &before, knot * h, u0, u1, &p->x, &p->v);
-        follow(s, &after, (1.0 - knot) * h, u2, u3, &p->x, &p->v);
+        follow(s, &before, u0, u1, &p->x, &p->v);
+        follow(s, &after, u2, u3, &p->x, &p->v);
         p->u = u3;
+        u0 = m->hold == RTHYB_FOH ? u3 : wanted(s, row + 1.0, 0.0);
     }
 }
 
@@ -145,7 +151,7 @@ static void run_limited(const lag *s, size_t first, size_t end, place *p, rows o
             if (command)
                 u1 = p->u + clamp(u1 - p->u, -most * h, most * h);
             const double from = p->x;
-            follow(s, &piece, h, p->u, u1, &p->x, &p->v);
+            follow(s, &piece, p->u, u1, &p->x, &p->v);
             if (actuator) {
                 p->x = from + clamp(p->x - from, -most * h, most * h);
                 p->v = clamp(p->v, -most, most);
@@ -160,8 +166,7 @@ static void run_part(const lag *s, double from, double to, place *p)
 {
     const rthyb_actuator_model *m = s->model;
     const int curved = m->delay_rate_s2_per_m != 0.0 || m->velocity_limit_m_per_s != 0.0;
-    const double late = (m->delay_s + m->shift_s) / m->period_s;
-    const double at = floor(from) + (late - floor(late)), knot = clamp(at, from, to);
+    const double at = floor(from) + (s->rows - floor(s->rows)), knot = clamp(at, from, to);
     const double most = m->velocity_limit_m_per_s, tiny = 1e-9;
     const int pieces = curved ? PIECES : 2;
     for (int k = 0; k < pieces; k++) {
@@ -178,7 +183,7 @@ static void run_part(const lag *s, double from, double to, place *p)
             u1 = u0 + clamp(u1 - u0, -most * h, most * h);
         const passage piece = passage_of(s->w2, s->d, h);
         const double before = p->x;
-        follow(s, &piece, h, u0, u1, &p->x, &p->v);
+        follow(s, &piece, u0, u1, &p->x, &p->v);
         if (most > 0.0 && m->limit_at == 1) {
             p->x = before + clamp(p->x - before, -most * h, most * h);
             p->v = clamp(p->v, -most, most);
@@ -190,7 +195,15 @@ static void run_part(const lag *s, double from, double to, place *p)
 static lag lag_of(const rthyb_actuator_model *model, const double *u, size_t n)
 {
     const double w = 2.0 * RTHYB_PI * model->natural_frequency_hz;
-    return (lag){.model = model, .u = u, .n = n, .w2 = w * w, .d = 2.0 * model->damping_ratio * w};
+    const double late = model->delay_s + model->shift_s;
+    return (lag){.model = model,
+                 .u = u,
+                 .n = n,
+                 .w2 = w * w,
+                 .d = 2.0 * model->damping_ratio * w,
+                 .lead = 2.0 * model->damping_ratio / w,
+                 .late = late,
+                 .rows = late / model->period_s};
 }
 
 static void run_actuator(const lag *s, size_t first, size_t end, place *p, rows out)

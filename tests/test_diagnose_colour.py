@@ -52,6 +52,12 @@ def rms_seen(found: noise.Colour) -> float:
     return float(np.sqrt(np.sum(found.at(F_GRID[2.0 * found.least_hz <= F_GRID])) / F_GRID.size))
 
 
+def colour_left_by(y, sheet=1.0, rows=None, v=None):
+    rows = np.ones(N, dtype=np.bool_) if rows is None else rows
+    lines = noise.Lines(rows, FINE_HZ)
+    return noise.colour_of(lines, lines.power(y), velocity() if v is None else v, sheet)
+
+
 @pytest.mark.parametrize("colour", COLOURS)
 def test_noise_within_the_band_of_the_motion_is_told_from_beside_it(colour):
     """From 0.7 to 3.3 Hz nothing is looked at; what stands there is within a factor of 2.5."""
@@ -59,7 +65,7 @@ def test_noise_within_the_band_of_the_motion_is_told_from_beside_it(colour):
     ratios = []
     for seed in range(8):
         y = coloured(np.random.default_rng(seed), colour())
-        found = noise.colour_of(y, np.ones(N, dtype=np.bool_), velocity(), FINE_HZ, 1.0)
+        found = colour_left_by(y)
         assert found is not None
         truth = colour() / np.mean(colour())
         ratios.append(np.mean(found.at(F_GRID[inside])) / np.mean(truth[inside]))
@@ -71,27 +77,21 @@ def test_noise_within_the_band_of_the_motion_is_told_from_beside_it(colour):
 
 def test_white_noise_is_called_white():
     """By BIC: not once in forty."""
-    found = [
-        noise.colour_of(
-            np.random.default_rng(seed).standard_normal(N),
-            np.ones(N, dtype=np.bool_), velocity(), FINE_HZ, 1.0,
-        )
-        for seed in range(40)
-    ]  # fmt: skip
+    found = [colour_left_by(np.random.default_rng(seed).standard_normal(N)) for seed in range(40)]
     assert found == [None] * 40
 
 
 def test_mains_line_is_not_taken_for_noise():
     y = np.random.default_rng(3).standard_normal(N)
     hum = 0.5 * np.sin(2.0 * np.pi * 50.0 * np.arange(N) / FINE_HZ)
-    found = noise.colour_of(y + hum, np.ones(N, dtype=np.bool_), velocity(), FINE_HZ, 1.0)
+    found = colour_left_by(y + hum)
     assert found is None or found.at(np.array([50.0]))[0] < 1.5
 
 
 def test_noise_is_never_larger_than_its_sheet_allows():
     """Three times the sheet, and all of it below 40 Hz: two thirds are left to be explained."""
     y = 3.0 * coloured(np.random.default_rng(4), filtered())
-    found = noise.colour_of(y, np.ones(N, dtype=np.bool_), velocity(), FINE_HZ, 1.0)
+    found = colour_left_by(y)
     assert found is not None
     assert rms_seen(found) <= 1.25 * 1.001
 
@@ -108,7 +108,7 @@ def test_recording_that_tells_no_colour_is_left_white(broken):
         y, rows, v = y[:200], rows[:200], v[:200]
     else:
         y = np.full(N, np.nan)
-    assert noise.colour_of(y, rows, v, FINE_HZ, sheet) is None
+    assert colour_left_by(y, sheet, rows, v) is None
 
 
 def recorded(random: np.random.Generator, extra, shape: np.ndarray, of_x: bool = False):

@@ -21,12 +21,13 @@ from test_diagnose_noise import DRIVE, F_STD, written
 from rthyb_rt.diagnose import engine, estimate, noise, reading
 
 ALL = np.ones(N, dtype=np.bool_)
+LINES = noise.Lines(ALL, FINE_HZ)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_random_walk_is_read_within_the_band_as_well(seed):
     y = coloured(np.random.default_rng(seed), random_walk_over_white())
-    found = noise.red_of(y, ALL, FINE_HZ, 1.0)
+    found = noise.red_of(LINES, LINES.power(y), 1.0)
     assert found is not None
     truth = random_walk_over_white() / np.mean(random_walk_over_white())
     at = np.array([0.3, 1.0, 3.0, 30.0])
@@ -40,8 +41,8 @@ def test_white_noise_and_a_line_are_not_red():
     line = 0.5 * np.sin(2.0 * np.pi * np.arange(N) / FINE_HZ)
     for seed in range(20):
         white = np.random.default_rng(seed).standard_normal(N)
-        assert noise.red_of(white, ALL, FINE_HZ, 1.0) is None
-        found = noise.red_of(white + line, ALL, FINE_HZ, 1.0)
+        assert noise.red_of(LINES, LINES.power(white), 1.0) is None
+        found = noise.red_of(LINES, LINES.power(white + line), 1.0)
         assert found is None or found.at(np.array([1.0]))[0] < 10.0
 
 

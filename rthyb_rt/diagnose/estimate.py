@@ -238,6 +238,13 @@ def _smooth_number(value: int) -> bool:
     return value == 1
 
 
+def fast_length(least: int) -> int:
+    """Return the next length whose transform is fast: one of small factors only."""
+    while not _smooth_number(least):
+        least += 1
+    return least
+
+
 @dataclass(frozen=True)
 class _Spectral:
     pad: int
@@ -425,6 +432,7 @@ def likelihood(
     sigma: float,
     sheet: float | None,
     blur: Blur | None = None,
+    lines: noise.Lines | None = None,
 ) -> tuple[float, Whitener | None]:
     """Return -2 ln of the likelihood of what a set of effects leaves, in noise of its colour.
 
@@ -439,11 +447,14 @@ def likelihood(
         sigma: standard deviation of the noise were it white, in the channel's unit.
         sheet: the same as the data sheet states it.
         blur: what the estimate of the motion adds to that noise, whatever its colour.
+        lines: of these rows, where they are known.
     """
     stated = sheet / sigma if sheet else 1.0
+    lines = lines or noise.Lines(rows, fs_hz)
+    power = lines.power(residual / sigma) if sheet else None
     colours = (
-        noise.colour_of(residual / sigma, rows, velocity, fs_hz, sheet and stated),
-        noise.red_of(residual / sigma, rows, fs_hz, sheet and stated),
+        noise.colour_of(lines, power, velocity, sheet and stated),
+        noise.red_of(lines, power, sheet and stated),
     )
     found = [_in_colour(c, residual, rows, fs_hz, sigma, blur) for c in colours if c is not None]
     # Where its colour is seen beside the motion, white it is not.
@@ -507,10 +518,11 @@ def likeliest(
             motion, (n,), m/s; and its price.
         rows, fs_hz, sigma, sheet, blur: see `likelihood`.
     """
+    lines = noise.Lines(rows, fs_hz)
     told = [
         (cost + price, own)
         for left, velocity, price in tried
-        for cost, own in [likelihood(left, rows, velocity, fs_hz, sigma, sheet, blur)]
+        for cost, own in [likelihood(left, rows, velocity, fs_hz, sigma, sheet, blur, lines)]
     ]
     return min(told, key=lambda t: t[0])[1]
 

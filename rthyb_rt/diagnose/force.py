@@ -18,6 +18,7 @@ from rthyb_rt.diagnose.select import (
     Fit,
     Member,
     Problem,
+    Solved,
     columns_of,
     compatible,
     inflation,
@@ -586,10 +587,11 @@ def _sweep(
     singles = _promising(dictionary, dictionary.singles(), null)
     for group in members(dictionary.best(singles, 8, 4)):
         fitter.fit(group)
-    best = min((chi2 for chi2, _ in singles), default=null)
+    best = float(singles.chi2.min(initial=np.inf)) if len(singles) else null
     pairs = _promising(dictionary, dictionary.pairs(), null)
     # A pair has to do better than its better half before its shapes are worth fitting.
-    pairs = [p for p in pairs if p[0] < best - 4.0 or len(singles) == 0]
+    if len(singles):
+        pairs = pairs.where(pairs.chi2 < best - 4.0)
     leading = dictionary.best(pairs, 12)
     for group in members(leading[:10]):
         fitter.fit(group)
@@ -719,11 +721,10 @@ def _beside(dictionary: Dictionary, fit: Fit, most: int) -> list[tuple[Member, .
         for g, group in enumerate(dictionary.groups)
         if not set(group.member.effect.names) & set(fit.names)
     ]
-    found = [
-        (chi2, groups)
-        for chi2, groups in dictionary.sets(others, beside)
-        if beside[2] - chi2 > POLICY.promising_price_beside * dictionary.penalty(groups)
-    ]
+    found = dictionary.sets(others, beside)
+    earned = beside[2] - found.chi2
+    costs = dictionary.penalties(found.groups)
+    found = found.where(earned > POLICY.promising_price_beside * costs)
     out = []
     for groups in dictionary.best(found, most):
         members = (*fit.members, *(dictionary.groups[g].member for g in groups))
@@ -732,15 +733,10 @@ def _beside(dictionary: Dictionary, fit: Fit, most: int) -> list[tuple[Member, .
     return out
 
 
-def _promising(
-    dictionary: Dictionary, found: list[tuple[float, tuple[int, ...]]], null: float
-) -> list[tuple[float, tuple[int, ...]]]:
+def _promising(dictionary: Dictionary, found: Solved, null: float) -> Solved:
     """Leave out sets that earn so little that no fitting of shapes could make up for it."""
-    return [
-        (chi2, groups)
-        for chi2, groups in found
-        if null - chi2 > POLICY.promising_price * dictionary.penalty(groups)
-    ]
+    costs = dictionary.penalties(found.groups)
+    return found.where(null - found.chi2 > POLICY.promising_price * costs)
 
 
 def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:

@@ -7,9 +7,11 @@ such error: it meets the measured one to the sensor's noise, or the set is wrong
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from threading import Lock
 
 import numpy as np
 
@@ -33,6 +35,8 @@ RUNS = 4000
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
 SLOW = 4
 """Simulations that one takes the time of where a law is no single element of the core."""
+KEPT = 32
+"""Motions that are kept for what is only read otherwise."""
 STEPS = 6
 STEP = 1e-4
 LITTLE = 0.03
@@ -81,10 +85,12 @@ class Body:
     linear = True
     rough = np.inf
     whole_rig = False
-    threads = 1
+    threads = 2
 
     def __init__(self, case: Case, ctx: Context) -> None:
         self.case, self.ctx, self.runs = case, ctx, RUNS
+        self.lock = Lock()
+        self._moved: deque[tuple[Augmented, tuple[float, ...], Motion]] = deque(maxlen=KEPT)
         self.met = POLICY.motion_met_alone
         self.loose = self._loose()
         self.held = "f_meas" in case.channels and case.model.family == "ground"
@@ -216,9 +222,14 @@ class Body:
     def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
         """Return recording less simulation in units of the noise, one for each of the rows."""
         rate = 2.0 * np.pi * self.spread
-        push, mass = self._push(float(np.exp(POLICY.mass_blur * loose[0])))
         start = (at[0] + loose[2] * self.spread, at[1] + loose[3] * rate)
-        motion = now.moved_by(push, mass, self.case.t, self.other, start)
+        key = (float(loose[0]), *start)
+        motion = next((m for n, k, m in list(self._moved) if n is now and k == key), None)
+        if motion is None:
+            push, mass = self._push(float(np.exp(POLICY.mass_blur * loose[0])))
+            motion = now.moved_by(push, mass, self.case.t, self.other, start)
+            # A shift in time moves no body: its slope needs no other motion.
+            self._moved.append((now, key, motion))
         x = motion.x - loose[1] * POLICY.offset_prior_s * motion.v
         return np.asarray((x - self.x)[self.rows] / self.sigma)
 
@@ -239,11 +250,19 @@ class Body:
             return None
         cost = 1 if self.quick(fit) else SLOW
 
+        models: dict[bytes, Augmented] = {}
+
         def residual(p: Floats) -> Floats:
-            self.runs -= cost
-            now = changed(first, places, _logs(places, p))
+            own = p[:count].tobytes()
+            with self.lock:
+                now = models.get(own)
+                if now is None:
+                    now = models[own] = changed(first, places, _logs(places, p))
             prior = self._priors(places, plain, p)
             return np.asarray(np.r_[self.differences(now, p[count:], start), prior])
+
+        def spend(runs: int) -> None:
+            self.runs -= runs * cost
 
         try:
             shapes = [kind == "theta" for kind, _, _ in places]
@@ -252,21 +271,15 @@ class Body:
             loose = [[-most, most] for _, _, most in self.loose]
             linear = {m.name for m in fit.members} & {n.name for n in problem.nuisances}
             p, r, gram, slopes = _least(
-                residual,
-                np.r_[np.zeros(count), self._known(problem, fit)],
-                reach,
-                np.vstack((ends, loose)),
-                central=bool(linear) or not any(shapes),
-                rough=self.rough * self.rows.size,
-                threads=self.threads,
-            )
+                residual, np.r_[np.zeros(count), self._known(problem, fit)],
+                reach, np.vstack((ends, loose)), bool(linear) or not any(shapes),
+                self.rough * self.rows.size, spend, self.threads,
+            )  # fmt: skip
         except (SimulationError, core.CoreError, np.linalg.LinAlgError):
             return None
         best = changed(first, places, _logs(places, p))
-        if any(
-            not m.effect.sensible(self.ctx, m.trial, b)
-            for m, b in zip(best.members, best.betas, strict=True)
-        ):
+        pairs = zip(best.members, best.betas, strict=True)
+        if not all(m.effect.sensible(self.ctx, m.trial, b) for m, b in pairs):
             return None
         nuisance = self._nuisance(problem, best.model, p[count:])
         inverse = _inverse(gram)
@@ -339,30 +352,21 @@ def _least(
     reach: Floats,
     ends: Floats,
     central: bool,
-    rough: float = np.inf,
-    threads: int = 1,
+    rough: float,
+    spend: Callable[[int], None],
+    threads: int,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the parameters, residual, normal matrix and slopes of least squares from a point.
 
     A step goes no farther than ``reach``, (n,), a parameter no farther than its ``ends``, (n, 2).
     Slopes are ``central`` where priors decide: at resonance a one-sided one is wrong by more, and
     so it is along the valley of a number and the effect that moves it. Above a chi-squared of
-    ``rough`` nothing of this is asked: such a fit is only to be told from better ones.
+    ``rough`` nothing of this is asked: such a fit is only to be told from better ones. ``spend`` is
+    told how many residuals it took, in the same order on any number of ``threads``.
     """
     size, p = reach.size, begun
 
-    def slopes(p: Floats, r: Floats) -> list[Floats]:
-        steps = list(STEP * np.eye(size))
-        if threads == 1:
-            return [slope(p, r, e) for e in steps]
-        with ThreadPoolExecutor(threads) as pool:
-            return list(pool.map(lambda e: slope(p, r, e), steps))
-
-    def slope(p: Floats, r: Floats, e: Floats) -> Floats:
-        if central and best < rough:
-            return (residual(p + e) - residual(p - e)) / (2.0 * STEP)
-        return (residual(p + e) - r) / STEP
-
+    spend(1)
     r = residual(p)
     low, high = ends.T
     # What only its prior holds is weak beside the rest: heavy damping would keep it from moving.
@@ -371,16 +375,17 @@ def _least(
         raise SimulationError("the motion ran off")
     gram, jacobian = np.eye(size), np.zeros((r.size, size))
     for _ in range(STEPS):
-        try:
-            jacobian = np.column_stack(slopes(p, r))
-        except (SimulationError, core.CoreError):
+        columns = _slopes(residual, p, r, central and best < rough, spend, threads)
+        if columns is None:
             break
+        jacobian = np.column_stack(columns)
         gram = jacobian.T @ jacobian
         right = -jacobian.T @ r
         gain = 0.0
         for _ in range(7):
             step = np.linalg.solve(gram + damping * np.diag(gram.diagonal() + 1e-12), right)
             trial = np.clip(p + np.clip(step, -reach, reach), low, high)
+            spend(1)
             new = _simulated(residual, trial)
             now = float(new @ new) if new is not None else np.inf
             if new is not None and np.isfinite(now) and now < best:
@@ -391,6 +396,33 @@ def _least(
         if gain < (1e-6 if best < rough else LITTLE) * best + 0.05:
             break
     return p, r, gram, jacobian
+
+
+def _slopes(
+    residual: Callable[[Floats], Floats],
+    p: Floats,
+    r: Floats,
+    central: bool,
+    spend: Callable[[int], None],
+    threads: int,
+) -> list[Floats] | None:
+    """Return the slope to each parameter; None where one cannot be simulated. See `_least`."""
+
+    def slope(e: Floats) -> tuple[int, Floats | None]:
+        ahead = _simulated(residual, p + e)
+        if ahead is None or not central:
+            return 1, None if ahead is None else (ahead - r) / STEP
+        behind = _simulated(residual, p - e)
+        return 2, None if behind is None else (ahead - behind) / (2.0 * STEP)
+
+    found = []
+    with ThreadPoolExecutor(threads) as pool:
+        for runs, own in pool.map(slope, STEP * np.eye(p.size)):
+            spend(runs)
+            if own is None:
+                return None
+            found.append(own)
+    return found
 
 
 def _simulated(residual: Callable[[Floats], Floats], p: Floats) -> Floats | None:

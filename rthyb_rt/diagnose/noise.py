@@ -68,37 +68,66 @@ class Colour:
         return float(0.5 * np.sqrt(np.sum(power**2)) / np.sum(power))
 
 
+class Lines:
+    """The spectra of what is left of one channel by one set of effects or another.
+
+    Attributes:
+        f_hz: the lines, (m,).
+    """
+
+    def __init__(self, rows: NDArray[np.bool_], fs_hz: float) -> None:
+        """Take in which rows count, (n,), and how many there are a second."""
+        self.fs_hz, self.enough = fs_hz, bool(rows.mean() >= 0.5 and rows.size >= 256)
+        self.f_hz = np.asarray(np.fft.rfftfreq(rows.size, 1.0 / fs_hz), dtype=np.float64)
+        self.taper = _faded(rows, fs_hz) if self.enough else np.zeros(rows.size)
+        self.scale = float(np.sum(self.taper**2))
+        self._kept: tuple[Floats, tuple[float, float] | None] | None = None
+
+    def power(self, residual: Floats) -> Floats | None:
+        """Return the power of each line of a residual of shape (n,), (m,); None of too few rows."""
+        if not self.enough or self.scale < 128:
+            return None
+        mean = float(np.sum(self.taper * residual) / np.sum(self.taper))
+        power = np.abs(np.fft.rfft(self.taper * (residual - mean))) ** 2 / self.scale
+        return power if np.isfinite(power).all() else None
+
+    def band(self, velocity: Floats) -> tuple[float, float] | None:
+        """Return the ends of a motion's band, Hz, from its velocity, (n,); None: it stands still.
+
+        Sets along one motion are asked about one after another: its band is kept.
+        """
+        if self._kept is None or self._kept[0] is not velocity:
+            moved = np.cumsum(np.abs(np.fft.rfft(self.taper * velocity)) ** 2)
+            ends = None
+            if moved[-1] > 0.0:
+                beside = 0.5 * POLICY.noise_beside_motion
+                low, high = np.interp([beside, 1.0 - beside], moved / moved[-1], self.f_hz)
+                ends = float(low), float(high)
+            self._kept = velocity, ends
+        return self._kept[1]
+
+
 def colour_of(
-    residual: Floats,
-    rows: NDArray[np.bool_],
-    velocity: Floats,
-    fs_hz: float,
-    sheet: float | None,
+    lines: Lines, power: Floats | None, velocity: Floats, sheet: float | None
 ) -> Colour | None:
     """Return the colour of what is left of a channel; None where it is white or cannot be told.
 
     Args:
-        residual: what is left, over the standard deviation of its noise were that white, (n,).
-        rows: which of them count, (n,).
+        lines: the rows that count.
+        power: of what is left, over the standard deviation of its noise were that white, as
+            `Lines.power` has it.
         velocity: of the motion, of any unit, (n,).
-        fs_hz: rows per second.
         sheet: what the data sheet states, in the residual's unit; None: nothing bounds the noise,
             and a misfit that is no noise could not be told from it.
     """
-    seen = _spectrum(residual, rows, fs_hz) if sheet else None
-    if seen is None or sheet is None:
+    ends = lines.band(velocity) if power is not None and sheet else None
+    if power is None or sheet is None or ends is None:
         return None
-    f_hz, power = seen
-    moved = np.cumsum(np.abs(np.fft.rfft(_faded(rows, fs_hz) * velocity)) ** 2)
-    if not moved[-1] > 0.0:
-        return None
-    beside_it = 0.5 * POLICY.noise_beside_motion
-    ends = np.interp([beside_it, 1.0 - beside_it], moved / moved[-1], f_hz)
-    low_hz, high_hz = map(float, ends)
+    f_hz, (low_hz, high_hz) = lines.f_hz, ends
     beside = np.flatnonzero(((f_hz < low_hz) | (f_hz > high_hz)) & (np.arange(f_hz.size) > 1))
     beside = beside[beside < f_hz.size - 1]
     # With little room above the motion nothing tells its noise from what it makes.
-    if beside.size < 8 * LINES or high_hz > POLICY.noise_room * fs_hz:
+    if beside.size < 8 * LINES or high_hz > POLICY.noise_room * lines.fs_hz:
         return None
     # Seen from above only, noise is known as far as it goes on evenly: an octave to either side.
     below = f_hz[beside[0]] < low_hz
@@ -111,42 +140,23 @@ def colour_of(
     return _held(found, f_hz, sheet)
 
 
-def red_of(
-    residual: Floats, rows: NDArray[np.bool_], fs_hz: float, sheet: float | None
-) -> Colour | None:
+def red_of(lines: Lines, power: Floats | None, sheet: float | None) -> Colour | None:
     """Return a floor and what rises from it towards slow motion, read within the motion's band too.
 
     Slow noise swells over all of the band, where the force of a law has the lines of the motion: if
     a set leaves such noise, it is for the likelihoods of all sets to say.
 
     Args:
-        residual, rows, fs_hz, sheet: as of `colour_of`.
+        lines, power, sheet: as of `colour_of`.
     """
-    seen = _spectrum(residual, rows, fs_hz) if sheet else None
-    if seen is None or sheet is None:
+    if power is None or not sheet:
         return None
-    f_hz, power = seen[0][1:-1], seen[1][1:-1]
+    f_hz, inner = lines.f_hz[1:-1], power[1:-1]
     if f_hz.size < 8 * LINES:
         return None
-    red = _fitted_red(f_hz, power)
+    red = _fitted_red(f_hz, inner)
     found = Colour(f_hz[-1:], _red(f_hz[-1:], red), red, np.inf, 0.5 * float(f_hz[0]))
-    return _held(found, seen[0], sheet) if red[1] > 0.0 and _better(found, f_hz, power) else None
-
-
-def _spectrum(
-    residual: Floats, rows: NDArray[np.bool_], fs_hz: float
-) -> tuple[Floats, Floats] | None:
-    """Return the lines of the rows that count, Hz, and their power; None of too few rows."""
-    if rows.mean() < 0.5 or rows.size < 256:
-        return None
-    taper = _faded(rows, fs_hz)
-    scale = float(np.sum(taper**2))
-    if scale < 128:
-        return None
-    f_hz = np.asarray(np.fft.rfftfreq(rows.size, 1.0 / fs_hz), dtype=np.float64)
-    mean = float(np.sum(taper * residual) / np.sum(taper))
-    power = np.abs(np.fft.rfft(taper * (residual - mean))) ** 2 / scale
-    return (f_hz, power) if np.isfinite(power).all() else None
+    return _held(found, lines.f_hz, sheet) if red[1] > 0.0 and _better(found, f_hz, inner) else None
 
 
 def _held(found: Colour, f_hz: Floats, sheet: float) -> Colour:
@@ -199,34 +209,42 @@ def _fitted_red(f_hz: Floats, power: Floats) -> tuple[float, float, float]:
 
     For each slope the two others by Fisher scoring, neither below nothing.
     """
-    best, found = np.inf, (float(np.mean(power)), 0.0, 0.0)
+    mean = float(np.mean(power))
+    best, found = np.inf, (mean, 0.0, 0.0)
     for slope in np.linspace(0.0, POLICY.noise_steepest, 9):
-        design = np.column_stack((np.ones(f_hz.size), f_hz**-slope))
-        level = np.full(f_hz.size, float(np.mean(power)))
-        beta = np.zeros(2)
+        rise = f_hz**-slope
+        level = np.full(f_hz.size, mean)
+        floor = more = 0.0
         for turn in range(SCORINGS):
-            part = design[:, :1] if slope == 0.0 else design
             # What stands far out of such a spectrum is a line, and no noise.
             noise = power if turn < SCORINGS // 2 else np.minimum(power, POLICY.noise_line * level)
-            beta = _not_negative(part / level[:, None], noise / level)
-            level = np.maximum(design @ beta, 1e-6 * float(np.mean(power)))
+            floor, more = _not_negative(1.0 / level, rise if slope > 0.0 else None, noise / level)
+            level = np.maximum(floor + more * rise, 1e-6 * mean)
         likelihood = float(np.sum(np.log(level) + np.minimum(power / level, POLICY.noise_line)))
         if likelihood < best - 1e-9:
-            best, found = likelihood, (float(beta[0]), float(beta[1]), float(slope))
+            best, found = likelihood, (floor, more, float(slope))
     return found
 
 
-def _not_negative(design: Floats, y: Floats) -> Floats:
-    """Return the least squares of one or two coefficients that are not negative, (2,)."""
-    norms = np.sum(design**2, axis=0)
-    alone = np.maximum(design.T @ y / norms, 0.0)
-    if design.shape[1] == 1:
-        return np.array([alone[0], 0.0])
-    both = np.linalg.lstsq(design, y, rcond=None)[0]
-    if (both >= 0.0).all():
-        return np.asarray(both)
-    better = int(np.argmax(alone**2 * norms))
-    return np.where(np.arange(2) == better, alone, 0.0)
+def _not_negative(weight: Floats, rise: Floats | None, y: Floats) -> tuple[float, float]:
+    """Return the coefficients of ``weight``, and of it times ``rise``, that are not negative.
+
+    Of least squares of ``y``, each (n,).
+    """
+    one, right_one = float(weight @ weight), float(weight @ y)
+    alone = max(right_one / one, 0.0)
+    if rise is None:
+        return alone, 0.0
+    other = weight * rise
+    two, right_two, both = float(other @ other), float(other @ y), float(weight @ other)
+    beside = max(right_two / two, 0.0)
+    apart = one * two - both * both
+    if apart > 0.0:
+        first = (two * right_one - both * right_two) / apart
+        second = (one * right_two - both * right_one) / apart
+        if first >= 0.0 and second >= 0.0:
+            return first, second
+    return (alone, 0.0) if alone**2 * one >= beside**2 * two else (0.0, beside)
 
 
 def _better(found: Colour, f_hz: Floats, power: Floats) -> bool:

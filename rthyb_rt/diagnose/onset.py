@@ -16,6 +16,7 @@ from rthyb_rt.diagnose.select import (
     Fit,
     Member,
     Problem,
+    Scan,
     compatible,
     inflation,
     refine,
@@ -193,7 +194,9 @@ def _beside(dictionary: Dictionary, fitter: Fitter, base: Fit) -> list[Fit]:
     def look(rows: Rows) -> None:
         for row, products in zip(rows, dictionary.begun(base, rows), strict=True):
             start = float(problem.ctx.t[problem.rows[row]] - problem.ctx.t[0])
-            for chi2, (g,) in dictionary.sets(switched, products):
+            found = dictionary.sets(switched, products)
+            scores = found.chi2 + dictionary.penalties(found.groups) + problem.ln_n
+            for chi2, (g,) in found.where(scores < products[2]):
                 promises(chi2, start, g, products[2])
 
     switched = [g for g in free if _switched(groups[g[0]].member.effect)]
@@ -233,15 +236,12 @@ def _with(beside: Sequence[Member], member: Member, start: float) -> list[Member
 
 def _scan(problem: Problem, members: Sequence[Member], starts: Floats) -> list[tuple[float, float]]:
     """Return (chi-squared, beginning) of a set for each beginning of its last effect."""
-    last, out = len(members) - 1, []
-    blocks = problem.blocks(members)
+    scan, out = Scan(problem, members), []
     for start in starts:
         theta = (*members[-1].trial.theta[:-1], float(start))
-        moved = Member(members[-1].effect, Trial(theta, members[-1].trial.variant))
-        now = [*members[:-1], moved]
-        fit = solve(problem, now, problem.changed(now, blocks, last))
-        if fit is not None:
-            out.append((fit.chi2, float(start)))
+        chi2 = scan.chi2(Member(members[-1].effect, Trial(theta, members[-1].trial.variant)))
+        if chi2 is not None:
+            out.append((chi2, float(start)))
     return out
 
 

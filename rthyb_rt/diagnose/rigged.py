@@ -8,6 +8,7 @@ load cell have to be those that were recorded, to their noise.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import replace
 from math import ceil
 
@@ -26,6 +27,8 @@ from rthyb_rt.diagnose.simulate import Motion, SimulationError
 
 RUNS = 700
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
+KEPT = 64
+"""Simulations that are kept, of a third of a megabyte each."""
 LONGEST_S, BEYOND_S = 20.0, 2.0
 """What is simulated of a recording: so much, and so much beyond its largest displacement."""
 STEEP = 1.0
@@ -154,7 +157,6 @@ class RigBody(Body):
     largest = 3
     linear = False
     whole_rig = True
-    threads = 2
 
     def __init__(self, case: Case, ctx: Context) -> None:
         super().__init__(case, ctx)
@@ -172,6 +174,7 @@ class RigBody(Body):
         self.rows = np.arange(2 * self.judged.size)
         self.units = {"bias": case.tare_error_n or 1e-9, "skew": POLICY.offset_prior_s}
         self.runs = RUNS
+        self._made: OrderedDict[core.RigConfig, tuple[Floats, Floats]] = OrderedDict()
 
     def _loose(self) -> Loose:
         reach = POLICY.nuisance_reach
@@ -210,7 +213,7 @@ class RigBody(Body):
         ):
             raise SimulationError("no physical law")
         try:
-            x, f = core.Rig(config_of(now)).run(self.simulated)
+            x, f = self._run(config_of(now))
         except core.CoreError as error:
             raise SimulationError(str(error)) from error
         f = read(now, f, self.ctx)
@@ -221,6 +224,20 @@ class RigBody(Body):
         # The sensor's zero is the tare's, a mean over noise.
         off_x = off_x - np.mean(off_x)
         return np.asarray(np.r_[off_f / self.sigma_f, off_x / self.sigma])
+
+    def _run(self, rig: core.RigConfig) -> tuple[Floats, Floats]:
+        """Return displacement and force, each (n,), of a rig; of the last ones they are kept.
+
+        What only the load cell shows moves nothing: the rig stays the same.
+        """
+        made = self._made.get(rig)
+        if made is None:
+            made = core.Rig(rig).run(self.simulated)
+            with self.lock:
+                self._made[rig] = made
+                while len(self._made) > KEPT:
+                    self._made.popitem(last=False)
+        return made
 
     def motion(self, problem: Problem, fit: Fit) -> Motion | None:
         """Return the motion of the rig with a set in it, as it was fitted."""

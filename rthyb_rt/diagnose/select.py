@@ -8,9 +8,11 @@ nuisance columns with a prior.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ from rthyb_rt.diagnose import modulation
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects import having, of_number
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
-from rthyb_rt.diagnose.estimate import Estimate, Rows
+from rthyb_rt.diagnose.estimate import Estimate, Rows, fast_length
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.simulate import Motion
 
@@ -32,6 +34,8 @@ LONG = 4
 """Times as many from which a search whitens pieces of the recording, and not all of it."""
 PIECE = 1024
 """Rows of such a piece."""
+KEPT = 64
+"""Blocks of columns that are kept, of a few tenths of a megabyte each."""
 SLOPES = 101
 """Displacements between the ends of the motion at which the slope of a spring is taken."""
 
@@ -156,6 +160,8 @@ class Problem:
         self.case, self.ctx, self.estimate = case, ctx, estimate
         self.blurred = not estimate.exact if blurred is None else blurred
         self.loudness = 1.0
+        self._blocks: OrderedDict[tuple[Any, ...], Floats] = OrderedDict()
+        self._kept: tuple[tuple[Any, ...], list[Nuisance], Floats] | None = None
         rows = np.flatnonzero(estimate.rows)
         self.thin = max(1, -(-rows.size // ROWS_MAX))
         self.rows = rows[:: self.thin]
@@ -304,20 +310,42 @@ class Problem:
 
     def beside(self, members: Sequence[Member]) -> Floats:
         """Return the judged columns of the nuisance beside a set, (rows, nuisances)."""
-        if not any(m.effect.carries for m in members):
+        cells = [m for m in members if m.effect.carries]
+        if not cells:
             return self.base
-        return np.column_stack([self.seen(c) for c in bending(self, members)] or [self.base])
+        # Of one set this is asked several times over while its cell's shape stays.
+        key, kept = (self.loudness, *((m.effect, m.trial) for m in cells)), self._kept
+        if kept is None or kept[0] != key or kept[1] is not self.nuisances:
+            seen = [self.seen(c) for c in bending(self, members)]
+            self._kept = kept = (key, self.nuisances, np.column_stack(seen or [self.base]))
+        return kept[2]
 
     def columns(self, member: Member) -> Floats:
         """Return the judged columns of an effect in one shape, (rows, coefficients)."""
         return self.blocks([member])[0]
 
     def blocks(self, members: Sequence[Member]) -> list[Floats]:
-        """Return the judged columns of a set, each (rows, coefficients)."""
-        return [
-            np.column_stack([self.seen(c) for c in columns])
-            for columns in columns_of(self.ctx, members)
-        ]
+        """Return the judged columns of a set, each (rows, coefficients); not to be written to.
+
+        The last ones are kept: a search asks again for most of what it has refined.
+        """
+        cells = [m for m in members if m.effect.carries]
+        return [self._block(m, [] if m.effect.sensor else cells) for m in members]
+
+    def _block(self, member: Member, cells: list[Member]) -> Floats:
+        key = (self.loudness, *((m.effect, m.trial) for m in (member, *cells)))
+        found = self._blocks.get(key)
+        if found is None:
+            columns = columns_of(self.ctx, [member, *cells])[0]
+            found = np.column_stack([self.seen(c) for c in columns])
+            # One that begins in mid-record is an effect of its own each time.
+            if not any(m.effect.late for m in (member, *cells)):
+                self._blocks[key] = found
+            if len(self._blocks) > KEPT:
+                self._blocks.popitem(last=False)
+        else:
+            self._blocks.move_to_end(key)
+        return found
 
     def changed(
         self, members: Sequence[Member], blocks: Sequence[Floats], which: int
@@ -374,6 +402,31 @@ class _Group:
     count: int
 
 
+@dataclass(frozen=True)
+class Solved:
+    """Sets of groups of one size, each solved.
+
+    Attributes:
+        chi2: of each, (m,).
+        groups: of each, (m, size).
+    """
+
+    chi2: Floats
+    groups: Rows
+
+    def __len__(self) -> int:
+        return self.chi2.size
+
+    def __iter__(self) -> Iterator[tuple[float, tuple[int, ...]]]:
+        return (
+            (c, tuple(g)) for c, g in zip(self.chi2.tolist(), self.groups.tolist(), strict=True)
+        )
+
+    def where(self, kept: NDArray[np.bool_]) -> Solved:
+        """Return some of them."""
+        return Solved(self.chi2[kept], self.groups[kept])
+
+
 class Dictionary:
     """All trial shapes of all effects, and their products block by block."""
 
@@ -401,6 +454,7 @@ class Dictionary:
                 )
             progress(effect.name)
         self.groups = groups
+        self.costs = np.array([price(problem, g.member.effect, g.count) for g in groups])
         base = problem.base
         data = (
             np.column_stack([*columns, base, problem.y])
@@ -452,7 +506,8 @@ class Dictionary:
         size = np.sqrt(np.maximum(np.sum(base**2, axis=0), 1e-200))
         base = base / size
         held = base.T @ base + np.diag(pins / size**2 + 1e-9)
-        data = self.data[:, : self.p] / self._loudness()
+        data, loudness = self.data[:, : self.p], self._loudness()
+        beside = np.column_stack([base, y])
         from_base = np.linalg.solve(held, base.T @ y)
         left = float(y @ y - (base.T @ y) @ from_base) + extra
         # In the columns' products alone the nuisance is still there: none of it is out yet.
@@ -462,9 +517,14 @@ class Dictionary:
         for first in map(int, rows[::-1]):
             for part, whole in self._parts(first, end):
                 own = data[part]
-                gram += own.T @ own if whole is None else self.grams[whole, : self.p, : self.p]
-                cross += base[part].T @ own
-                right += own.T @ y[part]
+                if whole is None:
+                    gram += (own.T @ own) / loudness**2
+                else:
+                    gram += self.grams[whole, : self.p, : self.p]
+            # One product for the nuisance, the set and what it leaves: each reads all columns.
+            products = beside[first:end].T @ data[first:end] / loudness
+            cross += products[:-1]
+            right += products[-1]
             end = first
             a = gram - cross.T @ np.linalg.solve(held, cross)
             out.append((a, right - cross.T @ from_base, left))
@@ -504,18 +564,18 @@ class Dictionary:
         """Return by how much rows have been scaled down since the dictionary was made."""
         return self.problem.loudness / self.made
 
-    def singles(self) -> list[tuple[float, tuple[int, ...]]]:
-        """Return (chi2, group) of every group on its own; impossible ones are left out."""
+    def singles(self) -> Solved:
+        """Return chi2 of every group on its own; impossible ones are left out."""
         return self.sets([(g,) for g in range(len(self.groups))])
 
     def sets(
         self,
-        sets: Sequence[tuple[int, ...]],
+        sets: Sequence[tuple[int, ...]] | Rows,
         reduced: tuple[Floats, Floats, float] | None = None,
-    ) -> list[tuple[float, tuple[int, ...]]]:
-        """Return (chi2, groups) of sets of groups of one size, impossible ones left out."""
+    ) -> Solved:
+        """Return chi2 of sets of groups of one size, impossible ones left out."""
         if len(sets) == 0:
-            return []
+            return Solved(np.zeros(0), np.zeros((0, 1), dtype=np.int64))
         a, b, j0 = self.reduced() if reduced is None else reduced
         width = 2
         groups = np.array(sets)
@@ -525,7 +585,7 @@ class Dictionary:
         for g, group in enumerate(self.groups):
             index[g, : len(group.columns)] = group.columns
             sign[g, : len(group.columns)] = [s == "+" for s in group.signs]
-        out: list[tuple[float, tuple[int, ...]]] = []
+        out: list[tuple[Floats, Rows]] = []
         aa = a + np.diag(self.pin_a)
         bb = b + self.pin_b
         for part in np.array_split(np.arange(len(sets)), max(1, len(sets) // 40000)):
@@ -546,28 +606,26 @@ class Dictionary:
             chi2 = j0 + self.pin_c[groups[part]].sum(axis=1) - np.sum(beta * rhs, axis=1)
             positive = sign[groups[part]].reshape(part.size, size)
             bad = np.any(positive & (beta < 0), axis=1) | ~np.isfinite(chi2)
-            out += [
-                (float(chi2[i]), tuple(int(g) for g in groups[part[i]]))
-                for i in np.flatnonzero(~bad)
-            ]
-        return out
+            out.append((chi2[~bad], groups[part[~bad]]))
+        return Solved(*map(np.concatenate, zip(*out, strict=True)))
+
+    def penalties(self, groups: Rows) -> Floats:
+        """Return what each of some sets, (m, size), has to earn, (m,)."""
+        return np.asarray(self.costs[groups].sum(axis=1))
 
     def penalty(self, groups: Sequence[int]) -> float:
         """Return what a set has to earn: its parameters, and having been picked among many."""
-        return sum(
-            price(self.problem, self.groups[g].member.effect, self.groups[g].count) for g in groups
-        )
+        return sum(float(self.costs[g]) for g in groups)
 
-    def best(
-        self, found: Sequence[tuple[float, tuple[int, ...]]], most: int, variants: int = 1
-    ) -> list[tuple[int, ...]]:
+    def best(self, found: Solved, most: int, variants: int = 1) -> list[tuple[int, ...]]:
         """Return the best sets of groups, up to ``most`` sets of names in order.
 
         Of each set of names up to ``variants`` shapes of different variants are kept.
         """
-        ranked = sorted((chi2 + self.penalty(groups), groups) for chi2, groups in found)
+        scores = found.chi2 + self.penalties(found.groups)
+        order = np.lexsort((*found.groups.T[::-1], scores))
         kept: dict[tuple[str, ...], dict[tuple[str, ...], tuple[int, ...]]] = {}
-        for _, groups in ranked:
+        for groups in (tuple(row) for row in found.groups[order].tolist()):
             parts = [self.groups[g].member for g in groups]
             names = tuple(sorted(n for m in parts for n in m.effect.names))
             if len(set(names)) < len(names) or not compatible(parts):
@@ -580,16 +638,16 @@ class Dictionary:
                 shapes[form] = groups
         return [groups for shapes in kept.values() for groups in shapes.values()]
 
-    def pairs(self) -> list[tuple[float, tuple[int, ...]]]:
-        """Return (chi2, groups) of all pairs of different effects."""
+    def pairs(self) -> Solved:
+        """Return chi2 of all pairs of different effects."""
         n = len(self.groups)
         names = np.array([hash(g.member.name) for g in self.groups])
         i, j = np.triu_indices(n, 1)
         differ = names[i] != names[j]
-        return self.sets(np.column_stack([i[differ], j[differ]]))  # type: ignore[arg-type]
+        return self.sets(np.column_stack([i[differ], j[differ]]))
 
-    def extended(self, seeds: Sequence[tuple[int, ...]]) -> list[tuple[float, tuple[int, ...]]]:
-        """Return (chi2, groups) of the seeds with one more effect each."""
+    def extended(self, seeds: Sequence[tuple[int, ...]]) -> Solved:
+        """Return chi2 of the seeds with one more effect each."""
         sets = []
         for seed in seeds:
             names = {self.groups[g].member.name for g in seed}
@@ -628,19 +686,38 @@ def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats])
     scale = np.sqrt(np.mean(design**2, axis=0))
     scale[scale == 0] = 1.0
     design = design / scale
-    gram, right = design.T @ design, design.T @ y
-    extra, signs, count, j = 0.0, [], 0, 0
-    widths = []
-    for member, block in zip(members, blocks, strict=True):
-        (sign, pinned), n = member.effect.settings(problem.ctx, member.trial)
-        count += n
-        widths.append(block.shape[1])
-        for s, sigma in zip(sign, pinned, strict=True):
+    found = _solved(problem, members, design.T @ design, design.T @ y, scale)
+    if found is None:
+        return None
+    real, inverse, chi2 = found
+    ends = np.cumsum([0, *(b.shape[1] for b in blocks)])
+    return Fit(
+        tuple(members),
+        tuple(real[i:k] for i, k in pairwise(ends)),
+        chi2,
+        sum(m.effect.settings(problem.ctx, m.trial)[1] for m in members),
+        nuisance=real[ends[-1] :],
+        residual=y - design @ (real * scale),
+        covariance=inverse / np.outer(scale, scale),
+    )
+
+
+def _solved(
+    problem: Problem, members: Sequence[Member], gram: Floats, right: Floats, scale: Floats
+) -> tuple[Floats, Floats, float] | None:
+    """Return coefficients, inverse and chi-squared of the normal equations of scaled columns.
+
+    None where they have no solution, or one of a sign that no law has.
+    """
+    extra, signs, j = 0.0, "", 0
+    for member in members:
+        (sign, pinned), _ = member.effect.settings(problem.ctx, member.trial)
+        signs += sign[: len(pinned)]
+        for sigma in pinned:
             if sigma is not None:
                 gram[j, j] += 1.0 / (sigma * scale[j]) ** 2
                 right[j] += 1.0 / (sigma**2 * scale[j])
                 extra += 1.0 / sigma**2
-            signs.append(s)
             j += 1
     for nuisance in problem.nuisances:
         if nuisance.sigma is not None:
@@ -652,21 +729,45 @@ def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats])
     except np.linalg.LinAlgError:
         return None
     beta = inverse @ right
-    residual = y - design @ beta
-    chi2 = float(y @ y + extra - beta @ right)
     real = beta / scale
     if any(s == "+" and real[i] < 0 for i, s in enumerate(signs)):
         return None
-    ends = np.cumsum([0, *widths])
-    return Fit(
-        tuple(members),
-        tuple(real[i:k] for i, k in pairwise(ends)),
-        chi2,
-        count,
-        nuisance=real[ends[-1] :],
-        residual=residual,
-        covariance=inverse / np.outer(scale, scale),
-    )
+    return real, np.asarray(inverse), float(problem.y @ problem.y + extra - beta @ right)
+
+
+class Scan:
+    """A set of which the last effect changes its shape, and all others stay: chi-squared of each.
+
+    What the others' columns come to with one another is known beforehand.
+    """
+
+    def __init__(self, problem: Problem, members: Sequence[Member]) -> None:
+        self.problem, self.rest = problem, list(members[:-1])
+        self.blocks = problem.blocks(members)
+        self.alone = not members[-1].effect.carries
+        if self.alone:
+            self.fixed = np.column_stack([*self.blocks[:-1], problem.beside(members)])
+            self.before = sum(b.shape[1] for b in self.blocks[:-1])
+            self.gram, self.right = self.fixed.T @ self.fixed, self.fixed.T @ problem.y
+
+    def chi2(self, last: Member) -> float | None:
+        """Return chi-squared with the last effect so; None where it cannot be solved for."""
+        problem, members = self.problem, [*self.rest, last]
+        blocks = problem.changed(members, self.blocks, len(self.rest))
+        if not self.alone:
+            fit = solve(problem, members, blocks)
+            return None if fit is None else fit.chi2
+        block, at = blocks[-1], self.before
+        size = at + block.shape[1]
+        order = np.r_[np.arange(at), np.arange(len(self.gram), len(self.gram) + size - at),
+                      np.arange(at, len(self.gram))]  # fmt: skip
+        cross = self.fixed.T @ block
+        gram = np.block([[self.gram, cross], [cross.T, block.T @ block]])[np.ix_(order, order)]
+        right = np.r_[self.right, block.T @ problem.y][order]
+        scale = np.sqrt(gram.diagonal() / problem.y.size)
+        scale[scale == 0] = 1.0
+        found = _solved(problem, members, gram / np.outer(scale, scale), right / scale, scale)
+        return None if found is None else found[2]
 
 
 def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit | None:
@@ -718,9 +819,12 @@ def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit |
                 improved = True
                 break
             damping *= 8.0
-        if not improved or gain < 1e-5 * fit.chi2 + 0.02:
+        if not improved:  # the slopes are still those of the point
+            return _with_covariance(problem, members, design, len(places), fit)
+        if gain < 1e-5 * fit.chi2 + 0.02:
             break
-    return _with_covariance(problem, members, blocks, places, fit)
+    design = _design(problem, members, blocks, places, fit)
+    return _with_covariance(problem, members, design, len(places), fit)
 
 
 def _prior_gram(problem: Problem, members: Sequence[Member], first: int, size: int) -> Floats:
@@ -795,7 +899,14 @@ def _slopes(
         if moved is None:
             moved, step = _moved(problem, members[i], j, -1e-3), -1e-3
         slope = np.zeros(problem.y.size)
-        if moved is not None:
+        if moved is not None and moved.effect.carries:
+            # It changes every block: their sum is made white at once.
+            now_all = columns_of(problem.ctx, [*members[:i], moved, *members[i + 1 :]])
+            pairs = zip(fit.betas, now_all, strict=True)
+            force = sum(b * c for beta, own in pairs for b, c in zip(beta, own, strict=True))
+            before = sum(old @ beta for old, beta in zip(blocks, fit.betas, strict=True))
+            slope = (problem.seen(np.asarray(force)) - before) / step
+        elif moved is not None:
             now = problem.changed([*members[:i], moved, *members[i + 1 :]], blocks, i)
             for new, old, beta in zip(now, blocks, fit.betas, strict=True):
                 if new is not old:
@@ -805,15 +916,10 @@ def _slopes(
 
 
 def _with_covariance(
-    problem: Problem,
-    members: Sequence[Member],
-    blocks: Sequence[Floats],
-    places: Sequence[tuple[int, int]],
-    fit: Fit,
+    problem: Problem, members: Sequence[Member], design: Floats, shapes: int, fit: Fit
 ) -> Fit:
     """Put the joint covariance of (log shapes, coefficients, nuisance) in."""
-    design = _design(problem, members, blocks, places, fit)
-    gram = design.T @ design + _prior_gram(problem, members, len(places), design.shape[1])
+    gram = design.T @ design + _prior_gram(problem, members, shapes, design.shape[1])
     scale = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
     inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True)
     fit.covariance = inverse / np.outer(scale, scale)
@@ -847,8 +953,10 @@ def inflation(residual: Floats) -> float:
     n = residual.size
     if n < 32:
         return max(1.0, float(np.mean(residual**2)))
-    spectrum = np.abs(np.fft.rfft(residual - residual.mean(), 2 * n)) ** 2
-    correlation = np.fft.irfft(spectrum)[: n // 4] / (n - np.arange(n // 4))
+    # So long that no lag that is looked at goes round the transform.
+    size = fast_length(n + n // 4)
+    spectrum = np.abs(np.fft.rfft(residual - residual.mean(), size)) ** 2
+    correlation = np.fft.irfft(spectrum, size)[: n // 4] / (n - np.arange(n // 4))
     variance = float(correlation[0])
     if variance <= 0:
         return 1.0

@@ -18,7 +18,7 @@ from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import Diagnosis, Displacement
 from rthyb_rt.diagnose.policy import POLICY, of_size
-from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Problem, price
+from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Problem, Solved, price
 from rthyb_rt.diagnose.words import called, quantity, value_text
 
 Fate = Literal["named", "as good", "lost", "refused"]
@@ -351,9 +351,7 @@ def _refused(search: forces.Search, known: set[str]) -> list[Decision]:
     return out
 
 
-def _best_of(
-    dictionary: Dictionary, found: Sequence[tuple[float, tuple[int, ...]]]
-) -> dict[str, tuple[float, float]]:
+def _best_of(dictionary: Dictionary, found: Solved) -> dict[str, tuple[float, float]]:
     """Return chi-squared and price of the best shape of each effect, by name."""
     out: dict[str, tuple[float, float]] = {}
     for chi2, groups in found:
