@@ -1029,8 +1029,9 @@ def _with_yielding(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
             for m in fit.members
         ]
         if tuple(sorted(n for m in twin for n in m.effect.names)) not in names:
-            found.append(fitter.fit(twin))
-    found = [f for f in found if f is not None and _needed(fitter, f, null)]
+            yielded = fitter.fit(twin)
+            if yielded is not None and _needed(fitter, yielded, null):
+                found.append(yielded)
     return sorted([*fits, *found], key=fitter.score)
 
 

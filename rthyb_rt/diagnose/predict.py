@@ -217,7 +217,8 @@ def _measured(case: Case) -> bool:
     if x_meas is None:
         return False
     good = np.isfinite(x_meas)
-    return min(good.mean(), good[-max(good.size // 20, 1) :].mean()) >= POLICY.numbers_least
+    end = good[-max(good.size // 20, 1) :]
+    return bool(min(good.mean(), end.mean()) >= POLICY.numbers_least)
 
 
 def _commanded(augmented: Augmented, case: Case) -> Motion:
