@@ -230,12 +230,16 @@ def test_power_cut_of_the_rig_trips_and_the_recording_opens(lab: Lab, medium: st
             _, printed, _ = drive.end()
         finally:
             drive.kill()
+        assert json.loads(printed)["power_cut"]
+        # The rig may be gone before a slow machine has brought the controller to its wire.
+        gone = ("there is no socket", "nobody listens there", "no such device")
+        if status == 3 and any(word in err for word in gone):
+            raise TooEarly
         rec = lab.recorded(out, err)
         require_calm(rec, "link_lost")
         if STATE["RUNNING"] not in rec.samples["state"]:
             raise TooEarly
         assert status == 6, err
-        assert json.loads(printed)["power_cut"]
         cause = cause_of(rec)
         assert cause in ("link_down", "link_lost")
         assert rec.meta["end_reason"] == f"tripped: {cause.replace('_', ' ')}"
