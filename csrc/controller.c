@@ -1,4 +1,4 @@
-/* One sample of the controller: gate -> estimator -> RFC -> motion -> PLC -> limiter. A pure
+/* One sample of the controller: gate -> estimator -> RFC -> numerical part -> PLC -> limiter. A pure
  * function of (state, input). */
 #include "internal.h"
 #include "numeric.h"
@@ -22,8 +22,9 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
         error = rthyb_estimator_init(&c->estimator, &cfg->estimator, 0.0);
     if (!error)
         error = rthyb_rfc_init(&c->rfc, &cfg->rfc, 0.0, 0.0);
+    const rthyb_numerical part = part_of(c);
     if (!error)
-        error = rthyb_motion_init(&c->motion, &cfg->motion, 0.0);
+        error = rthyb_numerical_init(&part, 0.0);
     c->freeze_after = ticks_of(FREEZE_AFTER_S, cfg->period_s);
     c->extrapolate_until = ticks_of(EXTRAPOLATE_UNTIL_S, cfg->period_s);
     c->upper_m = COMMAND_MAX_M;
@@ -210,6 +211,15 @@ static void write_record(const rthyb_controller *c, const rthyb_input *in, doubl
     record->echo = record->count = 0;
 }
 
+/* One degree of freedom leaves nothing to be done later, and takes no detour by the table of kinds. */
+static int answer(rthyb_controller *c, double excitation, double force, double *x_num)
+{
+    if (has_own_part(c))
+        return rthyb_motion_step(&c->motion, excitation, force, x_num);
+    c->behind = 1;
+    return rthyb_numerical_answer(&c->cfg.numerical, excitation, force, x_num);
+}
+
 /* The next displacement by the equation of motion, with estimator, RFC and monitors. */
 static int compute_motion(rthyb_controller *c, const rthyb_input *in, double x, double f,
                           int frozen, double *x_num)
@@ -219,7 +229,7 @@ static int compute_motion(rthyb_controller *c, const rthyb_input *in, double x, 
     const int held = frozen || c->cfg.estimate_held;
     int code = rthyb_estimator_step(&c->estimator, c->x_cmd, x, held);
     code |= rthyb_rfc_step(&c->rfc, c->x_num, x, f, frozen, &force);
-    code |= rthyb_motion_step(&c->motion, in->excitation, force, x_num);
+    code |= answer(c, in->excitation, force, x_num);
     follow_estimate(c, *x_num - c->plc.x1, *x_num - 2.0 * c->plc.x1 + c->plc.x2);
     return code;
 }
@@ -230,13 +240,25 @@ static int follow_path(rthyb_controller *c, double x, double f, double path_m, d
     int code = rthyb_estimator_step(&c->estimator, c->x_cmd, x, 1);
     c->rfc.x1 = x;
     c->rfc.f1 = f;
+    if (!has_own_part(c))
+        rthyb_numerical_freeze(&c->cfg.numerical, f);
     *x_num = accept(path_m, RTHYB_DISPLACEMENT_MAX_M, c->x_num, &code);
     return code;
 }
 
 int rthyb_controller_step(rthyb_controller *c, const rthyb_input *in, rthyb_record *record)
 {
-    return rthyb_controller_sample(c, in, NULL, 0, record);
+    const int code = rthyb_controller_sample(c, in, NULL, 0, record);
+    rthyb_controller_advance(c);
+    return code;
+}
+
+void rthyb_controller_advance(rthyb_controller *c)
+{
+    if (!c->behind)
+        return;
+    c->late_code |= rthyb_numerical_advance(&c->cfg.numerical);
+    c->behind = 0;
 }
 
 int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
@@ -245,12 +267,15 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
     double x, f, x_num, x_plc;
     int code = gate(c, in, &x, &f);
     const int made_up = in->lost || code != RTHYB_OK;
+    rthyb_controller_advance(c);
     c->missing = made_up ? c->missing + (c->missing < UINT32_MAX) : 0;
     const int frozen = blind || c->missing >= c->freeze_after;
     if (path_m)
         code |= follow_path(c, x, f, *path_m, &x_num);
     else
         code |= compute_motion(c, in, x, f, frozen, &x_num);
+    code |= c->late_code;
+    c->late_code = RTHYB_OK;
     code |= rthyb_plc_step(&c->plc, c->alpha, c->beta, x_num, &x_plc);
     if (!c->cfg.plc_enabled)
         x_plc = x_num;

@@ -12,6 +12,22 @@
 int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
                             int blind, rthyb_record *record);
 
+/* Whether the controller's own equation of motion computes the next displacement, and not a part of the
+ * caller's. A prescribed motion has no equation, whatever the part. */
+static inline int has_own_part(const rthyb_controller *c)
+{
+    return c->cfg.numerical.kind == RTHYB_NUMERICAL_MOTION ||
+           c->cfg.motion.integrator == RTHYB_PRESCRIBED;
+}
+
+static inline rthyb_numerical part_of(rthyb_controller *c)
+{
+    return has_own_part(c) ? (rthyb_numerical){.kind = RTHYB_NUMERICAL_MOTION,
+                                               .cfg = &c->cfg.motion,
+                                               .state = &c->motion}
+                           : c->cfg.numerical;
+}
+
 /* Readings in the structure's own numbers, and the way of a command to the wire and back. The station
  * sees nothing else, live or replayed. */
 static inline double calibrated_x(const rthyb_calibration *c, double wire_m)

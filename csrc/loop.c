@@ -441,6 +441,7 @@ static void execute(rthyb_loop *loop, const rthyb_tick *tick)
     loop->unsent = sent ? 0 : loop->unsent + 1;
     if (out.send)
         note_sent(loop, tick, sent);
+    rthyb_station_advance(loop->station);
     if (loop->ticker.clock == RTHYB_CLOCK_LINK)
         follow_drive(loop, tick, &found);
     publish(loop);

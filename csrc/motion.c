@@ -2,6 +2,7 @@
  *   (m + m_added) x'' + c x' + k x + force = -m ag,
  * advanced from t_n, where the specimen's force is known, to the command x[n+1]. */
 #include "numeric.h"
+#include "numerical.h"
 
 /* Chen & Ricles (2008): x[n+1] = x + h v + h^2 a2 x'', v[n+1] = v + h a1 x'', a1 = a2. */
 static void cr_coefficients(rthyb_motion *m, double mass)
@@ -178,3 +179,38 @@ double rthyb_motion_velocity(const rthyb_motion *motion)
      * (x[n] - x[n-1]) / h, half a step old: second-order backward difference. */
     return (3.0 * motion->x - 4.0 * motion->x1 + motion->x2) / (2.0 * motion->cfg.period_s);
 }
+
+/* ---- as a kind of numerical part --------------------------------------------------------------- */
+
+static int init(void *state, const void *cfg, double x0_m)
+{
+    return rthyb_motion_init(state, cfg, x0_m);
+}
+
+static int answer(void *state, double excitation, double force_n, double *x_next_m)
+{
+    return rthyb_motion_step(state, excitation, force_n, x_next_m);
+}
+
+static void look(const void *state, rthyb_interface *at)
+{
+    const rthyb_motion *s = state;
+    *at = (rthyb_interface){
+        .x = s->x, .v = rthyb_motion_velocity(s), .a = s->a, .x1 = s->x1, .x2 = s->x2};
+}
+
+static size_t report(const void *state, double *values, size_t most)
+{
+    const rthyb_motion *s = state;
+    if (most > 0)
+        values[0] = s->x;
+    return most > 0;
+}
+
+const rthyb_numerical_ops rthyb_motion_ops = {
+    .size = sizeof(rthyb_motion),
+    .init = init,
+    .answer = answer,
+    .look = look,
+    .report = report,
+};

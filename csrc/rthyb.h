@@ -251,7 +251,8 @@ enum rthyb_integrator {
     RTHYB_FORWARD_EULER,
     RTHYB_CR,
     RTHYB_KR_ALPHA,
-    RTHYB_PRESCRIBED /* no equation: the next command is the excitation itself */
+    RTHYB_PRESCRIBED, /* no equation: the next command is the excitation itself */
+    RTHYB_RK4         /* classical Runge-Kutta with a held force: dense parts alone */
 };
 
 typedef struct {
@@ -280,6 +281,87 @@ int rthyb_motion_init(rthyb_motion *motion, const rthyb_motion_config *cfg, doub
 int rthyb_motion_step(rthyb_motion *motion, double excitation, double force_n, double *x_next_m);
 /* Velocity at t_n before the step, as good as the integrator's order allows. */
 double rthyb_motion_velocity(const rthyb_motion *motion);
+
+/* ---- dense numerical part (numerical_dense.c) ------------------------------------------------- */
+
+enum rthyb_dense_size {
+    RTHYB_DENSE_MAX = 8,
+    RTHYB_DENSE_SQUARE = 64, /* its square, */
+    RTHYB_DENSE_STATES = 16, /* its double, */
+    RTHYB_DENSE_STEP = 256   /* and that one's square */
+};
+
+typedef struct {
+    int32_t integrator;  /* RTHYB_CR or RTHYB_RK4 */
+    int32_t size;        /* n, degrees of freedom */
+    int32_t at;          /* the one that is the interface, from 0 */
+    int32_t force_delay; /* samples by which the force is used late: 0 or 1 */
+    double period_s;
+    /* Numerical part alone, n x n, row after row from the first number on; symmetric. */
+    double mass_kg[RTHYB_DENSE_SQUARE];
+    double damping_n_s_per_m[RTHYB_DENSE_SQUARE];
+    double stiffness_n_per_m[RTHYB_DENSE_SQUARE];
+    double load_kg[RTHYB_DENSE_MAX]; /* force of a ground acceleration of -1 m/s^2 */
+    /* What is known of the specimen: CR's coefficients take it in, the equation does not. */
+    double specimen_mass_kg, specimen_damping_n_s_per_m, k_e_n_per_m;
+} rthyb_dense_config;
+
+typedef struct {
+    rthyb_dense_config cfg;
+    double step[RTHYB_DENSE_STEP]; /* D of s += D s + ..., 2n x 2n */
+    double by_force[RTHYB_DENSE_STATES], by_excitation[RTHYB_DENSE_STATES];
+    double s[RTHYB_DENSE_STATES]; /* x, then v, at t_n */
+    double change;    /* of the interface over the next step, without force and excitation */
+    double x, x1, x2; /* of the interface, as answered */
+    double a;         /* of the interface, over the last step */
+    double force, last_force, excitation; /* of this step, as measured last, of this step */
+    int32_t ran_off;
+} rthyb_dense;
+
+int rthyb_dense_init(rthyb_dense *part, const rthyb_dense_config *cfg, double x0_m);
+/* M a + C v + K x + e force = -load ag  at t_n  ->  x[n+1] of the interface; two products. */
+int rthyb_dense_answer(rthyb_dense *part, double excitation, double force_n, double *x_next_m);
+/* The other degrees of freedom follow; before the next answer. */
+int rthyb_dense_advance(rthyb_dense *part);
+
+/* ---- numerical part by kind (numerical.c) ----------------------------------------------------- */
+
+enum rthyb_numerical_kind {
+    RTHYB_NUMERICAL_MOTION, /* rthyb_motion_config, rthyb_motion */
+    RTHYB_NUMERICAL_DENSE,  /* rthyb_dense_config, rthyb_dense */
+    RTHYB_NUMERICAL_KINDS
+};
+
+/* Settings and state are the caller's. A state is rthyb_numerical_size(kind) plain bytes without a
+ * pointer. Two parts never share one. */
+typedef struct {
+    int32_t kind; /* enum rthyb_numerical_kind */
+    const void *cfg;
+    void *state;
+} rthyb_numerical;
+
+/* The interface at t_n: v and a as good as the integrator's order allows; x[n-1], x[n-2]. */
+typedef struct {
+    double x, v, a, x1, x2;
+} rthyb_interface;
+
+/* Bytes of a state; 0 for a kind that does not exist. */
+size_t rthyb_numerical_size(int32_t kind);
+/* At rest at x0. All others need a part that was set up. */
+int rthyb_numerical_init(const rthyb_numerical *part, double x0_m);
+/* Excitation and force at t_n -> x_c[n+1]: all that stands between a reading and its command. */
+int rthyb_numerical_answer(const rthyb_numerical *part, double excitation, double force_n,
+                           double *x_next_m);
+/* The rest of that step, once the command has left; before anything else is asked of the part. */
+int rthyb_numerical_advance(const rthyb_numerical *part);
+/* Instead of answer and advance where a path has the command: the part's time stands still. */
+void rthyb_numerical_freeze(const rthyb_numerical *part, double force_n);
+/* A state to its bytes and back, of the same kind and settings. */
+void rthyb_numerical_save(const rthyb_numerical *part, void *bytes);
+void rthyb_numerical_restore(const rthyb_numerical *part, const void *bytes);
+void rthyb_numerical_look(const rthyb_numerical *part, rthyb_interface *at);
+/* Displacement of every degree of freedom, m, up to `most` of them; how many. */
+size_t rthyb_numerical_report(const rthyb_numerical *part, double *values, size_t most);
 
 /* ---- specimen elements (element.c) ---------------------------------------------------------- */
 
@@ -411,6 +493,8 @@ typedef struct {
     rthyb_estimator_config estimator;
     rthyb_rfc_config rfc;
     rthyb_motion_config motion;
+    rthyb_numerical
+        numerical; /* another kind than `motion`, which then only says PRESCRIBED or not */
     double x_range_m, f_range_n; /* a reading beyond its sensor's range is not taken; 0 = off */
     double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* 0 = off */
     double clamp_m; /* the command never leaves clamp_centre_m +-clamp_m; 0 = off */
@@ -424,6 +508,8 @@ typedef struct {
     rthyb_estimator estimator;
     rthyb_rfc rfc;
     rthyb_motion motion;
+    int32_t behind;    /* the numerical part has answered and has the rest of that step to do */
+    int32_t late_code; /* status bits of that rest, for the next record */
     uint64_t tick;
     double x_num, x_plc, x_cmd; /* commands for t_n */
     double x_cmd1;              /* command for t_{n-1} */
@@ -452,6 +538,8 @@ int rthyb_controller_init(rthyb_controller *controller, const rthyb_controller_c
 /* Fills the record of tick n; controller->x_cmd is then the command for t_{n+1}. */
 int rthyb_controller_step(rthyb_controller *controller, const rthyb_input *input,
                           rthyb_record *record);
+/* What a sample has left to do once its command is known; rthyb_controller_step has done it. */
+void rthyb_controller_advance(rthyb_controller *controller);
 
 /* The bare controller at a virtual rig, without states or limits: for studies of the control alone.
  * excitation[n] for n_total samples; runs ticks until count more records are written or a value is not
@@ -465,6 +553,11 @@ size_t rthyb_run_virtual(rthyb_controller *controller, rthyb_rig *rig, const dou
 int rthyb_run_reference(rthyb_motion *motion, rthyb_element *elements, size_t element_count,
                         const double *ag_mps2, size_t n, double *x_m, double *v_m_per_s,
                         double *force_n);
+/* The same with a numerical part of any kind, and of its period; what is known of the specimen's mass
+ * and damping belongs into the part's own. */
+int rthyb_numerical_reference(const rthyb_numerical *part, rthyb_element *elements,
+                              size_t element_count, const double *ag_mps2, size_t n,
+                              double period_s, double *x_m, double *v_m_per_s, double *force_n);
 
 /* ---- states, limits, faults (station.c) ------------------------------------------------------ */
 
@@ -676,6 +769,8 @@ int rthyb_station_init(rthyb_station *station, const rthyb_station_config *cfg);
  * the drive has stopped: the next three commands tell it so. */
 int rthyb_station_tick(rthyb_station *station, const rthyb_station_input *in, const double *ag_mps2,
                        size_t n, rthyb_record *records, rthyb_station_output *out);
+/* What that tick left to do, once the command has been sent. The next tick does it where nobody has. */
+void rthyb_station_advance(rthyb_station *station);
 
 enum rthyb_parameters_size { RTHYB_PARAMETER_WORDS = 62 };
 

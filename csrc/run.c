@@ -29,18 +29,10 @@ int rthyb_run_reference(rthyb_motion *motion, rthyb_element *elements, size_t el
                         const double *ag_mps2, size_t n, double *x_m, double *v_m_per_s,
                         double *force_n)
 {
-    if (element_count > RTHYB_ELEMENTS_MAX)
-        return RTHYB_S_OUT_OF_RANGE;
-    int code = RTHYB_OK;
-    for (size_t i = 0; i < n; i++) {
-        x_m[i] = motion->x;
-        v_m_per_s[i] = rthyb_motion_velocity(motion);
-        force_n[i] = rthyb_specimen_force(elements, (uint32_t)element_count, x_m[i], v_m_per_s[i],
-                                          motion->a, motion->cfg.period_s);
-        double next;
-        code |= rthyb_motion_step(motion, ag_mps2[i], force_n[i], &next);
-    }
-    return code;
+    const rthyb_numerical part = {
+        .kind = RTHYB_NUMERICAL_MOTION, .cfg = &motion->cfg, .state = motion};
+    return rthyb_numerical_reference(&part, elements, element_count, ag_mps2, n,
+                                     motion->cfg.period_s, x_m, v_m_per_s, force_n);
 }
 
 const char *rthyb_version(void)

@@ -384,14 +384,16 @@ static void settle_at(rthyb_station *s, double reading)
 }
 
 /* Displacement, velocity and acceleration of what the phase lead is given. */
-static void present(const rthyb_station *s, double now[3])
+static void present(rthyb_station *s, double now[3])
 {
-    const rthyb_motion *motion = &s->controller.motion;
     const double h = s->cfg.controller.period_s, x = s->controller.x_num;
     now[1] = now[2] = 0.0;
     if (s->state == RTHYB_RUNNING) {
-        now[2] = (x - 2.0 * motion->x1 + motion->x2) / (h * h);
-        now[1] = (x - motion->x1) / h + 0.5 * h * now[2];
+        const rthyb_numerical part = part_of(&s->controller);
+        rthyb_interface at;
+        rthyb_numerical_look(&part, &at);
+        now[2] = (x - 2.0 * at.x1 + at.x2) / (h * h);
+        now[1] = (x - at.x1) / h + 0.5 * h * now[2];
     } else if (!path_done(&s->path)) {
         along(&s->path, h, now);
     }
@@ -1212,9 +1214,15 @@ static int take_over(rthyb_station *s, const rthyb_station_input *in)
     return 1;
 }
 
+void rthyb_station_advance(rthyb_station *s)
+{
+    rthyb_controller_advance(&s->controller);
+}
+
 int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const double *ag_mps2,
                        size_t n, rthyb_record *records, rthyb_station_output *out)
 {
+    rthyb_station_advance(s);
     const int took_over = take_over(s, in);
     s->noted = RTHYB_OK;
     s->drive_stands = in->drive_stopped || in->link_down;

@@ -43,6 +43,7 @@ static void tick(rthyb_virtual *test, int32_t command, rthyb_record *record)
     };
     (void)rthyb_rig_step(test->rig, test->target_m, &in.x_m, &in.f_n);
     (void)rthyb_station_tick(station, &in, test->ag_mps2, test->ag_count, record, &out);
+    rthyb_station_advance(station);
     record->due_ns = llrint((double)record->tick * station->cfg.controller.period_s * 1e9);
     note_pair(record, in.x_m, in.f_n, 0);
     drive(test, &out);

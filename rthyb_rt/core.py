@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
@@ -30,6 +30,7 @@ PERIOD_S: Final = 1.0 / FS_HZ
 WINDOW_MAX: Final[int] = lib.RTHYB_WINDOW_MAX
 DELAY_MAX: Final[int] = lib.RTHYB_DELAY_MAX
 ELEMENTS_MAX: Final[int] = lib.RTHYB_ELEMENTS_MAX
+DENSE_MAX: Final[int] = lib.RTHYB_DENSE_MAX
 IWAN_SLIDERS: Final[int] = lib.RTHYB_IWAN_SLIDERS
 
 FloatArray = npt.NDArray[np.float64]
@@ -139,6 +140,7 @@ Law = Literal["fixed", "gradient", "robust", "rls"]
 Tangent = Literal["mean-of-ratios", "least-squares"]
 Divisor = Literal["printed", "terms"]
 Integrator = Literal["central-difference", "forward-euler", "cr", "kr-alpha", "prescribed"]
+DenseIntegrator = Literal["cr", "rk4"]
 ServoKind = Literal["pure-delay", "first-order", "second-order", "servo-hydraulic"]
 Hold = Literal["zoh", "foh"]
 LoadCell = Literal["actuator-end", "specimen"]
@@ -161,6 +163,7 @@ _ENUMS: Final[dict[str, dict[str, int]]] = {
         "cr": lib.RTHYB_CR,
         "kr-alpha": lib.RTHYB_KR_ALPHA,
         "prescribed": lib.RTHYB_PRESCRIBED,
+        "rk4": lib.RTHYB_RK4,
     },
     "kind": {
         "pure-delay": lib.RTHYB_PURE_DELAY,
@@ -225,6 +228,51 @@ class MotionConfig:
     period_s: float = PERIOD_S
 
 
+Matrix = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class DenseConfig:
+    """Settings of a numerical part of n degrees of freedom, ``M a + C v + K x + e f = -load ag``.
+
+    ``mass_kg``, ``damping_n_s_per_m`` and ``stiffness_n_per_m`` (n, n) are the part's own,
+    symmetric; ``load_kg`` (n,). e is 1 at the interface, number ``at`` from 0. What is known of the
+    specimen goes into the coefficients of CR alone. ``force_delay``: samples by which the force is
+    used late, 0 or 1.
+    """
+
+    integrator: DenseIntegrator
+    mass_kg: Matrix
+    damping_n_s_per_m: Matrix
+    stiffness_n_per_m: Matrix
+    load_kg: tuple[float, ...]
+    at: int = 0
+    specimen_mass_kg: float = 0.0
+    specimen_damping_n_s_per_m: float = 0.0
+    k_e_n_per_m: float = 0.0
+    force_delay: int = 0
+    period_s: float = PERIOD_S
+
+    def struct(self) -> Any:
+        """Return the ``rthyb_dense_config`` of the C core.
+
+        Raises:
+            CoreError: the matrices are not square, not of one size, or too large.
+        """
+        n = len(self.load_kg)
+        names = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+        for name in names:
+            shape = np.shape(getattr(self, name))
+            if not 1 <= n <= DENSE_MAX or shape != (n, n):
+                raise CoreError(
+                    f"{name} is {shape} with {n} loads; both must have one size from 1 to "
+                    f"{DENSE_MAX}"
+                )
+        plain = _mapping(self) | {"size": n}
+        flat = {name: [v for row in plain[name] for v in row] for name in names}
+        return ffi.new("rthyb_dense_config *", plain | flat)
+
+
 @dataclass(frozen=True)
 class ServoConfig:
     """Settings of a virtual actuator; which of them count depends on ``kind``."""
@@ -283,7 +331,10 @@ class RigConfig:
 
 @dataclass(frozen=True)
 class ControllerConfig:
-    """All that one sample of the controller needs to know."""
+    """All that one sample of the controller needs to know.
+
+    ``numerical`` takes the place of ``motion``, unless that is prescribed.
+    """
 
     estimator: EstimatorConfig
     rfc: RfcConfig
@@ -295,6 +346,7 @@ class ControllerConfig:
     velocity_limit_m_per_s: float = 0.0
     acceleration_limit_m_per_s2: float = 0.0
     clamp_m: float = 0.0
+    numerical: DenseConfig | None = None
 
 
 ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
@@ -507,19 +559,34 @@ class Motion:
 
         Raises ``CoreError`` for too many elements or a ground motion that is not finite.
         """
-        ag = _doubles(ag_mps2)
-        if len(elements) > ELEMENTS_MAX:
-            raise CoreError(f"at most {ELEMENTS_MAX} elements, got {len(elements)}")
-        if not np.isfinite(ag).all():
-            raise CoreError("the ground acceleration holds a value that is not finite")
-        array = ffi.new("rthyb_element[]", max(len(elements), 1))
-        for slot, config in zip(array, elements, strict=False):
-            _init_element(slot, config)
+        ag = finite_motion(elements, ag_mps2)
+        array = element_array(elements)
         x, v, f = np.empty_like(ag), np.empty_like(ag), np.empty_like(ag)
         lib.rthyb_run_reference(
             self._c, array, len(elements), _in(ag), ag.size, _out(x), _out(v), _out(f)
         )
         return x, v, f
+
+
+def finite_motion(elements: Sequence[ElementConfig], ag_mps2: npt.ArrayLike) -> FloatArray:
+    """Return the ground motion of a reference simulation, (n,).
+
+    Raises ``CoreError`` for too many elements or a value that is not finite.
+    """
+    ag = _doubles(ag_mps2)
+    if len(elements) > ELEMENTS_MAX:
+        raise CoreError(f"at most {ELEMENTS_MAX} elements, got {len(elements)}")
+    if not np.isfinite(ag).all():
+        raise CoreError("the ground acceleration holds a value that is not finite")
+    return ag
+
+
+def element_array(elements: Sequence[ElementConfig]) -> Any:
+    """Return the ``rthyb_element`` structs of fresh elements; raises ``CoreError``."""
+    array = ffi.new("rthyb_element[]", max(len(elements), 1))
+    for slot, config in zip(array, elements, strict=False):
+        _init_element(slot, config)
+    return array
 
 
 class Element:
@@ -611,7 +678,9 @@ class Controller:
     def __init__(self, config: ControllerConfig) -> None:
         self.config = config
         self._c = ffi.new("rthyb_controller *")
-        _check(lib.rthyb_controller_init(self._c, _struct("rthyb_controller_config", config)))
+        struct = _struct("rthyb_controller_config", replace(config, numerical=None))
+        self._part = _fill_part(struct.numerical, config.numerical)
+        _check(lib.rthyb_controller_init(self._c, struct))
         self._input = ffi.new("rthyb_input *")
         self._record = ffi.new("rthyb_record *")
 
@@ -758,6 +827,8 @@ class StationConfig:
             inner: dict[str, Any] = dict(given.pop("controller"))
             parts = {"estimator": EstimatorConfig, "rfc": RfcConfig, "motion": MotionConfig}
             inner |= {name: kind(**inner[name]) for name, kind in parts.items()}
+            if inner.get("numerical") is not None:
+                inner["numerical"] = _dense(inner["numerical"])
             watches = {name: Watch(**watch) for name, watch in given.pop("watches").items()}
             return cls(controller=ControllerConfig(**inner), watches=watches, **given)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -810,6 +881,15 @@ class StationTick:
     records: RecordArray = field(repr=False)
 
 
+def _dense(plain: Mapping[str, Any]) -> DenseConfig:
+    """Return a part's settings from plain values, lists for tuples."""
+
+    def frozen(value: Any) -> Any:
+        return tuple(frozen(v) for v in value) if isinstance(value, (list, tuple)) else value
+
+    return DenseConfig(**{name: frozen(value) for name, value in plain.items()})
+
+
 @dataclass(frozen=True)
 class Parameters:
     """What may be changed while a test runs; always a whole set.
@@ -859,6 +939,7 @@ class Station:
     def __init__(self, config: StationConfig, ag_mps2: npt.ArrayLike) -> None:
         plain = {k: v for k, v in _mapping_of(config).items() if k != "watches"}
         struct = ffi.new("rthyb_station_config *", plain)
+        self._part = _fill_part(struct.controller.numerical, config.controller.numerical)
         _fill_watches(struct.watch, config.watches)
         self._c = ffi.new("rthyb_station *")
         _check(lib.rthyb_station_init(self._c, struct))
@@ -1139,11 +1220,22 @@ def _fill_watches(slots: Any, watches: Mapping[str, Watch]) -> None:
 
 def _mapping_of(config: StationConfig) -> dict[str, Any]:
     own = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
-    return own | {"controller": _mapping(config.controller)}
+    return own | {"controller": _mapping(replace(config.controller, numerical=None))}
 
 
 def _mapping(config: Any) -> dict[str, Any]:
-    return {f.name: _value(f.name, getattr(config, f.name)) for f in dataclasses.fields(config)}
+    given = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
+    return {name: _value(name, value) for name, value in given.items() if value is not None}
+
+
+def _fill_part(slot: Any, config: DenseConfig | None) -> list[Any]:
+    """Have a controller compute with a numerical part of its own; return what must stay alive."""
+    if config is None:
+        return []
+    settings = config.struct()
+    state = ffi.new("rthyb_dense *")
+    slot.kind, slot.cfg, slot.state = lib.RTHYB_NUMERICAL_DENSE, settings, state
+    return [settings, state]
 
 
 def _struct(ctype: str, config: Any) -> Any:

@@ -70,8 +70,34 @@ typedef struct {
     int law, tangent, integrator, servo, hold, half;
 } choice;
 
+/* Behind the integrators of one degree of freedom: CR and RK4 of a part of three. */
+static int dense_integrator(const choice *c)
+{
+    const int dense[] = {RTHYB_CR, RTHYB_RK4};
+    return c->integrator > RTHYB_PRESCRIBED ? dense[c->integrator - RTHYB_PRESCRIBED - 1] : -1;
+}
+
+static const rthyb_dense_config *dense_part(int integrator)
+{
+    static rthyb_dense_config cfg;
+    cfg = (rthyb_dense_config){
+        .integrator = integrator,
+        .size = 3,
+        .force_delay = integrator == RTHYB_RK4,
+        .period_s = PERIOD_S,
+        .mass_kg = {4000.0, 0.0, 0.0, 0.0, 3000.0, 0.0, 0.0, 0.0, 2000.0},
+        .damping_n_s_per_m = {3e3, -1e3, 0.0, -1e3, 2e3, -1e3, 0.0, -1e3, 1e3},
+        .stiffness_n_per_m = {K_E, -K_E, 0.0, -K_E, 2.0 * K_E, -K_E, 0.0, -K_E, K_E},
+        .load_kg = {4000.0, 3000.0, 2000.0},
+        .k_e_n_per_m = K_E,
+    };
+    return &cfg;
+}
+
 static int set_up_controller(rthyb_controller *controller, const choice *c)
 {
+    static rthyb_dense state;
+    const int dense = dense_integrator(c);
     const rthyb_controller_config cfg = {
         .period_s = PERIOD_S,
         .plc_enabled = 1,
@@ -94,7 +120,10 @@ static int set_up_controller(rthyb_controller *controller, const choice *c)
                 .k_e_n_per_m = K_E,
                 .end_tick = 500,
                 .rest_noise_m = 2e-6},
-        .motion = {.integrator = c->integrator,
+        .numerical = {.kind = dense < 0 ? RTHYB_NUMERICAL_MOTION : RTHYB_NUMERICAL_DENSE,
+                      .cfg = dense < 0 ? NULL : dense_part(dense),
+                      .state = dense < 0 ? NULL : &state},
+        .motion = {.integrator = dense < 0 ? c->integrator : RTHYB_CR,
                    .period_s = PERIOD_S,
                    .mass_kg = 4220.0,
                    .damping_n_s_per_m = 2121.0,
@@ -161,7 +190,7 @@ int main(int argc, char **argv)
     choice c;
     for (c.law = RTHYB_LAW_FIXED; c.law <= RTHYB_LAW_RLS; c.law++)
         for (c.tangent = 0; c.tangent <= RTHYB_TANGENT_LEAST_SQUARES; c.tangent++)
-            for (c.integrator = 0; c.integrator <= RTHYB_PRESCRIBED; c.integrator++)
+            for (c.integrator = 0; c.integrator <= RTHYB_PRESCRIBED + 2; c.integrator++)
                 for (c.servo = 0; c.servo <= RTHYB_SERVO_HYDRAULIC; c.servo++)
                     for (c.hold = 0; c.hold <= RTHYB_FOH; c.hold++)
                         for (c.half = 0; c.half <= 1; c.half++, cases++)

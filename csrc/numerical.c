@@ -1,0 +1,91 @@
+/* Numerical parts by kind. A new one is a file of its own, a number in rthyb.h and a row here. */
+#include "numerical.h"
+
+#include <string.h>
+
+#include "internal.h"
+#include "numeric.h"
+
+static const rthyb_numerical_ops *const KINDS[RTHYB_NUMERICAL_KINDS] = {
+    [RTHYB_NUMERICAL_MOTION] = &rthyb_motion_ops,
+    [RTHYB_NUMERICAL_DENSE] = &rthyb_dense_ops,
+};
+
+const rthyb_numerical_ops *rthyb_numerical_find(int32_t kind)
+{
+    return kind >= 0 && kind < RTHYB_NUMERICAL_KINDS ? KINDS[kind] : NULL;
+}
+
+size_t rthyb_numerical_size(int32_t kind)
+{
+    const rthyb_numerical_ops *ops = rthyb_numerical_find(kind);
+    return ops ? ops->size : 0;
+}
+
+int rthyb_numerical_init(const rthyb_numerical *part, double x0_m)
+{
+    const rthyb_numerical_ops *ops = rthyb_numerical_find(part->kind);
+    if (!ops || !part->cfg || !part->state)
+        return RTHYB_E_MOTION;
+    return ops->init(part->state, part->cfg, x0_m);
+}
+
+int rthyb_numerical_answer(const rthyb_numerical *part, double excitation, double force_n,
+                           double *x_next_m)
+{
+    return KINDS[part->kind]->answer(part->state, excitation, force_n, x_next_m);
+}
+
+int rthyb_numerical_advance(const rthyb_numerical *part)
+{
+    const rthyb_numerical_ops *ops = KINDS[part->kind];
+    return ops->advance ? ops->advance(part->state) : RTHYB_OK;
+}
+
+void rthyb_numerical_freeze(const rthyb_numerical *part, double force_n)
+{
+    const rthyb_numerical_ops *ops = KINDS[part->kind];
+    if (ops->freeze)
+        ops->freeze(part->state, force_n);
+}
+
+void rthyb_numerical_save(const rthyb_numerical *part, void *bytes)
+{
+    memcpy(bytes, part->state, KINDS[part->kind]->size);
+}
+
+void rthyb_numerical_restore(const rthyb_numerical *part, const void *bytes)
+{
+    memcpy(part->state, bytes, KINDS[part->kind]->size);
+}
+
+void rthyb_numerical_look(const rthyb_numerical *part, rthyb_interface *at)
+{
+    KINDS[part->kind]->look(part->state, at);
+}
+
+size_t rthyb_numerical_report(const rthyb_numerical *part, double *values, size_t most)
+{
+    return KINDS[part->kind]->report(part->state, values, most);
+}
+
+int rthyb_numerical_reference(const rthyb_numerical *part, rthyb_element *elements,
+                              size_t element_count, const double *excitation, size_t n,
+                              double period_s, double *x_m, double *v_m_per_s, double *force_n)
+{
+    if (element_count > RTHYB_ELEMENTS_MAX)
+        return RTHYB_S_OUT_OF_RANGE;
+    int code = RTHYB_OK;
+    for (size_t i = 0; i < n; i++) {
+        rthyb_interface at;
+        rthyb_numerical_look(part, &at);
+        x_m[i] = at.x;
+        v_m_per_s[i] = at.v;
+        force_n[i] =
+            rthyb_specimen_force(elements, (uint32_t)element_count, at.x, at.v, at.a, period_s);
+        double next;
+        code |= rthyb_numerical_answer(part, excitation[i], force_n[i], &next);
+        code |= rthyb_numerical_advance(part);
+    }
+    return code;
+}
