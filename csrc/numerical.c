@@ -70,7 +70,7 @@ size_t rthyb_numerical_report(const rthyb_numerical *part, double *values, size_
 }
 
 int rthyb_numerical_reference(const rthyb_numerical *part, rthyb_element *elements,
-                              size_t element_count, const double *excitation, size_t n,
+                              size_t element_count, const double *ag_mps2, size_t n,
                               double period_s, double *x_m, double *v_m_per_s, double *force_n)
 {
     if (element_count > RTHYB_ELEMENTS_MAX)
@@ -84,7 +84,7 @@ int rthyb_numerical_reference(const rthyb_numerical *part, rthyb_element *elemen
         force_n[i] =
             rthyb_specimen_force(elements, (uint32_t)element_count, at.x, at.v, at.a, period_s);
         double next;
-        code |= rthyb_numerical_answer(part, excitation[i], force_n[i], &next);
+        code |= rthyb_numerical_answer(part, ag_mps2[i], force_n[i], &next);
         code |= rthyb_numerical_advance(part);
     }
     return code;

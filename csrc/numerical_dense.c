@@ -14,29 +14,29 @@ enum { N_MAX = RTHYB_DENSE_MAX, S_MAX = 2 * RTHYB_DENSE_MAX };
 #define VELOCITY_MAX 1e9
 
 /* Square matrices here have rows of the part's own size n, one after the other. */
-static void multiply(const double *a, const double *b, int n, double *out)
+static void multiply(const double *a, const double *b, size_t n, double *out)
 {
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++) {
             double sum = 0.0;
-            for (int k = 0; k < n; k++)
+            for (size_t k = 0; k < n; k++)
                 sum += a[i * n + k] * b[k * n + j];
             out[i * n + j] = sum;
         }
 }
 
-static int pivot_row(const double *a, int n, int column)
+static size_t pivot_row(const double *a, size_t n, size_t column)
 {
-    int best = column;
-    for (int i = column + 1; i < n; i++)
+    size_t best = column;
+    for (size_t i = column + 1; i < n; i++)
         if (fabs(a[i * n + column]) > fabs(a[best * n + column]))
             best = i;
     return best;
 }
 
-static void swap_rows(double *a, int n, int i, int j)
+static void swap_rows(double *a, size_t n, size_t i, size_t j)
 {
-    for (int k = 0; k < n; k++) {
+    for (size_t k = 0; k < n; k++) {
         const double kept = a[i * n + k];
         a[i * n + k] = a[j * n + k];
         a[j * n + k] = kept;
@@ -45,22 +45,22 @@ static void swap_rows(double *a, int n, int i, int j)
 
 /* a^-1 b by elimination with partial pivoting; both are used up, b holds the answer. 0, or
  * RTHYB_E_MOTION for a singular matrix. */
-static int solve(double *a, double *b, int n)
+static int solve(double *a, double *b, size_t n)
 {
-    for (int c = 0; c < n; c++) {
-        const int p = pivot_row(a, n, c);
+    for (size_t c = 0; c < n; c++) {
+        const size_t p = pivot_row(a, n, c);
         const double pivot = a[p * n + c];
         if (!(fabs(pivot) > 1e-12 && isfinite(pivot)))
             return RTHYB_E_MOTION;
         swap_rows(a, n, c, p);
         swap_rows(b, n, c, p);
-        for (int k = 0; k < n; k++) {
+        for (size_t k = 0; k < n; k++) {
             a[c * n + k] /= pivot;
             b[c * n + k] /= pivot;
         }
-        for (int i = 0; i < n; i++) {
+        for (size_t i = 0; i < n; i++) {
             const double factor = i == c ? 0.0 : a[i * n + c];
-            for (int k = 0; k < n; k++) {
+            for (size_t k = 0; k < n; k++) {
                 a[i * n + k] -= factor * a[c * n + k];
                 b[i * n + k] -= factor * b[c * n + k];
             }
@@ -111,14 +111,14 @@ static int accelerations_of(const rthyb_dense_config *cfg, accelerations *out)
 {
     const int n = cfg->size;
     const size_t bytes = (size_t)(n * n) * sizeof(double);
-    double a[N_MAX * N_MAX], inverse[N_MAX * N_MAX] = {0};
+    double a[N_MAX * N_MAX] = {0}, inverse[N_MAX * N_MAX] = {0};
     memcpy(a, cfg->mass_kg, bytes);
     for (int i = 0; i < n; i++)
         inverse[i * n + i] = 1.0;
-    if (solve(a, inverse, n))
+    if (solve(a, inverse, (size_t)n))
         return RTHYB_E_MOTION;
-    multiply(inverse, cfg->stiffness_n_per_m, n, out->k);
-    multiply(inverse, cfg->damping_n_s_per_m, n, out->c);
+    multiply(inverse, cfg->stiffness_n_per_m, (size_t)n, out->k);
+    multiply(inverse, cfg->damping_n_s_per_m, (size_t)n, out->c);
     for (int i = 0; i < n; i++) {
         out->e[i] = inverse[i * n + cfg->at];
         out->load[i] = 0.0;
@@ -135,7 +135,7 @@ static int cr_alpha(const rthyb_dense_config *cfg, double *alpha)
 {
     const int n = cfg->size, at = cfg->at * n + cfg->at;
     const double h = cfg->period_s;
-    double whole[N_MAX * N_MAX];
+    double whole[N_MAX * N_MAX] = {0};
     for (int i = 0; i < n * n; i++) {
         const int here = i == at;
         const double m = cfg->mass_kg[i] + (here ? cfg->specimen_mass_kg : 0.0);
@@ -144,18 +144,18 @@ static int cr_alpha(const rthyb_dense_config *cfg, double *alpha)
         whole[i] = 4.0 * m + 2.0 * h * c + h * h * k;
         alpha[i] = 4.0 * m;
     }
-    return solve(whole, alpha, n);
+    return solve(whole, alpha, (size_t)n);
 }
 
 static int cr_step_matrix(rthyb_dense *s, const accelerations *acc)
 {
     const int n = s->cfg.size, rows = 2 * n;
     const double h = s->cfg.period_s;
-    double alpha[N_MAX * N_MAX], k[N_MAX * N_MAX], c[N_MAX * N_MAX];
+    double alpha[N_MAX * N_MAX] = {0}, k[N_MAX * N_MAX] = {0}, c[N_MAX * N_MAX] = {0};
     if (cr_alpha(&s->cfg, alpha))
         return RTHYB_E_MOTION;
-    multiply(alpha, acc->k, n, k);
-    multiply(alpha, acc->c, n, c);
+    multiply(alpha, acc->k, (size_t)n, k);
+    multiply(alpha, acc->c, (size_t)n, c);
     for (int i = 0; i < n; i++) {
         double force = 0.0, load = 0.0;
         for (int j = 0; j < n; j++) {
@@ -175,13 +175,13 @@ static int cr_step_matrix(rthyb_dense *s, const accelerations *acc)
     return 0;
 }
 
-/* y = z (p + z (q p / 2 ...)): the four terms of exp(z) - 1 that the classical Runge-Kutta method has, for
- * an input that is held: D = z + z^2/2 + z^3/6 + z^4/24, b = h (1 + z/2 + z^2/6 + z^3/24) input. */
+/* The classical Runge-Kutta method is the first terms of exp(z), z = h times the matrix of the system; for an
+ * input that is held D = z + z^2/2 + z^3/6 + z^4/24, b = h (1 + z/2 + z^2/6 + z^3/24) input. */
 static void rk4_step_matrix(rthyb_dense *s, const accelerations *acc)
 {
     const int n = s->cfg.size, rows = 2 * n;
     const double h = s->cfg.period_s;
-    double z[S_MAX * S_MAX] = {0}, sum[S_MAX * S_MAX] = {0}, next[S_MAX * S_MAX];
+    double z[S_MAX * S_MAX] = {0}, sum[S_MAX * S_MAX] = {0}, next[S_MAX * S_MAX] = {0};
     for (int i = 0; i < n; i++) {
         z[i * rows + n + i] = h;
         for (int j = 0; j < n; j++) {
@@ -190,11 +190,11 @@ static void rk4_step_matrix(rthyb_dense *s, const accelerations *acc)
         }
     }
     for (int order = 4; order >= 1; order--) { /* sum = (1 + z sum / (order + 1)), by Horner */
-        multiply(z, sum, rows, next);
+        multiply(z, sum, (size_t)rows, next);
         for (int i = 0; i < rows * rows; i++)
             sum[i] = next[i] / (order + 1.0) + (i % (rows + 1) == 0 ? 1.0 : 0.0);
     }
-    multiply(z, sum, rows, s->step);
+    multiply(z, sum, (size_t)rows, s->step);
     for (int i = 0; i < rows; i++) {
         s->by_force[i] = s->by_excitation[i] = 0.0;
         for (int j = 0; j < n; j++) {
@@ -220,7 +220,7 @@ int rthyb_dense_init(rthyb_dense *s, const rthyb_dense_config *cfg, double x0_m)
         return error;
     if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
         return RTHYB_E_LIMIT;
-    accelerations acc;
+    accelerations acc = {0};
     if (accelerations_of(cfg, &acc))
         return RTHYB_E_MOTION;
     *s = (rthyb_dense){.cfg = *cfg, .x = x0_m, .x1 = x0_m, .x2 = x0_m};
@@ -271,7 +271,7 @@ int rthyb_dense_advance(rthyb_dense *s)
 {
     const int n = s->cfg.size, rows = 2 * n, at = s->cfg.at;
     int code = s->ran_off ? RTHYB_S_OUT_OF_RANGE : RTHYB_OK;
-    double next[S_MAX];
+    double next[S_MAX] = {0};
     for (int i = 0; i < rows; i++)
         next[i] = s->s[i] + (row_times_state(s, i) + s->by_force[i] * s->force +
                              s->by_excitation[i] * s->excitation);

@@ -318,11 +318,11 @@ typedef struct {
     int32_t ran_off;
 } rthyb_dense;
 
-int rthyb_dense_init(rthyb_dense *part, const rthyb_dense_config *cfg, double x0_m);
+int rthyb_dense_init(rthyb_dense *s, const rthyb_dense_config *cfg, double x0_m);
 /* M a + C v + K x + e force = -load ag  at t_n  ->  x[n+1] of the interface; two products. */
-int rthyb_dense_answer(rthyb_dense *part, double excitation, double force_n, double *x_next_m);
+int rthyb_dense_answer(rthyb_dense *s, double excitation, double force_n, double *x_next_m);
 /* The other degrees of freedom follow; before the next answer. */
-int rthyb_dense_advance(rthyb_dense *part);
+int rthyb_dense_advance(rthyb_dense *s);
 
 /* ---- numerical part by kind (numerical.c) ----------------------------------------------------- */
 

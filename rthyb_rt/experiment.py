@@ -298,6 +298,7 @@ def controller_config(
             rest_noise_m=derived.rest_noise_displacement_m,
         ),
         motion=motion_config(test, derived),
+        numerical=derived.structure.part if derived.structure is not None else None,
         x_range_m=sensors.displacement.range_m or 0.0,
         f_range_n=sensors.force.range_n or 0.0,
         velocity_limit_m_per_s=velocity.value if velocity and velocity.enable else 0.0,
@@ -540,6 +541,8 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
         ``x_ref_m``, ``v_ref_mps``, ``f_ref_n`` at every tick, shape (n,).
     """
     elements = _reference_elements(setup, table_forces)
+    if setup.derived.structure is not None:
+        return _rows_of_reference(*setup.derived.structure.reference(elements, setup.ag_mps2))
     rigid = [e for e in elements if e.kind not in _IMPLICIT]
     motion = motion_config(setup.test, setup.derived)
     # As a force, mass would need the acceleration that it decides, and a damper the velocity: both
@@ -550,8 +553,13 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
         damping_n_s_per_m=motion.damping_n_s_per_m
         + sum(e.params[0] for e in elements if e.kind == "viscous"),
     )
-    x, v, force = core.Motion(motion).reference(rigid, setup.ag_mps2)
-    result = np.zeros(setup.ticks, dtype=REFERENCE_DTYPE)
+    return _rows_of_reference(*core.Motion(motion).reference(rigid, setup.ag_mps2))
+
+
+def _rows_of_reference(
+    x: NDArray[np.float64], v: NDArray[np.float64], force: NDArray[np.float64]
+) -> NDArray[np.void]:
+    result = np.zeros(x.size, dtype=REFERENCE_DTYPE)
     result["x_ref_m"], result["v_ref_mps"], result["f_ref_n"] = x, v, force
     return result
 

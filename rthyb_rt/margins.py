@@ -8,6 +8,7 @@ Delays and ``alpha`` are in samples, ``beta`` in samples squared, ``z`` is one s
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,6 +19,7 @@ from rthyb_rt.config import RigFile
 from rthyb_rt.core import Motion, MotionConfig, element
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 
 LITTLE_MARGIN: Final = 0.5
 """Loop gain of the delay estimator above which its estimate rings."""
@@ -170,10 +172,25 @@ def critical_delay(motion: MotionConfig, lead: Lead | None = None) -> float:
     if not is_stable(motion, start, lead):
         return 0.0
     p, q = _loop(motion, lead)
+
+    def loop(z: Complexes) -> Complexes:
+        return np.asarray(np.polyval(q, z) / np.polyval(p, z))
+
+    # A resonance of the numerical part alone can be narrower than the grid.
+    return first_crossing(loop, np.abs(np.angle(np.roots(p))), start)
+
+
+def first_crossing(loop: Callable[[Complexes], Complexes], peaks: Floats, start: int) -> float:
+    """Return the first delay above `start` at which a root of 1 + loop z^-D crosses the circle.
+
+    Args:
+        loop: the loop without its delay, of z on the unit circle, (k,).
+        peaks: angles of resonances that may be narrower than the grid, (m,).
+        start: a whole delay that is stable, samples.
+    """
     critical = math.inf
-    for theta in _crossings(p, q):
-        z = complex(math.cos(theta), math.sin(theta))
-        angle = float(np.angle(np.polyval(q, z) / np.polyval(p, z)))
+    for theta in _crossings(loop, peaks):
+        angle = float(np.angle(loop(np.exp(1j * np.array([theta])))[0]))
         first, turn = (angle + math.pi) / theta, 2.0 * math.pi / theta
         critical = min(critical, first + turn * (math.floor((start - first) / turn) + 1))
     return critical
@@ -196,15 +213,12 @@ def delay_margin(critical_samples: float) -> float:
     return max(critical_samples, LEAST_DELAY_MARGIN)
 
 
-def _crossings(p: Floats, q: Floats) -> list[float]:
-    """Return the angles in (0, pi] at which |Q| = |P|."""
+def _crossings(loop: Callable[[Complexes], Complexes], peaks: Floats) -> list[float]:
+    """Return the angles in (0, pi] at which |loop| = 1."""
 
     def excess(theta: Floats) -> Floats:
-        z = np.exp(1j * theta)
-        return np.asarray(np.abs(np.polyval(q, z)) - np.abs(np.polyval(p, z)), dtype=np.float64)
+        return np.asarray(np.abs(loop(np.exp(1j * theta))) - 1.0, dtype=np.float64)
 
-    # A resonance of the numerical part alone can be narrower than the grid.
-    peaks = np.abs(np.angle(np.roots(p)))
     grid = np.union1d(np.geomspace(1e-5, math.pi, 20001), peaks[peaks > 1e-5])
     sign = excess(grid) > 0.0
     change = np.flatnonzero(sign[1:] != sign[:-1])
@@ -237,6 +251,11 @@ def largest_followed_delay(
         beta = delay**2 / 2.0 if lead.beta else 0.0
         return is_stable(motion, delay, Lead(float(delay), beta, lead.w1, lead.w2))
 
+    return largest_survived(survives, most, step)
+
+
+def largest_survived(survives: Callable[[int], bool], most: int, step: int) -> int | None:
+    """Return the largest delay of those from 0 on that are survived, see above."""
     survived = -1
     for delay in (*range(0, most, step), most):
         if not survives(delay):

@@ -64,6 +64,12 @@ class DensePart:
             raise CoreError(f"a state of {len(state)} bytes is none of a dense part")
         lib.rthyb_numerical_restore(self._c, ffi.from_buffer(state))
 
+    def step_matrices(self) -> tuple[FloatArray, FloatArray]:
+        """Return A (2n, 2n) and b (2n,) of s[n+1] = A s[n] + b force[n], s = (x, v)."""
+        rows = 2 * len(self.config.load_kg)
+        step = np.array(list(self._state.step[0 : rows * rows])).reshape(rows, rows)
+        return step + np.eye(rows), np.array(list(self._state.by_force[0:rows]))
+
     def displacements(self) -> FloatArray:
         """Return where every degree of freedom is, m, (n,)."""
         values = np.zeros(core.DENSE_MAX)

@@ -10,11 +10,13 @@ from typing import Any, Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import margins, measures, trips
+from rthyb_rt import margins, measures, numerical_margins, trips
 from rthyb_rt.attention import Finding, Judge, Subject
+from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import Rate
 from rthyb_rt.core import Integrator, MotionConfig
 from rthyb_rt.numbers import count, number, percent, quantity
+from rthyb_rt.numerical_structure import Structure, structure_of
 from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
 from rthyb_rt.trips import Met
 
@@ -109,6 +111,15 @@ def setup(rec: Recording) -> Setup:
         elif damping is not None:
             ratio = damping / critical
     rate = Rate(rec.fs_hz)
+    critical_delay = _critical_delay(test, mass, damping, k_e, rate)
+    structure = _structure(_get(test, "numerical", "matrices"), k_e, rate)
+    if structure is not None:
+        first = structure.modes()[0]
+        period = 1.0 / first.frequency_hz if first.frequency_hz else None
+        ratio, critical_delay = (
+            first.damping_ratio,
+            numerical_margins.critical_delay(structure.part),
+        )
     window = _times(_number(_get(test, "controller", "rfc", "window_samples")), rate.pace)
     if window is None:
         window = _times(_number(_get(test, "controller", "rfc", "window_s")), rate.hz)
@@ -127,7 +138,7 @@ def setup(rec: Recording) -> Setup:
         period_s=period,
         damping_n_s_per_m=damping,
         damping_ratio=ratio,
-        critical_delay_samples=_critical_delay(test, mass, damping, k_e, rate),
+        critical_delay_samples=critical_delay,
         window_samples=None if window is None else round(window),
         tangent=_words(_get(test, "controller", "rfc", "tangent")) or None,
         gain=_gain(controller, _get(test, *estimator), rate),
@@ -137,6 +148,17 @@ def setup(rec: Recording) -> Setup:
         description=_words(_get(test, "test", "description")),
         rig_name=_words(_get(rig, "rig", "name")),
     )
+
+
+def _structure(matrices: object, k_e: float | None, rate: Rate) -> Structure | None:
+    """Return a numerical part that is given by matrices; None where there is none to be read."""
+    if not isinstance(matrices, dict) or k_e is None:
+        return None
+    try:
+        return structure_of(Matrices.model_validate(matrices), k_e, rate.period_s)
+    except ValueError:
+        # Another version's.
+        return None
 
 
 def _critical_delay(

@@ -18,8 +18,9 @@ from rthyb_rt.config import units
 from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
 from rthyb_rt.config.limits import WATCHED, Limits, resolve
 from rthyb_rt.config.lines import KeyLines
+from rthyb_rt.config.numerical import Labels, Matrices, Numbers, Place, Square
 from rthyb_rt.config.rigfile import BoucWen, Link, RigFile
-from rthyb_rt.config.testfile import TestFile
+from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError
 
 relaxed = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
@@ -42,6 +43,8 @@ def values_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> st.SearchStrat
             if limits.pattern == r"[\s\S]*":
                 return texts
             return st.from_regex(r"\A[a-z0-9][a-z0-9._-]{0,20}\Z")
+        if isinstance(limits, (Square, Numbers, Labels, Place)):
+            return st.just([1.0])  # `matrices` has them fit
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is typing.Annotated:
         return values_of(arguments[0], arguments[1:])
@@ -75,6 +78,16 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
                 data[key] = None
         if choice.required and data[kept] is None:
             data[kept] = 1.0
+    if model is Numerical:
+        by_matrices = data["matrices"] is not None
+        single = ("mass_kg", "period_s", "damping_n_s_per_m", "damping_ratio")
+        if by_matrices:
+            data.update(dict.fromkeys(single), integrator="central-difference")
+            data["stiffness_n_per_m"] = 0.0
+        else:
+            data.update(dict.fromkeys(single), mass_kg=1.0, damping_ratio=0.02)
+    if model is Matrices:
+        data.update(draw(matrices()))
     if issubclass(model, BoucWen):
         data.update(xy_m=None, b=draw(st.floats(1, 1e6)), c=draw(st.floats(0, 1e6)))
     if "fs_n" in data:
@@ -101,6 +114,28 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
         data["alpha0"] = draw(st.none() | st.floats(20, 40))
         data["beta0"] = draw(st.none() | st.floats(-800, 800))
     return data
+
+
+@st.composite
+def matrices(draw: st.DrawFn) -> dict[str, Any]:
+    """What of a numerical part by matrices has one size."""
+    n = draw(st.integers(1, 8))
+
+    def numbers(low: float, high: float) -> list[float]:
+        return draw(st.lists(st.floats(low, high), min_size=n, max_size=n))
+
+    k = [numbers(-1e12, 1e12) for _ in range(n)]
+    labels = draw(st.none() | st.just([f"floor {i}" for i in range(n)]))
+    return {
+        "m_kg": numbers(1.0, 1e9),
+        "k_n_per_m": [[k[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)],
+        "c_n_s_per_m": None,
+        "damping_ratios": draw(st.just(numbers(0.0, 2.0)) | st.just([0.02])),
+        "influence": draw(st.none() | st.just(numbers(-1e3, 1e3))),
+        "labels": labels,
+        "interface": draw(st.integers(1, n) | st.sampled_from(labels or [1])),
+        "specimen": draw(st.none() | st.just({"mass_kg": 0.5, "stiffness_n_per_m": 3.0})),
+    }
 
 
 @st.composite

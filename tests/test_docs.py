@@ -176,6 +176,8 @@ def test_parts_of_files_are_valid_where_they_stand() -> None:
             _valid_values(text)
         elif text.startswith("[[specimen]]"):
             experiment.rig_config(config.parse_rig(rig_head + text, page))
+        elif text.startswith("[numerical."):
+            config.parse_test(head + text, page)
         else:
             config.parse_test(head + "[numerical]\nperiod_s=1\ndamping_ratio=0\n" + text, page)
 

@@ -167,9 +167,7 @@ def test_one_degree_of_freedom_is_what_it_has_always_been() -> None:
     mass, damping, stiffness, k_e = 4220.0, 2121.0, 1e5, 666400.0
     old = core.Motion(core.MotionConfig("cr", mass, damping, stiffness, k_e))
     new = DensePart(
-        core.DenseConfig(
-            "cr", ((mass,),), ((damping,),), ((stiffness,),), (mass,), k_e_n_per_m=k_e
-        )
+        core.DenseConfig("cr", ((mass,),), ((damping,),), ((stiffness,),), (mass,), k_e_n_per_m=k_e)
     )
     ag = np.random.default_rng(5).normal(size=20000)
     x = np.zeros(ag.size + 1)

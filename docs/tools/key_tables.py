@@ -21,6 +21,7 @@ from pydantic.fields import FieldInfo
 from rthyb_rt import core, recording
 from rthyb_rt.config import baselinefile, deriving, limits, rigfile, testfile
 from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
+from rthyb_rt.config.numerical import Labels, Numbers, Place, Square
 
 PAGE = Path(__file__).resolve().parents[1] / "file-formats.md"
 _PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -32,6 +33,19 @@ MEANINGS: dict[str, str] = {
     "GroundMotion.channel": "number, or part of the name, of one component of several",
     "GroundMotion.interpolation": "how the record is brought to the test's rate",
     "Numerical.integrator": "integrator of the equation of motion",
+    "Matrices.m_kg": "masses of the degrees of freedom",
+    "Matrices.k_n_per_m": "stiffnesses between them",
+    "Matrices.c_n_s_per_m": "dampings between them",
+    "Matrices.damping_ratios": "instead: of each mode of the whole structure, the lowest first, "
+    "or one for all",
+    "Matrices.influence": "displacements when the ground moves by 1; absent: 1 each",
+    "Matrices.labels": "names of the degrees of freedom; absent: 1, 2, ...",
+    "Matrices.interface": "the degree of freedom that the specimen is joined to",
+    "Matrices.integrator": "integrator of the equation of motion",
+    "Matrices.force_delay_samples": "1: the force is used one sample late",
+    "TakenOut.mass_kg": "the specimen's mass",
+    "TakenOut.damping_n_s_per_m": "the specimen's damping",
+    "TakenOut.stiffness_n_per_m": "the specimen's stiffness; absent: $k_e$",
     "DelayEstimator.enabled": "false: alpha stays at alpha0, beta at beta0",
     "Rfc.enabled": "false: the measured force goes uncorrected into the equation of motion",
     "Rfc.tangent": 'formula; absent: "mean-of-ratios" for "paper", else "least-squares"',
@@ -311,6 +325,13 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
             meaning = part.what
         elif isinstance(part, Count):
             allowed, meaning = f"whole, {part.low} to {part.high}", part.what
+        elif isinstance(part, (Square, Numbers)):
+            unit, meaning = part.each.unit, part.what
+            each = f"{_number(part.each.low)} to {_number(part.each.high)}"
+            rows = "rows or diagonal" if isinstance(part, Square) else "list"
+            allowed = f"{rows}, each {each}"
+        elif isinstance(part, (Labels, Place)):
+            allowed, meaning = part.form, part.what
         elif isinstance(part, Sign):
             allowed, meaning = "1, -1", part.what
         elif isinstance(part, Text):
@@ -325,7 +346,7 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
     if not meaning:
         raise LookupError(f"{model.__name__}.{key}: say in MEANINGS what it is for")
     origin = typing.get_origin(info.annotation)
-    if origin is list:
+    if origin is list and not allowed.startswith(("rows", "list")):
         allowed = f"list, each {allowed}"
     elif origin is dict:
         words = [word for part in parts if isinstance(part, OneOf) for word in part.words]

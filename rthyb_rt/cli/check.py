@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rthyb_rt.braking import RunOn
     from rthyb_rt.config import Link
     from rthyb_rt.experiment import Setup
+    from rthyb_rt.margins import Lead
 
 SCHEMA = "rthyb-check/1"
 
@@ -120,6 +121,8 @@ class Figures:
         peak_phi: peak of the estimator's input, from the reference simulation or from one with an
             elastic specimen, whichever is larger.
         estimator_loop_gain: g of the controller ``paper``.
+        modes: of a structure that is given by matrices, the elastic specimen in it; mass, period
+            and damping are then those of the first, as the interface sees it.
     """
 
     samples: int
@@ -145,6 +148,7 @@ class Figures:
     reference_peak_n: float
     peak_phi: float
     estimator_loop_gain: float | None
+    modes: tuple[dict[str, float], ...] = ()
 
 
 def _figures(setup: Setup) -> Figures:
@@ -153,17 +157,17 @@ def _figures(setup: Setup) -> Figures:
     from rthyb_rt import margins
 
     derived, wanted = setup.derived, setup.test.controller
-    motion = setup.controller.motion
     lead = margins.Lead(derived.alpha0, derived.beta0, wanted.w1, wanted.w2)
     leads = derived.plc_enabled
     most = math.floor(derived.alpha_max)
     rate = derived.rate
     reference = setup.reference
+    survives = _Survival.of(setup, lead if leads else None, most)
     phi = max(
         margins.peak_excitation(
             x, lead, wanted.delay_estimator.reference_displacement_m / rate.pace
         )
-        for x in (reference["x_ref_m"], margins.elastic_displacement_m(motion, setup.ag_mps2))
+        for x in (reference["x_ref_m"], survives.elastic_m)
     )
     identified = rate.samples(setup.rig.identified.alpha) if setup.rig.identified else None
     loop_gain = None
@@ -185,13 +189,9 @@ def _figures(setup: Setup) -> Figures:
         beta0=derived.beta0,
         lead_first_sample_gain=lead.first_sample_gain if leads else None,
         lead_nyquist_gain=lead.nyquist_gain if leads else None,
-        critical_delay_samples=margins.critical_delay(motion),
-        critical_delay_with_lead_samples=margins.critical_delay(motion, lead) if leads else None,
-        critical_delay_followed_samples=margins.largest_followed_delay(
-            motion, lead, most, max(1, round(rate.pace))
-        )
-        if leads
-        else None,
+        critical_delay_samples=survives.alone,
+        critical_delay_with_lead_samples=survives.with_lead,
+        critical_delay_followed_samples=survives.followed,
         identified_delay_samples=identified,
         rig_is_lag=margins.is_lag(setup.rig),
         reference_peak_m=float(np.abs(reference["x_ref_m"]).max()),
@@ -199,7 +199,43 @@ def _figures(setup: Setup) -> Figures:
         reference_peak_n=float(np.abs(reference["f_ref_n"]).max()),
         peak_phi=phi,
         estimator_loop_gain=loop_gain,
+        modes=tuple(
+            {"frequency_hz": mode.frequency_hz, "damping_ratio": mode.damping_ratio}
+            for mode in (derived.structure.modes() if derived.structure is not None else ())
+        ),
     )
+
+
+@dataclass(frozen=True)
+class _Survival:
+    """Delays that a test's structure survives, and how it moves with an elastic specimen."""
+
+    alone: float
+    with_lead: float | None
+    followed: int | None
+    elastic_m: Any
+
+    @classmethod
+    def of(cls, setup: Setup, lead: Lead | None, most: int) -> _Survival:
+        """Return them; ``lead`` is None where no phase lead runs."""
+        from rthyb_rt import margins, numerical_margins
+
+        ag, step = setup.ag_mps2, max(1, round(setup.derived.rate.pace))
+        with_lead = followed = None
+        structure = setup.derived.structure
+        if structure is not None:
+            part = structure.part
+            if lead is not None:
+                with_lead = numerical_margins.critical_delay(part, lead)
+                followed = numerical_margins.largest_followed_delay(part, lead, most, step)
+            alone = numerical_margins.critical_delay(part)
+            return cls(alone, with_lead, followed, structure.elastic_displacement_m(ag))
+        motion = setup.controller.motion
+        if lead is not None:
+            with_lead = margins.critical_delay(motion, lead)
+            followed = margins.largest_followed_delay(motion, lead, most, step)
+        elastic_m = margins.elastic_displacement_m(motion, ag)
+        return cls(margins.critical_delay(motion), with_lead, followed, elastic_m)
 
 
 # ---- remarks ------------------------------------------------------------------------------------
@@ -382,8 +418,42 @@ def _run_on_warnings(setup: Setup, f: Figures, found: RunOn) -> list[str]:
 # ---- for people ---------------------------------------------------------------------------------
 
 
-def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
+def _structure_rows(f: Figures) -> list[tuple[str, str, str]]:
     from rthyb_rt.numbers import number, percent, quantity
+
+    if f.modes:
+        return [
+            (
+                f"Mode {i + 1} of {len(f.modes)}",
+                f"{number(mode['frequency_hz'], 4)} Hz ({number(1 / mode['frequency_hz'])} s), "
+                f"damping {percent(mode['damping_ratio'], 3)}",
+                "" if i else "of the whole structure, specimen elastic",
+            )
+            for i, mode in enumerate(f.modes)
+        ]
+    return [
+        (
+            "Period",
+            f"{number(f.period_s)} s ({number(1 / f.period_s)} Hz)",
+            "of the whole structure",
+        ),
+        ("Mass", quantity(f.mass_kg, "kg", digits=4), "computed"),
+        (
+            "Damping",
+            f"{quantity(f.damping_n_s_per_m, 'N s/m', digits=4)} ({percent(f.damping_ratio, 3)})",
+            "computed; part of critical",
+        ),
+    ]
+
+
+def _integrator(setup: Setup) -> str:
+    numerical = setup.test.numerical
+    matrices = numerical.matrices
+    return numerical.integrator if matrices is None else matrices.integrator
+
+
+def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
+    from rthyb_rt.numbers import number, quantity
 
     fs_hz = setup.derived.fs_hz
 
@@ -398,19 +468,9 @@ def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
     rows = [
         ("Ground motion", f"{setup.motion.name}, PGA {number(f.pga_g)} g", ""),
         ("Length of the test", f"{f.duration_s:.2f} s ({f.samples} samples)", _rate_words(fs_hz)),
-        (
-            "Period",
-            f"{number(f.period_s)} s ({number(1 / f.period_s)} Hz)",
-            "of the whole structure",
-        ),
-        ("Mass", quantity(f.mass_kg, "kg", digits=4), "computed"),
-        (
-            "Damping",
-            f"{quantity(f.damping_n_s_per_m, 'N s/m', digits=4)} ({percent(f.damping_ratio, 3)})",
-            "computed; part of critical",
-        ),
+        *_structure_rows(f),
         ("Elastic stiffness", quantity(f.k_e_n_per_m, "kN/m", 1e-3, 4), "k_e of the specimen"),
-        ("Integrator", setup.test.numerical.integrator, ""),
+        ("Integrator", _integrator(setup), ""),
         ("Controller", _controller(setup), ""),
     ]
     if setup.derived.rfc_enabled:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ, Rate
@@ -29,6 +30,10 @@ from rthyb_rt.config.rigfile import (
 )
 from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    from rthyb_rt.config.numerical import Matrices
+    from rthyb_rt.numerical_structure import Structure
 
 DEFAULT_WINDOW_PERIODS = 0.1
 """The paper's conclusion: a tenth of the period."""
@@ -62,6 +67,8 @@ class Derived:
         rest_noise_displacement_m, rest_noise_force_n: noise at rest behind the excitation gate.
         limits: the limits of test and rig together, with where each comes from.
         notes: what a user should know and need not act on.
+        structure: the numerical part where the test gives it by matrices; mass, period and damping
+            are then those of the joined structure's first mode, as the interface sees it.
     """
 
     fs_hz: float
@@ -87,6 +94,7 @@ class Derived:
     rest_noise_force_n: float
     limits: limits_file.Resolved
     notes: tuple[str, ...] = ()
+    structure: Structure | None = None
 
     @property
     def rate(self) -> Rate:
@@ -110,9 +118,15 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     rate = Rate(test.test.sample_rate_hz)
     k_e = rig.rig.elastic_stiffness_n_per_m
     stiffness = k_e + test.numerical.stiffness_n_per_m
-    mass, period = _mass_and_period(test.numerical, stiffness, problems)
-    damping, ratio = _damping(test.numerical, stiffness, mass)
-    _check_integration(test.numerical, period, ratio, rate, problems, notes)
+    structure: Structure | None = None
+    if test.numerical.matrices is not None:
+        structure, (mass, period, damping, ratio) = _by_matrices(
+            test.numerical.matrices, k_e, rate, problems
+        )
+    else:
+        mass, period = _mass_and_period(test.numerical, stiffness, problems)
+        damping, ratio = _damping(test.numerical, stiffness, mass)
+        _check_integration(test.numerical, period, ratio, rate, problems, notes)
     _check_rate(test, rig, rate, problems)
     alpha0 = _alpha0(test, rig, problems)
     beta0 = _beta0(test)
@@ -155,6 +169,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         rest_noise_force_n=noise_n,
         limits=limits,
         notes=tuple(notes),
+        structure=structure,
     )
 
 
@@ -193,6 +208,66 @@ def resolve(test: TestFile, derived: Derived) -> TestFile:
 
 def _given(value: float | None, default: float) -> float:
     return default if value is None else value
+
+
+def _by_matrices(
+    given: Matrices, k_e: float, rate: Rate, problems: list[Problem]
+) -> tuple[Structure, tuple[float, float, float, float]]:
+    """Return the part, and mass, period, damping and its ratio of the first mode."""
+    # NumPy is slow to load, and most tests have no matrices.
+    from rthyb_rt.numerical_structure import RADIUS_SLACK, structure_of
+
+    structure = structure_of(given, k_e, rate.period_s)
+    modes = structure.modes()
+    first = modes[0]
+    if first.frequency_hz == 0.0:
+        shape = ", ".join(f"{v:.3g}" for v in first.shape)
+        problems.append(
+            Problem(
+                "numerical.matrices.k_n_per_m",
+                f"nothing holds the structure against the motion [{shape}], the specimen with k_e "
+                f"= {k_e:g} N/m included; every motion must need a force: look for a missing "
+                "spring, a sign, or a specimen that was taken out and is stiffer than the rig's",
+            )
+        )
+        return structure, (1.0, 1.0, 0.0, 0.0)
+    _check_stability(structure, problems, 1.0 + RADIUS_SLACK)
+    omega = 2 * math.pi * first.frequency_hz
+    mass = 1.0 / max(first.at_interface**2, 1e-12)
+    return structure, (
+        mass,
+        1.0 / first.frequency_hz,
+        2 * first.damping_ratio * omega * mass,
+        first.damping_ratio,
+    )
+
+
+def _check_stability(structure: Structure, problems: list[Problem], most: float) -> None:
+    """Refuse a step that makes the joined structure grow by itself."""
+    modes, rate_hz = structure.modes(), 1.0 / structure.part.period_s
+    fed = [mode for mode in modes if mode.damping_ratio < -1e-9]
+    radius = structure.spectral_radius()
+    if radius <= most and not fed:
+        return
+    if fed:
+        problems.append(
+            Problem(
+                "numerical.matrices.c_n_s_per_m",
+                f"the mode at {fed[0].frequency_hz:.4g} Hz has a damping ratio of "
+                f"{fed[0].damping_ratio:.3g}; every mode must have 0 or more: look for a sign, or "
+                "for a specimen's damping that was taken out and is not in the matrices",
+            )
+        )
+        return
+    highest = modes[-1].frequency_hz
+    problems.append(
+        Problem(
+            "numerical.matrices.integrator",
+            f"the step is unstable: with {structure.part.integrator} at {rate_hz:g} Hz the largest "
+            f"root of the joined structure is {radius:.6g}, allowed is 1; its highest mode is at "
+            f'{highest:.4g} Hz; take integrator = "cr", or a higher test.sample_rate_hz',
+        )
+    )
 
 
 def _mass_and_period(

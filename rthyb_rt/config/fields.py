@@ -451,8 +451,9 @@ def _one_of(value: object, names: list[str]) -> str:
 def _allowed(info: FieldInfo, key: str) -> str:
     """Say what a required field takes."""
     for limits in info.metadata:
-        if isinstance(limits, (Range, Count, Text)):
-            return limits.allowed()
+        allowed = getattr(limits, "allowed", None)
+        if allowed is not None:
+            return str(allowed())
     names = _literals(info.annotation)
     if names:
         return "must be " + " or ".join(f'{key} = "{name}"' for name in names)

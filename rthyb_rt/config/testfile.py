@@ -8,6 +8,7 @@ from pydantic import Field, StrictBool
 
 from rthyb_rt.config.fields import SLUG, SOME_TEXT, Check, Choice, Count, Range, Table, Text
 from rthyb_rt.config.limits import Limits
+from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ
 
 TEST_SCHEMA = "rthyb-test/1"
@@ -68,15 +69,31 @@ class GroundMotion(Table):
         return data
 
 
+def _only_in_matrices(matrices: Matrices | None, integrator: str) -> str | None:
+    if matrices is None or integrator == "central-difference":
+        return None
+    return f'found "{integrator}"; with matrices it is numerical.matrices.integrator that counts'
+
+
+def _in_matrices(matrices: Matrices | None, stiffness_n_per_m: float) -> str | None:
+    if matrices is None or stiffness_n_per_m == 0.0:
+        return None
+    return f"found {stiffness_n_per_m:g} N/m; with matrices every stiffness belongs into k_n_per_m"
+
+
 class Numerical(Table):
     """The computed part: mass or period, damping or damping ratio, stiffness beside the specimen.
 
-    ``rho_inf`` is read by the integrator ``kr-alpha`` alone.
+    ``rho_inf`` is read by the integrator ``kr-alpha`` alone. ``matrices`` stands for all of it.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (
-        Choice(("mass_kg", "period_s"), required=True),
-        Choice(("damping_n_s_per_m", "damping_ratio"), required=True),
+        Choice(("mass_kg", "period_s", "matrices"), required=True),
+        Choice(("damping_n_s_per_m", "damping_ratio", "matrices"), required=True),
+    )
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("integrator", ("matrices", "integrator"), _only_in_matrices),
+        Check("stiffness_n_per_m", ("matrices", "stiffness_n_per_m"), _in_matrices),
     )
 
     mass_kg: Annotated[float, Range("kg", 1e-3, 1e9, "the mass")] | None = None
@@ -92,6 +109,7 @@ class Numerical(Table):
         "central-difference"
     )
     rho_inf: Annotated[float, Range("", 0, 1, "the spectral radius at high frequency")] = 1.0
+    matrices: Matrices | None = None
 
 
 def _bounds_in_order(alpha_min: float, alpha_max: float) -> str | None:
