@@ -79,12 +79,12 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
         if choice.required and data[kept] is None:
             data[kept] = 1.0
     if model is Numerical:
-        by_matrices = data["matrices"] is not None
+        data["matrices"] = draw(st.none() | tables(Matrices))
         single = ("mass_kg", "period_s", "damping_n_s_per_m", "damping_ratio")
-        if by_matrices:
+        if data["matrices"] is not None:
             data.update(dict.fromkeys(single), integrator="central-difference")
             data["stiffness_n_per_m"] = 0.0
-        else:
+        elif None in (data["mass_kg"] or data["period_s"], data["damping_n_s_per_m"]):
             data.update(dict.fromkeys(single), mass_kg=1.0, damping_ratio=0.02)
     if model is Matrices:
         data.update(draw(matrices()))
