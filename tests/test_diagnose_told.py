@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -315,6 +316,21 @@ def test_a_loop_that_what_was_found_does_not_bring_back_is_said():
 
 
 # ---- the catalogue -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("windows", "told"),
+    [
+        ([[0.06, 5.0]], "between 0.1 and 5.0 s"),
+        ([[0.06, 5.0], [6.04, 6.06]], "between 0.1 and 5.0 s and between 6.0 and 6.1 s"),
+        ([[0.06, 5.0], [6.07, 6.10]], "between 0.1 and 5.0 s and at 6.1 s"),
+        ([[1, 2], [3, 4], [5, 6], [7, 8]],
+         "between 1.0 and 2.0 s, between 3.0 and 4.0 s, between 5.0 and 6.0 s and once more"),
+    ],
+)  # fmt: skip
+def test_when_a_force_is_missing_is_said_without_spans_of_no_length(windows, told):
+    found = replace(diagnosed(friction), windows=windows)
+    assert words._when(found) == told
 
 
 def test_the_terminal_lists_every_effect_and_what_parts_two_of_them(capsys):

@@ -260,10 +260,18 @@ def _when(d: Diagnosis) -> str:
     if len(d.windows) > 6:
         first, last = d.windows[0][0], d.windows[-1][1]
         return f"{len(d.windows)} times between {first:.1f} and {last:.1f} s"
-    spans = [f"{a:.1f} and {b:.1f} s" for a, b in d.windows[:3]]
+    told = [_span(a, b) for a, b in d.windows[:3]]
     left = len(d.windows) - 3
-    more = "" if left <= 0 else " and once more" if left == 1 else f" and {left} more times"
-    return "between " + ", between ".join(spans) + more
+    if left > 0:
+        told.append("once more" if left == 1 else f"{left} more times")
+    *before, last_one = told
+    return f"{', '.join(before)} and {last_one}" if before else last_one
+
+
+def _span(from_s: float, to_s: float) -> str:
+    """Return a window of time in words: one shorter than the figures shown is a moment."""
+    first, last = f"{from_s:.1f}", f"{to_s:.1f}"
+    return f"at {first} s" if first == last else f"between {first} and {last} s"
 
 
 def _where(d: Diagnosis, signal: Floats) -> str:
