@@ -1675,6 +1675,8 @@ int rthyb_simulate_iwan(const double *yield_m, const double *share, size_t count
 
 const char *rthyb_version(void);
 const char *rthyb_compiler(void);
+/* SHA-256 of the sources that the core was made of (source_hash.cmake); "" built without CMake. */
+const char *rthyb_source_hash(void);
 /* cffi: end */
 
 #endif

@@ -1,6 +1,12 @@
 /* Runs without a station: the bare controller at a virtual rig, and the structure without either. */
 #include "internal.h"
 #include "numeric.h"
+/* CMake has it made; plain gcc does without. */
+#ifdef RTHYB_SOURCE_HASH_FILE
+#include RTHYB_SOURCE_HASH_FILE
+#else
+#define RTHYB_SOURCE_HASH ""
+#endif
 
 /* The excitation of tick n; for a prescribed motion that is the command of tick n + 1. */
 static double excitation_at(const rthyb_controller *c, const double *excitation, size_t n_total)
@@ -38,6 +44,11 @@ int rthyb_run_reference(rthyb_motion *motion, rthyb_element *elements, size_t el
 const char *rthyb_version(void)
 {
     return RTHYB_VERSION;
+}
+
+const char *rthyb_source_hash(void)
+{
+    return RTHYB_SOURCE_HASH;
 }
 
 const char *rthyb_compiler(void)

@@ -88,9 +88,10 @@ def version() -> str:
 
 
 def build_facts() -> dict[str, str]:
-    """Return what bit-identical replay depends on: core version, compiler, architecture."""
+    """Return what bit-identical replay depends on: the core's sources, compiler, architecture."""
     return {
         "core_version": version(),
+        "core_sources": _text(lib.rthyb_source_hash()),
         "compiler": _text(lib.rthyb_compiler()),
         "architecture": platform.machine(),
     }

@@ -662,7 +662,8 @@ class Replay:
         rows: rows compared.
         first_row, field: where it departs first, None when it does not.
         largest: largest difference by field, for the fields that differ, in the field's unit.
-        same_build: the core that recorded is the core that replays.
+        same_build: the core that recorded is the core that replays: of the same sources, made by
+            the same compiler for the same architecture.
     """
 
     identical: bool

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import re
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 from recording_data import recording as made_up
 from scipy.io import loadmat
 
-from rthyb_rt import core, export, realtime, recording, summary
+from rthyb_rt import core, experiment, export, realtime, recording, summary
 from rthyb_rt.errors import InputError
 from rthyb_rt.live.sources import PastSource
 from rthyb_rt.recording import UNITS, VERSION, VERSIONS, Field, Recording, Version, read, write
@@ -125,6 +126,31 @@ def test_a_recording_of_version_1_that_is_written_again_is_still_one(
     again = read(tmp_path / "recording.h5")
     assert (again.version, again.meta) == (1, rec.meta)
     assert again.samples.tobytes() == rec.samples.tobytes()
+
+
+# ---- what recorded it ---------------------------------------------------------------------------
+
+
+def test_a_build_of_the_core_is_told_by_its_sources() -> None:
+    folder = Path(__file__).parents[1] / "csrc"
+    lines = "".join(
+        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n"
+        for path in sorted(folder.iterdir())
+        if path.suffix in (".c", ".h")
+    )
+    assert core.build_facts()["core_sources"] == hashlib.sha256(lines.encode()).hexdigest()
+
+
+def test_a_replay_is_by_the_same_build_or_by_another_one() -> None:
+    rec = made_up(0.25)
+    rec.meta |= core.build_facts()
+    assert experiment.compare(rec, rec.samples).same_build
+    for fact in ("core_sources", "compiler", "architecture"):
+        other = dataclasses.replace(rec, meta=rec.meta | {fact: "another"})
+        assert not experiment.compare(other, rec.samples).same_build
+    # A commit says nothing of what the core was made of.
+    elsewhere = dataclasses.replace(rec, meta=rec.meta | {"git_hash": "another"})
+    assert experiment.compare(elsewhere, rec.samples).same_build
 
 
 # ---- the table of versions ----------------------------------------------------------------------

@@ -43,9 +43,9 @@ def replay(recording: RecordingArgument, as_json: JsonOption = False) -> None:
             [(f"  {name}", f"{gap:.3g} {UNITS[name]}") for name, gap in found.largest.items()], file
         )
     if not found.same_build:
-        made = ", ".join(
-            str(rec.meta.get(key, "?")) for key in ("core_version", "compiler", "architecture")
-        )
+        sources = str(rec.meta.get("core_sources", "?"))[:12]
+        known = (rec.meta.get(key, "?") for key in ("core_version", "compiler", "architecture"))
+        made = ", ".join([*map(str, known), f"sources {sources}"])
         print(
             f"Note: recorded with another build of the core ({made}); "
             "identical bits are promised for the same build only.",

@@ -23,6 +23,7 @@ _META_NAMES = {
     "rthyb_version": "rthyb_rt",
     "core_version": "core",
     "git_hash": "revision",
+    "core_sources": "sources of the core",
     "compiler": "compiler",
     "architecture": "architecture",
     "clock": "clock",
