@@ -196,19 +196,21 @@ static void write_record(const rthyb_controller *c, const rthyb_input *in, doubl
     note_pair(record, in->x_meas_m, in->f_meas_n, in->lost);
     record->state = (uint16_t)c->state;
     record->code = (uint16_t)code;
+    record->cause = RTHYB_CAUSE_NONE;
     record->ag_mps2 = c->cfg.motion.integrator == RTHYB_PRESCRIBED ? 0.0 : in->excitation;
     record->x_num_m = c->x_num;
     record->x_plc_m = c->x_plc;
-    record->x_cmd_m = c->x_cmd;
-    record->x_meas_m = x;
-    record->f_meas_n = f;
+    record->axis[0].x_cmd_m = c->x_cmd;
+    record->axis[0].x_meas_m = x;
+    record->axis[0].f_meas_n = f;
     record->alpha = c->alpha;
     record->beta = c->beta;
     record->k_t_n_per_m = c->rfc.k_n_per_m;
     record->energy_error_j = c->energy_error;
     record->tracking_indicator_m2 = c->tracking_indicator;
     record->wake_late_ns = record->sent_late_ns = 0;
-    record->echo = record->count = 0;
+    record->axis[0].missing = c->missing;
+    record->axis[0].echo = record->axis[0].count = 0;
 }
 
 /* One degree of freedom leaves nothing to be done later, and takes no detour by the table of kinds. */

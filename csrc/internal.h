@@ -84,8 +84,8 @@ static inline void note_command(rthyb_station *s, const rthyb_calibration *c, in
 static inline void note_pair(rthyb_record *record, double x_m, double f_n, int32_t lost)
 {
     const double none = lost & RTHYB_S_NOT_FINITE ? (double)NAN : 0.0;
-    record->x_read_m = lost ? none : x_m;
-    record->f_read_n = lost ? none : f_n;
+    record->axis[0].x_read_m = lost ? none : x_m;
+    record->axis[0].f_read_n = lost ? none : f_n;
 }
 
 /* A drive that brakes by itself, one tick: the next target from the velocity of the last two; the same

@@ -72,7 +72,7 @@ static double excitation_at(const rthyb_jitter *jitter, uint64_t k)
 static void keep(const rthyb_jitter *jitter, const rthyb_record *record)
 {
     if (jitter->ring)
-        rthyb_ring_push(jitter->ring, record);
+        rthyb_ring_push(jitter->ring, record, NULL);
 }
 
 /* The ticks that were skipped do not happen: timing is asked for here, not motion. */

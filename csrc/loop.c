@@ -307,8 +307,8 @@ static void complete(rthyb_loop *loop, const rthyb_tick *tick, const arrival *fo
         record->due_ns = rthyb_ticker_due_ns(&loop->ticker, k) - loop->ticker.t0_ns;
     }
     last->wake_late_ns = short_ns(tick->woken_ns - tick->due_ns);
-    last->echo = (uint16_t)found->feedback.echo;
-    last->count = (uint16_t)found->feedback.count;
+    last->axis[0].echo = (uint16_t)found->feedback.echo;
+    last->axis[0].count = (uint16_t)found->feedback.count;
     last->flags |= found->slipped ? (uint32_t)RTHYB_F_SLIP : 0u;
 }
 
@@ -351,8 +351,12 @@ static void publish(rthyb_loop *loop)
     put(&loop->cause, (uint64_t)loop->station->cause);
     put(&loop->cause_tick, loop->station->cause_tick);
     add(&loop->counters.records, loop->record_count);
-    if (loop->ring)
-        rthyb_ring_push_run(loop->ring, loop->records, loop->record_count);
+    if (!loop->ring || loop->record_count == 0)
+        return;
+    /* Of what was slept through nobody knows more than its record. */
+    const uint32_t last = loop->record_count - 1;
+    rthyb_ring_push_run(loop->ring, loop->records, last, NULL);
+    rthyb_ring_push(loop->ring, &loop->records[last], loop->station->channel);
 }
 
 /* Also if it was down and is back already: between two ticks, a lot can happen to a plug. And if it took

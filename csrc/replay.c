@@ -26,7 +26,7 @@ static int32_t lost(const rthyb_record *row)
 {
     if (!(row->flags & RTHYB_F_LOST))
         return 0;
-    const int32_t no_number = isnan(row->x_read_m) ? RTHYB_S_NOT_FINITE : 0;
+    const int32_t no_number = isnan(row->axis[0].x_read_m) ? RTHYB_S_NOT_FINITE : 0;
     return RTHYB_LOST | no_number | (row->code & RTHYB_S_OUT_OF_RANGE);
 }
 
@@ -34,8 +34,8 @@ static rthyb_station_input input_of(const rthyb_station *station, const rthyb_re
 {
     const uint64_t skipped = row->tick - station->tick;
     return (rthyb_station_input){
-        .x_m = row->x_read_m,
-        .f_n = row->f_read_n,
+        .x_m = row->axis[0].x_read_m,
+        .f_n = row->axis[0].f_read_n,
         .lost = lost(row),
         .skipped = skipped < UINT32_MAX ? (uint32_t)skipped : UINT32_MAX,
         .command = (int32_t)(row->flags >> RTHYB_F_COMMAND_BIT),
@@ -44,7 +44,7 @@ static rthyb_station_input input_of(const rthyb_station *station, const rthyb_re
         .heartbeat_late = (row->flags & RTHYB_F_SILENT) != 0,
         .beyond = (row->flags & RTHYB_F_BEYOND) != 0,
         .taken_over = (row->flags & RTHYB_F_TAKEN_OVER) != 0,
-        .x_cmd_m = row->x_cmd_m,
+        .x_cmd_m = row->axis[0].x_cmd_m,
     };
 }
 
@@ -70,8 +70,8 @@ static void copy_surroundings(const rthyb_record *from, rthyb_record *to)
     to->due_ns = from->due_ns;
     to->wake_late_ns = from->wake_late_ns;
     to->sent_late_ns = from->sent_late_ns;
-    to->echo = from->echo;
-    to->count = from->count;
+    to->axis[0].echo = from->axis[0].echo;
+    to->axis[0].count = from->axis[0].count;
 }
 
 static void complete(const rthyb_record *row, int sent, rthyb_record *made)

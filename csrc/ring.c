@@ -10,6 +10,7 @@
  * killed between any two instructions leaves at most one slot with an odd stamp. */
 #include "rthyb.h"
 
+#include <math.h>
 #include <string.h>
 #include <sys/mman.h>
 #include <sys/vfs.h>
@@ -21,8 +22,8 @@
 #define NEWEST_TRIES 1000 /* a killed producer may have left the status page half written */
 #define LEAP_ROOM 64      /* a lapped reader goes on this part of the ring ahead of the oldest */
 
-_Static_assert(sizeof(rthyb_record) == RTHYB_RING_WORDS * sizeof(uint64_t),
-               "RTHYB_RING_WORDS is not the record's");
+_Static_assert(sizeof(rthyb_record) == RTHYB_RECORD_WORDS * sizeof(uint64_t),
+               "RTHYB_RECORD_WORDS is not the record's");
 _Static_assert(sizeof(rthyb_ring_header) <= PAGE, "the header is one page");
 _Static_assert(offsetof(rthyb_ring_header, pushed) == 64, "the fixed fields are one cache line");
 _Static_assert(__atomic_always_lock_free(sizeof(uint64_t), 0),
@@ -40,9 +41,19 @@ static size_t slots_at(size_t about_bytes)
     return PAGE + (about_bytes + PAGE - 1) / PAGE * PAGE;
 }
 
-size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes)
+static uint32_t row_bytes(uint32_t channel_count)
 {
-    return slots_at(about_bytes) + (size_t)capacity * sizeof(rthyb_ring_slot);
+    return (uint32_t)sizeof(rthyb_record) + channel_count * (uint32_t)sizeof(double);
+}
+
+static uint32_t slot_bytes(uint32_t channel_count)
+{
+    return (uint32_t)offsetof(rthyb_ring_slot, words) + row_bytes(channel_count);
+}
+
+size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes, uint32_t channel_count)
+{
+    return slots_at(about_bytes) + (size_t)capacity * slot_bytes(channel_count);
 }
 
 int rthyb_ring_settle(int fd, void *map, size_t bytes)
@@ -54,21 +65,24 @@ int rthyb_ring_settle(int fd, void *map, size_t bytes)
     return (locked ? RTHYB_RING_LOCKED : 0) | (in_memory ? RTHYB_RING_IN_MEMORY : 0);
 }
 
-void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t about_bytes)
+void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t about_bytes,
+                     uint32_t channel_count)
 {
     rthyb_ring_header *header = map;
     header->layout = RTHYB_RING_LAYOUT;
     header->about_at = PAGE;
     header->about_bytes = about_bytes;
     header->slots_at = slots_at(about_bytes);
-    header->file_bytes = rthyb_ring_bytes(capacity, about_bytes);
+    header->file_bytes = rthyb_ring_bytes(capacity, about_bytes, channel_count);
     header->capacity = capacity;
-    header->slot_bytes = sizeof(rthyb_ring_slot);
-    header->record_bytes = sizeof(rthyb_record);
+    header->slot_bytes = slot_bytes(channel_count);
+    header->record_bytes = row_bytes(channel_count);
     *ring = (rthyb_ring){
         .header = header,
-        .slots = (void *)((char *)map + header->slots_at),
+        .slots = (char *)map + header->slots_at,
         .mask = capacity - 1,
+        .slot_bytes = header->slot_bytes,
+        .channel_count = channel_count,
     };
     /* Last, so that nobody takes half a header for a ring. */
     __atomic_store_n(&header->magic, MAGIC, __ATOMIC_RELEASE);
@@ -76,14 +90,21 @@ void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t abou
 
 /* ---- producer --------------------------------------------------------------------------------- */
 
-static void store(rthyb_ring_slot *slot, uint64_t number, const rthyb_record *record)
+static void store(const rthyb_ring *ring, rthyb_ring_slot *slot, uint64_t number,
+                  const rthyb_record *record, const double *channels)
 {
     const char *bytes = (const char *)record;
     __atomic_store_n(&slot->stamp, 2 * number + 1, __ATOMIC_RELAXED);
-    for (size_t i = 0; i < RTHYB_RING_WORDS; i++) {
+    for (size_t i = 0; i < RTHYB_RECORD_WORDS; i++) {
         uint64_t word;
         memcpy(&word, bytes + i * sizeof word, sizeof word);
         __atomic_store_n(&slot->words[i], word, __ATOMIC_RELEASE);
+    }
+    for (uint32_t i = 0; i < ring->channel_count; i++) {
+        const double value = channels ? channels[i] : (double)NAN;
+        uint64_t word;
+        memcpy(&word, &value, sizeof word);
+        __atomic_store_n(&slot->words[RTHYB_RECORD_WORDS + i], word, __ATOMIC_RELEASE);
     }
     __atomic_store_n(&slot->stamp, 2 * number + 2, __ATOMIC_RELEASE);
 }
@@ -93,30 +114,31 @@ static void set_phase(rthyb_ring *ring, uint64_t phase)
     __atomic_store_n(&ring->header->phase, phase, __ATOMIC_RELEASE);
 }
 
-static void append(rthyb_ring *ring, const rthyb_record *record)
+static void append(rthyb_ring *ring, const rthyb_record *record, const double *channels)
 {
-    store(&ring->slots[ring->pushed & ring->mask], ring->pushed, record);
+    void *slot = ring->slots + (ring->pushed & ring->mask) * ring->slot_bytes;
+    store(ring, slot, ring->pushed, record, channels);
     ring->pushed++;
     __atomic_store_n(&ring->header->pushed, ring->pushed, __ATOMIC_RELEASE);
 }
 
-static void show(rthyb_ring *ring, const rthyb_record *record)
+static void show(rthyb_ring *ring, const rthyb_record *record, const double *channels)
 {
-    store(&ring->header->newest, ring->shown++, record);
+    store(ring, &ring->header->newest, ring->shown++, record, channels);
 }
 
 /* The black box: what led to a TRIP, and a second of what came after. */
-static void push_tripped(rthyb_ring *ring, const rthyb_record *record)
+static void push_tripped(rthyb_ring *ring, const rthyb_record *record, const double *channels)
 {
     if (ring->tripped == RTHYB_RING_AFTER_TRIP) {
-        show(ring, record);
+        show(ring, record, channels);
         return;
     }
-    append(ring, record);
+    append(ring, record, channels);
     if (++ring->tripped < RTHYB_RING_AFTER_TRIP)
         return;
     /* Page before phase, here and below record before phase: what a reader finds never gets older. */
-    show(ring, record);
+    show(ring, record, channels);
     set_phase(ring, RTHYB_RING_FROZEN);
 }
 
@@ -126,21 +148,22 @@ static void forget_trip(rthyb_ring *ring)
     set_phase(ring, RTHYB_RING_OPEN);
 }
 
-void rthyb_ring_push(rthyb_ring *ring, const rthyb_record *record)
+void rthyb_ring_push(rthyb_ring *ring, const rthyb_record *record, const double *channels)
 {
     if (record->state == RTHYB_TRIPPED) {
-        push_tripped(ring, record);
+        push_tripped(ring, record, channels);
         return;
     }
-    append(ring, record);
+    append(ring, record, channels);
     if (ring->tripped)
         forget_trip(ring);
 }
 
-void rthyb_ring_push_run(rthyb_ring *ring, const rthyb_record *records, size_t n)
+void rthyb_ring_push_run(rthyb_ring *ring, const rthyb_record *records, size_t n,
+                         const double *channels)
 {
     for (size_t i = 0; i < n; i++)
-        rthyb_ring_push(ring, &records[i]);
+        rthyb_ring_push(ring, &records[i], channels ? channels + i * ring->channel_count : NULL);
 }
 
 void rthyb_ring_close(rthyb_ring *ring)
@@ -150,13 +173,22 @@ void rthyb_ring_close(rthyb_ring *ring)
 
 /* ---- reader ----------------------------------------------------------------------------------- */
 
+/* Of a row; more than RTHYB_CHANNELS_MAX where it is none. */
+static uint32_t channels_of(const rthyb_ring_header *h)
+{
+    const uint32_t least = row_bytes(0), bytes = h->record_bytes;
+    return bytes < least || (bytes - least) % sizeof(double) != 0
+               ? UINT32_MAX
+               : (bytes - least) / (uint32_t)sizeof(double);
+}
+
 static int sizes_agree(const rthyb_ring_header *h)
 {
     const int capacity_ok =
         h->capacity > 0 && h->capacity <= CAPACITY_MAX && (h->capacity & (h->capacity - 1)) == 0;
     const int about_ok = h->about_at == PAGE && h->about_bytes <= CAPACITY_MAX;
     return capacity_ok && about_ok && h->slots_at == slots_at(h->about_bytes) &&
-           h->file_bytes == rthyb_ring_bytes(h->capacity, h->about_bytes);
+           h->file_bytes == rthyb_ring_bytes(h->capacity, h->about_bytes, channels_of(h));
 }
 
 static int refusal(const rthyb_ring_header *h, size_t bytes)
@@ -168,7 +200,8 @@ static int refusal(const rthyb_ring_header *h, size_t bytes)
         return magic == 0 ? RTHYB_RING_UNFINISHED : RTHYB_RING_FOREIGN;
     if (h->layout != RTHYB_RING_LAYOUT)
         return RTHYB_RING_OTHER_LAYOUT;
-    if (h->record_bytes != sizeof(rthyb_record) || h->slot_bytes != sizeof(rthyb_ring_slot))
+    const uint32_t channel_count = channels_of(h);
+    if (channel_count > RTHYB_CHANNELS_MAX || h->slot_bytes != slot_bytes(channel_count))
         return RTHYB_RING_OTHER_RECORD;
     if (!sizes_agree(h))
         return RTHYB_RING_DAMAGED;
@@ -194,19 +227,21 @@ int rthyb_ring_attach(rthyb_ring_reader *reader, const void *map, size_t bytes)
         return refused;
     *reader = (rthyb_ring_reader){
         .header = header,
-        .slots = (const void *)((const char *)map + header->slots_at),
+        .slots = (const char *)map + header->slots_at,
         .capacity = header->capacity,
         .mask = header->capacity - 1,
+        .slot_bytes = header->slot_bytes,
+        .row_words = header->record_bytes / (uint32_t)sizeof(uint64_t),
     };
     reader->next = oldest(reader);
     return 0;
 }
 
-/* Copies the words; 0, and nonsense in the record, if the slot did not keep that stamp meanwhile. */
-static int copy(const rthyb_ring_slot *slot, uint64_t stamp, rthyb_record *record)
+/* Copies the words; 0, and nonsense in the row, if the slot did not keep that stamp meanwhile. */
+static int copy(const rthyb_ring_reader *reader, const rthyb_ring_slot *slot, uint64_t stamp,
+                char *bytes)
 {
-    char *bytes = (char *)record;
-    for (size_t i = 0; i < RTHYB_RING_WORDS; i++) {
+    for (size_t i = 0; i < reader->row_words; i++) {
         const uint64_t word = __atomic_load_n(&slot->words[i], __ATOMIC_ACQUIRE);
         memcpy(bytes + i * sizeof word, &word, sizeof word);
     }
@@ -215,14 +250,19 @@ static int copy(const rthyb_ring_slot *slot, uint64_t stamp, rthyb_record *recor
 
 enum found { HERE, NOT_YET, GONE };
 
-static enum found look(const rthyb_ring_reader *reader, rthyb_record *record)
+static const rthyb_ring_slot *slot_of(const rthyb_ring_reader *reader, uint64_t number)
 {
-    const rthyb_ring_slot *slot = &reader->slots[reader->next & reader->mask];
+    return (const void *)(reader->slots + (number & reader->mask) * reader->slot_bytes);
+}
+
+static enum found look(const rthyb_ring_reader *reader, char *row)
+{
+    const rthyb_ring_slot *slot = slot_of(reader, reader->next);
     const uint64_t wanted = 2 * reader->next + 2;
     const uint64_t stamp = __atomic_load_n(&slot->stamp, __ATOMIC_ACQUIRE);
     if (stamp < wanted)
         return NOT_YET;
-    return stamp == wanted && copy(slot, stamp, record) ? HERE : GONE;
+    return stamp == wanted && copy(reader, slot, stamp, row) ? HERE : GONE;
 }
 
 /* Past a half-written record by one; a lapped reader to where it is not lapped again at once. */
@@ -235,21 +275,24 @@ static void leap(rthyb_ring_reader *reader)
     reader->next = to;
 }
 
-size_t rthyb_ring_read(rthyb_ring_reader *reader, rthyb_record *records, size_t n)
+size_t rthyb_ring_read(rthyb_ring_reader *reader, void *rows, size_t n)
 {
+    const size_t pitch = reader->row_words * sizeof(uint64_t);
+    char *row = rows;
     if (n == 0)
         return 0;
-    enum found found = look(reader, records);
+    enum found found = look(reader, row);
     while (found == GONE && reader->next <= rthyb_ring_pushed(reader)) {
         leap(reader);
-        found = look(reader, records);
+        found = look(reader, row);
     }
     size_t count = 0;
     while (found == HERE) {
         reader->next++;
         if (++count == n)
             break;
-        found = look(reader, &records[count]);
+        row += pitch;
+        found = look(reader, row);
     }
     return count;
 }
@@ -260,20 +303,19 @@ int rthyb_ring_phase(const rthyb_ring_reader *reader)
                  (RTHYB_RING_FROZEN | RTHYB_RING_CLOSED));
 }
 
-int rthyb_ring_newest(const rthyb_ring_reader *reader, rthyb_record *record)
+int rthyb_ring_newest(const rthyb_ring_reader *reader, void *row)
 {
     for (int i = 0; i < NEWEST_TRIES; i++) {
         const int frozen = rthyb_ring_phase(reader) & RTHYB_RING_FROZEN;
         const uint64_t last = rthyb_ring_pushed(reader) - 1;
-        const rthyb_ring_slot *slot =
-            frozen ? &reader->header->newest : &reader->slots[last & reader->mask];
+        const rthyb_ring_slot *slot = frozen ? &reader->header->newest : slot_of(reader, last);
         const uint64_t stamp = __atomic_load_n(&slot->stamp, __ATOMIC_ACQUIRE);
         if (stamp == 0)
             return 0;
         /* A slot that was lapped since may be ahead of the count, and a phase that changed since
          * ahead of the page: the next look would find something older. */
         const int counted = frozen ? stamp % 2 == 0 : stamp == 2 * last + 2;
-        if (counted && copy(slot, stamp, record) &&
+        if (counted && copy(reader, slot, stamp, row) &&
             (rthyb_ring_phase(reader) & RTHYB_RING_FROZEN) == frozen)
             return 1;
     }

@@ -20,7 +20,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define RTHYB_VERSION "0.2.0"
+#define RTHYB_VERSION "0.3.0"
 
 /* What stands between the two markers is read by the C compiler and by cffi alike. */
 /* cffi: begin */
@@ -72,6 +72,14 @@ enum rthyb_error {
 
 /* ---- one record: ring slot, HDF5 row and replay input -------------------------------------- */
 
+/* What stands here is declared nowhere else: Python reads names, types and places of the fields from it, and
+ * from them come the rows of a recording and the slots of the ring. */
+enum rthyb_record_size {
+    RTHYB_AXES = 1,          /* displacements that are commanded, each with its force */
+    RTHYB_CHANNELS_MAX = 32, /* named values that a row may have beside its record */
+    RTHYB_RECORD_WORDS = 19  /* of 8 bytes; the record has no padding */
+};
+
 enum rthyb_state {
     RTHYB_IDLE,
     RTHYB_ZEROED,
@@ -105,6 +113,19 @@ enum rthyb_flag {
     RTHYB_F_COMMAND_BIT = 24   /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
 };
 
+/* One axis. */
+typedef struct {
+    double x_read_m;  /* reading as the station was told it, taken or not, calibrated, before
+                       * the tare; NaN: what came was no number */
+    double f_read_n;  /* the same of the force; both 0 where nothing came */
+    double x_cmd_m;   /* x_p[n], as the drive has it */
+    double x_meas_m;  /* x_m[n], accepted or predicted, after tare */
+    double f_meas_n;  /* f[n], accepted or predicted, after tare */
+    uint32_t missing; /* samples in a row without an accepted pair, this one among them */
+    uint16_t echo;    /* low bits of the command sequence number the drive had applied */
+    uint16_t count;   /* low bits of the drive's own sample count */
+} rthyb_axis_record;
+
 typedef struct {
     uint64_t tick;        /* n, counted from the first sample of the test */
     int64_t due_ns;       /* when the tick was due, from the start of the test */
@@ -114,22 +135,16 @@ typedef struct {
     uint32_t generation;  /* parameter generation in force */
     uint16_t code;        /* enum rthyb_status */
     uint16_t state;       /* enum rthyb_state */
-    uint16_t echo;        /* low bits of the command sequence number the drive had applied */
-    uint16_t count;       /* low bits of the drive's own sample count */
-    double x_read_m;      /* reading as the station was told it, taken or not, calibrated, before
-                           * the tare; NaN: what came was no number */
-    double f_read_n;      /* the same of the force; both 0 where nothing came */
+    uint32_t cause;       /* enum rthyb_cause, as latched after the tick */
     double ag_mps2;       /* ground acceleration at t_n */
     double x_num_m;       /* x_c[n], command of the integration */
     double x_plc_m;       /* output of the phase-lead compensator */
-    double x_cmd_m;       /* x_p[n], as the drive has it */
-    double x_meas_m;      /* x_m[n], accepted or predicted, after tare */
-    double f_meas_n;      /* f[n], accepted or predicted, after tare */
     double alpha;         /* samples, after the update of tick n */
     double beta;          /* samples squared */
     double k_t_n_per_m;   /* tangent stiffness that the RFC used */
     double energy_error_j;
     double tracking_indicator_m2;
+    rthyb_axis_record axis[RTHYB_AXES];
 } rthyb_record;
 
 /* ---- phase-lead compensator (plc.c) --------------------------------------------------------- */
@@ -735,6 +750,9 @@ typedef struct {
     uint64_t skipped;     /* all of them */
     int32_t trip_frames;  /* trip frames still to be sent */
     int32_t reset_frames; /* commands that still say RTHYB_TOLD_RESET */
+    /* What the row of this tick has beside its record, in the order of the recording's table of channels:
+     * written by whoever knows it, before the row is taken. Nothing here is read by the station. */
+    double channel[RTHYB_CHANNELS_MAX];
 } rthyb_station;
 
 typedef struct {
@@ -1189,9 +1207,9 @@ int rthyb_wire_take(rthyb_wire *wire, rthyb_feedback *feedback);
 /* ---- telemetry ring (ring.c) ------------------------------------------------------------------ */
 
 enum rthyb_ring_size {
-    RTHYB_RING_LAYOUT = 2,       /* version of the layout below */
-    RTHYB_RING_CAPACITY = 65536, /* records of a ring: 64 s */
-    RTHYB_RING_WORDS = 18,       /* words of a record */
+    RTHYB_RING_LAYOUT = 3,                                         /* version of the layout below */
+    RTHYB_RING_CAPACITY = 65536,                                   /* records of a ring: 64 s */
+    RTHYB_ROW_WORDS_MAX = RTHYB_RECORD_WORDS + RTHYB_CHANNELS_MAX, /* a record and its channels */
     RTHYB_RING_AFTER_TRIP = 1024 /* records kept of a TRIP before the ring stands still */
 };
 
@@ -1218,17 +1236,17 @@ enum rthyb_ring_fact {
     RTHYB_RING_IN_MEMORY = 2 /* on tmpfs: no write-back ever makes the producer wait */
 };
 
-/* One record with its stamp: 2 n + 1 while record number n is being written, 2 n + 2 when it is
- * there. 0: never written. */
+/* One row, a record and its channels, with its stamp: 2 n + 1 while row number n is being written,
+ * 2 n + 2 when it is there. 0: never written. In the file a slot ends with the words that its ring has. */
 typedef struct {
     uint64_t stamp;
-    uint64_t words[RTHYB_RING_WORDS];
+    uint64_t words[RTHYB_ROW_WORDS_MAX];
 } rthyb_ring_slot;
 
 /* Beginning of the file. magic to about_bytes have their place in every layout. */
 typedef struct {
     uint64_t magic;
-    uint32_t layout, record_bytes;
+    uint32_t layout, record_bytes;  /* of a row: a record and its channels */
     uint64_t about_at, about_bytes; /* JSON: fields, units, versions, process */
     uint64_t slots_at, file_bytes;
     uint32_t capacity, slot_bytes;
@@ -1242,24 +1260,27 @@ typedef struct {
 /* The producer's own side; one thread at a time. */
 struct rthyb_ring {
     rthyb_ring_header *header;
-    rthyb_ring_slot *slots;
+    char *slots;
     uint64_t mask;
     uint64_t pushed, shown; /* records in the ring, records on the status page */
-    uint32_t tripped;       /* records taken since the TRIP */
+    uint32_t slot_bytes, channel_count;
+    uint32_t tripped; /* records taken since the TRIP */
 };
 
 /* One reader of a mapping that may be read-only. Readers do not know of one another, and the
  * producer knows of none. */
 typedef struct {
     const rthyb_ring_header *header;
-    const rthyb_ring_slot *slots;
+    const char *slots;
     uint64_t capacity, mask;
+    uint32_t slot_bytes, row_words;
     uint64_t next; /* number of the record to be read next */
     uint64_t lost; /* records overwritten, or half written, before they were read */
 } rthyb_ring_reader;
 
-/* Size of the file for a capacity, a power of two, and so many bytes of description. */
-size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes);
+/* Size of the file for a capacity, a power of two, so many bytes of description and so many channels,
+ * RTHYB_CHANNELS_MAX at most. */
+size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes, uint32_t channel_count);
 /* Where the description begins, bytes from the start of the file. */
 size_t rthyb_ring_about_at(void);
 /* Locks the mapping and writes all of it once; returns enum rthyb_ring_fact bits. The file must
@@ -1267,21 +1288,25 @@ size_t rthyb_ring_about_at(void);
 int rthyb_ring_settle(int fd, void *map, size_t bytes);
 /* Writes the header over a settled mapping of rthyb_ring_bytes() bytes whose description is in its
  * place; from then on readers find a ring. */
-void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t about_bytes);
+void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t about_bytes,
+                     uint32_t channel_count);
 /* Never waits, fails or calls the kernel. RTHYB_RING_AFTER_TRIP records in state TRIPPED are taken,
  * further ones go to the status page alone until the state is another. */
-void rthyb_ring_push(rthyb_ring *ring, const rthyb_record *record);
-void rthyb_ring_push_run(rthyb_ring *ring, const rthyb_record *records, size_t n);
+/* channels: as many values as the ring has channels; NULL: not known, they become NaN. */
+void rthyb_ring_push(rthyb_ring *ring, const rthyb_record *record, const double *channels);
+/* channels: of each record in turn, or NULL. */
+void rthyb_ring_push_run(rthyb_ring *ring, const rthyb_record *records, size_t n,
+                         const double *channels);
 void rthyb_ring_close(rthyb_ring *ring);
 
 /* Takes a mapping of a whole file and stands before its oldest record; 0 or enum
  * rthyb_ring_refusal. Nothing outside bytes is read, whatever the file holds. */
 int rthyb_ring_attach(rthyb_ring_reader *reader, const void *map, size_t bytes);
-/* Up to n records without a gap between them, the first with the number next - (returned count).
- * A gap before them shows in lost. 0: nothing new. */
-size_t rthyb_ring_read(rthyb_ring_reader *reader, rthyb_record *records, size_t n);
-/* The newest record, also while the ring is frozen; 0 if there is none. */
-int rthyb_ring_newest(const rthyb_ring_reader *reader, rthyb_record *record);
+/* Up to n rows of record_bytes each without a gap between them, the first with the number
+ * next - (returned count). A gap before them shows in lost. 0: nothing new. */
+size_t rthyb_ring_read(rthyb_ring_reader *reader, void *rows, size_t n);
+/* The newest row, also while the ring is frozen; 0 if there is none. */
+int rthyb_ring_newest(const rthyb_ring_reader *reader, void *row);
 uint64_t rthyb_ring_pushed(const rthyb_ring_reader *reader);
 /* enum rthyb_ring_phase bits. */
 int rthyb_ring_phase(const rthyb_ring_reader *reader);
@@ -1617,16 +1642,20 @@ typedef struct {
     const double *ag_mps2; /* ground motion of the test */
     size_t ag_count;
     double stop_decel_m_per_s2;
+    int32_t truth;              /* the first two channels are what the sensors saw, without their
+                                 * errors: rthyb_rig.x_true_m and f_true_n */
     int32_t phase;              /* enum rthyb_drive_phase; from here on the core's own */
     double target_m, target1_m; /* what the actuator is told, and was told before */
 } rthyb_virtual;
 
-/* The members up to stop_decel_m_per_s2 are the caller's; the rest becomes new. 0; RTHYB_E_LIMIT for a
+/* The members up to truth are the caller's; the rest becomes new. 0; RTHYB_E_LIMIT for a
  * deceleration that is not positive, RTHYB_E_PERIOD where station and rig have not the same period. */
 int rthyb_virtual_init(rthyb_virtual *test);
 /* Runs up to count ticks, the first one with an operator's command (RTHYB_CMD_NONE: none); each gives one
- * record. Returns how many were run: fewer where the state has become another, or a tare has failed. */
-size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, rthyb_record *records);
+ * record, and the first channel_count of its channels. Returns how many were run: fewer where the state has
+ * become another, or a tare has failed. */
+size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, rthyb_record *records,
+                         double *channels, uint32_t channel_count);
 
 /* ---- simulators of the diagnosis (simulate.c) ------------------------------------------------- */
 

@@ -900,7 +900,7 @@ static int check_force(rthyb_station *s, int cause, double value, rthyb_overload
 static int check_forces(rthyb_station *s, const rthyb_record *r)
 {
     /* The reading counts though its pair was not taken: what pulls at the specimen need not be smooth. */
-    const double f = s->told ? s->told_f - s->tare_f : r->f_meas_n;
+    const double f = s->told ? s->told_f - s->tare_f : r->axis[0].f_meas_n;
     int code = RTHYB_OK;
     if (s->tared)
         code = check_force(s, RTHYB_CAUSE_FORCE, f, &s->over_f);
@@ -929,7 +929,7 @@ static void watch_at_rest(rthyb_station *s, rthyb_record *r)
         return;
     int code = r->code | check_forces(s, r) | check_off_scale(s);
     if (s->tared)
-        code |= check(s, RTHYB_CAUSE_TRACKING, r->x_meas_m - r->x_num_m - s->gap,
+        code |= check(s, RTHYB_CAUSE_TRACKING, r->axis[0].x_meas_m - r->x_num_m - s->gap,
                       RTHYB_S_TRACKING_LIMIT);
     r->code = (uint16_t)code;
 }
@@ -946,9 +946,10 @@ static void watch_limits(rthyb_station *s, rthyb_record *r, double indicator_bef
     code |= check(s, RTHYB_CAUSE_RIG_POSITION, c->x_plc + s->tare_cmd, RTHYB_S_POSITION_LIMIT);
     code |= check_off_scale(s);
     code |= check(s, RTHYB_CAUSE_VELOCITY, (c->x_plc - r->x_plc_m) / h, RTHYB_S_VELOCITY_LIMIT);
-    code |= check(s, RTHYB_CAUSE_INCREMENT, c->x_cmd - r->x_cmd_m, RTHYB_S_INCREMENT_LIMIT);
+    code |= check(s, RTHYB_CAUSE_INCREMENT, c->x_cmd - r->axis[0].x_cmd_m, RTHYB_S_INCREMENT_LIMIT);
     code |= check_forces(s, r);
-    code |= check(s, RTHYB_CAUSE_TRACKING, r->x_meas_m - r->x_num_m, RTHYB_S_TRACKING_LIMIT);
+    code |=
+        check(s, RTHYB_CAUSE_TRACKING, r->axis[0].x_meas_m - r->x_num_m, RTHYB_S_TRACKING_LIMIT);
     code |= check(s, RTHYB_CAUSE_INDICATOR, s->indicator_slope, RTHYB_S_INDICATOR_LIMIT);
     code |= check(s, RTHYB_CAUSE_ENERGY, r->energy_error_j, RTHYB_S_ENERGY_LIMIT);
     code |= check(s, RTHYB_CAUSE_LOST_WARNING, share_of(s, &s->losses), RTHYB_S_LOST_RATE);
@@ -1097,6 +1098,7 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
     if (s->state == RTHYB_TRIPPED)
         s->controller.x_cmd = s->controller.x_lim = sent;
     s->controller.state = s->state;
+    record->cause = (uint32_t)s->cause;
 }
 
 static rthyb_input at_tick(const rthyb_station *s, const double *ag, size_t n)

@@ -1,4 +1,6 @@
 /* Tests in virtual time: the station of a test in real time, with the virtual rig called directly. */
+#include <string.h>
+
 #include "internal.h"
 #include "numeric.h"
 
@@ -46,13 +48,18 @@ static void tick(rthyb_virtual *test, int32_t command, rthyb_record *record)
     rthyb_station_advance(station);
     record->due_ns = llrint((double)record->tick * station->cfg.controller.period_s * 1e9);
     note_pair(record, in.x_m, in.f_n, 0);
+    if (test->truth) {
+        station->channel[0] = test->rig->x_true_m;
+        station->channel[1] = test->rig->f_true_n;
+    }
     drive(test, &out);
     /* What a test comes to must not depend on how long its rig was zeroed and ramped in. */
     if (before == RTHYB_RAMP_IN && station->state == RTHYB_RUNNING)
         rthyb_rig_reseed(test->rig);
 }
 
-size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, rthyb_record *records)
+size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, rthyb_record *records,
+                         double *channels, uint32_t channel_count)
 {
     const rthyb_station *station = test->station;
     size_t done = 0;
@@ -60,6 +67,9 @@ size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, rth
     while (done < count && !told) {
         const int32_t state = station->state, zeroing = station->zeroing;
         tick(test, done == 0 ? command : RTHYB_CMD_NONE, &records[done]);
+        if (channel_count > 0)
+            memcpy(channels + done * channel_count, station->channel,
+                   channel_count * sizeof *channels);
         told = station->state != state || (station->zeroing == 2 && zeroing != 2);
         done++;
     }

@@ -109,23 +109,73 @@ _NUMPY_NAME: Final[dict[str, str]] = {
 }
 
 
+def _flat(ctype: Any, offset: int = 0, suffix: str = "") -> list[tuple[str, str, int]]:
+    """Return name, type and place of every number in a struct; those of axis 1 are "x_cmd_m.1"."""
+    found = []
+    for name, f in ctype.fields:
+        at = offset + f.offset
+        if f.type.kind == "array":
+            size = ffi.sizeof(f.type.item)
+            for k in range(f.type.length):
+                found += _flat(f.type.item, at + k * size, f".{k}" if k else "")
+        else:
+            found.append((name + suffix, _NUMPY_NAME[f.type.cname], at))
+    return found
+
+
 def _dtype_of(struct: str) -> np.dtype[np.void]:
-    ctype = ffi.typeof(struct)
-    fields = ctype.fields
+    numbers = _flat(ffi.typeof(struct))
     return np.dtype(
         {
-            "names": [name for name, _ in fields],
-            "formats": [_NUMPY_NAME[f.type.cname] for _, f in fields],
-            "offsets": [f.offset for _, f in fields],
-            "itemsize": ffi.sizeof(ctype),
+            "names": [name for name, _, _ in numbers],
+            "formats": [kind for _, kind, _ in numbers],
+            "offsets": [at for _, _, at in numbers],
+            "itemsize": ffi.sizeof(struct),
         }
     )
 
 
 RECORD_DTYPE: Final = _dtype_of("rthyb_record")
+CHANNELS_MAX: Final[int] = lib.RTHYB_CHANNELS_MAX
 
 
-def _as_records(rows: RecordArray) -> RecordArray:
+def row_dtype(channels: Sequence[recording.Channel]) -> np.dtype[np.void]:
+    """Return the type of a row of a recording, and of a ring: a record and its channels.
+
+    Raises:
+        CoreError: the channels are too many, or not to be told apart.
+    """
+    try:
+        recording.check_channels(channels)
+    except ValueError as error:
+        raise CoreError(str(error)) from error
+    if not channels:
+        return RECORD_DTYPE
+    fields: Mapping[str, Any] = RECORD_DTYPE.fields or {}
+    size, count = RECORD_DTYPE.itemsize, len(channels)
+    return np.dtype(
+        {
+            "names": [*fields, *(channel.name for channel in channels)],
+            "formats": [*(f[0] for f in fields.values()), *["<f8"] * count],
+            "offsets": [*(f[1] for f in fields.values()), *(size + 8 * k for k in range(count))],
+            "itemsize": size + 8 * count,
+        }
+    )
+
+
+def rows_of(
+    records: RecordArray, channels: Sequence[recording.Channel], values: FloatArray
+) -> RecordArray:
+    """Return rows, (n,), of records, (n,), and the values of their channels, (n, count)."""
+    rows = np.zeros(records.shape, dtype=row_dtype(channels))
+    for name in RECORD_DTYPE.names or ():
+        rows[name] = records[name]
+    for k, channel in enumerate(channels):
+        rows[channel.name] = values[:, k]
+    return rows
+
+
+def as_records(rows: RecordArray) -> RecordArray:
     """Return rows of a recording, whose fields may be more and in another order, as the core's."""
     if rows.dtype == RECORD_DTYPE:
         return np.ascontiguousarray(rows)
@@ -693,7 +743,10 @@ class Controller:
         i.x_meas_m, i.f_meas_n, i.excitation = x_meas_m, f_meas_n, excitation
         i.lost = lib.RTHYB_LOST if lost else 0
         code = lib.rthyb_controller_step(self._c, i, self._record)
-        return Sample(self._c.x_cmd, code, _numbers(self._record))
+        row = np.frombuffer(bytes(ffi.buffer(self._record)), RECORD_DTYPE)[0]
+        return Sample(
+            self._c.x_cmd, code, {name: row[name].item() for name in RECORD_DTYPE.names or ()}
+        )
 
     @property
     def x_cmd_m(self) -> float:
@@ -1011,7 +1064,7 @@ class Station:
             raise CoreError(
                 f"only a fresh station replays; this one has {self.ticks} ticks behind it"
             )
-        recorded = _as_records(rows)
+        recorded = as_records(rows)
         out = np.zeros(recorded.size, dtype=RECORD_DTYPE)
         sets = ffi.new("rthyb_parameters[]", len(parameters))
         for slot, (generation, one) in enumerate(parameters):
@@ -1112,18 +1165,25 @@ class Virtual:
         station: states, limits, controller, ground motion.
         rig: what moves and measures; the drive has the station's zero for its own.
         stop_decel_m_per_s2: how the drive brakes by itself after a trip.
+        truth: the first two channels are what the sensors saw, without their errors: m and N.
 
     Raises:
         CoreError: the deceleration is not positive, or station and rig are not of one rate.
     """
 
-    def __init__(self, station: Station, rig: Rig, stop_decel_m_per_s2: float = 1.0) -> None:
+    def __init__(
+        self,
+        station: Station,
+        rig: Rig,
+        stop_decel_m_per_s2: float = 1.0,
+        truth: bool = False,
+    ) -> None:
         self.station, self.rig = station, rig
         self._c = ffi.new("rthyb_virtual *")
         self._ag = _in(station._ag)
         self._c.station, self._c.rig = station._c, rig._c
         self._c.ag_mps2, self._c.ag_count = self._ag, station._ag.size
-        self._c.stop_decel_m_per_s2 = stop_decel_m_per_s2
+        self._c.stop_decel_m_per_s2, self._c.truth = stop_decel_m_per_s2, truth
         error = lib.rthyb_virtual_init(self._c)
         if error == lib.RTHYB_E_PERIOD:
             raise CoreError(
@@ -1135,14 +1195,34 @@ class Virtual:
                 f"the drive brakes with {stop_decel_m_per_s2} m/s^2, more than 0 is needed"
             )
 
-    def run(self, records: RecordArray, command: Command = "none") -> int:
+    def run(
+        self, records: RecordArray, command: Command = "none", channels: FloatArray | None = None
+    ) -> int:
         """Fill ``records``, one a tick, the first tick with an operator's command.
+
+        Args:
+            records: takes them, (n,).
+            command: of the first tick.
+            channels: takes as many of each row's channels as it has columns, (n, count).
 
         Returns:
             how many were written: fewer where the state has become another, or a tare has failed.
+
+        Raises:
+            CoreError: ``channels`` has other rows than ``records``, or too many columns.
         """
-        number = COMMANDS.index(command)
-        return int(lib.rthyb_virtual_run(self._c, number, records.size, _records(records)))
+        number, values, count = COMMANDS.index(command), ffi.NULL, 0
+        if channels is not None:
+            count = channels.shape[1]
+            if len(channels) != records.size or count > CHANNELS_MAX:
+                raise CoreError(
+                    f"channels {channels.shape} for {records.size} records; one row each, "
+                    f"{CHANNELS_MAX} columns at most"
+                )
+            values = _out(channels)
+        return int(
+            lib.rthyb_virtual_run(self._c, number, records.size, _records(records), values, count)
+        )
 
 
 def command_of(flags: int) -> Command:

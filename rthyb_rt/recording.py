@@ -1,8 +1,9 @@
 """The recording of a hybrid test: one HDF5 file with all that is needed to judge and repeat it.
 
-Layout of the file (schema ``rthyb-recording/2``)::
+Layout of the file (schema ``rthyb-recording/3``)::
 
-    /samples              one row a sample, the core's record as a compound; attrs fs_hz, units
+    /samples              one row a sample, the core's record and its channels as a compound; attrs
+                          fs_hz, units, axes, channels
     /ground_motion/ag_mps2   the ground motion as the controller had it; attrs name, source, ...
     /reference            reference simulation, x_ref_m, v_ref_mps, f_ref_n (optional)
     /config/test_toml, /config/rig_toml     the resolved files as text
@@ -14,9 +15,11 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -64,6 +67,48 @@ class Version:
     gone: tuple[str, ...] = ()
 
 
+CHANNELS_MAX = 32
+"""Named values that a row may have beside its record: RTHYB_CHANNELS_MAX of the core."""
+
+_CHANNEL_NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A named value that rows have beside the fields of the record.
+
+    Attributes:
+        name: of its field in the samples.
+        unit: of the value.
+        scale: what the stored number is to be multiplied by to be in that unit.
+    """
+
+    name: str
+    unit: str
+    scale: float = 1.0
+
+
+def check_channels(channels: Sequence[Channel]) -> None:
+    """Refuse channels that no row can have.
+
+    Raises:
+        ValueError: with the first fault.
+    """
+    if len(channels) > CHANNELS_MAX:
+        raise ValueError(f"{len(channels)} channels; a row has room for {CHANNELS_MAX}")
+    taken = set(UNITS)
+    for channel in channels:
+        if not _CHANNEL_NAME.fullmatch(channel.name):
+            raise ValueError(
+                f"channel {channel.name!r}: a name has up to 32 of a-z 0-9 _, a letter first"
+            )
+        if channel.name in taken:
+            raise ValueError(f"channel {channel.name!r}: there is a field of that name already")
+        if not (math.isfinite(channel.scale) and channel.scale):
+            raise ValueError(f"channel {channel.name!r}: scale {channel.scale} is no factor")
+        taken.add(channel.name)
+
+
 def _from_counts(name: str, unit: float) -> Callable[[Rows], NDArray[Any]]:
     """Return the value of a field of version 1 in whole units, whose lowest count is no number."""
 
@@ -71,6 +116,13 @@ def _from_counts(name: str, unit: float) -> Callable[[Rows], NDArray[Any]]:
         return np.where(rows[name] == np.iinfo(np.int32).min, np.nan, rows[name] * unit)
 
     return values
+
+
+def _in_a_row(rows: Rows) -> NDArray[Any]:
+    """Return how many rows up to each one, and with it, had no pair."""
+    lost = (rows["flags"] & FLAGS["predicted"]) != 0
+    n = np.arange(1, len(rows) + 1)
+    return (n - np.maximum.accumulate(np.where(lost, 0, n))).astype(np.uint32)
 
 
 VERSIONS: dict[int, Version] = {
@@ -114,11 +166,25 @@ VERSIONS: dict[int, Version] = {
         },
         gone=("x_raw", "f_raw"),
     ),
+    3: Version(
+        "0.3.0",
+        {
+            "cause": Field("<u4", "1", lambda rows: np.zeros(len(rows), np.uint32)),
+            "missing": Field("<u4", "samples", _in_a_row),
+        },
+    ),
 }
 """Every version of the record: the last one is written, all of them are read. A field more is a row
 here, with what recordings of before have for it, and one in the core's rthyb_record."""
 
 VERSION = max(VERSIONS)
+OLDEST_REPLAYED = 2
+"""From this version on rows hold all that a replay needs, to the bit."""
+AXIS_FIELDS: tuple[str, ...] = (
+    *("x_read_m", "f_read_n", "x_cmd_m", "x_meas_m", "f_meas_n"),
+    *("missing", "echo", "count"),
+)
+"""Fields of one axis; the others are of the test as a whole."""
 _SCHEMAS = "rthyb-recording/"
 SCHEMA = f"{_SCHEMAS}{VERSION}"
 
@@ -137,8 +203,14 @@ def _converted(rows: Rows, version: int) -> Rows:
     """Return rows of an older version as those of the present one."""
     for number in range(version + 1, VERSION + 1):
         step, now = VERSIONS[number], fields_of(number)
-        made = np.zeros(len(rows), dtype=[(name, field.type) for name, field in now.items()])
-        for name in now:
+        # What a lab has beside the fields of its version stays beside those of this one.
+        own = [name for name in rows.dtype.names or () if name not in fields_of(number - 1)]
+        made = np.zeros(
+            len(rows),
+            dtype=[(name, field.type) for name, field in now.items()]
+            + [(name, rows.dtype[name]) for name in own],
+        )
+        for name in (*now, *own):
             earlier = step.fields[name].earlier if name in step.fields else None
             made[name] = earlier(rows) if earlier else rows[name]
         rows = made
@@ -225,9 +297,10 @@ class Recording:
         test_toml: resolved test file.
         rig_toml: resolved rig file.
         replay: what a replay needs besides.
-        meta: rthyb_version, core_version, compiler, architecture, git_hash, test_name, clock,
-            created_utc, end_reason ("completed" or the reason), interrupted.
+        meta: rthyb_version, core_version, core_sources, compiler, architecture, git_hash,
+            test_name, clock, created_utc, end_reason ("completed" or the reason), interrupted.
         version: of the record as it was written; the samples are as the present one has them.
+        channels: named values that the rows have beside the fields of `UNITS`.
     """
 
     samples: NDArray[np.void]
@@ -240,6 +313,30 @@ class Recording:
     replay: ReplayData = field(default_factory=ReplayData)
     meta: dict[str, Any] = field(default_factory=dict)
     version: int = VERSION
+    channels: tuple[Channel, ...] = ()
+
+    def axis(self, number: int = 0) -> NDArray[np.void]:
+        """Return the fields of an axis by their names, a view, (n,).
+
+        Raises:
+            InputError: there is no such axis.
+        """
+        if number != 0:
+            raise InputError(f"axis {number}: the recording has axis 0 alone", "recording")
+        return self.samples[list(AXIS_FIELDS)]
+
+    def channel(self, name: str) -> NDArray[np.float64]:
+        """Return a named value of every row in its unit, (n,).
+
+        Raises:
+            InputError: there is no channel of that name; says which there are.
+        """
+        for channel in self.channels:
+            if channel.name == name:
+                values = np.asarray(self.samples[name], dtype=np.float64)
+                return values if channel.scale == 1.0 else channel.scale * values
+        known = ", ".join(channel.name for channel in self.channels) or "none"
+        raise InputError(f"no channel {name!r}; channels are: {known}", "recording")
 
     def running(self) -> NDArray[np.bool_]:
         """Return which rows belong to the test proper, shape (n,): RUNNING, or all if none is."""
@@ -322,7 +419,9 @@ def fill(file: Any, rec: Recording, *, growing: bool = False) -> None:
         file.attrs[_CONVERTED] = rec.version
     samples = _growing(file, rec.samples.dtype) if growing else _table(file, "samples", rec.samples)
     samples.attrs["fs_hz"] = rec.fs_hz
-    samples.attrs["units"] = json.dumps(UNITS)
+    samples.attrs["units"] = json.dumps(UNITS | {one.name: one.unit for one in rec.channels})
+    samples.attrs["axes"] = json.dumps([list(AXIS_FIELDS)])
+    samples.attrs["channels"] = json.dumps([asdict(channel) for channel in rec.channels])
     for name, values in _names().items():
         samples.attrs[name] = json.dumps(values)
     motion = _table(file, "ground_motion/ag_mps2", np.asarray(rec.ag_mps2, dtype=np.float64))
@@ -465,6 +564,7 @@ def _load(file: Any, where: str, rows: bool) -> Recording:
     replay = file["replay"]
     return Recording(
         samples=_converted(samples, version),
+        channels=_channels(samples_set),
         fs_hz=float(samples_set.attrs["fs_hz"]),
         ag_mps2=motion[()],
         ground_motion={k: plain(v) for k, v in motion.attrs.items() if k != "fs_hz"},
@@ -480,6 +580,17 @@ def _load(file: Any, where: str, rows: bool) -> Recording:
         ),
         meta={k: plain(v) for k, v in file.attrs.items() if k not in ("schema", _CONVERTED)},
         version=int(file.attrs.get(_CONVERTED, version)),
+    )
+
+
+def _channels(samples: Any) -> tuple[Channel, ...]:
+    """Return what an open file says of its channels: those that its rows have."""
+    told = plain(samples.attrs.get("channels"))
+    names = samples.dtype.names or ()
+    return tuple(
+        Channel(one["name"], str(one.get("unit", "")), float(one.get("scale", 1.0)))
+        for one in (told if isinstance(told, list) else ())
+        if isinstance(one, dict) and one.get("name") in names
     )
 
 
@@ -510,12 +621,12 @@ def _take_program(which: str) -> str:
 
 
 def require_replayable(rec: Recording) -> None:
-    """Refuse to replay what another version has recorded: its numbers are not this one's.
+    """Refuse to replay what a version has recorded whose rows lack something of the inputs.
 
     Raises:
         InputError: the record is of an older version; says which program replays it.
     """
-    if rec.version == VERSION:
+    if rec.version >= OLDEST_REPLAYED:
         return
     program = rec.meta.get("rthyb_version") or VERSIONS[rec.version].program
     raise InputError(

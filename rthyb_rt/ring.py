@@ -22,7 +22,7 @@ import os
 import stat
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,9 +31,9 @@ from numpy.typing import NDArray
 
 from rthyb_rt import __version__, recording
 from rthyb_rt._core import ffi, lib
-from rthyb_rt.core import RECORD_DTYPE, RecordArray
+from rthyb_rt.core import RECORD_DTYPE, RecordArray, as_records, row_dtype
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
+from rthyb_rt.recording import FLAGS, RUNNING, STATES, Channel, Recording
 
 CAPACITY: Final[int] = lib.RTHYB_RING_CAPACITY
 AFTER_TRIP: Final[int] = lib.RTHYB_RING_AFTER_TRIP
@@ -178,8 +178,11 @@ class Ring:
             producer wait.
     """
 
-    def __init__(self, path: Path, owned: ExitStack, core: Any, facts: int) -> None:
+    def __init__(
+        self, path: Path, owned: ExitStack, core: Any, facts: int, dtype: np.dtype[np.void]
+    ) -> None:
         """Take over what `create` made."""
+        self.dtype = dtype
         self.path = path
         self.locked = bool(facts & lib.RTHYB_RING_LOCKED)
         self.in_memory = bool(facts & lib.RTHYB_RING_IN_MEMORY)
@@ -202,8 +205,10 @@ class Ring:
         """
         if capacity < 1 or capacity & (capacity - 1):
             raise ValueError(f"capacity must be a power of two, got {capacity}")
-        about = json.dumps(_description(session.fs_hz)).encode()
-        size = int(lib.rthyb_ring_bytes(capacity, len(about)))
+        dtype = row_dtype(session.channels)
+        about = json.dumps(_description(session)).encode()
+        count = len(session.channels)
+        size = int(lib.rthyb_ring_bytes(capacity, len(about), count))
         with ExitStack() as undo:
             path, fd = _reserve(folder)
             undo.callback(path.unlink, missing_ok=True)
@@ -217,11 +222,11 @@ class Ring:
             start = lib.rthyb_ring_about_at()
             memory[start : start + len(about)] = about
             core = ffi.new("rthyb_ring *")
-            lib.rthyb_ring_init(core, view, capacity, len(about))
+            lib.rthyb_ring_init(core, view, capacity, len(about), count)
             undo.callback(session_path(path).unlink, missing_ok=True)
             # Last of all: whoever finds a session finds a ring beside it.
             _write_session(path, session)
-            ring = cls(path, owned.pop_all(), core, facts)
+            ring = cls(path, owned.pop_all(), core, facts, dtype)
             undo.pop_all()
         return ring
 
@@ -237,12 +242,16 @@ class Ring:
         return self._c
 
     def push(self, records: RecordArray) -> None:
-        """Push records of ``RECORD_DTYPE``, shape (n,), as the tick thread does in C.
+        """Push rows of ``dtype``, or their records alone, (n,), as the tick thread does in C.
 
         For exchange threads in Python; one thread at a time.
         """
-        source = np.ascontiguousarray(records, dtype=RECORD_DTYPE)
-        lib.rthyb_ring_push_run(self.pointer, _records(source), source.size)
+        source, values = as_records(records), ffi.NULL
+        names = (self.dtype.names or ())[len(RECORD_DTYPE.names or ()) :]
+        if names and records.dtype == self.dtype:
+            channels = np.stack([records[name] for name in names], axis=-1)
+            values = ffi.from_buffer("double[]", np.ascontiguousarray(channels, np.float64))
+        lib.rthyb_ring_push_run(self.pointer, _records(source), source.size, values)
 
     def renew_session(self, session: Recording) -> None:
         """Replace the session file in one piece: what tares, commands and parameters have become.
@@ -268,22 +277,24 @@ class Ring:
         delete(self.path)
 
 
-def _description(fs_hz: float) -> dict[str, Any]:
+def _description(session: Recording) -> dict[str, Any]:
     return {
         "rthyb_version": __version__,
-        "fields": _fields(RECORD_DTYPE),
-        "record_bytes": RECORD_DTYPE.itemsize,
-        "fs_hz": fs_hz,
+        "fields": _fields(session.channels),
+        "channels": [asdict(channel) for channel in session.channels],
+        "record_bytes": row_dtype(session.channels).itemsize,
+        "fs_hz": session.fs_hz,
         "boot_id": _boot_id(),
         "pid": os.getpid(),
         "started_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
 
 
-def _fields(dtype: np.dtype[np.void]) -> list[dict[str, Any]]:
-    fields: Mapping[str, Any] = dtype.fields or {}
+def _fields(channels: Sequence[Channel]) -> list[dict[str, Any]]:
+    fields: Mapping[str, Any] = row_dtype(channels).fields or {}
+    units = recording.UNITS | {channel.name: channel.unit for channel in channels}
     return [
-        {"name": name, "type": field[0].str, "offset": field[1], "unit": recording.UNITS[name]}
+        {"name": name, "type": field[0].str, "offset": field[1], "unit": units[name]}
         for name, field in fields.items()
     ]
 
@@ -332,7 +343,7 @@ def _take_memory(fd: int, path: Path, size: int) -> mmap.mmap:
 
 
 def _write_session(ring: Path, session: Recording) -> None:
-    bare = replace(session, samples=np.zeros(0, dtype=RECORD_DTYPE))
+    bare = replace(session, samples=np.zeros(0, dtype=row_dtype(session.channels)))
     recording.write(session_path(ring), bare)
     session_path(ring).chmod(_MODE)
 
@@ -363,6 +374,7 @@ class Reader:
     Attributes:
         path: the ring's file.
         about: the description in the file: fields, versions, boot, process.
+        dtype: of a row.
 
     Raises:
         InputError: the file is missing, no ring, of another version, truncated or damaged.
@@ -385,7 +397,7 @@ class Reader:
             owned.callback(ffi.release, view)
             self._c = ffi.new("rthyb_ring_reader *")
             refused = lib.rthyb_ring_attach(self._c, view, len(memory))
-            self.about = _about(memory, self.path, refused)
+            self.about, self.dtype = _about(memory, self.path, refused)
             self._owned = owned.pop_all()
 
     def __enter__(self) -> Reader:
@@ -441,14 +453,14 @@ class Reader:
         Records that were overwritten meanwhile are passed over: `Rows.first` then lies beyond the
         last ``next``. No records: there is nothing new.
         """
-        buffer = np.empty(most, dtype=RECORD_DTYPE)
-        count = int(lib.rthyb_ring_read(self._c, _records(buffer), most))
+        buffer = np.empty(most, dtype=self.dtype)
+        count = int(lib.rthyb_ring_read(self._c, ffi.from_buffer(buffer), most))
         return Rows(self.next - count, buffer[:count])
 
     def newest(self) -> np.void | None:
         """Return the record of the last tick, also of a frozen ring, or None before the first."""
-        buffer = np.empty(1, dtype=RECORD_DTYPE)
-        return buffer[0] if lib.rthyb_ring_newest(self._c, _records(buffer)) else None
+        buffer = np.empty(1, dtype=self.dtype)
+        return buffer[0] if lib.rthyb_ring_newest(self._c, ffi.from_buffer(buffer)) else None
 
 
 def _open(path: Path) -> int:
@@ -470,8 +482,8 @@ def _open(path: Path) -> int:
         ) from error
 
 
-def _about(memory: mmap.mmap, path: Path, refused: int) -> dict[str, Any]:
-    """Return the description, or refuse the ring in words."""
+def _about(memory: mmap.mmap, path: Path, refused: int) -> tuple[dict[str, Any], np.dtype[np.void]]:
+    """Return the description and what it makes a row of, or refuse the ring in words."""
     if refused and refused != lib.RTHYB_RING_OTHER_LAYOUT:
         other = refused == lib.RTHYB_RING_OTHER_RECORD
         raise (OtherVersionError if other else InputError)(_REFUSED[refused], str(path))
@@ -484,11 +496,17 @@ def _about(memory: mmap.mmap, path: Path, refused: int) -> dict[str, Any]:
             + _OTHER_VERSION,
             str(path),
         )
-    if about.get("fields") != _fields(RECORD_DTYPE):
-        if not about:
-            raise InputError(f"the ring is damaged in its description; {_OTHER_VERSION}", str(path))
-        raise OtherVersionError(f"the ring{writer} has other fields; {_OTHER_VERSION}", str(path))
-    return about
+    if not about:
+        raise InputError(f"the ring is damaged in its description; {_OTHER_VERSION}", str(path))
+    header = ffi.from_buffer("rthyb_ring_header *", memory)
+    row_bytes = int(header.record_bytes)
+    ffi.release(header)
+    with suppress(KeyError, TypeError, ValueError):
+        channels = tuple(Channel(**one) for one in about.get("channels", ()))
+        dtype = row_dtype(channels)
+        if about.get("fields") == _fields(channels) and dtype.itemsize == row_bytes:
+            return about, dtype
+    raise OtherVersionError(f"the ring{writer} has other fields; {_OTHER_VERSION}", str(path))
 
 
 def _description_in(memory: mmap.mmap) -> tuple[int, dict[str, Any]]:
@@ -675,7 +693,7 @@ def _end_reason(reader: Reader, parts: list[Rows], alive: bool) -> str:
 def joined(parts: Sequence[RecordArray]) -> RecordArray:
     """Return records of several arrays in one, shape (n,), padding and all."""
     # np.concatenate would take the padding out of the records.
-    samples = np.zeros(sum(part.size for part in parts), dtype=RECORD_DTYPE)
+    samples = np.zeros(sum(part.size for part in parts), dtype=parts[0].dtype)
     done = 0
     for part in parts:
         samples[done : done + part.size] = part

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rthyb_rt import core, experiment
 from rthyb_rt.endings import RefusedError
 from rthyb_rt.errors import RthybError
 from rthyb_rt.experiment import Progress, Setup
-from rthyb_rt.recording import FLAGS, Recording
+from rthyb_rt.recording import FLAGS, Channel, Recording
 from rthyb_rt.ring import AFTER_TRIP
 from rthyb_rt.runs import Run
 from rthyb_rt.sequence import REST_TICKS, STEP_TICKS, Sequence
@@ -20,6 +22,9 @@ WAY_OUT_S: Final = 120.0
 HOLD_S: Final = 1.0
 """How long a held test stands: nobody is there who could have it resumed."""
 
+TRUTH: Final = (Channel("x_true_m", "m"), Channel("f_true_n", "N"))
+"""What the virtual rig's sensors saw, without their errors."""
+
 
 class Bench:
     """A station and a virtual rig, conducted tick by tick as fast as it goes.
@@ -28,6 +33,7 @@ class Bench:
         setup: the test.
         rig: what moves and measures; None takes the rig file's.
         config: settings of the station; None takes those of the test.
+        truth: record what the sensors saw without their errors, as the channels `TRUTH`.
 
     Attributes:
         run: the station, and the book that is kept of it.
@@ -38,13 +44,18 @@ class Bench:
         setup: Setup,
         rig: core.RigConfig | None = None,
         config: core.StationConfig | None = None,
+        *,
+        truth: bool = False,
     ) -> None:
+        if truth:
+            setup = replace(setup, channels=TRUTH)
         self.run = Run.begin(setup, "virtual", config or experiment.station_config(setup))
         virtual = core.Rig(rig or setup.virtual_rig)
         stop_decel = experiment.stop_decel_m_per_s2(setup.rig)
-        self._test = core.Virtual(self.run.station, virtual, stop_decel)
+        self._test = core.Virtual(self.run.station, virtual, stop_decel, truth)
         before = self.config.tare_ticks + self.config.ramp_in_ticks
         self._rows = np.empty(before + setup.ticks + 2 * STEP_TICKS, dtype=core.RECORD_DTYPE)
+        self._values = np.zeros((self._rows.size, len(setup.channels)))
         self._count = 0
 
     @property
@@ -116,32 +127,41 @@ class Bench:
             longer = np.empty(end + self._rows.size, dtype=core.RECORD_DTYPE)
             longer[: self._count] = self.rows
             self._rows = longer
-        self._count += self._fill(self._rows[self._count : end], command)
+            more = np.zeros((longer.size - len(self._values), self._values.shape[1]))
+            self._values = np.concatenate([self._values, more])
+        part = slice(self._count, end)
+        self._count += self._fill(self._rows[part], command, self._values[part])
 
-    def _fill(self, rows: core.RecordArray, command: core.Command) -> int:
+    def _fill(
+        self, rows: core.RecordArray, command: core.Command, values: NDArray[np.float64]
+    ) -> int:
         """Run as many ticks as there are rows, or until the state becomes another."""
-        return self._test.run(rows, command)
+        return self._test.run(rows, command, values if values.size else None)
 
     @property
     def rows(self) -> core.RecordArray:
-        """All rows so far, (n,)."""
+        """All records so far, (n,)."""
         return self._rows[: self._count]
 
     def recording(self) -> Recording:
         """Return the recording of all that was."""
         self.run.take(self.rows)
         rec = self.run.known()
+        channels = self.run.setup.channels
         rec.samples = self.rows
+        if channels:
+            rec.samples = core.rows_of(self.rows, channels, self._values[: self._count])
         rec.meta |= self.run.ending(self.state)
         return rec
 
 
-def run(setup: Setup, progress: Progress | None = None) -> Recording:
+def run(setup: Setup, progress: Progress | None = None, *, truth: bool = False) -> Recording:
     """Run the test against the virtual rig as fast as it goes.
 
     Args:
         setup: the test.
         progress: called with (ticks done, ticks of the test) now and then.
+        truth: record what the sensors saw without their errors, as the channels `TRUTH`.
 
     Returns:
         The recording, all rows from the first tick on; ``meta["end_reason"]`` says how it ended.
@@ -149,7 +169,7 @@ def run(setup: Setup, progress: Progress | None = None) -> Recording:
     Raises:
         RthybError: the test cannot be begun.
     """
-    bench = Bench(setup)
+    bench = Bench(setup, truth=truth)
     conduct(bench, progress)
     return bench.recording()
 

@@ -81,14 +81,14 @@ static void start(pthread_t *thread, void *(*work)(void *), void *argument)
 static void set_up(bench *b, int32_t clock)
 {
     memset(b, 0, sizeof *b);
-    b->bytes = rthyb_ring_bytes(CAPACITY, 0);
+    b->bytes = rthyb_ring_bytes(CAPACITY, 0, 0);
     b->map = aligned_alloc(4096, (b->bytes + 4095) / 4096 * 4096);
     if (!b->map || loop_example_set_up(&b->e) || rthyb_drive_init(&b->e.drive)) {
         fprintf(stderr, "loop_stress: set-up refused\n");
         exit(2);
     }
     memset(b->map, 0, b->bytes);
-    rthyb_ring_init(&b->ring, b->map, CAPACITY, 0);
+    rthyb_ring_init(&b->ring, b->map, CAPACITY, 0, 0);
     b->e.loop.ring = &b->ring;
     must(rthyb_loop_init(&b->e.loop, clock) == 0, "the loop takes its clock");
 }

@@ -35,16 +35,18 @@ static rthyb_record made(uint64_t n)
         .sent_late_ns = low,
         .flags = (uint32_t)low,
         .generation = (uint32_t)low,
-        .x_read_m = x,
-        .f_read_n = x,
+        .axis[0].x_read_m = x,
+        .axis[0].f_read_n = x,
         .state = n / TRIP % 8 == 7 ? RTHYB_TRIPPED : RTHYB_RUNNING,
-        .echo = (uint8_t)n,
+        .cause = (uint32_t)low,
+        .axis[0].missing = (uint32_t)low,
+        .axis[0].echo = (uint8_t)n,
         .ag_mps2 = x,
         .x_num_m = x,
         .x_plc_m = x,
-        .x_cmd_m = x,
-        .x_meas_m = x,
-        .f_meas_n = x,
+        .axis[0].x_cmd_m = x,
+        .axis[0].x_meas_m = x,
+        .axis[0].f_meas_n = x,
         .alpha = x,
         .beta = x,
         .k_t_n_per_m = x,
@@ -95,12 +97,12 @@ static void *follow(void *argument)
 
 static void *new_ring(rthyb_ring *ring, uint32_t capacity, size_t *bytes)
 {
-    *bytes = rthyb_ring_bytes(capacity, 0);
+    *bytes = rthyb_ring_bytes(capacity, 0, 0);
     void *map = aligned_alloc(4096, (*bytes + 4095) / 4096 * 4096);
     if (!map)
         exit(2);
     memset(map, 0, *bytes);
-    rthyb_ring_init(ring, map, capacity, 0);
+    rthyb_ring_init(ring, map, capacity, 0, 0);
     return map;
 }
 
@@ -120,7 +122,7 @@ static int stress(void)
     }
     for (uint64_t n = 0; n < PUSHES; n++) {
         const rthyb_record record = made(n);
-        rthyb_ring_push(&ring, &record);
+        rthyb_ring_push(&ring, &record, NULL);
     }
     __atomic_store_n(&done, 1, __ATOMIC_RELEASE);
     for (int i = 0; i < READERS; i++) {
@@ -153,7 +155,7 @@ typedef struct {
 static void push_all(bench *b)
 {
     for (size_t i = 0; i < RTHYB_RING_CAPACITY; i++)
-        rthyb_ring_push(&b->ring, &records[i % BATCH]);
+        rthyb_ring_push(&b->ring, &records[i % BATCH], NULL);
 }
 
 static void read_all(bench *b)

@@ -132,8 +132,8 @@ BROKEN_ON_PURPOSE = {
     ),
     "a replay that is a little off": (
         "replay",
-        ".x_m = row->x_read_m,",
-        ".x_m = row->x_read_m * (1.0 + 3e-16),",
+        ".x_m = row->axis[0].x_read_m,",
+        ".x_m = row->axis[0].x_read_m * (1.0 + 3e-16),",
         "the rows replay bit for bit",
     ),
 }

@@ -230,11 +230,11 @@ def test_foreign_hdf5_file_is_refused(tmp_path: Path) -> None:
 
 def test_recording_of_a_later_version_is_refused_by_its_schema(path: Path) -> None:
     with h5py.File(path, "a") as file:
-        file.attrs["schema"] = "rthyb-recording/3"
-        file.attrs["rthyb_version"] = "0.3.0"
+        file.attrs["schema"] = "rthyb-recording/4"
+        file.attrs["rthyb_version"] = "0.4.0"
     assert refusal(path).endswith(
-        "schema 'rthyb-recording/3', this version reads rthyb-recording/1 to 2; "
-        "pip install 'rthyb-rt>=0.3.0'"
+        "schema 'rthyb-recording/4', this version reads rthyb-recording/1 to 3; "
+        "pip install 'rthyb-rt>=0.4.0'"
     )
 
 

@@ -142,7 +142,7 @@ class _Beside(Bench):
         self._command_m = 0.0
         self._was_m = self._rig.true_displacement_m
 
-    def _fill(self, rows: core.RecordArray, command: core.Command) -> int:
+    def _fill(self, rows: core.RecordArray, command: core.Command, values: Floats) -> int:
         state = self.state
         for n in range(rows.size):
             x_m, f_n, _ = self._rig.step(self._command_m)

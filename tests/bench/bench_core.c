@@ -211,7 +211,7 @@ static void record(loop *l, int which)
     must(done != SAMPLES, "the recorded test");
     for (size_t i = 0; i < SAMPLES; i++) {
         const rthyb_record *r = &records[i];
-        sig.input[i] = (rthyb_input){r->x_meas_m, r->f_meas_n, r->ag_mps2, 0};
+        sig.input[i] = (rthyb_input){r->axis[0].x_meas_m, r->axis[0].f_meas_n, r->ag_mps2, 0};
     }
 }
 
@@ -220,9 +220,9 @@ static void spread_signals(void)
     for (size_t i = 0; i < SAMPLES; i++) {
         const rthyb_record *r = &records[i];
         sig.x_num[i] = r->x_num_m;
-        sig.x_cmd[i] = r->x_cmd_m;
-        sig.x_meas[i] = r->x_meas_m;
-        sig.f[i] = r->f_meas_n;
+        sig.x_cmd[i] = r->axis[0].x_cmd_m;
+        sig.x_meas[i] = r->axis[0].x_meas_m;
+        sig.f[i] = r->axis[0].f_meas_n;
         sig.ag[i] = r->ag_mps2;
         sig.alpha[i] = r->alpha;
         sig.beta[i] = r->beta;

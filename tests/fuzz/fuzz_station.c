@@ -142,9 +142,9 @@ static const char *first_difference(const rthyb_record *a, const rthyb_record *b
         return "x_num";
     if (a->x_plc_m != b->x_plc_m)
         return "x_plc";
-    if (a->x_cmd_m != b->x_cmd_m)
+    if (a->axis[0].x_cmd_m != b->axis[0].x_cmd_m)
         return "x_cmd";
-    if (a->x_meas_m != b->x_meas_m)
+    if (a->axis[0].x_meas_m != b->axis[0].x_meas_m)
         return "x_meas";
     return "another field";
 }
@@ -167,8 +167,8 @@ static void judge_replay(episode *e)
         printf("replay: %zu rows of %zu, row %zu (coded %d) departs in %s: tick %" PRIu64
                " x_cmd %.17g %.17g flags %x %x\n",
                made, row_count, same, e->coded, first_difference(&rows[same], &again[same]),
-               rows[same].tick, rows[same].x_cmd_m, again[same].x_cmd_m, rows[same].flags,
-               again[same].flags);
+               rows[same].tick, rows[same].axis[0].x_cmd_m, again[same].axis[0].x_cmd_m,
+               rows[same].flags, again[same].flags);
     must(&e->o, RULE_REPLAY, same == row_count, (double)same, (double)row_count);
 }
 
@@ -183,7 +183,7 @@ static void show(const episode *e, const event *v)
            "%.9g | num %.9g plc %.9g cmd %.9g -> %.9g%s | step %.3g flags %x code %x cause %d\n",
            e->o.tick, v->was, v->is, v->in.command, v->refused ? "!" : "", v->in.skipped,
            v->in.lost, v->in.link_down, v->in.drive_stopped, v->in.heartbeat_late, v->in.beyond,
-           v->in.x_m - s->tare_x, v->in.f_n - s->tare_f, r->x_num_m, r->x_plc_m, r->x_cmd_m,
+           v->in.x_m - s->tare_x, v->in.f_n - s->tare_f, r->x_num_m, r->x_plc_m, r->axis[0].x_cmd_m,
            v->at_drive_m, v->sent ? "" : " unsent", e->o.step_m, r->flags & 0x801fff, r->code,
            s->cause);
 }
@@ -463,10 +463,10 @@ static event as_written(const episode *e, uint32_t skipped, int was, int wanted)
     v.in.drive_stopped = (flags & RTHYB_F_STOPPED) != 0;
     v.in.heartbeat_late = (flags & RTHYB_F_SILENT) != 0;
     v.in.beyond = (flags & RTHYB_F_BEYOND) != 0;
-    v.in.x_m = last->x_read_m;
-    v.in.f_n = last->f_read_n;
+    v.in.x_m = last->axis[0].x_read_m;
+    v.in.f_n = last->axis[0].f_read_n;
     if (flags & RTHYB_F_LOST)
-        v.in.lost = RTHYB_LOST | (isnan(last->x_read_m) ? RTHYB_S_NOT_FINITE : 0);
+        v.in.lost = RTHYB_LOST | (isnan(last->axis[0].x_read_m) ? RTHYB_S_NOT_FINITE : 0);
     return v;
 }
 

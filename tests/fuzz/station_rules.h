@@ -274,7 +274,7 @@ static void judge_states(observer *o, const event *e, const rthyb_station *s)
 static int is_finite(const rthyb_record *r)
 {
     return isfinite(r->ag_mps2) && isfinite(r->x_num_m) && isfinite(r->x_plc_m) &&
-           isfinite(r->x_cmd_m) && isfinite(r->x_meas_m) && isfinite(r->f_meas_n) &&
+           isfinite(r->axis[0].x_cmd_m) && isfinite(r->axis[0].x_meas_m) && isfinite(r->axis[0].f_meas_n) &&
            isfinite(r->alpha) && isfinite(r->beta) && isfinite(r->k_t_n_per_m) &&
            isfinite(r->energy_error_j) && isfinite(r->tracking_indicator_m2);
 }
@@ -542,7 +542,7 @@ static void judge_motion(observer *o, const event *e, const rthyb_station *s)
     const rthyb_watch *position = &s->cfg.watch[RTHYB_CAUSE_POSITION];
     if (!on_its_way(e->was))
         return;
-    const double error = fabs(last->x_meas_m - last->x_num_m);
+    const double error = fabs(last->axis[0].x_meas_m - last->x_num_m);
     if (tracking->reaction == RTHYB_REACT_TRIP && tracking->value > 0.0 && error > tracking->value)
         must(o, RULE_TRACKING_TRIP, e->is == RTHYB_TRIPPED, error, tracking->value);
     const double asked = fabs(s->controller.x_plc);
