@@ -680,14 +680,11 @@ class Replay:
 def compare(rec: recording.Recording, again: core.RecordArray) -> Replay:
     """Compare every field that was recorded with the rows that were computed again, shape (n,)."""
     samples = rec.samples
-    # What its version did not record yet is derived from the rest.
-    recorded_fields = recording.fields_of(rec.version)
     first_row: int | None = None
     first_field: str | None = None
     largest: dict[str, float] = {}
-    for name in core.RECORD_DTYPE.names or ():
-        if name not in recorded_fields:
-            continue
+    # What its version did not record yet was derived from the rest.
+    for name in recording.fields_of(rec.version):
         recorded, computed = samples[name], again[name]
         # Bits, not values: -0.0 is not 0.0 here, and a NaN equals itself.
         differs = np.nonzero(recorded.view(_bits(name)) != computed.view(_bits(name)))[0]

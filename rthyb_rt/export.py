@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rthyb_rt.errors import InputError
 from rthyb_rt.recording import FLAGS, STATES, UNITS, Recording, replacing
@@ -28,7 +29,7 @@ def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
         path: file to write.
         full: False gives the interchange format that ``rthyb diagnose`` and other labs read:
             the rows of the test proper with columns t, ag, x_num, x_cmd, x_meas, f_meas. True
-            gives every row and every field under its own name, after ``t_s``.
+            gives every row, every field and every channel under its own name, after ``t_s``.
 
     Raises:
         RthybError: the file cannot be written.
@@ -42,7 +43,7 @@ def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
         names = INTERCHANGE
         header = ["t", *names]
     columns = [rec.time_s()[rows].tolist()]
-    columns += [rec.samples[name][rows].tolist() for name in names.values()]
+    columns += [_values(rec, name)[rows].tolist() for name in names.values()]
     with replacing(Path(path)) as temporary, temporary.open("w", encoding="ascii") as file:
         file.write(",".join(header) + "\n")
         # repr gives the shortest text that reads back as the same double.
@@ -71,14 +72,14 @@ def to_mat(rec: Recording, path: str | Path) -> None:
             "writing MAT files needs scipy; install it with pip install 'rthyb-rt[fit]'", str(path)
         ) from error
     variables: dict[str, Any] = {"t_s": rec.time_s()}
-    variables |= {name: rec.samples[name] for name in rec.samples.dtype.names or ()}
+    variables |= {name: _values(rec, name) for name in rec.samples.dtype.names or ()}
     if rec.reference is not None:
         variables |= {name: rec.reference[name] for name in rec.reference.dtype.names or ()}
     variables |= {
         "fs_hz": rec.fs_hz,
         "test_toml": rec.test_toml,
         "rig_toml": rec.rig_toml,
-        "units": UNITS | {"t_s": "s"},
+        "units": UNITS | {"t_s": "s"} | {one.name: one.unit for one in rec.channels},
         "flag_bits": FLAGS,
         "state_names": np.array(STATES, dtype=object),
         "ground_motion": {"ag_mps2": rec.ag_mps2} | _without_none(rec.ground_motion),
@@ -86,6 +87,12 @@ def to_mat(rec: Recording, path: str | Path) -> None:
     }
     with replacing(Path(path)) as temporary, temporary.open("wb") as file:
         savemat(file, variables, do_compression=True, oned_as="column", long_field_names=True)
+
+
+def _values(rec: Recording, name: str) -> NDArray[Any]:
+    """Return a field of the samples, a channel in its unit, (n,)."""
+    is_channel = any(channel.name == name for channel in rec.channels)
+    return rec.channel(name) if is_channel else np.asarray(rec.samples[name])
 
 
 def _without_none(values: dict[str, Any]) -> dict[str, Any]:

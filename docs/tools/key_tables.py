@@ -182,6 +182,8 @@ FIELD_MEANINGS: dict[str, str] = {
     "echo": "low bits of the command number that the drive applied; 0 in virtual time",
     "count": "low bits of the drive's sample count; 0 in virtual time",
     "code": "status bits, see below",
+    "cause": "cause that is latched after the tick, a number of the attribute `causes`; 0: none",
+    "missing": "samples in a row without an accepted pair, this one among them",
     "x_read_m": "displacement as it came, accepted or not, calibrated, before the tare; NaN: what "
     "came was no number; 0 where nothing came",
     "f_read_n": "the same of the force",
