@@ -1,4 +1,4 @@
-"""Rows of a recording by axis and by named channel, from the core through ring and file and back."""
+"""Rows of a recording by axis and by channel: from the core through ring and file, and back."""
 
 from __future__ import annotations
 
