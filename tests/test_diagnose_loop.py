@@ -198,7 +198,7 @@ class PythonBench(virtual_time.Bench):
         super().__init__(done)
         self.python_rig, self.command_m = rig, 0.0
 
-    def _fill(self, rows: np.ndarray, command: str) -> int:
+    def _fill(self, rows: np.ndarray, command: str, values: np.ndarray) -> int:
         state = self.state
         for n in range(rows.size):
             x, f = self.python_rig.latch()

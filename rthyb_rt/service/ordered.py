@@ -10,6 +10,7 @@ have the lengths. After every write whatever can be reached is whole.
 from __future__ import annotations
 
 import os
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +19,7 @@ _END_AT: Final = {0: 40, 1: 44, 2: 28, 3: 28}
 """Where a superblock has the end of the file, by its version; addresses of eight bytes."""
 _INDEX: Final = b"TREE"
 _LEVEL_AT: Final = 5
+_COUNT_AT: Final = 6
 _PAGE: Final = 4096
 
 
@@ -112,10 +114,21 @@ class OrderedFile:
             if begin >= self._reached:
                 _write(self.fd, piece, begin)
             else:
-                _rewrite(self.fd, piece, begin)
+                _rewrite(self.fd, piece, begin, shrinks=self._shrinks(piece, begin))
             if begin == 0:
                 self._reached = _end_of(piece) or self.end
         self._pending.clear()
+
+    def _shrinks(self, piece: bytes, begin: int) -> bool:
+        """Whether a node of the index has fewer entries than it had: it was split, or is the root
+        of one level more."""
+        before = os.pread(self.fd, _COUNT_AT + 2, begin)
+        if not (piece.startswith(_INDEX) and before.startswith(_INDEX)):
+            return False
+        now, then = (
+            int.from_bytes(one[_COUNT_AT : _COUNT_AT + 2], "little") for one in (piece, before)
+        )
+        return now < then
 
     def _rank(self, begin: int) -> tuple[int, int, int]:
         piece = self._pending[begin]
@@ -156,16 +169,17 @@ def _joined(begin: int, piece: bytes, at: int, newer: bytes) -> tuple[int, bytes
     return first, bytes(data)
 
 
-def _rewrite(fd: int, piece: bytes, at: int) -> None:
+def _rewrite(fd: int, piece: bytes, at: int, *, shrinks: bool) -> None:
     """Write what is in use page by page: a kill may fall between two, and within none.
 
-    From the last one on: what a node of the index counts in its head is there by then.
+    From the last one on: what a node of the index counts in its head is there by then. From the
+    first one on where it counts less than before: what it no longer counts is not looked at.
     """
     end = at + len(piece)
-    while end > at:
-        begin = max((end - 1) // _PAGE * _PAGE, at)
-        _write(fd, piece[begin - at : end - at], begin)
-        end = begin
+    cuts = [at, *range(at // _PAGE * _PAGE + _PAGE, end, _PAGE), end]
+    pages = list(pairwise(cuts))
+    for begin, close in pages if shrinks else reversed(pages):
+        _write(fd, piece[begin - at : close - at], begin)
 
 
 def _write(fd: int, piece: bytes, at: int) -> None:
