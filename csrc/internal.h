@@ -118,6 +118,10 @@ int rthyb_servo_latch(rthyb_servo *servo, double x_p_m);
  * computation that has run off. */
 int rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count);
 
+/* servo_valve.c: set-up of its step; one sample. */
+int rthyb_valve_init(rthyb_servo *servo);
+void rthyb_valve_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count);
+
 double rthyb_specimen_force(rthyb_element *elements, uint32_t element_count, double x, double v,
                             double a, double dt);
 

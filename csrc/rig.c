@@ -51,6 +51,25 @@ static int sensor_ok(const rthyb_sensor *s, double most)
            s->range >= 0.0 && s->range <= most;
 }
 
+/* What is linear of the specimen is solved together with the actuator, exactly. */
+static void join_specimen(rthyb_rig *rig, rthyb_servo_config *servo)
+{
+    for (uint32_t i = 0; i < rig->cfg.element_count; i++) {
+        rthyb_element *element = &rig->cfg.elements[i];
+        double *into = NULL;
+        if (element->kind == RTHYB_STIFFNESS)
+            into = &servo->specimen_stiffness_n_per_m;
+        else if (element->kind == RTHYB_VISCOUS)
+            into = &servo->specimen_damping_n_s_per_m;
+        else if (element->kind == RTHYB_INERTIA)
+            into = &servo->moving_mass_kg;
+        if (into) {
+            *into += element->params[0];
+            element->params[0] = 0.0;
+        }
+    }
+}
+
 int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg)
 {
     if (cfg->element_count > RTHYB_ELEMENTS_MAX)
@@ -72,6 +91,8 @@ int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg)
             rig->cfg.elements[i].params[0] = 0.0;
         }
     }
+    if (servo.kind == RTHYB_SERVO_VALVE)
+        join_specimen(rig, &servo);
     servo.moving_mass_kg += rig->ridden_kg;
     rthyb_rig_reseed(rig);
     return rthyb_servo_init(&rig->servo, &servo);
@@ -91,7 +112,8 @@ static double load_cell_force(rthyb_rig *rig)
 {
     const rthyb_servo *servo = &rig->servo;
     const int hydraulic = servo->cfg.kind == RTHYB_SERVO_HYDRAULIC;
-    if (hydraulic && rig->cfg.load_cell == RTHYB_ACTUATOR_END)
+    if (servo->cfg.kind == RTHYB_SERVO_VALVE ||
+        (hydraulic && rig->cfg.load_cell == RTHYB_ACTUATOR_END))
         return servo->oil_force;
     return rig->ridden_kg * servo->a +
            rthyb_specimen_force(rig->cfg.elements, rig->cfg.element_count, servo->x, servo->v,

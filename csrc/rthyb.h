@@ -434,7 +434,8 @@ enum rthyb_servo_kind {
     RTHYB_PURE_DELAY,
     RTHYB_FIRST_ORDER,
     RTHYB_SECOND_ORDER,
-    RTHYB_SERVO_HYDRAULIC
+    RTHYB_SERVO_HYDRAULIC,
+    RTHYB_SERVO_VALVE /* transfer functions of valve, natural velocity feedback and actuator */
 };
 
 enum rthyb_hold { RTHYB_ZOH, RTHYB_FOH };
@@ -451,7 +452,15 @@ typedef struct {
     double oil_stiffness_n_per_m, oil_damping_n_s_per_m;
     double moving_mass_kg, friction_n, friction_width_m_per_s, viscous_n_s_per_m;
     int32_t substeps;
+    /* Servo-valve G / (s^2 + b1 s + b2) on gain u - x, its flow less a2 v, force 1 / (s + a3) of that; mass,
+     * stiffness and damping of the specimen, which a rig takes from its elements. */
+    double valve_n_per_m_s3, valve_b1_per_s, valve_b2_per_s2;
+    double velocity_feedback_n_s_per_m2, leakage_per_s;
+    double specimen_stiffness_n_per_m, specimen_damping_n_s_per_m;
+    double command_range_m, command_lsb_m; /* of the drive's input; 0 = unlimited, none */
 } rthyb_servo_config;
+
+enum rthyb_valve_size { RTHYB_VALVE_STATES = 5, RTHYB_VALVE_STEP = 35 };
 
 typedef struct {
     rthyb_servo_config cfg;
@@ -461,6 +470,9 @@ typedef struct {
     double past[RTHYB_DELAY_MAX + 2];
     double fraction;            /* of delay_samples */
     double first[4], second[4]; /* free motion over the two parts of a sample, row by row */
+    /* Servo-valve: the next state from state, command and force of the specimen's other elements; lengths of
+     * its own make the five comparable. */
+    double valve_step[RTHYB_VALVE_STEP], valve_state[RTHYB_VALVE_STATES];
     double integral, valve, piston, piston_velocity, half_velocity, oil_force;
     double valve_gain;
 } rthyb_servo;

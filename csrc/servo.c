@@ -1,5 +1,7 @@
 /* Actuator models of the virtual rig. One sample: latch the table's displacement at t_n, take
  * x_p[n] in, move on to t_{n+1} with the command held (zoh) or run up to from the one before (foh). */
+#include <string.h>
+
 #include "internal.h"
 #include "numeric.h"
 
@@ -9,7 +11,7 @@ static int config_error(const rthyb_servo_config *c)
 {
     if (!(c->period_s > 0.0 && c->period_s <= 1.0))
         return RTHYB_E_PERIOD;
-    if (c->kind < RTHYB_PURE_DELAY || c->kind > RTHYB_SERVO_HYDRAULIC ||
+    if (c->kind < RTHYB_PURE_DELAY || c->kind > RTHYB_SERVO_VALVE ||
         (c->hold != RTHYB_ZOH && c->hold != RTHYB_FOH) ||
         !(c->delay_samples >= 0.0 && c->delay_samples <= RTHYB_DELAY_MAX))
         return RTHYB_E_SERVO;
@@ -24,6 +26,8 @@ static int config_error(const rthyb_servo_config *c)
                        c->damping_ratio >= 0.0 && c->damping_ratio <= 1e3 && fabs(c->gain) <= 1e3
                    ? 0
                    : RTHYB_E_SERVO;
+    case RTHYB_SERVO_VALVE:
+        return whole ? 0 : RTHYB_E_SERVO; /* the rest is rthyb_valve_init's to judge */
     default:
         break;
     }
@@ -88,7 +92,7 @@ int rthyb_servo_init(rthyb_servo *servo, const rthyb_servo_config *cfg)
         const double h = cfg->period_s / cfg->substeps;
         servo->valve_gain = -expm1(-h / cfg->valve_time_constant_s);
     }
-    return 0;
+    return cfg->kind == RTHYB_SERVO_VALVE ? rthyb_valve_init(servo) : 0;
 }
 
 /* The command that was sent `age` samples ago; age 0 is x_p[n]. */
@@ -225,6 +229,8 @@ static int confine_state(rthyb_servo *s)
     if (code != RTHYB_OK)
         s->v = s->a = s->half_velocity = s->piston_velocity = s->valve = s->integral =
             s->oil_force = 0.0;
+    if (code != RTHYB_OK)
+        memset(s->valve_state, 0, sizeof s->valve_state);
     return code;
 }
 
@@ -236,5 +242,7 @@ int rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t el
         advance_second_order(servo);
     else if (servo->cfg.kind == RTHYB_SERVO_HYDRAULIC)
         advance_hydraulic(servo, elements, element_count);
+    else if (servo->cfg.kind == RTHYB_SERVO_VALVE)
+        rthyb_valve_advance(servo, elements, element_count);
     return confine_state(servo);
 }

@@ -192,7 +192,7 @@ Tangent = Literal["mean-of-ratios", "least-squares"]
 Divisor = Literal["printed", "terms"]
 Integrator = Literal["central-difference", "forward-euler", "cr", "kr-alpha", "prescribed"]
 DenseIntegrator = Literal["cr", "rk4"]
-ServoKind = Literal["pure-delay", "first-order", "second-order", "servo-hydraulic"]
+ServoKind = Literal["pure-delay", "first-order", "second-order", "servo-hydraulic", "servo-valve"]
 Hold = Literal["zoh", "foh"]
 LoadCell = Literal["actuator-end", "specimen"]
 
@@ -221,6 +221,7 @@ _ENUMS: Final[dict[str, dict[str, int]]] = {
         "first-order": lib.RTHYB_FIRST_ORDER,
         "second-order": lib.RTHYB_SECOND_ORDER,
         "servo-hydraulic": lib.RTHYB_SERVO_HYDRAULIC,
+        "servo-valve": lib.RTHYB_SERVO_VALVE,
     },
     "hold": {"zoh": lib.RTHYB_ZOH, "foh": lib.RTHYB_FOH},
     "load_cell": {"actuator-end": lib.RTHYB_ACTUATOR_END, "specimen": lib.RTHYB_SPECIMEN_END},
@@ -348,6 +349,13 @@ class ServoConfig:
     friction_width_m_per_s: float = 0.0
     viscous_n_s_per_m: float = 0.0
     substeps: int = 16
+    valve_n_per_m_s3: float = 0.0
+    valve_b1_per_s: float = 0.0
+    valve_b2_per_s2: float = 0.0
+    velocity_feedback_n_s_per_m2: float = 0.0
+    leakage_per_s: float = 0.0
+    command_range_m: float = 0.0
+    command_lsb_m: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,41 @@ class ServoHydraulic(Table):
     substeps: Annotated[int, Count(1, MAX_SUBSTEPS, "the substeps per sample")] = 16
 
 
-Actuator = PureDelay | FirstOrder | SecondOrder | ServoHydraulic
+class ServoValve(Table):
+    """Servo valve, natural velocity feedback and actuator by their transfer functions.
+
+    Those of Silva et al., MSSP 135 (2020) 106381, with its names for the parameters. The
+    specimen's stiffness, damping and mass are solved with it exactly; it needs an `inertia`.
+    """
+
+    kind: Literal["servo-valve"]
+    gain: Annotated[float, Range("", -10, 10, "the gain of the command")] = 1.0
+    valve_n_per_m_s3: Annotated[float, Range("", 1e3, 1e20, "the valve's gain a1 b0")]
+    valve_b1_per_s: Annotated[float, Range("1/s", 1e-3, 1e6, "the valve's damping b1")]
+    valve_b2_per_s2: Annotated[float, Range("1/s^2", 1, 1e12, "the valve's stiffness b2")]
+    velocity_feedback_n_s_per_m2: Annotated[
+        float, Range("", 0, 1e15, "the natural velocity feedback a2")
+    ]
+    leakage_per_s: Annotated[float, Range("1/s", 0, 1e6, "the actuator's pole a3")]
+    command_range_m: Annotated[float, Range("m", 0, 100, "the range of the drive's input")] = 0.0
+    command_lsb_m: Annotated[float, Range("m", 0, 1, "the step of the drive's input")] = 0.0
+    delay_samples: Annotated[int, Count(0, 1000, "the transport delay")] = 0
+    substeps: Annotated[int, Count(1, MAX_SUBSTEPS, "the substeps per sample")] = 1
+
+
+Actuator = PureDelay | FirstOrder | SecondOrder | ServoHydraulic | ServoValve
+
+
+def _valve_moves_a_mass(actuator: Actuator, specimen: list[SpecimenElement]) -> str | None:
+    if not isinstance(actuator, ServoValve):
+        return None
+    mass = sum(item.m_kg for item in specimen if isinstance(item, InertiaElement))
+    if mass > 0.0:
+        return None
+    return (
+        f"found a mass of {mass:g} kg; an actuator of the kind servo-valve pushes a specimen that "
+        'has one: add [[specimen]] with element = "inertia", m_kg above 0'
+    )
 
 
 class StiffnessElement(Table):
@@ -816,6 +850,10 @@ def kinds() -> Iterator[type[Table]]:
 
 class RigFile(Table):
     """A rig: virtual, or the model of a real one."""
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("specimen", ("actuator", "specimen"), _valve_moves_a_mass),
+    )
 
     schema_: Literal["rthyb-rig/1"] = Field(alias="schema")
     rig: RigInfo
