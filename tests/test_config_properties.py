@@ -88,6 +88,8 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
             data.update(dict.fromkeys(single), mass_kg=1.0, damping_ratio=0.02)
     if model is Matrices:
         data.update(draw(matrices()))
+    if model is RigFile and data["actuator"]["kind"] == "servo-valve":
+        data["specimen"] = [*data["specimen"][:3], {"element": "inertia", "m_kg": 29.13}]
     if issubclass(model, BoucWen):
         data.update(xy_m=None, b=draw(st.floats(1, 1e6)), c=draw(st.floats(0, 1e6)))
     if "fs_n" in data:
