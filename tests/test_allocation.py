@@ -23,7 +23,7 @@ PLAIN = ("-fno-pic", "-fno-stack-protector")  # or the objects name helpers of c
 
 # What the arithmetic of a sample may call beside the core's own functions.
 HARMLESS = re.compile(
-    r"(a?sin|a?cos|a?tan|tanh|exp|expm1|log|log1p|pow|sqrt|hypot|floor|ceil|fmin|fmax|fabs|copysign"
+    r"(a?sin|a?cos|a?tan|tanh|exp|expm1|ldexp|log|log1p|pow|sqrt|hypot|floor|ceil|fmin|fmax|fabs|copysign"
     r"|l?l?rint|nearbyint|sincos|memcpy|memset|memmove|strlen|__(memcpy|memset|memmove)_chk"
     r"|__stack_chk_fail|_GLOBAL_OFFSET_TABLE_)"
 )
