@@ -86,7 +86,7 @@ static int is_filtered(const rthyb_estimator *est)
 /* mu, phi1, phi2 (Eqn 2.8) of the newest pair; shifts the histories. */
 static regressor form_regressor(rthyb_estimator *est, double p, double m)
 {
-    const double w1 = est->cfg.w1, w2 = est->cfg.w2;
+    const double w1 = est->w1, w2 = est->w2;
     const double s = w1 + w2 + 1.0, unit = est->unit;
     const double slope = m - est->m1;
     const regressor g = {
@@ -137,8 +137,6 @@ static int config_error(const rthyb_estimator_config *c)
 {
     if (!(c->period_s > 0.0 && c->period_s <= 1.0))
         return RTHYB_E_PERIOD;
-    if (!weights_ok(c->w1, c->w2))
-        return RTHYB_E_WEIGHTS;
     const int law_ok = c->law >= RTHYB_LAW_FIXED && c->law <= RTHYB_LAW_RLS;
     const int start_ok = fabs(c->alpha0) <= ALPHA_GUARD && fabs(c->beta0) <= 1e8;
     const int noise_ok = c->rest_noise_m >= 0.0 && c->rest_noise_m <= 1.0 &&
@@ -158,15 +156,22 @@ static int config_error(const rthyb_estimator_config *c)
     return gain_ok && cutoff_ok && bounds_ok ? 0 : RTHYB_E_ESTIMATOR;
 }
 
-int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg, double x0_m)
+int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg, double w1,
+                         double w2, double x0_m)
 {
     const int error = config_error(cfg);
     if (error)
         return error;
+    if (!weights_ok(w1, w2))
+        return RTHYB_E_WEIGHTS;
     if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
         return RTHYB_E_LIMIT;
-    *est = (rthyb_estimator){
-        .cfg = *cfg, .unit = 1.0 / cfg->reference_m, .alpha = cfg->alpha0, .beta = cfg->beta0};
+    *est = (rthyb_estimator){.cfg = *cfg,
+                             .w1 = w1,
+                             .w2 = w2,
+                             .unit = 1.0 / cfg->reference_m,
+                             .alpha = cfg->alpha0,
+                             .beta = cfg->beta0};
     est->level_weight = 1.0;
     if (is_filtered(est)) {
         est->filter = lowpass_design(cfg->cutoff_hz, cfg->period_s);

@@ -376,7 +376,7 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
         ),
         "rfc": {"tangent": "least-squares", "window": 30},
     },
-    "none": {"rfc": {"enabled": False}, "plc_enabled": False},
+    "none": {"rfc": {"enabled": False}, "lead_enabled": False},
 }
 
 

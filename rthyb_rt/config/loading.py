@@ -375,7 +375,7 @@ def _parse(
             if place[:-1] in new_kinds and message.startswith(("unknown key", "missing")):
                 unfit.add(place[:-1])
                 continue
-            involved = [(*place[:-1], key) for key in fault["ctx"]["involved"]]
+            involved = [(*place[:-1], *key.split(".")) for key in fault["ctx"]["involved"]]
             culprit = _override_to_blame(place, involved, given, lines)
             if culprit:
                 inner = place[len(_override_path(model, culprit)) :]

@@ -1,0 +1,116 @@
+/* The control laws of this program, and one of them at work. */
+#include <stdio.h>
+#include <string.h>
+
+#include "control_law.h"
+
+/* Pointers to the laws, put side by side by the linker; the two names are its own. */
+extern const rthyb_control_law *const __start_rthyb_laws[];
+extern const rthyb_control_law *const __stop_rthyb_laws[];
+
+size_t rthyb_law_count(void)
+{
+    return (size_t)(__stop_rthyb_laws - __start_rthyb_laws);
+}
+
+const rthyb_control_law *rthyb_law_at(int32_t index)
+{
+    return index >= 0 && (size_t)index < rthyb_law_count() ? __start_rthyb_laws[index] : NULL;
+}
+
+int32_t rthyb_law_find(const char *name)
+{
+    for (int32_t i = 0; (size_t)i < rthyb_law_count(); i++) {
+        if (!strcmp(__start_rthyb_laws[i]->is.name, name))
+            return i;
+    }
+    return -1;
+}
+
+const rthyb_law_description *rthyb_law_describe(int32_t index)
+{
+    const rthyb_control_law *law = rthyb_law_at(index);
+    return law ? &law->is : NULL;
+}
+
+size_t rthyb_law_state_size(int32_t index)
+{
+    const rthyb_control_law *law = rthyb_law_at(index);
+    return law ? law->state_size : 0;
+}
+
+int rthyb_law_check(int32_t index, const double *parameters, double period_s, char *text,
+                    size_t size)
+{
+    const rthyb_control_law *law = rthyb_law_at(index);
+    return law && law->check ? law->check(parameters, period_s, text, size) : -1;
+}
+
+static int value_index(const rthyb_law_description *is, const char *name)
+{
+    for (uint32_t i = 0; i < is->value_count; i++) {
+        if (!strcmp(is->values[i].name, name))
+            return (int)i;
+    }
+    return -1;
+}
+
+int rthyb_law_init(rthyb_law *law, const rthyb_law_config *cfg, double period_s, double x0_m)
+{
+    const rthyb_control_law *kind = rthyb_law_at(cfg->kind);
+    if (!kind)
+        return RTHYB_E_LAW;
+    if (!(period_s > 0.0 && period_s <= 1.0))
+        return RTHYB_E_PERIOD;
+    if (!(cfg->rest_noise_m >= 0.0 && cfg->rest_noise_m <= 1.0))
+        return RTHYB_E_LAW;
+    if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
+        return RTHYB_E_LIMIT;
+    for (uint32_t i = 0; i < kind->is.parameter_count; i++) {
+        if (!isfinite(cfg->parameters[i]))
+            return RTHYB_E_LAW;
+    }
+    char text[RTHYB_LAW_TEXT];
+    if (rthyb_law_check(cfg->kind, cfg->parameters, period_s, text, sizeof text) >= 0)
+        return RTHYB_E_LAW;
+    const rthyb_law_start start = {
+        .parameters = cfg->parameters,
+        .period_s = period_s,
+        .x0_m = x0_m,
+        .rest_noise_m = cfg->rest_noise_m,
+    };
+    *law = (rthyb_law){.cfg = *cfg};
+    law->alpha_at = value_index(&kind->is, "alpha");
+    law->beta_at = value_index(&kind->is, "beta");
+    return kind->init(&law->state, &start);
+}
+
+void rthyb_law_rest(rthyb_law *law, double x_m)
+{
+    if (judge(x_m, RTHYB_DISPLACEMENT_MAX_M) == RTHYB_OK)
+        rthyb_law_at(law->cfg.kind)->rest(&law->state, x_m);
+}
+
+int rthyb_law_observe(rthyb_law *law, double x_p_m, double x_m_m, int frozen)
+{
+    const int held = frozen || !law->cfg.adapts;
+    return rthyb_law_at(law->cfg.kind)->observe(&law->state, x_p_m, x_m_m, held);
+}
+
+int rthyb_law_lead(rthyb_law *law, double x_c_m, double allowed_m, double *x_p_m)
+{
+    return rthyb_law_at(law->cfg.kind)->lead(&law->state, x_c_m, allowed_m, x_p_m);
+}
+
+void rthyb_law_report(const rthyb_law *law, double *values)
+{
+    rthyb_law_at(law->cfg.kind)->report(&law->state, values);
+}
+
+int rthyb_law_run(rthyb_law *law, const double *x_c_m, double *x_p_m, size_t n)
+{
+    int code = RTHYB_OK;
+    for (size_t i = 0; i < n; i++)
+        code |= rthyb_law_lead(law, x_c_m[i], 0.0, &x_p_m[i]);
+    return code;
+}
