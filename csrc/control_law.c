@@ -1,5 +1,4 @@
 /* The control laws of this program, and one of them at work. */
-#include <stdio.h>
 #include <string.h>
 
 #include "control_law.h"
@@ -39,11 +38,11 @@ size_t rthyb_law_state_size(int32_t index)
     return law ? law->state_size : 0;
 }
 
-int rthyb_law_check(int32_t index, const double *parameters, double period_s, char *text,
-                    size_t size)
+int rthyb_law_check(int32_t index, const double *parameters, double period_s,
+                    rthyb_law_complaint *complaint)
 {
     const rthyb_control_law *law = rthyb_law_at(index);
-    return law && law->check ? law->check(parameters, period_s, text, size) : -1;
+    return law && law->check ? law->check(parameters, period_s, complaint) : -1;
 }
 
 static int value_index(const rthyb_law_description *is, const char *name)
@@ -70,8 +69,8 @@ int rthyb_law_init(rthyb_law *law, const rthyb_law_config *cfg, double period_s,
         if (!isfinite(cfg->parameters[i]))
             return RTHYB_E_LAW;
     }
-    char text[RTHYB_LAW_TEXT];
-    if (rthyb_law_check(cfg->kind, cfg->parameters, period_s, text, sizeof text) >= 0)
+    rthyb_law_complaint complaint;
+    if (rthyb_law_check(cfg->kind, cfg->parameters, period_s, &complaint) >= 0)
         return RTHYB_E_LAW;
     const rthyb_law_start start = {
         .parameters = cfg->parameters,

@@ -24,8 +24,8 @@ struct rthyb_control_law {
     rthyb_law_description is;
     size_t state_size;
     /* What parameters that are each within their range do wrong together at this sampling period: -1, or
-     * the index of the one to blame, with what is wrong and what is needed in text[size]. May be NULL. */
-    int (*check)(const double *parameters, double period_s, char *text, size_t size);
+     * the index of the one to blame. What only the rig knows may be NaN still. May be NULL. */
+    int (*check)(const double *parameters, double period_s, rthyb_law_complaint *complaint);
     /* 0 or enum rthyb_error. The state is all zeros before. */
     int (*init)(void *state, const rthyb_law_start *start);
     /* Command and specimen stand at x_m now; what has been learnt stays. */

@@ -10,6 +10,8 @@ static const rthyb_law_parameter alpha_beta_parameters[] = {
     LEAD_FILTER_PARAMETERS,
 };
 
+static const rthyb_law_value alpha_beta_values[] = LEAD_VALUES;
+
 static int alpha_beta_init(void *state, const rthyb_law_start *start)
 {
     const double *own = start->parameters + LEAD_OWN;
@@ -28,8 +30,8 @@ static const rthyb_control_law alpha_beta = {
            .calmer = "raise controller.delay_estimator.memory_s",
            .parameters = alpha_beta_parameters,
            .parameter_count = RTHYB_COUNT(alpha_beta_parameters),
-           .values = rthyb_lead_values,
-           .value_count = RTHYB_COUNT(rthyb_lead_values),
+           .values = alpha_beta_values,
+           .value_count = RTHYB_COUNT(alpha_beta_values),
            .uses_rest_noise = 1},
     .state_size = sizeof(alpha_beta_state),
     .check = rthyb_lead_check_filtered,

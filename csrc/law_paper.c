@@ -10,6 +10,8 @@ static const rthyb_law_parameter paper_parameters[] = {
      "the adaptive gain gamma (Eqn 2.11)", 0, NULL, "γ = {} per mm² per sample"},
 };
 
+static const rthyb_law_value paper_values[] = LEAD_VALUES;
+
 static int paper_init(void *state, const rthyb_law_start *start)
 {
     const double *own = start->parameters + LEAD_OWN;
@@ -29,8 +31,8 @@ static const rthyb_control_law paper = {
                "\"robust\", which does not learn from noise",
            .parameters = paper_parameters,
            .parameter_count = RTHYB_COUNT(paper_parameters),
-           .values = rthyb_lead_values,
-           .value_count = RTHYB_COUNT(rthyb_lead_values)},
+           .values = paper_values,
+           .value_count = RTHYB_COUNT(paper_values)},
     .state_size = sizeof(paper_state),
     .check = rthyb_lead_check,
     .init = paper_init,

@@ -11,6 +11,8 @@ static const rthyb_law_parameter robust_parameters[] = {
     LEAD_FILTER_PARAMETERS,
 };
 
+static const rthyb_law_value robust_values[] = LEAD_VALUES;
+
 static int robust_init(void *state, const rthyb_law_start *start)
 {
     const double *own = start->parameters + LEAD_OWN;
@@ -28,8 +30,8 @@ static const rthyb_control_law robust = {
            .calmer = "lower controller.delay_estimator.rate_per_sample, or raise its gate_factor",
            .parameters = robust_parameters,
            .parameter_count = RTHYB_COUNT(robust_parameters),
-           .values = rthyb_lead_values,
-           .value_count = RTHYB_COUNT(rthyb_lead_values),
+           .values = robust_values,
+           .value_count = RTHYB_COUNT(robust_values),
            .uses_rest_noise = 1},
     .state_size = sizeof(robust_state),
     .check = rthyb_lead_check_filtered,

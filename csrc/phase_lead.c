@@ -1,60 +1,46 @@
 #include "phase_lead.h"
 
-#include <stdio.h>
-
-const rthyb_law_value rthyb_lead_values[2] = {
-    {"alpha", "samples", "delay estimate"},
-    {"beta", "samples²", "curvature term"},
-};
-
-static int weights_complaint(const double *p, char *text, size_t size)
-{
-    const double w1 = p[LEAD_W1], w2 = p[LEAD_W2];
-    if (rthyb_plc_is_stable(w1, w2))
-        return 0;
-    (void)snprintf(text, size,
-                   "w1 = %g, w2 = %g make the phase-lead compensator unstable; needed are |w1| > 1 "
-                   "and |w2| < |w1 + 1| = %g; the paper uses w1 = 3, w2 = 2",
-                   w1, w2, fabs(w1 + 1.0));
-    return 1;
-}
-
-int rthyb_lead_check(const double *p, double period_s, char *text, size_t size)
+int rthyb_lead_check(const double *p, double period_s, rthyb_law_complaint *why)
 {
     (void)period_s;
+    const double w1 = p[LEAD_W1], w2 = p[LEAD_W2], alpha0 = p[LEAD_ALPHA0];
     const double low = p[LEAD_ALPHA_MIN], high = p[LEAD_ALPHA_MAX], beta_max = 0.5 * high * high;
-    if (weights_complaint(p, text, size))
+    if (!rthyb_plc_is_stable(w1, w2)) {
+        *why = (rthyb_law_complaint){
+            "w1 = {}, w2 = {} make the phase-lead compensator unstable; needed are |w1| > 1 and "
+            "|w2| < |w1 + 1| = {}; the paper uses w1 = 3, w2 = 2",
+            {w1, w2, fabs(w1 + 1.0)}};
         return LEAD_W1;
+    }
     if (!(low < high)) {
-        (void)snprintf(text, size, "found %g; must be greater than alpha_min = %g samples", high,
-                       low);
+        *why = (rthyb_law_complaint){"found {}; must be greater than alpha_min = {} samples",
+                                     {high, low}};
         return LEAD_ALPHA_MAX;
     }
     /* Where neither file nor rig says it yet it is NaN. */
-    if (p[LEAD_ALPHA0] < low || p[LEAD_ALPHA0] > high) {
-        (void)snprintf(text, size,
-                       "found %g; must be from alpha_min = %g to alpha_max = %g samples of "
-                       "controller.delay_estimator",
-                       p[LEAD_ALPHA0], low, high);
+    if (alpha0 < low || alpha0 > high) {
+        *why = (rthyb_law_complaint){"found {}; must be from alpha_min = {} to alpha_max = {} "
+                                     "samples of controller.delay_estimator",
+                                     {alpha0, low, high}};
         return LEAD_ALPHA0;
     }
     if (fabs(p[LEAD_BETA0]) > beta_max) {
-        (void)snprintf(text, size, "found %g; must be from %g to %g (half of alpha_max squared)",
-                       p[LEAD_BETA0], -beta_max, beta_max);
+        *why = (rthyb_law_complaint){"found {}; must be from {} to {} (half of alpha_max squared)",
+                                     {p[LEAD_BETA0], -beta_max, beta_max}};
         return LEAD_BETA0;
     }
     return -1;
 }
 
-int rthyb_lead_check_filtered(const double *p, double period_s, char *text, size_t size)
+int rthyb_lead_check_filtered(const double *p, double period_s, rthyb_law_complaint *why)
 {
     const int at = LEAD_OWN + 1;
     if (!(p[at] * period_s < 0.5)) {
-        (void)snprintf(text, size, "found %g; must be below half the sample rate, %g Hz", p[at],
-                       0.5 / period_s);
+        *why = (rthyb_law_complaint){"found {}; must be below half the sample rate, {} Hz",
+                                     {p[at], 0.5 / period_s}};
         return at;
     }
-    return rthyb_lead_check(p, period_s, text, size);
+    return rthyb_lead_check(p, period_s, why);
 }
 
 rthyb_estimator_config rthyb_lead_settings(const rthyb_law_start *start)

@@ -39,11 +39,11 @@ enum {
      "the power over rest noise that opens the gate", 0, NULL, NULL}
 /* clang-format on */
 
-extern const rthyb_law_value rthyb_lead_values[2];
+#define LEAD_VALUES {{"alpha", "samples", "delay estimate"}, {"beta", "samples²", "curvature term"}}
 
-int rthyb_lead_check(const double *p, double period_s, char *text, size_t size);
+int rthyb_lead_check(const double *p, double period_s, rthyb_law_complaint *why);
 /* With the filter pair: its cut-off is the law's second own parameter. */
-int rthyb_lead_check_filtered(const double *p, double period_s, char *text, size_t size);
+int rthyb_lead_check_filtered(const double *p, double period_s, rthyb_law_complaint *why);
 /* What the table says of the estimator's settings; law, gain and memory are the caller's. */
 rthyb_estimator_config rthyb_lead_settings(const rthyb_law_start *start);
 int rthyb_lead_init(rthyb_phase_lead *lead, const rthyb_estimator_config *cfg,

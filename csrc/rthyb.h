@@ -212,7 +212,7 @@ enum rthyb_law_size {
     RTHYB_LAW_PARAMETERS_MAX = 32,
     RTHYB_LAW_VALUES_MAX = 32,     /* that one law reports */
     RTHYB_LAW_STATE_BYTES = 16384, /* largest state of a law */
-    RTHYB_LAW_TEXT = 256           /* of a complaint, with its end */
+    RTHYB_LAW_NUMBERS = 4          /* that a complaint may name */
 };
 
 enum rthyb_open { RTHYB_OPEN_LOW = 1, RTHYB_OPEN_HIGH = 2 };
@@ -243,6 +243,13 @@ typedef struct {
     int32_t uses_rest_noise;
 } rthyb_law_description;
 
+/* What is wrong with settings that are each within their range. Text with {} for each of the numbers;
+ * other settings are named in it by the last part of their keys. */
+typedef struct {
+    const char *text;
+    double numbers[RTHYB_LAW_NUMBERS];
+} rthyb_law_complaint;
+
 typedef struct rthyb_control_law rthyb_control_law;
 
 typedef struct {
@@ -270,10 +277,10 @@ int32_t rthyb_law_find(const char *name);
 /* NULL: no such law. */
 const rthyb_law_description *rthyb_law_describe(int32_t kind);
 size_t rthyb_law_state_size(int32_t kind);
-/* What is wrong with parameters that are each within their range: -1, or the index of the one to blame,
- * and the reason in text. */
-int rthyb_law_check(int32_t kind, const double *parameters, double period_s, char *text,
-                    size_t size);
+/* What parameters that are each within their range do wrong together: -1, or the index of the one to
+ * blame. */
+int rthyb_law_check(int32_t kind, const double *parameters, double period_s,
+                    rthyb_law_complaint *complaint);
 int rthyb_law_init(rthyb_law *law, const rthyb_law_config *cfg, double period_s, double x0_m);
 void rthyb_law_rest(rthyb_law *law, double x_m);
 int rthyb_law_observe(rthyb_law *law, double x_p_m, double x_m_m, int frozen);

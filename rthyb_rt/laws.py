@@ -114,11 +114,11 @@ class Law:
         Returns:
             The key to blame and the reason, or None.
         """
-        text = ffi.new("char[]", lib.RTHYB_LAW_TEXT)
-        at = lib.rthyb_law_check(
-            self.kind, ffi.new("double[]", list(values)), period_s, text, lib.RTHYB_LAW_TEXT
-        )
-        return None if at < 0 else (self.parameters[at].key, _text(text) or "")
+        why = ffi.new("rthyb_law_complaint *")
+        at = lib.rthyb_law_check(self.kind, ffi.new("double[]", list(values)), period_s, why)
+        if at < 0:
+            return None
+        return self.parameters[at].key, _words(why.text).format(*(f"{n:g}" for n in why.numbers))
 
 
 def _text(pointer: Any) -> str | None:

@@ -89,9 +89,9 @@ def faults(
 
     Each is the place below [controller], the complaint, and the keys beside it that have a part.
     """
-    law = LAWS.get(str(keys.get("type", DEFAULT_LAW)))
-    values = None if law is None else _values(law, keys)
-    if law is None or values is None:
+    law = LAWS.get(str(keys.get("type", DEFAULT_LAW)), LAWS[DEFAULT_LAW])
+    values = _values(law, keys)
+    if values is None:
         return
     found = law.complaint(values, STANDARD.period_s)
     if found is None:
