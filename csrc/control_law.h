@@ -8,6 +8,12 @@
 
 #define RTHYB_COUNT(array) (sizeof(array) / sizeof(array)[0])
 
+/* What is counted in samples in a test file is of 1/1024 s, whatever the rate: so many of the loop's. */
+static inline double rthyb_pace(double period_s)
+{
+    return 1.0 / 1024.0 / period_s;
+}
+
 /* Where a law begins. Parameters are in the order of its table, and finite. The ranges of the table are
  * those of test files; who asks the core itself may go beyond them, so a law must not trust them with its
  * memory. */

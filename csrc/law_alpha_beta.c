@@ -15,7 +15,7 @@ static const rthyb_law_value alpha_beta_values[] = LEAD_VALUES;
 static int alpha_beta_init(void *state, const rthyb_law_start *start)
 {
     const double *own = start->parameters + LEAD_OWN;
-    rthyb_estimator_config cfg = rthyb_lead_settings(start);
+    rthyb_estimator_config cfg = rthyb_lead_settings(start, 0.0);
     cfg.law = RTHYB_LAW_RLS;
     cfg.estimate_beta = 1;
     cfg.memory_samples = own[0] / start->period_s;

@@ -15,11 +15,10 @@ static const rthyb_law_value paper_values[] = LEAD_VALUES;
 static int paper_init(void *state, const rthyb_law_start *start)
 {
     const double *own = start->parameters + LEAD_OWN;
-    rthyb_estimator_config cfg = rthyb_lead_settings(start);
     /* The table's gain is per mm^2, the kernel's per reference^2. */
-    const double mm = cfg.reference_m / 1e-3;
+    const double mm = start->parameters[LEAD_REFERENCE] / 1e-3;
+    rthyb_estimator_config cfg = rthyb_lead_settings(start, own[0] * (mm * mm));
     cfg.law = RTHYB_LAW_GRADIENT;
-    cfg.gain = own[0] * (mm * mm);
     return rthyb_lead_init(state, &cfg, start);
 }
 

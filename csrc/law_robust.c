@@ -16,9 +16,8 @@ static const rthyb_law_value robust_values[] = LEAD_VALUES;
 static int robust_init(void *state, const rthyb_law_start *start)
 {
     const double *own = start->parameters + LEAD_OWN;
-    rthyb_estimator_config cfg = rthyb_lead_settings(start);
+    rthyb_estimator_config cfg = rthyb_lead_settings(start, own[0]);
     cfg.law = RTHYB_LAW_ROBUST;
-    cfg.gain = own[0];
     cfg.cutoff_hz = own[1];
     cfg.gate_factor = own[2];
     return rthyb_lead_init(state, &cfg, start);

@@ -36,23 +36,29 @@ int rthyb_lead_check_filtered(const double *p, double period_s, rthyb_law_compla
 {
     const int at = LEAD_OWN + 1;
     if (!(p[at] * period_s < 0.5)) {
-        *why = (rthyb_law_complaint){"found {}; must be below half the sample rate, {} Hz",
-                                     {p[at], 0.5 / period_s}};
+        *why =
+            (rthyb_law_complaint){"found {} Hz; must be below half of test.sample_rate_hz = {} Hz; "
+                                  "lower it, or raise the rate (256 to 4096 Hz)",
+                                  {p[at], 1.0 / period_s}};
         return at;
     }
     return rthyb_lead_check(p, period_s, why);
 }
 
-rthyb_estimator_config rthyb_lead_settings(const rthyb_law_start *start)
+/* A slope per sample is the smaller the shorter the sample: in units of a reference that shrinks with it,
+ * phi is the same at any rate. And what is learnt in a sample is as much less as there are more of them. */
+rthyb_estimator_config rthyb_lead_settings(const rthyb_law_start *start, double gain)
 {
     const double *p = start->parameters;
+    const double pace = rthyb_pace(start->period_s);
     return (rthyb_estimator_config){
-        .alpha0 = p[LEAD_ALPHA0],
-        .beta0 = p[LEAD_BETA0],
+        .alpha0 = p[LEAD_ALPHA0] * pace,
+        .beta0 = p[LEAD_BETA0] * pace * pace,
         .period_s = start->period_s,
-        .reference_m = p[LEAD_REFERENCE],
-        .alpha_min = p[LEAD_ALPHA_MIN],
-        .alpha_max = p[LEAD_ALPHA_MAX],
+        .reference_m = p[LEAD_REFERENCE] / pace,
+        .gain = gain / pace,
+        .alpha_min = p[LEAD_ALPHA_MIN] * pace,
+        .alpha_max = p[LEAD_ALPHA_MAX] * pace,
         .rest_noise_m = start->rest_noise_m,
     };
 }

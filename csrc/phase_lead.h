@@ -44,8 +44,9 @@ enum {
 int rthyb_lead_check(const double *p, double period_s, rthyb_law_complaint *why);
 /* With the filter pair: its cut-off is the law's second own parameter. */
 int rthyb_lead_check_filtered(const double *p, double period_s, rthyb_law_complaint *why);
-/* What the table says of the estimator's settings; law, gain and memory are the caller's. */
-rthyb_estimator_config rthyb_lead_settings(const rthyb_law_start *start);
+/* What the table says of the estimator's settings, at this rate; law, memory and filter are the caller's.
+ * The gain is the table's: per sample of 1/1024 s. */
+rthyb_estimator_config rthyb_lead_settings(const rthyb_law_start *start, double gain);
 int rthyb_lead_init(rthyb_phase_lead *lead, const rthyb_estimator_config *cfg,
                     const rthyb_law_start *start);
 

@@ -935,6 +935,8 @@ class StationConfig:
         try:
             given = dict(plain)
             inner: dict[str, Any] = dict(given.pop("controller"))
+            if "estimator" in inner:
+                inner |= _law_of_estimator(inner)
             parts = {"law": LawConfig, "rfc": RfcConfig, "motion": MotionConfig}
             inner |= {name: kind(**inner[name]) for name, kind in parts.items()}
             if inner.get("numerical") is not None:
@@ -945,6 +947,36 @@ class StationConfig:
             raise CoreError(
                 f"station settings: {error}; replay with the version that recorded"
             ) from error
+
+
+def _law_of_estimator(controller: dict[str, Any]) -> dict[str, Any]:
+    """Return what took the place of estimator and phase lead in a controller's plain settings.
+
+    Recordings have them so that were made when there was no other law. They are taken out here.
+    """
+    old, enabled = controller.pop("estimator"), controller.pop("plc_enabled")
+    name, own = {
+        "fixed": ("paper", {}),
+        "gradient": (
+            "paper",
+            {"gain_per_mm2_per_sample": old["gain"] / (old["reference_m"] / 1e-3) ** 2},
+        ),
+        "robust": ("robust", {"rate_per_sample": old["gain"]}),
+        "rls": ("alpha-beta", {"memory_s": old["memory_samples"] * old["period_s"]}),
+    }[old["law"]]
+    own |= {"reference_displacement_m": old["reference_m"]}
+    own |= {key: old[key] for key in ("alpha_min", "alpha_max")}
+    if name != "paper":
+        own |= {key: old[key] for key in ("cutoff_hz", "gate_factor")}
+    settings = {key: old[key] for key in ("w1", "w2", "alpha0", "beta0")}
+    settings |= {f"delay_estimator.{key}": value for key, value in own.items()}
+    law = {
+        "name": name,
+        "settings": settings,
+        "adapts": old["law"] != "fixed",
+        "rest_noise_m": old["rest_noise_m"],
+    }
+    return {"law": law, "lead_enabled": enabled}
 
 
 @dataclass(frozen=True)

@@ -124,7 +124,8 @@ def lead_of(law: LawConfig, period_s: float = PERIOD_S) -> Lead | SampledLead:
     """
     given = dict(zip((p.key for p in LAWS[law.name].parameters), law.values(), strict=True))
     if {"alpha0", "beta0", "w1", "w2"} <= set(given):
-        return Lead(given["alpha0"], given["beta0"], given["w1"], given["w2"])
+        pace = PERIOD_S / period_s
+        return Lead(given["alpha0"] * pace, given["beta0"] * pace**2, given["w1"], given["w2"])
     pulse = np.zeros(_LONGEST_LEAD)
     pulse[0] = 1.0
     response = Law(law, period_s=period_s).run(pulse)

@@ -185,8 +185,8 @@ def _figures(setup: Setup) -> Figures:
         damping_ratio=derived.damping_ratio,
         k_e_n_per_m=derived.k_e_n_per_m,
         window_samples=derived.window_samples,
-        alpha0=settings.get("alpha0"),
-        beta0=settings.get("beta0"),
+        alpha0=lead.alpha if isinstance(lead, margins.Lead) else None,
+        beta0=lead.beta if isinstance(lead, margins.Lead) else None,
         lead_first_sample_gain=lead.first_sample_gain if leads else None,
         lead_nyquist_gain=lead.nyquist_gain if leads else None,
         critical_delay_samples=survives.alone,
@@ -747,7 +747,8 @@ def _followed(setup: Setup, f: Figures, samples: Any) -> str:
 
 def _most(setup: Setup) -> int:
     """Return the largest delay that the law of this test may find, samples."""
-    return math.floor(setup.derived.law_settings["delay_estimator.alpha_max"])
+    most = setup.derived.law_settings["delay_estimator.alpha_max"]
+    return math.floor(setup.derived.rate.samples(most))
 
 
 def _controller(setup: Setup) -> str:
