@@ -34,7 +34,7 @@ struct rthyb_control_law {
     int (*check)(const double *parameters, double period_s, rthyb_law_complaint *complaint);
     /* 0 or enum rthyb_error. The state is all zeros before. */
     int (*init)(void *state, const rthyb_law_start *start);
-    /* Command and specimen stand at x_m now; what has been learnt stays. */
+    /* Command and specimen stand at x_m now: leading x_m next gives x_m. What has been learnt stays. */
     void (*rest)(void *state, double x_m);
     /* The newest pair: the command that the drive had, and what was measured. frozen: take it in, but
      * learn nothing from it. Status bits. */
@@ -56,6 +56,16 @@ struct rthyb_control_law {
 /* Of all laws in this program; the order says nothing. */
 size_t rthyb_law_count(void);
 const rthyb_control_law *rthyb_law_at(int32_t index);
+
+/* A law whose gain on slow motions is not 1 leads a specimen that stands at x to gain x. Not at once:
+ * rest() takes the difference as an offset, which fades as the command moves, so that nothing creeps
+ * at rest, and the way back to 0 ends there. step: the command's; returns what to add to the lead. */
+static inline double rthyb_fade(double *offset, double gain, double step)
+{
+    const double most = fabs(1.0 - gain) * fabs(step);
+    *offset -= clamp(*offset, -most, most);
+    return *offset;
+}
 
 /* How much of a step that would move the command by effect_m is taken. */
 static inline double rthyb_allowed_share(double effect_m, double allowed_m)

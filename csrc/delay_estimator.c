@@ -7,7 +7,7 @@
  * Robust and RLS see x_p and x_m through one and the same band-pass, which leaves the model true,
  * takes the noise out of phi that would pull alpha to -1/12 (errors in variables), and the offset
  * of an untared sensor out of mu. */
-#include "numeric.h"
+#include "lowpass.h"
 
 #define ALPHA_GUARD 1e4        /* the printed law has no projection; its state is still finite */
 #define POWER_TIME_S 2.0       /* mean of phi^2 in the normalisation of the robust law */
@@ -22,32 +22,6 @@
 typedef struct {
     double mu, phi1, phi2;
 } regressor;
-
-/* Second-order Butterworth low-pass by the bilinear transform with the corner kept in place. */
-static rthyb_lowpass lowpass_design(double cutoff_hz, double period_s)
-{
-    const double k = tan(RTHYB_PI * cutoff_hz * period_s);
-    const double norm = 1.0 / (1.0 + sqrt(2.0) * k + k * k);
-    rthyb_lowpass f = {.b0 = k * k * norm, .b1 = 2.0 * k * k * norm, .b2 = k * k * norm};
-    f.a1 = 2.0 * (k * k - 1.0) * norm;
-    f.a2 = (1.0 - sqrt(2.0) * k + k * k) * norm;
-    return f;
-}
-
-/* Transposed direct form II. */
-static double lowpass_step(const rthyb_lowpass *f, double *s, double x)
-{
-    const double y = f->b0 * x + s[0];
-    s[0] = f->b1 * x - f->a1 * y + s[1];
-    s[1] = f->b2 * x - f->a2 * y;
-    return y;
-}
-
-static void lowpass_rest(const rthyb_lowpass *f, double *s, double x0)
-{
-    s[1] = (f->b2 - f->a2) * x0;
-    s[0] = (f->b1 - f->a1) * x0 + s[1];
-}
 
 /* The pair's band-pass: low-pass, then the slow mean taken off. */
 static double filter_step(const rthyb_estimator *est, double *s, double *level, double x)
@@ -174,7 +148,7 @@ int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg
                              .beta = cfg->beta0};
     est->level_weight = 1.0;
     if (is_filtered(est)) {
-        est->filter = lowpass_design(cfg->cutoff_hz, cfg->period_s);
+        est->filter = lowpass_design(cfg->cutoff_hz, cfg->period_s, sqrt(2.0));
         noise_moments(est);
     }
     if (cfg->law == RTHYB_LAW_RLS)

@@ -25,7 +25,7 @@ static int robust_init(void *state, const rthyb_law_start *start)
 
 static const rthyb_control_law robust = {
     .is = {.name = "robust",
-           .meaning = "the same, which learns from motion only and not from noise",
+           .meaning = "phase lead whose delay is learnt from motion and not from noise",
            .calmer = "lower controller.delay_estimator.rate_per_sample, or raise its gate_factor",
            .parameters = robust_parameters,
            .parameter_count = RTHYB_COUNT(robust_parameters),

@@ -205,8 +205,8 @@ class EstimatorConfig:
 class LawConfig:
     """A control law by its name, with the settings that are not its table's defaults.
 
-    ``settings`` is by the keys of `rthyb_rt.laws`; ``adapts`` False: what it would learn stays as it
-    begins. ``rest_noise_m``: standard deviation of x_m at rest.
+    ``settings`` is by the keys of `rthyb_rt.laws`; ``adapts`` False: what it would learn stays as
+    it begins. ``rest_noise_m``: standard deviation of x_m at rest.
     """
 
     name: str = "none"
@@ -218,7 +218,7 @@ class LawConfig:
         """Return all settings in the core's order.
 
         Raises:
-            CoreError: there is no such law, or no such setting, or one without a default is missing.
+            CoreError: there is no such law or setting, or one without a default is missing.
         """
         law = LAWS.get(self.name)
         if law is None:
@@ -551,9 +551,7 @@ class Estimator:
 class Law:
     """A control law at work, without the controller around it; raises ``CoreError``."""
 
-    def __init__(
-        self, config: LawConfig, x0_m: float = 0.0, *, period_s: float = PERIOD_S
-    ) -> None:
+    def __init__(self, config: LawConfig, x0_m: float = 0.0, *, period_s: float = PERIOD_S) -> None:
         self.config = config
         self._c = ffi.new("rthyb_law *")
         struct = ffi.new("rthyb_law_config *", config.mapping())

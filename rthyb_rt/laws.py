@@ -1,7 +1,7 @@
 """The control laws that the core has, as their own tables describe them.
 
-A law is a file ``csrc/law_NAME.c``; what it is called, what it can be told and what it reports stand
-there alone. Settings, messages, documentation and figures take their words from here.
+A law is a file ``csrc/law_NAME.c``; what it is called, what it can be told and what it reports
+stand there alone. Settings, messages, documentation and figures take their words from here.
 """
 
 from __future__ import annotations

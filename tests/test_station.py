@@ -279,9 +279,7 @@ def test_start_while_the_link_is_silent_is_refused() -> None:
 def test_a_test_that_stays_is_over_when_its_command_stands_and_not_when_it_swings_by() -> None:
     """With weights that hardly damp, the compensator swings on where the braking has ended."""
     swinging = core.LawConfig("paper", {"w1": 1.05, "w2": -1.9, "alpha0": 20.0}, adapts=False)
-    controller = dataclasses.replace(
-        config().controller, law=swinging, velocity_limit_m_per_s=0.0
-    )
+    controller = dataclasses.replace(config().controller, law=swinging, velocity_limit_m_per_s=0.0)
     changes = {"controller": controller, "stay": True, "path_acceleration_m_per_s2": 5.0}
     bench = Bench(changes=changes).running(440)
     bench.step("stop")

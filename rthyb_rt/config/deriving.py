@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rthyb_rt.config import limits as limits_file
-from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ, Rate
+from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import (
     BoucWen,
     ChabocheElement,

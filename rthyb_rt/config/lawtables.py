@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import create_model
+from pydantic import Field, create_model
 from pydantic_core import PydanticCustomError
 
 from rthyb_rt.config.fields import Range, Table
@@ -17,6 +17,10 @@ from rthyb_rt.laws import LAWS, Law, Parameter, parameters
 _T = TypeVar("_T", bound=Table)
 
 DEFAULT_LAW: Final = "paper"
+
+
+TABLES: Final[dict[type[Table], str]] = {}
+"""The tables that `extended` has made, with what stands before the last point of their keys."""
 
 
 def range_of(p: Parameter) -> Range:
@@ -49,8 +53,10 @@ def extended(
             inner = prefix.title().replace("_", "")
             fields[prefix] = (extended(Table, inner, prefix) | None, None)
     for key, model in (sections or {}).items():
-        fields[key] = (model, base.model_fields[key])
-    return create_model(name, __base__=base, __module__=base.__module__, **fields)
+        fields[key] = (model, Field(default_factory=model))
+    model = create_model(name, __base__=base, __module__=base.__module__, **fields)
+    TABLES[model] = table
+    return model
 
 
 def setting(table: Table, key: str) -> float | None:

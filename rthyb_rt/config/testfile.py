@@ -152,7 +152,7 @@ class _Controller(Table):
 
     type: LawName = lawtables.DEFAULT_LAW
     plc_enabled: StrictBool = True
-    delay_estimator: _DelayEstimator = Field(default_factory=lambda: DelayEstimator())
+    delay_estimator: _DelayEstimator = Field(default_factory=_DelayEstimator)
     rfc: Rfc = Field(default_factory=Rfc)
 
     @property

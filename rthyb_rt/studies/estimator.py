@@ -17,7 +17,7 @@ DURATION_S = 120.0
 AMPLITUDE_M = 1e-3
 
 
-def paper(gain: float, alpha_max: float = 60.0) -> core.LawConfig:
+def printed(gain: float, alpha_max: float = 60.0) -> core.LawConfig:
     """Return the paper's law from alpha = 0."""
     bound, key = "delay_estimator.alpha_max", "delay_estimator.gain_per_mm2_per_sample"
     return core.LawConfig("paper", {"alpha0": 0.0, bound: alpha_max, key: gain})
@@ -25,7 +25,7 @@ def paper(gain: float, alpha_max: float = 60.0) -> core.LawConfig:
 
 CONTROLLERS: dict[str, core.LawConfig] = {
     "none": core.LawConfig(),
-    "paper": paper(1.0),
+    "paper": printed(1.0),
     "robust": core.LawConfig("robust", {"alpha0": 0.0}),
     "alpha-beta": core.LawConfig("alpha-beta", {"alpha0": 0.0}),
 }
@@ -85,8 +85,7 @@ def study() -> Study:
     """Reproduce Section 4.1."""
     command = sweep()
     by_gain = {
-        gain: track(PLANT, command, paper(gain, alpha_max=1e4))
-        for gain in (0.3, 1.0, 10.0, 30.0)
+        gain: track(PLANT, command, printed(gain, alpha_max=1e4)) for gain in (0.3, 1.0, 10.0, 30.0)
     }
     delayed = track(PLANT_AND_ONE, command, CONTROLLERS["paper"])
     slow_start = track(PLANT, sweep(logarithmic=True), CONTROLLERS["paper"])
@@ -139,7 +138,7 @@ def _single_sines() -> list[Row]:
     )
     rows = []
     for name, plant, frequency, gain, expected, band in cases:
-        law = paper(gain)
+        law = printed(gain)
         alpha = track(plant, sine(frequency), law)["alpha"]
         rows.append(
             Row(f"{name[0].upper()}{name[1:]}, {frequency:g} Hz, γ = {gain:g}",
