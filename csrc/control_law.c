@@ -4,17 +4,21 @@
 #include "control_law.h"
 
 /* Pointers to the laws, put side by side by the linker; the two names are its own. */
-extern const rthyb_control_law *const __start_rthyb_laws[];
-extern const rthyb_control_law *const __stop_rthyb_laws[];
+extern const rthyb_control_law *const
+    __start_rthyb_laws[]; /* NOLINT(bugprone-reserved-identifier,cert-*) */
+extern const rthyb_control_law *const
+    __stop_rthyb_laws[]; /* NOLINT(bugprone-reserved-identifier,cert-*) */
 
 size_t rthyb_law_count(void)
 {
-    return (size_t)(__stop_rthyb_laws - __start_rthyb_laws);
+    /* To C they are two arrays, of which no difference may be taken. */
+    const uintptr_t bytes = (uintptr_t)__stop_rthyb_laws - (uintptr_t)__start_rthyb_laws;
+    return bytes / sizeof __start_rthyb_laws[0];
 }
 
-const rthyb_control_law *rthyb_law_at(int32_t index)
+const rthyb_control_law *rthyb_law_at(int32_t kind)
 {
-    return index >= 0 && (size_t)index < rthyb_law_count() ? __start_rthyb_laws[index] : NULL;
+    return kind >= 0 && (size_t)kind < rthyb_law_count() ? __start_rthyb_laws[kind] : NULL;
 }
 
 int32_t rthyb_law_find(const char *name)
@@ -26,22 +30,22 @@ int32_t rthyb_law_find(const char *name)
     return -1;
 }
 
-const rthyb_law_description *rthyb_law_describe(int32_t index)
+const rthyb_law_description *rthyb_law_describe(int32_t kind)
 {
-    const rthyb_control_law *law = rthyb_law_at(index);
+    const rthyb_control_law *law = rthyb_law_at(kind);
     return law ? &law->is : NULL;
 }
 
-size_t rthyb_law_state_size(int32_t index)
+size_t rthyb_law_state_size(int32_t kind)
 {
-    const rthyb_control_law *law = rthyb_law_at(index);
+    const rthyb_control_law *law = rthyb_law_at(kind);
     return law ? law->state_size : 0;
 }
 
-int rthyb_law_check(int32_t index, const double *parameters, double period_s,
+int rthyb_law_check(int32_t kind, const double *parameters, double period_s,
                     rthyb_law_complaint *complaint)
 {
-    const rthyb_control_law *law = rthyb_law_at(index);
+    const rthyb_control_law *law = rthyb_law_at(kind);
     return law && law->check ? law->check(parameters, period_s, complaint) : -1;
 }
 

@@ -53,9 +53,8 @@ struct rthyb_control_law {
     static const rthyb_control_law *const law##_entry                                              \
         __attribute__((used, section("rthyb_laws"))) = &law
 
-/* Of all laws in this program; the order says nothing. */
-size_t rthyb_law_count(void);
-const rthyb_control_law *rthyb_law_at(int32_t index);
+/* NULL: no such law. */
+const rthyb_control_law *rthyb_law_at(int32_t kind);
 
 /* A law whose gain on slow motions is not 1 leads a specimen that stands at x to gain x. Not at once:
  * rest() takes the difference as an offset, which fades as the command moves, so that nothing creeps

@@ -271,6 +271,7 @@ typedef struct {
     rthyb_law_state state;
 } rthyb_law;
 
+/* Of all laws in this program, whose order says nothing. */
 size_t rthyb_law_count(void);
 /* -1: no such law. */
 int32_t rthyb_law_find(const char *name);

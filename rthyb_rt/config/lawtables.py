@@ -54,9 +54,9 @@ def extended(
             fields[prefix] = (extended(Table, inner, prefix) | None, None)
     for key, model in (sections or {}).items():
         fields[key] = (model, Field(default_factory=model))
-    model = create_model(name, __base__=base, __module__=base.__module__, **fields)
-    TABLES[model] = table
-    return model
+    made: type[_T] = create_model(name, __base__=base, __module__=base.__module__, **fields)
+    TABLES[made] = table
+    return made
 
 
 def setting(table: Table, key: str) -> float | None:
