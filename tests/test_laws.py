@@ -330,10 +330,13 @@ def test_a_start_where_nothing_can_be_is_refused(name: str, x0_m: float) -> None
 @pytest.mark.parametrize("fs_hz", [256.0, 512.0, 2048.0, 4096.0])
 @each_law
 def test_a_law_begins_with_the_same_lead_in_time_at_every_rate(name: str, fs_hz: float) -> None:
-    """On a slow straight motion, long after its beginning: the way ahead in seconds."""
+    """On a slow straight motion, long after its beginning: the way ahead in seconds. The rig's
+    delay is one of whole samples at every rate."""
+    delays = [p.key for p in LAWS[name].parameters if p.rig_key == "identified.delay_s"]
+    settings = settings_of(LAWS[name], **dict.fromkeys(delays, 16 / 1024))
 
     def ahead_s(rate: float) -> float:
-        law = core.Law(config_of(name), period_s=1.0 / rate)
+        law = core.Law(core.LawConfig(name, settings), period_s=1.0 / rate)
         t = np.arange(round(2.0 * rate)) / rate
         x = 0.001 * t
         return float((law.run(x)[-1] - x[-1]) / 0.001)
