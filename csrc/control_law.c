@@ -49,11 +49,11 @@ int rthyb_law_check(int32_t kind, const double *parameters, double period_s,
     return law && law->check ? law->check(parameters, period_s, complaint) : -1;
 }
 
-static int value_index(const rthyb_law_description *is, const char *name)
+static int32_t offset_of(const rthyb_law_description *is, const char *name)
 {
     for (uint32_t i = 0; i < is->value_count; i++) {
         if (!strcmp(is->values[i].name, name))
-            return (int)i;
+            return (int32_t)is->values[i].offset;
     }
     return -1;
 }
@@ -83,31 +83,46 @@ int rthyb_law_init(rthyb_law *law, const rthyb_law_config *cfg, double period_s,
         .rest_noise_m = cfg->rest_noise_m,
     };
     *law = (rthyb_law){.cfg = *cfg};
-    law->alpha_at = value_index(&kind->is, "alpha");
-    law->beta_at = value_index(&kind->is, "beta");
+    law->alpha_at = offset_of(&kind->is, "alpha");
+    law->beta_at = offset_of(&kind->is, "beta");
     return kind->init(&law->state, &start);
+}
+
+/* Of a law that rthyb_law_init has found: for every tick, without looking again. */
+static inline const rthyb_control_law *law_of(const rthyb_law *law)
+{
+    return __start_rthyb_laws[law->cfg.kind];
 }
 
 void rthyb_law_rest(rthyb_law *law, double x_m)
 {
     if (judge(x_m, RTHYB_DISPLACEMENT_MAX_M) == RTHYB_OK)
-        rthyb_law_at(law->cfg.kind)->rest(&law->state, x_m);
+        law_of(law)->rest(&law->state, x_m);
 }
 
 int rthyb_law_observe(rthyb_law *law, double x_p_m, double x_m_m, int frozen)
 {
-    const int held = frozen || !law->cfg.adapts;
-    return rthyb_law_at(law->cfg.kind)->observe(&law->state, x_p_m, x_m_m, held);
+    return law_of(law)->observe(&law->state, x_p_m, x_m_m, frozen || !law->cfg.adapts);
 }
 
 int rthyb_law_lead(rthyb_law *law, double x_c_m, double allowed_m, double *x_p_m)
 {
-    return rthyb_law_at(law->cfg.kind)->lead(&law->state, x_c_m, allowed_m, x_p_m);
+    return law_of(law)->lead(&law->state, x_c_m, allowed_m, x_p_m);
+}
+
+double rthyb_law_value_at(const rthyb_law *law, int32_t offset)
+{
+    double value = (double)NAN;
+    if (offset >= 0)
+        memcpy(&value, law->state.bytes + offset, sizeof value);
+    return value;
 }
 
 void rthyb_law_report(const rthyb_law *law, double *values)
 {
-    rthyb_law_at(law->cfg.kind)->report(&law->state, values);
+    const rthyb_law_description *is = &law_of(law)->is;
+    for (uint32_t i = 0; i < is->value_count; i++)
+        values[i] = rthyb_law_value_at(law, (int32_t)is->values[i].offset);
 }
 
 int rthyb_law_run(rthyb_law *law, const double *x_c_m, double *x_p_m, size_t n)

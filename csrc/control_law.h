@@ -43,8 +43,6 @@ struct rthyb_control_law {
      * than allowed_m: 0 for not at all, INFINITY for as far as it likes. Status bits; *x_p_m is finite
      * whatever x_c_m is. */
     int (*lead)(void *state, double x_c_m, double allowed_m, double *x_p_m);
-    /* The values of the table, as the last lead had them; `is.value_count` of them. */
-    void (*report)(const void *state, double *values);
 };
 
 #define RTHYB_LAW(law)                                                                             \

@@ -175,10 +175,8 @@ static void write_record(const rthyb_controller *c, const rthyb_input *in, doubl
     record->x_cmd_m = c->x_cmd;
     record->x_meas_m = x;
     record->f_meas_n = f;
-    double values[RTHYB_LAW_VALUES_MAX];
-    rthyb_law_report(&c->law, values);
-    record->alpha = c->law.alpha_at < 0 ? (double)NAN : values[c->law.alpha_at];
-    record->beta = c->law.beta_at < 0 ? (double)NAN : values[c->law.beta_at];
+    record->alpha = rthyb_law_value_at(&c->law, c->law.alpha_at);
+    record->beta = rthyb_law_value_at(&c->law, c->law.beta_at);
     record->k_t_n_per_m = c->rfc.k_n_per_m;
     record->energy_error_j = c->energy_error;
     record->tracking_indicator_m2 = c->tracking_indicator;

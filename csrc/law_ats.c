@@ -5,8 +5,6 @@
  *   A = (X' X)^-1 X' U
  * They are held while the measurement has moved less than a threshold, kept within bounds, and change no
  * faster than given. At first a0 = 1, a2 = a1^2 / 2. Numbers as in the authors' own set-up file. */
-#include <string.h>
-
 #include "control_law.h"
 #include "lowpass.h"
 
@@ -45,14 +43,6 @@ static const rthyb_law_parameter ats_parameters[] = {
     {"ats.a1_rate_s_per_s", "", 0.0, 1e3, 0.05, "the fastest change of a1, s per s", 0, NULL, NULL},
     {"ats.a2_rate_s2_per_s", "s", 0.0, 1e3, 0.001, "the fastest change of a2, s^2 per s", 0, NULL, NULL},
 };
-
-static const rthyb_law_value ats_values[] = {
-    {"alpha", "samples", "delay estimate"},
-    {"beta", "samples²", "curvature term"},
-    {"a0", "", "a0"},
-    {"a1", "s", "a1"},
-    {"a2", "s²", "a2"},
-};
 /* clang-format on */
 
 typedef struct {
@@ -75,7 +65,18 @@ typedef struct {
     uint32_t size, head, filled; /* rows of the window, the next to be overwritten, those there */
     int32_t primed;
     row rows[ROWS_MAX];
+    double alpha, beta; /* reported */
 } ats_state;
+
+/* clang-format off */
+static const rthyb_law_value ats_values[] = {
+    {"alpha", "samples", "delay estimate", offsetof(ats_state, alpha)},
+    {"beta", "samples²", "curvature term", offsetof(ats_state, beta)},
+    {"a0", "", "a0", offsetof(ats_state, used[0])},
+    {"a1", "s", "a1", offsetof(ats_state, used[1])},
+    {"a2", "s²", "a2", offsetof(ats_state, used[2])},
+};
+/* clang-format on */
 
 static int ats_check(const double *p, double period_s, rthyb_law_complaint *why)
 {
@@ -107,6 +108,13 @@ static int ats_check(const double *p, double period_s, rthyb_law_complaint *why)
     return -1;
 }
 
+/* What is reported beside the coefficients: delay and curvature in samples. */
+static void note(ats_state *s)
+{
+    s->alpha = s->used[1] / s->h;
+    s->beta = s->used[2] / s->h / s->h;
+}
+
 static void stand(ats_state *s, double x)
 {
     s->x1 = s->x2 = x;
@@ -136,6 +144,7 @@ static int ats_init(void *state, const rthyb_law_start *start)
     s->threshold = p[THRESHOLD];
     s->last_u = s->last_m = start->x0_m;
     stand(s, start->x0_m);
+    note(s);
     return 0;
 }
 
@@ -252,16 +261,9 @@ static int ats_lead(void *state, double x_c_m, double allowed_m, double *x_p_m)
     led += rthyb_fade(&s->offset, s->used[0], x - s->x1);
     s->x2 = s->x1;
     s->x1 = x;
+    note(s);
     *x_p_m = led;
     return code;
-}
-
-static void ats_report(const void *state, double *values)
-{
-    const ats_state *s = state;
-    values[0] = s->used[1] / s->h;
-    values[1] = s->used[2] / s->h / s->h;
-    memcpy(values + 2, s->used, sizeof s->used);
 }
 
 static const rthyb_control_law ats = {
@@ -279,7 +281,6 @@ static const rthyb_control_law ats = {
     .rest = ats_rest,
     .observe = ats_observe,
     .lead = ats_lead,
-    .report = ats_report,
 };
 
 RTHYB_LAW(ats);

@@ -11,24 +11,27 @@ enum { DELAY };
 static const rthyb_law_parameter chen_ricles_parameters[] = {
     {"chen_ricles.delay_s", "s", 0.0, 1.0, 0.02, "the delay of the actuator, alpha - 1 samples", 0, "identified.delay_s", NULL},
 };
-
-static const rthyb_law_value chen_ricles_values[] = {
-    {"alpha", "samples", "lead"},
-    {"beta", "samples²", "curvature term"},
-};
 /* clang-format on */
 
 typedef struct {
-    double ahead; /* alpha - 1 */
+    double alpha; /* alpha - 1, samples */
+    double beta;  /* 0 */
     double x1;    /* x_c[n-1] */
 } chen_ricles_state;
+
+/* clang-format off */
+static const rthyb_law_value chen_ricles_values[] = {
+    {"alpha", "samples", "lead", offsetof(chen_ricles_state, alpha)},
+    {"beta", "samples²", "curvature term", offsetof(chen_ricles_state, beta)},
+};
+/* clang-format on */
 
 static int chen_ricles_init(void *state, const rthyb_law_start *start)
 {
     chen_ricles_state *s = state;
-    s->ahead = start->parameters[DELAY] / start->period_s;
+    s->alpha = start->parameters[DELAY] / start->period_s;
     s->x1 = start->x0_m;
-    return s->ahead >= 0.0 && s->ahead <= 1e6 ? 0 : RTHYB_E_LAW;
+    return s->alpha >= 0.0 && s->alpha <= 1e6 ? 0 : RTHYB_E_LAW;
 }
 
 static void chen_ricles_rest(void *state, double x_m)
@@ -48,15 +51,9 @@ static int chen_ricles_lead(void *state, double x_c_m, double allowed_m, double 
     int code = RTHYB_OK;
     (void)allowed_m;
     const double x = accept(x_c_m, RTHYB_DISPLACEMENT_MAX_M, s->x1, &code);
-    *x_p_m = x + s->ahead * (x - s->x1);
+    *x_p_m = x + s->alpha * (x - s->x1);
     s->x1 = x;
     return code;
-}
-
-static void chen_ricles_report(const void *state, double *values)
-{
-    values[0] = ((const chen_ricles_state *)state)->ahead;
-    values[1] = 0.0;
 }
 
 static const rthyb_control_law chen_ricles = {
@@ -71,7 +68,6 @@ static const rthyb_control_law chen_ricles = {
     .rest = chen_ricles_rest,
     .observe = chen_ricles_observe,
     .lead = chen_ricles_lead,
-    .report = chen_ricles_report,
 };
 
 RTHYB_LAW(chen_ricles);

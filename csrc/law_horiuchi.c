@@ -15,18 +15,21 @@ static const rthyb_law_parameter horiuchi_parameters[] = {
     {"horiuchi.delay_s", "s", 0.0, 0.125, 0.02, "the delay of the actuator", RTHYB_OPEN_LOW, "identified.delay_s", NULL},
     {"horiuchi.order", "", 1.0, 3.0, 3.0, "the degree of the polynomial", 0, NULL, "degree {}"},
 };
-
-static const rthyb_law_value horiuchi_values[] = {
-    {"alpha", "samples", "lead"},
-    {"beta", "samples²", "curvature term"},
-};
 /* clang-format on */
 
 typedef struct {
     double weight[ORDER_MAX + 1];
     double x[HISTORY];
     uint32_t delay, order, at; /* samples; degree; the newest of x */
+    double alpha, beta;        /* reported */
 } horiuchi_state;
+
+/* clang-format off */
+static const rthyb_law_value horiuchi_values[] = {
+    {"alpha", "samples", "lead", offsetof(horiuchi_state, alpha)},
+    {"beta", "samples²", "curvature term", offsetof(horiuchi_state, beta)},
+};
+/* clang-format on */
 
 static int horiuchi_check(const double *p, double period_s, rthyb_law_complaint *why)
 {
@@ -54,6 +57,7 @@ static int horiuchi_init(void *state, const rthyb_law_start *start)
         return RTHYB_E_LAW;
     s->order = (uint32_t)order;
     s->delay = ticks_of(delay, start->period_s);
+    s->alpha = s->delay;
     for (int i = 0; i <= ORDER_MAX; i++)
         s->weight[i] = WEIGHTS[s->order - 1][i];
     horiuchi_rest(state, start->x0_m);
@@ -81,12 +85,6 @@ static int horiuchi_lead(void *state, double x_c_m, double allowed_m, double *x_
     return code;
 }
 
-static void horiuchi_report(const void *state, double *values)
-{
-    values[0] = ((const horiuchi_state *)state)->delay;
-    values[1] = 0.0;
-}
-
 static const rthyb_control_law horiuchi = {
     .is = {.name = "horiuchi",
            .meaning = "polynomial extrapolation over a delay that is known; learns nothing",
@@ -100,7 +98,6 @@ static const rthyb_control_law horiuchi = {
     .rest = horiuchi_rest,
     .observe = horiuchi_observe,
     .lead = horiuchi_lead,
-    .report = horiuchi_report,
 };
 
 RTHYB_LAW(horiuchi);

@@ -2,7 +2,8 @@
 #include "control_law.h"
 
 typedef struct {
-    double last; /* last good command */
+    double last;        /* last good command */
+    double alpha, beta; /* 0 */
 } none_state;
 
 static int none_init(void *state, const rthyb_law_start *start)
@@ -31,15 +32,9 @@ static int none_lead(void *state, double x_c_m, double allowed_m, double *x_p_m)
     return code;
 }
 
-static void none_report(const void *state, double *values)
-{
-    (void)state;
-    values[0] = values[1] = 0.0;
-}
-
 static const rthyb_law_value none_values[] = {
-    {"alpha", "samples", "delay compensated"},
-    {"beta", "samples²", "curvature term"},
+    {"alpha", "samples", "delay compensated", offsetof(none_state, alpha)},
+    {"beta", "samples²", "curvature term", offsetof(none_state, beta)},
 };
 
 static const rthyb_control_law none = {
@@ -52,7 +47,6 @@ static const rthyb_control_law none = {
     .rest = none_rest,
     .observe = none_observe,
     .lead = none_lead,
-    .report = none_report,
 };
 
 RTHYB_LAW(none);

@@ -38,7 +38,6 @@ static const rthyb_control_law robust = {
     .rest = rthyb_lead_rest,
     .observe = rthyb_lead_observe,
     .lead = rthyb_lead_lead,
-    .report = rthyb_lead_report,
 };
 
 RTHYB_LAW(robust);

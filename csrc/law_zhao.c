@@ -10,17 +10,20 @@ static const rthyb_law_parameter zhao_parameters[] = {
     {"zhao.tau_s", "s", 0.0, 1.0, 0.02, "the time constant of the actuator", 0, "identified.delay_s", NULL},
     {"zhao.filter_s", "s", 0.0, 1.0, 0.001, "the time constant that rolls the lead off", 0, NULL, NULL},
 };
-
-static const rthyb_law_value zhao_values[] = {
-    {"alpha", "samples", "lead"},
-    {"beta", "samples²", "curvature term"},
-};
 /* clang-format on */
 
 typedef struct {
     double h, tau, filter;
-    double x1, d; /* x_c[n-1], and how far the command was ahead of it */
+    double x1, d;       /* x_c[n-1], and how far the command was ahead of it */
+    double alpha, beta; /* reported */
 } zhao_state;
+
+/* clang-format off */
+static const rthyb_law_value zhao_values[] = {
+    {"alpha", "samples", "lead", offsetof(zhao_state, alpha)},
+    {"beta", "samples²", "curvature term", offsetof(zhao_state, beta)},
+};
+/* clang-format on */
 
 static int zhao_check(const double *p, double period_s, rthyb_law_complaint *why)
 {
@@ -39,6 +42,7 @@ static int zhao_init(void *state, const rthyb_law_start *start)
     s->tau = start->parameters[TAU];
     s->filter = start->parameters[FILTER];
     s->x1 = start->x0_m;
+    s->alpha = (s->tau - s->filter) / s->h;
     return s->filter >= 0.0 && s->tau <= 1e3 ? 0 : RTHYB_E_LAW;
 }
 
@@ -67,13 +71,6 @@ static int zhao_lead(void *state, double x_c_m, double allowed_m, double *x_p_m)
     return code;
 }
 
-static void zhao_report(const void *state, double *values)
-{
-    const zhao_state *s = state;
-    values[0] = (s->tau - s->filter) / s->h;
-    values[1] = 0.0;
-}
-
 static const rthyb_control_law zhao = {
     .is = {.name = "zhao",
            .meaning = "first-order lead, the inverse of a lag that is known; learns nothing",
@@ -87,7 +84,6 @@ static const rthyb_control_law zhao = {
     .rest = zhao_rest,
     .observe = zhao_observe,
     .lead = zhao_lead,
-    .report = zhao_report,
 };
 
 RTHYB_LAW(zhao);

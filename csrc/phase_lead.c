@@ -113,10 +113,3 @@ int rthyb_lead_lead(void *state, double x_c_m, double allowed_m, double *x_p_m)
         follow_estimate(lead, x_c_m, allowed_m);
     return rthyb_plc_step(&lead->plc, lead->alpha, lead->beta, x_c_m, x_p_m);
 }
-
-void rthyb_lead_report(const void *state, double *values)
-{
-    const rthyb_phase_lead *lead = state;
-    values[0] = lead->alpha;
-    values[1] = lead->beta;
-}

@@ -39,7 +39,13 @@ enum {
      "the power over rest noise that opens the gate", 0, NULL, NULL}
 /* clang-format on */
 
-#define LEAD_VALUES {{"alpha", "samples", "delay estimate"}, {"beta", "samples²", "curvature term"}}
+#define LEAD_VALUES                                                                                \
+    {                                                                                              \
+        {"alpha", "samples", "delay estimate", offsetof(rthyb_phase_lead, alpha)},                 \
+        {                                                                                          \
+            "beta", "samples²", "curvature term", offsetof(rthyb_phase_lead, beta)                 \
+        }                                                                                          \
+    }
 
 int rthyb_lead_check(const double *p, double period_s, rthyb_law_complaint *why);
 /* With the filter pair: its cut-off is the law's second own parameter. */
@@ -53,6 +59,5 @@ int rthyb_lead_init(rthyb_phase_lead *lead, const rthyb_estimator_config *cfg,
 void rthyb_lead_rest(void *state, double x_m);
 int rthyb_lead_observe(void *state, double x_p_m, double x_m_m, int frozen);
 int rthyb_lead_lead(void *state, double x_c_m, double allowed_m, double *x_p_m);
-void rthyb_lead_report(const void *state, double *values);
 
 #endif

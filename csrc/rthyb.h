@@ -231,6 +231,7 @@ typedef struct {
 typedef struct {
     const char *name, *unit;
     const char *label; /* of a figure */
+    uint64_t offset;   /* of the double in the law's state */
 } rthyb_law_value;
 
 typedef struct {
@@ -267,7 +268,7 @@ typedef union {
 
 typedef struct {
     rthyb_law_config cfg;
-    int32_t alpha_at, beta_at; /* among its values; -1: it has none */
+    int32_t alpha_at, beta_at; /* bytes from the beginning of its state; -1: it has none */
     rthyb_law_state state;
 } rthyb_law;
 
@@ -288,6 +289,8 @@ int rthyb_law_observe(rthyb_law *law, double x_p_m, double x_m_m, int frozen);
 /* What has been learnt since the last call moves x_p by no more than allowed_m: 0 not at all, INFINITY
  * as far as it likes. */
 int rthyb_law_lead(rthyb_law *law, double x_c_m, double allowed_m, double *x_p_m);
+/* NaN for an offset of -1. */
+double rthyb_law_value_at(const rthyb_law *law, int32_t offset);
 /* Room for RTHYB_LAW_VALUES_MAX. */
 void rthyb_law_report(const rthyb_law *law, double *values);
 /* Without learning. */
