@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, StrictBool
 
 from rthyb_rt.config import lawtables
-from rthyb_rt.config.fields import SLUG, SOME_TEXT, Choice, Count, Range, Table, Text
+from rthyb_rt.config.fields import SLUG, SOME_TEXT, Check, Choice, Count, Range, Table, Text
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ
