@@ -1,4 +1,4 @@
-/* One sample of the controller: gate -> estimator -> RFC -> numerical part -> PLC -> limiter. A pure
+/* One sample of the controller: gate -> law observes -> RFC -> numerical part -> law leads -> limiter. A pure
  * function of (state, input). */
 #include "internal.h"
 #include "numeric.h"
@@ -10,16 +10,13 @@
 
 int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cfg)
 {
-    if (!(cfg->period_s > 0.0 && cfg->period_s <= 1.0) ||
-        cfg->estimator.period_s != cfg->period_s || cfg->motion.period_s != cfg->period_s)
+    if (!(cfg->period_s > 0.0 && cfg->period_s <= 1.0) || cfg->motion.period_s != cfg->period_s)
         return RTHYB_E_PERIOD;
     if (!(cfg->velocity_limit_m_per_s >= 0.0 && cfg->acceleration_limit_m_per_s2 >= 0.0 &&
           cfg->x_range_m >= 0.0 && cfg->f_range_n >= 0.0 && cfg->clamp_m >= 0.0))
         return RTHYB_E_LIMIT;
     *c = (rthyb_controller){.cfg = *cfg, .state = RTHYB_RUNNING};
-    int error = rthyb_plc_init(&c->plc, cfg->estimator.w1, cfg->estimator.w2, 0.0);
-    if (!error)
-        error = rthyb_estimator_init(&c->estimator, &cfg->estimator, 0.0);
+    int error = rthyb_law_init(&c->law, &cfg->law, cfg->period_s, 0.0);
     if (!error)
         error = rthyb_rfc_init(&c->rfc, &cfg->rfc, 0.0, 0.0);
     const rthyb_numerical part = part_of(c);
@@ -29,8 +26,6 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
     c->extrapolate_until = ticks_of(EXTRAPOLATE_UNTIL_S, cfg->period_s);
     c->upper_m = COMMAND_MAX_M;
     c->lower_m = -COMMAND_MAX_M;
-    c->alpha = cfg->estimator.alpha0;
-    c->beta = cfg->estimator.beta0;
     return error;
 }
 
@@ -74,28 +69,6 @@ static void monitor(rthyb_controller *c, double x, double f)
     int code = RTHYB_OK;
     c->energy_error = confine(c->energy_error, 1e300, &code);
     c->tracking_indicator = confine(c->tracking_indicator, 1e300, &code);
-}
-
-/* alpha and beta follow the estimator no faster than one increment limit of the command a tick. */
-static void follow_estimate(rthyb_controller *c, double slope, double curvature)
-{
-    const double allowed = c->cfg.velocity_limit_m_per_s * c->cfg.period_s;
-    const rthyb_estimator_config *bounds = &c->cfg.estimator;
-    /* The printed law knows no bounds; what the compensator is given has them. */
-    const double alpha = bounds->law == RTHYB_LAW_FIXED
-                             ? c->estimator.alpha
-                             : clamp(c->estimator.alpha, bounds->alpha_min, bounds->alpha_max);
-    const double d_alpha = alpha - c->alpha, d_beta = c->estimator.beta - c->beta;
-    if (!(allowed > 0.0)) {
-        c->alpha = alpha;
-        c->beta = c->estimator.beta;
-        return;
-    }
-    const double s = (c->plc.w1 + c->plc.w2 + 1.0) / c->plc.w1;
-    const double effect = fabs(s) * (fabs(d_alpha * slope) + fabs(d_beta * curvature));
-    const double share = effect > allowed ? allowed / effect : 1.0;
-    c->alpha += share * d_alpha;
-    c->beta += share * d_beta;
 }
 
 /* The step that closes a lag and can still be braked away with half the acceleration limit. */
@@ -203,8 +176,8 @@ static void write_record(const rthyb_controller *c, const rthyb_input *in, doubl
     record->axis[0].x_cmd_m = c->x_cmd;
     record->axis[0].x_meas_m = x;
     record->axis[0].f_meas_n = f;
-    record->alpha = c->alpha;
-    record->beta = c->beta;
+    record->alpha = rthyb_law_value_at(&c->law, c->law.alpha_at);
+    record->beta = rthyb_law_value_at(&c->law, c->law.beta_at);
     record->k_t_n_per_m = c->rfc.k_n_per_m;
     record->energy_error_j = c->energy_error;
     record->tracking_indicator_m2 = c->tracking_indicator;
@@ -222,29 +195,46 @@ static int answer(rthyb_controller *c, double excitation, double force, double *
     return rthyb_numerical_answer(&c->cfg.numerical, excitation, force, x_num);
 }
 
-/* The next displacement by the equation of motion, with estimator, RFC and monitors. */
+/* The next displacement by the equation of motion, with what the law learns, RFC and monitors. */
 static int compute_motion(rthyb_controller *c, const rthyb_input *in, double x, double f,
                           int frozen, double *x_num)
 {
     double force;
     monitor(c, x, f);
     const int held = frozen || c->cfg.estimate_held;
-    int code = rthyb_estimator_step(&c->estimator, c->x_cmd, x, held);
+    int code = rthyb_law_observe(&c->law, c->x_cmd, x, held);
     code |= rthyb_rfc_step(&c->rfc, c->x_num, x, f, frozen, &force);
     code |= answer(c, in->excitation, force, x_num);
-    follow_estimate(c, *x_num - c->plc.x1, *x_num - 2.0 * c->plc.x1 + c->plc.x2);
     return code;
 }
 
-/* The next displacement from a path: estimator and RFC see the motion and learn nothing from it. */
+/* The next displacement from a path: law and RFC see the motion and learn nothing from it. */
 static int follow_path(rthyb_controller *c, double x, double f, double path_m, double *x_num)
 {
-    int code = rthyb_estimator_step(&c->estimator, c->x_cmd, x, 1);
+    int code = rthyb_law_observe(&c->law, c->x_cmd, x, 1);
     c->rfc.x1 = x;
     c->rfc.f1 = f;
     if (!has_own_part(c))
         rthyb_numerical_freeze(&c->cfg.numerical, f);
     *x_num = accept(path_m, RTHYB_DISPLACEMENT_MAX_M, c->x_num, &code);
+    return code;
+}
+
+/* What the law has learnt may move the command by one increment limit a tick; on a path, not at all. */
+static double allowed_move(const rthyb_controller *c, const double *path_m)
+{
+    const double most = c->cfg.velocity_limit_m_per_s * c->cfg.period_s;
+    if (path_m)
+        return 0.0;
+    return most > 0.0 ? most : (double)INFINITY;
+}
+
+/* x_p for the next instant. No law may bring the command out of this world. */
+static int lead(rthyb_controller *c, double x_num, double allowed_m, double *x_plc)
+{
+    double led;
+    int code = rthyb_law_lead(&c->law, x_num, allowed_m, &led);
+    *x_plc = c->cfg.lead_enabled ? accept(led, 1e300, c->x_plc, &code) : x_num;
     return code;
 }
 
@@ -278,9 +268,7 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
         code |= compute_motion(c, in, x, f, frozen, &x_num);
     code |= c->late_code;
     c->late_code = RTHYB_OK;
-    code |= rthyb_plc_step(&c->plc, c->alpha, c->beta, x_num, &x_plc);
-    if (!c->cfg.plc_enabled)
-        x_plc = x_num;
+    code |= lead(c, x_num, allowed_move(c, path_m), &x_plc);
     const double x_cmd = blind ? c->x_cmd : limit_command(c, x_plc);
     if (x_cmd != x_plc && !blind)
         code |= RTHYB_S_LIMITED;

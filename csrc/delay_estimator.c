@@ -7,7 +7,7 @@
  * Robust and RLS see x_p and x_m through one and the same band-pass, which leaves the model true,
  * takes the noise out of phi that would pull alpha to -1/12 (errors in variables), and the offset
  * of an untared sensor out of mu. */
-#include "numeric.h"
+#include "lowpass.h"
 
 #define ALPHA_GUARD 1e4        /* the printed law has no projection; its state is still finite */
 #define POWER_TIME_S 2.0       /* mean of phi^2 in the normalisation of the robust law */
@@ -22,32 +22,6 @@
 typedef struct {
     double mu, phi1, phi2;
 } regressor;
-
-/* Second-order Butterworth low-pass by the bilinear transform with the corner kept in place. */
-static rthyb_lowpass lowpass_design(double cutoff_hz, double period_s)
-{
-    const double k = tan(RTHYB_PI * cutoff_hz * period_s);
-    const double norm = 1.0 / (1.0 + sqrt(2.0) * k + k * k);
-    rthyb_lowpass f = {.b0 = k * k * norm, .b1 = 2.0 * k * k * norm, .b2 = k * k * norm};
-    f.a1 = 2.0 * (k * k - 1.0) * norm;
-    f.a2 = (1.0 - sqrt(2.0) * k + k * k) * norm;
-    return f;
-}
-
-/* Transposed direct form II. */
-static double lowpass_step(const rthyb_lowpass *f, double *s, double x)
-{
-    const double y = f->b0 * x + s[0];
-    s[0] = f->b1 * x - f->a1 * y + s[1];
-    s[1] = f->b2 * x - f->a2 * y;
-    return y;
-}
-
-static void lowpass_rest(const rthyb_lowpass *f, double *s, double x0)
-{
-    s[1] = (f->b2 - f->a2) * x0;
-    s[0] = (f->b1 - f->a1) * x0 + s[1];
-}
 
 /* The pair's band-pass: low-pass, then the slow mean taken off. */
 static double filter_step(const rthyb_estimator *est, double *s, double *level, double x)
@@ -86,7 +60,7 @@ static int is_filtered(const rthyb_estimator *est)
 /* mu, phi1, phi2 (Eqn 2.8) of the newest pair; shifts the histories. */
 static regressor form_regressor(rthyb_estimator *est, double p, double m)
 {
-    const double w1 = est->cfg.w1, w2 = est->cfg.w2;
+    const double w1 = est->w1, w2 = est->w2;
     const double s = w1 + w2 + 1.0, unit = est->unit;
     const double slope = m - est->m1;
     const regressor g = {
@@ -137,8 +111,6 @@ static int config_error(const rthyb_estimator_config *c)
 {
     if (!(c->period_s > 0.0 && c->period_s <= 1.0))
         return RTHYB_E_PERIOD;
-    if (!weights_ok(c->w1, c->w2))
-        return RTHYB_E_WEIGHTS;
     const int law_ok = c->law >= RTHYB_LAW_FIXED && c->law <= RTHYB_LAW_RLS;
     const int start_ok = fabs(c->alpha0) <= ALPHA_GUARD && fabs(c->beta0) <= 1e8;
     const int noise_ok = c->rest_noise_m >= 0.0 && c->rest_noise_m <= 1.0 &&
@@ -158,18 +130,25 @@ static int config_error(const rthyb_estimator_config *c)
     return gain_ok && cutoff_ok && bounds_ok ? 0 : RTHYB_E_ESTIMATOR;
 }
 
-int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg, double x0_m)
+int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg, double w1,
+                         double w2, double x0_m)
 {
     const int error = config_error(cfg);
     if (error)
         return error;
+    if (!weights_ok(w1, w2))
+        return RTHYB_E_WEIGHTS;
     if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
         return RTHYB_E_LIMIT;
-    *est = (rthyb_estimator){
-        .cfg = *cfg, .unit = 1.0 / cfg->reference_m, .alpha = cfg->alpha0, .beta = cfg->beta0};
+    *est = (rthyb_estimator){.cfg = *cfg,
+                             .w1 = w1,
+                             .w2 = w2,
+                             .unit = 1.0 / cfg->reference_m,
+                             .alpha = cfg->alpha0,
+                             .beta = cfg->beta0};
     est->level_weight = 1.0;
     if (is_filtered(est)) {
-        est->filter = lowpass_design(cfg->cutoff_hz, cfg->period_s);
+        est->filter = lowpass_design(cfg->cutoff_hz, cfg->period_s, sqrt(2.0));
         noise_moments(est);
     }
     if (cfg->law == RTHYB_LAW_RLS)

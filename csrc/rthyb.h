@@ -67,7 +67,8 @@ enum rthyb_error {
     RTHYB_E_SERVO,
     RTHYB_E_ELEMENT,
     RTHYB_E_SENSOR,
-    RTHYB_E_LIMIT /* a limit, or a starting value beyond any sense */
+    RTHYB_E_LIMIT, /* a limit, or a starting value beyond any sense */
+    RTHYB_E_LAW    /* no such control law, or parameters that it cannot work with */
 };
 
 /* ---- one record: ring slot, HDF5 row and replay input -------------------------------------- */
@@ -138,10 +139,10 @@ typedef struct {
     uint32_t cause;       /* enum rthyb_cause, as latched after the tick */
     double ag_mps2;       /* ground acceleration at t_n */
     double x_num_m;       /* x_c[n], command of the integration */
-    double x_plc_m;       /* output of the phase-lead compensator */
-    double alpha;         /* samples, after the update of tick n */
-    double beta;          /* samples squared */
-    double k_t_n_per_m;   /* tangent stiffness that the RFC used */
+    double x_plc_m;       /* output of the control law */
+    double alpha;       /* what the control law reports by that name, after the update of tick n, */
+    double beta;        /* samples and samples squared; NaN: it has none */
+    double k_t_n_per_m; /* tangent stiffness that the RFC used */
     double energy_error_j;
     double tracking_indicator_m2;
     rthyb_axis_record axis[RTHYB_AXES];
@@ -165,7 +166,7 @@ int rthyb_plc_run(rthyb_plc *plc, const double *alpha, const double *beta, const
 
 /* ---- delay estimator (delay_estimator.c) ---------------------------------------------------- */
 
-enum rthyb_law {
+enum rthyb_estimator_law {
     RTHYB_LAW_FIXED,    /* alpha and beta stay where they start */
     RTHYB_LAW_GRADIENT, /* Eqn 2.6-2.11 as printed */
     RTHYB_LAW_ROBUST,   /* the same behind filter pair, gate, projection, power normalisation */
@@ -173,9 +174,8 @@ enum rthyb_law {
 };
 
 typedef struct {
-    int32_t law;           /* enum rthyb_law */
+    int32_t law;           /* enum rthyb_estimator_law */
     int32_t estimate_beta; /* RLS only */
-    double w1, w2;
     double alpha0, beta0;
     double period_s;
     double reference_m;    /* unit of mu and phi in the normalisation 1 + phi^2: the paper's 1 mm */
@@ -193,6 +193,7 @@ typedef struct {
 
 typedef struct {
     rthyb_estimator_config cfg;
+    double w1, w2; /* of the compensator that is led */
     rthyb_lowpass filter;
     double unit;                     /* 1 / reference_m */
     double filter_p[2], filter_m[2]; /* states of the pair: low-pass */
@@ -213,11 +214,102 @@ typedef struct {
     int32_t open;          /* the gate, for the record */
 } rthyb_estimator;
 
-int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg, double x0_m);
+int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg, double w1,
+                         double w2, double x0_m);
 /* frozen != 0 takes the pair in but leaves alpha and beta alone. */
 int rthyb_estimator_step(rthyb_estimator *est, double x_p_m, double x_m_m, int frozen);
 int rthyb_estimator_run(rthyb_estimator *est, const double *x_p_m, const double *x_m_m,
                         double *alpha, double *beta, size_t n);
+
+/* ---- control laws (control_law.c; one file each, law_NAME.c) ---------------------------------- */
+
+enum rthyb_law_size {
+    RTHYB_LAW_PARAMETERS_MAX = 32,
+    RTHYB_LAW_VALUES_MAX = 32,     /* that one law reports */
+    RTHYB_LAW_STATE_BYTES = 16384, /* largest state of a law */
+    RTHYB_LAW_NUMBERS = 4          /* that a complaint may name */
+};
+
+enum rthyb_open { RTHYB_OPEN_LOW = 1, RTHYB_OPEN_HIGH = 2 };
+
+typedef struct {
+    const char *key;  /* of a test file, below [controller] */
+    const char *unit; /* "" of a plain number */
+    double low, high;
+    double standard; /* without a word in the file; NaN: it must be said there, or by the rig */
+    const char *meaning;
+    int32_t open;        /* enum rthyb_open: bounds that it may come near but not take */
+    const char *rig_key; /* of a rig file, which has it when the test does not; or NULL */
+    const char *words;   /* how a summary says it, {} for the number; NULL: not at all */
+} rthyb_law_parameter;
+
+typedef struct {
+    const char *name, *unit;
+    const char *label; /* of a figure */
+    uint64_t offset;   /* of the double in the law's state */
+} rthyb_law_value;
+
+typedef struct {
+    const char *name;    /* controller.type */
+    const char *meaning; /* in one line */
+    const char *calmer;  /* what to do when it learns wrongly; NULL: it does not learn */
+    const rthyb_law_parameter *parameters;
+    const rthyb_law_value *values; /* that it reports: alpha and beta go into the record */
+    uint32_t parameter_count, value_count;
+    int32_t uses_rest_noise;
+} rthyb_law_description;
+
+/* What is wrong with settings that are each within their range. Text with {} for each of the numbers;
+ * other settings are named in it by the last part of their keys. */
+typedef struct {
+    const char *text;
+    double numbers[RTHYB_LAW_NUMBERS];
+} rthyb_law_complaint;
+
+typedef struct rthyb_control_law rthyb_control_law;
+
+typedef struct {
+    int32_t kind;        /* rthyb_law_find; of this program, and of no recording */
+    int32_t adapts;      /* 0: what it would learn stays as it begins */
+    double rest_noise_m; /* standard deviation of x_m measured at rest */
+    double parameters[RTHYB_LAW_PARAMETERS_MAX]; /* in the order of its table */
+} rthyb_law_config;
+
+typedef union {
+    double align_double;
+    uint64_t align_word;
+    unsigned char bytes[RTHYB_LAW_STATE_BYTES];
+} rthyb_law_state;
+
+typedef struct {
+    rthyb_law_config cfg;
+    int32_t alpha_at, beta_at; /* bytes from the beginning of its state; -1: it has none */
+    rthyb_law_state state;
+} rthyb_law;
+
+/* Of all laws in this program, whose order says nothing. */
+size_t rthyb_law_count(void);
+/* -1: no such law. */
+int32_t rthyb_law_find(const char *name);
+/* NULL: no such law. */
+const rthyb_law_description *rthyb_law_describe(int32_t kind);
+size_t rthyb_law_state_size(int32_t kind);
+/* What parameters that are each within their range do wrong together: -1, or the index of the one to
+ * blame. */
+int rthyb_law_check(int32_t kind, const double *parameters, double period_s,
+                    rthyb_law_complaint *complaint);
+int rthyb_law_init(rthyb_law *law, const rthyb_law_config *cfg, double period_s, double x0_m);
+void rthyb_law_rest(rthyb_law *law, double x_m);
+int rthyb_law_observe(rthyb_law *law, double x_p_m, double x_m_m, int frozen);
+/* What has been learnt since the last call moves x_p by no more than allowed_m: 0 not at all, INFINITY
+ * as far as it likes. */
+int rthyb_law_lead(rthyb_law *law, double x_c_m, double allowed_m, double *x_p_m);
+/* NaN for an offset of -1. */
+double rthyb_law_value_at(const rthyb_law *law, int32_t offset);
+/* Room for RTHYB_LAW_VALUES_MAX. */
+void rthyb_law_report(const rthyb_law *law, double *values);
+/* Without learning. */
+int rthyb_law_run(rthyb_law *law, const double *x_c_m, double *x_p_m, size_t n);
 
 /* ---- restoring-force compensator (rfc.c) ---------------------------------------------------- */
 
@@ -516,8 +608,8 @@ int rthyb_rig_run(rthyb_rig *rig, const double *x_p_m, double *x_m_m, double *f_
 
 typedef struct {
     double period_s;
-    int32_t plc_enabled;
-    rthyb_estimator_config estimator;
+    int32_t lead_enabled; /* 0: what the law leads by does not reach the command */
+    rthyb_law_config law;
     rthyb_rfc_config rfc;
     rthyb_motion_config motion;
     rthyb_numerical
@@ -526,13 +618,12 @@ typedef struct {
     double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* 0 = off */
     double clamp_m; /* the command never leaves clamp_centre_m +-clamp_m; 0 = off */
     double clamp_centre_m;
-    int32_t estimate_held; /* alpha and beta stay where they are */
+    int32_t estimate_held; /* what the law has learnt stays as it is */
 } rthyb_controller_config;
 
 typedef struct {
     rthyb_controller_config cfg;
-    rthyb_plc plc;
-    rthyb_estimator estimator;
+    rthyb_law law;
     rthyb_rfc rfc;
     rthyb_motion motion;
     int32_t behind;    /* the numerical part has answered and has the rest of that step to do */
@@ -546,7 +637,6 @@ typedef struct {
     uint32_t freeze_after, extrapolate_until; /* lost samples in a row: 2.9 ms, 19.5 ms */
     double lower_m, upper_m;                  /* the command may be no further out than these now */
     int32_t gap;                              /* a tick since then in which none left */
-    double alpha, beta;                       /* as the PLC has them, rate-limited */
     double x_m1, f1, x_num1;
     double energy_error, tracking_indicator;
     uint32_t missing; /* samples in a row without an accepted pair */
@@ -807,7 +897,7 @@ enum rthyb_parameters_size { RTHYB_PARAMETER_WORDS = 62 };
 /* What may be changed while a test runs. Generation 0 is what the station was set up with. */
 typedef struct {
     uint32_t generation;
-    int32_t adapt;                        /* 0: alpha and beta stay where they are */
+    int32_t adapt;                        /* 0: what the control law has learnt stays as it is */
     rthyb_watch watch[RTHYB_CAUSE_COUNT]; /* as in rthyb_station_config */
     double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* of the command; 0 = off */
     /* As in rthyb_station_config, of paths that begin from now on; narrower than those of the path

@@ -370,7 +370,7 @@ static int is_on_its_way(int state)
 static void settle(rthyb_station *s, double x)
 {
     rthyb_controller *c = &s->controller;
-    (void)rthyb_plc_init(&c->plc, c->cfg.estimator.w1, c->cfg.estimator.w2, x);
+    rthyb_law_rest(&c->law, x);
     c->x_num = c->x_num1 = c->x_plc = c->x_cmd = c->x_cmd1 = c->x_lim = c->x_lim1 = x;
     c->step = c->step1 = 0.0;
     c->gap = 0;

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from rthyb_rt import recording
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.errors import RthybError
+from rthyb_rt.laws import LAWS
 
 if TYPE_CHECKING:
     from rthyb_rt.links.wire import Codec
@@ -69,6 +70,7 @@ _REFUSED: Final[dict[int, str]] = {
     "stiff for its mass and substeps",
     lib.RTHYB_E_ELEMENT: "an element's kind, parameter count or a parameter is out of range",
     lib.RTHYB_E_SENSOR: "a sensor's noise, lsb, bias or range is out of range",
+    lib.RTHYB_E_LAW: "there is no such control law, or it cannot work with its settings",
     lib.RTHYB_E_LIMIT: "a limit must be finite and >= 0, a starting value finite and sensible",
 }
 
@@ -187,7 +189,7 @@ def as_records(rows: RecordArray) -> RecordArray:
 
 # ---- configuration of the kernels ---------------------------------------------------------------
 
-Law = Literal["fixed", "gradient", "robust", "rls"]
+EstimatorLaw = Literal["fixed", "gradient", "robust", "rls"]
 Tangent = Literal["mean-of-ratios", "least-squares"]
 Divisor = Literal["printed", "terms"]
 Integrator = Literal["central-difference", "forward-euler", "cr", "kr-alpha", "prescribed"]
@@ -236,10 +238,8 @@ class EstimatorConfig:
     ``robust``; ``memory_samples`` belongs to ``rls``.
     """
 
-    law: Law = "fixed"
+    law: EstimatorLaw = "fixed"
     estimate_beta: bool = False
-    w1: float = 3.0
-    w2: float = 2.0
     alpha0: float = 0.0
     beta0: float = 0.0
     period_s: float = PERIOD_S
@@ -251,6 +251,43 @@ class EstimatorConfig:
     alpha_max: float = 60.0
     rest_noise_m: float = 0.0
     gate_factor: float = 10.0
+
+
+@dataclass(frozen=True)
+class LawConfig:
+    """A control law by its name, with the settings that are not its table's defaults.
+
+    ``settings`` is by the keys of `rthyb_rt.laws`; ``adapts`` False: what it would learn stays as
+    it begins. ``rest_noise_m``: standard deviation of x_m at rest.
+    """
+
+    name: str = "none"
+    settings: Mapping[str, float] = field(default_factory=dict)
+    adapts: bool = True
+    rest_noise_m: float = 0.0
+
+    def values(self) -> list[float]:
+        """Return all settings in the core's order.
+
+        Raises:
+            CoreError: there is no such law or setting, or one without a default is missing.
+        """
+        law = LAWS.get(self.name)
+        if law is None:
+            raise CoreError(f"control law {self.name!r}: unknown; there are {', '.join(LAWS)}")
+        try:
+            return law.ordered(self.settings)
+        except ValueError as error:
+            raise CoreError(str(error)) from None
+
+    def mapping(self) -> dict[str, Any]:
+        """Return the ``rthyb_law_config`` of the C core as a mapping; raises ``CoreError``."""
+        return {
+            "parameters": self.values(),
+            "kind": LAWS[self.name].kind,
+            "adapts": self.adapts,
+            "rest_noise_m": self.rest_noise_m,
+        }
 
 
 @dataclass(frozen=True)
@@ -395,10 +432,10 @@ class ControllerConfig:
     ``numerical`` takes the place of ``motion``, unless that is prescribed.
     """
 
-    estimator: EstimatorConfig
+    law: LawConfig
     rfc: RfcConfig
     motion: MotionConfig
-    plc_enabled: bool = True
+    lead_enabled: bool = True
     period_s: float = PERIOD_S
     x_range_m: float = 0.0
     f_range_n: float = 0.0
@@ -529,11 +566,14 @@ def plc_is_stable(w1: float, w2: float) -> bool:
 
 
 class Estimator:
-    """Adaptive delay estimator; raises ``CoreError`` for settings out of range."""
+    """Adaptive delay estimator for a compensator with these weights; raises ``CoreError``."""
 
-    def __init__(self, config: EstimatorConfig, x0_m: float = 0.0) -> None:
+    def __init__(
+        self, config: EstimatorConfig, x0_m: float = 0.0, *, w1: float = 3.0, w2: float = 2.0
+    ) -> None:
         self._c = ffi.new("rthyb_estimator *")
-        _check(lib.rthyb_estimator_init(self._c, _struct("rthyb_estimator_config", config), x0_m))
+        struct = _struct("rthyb_estimator_config", config)
+        _check(lib.rthyb_estimator_init(self._c, struct, w1, w2, x0_m))
 
     @property
     def alpha(self) -> float:
@@ -564,7 +604,75 @@ class Estimator:
 
     def state(self) -> dict[str, float]:
         """Return every number of the estimator's memory by name."""
-        return _numbers(self._c, skip=("cfg", "filter"))
+        return _numbers(self._c, skip=("cfg", "w1", "w2", "filter"))
+
+
+class Law:
+    """A control law at work, without the controller around it; raises ``CoreError``."""
+
+    def __init__(self, config: LawConfig, x0_m: float = 0.0, *, period_s: float = PERIOD_S) -> None:
+        self.config = config
+        self._c = ffi.new("rthyb_law *")
+        struct = ffi.new("rthyb_law_config *", config.mapping())
+        _check(lib.rthyb_law_init(self._c, struct, period_s, x0_m))
+        self._out = ffi.new("double *")
+        self._values = ffi.new("double[]", lib.RTHYB_LAW_VALUES_MAX)
+
+    def rest(self, x_m: float) -> None:
+        """Stand still at a place; what has been learnt stays."""
+        lib.rthyb_law_rest(self._c, x_m)
+
+    def observe(self, x_p_m: float, x_m_m: float, frozen: bool = False) -> int:
+        """Take the newest pair in; return the status bits."""
+        return int(lib.rthyb_law_observe(self._c, x_p_m, x_m_m, frozen))
+
+    def lead(self, x_c_m: float, allowed_m: float = float("inf")) -> tuple[float, int]:
+        """Return x_p for the same instant, and the status bits.
+
+        ``allowed_m``: as far as what was learnt since the last call may move the command.
+        """
+        code = lib.rthyb_law_lead(self._c, x_c_m, allowed_m, self._out)
+        return self._out[0], code
+
+    def run(self, x_c_m: npt.ArrayLike) -> FloatArray:
+        """Return x_p for commands of shape (n,), without learning."""
+        x = _doubles(x_c_m)
+        out = np.empty_like(x)
+        lib.rthyb_law_run(self._c, _in(x), _out(out), x.size)
+        return out
+
+    def follow(
+        self, x_c_m: npt.ArrayLike, x_p_m: npt.ArrayLike, x_m_m: npt.ArrayLike
+    ) -> tuple[FloatArray, dict[str, FloatArray]]:
+        """Return x_p and all reported values, each (n,), along recorded signals of shape (n,).
+
+        At each sample the law takes in the pair of ``x_p_m`` and ``x_m_m``, then leads ``x_c_m``.
+        """
+        c, p, m = _doubles(x_c_m), _doubles(x_p_m), _doubles(x_m_m)
+        _same_length(c, p, m)
+        led = np.empty_like(c)
+        names = [value.name for value in LAWS[self.config.name].values]
+        values = np.empty((c.size, len(names)))
+        for n in range(c.size):
+            self.observe(p[n], m[n])
+            led[n], _ = self.lead(c[n])
+            values[n] = list(self.report().values())
+        return led, {name: values[:, i] for i, name in enumerate(names)}
+
+    def report(self) -> dict[str, float]:
+        """Return what the law reports, by name."""
+        lib.rthyb_law_report(self._c, self._values)
+        names = LAWS[self.config.name].values
+        return {value.name: float(self._values[i]) for i, value in enumerate(names)}
+
+    def save(self) -> bytes:
+        """Return the law's state, all of it."""
+        size = LAWS[self.config.name].state_bytes
+        return bytes(ffi.buffer(self._c.state.bytes, size))
+
+    def restore(self, state: bytes) -> None:
+        """Go on from a state that a law of the same settings has saved."""
+        ffi.memmove(self._c.state.bytes, state, LAWS[self.config.name].state_bytes)
 
 
 class Rfc:
@@ -887,7 +995,9 @@ class StationConfig:
         try:
             given = dict(plain)
             inner: dict[str, Any] = dict(given.pop("controller"))
-            parts = {"estimator": EstimatorConfig, "rfc": RfcConfig, "motion": MotionConfig}
+            if "estimator" in inner:
+                inner |= _law_of_estimator(inner)
+            parts = {"law": LawConfig, "rfc": RfcConfig, "motion": MotionConfig}
             inner |= {name: kind(**inner[name]) for name, kind in parts.items()}
             if inner.get("numerical") is not None:
                 inner["numerical"] = _dense(inner["numerical"])
@@ -897,6 +1007,36 @@ class StationConfig:
             raise CoreError(
                 f"station settings: {error}; replay with the version that recorded"
             ) from error
+
+
+def _law_of_estimator(controller: dict[str, Any]) -> dict[str, Any]:
+    """Return what took the place of estimator and phase lead in a controller's plain settings.
+
+    Recordings have them so that were made when there was no other law. They are taken out here.
+    """
+    old, enabled = controller.pop("estimator"), controller.pop("plc_enabled")
+    name, own = {
+        "fixed": ("paper", {}),
+        "gradient": (
+            "paper",
+            {"gain_per_mm2_per_sample": old["gain"] / (old["reference_m"] / 1e-3) ** 2},
+        ),
+        "robust": ("robust", {"rate_per_sample": old["gain"]}),
+        "rls": ("alpha-beta", {"memory_s": old["memory_samples"] * old["period_s"]}),
+    }[old["law"]]
+    own |= {"reference_displacement_m": old["reference_m"]}
+    own |= {key: old[key] for key in ("alpha_min", "alpha_max")}
+    if name != "paper":
+        own |= {key: old[key] for key in ("cutoff_hz", "gate_factor")}
+    settings = {key: old[key] for key in ("w1", "w2", "alpha0", "beta0")}
+    settings |= {f"delay_estimator.{key}": value for key, value in own.items()}
+    law = {
+        "name": name,
+        "settings": settings,
+        "adapts": old["law"] != "fixed",
+        "rest_noise_m": old["rest_noise_m"],
+    }
+    return {"law": law, "lead_enabled": enabled}
 
 
 @dataclass(frozen=True)
@@ -959,7 +1099,7 @@ class Parameters:
     ``watches`` as in :class:`StationConfig`, and what it does not name is not watched; limits of
     the command with 0 for off; path limits are for paths that begin from then on, and narrower ones
     have the path that runs brake and begin anew; a brake of 0 is as hard as paths are. ``adapt``
-    False: alpha and beta stay where they are.
+    False: what the control law has learnt stays as it is.
     """
 
     watches: Mapping[str, Watch] = field(default_factory=dict)
@@ -1295,6 +1435,8 @@ def _records(array: RecordArray) -> Any:
 def _value(name: str, value: Any) -> Any:
     if isinstance(value, str):
         return _ENUMS[name][value]
+    if isinstance(value, LawConfig):
+        return value.mapping()
     return _mapping(value) if dataclasses.is_dataclass(value) else value
 
 

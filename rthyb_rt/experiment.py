@@ -25,13 +25,6 @@ from rthyb_rt.ground_motion import GroundMotion
 
 REFERENCE_DTYPE = np.dtype([("x_ref_m", "<f8"), ("v_ref_mps", "<f8"), ("f_ref_n", "<f8")])
 
-_LAWS: dict[str, tuple[core.Law, bool]] = {
-    "paper": ("gradient", False),
-    "robust": ("robust", False),
-    "alpha-beta": ("rls", True),
-    "none": ("fixed", False),
-}
-
 Progress = Callable[[int, int], None]
 
 _A = TypeVar("_A")
@@ -152,10 +145,9 @@ def follow_reference(setup: Setup) -> Setup:
     Args:
         setup: the test with its reference, and the limits of its files.
     """
-    derived, wanted, h = setup.derived, setup.test.controller, setup.rate.period_s
+    derived, h = setup.derived, setup.rate.period_s
     x_m = setup.reference["x_ref_m"]
-    lead = core.Plc(wanted.w1, wanted.w2)
-    sent_m = lead.run(x_m, derived.alpha0, derived.beta0) if derived.plc_enabled else x_m
+    sent_m = core.Law(setup.controller.law, period_s=h).run(x_m) if derived.plc_enabled else x_m
     limits = limits_file.with_reference(
         derived.limits,
         float(np.abs(np.diff(sent_m)).max(initial=0.0)) / h,
@@ -288,8 +280,8 @@ def controller_config(
     wanted, limits = test.controller, test.limits
     sensors, velocity = rig.sensors, limits.command_velocity_m_per_s
     return core.ControllerConfig(
-        plc_enabled=derived.plc_enabled,
-        estimator=_estimator_config(test, derived),
+        lead_enabled=derived.plc_enabled,
+        law=law_config(test, derived),
         rfc=core.RfcConfig(
             k_e_n_per_m=derived.k_e_n_per_m,
             enabled=derived.rfc_enabled,
@@ -309,32 +301,13 @@ def controller_config(
     )
 
 
-def _estimator_config(test: TestFile, derived: Derived) -> core.EstimatorConfig:
-    wanted = test.controller
-    estimator = wanted.delay_estimator
-    law, with_beta = _LAWS[wanted.type] if derived.estimator_enabled else ("fixed", False)
-    # The file's gain is per mm^2, the core's per reference^2. A slope per sample is the smaller the
-    # shorter the sample: in units of a reference that shrinks with it, phi is the same at any rate.
-    # And what is learnt in a sample is as much less as there are more of them.
-    per_reference = (estimator.reference_displacement_m / 1e-3) ** 2
-    gain = derived.gain_per_mm2_per_sample * per_reference
-    rate = derived.rate
-    return core.EstimatorConfig(
-        law=law,
-        estimate_beta=with_beta,
-        w1=wanted.w1,
-        w2=wanted.w2,
-        alpha0=derived.alpha0,
-        beta0=derived.beta0,
-        period_s=rate.period_s,
-        reference_m=estimator.reference_displacement_m / rate.pace,
-        gain=(derived.rate_per_sample if law == "robust" else gain) / rate.pace,
-        memory_samples=derived.memory_s * rate.hz,
-        cutoff_hz=estimator.cutoff_hz,
-        alpha_min=derived.alpha_min,
-        alpha_max=derived.alpha_max,
+def law_config(test: TestFile, derived: Derived) -> core.LawConfig:
+    """Return the control law with all its settings."""
+    return core.LawConfig(
+        name=test.controller.type,
+        settings=dict(derived.law_settings),
+        adapts=derived.estimator_enabled,
         rest_noise_m=derived.rest_noise_displacement_m,
-        gate_factor=estimator.gate_factor,
     )
 
 

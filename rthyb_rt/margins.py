@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rthyb_rt.config import RigFile
-from rthyb_rt.core import Motion, MotionConfig, element
+from rthyb_rt.core import PERIOD_S, Law, LawConfig, Motion, MotionConfig, element
+from rthyb_rt.laws import LAWS
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -29,6 +30,10 @@ OSCILLATES: Final = math.pi / 2
 
 LEAST_DELAY_MARGIN: Final = 1.0
 """An error of alpha below one sample is none: a command that is held moves the delay by as much."""
+
+# A law's answer to one sample is taken for so long, or until it has died away to this share.
+_LONGEST_LEAD: Final = 256
+_SILENT: Final = 1e-12
 
 # A rig is told to be a lag, not a delay, by a tenth: more than the scatter of a sweep.
 _FALLS = 0.9
@@ -72,6 +77,60 @@ class Lead:
         if math.isinf(z):
             return float(top[0] / bottom[0])
         return float(np.polyval(top, z) / np.polyval(bottom, z))
+
+
+@dataclass(frozen=True)
+class SampledLead:
+    """Any control law as it begins, by the response to one sample: C(z) = sum of h[n] z^-n.
+
+    Attributes:
+        response: h, shape (n,).
+    """
+
+    response: Floats
+
+    @property
+    def alpha(self) -> float:
+        """The delay that slow motions are led by, samples."""
+        h = self.response
+        return -float(np.arange(h.size) @ h) / float(h.sum())
+
+    def polynomials(self) -> tuple[Floats, Floats]:
+        """Return numerator and denominator of C(z), highest power first, each (n,)."""
+        bottom = np.zeros(self.response.size)
+        bottom[0] = 1.0
+        return self.response, bottom
+
+    @property
+    def first_sample_gain(self) -> float:
+        """What a step of the command becomes in its first sample: C at infinity."""
+        return float(self.response[0])
+
+    @property
+    def nyquist_gain(self) -> float:
+        """What the fastest motion that samples can show is multiplied by: C(-1)."""
+        return abs(float(self.response[::2].sum() - self.response[1::2].sum()))
+
+
+def lead_of(law: LawConfig, period_s: float = PERIOD_S) -> Lead | SampledLead:
+    """Return a control law at its first settings as a linear filter.
+
+    Args:
+        law: the law.
+        period_s: sampling period.
+
+    Raises:
+        CoreError: the law cannot work with its settings.
+    """
+    given = dict(zip((p.key for p in LAWS[law.name].parameters), law.values(), strict=True))
+    if {"alpha0", "beta0", "w1", "w2"} <= set(given):
+        pace = PERIOD_S / period_s
+        return Lead(given["alpha0"] * pace, given["beta0"] * pace**2, given["w1"], given["w2"])
+    pulse = np.zeros(_LONGEST_LEAD)
+    pulse[0] = 1.0
+    response = Law(law, period_s=period_s).run(pulse)
+    heard = np.flatnonzero(np.abs(response) > _SILENT * np.abs(response).max())
+    return SampledLead(response[: heard[-1] + 1])
 
 
 # ---- stability of the structure behind a delay --------------------------------------------------
@@ -125,7 +184,7 @@ def _times(*factors: ArrayLike) -> Floats:
     return product
 
 
-def _loop(motion: MotionConfig, lead: Lead) -> tuple[Floats, Floats]:
+def _loop(motion: MotionConfig, lead: Lead | SampledLead) -> tuple[Floats, Floats]:
     """Return P and Q of the characteristic equation P(z) z^D + Q(z) = 0.
 
     The specimen is a spring k_e that feels the compensated command D samples late:
@@ -137,7 +196,9 @@ def _loop(motion: MotionConfig, lead: Lead) -> tuple[Floats, Floats]:
     return _times(own, lead_bottom), motion.k_e_n_per_m * _times(top, lead_top)
 
 
-def is_stable(motion: MotionConfig, delay_samples: int, lead: Lead | None = None) -> bool:
+def is_stable(
+    motion: MotionConfig, delay_samples: int, lead: Lead | SampledLead | None = None
+) -> bool:
     """Return whether every characteristic root lies inside the unit circle.
 
     Args:
@@ -151,7 +212,7 @@ def is_stable(motion: MotionConfig, delay_samples: int, lead: Lead | None = None
     return bool(np.all(np.abs(roots) < 1.0))
 
 
-def critical_delay(motion: MotionConfig, lead: Lead | None = None) -> float:
+def critical_delay(motion: MotionConfig, lead: Lead | SampledLead | None = None) -> float:
     """Return the longest pure delay that the structure with an elastic specimen survives.
 
     A characteristic root can cross the unit circle only at an angle theta at which

@@ -6,13 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.core import DenseConfig
-from rthyb_rt.margins import Lead, first_crossing, largest_survived
+from rthyb_rt.margins import Lead, SampledLead, first_crossing, largest_survived
 from rthyb_rt.numerical_parts import DensePart
 
 Floats = NDArray[np.float64]
 
 
-def is_stable(part: DenseConfig, delay_samples: int, lead: Lead | None = None) -> bool:
+def is_stable(
+    part: DenseConfig, delay_samples: int, lead: Lead | SampledLead | None = None
+) -> bool:
     """Return whether every root of the part with a delayed elastic specimen lies in the circle.
 
     The specimen is a spring ``k_e_n_per_m`` that feels the compensated command so many samples
@@ -48,7 +50,7 @@ def is_stable(part: DenseConfig, delay_samples: int, lead: Lead | None = None) -
     return bool(np.all(np.abs(np.linalg.eigvals(m)) < 1.0))
 
 
-def critical_delay(part: DenseConfig, lead: Lead | None = None) -> float:
+def critical_delay(part: DenseConfig, lead: Lead | SampledLead | None = None) -> float:
     """Return the longest pure delay that is survived, samples, as `margins.critical_delay`.
 
     Args:

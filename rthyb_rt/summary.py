@@ -15,6 +15,7 @@ from rthyb_rt.attention import Finding, Judge, Subject
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import Rate
 from rthyb_rt.core import Integrator, MotionConfig
+from rthyb_rt.laws import LAWS, Law
 from rthyb_rt.numbers import count, number, percent, quantity
 from rthyb_rt.numerical_structure import Structure, structure_of
 from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
@@ -125,13 +126,22 @@ def setup(rec: Recording) -> Setup:
         window = _times(_number(_get(test, "controller", "rfc", "window_s")), rate.hz)
     plc = compensated and _get(test, "controller", "plc_enabled") is not False
     estimator = ("controller", "delay_estimator")
+    law = LAWS.get(controller or "")
+    # The table is there whatever the law; a law that this version has not may read it.
+    bounded = law is None or law.parameter("delay_estimator.alpha_min") is not None
     return Setup(
         controller=controller,
         plc_enabled=plc,
-        estimator_enabled=plc and _get(test, *estimator, "enabled") is not False,
+        estimator_enabled=plc
+        and (law is None or law.learns)
+        and _get(test, *estimator, "enabled") is not False,
         rfc_enabled=compensated and _get(test, "controller", "rfc", "enabled") is not False,
-        alpha_min=_times(_number(_get(test, *estimator, "alpha_min")), rate.pace),
-        alpha_max=_times(_number(_get(test, *estimator, "alpha_max")), rate.pace),
+        alpha_min=_times(_number(_get(test, *estimator, "alpha_min")), rate.pace)
+        if bounded
+        else None,
+        alpha_max=_times(_number(_get(test, *estimator, "alpha_max")), rate.pace)
+        if bounded
+        else None,
         alpha_identified=_times(_number(_get(rig, "identified", "alpha")), rate.pace),
         k_e_n_per_m=k_e,
         mass_kg=mass,
@@ -141,7 +151,7 @@ def setup(rec: Recording) -> Setup:
         critical_delay_samples=critical_delay,
         window_samples=None if window is None else round(window),
         tangent=_words(_get(test, "controller", "rfc", "tangent")) or None,
-        gain=_gain(controller, _get(test, *estimator), rate),
+        gain=_gain(law, _get(test, "controller"), rate),
         limits=_limits(test),
         reference_peak_m=_reference_peak(rec, "x_ref_m"),
         reference_peak_n=_reference_peak(rec, "f_ref_n"),
@@ -202,22 +212,16 @@ def _reference_peak(rec: Recording, name: str) -> float | None:
     return peak if peak > 0.0 else None
 
 
-_GAINS = {
-    "paper": ("gain_per_mm2_per_sample", "γ = {} per mm² per sample"),
-    "robust": ("rate_per_sample", "rate {} per sample"),
-    "alpha-beta": ("memory_s", "memory {} s"),
-}
-
-
-def _gain(controller: str | None, estimator: Any, rate: Rate) -> str | None:
-    """Return the one setting of a controller's adaptive law in words."""
-    key, words = _GAINS.get(controller or "", ("", ""))
-    value = _number(_get(estimator, key))
-    if value is None:
-        return None
-    # A file's sample is one of 1/1024 s whatever the rate of its test.
-    of = " of 1/1024 s" if words.endswith("sample") and rate.pace != 1.0 else ""
-    return words.format(f"{value:g}") + of
+def _gain(law: Law | None, controller: Any, rate: Rate) -> str | None:
+    """Return in words what a control law's own table wants said of its settings."""
+    said = []
+    for parameter in law.parameters if law else ():
+        value = _number(_get(controller, *parameter.key.split(".")))
+        if value is not None and parameter.words is not None:
+            # A file's sample is one of 1/1024 s whatever the rate of its test.
+            of = " of 1/1024 s" if parameter.words.endswith("sample") and rate.pace != 1.0 else ""
+            said.append(parameter.words.format(f"{value:g}") + of)
+    return ", ".join(said) or None
 
 
 def _words(value: Any) -> str:
@@ -735,14 +739,6 @@ def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding])
     return f"{found}; {_remedy_of_stiffness(given)}."
 
 
-_ADAPTS_LESS = {
-    "paper": "lower controller.delay_estimator.gain_per_mm2_per_sample, or set controller.type = "
-    '"robust", which does not learn from noise',
-    "robust": "lower controller.delay_estimator.rate_per_sample, or raise its gate_factor",
-    "alpha-beta": "raise controller.delay_estimator.memory_s",
-}
-
-
 def _remedy_of_response(given: Setup, beside: set[str]) -> str:
     if not given.plc_enabled:
         return 'nothing compensates the delay: set controller.type = "robust"'
@@ -758,7 +754,8 @@ def _remedy_of_response(given: Setup, beside: set[str]) -> str:
 def _remedy_of_delay(given: Setup) -> str:
     if not given.estimator_enabled:
         return "set controller.alpha0 to that delay, or identify the rig anew"
-    less = _ADAPTS_LESS.get(given.controller or "", "look at controller.delay_estimator")
+    law = LAWS.get(given.controller or "")
+    less = (law.calmer if law else None) or "look at the settings of the control law"
     return f"{less}; if the rig has changed, identify it anew"
 
 

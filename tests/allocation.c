@@ -16,6 +16,7 @@
 #include <unistd.h>
 
 #include "counted_allocator.h"
+#include "law_example.h"
 #include "rthyb.h"
 #include "servo_example.h"
 
@@ -100,20 +101,8 @@ static int set_up_controller(rthyb_controller *controller, const choice *c)
     const int dense = dense_integrator(c);
     const rthyb_controller_config cfg = {
         .period_s = PERIOD_S,
-        .plc_enabled = 1,
-        .estimator = {.law = c->law,
-                      .estimate_beta = 1,
-                      .w1 = 3.0,
-                      .w2 = 2.0,
-                      .alpha0 = 17.0,
-                      .period_s = PERIOD_S,
-                      .reference_m = 1e-3,
-                      .gain = 0.03,
-                      .memory_samples = 6144.0,
-                      .cutoff_hz = 25.0,
-                      .alpha_max = 60.0,
-                      .rest_noise_m = 2e-6,
-                      .gate_factor = 10.0},
+        .lead_enabled = 1,
+        .law = law_of_kind(c->law, 17.0),
         .rfc = {.enabled = 1,
                 .tangent = c->tangent,
                 .window = 51,
@@ -188,7 +177,7 @@ int main(int argc, char **argv)
     unsigned long cases = 0;
     int error = 0;
     choice c;
-    for (c.law = RTHYB_LAW_FIXED; c.law <= RTHYB_LAW_RLS; c.law++)
+    for (c.law = 0; c.law < (int)rthyb_law_count(); c.law++)
         for (c.tangent = 0; c.tangent <= RTHYB_TANGENT_LEAST_SQUARES; c.tangent++)
             for (c.integrator = 0; c.integrator <= RTHYB_PRESCRIBED + 2; c.integrator++)
                 for (c.servo = 0; c.servo <= RTHYB_SERVO_HYDRAULIC; c.servo++)

@@ -77,18 +77,49 @@ def smooth_motion(duration_s: float, seed: int = 0, peak_m: float = 0.01) -> Flo
     return np.asarray(x * peak_m / np.max(np.abs(x)))
 
 
+def law_of(
+    estimator: core.EstimatorConfig, w1: float = 3.0, w2: float = 2.0, **more: float
+) -> core.LawConfig:
+    """The control law that leads by an estimator of these settings."""
+    own = {
+        "fixed": ("paper", {}),
+        "gradient": (
+            "paper",
+            {"gain_per_mm2_per_sample": estimator.gain / (estimator.reference_m / 1e-3) ** 2},
+        ),
+        "robust": ("robust", {"rate_per_sample": estimator.gain}),
+        "rls": ("alpha-beta", {"memory_s": estimator.memory_samples * estimator.period_s}),
+    }
+    name, settings = own[estimator.law]
+    settings |= {
+        "alpha_min": estimator.alpha_min,
+        "alpha_max": estimator.alpha_max,
+        "reference_displacement_m": estimator.reference_m,
+    }
+    if name != "paper":
+        settings |= {"cutoff_hz": estimator.cutoff_hz, "gate_factor": estimator.gate_factor}
+    lead = {"w1": w1, "w2": w2, "alpha0": estimator.alpha0, "beta0": estimator.beta0}
+    return core.LawConfig(
+        name,
+        lead | {f"delay_estimator.{key}": value for key, value in settings.items()} | more,
+        adapts=estimator.law != "fixed",
+        rest_noise_m=estimator.rest_noise_m,
+    )
+
+
 def controller(
     motion: core.MotionConfig,
     *,
     k_e: float = K_PLATE,
     estimator: core.EstimatorConfig | None = None,
+    law: core.LawConfig | None = None,
     rfc: dict[str, Any] | None = None,
     **settings: Any,
 ) -> core.Controller:
     """A controller, without adaptation unless asked for."""
     return core.Controller(
         core.ControllerConfig(
-            estimator=estimator or core.EstimatorConfig(),
+            law=law or law_of(estimator or core.EstimatorConfig()),
             rfc=core.RfcConfig(**({"k_e_n_per_m": k_e} | (rfc or {}))),
             motion=motion,
             **settings,

@@ -39,9 +39,9 @@ def shaking(seconds: float) -> np.ndarray:
 
 
 def config(**changes: Any) -> core.StationConfig:
-    law = changes.pop("estimator", core.EstimatorConfig(law="gradient", gain=0.03, alpha0=6.0))
+    law = changes.pop("law", core.LawConfig("paper", {"alpha0": 6.0}))
     controller = core.ControllerConfig(
-        estimator=law,
+        law=law,
         rfc=core.RfcConfig(k_e_n_per_m=K_N_PER_M, window=51),
         motion=core.MotionConfig(
             "central-difference", mass_kg=MASS_KG, damping_n_s_per_m=2121.0, k_e_n_per_m=K_N_PER_M

@@ -8,6 +8,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include "law_example.h"
 #include "rthyb.h"
 
 #define EXAMPLE_K_E 666400.0
@@ -28,17 +29,8 @@ static rthyb_station_config loop_example_station(void)
 {
     return (rthyb_station_config){
         .controller = {.period_s = EXAMPLE_PERIOD_S,
-                       .plc_enabled = 1,
-                       .estimator = {.law = RTHYB_LAW_GRADIENT,
-                                     .w1 = 3.0,
-                                     .w2 = 2.0,
-                                     .alpha0 = 6.0,
-                                     .period_s = EXAMPLE_PERIOD_S,
-                                     .reference_m = 1e-3,
-                                     .gain = 0.03,
-                                     .memory_samples = 6144.0,
-                                     .cutoff_hz = 25.0,
-                                     .alpha_max = 60.0},
+                       .lead_enabled = 1,
+                       .law = law_example("paper", 6.0),
                        .rfc = {.enabled = 1,
                                .window = 51,
                                .k_e_n_per_m = EXAMPLE_K_E,

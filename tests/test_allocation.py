@@ -16,6 +16,8 @@ from pathlib import Path
 import pytest
 from rthyb_rt._core import lib
 
+from rthyb_rt.laws import LAWS
+
 TESTS = Path(__file__).resolve().parent
 CORE = TESTS.parent / "csrc"
 FLAGS = ("-std=c11", "-O3", "-DNDEBUG", "-ffp-contract=off", "-fno-math-errno", f"-I{CORE}")
@@ -24,8 +26,8 @@ PLAIN = ("-fno-pic", "-fno-stack-protector")  # or the objects name helpers of c
 # What the arithmetic of a sample may call beside the core's own functions.
 HARMLESS = re.compile(
     r"(a?sin|a?cos|a?tan|tanh|exp|expm1|ldexp|log|log1p|pow|sqrt|hypot|floor|ceil|fmin|fmax|fabs|copysign"
-    r"|l?l?rint|nearbyint|sincos|memcpy|memset|memmove|strlen|__(memcpy|memset|memmove)_chk"
-    r"|__stack_chk_fail|_GLOBAL_OFFSET_TABLE_)"
+    r"|l?l?rint|nearbyint|sincos|memcpy|memset|memmove|strlen|strcmp|__(memcpy|memset|memmove)_chk"
+    r"|__stack_chk_fail|_GLOBAL_OFFSET_TABLE_|__(start|stop)_rthyb_laws)"
 )
 
 
@@ -81,7 +83,8 @@ def test_no_sample_of_any_controller_on_any_rig_allocates_or_calls_the_kernel(
     done = run(program)
     assert done.returncode == 0, "a system call was made, or a set-up was refused"
     cases, samples, allocations, _ = map(int, done.stdout.split())
-    assert cases == 4 * 2 * 7 * 4 * 2 * 2  # integrators: five of one degree of freedom, two dense
+    # Integrators: five of one degree of freedom, two dense.
+    assert cases == len(LAWS) * 2 * 7 * 4 * 2 * 2
     assert samples == 600 * cases
     assert allocations == 0
 
@@ -143,6 +146,7 @@ class Symbols:
 
     def __init__(self, objects: dict[Path, Path]) -> None:
         self.home: dict[str, str] = {}
+        self.laws: set[str] = set()  # sources that the linker makes known to control_law.c
         self.needs: defaultdict[str, set[str]] = defaultdict(set)
         self.writable: defaultdict[str, set[str]] = defaultdict(set)
         for source, target in objects.items():
@@ -162,6 +166,8 @@ class Symbols:
             self.writable[source].add(name)
         if kind in "TWR" or (kind == "D" and constant):
             self.home[name] = source
+        if name.endswith("_entry") and kind in "rRdD":
+            self.laws.add(source)
 
     def reached_from(self, *functions: str) -> set[str]:
         """Return the source files that calling these functions can lead to."""
@@ -172,6 +178,7 @@ class Symbols:
             if source not in reached:
                 reached.add(source)
                 waiting += [self.home[n] for n in self.needs[source] if n in self.home]
+                waiting += self.laws if source == "control_law.c" else ()
         return reached
 
 
@@ -185,6 +192,8 @@ def sample_path(symbols: Symbols) -> set[str]:
     files = symbols.reached_from("rthyb_controller_step", "rthyb_rig_step")
     assert {
         "controller.c",
+        "control_law.c",
+        *(source.name for source in CORE.glob("law_*.c")),
         "plc.c",
         "rfc.c",
         "motion.c",

@@ -108,7 +108,7 @@ def test_number_that_no_enumeration_has_is_refused(
     kernel: str, config: Any, name: str, value: int
 ) -> None:
     struct = core._struct(f"rthyb_{kernel}_config", config)
-    start = (0.0, 0.0) if kernel == "rfc" else (0.0,)
+    start = {"rfc": (0.0, 0.0), "estimator": (3.0, 2.0, 0.0)}.get(kernel, (0.0,))
     target, init = ffi.new(f"rthyb_{kernel} *"), getattr(lib, f"rthyb_{kernel}_init")
     assert init(target, struct, *start) == 0
     setattr(struct, name, value)
@@ -376,7 +376,7 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
         ),
         "rfc": {"tangent": "least-squares", "window": 30},
     },
-    "none": {"rfc": {"enabled": False}, "plc_enabled": False},
+    "none": {"rfc": {"enabled": False}, "lead_enabled": False},
 }
 
 

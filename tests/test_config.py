@@ -109,8 +109,8 @@ def test_section_4_2_is_set_up_as_the_paper_states_it() -> None:
     assert (loop.k_n_per_m, loop.post_yield_ratio) == (4737410, 0.02)
     derived = config.derive(test, rig)
     assert (derived.mass_kg, derived.damping_n_s_per_m) == (30000, 15080)
-    assert (derived.window_samples, derived.alpha0) == (51, 0)
-    assert derived.gain_per_mm2_per_sample == 0.005
+    assert (derived.window_samples, derived.law_settings["alpha0"]) == (51, 0)
+    assert derived.law_settings["delay_estimator.gain_per_mm2_per_sample"] == 0.005
     assert any(
         "2.00 % acts as 1.39 %" in note for note in derived.notes
     )  # forward Euler, as measured: 1.3865 %
@@ -628,19 +628,22 @@ def test_window_too_small_or_too_large_for_the_period_is_refused() -> None:
 def test_first_delay_comes_from_the_identification() -> None:
     bare = TEST.replace("alpha0 = 17\n", "")
     identified = RIG + "[identified]\nalpha = 16.4\ndelay_s = 0.016\n"
-    assert derived_of(bare, identified).alpha0 == 16.4
-    assert derived_of(TEST, identified).alpha0 == 17
+    assert derived_of(bare, identified).law_settings["alpha0"] == 16.4
+    assert derived_of(TEST, identified).law_settings["alpha0"] == 17
     assert "rthyb identify" in mismatch_of(bare)["controller.alpha0"]
-    assert derived_of(bare, controller__type="none").alpha0 == 0
-    assert derived_of(bare, controller__plc_enabled="false").alpha0 == 0
+    assert derived_of(bare, controller__type="none").law_settings == {}
+    assert derived_of(bare, controller__plc_enabled="false").law_settings["alpha0"] == 0
     found = mismatch_of(bare, identified, controller__delay_estimator__alpha_max="12")
     assert "identified.alpha = 16.4" in found["controller.alpha0"]
 
 
 def test_curvature_starts_at_the_pure_delay_for_alpha_beta_alone() -> None:
-    assert derived_of(controller__type="alpha-beta").beta0 == 0
-    assert derived_of(controller__type="paper").beta0 == 0
-    assert derived_of(controller__type="alpha-beta", controller__beta0="100").beta0 == 100
+    def beta0(**overrides: str) -> float:
+        return derived_of(**overrides).law_settings["beta0"]
+
+    assert beta0(controller__type="alpha-beta") == 0
+    assert beta0(controller__type="paper") == 0
+    assert beta0(controller__type="alpha-beta", controller__beta0="100") == 100
 
 
 def test_nothing_runs_without_compensation() -> None:
@@ -655,11 +658,13 @@ def test_defaults_of_the_laws_and_tangents_are_resolved() -> None:
     paper, robust = derived_of(), derived_of(controller__type="robust")
     assert (paper.tangent, robust.tangent) == ("mean-of-ratios", "least-squares")
     assert derived_of(controller__rfc__tangent="least-squares").tangent == "least-squares"
-    assert (paper.gain_per_mm2_per_sample, paper.rate_per_sample, paper.memory_s) == (
-        0.03,
-        0.002,
-        2,
-    )
+    for law, key, value in (
+        ("paper", "gain_per_mm2_per_sample", 0.03),
+        ("robust", "rate_per_sample", 0.002),
+        ("alpha-beta", "memory_s", 2),
+    ):
+        settings = derived_of(controller__type=law).law_settings
+        assert settings[f"delay_estimator.{key}"] == value
 
 
 def test_missing_rest_noise_is_said_where_the_gate_needs_it() -> None:

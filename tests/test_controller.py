@@ -166,7 +166,7 @@ def test_prescribed_motion_that_ends_is_held() -> None:
 
 
 def test_compensator_switched_off_sends_the_command_itself() -> None:
-    c = controller(structure(), estimator=PAPER, plc_enabled=False)
+    c = controller(structure(), estimator=PAPER, lead_enabled=False)
     records = run_virtual(c, delay_rig(1), shaking(2.0))
     np.testing.assert_array_equal(records["x_cmd_m"], records["x_num_m"])
     np.testing.assert_array_equal(records["x_plc_m"], records["x_num_m"])
@@ -262,7 +262,7 @@ def test_limited_command_comes_to_rest_on_a_step_without_swinging_past(
 ) -> None:
     limited = controller(
         core.MotionConfig("prescribed"),
-        plc_enabled=False,
+        lead_enabled=False,
         velocity_limit_m_per_s=velocity,
         acceleration_limit_m_per_s2=acceleration,
     )
@@ -463,9 +463,9 @@ def test_rows_of_another_layout_are_refused() -> None:
         ({"acceleration_limit_m_per_s2": np.nan}, "limit"),
         ({"x_range_m": -1.0}, "limit"),
         ({"f_range_n": np.nan}, "limit"),
-        ({"estimator": core.EstimatorConfig(w1=0.5)}, "W1, W2"),
-        ({"estimator": core.EstimatorConfig(alpha0=np.nan)}, "estimator"),
-        ({"estimator": core.EstimatorConfig(period_s=0.0)}, "period"),
+        ({"law": core.LawConfig("paper", {"alpha0": 8.0, "w1": 0.5})}, "control law"),
+        ({"law": core.LawConfig("paper", {"alpha0": np.nan})}, "control law"),
+        ({"law": core.LawConfig("none", rest_noise_m=-1.0)}, "control law"),
         ({"rfc": {"window": 0}}, "T0"),
         ({"rfc": {"k_e_n_per_m": 0.0}}, "k_e"),
         ({"motion": core.MotionConfig("cr", mass_kg=-1.0)}, "mass"),
@@ -477,11 +477,6 @@ def test_controller_setting_out_of_range_is_refused(settings: dict[str, Any], me
         controller(**({"motion": structure()} | settings))
 
 
-@pytest.mark.parametrize("part", ["estimator", "motion"])
-def test_parts_with_different_sampling_periods_are_refused(part: str) -> None:
-    wrong: dict[str, Any] = {
-        "estimator": {"estimator": core.EstimatorConfig(period_s=2 * H)},
-        "motion": {"motion": core.MotionConfig("cr", mass_kg=1.0, period_s=2 * H)},
-    }[part]
+def test_equation_of_motion_with_another_sampling_period_is_refused() -> None:
     with pytest.raises(core.CoreError, match="period"):
-        controller(**({"motion": structure()} | wrong))
+        controller(core.MotionConfig("cr", mass_kg=1.0, period_s=2 * H))

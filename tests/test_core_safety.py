@@ -560,13 +560,12 @@ def test_slow_command_is_not_frozen_by_a_coarse_wire(acceleration: float) -> Non
     """A DBC with 0.01 mm a bit, and a command that moves by less than half of that in a tick."""
     coarse, reached = 1e-5, []
     for step in (1e-9, coarse):
-        law = core.EstimatorConfig(law="fixed", alpha0=0.0)
         motion = core.MotionConfig("prescribed")
         made = core.ControllerConfig(
-            estimator=law,
+            law=core.LawConfig(),
             rfc=core.RfcConfig(k_e_n_per_m=K_N_PER_M, enabled=False),
             motion=motion,
-            plc_enabled=False,
+            lead_enabled=False,
             velocity_limit_m_per_s=4.8e-3,
             acceleration_limit_m_per_s2=acceleration,
         )

@@ -17,8 +17,8 @@ from rthyb_rt import core
 Plant = Callable[[complex], complex]
 
 
-def estimator(law: Any, **settings: Any) -> core.Estimator:
-    return core.Estimator(core.EstimatorConfig(law=law, **settings))
+def estimator(law: Any, w1: float = 3.0, w2: float = 2.0, **settings: Any) -> core.Estimator:
+    return core.Estimator(core.EstimatorConfig(law=law, **settings), w1=w1, w2=w2)
 
 
 def delayed(x: Floats, samples: int) -> Floats:
@@ -370,9 +370,6 @@ BASE = core.EstimatorConfig(law="robust", gain=0.01)
         {"period_s": 0.0},
         {"period_s": -H},
         {"period_s": np.nan},
-        {"w1": 0.5},
-        {"w2": 9.0},
-        {"w1": np.nan},
         {"alpha0": np.nan},
         {"alpha0": 1e6},
         {"beta0": np.inf},
@@ -409,6 +406,9 @@ def test_senseless_start_position_is_refused(law: str, x0_m: float) -> None:
 
 
 @pytest.mark.parametrize("law", ["gradient", "robust", "rls"])
-def test_weights_too_large_for_the_compensator_are_refused_here_too(law: str) -> None:
+@pytest.mark.parametrize("weights", [(0.5, 2.0), (3.0, 9.0), (np.nan, 2.0), (1e300, 2.0)], ids=str)
+def test_weights_that_the_compensator_refuses_are_refused_here_too(
+    law: str, weights: tuple[float, float]
+) -> None:
     with pytest.raises(core.CoreError, match="W1, W2"):
-        core.Estimator(core.EstimatorConfig(law=law, gain=0.01, w1=1e300))
+        estimator(law, *weights, gain=0.01)

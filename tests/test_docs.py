@@ -210,7 +210,7 @@ def test_messages_of_the_guide_are_those_of_the_program() -> None:
     assert len(listed) >= 8
     for line in listed:
         message = line.rsplit(": ", 1)[1] if "did you mean" not in line else line
-        kernel = message.split("; ")[-1].removesuffix(", ...")
+        kernel = message.split("; ")[-1].removesuffix(" ...").removesuffix(",")
         assert kernel in found, line
 
 

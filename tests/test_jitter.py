@@ -30,7 +30,7 @@ MS = 1_000_000
 
 LOAD = jitter.Load(
     core.ControllerConfig(
-        core.EstimatorConfig(alpha0=10.0),
+        core.LawConfig("paper", {"alpha0": 10.0}, adapts=False),
         core.RfcConfig(k_e_n_per_m=1e6),
         core.MotionConfig("central-difference", mass_kg=6000.0, damping_n_s_per_m=3000.0),
     ),

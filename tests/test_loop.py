@@ -128,8 +128,8 @@ def test_running_part_is_what_the_virtual_test_computes(bench: Bench) -> None:
 
 @pytest.mark.parametrize("late", [0, 1, 3])
 def test_alpha_minus_link_delay_is_the_rigs_own_delay(medium: str, late: int) -> None:
-    law = core.EstimatorConfig(law="rls", estimate_beta=True, alpha0=4.0, beta0=8.0)
-    with Bench(medium, seconds=4.0, estimator=law) as bench:
+    law = core.LawConfig("alpha-beta", {"alpha0": 4.0, "beta0": 8.0})
+    with Bench(medium, seconds=4.0, law=law) as bench:
         bench.drive.schedule([loop.Fault("delay", 0, 100000, late)])
         bench.running(0)
         bench.until("RAMP_OUT")

@@ -107,7 +107,7 @@ def test_jog_that_ends_at_the_limit_stays_within_it_at_rest(
     def prescribed(**changes: Any) -> core.StationConfig:
         made = plain(**changes)
         motion = core.MotionConfig("prescribed")
-        controller = dataclasses.replace(made.controller, motion=motion, plc_enabled=False)
+        controller = dataclasses.replace(made.controller, motion=motion, lead_enabled=False)
         return dataclasses.replace(made, controller=controller)
 
     monkeypatch.setattr(loop_bench, "config", prescribed)

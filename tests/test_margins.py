@@ -124,7 +124,7 @@ def free_vibration(delay_samples: int, alpha: float) -> np.ndarray:
     """Displacement after a jolt, with the delay in the loop and the lead at a fixed alpha."""
     controller = core.Controller(
         core.ControllerConfig(
-            estimator=core.EstimatorConfig(law="fixed", alpha0=alpha),
+            law=core.LawConfig("paper", {"alpha0": alpha}, adapts=False),
             rfc=core.RfcConfig(k_e_n_per_m=K_E, enabled=False),
             motion=structure(),
         )

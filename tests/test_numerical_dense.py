@@ -318,10 +318,10 @@ def test_a_part_of_another_size_is_refused(n: int) -> None:
 def controller(numerical: core.DenseConfig, **settings: Any) -> core.ControllerConfig:
     h = numerical.period_s
     return core.ControllerConfig(
-        estimator=core.EstimatorConfig(law="fixed", period_s=h),
+        law=core.LawConfig(),
         rfc=core.RfcConfig(k_e_n_per_m=SPECIMEN[2], enabled=False),
         motion=core.MotionConfig("cr", mass_kg=1000.0, period_s=h),
-        plc_enabled=False,
+        lead_enabled=False,
         period_s=h,
         numerical=numerical,
         **settings,

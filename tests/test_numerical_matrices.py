@@ -198,10 +198,10 @@ def test_a_delay_beyond_the_critical_one_grows_and_one_below_does_not(force_dela
     for delay, grows in ((int(critical * 0.8), False), (int(critical * 1.25), True)):
         one = core.Controller(
             core.ControllerConfig(
-                estimator=core.EstimatorConfig(law="fixed", period_s=part.period_s),
+                law=core.LawConfig(),
                 rfc=core.RfcConfig(k_e_n_per_m=part.k_e_n_per_m, enabled=False),
                 motion=core.MotionConfig("cr", mass_kg=1.0, period_s=part.period_s),
-                plc_enabled=False,
+                lead_enabled=False,
                 period_s=part.period_s,
                 numerical=part,
             )

@@ -137,7 +137,7 @@ def hybrid_test(
         structure(integrator),
         estimator=core.EstimatorConfig(law=law, gain=gain, alpha0=alpha0),
         rfc={"k_e_n_per_m": K, "enabled": rfc, "window": 51, "end_tick": 50 * 1024},
-        plc_enabled=plc,
+        lead_enabled=plc,
     )
     servo = core.ServoConfig("pure-delay", delay_samples=delay)
     return run_virtual(c, core.Rig(core.RigConfig(servo, (specimen,))), ag)

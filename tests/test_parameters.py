@@ -90,8 +90,8 @@ def test_velocity_limit_holds_from_the_next_command_on() -> None:
 
 
 def test_alpha_and_beta_stand_still_while_adaptation_is_off_and_go_on_afterwards() -> None:
-    law = core.EstimatorConfig(law="rls", estimate_beta=True, alpha0=4.0, beta0=8.0)
-    with Bench(seconds=4.0, estimator=law) as bench:
+    law = core.LawConfig("alpha-beta", {"alpha0": 4.0, "beta0": 8.0})
+    with Bench(seconds=4.0, law=law) as bench:
         bench.running(1500)
         assert np.ptp(bench.rows()["alpha"][-200:]) > 0.0
         bench.loop.set_parameters(changed(bench, adapt=False))

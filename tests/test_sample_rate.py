@@ -240,9 +240,10 @@ def test_a_resolved_test_is_the_same_test(rate_hz: float) -> None:
     again = experiment.prepare(config.parse_test(text), setup.rig)
     assert again.derived.window_samples == setup.derived.window_samples
     assert again.derived.window_samples / rate_hz == pytest.approx(0.05, abs=0.5 / rate_hz)
-    assert again.derived.alpha0 / rate_hz == pytest.approx(7.3 / 1024)
-    assert again.derived.beta0 / rate_hz**2 == pytest.approx(11 / 1024**2)
-    assert again.derived.alpha0 == pytest.approx(setup.derived.alpha0, rel=1e-15)
+    assert again.derived.law_settings == setup.derived.law_settings
+    begins = core.Law(again.controller.law, period_s=1 / rate_hz).report()
+    assert begins["alpha"] / rate_hz == pytest.approx(7.3 / 1024)
+    assert begins["beta"] / rate_hz**2 == pytest.approx(11 / 1024**2)
     assert again.test.test.sample_rate_hz == rate_hz
 
 
@@ -326,10 +327,11 @@ def test_a_delay_is_learnt_as_fast_at_every_rate(law: str) -> None:
     for amplitude_m in (2e-4, 5e-3):
         learnt = {}
         for rate_hz in (512.0, 1024.0, 4096.0):
-            settings = prepared(rate_hz, more).controller.estimator
+            settings = prepared(rate_hz, more).controller.law
             t = np.arange(round(8 * rate_hz)) / rate_hz
             sent, came = (amplitude_m * np.sin(3 * np.pi * (t - d)) for d in (0.0, 8 / 1024))
-            alpha, _ = core.Estimator(settings).run(sent, came)
+            found = core.Law(settings, period_s=1 / rate_hz).follow(sent, sent, came)[1]
+            alpha = found["alpha"]
             learnt[rate_hz] = alpha[:: round(rate_hz / 256)] / rate_hz * 1024
         end = learnt[1024.0][-1]
         assert abs(end - 8) < 0.05 or (law == "paper" and 4.04 < end < 4.08)
@@ -527,7 +529,7 @@ def test_a_filter_above_half_of_the_rate_is_refused() -> None:
     more = '[controller]\ntype = "robust"\ndelay_estimator = { cutoff_hz = 130 }\n'
     with pytest.raises(InputError, match=r"must be below half of test\.sample_rate_hz = 256 Hz"):
         prepared(256.0, more)
-    assert prepared(512.0, more).controller.estimator.cutoff_hz == 130
+    assert prepared(512.0, more).controller.law.settings["delay_estimator.cutoff_hz"] == 130
 
 
 def test_a_period_too_short_for_central_differences_at_256_hz_is_refused() -> None:

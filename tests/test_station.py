@@ -30,7 +30,7 @@ def shaking(seconds: float) -> np.ndarray:
 
 def config(**changes: Any) -> core.StationConfig:
     controller = core.ControllerConfig(
-        estimator=core.EstimatorConfig(law="gradient", gain=0.03, alpha0=6.0),
+        law=core.LawConfig("paper", {"alpha0": 6.0}),
         rfc=core.RfcConfig(k_e_n_per_m=K_N_PER_M, window=51),
         motion=core.MotionConfig(
             "central-difference", mass_kg=MASS_KG, damping_n_s_per_m=2121.0, k_e_n_per_m=K_N_PER_M
@@ -278,10 +278,8 @@ def test_start_while_the_link_is_silent_is_refused() -> None:
 
 def test_a_test_that_stays_is_over_when_its_command_stands_and_not_when_it_swings_by() -> None:
     """With weights that hardly damp, the compensator swings on where the braking has ended."""
-    swinging = core.EstimatorConfig(law="fixed", w1=1.05, w2=-1.9, alpha0=20.0)
-    controller = dataclasses.replace(
-        config().controller, estimator=swinging, velocity_limit_m_per_s=0.0
-    )
+    swinging = core.LawConfig("paper", {"w1": 1.05, "w2": -1.9, "alpha0": 20.0}, adapts=False)
+    controller = dataclasses.replace(config().controller, law=swinging, velocity_limit_m_per_s=0.0)
     changes = {"controller": controller, "stay": True, "path_acceleration_m_per_s2": 5.0}
     bench = Bench(changes=changes).running(440)
     bench.step("stop")
@@ -543,7 +541,7 @@ def test_each_limit_does_what_it_is_set_to(name: str, reaction: core.Reaction, s
 
 
 def test_indicator_that_falls_for_long_is_seen() -> None:
-    lagging = dataclasses.replace(config().controller, plc_enabled=False)
+    lagging = dataclasses.replace(config().controller, lead_enabled=False)
     changes = watched("indicator", 1e-7, "ramp-out") | {"controller": lagging}
     bench = Bench(changes=changes).running(0)
     bench.until("RAMP_OUT")
@@ -551,7 +549,7 @@ def test_indicator_that_falls_for_long_is_seen() -> None:
 
 
 def test_indicator_that_tripped_a_test_says_nothing_of_the_next_one() -> None:
-    lagging = dataclasses.replace(config().controller, plc_enabled=False)
+    lagging = dataclasses.replace(config().controller, lead_enabled=False)
     changes = watched("indicator", 1e-7, "trip") | {"controller": lagging}
     bench = Bench(changes=changes).running(0)
     bench.until("TRIPPED")
@@ -656,7 +654,7 @@ def test_one_overrun_is_made_up_for_and_counted() -> None:
 def test_gap_is_caught_up_at_the_velocity_limit_and_not_in_one_step() -> None:
     slow = config().controller
     limited = core.ControllerConfig(
-        estimator=slow.estimator, rfc=slow.rfc, motion=slow.motion, velocity_limit_m_per_s=0.05
+        law=slow.law, rfc=slow.rfc, motion=slow.motion, velocity_limit_m_per_s=0.05
     )
     bench = Bench(changes={"controller": limited}).running(700)
     for _ in range(3):

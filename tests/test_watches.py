@@ -486,7 +486,7 @@ def test_a_command_keeps_to_the_rigs_stroke_wherever_it_was_zeroed() -> None:
         path = sign * 0.058 * np.sin(np.pi * np.arange(4096) / 4096)
         lab = Lab(station_changes={"watches": watches})
         controller = dataclasses.replace(
-            lab.config.controller, motion=core.MotionConfig("prescribed"), plc_enabled=False,
+            lab.config.controller, motion=core.MotionConfig("prescribed"), lead_enabled=False,
             velocity_limit_m_per_s=0.0,
         )  # fmt: skip
         made = dataclasses.replace(

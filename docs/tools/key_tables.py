@@ -19,9 +19,10 @@ from typing import Any, Literal
 from pydantic.fields import FieldInfo
 
 from rthyb_rt import core, recording
-from rthyb_rt.config import baselinefile, deriving, limits, rigfile, testfile
+from rthyb_rt.config import baselinefile, deriving, lawtables, limits, rigfile, testfile
 from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
 from rthyb_rt.config.numerical import Labels, Numbers, Place, Square
+from rthyb_rt.laws import LAWS, parameters
 
 PAGE = Path(__file__).resolve().parents[1] / "file-formats.md"
 _PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -46,12 +47,12 @@ MEANINGS: dict[str, str] = {
     "TakenOut.mass_kg": "the specimen's mass",
     "TakenOut.damping_n_s_per_m": "the specimen's damping",
     "TakenOut.stiffness_n_per_m": "the specimen's stiffness; absent: $k_e$",
-    "DelayEstimator.enabled": "false: alpha stays at alpha0, beta at beta0",
+    "DelayEstimator.enabled": "false: the control law learns nothing; alpha stays at alpha0",
     "Rfc.enabled": "false: the measured force goes uncorrected into the equation of motion",
     "Rfc.tangent": 'formula; absent: "mean-of-ratios" for "paper", else "least-squares"',
     "Rfc.divisor": "by what Eqn 3.3 divides its T0 + 1 terms: T0, or their number",
-    "Controller.type": "which compensation, see tuning",
-    "Controller.plc_enabled": "false: no phase lead (force compensation alone)",
+    "Controller.type": "which control law, see below and tuning",
+    "Controller.plc_enabled": "false: the control law does not lead (force compensation alone)",
     "Reference.table_forces": "true: the reference has the table's mass and friction as well",
     "RigInfo.load_cell": "what the load cell is under: table and specimen, or the specimen alone",
     "RigInfo.command_hold": "the drive holds a command, or runs up to it in a straight line",
@@ -67,17 +68,6 @@ MEANINGS: dict[str, str] = {
     "Numerical.damping_n_s_per_m": "computed damping",
     "Numerical.damping_ratio": "the same as a part of critical, instead",
     "Numerical.rho_inf": "spectral radius at infinite frequency; kr-alpha only",
-    "Controller.alpha0": "delay to start with; absent: the rig's identified.alpha",
-    "Controller.beta0": "curvature term to start with, samples²; absent: 0",
-    "DelayEstimator.gain_per_mm2_per_sample": 'adaptive gain γ of "paper" (Eqn 2.11); absent: '
-    f"{deriving.DEFAULT_GAIN_PER_MM2_PER_SAMPLE:g}",
-    "DelayEstimator.rate_per_sample": 'gain of "robust"; absent: '
-    f"{deriving.DEFAULT_RATE_PER_SAMPLE:g}",
-    "DelayEstimator.memory_s": f'memory of "alpha-beta"; absent: {deriving.DEFAULT_MEMORY_S:g}',
-    "DelayEstimator.alpha_min": "smallest alpha that the compensator is given",
-    "DelayEstimator.alpha_max": "largest alpha that the compensator is given",
-    "DelayEstimator.gate_factor": "power over that of rest noise at which adaptation begins",
-    "DelayEstimator.reference_displacement_m": "unit of μ and φ in 1 + φ² (Eqn 2.9)",
     "Rfc.window_periods": f"window T0 in periods; absent: {deriving.DEFAULT_WINDOW_PERIODS:g}",
     "Rfc.window_s": "window T0 in seconds, instead",
     "Rfc.window_samples": "window T0 in samples, instead",
@@ -197,12 +187,12 @@ FIELD_MEANINGS: dict[str, str] = {
     "f_read_n": "the same of the force",
     "ag_mps2": "ground acceleration at $t_n$",
     "x_num_m": "$x_c[n]$, command of the integration",
-    "x_plc_m": "output of the phase-lead compensator for $t_n$",
+    "x_plc_m": "output of the control law for $t_n$",
     "x_cmd_m": "$x_p[n]$, the command as sent, after the limiter",
     "x_meas_m": "$x_m[n]$, measured displacement",
     "f_meas_n": "$f[n]$, measured force",
-    "alpha": "delay after the update of tick n",
-    "beta": "curvature term after the update of tick n",
+    "alpha": "delay that the control law reports after the update of tick n; NaN: it has none",
+    "beta": "the same of its curvature term",
     "k_t_n_per_m": "tangent stiffness that the force compensation used",
     "energy_error_j": "running energy error",
     "tracking_indicator_m2": "running tracking indicator",
@@ -220,6 +210,7 @@ def tables() -> dict[str, str]:
         for key, models in _sections(file):
             parts[f"{prefix}.{key}"] = _choices(models) if len(models) > 1 else _table(models[0])
     del parts["rig.limits"]  # the test file's
+    parts["test.controller.laws"] = _laws(parts)
     parts["test.limits.KEY"] = _table(limits.Limit)
     parts["samples"] = _samples()
     return parts
@@ -233,6 +224,33 @@ def renewed(page: str, parts: dict[str, str]) -> str:
 def names(page: str) -> list[str]:
     """Return the names of the generated parts of a page."""
     return [match[2] for match in _PART.finditer(page)]
+
+
+def _laws(parts: dict[str, str]) -> str:
+    """Return what laws there are, with the tables that are one law's own taken out of parts."""
+    lines = ["| law | what it does |", "|---|---|"]
+    lines += [f"| `{law.name}` | {law.meaning} |" for law in LAWS.values()]
+    shared = ("", "delay_estimator")
+    for table in sorted({t for t in lawtables.TABLES.values() if t not in shared}):
+        lines += ["", f"#### `[controller.{table}]`", "", parts.pop(f"test.controller.{table}")]
+    return "\n".join(lines)
+
+
+def _of_laws(model: type[Table], key: str) -> str:
+    """Return which laws read a key, where not all do that share its table, and where it is from."""
+    table = lawtables.TABLES.get(model)
+    users = [] if table is None else parameters().get(f"{table}.{key}".lstrip("."), [])
+    if not users:
+        return ""
+    rig_key, standard = users[0][1].rig_key, users[0][1].default
+    sharing = {law.name for name, all_of in parameters().items() for law, _ in all_of
+               if name.rpartition(".")[0] == table}  # fmt: skip
+    names = [law.name for law, _ in users]
+    more = f" ({', '.join(f'`{name}`' for name in names)})" if set(names) != sharing else ""
+    if rig_key is not None:
+        more += f"; absent: the rig's `{rig_key}`"
+        more += "" if standard is None else f", else {_number(standard)}"
+    return more
 
 
 # ---- models -------------------------------------------------------------------------------------
@@ -331,7 +349,10 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
     for part in parts:
         if isinstance(part, Range):
             unit = part.unit
-            allowed = f"{_number(part.low)} to {_number(part.high)}"
+            allowed = (
+                f"{'above ' if part.open_low else ''}{_number(part.low)} to "
+                f"{'below ' if part.open_high else ''}{_number(part.high)}"
+            )
             meaning = part.what
         elif isinstance(part, Count):
             allowed, meaning = f"whole, {part.low} to {part.high}", part.what
@@ -355,6 +376,7 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
         allowed, meaning = "as its key", "the limit"
     if not meaning:
         raise LookupError(f"{model.__name__}.{key}: say in MEANINGS what it is for")
+    meaning += _of_laws(model, key)
     origin = typing.get_origin(info.annotation)
     if origin is list and not allowed.startswith(("rows", "list")):
         allowed = f"list, each {allowed}"

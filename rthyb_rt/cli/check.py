@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rthyb_rt.braking import RunOn
     from rthyb_rt.config import Link
     from rthyb_rt.experiment import Setup
-    from rthyb_rt.margins import Lead
+    from rthyb_rt.margins import Lead, SampledLead
 
 SCHEMA = "rthyb-check/1"
 
@@ -28,6 +28,8 @@ _CHECKS = {
     "watchdog": "the watchdog",
     "trip": "the stop on a trip",
 }
+
+_GAIN = "delay_estimator.gain_per_mm2_per_sample"
 
 MUCH_DAMPING = 0.5
 """As a part of critical. No structure has it; who wrote 2 meant per cent."""
@@ -115,7 +117,8 @@ class Figures:
     Attributes:
         critical_delay_samples: longest pure delay that the structure with an elastic specimen
             survives without compensation; 0 if none.
-        critical_delay_with_lead_samples: the same with the phase lead at alpha0.
+        alpha0, beta0: what the phase lead begins with; None for a law that has none.
+        critical_delay_with_lead_samples: the same with the phase lead as it begins.
         critical_delay_followed_samples: the same with a phase lead whose alpha is the delay.
         identified_delay_samples: the rig's, as `rthyb identify` found it.
         peak_phi: peak of the estimator's input, from the reference simulation or from one with an
@@ -134,8 +137,8 @@ class Figures:
     damping_ratio: float
     k_e_n_per_m: float
     window_samples: int
-    alpha0: float
-    beta0: float
+    alpha0: float | None
+    beta0: float | None
     lead_first_sample_gain: float | None
     lead_nyquist_gain: float | None
     critical_delay_samples: float
@@ -146,7 +149,7 @@ class Figures:
     reference_peak_m: float
     reference_peak_m_per_s: float
     reference_peak_n: float
-    peak_phi: float
+    peak_phi: float | None
     estimator_loop_gain: float | None
     modes: tuple[dict[str, float], ...] = ()
 
@@ -157,24 +160,21 @@ def _figures(setup: Setup) -> Figures:
     from rthyb_rt import margins
 
     derived, wanted = setup.derived, setup.test.controller
-    lead = margins.Lead(derived.alpha0, derived.beta0, wanted.w1, wanted.w2)
-    leads = derived.plc_enabled
-    most = math.floor(derived.alpha_max)
-    rate = derived.rate
+    lead = margins.lead_of(setup.controller.law, derived.rate.period_s)
+    leads, settings, rate = derived.plc_enabled, derived.law_settings, derived.rate
     reference = setup.reference
-    survives = _Survival.of(setup, lead if leads else None, most)
-    phi = max(
-        margins.peak_excitation(
-            x, lead, wanted.delay_estimator.reference_displacement_m / rate.pace
-        )
-        for x in (reference["x_ref_m"], survives.elastic_m)
-    )
+    survives = _Survival.of(setup, lead if leads else None)
     identified = rate.samples(setup.rig.identified.alpha) if setup.rig.identified else None
-    loop_gain = None
-    if wanted.type == "paper" and derived.estimator_enabled:
-        delay = derived.alpha0 if identified is None else identified
-        gain = derived.gain_per_mm2_per_sample / rate.pace
-        loop_gain = margins.estimator_loop_gain(gain, delay, phi)
+    phi = loop_gain = None
+    if isinstance(lead, margins.Lead):
+        unit_m = settings["delay_estimator.reference_displacement_m"] / rate.pace
+        phi = max(
+            margins.peak_excitation(x, lead, unit_m)
+            for x in (reference["x_ref_m"], survives.elastic_m)
+        )
+        if wanted.type == "paper" and derived.estimator_enabled:
+            delay = lead.alpha if identified is None else identified
+            loop_gain = margins.estimator_loop_gain(settings[_GAIN] / rate.pace, delay, phi)
     return Figures(
         samples=setup.ticks,
         duration_s=setup.ticks / derived.fs_hz,
@@ -185,8 +185,8 @@ def _figures(setup: Setup) -> Figures:
         damping_ratio=derived.damping_ratio,
         k_e_n_per_m=derived.k_e_n_per_m,
         window_samples=derived.window_samples,
-        alpha0=derived.alpha0,
-        beta0=derived.beta0,
+        alpha0=lead.alpha if isinstance(lead, margins.Lead) else None,
+        beta0=lead.beta if isinstance(lead, margins.Lead) else None,
         lead_first_sample_gain=lead.first_sample_gain if leads else None,
         lead_nyquist_gain=lead.nyquist_gain if leads else None,
         critical_delay_samples=survives.alone,
@@ -216,24 +216,28 @@ class _Survival:
     elastic_m: Any
 
     @classmethod
-    def of(cls, setup: Setup, lead: Lead | None, most: int) -> _Survival:
-        """Return them; ``lead`` is None where no phase lead runs."""
+    def of(cls, setup: Setup, lead: Lead | SampledLead | None) -> _Survival:
+        """Return them; ``lead`` is None where nothing leads the command."""
         from rthyb_rt import margins, numerical_margins
 
         ag, step = setup.ag_mps2, max(1, round(setup.derived.rate.pace))
         with_lead = followed = None
+        follows = lead if isinstance(lead, margins.Lead) else None
         structure = setup.derived.structure
         if structure is not None:
             part = structure.part
             if lead is not None:
                 with_lead = numerical_margins.critical_delay(part, lead)
-                followed = numerical_margins.largest_followed_delay(part, lead, most, step)
+            if follows is not None:
+                most = _most(setup)
+                followed = numerical_margins.largest_followed_delay(part, follows, most, step)
             alone = numerical_margins.critical_delay(part)
             return cls(alone, with_lead, followed, structure.elastic_displacement_m(ag))
         motion = setup.controller.motion
         if lead is not None:
             with_lead = margins.critical_delay(motion, lead)
-            followed = margins.largest_followed_delay(motion, lead, most, step)
+        if follows is not None:
+            followed = margins.largest_followed_delay(motion, follows, _most(setup), step)
         elastic_m = margins.elastic_displacement_m(motion, ag)
         return cls(margins.critical_delay(motion), with_lead, followed, elastic_m)
 
@@ -321,18 +325,24 @@ def _divergence(setup: Setup, f: Figures) -> tuple[bool, str] | None:
     helped = setup.derived.rfc_enabled or (leads and setup.derived.estimator_enabled)
     if delay is None or critical is None or delay < critical:
         return None
-    how = "with the phase lead at alpha0" if leads else "without phase lead"
+    how, at = _lead_in_words(f) if leads else ("without phase lead", "at any delay")
     found = (
         f"{how} the structure on an elastic specimen survives a delay of {critical:.2g} samples, "
         f"and the rig has {delay:g}"
         if critical
         else f"{how} the structure on an elastic specimen is unstable"
-        f"{' even at a delay of alpha0' if leads else ' at any delay'}, and the rig has {delay:g} "
-        "samples"
+        f" {at}, and the rig has {delay:g} samples"
     )
     if helped:
         return False, f"{found}: the test rests on delay estimate and force compensation"
     return True, f"{found}: the motion will grow; compensate the delay, or set a limit that trips"
+
+
+def _lead_in_words(f: Figures) -> tuple[str, str]:
+    """Return how the command is led, and the delay that this is made for."""
+    if f.alpha0 is not None:
+        return "with the phase lead at alpha0", "even at a delay of alpha0"
+    return "with the control law at its first settings", "even at the delay that these are made for"
 
 
 def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
@@ -342,7 +352,7 @@ def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
     g = f.estimator_loop_gain
     if g is None or g <= LITTLE_MARGIN:
         return None
-    gain = setup.derived.gain_per_mm2_per_sample
+    gain = setup.derived.law_settings[_GAIN]
     remedy = (
         f"lower controller.delay_estimator.gain_per_mm2_per_sample from {gain:g} to "
         f"{LITTLE_MARGIN / g * gain:.2g} or less"
@@ -476,9 +486,12 @@ def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
     if setup.derived.rfc_enabled:
         rows.append(("Window T0", samples(f.window_samples), "of the tangent stiffness, Eqn 3.3"))
     if f.lead_first_sample_gain is not None:
+        if f.alpha0 is not None:
+            rows += [
+                ("alpha0", samples(f.alpha0), "delay that the phase lead begins with"),
+                ("beta0", f"{number(f.beta0)} samples²", "its curvature term"),
+            ]
         rows += [
-            ("alpha0", samples(f.alpha0), "delay that the phase lead begins with"),
-            ("beta0", f"{number(f.beta0)} samples²", "its curvature term"),
             ("Lead, first sample", number(f.lead_first_sample_gain, 4), "gain on a step, C(∞)"),
             ("Lead, Nyquist", number(f.lead_nyquist_gain, 4), f"gain at {fs_hz / 2:g} Hz, |C(−1)|"),
         ]
@@ -486,18 +499,22 @@ def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
         ("Critical delay, none", samples(f.critical_delay_samples), "elastic specimen, no lead")
     )
     if f.critical_delay_with_lead_samples is not None:
-        rows += [
+        begins = "alpha0" if f.alpha0 is not None else "its first settings"
+        rows.append(
             (
-                "Critical delay, alpha0",
+                "Critical delay, alpha0" if f.alpha0 is not None else "Critical delay, lead",
                 samples(f.critical_delay_with_lead_samples),
-                "elastic specimen, lead at alpha0",
-            ),
-            (
-                "Critical delay, followed",
-                _followed(setup, f, samples),
-                "elastic specimen, alpha = delay",
-            ),
-        ]
+                f"elastic specimen, lead at {begins}",
+            )
+        )
+        if f.alpha0 is not None:
+            rows.append(
+                (
+                    "Critical delay, followed",
+                    _followed(setup, f, samples),
+                    "elastic specimen, alpha = delay",
+                )
+            )
     if f.identified_delay_samples is not None:
         kind = "answers as a lag" if f.rig_is_lag else "answers as a delay"
         rows.append(("Delay of the rig", samples(f.identified_delay_samples), kind))
@@ -724,8 +741,14 @@ def _rate_words(fs_hz: float) -> str:
 
 def _followed(setup: Setup, f: Figures, samples: Any) -> str:
     delay = f.critical_delay_followed_samples
-    most = math.floor(setup.derived.alpha_max)
+    most = _most(setup)
     return f"above alpha_max = {most}" if delay == most else str(samples(delay))
+
+
+def _most(setup: Setup) -> int:
+    """Return the largest delay that the law of this test may find, samples."""
+    most = setup.derived.law_settings["delay_estimator.alpha_max"]
+    return math.floor(setup.derived.rate.samples(most))
 
 
 def _controller(setup: Setup) -> str:

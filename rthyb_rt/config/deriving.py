@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rthyb_rt.config import limits as limits_file
-from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ, Rate
+from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import (
     BoucWen,
     ChabocheElement,
@@ -30,6 +31,7 @@ from rthyb_rt.config.rigfile import (
 )
 from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError, Problem
+from rthyb_rt.laws import Parameter
 
 if TYPE_CHECKING:
     from rthyb_rt.config.numerical import Matrices
@@ -37,9 +39,6 @@ if TYPE_CHECKING:
 
 DEFAULT_WINDOW_PERIODS = 0.1
 """The paper's conclusion: a tenth of the period."""
-DEFAULT_GAIN_PER_MM2_PER_SAMPLE = 0.03
-DEFAULT_RATE_PER_SAMPLE = 0.002
-DEFAULT_MEMORY_S = 2.0
 MAX_WINDOW_S = 1.0
 OIL_SUBSTEPS = 75
 """Substeps that a period of the table on its oil column needs: with fewer the response to friction
@@ -57,13 +56,9 @@ class Derived:
         mass_kg, period_s: with m = k (T / 2 pi)^2 of the whole stiffness.
         damping_n_s_per_m, damping_ratio: with c = 2 zeta sqrt(k m).
         window_samples: T0 of Eqn 3.3, samples at that rate.
-        alpha0, beta0: what the phase-lead compensator starts with, samples and samples^2 at that
-            rate.
-        alpha_min, alpha_max: bounds of the delay estimate, in the same.
+        law_settings: every setting of the control law, by its key; samples are of 1/1024 s.
         plc_enabled, estimator_enabled, rfc_enabled: what runs; nothing does for type "none".
         tangent: the tangent-stiffness formula.
-        gain_per_mm2_per_sample, rate_per_sample, memory_s: settings of the three adaptive laws, as
-            a file has them: of samples of 1/1024 s.
         rest_noise_displacement_m, rest_noise_force_n: noise at rest behind the excitation gate.
         limits: the limits of test and rig together, with where each comes from.
         notes: what a user should know and need not act on.
@@ -79,17 +74,11 @@ class Derived:
     damping_n_s_per_m: float
     damping_ratio: float
     window_samples: int
-    alpha0: float
-    beta0: float
-    alpha_min: float
-    alpha_max: float
+    law_settings: Mapping[str, float]
     plc_enabled: bool
     estimator_enabled: bool
     rfc_enabled: bool
     tangent: str
-    gain_per_mm2_per_sample: float
-    rate_per_sample: float
-    memory_s: float
     rest_noise_displacement_m: float
     rest_noise_force_n: float
     limits: limits_file.Resolved
@@ -128,8 +117,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         damping, ratio = _damping(test.numerical, stiffness, mass)
         _check_integration(test.numerical, period, ratio, rate, problems, notes)
     _check_rate(test, rig, rate, problems)
-    alpha0 = _alpha0(test, rig, problems)
-    beta0 = _beta0(test)
+    settings = _law_settings(test, rig, rate, problems)
     noise_m, noise_n = _rest_noise(test, rig, notes)
     limits = limits_file.resolve(test.limits, rig.limits, rig.rig.name, noise_m, problems)
     _note_stiffness(rig, notes)
@@ -137,7 +125,6 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     _note_friction(test, rig, mass, rate, notes)
     _note_substeps(rig, notes)
     controller = test.controller
-    estimator = controller.delay_estimator
     window = _window_samples(test, period, rate, problems)
     if problems:
         raise InputError(problems)
@@ -152,19 +139,11 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         damping_n_s_per_m=damping,
         damping_ratio=ratio,
         window_samples=window,
-        alpha0=rate.samples(alpha0),
-        beta0=rate.samples(rate.samples(beta0)),
-        alpha_min=rate.samples(estimator.alpha_min),
-        alpha_max=rate.samples(estimator.alpha_max),
+        law_settings=settings,
         plc_enabled=active and controller.plc_enabled,
-        estimator_enabled=active and estimator.enabled,
+        estimator_enabled=active and controller.law.learns and controller.delay_estimator.enabled,
         rfc_enabled=active and controller.rfc.enabled,
         tangent=controller.rfc.tangent or default_tangent,
-        gain_per_mm2_per_sample=_given(
-            estimator.gain_per_mm2_per_sample, DEFAULT_GAIN_PER_MM2_PER_SAMPLE
-        ),
-        rate_per_sample=_given(estimator.rate_per_sample, DEFAULT_RATE_PER_SAMPLE),
-        memory_s=_given(estimator.memory_s, DEFAULT_MEMORY_S),
         rest_noise_displacement_m=noise_m,
         rest_noise_force_n=noise_n,
         limits=limits,
@@ -179,13 +158,6 @@ def resolve(test: TestFile, derived: Derived) -> TestFile:
     It runs the same with another version's defaults.
     """
     controller = test.controller
-    estimator = controller.delay_estimator.model_copy(
-        update={
-            "gain_per_mm2_per_sample": derived.gain_per_mm2_per_sample,
-            "rate_per_sample": derived.rate_per_sample,
-            "memory_s": derived.memory_s,
-        }
-    )
     standard = derived.rate.pace == 1.0
     rfc = controller.rfc.model_copy(
         update={
@@ -195,14 +167,7 @@ def resolve(test: TestFile, derived: Derived) -> TestFile:
             "tangent": derived.tangent,
         }
     )
-    resolved = controller.model_copy(
-        update={
-            "alpha0": derived.alpha0 / derived.rate.pace,
-            "beta0": derived.beta0 / derived.rate.pace / derived.rate.pace,
-            "delay_estimator": estimator,
-            "rfc": rfc,
-        }
-    )
+    resolved = controller.with_settings(derived.law_settings).model_copy(update={"rfc": rfc})
     return test.model_copy(update={"controller": resolved, "limits": derived.limits.limits})
 
 
@@ -351,50 +316,54 @@ def _check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem
                 f"({', '.join(whole)}), or take an actuator of kind second-order with delay_s",
             )
         )
-    cutoff_hz = test.controller.delay_estimator.cutoff_hz
-    if test.controller.type in ("robust", "alpha-beta") and cutoff_hz >= rate.hz / 2:
-        problems.append(
-            Problem(
-                "controller.delay_estimator.cutoff_hz",
-                f"found {cutoff_hz:g} Hz; must be below half of test.sample_rate_hz = "
-                f"{rate.hz:g} Hz; lower it, or raise the rate ({LEAST_HZ:g} to {MOST_HZ:g} Hz)",
-            )
-        )
 
 
-def _alpha0(test: TestFile, rig: RigFile, problems: list[Problem]) -> float:
-    controller = test.controller
-    if controller.type == "none":
-        return 0.0
-    if controller.alpha0 is not None:
-        return controller.alpha0
-    if rig.identified is None:
-        if controller.plc_enabled:
+def _law_settings(
+    test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]
+) -> dict[str, float]:
+    """Return every setting of the control law: the file's, else the rig's, else the default."""
+    controller, settings = test.controller, dict[str, float]()
+    from_rig: set[str] = set()
+    for parameter in controller.law.parameters:
+        value = _from_rig(parameter, test, rig)
+        if value is not None:
+            from_rig.add(parameter.key)
+        else:
+            value = controller.setting(parameter.key)
+        if value is None and controller.plc_enabled:
             problems.append(
                 Problem(
-                    "controller.alpha0",
-                    f'missing, and rig "{rig.rig.name}" has no identified.alpha to take; give '
-                    "controller.alpha0 in samples, or run `rthyb identify RIG`",
+                    f"controller.{parameter.key}",
+                    f'missing, and rig "{rig.rig.name}" has no {parameter.rig_key} to take; give '
+                    f"controller.{parameter.key} in {parameter.unit}, or run `rthyb identify RIG`",
                 )
             )
-        return 0.0
-    alpha, bounds = rig.identified.alpha, controller.delay_estimator
-    if not bounds.alpha_min <= alpha <= bounds.alpha_max:
-        problems.append(
-            Problem(
-                "controller.alpha0",
-                f'rig "{rig.rig.name}" gives identified.alpha = {alpha:g}; must be from '
-                f"alpha_min = {bounds.alpha_min:g} to alpha_max = {bounds.alpha_max:g} samples; "
-                "widen them in controller.delay_estimator, or identify the rig again",
+        # Nothing is led by it.
+        settings[parameter.key] = max(parameter.low, 0.0) if value is None else value
+    found = controller.law.complaint(list(settings.values()), rate.period_s)
+    if found is not None:
+        key, text = found
+        where = next(p.rig_key for p in controller.law.parameters if p.key == key)
+        if key in from_rig:
+            text = (
+                f'rig "{rig.rig.name}" gives {where} = {settings[key]:g}: {text}; change what '
+                "bounds it, or identify the rig again"
             )
-        )
-    return alpha
+        problems.append(Problem(f"controller.{key}", text))
+    return settings
 
 
-def _beta0(test: TestFile) -> float:
-    """Return the curvature term to start with; 0 is right for a lag and has the smallest gain."""
-    controller = test.controller
-    return 0.0 if controller.type == "none" or controller.beta0 is None else controller.beta0
+def _from_rig(parameter: Parameter, test: TestFile, rig: RigFile) -> float | None:
+    """Return what the rig file says of a setting that the test file leaves to it."""
+    place: object = test.controller
+    for part in parameter.key.split("."):
+        place = getattr(place, part, None)
+    if place is not None or parameter.rig_key is None:
+        return None
+    place = rig
+    for part in parameter.rig_key.split("."):
+        place = getattr(place, part, None)
+    return float(place) if isinstance(place, (int, float)) else None
 
 
 def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Problem]) -> int:
@@ -430,7 +399,7 @@ def _rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, 
     # A quiet sensor may stand on one step at rest; its rounding is noise as soon as it moves.
     noise_m = max(noise_m, sensors.displacement.lsb_m / math.sqrt(12))
     noise_n = max(noise_n, sensors.force.lsb_n / math.sqrt(12))
-    if noise_m == 0 and test.controller.type in ("robust", "alpha-beta"):
+    if noise_m == 0 and test.controller.law.uses_rest_noise:
         notes.append(
             f'rig "{rig.rig.name}" states no displacement noise at rest: 0 is used and the '
             "excitation gate stays open; `rthyb identify RIG` measures it"

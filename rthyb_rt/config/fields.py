@@ -66,7 +66,7 @@ def nearest(name: str, known: list[str]) -> str:
 def explained(text: str, involved: tuple[str, ...] = ()) -> PydanticCustomError:
     """Return the error of a message that is already complete.
 
-    ``involved`` names the keys of the same table that have a part in it.
+    ``involved`` names the keys of the same table, or of tables in it, that have a part in it.
     """
     return PydanticCustomError(_EXPLAINED, "{text}", {"text": text, "involved": involved})
 
@@ -95,6 +95,7 @@ class Range(_Limits):
         high: largest value allowed.
         what: what the number is, in a few words.
         remedy: what to do when it is missing or wrong, if the range does not say it.
+        open_low, open_high: the bound itself is not allowed.
     """
 
     unit: str
@@ -102,11 +103,16 @@ class Range(_Limits):
     high: float
     what: str
     remedy: str = ""
+    open_low: bool = False
+    open_high: bool = False
 
     def allowed(self, kind: str = "") -> str:
         """Return what is allowed, in words; ``kind`` says what is measured (``"a length "``)."""
-        limits = f"{_short(self.low)} to {_short(self.high)} {self.unit}"
-        text = f"{self.what} must be {kind}from {limits}".rstrip()
+        low = "above" if self.open_low else "from"
+        to = (", below" if self.open_high else ", up to") if self.open_low else " to"
+        to = " to below" if self.open_high and not self.open_low else to
+        limits = f"{low} {_short(self.low)}{to} {_short(self.high)} {self.unit}"
+        text = f"{self.what} must be {kind}{limits}".rstrip()
         return f"{text}; {self.remedy}" if self.remedy else text
 
     def read(self, value: object) -> float:
@@ -123,7 +129,9 @@ class Range(_Limits):
                 number = float(value)
             except OverflowError:
                 number = math.inf
-        if not fault and self.low <= number <= self.high:
+        above = self.low < number if self.open_low else self.low <= number
+        below = number < self.high if self.open_high else number <= self.high
+        if not fault and above and below:
             return number
         kind = f"{units.dimension_name(self.unit)} " if fault else ""
         raise explained(f"found {written(value)}{fault}; {self.allowed(kind)}")
@@ -132,7 +140,9 @@ class Range(_Limits):
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         """Describe the number, and the text with a unit that is taken as well."""
-        number = {"type": "number", "minimum": self.low, "maximum": self.high}
+        low = "exclusiveMinimum" if self.open_low else "minimum"
+        high = "exclusiveMaximum" if self.open_high else "maximum"
+        number = {"type": "number", low: self.low, high: self.high}
         text = {"type": "string", "pattern": r"^\s*[+\-]?[0-9.]"}
         unit = f" [{self.unit}]" if self.unit else ""
         return {"anyOf": [number, text], "description": self.what + unit}
@@ -313,6 +323,16 @@ class Table(BaseModel):
     def settle(self) -> None:
         """Replace alternative inputs by the one form the rest of the program reads."""
 
+    @classmethod
+    def further_faults(
+        cls, keys: dict[str, Any]
+    ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
+        """Yield what several keys do wrong together, beyond `checks`.
+
+        Each is the place below this table, the complaint, and the keys of it that have a part.
+        """
+        yield from ()
+
     @model_validator(mode="wrap")
     @classmethod
     def _explain_all(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
@@ -330,6 +350,8 @@ class Table(BaseModel):
         for check, text in cls._check_faults(table, keys, failed):
             error_type = explained(text, check.needs)
             found.append({"type": error_type, "loc": (check.key,), "input": data})
+        for loc, text, needs in cls.further_faults(keys):
+            found.append({"type": explained(text, needs), "loc": loc, "input": data})
         if table is None or found:
             raise ValidationError.from_exception_data(cls.__name__, found)
         table.settle()

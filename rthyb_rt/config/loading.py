@@ -375,7 +375,8 @@ def _parse(
             if place[:-1] in new_kinds and message.startswith(("unknown key", "missing")):
                 unfit.add(place[:-1])
                 continue
-            involved = [(*place[:-1], key) for key in fault["ctx"]["involved"]]
+            names: tuple[str, ...] = fault["ctx"]["involved"]
+            involved: list[KeyPath] = [place[:-1] + tuple(each.split(".")) for each in names]
             culprit = _override_to_blame(place, involved, given, lines)
             if culprit:
                 inner = place[len(_override_path(model, culprit)) :]

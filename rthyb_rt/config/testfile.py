@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, StrictBool
 
+from rthyb_rt.config import lawtables
 from rthyb_rt.config.fields import SLUG, SOME_TEXT, Check, Choice, Count, Range, Table, Text
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ
+from rthyb_rt.laws import LAWS, Law
+
+if TYPE_CHECKING:
+    LawName = str
+else:
+    LawName = Literal[tuple(LAWS)]
 
 TEST_SCHEMA = "rthyb-test/1"
 
@@ -112,38 +120,13 @@ class Numerical(Table):
     matrices: Matrices | None = None
 
 
-def _bounds_in_order(alpha_min: float, alpha_max: float) -> str | None:
-    if alpha_min < alpha_max:
-        return None
-    return f"found {alpha_max:g}; must be greater than alpha_min = {alpha_min:g} samples"
+class _DelayEstimator(Table):
+    """What a control law learns; the settings of those that share these keys (Eqn 2.6-2.11).
 
-
-class DelayEstimator(Table):
-    """The adaptive law for the delay alpha (Eqn 2.6-2.11 and its successors).
-
-    A file may hold the settings of several laws: ``gain_per_mm2_per_sample`` is read by the
-    controller ``paper``, ``rate_per_sample`` by ``robust``, ``memory_s`` by ``alpha-beta``.
+    A file may hold the settings of several laws; each reads its own. ``enabled`` is for every law.
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("alpha_max", ("alpha_min", "alpha_max"), _bounds_in_order),
-    )
-
     enabled: StrictBool = True
-    gain_per_mm2_per_sample: (
-        Annotated[float, Range("", 0, 1e3, "the adaptive gain gamma (Eqn 2.11)")] | None
-    ) = None
-    rate_per_sample: Annotated[float, Range("", 0, 1, "the share learnt per sample")] | None = None
-    memory_s: Annotated[float, Range("s", 0.05, 600, "the memory of the estimator")] | None = None
-    alpha_min: Annotated[float, Range("samples", 0, 1000, "the smallest delay")] = 0.0
-    alpha_max: Annotated[float, Range("samples", 0, 1000, "the largest delay")] = 60.0
-    cutoff_hz: Annotated[float, Range("Hz", 0.5, 400, "the cut-off of the filter pair")] = 25.0
-    gate_factor: Annotated[
-        float, Range("", 0, 1e6, "the power over rest noise that opens the gate")
-    ] = 10.0
-    reference_displacement_m: Annotated[
-        float, Range("m", 1e-6, 10, "the displacement that makes the law unit-free")
-    ] = 0.001
 
 
 class Rfc(Table):
@@ -164,49 +147,44 @@ class Rfc(Table):
     divisor: Literal["printed", "terms"] = "printed"
 
 
-def _alpha_in_bounds(alpha0: float | None, estimator: DelayEstimator) -> str | None:
-    if alpha0 is None or estimator.alpha_min <= alpha0 <= estimator.alpha_max:
-        return None
-    return (
-        f"found {alpha0:g}; must be from alpha_min = {estimator.alpha_min:g} to alpha_max = "
-        f"{estimator.alpha_max:g} samples of controller.delay_estimator"
-    )
+class _Controller(Table):
+    """The compensation: the control law with its settings, restoring force (Eqn 3.2)."""
 
-
-def _beta_in_bounds(beta0: float | None, estimator: DelayEstimator) -> str | None:
-    bound = estimator.alpha_max**2 / 2
-    if beta0 is None or abs(beta0) <= bound:
-        return None
-    return f"found {beta0:g}; must be from {-bound:g} to {bound:g} (half of alpha_max squared)"
-
-
-def _plc_stable(w1: float, w2: float) -> str | None:
-    """Poles of Eqn 2.5 inside the unit circle (Fig. 2.1)."""
-    if abs(w1) > 1 and abs(w2) < abs(w1 + 1):
-        return None
-    return (
-        f"w1 = {w1:g}, w2 = {w2:g} make the phase-lead compensator unstable; needed are |w1| > 1 "
-        f"and |w2| < |w1 + 1| = {abs(w1 + 1):g}; the paper uses w1 = 3, w2 = 2"
-    )
-
-
-class Controller(Table):
-    """The compensation: phase lead (Eqn 2.5), its delay estimator, restoring force (Eqn 3.2)."""
-
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("w1", ("w1", "w2"), _plc_stable),
-        Check("alpha0", ("alpha0", "delay_estimator"), _alpha_in_bounds),
-        Check("beta0", ("beta0", "delay_estimator"), _beta_in_bounds),
-    )
-
-    type: Literal["paper", "robust", "alpha-beta", "none"] = "paper"
+    type: LawName = lawtables.DEFAULT_LAW
     plc_enabled: StrictBool = True
-    w1: Annotated[float, Range("", -1e3, 1e3, "the weighting W1 (Eqn 2.3)")] = 3.0
-    w2: Annotated[float, Range("", -1e3, 1e3, "the weighting W2 (Eqn 2.3)")] = 2.0
-    alpha0: Annotated[float, Range("samples", 0, 1000, "the initial delay")] | None = None
-    beta0: Annotated[float, Range("", -5e5, 5e5, "the initial curvature term")] | None = None
-    delay_estimator: DelayEstimator = Field(default_factory=DelayEstimator)
+    delay_estimator: _DelayEstimator = Field(default_factory=_DelayEstimator)
     rfc: Rfc = Field(default_factory=Rfc)
+
+    @property
+    def law(self) -> Law:
+        """The control law."""
+        return LAWS[self.type]
+
+    def setting(self, key: str) -> float | None:
+        """Return what the file says of a law's parameter, else its default, else None."""
+        return lawtables.setting(self, key)
+
+    def with_settings(self, values: Mapping[str, float]) -> Self:
+        """Return the same with settings of laws written out, by their keys."""
+        return lawtables.with_settings(self, values)
+
+    @classmethod
+    def further_faults(
+        cls, keys: dict[str, Any]
+    ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
+        """Ask the control law what its settings do wrong together."""
+        yield from lawtables.faults(keys)
+
+
+if TYPE_CHECKING:
+    # The laws' own tables add their keys, which are read by `setting`.
+    DelayEstimator = _DelayEstimator
+    Controller = _Controller
+else:
+    DelayEstimator = lawtables.extended(_DelayEstimator, "DelayEstimator", "delay_estimator")
+    Controller = lawtables.extended(
+        _Controller, "Controller", "", sections={"delay_estimator": DelayEstimator}
+    )
 
 
 class Reference(Table):

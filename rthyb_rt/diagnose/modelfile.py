@@ -169,7 +169,7 @@ def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model
         f_std=sensors.force.noise_std_n or None,
         extra=tuple(extra),
         rig=rig,
-        plc=(test.controller.w1, test.controller.w2) if test is not None else None,
+        plc=_weights(test) if test is not None else None,
         rfc=test.controller.rfc.enabled if test is not None else None,
     )
 
@@ -179,6 +179,13 @@ def at_rate(model: Model, fs_hz: float) -> Model:
     if model.rig is None or model.fs_hz == fs_hz:
         return model
     return replace(model, fs_hz=fs_hz, actuator=_rig_actuator(model.rig, fs_hz))
+
+
+def _weights(test: Any) -> tuple[float, float] | None:
+    """Return W1 and W2 of a test's control law; None for one that has no such weights."""
+    w1, w2 = test.controller.setting("w1"), test.controller.setting("w2")
+    leads = test.controller.law.parameter("w1") is not None or test.controller.type == "none"
+    return (w1, w2) if leads and w1 is not None and w2 is not None else None
 
 
 def _rig_actuator(rig: Any, fs_hz: float) -> ActuatorModel | None:

@@ -10,6 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rthyb_rt import measures
+from rthyb_rt.laws import law_value
 from rthyb_rt.numbers import number, quantity
 from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
 from rthyb_rt.report import drawing as draw
@@ -275,18 +276,23 @@ class _Figures:
         right.spines["right"].set_visible(False)
         right.yaxis.set_major_locator(MaxNLocator(5))
         right.tick_params(axis="y", size=0.0)
-        draw.head(axes, "delay estimate, samples", right="ms")
+        draw.head(axes, self._reported("alpha"), right="ms")
         if curved:
             second = paper.axes[1]
             draw.curve(second, self.t, beta, draw.PURPLE, 0.9)
             draw.fit_range(second, beta, limit=robust_limit(beta), ticks=3)
-            draw.head(second, "curvature term, samples²")
+            draw.head(second, self._reported("beta"))
         self._time_axis(paper.axes[-1])
         note = f"At the end {_alpha_words(self.s.alpha_end, self.rec.fs_hz)}."
         far = [f"{b:g}" for b in bounds if b not in near]
         if far:
             note += f" Outside the picture: bound{'s' if len(far) > 1 else ''} {' and '.join(far)}."
         return paper.plate(title, note)
+
+    def _reported(self, name: str) -> str:
+        """Return label and unit of what the control law reports by a name."""
+        value = law_value(self.s.setup.controller, name)
+        return name if value is None else f"{value.label}, {value.unit}"
 
     def stiffness(self) -> draw.Plate:
         title, given = "Tangent stiffness", self.s.setup

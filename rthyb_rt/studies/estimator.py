@@ -16,11 +16,18 @@ PLANT_AND_ONE = core.ServoConfig("first-order", roll_off_hz=PLANT.roll_off_hz, d
 DURATION_S = 120.0
 AMPLITUDE_M = 1e-3
 
-CONTROLLERS: dict[str, core.EstimatorConfig] = {
-    "none": core.EstimatorConfig(),
-    "paper": core.EstimatorConfig(law="gradient", gain=1.0),
-    "robust": core.EstimatorConfig(law="robust", gain=0.002),
-    "alpha-beta": core.EstimatorConfig(law="rls", estimate_beta=True),
+
+def printed(gain: float, alpha_max: float = 60.0) -> core.LawConfig:
+    """Return the paper's law from alpha = 0."""
+    bound, key = "delay_estimator.alpha_max", "delay_estimator.gain_per_mm2_per_sample"
+    return core.LawConfig("paper", {"alpha0": 0.0, bound: alpha_max, key: gain})
+
+
+CONTROLLERS: dict[str, core.LawConfig] = {
+    "none": core.LawConfig(),
+    "paper": printed(1.0),
+    "robust": core.LawConfig("robust", {"alpha0": 0.0}),
+    "alpha-beta": core.LawConfig("alpha-beta", {"alpha0": 0.0}),
 }
 
 
@@ -44,18 +51,18 @@ def sine(frequency_hz: float, duration_s: float = 60.0) -> Floats:
 def track(
     plant: core.ServoConfig,
     command_m: Floats,
-    estimator: core.EstimatorConfig,
+    law: core.LawConfig,
     *,
-    plc_enabled: bool = True,
+    lead_enabled: bool = True,
     noise_std_m: float = 0.0,
 ) -> core.RecordArray:
     """Return the records of following a command through the adaptive compensator."""
     controller = core.Controller(
         core.ControllerConfig(
-            estimator=estimator,
+            law=law,
             rfc=core.RfcConfig(k_e_n_per_m=1.0, enabled=False),
             motion=core.MotionConfig("prescribed"),
-            plc_enabled=plc_enabled,
+            lead_enabled=lead_enabled,
         )
     )
     rig = core.Rig(core.RigConfig(plant, displacement=core.SensorConfig(noise_std=noise_std_m)))
@@ -78,8 +85,7 @@ def study() -> Study:
     """Reproduce Section 4.1."""
     command = sweep()
     by_gain = {
-        gain: track(PLANT, command, core.EstimatorConfig(law="gradient", gain=gain, alpha_max=1e4))
-        for gain in (0.3, 1.0, 10.0, 30.0)
+        gain: track(PLANT, command, printed(gain, alpha_max=1e4)) for gain in (0.3, 1.0, 10.0, 30.0)
     }
     delayed = track(PLANT_AND_ONE, command, CONTROLLERS["paper"])
     slow_start = track(PLANT, sweep(logarithmic=True), CONTROLLERS["paper"])
@@ -132,8 +138,8 @@ def _single_sines() -> list[Row]:
     )
     rows = []
     for name, plant, frequency, gain, expected, band in cases:
-        estimator = core.EstimatorConfig(law="gradient", gain=gain)
-        alpha = track(plant, sine(frequency), estimator)["alpha"]
+        law = printed(gain)
+        alpha = track(plant, sine(frequency), law)["alpha"]
         rows.append(
             Row(f"{name[0].upper()}{name[1:]}, {frequency:g} Hz, γ = {gain:g}",
                 float(_between(alpha, 50, 60).mean()), "samples", expected - band, expected + band)
@@ -143,8 +149,8 @@ def _single_sines() -> list[Row]:
 
 def _side_by_side(command: Floats) -> list[Row]:
     rows = []
-    for name, estimator in CONTROLLERS.items():
-        records = track(PLANT, command, estimator, plc_enabled=name != "none")
+    for name, law in CONTROLLERS.items():
+        records = track(PLANT, command, law, lead_enabled=name != "none")
         late = slice(round(20 * core.FS_HZ), None)
         error = records["x_meas_m"][late] - records["x_num_m"][late]
         nrmse = 100 * rms(error) / rms(records["x_num_m"][late])

@@ -65,9 +65,9 @@ def motion_config(integrator: core.Integrator) -> core.MotionConfig:
 
 @dataclass(frozen=True)
 class Case:
-    """One way of running the test; ``estimator`` None: no phase-lead compensator."""
+    """One way of running the test; ``law`` None: nothing leads the command."""
 
-    estimator: core.EstimatorConfig | None
+    law: core.LawConfig | None
     rfc: bool = False
     tangent: core.Tangent = "mean-of-ratios"
     integrator: core.Integrator = "forward-euler"
@@ -77,16 +77,22 @@ class Case:
     noise_std_n: float = 0.0
 
 
-def adaptive(gain: float = GAIN) -> core.EstimatorConfig:
-    """Return the paper's estimator from alpha = 0."""
-    return core.EstimatorConfig(law="gradient", gain=gain)
+def adaptive(gain: float = GAIN, alpha0: float = 0.0) -> core.LawConfig:
+    """Return the paper's law from alpha = ``alpha0``."""
+    key = "delay_estimator.gain_per_mm2_per_sample"
+    return core.LawConfig("paper", {"alpha0": alpha0, key: gain})
+
+
+def fixed(alpha: float) -> core.LawConfig:
+    """Return the paper's phase lead for a delay that stays."""
+    return core.LawConfig("paper", {"alpha0": alpha}, adapts=False)
 
 
 def simulate(case: Case, ag: Floats) -> core.RecordArray:
     """Return the records of the hybrid test."""
     controller = core.Controller(
         core.ControllerConfig(
-            estimator=case.estimator or core.EstimatorConfig(),
+            law=case.law or core.LawConfig(),
             rfc=core.RfcConfig(
                 k_e_n_per_m=K_N_PER_M,
                 enabled=case.rfc,
@@ -96,7 +102,7 @@ def simulate(case: Case, ag: Floats) -> core.RecordArray:
                 rest_noise_m=case.noise_std_m,
             ),
             motion=motion_config(case.integrator),
-            plc_enabled=case.estimator is not None,
+            lead_enabled=case.law is not None,
         )
     )
     rig = core.Rig(
@@ -140,8 +146,8 @@ def largest_stable_delay(
     push[:20] = 1.0
     last = -1
     for delay in search:
-        estimator = core.EstimatorConfig(alpha0=float(delay)) if compensated else None
-        x = simulate(Case(estimator, specimen=ELASTIC, delay=delay, integrator=integrator), push)[
+        law = fixed(float(delay)) if compensated else None
+        x = simulate(Case(law, specimen=ELASTIC, delay=delay, integrator=integrator), push)[
             "x_meas_m"
         ]
         if x.size < push.size or rms(x[-x.size // 4 :]) > rms(x[x.size // 4 : x.size // 2]):
@@ -155,8 +161,8 @@ COMPENSATIONS = {
     "RFC": Case(None, rfc=True),
     "PLC": Case(adaptive()),
     "PLC + RFC": Case(adaptive(), rfc=True),
-    "PLC α = 10": Case(core.EstimatorConfig(alpha0=10.0)),
-    "PLC α = 10 + RFC": Case(core.EstimatorConfig(alpha0=10.0), rfc=True),
+    "PLC α = 10": Case(fixed(10.0)),
+    "PLC α = 10 + RFC": Case(fixed(10.0), rfc=True),
 }
 INTEGRATORS: tuple[core.Integrator, ...] = (
     "forward-euler",
@@ -303,17 +309,17 @@ def _controller_rows(ag: Floats) -> list[Row]:
     """Compare the controllers, all started 20 % off, as after a poor identification."""
     x_exact, _ = exact(ag, "central-difference")
     noise = 2e-6
-    estimators = {
+    laws = {
         "none": None,
-        "paper": adaptive(),
-        "robust": core.EstimatorConfig(law="robust", gain=0.002, rest_noise_m=noise),
-        "alpha-beta": core.EstimatorConfig(law="rls", estimate_beta=True, rest_noise_m=noise),
+        "paper": adaptive(alpha0=8.0),
+        "robust": core.LawConfig("robust", {"alpha0": 8.0}, rest_noise_m=noise),
+        "alpha-beta": core.LawConfig("alpha-beta", {"alpha0": 8.0}, rest_noise_m=noise),
     }
     rows = []
-    for name, estimator in estimators.items():
+    for name, law in laws.items():
         case = Case(
-            None if estimator is None else replace(estimator, alpha0=8.0),
-            rfc=estimator is not None,
+            law,
+            rfc=law is not None,
             tangent="mean-of-ratios" if name == "paper" else "least-squares",
             integrator="central-difference",
             noise_std_m=noise,

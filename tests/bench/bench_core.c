@@ -12,6 +12,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "../law_example.h"
 #include "../servo_example.h"
 #include "rthyb.h"
 
@@ -93,13 +94,11 @@ static void time_kernel(const char *group, const char *name, const void *kernel,
 
 /* ---- settings: Section 5 of the paper, T = 0.5 s ----------------------------------------------- */
 
-static rthyb_estimator_config estimator_config(enum rthyb_law law)
+static rthyb_estimator_config estimator_config(enum rthyb_estimator_law law)
 {
     return (rthyb_estimator_config){
         .law = law,
         .estimate_beta = law == RTHYB_LAW_RLS,
-        .w1 = 3.0,
-        .w2 = 2.0,
         .alpha0 = 17.0,
         .beta0 = law == RTHYB_LAW_RLS ? 144.5 : 0.0,
         .period_s = PERIOD_S,
@@ -158,13 +157,12 @@ static void set_up_rig(rthyb_rig *rig, enum rthyb_servo_kind kind, int noisy, in
 
 static const struct {
     const char *name;
-    enum rthyb_law law;
     enum rthyb_tangent tangent;
 } CONTROLLERS[] = {
-    {"paper", RTHYB_LAW_GRADIENT, RTHYB_TANGENT_MEAN_OF_RATIOS},
-    {"robust", RTHYB_LAW_ROBUST, RTHYB_TANGENT_LEAST_SQUARES},
-    {"alpha-beta", RTHYB_LAW_RLS, RTHYB_TANGENT_LEAST_SQUARES},
-    {"none", RTHYB_LAW_FIXED, RTHYB_TANGENT_MEAN_OF_RATIOS},
+    {"paper", RTHYB_TANGENT_MEAN_OF_RATIOS},
+    {"robust", RTHYB_TANGENT_LEAST_SQUARES},
+    {"alpha-beta", RTHYB_TANGENT_LEAST_SQUARES},
+    {"none", RTHYB_TANGENT_MEAN_OF_RATIOS},
 };
 enum { PAPER, ROBUST, ALPHA_BETA, NONE, CONTROLLER_COUNT };
 
@@ -173,14 +171,17 @@ static void set_up_controller(rthyb_controller *controller, int which)
     const int compensated = which != NONE;
     rthyb_controller_config cfg = {
         .period_s = PERIOD_S,
-        .plc_enabled = compensated,
-        .estimator = estimator_config(CONTROLLERS[which].law),
+        .lead_enabled = compensated,
+        .law = law_example(CONTROLLERS[which].name, 17.0),
         .rfc = rfc_config(CONTROLLERS[which].tangent, 51),
         .motion = motion_config(RTHYB_CENTRAL_DIFFERENCE),
         .x_range_m = 0.075,
         .f_range_n = 25e3,
     };
     cfg.rfc.enabled = compensated;
+    law_set(&cfg.law, "delay_estimator.memory_s", 6.0);
+    if (which == ALPHA_BETA)
+        law_set(&cfg.law, "beta0", 144.5);
     must(rthyb_controller_init(controller, &cfg), "controller");
 }
 
@@ -284,8 +285,8 @@ static void time_estimators(void)
     static const char *const NAMES[] = {"fixed", "gradient", "robust", "rls alpha, beta"};
     rthyb_estimator est;
     for (int law = RTHYB_LAW_FIXED; law <= RTHYB_LAW_RLS; law++) {
-        const rthyb_estimator_config cfg = estimator_config((enum rthyb_law)law);
-        must(rthyb_estimator_init(&est, &cfg, 0.0), "estimator");
+        const rthyb_estimator_config cfg = estimator_config((enum rthyb_estimator_law)law);
+        must(rthyb_estimator_init(&est, &cfg, 3.0, 2.0, 0.0), "estimator");
         time_kernel("estimator", NAMES[law], &est, sizeof est, run_estimator);
     }
 }

@@ -134,7 +134,8 @@ def build(compiled: Callable[[Any], Any]) -> Loop:
 
 def core_pair(config: core.RigConfig | None = None) -> tuple[core.Controller, core.Rig]:
     """Return the same test's controller and rig for the C core; ``config`` names another rig."""
-    estimator = core.EstimatorConfig(law="gradient", gain=GAIN_PER_MM2)
+    key = "delay_estimator.gain_per_mm2_per_sample"
+    law = core.LawConfig("paper", {"alpha0": 0.0, key: GAIN_PER_MM2})
     motion = core.MotionConfig(
         "central-difference", mass_kg=MASS_KG, damping_n_s_per_m=DAMPING_N_S_PER_M
     )
@@ -144,7 +145,7 @@ def core_pair(config: core.RigConfig | None = None) -> tuple[core.Controller, co
     )
     servo = core.ServoConfig("pure-delay", delay_samples=DELAY)
     own = core.RigConfig(servo, (specimen,), load_cell="specimen")
-    controller = core.Controller(core.ControllerConfig(estimator, rfc, motion))
+    controller = core.Controller(core.ControllerConfig(law, rfc, motion))
     return controller, core.Rig(config or own)
 
 

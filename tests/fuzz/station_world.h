@@ -6,6 +6,7 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "../law_example.h"
 #include "../servo_example.h"
 #include "rthyb.h"
 #include "station_rules.h"
@@ -82,27 +83,57 @@ static scale some_scale(dice *d)
     return s;
 }
 
-static rthyb_estimator_config some_estimator(dice *d, const scale *s)
+/* Phase lead with one of its estimators, as a rule near the specimen's delay. */
+static rthyb_law_config some_lead(dice *d, const scale *s)
 {
+    static const char *const NAMES[] = {"paper", "paper", "robust", "alpha-beta"};
     static const double GAINS[] = {0.0, 0.03, 2e-3, 0.0};
-    rthyb_estimator_config c = {.law = (int32_t)below(d, 4),
-                                .w1 = 3.0,
-                                .w2 = 2.0,
-                                .alpha0 = one_in(d, 5) ? between(d, 0.0, 30.0) : s->delay,
-                                .period_s = PERIOD_S,
-                                .reference_m = 1e-3,
-                                .memory_samples = some(d, 100.0, 8192.0),
-                                .cutoff_hz = between(d, 5.0, 60.0),
-                                .alpha_max = 60.0,
-                                .rest_noise_m = one_in(d, 2) ? 2e-6 : 0.0,
-                                .gate_factor = 10.0};
-    c.estimate_beta = c.law == RTHYB_LAW_RLS && one_in(d, 2);
-    c.gain = GAINS[c.law] * some(d, 0.1, 3.0);
+    const uint32_t which = below(d, 4);
+    rthyb_law_config law =
+        law_example(NAMES[which], one_in(d, 5) ? between(d, 0.0, 30.0) : s->delay);
+    law_set(&law, "delay_estimator.memory_s", some(d, 100.0, 8192.0) * PERIOD_S);
+    law_set(&law, "delay_estimator.cutoff_hz", between(d, 5.0, 60.0));
+    law.adapts = which != 0;
+    law.rest_noise_m = one_in(d, 2) ? 2e-6 : 0.0;
+    (void)(which == 3 && one_in(d, 2));
+    const double gain = GAINS[which] * some(d, 0.1, 3.0);
+    law_set(&law, "delay_estimator.gain_per_mm2_per_sample", gain);
+    law_set(&law, "delay_estimator.rate_per_sample", gain);
     if (one_in(d, 5)) {
-        c.w1 = some(d, 1.2, 10.0);
-        c.w2 = between(d, -0.9, 0.9) * c.w1;
+        const double w1 = some(d, 1.2, 10.0);
+        law_set(&law, "w1", w1);
+        law_set(&law, "w2", between(d, -0.9, 0.9) * w1);
     }
-    return c;
+    return law;
+}
+
+/* Any law, with anything that a test file may ask of it, near its defaults as a rule. */
+static rthyb_law_config any_law(dice *d, const scale *s)
+{
+    const int32_t kind = (int32_t)below(d, (uint32_t)rthyb_law_count());
+    const rthyb_law_description *is = rthyb_law_describe(kind);
+    rthyb_law_config law = law_of_kind(kind, s->delay);
+    for (uint32_t i = 0; i < is->parameter_count; i++) {
+        const rthyb_law_parameter *p = &is->parameters[i];
+        const double now = law.parameters[i];
+        const double low = fmax(p->low, 0.3 * now), high = fmin(p->high, 3.0 * now);
+        if (one_in(d, 3) && low < high)
+            law.parameters[i] = between(d, low, high);
+    }
+    rthyb_law_complaint complaint;
+    if (rthyb_law_check(kind, law.parameters, PERIOD_S, &complaint) >= 0)
+        law = law_of_kind(kind, s->delay);
+    law.rest_noise_m = one_in(d, 2) ? 2e-6 : 0.0;
+    return law;
+}
+
+/* Dice of its own decide on the rest, so that a law more makes no other day. */
+static rthyb_law_config some_law(dice *d, const scale *s)
+{
+    dice own = *d;
+    const rthyb_law_config lead = some_lead(d, s);
+    (void)throw_bits(&own);
+    return one_in(&own, 4) ? any_law(&own, s) : lead;
 }
 
 static rthyb_controller_config some_controller(dice *d, const scale *s)
@@ -110,8 +141,8 @@ static rthyb_controller_config some_controller(dice *d, const scale *s)
     const double v = s->peak_m * s->omega_per_s, a = v * s->omega_per_s;
     return (rthyb_controller_config){
         .period_s = PERIOD_S,
-        .plc_enabled = !one_in(d, 8),
-        .estimator = some_estimator(d, s),
+        .lead_enabled = !one_in(d, 8),
+        .law = some_law(d, s),
         .rfc = {.enabled = !one_in(d, 4),
                 .tangent = (int32_t)below(d, 2),
                 .divisor = (int32_t)below(d, 2),

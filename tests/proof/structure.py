@@ -23,8 +23,8 @@ def shaking(seconds: float) -> np.ndarray:
 def station() -> core.StationConfig:
     """A station without limits of its own; faults of link and clock end a test as always."""
     controller = core.ControllerConfig(
-        estimator=core.EstimatorConfig(
-            law="rls", estimate_beta=True, alpha0=7.0, beta0=24.0, memory_samples=4096.0
+        law=core.LawConfig(
+            "alpha-beta", {"alpha0": 7.0, "beta0": 24.0, "delay_estimator.memory_s": 4.0}
         ),
         rfc=core.RfcConfig(k_e_n_per_m=K_N_PER_M, window=51),
         motion=core.MotionConfig(

@@ -1,0 +1,134 @@
+/* The control laws of this program, and one of them at work. */
+#include <string.h>
+
+#include "control_law.h"
+
+/* Pointers to the laws, put side by side by the linker; the two names are its own. */
+extern const rthyb_control_law *const
+    __start_rthyb_laws[]; /* NOLINT(bugprone-reserved-identifier,cert-*) */
+extern const rthyb_control_law *const
+    __stop_rthyb_laws[]; /* NOLINT(bugprone-reserved-identifier,cert-*) */
+
+size_t rthyb_law_count(void)
+{
+    /* To C they are two arrays, of which no difference may be taken. */
+    const uintptr_t bytes = (uintptr_t)__stop_rthyb_laws - (uintptr_t)__start_rthyb_laws;
+    return bytes / sizeof __start_rthyb_laws[0];
+}
+
+const rthyb_control_law *rthyb_law_at(int32_t kind)
+{
+    return kind >= 0 && (size_t)kind < rthyb_law_count() ? __start_rthyb_laws[kind] : NULL;
+}
+
+int32_t rthyb_law_find(const char *name)
+{
+    for (int32_t i = 0; (size_t)i < rthyb_law_count(); i++) {
+        if (!strcmp(__start_rthyb_laws[i]->is.name, name))
+            return i;
+    }
+    return -1;
+}
+
+const rthyb_law_description *rthyb_law_describe(int32_t kind)
+{
+    const rthyb_control_law *law = rthyb_law_at(kind);
+    return law ? &law->is : NULL;
+}
+
+size_t rthyb_law_state_size(int32_t kind)
+{
+    const rthyb_control_law *law = rthyb_law_at(kind);
+    return law ? law->state_size : 0;
+}
+
+int rthyb_law_check(int32_t kind, const double *parameters, double period_s,
+                    rthyb_law_complaint *complaint)
+{
+    const rthyb_control_law *law = rthyb_law_at(kind);
+    return law && law->check ? law->check(parameters, period_s, complaint) : -1;
+}
+
+static int32_t offset_of(const rthyb_law_description *is, const char *name)
+{
+    for (uint32_t i = 0; i < is->value_count; i++) {
+        if (!strcmp(is->values[i].name, name))
+            return (int32_t)is->values[i].offset;
+    }
+    return -1;
+}
+
+int rthyb_law_init(rthyb_law *law, const rthyb_law_config *cfg, double period_s, double x0_m)
+{
+    const rthyb_control_law *kind = rthyb_law_at(cfg->kind);
+    if (!kind)
+        return RTHYB_E_LAW;
+    if (!(period_s > 0.0 && period_s <= 1.0))
+        return RTHYB_E_PERIOD;
+    if (!(cfg->rest_noise_m >= 0.0 && cfg->rest_noise_m <= 1.0))
+        return RTHYB_E_LAW;
+    if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
+        return RTHYB_E_LIMIT;
+    for (uint32_t i = 0; i < kind->is.parameter_count; i++) {
+        if (!isfinite(cfg->parameters[i]))
+            return RTHYB_E_LAW;
+    }
+    rthyb_law_complaint complaint;
+    if (rthyb_law_check(cfg->kind, cfg->parameters, period_s, &complaint) >= 0)
+        return RTHYB_E_LAW;
+    const rthyb_law_start start = {
+        .parameters = cfg->parameters,
+        .period_s = period_s,
+        .x0_m = x0_m,
+        .rest_noise_m = cfg->rest_noise_m,
+    };
+    *law = (rthyb_law){.cfg = *cfg};
+    law->alpha_at = offset_of(&kind->is, "alpha");
+    law->beta_at = offset_of(&kind->is, "beta");
+    return kind->init(&law->state, &start);
+}
+
+/* Of a law that rthyb_law_init has found: for every tick, without looking again. */
+static inline const rthyb_control_law *law_of(const rthyb_law *law)
+{
+    return __start_rthyb_laws[law->cfg.kind];
+}
+
+void rthyb_law_rest(rthyb_law *law, double x_m)
+{
+    if (judge(x_m, RTHYB_DISPLACEMENT_MAX_M) == RTHYB_OK)
+        law_of(law)->rest(&law->state, x_m);
+}
+
+int rthyb_law_observe(rthyb_law *law, double x_p_m, double x_m_m, int frozen)
+{
+    return law_of(law)->observe(&law->state, x_p_m, x_m_m, frozen || !law->cfg.adapts);
+}
+
+int rthyb_law_lead(rthyb_law *law, double x_c_m, double allowed_m, double *x_p_m)
+{
+    return law_of(law)->lead(&law->state, x_c_m, allowed_m, x_p_m);
+}
+
+double rthyb_law_value_at(const rthyb_law *law, int32_t offset)
+{
+    double value = (double)NAN;
+    if (offset >= 0)
+        memcpy(&value, law->state.bytes + offset, sizeof value);
+    return value;
+}
+
+void rthyb_law_report(const rthyb_law *law, double *values)
+{
+    const rthyb_law_description *is = &law_of(law)->is;
+    for (uint32_t i = 0; i < is->value_count; i++)
+        values[i] = rthyb_law_value_at(law, (int32_t)is->values[i].offset);
+}
+
+int rthyb_law_run(rthyb_law *law, const double *x_c_m, double *x_p_m, size_t n)
+{
+    int code = RTHYB_OK;
+    for (size_t i = 0; i < n; i++)
+        code |= rthyb_law_lead(law, x_c_m[i], 0.0, &x_p_m[i]);
+    return code;
+}

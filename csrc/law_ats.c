@@ -1,0 +1,286 @@
+/* Adaptive time series (Chae, Kazemibidokhti & Ricles, EESD 42 (2013) 1697; Chalarca et al.):
+ *   x_p = a0 x_c + a1 x_c' + a2 x_c''
+ * with backward differences, and (a0, a1, a2) the least squares of what was commanded over
+ * (x_m, x_m', x_m'') in a window that moves, command and measurement behind the same low-pass:
+ *   A = (X' X)^-1 X' U
+ * They are held while the measurement has moved less than a threshold, kept within bounds, and change no
+ * faster than given. At first a0 = 1, a2 = a1^2 / 2. Numbers as in the authors' own set-up file. */
+#include "control_law.h"
+#include "lowpass.h"
+
+#define SECTIONS 3    /* of the low-pass: sixth order */
+#define ROWS_MAX 320u /* of the window */
+#define TERMS 3
+#define PIVOT_MIN 1e-12 /* of columns of unit length: less is no motion of three parts */
+
+enum {
+    A1,
+    WINDOW,
+    SPACING,
+    CUTOFF,
+    THRESHOLD,
+    A0_MIN,
+    A0_MAX,
+    A1_MAX,
+    A2_MAX,
+    A0_RATE,
+    A1_RATE,
+    A2_RATE
+};
+
+/* clang-format off */
+static const rthyb_law_parameter ats_parameters[] = {
+    {"ats.a1_s", "s", 0.0, 1.0, 0.02, "the first a1, the delay", 0, "identified.delay_s", NULL},
+    {"ats.window_s", "s", 0.0, 10.0, 1.0, "the window of the least squares", RTHYB_OPEN_LOW, NULL, "window {} s"},
+    {"ats.spacing_s", "s", 0.0, 1.0, 0.00390625, "the time between the rows of the window", RTHYB_OPEN_LOW, NULL, NULL},
+    {"ats.cutoff_hz", "Hz", 0.5, 400.0, 20.0, "the cut-off of the low-pass pair", 0, NULL, NULL},
+    {"ats.threshold_m", "m", 0.0, 1.0, 0.000254, "the motion in the window from which on it learns", 0, NULL, NULL},
+    {"ats.a0_min", "", 0.0, 1.0, 0.7, "the smallest a0", RTHYB_OPEN_LOW, NULL, NULL},
+    {"ats.a0_max", "", 1.0, 10.0, 1.3, "the largest a0", 0, NULL, NULL},
+    {"ats.a1_max_s", "s", 0.0, 1.0, 0.08, "the largest a1", 0, NULL, NULL},
+    {"ats.a2_max_s2", "s^2", 0.0, 1.0, 0.0032, "the largest a2", 0, NULL, NULL},
+    {"ats.a0_rate_per_s", "1/s", 0.0, 1e3, 2.0, "the fastest change of a0", 0, NULL, NULL},
+    {"ats.a1_rate_s_per_s", "", 0.0, 1e3, 0.05, "the fastest change of a1, s per s", 0, NULL, NULL},
+    {"ats.a2_rate_s2_per_s", "s", 0.0, 1e3, 0.001, "the fastest change of a2, s^2 per s", 0, NULL, NULL},
+};
+/* clang-format on */
+
+typedef struct {
+    double m[TERMS]; /* x_m, x_m', x_m'' behind the low-pass */
+    double u;        /* the command behind it */
+} row;
+
+typedef struct {
+    rthyb_lowpass filter[SECTIONS];
+    double filter_u[SECTIONS][2], filter_m[SECTIONS][2];
+    double h;                                    /* sampling period */
+    double low[TERMS], high[TERMS], most[TERMS]; /* bounds; change from row to row */
+    double threshold;
+    double learnt[TERMS];        /* a0, a1, a2 */
+    double used[TERMS];          /* the same as the command has them */
+    double x1, x2, offset;       /* x_c[n-1], x_c[n-2] */
+    double m1, m2;               /* x_m[n-1], x_m[n-2] behind the low-pass */
+    double last_u, last_m;       /* last good inputs */
+    uint32_t spacing, since;     /* ticks from row to row; since the last one */
+    uint32_t size, head, filled; /* rows of the window, the next to be overwritten, those there */
+    int32_t primed;
+    row rows[ROWS_MAX];
+    double alpha, beta; /* reported */
+} ats_state;
+
+/* clang-format off */
+static const rthyb_law_value ats_values[] = {
+    {"alpha", "samples", "delay estimate", offsetof(ats_state, alpha)},
+    {"beta", "samples²", "curvature term", offsetof(ats_state, beta)},
+    {"a0", "", "a0", offsetof(ats_state, used[0])},
+    {"a1", "s", "a1", offsetof(ats_state, used[1])},
+    {"a2", "s²", "a2", offsetof(ats_state, used[2])},
+};
+/* clang-format on */
+
+static int ats_check(const double *p, double period_s, rthyb_law_complaint *why)
+{
+    const double spacing = fmax(p[SPACING], period_s);
+    if (!(p[CUTOFF] * period_s < 0.5)) {
+        *why =
+            (rthyb_law_complaint){"found {} Hz; must be below half of test.sample_rate_hz = {} Hz; "
+                                  "lower it, or raise the rate (256 to 4096 Hz)",
+                                  {p[CUTOFF], 1.0 / period_s}};
+        return CUTOFF;
+    }
+    if (!(p[WINDOW] >= 4.0 * spacing && p[WINDOW] <= 0.9 * ROWS_MAX * spacing)) {
+        *why = (rthyb_law_complaint){
+            "found {} s; must be from 4 to 288 times spacing_s = {} s (or one sample, {} s)",
+            {p[WINDOW], p[SPACING], period_s}};
+        return WINDOW;
+    }
+    if (p[A1] > p[A1_MAX]) {
+        *why = (rthyb_law_complaint){"found {} s; must be at most a1_max_s = {} s",
+                                     {p[A1], p[A1_MAX]}};
+        return A1;
+    }
+    if (0.5 * p[A1] * p[A1] > p[A2_MAX]) {
+        *why = (rthyb_law_complaint){
+            "found {} s^2; must be at least half the square of a1_s = {} s, which a2 begins with",
+            {p[A2_MAX], p[A1]}};
+        return A2_MAX;
+    }
+    return -1;
+}
+
+/* What is reported beside the coefficients: delay and curvature in samples. */
+static void note(ats_state *s)
+{
+    s->alpha = s->used[1] / s->h;
+    s->beta = s->used[2] / s->h / s->h;
+}
+
+static void stand(ats_state *s, double x)
+{
+    s->x1 = s->x2 = x;
+    s->offset = (1.0 - s->used[0]) * x;
+}
+
+static int ats_init(void *state, const rthyb_law_start *start)
+{
+    ats_state *s = state;
+    const double *p = start->parameters;
+    s->h = start->period_s;
+    s->spacing = ticks_of(p[SPACING], s->h);
+    const uint32_t rows = ticks_of(p[WINDOW], s->h) / s->spacing;
+    if (rows < TERMS || rows > ROWS_MAX || !(p[CUTOFF] > 0.0))
+        return RTHYB_E_LAW;
+    s->size = rows;
+    butterworth_design(s->filter, SECTIONS, p[CUTOFF], s->h);
+    const double low[] = {p[A0_MIN], 0.0, 0.0}, high[] = {p[A0_MAX], p[A1_MAX], p[A2_MAX]};
+    const double first[] = {1.0, p[A1], 0.5 * p[A1] * p[A1]};
+    const double rate[] = {p[A0_RATE], p[A1_RATE], p[A2_RATE]};
+    for (int i = 0; i < TERMS; i++) {
+        s->low[i] = low[i];
+        s->high[i] = high[i];
+        s->most[i] = fabs(rate[i]) * s->h * s->spacing;
+        s->learnt[i] = s->used[i] = first[i];
+    }
+    s->threshold = p[THRESHOLD];
+    s->last_u = s->last_m = start->x0_m;
+    stand(s, start->x0_m);
+    note(s);
+    return 0;
+}
+
+static void ats_rest(void *state, double x_m)
+{
+    stand(state, x_m);
+}
+
+/* X'X and X'U over the window, columns scaled to unit length; 0 where they do not tell three parts. */
+static int solve(const ats_state *s, double *a)
+{
+    double n[TERMS][TERMS + 1] = {{0.0}}, scale[TERMS];
+    for (uint32_t k = 0; k < s->filled; k++) {
+        const row *r = &s->rows[k];
+        for (int i = 0; i < TERMS; i++) {
+            for (int j = i; j < TERMS; j++)
+                n[i][j] += r->m[i] * r->m[j];
+            n[i][TERMS] += r->m[i] * r->u;
+        }
+    }
+    for (int i = 0; i < TERMS; i++) {
+        if (!(n[i][i] > 0.0))
+            return 0;
+        scale[i] = 1.0 / sqrt(n[i][i]);
+    }
+    for (int i = 0; i < TERMS; i++) {
+        n[i][TERMS] *= scale[i];
+        for (int j = i; j < TERMS; j++)
+            n[i][j] = n[j][i] = n[i][j] * scale[i] * scale[j];
+    }
+    for (int i = 0; i < TERMS; i++) {
+        if (!(n[i][i] > PIVOT_MIN))
+            return 0;
+        for (int r = i + 1; r < TERMS; r++) {
+            const double f = n[r][i] / n[i][i];
+            for (int j = i; j <= TERMS; j++)
+                n[r][j] -= f * n[i][j];
+        }
+    }
+    for (int i = TERMS - 1; i >= 0; i--) {
+        a[i] = n[i][TERMS];
+        for (int j = i + 1; j < TERMS; j++)
+            a[i] -= n[i][j] * a[j];
+        a[i] /= n[i][i];
+    }
+    for (int i = 0; i < TERMS; i++)
+        a[i] *= scale[i];
+    return isfinite(a[0]) && isfinite(a[1]) && isfinite(a[2]);
+}
+
+static double largest_motion(const ats_state *s)
+{
+    double most = 0.0;
+    for (uint32_t k = 0; k < s->filled; k++)
+        most = fmax(most, fabs(s->rows[k].m[0]));
+    return most;
+}
+
+static void learn(ats_state *s)
+{
+    double a[TERMS];
+    if (s->filled < s->size || !(largest_motion(s) > s->threshold) || !solve(s, a))
+        return;
+    for (int i = 0; i < TERMS; i++) {
+        const double wanted = clamp(a[i], s->low[i], s->high[i]);
+        s->learnt[i] += clamp(wanted - s->learnt[i], -s->most[i], s->most[i]);
+    }
+}
+
+static int ats_observe(void *state, double x_p_m, double x_m_m, int frozen)
+{
+    ats_state *s = state;
+    int code = RTHYB_OK;
+    s->last_u = accept(x_p_m, RTHYB_DISPLACEMENT_MAX_M, s->last_u, &code);
+    s->last_m = accept(x_m_m, RTHYB_DISPLACEMENT_MAX_M, s->last_m, &code);
+    if (!s->primed) {
+        butterworth_rest(s->filter, SECTIONS, s->filter_u, s->last_u);
+        butterworth_rest(s->filter, SECTIONS, s->filter_m, s->last_m);
+        s->m1 = s->m2 = s->last_m;
+        s->primed = 1;
+    }
+    const double u = butterworth_step(s->filter, SECTIONS, s->filter_u, s->last_u);
+    const double m = butterworth_step(s->filter, SECTIONS, s->filter_m, s->last_m);
+    const double slope = (m - s->m1) / s->h;
+    const row now = {{m, slope, (slope - (s->m1 - s->m2) / s->h) / s->h}, u};
+    s->m2 = s->m1;
+    s->m1 = m;
+    s->since++;
+    if (s->since < s->spacing || frozen || code != RTHYB_OK)
+        return code;
+    s->since = 0;
+    s->rows[s->head] = now;
+    s->head = (s->head + 1) % s->size;
+    s->filled += s->filled < s->size;
+    learn(s);
+    return code;
+}
+
+static int ats_lead(void *state, double x_c_m, double allowed_m, double *x_p_m)
+{
+    ats_state *s = state;
+    int code = RTHYB_OK;
+    const double x = accept(x_c_m, RTHYB_DISPLACEMENT_MAX_M, s->x1, &code);
+    const double slope = (x - s->x1) / s->h;
+    const double terms[] = {x, slope, (slope - (s->x1 - s->x2) / s->h) / s->h};
+    double effect = 0.0, led = 0.0;
+    for (int i = 0; i < TERMS; i++)
+        effect += fabs((s->learnt[i] - s->used[i]) * terms[i]);
+    const double share = rthyb_allowed_share(effect, allowed_m);
+    for (int i = 0; i < TERMS; i++) {
+        s->used[i] += share * (s->learnt[i] - s->used[i]);
+        led += s->used[i] * terms[i];
+    }
+    led += rthyb_fade(&s->offset, s->used[0], x - s->x1);
+    s->x2 = s->x1;
+    s->x1 = x;
+    note(s);
+    *x_p_m = led;
+    return code;
+}
+
+static const rthyb_control_law ats = {
+    .is = {.name = "ats",
+           .meaning =
+               "adaptive time series: gain, delay and curvature by least squares over a window",
+           .calmer = "lower controller.ats.a1_rate_s_per_s, or raise its window_s",
+           .parameters = ats_parameters,
+           .values = ats_values,
+           .parameter_count = RTHYB_COUNT(ats_parameters),
+           .value_count = RTHYB_COUNT(ats_values)},
+    .state_size = sizeof(ats_state),
+    .check = ats_check,
+    .init = ats_init,
+    .rest = ats_rest,
+    .observe = ats_observe,
+    .lead = ats_lead,
+};
+
+RTHYB_LAW(ats);

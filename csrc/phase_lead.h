@@ -1,0 +1,63 @@
+/* What the laws paper, robust and alpha-beta have in common: the compensator of Eqn 2.5 with its
+ * curvature term (plc.c), led by an estimate of alpha and beta (delay_estimator.c). */
+#ifndef RTHYB_PHASE_LEAD_H
+#define RTHYB_PHASE_LEAD_H
+
+#include "control_law.h"
+
+typedef struct {
+    rthyb_estimator estimator;
+    rthyb_plc plc;
+    double alpha, beta; /* as the compensator has them: bounded, and rate-limited */
+} rthyb_phase_lead;
+
+/* The parameters that all three begin with, in this order. */
+enum {
+    LEAD_W1,
+    LEAD_W2,
+    LEAD_ALPHA0,
+    LEAD_BETA0,
+    LEAD_ALPHA_MIN,
+    LEAD_ALPHA_MAX,
+    LEAD_REFERENCE,
+    LEAD_OWN /* the first that is a law's own */
+};
+
+/* clang-format off */
+#define LEAD_PARAMETERS                                                                            \
+    {"w1", "", -1e3, 1e3, 3.0, "the weighting W1 (Eqn 2.3)", 0, NULL, NULL},                       \
+    {"w2", "", -1e3, 1e3, 2.0, "the weighting W2 (Eqn 2.3)", 0, NULL, NULL},                       \
+    {"alpha0", "samples", 0.0, 1000.0, NAN, "the initial delay", 0, "identified.alpha", NULL},     \
+    {"beta0", "", -5e5, 5e5, 0.0, "the initial curvature term", 0, NULL, NULL},                    \
+    {"delay_estimator.alpha_min", "samples", 0.0, 1000.0, 0.0, "the smallest delay", 0, NULL, NULL}, \
+    {"delay_estimator.alpha_max", "samples", 0.0, 1000.0, 60.0, "the largest delay", 0, NULL, NULL}, \
+    {"delay_estimator.reference_displacement_m", "m", 1e-6, 10.0, 1e-3,                            \
+     "the displacement that makes the law unit-free", 0, NULL, NULL}
+#define LEAD_FILTER_PARAMETERS                                                                     \
+    {"delay_estimator.cutoff_hz", "Hz", 0.5, 400.0, 25.0, "the cut-off of the filter pair", 0, NULL, NULL}, \
+    {"delay_estimator.gate_factor", "", 0.0, 1e6, 10.0,                                            \
+     "the power over rest noise that opens the gate", 0, NULL, NULL}
+/* clang-format on */
+
+#define LEAD_VALUES                                                                                \
+    {                                                                                              \
+        {"alpha", "samples", "delay estimate", offsetof(rthyb_phase_lead, alpha)},                 \
+        {                                                                                          \
+            "beta", "samples²", "curvature term", offsetof(rthyb_phase_lead, beta)                 \
+        }                                                                                          \
+    }
+
+int rthyb_lead_check(const double *p, double period_s, rthyb_law_complaint *why);
+/* With the filter pair: its cut-off is the law's second own parameter. */
+int rthyb_lead_check_filtered(const double *p, double period_s, rthyb_law_complaint *why);
+/* What the table says of the estimator's settings, at this rate; law, memory and filter are the caller's.
+ * The gain is the table's: per sample of 1/1024 s. */
+rthyb_estimator_config rthyb_lead_settings(const rthyb_law_start *start, double gain);
+int rthyb_lead_init(rthyb_phase_lead *lead, const rthyb_estimator_config *cfg,
+                    const rthyb_law_start *start);
+
+void rthyb_lead_rest(void *state, double x_m);
+int rthyb_lead_observe(void *state, double x_p_m, double x_m_m, int frozen);
+int rthyb_lead_lead(void *state, double x_c_m, double allowed_m, double *x_p_m);
+
+#endif

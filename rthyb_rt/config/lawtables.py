@@ -1,0 +1,130 @@
+"""The keys of ``[controller]`` that control laws ask for, made from the laws' own tables."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final, TypeVar
+
+from pydantic import Field, create_model
+from pydantic_core import PydanticCustomError
+
+from rthyb_rt.config.fields import Range, Table
+from rthyb_rt.config.rate import STANDARD
+from rthyb_rt.laws import LAWS, Law, Parameter, parameters
+
+_T = TypeVar("_T", bound=Table)
+
+DEFAULT_LAW: Final = "paper"
+
+
+TABLES: Final[dict[type[Table], str]] = {}
+"""The tables that `extended` has made, with what stands before the last point of their keys."""
+
+
+def range_of(p: Parameter) -> Range:
+    """Return what the key of a parameter takes."""
+    return Range(p.unit, p.low, p.high, p.meaning, open_low=p.open_low, open_high=p.open_high)
+
+
+def extended(
+    base: type[_T], name: str, table: str, sections: Mapping[str, type[Table]] | None = None
+) -> type[_T]:
+    """Return a table with the keys that laws want in it.
+
+    Args:
+        base: with the keys that are no law's.
+        name: of the class.
+        table: what stands before the keys' last point, ``""`` for [controller] itself.
+        sections: tables within this one that are there already; every other one that a law asks for
+            is made.
+    """
+    fields: dict[str, Any] = {}
+    for key, users in parameters().items():
+        prefix, _, last = key.rpartition(".")
+        first = users[0][1]
+        if prefix == table:
+            bounds = Annotated[float, range_of(first)]
+            # From the rig, where there is one: then the file need not say it.
+            absent = first.default is None or first.rig_key is not None
+            fields[last] = (bounds | None, None) if absent else (bounds, first.default)
+        elif not table and prefix not in (sections or {}):
+            inner = prefix.title().replace("_", "")
+            fields[prefix] = (extended(Table, inner, prefix) | None, None)
+    for key, model in (sections or {}).items():
+        fields[key] = (model, Field(default_factory=model))
+    made: type[_T] = create_model(name, __base__=base, __module__=base.__module__, **fields)
+    TABLES[made] = table
+    return made
+
+
+def setting(table: Table, key: str) -> float | None:
+    """Return what a [controller] table says of a law's parameter, else its default, else None."""
+    place: Any = table
+    for part in key.split("."):
+        place = getattr(place, part, None)
+    if place is not None:
+        return float(place)
+    found = parameters().get(key)
+    return found[0][1].default if found else None
+
+
+def with_settings(table: _T, values: Mapping[str, float]) -> _T:
+    """Return a [controller] table with settings of laws written out, by their keys."""
+    own = {key: value for key, value in values.items() if "." not in key}
+    inner: dict[str, dict[str, float]] = {}
+    for key, value in values.items():
+        prefix, _, last = key.rpartition(".")
+        if prefix:
+            inner.setdefault(prefix, {})[last] = value
+    for prefix, given in inner.items():
+        section = getattr(table, prefix)
+        own[prefix] = (
+            type(table).model_validate({prefix: given}).__getattribute__(prefix)
+            if section is None
+            else section.model_copy(update=given)
+        )
+    return table.model_copy(update=own)
+
+
+def faults(
+    keys: Mapping[str, Any],
+) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
+    """Yield what the settings of the chosen law do wrong together, once each is valid by itself.
+
+    Each is the place below [controller], the complaint, and the keys beside it that have a part.
+    """
+    law = LAWS.get(str(keys.get("type", DEFAULT_LAW)), LAWS[DEFAULT_LAW])
+    values = _values(law, keys)
+    if values is None:
+        return
+    found = law.complaint(values, STANDARD.period_s)
+    if found is None:
+        return
+    key, text = found
+    prefix = key.rpartition(".")[0]
+    words = set(re.findall(r"\w+", text))
+    beside = [
+        p.key.removeprefix(f"{prefix}." if prefix else "")
+        for p in law.parameters
+        if p.key.rpartition(".")[2] in words and p.key.startswith(prefix)
+    ]
+    yield tuple(key.split(".")), text, tuple(beside)
+
+
+def _values(law: Law, keys: Mapping[str, Any]) -> list[float] | None:
+    """Return all settings, NaN for what only the rig knows; None when one is not valid."""
+    values = []
+    for p in law.parameters:
+        place: Any = keys
+        for part in p.key.split("."):
+            place = place.get(part) if isinstance(place, Mapping) else None
+        if place is None:
+            values.append(math.nan if p.default is None else p.default)
+            continue
+        try:
+            values.append(range_of(p).read(place))
+        except PydanticCustomError:
+            return None
+    return values

@@ -1,0 +1,183 @@
+"""The control laws that the core has, as their own tables describe them.
+
+A law is a file ``csrc/law_NAME.c``; what it is called, what it can be told and what it reports
+stand there alone. Settings, messages, documentation and figures take their words from here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from rthyb_rt._core import ffi, lib
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One setting of a control law.
+
+    Attributes:
+        key: of a test file, below ``[controller]``; a point stands between table and key.
+        unit: SI; "" of a plain number.
+        low, high: what is allowed, without the bound itself where ``open_low``, ``open_high``.
+        default: without a word in the file; None: the file or the rig must say it.
+        meaning: what it is, as the beginning of a sentence.
+        rig_key: of a rig file, which has it when the test does not.
+        words: how a summary says it, ``{}`` for the number.
+    """
+
+    key: str
+    unit: str
+    low: float
+    high: float
+    default: float | None
+    meaning: str
+    open_low: bool
+    open_high: bool
+    rig_key: str | None
+    words: str | None
+
+
+@dataclass(frozen=True)
+class Value:
+    """One number that a control law reports at every tick: its name, unit and label in figures."""
+
+    name: str
+    unit: str
+    label: str
+
+
+@dataclass(frozen=True)
+class Law:
+    """A control law.
+
+    Attributes:
+        name: ``controller.type``.
+        meaning: in one line.
+        calmer: what to do when it learns wrongly; None: it does not learn.
+        parameters: in the order that the core wants them.
+        values: what it reports; alpha and beta go into the record.
+        uses_rest_noise: it must know the noise at rest.
+        kind: its place in this program's list, and in no other's.
+        state_bytes: size of its state.
+    """
+
+    name: str
+    meaning: str
+    calmer: str | None
+    parameters: tuple[Parameter, ...]
+    values: tuple[Value, ...]
+    uses_rest_noise: bool
+    kind: int
+    state_bytes: int
+
+    @property
+    def learns(self) -> bool:
+        """Whether anything in it changes while a test runs."""
+        return self.calmer is not None
+
+    def parameter(self, key: str) -> Parameter | None:
+        """Return the setting of that key, if it has one."""
+        return next((p for p in self.parameters if p.key == key), None)
+
+    def value(self, name: str) -> Value | None:
+        """Return what it reports by that name, if it does."""
+        return next((v for v in self.values if v.name == name), None)
+
+    def ordered(self, given: Mapping[str, float]) -> list[float]:
+        """Return all settings in the core's order, defaults where nothing is given.
+
+        Raises:
+            ValueError: it has no such setting, or there is none by default.
+        """
+        unknown = sorted(set(given) - {p.key for p in self.parameters})
+        if unknown:
+            raise ValueError(
+                f"control law {self.name!r}: no {', '.join(unknown)}; it takes "
+                f"{', '.join(p.key for p in self.parameters) or 'nothing'}"
+            )
+        values = [given.get(p.key, p.default) for p in self.parameters]
+        missing = [p.key for p, v in zip(self.parameters, values, strict=True) if v is None]
+        if missing:
+            raise ValueError(f"control law {self.name!r}: give {', '.join(missing)}")
+        return [float(value) for value in values if value is not None]
+
+    def complaint(self, values: Sequence[float], period_s: float) -> tuple[str, str] | None:
+        """Return what settings, each within its range, do wrong together.
+
+        Args:
+            values: in the core's order.
+            period_s: sampling period.
+
+        Returns:
+            The key to blame and the reason, or None.
+        """
+        why = ffi.new("rthyb_law_complaint *")
+        at = lib.rthyb_law_check(self.kind, ffi.new("double[]", list(values)), period_s, why)
+        if at < 0:
+            return None
+        return self.parameters[at].key, _words(why.text).format(*(f"{n:g}" for n in why.numbers))
+
+
+def _text(pointer: Any) -> str | None:
+    return None if pointer == ffi.NULL else bytes(ffi.string(pointer)).decode("utf-8")
+
+
+def _words(pointer: Any) -> str:
+    return _text(pointer) or ""
+
+
+def _parameter(p: Any) -> Parameter:
+    return Parameter(
+        key=_words(p.key),
+        unit=_words(p.unit),
+        low=float(p.low),
+        high=float(p.high),
+        default=None if math.isnan(p.standard) else float(p.standard),
+        meaning=_words(p.meaning),
+        open_low=bool(p.open & lib.RTHYB_OPEN_LOW),
+        open_high=bool(p.open & lib.RTHYB_OPEN_HIGH),
+        rig_key=_text(p.rig_key),
+        words=_text(p.words),
+    )
+
+
+def _law(kind: int) -> Law:
+    found = lib.rthyb_law_describe(kind)
+    values = [found.values[i] for i in range(found.value_count)]
+    return Law(
+        name=_words(found.name),
+        meaning=_words(found.meaning),
+        calmer=_text(found.calmer),
+        parameters=tuple(_parameter(found.parameters[i]) for i in range(found.parameter_count)),
+        values=tuple(Value(_words(v.name), _words(v.unit), _words(v.label)) for v in values),
+        uses_rest_noise=bool(found.uses_rest_noise),
+        kind=kind,
+        state_bytes=int(lib.rthyb_law_state_size(kind)),
+    )
+
+
+LAWS: Final[dict[str, Law]] = {
+    law.name: law
+    for law in sorted(map(_law, range(lib.rthyb_law_count())), key=lambda law: law.name)
+}
+"""All control laws by name."""
+
+
+def law_value(law: str | None, name: str) -> Value | None:
+    """Return what a law reports by a name; for a law that this version has not, what others do."""
+    known = LAWS.get(law or "")
+    if known is not None:
+        return known.value(name)
+    return next((v for other in LAWS.values() for v in other.values if v.name == name), None)
+
+
+def parameters() -> dict[str, list[tuple[Law, Parameter]]]:
+    """Return every setting that some law takes, by its key, with the laws that take it."""
+    found: dict[str, list[tuple[Law, Parameter]]] = {}
+    for law in LAWS.values():
+        for parameter in law.parameters:
+            found.setdefault(parameter.key, []).append((law, parameter))
+    return found
