@@ -45,6 +45,8 @@ def _double_offsets(ctype: Any) -> tuple[int, ...]:
         size = ffi.sizeof(ctype.item)
         inner = _double_offsets(ctype.item)
         return tuple(i * size + o for i in range(ctype.length) for o in inner)
+    if ctype.kind not in ("struct", "union"):
+        return ()  # pointers and enumerations
     return tuple(f.offset + o for _, f in ctype.fields for o in _double_offsets(f.type))
 
 
