@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import Field, create_model
+from pydantic import AfterValidator, Field, create_model
 from pydantic_core import PydanticCustomError
 
 from rthyb_rt.config.fields import Range, Table
@@ -51,12 +51,20 @@ def extended(
             fields[last] = (bounds | None, None) if absent else (bounds, first.default)
         elif not table and prefix not in (sections or {}):
             inner = prefix.title().replace("_", "")
-            fields[prefix] = (extended(Table, inner, prefix) | None, None)
+            made_table = extended(Table, inner, prefix) | None
+            fields[prefix] = (Annotated[made_table, AfterValidator(_said)], None)
     for key, model in (sections or {}).items():
         fields[key] = (model, Field(default_factory=model))
     made: type[_T] = create_model(name, __base__=base, __module__=base.__module__, **fields)
     TABLES[made] = table
     return made
+
+
+def _said(table: _T | None) -> _T | None:
+    """Return a table of a law, or None where it says nothing: it is the same as none."""
+    if table is None or all(value is None for _, value in table):
+        return None
+    return table
 
 
 def setting(table: Table, key: str) -> float | None:
