@@ -222,3 +222,12 @@ def test_the_exponent_of_a_fluid_damper_is_found(tmp_path):
     (found,) = [c for c in d.candidates if c.name == "power_damping"]
     assert found.params["exponent"] == pytest.approx(0.35, abs=0.02)
     assert found.params["F1_N"] == pytest.approx(400.0 * 10**0.35, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("exponent", "law"),
+    [(0.9, "viscous"), (1.1, "viscous"), (1.85, "quad_damping"), (2.15, "quad_damping"),
+     (0.2, ""), (1.5, ""), (2.6, ""), (3.5, "")],
+)  # fmt: skip
+def test_a_power_of_velocity_at_the_end_of_its_range_is_the_law_beyond_it(exponent, law):
+    assert effects.catalogue()["power_damping"].borders(Trial((exponent,))) == law

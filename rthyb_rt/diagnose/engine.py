@@ -1071,7 +1071,15 @@ def _widen(
     name: str,
     ctx: Context,
 ) -> None:
-    """Let intervals reach to what other forms of the same law come to; none is known to be true."""
+    """Let intervals reach to what other forms of the same law come to; none is known to be true.
+
+    Nor are those that were tried all that there are: a law with a shape has a least half-width.
+    """
+    shaped = any(
+        m.name == name and m.trial.theta and not m.effect.sensor for m in search.best.members
+    )
+    exact = search.problem.estimate.exact
+    least = POLICY.interval_simulated if exact else POLICY.interval_estimated
     for fit in search.forms:
         for i, m in enumerate(fit.members):
             if m.name == name:
@@ -1081,11 +1089,7 @@ def _widen(
                     apart = abs(v - params[k])
                     ci[k] = [min(ci[k][0], params[k] - apart), max(ci[k][1], params[k] + apart)]
     for k, v in params.items():
-        half = (
-            POLICY.interval_simulated
-            if search.problem.estimate.exact
-            else POLICY.interval_estimated
-        ) * abs(v)
+        half = max(least, POLICY.interval_of_form if shaped else 0.0) * abs(v)
         ci[k] = [min(ci[k][0], v - half), max(ci[k][1], v + half)]
 
 

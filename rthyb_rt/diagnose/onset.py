@@ -23,6 +23,8 @@ from rthyb_rt.diagnose.select import (
     solve,
 )
 
+FEW = 2
+"""Effects of a set that is no richer than one that begins in mid-record."""
 SINGLES = 3
 """Single effects beside which others are tried from a moment on; the best pair is one more."""
 MOST = 5
@@ -151,7 +153,11 @@ def propose(dictionary: Dictionary, fitter: Fitter) -> list[Fit]:
     problem = fitter.problem
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     null = solve(problem, [], [])
-    if null is None or inflation((ranked[0] if ranked else null).residual) < POLICY.white_residual:
+    if null is None:
+        return []
+    best = ranked[0] if ranked else null
+    # What three laws together make white may be a single one that begins: it has no more numbers.
+    if len(best.members) <= FEW and inflation(best.residual) < POLICY.white_residual:
         return []
     singles = [f for f in ranked if len(f.members) == 1][:SINGLES]
     pair = [f for f in ranked if len(f.members) == 2][:1]

@@ -534,6 +534,10 @@ class Policy:
         2e-3, "part of the value", "numerics",
         "The same where the motion is estimated from noisy sensors.",
     )  # fmt: skip
+    interval_of_form: float = _entry(
+        0.015, "part of the value", "judgement",
+        "The same of a specimen's law that has a shape: the true one may have another form.",
+    )  # fmt: skip
     prediction_follows: float = _entry(
         2.0, "times its noise", "judgement",
         "How near a simulated motion has to be for a prediction to go along it.",

@@ -260,6 +260,7 @@ class Problem:
             and not self._gives_way(fit)
             and not self._pushes(fit)
             and not self._weighs_nothing(fit)
+            and not any(m.effect.borders(m.trial) in fit.names for m in fit.members)
         )
 
     def _weighs_nothing(self, fit: Fit) -> bool:

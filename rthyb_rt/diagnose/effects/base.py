@@ -270,6 +270,10 @@ class Effect:
         """Return whether the coefficients make a physical law; signs are checked already."""
         return True
 
+    def borders(self, trial: Trial) -> str:
+        """Return the law, by name, that a fitted shape has come up against; empty: none."""
+        return ""
+
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:

@@ -91,6 +91,14 @@ class PowerDamping(Effect):
         """Refuse the least exponent there is: what would have less is dry friction."""
         return trial.theta[0] > 1.001 * EXPONENTS[0][0]
 
+    def borders(self, trial: Trial) -> str:
+        """Return the law whose exponent lies just beyond the end that this one has come to."""
+        ends = [end for pair in EXPONENTS for end in pair][1:-1]
+        end = min(ends, key=lambda at: abs(trial.theta[0] - at))
+        if abs(trial.theta[0] / end - 1.0) > 1e-3:
+            return ""
+        return Viscous.name if round(end) == 1 else QuadDamping.name
+
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
