@@ -101,7 +101,7 @@ test-systemd: $(TEST_READY)
 
 # Playwright drives the chromium of the system; root gets one that is missing.
 CHROMIUM = command -v chromium >/dev/null || $(if $(CAN_INSTALL),{ echo 'Installing chromium' \
-    && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq install -y \
+    && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
     --no-install-recommends chromium >/dev/null; },{ echo 'Install chromium: sudo apt-get install chromium'; exit 1; })
 LIVE_TESTS = $(BIN)/python -m pytest -o python_files="browser_*.py" tests/browser
 test-live: $(TEST_READY)

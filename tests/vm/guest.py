@@ -199,7 +199,9 @@ def _require(*programs: tuple[str, str]) -> None:
     if os.geteuid() or not shutil.which("apt-get"):
         raise GuestError(f"the guest needs more: sudo apt-get install {' '.join(missing)}")
     _call("apt-get", "-qq", "update")
-    _call("apt-get", "-qq", "install", "-y", "--no-install-recommends", *missing)
+    # Another installation may be under way beside this one.
+    wait = "DPkg::Lock::Timeout=300"
+    _call("apt-get", "-qq", "-o", wait, "install", "-y", "--no-install-recommends", *missing)
 
 
 def _download(folder: Path) -> None:
