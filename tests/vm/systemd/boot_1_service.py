@@ -484,7 +484,9 @@ def test_stop_of_the_unit_while_a_test_runs_ends_at_rest_with_status_0() -> None
             run_id = made.run_until("RUNNING", 300)
             word.touch()
             until(lambda: not daemon.exists(), "the end of the service")
-        until(lambda: shown(SERVICE, "ActiveState") == "inactive", "systemd's word on it")
+        # A machine that stalls trips the test: the unit fails then, and the attempt is in vain.
+        over = ("inactive", "failed")
+        until(lambda: shown(SERVICE, "ActiveState") in over, "systemd's word on it")
         ended = {name: shown(SERVICE, name) for name in ("Result", "ExecMainStatus")}
         rec = made.recorded(run_id)
         require_calm(rec)
