@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rthyb_rt import config, loop, virtual_rig
-from rthyb_rt.commissioning.moving import Connection
+from rthyb_rt import config
 from rthyb_rt.config import RigFile
-from rthyb_rt.links import opening
+from rthyb_rt.core import loop
+from rthyb_rt.rig import virtual_rig
+from rthyb_rt.rig.commissioning.moving import Connection
+from rthyb_rt.rig.links import opening
 
 STIFFNESS_N_PER_M = 5e5
 DELAY_SAMPLES = 12

@@ -17,7 +17,8 @@ import pytest
 import stalls
 from command_line import Answer, Rthyb
 
-from rthyb_rt import cli, ground_motion, studies, ticker
+from rthyb_rt import cli, ground_motion, studies
+from rthyb_rt.core import ticker
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.studies.results import Study
 

@@ -21,7 +21,7 @@ import numpy as np
 from recording_data import recording as made_up
 from test_service_recorder import truth
 
-from rthyb_rt.recording import BLOCK_ROWS
+from rthyb_rt.record.recording import BLOCK_ROWS
 from rthyb_rt.service.growing import PART_NAME, GrowingFile
 
 KILLER = ctypes.CDLL(None)

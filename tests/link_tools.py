@@ -13,10 +13,10 @@ from typing import Any
 import loop_bench
 import pytest
 
-from rthyb_rt import core, loop
+from rthyb_rt import core
 from rthyb_rt.config.rigfile import Link
-from rthyb_rt.links import dbc, wire
-from rthyb_rt.links.opening import Opened
+from rthyb_rt.core import dbc, loop, wire
+from rthyb_rt.rig.links.opening import Opened
 
 
 def wanted(kind: str, channel: object, **more: Any) -> Link:

@@ -12,7 +12,8 @@ import pytest
 from realtime_bench import process, until
 from service_bench import await_state, served, short_test, status
 
-from rthyb_rt import config, experiment
+from rthyb_rt import config
+from rthyb_rt.lab import experiment
 from rthyb_rt.service import daemon
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import Daemon, record_of

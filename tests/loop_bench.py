@@ -17,15 +17,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from rthyb_rt import core, loop
-from rthyb_rt.links import wire
-from rthyb_rt.ring import Ring
+from rthyb_rt import core
+from rthyb_rt.core import loop, wire
+from rthyb_rt.record.ring import Ring
 
 H = core.PERIOD_S
 K_N_PER_M, MASS_KG, DELAY = 666400.0, 4220.0, 6
 ORIGIN_M, FORCE_BIAS_N = 0.0123, 45.0
 FLAGS = core.FLAGS
-STATE = {name: number for number, name in enumerate(core.STATE_NAMES)}
+STATE = {name: number for number, name in enumerate(core.STATES)}
 CAN_FRAME: Final = struct.Struct("=IB3x8s")
 BUS_OFF: Final = 0x2000_0040
 CAN_RAW_ERR_FILTER: Final = 2  # linux/can/raw.h; Python's socket module lacks it

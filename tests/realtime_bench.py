@@ -16,9 +16,12 @@ import numpy as np
 import pytest
 import stalls
 
-from rthyb_rt import config, experiment, loop, realtime, virtual_rig
-from rthyb_rt.links import opening
-from rthyb_rt.recording import STATES, Recording
+from rthyb_rt import config
+from rthyb_rt.core import STATES, loop
+from rthyb_rt.lab import experiment, realtime
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.rig import virtual_rig
+from rthyb_rt.rig.links import opening
 
 STATE = {name: number for number, name in enumerate(STATES)}
 PROGRAM = [sys.executable, "-c", "import sys; from rthyb_rt.cli import main; sys.exit(main())"]

@@ -15,9 +15,11 @@ import numpy as np
 import stalls
 from realtime_bench import ATTEMPTS, SHORT, STATE, Process, until
 
-from rthyb_rt import config, recording, ring
+from rthyb_rt import config
+from rthyb_rt.core import FLAGS
 from rthyb_rt.errors import InputError
-from rthyb_rt.recording import FLAGS, Recording
+from rthyb_rt.record import recording, ring
+from rthyb_rt.record.recording import Recording
 
 NOT_SENT = FLAGS["not_sent"]
 CHUNK = 256

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.recording import FLAGS, REFERENCE_UNITS, RUNNING, Recording, ReplayData
+from rthyb_rt.core import FLAGS, RUNNING
+from rthyb_rt.record.recording import REFERENCE_UNITS, Recording, ReplayData
 
 FS_HZ = 1024.0
 K_E = 666400.0

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rthyb_rt import core, recording
-from rthyb_rt.core import RecordArray
-from rthyb_rt.recording import STATES
+from rthyb_rt import core
+from rthyb_rt.core import STATES, RecordArray
 
 CYCLE = 200_000
 """Ticks after which the rows of a producer at full speed begin again."""
@@ -18,6 +17,6 @@ def rows(first: int, count: int, state: int = STATES.index("RUNNING")) -> Record
     records = np.zeros(count, dtype=core.RECORD_DTYPE)
     for name in core.RECORD_DTYPE.names or ():
         records[name] = tick.astype(core.RECORD_DTYPE[name])
-    records["flags"] = recording.FLAGS["fresh"]
+    records["flags"] = core.FLAGS["fresh"]
     records["state"] = state
     return records

@@ -13,10 +13,14 @@ from typing import Any
 
 from realtime_bench import SHORT, until
 
-from rthyb_rt import config, experiment, loop, ring, virtual_rig
+from rthyb_rt import config
 from rthyb_rt.config import RigFile, TestFile
-from rthyb_rt.links import opening
-from rthyb_rt.recording import Recording
+from rthyb_rt.core import loop
+from rthyb_rt.lab import experiment
+from rthyb_rt.record import ring
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.rig import virtual_rig
+from rthyb_rt.rig.links import opening
 from rthyb_rt.service.control import Client, ControlServer, Dispatcher
 from rthyb_rt.service.daemon import Daemon, Options
 from rthyb_rt.service.engine import Engine, Event, Loaded

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from rthyb_rt._core import lib
 
-from rthyb_rt.laws import LAWS
+from rthyb_rt.core.laws import LAWS
 
 TESTS = Path(__file__).resolve().parent
 CORE = TESTS.parent / "csrc"

@@ -11,11 +11,13 @@ import pytest
 from numpy.testing import assert_allclose
 from recording_data import recording
 
-from rthyb_rt import config, core, experiment, margins, measures, summary, trips, virtual_time
-from rthyb_rt.attention import Finding, Judge, Subject
+from rthyb_rt import config, core
+from rthyb_rt.analysis import margins, measures, summary
+from rthyb_rt.analysis.attention import Finding, Judge, Subject
+from rthyb_rt.lab import experiment, trips, virtual_time
 from rthyb_rt.live.sources import LiveSource, PastSource
-from rthyb_rt.recording import Recording
-from rthyb_rt.ring import Ring
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.ring import Ring
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = ROOT / "examples"

@@ -107,7 +107,7 @@ RFC = core.RfcConfig(k_e_n_per_m=1.0)
 def test_number_that_no_enumeration_has_is_refused(
     kernel: str, config: Any, name: str, value: int
 ) -> None:
-    struct = core._struct(f"rthyb_{kernel}_config", config)
+    struct = core.struct_of(f"rthyb_{kernel}_config", config)
     start = {"rfc": (0.0, 0.0), "estimator": (3.0, 2.0, 0.0)}.get(kernel, (0.0,))
     target, init = ffi.new(f"rthyb_{kernel} *"), getattr(lib, f"rthyb_{kernel}_init")
     assert init(target, struct, *start) == 0
@@ -117,7 +117,7 @@ def test_number_that_no_enumeration_has_is_refused(
 
 @pytest.mark.parametrize("value", [-1, 99])
 def test_actuator_element_and_action_that_no_enumeration_has_are_refused(value: int) -> None:
-    rig = core._rig_struct(core.RigConfig(core.ServoConfig("pure-delay"), (PLATE,)))
+    rig = core.rig_struct(core.RigConfig(core.ServoConfig("pure-delay"), (PLATE,)))
     target = ffi.new("rthyb_rig *")
     assert lib.rthyb_rig_init(target, rig) == 0
     rig.servo.kind = value
@@ -131,7 +131,7 @@ def test_actuator_element_and_action_that_no_enumeration_has_are_refused(value: 
 
 
 def test_more_elements_than_a_specimen_holds_are_refused() -> None:
-    rig = core._rig_struct(core.RigConfig(core.ServoConfig("pure-delay"), (PLATE,)))
+    rig = core.rig_struct(core.RigConfig(core.ServoConfig("pure-delay"), (PLATE,)))
     rig.element_count = core.ELEMENTS_MAX + 1
     assert lib.rthyb_rig_init(ffi.new("rthyb_rig *"), rig) != 0
     with pytest.raises(core.CoreError):

@@ -15,7 +15,8 @@ import pytest
 from command_line import Rthyb
 from rthyb_rt._core import ffi, lib
 
-from rthyb_rt import braking, config, core, experiment
+from rthyb_rt import config, core
+from rthyb_rt.lab import braking, experiment
 
 H = core.PERIOD_S
 TEST = Path(__file__).resolve().parents[1] / "examples" / "section5-T0.5.toml"
@@ -401,7 +402,7 @@ def test_narrower_limits_in_ramp_in_lead_to_zero_all_the_same() -> None:
     # Somebody moves the specimen at the drive's panel; the command follows it there.
     for _ in range(3):
         table.station.tick(0.004, 0.0, drive_stopped=True)
-    table.station._c.state = core.STATE_NAMES.index("ARMED")
+    table.station._c.state = core.STATES.index("ARMED")
     x = []
     for n in range(4000):
         if n == 150:

@@ -12,12 +12,16 @@ from command_line import Rthyb
 from recording_data import recording as made_up
 from scipy.io import loadmat
 
-from rthyb_rt import config, core, experiment, export, realtime, recording, ring, summary
-from rthyb_rt import virtual_time as virtual
+from rthyb_rt import config, core
+from rthyb_rt.analysis import summary
+from rthyb_rt.core import CHANNELS_MAX, Channel
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, realtime
+from rthyb_rt.lab import virtual_time as virtual
+from rthyb_rt.lab.realtime import replaying
 from rthyb_rt.live.sources import PastSource
-from rthyb_rt.realtime import replaying
-from rthyb_rt.recording import AXIS_FIELDS, CHANNELS_MAX, Channel, Recording
+from rthyb_rt.record import export, recording, ring
+from rthyb_rt.record.recording import AXIS_FIELDS, Recording
 from rthyb_rt.report import render
 from rthyb_rt.service.growing import GrowingFile
 
@@ -66,7 +70,7 @@ def test_an_axis_is_read_by_its_number() -> None:
 def test_core_and_axes_make_up_the_record() -> None:
     """Declared once, in the header: offsets of the axis are those of its own struct."""
     fields = core.RECORD_DTYPE.fields or {}
-    axis = core._dtype_of("rthyb_axis_record")
+    axis = core.dtype_of("rthyb_axis_record")
     first = min(fields[name][1] for name in AXIS_FIELDS)
     assert set(axis.names or ()) == set(AXIS_FIELDS)
     for name, (kind, at) in ((n, f[:2]) for n, f in (axis.fields or {}).items()):
@@ -252,7 +256,7 @@ def test_a_frozen_ring_shows_the_channels_of_its_newest_row(tmp_path: Path) -> N
     rec = with_channels()
     made = ring.Ring.create(tmp_path, dataclasses.replace(rec, samples=rec.samples[:0]), 256)
     tripped = np.tile(rec.samples, 30)
-    tripped["state"] = core.STATE_NAMES.index("TRIPPED")
+    tripped["state"] = core.STATES.index("TRIPPED")
     tripped["oil_k"] = np.arange(tripped.size)
     made.push(tripped)
     with ring.Reader(made.path) as reader:

@@ -18,9 +18,11 @@ import numpy as np
 import pytest
 from command_line import Answer, Rthyb
 
-from rthyb_rt import cli, config, core, experiment, recording, virtual_time
+from rthyb_rt import cli, config, core
 from rthyb_rt.cli import folders
 from rthyb_rt.errors import RthybError
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.record import recording
 
 SHORT = ("--no-report", "--set", "test.duration_s=3")
 

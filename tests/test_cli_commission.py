@@ -21,9 +21,10 @@ from command_line import Rthyb
 from commissioning_bench import COLUMN, STIFFNESS_N_PER_M
 from realtime_bench import ATTEMPTS, SHORT, STALLED, Process
 
-from rthyb_rt import config, core, recording, report
+from rthyb_rt import config, core, report
 from rthyb_rt.cli import connecting
-from rthyb_rt.commissioning import certificate, guide, moving
+from rthyb_rt.record import recording
+from rthyb_rt.rig.commissioning import certificate, guide, moving
 
 pytestmark = pytest.mark.alone
 
@@ -444,8 +445,8 @@ def test_ctrl_c_stops_a_jog_and_the_actuator_stays(lab: Lab) -> None:
 
 
 def wait_until_it_runs(lab: Lab, jog: Process) -> None:
-    from rthyb_rt import ring
     from rthyb_rt.errors import InputError
+    from rthyb_rt.record import ring
 
     folders = [Path(lab.env["XDG_RUNTIME_DIR"]) / "rthyb", Path("/run/rthyb")]
     end = time.monotonic() + 30.0

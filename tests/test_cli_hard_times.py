@@ -16,9 +16,10 @@ from pathlib import Path
 import pytest
 from command_line import Answer, Rthyb
 
-from rthyb_rt import cli, config, ground_motion, recording, ring
+from rthyb_rt import cli, config, ground_motion
 from rthyb_rt.cli import folders, streams
 from rthyb_rt.errors import InputError
+from rthyb_rt.record import recording, ring
 
 SHORT = ("run", "--no-report", "--set", "test.duration_s=3")
 PROGRAM = Path(sys.executable).with_name("rthyb")
@@ -636,7 +637,7 @@ def test_disk_error_of_the_system_itself_has_its_path(
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied", "/lab/record.AT2")
 
-    monkeypatch.setattr("rthyb_rt.experiment.prepare", refuse)
+    monkeypatch.setattr("rthyb_rt.lab.experiment.prepare", refuse)
     answer = rthyb("check", config.builtin_test_path(), "--json")
     assert answer.code == 1
     assert problems(answer) == [{"where": "/lab/record.AT2", "message": "Permission denied"}]

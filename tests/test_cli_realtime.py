@@ -29,8 +29,10 @@ from realtime_lab import (
 )
 from stalls import Stalled
 
-from rthyb_rt import loop, realtime, virtual_rig
-from rthyb_rt.virtual_rig import serving
+from rthyb_rt.core import loop
+from rthyb_rt.lab import realtime
+from rthyb_rt.rig import virtual_rig
+from rthyb_rt.rig.virtual_rig import serving
 
 pytestmark = pytest.mark.alone
 

@@ -12,14 +12,16 @@ import pytest
 from commissioning_bench import DELAY_SAMPLES, STIFFNESS_N_PER_M, Drive, at, rig
 from numpy.testing import assert_allclose
 
-from rthyb_rt import config, core, experiment, loop, realtime, ring
-from rthyb_rt.commissioning import guide, jogging, limits, moving, polarity, stops
-from rthyb_rt.commissioning.certificate import STEPS, Certificate
+from rthyb_rt import config, core
+from rthyb_rt.core import FLAGS, STATES, loop
+from rthyb_rt.core.wire import Codec
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.identify import Sweep, identify, identify_live
-from rthyb_rt.links.wire import Codec
-from rthyb_rt.realtime import RefusedError
-from rthyb_rt.recording import FLAGS, STATES
+from rthyb_rt.lab import experiment, realtime
+from rthyb_rt.lab.realtime import RefusedError
+from rthyb_rt.record import ring
+from rthyb_rt.rig.commissioning import guide, jogging, limits, moving, polarity, stops
+from rthyb_rt.rig.commissioning.certificate import STEPS, Certificate
+from rthyb_rt.rig.identify import Sweep, identify, identify_live
 
 pytestmark = pytest.mark.alone
 

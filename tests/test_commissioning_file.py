@@ -12,10 +12,10 @@ import pytest
 from commissioning_bench import COLUMN, rig
 
 from rthyb_rt import config
-from rthyb_rt.commissioning import certificate
-from rthyb_rt.commissioning.certificate import Certificate, Step
 from rthyb_rt.errors import InputError
-from rthyb_rt.realtime import RefusedError
+from rthyb_rt.lab.realtime import RefusedError
+from rthyb_rt.rig.commissioning import certificate
+from rthyb_rt.rig.commissioning.certificate import Certificate, Step
 
 K_E = "elastic_stiffness_n_per_m = 5"
 DATE = "2026-11-20T10:00:00+00:00"

@@ -13,11 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rthyb_rt._core import lib
 
-from rthyb_rt import config, core, experiment
+from rthyb_rt import config, core
 from rthyb_rt.config import busload
 from rthyb_rt.config.busload import FrameSize
+from rthyb_rt.core import dbc
 from rthyb_rt.errors import InputError
-from rthyb_rt.links import dbc
+from rthyb_rt.lab import experiment
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN_DBC = ROOT / "hw" / "rthyb.dbc"

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from rthyb_rt import config, experiment
-from rthyb_rt.config import lawtables, units
+from rthyb_rt import config, units
+from rthyb_rt.config import lawtables
 from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
 from rthyb_rt.config.limits import WATCHED, Limits, resolve
 from rthyb_rt.config.lines import KeyLines
@@ -22,6 +22,7 @@ from rthyb_rt.config.numerical import Labels, Matrices, Numbers, Place, Square
 from rthyb_rt.config.rigfile import BoucWen, Link, RigFile
 from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment
 
 relaxed = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 

@@ -113,7 +113,7 @@ def test_row_n_holds_the_commands_for_instant_n() -> None:
         records["due_ns"], np.arange(command.size) * 1953125 / 2, rtol=0, atol=0.5
     )
     assert set(records["flags"]) == {FLAG["fresh"]}
-    assert set(records["state"]) == {core.STATE_NAMES.index("RUNNING")}
+    assert set(records["state"]) == {core.STATES.index("RUNNING")}
     assert set(records["code"]) == {0}
 
 

@@ -16,8 +16,8 @@ from loop_bench import DELAY, FLAGS, K_N_PER_M, ORIGIN_M, STATE, Bench, H, watch
 from rthyb_rt._core import ffi, lib
 from test_live_replay import assert_the_same
 
-from rthyb_rt import core, loop
-from rthyb_rt.links import wire
+from rthyb_rt import core
+from rthyb_rt.core import loop, wire
 
 BIAS_M = 0.002
 

@@ -20,12 +20,14 @@ from command_line import Rthyb
 from realtime_bench import PROGRAM, until
 from service_bench import await_state, rig_file, served, status
 
-from rthyb_rt import config, realtime, recording
+from rthyb_rt import config
 from rthyb_rt.cli import ctl
-from rthyb_rt.commissioning import certificate
 from rthyb_rt.config import RigFile
 from rthyb_rt.config.limits import looser
-from rthyb_rt.recording import STATES
+from rthyb_rt.core import STATES
+from rthyb_rt.lab import realtime
+from rthyb_rt.record import recording
+from rthyb_rt.rig.commissioning import certificate
 from rthyb_rt.service import metrics
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import Daemon

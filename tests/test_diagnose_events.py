@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from event_cases import Rig, late, moved, on_ground, recorded, rig
 
+from rthyb_rt.core.diagnosis_models import ActuatorModel, actuator
 from rthyb_rt.diagnose import engine, outcome, reading, why
-from rthyb_rt.diagnose.simulate import ActuatorModel, actuator
 
 SEEDS = (101, 102)
 """Two rigs, of which every scenario has one."""

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from rthyb_rt import config, core
+from rthyb_rt.core.diagnosis_models import Motion
 from rthyb_rt.diagnose import effects, engine, reading
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.effects.base import Context, Trial
-from rthyb_rt.diagnose.simulate import Motion
 
 K, H = cases.K, 1 / cases.FS
 

@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from rthyb_rt import cli, config, core, experiment, recording, virtual_time
+from rthyb_rt import cli, config, core
 from rthyb_rt.diagnose import effects, engine, outcome, reading, recovered
 from rthyb_rt.diagnose.effects.base import Context, Effect, Param, Trial
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.record import recording
 
 ROOT = Path(__file__).resolve().parents[1]
 SECTION_5 = ROOT / "examples" / "section5-T0.5.toml"

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rthyb_rt.core.diagnosis_models import Motion
 from rthyb_rt.diagnose import engine, outcome
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.reading import read_case
-from rthyb_rt.diagnose.simulate import Motion
 
 Floats = NDArray[np.float64]
 FS_HZ = 100.0

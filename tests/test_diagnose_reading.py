@@ -506,8 +506,8 @@ def test_tolerances_of_an_actuator_come_with_the_model(tmp_path):
 
 
 def test_tolerances_of_a_rig_file_are_read_and_change_no_rig(tmp_path):
-    from rthyb_rt import experiment
-    from rthyb_rt.commissioning.certificate import rig_hash
+    from rthyb_rt.lab import experiment
+    from rthyb_rt.rig.commissioning.certificate import rig_hash
 
     path = tmp_path / "rig.toml"
     text = cases.rig(

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rthyb_rt import config, core, experiment, virtual_time
+from rthyb_rt import config, core
 from rthyb_rt.config.rigfile import RigFile
 from rthyb_rt.diagnose import effects, engine, estimate, reading, rigged
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.predict import Augmented
 from rthyb_rt.diagnose.select import Member
+from rthyb_rt.lab import experiment, virtual_time
 from tests.test_diagnose_loop import SECTION_5, TABLE, answer_of, recorded, run
 
 BARE = {"moving_mass_kg": 0.5, "friction_n": 0.0, "viscous_n_s_per_m": 0.0}
@@ -176,7 +177,7 @@ def test_mass_that_the_table_has_too_much_of_is_taken_off_it():
 @pytest.mark.parametrize("force_n", [np.nan, np.inf, 1e300])
 def test_recording_that_holds_no_number_ends_in_words(table_run, tmp_path, capsys, force_n):
     """A reading that is none is a gap, or refused; never a fault of the program."""
-    from rthyb_rt import recording
+    from rthyb_rt.record import recording
 
     rec = recording.open_run(table_run)
     rec.samples["f_meas_n"][4000:4200] = force_n

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from validate import own_rigs
 
-from rthyb_rt import config, core, experiment
+from rthyb_rt import config, core
+from rthyb_rt.core.diagnosis_models import actuator, body
 from rthyb_rt.diagnose import effects, engine, estimate, force, reading
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.predict import Augmented, predict, start_of
 from rthyb_rt.diagnose.select import Fit, Member, Problem
-from rthyb_rt.diagnose.simulate import actuator, body
+from rthyb_rt.lab import experiment
 
 FS_HZ = 256.0
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import Motion
 from rthyb_rt.diagnose import effects, engine, reading
 from rthyb_rt.diagnose.effects import springs
 from rthyb_rt.diagnose.effects.base import Context, Trial
-from rthyb_rt.diagnose.simulate import Motion
 
 K = cases.K
 XY = 2.5e-3

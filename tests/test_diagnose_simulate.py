@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import (
+    ActuatorModel,
+    SimulationError,
+    actuator,
+    body,
+    iwan,
+    play,
+)
 from rthyb_rt.diagnose.case import BoucWen
 from rthyb_rt.diagnose.effects.sensor import shifted
 from rthyb_rt.diagnose.estimate import white_noise
-from rthyb_rt.diagnose.simulate import ActuatorModel, SimulationError, actuator, body, iwan, play
 
 LAG = ActuatorModel(cases.DELAY, cases.F_HZ, cases.ZETA)
 

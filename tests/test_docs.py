@@ -15,10 +15,14 @@ from typing import Any
 import pytest
 import typer.main
 
-from rthyb_rt import cli, config, experiment, identify, recording, studies, summary, virtual_time
+from rthyb_rt import cli, config, studies
+from rthyb_rt.analysis import summary
 from rthyb_rt.cli import commands
+from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.diagnose import catalogue, effects
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.rig import identify
 from rthyb_rt.studies.results import Study
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -298,9 +302,9 @@ def test_a_picture_shows_what_its_effect_adds() -> None:
 
 def test_flags_and_states_of_the_guide_are_those_of_the_core() -> None:
     page = read(ROOT / "docs" / "file-formats.md")
-    for name, bit in recording.FLAGS.items():
+    for name, bit in FLAGS.items():
         assert f"| {bit} | {name} |" in page
-    assert ", ".join(f"{i} {name}" for i, name in enumerate(recording.STATES)) in page
+    assert ", ".join(f"{i} {name}" for i, name in enumerate(STATES)) in page
 
 
 @pytest.mark.parametrize("section", studies.SECTIONS)

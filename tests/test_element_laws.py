@@ -14,9 +14,10 @@ import scipy.special
 from kernels import Floats, H, smooth_motion, time_s
 from test_element import ONE_OF_EACH
 
-from rthyb_rt import config, core, experiment
+from rthyb_rt import config, core
 from rthyb_rt.config import fields
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment
 
 
 def run(kind: str, x: Floats, **change: float) -> Floats:

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rthyb_rt import config, core, experiment, virtual_time
+from rthyb_rt import config, core
 from rthyb_rt.config import RigFile
 from rthyb_rt.errors import InputError
-from rthyb_rt.identify import Result, Sweep, identified_rig, identify
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.rig.identify import Result, Sweep, identified_rig, identify
 
 TABLE = "shaking-table-portal-frame"
 PLATE_N_PER_M = 666400.0

@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rthyb_rt import cli, core, jitter
+from rthyb_rt import cli, core
 from rthyb_rt.cli.jitter import UNFIT
+from rthyb_rt.core.ticker import PRIVILEGES, Counts, JitterRun, Latency, Payload, Timing
 from rthyb_rt.errors import RthybError
-from rthyb_rt.jitter import CASES, Case, Result
+from rthyb_rt.lab import jitter
+from rthyb_rt.lab.jitter import CASES, Case, Result
+from rthyb_rt.record.ring import Reader, Rows, default_folder
 from rthyb_rt.report import jitter as page
-from rthyb_rt.ring import Reader, Rows, default_folder
-from rthyb_rt.ticker import PRIVILEGES, Counts, JitterRun, Latency, Payload, Timing
 
 pytestmark = pytest.mark.alone
 

@@ -9,8 +9,9 @@ import pytest
 import scipy.signal
 from kernels import FS_HZ, Floats, H, smooth_motion, time_s
 
-from rthyb_rt import config, core, experiment, virtual_time
+from rthyb_rt import config, core
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, virtual_time
 
 LOOSE = {
     "ats.a0_rate_per_s": 1e3,

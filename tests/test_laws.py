@@ -12,10 +12,10 @@ import pytest
 from kernels import FS_HZ, Floats, H, smooth_motion, time_s
 from rthyb_rt._core import ffi, lib
 
-from rthyb_rt import config, core
-from rthyb_rt.config import lawtables, units
+from rthyb_rt import config, core, units
+from rthyb_rt.config import lawtables
+from rthyb_rt.core.laws import LAWS, Law, parameters
 from rthyb_rt.errors import InputError
-from rthyb_rt.laws import LAWS, Law, parameters
 
 ROOT = Path(__file__).resolve().parents[1]
 STATUS = core.STATUS

@@ -20,7 +20,8 @@ import pytest
 from loop_bench import Bench
 from rthyb_rt._core import lib
 
-from rthyb_rt import core, loop, ticker
+from rthyb_rt import core
+from rthyb_rt.core import loop, ticker
 
 pytestmark = pytest.mark.alone
 

@@ -12,10 +12,11 @@ from typing import Any
 import pytest
 from link_tools import nothing_left_open, wanted
 
+from rthyb_rt.core import wire
 from rthyb_rt.errors import InputError
-from rthyb_rt.links import can_bus, netlink, wire
-from rthyb_rt.links.netlink import Interface
-from rthyb_rt.links.opening import open_link
+from rthyb_rt.rig.links import can_bus, netlink
+from rthyb_rt.rig.links.netlink import Interface
+from rthyb_rt.rig.links.opening import open_link
 
 RECORDED = Path(__file__).parent / "data" / "links" / "rtnetlink" / "links.bin"
 """Answer of a 6.1 kernel: lo, vcan0, vcan1, a pair of vxcan, and can0: slcan at 500 kbit/s."""

@@ -17,10 +17,10 @@ from can.interfaces.virtual import VirtualBus
 from link_tools import LinkUnderTest, nothing_left_open, until, wanted
 from loop_bench import Bench, assert_adds_up
 
-from rthyb_rt import loop
+from rthyb_rt.core import loop, wire
 from rthyb_rt.errors import InputError
-from rthyb_rt.links import exchange, locks, wire
-from rthyb_rt.links.opening import Opened, Side, open_link
+from rthyb_rt.rig.links import exchange, locks
+from rthyb_rt.rig.links.opening import Opened, Side, open_link
 
 BUS_OFF = 0x40
 FD_DBC = Path(__file__).parent / "data" / "links" / "fd_extended.dbc"

@@ -20,10 +20,10 @@ import serial
 from link_tools import as_nobody, nothing_left_open, until, wanted
 from loop_bench import Bench, assert_adds_up
 
-from rthyb_rt import loop
+from rthyb_rt.core import loop
 from rthyb_rt.errors import InputError
-from rthyb_rt.links import serial_line
-from rthyb_rt.links.opening import Opened, open_link
+from rthyb_rt.rig.links import serial_line
+from rthyb_rt.rig.links.opening import Opened, open_link
 
 
 class Pty:

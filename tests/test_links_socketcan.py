@@ -22,9 +22,10 @@ from link_tools import LinkUnderTest, nothing_left_open, until, wanted
 from loop_bench import Bench, assert_adds_up
 
 from rthyb_rt import core
+from rthyb_rt.core import wire
 from rthyb_rt.errors import InputError
-from rthyb_rt.links import can_bus, locks, netlink, wire
-from rthyb_rt.links.opening import Opened, Side, open_link
+from rthyb_rt.rig.links import can_bus, locks, netlink
+from rthyb_rt.rig.links.opening import Opened, Side, open_link
 
 VCAN: Final = os.environ.get("RTHYB_VCAN", "vcan0")
 FD_DBC: Final = Path(__file__).parent / "data" / "links" / "fd_extended.dbc"

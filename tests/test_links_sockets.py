@@ -18,11 +18,12 @@ import pytest
 from link_tools import as_nobody, nothing_left_open, until, wanted
 from loop_bench import Bench, assert_adds_up
 
-from rthyb_rt import core, loop
+from rthyb_rt import core
+from rthyb_rt.core import loop
 from rthyb_rt.errors import InputError
-from rthyb_rt.links import locks, sockets
-from rthyb_rt.links.opened import Owned
-from rthyb_rt.links.opening import Opened, connect_socket, listen_socket, open_link, socket_pair
+from rthyb_rt.rig.links import locks, sockets
+from rthyb_rt.rig.links.opened import Owned
+from rthyb_rt.rig.links.opening import Opened, connect_socket, listen_socket, open_link, socket_pair
 
 
 @pytest.fixture(autouse=True)
@@ -242,8 +243,8 @@ def test_nobody_comes_in_time_and_the_path_is_gone(tmp_path: Path) -> None:
 HOLDER = """
 import sys
 from pathlib import Path
-from rthyb_rt.links import locks
-from rthyb_rt.links.opened import Owned
+from rthyb_rt.rig.links import locks
+from rthyb_rt.rig.links.opened import Owned
 locks.SHARED_FOLDER = Path(sys.argv[1])
 with Owned() as owned:
     locks.hold(owned, "can0", "can0", "controller")

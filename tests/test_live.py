@@ -29,8 +29,10 @@ from starlette.websockets import WebSocketDisconnect
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from rthyb_rt import config, core, experiment, recording, virtual_time
+from rthyb_rt import config, core
+from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.live import app as live_app
 from rthyb_rt.live import guard
 from rthyb_rt.live import server as live_server
@@ -40,8 +42,9 @@ from rthyb_rt.live.guard import Tokens
 from rthyb_rt.live.history import CHANNELS, History, Tally, channels, columns, loop_points
 from rthyb_rt.live.server import LiveServer
 from rthyb_rt.live.sources import LiveSource, PastSource, open_source
-from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
-from rthyb_rt.ring import OtherVersionError, Ring
+from rthyb_rt.record import recording
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.ring import OtherVersionError, Ring
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.peers import Peer, Role
 
@@ -640,7 +643,7 @@ def test_ring_of_a_trip_says_its_first_cause_without_a_service(memory: Path) -> 
 def test_what_a_user_means_is_found_or_he_is_told(
     memory: Path, rec: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rthyb_rt.ring.default_folder", lambda: memory)
+    monkeypatch.setattr("rthyb_rt.record.ring.default_folder", lambda: memory)
     nowhere = memory / "control.sock"
     with pytest.raises(InputError, match=r"no service answers .* no ring"):
         open_source(None, nowhere)
@@ -891,7 +894,7 @@ def test_nothing_to_show_is_an_input_fault(
     tmp_path: Path, rthyb: Rthyb, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("RTHYB_SOCKET", str(tmp_path / "control.sock"))
-    monkeypatch.setattr("rthyb_rt.ring.default_folder", lambda: tmp_path)
+    monkeypatch.setattr("rthyb_rt.record.ring.default_folder", lambda: tmp_path)
     answer = rthyb("live")
     assert answer.code == 3
     assert "start rthyb serve or rthyb run --realtime, or give a recording" in answer.err

@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from link_tools import users_table
 from loop_bench import FLAGS, K_N_PER_M, Bench, watched
 
-from rthyb_rt import core, loop
-from rthyb_rt.links import wire
+from rthyb_rt import core
+from rthyb_rt.core import loop, wire
 
 MOUNTED = core.Calibration(
     x_gain=-2.0, x_offset_m=0.004, f_gain=-0.5, f_offset_n=12.0, cmd_gain=-0.5, cmd_offset_m=0.002
@@ -546,5 +546,5 @@ def test_station_that_has_ticked_replays_nothing(recorded: Bench) -> None:
 def test_other_settings_are_found(recorded: Bench) -> None:
     other = dataclasses.replace(recorded.config, ramp_in_ticks=255)
     again = core.Station(other, recorded.ag).replay(recorded.rows(), recorded.codec)
-    started = int(np.argmax(recorded.rows()["state"] == core.STATE_NAMES.index("RAMP_IN")))
+    started = int(np.argmax(recorded.rows()["state"] == core.STATES.index("RAMP_IN")))
     assert first_difference(recorded.rows(), again) == started + 1

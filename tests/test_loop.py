@@ -43,10 +43,10 @@ from recording_data import recording as made_up_recording
 from rthyb_rt._core import lib
 from test_live_replay import assert_the_same
 
-from rthyb_rt import core, loop, ticker
+from rthyb_rt import core
+from rthyb_rt.core import loop, ticker, wire
 from rthyb_rt.errors import RthybError
-from rthyb_rt.links import wire
-from rthyb_rt.ring import Reader, Ring
+from rthyb_rt.record.ring import Reader, Ring
 
 BUS_STATE: Final = 0x2000_0200
 
@@ -78,7 +78,7 @@ def test_sunny_day_over_the_wire_goes_from_idle_back_to_idle(bench: Bench) -> No
     bench.steps(50)
     rows = bench.rows()
     np.testing.assert_array_equal(rows["tick"], np.arange(rows.size))
-    assert set(rows["state"]) == {STATE[s] for s in core.STATE_NAMES} - {
+    assert set(rows["state"]) == {STATE[s] for s in core.STATES} - {
         STATE["HOLD"],
         STATE["TRIPPED"],
     }

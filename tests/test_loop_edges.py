@@ -21,9 +21,13 @@ from rthyb_rt._core import ffi, lib
 from test_core_safety import mounted, table
 from test_live_replay import FLOATS, MOUNTED, assert_the_same
 
-from rthyb_rt import core, loop, realtime, summary, virtual_rig
-from rthyb_rt.links import opening, wire
-from rthyb_rt.links.wire import Setpoint
+from rthyb_rt import core
+from rthyb_rt.analysis import summary
+from rthyb_rt.core import loop, wire
+from rthyb_rt.core.wire import Setpoint
+from rthyb_rt.lab import realtime
+from rthyb_rt.rig import virtual_rig
+from rthyb_rt.rig.links import opening
 
 STEP_MM = 0.1
 HUGE = 1e300

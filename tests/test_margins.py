@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from rthyb_rt import config, core, ground_motion, margins
+from rthyb_rt import config, core, ground_motion
+from rthyb_rt.analysis import margins
+from rthyb_rt.analysis.margins import Lead
 from rthyb_rt.core import MotionConfig
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.margins import Lead
 
 # The structure of Section 4.2: T = 0.5 s, 2 % of critical damping.
 MASS_KG, DAMPING, K_E = 30000.0, 15080.0, 4737410.0

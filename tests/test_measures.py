@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from scipy import integrate, signal
 
-from rthyb_rt import measures
+from rthyb_rt.analysis import measures
 
 FS = 1024.0
 K = 666400.0

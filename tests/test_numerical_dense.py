@@ -12,7 +12,7 @@ import scipy.linalg
 from kernels import Floats
 
 from rthyb_rt import core
-from rthyb_rt.numerical_parts import DensePart
+from rthyb_rt.core.numerical_parts import DensePart
 
 # The benchmark's frame (Silva et al. 2020), case 4, whole.
 K = 1e7 * np.array(

@@ -14,9 +14,11 @@ from command_line import Rthyb
 from kernels import Floats
 from test_numerical_dense import C, K, M, frame
 
-from rthyb_rt import config, core, experiment, margins, numerical_margins, summary, virtual_time
+from rthyb_rt import config, core
+from rthyb_rt.analysis import margins, numerical_margins, summary
+from rthyb_rt.config.numerical_structure import Structure
 from rthyb_rt.errors import InputError
-from rthyb_rt.numerical_structure import Structure
+from rthyb_rt.lab import experiment, virtual_time
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "frame-three-storeys.toml"
 TEST = """schema = "rthyb-test/1"

@@ -26,25 +26,18 @@ from realtime_bench import (
     until,
 )
 
-from rthyb_rt import (
-    core,
-    endings,
-    experiment,
-    export,
-    loop,
-    realtime,
-    recording,
-    ring,
-    summary,
-    virtual_rig,
-    virtual_time,
-)
+from rthyb_rt import core
+from rthyb_rt.analysis import summary
+from rthyb_rt.core import dbc, loop, wire
+from rthyb_rt.core.wire import TOLD
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.links import dbc, opening, wire
-from rthyb_rt.links.wire import TOLD
-from rthyb_rt.realtime import keeper
-from rthyb_rt.realtime.keeper import Keeper
+from rthyb_rt.lab import endings, experiment, realtime, virtual_time
+from rthyb_rt.lab.realtime import keeper
+from rthyb_rt.lab.realtime.keeper import Keeper
+from rthyb_rt.record import export, recording, ring
 from rthyb_rt.report import render
+from rthyb_rt.rig import virtual_rig
+from rthyb_rt.rig.links import opening
 
 pytestmark = pytest.mark.alone
 
@@ -87,7 +80,7 @@ def test_commands_stand_in_the_rows_of_their_ticks() -> None:
     for given in rec.replay.commands:
         flags = int(rec.samples["flags"][given["tick"]])
         assert core.command_of(flags) == given["command"]
-        assert not flags & recording.FLAGS["refused"]
+        assert not flags & core.FLAGS["refused"]
 
 
 def test_running_rows_are_those_of_virtual_time_to_the_wires_last_digit() -> None:
@@ -217,7 +210,7 @@ def test_parameters_that_were_set_meanwhile_are_part_of_the_replay() -> None:
         session.wait(1.0)
     rec = recorded()
     assert rec.samples["generation"][-1] == 1
-    assert (running(rec)["flags"] & recording.FLAGS["limited"]).any()
+    assert (running(rec)["flags"] & core.FLAGS["limited"]).any()
     assert realtime.replay(rec).identical
     rec.replay.parameters[1]["values"]["velocity_limit_m_per_s"] = 0.011
     assert not realtime.replay(rec).identical
@@ -292,7 +285,7 @@ def test_recording_that_ends_amid_skipped_ticks_is_replayed_up_to_them() -> None
         session.loop.step(skipped=4)
         session.wait(0.1)
     rec = recorded()
-    (blind,) = np.nonzero(rec.samples["flags"] & recording.FLAGS["blind"])
+    (blind,) = np.nonzero(rec.samples["flags"] & core.FLAGS["blind"])
     assert blind.size == 4
     assert realtime.replay(rec).identical
     cut = dataclasses.replace(rec, samples=rec.samples[: blind[2]])
@@ -438,14 +431,14 @@ def ends_with(row: dict[str, int], count: int = 20) -> np.ndarray:
     """Rows of a test whose last ones before a trip are alike."""
     rows = np.zeros(60, core.RECORD_DTYPE)
     rows["state"] = STATE["RUNNING"]
-    rows["flags"] = recording.FLAGS["fresh"]
+    rows["flags"] = core.FLAGS["fresh"]
     rows["state"][50:] = STATE["TRIPPED"]
     for name, value in row.items():
         rows[name][50 - count : 50] = value
     return rows
 
 
-FLAG = recording.FLAGS
+FLAG = core.FLAGS
 REFUSED, ABSENT = FLAG["predicted"], FLAG["predicted"] | FLAG["lost"]
 BEYOND = core.STATUS["out_of_range"]
 
@@ -536,7 +529,7 @@ def test_failure_during_the_motion_trips_and_leaves_the_ring(tmp_path: Path) -> 
     rec = ring.recover(path).recording
     assert rec.samples["state"][-5] == STATE["RUNNING"]
     assert (rec.samples["state"][-4:] == STATE["TRIPPED"]).all()
-    not_sent = rec.samples["flags"][-4:] & recording.FLAGS["not_sent"] != 0
+    not_sent = rec.samples["flags"][-4:] & core.FLAGS["not_sent"] != 0
     np.testing.assert_array_equal(not_sent, [False, False, False, True])
 
 

@@ -48,10 +48,12 @@ from realtime_lab import (
 )
 from stalls import Stalled
 
-from rthyb_rt import config, core, loop, realtime, ring
-from rthyb_rt.core import FLAGS
-from rthyb_rt.realtime import conducting
-from rthyb_rt.recording import Recording
+from rthyb_rt import config, core
+from rthyb_rt.core import FLAGS, loop
+from rthyb_rt.lab import realtime
+from rthyb_rt.lab.realtime import conducting
+from rthyb_rt.record import ring
+from rthyb_rt.record.recording import Recording
 
 pytestmark = pytest.mark.skipif(
     "RTHYB_VCAN" not in os.environ,
@@ -244,7 +246,7 @@ def tell(fault: str, found: Ended) -> None:
     stop = f"silent {found.log['silent'][begins]}"
     if told.size:
         stop += f", {begins - told[0]} ticks after TRIPPED"
-    state = core.STATE_NAMES[found.rows["state"][-1]]
+    state = core.STATES[found.rows["state"][-1]]
     print(f"seen | {fault} | {state} | {found.cause} | exit {found.status} | {stop} |")
 
 

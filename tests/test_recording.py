@@ -15,12 +15,13 @@ from recording_data import FS_HZ, RECORD_DTYPE, recording
 from rthyb_rt._core import lib
 from scipy.io import loadmat
 
-from rthyb_rt import core, export
+from rthyb_rt import core
+from rthyb_rt.analysis.summary import OUT_OF_RANGE
+from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.recording import (
-    FLAGS,
+from rthyb_rt.record import export
+from rthyb_rt.record.recording import (
     SCHEMA,
-    STATES,
     UNITS,
     Recording,
     ReplayData,
@@ -29,7 +30,6 @@ from rthyb_rt.recording import (
     replacing,
     write,
 )
-from rthyb_rt.summary import OUT_OF_RANGE
 
 
 @pytest.fixture
@@ -153,7 +153,8 @@ def test_failed_write_leaves_the_old_file_and_nothing_else(path: Path, short: Re
 FULL_DISK = """
 import resource, sys
 from recording_data import recording
-from rthyb_rt import errors, export, recording as recordings, report
+from rthyb_rt import errors, report
+from rthyb_rt.record import export, recording as recordings
 rec = recording(2.0)
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 for write, name in (

@@ -17,10 +17,22 @@ from hypothesis import strategies as st
 from recording_data import recording as made_up
 from scipy.io import loadmat
 
-from rthyb_rt import core, experiment, export, realtime, recording, summary
+from rthyb_rt import core
+from rthyb_rt.analysis import summary
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, realtime
 from rthyb_rt.live.sources import PastSource
-from rthyb_rt.recording import UNITS, VERSION, VERSIONS, Field, Recording, Version, read, write
+from rthyb_rt.record import export, recording
+from rthyb_rt.record.recording import (
+    UNITS,
+    VERSION,
+    VERSIONS,
+    Field,
+    Recording,
+    Version,
+    read,
+    write,
+)
 from rthyb_rt.report import render
 
 STORED = Path(__file__).parent / "data" / "recordings"
@@ -195,7 +207,7 @@ def test_a_file_says_what_its_numbers_mean(tmp_path: Path) -> None:
     assert said["units"]["x_read_m"] == "m"
     assert said["status"] == core.STATUS
     assert said["flags"] == core.FLAGS
-    assert tuple(said["states"]) == core.STATE_NAMES
+    assert tuple(said["states"]) == core.STATES
     assert tuple(said["commands"]) == core.COMMANDS
     assert tuple(said["causes"]) == core.CAUSES
 

@@ -17,13 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recording_data import FS_HZ, K_E, recording
 
-from rthyb_rt import measures
-from rthyb_rt.errors import InputError
-from rthyb_rt.numbers import number, percent, quantity
-from rthyb_rt.recording import FLAGS, STATES, UNITS, Recording
-from rthyb_rt.report import render, write_report
-from rthyb_rt.report.decimate import envelope, robust_limit, trace
-from rthyb_rt.summary import (
+from rthyb_rt.analysis import measures
+from rthyb_rt.analysis.summary import (
     OUT_OF_RANGE,
     notices,
     result_table,
@@ -32,6 +27,12 @@ from rthyb_rt.summary import (
     summarize,
     verdict,
 )
+from rthyb_rt.core import FLAGS, STATES
+from rthyb_rt.errors import InputError
+from rthyb_rt.numbers import number, percent, quantity
+from rthyb_rt.record.recording import UNITS, Recording
+from rthyb_rt.report import render, write_report
+from rthyb_rt.report.decimate import envelope, robust_limit, trace
 
 pytest.importorskip("matplotlib")
 
@@ -564,7 +565,7 @@ def test_report_without_matplotlib_names_the_remedy(
 
 def test_result_table_needs_neither_matplotlib_nor_h5py() -> None:
     code = (
-        "import sys, rthyb_rt.summary, rthyb_rt.recording, rthyb_rt.report; "
+        "import sys, rthyb_rt.analysis.summary, rthyb_rt.record.recording, rthyb_rt.report; "
         "print(sorted({'matplotlib', 'h5py', 'scipy', 'jinja2'} & set(sys.modules)))"
     )
     done = subprocess.run(

@@ -28,22 +28,14 @@ from hypothesis import strategies as st
 from recording_data import recording as made_up_recording
 from ring_rows import CYCLE, rows
 
-from rthyb_rt import (
-    cli,
-    config,
-    core,
-    experiment,
-    realtime,
-    recording,
-    report,
-    ring,
-    summary,
-    virtual_time,
-)
-from rthyb_rt.core import RecordArray
+from rthyb_rt import cli, config, core, report
+from rthyb_rt.analysis import summary
+from rthyb_rt.core import STATES, RecordArray
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.recording import STATES, Recording
-from rthyb_rt.ring import AFTER_TRIP, CAPACITY, Reader, Ring
+from rthyb_rt.lab import experiment, realtime, virtual_time
+from rthyb_rt.record import recording, ring
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.ring import AFTER_TRIP, CAPACITY, Reader, Ring
 
 pytestmark = pytest.mark.alone
 
@@ -139,7 +131,7 @@ LOCKING = """
 import sys, tempfile, pathlib
 sys.path.insert(0, sys.argv[1])
 from recording_data import recording
-from rthyb_rt.ring import Ring
+from rthyb_rt.record.ring import Ring
 made = Ring.create(pathlib.Path(tempfile.mkdtemp()), recording(1.0), capacity=64)
 print(made.locked)
 made.remove()
@@ -662,7 +654,7 @@ PRODUCER = """
 import mmap, pathlib, sys
 from recording_data import recording
 from ring_rows import CYCLE, rows
-from rthyb_rt.ring import Ring
+from rthyb_rt.record.ring import Ring
 folder, capacity, size = pathlib.Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 made = Ring.create(folder, recording(1.0), capacity=capacity)
 with (folder / "counter").open("r+b") as file:
@@ -834,7 +826,7 @@ def test_blind_rows_come_back_as_skips_and_a_hold_as_interruption(
     made = Ring.create(tmp_path, session, capacity=128)
     records = rows(0, 100)
     for first, count in ((0, 2), (40, 1), (95, 5)):
-        records["flags"][first : first + count] = recording.FLAGS["blind"]
+        records["flags"][first : first + count] = core.FLAGS["blind"]
     made.push(records)
     plain = ring.recover(made.path).recording
     assert plain.replay.skips.tolist() == [[0, 2], [40, 1], [95, 5]]

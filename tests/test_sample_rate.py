@@ -12,23 +12,15 @@ import pytest
 from command_line import Rthyb
 from scipy.integrate import solve_ivp
 
-from rthyb_rt import (
-    braking,
-    config,
-    core,
-    experiment,
-    export,
-    ground_motion,
-    margins,
-    realtime,
-    recording,
-    summary,
-    virtual_time,
-)
+from rthyb_rt import config, core, ground_motion
+from rthyb_rt.analysis import margins, summary
 from rthyb_rt.config import Rate
+from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.diagnose import reading
 from rthyb_rt.errors import InputError
-from rthyb_rt.recording import FLAGS, STATES, Recording
+from rthyb_rt.lab import braking, experiment, realtime, virtual_time
+from rthyb_rt.record import export, recording
+from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import render
 
 ROOT = Path(__file__).parents[1]

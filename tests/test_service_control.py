@@ -37,8 +37,8 @@ from service_bench import (
     short_test,
 )
 
-from rthyb_rt import experiment
 from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.lab import experiment
 from rthyb_rt.service import control, daemon, engine, peers
 from rthyb_rt.service.control import (
     INTERFACE,
@@ -88,8 +88,8 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Iterator[daemon.Daemon]:
     """A daemon whose methods are called, though nothing listens."""
     from pathlib import Path as P
 
-    from rthyb_rt import virtual_rig
-    from rthyb_rt.links import opening
+    from rthyb_rt.rig import virtual_rig
+    from rthyb_rt.rig.links import opening
 
     folder = tmp_path_factory.mktemp("daemon")
     rig = rig_file()

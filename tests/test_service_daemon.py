@@ -33,12 +33,16 @@ from recording_data import recording as made_up
 from service_bench import ROOT, await_state, rig_file, served, short_test
 from stalls import Stalled
 
-from rthyb_rt import config, experiment, loop, realtime, recording, ticker, virtual_rig
-from rthyb_rt.commissioning import certificate
-from rthyb_rt.commissioning.moving import command_numbers
-from rthyb_rt.links import opening
-from rthyb_rt.recording import FLAGS, Recording
-from rthyb_rt.ring import Ring, session_path
+from rthyb_rt import config
+from rthyb_rt.core import FLAGS, loop, ticker
+from rthyb_rt.lab import experiment, realtime
+from rthyb_rt.record import recording
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.ring import Ring, session_path
+from rthyb_rt.rig import virtual_rig
+from rthyb_rt.rig.commissioning import certificate
+from rthyb_rt.rig.commissioning.moving import command_numbers
+from rthyb_rt.rig.links import opening
 from rthyb_rt.service import daemon as daemons
 from rthyb_rt.service import installing, systemd
 from rthyb_rt.service.control import Client, Refusal

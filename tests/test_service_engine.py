@@ -14,10 +14,13 @@ import pytest
 from realtime_bench import ROWS, STATE
 from service_bench import Bench, bench, left, rig_file, short_test
 
-from rthyb_rt import core, experiment, loop, realtime, ring, ticker, virtual_rig
+from rthyb_rt import core
+from rthyb_rt.core import STATES, loop, ticker
 from rthyb_rt.errors import InputError
-from rthyb_rt.links import opening
-from rthyb_rt.recording import STATES
+from rthyb_rt.lab import experiment, realtime
+from rthyb_rt.record import ring
+from rthyb_rt.rig import virtual_rig
+from rthyb_rt.rig.links import opening
 from rthyb_rt.service.engine import COMMANDS, Engine, Event, StateError, allowed_states
 
 pytestmark = pytest.mark.alone

@@ -29,8 +29,9 @@ import pytest
 from realtime_bench import STATE, until
 from test_service_daemon import Lab, assert_drive_heard, lab
 
-from rthyb_rt import recording
-from rthyb_rt.recording import FILE_NAME, FLAGS, Recording
+from rthyb_rt.core import FLAGS
+from rthyb_rt.record import recording
+from rthyb_rt.record.recording import FILE_NAME, Recording
 from rthyb_rt.service.control import Client, Refusal, UnreachableError
 from rthyb_rt.service.growing import PART_NAME
 from rthyb_rt.service.recorder import read_status
@@ -137,7 +138,7 @@ _NURSERY = """
 import json, os, signal, sys
 import h5py, numpy
 import rthyb_rt.service.recorder, rthyb_rt.service.growing, rthyb_rt.service.daemon
-import rthyb_rt.cli.recorder, rthyb_rt.cli.serve, rthyb_rt.links.opening, rthyb_rt.report
+import rthyb_rt.cli.recorder, rthyb_rt.cli.serve, rthyb_rt.rig.links.opening, rthyb_rt.report
 from rthyb_rt.cli import main
 signal.signal(signal.SIGCHLD, signal.SIG_IGN)
 print("there", flush=True)

@@ -24,10 +24,11 @@ import pytest
 from realtime_bench import PROGRAM, STATE, until
 from recording_data import recording as made_up
 
-from rthyb_rt import core, recording, ring
+from rthyb_rt import core
 from rthyb_rt.errors import RthybError
-from rthyb_rt.recording import BLOCK_ROWS, FILE_NAME
-from rthyb_rt.ring import Ring
+from rthyb_rt.record import recording, ring
+from rthyb_rt.record.recording import BLOCK_ROWS, FILE_NAME
+from rthyb_rt.record.ring import Ring
 from rthyb_rt.service import disk, growing
 from rthyb_rt.service import recorder as recorders
 from rthyb_rt.service.growing import PART_NAME

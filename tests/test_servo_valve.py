@@ -11,8 +11,9 @@ import pytest
 import scipy.linalg
 from kernels import Floats
 
-from rthyb_rt import config, core, experiment, rths_benchmark, virtual_time
+from rthyb_rt import config, core, rths_benchmark
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, virtual_time
 
 A1B0, A2, A3, B1, B2, GAIN = 2.1283e13, 4.2297e6, 3.3, 425.0, 9.9976e4, 1.0261
 MASS, STIFFNESS = 29.13, 1.19e6
@@ -188,6 +189,6 @@ def test_a_frame_of_three_storeys_runs_on_the_plant(seed: int | None) -> None:
     setup = experiment.prepare(config.parse_test(example), rig)
     samples = virtual_time.run(setup).samples
     assert np.abs(samples["f_meas_n"]).max() < 8900.0
-    running = samples[samples["state"] == core.STATE_NAMES.index("RUNNING")]
+    running = samples[samples["state"] == core.STATES.index("RUNNING")]
     error = running["x_meas_m"] - running["x_num_m"]
     assert error.std() < 0.1 * running["x_num_m"].std()

@@ -155,7 +155,7 @@ def test_running_part_is_what_the_controller_alone_computes() -> None:
     bench = Bench().running(0)
     bench.until("RAMP_OUT")
     rows = bench.rows()
-    rows = rows[rows["state"] == core.STATE_NAMES.index("RUNNING")]
+    rows = rows[rows["state"] == core.STATES.index("RUNNING")]
     alone = core.Controller(config().controller)
     rig = core.Rig(
         core.RigConfig(
@@ -182,7 +182,7 @@ def test_ramp_in_is_half_a_wave_of_a_raised_cosine() -> None:
     bench.step("stop")
     for _ in range(3):
         bench.station.tick(moved, 0.0, drive_stopped=True)
-    bench.station._c.state = core.STATE_NAMES.index("ARMED")
+    bench.station._c.state = core.STATES.index("ARMED")
     bench.station.tick(moved, 0.0, command="start")
     x = [bench.station.tick(moved, 0.0).records["x_num_m"][-1] for _ in range(255)]
     u = np.arange(1, 256) / 256
@@ -240,14 +240,14 @@ ALLOWED = {
     "start": {"ARMED"},
     "hold": {"RUNNING", "HOLD"},
     "resume": {"HOLD"},
-    "stop": set(core.STATE_NAMES) - {"TRIPPED"},
+    "stop": set(core.STATES) - {"TRIPPED"},
     "reset": {"TRIPPED", "IDLE"},
-    "trip": set(core.STATE_NAMES),
+    "trip": set(core.STATES),
 }
 
 
 @pytest.mark.parametrize("command", ALLOWED)
-@pytest.mark.parametrize("state", core.STATE_NAMES)
+@pytest.mark.parametrize("state", core.STATES)
 def test_each_command_is_for_its_states_alone(state: str, command: core.Command) -> None:
     assert core.command_allowed(state, command) == (state in ALLOWED[command])
 
@@ -352,7 +352,7 @@ def test_operator_stop_ramps_out_to_rest_with_alpha_frozen() -> None:
     bench.until("IDLE")
     bench.step()
     rows = bench.rows()
-    out = rows[rows["state"] == core.STATE_NAMES.index("RAMP_OUT")]
+    out = rows[rows["state"] == core.STATES.index("RAMP_OUT")]
     assert bench.station.cause == "operator"
     assert np.all(np.abs(out["alpha"] - alpha) < 0.05)
     assert np.ptp(out["alpha"][1:]) == 0.0
@@ -378,7 +378,7 @@ def test_stop_of_a_test_that_stays_ends_where_its_deceleration_does() -> None:
     assert least < way * np.sign(velocity) < least + 1.2 * 16 * H * abs(velocity)
     assert np.ptp(rows["x_num_m"][-100:]) == 0.0
     assert bench.station.cause == "operator"
-    out = rows[rows["state"] == core.STATE_NAMES.index("RAMP_OUT")]
+    out = rows[rows["state"] == core.STATES.index("RAMP_OUT")]
     assert largest_acceleration(out[2:]) <= 0.2 * 1.02
     bench.running(50)
 

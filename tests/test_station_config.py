@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from command_line import Rthyb
 
-from rthyb_rt import config, core, experiment, realtime, virtual_time
+from rthyb_rt import config, core
 from rthyb_rt.config.limits import WATCHED
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, realtime, virtual_time
 
 TEST = """schema = "rthyb-test/1"
 [test]
@@ -357,7 +358,7 @@ def test_test_at_the_station_is_the_test_of_virtual_time() -> None:
     bench.until("RAMP_OUT")
     assert bench.station.cause == "completed"
     rows = bench.all_rows()
-    rows = rows[rows["state"] == core.STATE_NAMES.index("RUNNING")]
+    rows = rows[rows["state"] == core.STATES.index("RUNNING")]
     run = virtual_time.run(setup)
     virtual = run.samples[run.running()]
     np.testing.assert_allclose(rows["x_meas_m"], virtual["x_meas_m"], atol=1e-12)
@@ -461,7 +462,7 @@ def test_ramp_out_of_the_file_keeps_to_the_path_velocity() -> None:
     bench.step()
     bench.step()
     rows = bench.all_rows()
-    ramp = rows[rows["state"] == core.STATE_NAMES.index("RAMP_OUT")]
+    ramp = rows[rows["state"] == core.STATES.index("RAMP_OUT")]
     # Behind the braking, whose speed is that of the test.
     turn = int(np.argmax(np.abs(ramp["x_num_m"])))
     speed = np.abs(np.diff(ramp["x_num_m"][turn:])) * 1024

@@ -19,8 +19,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rthyb_rt import core, ticker
-from rthyb_rt.ticker import Latency, Tick, Ticker
+from rthyb_rt import core
+from rthyb_rt.core import ticker
+from rthyb_rt.core.ticker import Latency, Tick, Ticker
 
 pytestmark = pytest.mark.alone
 
@@ -178,7 +179,7 @@ def test_a_ticker_that_was_stopped_gives_no_tick() -> None:
 
 STOPPED_PROCESS = """
 import json, sys
-from rthyb_rt import ticker
+from rthyb_rt.core import ticker
 clock = ticker.Ticker(t0_ns=ticker.now_ns() + 1_000_000)
 print("ready", flush=True)
 ticks = [clock.wait() for _ in range(1500)]
@@ -344,7 +345,7 @@ def test_a_reader_sees_whole_numbers_while_another_thread_records() -> None:
 
 PRIVILEGED = """
 import json, os, resource, signal, sys, threading
-from rthyb_rt import ticker
+from rthyb_rt.core import ticker
 if sys.argv[1] == "nobody":
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))

@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rthyb_rt import config, core, endings, experiment, realtime, recording, virtual_time
+from rthyb_rt import config, core
+from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import RthybError
-from rthyb_rt.recording import FLAGS, STATES, Recording
+from rthyb_rt.lab import endings, experiment, realtime, virtual_time
+from rthyb_rt.record import recording
+from rthyb_rt.record.recording import Recording
 
 STATE = {name: number for number, name in enumerate(STATES)}
 TEST = """schema = "rthyb-test/1"

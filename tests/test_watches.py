@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rthyb_rt import config, core, experiment
+from rthyb_rt import config, core
 from rthyb_rt.config import defaults
-from rthyb_rt.experiment import Setup
+from rthyb_rt.lab import experiment
+from rthyb_rt.lab.experiment import Setup
 
 ROOT = Path(__file__).resolve().parents[1]
 FLAGS, STATUS = core.FLAGS, core.STATUS
@@ -358,7 +359,7 @@ def test_the_whole_shipped_test_meets_none_of_the_derived_limits() -> None:
     assert ended(lab) == ("IDLE", "completed")
     assert lab.station.indicated == []
     rows = lab.rows()
-    running = rows[rows["state"] == core.STATE_NAMES.index("RUNNING")]
+    running = rows[rows["state"] == core.STATES.index("RUNNING")]
     steepest = float(np.abs(np.diff(running["f_meas_n"])).max())
     assert 5 * steepest < lab.config.watches["force_jump"].value
 

@@ -22,9 +22,9 @@ from hypothesis import strategies as st
 from rthyb_rt._core import ffi
 
 from rthyb_rt import core
+from rthyb_rt.core import dbc, wire
+from rthyb_rt.core.wire import Frame, Reading, Setpoint, Wire
 from rthyb_rt.errors import InputError
-from rthyb_rt.links import dbc, wire
-from rthyb_rt.links.wire import Frame, Reading, Setpoint, Wire
 
 cantools = pytest.importorskip("cantools")
 
@@ -188,7 +188,7 @@ def test_own_dbc_by_table_judges_any_frame_as_the_fixed_codec(
 
 def test_states_and_identifiers_of_the_dbc_are_those_of_the_core() -> None:
     choices = OWN.get_message_by_name("ACT_CMD").get_signal_by_name("state").choices
-    assert [str(choices[i]) for i in range(8)] == list(core.STATE_NAMES)
+    assert [str(choices[i]) for i in range(8)] == list(core.STATES)
     ids = {message.name: message.frame_id for message in OWN.messages}
     assert ids == {"ACT_CMD": wire.ACT_CMD, "ACT_FB": wire.ACT_FB, "LC_FB": wire.LC_FB}
     assert CODECS["own dbc"].command_id == CODECS["can"].command_id == wire.ACT_CMD
@@ -1127,7 +1127,7 @@ PAGE = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8")
 
 
 def test_example_bytes_of_the_guide_are_those_of_the_codecs() -> None:
-    setpoint = Setpoint(1e-3, 1, core.STATE_NAMES.index("RUNNING"))
+    setpoint = Setpoint(1e-3, 1, core.STATES.index("RUNNING"))
     frame, _ = CODECS["can"].encode_setpoint(setpoint)
     assert f"`{frame.id:X}#{frame.data.hex().upper()}`" in PAGE
     line, _ = CODECS["serial"].encode_setpoint(setpoint)

@@ -16,11 +16,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from pictures import on_paper
 
+from rthyb_rt.core.diagnosis_models import ActuatorModel, Motion, actuator
 from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.catalogue import Entry, entries
 from rthyb_rt.diagnose.effects.base import Context, Trial
-from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, actuator
 from rthyb_rt.diagnose.words import KINDS
 from rthyb_rt.report import drawing as draw
 from rthyb_rt.report.decimate import trace

@@ -1,7 +1,7 @@
 """Write the tables of docs/file-formats.md from the program itself.
 
 What a key is called, its unit, default and range stand in the models of `rthyb_rt.config`, the
-fields of a recording in `rthyb_rt.recording`. Between a pair of markers in the page
+fields of a recording in `rthyb_rt.record.recording`. Between a pair of markers in the page
 
     <!-- generated: NAME -->  ...  <!-- end -->
 
@@ -18,11 +18,12 @@ from typing import Any, Literal
 
 from pydantic.fields import FieldInfo
 
-from rthyb_rt import core, recording
+from rthyb_rt import core
 from rthyb_rt.config import baselinefile, deriving, lawtables, limits, rigfile, testfile
 from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
 from rthyb_rt.config.numerical import Labels, Numbers, Place, Square
-from rthyb_rt.laws import LAWS, parameters
+from rthyb_rt.core.laws import LAWS, parameters
+from rthyb_rt.record import recording
 
 PAGE = Path(__file__).resolve().parents[1] / "file-formats.md"
 _PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)

@@ -10,8 +10,10 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from rthyb_rt import config, experiment, report, summary, virtual_time
-from rthyb_rt.recording import Recording
+from rthyb_rt import config, report
+from rthyb_rt.analysis import summary
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.record.recording import Recording
 from rthyb_rt.report.figures import draw_all
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"

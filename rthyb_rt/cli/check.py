@@ -14,10 +14,10 @@ from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.braking import RunOn
+    from rthyb_rt.analysis.margins import Lead, SampledLead
     from rthyb_rt.config import Link
-    from rthyb_rt.experiment import Setup
-    from rthyb_rt.margins import Lead, SampledLead
+    from rthyb_rt.lab.braking import RunOn
+    from rthyb_rt.lab.experiment import Setup
 
 SCHEMA = "rthyb-check/1"
 
@@ -61,8 +61,8 @@ def check(
       rthyb check my-test.toml
       rthyb check my-test.toml --rig my-rig.toml --set numerical.period_s=0.8
     """
-    from rthyb_rt import braking, experiment
     from rthyb_rt.core import FS_HZ
+    from rthyb_rt.lab import braking, experiment
 
     test_file, rig_file = load(test, rig, settings)
     real_time = rig_file.link is not None and test_file.test.sample_rate_hz == FS_HZ
@@ -157,7 +157,7 @@ class Figures:
 def _figures(setup: Setup) -> Figures:
     import numpy as np
 
-    from rthyb_rt import margins
+    from rthyb_rt.analysis import margins
 
     derived, wanted = setup.derived, setup.test.controller
     lead = margins.lead_of(setup.controller.law, derived.rate.period_s)
@@ -218,7 +218,7 @@ class _Survival:
     @classmethod
     def of(cls, setup: Setup, lead: Lead | SampledLead | None) -> _Survival:
         """Return them; ``lead`` is None where nothing leads the command."""
-        from rthyb_rt import margins, numerical_margins
+        from rthyb_rt.analysis import margins, numerical_margins
 
         ag, step = setup.ag_mps2, max(1, round(setup.derived.rate.pace))
         with_lead = followed = None
@@ -347,7 +347,7 @@ def _lead_in_words(f: Figures) -> tuple[str, str]:
 
 def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
     """Judge the loop of the paper's delay estimator."""
-    from rthyb_rt.margins import LITTLE_MARGIN, OSCILLATES
+    from rthyb_rt.analysis.margins import LITTLE_MARGIN, OSCILLATES
 
     g = f.estimator_loop_gain
     if g is None or g <= LITTLE_MARGIN:
@@ -674,7 +674,7 @@ def _link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
 def _commissioning(setup: Setup, name: str | None) -> dict[str, Any] | None:
     """Return what has been checked on the rig, as its file stands; None without a link."""
     from rthyb_rt import config
-    from rthyb_rt.commissioning import certificate
+    from rthyb_rt.rig.commissioning import certificate
 
     if setup.rig.link is None:
         return None
@@ -709,7 +709,7 @@ def _commissioning_rows(found: dict[str, Any] | None) -> list[tuple[str, str, st
 
 
 def _calibration(setup: Setup) -> dict[str, float]:
-    from rthyb_rt import experiment
+    from rthyb_rt.lab import experiment
 
     return asdict(experiment.calibration(setup.rig))
 

@@ -14,7 +14,7 @@ from rthyb_rt.cli.quantities import Allowed
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.commissioning.certificate import Certificate
+    from rthyb_rt.rig.commissioning.certificate import Certificate
 
 DIFFERENCE = 8
 
@@ -62,7 +62,7 @@ def commission(
 
     Exit code 8 says that a check has failed.
     """
-    from rthyb_rt.commissioning import certificate, guide
+    from rthyb_rt.rig.commissioning import certificate, guide
 
     wanted = _steps(steps)
     distance_m = quantities.read(distance, "--distance", DISTANCE)
@@ -98,7 +98,7 @@ def commission(
 
 
 def _steps(text: str | None) -> tuple[str, ...]:
-    from rthyb_rt.commissioning.certificate import STEPS
+    from rthyb_rt.rig.commissioning.certificate import STEPS
 
     if text is None:
         return STEPS
@@ -131,7 +131,7 @@ def _asker(yes: bool, tell: Callable[[str], None]) -> Callable[[str], bool]:
 
 
 def _print_result(made: Certificate, as_json: bool) -> None:
-    from rthyb_rt.commissioning.certificate import STEPS
+    from rthyb_rt.rig.commissioning.certificate import STEPS
 
     words = {True: "passed", False: "FAILED", None: "not checked"}
     rows = [

@@ -12,10 +12,10 @@ from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.commissioning.moving import Connection
     from rthyb_rt.config import RigFile
-    from rthyb_rt.links.opened import Opened
-    from rthyb_rt.loop import Clock
+    from rthyb_rt.core.loop import Clock
+    from rthyb_rt.rig.commissioning.moving import Connection
+    from rthyb_rt.rig.links.opened import Opened
 
 K_E = "elastic_stiffness_n_per_m"
 
@@ -35,8 +35,8 @@ def opened_link(rig: RigFile, clock: Clock) -> Iterator[tuple[Opened, Callable[[
         InputError: what stands against opening it.
         RthybError: the virtual rig's process did not start.
     """
-    from rthyb_rt import virtual_rig
-    from rthyb_rt.links import opening
+    from rthyb_rt.rig import virtual_rig
+    from rthyb_rt.rig.links import opening
 
     if rig.link is not None:
         with opening.open_link(rig.link, "controller") as opened:
@@ -67,7 +67,7 @@ def opened_link(rig: RigFile, clock: Clock) -> Iterator[tuple[Opened, Callable[[
 @contextmanager
 def connected(rig: RigFile) -> Iterator[Connection]:
     """Give a rig within reach, for small motions; a Ctrl-C stops what moves."""
-    from rthyb_rt.commissioning.moving import Connection
+    from rthyb_rt.rig.commissioning.moving import Connection
 
     clock = clock_of(rig)
     with opened_link(rig, clock) as (opened, before_tick):

@@ -57,7 +57,7 @@ SocketOption = Annotated[
 
 def place(socket: Path | None) -> Path:
     """Return the control socket: as given, of the environment, of the service, or the user's."""
-    from rthyb_rt import ring
+    from rthyb_rt.record import ring
     from rthyb_rt.service.control import SOCKET
 
     if socket is not None:
@@ -254,7 +254,8 @@ def load(
     Both are read here, with your rights; the service sees neither your files nor your home. The
     rig is the service's, whatever rig the test names.
     """
-    from rthyb_rt import config, experiment
+    from rthyb_rt import config
+    from rthyb_rt.lab import experiment
     from rthyb_rt.service.daemon import record_of
 
     test_settings, rig_settings = config.split_overrides(settings or ())

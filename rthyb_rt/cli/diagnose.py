@@ -263,7 +263,7 @@ def _write_report(folder: Path, done: _Answered, model: Path) -> None:
 def _write_prediction(path: Path, prediction: Any) -> None:
     import numpy as np
 
-    from rthyb_rt.recording import replacing
+    from rthyb_rt.record.recording import replacing
 
     table = np.column_stack([prediction.t, prediction.f, prediction.x])
     with replacing(path) as temporary:

@@ -42,8 +42,8 @@ def export(
         raise typer.BadParameter(
             "belongs to --csv; a MAT file has every field", param_hint="--full"
         )
-    from rthyb_rt.export import to_csv, to_mat
-    from rthyb_rt.recording import open_run
+    from rthyb_rt.record.export import to_csv, to_mat
+    from rthyb_rt.record.recording import open_run
 
     rec = open_run(recording)
     beside = recording / "recording" if recording.is_dir() else recording

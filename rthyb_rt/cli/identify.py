@@ -18,7 +18,7 @@ from rthyb_rt.cli.quantities import Allowed
 
 if TYPE_CHECKING:
     from rthyb_rt.config import RigFile
-    from rthyb_rt.identify import Result
+    from rthyb_rt.rig.identify import Result
 
 SCHEMA = "rthyb-identify/1"
 
@@ -79,9 +79,9 @@ def identify(
     """
     from rthyb_rt import config
     from rthyb_rt.core import FS_HZ
-    from rthyb_rt.identify import Sweep, identified_rig, identify_live
-    from rthyb_rt.identify import identify as sweep_rig
-    from rthyb_rt.recording import replacing
+    from rthyb_rt.record.recording import replacing
+    from rthyb_rt.rig.identify import Sweep, identified_rig, identify_live
+    from rthyb_rt.rig.identify import identify as sweep_rig
 
     sweep = Sweep.up_to(
         quantities.read(max_frequency, "--max-frequency", FREQUENCY),
@@ -89,7 +89,7 @@ def identify(
     )
     given, given_path = load_rig(rig, settings)
     if realtime:
-        from rthyb_rt.commissioning import certificate
+        from rthyb_rt.rig.commissioning import certificate
 
         # A sweep moves farther and faster than a jog: the signs must be known before it.
         certificate.demand(given, given_path)

@@ -101,7 +101,7 @@ def _portable(rig: RigFile) -> tuple[str, Path | None]:
 def _carried(source: Path, target: Path) -> list[Path]:
     """Put what is known of the rig's commissioning beside its new file, for the service to read."""
     from rthyb_rt import config
-    from rthyb_rt.commissioning import certificate
+    from rthyb_rt.rig.commissioning import certificate
 
     rig = config.load_rig(source)
     certificate.carry(rig, source, target)

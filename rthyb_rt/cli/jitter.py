@@ -16,7 +16,7 @@ from rthyb_rt.cli.inputs import JsonOption
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.jitter import Result, Verdict
+    from rthyb_rt.lab.jitter import Result, Verdict
 
 UNFIT = 7
 PAGE, RESULTS = "jitter.html", "jitter.json"
@@ -52,8 +52,8 @@ def jitter(
       rthyb jitter
       rthyb jitter --seconds 900 --require
     """
-    from rthyb_rt import jitter as timing
     from rthyb_rt.core import FS_HZ
+    from rthyb_rt.lab import jitter as timing
 
     if not 1.0 / FS_HZ <= seconds <= LONGEST_S:
         raise typer.BadParameter(
@@ -88,8 +88,8 @@ def jitter(
 
 
 def _measure_all(ticks: int, cpu: int) -> list[Result]:
-    from rthyb_rt import jitter as timing
     from rthyb_rt.core import FS_HZ
+    from rthyb_rt.lab import jitter as timing
 
     load = timing.Load.built_in()
     results: list[Result] = []
@@ -133,7 +133,7 @@ def _print_result(
     from rich import box
     from rich.table import Table as Grid
 
-    from rthyb_rt.jitter import CRITERION
+    from rthyb_rt.lab.jitter import CRITERION
     from rthyb_rt.report.jitter import fact_rows, figure_row, obtained
 
     shown = ("kernel", "preemption", "cpu", "virtual machine", "governor", "isolated cpus")

@@ -12,8 +12,8 @@ from rthyb_rt.cli.inputs import JsonOption, LimitedRigArgument, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
 
 if TYPE_CHECKING:
-    from rthyb_rt.commissioning.jogging import Jogged
     from rthyb_rt.config import RigFile
+    from rthyb_rt.rig.commissioning.jogging import Jogged
 
 SCHEMA = "rthyb-jog/1"
 LIMIT_TRIP = 6
@@ -55,7 +55,7 @@ def jog(
     Exit code 6 says that a limit or a trip ended it, 5 that it was refused and nothing moved, 8
     that it moved far enough to see a wrong sign: of the displacement, or of the force (k_e < 0).
     """
-    from rthyb_rt.commissioning import jogging
+    from rthyb_rt.rig.commissioning import jogging
 
     distance_m = quantities.read(distance, "DISTANCE", DISTANCE)
     speed_m_per_s = quantities.read(speed, "--speed", SPEED)
@@ -72,7 +72,7 @@ def jog(
 
 
 def _status(found: Jogged) -> int:
-    from rthyb_rt.realtime import TIMING_CAUSES
+    from rthyb_rt.lab.realtime import TIMING_CAUSES
 
     if found.cause in TIMING_CAUSES:
         return UNPUNCTUAL

@@ -97,7 +97,7 @@ def _there(module: str) -> bool:
 
 def _tell(server: LiveServer, url_file: Path | None, as_json: bool) -> None:
     """Say where the page is, to people or to a file that not everybody reads."""
-    from rthyb_rt.recording import replacing
+    from rthyb_rt.record.recording import replacing
 
     addresses = {"look": server.url, "operator": server.operator_url}
     if url_file is not None:

@@ -28,7 +28,7 @@ def read(text: str, option: str, allowed: Allowed) -> float:
     Raises:
         typer.BadParameter: it is none of what is allowed.
     """
-    from rthyb_rt.config.units import UnitError, convert
+    from rthyb_rt.units import UnitError, convert
 
     plain = _PLAIN.fullmatch(text)
     fault = f", read in {allowed.plain}" if plain else ""

@@ -41,7 +41,7 @@ def recorder(
     Examples:
       rthyb recorder --runs /var/lib/rthyb
     """
-    from rthyb_rt import ring
+    from rthyb_rt.record import ring
     from rthyb_rt.service import recorder as recording
     from rthyb_rt.service import systemd
 

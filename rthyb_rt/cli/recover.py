@@ -14,7 +14,7 @@ from rthyb_rt.cli.inputs import JsonOption
 from rthyb_rt.errors import RthybError
 
 if TYPE_CHECKING:
-    from rthyb_rt.ring import Recovered, Sight
+    from rthyb_rt.record.ring import Recovered, Sight
 
 SCHEMA = "rthyb-recover/1"
 LIST_SCHEMA = "rthyb-rings/1"
@@ -55,8 +55,8 @@ def recover(
       rthyb recover /run/rthyb/ring.1f0c92d4.1
       rthyb recover ring.1f0c92d4.1 --out runs/after-the-crash
     """
-    from rthyb_rt import recording
-    from rthyb_rt import ring as rings
+    from rthyb_rt.record import recording
+    from rthyb_rt.record import ring as rings
 
     if ring is None:
         if out is not None:
@@ -77,7 +77,7 @@ def recover(
 
 
 def _list(as_json: bool) -> None:
-    from rthyb_rt import ring as rings
+    from rthyb_rt.record import ring as rings
 
     places = rings.folders()
     found = [rings.look(path) for folder in places for path in _rings_in(folder)]
@@ -97,7 +97,7 @@ def _list(as_json: bool) -> None:
 
 
 def _rings_in(folder: Path) -> list[Path]:
-    from rthyb_rt import ring as rings
+    from rthyb_rt.record import ring as rings
 
     try:
         return rings.find(rings.trusted(folder))

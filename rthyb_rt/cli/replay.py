@@ -25,8 +25,8 @@ def replay(recording: RecordingArgument, as_json: JsonOption = False) -> None:
     Example:
       rthyb replay runs/section5-t0.5-20260301T101500Z
     """
-    from rthyb_rt import realtime
-    from rthyb_rt.recording import UNITS, open_run
+    from rthyb_rt.lab import realtime
+    from rthyb_rt.record.recording import UNITS, open_run
 
     rec = open_run(recording)
     found = realtime.replay(rec)

@@ -32,7 +32,7 @@ def report(
       rthyb report runs/section5-t0.5-20260301T101500Z
     """
     from rthyb_rt.errors import RthybError
-    from rthyb_rt.recording import open_run
+    from rthyb_rt.record.recording import open_run
     from rthyb_rt.report import write_report
 
     rec = open_run(recording)

@@ -26,7 +26,7 @@ def reset(
 
     Exit code 5 says that it stays stopped, and why.
     """
-    from rthyb_rt.commissioning import stops
+    from rthyb_rt.rig.commissioning import stops
 
     given, _ = load_rig(rig, settings)
     with connected(given) as connection:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from rthyb_rt.config import RigFile
     from rthyb_rt.config.rigfile import Link
-    from rthyb_rt.virtual_rig import Line, Plan, Result
+    from rthyb_rt.rig.virtual_rig import Line, Plan, Result
 
 SCHEMA = "rthyb-rig-run/1"
 
@@ -106,7 +106,8 @@ def rig(
       rthyb rig my-rig.toml --socket /tmp/rig --fault drop@5:2=0.1 --seed 3
       rthyb rig --pty --drift-ppm 50 --fault power-cut@20
     """
-    from rthyb_rt import config, virtual_rig
+    from rthyb_rt import config
+    from rthyb_rt.rig import virtual_rig
 
     name = file or config.load_test(config.builtin_test_path()).rig
     changes: dict[str, str] = {}
@@ -139,8 +140,8 @@ def _plan(
     seconds: float | None,
     log: Path | None,
 ) -> Plan:
-    from rthyb_rt import virtual_rig
     from rthyb_rt.core import FS_HZ
+    from rthyb_rt.rig import virtual_rig
 
     if not abs(drift_ppm) <= virtual_rig.DRIFT_MAX_PPM:
         raise typer.BadParameter(
@@ -186,7 +187,7 @@ def _line(
     rig_file: RigFile, can: str | None, serial: str | None, socket: Path | None, pty: bool
 ) -> Iterator[Line]:
     """Open the one wire that was asked for."""
-    from rthyb_rt import virtual_rig
+    from rthyb_rt.rig import virtual_rig
 
     given = [name for name, value in _wires(can, serial, socket, pty) if value]
     if len(given) > 1:

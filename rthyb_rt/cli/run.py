@@ -16,12 +16,12 @@ from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
+    from rthyb_rt.analysis.summary import Summary
     from rthyb_rt.config import RigFile
-    from rthyb_rt.experiment import Progress, Setup
-    from rthyb_rt.loop import Clock, Fault
-    from rthyb_rt.realtime import Session
-    from rthyb_rt.recording import Recording
-    from rthyb_rt.summary import Summary
+    from rthyb_rt.core.loop import Clock, Fault
+    from rthyb_rt.lab.experiment import Progress, Setup
+    from rthyb_rt.lab.realtime import Session
+    from rthyb_rt.record.recording import Recording
 
 SCHEMA = "rthyb-run/1"
 LIMIT_TRIP = 6
@@ -97,7 +97,9 @@ def run(
     Exit code 6 says that a limit or a trip ended the test, 7 that this PC was not punctual enough;
     recording and report are there all the same.
     """
-    from rthyb_rt import experiment, recording, summary, virtual_time
+    from rthyb_rt.analysis import summary
+    from rthyb_rt.lab import experiment, virtual_time
+    from rthyb_rt.record import recording
 
     if clock is not None and not realtime:
         raise typer.BadParameter("needs --realtime", param_hint="--clock")
@@ -150,7 +152,7 @@ def run(
 
 def _status(result: Summary) -> int:
     """Return the exit status: a stop that the operator asked for is a good end of a live test."""
-    from rthyb_rt.realtime import TIMING_CAUSES
+    from rthyb_rt.lab.realtime import TIMING_CAUSES
 
     if result.end_reason == "completed":
         return 0
@@ -165,7 +167,7 @@ def _status(result: Summary) -> int:
 def _commissioned(name: str | None, rig: RigFile) -> dict[str, Any]:
     """Return what the recording is to know of the rig's commissioning, which a test needs."""
     from rthyb_rt import config
-    from rthyb_rt.commissioning import certificate
+    from rthyb_rt.rig.commissioning import certificate
 
     return certificate.demand(rig, config.find_rig(name))
 
@@ -181,7 +183,7 @@ def _run_live(
     facts: dict[str, Any],
 ) -> tuple[Recording, Path]:
     """Run the test over the rig's link or on a virtual rig of its own; return where it is kept."""
-    from rthyb_rt import realtime
+    from rthyb_rt.lab import realtime
 
     link = setup.rig.link
     clock = clock or clock_of(setup.rig)
@@ -209,7 +211,7 @@ def _run_live(
 
 
 def _mishaps(texts: list[str]) -> tuple[Fault, ...]:
-    from rthyb_rt import virtual_rig
+    from rthyb_rt.rig import virtual_rig
 
     try:
         return virtual_rig.parse_mishaps(texts)
@@ -224,7 +226,8 @@ def _run_faulty(
     keep: Callable[[Recording], Path],
 ) -> tuple[Recording, Path]:
     """Run the test on a virtual rig that fails as it is told; return where it is kept."""
-    from rthyb_rt import realtime, virtual_rig
+    from rthyb_rt.lab import realtime
+    from rthyb_rt.rig import virtual_rig
 
     operator = realtime.Operator()
     kept: list[Path] = []
@@ -275,7 +278,7 @@ def _write_report(rec: Recording, folder: Path) -> Path | None:
 
 
 def _print_result(setup: Setup, result: Summary, recording: Path, as_json: bool) -> None:
-    from rthyb_rt import summary
+    from rthyb_rt.analysis import summary
 
     file = terminal.people(as_json)
     print(f"{setup.test.test.name} on {setup.rig.rig.name}: {_motion(setup)}\n", file=file)
@@ -297,7 +300,7 @@ def _motion(setup: Setup) -> str:
 
 
 def _document(result: Summary, folder: Path, report: Path | None) -> dict[str, Any]:
-    from rthyb_rt import summary
+    from rthyb_rt.analysis import summary
 
     measures = result.as_json()
     identity = {

@@ -67,8 +67,9 @@ def serve(
       rthyb serve my-rig.toml --runs runs
       rthyb ctl load my-test.toml
     """
-    from rthyb_rt import config, ring
-    from rthyb_rt.commissioning import certificate
+    from rthyb_rt import config
+    from rthyb_rt.record import ring
+    from rthyb_rt.rig.commissioning import certificate
     from rthyb_rt.service import systemd
     from rthyb_rt.service.daemon import Daemon, Options
 

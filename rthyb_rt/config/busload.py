@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from rthyb_rt.config.rate import STANDARD_HZ
 
 if TYPE_CHECKING:
-    from rthyb_rt.links.wire import Codec
+    from rthyb_rt.core.wire import Codec
 
 MAX_SHARE = 0.8
 """What may be taken: beyond it a frame that had to wait for another comes a sample late."""

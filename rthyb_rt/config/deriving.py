@@ -30,12 +30,12 @@ from rthyb_rt.config.rigfile import (
     StribeckElement,
 )
 from rthyb_rt.config.testfile import Numerical, TestFile
+from rthyb_rt.core.laws import Parameter
 from rthyb_rt.errors import InputError, Problem
-from rthyb_rt.laws import Parameter
 
 if TYPE_CHECKING:
     from rthyb_rt.config.numerical import Matrices
-    from rthyb_rt.numerical_structure import Structure
+    from rthyb_rt.config.numerical_structure import Structure
 
 DEFAULT_WINDOW_PERIODS = 0.1
 """The paper's conclusion: a tenth of the period."""
@@ -180,7 +180,7 @@ def _by_matrices(
 ) -> tuple[Structure, tuple[float, float, float, float]]:
     """Return the part, and mass, period, damping and its ratio of the first mode."""
     # NumPy is slow to load, and most tests have no matrices.
-    from rthyb_rt.numerical_structure import RADIUS_SLACK, structure_of
+    from rthyb_rt.config.numerical_structure import RADIUS_SLACK, structure_of
 
     structure = structure_of(given, k_e, rate.period_s)
     modes = structure.modes()

@@ -34,7 +34,7 @@ from pydantic_core import (
     core_schema,
 )
 
-from rthyb_rt.config import units
+from rthyb_rt import units
 
 _EXPLAINED = "explained"
 

@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from rthyb_rt.config.fields import Range, Table
 from rthyb_rt.config.rate import STANDARD
-from rthyb_rt.laws import LAWS, Law, Parameter, parameters
+from rthyb_rt.core.laws import LAWS, Law, Parameter, parameters
 
 _T = TypeVar("_T", bound=Table)
 

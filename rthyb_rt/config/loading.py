@@ -102,7 +102,7 @@ def frames_of_link(link: Link) -> tuple[busload.FrameSize, ...]:
     """
     if link.dbc is None:
         return busload.OWN_FRAMES
-    from rthyb_rt.links import dbc
+    from rthyb_rt.core import dbc
 
     return busload.frames_of(dbc.load(link.dbc, link.names))
 

@@ -637,7 +637,7 @@ LinkKind = Literal["can", "serial", "socket", "python-can"]
 
 
 SIGNALS = ("x_cmd", "x_meas", "f_meas", "seq", "state", "echo", "count", "status", "crc8")
-"""What the controller needs of a DBC file (`rthyb_rt.links.dbc.ROLES`)."""
+"""What the controller needs of a DBC file (`rthyb_rt.core.dbc.ROLES`)."""
 
 BUSES: tuple[LinkKind, ...] = ("can", "python-can")
 DEFAULT_BAUD = 921_600

@@ -12,7 +12,7 @@ from rthyb_rt.config.fields import SLUG, SOME_TEXT, Check, Choice, Count, Range,
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ
-from rthyb_rt.laws import LAWS, Law
+from rthyb_rt.core.laws import LAWS, Law
 
 if TYPE_CHECKING:
     LawName = str

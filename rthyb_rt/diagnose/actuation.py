@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from rthyb_rt.core.diagnosis_models import ActuatorModel, Motion, SimulationError, actuator
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Param
 from rthyb_rt.diagnose.estimate import (
@@ -23,7 +24,6 @@ from rthyb_rt.diagnose.estimate import (
 from rthyb_rt.diagnose.noise import TRIED
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import inflation, penalty
-from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, actuator
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from rthyb_rt.core.diagnosis_models import ActuatorModel, SimulationError
 from rthyb_rt.diagnose.actuation import CATALOGUE, Actuation, ActuatorEffect, ActuatorFit
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.onset import SINGLES
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import inflation
-from rthyb_rt.diagnose.simulate import ActuatorModel, SimulationError
 
 BLOCKS = 48
 """Moments that are looked at: a quarter of a second of a recording of twelve."""

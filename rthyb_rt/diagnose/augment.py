@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import ActuatorModel, Motion
 from rthyb_rt.diagnose.actuation import CATALOGUE
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.modulation import Modulated
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.simulate import ActuatorModel, Motion
 
 if TYPE_CHECKING:
     from rthyb_rt.config import RigFile
@@ -183,7 +183,7 @@ def beside_table(
 
 def _opposite(rig: RigFile) -> list[core.ElementConfig]:
     """Return what takes off again the table's forces that a rig's own actuator has already."""
-    from rthyb_rt.experiment import table_elements
+    from rthyb_rt.lab.experiment import table_elements
 
     return [
         replace(item, params=(-item.params[0], *item.params[1:])) for item in table_elements(rig)

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
-from rthyb_rt.diagnose.simulate import ActuatorModel, Hold
-from rthyb_rt.recording import FLAGS, STATES
+from rthyb_rt.core import FLAGS, STATES
+from rthyb_rt.core.diagnosis_models import ActuatorModel, Hold
 
 if TYPE_CHECKING:
     from rthyb_rt.config import RigFile
-    from rthyb_rt.recording import Recording
+    from rthyb_rt.record.recording import Recording
 
 Floats = NDArray[np.float64]
 Family = Literal["drive", "ground", "forced", "loop"]

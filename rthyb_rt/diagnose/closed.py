@@ -13,14 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt import config, core, endings, experiment, trips, virtual_time
+from rthyb_rt import config, core
+from rthyb_rt.core import FLAGS, RUNNING
 from rthyb_rt.diagnose.case import NO_READING, Floats, Model
 from rthyb_rt.diagnose.predict import nrmse
 from rthyb_rt.errors import InputError
-from rthyb_rt.experiment import Setup
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.recording import FLAGS, RUNNING, Recording
-from rthyb_rt.virtual_time import Bench
+from rthyb_rt.lab import endings, experiment, trips, virtual_time
+from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.lab.virtual_time import Bench
+from rthyb_rt.record.recording import Recording
 
 Law = Callable[[float, float], float]
 

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from rthyb_rt.core.diagnosis_models import Motion
 from rthyb_rt.diagnose import (
     actuation,
     decay,
@@ -39,7 +40,6 @@ from rthyb_rt.diagnose.select import (
     price,
     refine,
 )
-from rthyb_rt.diagnose.simulate import Motion
 from rthyb_rt.errors import InputError
 
 Verdict = Literal["none", "explained", "ambiguous", "unknown"]
@@ -293,7 +293,7 @@ def _motion(case: Case, disp: Displacement | None) -> Estimate | None:
 
 def simulated(case: Case) -> Motion:
     """Return the motion that the model's actuator makes of the command."""
-    from rthyb_rt.diagnose.simulate import actuator
+    from rthyb_rt.core.diagnosis_models import actuator
 
     assert case.model.actuator is not None
     return actuator(case.model.actuator, estimate.filled(case.channels["x_cmd"]), case.fs_hz)

@@ -15,10 +15,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt.core.diagnosis_models import Motion
 from rthyb_rt.diagnose import noise
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.simulate import Motion
 
 Complex = NDArray[np.complex128]
 Rows = NDArray[np.int64]

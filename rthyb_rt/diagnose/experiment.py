@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rthyb_rt.core.diagnosis_models import Motion, actuator
 from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.actuation import CATALOGUE, MASK_S
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import filled
 from rthyb_rt.diagnose.select import columns_of
-from rthyb_rt.diagnose.simulate import Motion, actuator
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose import force

@@ -16,6 +16,7 @@ from threading import Lock
 import numpy as np
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import Motion, SimulationError
 from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects import having, of_number
@@ -29,7 +30,6 @@ from rthyb_rt.diagnose.select import (
     Problem,
     clustered,
 )
-from rthyb_rt.diagnose.simulate import Motion, SimulationError
 
 RUNS = 4000
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""

@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from rthyb_rt.core.diagnosis_models import Motion
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.simulate import Motion
 
 HEAD = 0.15
 """Part of a recording whose force may tell of its past: in files of inputs so much is given."""

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import ActuatorModel
 from rthyb_rt.diagnose.case import BoucWen, Model
-from rthyb_rt.diagnose.simulate import ActuatorModel
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model
         rig, test: the files.
         fs_hz: rows a second of what is simulated with it.
     """
-    from rthyb_rt.experiment import specimen_elements, table_elements
+    from rthyb_rt.lab.experiment import specimen_elements, table_elements
 
     k = c = mass = 0.0
     bouc_wen = None

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from rthyb_rt.core.diagnosis_models import Motion
 from rthyb_rt.diagnose import closed, engine
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Case
@@ -14,7 +15,6 @@ from rthyb_rt.diagnose.closed import ClosedLoop
 from rthyb_rt.diagnose.engine import Diagnosis
 from rthyb_rt.diagnose.predict import Augmented, Prediction, nrmse, output_error, predict
 from rthyb_rt.diagnose.recovered import Recovered, recover
-from rthyb_rt.diagnose.simulate import Motion
 from rthyb_rt.errors import InputError, RthybError
 
 

@@ -29,7 +29,7 @@ from rthyb_rt.diagnose.words import (
     sentence,
     unheld,
 )
-from rthyb_rt.recording import replacing
+from rthyb_rt.record.recording import replacing
 from rthyb_rt.report.decimate import trace
 from rthyb_rt.report.html import environment, extra_needed, sheets
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import ActuatorModel, Motion, SimulationError, actuator, body
 from rthyb_rt.diagnose import estimate, history
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.onset import lasting
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Member, columns_of
-from rthyb_rt.diagnose.simulate import ActuatorModel, Motion, SimulationError, actuator, body
 
 ROUNDS = 25
 

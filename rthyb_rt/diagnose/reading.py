@@ -23,7 +23,7 @@ from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.recording import Recording
+    from rthyb_rt.record.recording import Recording
 
 __all__ = ["find_model", "model_of_rig", "read_case", "read_model"]
 
@@ -97,7 +97,7 @@ def _run(path: Path, wishes: Sequence[Wish]) -> Recording | None:
     """Return a recording of this program; None where the file is a lab's."""
     if not path.is_dir() and path.suffix not in (".h5", ".hdf5"):
         return None
-    from rthyb_rt.recording import open_run
+    from rthyb_rt.record.recording import open_run
 
     if wishes:
         raise InputError("is a recording of this program, whose columns are known", "--map")
@@ -105,7 +105,7 @@ def _run(path: Path, wishes: Sequence[Wish]) -> Recording | None:
 
 
 def _own(rec: Recording) -> tuple[Floats, dict[str, Floats], list[str]]:
-    from rthyb_rt.recording import FLAGS
+    from rthyb_rt.core import FLAGS
 
     mask = rec.running()
     s = rec.samples[mask]

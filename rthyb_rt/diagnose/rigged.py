@@ -14,7 +14,8 @@ from math import ceil
 
 import numpy as np
 
-from rthyb_rt import core, experiment
+from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import Motion, SimulationError
 from rthyb_rt.diagnose import augment, estimate
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context
@@ -23,7 +24,7 @@ from rthyb_rt.diagnose.freebody import Body, Loose, _with_nuisance
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented
 from rthyb_rt.diagnose.select import Fit, Problem
-from rthyb_rt.diagnose.simulate import Motion, SimulationError
+from rthyb_rt.lab import experiment
 
 RUNS = 700
 """Simulations that a diagnosis takes at most, a few more than that to end what is begun."""

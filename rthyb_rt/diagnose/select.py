@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt.core.diagnosis_models import Motion
 from rthyb_rt.diagnose import modulation
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects import having, of_number
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
 from rthyb_rt.diagnose.estimate import Estimate, Rows, fast_length
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.simulate import Motion
 
 BLOCKS = 16
 STRETCHES = 24

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import SimulationError, actuator
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
 from rthyb_rt.diagnose.estimate import filled, white_noise
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.simulate import SimulationError, actuator
 from rthyb_rt.diagnose.units import USUAL, read_unit
 from rthyb_rt.errors import InputError
 

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from fractions import Fraction
 
-from rthyb_rt.config import units
+from rthyb_rt import units
 from rthyb_rt.diagnose.case import CHANNELS, Floats
 
 SI: dict[str, str] = {"t": "s", **CHANNELS}

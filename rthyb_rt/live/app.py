@@ -16,12 +16,12 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rthyb_rt import __version__
+from rthyb_rt.core import STATES
 from rthyb_rt.documents import finite
 from rthyb_rt.errors import RthybError
 from rthyb_rt.live.frames import Framer
 from rthyb_rt.live.guard import Guard, Pass, Tokens
 from rthyb_rt.live.history import CHANNELS, Tally
-from rthyb_rt.recording import STATES
 from rthyb_rt.service.control import Client
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.recording import FLAGS, STATES
+from rthyb_rt.core import FLAGS, STATES
 
 Floats = NDArray[np.float32]
 Positions = NDArray[np.int64]

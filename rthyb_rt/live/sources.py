@@ -13,12 +13,16 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import core, numbers, realtime, recording, ring, summary, trips
-from rthyb_rt.attention import WINDOW_S, Judge, Subject
-from rthyb_rt.endings import in_words
+from rthyb_rt import core, numbers
+from rthyb_rt.analysis import summary
+from rthyb_rt.analysis.attention import WINDOW_S, Judge, Subject
+from rthyb_rt.core import RUNNING, STATES
 from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.lab import realtime, trips
+from rthyb_rt.lab.endings import in_words
 from rthyb_rt.live.history import CHANNELS, History, Tally, channels
-from rthyb_rt.recording import RUNNING, STATES, Recording, open_run
+from rthyb_rt.record import recording, ring
+from rthyb_rt.record.recording import Recording, open_run
 from rthyb_rt.service.control import SOCKET, Client, Refusal, UnreachableError
 from rthyb_rt.service.peers import Peer, Rights, Role
 

@@ -6,10 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from rthyb_rt.numbers import percent, quantity
-from rthyb_rt.recording import Recording, replacing
-from rthyb_rt.report.html import environment, extra_needed, sheets
-from rthyb_rt.summary import (
+from rthyb_rt.analysis.summary import (
     Summary,
     key_figures,
     notices,
@@ -17,6 +14,9 @@ from rthyb_rt.summary import (
     table,
     verdict,
 )
+from rthyb_rt.numbers import percent, quantity
+from rthyb_rt.record.recording import Recording, replacing
+from rthyb_rt.report.html import environment, extra_needed, sheets
 
 _MOTION_NAMES = {"name": "Record", "source": "Source", "pga_g": "Peak, g", "scale": "Scale factor"}
 _META_NAMES = {

@@ -9,13 +9,14 @@ from matplotlib import rc_context
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from rthyb_rt import measures
-from rthyb_rt.laws import law_value
+from rthyb_rt.analysis import measures
+from rthyb_rt.analysis.summary import Summary, reference_pair, stiffness_shares
+from rthyb_rt.core import FLAGS, RUNNING, STATES
+from rthyb_rt.core.laws import law_value
 from rthyb_rt.numbers import number, quantity
-from rthyb_rt.recording import FLAGS, RUNNING, STATES, Recording
+from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import drawing as draw
 from rthyb_rt.report.decimate import robust_limit
-from rthyb_rt.summary import Summary, reference_pair, stiffness_shares
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import __version__
-from rthyb_rt.jitter import CRITERION, Result, Verdict, privileges_of_all
-from rthyb_rt.recording import replacing
+from rthyb_rt.core.ticker import PERIOD_NS, PRIVILEGES, Latency
+from rthyb_rt.lab.jitter import CRITERION, Result, Verdict, privileges_of_all
+from rthyb_rt.record.recording import replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
-from rthyb_rt.ticker import PERIOD_NS, PRIVILEGES, Latency
 
 if TYPE_CHECKING:
     from rthyb_rt.report.drawing import Plate

@@ -25,7 +25,7 @@ from typing import Any, Final
 from rthyb_rt import __version__
 from rthyb_rt.documents import finite
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.realtime import RefusedError
+from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.service.engine import StateError
 from rthyb_rt.service.peers import GROUP_OF, Peer, Rights, Role, peer_of
 

@@ -24,15 +24,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from rthyb_rt import __version__, config, core, recording, ring
+from rthyb_rt import __version__, config, core
 from rthyb_rt.config import RigFile
 from rthyb_rt.config.limits import looser
+from rthyb_rt.core import STATES
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.ground_motion.reading import MAX_DURATION_S
 from rthyb_rt.ground_motion.text import MAX_POINTS
-from rthyb_rt.realtime import RefusedError
-from rthyb_rt.recording import STATES, replacing
+from rthyb_rt.lab.realtime import RefusedError
+from rthyb_rt.record import recording, ring
+from rthyb_rt.record.recording import replacing
 from rthyb_rt.service import disk, metrics, recorder, systemd
 from rthyb_rt.service.control import (
     ControlServer,
@@ -51,8 +53,8 @@ from rthyb_rt.service.engine import (
 from rthyb_rt.service.peers import Peer, Rights, Role
 
 if TYPE_CHECKING:
-    from rthyb_rt.links.opened import Opened
-    from rthyb_rt.loop import Clock
+    from rthyb_rt.core.loop import Clock
+    from rthyb_rt.rig.links.opened import Opened
 
 SCHEMA: Final = "rthyb-status/1"
 TRIPPED: Final = 6
@@ -123,7 +125,7 @@ class Daemon:
     Args:
         rig: the rig.
         opened: the link to its drive; stays the caller's.
-        clock, before_tick: as in `rthyb_rt.realtime.Session`.
+        clock, before_tick: as in `rthyb_rt.lab.realtime.Session`.
         options: how it works.
         demand: gives the facts of a rig's commissioning, or refuses the rig.
         read_rig: reads the rig file again, for a reload.

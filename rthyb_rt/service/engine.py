@@ -22,20 +22,22 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import config, core, experiment, summary, trips
+from rthyb_rt import config, core
+from rthyb_rt.analysis import summary
 from rthyb_rt.config import RigFile, TestFile
+from rthyb_rt.core import STATES
+from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import RthybError
-from rthyb_rt.experiment import Setup
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.loop import Clock
-from rthyb_rt.realtime import Conductor, LiveRun, RefusedError
-from rthyb_rt.recording import STATES
-from rthyb_rt.ring import AFTER_TRIP
-from rthyb_rt.sequence import REST_TICKS, TARE_MARGIN_S
+from rthyb_rt.lab import experiment, trips
+from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.lab.realtime import Conductor, LiveRun, RefusedError
+from rthyb_rt.lab.sequence import REST_TICKS, TARE_MARGIN_S
+from rthyb_rt.record.ring import AFTER_TRIP
 
 if TYPE_CHECKING:
-    from rthyb_rt.links.opened import Opened
-    from rthyb_rt.links.wire import Codec
+    from rthyb_rt.core.wire import Codec
+    from rthyb_rt.rig.links.opened import Opened
 
 TURN_S: Final = 0.02
 """Between two looks at what the tick thread has done."""
@@ -145,8 +147,8 @@ class Engine(Conductor):
     Args:
         rig: the rig.
         opened: the link to its drive; stays the caller's.
-        clock: as in `rthyb_rt.realtime.Session`.
-        folder: of the rings; None takes `rthyb_rt.ring.default_folder`.
+        clock: as in `rthyb_rt.lab.realtime.Session`.
+        folder: of the rings; None takes `rthyb_rt.record.ring.default_folder`.
         before_tick: stepped clock: called before every tick.
         facts: what the recordings are to know, by name.
         tell: takes every event.

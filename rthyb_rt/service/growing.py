@@ -18,9 +18,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import recording
 from rthyb_rt.errors import RthybError
-from rthyb_rt.recording import BLOCK_ROWS, FILE_NAME, Recording
+from rthyb_rt.record import recording
+from rthyb_rt.record.recording import BLOCK_ROWS, FILE_NAME, Recording
 from rthyb_rt.service import disk
 from rthyb_rt.service.ordered import OrderedFile
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from rthyb_rt.errors import RthybError
-from rthyb_rt.recording import replacing
+from rthyb_rt.record.recording import replacing
 
 PLACES: Final[dict[str, str]] = {
     "rthyb.service": "etc/systemd/system/rthyb.service",

@@ -24,9 +24,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import config, recording, ring
+from rthyb_rt import config
+from rthyb_rt.core import RUNNING, STATES
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.recording import BLOCK_ROWS, FILE_NAME, RUNNING, STATES, Recording
+from rthyb_rt.record import recording, ring
+from rthyb_rt.record.recording import BLOCK_ROWS, FILE_NAME, Recording
 from rthyb_rt.service import disk
 from rthyb_rt.service.growing import (
     DAMAGED_NAME,

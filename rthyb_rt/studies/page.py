@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rthyb_rt import __version__, core
-from rthyb_rt.recording import replacing
+from rthyb_rt.record.recording import replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
 from rthyb_rt.studies.results import Row, Study, band_text, tables, value_text
 

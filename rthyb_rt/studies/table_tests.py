@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt import config, core, experiment, virtual_time
-from rthyb_rt.recording import Recording
+from rthyb_rt import config, core
+from rthyb_rt.analysis.summary import stiffness_shares
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.record.recording import Recording
 from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Row, Study, grouped, rms
-from rthyb_rt.summary import stiffness_shares
 
 RIG = "shaking-table-portal-frame"
 WINDOWS = (0.2, 0.1, 0.05)

@@ -27,7 +27,8 @@ import punctuality
 import screen
 from rthyb_rt._core import ffi, lib
 
-from rthyb_rt import config, core, experiment, virtual_time
+from rthyb_rt import config, core
+from rthyb_rt.lab import experiment, virtual_time
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "bench"

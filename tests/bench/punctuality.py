@@ -17,7 +17,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from proof.parties import Plan, Run, repeated
 
-from rthyb_rt import core, jitter, ticker
+from rthyb_rt import core
+from rthyb_rt.core import ticker
+from rthyb_rt.lab import jitter
 
 SECONDS = 5.0
 TICKS = round(SECONDS * core.FS_HZ)

@@ -21,9 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt import config, core, experiment, virtual_time
-from rthyb_rt.recording import FLAGS, RUNNING
-from rthyb_rt.ring import Ring
+from rthyb_rt import config, core
+from rthyb_rt.core import FLAGS, RUNNING
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.record.ring import Ring
 
 CHROMIUM = shutil.which("chromium") or ""
 SETTLE_S, MEASURE_S = 4.0, 12.0

@@ -18,8 +18,11 @@ from live_process import live, load, paced, start
 from realtime_bench import process, until
 from service_bench import await_state, status
 
-from rthyb_rt import config, experiment, recording, virtual_time
-from rthyb_rt.ring import Ring
+from rthyb_rt import config
+from rthyb_rt.core import RUNNING
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.record import recording
+from rthyb_rt.record.ring import Ring
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import Daemon
 
@@ -274,7 +277,7 @@ def test_rows_that_stop_coming_are_told_and_found_again(
 ) -> None:
     rec = recording.open_run(run)
     ring = Ring.create(place / "rings", rec)
-    rows = rec.samples[rec.samples["state"] == recording.RUNNING]
+    rows = rec.samples[rec.samples["state"] == RUNNING]
     ring.push(rows[:3000])
     with live(place / "rings", folder=place) as said:
         page = open_page(said["url"])

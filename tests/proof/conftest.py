@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from proof.parties import ROOT
 
-from rthyb_rt import jitter
+from rthyb_rt.lab import jitter
 
 FIGURES: list[dict[str, Any]] = []
 OUTCOMES: dict[str, str] = {}

@@ -24,10 +24,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from proof import structure
 
-from rthyb_rt import core, jitter, loop, ticker
-from rthyb_rt.links import wire
-from rthyb_rt.recording import Recording
-from rthyb_rt.ring import Reader, Ring, default_folder
+from rthyb_rt import core
+from rthyb_rt.core import loop, ticker, wire
+from rthyb_rt.lab import jitter
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.ring import Reader, Ring, default_folder
 
 NEXT: dict[str, core.Command] = {
     "IDLE": "zero",

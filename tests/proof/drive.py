@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from proof import structure
 
-from rthyb_rt import core, loop, ticker
-from rthyb_rt.links import wire
+from rthyb_rt import core
+from rthyb_rt.core import loop, ticker, wire
 
 
 def main(spec: dict[str, Any]) -> None:

@@ -17,7 +17,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from rthyb_rt import core, jitter, ticker
+from rthyb_rt import core
+from rthyb_rt.core import ticker
+from rthyb_rt.lab import jitter
 
 HERE: Final = Path(__file__).resolve().parent
 ROOT: Final = HERE.parents[1]
@@ -27,7 +29,7 @@ REPEAT_ABOVE_NS: Final = jitter.REPEAT_ABOVE_NS
 ATTEMPTS: Final = 3
 PATIENCE_S: Final = 60.0
 FLAGS: Final = {name: 1 << bit for bit, name in enumerate(core.FLAG_NAMES)}
-STATE: Final = {name: number for number, name in enumerate(core.STATE_NAMES)}
+STATE: Final = {name: number for number, name in enumerate(core.STATES)}
 
 
 @cache

@@ -19,7 +19,8 @@ from proof.conftest import Note
 from proof.parties import FLAGS, STATE, Plan, Run, repeated
 from proof.structure import DELAY
 
-from rthyb_rt import core, ticker
+from rthyb_rt import core
+from rthyb_rt.core import ticker
 
 SECONDS = 120.0
 WINDOW = round(SECONDS * core.FS_HZ)

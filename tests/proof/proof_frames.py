@@ -19,8 +19,8 @@ import pytest
 from proof import structure
 from proof.conftest import Note
 
-from rthyb_rt import core, loop
-from rthyb_rt.links import wire
+from rthyb_rt import core
+from rthyb_rt.core import loop, wire
 
 FRAMES = 1_000_000
 A_TICK = 140

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from proof.conftest import Note
 
-from rthyb_rt import core, jitter
+from rthyb_rt import core
+from rthyb_rt.lab import jitter
 
 SECONDS = 11.0
 RATIO, MORE_NS = 1.25, 20_000

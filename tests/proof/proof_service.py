@@ -28,8 +28,11 @@ from proof.parties import ATTEMPTS, HALF_NS, HERE, REPEAT_ABOVE_NS, compiled
 from realtime_bench import PROGRAM
 from service_bench import short_test
 
-from rthyb_rt import config, core, experiment, jitter, recording, ticker
-from rthyb_rt.ring import Reader
+from rthyb_rt import config, core
+from rthyb_rt.core import ticker
+from rthyb_rt.lab import experiment, jitter
+from rthyb_rt.record import recording
+from rthyb_rt.record.ring import Reader
 from rthyb_rt.service import disk
 from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.daemon import record_of

@@ -21,7 +21,7 @@ import pytest
 from proof.conftest import Note
 from proof.parties import BUILD, FLAGS, HALF_NS, STATE, Parties, Plan, Run, repeated
 
-from rthyb_rt import ticker
+from rthyb_rt.core import ticker
 
 SECONDS = 60.0
 QUIET_SECONDS = 10.0

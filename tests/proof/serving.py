@@ -21,8 +21,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from service_bench import rig_file
 
-from rthyb_rt import virtual_rig
-from rthyb_rt.links import opening
+from rthyb_rt.rig import virtual_rig
+from rthyb_rt.rig.links import opening
 from rthyb_rt.service import systemd
 from rthyb_rt.service.daemon import Daemon, Options
 

@@ -32,8 +32,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from realtime_bench import PROGRAM, until
 from service_bench import rig_file, short_test
 
-from rthyb_rt import config, core, experiment, recording
-from rthyb_rt.recording import Recording
+from rthyb_rt import config, core
+from rthyb_rt.lab import experiment
+from rthyb_rt.record import recording
+from rthyb_rt.record.recording import Recording
 from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.daemon import record_of
 from rthyb_rt.service.recorder import read_index

@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 from prove import scoring
 
-from rthyb_rt import config, experiment, recording, virtual_time
+from rthyb_rt import config
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.record import recording
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "hw" / "rigs" / "shaking-table-portal-frame.toml"

@@ -9,7 +9,7 @@ import numpy as np
 from can_dump import candump, decoded
 from loop_bench import STATE, Bench, assert_adds_up, assert_drive_was_treated_well
 
-from rthyb_rt.links import dbc, wire
+from rthyb_rt.core import dbc, wire
 
 ROOT = Path(__file__).parents[2]
 

@@ -23,8 +23,8 @@ import numpy as np
 import pytest
 from loop_bench import STATE, Arrivals, can_socket, config, set_interface, shaking
 
-from rthyb_rt import core, loop
-from rthyb_rt.links import wire
+from rthyb_rt import core
+from rthyb_rt.core import loop, wire
 
 ROOT = Path(__file__).parents[2]
 BITRATE = 1_000_000

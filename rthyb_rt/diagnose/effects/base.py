@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import Motion
 from rthyb_rt.diagnose.case import Family, Model
-from rthyb_rt.diagnose.simulate import Motion
 
 Floats = NDArray[np.float64]
 

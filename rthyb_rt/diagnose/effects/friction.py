@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import iwan
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
-from rthyb_rt.diagnose.simulate import iwan
 
 SLOW = ("multi_amplitude", "friction keeps its size while other forces grow with amplitude")
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import iwan
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.effects.friction import Lugre, Viscous
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.simulate import iwan
 
 LARGE = ("multi_amplitude", "a memory of amplitude shows when small cycles follow large ones")
 SPRINGS = core.IWAN_SLIDERS

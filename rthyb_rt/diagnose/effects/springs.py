@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import play
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.simulate import play
 
 AMPLITUDES = ("multi_amplitude", "stiffness that changes with amplitude shows at several of them")
 

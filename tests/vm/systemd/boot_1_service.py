@@ -49,7 +49,8 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from rthyb_rt import loop, realtime, ticker
+from rthyb_rt.core import loop, ticker
+from rthyb_rt.lab import realtime
 from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.growing import PART_NAME
 from rthyb_rt.service.recorder import read_status

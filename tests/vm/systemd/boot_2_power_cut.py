@@ -11,8 +11,9 @@ from realtime_bench import STATE, until
 from vm.systemd import lab as labs
 from vm.systemd.lab import RECORDER, RUNS, SERVICE, Lab, shown
 
-from rthyb_rt import core, recording
-from rthyb_rt.recording import BLOCK_ROWS, FILE_NAME
+from rthyb_rt import core
+from rthyb_rt.record import recording
+from rthyb_rt.record.recording import BLOCK_ROWS, FILE_NAME
 from rthyb_rt.service.recorder import read_index
 
 

@@ -8,7 +8,8 @@ from realtime_bench import STATE, require_calm, until
 from vm.systemd import lab as labs
 from vm.systemd.lab import RUNS, SERVICE, shown
 
-from rthyb_rt import realtime, recording
+from rthyb_rt.lab import realtime
+from rthyb_rt.record import recording
 from rthyb_rt.service.recorder import read_index
 
 

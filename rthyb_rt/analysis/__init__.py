@@ -1,0 +1,1 @@
+"""What signals and settings say: measures, margins, summary."""

@@ -1,0 +1,249 @@
+"""What makes a test one not to be relied on although it went to its end, in figures.
+
+Everything is judged over 2 s: long enough for the periods of structures, short enough that a quiet
+end does not hide behind a strong beginning. A test is summed up in eighths of a second as its rows
+come; so a test that runs is judged as one of the past.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rthyb_rt.analysis import measures
+
+Floats = NDArray[np.float64]
+Kind = Literal["response", "delay", "damping", "stiffness"]
+
+WINDOW_S: Final = 2.0
+BLOCKS_PER_S: Final = 8
+MOVES: Final = 0.02
+"""Of the peak: a root mean square above it is motion, below it is the quiet end of a test."""
+RESPONSE_OFF: Final = 0.2
+"""Difference from the reference, of the reference, both as root mean square of 2 s."""
+WITHOUT_STIFFNESS: Final = 0.25
+"""Share of the motion with a tangent stiffness of zero, which is no force compensation."""
+FED: Final = 1.0
+"""Energy fed by the tracking error over what the numerical damping takes out: nothing is left."""
+
+_SIGNALS: Final = ("x_num_m", "x_meas_m", "f_meas_n", "k_t_n_per_m", "alpha")
+_WINDOW: Final = round(WINDOW_S * BLOCKS_PER_S)
+_SENSELESS: Final = 1e100
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What has to be known of a test to judge it; None switches off what needs it.
+
+    Attributes:
+        fs_hz: rows a second.
+        peak_m: of the reference simulation; None takes that of the command so far.
+        damping_n_s_per_m: of the numerical part.
+        k_e_n_per_m: elastic stiffness of the specimen.
+        rfc_enabled: force compensation is on.
+        delay_samples: the rig's, as identified; None also where nothing compensates it.
+        margin_samples: error of alpha that the structure survives (`margins.delay_margin`).
+    """
+
+    fs_hz: float
+    peak_m: float | None = None
+    damping_n_s_per_m: float | None = None
+    k_e_n_per_m: float | None = None
+    rfc_enabled: bool = False
+    delay_samples: float | None = None
+    margin_samples: float | None = None
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing gone wrong.
+
+    Attributes:
+        kind: "response": rms difference from the reference over its rms; "delay": alpha where it
+            is farthest off; "damping": energy that the tracking error fed over what the numerical
+            damping took out; "stiffness": share of the motion with a tangent stiffness of zero.
+        value: the worst, a fraction; of "delay" in samples.
+        allowed: what it may be; of "delay" the error, in samples.
+        from_s, to_s: where that was, from the first sample of the test proper on.
+    """
+
+    kind: Kind
+    value: float
+    allowed: float
+    from_s: float
+    to_s: float
+
+    def meets(self, other: Finding) -> bool:
+        """Return whether both were at the same time."""
+        return self.from_s < other.to_s and other.from_s < self.to_s
+
+
+class Judge:
+    """Sums up the rows of the test proper as they come, and says what is wrong so far.
+
+    Args:
+        subject: what is known of the test.
+    """
+
+    def __init__(self, subject: Subject) -> None:
+        self._subject = subject
+        self._rows = max(1, round(subject.fs_hz / BLOCKS_PER_S))
+        self._rest = np.zeros((len(_SIGNALS) + 1, 0))
+        self._sums: list[Floats] = []
+        self._peak_m = 0.0
+
+    def add(self, rows: NDArray[np.void], x_ref_m: ArrayLike | None = None) -> None:
+        """Take rows of the test proper, in order.
+
+        Args:
+            rows: fields as in `recording.UNITS`, shape (n,).
+            x_ref_m: reference displacement there, shape (m,) with m <= n; the rest has none.
+        """
+        if not rows.size:
+            return
+        new = np.full((len(_SIGNALS) + 1, rows.size), np.nan)
+        for signal, name in zip(new, _SIGNALS, strict=False):
+            signal[:] = rows[name]
+        if x_ref_m is not None:
+            reference = np.asarray(x_ref_m, dtype=np.float64)
+            new[-1, : reference.size] = reference
+        # Each block begins with the row before it, for what happens between two rows.
+        before = self._rest if self._rest.shape[1] else new[:, :1]
+        joined = np.concatenate([before, new], axis=1)
+        blocks = (joined.shape[1] - 1) // self._rows
+        if blocks:
+            self._sums.append(self._sum_up(joined[:, : blocks * self._rows + 1], blocks))
+        self._rest = joined[:, blocks * self._rows :].copy()
+
+    def _sum_up(self, signals: Floats, blocks: int) -> Floats:
+        """Return what is judged, a block a column."""
+        s = self._subject
+        with np.errstate(invalid="ignore"):
+            signals = np.where(np.abs(signals) < _SENSELESS, signals, np.nan)
+        x_num, x_meas, f, k_t, alpha, x_ref = signals
+        self._peak_m = max(self._peak_m, float(np.nanmax(np.abs(x_num), initial=0.0)))
+        edges = np.arange(0, blocks * self._rows + 1, self._rows)
+        used_k_t = k_t if s.rfc_enabled else np.zeros_like(k_t)
+        fed = measures.fed_energy(f, x_num, x_meas, used_k_t, s.k_e_n_per_m or 0.0)
+        damped = measures.damping_energy(x_num, s.damping_n_s_per_m or 0.0, s.fs_hz)
+
+        def summed(values: Floats) -> Floats:
+            total: Floats = np.nansum(values[1:].reshape(blocks, self._rows), axis=1)
+            return total
+
+        return np.stack(
+            [
+                summed(np.square(x_meas - x_ref)),
+                summed(np.square(x_ref)),
+                summed(np.square(x_num)),
+                np.diff(fed[edges]),
+                np.diff(damped[edges]),
+                summed((k_t <= 0.0).astype(np.float64)),
+                summed(alpha),
+            ]
+        )
+
+    def findings(self, *, over: bool = True) -> list[Finding]:
+        """Return what is wrong, the gravest first; nothing within the first eighth of a second.
+
+        Args:
+            over: the test is over; else 2 s have to have passed, and a delay estimate that is
+                still on its way to the rig's delay is given its time.
+        """
+        if not self._sums:
+            return []
+        sums = np.concatenate(self._sums, axis=1)
+        count = sums.shape[1]
+        if not over and count < _WINDOW:
+            return []
+        error, reference, command, fed, damped, without, alpha = sums
+        size = min(_WINDOW, count)
+        found = [
+            self._response(error, reference, size),
+            self._delay(alpha, size, over),
+            self._damping(fed, damped, command, size),
+            self._stiffness(without, command),
+        ]
+        return [finding for finding in found if finding is not None]
+
+    @property
+    def _moves2(self) -> float:
+        """Sum of squares of a block above which something moves."""
+        peak_m = self._subject.peak_m or self._peak_m
+        return (MOVES * peak_m) ** 2 * self._rows
+
+    def _moving(self, squares: Floats, size: int) -> NDArray[np.bool_]:
+        """Return which windows move in both halves: no quiet one is judged by the other."""
+        half = max(1, size // 2)
+        moves = _windows(squares, half) > half * self._moves2
+        both: NDArray[np.bool_] = moves[: squares.size - size + 1] & moves[size - half :]
+        return both
+
+    def _at(self, kind: Kind, value: float, allowed: float, first: int, blocks: int) -> Finding:
+        length_s = self._rows / self._subject.fs_hz
+        return Finding(kind, value, allowed, first * length_s, (first + blocks) * length_s)
+
+    def _response(self, error: Floats, reference: Floats, size: int) -> Finding | None:
+        ratio = _ratio(_windows(error, size), _windows(reference, size))
+        ratio = np.sqrt(np.where(self._moving(reference, size), ratio, 0.0))
+        worst = int(np.argmax(ratio))
+        if not ratio[worst] > RESPONSE_OFF:
+            return None
+        return self._at("response", float(ratio[worst]), RESPONSE_OFF, worst, size)
+
+    def _delay(self, alpha: Floats, size: int, over: bool) -> Finding | None:
+        delay, margin = self._subject.delay_samples, self._subject.margin_samples
+        if delay is None or margin is None:
+            return None
+        away = np.abs(_windows(alpha, size) / (size * self._rows) - delay)
+        near = np.flatnonzero(away <= margin)
+        if not near.size and not over:
+            return None
+        # An estimate that begins elsewhere may take its time to get there.
+        begun = int(near[0]) if near.size else 0
+        off = begun + np.flatnonzero(away[begun:] > margin)
+        if not off.size:
+            return None
+        first, last = int(off[0]), int(off[-1]) + size
+        there = alpha[first:last] / self._rows
+        worst = float(there[np.argmax(np.abs(there - delay))])
+        return self._at("delay", worst, margin, first, last - first)
+
+    def _damping(self, fed: Floats, damped: Floats, command: Floats, size: int) -> Finding | None:
+        if not self._subject.damping_n_s_per_m or not self._subject.k_e_n_per_m:
+            return None
+        whole = _ratio(np.array([fed.sum()]), np.array([damped.sum()]))
+        if whole[0] > FED:
+            return self._at("damping", float(whole[0]), FED, 0, fed.size)
+        ratio = _ratio(_windows(fed, size), _windows(damped, size))
+        ratio = np.where(self._moving(command, size), ratio, 0.0)
+        worst = int(np.argmax(ratio))
+        if not ratio[worst] > FED:
+            return None
+        return self._at("damping", float(ratio[worst]), FED, worst, size)
+
+    def _stiffness(self, without: Floats, command: Floats) -> Finding | None:
+        moves = command > self._moves2
+        if not self._subject.rfc_enabled or np.count_nonzero(moves) < min(_WINDOW, moves.size):
+            return None
+        share = float(without[moves].sum() / (np.count_nonzero(moves) * self._rows))
+        if not share > WITHOUT_STIFFNESS:
+            return None
+        at = np.flatnonzero(moves)
+        return self._at(
+            "stiffness", share, WITHOUT_STIFFNESS, int(at[0]), int(at[-1]) + 1 - int(at[0])
+        )
+
+
+def _windows(values: Floats, size: int) -> Floats:
+    """Return the sums of so many neighbours, shape (n - size + 1,)."""
+    # Neighbours are added, not running sums subtracted: one huge block would swallow the others.
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(values, size).sum(axis=1))
+
+
+def _ratio(part: Floats, whole: Floats) -> Floats:
+    """Return part / whole, 0 where there is no whole."""
+    return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)

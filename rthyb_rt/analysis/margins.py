@@ -1,0 +1,388 @@
+"""How far a test is from trouble, known before it runs.
+
+Two things can go wrong whatever the actuator's quality: the delayed force feeds energy into the
+structure until it diverges, and the delay estimator, whose loop contains the delay, oscillates.
+Delays and ``alpha`` are in samples, ``beta`` in samples squared, ``z`` is one sample ahead.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rthyb_rt.config import RigFile
+from rthyb_rt.core import PERIOD_S, Law, LawConfig, Motion, MotionConfig, element
+from rthyb_rt.core.laws import LAWS
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+LITTLE_MARGIN: Final = 0.5
+"""Loop gain of the delay estimator above which its estimate rings."""
+
+OSCILLATES: Final = math.pi / 2
+"""Loop gain above which an integrator behind a pure delay is unstable."""
+
+LEAST_DELAY_MARGIN: Final = 1.0
+"""An error of alpha below one sample is none: a command that is held moves the delay by as much."""
+
+# A law's answer to one sample is taken for so long, or until it has died away to this share.
+_LONGEST_LEAD: Final = 256
+_SILENT: Final = 1e-12
+
+# A rig is told to be a lag, not a delay, by a tenth: more than the scatter of a sweep.
+_FALLS = 0.9
+
+
+@dataclass(frozen=True)
+class Lead:
+    """The phase-lead compensator (Eqn 2.5 with curvature term) at a fixed alpha and beta.
+
+    As created it does nothing: C(z) = 1.
+    """
+
+    alpha: float = 0.0
+    beta: float = 0.0
+    w1: float = 3.0
+    w2: float = 2.0
+
+    @property
+    def s(self) -> float:
+        """S = W1 + W2 + 1."""
+        return self.w1 + self.w2 + 1.0
+
+    def polynomials(self) -> tuple[Floats, Floats]:
+        """Return numerator and denominator of C(z), highest power first, each (3,)."""
+        bottom = np.array([self.w1, self.w2, 1.0])
+        slope, curvature = np.array([1.0, -1.0, 0.0]), np.array([1.0, -2.0, 1.0])
+        return bottom + self.s * (self.alpha * slope + self.beta * curvature), bottom
+
+    @property
+    def first_sample_gain(self) -> float:
+        """What a step of the command becomes in its first sample: C at infinity."""
+        return float(self._gain(math.inf))
+
+    @property
+    def nyquist_gain(self) -> float:
+        """What the fastest motion that samples can show is multiplied by: C(-1)."""
+        return abs(self._gain(-1.0))
+
+    def _gain(self, z: float) -> float:
+        top, bottom = self.polynomials()
+        if math.isinf(z):
+            return float(top[0] / bottom[0])
+        return float(np.polyval(top, z) / np.polyval(bottom, z))
+
+
+@dataclass(frozen=True)
+class SampledLead:
+    """Any control law as it begins, by the response to one sample: C(z) = sum of h[n] z^-n.
+
+    Attributes:
+        response: h, shape (n,).
+    """
+
+    response: Floats
+
+    @property
+    def alpha(self) -> float:
+        """The delay that slow motions are led by, samples."""
+        h = self.response
+        return -float(np.arange(h.size) @ h) / float(h.sum())
+
+    def polynomials(self) -> tuple[Floats, Floats]:
+        """Return numerator and denominator of C(z), highest power first, each (n,)."""
+        bottom = np.zeros(self.response.size)
+        bottom[0] = 1.0
+        return self.response, bottom
+
+    @property
+    def first_sample_gain(self) -> float:
+        """What a step of the command becomes in its first sample: C at infinity."""
+        return float(self.response[0])
+
+    @property
+    def nyquist_gain(self) -> float:
+        """What the fastest motion that samples can show is multiplied by: C(-1)."""
+        return abs(float(self.response[::2].sum() - self.response[1::2].sum()))
+
+
+def lead_of(law: LawConfig, period_s: float = PERIOD_S) -> Lead | SampledLead:
+    """Return a control law at its first settings as a linear filter.
+
+    Args:
+        law: the law.
+        period_s: sampling period.
+
+    Raises:
+        CoreError: the law cannot work with its settings.
+    """
+    given = dict(zip((p.key for p in LAWS[law.name].parameters), law.values(), strict=True))
+    if {"alpha0", "beta0", "w1", "w2"} <= set(given):
+        pace = PERIOD_S / period_s
+        return Lead(given["alpha0"] * pace, given["beta0"] * pace**2, given["w1"], given["w2"])
+    pulse = np.zeros(_LONGEST_LEAD)
+    pulse[0] = 1.0
+    response = Law(law, period_s=period_s).run(pulse)
+    heard = np.flatnonzero(np.abs(response) > _SILENT * np.abs(response).max())
+    return SampledLead(response[: heard[-1] + 1])
+
+
+# ---- stability of the structure behind a delay --------------------------------------------------
+
+
+def compliance(motion: MotionConfig) -> tuple[Floats, Floats]:
+    """Return the integrator as a transfer function from net force to displacement.
+
+    Args:
+        motion: the numerical part. Its stiffnesses enter only where the integrator's own
+            coefficients hold them (CR, KR-alpha).
+
+    Returns:
+        Numerator and denominator in z, highest power first: x[n+1] from the net force at t_n.
+    """
+    h, m, c = motion.period_s, motion.mass_kg + motion.added_mass_kg, motion.damping_n_s_per_m
+    k = motion.stiffness_n_per_m + motion.k_e_n_per_m
+    one_less = np.array([1.0, -1.0])  # z - 1
+    if motion.integrator == "central-difference":
+        half = 0.5 * h * c
+        return np.array([h * h, 0.0]), np.array([m + half, -2.0 * m, m - half])
+    if motion.integrator == "forward-euler":
+        return np.array([h * h / m]), _times(one_less, [1.0, h * c / m - 1.0])
+    if motion.integrator == "cr":
+        # Chen & Ricles (2008)
+        a1 = 4.0 * m / (4.0 * m + 2.0 * h * c + h * h * k)
+        return np.array([h * h * a1 / m, 0.0]), _times(one_less, [1.0, h * a1 * c / m - 1.0])
+    if motion.integrator == "kr-alpha":
+        # Kolay & Ricles (2014); weighted equilibrium makes the third pole.
+        rho = motion.rho_inf
+        am, af = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
+        gamma = 0.5 - am + af
+        beta = 0.25 * (0.5 + gamma) ** 2
+        whole = m + gamma * h * c + beta * h * h * k
+        a1 = m / whole
+        a2 = (0.5 + gamma) * a1
+        a3 = (am * m + af * gamma * h * c + af * beta * h * h * k) / whole
+        # At rho = 1 both have the factor z + 1, which is no motion of the structure.
+        weight = np.array([1.0 - af, af] if rho < 1.0 else [0.5])
+        inner = _times([1.0 - a3, a3] if rho < 1.0 else [0.5], one_less)
+        top = h * h / m * _times([a2, a1 - a2], weight)
+        return top, _times(one_less, np.polyadd(inner, c * h * a1 / m * weight))
+    raise ValueError(f"no equation of motion in {motion.integrator!r}")
+
+
+def _times(*factors: ArrayLike) -> Floats:
+    """Return the product of polynomials."""
+    product: Floats = np.ones(1)
+    for factor in factors:
+        product = np.convolve(product, np.asarray(factor, dtype=np.float64))
+    return product
+
+
+def _loop(motion: MotionConfig, lead: Lead | SampledLead) -> tuple[Floats, Floats]:
+    """Return P and Q of the characteristic equation P(z) z^D + Q(z) = 0.
+
+    The specimen is a spring k_e that feels the compensated command D samples late:
+    f[n] = k_e x_p[n-D].
+    """
+    top, bottom = compliance(motion)
+    lead_top, lead_bottom = lead.polynomials()
+    own = np.polyadd(bottom, motion.stiffness_n_per_m * top)
+    return _times(own, lead_bottom), motion.k_e_n_per_m * _times(top, lead_top)
+
+
+def is_stable(
+    motion: MotionConfig, delay_samples: int, lead: Lead | SampledLead | None = None
+) -> bool:
+    """Return whether every characteristic root lies inside the unit circle.
+
+    Args:
+        motion: the numerical part, with the elastic specimen's stiffness ``k_e_n_per_m``.
+        delay_samples: pure delay between compensated command and motion.
+        lead: the compensator, or None without. Restoring-force compensation is left out: with the
+            exact k_e it removes the delay from the equation of motion altogether.
+    """
+    p, q = _loop(motion, lead or Lead())
+    roots = np.roots(np.polyadd(np.concatenate([p, np.zeros(delay_samples)]), q))
+    return bool(np.all(np.abs(roots) < 1.0))
+
+
+def critical_delay(motion: MotionConfig, lead: Lead | SampledLead | None = None) -> float:
+    """Return the longest pure delay that the structure with an elastic specimen survives.
+
+    A characteristic root can cross the unit circle only at an angle theta at which
+    |Q / P| = 1, and these angles do not depend on the delay (Walton & Marshall 1987); at each, the
+    delays that put a root there are (arg(Q / P) + pi + 2 pi k) / theta. The first of them above
+    the delay that the compensator is made for ends stability.
+
+    Args:
+        motion: the numerical part, with the elastic specimen's stiffness ``k_e_n_per_m``.
+        lead: the compensator at a fixed alpha, or None without; no force compensation.
+
+    Returns:
+        The delay in samples, in general no whole number; inf if none is too long, 0 if already the
+        delay alpha (no delay at all, without compensator) is too much.
+    """
+    lead = lead or Lead()
+    start = round(lead.alpha)
+    if not is_stable(motion, start, lead):
+        return 0.0
+    p, q = _loop(motion, lead)
+
+    def loop(z: Complexes) -> Complexes:
+        return np.asarray(np.polyval(q, z) / np.polyval(p, z))
+
+    # A resonance of the numerical part alone can be narrower than the grid.
+    return first_crossing(loop, np.abs(np.angle(np.roots(p))), start)
+
+
+def first_crossing(loop: Callable[[Complexes], Complexes], peaks: Floats, start: int) -> float:
+    """Return the first delay above `start` at which a root of 1 + loop z^-D crosses the circle.
+
+    Args:
+        loop: the loop without its delay, of z on the unit circle, (k,).
+        peaks: angles of resonances that may be narrower than the grid, (m,).
+        start: a whole delay that is stable, samples.
+    """
+    critical = math.inf
+    for theta in _crossings(loop, peaks):
+        angle = float(np.angle(loop(np.exp(1j * np.array([theta])))[0]))
+        first, turn = (angle + math.pi) / theta, 2.0 * math.pi / theta
+        critical = min(critical, first + turn * (math.floor((start - first) / turn) + 1))
+    return critical
+
+
+def delay_margin(critical_samples: float) -> float:
+    """Return the error of the delay estimate that the structure survives, samples.
+
+    Whatever is compensated, the error is left over as a pure delay, and force compensation can
+    not be counted on: its tangent stiffness is zero where noise and friction hide it. A delay d of
+    a spring k acts as the damping -k d (Horiuchi et al., EESD 28 (1999) 1121); at the critical
+    delay it has eaten all that the structure has, near 2 zeta / (omega h) with little damping.
+
+    Args:
+        critical_samples: `critical_delay` without compensator.
+
+    Returns:
+        The same, at least `LEAST_DELAY_MARGIN`; inf if no delay is too long.
+    """
+    return max(critical_samples, LEAST_DELAY_MARGIN)
+
+
+def _crossings(loop: Callable[[Complexes], Complexes], peaks: Floats) -> list[float]:
+    """Return the angles in (0, pi] at which |loop| = 1."""
+
+    def excess(theta: Floats) -> Floats:
+        return np.asarray(np.abs(loop(np.exp(1j * theta))) - 1.0, dtype=np.float64)
+
+    grid = np.union1d(np.geomspace(1e-5, math.pi, 20001), peaks[peaks > 1e-5])
+    sign = excess(grid) > 0.0
+    change = np.flatnonzero(sign[1:] != sign[:-1])
+    low, high = grid[change], grid[change + 1]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        same = (excess(middle) > 0.0) == sign[change]
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return [float(theta) for theta in low]
+
+
+def largest_followed_delay(
+    motion: MotionConfig, lead: Lead, most: int, step: int = 1
+) -> int | None:
+    """Return the largest pure delay that is survived while alpha equals the delay.
+
+    Args:
+        motion: the numerical part, with the elastic specimen's stiffness ``k_e_n_per_m``.
+        lead: the compensator; its alpha is replaced by the delay, and where it has a beta, that by
+            delay^2 / 2.
+        most: delay at which to stop looking, samples.
+        step: samples from one delay that is tried to the next, until one is too much; the last
+            stretch is then tried sample by sample.
+
+    Returns:
+        The delay, ``most`` if none is too much, None if not even 0 is survived.
+    """
+
+    def survives(delay: int) -> bool:
+        beta = delay**2 / 2.0 if lead.beta else 0.0
+        return is_stable(motion, delay, Lead(float(delay), beta, lead.w1, lead.w2))
+
+    return largest_survived(survives, most, step)
+
+
+def largest_survived(survives: Callable[[int], bool], most: int, step: int) -> int | None:
+    """Return the largest delay of those from 0 on that are survived, see above."""
+    survived = -1
+    for delay in (*range(0, most, step), most):
+        if not survives(delay):
+            too_much = next(n for n in range(survived + 1, delay + 1) if not survives(n))
+            return too_much - 1 if too_much else None
+        survived = delay
+    return most
+
+
+# ---- the delay estimator's own loop -------------------------------------------------------------
+
+
+def elastic_displacement_m(motion: MotionConfig, ag_mps2: ArrayLike) -> Floats:
+    """Return how the structure would move with a specimen that does not yield, shape (n,).
+
+    Yielding slows a structure down, so this is the motion that asks most of the estimator.
+
+    Args:
+        motion: the numerical part, with the elastic specimen's stiffness ``k_e_n_per_m``.
+        ag_mps2: ground acceleration, shape (n,).
+    """
+    spring = element("stiffness", k_n_per_m=motion.k_e_n_per_m)
+    return Motion(motion).reference([spring], ag_mps2)[0]
+
+
+def peak_excitation(x_m: ArrayLike, lead: Lead, reference_m: float = 1e-3) -> float:
+    """Return the peak of the estimator's input phi = S (x[n] - x[n-1]) / reference (Eqn 2.8).
+
+    Args:
+        x_m: displacement that the actuator will follow, shape (n,), m.
+        lead: the compensator, for its W1 and W2.
+        reference_m: displacement that makes the law unit-free, m.
+    """
+    steps = np.abs(np.diff(np.asarray(x_m, dtype=np.float64)))
+    return abs(lead.s) * float(steps.max(initial=0.0)) / reference_m
+
+
+def estimator_loop_gain(gain: float, delay_samples: float, phi: float) -> float:
+    """Return g = gamma alpha phi^2 / (1 + phi^2) of the paper's delay estimator (Eqn 2.11).
+
+    An error of the estimate is corrected at the rate gamma phi^2 / (1 + phi^2) per sample, but
+    shows only alpha samples later: an integrator behind a delay. Above `LITTLE_MARGIN` it rings,
+    above `OSCILLATES` it oscillates on a pure delay.
+
+    Args:
+        gain: gamma, per reference displacement squared per sample.
+        delay_samples: delay of the actuator.
+        phi: peak of the estimator's input, see `peak_excitation`.
+    """
+    return gain * delay_samples * phi**2 / (1.0 + phi**2)
+
+
+def is_lag(rig: RigFile) -> bool:
+    """Return whether the rig answers as a lag rather than as a pure delay.
+
+    An identified sweep decides: the delay or the amplitude falls with frequency. Without one the
+    kind of actuator does.
+    """
+    found = rig.identified
+    if found is not None and len(found.frequency_hz) > 1:
+        order = np.argsort(found.frequency_hz)
+        curves = (found.delay_at_frequency_s, found.amplitude)
+        ends = [(curve[order[0]], curve[order[-1]]) for curve in curves]
+        return any(last < _FALLS * first for first, last in ends)
+    actuator = rig.actuator
+    if actuator.kind == "second-order":
+        lag_s = 2.0 * actuator.damping_ratio / (2.0 * math.pi * actuator.natural_frequency_hz)
+        return lag_s > actuator.delay_s
+    return actuator.kind != "pure-delay"

@@ -1,0 +1,997 @@
+"""What a recording says, in numbers and in plain words; shared by command line and report."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.analysis import margins, measures, numerical_margins
+from rthyb_rt.analysis.attention import Finding, Judge, Subject
+from rthyb_rt.config.numerical import Matrices
+from rthyb_rt.config.numerical_structure import Structure, structure_of
+from rthyb_rt.config.rate import Rate
+from rthyb_rt.core import FLAGS, RUNNING, STATES, Integrator, MotionConfig
+from rthyb_rt.core.laws import LAWS, Law
+from rthyb_rt.lab import trips
+from rthyb_rt.lab.trips import Met
+from rthyb_rt.numbers import count, number, percent, quantity
+from rthyb_rt.record.recording import Recording
+
+Floats = NDArray[np.float64]
+NAN = float("nan")
+
+USELESS_NRMSE = 0.5
+"""Above half of the motion as error nothing of a test can be used."""
+FARTHEST_M = 2.0
+"""No laboratory's actuator goes farther: a motion beyond it has run away."""
+_MOVING = [STATES.index(name) for name in ("RAMP_IN", "RUNNING", "HOLD", "RAMP_OUT")]
+OUT_OF_RANGE = 1 << 1
+"""Bit of the field ``code``: a value was beyond any sense and was held back."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What the measures and figures need from the test and rig file; None where it is not said.
+
+    Attributes:
+        controller: name of the controller.
+        plc_enabled: the delay was compensated.
+        estimator_enabled: the delay estimate was allowed to change.
+        rfc_enabled: force compensation was on.
+        alpha_min: lower bound of the delay estimate, samples.
+        alpha_max: upper bound of the delay estimate, samples.
+        alpha_identified: delay found by identification of the rig, samples.
+        k_e_n_per_m: elastic stiffness of the specimen, N/m.
+        mass_kg: mass of the numerical part, kg.
+        period_s: period of the whole structure, s.
+        damping_n_s_per_m: damping of the numerical part, N s/m.
+        damping_ratio: the same as a part of critical.
+        critical_delay_samples: longest pure delay that the structure survives; inf: any.
+        window_samples: window T0 of the tangent stiffness.
+        tangent: how the tangent stiffness is found.
+        gain: what the delay estimator adapts by, in words with its unit.
+        limits: value of each limit of the test that is set, by key, SI.
+        reference_peak_m: of the reference simulation; None without one.
+        reference_peak_n: the same of its force.
+        description: the test file's.
+        rig_name: name of the rig.
+    """
+
+    controller: str | None
+    plc_enabled: bool
+    estimator_enabled: bool
+    rfc_enabled: bool
+    alpha_min: float | None
+    alpha_max: float | None
+    alpha_identified: float | None
+    k_e_n_per_m: float | None
+    mass_kg: float | None
+    period_s: float | None
+    damping_n_s_per_m: float | None
+    damping_ratio: float | None
+    critical_delay_samples: float | None
+    window_samples: int | None
+    tangent: str | None
+    gain: str | None
+    limits: dict[str, float]
+    reference_peak_m: float | None
+    reference_peak_n: float | None
+    description: str
+    rig_name: str
+
+
+def setup(rec: Recording) -> Setup:
+    """Return what the measures need from the two resolved files.
+
+    Reads leniently: a recording of another version must still give a report.
+    """
+    test, rig = _parse(rec.test_toml), _parse(rec.rig_toml)
+    name = _get(test, "controller", "type")
+    controller = name if isinstance(name, str) else None
+    compensated = controller != "none"
+    k_e = _positive(_get(rig, "rig", "elastic_stiffness_n_per_m"))
+    mass = _positive(_get(test, "numerical", "mass_kg"))
+    period = _positive(_get(test, "numerical", "period_s"))
+    damping = _number(_get(test, "numerical", "damping_n_s_per_m"))
+    ratio = _number(_get(test, "numerical", "damping_ratio"))
+    # One of mass and period is given, the other follows with the stiffness of both parts.
+    if k_e is not None:
+        k = k_e + (_number(_get(test, "numerical", "stiffness_n_per_m")) or 0.0)
+        if period is None and mass is not None and k > 0.0:
+            period = 2.0 * np.pi * float(np.sqrt(mass / k))
+        elif mass is None and period is not None:
+            mass = k * (period / (2.0 * np.pi)) ** 2
+    if mass is not None and period is not None:
+        critical = 4.0 * np.pi * mass / period
+        if damping is None and ratio is not None:
+            damping = ratio * critical
+        elif damping is not None:
+            ratio = damping / critical
+    rate = Rate(rec.fs_hz)
+    critical_delay = _critical_delay(test, mass, damping, k_e, rate)
+    structure = _structure(_get(test, "numerical", "matrices"), k_e, rate)
+    if structure is not None:
+        first = structure.modes()[0]
+        period = 1.0 / first.frequency_hz if first.frequency_hz else None
+        ratio, critical_delay = (
+            first.damping_ratio,
+            numerical_margins.critical_delay(structure.part),
+        )
+    window = _times(_number(_get(test, "controller", "rfc", "window_samples")), rate.pace)
+    if window is None:
+        window = _times(_number(_get(test, "controller", "rfc", "window_s")), rate.hz)
+    plc = compensated and _get(test, "controller", "plc_enabled") is not False
+    estimator = ("controller", "delay_estimator")
+    law = LAWS.get(controller or "")
+    # The table is there whatever the law; a law that this version has not may read it.
+    bounded = law is None or law.parameter("delay_estimator.alpha_min") is not None
+    return Setup(
+        controller=controller,
+        plc_enabled=plc,
+        estimator_enabled=plc
+        and (law is None or law.learns)
+        and _get(test, *estimator, "enabled") is not False,
+        rfc_enabled=compensated and _get(test, "controller", "rfc", "enabled") is not False,
+        alpha_min=_times(_number(_get(test, *estimator, "alpha_min")), rate.pace)
+        if bounded
+        else None,
+        alpha_max=_times(_number(_get(test, *estimator, "alpha_max")), rate.pace)
+        if bounded
+        else None,
+        alpha_identified=_times(_number(_get(rig, "identified", "alpha")), rate.pace),
+        k_e_n_per_m=k_e,
+        mass_kg=mass,
+        period_s=period,
+        damping_n_s_per_m=damping,
+        damping_ratio=ratio,
+        critical_delay_samples=critical_delay,
+        window_samples=None if window is None else round(window),
+        tangent=_words(_get(test, "controller", "rfc", "tangent")) or None,
+        gain=_gain(law, _get(test, "controller"), rate),
+        limits=_limits(test),
+        reference_peak_m=_reference_peak(rec, "x_ref_m"),
+        reference_peak_n=_reference_peak(rec, "f_ref_n"),
+        description=_words(_get(test, "test", "description")),
+        rig_name=_words(_get(rig, "rig", "name")),
+    )
+
+
+def _structure(matrices: object, k_e: float | None, rate: Rate) -> Structure | None:
+    """Return a numerical part that is given by matrices; None where there is none to be read."""
+    if not isinstance(matrices, dict) or k_e is None:
+        return None
+    try:
+        return structure_of(Matrices.model_validate(matrices), k_e, rate.period_s)
+    except ValueError:
+        # Another version's.
+        return None
+
+
+def _critical_delay(
+    test: dict[str, Any],
+    mass: float | None,
+    damping: float | None,
+    k_e: float | None,
+    rate: Rate,
+) -> float | None:
+    """Return what `rthyb check` knows of the structure; None where the files do not say enough."""
+    integrator = _get(test, "numerical", "integrator")
+    if mass is None or damping is None or k_e is None or not isinstance(integrator, str):
+        return None
+    motion = MotionConfig(
+        cast(Integrator, integrator),
+        mass_kg=mass,
+        damping_n_s_per_m=damping,
+        stiffness_n_per_m=_number(_get(test, "numerical", "stiffness_n_per_m")) or 0.0,
+        k_e_n_per_m=k_e,
+        rho_inf=_number(_get(test, "numerical", "rho_inf")) or 0.0,
+        period_s=rate.period_s,
+    )
+    try:
+        return margins.critical_delay(motion)
+    except ValueError:
+        # An integrator that this version has not.
+        return None
+
+
+def _limits(test: dict[str, Any]) -> dict[str, float]:
+    given = _get(test, "limits")
+    values = {
+        key: _number(item.get("value") if isinstance(item, dict) else item)
+        for key, item in (given.items() if isinstance(given, dict) else ())
+    }
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _reference_peak(rec: Recording, name: str) -> float | None:
+    peak = NAN if rec.reference is None else _peak(rec.reference[name])
+    return peak if peak > 0.0 else None
+
+
+def _gain(law: Law | None, controller: Any, rate: Rate) -> str | None:
+    """Return in words what a control law's own table wants said of its settings."""
+    said = []
+    for parameter in law.parameters if law else ():
+        value = _number(_get(controller, *parameter.key.split(".")))
+        if value is not None and parameter.words is not None:
+            # A file's sample is one of 1/1024 s whatever the rate of its test.
+            of = " of 1/1024 s" if parameter.words.endswith("sample") and rate.pace != 1.0 else ""
+            said.append(parameter.words.format(f"{value:g}") + of)
+    return ", ".join(said) or None
+
+
+def _words(value: Any) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def _parse(text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return {}
+
+
+def _get(tree: Any, *path: str) -> Any:
+    for key in path:
+        tree = tree.get(key) if isinstance(tree, dict) else None
+    return tree
+
+
+def _number(value: Any) -> float | None:
+    usable = isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
+    return float(value) if usable else None
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def _positive(value: Any) -> float | None:
+    number = _number(value)
+    return number if number is not None and number > 0.0 else None
+
+
+@dataclass(frozen=True)
+class Live:
+    """How a test in real time went, besides its figures.
+
+    Attributes:
+        in_real_time: False where the ticks came on another's word: the stepped clock, or a link
+            with a Python thread in between.
+        cause: what ended the test, in the station's word.
+        link: name of the link.
+        wake_p50_ns, wake_p99_ns, wake_max_ns: woken after the tick was due.
+        sent_p99_ns: from being awake to the command being sent.
+        skipped_ticks: that nobody executed.
+        lost_pairs: ticks of the motion without a pair from the drive.
+        slips: how often the drive's clock gained or lost a sample in the motion.
+        link_delay_samples: from command to feedback on the wire, median of the test proper; -1:
+            not known.
+        missed_rows: rows that the recorder came too late for.
+        privileges: what the tick thread obtained.
+        remedy: what to do about such an end; "" where there is nothing to say.
+    """
+
+    in_real_time: bool
+    cause: str
+    link: str
+    wake_p50_ns: int
+    wake_p99_ns: int
+    wake_max_ns: int
+    sent_p99_ns: int
+    skipped_ticks: int
+    lost_pairs: int
+    slips: int
+    link_delay_samples: int
+    missed_rows: int
+    privileges: tuple[str, ...]
+    remedy: str
+
+
+def live(rec: Recording) -> Live | None:
+    """Return how a test in real time went; None for one in virtual time."""
+    facts = rec.meta.get("real_time")
+    if not isinstance(facts, dict):
+        return None
+    from rthyb_rt.lab import endings
+
+    wake, sent = facts["wake"], facts["sent"]
+    moving = rec.samples[_motion(rec)]
+    unheard = FLAGS["fresh"] | FLAGS["blind"]
+    return Live(
+        in_real_time=bool(facts["in_real_time"]),
+        cause=str(facts["cause"]),
+        link=str(facts["link"]),
+        wake_p50_ns=int(wake["p50_ns"]),
+        wake_p99_ns=int(wake["p99_ns"]),
+        wake_max_ns=int(wake["max_ns"]),
+        sent_p99_ns=int(sent["p99_ns"]),
+        skipped_ticks=int(facts["ticks"]["skipped"]),
+        lost_pairs=int(np.count_nonzero((moving["flags"] & unheard) == 0)),
+        slips=int(np.count_nonzero(moving["flags"] & FLAGS["slip"])),
+        link_delay_samples=int(facts["link_delay_samples"]),
+        missed_rows=sum(last - first + 1 for first, last in facts["missed_rows"]),
+        privileges=tuple(facts["privileges"]),
+        remedy=endings.remedy(str(facts["cause"]), rec.samples),
+    )
+
+
+def _motion(rec: Recording) -> NDArray[np.bool_]:
+    """Return which rows something moved in, ramps and all, shape (n,)."""
+    mask: NDArray[np.bool_] = np.isin(rec.samples["state"], _MOVING)
+    return mask
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The figures of a test; fractions and SI units, nan or None where there is nothing to say.
+
+    ``attention`` is what went wrong although the test may have completed, the gravest first;
+    ``ended_by`` the cause that took it off its course, None if none did. Errors, indices and flags
+    are taken over the rows of the test proper.
+    """
+
+    test_name: str
+    end_reason: str
+    interrupted: bool
+    clock: str
+    final_state: str
+    fs_hz: float
+    samples: int
+    test_samples: int
+    duration_s: float
+    peak_command_m: float
+    peak_command_time_s: float
+    peak_measured_m: float
+    peak_force_n: float
+    tracking_nrmse: float
+    tracking_peak_difference_m: float
+    tracking_peak_error: float
+    response_nrmse: float | None
+    response_peak_difference_m: float | None
+    response_peak_error: float | None
+    accumulated_error_m: float | None
+    fei_amplitude: float
+    fei_delay_s: float
+    fei_frequency_hz: float
+    alpha_end: float
+    alpha_at_bound: float
+    k_t_at_zero: float
+    tracking_indicator_m2: float
+    energy_error_j: float
+    energy_error_largest_j: float
+    energy_error_relative: float | None
+    input_energy_j: float | None
+    clamped_rows: int
+    flags: dict[str, int]
+    skipped_ticks: int
+    not_finite_rows: int
+    attention: tuple[Finding, ...]
+    ended_by: Met | None
+    live: Live | None
+    setup: Setup = field(repr=False)
+
+    @property
+    def ending(self) -> str:
+        """The limit that ended the test, with its figures and what was known of it; "": none."""
+        return "" if self.ended_by is None else trips.sentence(self.ended_by, self.setup)
+
+    @property
+    def never_began(self) -> bool:
+        """Whether a test in real time ended before its first sample."""
+        return self.live is not None and self.test_samples == 0
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures for a JSON document: nan, which JSON has not, becomes None."""
+        return {key: _json_value(value) for key, value in asdict(self).items()}
+
+
+def _json_value(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _json_value(item) for key, item in value.items()}
+    if isinstance(value, tuple):
+        return [_json_value(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+_NEVER: dict[str, Any] = dict.fromkeys(
+    (
+        "tracking_nrmse", "tracking_peak_difference_m", "tracking_peak_error", "fei_amplitude",
+        "fei_delay_s", "fei_frequency_hz", "k_t_at_zero", "tracking_indicator_m2",
+        "energy_error_j", "energy_error_largest_j",
+    ),
+    float("nan"),
+) | dict.fromkeys(
+    (
+        "response_nrmse", "response_peak_difference_m", "response_peak_error",
+        "accumulated_error_m", "energy_error_relative", "input_energy_j",
+    )
+)  # fmt: skip
+"""Figures that only the test proper has."""
+
+
+def _bare(found: Summary) -> Summary:
+    """Return the summary of a test that never began: what rest and ramps show is none of it."""
+    return replace(found, duration_s=0.0, attention=(), **_NEVER)
+
+
+def ending(rec: Recording, running: int) -> str:
+    """Return the limit that ended a test with its figures, by a recording without its rows.
+
+    Args:
+        rec: the recording; its rows are not looked at.
+        running: rows of the test proper that came.
+
+    Returns:
+        As `Summary.ending`.
+    """
+    given = setup(rec)
+    met = trips.found(replace(rec, samples=rec.samples[:0]), given)
+    return "" if met is None else trips.sentence(replace(met, time_s=running / rec.fs_hz), given)
+
+
+def reference_pair(rec: Recording) -> tuple[NDArray[np.intp], Floats] | None:
+    """Return the rows that have a reference and the reference displacement there, m.
+
+    Row k of the reference belongs to the k-th row of the test proper. None without a reference.
+    """
+    if rec.reference is None:
+        return None
+    rows = np.flatnonzero(rec.running())
+    length = min(rows.size, len(rec.reference))
+    return (rows[:length], rec.reference["x_ref_m"][:length]) if length else None
+
+
+def subject(given: Setup, fs_hz: float) -> Subject:
+    """Return what has to be known of a test to judge it, its rows apart."""
+    critical = given.critical_delay_samples
+    return Subject(
+        fs_hz=fs_hz,
+        peak_m=given.reference_peak_m,
+        damping_n_s_per_m=given.damping_n_s_per_m,
+        k_e_n_per_m=given.k_e_n_per_m,
+        rfc_enabled=given.rfc_enabled,
+        delay_samples=given.alpha_identified if given.plc_enabled else None,
+        margin_samples=None if critical is None else margins.delay_margin(critical),
+    )
+
+
+def summarize(rec: Recording) -> Summary:
+    """Return the figures of a recording.
+
+    The energy error is taken from the recording's own signals, not from the core's running
+    value, so that recordings from elsewhere are judged alike.
+    """
+    given = setup(rec)
+    samples = rec.samples
+    run = samples[rec.running()]
+    how = live(rec)
+    flagged = run["flags"] if how is None or (run["state"] == RUNNING).any() else run["flags"][:0]
+    x_num, x_meas, force = run["x_num_m"], run["x_meas_m"], run["f_meas_n"]
+    index = measures.fei(x_num, x_meas, rec.fs_hz)
+    peak_row = _peak_row(x_num)
+    error_j = measures.energy_error(force, x_num, x_meas)
+    relative = input_j = None
+    if given.mass_kg is not None:
+        input_j = measures.input_energy(run["ag_mps2"], x_num, given.mass_kg)
+    if given.k_e_n_per_m is not None:
+        relative = measures.hsem(error_j, input_j, force, given.k_e_n_per_m)
+    response: dict[str, float | None] = dict.fromkeys(("nrmse", "difference", "error", "sum"))
+    pair = reference_pair(rec)
+    if pair is not None:
+        measured = samples["x_meas_m"][pair[0]]
+        response = {
+            "nrmse": measures.response_nrmse(pair[1], measured),
+            "difference": measures.peak_difference(pair[1], measured),
+            "error": measures.peak_error(pair[1], measured),
+            "sum": float(measures.accumulated_error(pair[1], measured)[-1]),
+        }
+    judge = Judge(subject(given, rec.fs_hz))
+    judge.add(run, None if pair is None else pair[1])
+    signals = np.stack([samples[n] for n in ("x_num_m", "x_cmd_m", "x_meas_m", "f_meas_n")])
+    state = int(samples["state"][-1]) if len(samples) else 0
+    found = Summary(
+        test_name=str(rec.meta.get("test_name", "")),
+        end_reason=str(rec.meta.get("end_reason", "unknown")),
+        interrupted=bool(rec.meta.get("interrupted", False)),
+        clock=str(rec.meta.get("clock", "unknown")),
+        final_state=STATES[state] if state < len(STATES) else str(state),
+        fs_hz=rec.fs_hz,
+        samples=len(samples),
+        test_samples=len(flagged),
+        duration_s=len(run) / rec.fs_hz,
+        peak_command_m=_peak(x_num),
+        peak_command_time_s=float(rec.time_s()[rec.running()][peak_row]) if len(run) else NAN,
+        peak_measured_m=_peak(x_meas),
+        peak_force_n=_peak(force),
+        tracking_nrmse=measures.tracking_nrmse(x_num, x_meas),
+        tracking_peak_difference_m=measures.peak_difference(x_num, x_meas),
+        tracking_peak_error=measures.peak_error(x_num, x_meas),
+        response_nrmse=response["nrmse"],
+        response_peak_difference_m=response["difference"],
+        response_peak_error=response["error"],
+        accumulated_error_m=response["sum"],
+        fei_amplitude=index.amplitude,
+        fei_delay_s=index.delay_s,
+        fei_frequency_hz=index.f_eq_hz,
+        alpha_end=float(run["alpha"][-1]) if len(run) else NAN,
+        alpha_at_bound=_share_at_bound(run["alpha"], given),
+        k_t_at_zero=_share(run["k_t_n_per_m"] <= 0.0),
+        tracking_indicator_m2=_last(measures.tracking_indicator(x_num, x_meas)),
+        energy_error_j=_last(error_j),
+        energy_error_largest_j=float(np.max(np.abs(error_j), initial=0.0)),
+        energy_error_relative=relative,
+        input_energy_j=None if input_j is None else float(np.max(input_j, initial=0.0)),
+        clamped_rows=_clamped_rows(samples),
+        flags={name: int(np.count_nonzero(flagged & bit)) for name, bit in FLAGS.items()},
+        skipped_ticks=int(np.sum(rec.replay.skips[:, 1])) if rec.replay.skips.size else 0,
+        not_finite_rows=int(np.count_nonzero(~np.isfinite(signals).all(axis=0))),
+        attention=tuple(judge.findings()),
+        ended_by=trips.found(rec, given),
+        live=how,
+        setup=given,
+    )
+    return _bare(found) if found.never_began else found
+
+
+def stiffness_shares(
+    k_t: Floats, k_e: float | None, fs_hz: float, step_s: float = 1.0
+) -> tuple[Floats, Floats]:
+    """Return where the tangent stiffness stood, step by step of the test.
+
+    Args:
+        k_t: tangent stiffness, shape (n,); values that are not finite count as between.
+        k_e: its upper bound in the same unit, None where it is not known.
+        fs_hz: sample rate.
+        step_s: length of a step, s.
+
+    Returns:
+        Edges of the steps from the first sample on, s, shape (m + 1,), and the share of the samples
+        of each step at 0, between the bounds, and at k_e, shape (3, m). The last step may be short.
+    """
+    width = max(round(step_s * fs_hz), 1)
+    starts = np.arange(0, k_t.size, width)
+    edges = np.append(starts, k_t.size) / fs_hz
+    if not k_t.size:
+        return edges, np.zeros((3, 0))
+    at_zero = k_t <= 0.0
+    at_top = np.zeros(k_t.shape, dtype=np.bool_) if k_e is None else k_t >= k_e * (1.0 - 1e-9)
+    counts = np.diff(np.append(starts, k_t.size))
+    low, high = (np.add.reduceat(mask.astype(np.float64), starts) / counts
+                 for mask in (at_zero, at_top))  # fmt: skip
+    return edges, np.stack([low, 1.0 - low - high, high])
+
+
+def _clamped_rows(samples: NDArray[np.void]) -> int:
+    """Count the rows in which a computed value was held back; a lost feedback is told elsewhere."""
+    held = (samples["code"] & OUT_OF_RANGE) != 0
+    return int(np.count_nonzero(held & ((samples["flags"] & FLAGS["predicted"]) == 0)))
+
+
+def _peak_row(x: Floats) -> int:
+    magnitude = np.where(np.isfinite(x), np.abs(x), -1.0)
+    return int(np.argmax(magnitude)) if x.size else 0
+
+
+def _peak(x: Floats) -> float:
+    finite = np.abs(x[np.isfinite(x)])
+    return float(np.max(finite)) if finite.size else NAN
+
+
+def _last(x: Floats) -> float:
+    return float(x[-1]) if x.size else NAN
+
+
+def _share(mask: NDArray[np.bool_]) -> float:
+    return float(np.mean(mask)) if mask.size else 0.0
+
+
+def _share_at_bound(alpha: Floats, given: Setup) -> float:
+    if not given.estimator_enabled:
+        return 0.0
+    at_bound = np.zeros(alpha.shape, dtype=np.bool_)
+    if given.alpha_min is not None:
+        at_bound |= alpha <= given.alpha_min
+    if given.alpha_max is not None:
+        at_bound |= alpha >= given.alpha_max
+    return _share(at_bound)
+
+
+# --- words ------------------------------------------------------------------------------------
+
+
+class Notice(NamedTuple):
+    """Something about the test that a reader must not miss.
+
+    Attributes:
+        level: "alarm" when the figures may not be what the test was meant to show, "note" else.
+        text: one plain sentence.
+    """
+
+    level: Literal["alarm", "note"]
+    text: str
+
+
+def verdict(s: Summary) -> str:
+    """Return the result in one plain sentence, the response never without the tracking."""
+    if s.never_began:
+        return "The test proper never began: there is nothing to judge."
+    if np.isnan(s.peak_command_m):
+        return "The recording holds no finite command: there is nothing to judge."
+    if s.peak_command_m == 0.0:
+        still = np.isnan(s.peak_measured_m) or s.peak_measured_m == 0.0
+        moved = "" if still else f", while {_mm(s.peak_measured_m)} were measured"
+        return f"The command stayed at zero{moved}: there is no motion to judge."
+    tracking = (
+        f"The specimen followed the command within {_mm(s.tracking_peak_difference_m)} "
+        f"({percent(s.tracking_peak_error)})"
+    )
+    if s.response_peak_difference_m is None:
+        return f"{tracking}; there is no reference simulation to compare the response with."
+    return (
+        f"{tracking}; the response differs from the reference simulation by "
+        f"{_mm(s.response_peak_difference_m)} at most ({percent(s.response_peak_error)})."
+    )
+
+
+def _mm(value_m: float | None) -> str:
+    return quantity(value_m, "mm", 1e3, digits=2)
+
+
+def notices(s: Summary) -> list[Notice]:
+    """Return what a reader must not miss, the gravest first."""
+    found: list[Notice] = []
+    if s.end_reason != "completed":
+        how = f", {s.ending}" if s.ending else f" after {s.duration_s:.2f} s"
+        found.append(Notice("alarm", f"The test did not complete: {s.end_reason}{how}."))
+        if s.live is not None and s.live.remedy:
+            found.append(Notice("note", s.live.remedy))
+    if s.interrupted:
+        found.append(
+            Notice("alarm", "The test was held and resumed: it is not one continuous motion.")
+        )
+    if s.not_finite_rows:
+        found.append(
+            Notice(
+                "alarm",
+                f"{count(s.not_finite_rows, 'row')} with values that are not finite; "
+                "the measures leave them out.",
+            )
+        )
+    found += _useless(s)
+    found += [Notice("alarm", attention_in_words(one, s.setup, s.attention)) for one in s.attention]
+    flagged = {
+        "limited": "had the command held back by a limit: the actuator was sent less than asked",
+        "not_sent": "had a command that could not be sent",
+        "predicted": "had a predicted instead of a measured feedback",
+        "blind": "passed blind, without feedback and command, in a skip",
+        "frozen": "had the delay estimate and the stiffness frozen, feedback being away",
+    }
+    for name, text in flagged.items():
+        n = s.flags.get(name, 0)
+        if name in ("not_sent", "predicted"):
+            n -= s.flags.get("blind", 0)  # which are both, and told as what they are
+        if n:
+            share = percent(n / s.test_samples)
+            of = f"{count(n, 'sample')} of {s.test_samples}"
+            found.append(Notice("alarm", f"{of} ({share}) {text}."))
+    if s.skipped_ticks:
+        found.append(Notice("alarm", f"{count(s.skipped_ticks, 'tick')} skipped."))
+    found += _live_notices(s.live)
+    if s.alpha_at_bound > 0.01:
+        share = percent(s.alpha_at_bound)
+        found.append(
+            Notice(
+                "alarm", f"The delay estimate stood at one of its bounds for {share} of the test."
+            )
+        )
+    told = any(one.kind == "stiffness" for one in s.attention)
+    if s.setup.rfc_enabled and s.k_t_at_zero > 0.01 and not told:
+        share = percent(s.k_t_at_zero)
+        found.append(
+            Notice(
+                "note",
+                f"No force compensation for {share} of the test: the tangent stiffness was zero.",
+            )
+        )
+    return found
+
+
+def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding]) -> str:
+    """Return what has gone wrong in one sentence, with the key to change.
+
+    Args:
+        one: the finding.
+        given: of the test.
+        all_found: of the same test: one may be the cause of another.
+    """
+    beside: set[str] = {other.kind for other in all_found if other.meets(one)}
+    span = f"from {one.from_s:.1f} to {one.to_s:.1f} s"
+    allowed = f"allowed is {100.0 * one.allowed:g} %"
+    if one.kind == "response":
+        found = (
+            f"The response left the reference simulation: {span} its rms difference was "
+            f"{percent(one.value)} of the reference's, {allowed}"
+        )
+        return f"{found}; {_remedy_of_response(given, beside)}."
+    if one.kind == "delay":
+        away = abs(one.value - (given.alpha_identified or 0.0))
+        found = (
+            f"Alpha left the identified delay of {number(given.alpha_identified)} samples: {span} "
+            f"it went to {number(one.value)}, an error of {number(away)} where this structure "
+            f"survives {number(one.allowed, 2)}"
+        )
+        return f"{found}; {_remedy_of_delay(given)}."
+    if one.kind == "damping":
+        found = (
+            f"Negative damping: {span} the tracking error fed {number(one.value, 2)} times the "
+            "energy that the numerical damping took out"
+        )
+        return f"{found}; {_remedy_of_damping(given, beside)}."
+    found = (
+        f"No force compensation for {percent(one.value)} of the motion, {allowed}: the tangent "
+        "stiffness was zero"
+    )
+    return f"{found}; {_remedy_of_stiffness(given)}."
+
+
+def _remedy_of_response(given: Setup, beside: set[str]) -> str:
+    if not given.plc_enabled:
+        return 'nothing compensates the delay: set controller.type = "robust"'
+    if beside & {"delay", "stiffness"}:
+        return "see below what led to it"
+    if not given.rfc_enabled:
+        return "set controller.rfc.enabled = true, which takes out what the phase lead leaves"
+    if not given.estimator_enabled:
+        return "set controller.alpha0 anew by rthyb identify, or let it adapt"
+    return "set controller.alpha0 anew by rthyb identify, and look at the tracking error"
+
+
+def _remedy_of_delay(given: Setup) -> str:
+    if not given.estimator_enabled:
+        return "set controller.alpha0 to that delay, or identify the rig anew"
+    law = LAWS.get(given.controller or "")
+    less = (law.calmer if law else None) or "look at the settings of the control law"
+    return f"{less}; if the rig has changed, identify it anew"
+
+
+def _remedy_of_damping(given: Setup, beside: set[str]) -> str:
+    if not given.plc_enabled:
+        return 'compensate the delay: controller.type = "robust"'
+    if "delay" in beside:
+        return "alpha is the cause, see above"
+    if not given.rfc_enabled:
+        return "set controller.rfc.enabled = true"
+    if "stiffness" in beside:
+        return "the missing force compensation is the cause, see below"
+    return "set controller.alpha0 anew by rthyb identify, and look at noise and friction"
+
+
+def _remedy_of_stiffness(given: Setup) -> str:
+    if given.tangent == "mean-of-ratios":
+        return (
+            'set controller.rfc.tangent = "least-squares", which bears more noise, or raise '
+            "controller.rfc.window_samples"
+        )
+    return "raise controller.rfc.window_samples, or the motion: noise hides the stiffness"
+
+
+def _live_notices(found: Live | None) -> list[Notice]:
+    if found is None:
+        return []
+    notices = []
+    if found.slips:
+        notices.append(
+            Notice(
+                "alarm",
+                f"The drive's clock and this PC's slipped {count(found.slips, 'sample')}: the "
+                "delay estimate has steps that are none of the rig's.",
+            )
+        )
+    if found.missed_rows:
+        notices.append(
+            Notice("alarm", f"{count(found.missed_rows, 'row')} missing from the recording.")
+        )
+    if not found.in_real_time:
+        notices.append(Notice("note", "The test did not run in real time."))
+    return notices
+
+
+def _useless(s: Summary) -> list[Notice]:
+    """Return why the figures of a test that ran away or missed everything say nothing."""
+    texts = []
+    peak_m = max(np.nan_to_num([s.peak_command_m, s.peak_measured_m], nan=0.0))
+    if peak_m > FARTHEST_M:
+        texts.append(
+            f"The motion ran away: {quantity(float(peak_m), 'm')}, farther than any laboratory's "
+            "actuator."
+        )
+    if s.clamped_rows:
+        texts.append(
+            f"{count(s.clamped_rows, 'sample')} of {s.samples} had a value beyond any sense, "
+            "which was held back: the motion is not that of the structure."
+        )
+    for name, of, value in (
+        ("Response", "reference simulation", s.response_nrmse),
+        ("Tracking", "command", s.tracking_nrmse),
+    ):
+        if value is not None and value > USELESS_NRMSE:
+            texts.append(
+                f"{name} NRMSE {percent(value)}: the measured motion is not that of the {of}."
+            )
+    input_j = s.input_energy_j
+    if input_j is not None and 0.0 < input_j < s.energy_error_largest_j:
+        texts.append(
+            f"The tracking error moved {quantity(s.energy_error_largest_j, 'J')}, more than the "
+            f"{quantity(input_j, 'J')} that the ground motion put in."
+        )
+    return [Notice("alarm", text) for text in texts]
+
+
+def key_figures(s: Summary) -> list[str]:
+    """Return what was tested in a few words: structure, controller, window."""
+    given = s.setup
+    figures = [
+        ("T = ", quantity(given.period_s, "s")),
+        ("m = ", quantity(given.mass_kg, "kg", digits=4)),
+        ("c = ", quantity(given.damping_n_s_per_m, "N s/m", digits=4)),
+        ("ζ = ", percent(given.damping_ratio, 3)),
+        ("k_e = ", quantity(given.k_e_n_per_m, "kN/m", 1e-3, 4)),
+    ]
+    found = [name + value for name, value in figures if value != "–"]
+    if given.controller is not None:
+        adapts = given.gain is not None and given.estimator_enabled
+        found.append(f"controller {given.controller}" + (f", {given.gain}" if adapts else ""))
+    if given.rfc_enabled and given.window_samples is not None:
+        found.append(f"T0 = {count(given.window_samples, 'sample')}")
+    return found
+
+
+class Row(NamedTuple):
+    """One row of the result table: what, how much, by which formula."""
+
+    label: str
+    value: str
+    formula: str
+
+
+def result_table(rec: Recording) -> list[Row]:
+    """Return the result table of a recording: label, value with unit, formula.
+
+    The formulas are explained, with their sources, in `rthyb_rt.analysis.measures`.
+    """
+    return table(summarize(rec))
+
+
+def table(s: Summary) -> list[Row]:
+    """Return the result table of a summary."""
+    rows = [
+        Row("End of the test", _end(s), ""),
+        *_limit_rows(s.ended_by),
+        Row("Peak of the command", quantity(s.peak_command_m, "mm", 1e3), "max |x_num|"),
+        Row("Peak measured", quantity(s.peak_measured_m, "mm", 1e3), "max |x_meas|"),
+        Row("Peak force", quantity(s.peak_force_n, "kN", 1e-3), "max |f|"),
+        Row("Tracking, NRMSE", percent(s.tracking_nrmse), "rms(x_meas − x_num) / rms(x_num)"),
+        Row(
+            "Tracking, largest difference",
+            f"{quantity(s.tracking_peak_difference_m, 'mm', 1e3)} "
+            f"({percent(s.tracking_peak_error)})",
+            "max |x_meas − x_num|, of max |x_num|",
+        ),
+    ]
+    if s.response_nrmse is None:
+        rows.append(Row("Response", "no reference simulation", ""))
+    else:
+        rows += [
+            Row("Response, NRMSE", percent(s.response_nrmse), "rms(x_meas − x_ref) / rms(x_ref)"),
+            Row(
+                "Response, largest difference",
+                f"{quantity(s.response_peak_difference_m, 'mm', 1e3)} "
+                f"({percent(s.response_peak_error)})",
+                "max |x_meas − x_ref|, of max |x_ref|",
+            ),
+            Row(
+                "Accumulated error",
+                quantity(s.accumulated_error_m, "m"),
+                "Σ |x_meas − x_ref| over samples, Eqn 4.3",
+            ),
+        ]
+    at = "" if np.isnan(s.fei_frequency_hz) else f" at {number(s.fei_frequency_hz)} Hz"
+    rows += [
+        Row(
+            "Delay left",
+            f"{quantity(s.fei_delay_s, 'ms', 1e3)} "
+            f"({quantity(s.fei_delay_s, 'samples', s.fs_hz)}){at}"
+            if at
+            else "–",
+            "frequency evaluation index of x_meas against x_num",
+        ),
+        Row("Amplitude", number(s.fei_amplitude, 4), "|FEI|; 1 is right"),
+        Row("Delay estimate at the end", _alpha(s), "alpha"),
+        Row(
+            "Energy error",
+            f"{quantity(s.energy_error_j, 'J')}"
+            + (
+                f", at most {percent(s.energy_error_relative)} of the energy in the test"
+                if s.energy_error_relative is not None
+                else ""
+            ),
+            "∫ f d(x_meas − x_num); positive feeds the structure",
+        ),
+        Row(
+            "Tracking indicator",
+            quantity(s.tracking_indicator_m2, "mm²", 1e6),
+            "½ ∫ (x_meas dx_num − x_num dx_meas); negative lags",
+        ),
+        Row("Samples", _samples(s), "rows of the recording, and those with a flag"),
+    ]
+    return rows + _live_rows(s.live)
+
+
+def _limit_rows(met: Met | None) -> list[Row]:
+    told = "" if met is None else trips.figures(met.cause, met.value, met.limit)
+    return [Row("Limit that was met", told, "first cause")] if told else []
+
+
+def _live_rows(found: Live | None) -> list[Row]:
+    if found is None:
+        return []
+    wake = ", ".join(
+        f"{name} {_microseconds(ns)}"
+        for name, ns in (
+            ("p50", found.wake_p50_ns),
+            ("p99", found.wake_p99_ns),
+            ("longest", found.wake_max_ns),
+        )
+    )
+    delay = "not known"
+    if found.link_delay_samples >= 0:
+        delay = count(found.link_delay_samples, "sample")
+    punctuality = Row(
+        "Punctuality",
+        f"{wake}; {count(found.skipped_ticks, 'tick')} skipped",
+        "awake after the tick was due",
+    )
+    link = Row(
+        "Link",
+        f"{count(found.lost_pairs, 'pair')} lost, {count(found.slips, 'slip')}, delay {delay}",
+        found.link,
+    )
+    # On a stepped clock nothing is ever late.
+    return [punctuality, link] if found.wake_max_ns else [link]
+
+
+def _microseconds(ns: int) -> str:
+    return quantity(float(ns), "µs", 1e-3)
+
+
+def _end(s: Summary) -> str:
+    words = [s.end_reason, f"after {s.duration_s:.2f} s", f"state {s.final_state}"]
+    if s.live is not None:
+        words.append(f"cause {s.live.cause.replace('_', ' ')}")
+    if s.interrupted:
+        words.insert(1, "interrupted")
+    return ", ".join(words)
+
+
+def _alpha(s: Summary) -> str:
+    if not s.setup.plc_enabled:
+        return "no compensation"
+    text = f"{quantity(s.alpha_end, 'samples')} ({quantity(s.alpha_end, 'ms', 1e3 / s.fs_hz)})"
+    return text if s.setup.estimator_enabled else f"{text}, fixed"
+
+
+def _samples(s: Summary) -> str:
+    flagged = [
+        f"{n} {name.replace('_', ' ')}" for name, n in s.flags.items() if n and name != "fresh"
+    ]
+    if s.skipped_ticks:
+        flagged.append(f"{count(s.skipped_ticks, 'tick')} skipped")
+    # With ramps and rest the rows are more than those that are judged.
+    rows = f"{s.samples}" if s.samples == s.test_samples else f"{s.test_samples} of {s.samples}"
+    return f"{rows}, " + (", ".join(flagged) if flagged else "none flagged")

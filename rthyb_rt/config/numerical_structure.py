@@ -1,0 +1,223 @@
+"""A numerical part given by matrices, with the specimen joined to it: modes, damping, stability.
+
+Everything here is small (eight degrees of freedom at most) and dense; what runs in a test is
+``csrc/numerical_dense.c``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rthyb_rt.config.numerical import Matrices
+from rthyb_rt.core import DenseConfig, ElementConfig, Matrix, element
+from rthyb_rt.core.numerical_parts import DensePart
+
+Floats = NDArray[np.float64]
+
+RADIUS_SLACK: Final = 1e-9
+"""Of a spectral radius above 1: rounding of an eigenvalue on the unit circle."""
+REFERENCE_SUBSTEPS: Final = 8
+"""Of RK4 with a specimen that is not linear: its force is held for an eighth of a sample then."""
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One mode of the joined structure.
+
+    Attributes:
+        frequency_hz: natural frequency without damping.
+        damping_ratio: phi' C phi / (2 omega), with phi' M phi = 1.
+        shape: largest entry 1, (n,).
+        at_interface: entry of the interface in the shape of unit modal mass, 1/sqrt(kg).
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+    shape: tuple[float, ...]
+    at_interface: float
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The numerical part and what is known of its specimen.
+
+    Attributes:
+        labels: of the degrees of freedom, (n,).
+        part: the part as the core takes it.
+    """
+
+    labels: tuple[str, ...]
+    part: DenseConfig
+
+    def joined(self) -> tuple[Floats, Floats, Floats]:
+        """Return mass, damping and stiffness with the elastic specimen in them, (n, n) each."""
+        part = self.part
+        known = (part.specimen_mass_kg, part.specimen_damping_n_s_per_m, part.k_e_n_per_m)
+        own = (part.mass_kg, part.damping_n_s_per_m, part.stiffness_n_per_m)
+        m, c, k = (np.array(matrix) for matrix in own)
+        for matrix, more in zip((m, c, k), known, strict=True):
+            matrix[part.at, part.at] += more
+        return m, c, k
+
+    def modes(self) -> tuple[Mode, ...]:
+        """Return the modes of the joined structure, the lowest first."""
+        m, c, k = self.joined()
+        w2, phi = _modes_of(m, k)
+        found = []
+        for square, shape in zip(w2, phi.T, strict=True):
+            omega = float(np.sqrt(square)) if square > 0.0 else 0.0
+            damping = float(shape @ c @ shape)
+            largest = shape[np.argmax(np.abs(shape))]
+            found.append(
+                Mode(
+                    omega / (2.0 * np.pi),
+                    damping / (2.0 * omega) if omega else 0.0,
+                    tuple(float(v) for v in shape / largest),
+                    float(shape[self.part.at]),
+                )
+            )
+        return tuple(found)
+
+    def spectral_radius(self) -> float:
+        """Return the largest root of one step of the joined structure, the specimen elastic."""
+        m, c, k = self.joined()
+        return float(np.abs(step_roots(self.part.integrator, m, c, k, self.part.period_s)).max())
+
+    def reference(
+        self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
+    ) -> tuple[Floats, Floats, Floats]:
+        """Simulate the structure with a model of the specimen joined to it.
+
+        What is linear of the model goes into the matrices, so that nothing of it is late.
+
+        Args:
+            elements: the model.
+            ag_mps2: ground acceleration at every sample, (n,).
+
+        Returns:
+            Displacement, velocity, and force of all but the model's masses and dampers, (n,) each.
+        """
+        ag = np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
+        mass, damping, spring = (
+            sum(e.params[0] for e in elements if e.kind == kind)
+            for kind in ("inertia", "viscous", "stiffness")
+        )
+        others = [e for e in elements if e.kind not in ("inertia", "viscous", "stiffness")]
+        steps = REFERENCE_SUBSTEPS if others and self.part.integrator == "rk4" else 1
+        part = replace(
+            self.part,
+            mass_kg=_added(self.part.mass_kg, self.part.at, mass),
+            damping_n_s_per_m=_added(self.part.damping_n_s_per_m, self.part.at, damping),
+            stiffness_n_per_m=_added(self.part.stiffness_n_per_m, self.part.at, spring),
+            specimen_mass_kg=0.0,
+            specimen_damping_n_s_per_m=0.0,
+            k_e_n_per_m=max(self.part.k_e_n_per_m - spring, 0.0),
+            force_delay=0,
+            period_s=self.part.period_s / steps,
+        )
+        x, v, force = DensePart(part).reference(others, np.repeat(ag, steps))
+        return x[::steps], v[::steps], force[::steps] + spring * x[::steps]
+
+    def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
+        """Return how the interface moves with a specimen that does not yield, (n,)."""
+        part = self.part
+        model = [
+            element("stiffness", k_n_per_m=part.k_e_n_per_m),
+            element("viscous", c_n_s_per_m=part.specimen_damping_n_s_per_m),
+            element("inertia", m_kg=part.specimen_mass_kg),
+        ]
+        return self.reference(model, ag_mps2)[0]
+
+
+def structure_of(given: Matrices, k_e_n_per_m: float, period_s: float) -> Structure:
+    """Return the numerical part that a test file's matrices describe.
+
+    Args:
+        given: the matrices.
+        k_e_n_per_m: elastic stiffness of the rig's specimen.
+        period_s: of a sample.
+    """
+    at, n = given.at, len(given.m_kg)
+    m, k = np.array(given.m_kg), np.array(given.k_n_per_m)
+    influence = np.array(given.influence if given.influence is not None else [1.0] * n)
+    load = m @ influence
+    out = given.specimen
+    taken = k_e_n_per_m
+    if out is not None and out.stiffness_n_per_m is not None:
+        taken = out.stiffness_n_per_m
+    if given.c_n_s_per_m is not None:
+        c = np.array(given.c_n_s_per_m)
+    else:
+        whole = k.copy()
+        whole[at, at] += 0.0 if out is not None else k_e_n_per_m
+        c = modal_damping(m, whole, given.damping_ratios or [0.0])
+    if out is not None:
+        for matrix, own in zip((m, c, k), (out.mass_kg, out.damping_n_s_per_m, taken), strict=True):
+            matrix[at, at] -= own
+    part = DenseConfig(
+        given.integrator,
+        _rows(m),
+        _rows(c),
+        _rows(k),
+        tuple(float(v) for v in load),
+        at=at,
+        specimen_mass_kg=out.mass_kg if out is not None else 0.0,
+        specimen_damping_n_s_per_m=out.damping_n_s_per_m if out is not None else 0.0,
+        k_e_n_per_m=k_e_n_per_m,
+        force_delay=given.force_delay_samples,
+        period_s=period_s,
+    )
+    return Structure(tuple(given.labels or (str(i + 1) for i in range(n))), part)
+
+
+def modal_damping(m: Floats, k: Floats, ratios: Sequence[float]) -> Floats:
+    """Return C = M Phi diag(2 zeta omega) Phi' M, (n, n); a mode that does not swing gets none.
+
+    Args:
+        m, k: masses and stiffnesses, (n, n).
+        ratios: of the modes, the lowest first, (n,), or one for all.
+    """
+    w2, phi = _modes_of(m, k)
+    zeta = np.broadcast_to(np.asarray(ratios, dtype=np.float64), w2.shape)
+    rate = 2.0 * zeta * np.sqrt(np.maximum(w2, 0.0))
+    c: Floats = m @ (phi * rate) @ phi.T @ m
+    return 0.5 * (c + c.T)
+
+
+def _modes_of(m: Floats, k: Floats) -> tuple[Floats, Floats]:
+    """Return omega^2, ascending, (n,), and the shapes with phi' M phi = 1 as columns, (n, n)."""
+    root = np.linalg.inv(np.linalg.cholesky(m))
+    w2, q = np.linalg.eigh(root @ k @ root.T)
+    return w2, root.T @ q
+
+
+def step_roots(
+    integrator: str, m: Floats, c: Floats, k: Floats, h: float
+) -> NDArray[np.complex128]:
+    """Return the roots of one step of free motion, (2n,)."""
+    n, one = len(m), np.eye(len(m))
+    if integrator == "rk4":
+        zero = np.zeros((n, n))
+        a = np.block([[zero, one], [-np.linalg.solve(m, k), -np.linalg.solve(m, c)]])
+        z = h * np.linalg.eigvals(a)
+        return np.asarray(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
+    # Chen & Ricles (2008), with the accelerations put in.
+    alpha = np.linalg.solve(4.0 * m + 2.0 * h * c + h * h * k, 4.0 * one)
+    to_v = np.hstack([-h * alpha @ k, one - h * alpha @ c])
+    to_x = np.hstack([one, h * one]) + h * (to_v - np.hstack([np.zeros((n, n)), one]))
+    return np.asarray(np.linalg.eigvals(np.vstack([to_x, to_v])))
+
+
+def _rows(matrix: Floats) -> Matrix:
+    return tuple(tuple(float(v) for v in row) for row in matrix)
+
+
+def _added(matrix: Matrix, at: int, more: float) -> Matrix:
+    changed = np.array(matrix)
+    changed[at, at] += more
+    return _rows(changed)

@@ -1,0 +1,184 @@
+"""The compiled simulators of the diagnosis: an actuator along its command, a body under a force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.settings import init_element
+from rthyb_rt.errors import RthybError
+
+Floats = NDArray[np.float64]
+Hold = Literal["zoh", "foh"]
+
+
+class SimulationError(RthybError, ValueError):
+    """A simulator refused its settings, or ran off."""
+
+
+@dataclass(frozen=True)
+class ActuatorModel:
+    """``gain exp(-delay s) w^2 / (s^2 + 2 zeta w s + w^2)``, and what may be wrong with it.
+
+    Attributes:
+        delay_s, f_hz, zeta, gain: the linear part.
+        shift_s: of the command against the rows, beside the delay.
+        kappa_s2_m: delay that comes with each m/s; of the command's velocity, or the actuator's.
+        vmax_m_s: 0 for none; of the command, or of the actuator itself.
+        jumps: it jumps from row to row and has the velocity of its last step, as the virtual rig's
+            pure delay.
+        delay_tol_s: one standard deviation of the delay, s; None: not stated, free to refit.
+        f_tol, zeta_tol, gain_tol: of the others, relative to the value; None as above.
+    """
+
+    delay_s: float
+    f_hz: float
+    zeta: float
+    gain: float = 1.0
+    shift_s: float = 0.0
+    kappa_s2_m: float = 0.0
+    kappa_of: Literal["actuator", "command"] = "actuator"
+    vmax_m_s: float = 0.0
+    vmax_of: Literal["command", "actuator"] = "command"
+    hold: Hold = "foh"
+    jumps: bool = False
+    delay_tol_s: float | None = None
+    f_tol: float | None = None
+    zeta_tol: float | None = None
+    gain_tol: float | None = None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Displacement, velocity, acceleration at the rows, each (n,); ``start`` rows are transient."""
+
+    x: Floats
+    v: Floats
+    a: Floats
+
+
+def _in(array: Floats) -> Any:
+    return ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=np.float64))
+
+
+def _out(array: Floats) -> Any:
+    return ffi.from_buffer("double[]", array, require_writable=True)
+
+
+def _holds(hold: Hold) -> int:
+    return int(lib.RTHYB_ZOH if hold == "zoh" else lib.RTHYB_FOH)
+
+
+def actuator(
+    model: ActuatorModel,
+    x_cmd_m: Floats,
+    fs_hz: float,
+    before: tuple[float, ActuatorModel] | None = None,
+) -> Motion:
+    """Return the motion of an actuator along commands of shape (n,), m, from rest at the first.
+
+    Args:
+        model: the actuator.
+        x_cmd_m: command, (n,), m.
+        fs_hz: rows per second.
+        before: what it was up to a row, which need not be whole; place and velocity go on there.
+
+    Raises:
+        SimulationError: a setting is out of range, or the motion ran off.
+    """
+    first = _compiled(before[1] if before else model, fs_hz)
+    u = np.ascontiguousarray(x_cmd_m, dtype=np.float64)
+    x, v, a = np.empty_like(u), np.empty_like(u), np.empty_like(u)
+    code = lib.rthyb_simulate_actuator(
+        first, _compiled(model, fs_hz), before[0] if before else 0.0, _in(u), u.size,
+        _out(x), _out(v), _out(a),
+    )  # fmt: skip
+    if code:
+        raise SimulationError(f"the actuator {model} cannot be simulated ({code})")
+    if model.jumps:
+        v = np.diff(x, prepend=x[0]) * fs_hz
+        a = np.diff(v, prepend=v[0]) * fs_hz
+    return Motion(x, v, a)
+
+
+def _compiled(model: ActuatorModel, fs_hz: float) -> Any:
+    return ffi.new(
+        "rthyb_actuator_model *",
+        {
+            "period_s": 1.0 / fs_hz,
+            "delay_s": model.delay_s,
+            "natural_frequency_hz": model.f_hz,
+            "damping_ratio": model.zeta,
+            "gain": model.gain,
+            "shift_s": model.shift_s,
+            "delay_rate_s2_per_m": model.kappa_s2_m,
+            "velocity_limit_m_per_s": model.vmax_m_s,
+            "limit_at": int(model.vmax_of == "actuator"),
+            "rate_of": int(model.kappa_of == "command"),
+            "hold": _holds(model.hold),
+        },
+    )
+
+
+def body(
+    mass_kg: float,
+    elements: Sequence[core.ElementConfig],
+    force_n: Floats,
+    fs_hz: float,
+    start: tuple[float, float] = (0.0, 0.0),
+    hold: Hold = "foh",
+    substeps: int = 8,
+) -> Motion:
+    """Return the motion of ``mass a + elements = force`` under a force of shape (n,), N.
+
+    Raises:
+        SimulationError: no mass, or the motion ran off.
+        core.CoreError: an element's parameter is out of range.
+    """
+    model = ffi.new(
+        "rthyb_body_model *",
+        {
+            "period_s": 1.0 / fs_hz,
+            "mass_kg": mass_kg,
+            "x0_m": start[0],
+            "v0_m_per_s": start[1],
+            "hold": _holds(hold),
+            "substeps": substeps,
+        },
+    )
+    array = ffi.new("rthyb_element[]", max(len(elements), 1))
+    for slot, config in zip(array, elements, strict=False):
+        init_element(slot, config)
+    p = np.ascontiguousarray(force_n, dtype=np.float64)
+    x, v, a = np.empty_like(p), np.empty_like(p), np.empty_like(p)
+    code = lib.rthyb_simulate_body(
+        model, array, len(elements), _in(p), p.size, _out(x), _out(v), _out(a)
+    )
+    if code:
+        raise SimulationError(f"a body of {mass_kg:g} kg cannot be simulated ({code})")
+    return Motion(x, v, a)
+
+
+def play(half_m: float, x_m: Floats) -> Floats:
+    """Return what follows ``x_m`` of shape (n,) behind a play of ±``half_m``, m."""
+    x = np.ascontiguousarray(x_m, dtype=np.float64)
+    y = np.empty_like(x)
+    if lib.rthyb_simulate_play(half_m, _in(x), x.size, _out(y)):
+        raise SimulationError(f"a play of {half_m:g} m is negative")
+    return y
+
+
+def iwan(yield_m: Floats, share: Floats, x_m: Floats) -> Floats:
+    """Return the plastic displacement of parallel springs that yield one by one, (n,), m."""
+    x = np.ascontiguousarray(x_m, dtype=np.float64)
+    f = np.empty_like(x)
+    y = np.ascontiguousarray(yield_m, dtype=np.float64)
+    if lib.rthyb_simulate_iwan(_in(y), _in(share), y.size, _in(x), x.size, _out(f)):
+        raise SimulationError(f"{y.size} springs are more than the core takes")
+    return f

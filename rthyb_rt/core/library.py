@@ -1,0 +1,133 @@
+"""What every face of the core needs: its enumerations, its refusals, arrays across the border."""
+
+from __future__ import annotations
+
+import platform
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.errors import RthybError
+
+FS_HZ: Final = 1024.0
+"""The rate of real time. That of a test in virtual time is its own: `Setup.rate`."""
+PERIOD_S: Final = 1.0 / FS_HZ
+WINDOW_MAX: Final[int] = lib.RTHYB_WINDOW_MAX
+DELAY_MAX: Final[int] = lib.RTHYB_DELAY_MAX
+ELEMENTS_MAX: Final[int] = lib.RTHYB_ELEMENTS_MAX
+DENSE_MAX: Final[int] = lib.RTHYB_DENSE_MAX
+IWAN_SLIDERS: Final[int] = lib.RTHYB_IWAN_SLIDERS
+
+FloatArray = npt.NDArray[np.float64]
+RecordArray = npt.NDArray[np.void]
+
+
+def members(enum: str, prefix: str) -> dict[str, int]:
+    """Return an enumeration of ``rthyb.h`` by value, its names without what all begin with."""
+    found: dict[str, int] = ffi.typeof(f"enum {enum}").relements
+    own = {k.removeprefix(prefix): v for k, v in found.items() if k.startswith(prefix)}
+    return dict(sorted(own.items(), key=lambda item: item[1]))
+
+
+def words(enum: str, prefix: str) -> dict[str, int]:
+    """Return the same in small letters, without the member that counts the others."""
+    own = {name.lower(): value for name, value in members(enum, prefix).items()}
+    return {name: value for name, value in own.items() if name not in ("count", "kinds")}
+
+
+def options(enum: str, prefix: str) -> dict[str, int]:
+    """Return the same as files write them, with hyphens."""
+    return {name.replace("_", "-"): value for name, value in words(enum, prefix).items()}
+
+
+STATUS: Final = words("rthyb_status", "RTHYB_S_")
+
+_REFUSED: Final[dict[int, str]] = {
+    lib.RTHYB_E_PERIOD: "the sampling period must lie in (0, 1] s and be the same for all parts",
+    lib.RTHYB_E_WEIGHTS: "W1, W2 lie outside the stable region |W1| > 1, |W2| < |W1 + 1|",
+    lib.RTHYB_E_ESTIMATOR: "a setting of the delay estimator is out of range",
+    lib.RTHYB_E_WINDOW: f"the window T0 must lie in 1 ... {WINDOW_MAX} samples",
+    lib.RTHYB_E_STIFFNESS: "the RFC needs an elastic stiffness k_e > 0 and a noise >= 0",
+    lib.RTHYB_E_MOTION: "mass must be positive, damping >= 0, everything finite",
+    lib.RTHYB_E_SERVO: "a setting of the actuator model is out of range, or its oil column is too "
+    "stiff for its mass and substeps",
+    lib.RTHYB_E_ELEMENT: "an element's kind, parameter count or a parameter is out of range",
+    lib.RTHYB_E_SENSOR: "a sensor's noise, lsb, bias or range is out of range",
+    lib.RTHYB_E_LAW: "there is no such control law, or it cannot work with its settings",
+    lib.RTHYB_E_LIMIT: "a limit must be finite and >= 0, a starting value finite and sensible",
+}
+
+
+class CoreError(RthybError, ValueError):
+    """The core refused a setting; the message says which kind."""
+
+
+def status_names(code: int) -> list[str]:
+    """Return the names of the status bits set in ``code``."""
+    return [name for name, bit in STATUS.items() if code & bit]
+
+
+def version() -> str:
+    """Return the version of the compiled core."""
+    return text_of(lib.rthyb_version())
+
+
+def build_facts() -> dict[str, str]:
+    """Return what bit-identical replay depends on: the core's sources, compiler, architecture."""
+    return {
+        "core_version": version(),
+        "core_sources": text_of(lib.rthyb_source_hash()),
+        "compiler": text_of(lib.rthyb_compiler()),
+        "architecture": platform.machine(),
+    }
+
+
+# ---- crossing the boundary ----------------------------------------------------------------------
+
+
+def text_of(c_string: Any) -> str:
+    raw: bytes = ffi.string(c_string)
+    return raw.decode()
+
+
+def check(error: int) -> None:
+    if error:
+        raise CoreError(_REFUSED.get(error, f"the core refused its settings ({error})"))
+
+
+def doubles(values: npt.ArrayLike) -> FloatArray:
+    return np.ascontiguousarray(np.atleast_1d(np.asarray(values, dtype=np.float64)))
+
+
+def doubles_like(values: npt.ArrayLike, model: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(values, np.float64), model.shape))
+
+
+def require_one_length(first: FloatArray, *others: FloatArray) -> None:
+    for other in others:
+        if other.shape != first.shape:
+            raise CoreError(f"arrays of one length needed, got {first.shape} and {other.shape}")
+
+
+def reading(array: FloatArray) -> Any:
+    return ffi.from_buffer("double[]", array)
+
+
+def writing(array: FloatArray) -> Any:
+    return ffi.from_buffer("double[]", array, require_writable=True)
+
+
+def numbers_of(struct: Any, skip: tuple[str, ...] = ()) -> dict[str, float | int]:
+    """Return the scalar fields of a struct, arrays spread over indexed names."""
+    numbers: dict[str, float | int] = {}
+    for name, description in ffi.typeof(struct[0]).fields:
+        if name in skip:
+            continue
+        value = getattr(struct, name)
+        if description.type.kind == "array":
+            numbers.update({f"{name}[{i}]": v for i, v in enumerate(value)})
+        else:
+            numbers[name] = value
+    return numbers

@@ -1,0 +1,583 @@
+"""The thin face of the tick: a link, the loop that exchanges one sample a tick, the virtual drive.
+
+Names follow ``csrc/rthyb.h``, where the contract stands. Calls that run or wait do so without the
+GIL. What a loop is made of belongs to its thread while that runs: only what is said to be readable
+may then be asked.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from rthyb_rt import core
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.library import options, words
+from rthyb_rt.core.rows import RingMemory
+from rthyb_rt.core.ticker import PRIORITY, Counts, Latency, Ticker, privilege_names
+from rthyb_rt.core.wire import TOLD, Codec, Frame, Wire
+from rthyb_rt.errors import RthybError
+
+Kind = Literal["can", "stream"]
+Clock = Literal["host", "link", "stepped"]
+FaultKind = Literal[
+    "drop",
+    "drop-command",
+    "drop-force",
+    "delay",
+    "reorder",
+    "duplicate",
+    "corrupt",
+    "stuck",
+    "jump",
+    "force",
+    "not-finite",
+    "silence",
+]
+
+HEARTBEAT_TICKS: Final[int] = lib.RTHYB_HEARTBEAT_TICKS
+SLIP_VOTES: Final[int] = lib.RTHYB_SLIP_VOTES
+WATCHDOG_TICKS: Final[int] = lib.RTHYB_DRIVE_WATCHDOG
+PHASES: Final = tuple(words("rthyb_drive_phase", "RTHYB_DRIVE_"))
+LINK_FAULTS: Final = ("up", "network-down", "device-gone", "bus-off", "hung-up")
+
+_FAREWELLS: Final = 3
+"""One that is lost does not matter."""
+
+_KINDS: Final = options("rthyb_link_kind", "RTHYB_LINK_")
+_CLOCKS: Final = options("rthyb_clock", "RTHYB_CLOCK_")
+_FAULTS: Final = options("rthyb_drive_fault", "RTHYB_FAULT_")
+
+LOG_DTYPE: Final = core.dtype_of("rthyb_drive_entry")
+"""What a drive saw and did in one of its ticks: the fields of ``rthyb_drive_entry``."""
+
+
+class Link:
+    """Frames over a descriptor that the caller opened and set up, without ever waiting.
+
+    Args:
+        kind: "can": a SocketCAN socket, or a SOCK_SEQPACKET socket that carries its frames;
+            "stream": a tty in raw mode or a stream socket, with O_NONBLOCK.
+        fd: the descriptor; the link has its own from then on.
+
+    Raises:
+        RthybError: the descriptor is closed, or a stream that would make a reader wait.
+    """
+
+    def __init__(self, kind: Kind, fd: int) -> None:
+        self.struct = ffi.new("rthyb_link *", {"fd": -1})
+        error = lib.rthyb_link_open(self.struct, _KINDS[kind], fd)
+        if error:
+            raise RthybError(
+                f"descriptor {fd} is of no use as a {kind} link: {os.strerror(error)}; "
+                "it must be open, and a stream needs O_NONBLOCK"
+            )
+
+    def close(self) -> None:
+        """Close the link's own descriptor; twice does no harm."""
+        lib.rthyb_link_close(self.struct)
+
+    def receive(self) -> Frame | None:
+        """Take a CAN frame, or some bytes of a stream; None: nothing more has come.
+
+        Not while a loop has the link.
+        """
+        frame = ffi.new("rthyb_frame *")
+        if not lib.rthyb_link_receive(self.struct, frame):
+            return None
+        return Frame(frame.id, bytes(ffi.buffer(frame.data, frame.length)), bool(frame.fd))
+
+    @property
+    def fd(self) -> int:
+        """The link's own descriptor."""
+        return int(self.struct.fd)
+
+    @property
+    def down(self) -> str:
+        """One of `LINK_FAULTS`; readable at any time."""
+        return LINK_FAULTS[self.struct.down]
+
+    def counters(self) -> dict[str, int]:
+        """Return every counter of ``rthyb_link_counters`` by name; readable at any time."""
+        return _by_name(self.struct.counters)
+
+
+class Phase:
+    """The loop of the link clock alone: when pairs arrived in, trims of the due times out.
+
+    Args:
+        lead_us: a pair is to arrive so long before its tick, 10 to 488.
+
+    Raises:
+        core.CoreError: the lead is out of range.
+    """
+
+    def __init__(self, lead_us: float = 200.0) -> None:
+        self._c = ffi.new("rthyb_phase *")
+        if lib.rthyb_phase_init(self._c, lead_us * 1e3):
+            raise core.CoreError(f"the lead is {lead_us} us, 10 to 488 us are possible")
+
+    def step(self, after_due_ns: float | None) -> int:
+        """Return what `rthyb_rt.core.ticker.Ticker.trim` is to be given after a tick, ns.
+
+        ``after_due_ns``: arrival of the tick's pair after its due time; None: there is none.
+        """
+        came = after_due_ns is not None
+        return int(lib.rthyb_phase_step(self._c, came, after_due_ns or 0.0))
+
+    @property
+    def locked(self) -> bool:
+        """Whether the error has been small for a quarter of a second."""
+        return bool(self._c.locked)
+
+    @property
+    def error_ns(self) -> float:
+        """Arrival after the wanted instant, smoothed."""
+        return float(self._c.error_ns)
+
+    @property
+    def trim_ppm(self) -> float:
+        """By how much the period is made longer, mean of 4 s."""
+        return float(self._c.trim_ns) * core.FS_HZ / 1e3
+
+
+@dataclass(frozen=True)
+class LastCommand:
+    """What a loop left a drive with.
+
+    Attributes:
+        x_cmd_m: displacement that the drive was told last; calibrated, without tare.
+        x_m: last reading of the displacement then, likewise.
+        seq: number of that command; one that is older is no news to a drive that still follows.
+        calibration: by which both are told.
+    """
+
+    x_cmd_m: float
+    x_m: float
+    seq: int
+    calibration: core.Calibration
+
+
+class Loop:
+    """Link -> wire -> station -> wire -> link -> record -> ring, once a tick.
+
+    Args:
+        station: states, limits, controller.
+        wire: the controller's end of the frames.
+        link: where they come from and go to.
+        ring: takes every record; without one, `records` has those of the last tick.
+        clock: "host": `start` a thread; "link": the same, and its ticks follow the drive's samples;
+            "stepped": `step` for each tick, or a thread that `ticker` grants ticks to.
+        calibration: between the wire and the station.
+        lead_us: link clock: a pair arrives so long before its tick, 10 to 488.
+        paced: stepped clock: False where the drive does not wait for the ticks, so that its count
+            says nothing of two clocks, and no slip is looked for.
+
+    Raises:
+        core.CoreError: the calibration or the lead is senseless.
+    """
+
+    def __init__(
+        self,
+        station: core.Station,
+        wire: Wire,
+        link: Link,
+        ring: RingMemory | None = None,
+        clock: Clock = "stepped",
+        calibration: core.Calibration = core.IDENTITY,
+        lead_us: float = 200.0,
+        *,
+        paced: bool = True,
+    ) -> None:
+        self._calibration = calibration
+        self._kept = (station, wire, link, ring)
+        self._c = ffi.new("rthyb_loop *")
+        self._ag = ffi.from_buffer("double[]", station._ag)
+        self._c.station, self._c.wire, self._c.link = station._c, wire.struct, link.struct
+        self._c.ring = ffi.NULL if ring is None else ring.pointer
+        self._c.ag_mps2, self._c.ag_count = self._ag, station._ag.size
+        self._c.calibration = calibration.struct()[0]
+        self._c.lead_ns = lead_us * 1e3
+        if lib.rthyb_loop_init(self._c, _CLOCKS[clock]):
+            raise core.CoreError(
+                f"a pair cannot arrive {lead_us} us before its tick: 10 to 488 us are possible"
+            )
+        self._c.unpaced = not paced
+        self._running = False
+        self._ring = None if ring is None else ring.pointer
+        self._next: tuple[core.Station, RingMemory | None, Any, Any] | None = None
+        self._load_generation = 0
+
+    def drop_old(self) -> None:
+        """Stepped clock: drop what waits in the link, once, before the first tick.
+
+        The other clocks do it by themselves.
+        """
+        lib.rthyb_loop_drop_old(self._c)
+
+    def go_on(self, last: LastCommand) -> None:
+        """Begin with what an earlier loop at this link told the drive last; before the start.
+
+        It holds if the drive has not stopped meanwhile and its first reading is the one of then,
+        within the station's ``rest_spread_m``. Else the command begins at the first reading.
+        """
+        # Told by another calibration it is another place; the drive counts on all the same.
+        same = last.calibration == self._calibration
+        lib.rthyb_loop_go_on(self._c, last.x_cmd_m, last.x_m if same else math.nan, last.seq)
+
+    def last_command(self) -> LastCommand | None:
+        """Return what the drive was left with, once the loop has ended.
+
+        None: nothing was ever sent, or it did not end at rest.
+        """
+        station = self._c.station
+        if not station.seen or self.state not in ("IDLE", "ZEROED", "ARMED"):
+            return None
+        return LastCommand(
+            float(station.controller.x_cmd + station.tare_cmd),
+            float(station.seen_x),
+            int(self._c.wire.seq),
+            self._calibration,
+        )
+
+    def step(self, skipped: int = 0) -> None:
+        """Run one tick of the stepped clock, after ``skipped`` that nobody executes."""
+        if skipped:
+            lib.rthyb_ticker_miss(self._ticker, skipped)
+        lib.rthyb_loop_step(self._c)
+
+    def await_pair(self, seconds: float) -> bool:
+        """Stepped clock: wait until a pair is there for `step`; False: none came, or none can."""
+        _, wire, link, _ = self._kept
+        end = time.monotonic() + seconds
+        while True:
+            lib.rthyb_link_drain(link.struct, wire.struct)
+            left = end - time.monotonic()
+            if wire.struct.fresh or link.down != "up" or left <= 0.0:
+                return bool(wire.struct.fresh)
+            select.select([link.fd], [], [], left)
+
+    def start(self, priority: int = PRIORITY, cpu: int = -1, latency_fd: int = -1) -> None:
+        """Start the tick thread, as punctual as the system lets it be.
+
+        Arguments are those of `rthyb_rt.core.ticker.become_real_time`.
+
+        Raises:
+            RthybError: the system refused a thread.
+        """
+        self._c.priority, self._c.cpu, self._c.latency_fd = priority, cpu, latency_fd
+        error = lib.rthyb_loop_start(self._c)
+        if error:
+            raise RthybError(f"the tick thread was not started: {os.strerror(error)}")
+        self._running = True
+
+    def stop(self) -> None:
+        """End the thread, for good; what moves is then stopped by the drive's own watchdog."""
+        lib.rthyb_ticker_stop(self._ticker)
+        if self._running:
+            lib.rthyb_loop_join(self._c)
+        self._running = False
+
+    def leave(self) -> None:
+        """Tell a drive at rest, once the loop has ended, that the silence that follows is meant.
+
+        Its watchdog stops it all the same, but then it asks nobody to reset it.
+        """
+        for _ in range(_FAREWELLS):
+            if not lib.rthyb_loop_leave(self._c):
+                return
+            if self._c.ticker.clock != lib.RTHYB_CLOCK_STEPPED:
+                time.sleep(core.PERIOD_S)
+
+    def grant(self, ticks: int) -> None:
+        """Let a thread with the stepped clock run so many more ticks."""
+        lib.rthyb_ticker_grant(self._ticker, ticks)
+
+    def command(self, command: core.Command) -> int | None:
+        """Leave an operator's command for the next tick; return its generation.
+
+        None: the last one is not answered yet, and only "trip" takes its place.
+        """
+        return lib.rthyb_loop_command(self._c, core.COMMANDS.index(command)) or None
+
+    def answer(self, generation: int) -> tuple[bool, int] | None:
+        """Return whether a command was obeyed and in which tick; None: not answered yet."""
+        tick = ffi.new("uint64_t *")
+        answer = lib.rthyb_loop_answered(self._c, generation, tick)
+        return (answer == 1, tick[0]) if answer else None
+
+    def load(self, station: core.Station, ring: RingMemory | None) -> int:
+        """Have the next tick go on with another station and ring; return the load's generation.
+
+        Ticks, wire and link stay, so that the drive notices nothing. Station and ring of before
+        are kept alive until `loaded` has said that they are no longer in use.
+
+        Raises:
+            core.CoreError: the load before has not been answered yet; the tick thread stands.
+        """
+        if self._next is not None and self.loaded(self._load_generation) is None:
+            raise core.CoreError(
+                "the test that was loaded before has not been taken up yet; wait for the next tick"
+            )
+        ag = ffi.from_buffer("double[]", station._ag)
+        fresh = None if ring is None else ring.pointer
+        self._next = (station, ring, ag, fresh)
+        struct = ffi.new("rthyb_load *", (station._c, fresh or ffi.NULL, ag, station._ag.size))
+        self._load_generation = int(lib.rthyb_loop_load(self._c, struct))
+        return self._load_generation
+
+    def loaded(self, generation: int) -> bool | None:
+        """Return whether a load was taken; False: its station may not go, for it is not in IDLE.
+
+        None: not answered yet.
+        """
+        newest = lib.rthyb_loop_loaded(self._c, self._load_generation)
+        if newest == 1 and self._next is not None:
+            station, ring, self._ag, self._ring = self._next
+            self._kept = (station, *self._kept[1:3], ring)
+        if newest:
+            self._next = None
+        answer = lib.rthyb_loop_loaded(self._c, generation)
+        return answer == 1 if answer else None
+
+    @property
+    def load_tick(self) -> int:
+        """Tick of the loop in which the present station had its tick 0; after a load."""
+        return int(self._c.load_tick)
+
+    def set_parameters(self, parameters: core.Parameters) -> int:
+        """Publish a set of parameters; return its generation, which records then show.
+
+        The next tick takes it whole. One thread at a time.
+
+        Raises:
+            core.CoreError: a value is out of range, or there is nothing to watch under a name; the
+                set before stays in force.
+        """
+        struct = parameters.struct()
+        if lib.rthyb_loop_set_parameters(self._c, struct):
+            raise core.CoreError(
+                f"{parameters}: limits must lie in 0 ... 1e12 (velocity and acceleration of the "
+                "command in 0 ... 1e6), the path's velocity in 1e-9 ... 1e3 m/s and acceleration "
+                "in 1e-9 ... 1e6 m/s^2"
+            )
+        return int(struct.generation)
+
+    def set_taken(self, generation: int) -> bool | None:
+        """Return whether a set of parameters, or a later one, came in force; None: not seen yet.
+
+        False: outside IDLE it would switch off a limit of the command; the set before stays.
+        """
+        answer = lib.rthyb_loop_set_taken(self._c, generation)
+        return answer == 1 if answer else None
+
+    def beat(self) -> None:
+        """Give a sign of life; after 1024 ticks without one the test ramps out."""
+        lib.rthyb_loop_beat(self._c)
+
+    @property
+    def state(self) -> str:
+        """Name of the station's state after the last tick; readable at any time."""
+        return str(core.STATES[self._c.state])
+
+    @property
+    def cause(self) -> str:
+        """The station's latched first cause; readable at any time."""
+        return str(core.CAUSES[self._c.cause])
+
+    @property
+    def cause_tick(self) -> int:
+        """Tick in which that cause came up; readable at any time."""
+        return int(self._c.cause_tick)
+
+    @property
+    def began_ns(self) -> int:
+        """CLOCK_MONOTONIC at the records' ``due_ns`` 0; stepped clock: 0; readable at any time."""
+        return int(self._ticker.t0_ns)
+
+    @property
+    def locked(self) -> bool:
+        """Link clock: whether the ticks follow the drive's samples; readable at any time."""
+        return bool(self._c.locked)
+
+    @property
+    def arrival_error_us(self) -> float:
+        """Link clock: how long after the wanted instant pairs arrive, smoothed; at any time."""
+        return int(self._c.arrival_error_ns) / 1e3
+
+    @property
+    def trim_ppm(self) -> float:
+        """Link clock: by how much the period is made longer, mean of 4 s; readable at any time."""
+        return int(self._c.trim_ppb) / 1e3
+
+    @property
+    def records(self) -> core.RecordArray:
+        """Records of the last tick, a copy; not while a thread runs."""
+        raw = ffi.buffer(self._c.records, self._c.record_count * core.RECORD_DTYPE.itemsize)
+        return np.frombuffer(bytes(raw), core.RECORD_DTYPE)
+
+    @property
+    def link_delay(self) -> int | None:
+        """Samples from command to feedback that the wire takes, by the last echo."""
+        return None if self._c.delay < 0 else int(self._c.delay)
+
+    def link_delays(self) -> npt.NDArray[np.int64]:
+        """Return how many pairs of the RUNNING state the wire delayed by n samples, (256,).
+
+        The last one: that and more. Readable at any time.
+        """
+        return np.array(list(self._c.delays), dtype=np.int64)
+
+    @property
+    def counts(self) -> Counts:
+        """Ticks so far; readable at any time."""
+        out = ffi.new("rthyb_ticker_counts *")
+        lib.rthyb_ticker_read(self._ticker, out)
+        return Counts(out.elapsed, out.executed, out.skipped, out.longest_skip)
+
+    def counters(self) -> dict[str, int]:
+        """Return every counter of ``rthyb_loop_counters`` by name; readable at any time."""
+        return _by_name(self._c.counters)
+
+    @property
+    def wake(self) -> Latency:
+        """Histogram of the wake-up latency; readable at any time."""
+        return Latency(ffi.addressof(self._c.ticker, "wake"), self._c)
+
+    @property
+    def sent(self) -> Latency:
+        """Histogram of the time from wake-up to the command being sent; readable at any time."""
+        return Latency(ffi.addressof(self._c, "sent"), self._c)
+
+    @property
+    def privileges(self) -> list[str]:
+        """What the thread obtained; names of `rthyb_rt.core.ticker.PRIVILEGES`."""
+        return privilege_names(self._c.privileges)
+
+    def usage(self) -> dict[str, int]:
+        """Return what the system did to the thread, once it has ended: ``rthyb_usage`` by name."""
+        return _by_name(self._c.usage)
+
+    @property
+    def _ticker(self) -> Any:
+        return ffi.addressof(self._c, "ticker")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What goes wrong at the drive, from its tick ``first`` on for ``ticks`` ticks.
+
+    ``value``: of drop and drop-command the probability, of delay ticks, of jump m, of force N.
+    """
+
+    kind: FaultKind
+    first: int
+    ticks: int
+    value: float = 1.0
+
+
+class Drive:
+    """Actuator controller and load cell at the other end of the wire, with a watchdog of their own.
+
+    Args:
+        rig: what moves and measures.
+        codec: the frames.
+        link: their other end.
+        origin_m: where the rig's zero lies, behind the calibration.
+        stop_decel_m_per_s2: how it brakes on its own.
+        log_ticks: how many ticks `log` has room for.
+        seed: of the faults.
+        drift_ppm: how much the clock of `run` is fast, 199 at most.
+        calibration: the controller's; the drive applies its inverse.
+
+    Raises:
+        core.CoreError: the deceleration is not positive, the drift too large, or the calibration
+            senseless.
+    """
+
+    def __init__(
+        self,
+        rig: core.Rig,
+        codec: Codec,
+        link: Link,
+        *,
+        origin_m: float = 0.0,
+        stop_decel_m_per_s2: float = 1.0,
+        log_ticks: int = 0,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        calibration: core.Calibration = core.IDENTITY,
+    ) -> None:
+        self._c = ffi.new("rthyb_drive *")
+        self._kept = (rig, codec, link)
+        self._log: npt.NDArray[np.void] = np.zeros(log_ticks, LOG_DTYPE)
+        self._c.rig, self._c.link, self._c.codec = rig._c, link.struct, codec.struct[0]
+        self._c.origin_m, self._c.stop_decel_m_per_s2 = origin_m, stop_decel_m_per_s2
+        self._c.calibration = calibration.struct()[0]
+        self._c.log = ffi.cast("rthyb_drive_entry *", ffi.from_buffer(self._log))
+        self._c.log_size, self._c.seed, self._c.drift_ppm = log_ticks, seed, drift_ppm
+        self._faults: Any = None
+        if lib.rthyb_drive_init(self._c):
+            raise core.CoreError(
+                f"the drive brakes with {stop_decel_m_per_s2} m/s^2, more than 0 is needed, and "
+                f"its clock is {drift_ppm} ppm fast, 199 is the most"
+            )
+
+    def schedule(self, faults: Sequence[Fault]) -> None:
+        """Put a schedule of faults in force, in place of the one before; between two ticks.
+
+        Raises:
+            core.CoreError: a fault is out of range; the schedule of before stays.
+        """
+        table = ffi.new(
+            "rthyb_fault[]", [(_FAULTS[f.kind], f.first, f.ticks, f.value) for f in faults]
+        )
+        if lib.rthyb_drive_schedule(self._c, table, len(faults)):
+            raise core.CoreError("a fault of the drive is out of range")
+        self._faults = table
+
+    def tick(self) -> None:
+        """Run one sample: take commands in, latch, apply, answer."""
+        lib.rthyb_drive_tick(self._c)
+
+    def run(self, ticker: Ticker) -> None:
+        """Tick until the ticker is stopped from another thread."""
+        lib.rthyb_drive_run(self._c, ticker._c)
+
+    @property
+    def ticks(self) -> int:
+        """Samples so far."""
+        return int(self._c.tick)
+
+    @property
+    def phase(self) -> str:
+        """One of `PHASES`; readable at any time."""
+        return PHASES[self._c.phase]
+
+    @property
+    def told(self) -> str:
+        """The controller's state in the last fresh command; readable at any time."""
+        state = int(self._c.state)
+        return dict(enumerate(core.STATES)).get(state) or TOLD.get(state) or str(state)
+
+    @property
+    def latched(self) -> bool:
+        """Whether it has stopped by itself, and follows nobody until it is reset; at any time."""
+        return bool(self._c.latched)
+
+    @property
+    def log(self) -> npt.NDArray[np.void]:
+        """What it saw and did, `LOG_DTYPE`, (ticks,): row n is its tick n."""
+        return self._log[: self.ticks].copy()
+
+
+def _by_name(struct: Any) -> dict[str, int]:
+    return {name: int(getattr(struct, name)) for name, _ in ffi.typeof(struct).fields}

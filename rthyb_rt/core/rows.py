@@ -1,0 +1,163 @@
+"""A row of a recording: the record of the core, and the named channels beside it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.library import CoreError, FloatArray, RecordArray, members, words
+
+FLAGS: Final = {
+    name: bit
+    for name, bit in words("rthyb_flag", "RTHYB_F_").items()
+    if bit != lib.RTHYB_F_COMMAND_BIT
+}
+"""Bits of the field ``flags``, written into every file; bits 24 to 31 are the number of the
+operator's command of that tick, 0 for none."""
+FLAG_NAMES: Final = tuple(FLAGS)
+COMMAND_BIT: Final[int] = lib.RTHYB_F_COMMAND_BIT
+STATES: Final = tuple(members("rthyb_state", "RTHYB_"))
+"""Names of the values of the field ``state``, written into every file."""
+RUNNING: Final = STATES.index("RUNNING")
+
+_NUMPY_NAME: Final[dict[str, str]] = {
+    "uint16_t": "<u2",
+    "uint32_t": "<u4",
+    "int32_t": "<i4",
+    "uint64_t": "<u8",
+    "int64_t": "<i8",
+    "double": "<f8",
+}
+
+
+def _flat(ctype: Any, offset: int = 0, suffix: str = "") -> list[tuple[str, str, int]]:
+    """Return name, type and place of every number in a struct; those of axis 1 are "x_cmd_m.1"."""
+    found = []
+    for name, f in ctype.fields:
+        at = offset + f.offset
+        if f.type.kind == "array":
+            size = ffi.sizeof(f.type.item)
+            for k in range(f.type.length):
+                found += _flat(f.type.item, at + k * size, f".{k}" if k else "")
+        else:
+            found.append((name + suffix, _NUMPY_NAME[f.type.cname], at))
+    return found
+
+
+def dtype_of(struct: str) -> np.dtype[np.void]:
+    numbers = _flat(ffi.typeof(struct))
+    return np.dtype(
+        {
+            "names": [name for name, _, _ in numbers],
+            "formats": [kind for _, kind, _ in numbers],
+            "offsets": [at for _, _, at in numbers],
+            "itemsize": ffi.sizeof(struct),
+        }
+    )
+
+
+RECORD_DTYPE: Final = dtype_of("rthyb_record")
+CHANNELS_MAX: Final[int] = lib.RTHYB_CHANNELS_MAX
+"""Named values that a row may have beside its record."""
+
+_CHANNEL_NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A named value that rows have beside the fields of the record.
+
+    Attributes:
+        name: of its field in the samples.
+        unit: of the value.
+        scale: what the stored number is to be multiplied by to be in that unit.
+    """
+
+    name: str
+    unit: str
+    scale: float = 1.0
+
+
+def check_channels(channels: Sequence[Channel]) -> None:
+    """Refuse channels that no row can have.
+
+    Raises:
+        ValueError: with the first fault.
+    """
+    if len(channels) > CHANNELS_MAX:
+        raise ValueError(f"{len(channels)} channels; a row has room for {CHANNELS_MAX}")
+    taken = set(RECORD_DTYPE.names or ())
+    for channel in channels:
+        if not _CHANNEL_NAME.fullmatch(channel.name):
+            raise ValueError(
+                f"channel {channel.name!r}: a name has up to 32 of a-z 0-9 _, a letter first"
+            )
+        if channel.name in taken:
+            raise ValueError(f"channel {channel.name!r}: there is a field of that name already")
+        if not (math.isfinite(channel.scale) and channel.scale):
+            raise ValueError(f"channel {channel.name!r}: scale {channel.scale} is no factor")
+        taken.add(channel.name)
+
+
+def row_dtype(channels: Sequence[Channel]) -> np.dtype[np.void]:
+    """Return the type of a row of a recording, and of a ring: a record and its channels.
+
+    Raises:
+        CoreError: the channels are too many, or not to be told apart.
+    """
+    try:
+        check_channels(channels)
+    except ValueError as error:
+        raise CoreError(str(error)) from error
+    if not channels:
+        return RECORD_DTYPE
+    fields: Mapping[str, Any] = RECORD_DTYPE.fields or {}
+    size, count = RECORD_DTYPE.itemsize, len(channels)
+    return np.dtype(
+        {
+            "names": [*fields, *(channel.name for channel in channels)],
+            "formats": [*(f[0] for f in fields.values()), *["<f8"] * count],
+            "offsets": [*(f[1] for f in fields.values()), *(size + 8 * k for k in range(count))],
+            "itemsize": size + 8 * count,
+        }
+    )
+
+
+def rows_of(records: RecordArray, channels: Sequence[Channel], values: FloatArray) -> RecordArray:
+    """Return rows, (n,), of records, (n,), and the values of their channels, (n, count)."""
+    rows = np.zeros(records.shape, dtype=row_dtype(channels))
+    for name in RECORD_DTYPE.names or ():
+        rows[name] = records[name]
+    for k, channel in enumerate(channels):
+        rows[channel.name] = values[:, k]
+    return rows
+
+
+def as_records(rows: RecordArray) -> RecordArray:
+    """Return rows of a recording, whose fields may be more and in another order, as the core's."""
+    if rows.dtype == RECORD_DTYPE:
+        return np.ascontiguousarray(rows)
+    records = np.zeros(rows.shape, dtype=RECORD_DTYPE)
+    for name in RECORD_DTYPE.names or ():
+        records[name] = rows[name]
+    return records
+
+
+def records_pointer(array: RecordArray) -> Any:
+    if array.dtype != RECORD_DTYPE or not array.flags.c_contiguous:
+        raise CoreError("records must be a contiguous array of RECORD_DTYPE")
+    return ffi.cast("rthyb_record *", ffi.from_buffer(array))
+
+
+class RingMemory(Protocol):
+    """What a thread of the core needs of a telemetry ring: where it is."""
+
+    @property
+    def pointer(self) -> Any:
+        """``rthyb_ring *``."""

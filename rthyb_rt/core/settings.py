@@ -1,0 +1,387 @@
+"""Settings of the core's parts: dataclasses here, structs there. SI units throughout."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.laws import LAWS
+from rthyb_rt.core.library import (
+    DENSE_MAX,
+    ELEMENTS_MAX,
+    PERIOD_S,
+    CoreError,
+    check,
+    options,
+)
+
+EstimatorLaw = Literal["fixed", "gradient", "robust", "rls"]
+Tangent = Literal["mean-of-ratios", "least-squares"]
+Divisor = Literal["printed", "terms"]
+Integrator = Literal["central-difference", "forward-euler", "cr", "kr-alpha", "prescribed"]
+DenseIntegrator = Literal["cr", "rk4"]
+ServoKind = Literal["pure-delay", "first-order", "second-order", "servo-hydraulic", "servo-valve"]
+Hold = Literal["zoh", "foh"]
+LoadCell = Literal["actuator-end", "specimen"]
+
+_OPTIONS: Final[dict[str, dict[str, int]]] = {
+    "law": options("rthyb_estimator_law", "RTHYB_LAW_"),
+    "tangent": options("rthyb_tangent", "RTHYB_TANGENT_"),
+    "divisor": options("rthyb_divisor", "RTHYB_DIVISOR_"),
+    "integrator": options("rthyb_integrator", "RTHYB_"),
+    "kind": options("rthyb_servo_kind", "RTHYB_"),
+    "hold": options("rthyb_hold", "RTHYB_"),
+    "load_cell": {"actuator-end": lib.RTHYB_ACTUATOR_END, "specimen": lib.RTHYB_SPECIMEN_END},
+}
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """Settings of the delay estimator (Eqn 2.6-2.11 and its sturdier relatives).
+
+    ``gain`` is per reference_m squared per sample for the law ``gradient``, per sample for
+    ``robust``; ``memory_samples`` belongs to ``rls``.
+    """
+
+    law: EstimatorLaw = "fixed"
+    estimate_beta: bool = False
+    alpha0: float = 0.0
+    beta0: float = 0.0
+    period_s: float = PERIOD_S
+    reference_m: float = 1e-3
+    gain: float = 0.0
+    memory_samples: float = 2048.0
+    cutoff_hz: float = 25.0
+    alpha_min: float = 0.0
+    alpha_max: float = 60.0
+    rest_noise_m: float = 0.0
+    gate_factor: float = 10.0
+
+
+@dataclass(frozen=True)
+class LawConfig:
+    """A control law by its name, with the settings that are not its table's defaults.
+
+    ``settings`` is by the keys of `rthyb_rt.core.laws`; ``adapts`` False: what it would learn stays
+    as it begins. ``rest_noise_m``: standard deviation of x_m at rest.
+    """
+
+    name: str = "none"
+    settings: Mapping[str, float] = field(default_factory=dict)
+    adapts: bool = True
+    rest_noise_m: float = 0.0
+
+    def values(self) -> list[float]:
+        """Return all settings in the core's order.
+
+        Raises:
+            CoreError: there is no such law or setting, or one without a default is missing.
+        """
+        law = LAWS.get(self.name)
+        if law is None:
+            raise CoreError(f"control law {self.name!r}: unknown; there are {', '.join(LAWS)}")
+        try:
+            return law.ordered(self.settings)
+        except ValueError as error:
+            raise CoreError(str(error)) from None
+
+    def mapping(self) -> dict[str, Any]:
+        """Return the ``rthyb_law_config`` of the C core as a mapping; raises ``CoreError``."""
+        return {
+            "parameters": self.values(),
+            "kind": LAWS[self.name].kind,
+            "adapts": self.adapts,
+            "rest_noise_m": self.rest_noise_m,
+        }
+
+
+@dataclass(frozen=True)
+class RfcConfig:
+    """Settings of the restoring-force compensator (Eqn 3.1-3.3); ``window`` is T0 in samples."""
+
+    k_e_n_per_m: float
+    enabled: bool = True
+    tangent: Tangent = "mean-of-ratios"
+    divisor: Divisor = "printed"
+    window: int = 51
+    end_tick: int = 2**63
+    rest_noise_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """Settings of the equation of motion and its integrator."""
+
+    integrator: Integrator
+    mass_kg: float = 0.0
+    damping_n_s_per_m: float = 0.0
+    stiffness_n_per_m: float = 0.0
+    k_e_n_per_m: float = 0.0
+    added_mass_kg: float = 0.0
+    rho_inf: float = 1.0
+    period_s: float = PERIOD_S
+
+
+Matrix = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class DenseConfig:
+    """Settings of a numerical part of n degrees of freedom, ``M a + C v + K x + e f = -load ag``.
+
+    ``mass_kg``, ``damping_n_s_per_m`` and ``stiffness_n_per_m`` (n, n) are the part's own,
+    symmetric; ``load_kg`` (n,). e is 1 at the interface, number ``at`` from 0. What is known of the
+    specimen goes into the coefficients of CR alone. ``force_delay``: samples by which the force is
+    used late, 0 or 1.
+    """
+
+    integrator: DenseIntegrator
+    mass_kg: Matrix
+    damping_n_s_per_m: Matrix
+    stiffness_n_per_m: Matrix
+    load_kg: tuple[float, ...]
+    at: int = 0
+    specimen_mass_kg: float = 0.0
+    specimen_damping_n_s_per_m: float = 0.0
+    k_e_n_per_m: float = 0.0
+    force_delay: int = 0
+    period_s: float = PERIOD_S
+
+    def struct(self) -> Any:
+        """Return the ``rthyb_dense_config`` of the C core.
+
+        Raises:
+            CoreError: the matrices are not square, not of one size, or too large.
+        """
+        n = len(self.load_kg)
+        names = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+        for name in names:
+            shape = np.shape(getattr(self, name))
+            if not 1 <= n <= DENSE_MAX or shape != (n, n):
+                raise CoreError(
+                    f"{name} is {shape} with {n} loads; both must have one size from 1 to "
+                    f"{DENSE_MAX}"
+                )
+        plain = mapping(self) | {"size": n}
+        flat = {name: [v for row in plain[name] for v in row] for name in names}
+        return ffi.new("rthyb_dense_config *", plain | flat)
+
+
+@dataclass(frozen=True)
+class ServoConfig:
+    """Settings of a virtual actuator; which of them count depends on ``kind``."""
+
+    kind: ServoKind
+    hold: Hold = "zoh"
+    period_s: float = PERIOD_S
+    delay_samples: float = 0.0
+    roll_off_hz: float = 0.0
+    natural_frequency_hz: float = 0.0
+    damping_ratio: float = 0.0
+    gain: float = 1.0
+    kp_per_s: float = 0.0
+    ki_per_s2: float = 0.0
+    valve_time_constant_s: float = 0.0
+    stall_force_n: float = 0.0
+    flow_limit_m_per_s: float = 0.0
+    oil_stiffness_n_per_m: float = 0.0
+    oil_damping_n_s_per_m: float = 0.0
+    moving_mass_kg: float = 0.0
+    friction_n: float = 0.0
+    friction_width_m_per_s: float = 0.0
+    viscous_n_s_per_m: float = 0.0
+    substeps: int = 16
+    valve_n_per_m_s3: float = 0.0
+    valve_b1_per_s: float = 0.0
+    valve_b2_per_s2: float = 0.0
+    velocity_feedback_n_s_per_m2: float = 0.0
+    leakage_per_s: float = 0.0
+    command_range_m: float = 0.0
+    command_lsb_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class SensorConfig:
+    """Errors of one sensor, in its own unit; 0 switches ``lsb`` and ``range`` off."""
+
+    noise_std: float = 0.0
+    lsb: float = 0.0
+    bias: float = 0.0
+    range: float = 0.0
+
+
+@dataclass(frozen=True)
+class ElementConfig:
+    """One element of the catalogue: its kind and its parameters in the core's order."""
+
+    kind: str
+    params: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class RigConfig:
+    """A virtual rig: actuator, specimen, sensors."""
+
+    servo: ServoConfig
+    elements: tuple[ElementConfig, ...] = ()
+    displacement: SensorConfig = SensorConfig()
+    force: SensorConfig = SensorConfig()
+    load_cell: LoadCell = "actuator-end"
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class ControllerConfig:
+    """All that one sample of the controller needs to know.
+
+    ``numerical`` takes the place of ``motion``, unless that is prescribed.
+    """
+
+    law: LawConfig
+    rfc: RfcConfig
+    motion: MotionConfig
+    lead_enabled: bool = True
+    period_s: float = PERIOD_S
+    x_range_m: float = 0.0
+    f_range_n: float = 0.0
+    velocity_limit_m_per_s: float = 0.0
+    acceleration_limit_m_per_s2: float = 0.0
+    clamp_m: float = 0.0
+    numerical: DenseConfig | None = None
+
+
+ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
+    "stiffness": ("k_n_per_m",),
+    "viscous": ("c_n_s_per_m",),
+    "coulomb": ("fc_n", "width_m_per_s"),
+    "stribeck": ("fc_n", "fs_n", "vs_m_per_s", "width_m_per_s"),
+    "lugre": (
+        "fc_n",
+        "fs_n",
+        "vs_m_per_s",
+        "sigma0_n_per_m",
+        "sigma1_n_s_per_m",
+        "sigma2_n_s_per_m",
+    ),
+    "quad_damping": ("c2_n_s2_per_m2",),
+    "inertia": ("m_kg",),
+    "gap": ("k_n_per_m", "gap_m"),
+    "cubic": ("k3_n_per_m3",),
+    "quadratic": ("k2_n_per_m2",),
+    "stopper": ("ks_n_per_m", "xs_m"),
+    "hysteresis": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta"),
+    "pinching": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta", "depth", "width_ratio"),
+    "degradation": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta", "loss", "travel_m"),
+    "maxwell": ("km_n_per_m", "tau_s"),
+    "second_mode": ("m2_kg", "f2_hz", "zeta2"),
+    "p_delta": ("gravity_load_n", "height_m"),
+    "gap_friction": ("k_n_per_m", "gap_m", "fc_up_n", "fc_down_n", "seat_m"),
+    "coulomb_uneven": ("fc_up_n", "fc_down_n", "width_m_per_s"),
+    "gap_uneven": ("k_up_n_per_m", "gap_up_m", "k_down_n_per_m", "gap_down_m"),
+    "power_damping": ("force_n", "at_m_per_s", "exponent", "width_m_per_s"),
+    "power_spring": ("force_n", "at_m", "exponent", "width_m"),
+    "pendulum": ("weight_n", "length_m"),
+    "friction_pendulum": (
+        "weight_n",
+        "radius_m",
+        "mu_slow",
+        "mu_fast",
+        "mu_rate_s_per_m",
+        "xy_m",
+    ),
+    "iwan": ("k_n_per_m", "post_yield_ratio", "xy_m", "spread"),
+    "menegotto_pinto": ("k_n_per_m", "post_yield_ratio", "xy_m", "r0", "cr1", "cr2"),
+    "chaboche": (
+        "k_n_per_m",
+        "fy_n",
+        "kinematic_n_per_m",
+        "recovery_per_m",
+        "isotropic_n",
+        "isotropic_rate_per_m",
+    ),
+    "rc_column": (
+        "k_n_per_m",
+        "post_yield_ratio",
+        "xy_m",
+        "eta",
+        "pivot",
+        "ultimate_m",
+        "strength_lost_at_ultimate",
+        "energy_j",
+        "strength_lost_with_energy",
+        "stiffness_lost_with_energy",
+        "slip",
+        "slip_level",
+        "slip_width",
+    ),
+}
+_ELEMENT_KIND: Final = {name: getattr(lib, f"RTHYB_{name.upper()}") for name in ELEMENT_PARAMS}
+
+
+def element(kind: str, /, **params: float) -> ElementConfig:
+    """Return an element of the catalogue from its parameters by name.
+
+    Raises ``CoreError`` for an unknown kind, a missing or a surplus parameter.
+    """
+    names = ELEMENT_PARAMS.get(kind)
+    if names is None:
+        raise CoreError(f"element {kind!r}: unknown; the catalogue has {', '.join(ELEMENT_PARAMS)}")
+    if set(params) != set(names):
+        raise CoreError(f"element {kind!r}: takes {', '.join(names)}, got {', '.join(params)}")
+    return ElementConfig(kind, tuple(float(params[name]) for name in names))
+
+
+def _value(name: str, value: Any) -> Any:
+    if isinstance(value, str):
+        return _OPTIONS[name][value]
+    if isinstance(value, LawConfig):
+        return value.mapping()
+    return mapping(value) if dataclasses.is_dataclass(value) else value
+
+
+def mapping(config: Any) -> dict[str, Any]:
+    given = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
+    return {name: _value(name, value) for name, value in given.items() if value is not None}
+
+
+def fill_part(slot: Any, config: DenseConfig | None) -> list[Any]:
+    """Have a controller compute with a numerical part of its own; return what must stay alive."""
+    if config is None:
+        return []
+    settings = config.struct()
+    state = ffi.new("rthyb_dense *")
+    slot.kind, slot.cfg, slot.state = lib.RTHYB_NUMERICAL_DENSE, settings, state
+    return [settings, state]
+
+
+def struct_of(ctype: str, config: Any) -> Any:
+    try:
+        return ffi.new(f"{ctype} *", mapping(config))
+    except OverflowError as error:
+        raise CoreError(
+            f"{type(config).__name__}: a whole number is out of range ({error})"
+        ) from error
+
+
+def rig_struct(config: RigConfig) -> Any:
+    if len(config.elements) > ELEMENTS_MAX:
+        raise CoreError(
+            f"a specimen has at most {ELEMENTS_MAX} elements, got {len(config.elements)}"
+        )
+    plain: Mapping[str, Any] = {k: v for k, v in mapping(config).items() if k != "elements"}
+    struct = ffi.new("rthyb_rig_config *", dict(plain))
+    struct.element_count = len(config.elements)
+    for i, item in enumerate(config.elements):
+        init_element(ffi.addressof(struct.elements, i), item)
+    return struct
+
+
+def init_element(slot: Any, config: ElementConfig) -> None:
+    kind = _ELEMENT_KIND.get(config.kind, -1)
+    target = slot if ffi.typeof(slot).kind == "pointer" else ffi.addressof(slot)
+    check(lib.rthyb_element_init(target, kind, list(config.params), len(config.params)))

@@ -1,0 +1,377 @@
+"""The thin face of the core's clock: latency histograms, the ticker, real-time threads.
+
+Names follow ``csrc/rthyb.h``, where the contract stands. Times are whole nanoseconds. Whatever
+waits does so without the GIL, and may be stopped, granted ticks or read from another thread.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from rthyb_rt import core
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.library import options
+from rthyb_rt.core.rows import RingMemory
+from rthyb_rt.errors import RthybError
+
+Clock = Literal["host", "stepped"]
+Payload = Literal["none", "sample", "exchange"]
+
+PERIOD_NS: Final = 1e9 / core.FS_HZ
+PRIORITY: Final = 80
+"""Of the tick thread: above interrupt threads, which have 50, below the kernel's own, 99."""
+TRIM_MAX_NS: Final[int] = lib.RTHYB_TRIM_MAX_NS
+LATENCY_DEVICE: Final = "/dev/cpu_dma_latency"
+
+_CLOCKS: Final = options("rthyb_clock", "RTHYB_CLOCK_")
+_PAYLOADS: Final = options("rthyb_payload", "RTHYB_PAYLOAD_")
+PRIVILEGES: Final[dict[str, int]] = {
+    "fifo": lib.RTHYB_P_FIFO,
+    "cpu": lib.RTHYB_P_CPU,
+    "memory_locked": lib.RTHYB_P_MEMORY,
+    "processors_awake": lib.RTHYB_P_AWAKE,
+    "signals_blocked": lib.RTHYB_P_SIGNALS,
+}
+
+
+class Latency:
+    """Histogram of times: exact below 32 ns, then in steps of 3 %; 69 s and more in one bucket.
+
+    It can be read while another thread records.
+    """
+
+    def __init__(self, c: Any = None, owner: Any = None) -> None:
+        self._c = ffi.new("rthyb_latency *") if c is None else c
+        self._owner = owner  # of the memory behind a given pointer
+
+    def record(self, ns: int) -> None:
+        """Take one time in; less than zero counts as zero."""
+        lib.rthyb_latency_record(self._c, ns)
+
+    def merge(self, other: Latency) -> None:
+        """Add what ``other`` has seen."""
+        lib.rthyb_latency_merge(self._c, other._c)
+
+    def copy(self) -> Latency:
+        """Return what was seen up to now, in memory of its own."""
+        result = Latency()
+        result.merge(self)
+        return result
+
+    def since(self, earlier: Latency) -> Latency:
+        """Return what was seen after ``earlier``, a copy of this one, was made.
+
+        The longest time is exact if it is a new record, else the end of its bucket.
+        """
+        result = self.copy()
+        c, before = result._c, earlier._c
+        for i in np.flatnonzero(earlier.buckets()).tolist():
+            c.bucket[i] -= before.bucket[i]
+        c.count -= before.count
+        c.sum_ns -= before.sum_ns
+        if c.max_ns == before.max_ns:
+            used = np.flatnonzero(result.buckets())
+            last = min(int(used[-1]) + 1, lib.RTHYB_LATENCY_BUCKETS) if used.size else 0
+            c.max_ns = min(int(lib.rthyb_latency_edge_ns(last)), before.max_ns)
+        return result
+
+    def percentile_ns(self, percent: float) -> int:
+        """Return what so many per cent of the times did not exceed, at most 3 % too high."""
+        return int(lib.rthyb_latency_percentile(self._c, percent / 100.0))
+
+    @property
+    def count(self) -> int:
+        """How many times were recorded."""
+        return int(self._c.count)
+
+    @property
+    def max_ns(self) -> int:
+        """The longest time, exactly."""
+        return int(self._c.max_ns)
+
+    @property
+    def mean_ns(self) -> float:
+        """The mean time, exactly; 0 without any."""
+        return self._c.sum_ns / self._c.count if self._c.count else 0.0
+
+    def buckets(self) -> npt.NDArray[np.uint64]:
+        """Return how many times lie in each bucket, (1025,); the last one has no upper end."""
+        raw = ffi.buffer(ffi.addressof(self._c, "bucket"), ffi.sizeof(self._c.bucket))
+        return np.frombuffer(raw, np.uint64).copy()
+
+    @staticmethod
+    def edges_ns() -> npt.NDArray[np.uint64]:
+        """Return where the buckets begin, (1025,)."""
+        count = lib.RTHYB_LATENCY_BUCKETS + 1
+        return np.array([lib.rthyb_latency_edge_ns(i) for i in range(count)], np.uint64)
+
+
+class Tick(NamedTuple):
+    """One tick that is to be executed; ``skipped`` ticks just before it were not."""
+
+    k: int
+    skipped: int
+    due_ns: int
+    woken_ns: int
+
+
+class Counts(NamedTuple):
+    """What a ticker has been through: executed + skipped == elapsed."""
+
+    elapsed: int
+    executed: int
+    skipped: int
+    longest_skip: int
+
+
+class Ticker:
+    """Due times t0 + k 1953125/2 ns, and what to do when one was slept through.
+
+    Raises ``core.CoreError`` for a ``t0_ns`` before the clock's own zero.
+    """
+
+    def __init__(self, clock: Clock = "host", t0_ns: int = 0) -> None:
+        self._c = ffi.new("rthyb_ticker *")
+        if lib.rthyb_ticker_init(self._c, _CLOCKS[clock], t0_ns):
+            raise core.CoreError(f"the first tick cannot be due at {t0_ns} ns: 0 or later is")
+        self._tick = ffi.new("rthyb_tick *")
+
+    def due_ns(self, k: int) -> int:
+        """Return when tick ``k`` is due, rounded down to a whole ns."""
+        return int(lib.rthyb_ticker_due_ns(self._c, k))
+
+    def wait(self) -> Tick | None:
+        """Wait for the next tick; None once the ticker was stopped."""
+        return self._taken() if lib.rthyb_ticker_wait(self._c, self._tick) else None
+
+    def woken(self, now_ns: int) -> Tick:
+        """Return the tick that a thread woken at ``now_ns`` has to execute."""
+        lib.rthyb_ticker_woken(self._c, now_ns, self._tick)
+        return self._taken()
+
+    def step(self) -> Tick:
+        """Return the next tick, without waiting."""
+        lib.rthyb_ticker_step(self._c, self._tick)
+        return self._taken()
+
+    def trim(self, ns: int) -> None:
+        """Move all later due times, by 195 ns at most."""
+        lib.rthyb_ticker_trim(self._c, ns)
+
+    def grant(self, ticks: int) -> None:
+        """Stepped clock: let so many more ticks run."""
+        lib.rthyb_ticker_grant(self._c, ticks)
+
+    def miss(self, ticks: int) -> None:
+        """Stepped clock: have the next tick skip so many first."""
+        lib.rthyb_ticker_miss(self._c, ticks)
+
+    def stop(self) -> None:
+        """Have `wait` return None, now and for ever."""
+        lib.rthyb_ticker_stop(self._c)
+
+    @property
+    def counts(self) -> Counts:
+        """Ticks so far."""
+        return _counts(self._c)
+
+    @property
+    def wake(self) -> Latency:
+        """Histogram of the wake-up latency: woken after the due time that was waited for."""
+        return Latency(ffi.addressof(self._c, "wake"), self._c)
+
+    def _taken(self) -> Tick:
+        tick = self._tick
+        return Tick(tick.k, tick.skipped, tick.due_ns, tick.woken_ns)
+
+
+def now_ns() -> int:
+    """Return CLOCK_MONOTONIC."""
+    return int(lib.rthyb_now_ns())
+
+
+# ---- real-time threads --------------------------------------------------------------------------
+
+
+def become_real_time(
+    priority: int = PRIORITY, cpu: int = -1, latency_fd: int = -1, stack_bytes: int = 1 << 16
+) -> list[str]:
+    """Make the calling thread, and no other, as punctual as the system lets it.
+
+    Args:
+        priority: of SCHED_FIFO, 1 to 99; 0 leaves the scheduling alone.
+        cpu: the processor to stay on; -1 leaves the choice to the kernel.
+        latency_fd: of an open `AwakeProcessors`; -1 without.
+        stack_bytes: stack to touch beforehand; it must be there.
+
+    Returns:
+        what was obtained, each looked up afterwards: names of `PRIVILEGES`.
+    """
+    return privilege_names(
+        lib.rthyb_thread_become_real_time(priority, cpu, latency_fd, stack_bytes)
+    )
+
+
+def privilege_names(bits: int) -> list[str]:
+    """Return the names of the privileges set in ``bits``."""
+    return [name for name, bit in PRIVILEGES.items() if bits & bit]
+
+
+def unlock_memory() -> None:
+    """Give back what real-time threads locked for the whole process."""
+    lib.rthyb_memory_unlock()
+
+
+class AwakeProcessors:
+    """Keeps all processors from sleeping while it is open, where the system permits."""
+
+    def __init__(self) -> None:
+        self.fd = -1
+
+    def __enter__(self) -> AwakeProcessors:
+        try:
+            self.fd = os.open(LATENCY_DEVICE, os.O_RDWR | os.O_CLOEXEC)
+            os.write(self.fd, bytes(4))
+        except OSError:
+            self._close()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._close()
+
+    def _close(self) -> None:
+        if self.fd >= 0:
+            os.close(self.fd)
+        self.fd = -1
+
+
+# ---- timing of two threads ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What one thread went through.
+
+    Attributes:
+        wake: from the due time to being awake.
+        sent: from being awake to the command being sent; empty without payload.
+        privileges: names of `PRIVILEGES` that the thread had.
+        lost: ticks without a fresh pair from the rig's thread.
+        not_sent: commands for which the socket had no room.
+        major_faults: pages that were read from disk.
+        minor_faults: pages that were found in memory.
+        blocked: times it gave the processor away other than by waiting for its tick.
+        preempted: times the processor was taken away.
+    """
+
+    counts: Counts
+    wake: Latency
+    sent: Latency
+    privileges: tuple[str, ...]
+    lost: int
+    not_sent: int
+    major_faults: int
+    minor_faults: int
+    blocked: int
+    preempted: int
+
+
+class JitterRun:
+    """A thread with a payload, timed beside a bare one of the same priority.
+
+    Args:
+        ticks: length of the run.
+        payload: "none"; "sample": one sample of controller and virtual rig; "exchange": the rig in
+            a thread of its own behind an AF_UNIX socket pair.
+        controller, rig, excitation: of the payload.
+        ring: takes the record of every sample.
+        priority, cpu, latency_fd: as in `become_real_time`.
+    """
+
+    def __init__(
+        self,
+        ticks: int,
+        payload: Payload = "none",
+        controller: core.ControllerConfig | None = None,
+        rig: core.RigConfig | None = None,
+        excitation: npt.ArrayLike = (),
+        ring: RingMemory | None = None,
+        *,
+        priority: int = PRIORITY,
+        cpu: int = -1,
+        latency_fd: int = -1,
+    ) -> None:
+        self._c = ffi.new("rthyb_jitter *")
+        self._c.payload = _PAYLOADS[payload]
+        self._c.priority, self._c.cpu, self._c.latency_fd = priority, cpu, latency_fd
+        self._c.ticks = ticks
+        self._excitation = np.ascontiguousarray(excitation, np.float64)
+        self._kept: list[object] = [ring]
+        self._c.ring = ffi.NULL if ring is None else ring.pointer
+        if controller is not None and rig is not None:
+            pair = core.Controller(controller), core.Rig(rig)
+            self._kept += pair
+            self._c.controller, self._c.rig = pair[0]._c, pair[1]._c
+            self._c.excitation = ffi.from_buffer("double[]", self._excitation)
+            self._c.excitation_count = self._excitation.size
+
+    def run(self) -> None:
+        """Start the threads and wait for their end, without the GIL.
+
+        Raises:
+            RthybError: the system refused a thread or a socket.
+        """
+        error = lib.rthyb_jitter_run(self._c)
+        if error:
+            raise RthybError(f"the threads to be timed were not started: {os.strerror(error)}")
+
+    def stop(self) -> None:
+        """End the run early; from any thread."""
+        lib.rthyb_jitter_stop(self._c)
+
+    @property
+    def elapsed(self) -> int:
+        """Ticks so far; while it runs, too."""
+        return _counts(ffi.addressof(self._c.measured, "ticker")).elapsed
+
+    @property
+    def measured(self) -> Timing:
+        """The thread that carried the payload."""
+        return self._timing(self._c.measured)
+
+    @property
+    def reference(self) -> Timing:
+        """The bare thread."""
+        return self._timing(self._c.reference)
+
+    def _timing(self, c: Any) -> Timing:
+        counts = _counts(ffi.addressof(c, "ticker"))
+        return Timing(
+            counts=counts,
+            wake=Latency(ffi.addressof(c.ticker, "wake"), self._c).copy(),
+            sent=Latency(ffi.addressof(c, "sent"), self._c).copy(),
+            privileges=tuple(privilege_names(c.privileges)),
+            lost=c.lost,
+            not_sent=c.not_sent,
+            major_faults=c.usage.major_faults,
+            minor_faults=c.usage.minor_faults,
+            blocked=max(c.usage.waits - counts.executed, 0),
+            preempted=c.usage.preemptions,
+        )
+
+
+def _counts(ticker: Any) -> Counts:
+    out = ffi.new("rthyb_ticker_counts *")
+    lib.rthyb_ticker_read(ticker, out)
+    return Counts(out.elapsed, out.executed, out.skipped, out.longest_skip)

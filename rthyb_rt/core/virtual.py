@@ -1,0 +1,78 @@
+"""A test in virtual time: station and virtual rig in one call, without clock and wire."""
+
+from __future__ import annotations
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.kernels import Rig
+from rthyb_rt.core.library import CoreError, FloatArray, RecordArray, reading, writing
+from rthyb_rt.core.rows import CHANNELS_MAX, records_pointer
+from rthyb_rt.core.station import COMMANDS, Command, Station
+
+
+class Virtual:
+    """A test in virtual time: a station and a virtual rig, without clock and wire.
+
+    Args:
+        station: states, limits, controller, ground motion.
+        rig: what moves and measures; the drive has the station's zero for its own.
+        stop_decel_m_per_s2: how the drive brakes by itself after a trip.
+        truth: the first two channels are what the sensors saw, without their errors: m and N.
+
+    Raises:
+        CoreError: the deceleration is not positive, or station and rig are not of one rate.
+    """
+
+    def __init__(
+        self,
+        station: Station,
+        rig: Rig,
+        stop_decel_m_per_s2: float = 1.0,
+        truth: bool = False,
+    ) -> None:
+        self.station, self.rig = station, rig
+        self._c = ffi.new("rthyb_virtual *")
+        self._ag = reading(station._ag)
+        self._c.station, self._c.rig = station._c, rig._c
+        self._c.ag_mps2, self._c.ag_count = self._ag, station._ag.size
+        self._c.stop_decel_m_per_s2, self._c.truth = stop_decel_m_per_s2, truth
+        error = lib.rthyb_virtual_init(self._c)
+        if error == lib.RTHYB_E_PERIOD:
+            raise CoreError(
+                f"the station ticks every {station._c.cfg.controller.period_s:g} s, the virtual "
+                f"rig every {rig._c.cfg.servo.period_s:g} s; they must be the same"
+            )
+        if error:
+            raise CoreError(
+                f"the drive brakes with {stop_decel_m_per_s2} m/s^2, more than 0 is needed"
+            )
+
+    def run(
+        self, records: RecordArray, command: Command = "none", channels: FloatArray | None = None
+    ) -> int:
+        """Fill ``records``, one a tick, the first tick with an operator's command.
+
+        Args:
+            records: takes them, (n,).
+            command: of the first tick.
+            channels: takes as many of each row's channels as it has columns, (n, count).
+
+        Returns:
+            how many were written: fewer where the state has become another, or a tare has failed.
+
+        Raises:
+            CoreError: ``channels`` has other rows than ``records``, or too many columns.
+        """
+        number, values, count = COMMANDS.index(command), ffi.NULL, 0
+        if channels is not None:
+            count = channels.shape[1]
+            if len(channels) != records.size or count > CHANNELS_MAX:
+                raise CoreError(
+                    f"channels {channels.shape} for {records.size} records; one row each, "
+                    f"{CHANNELS_MAX} columns at most"
+                )
+            values = writing(channels)
+        return int(
+            lib.rthyb_virtual_run(
+                self._c, number, records.size, records_pointer(records), values, count
+            )
+        )

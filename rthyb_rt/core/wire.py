@@ -1,0 +1,337 @@
+"""The thin face of the wire: numbers to frames and back, framing, bookkeeping.
+
+Every function and class is named after its counterpart in ``csrc/rthyb.h``, where the contract
+stands; `docs/wire.md` has the frames byte by byte. SI units: m, N. Nothing here does I/O: a link in
+C calls the same functions on the struct of `Wire`, a link in Python calls the methods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core import CoreError
+from rthyb_rt.core.library import words
+
+ACT_CMD: Final[int] = lib.RTHYB_ACT_CMD
+ACT_FB: Final[int] = lib.RTHYB_ACT_FB
+LC_FB: Final[int] = lib.RTHYB_LC_FB
+ID_EXTENDED: Final[int] = lib.RTHYB_ID_EXTENDED
+FRAME_MAX: Final[int] = lib.RTHYB_FRAME_MAX
+PACKET_MAX: Final[int] = lib.RTHYB_PACKET_MAX
+COBS_MAX: Final = 253
+"""Bytes that `cobs_encode` takes."""
+
+DEVICE_STOPPED: Final[int] = lib.RTHYB_DEVICE_STOPPED
+DEVICE_INVALID: Final[int] = lib.RTHYB_DEVICE_INVALID
+
+TOLD: Final[dict[int, str]] = {lib.RTHYB_TOLD_RESET: "RESET", lib.RTHYB_TOLD_LEAVING: "LEAVING"}
+"""What a command may say in the place of the controller's state, by its number."""
+
+LOST: Final[int] = lib.RTHYB_LOST
+_NOT_FINITE: Final[int] = lib.RTHYB_S_NOT_FINITE
+_WORD: Final = 0xFFFF_FFFF
+
+VERDICTS: Final = words("rthyb_verdict", "RTHYB_W_")
+
+
+def verdict_names(verdict: int) -> list[str]:
+    """Return the names of the bits set in a verdict."""
+    return [name for name, bit in VERDICTS.items() if verdict & bit]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One CAN frame, or bytes of the serial line (``id`` 0).
+
+    ``id`` is as in SocketCAN: `ID_EXTENDED` is added to a 29-bit identifier.
+    """
+
+    id: int
+    data: bytes
+    fd: bool = False
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """A command: displacement, sequence number, state of the controller (its number, or `TOLD`)."""
+
+    x_m: float
+    seq: int = 0
+    state: int = 0
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A sample of the drive, or the half of it that one frame holds (the other is ``None``)."""
+
+    x_m: float | None
+    f_n: float | None
+    echo: int = 0
+    count: int = 0
+    status: int = 0
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """What one tick has: the newest pair, fresh or not.
+
+    Attributes:
+        lost: 0 for a fresh pair, else `LOST` with the ``core.STATUS`` bits that refused a reading.
+        x_m, f_n: newest pair, 0 before the first.
+        echo, count, status: as the drive sent them.
+        delay: samples between the command for this tick and the one that the drive had applied at
+            the instant of the pair; ``None`` while that is not known.
+        age: ticks since the pair came.
+        samples: the drive's count, unwrapped.
+    """
+
+    lost: int
+    x_m: float
+    f_n: float
+    echo: int
+    count: int
+    status: int
+    delay: int | None
+    age: int
+    samples: int
+
+
+def crc8(data: bytes) -> int:
+    """Return CRC-8/SAE-J1850 (polynomial 0x1D, start and final exclusive-or 0xFF)."""
+    return int(lib.rthyb_crc8(data, len(data)))
+
+
+def crc16(data: bytes) -> int:
+    """Return CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF)."""
+    return int(lib.rthyb_crc16(data, len(data)))
+
+
+def cobs_encode(data: bytes) -> bytes:
+    """Return COBS of at most `COBS_MAX` bytes, with the 0 that ends the packet."""
+    if len(data) > COBS_MAX:
+        raise CoreError(f"a packet has at most {COBS_MAX} bytes, got {len(data)}")
+    out = ffi.new("uint8_t[]", len(data) + 2)
+    return bytes(ffi.buffer(out, lib.rthyb_cobs_encode(data, len(data), out)))
+
+
+class Codec:
+    """Numbers to frames and back: `CAN` (``hw/rthyb.dbc``), `SERIAL`, or a DBC's table.
+
+    A table comes from `rthyb_rt.core.dbc.load`. Raises ``CoreError`` for one that does not fit its
+    frames.
+
+    Attributes:
+        struct: the ``rthyb_codec`` of the C core.
+    """
+
+    def __init__(self, struct: Any) -> None:
+        if lib.rthyb_codec_check(struct):
+            raise CoreError("the table of signals does not fit its frames")
+        self.struct = struct
+        self._frames = ffi.new("rthyb_frame[2]")
+        self._sent = ffi.new("double *")
+        self._setpoint = ffi.new("rthyb_setpoint *")
+        self._reading = ffi.new("rthyb_reading *")
+
+    @classmethod
+    def of(cls, table: bytes) -> Codec:
+        """Return the codec that `table` is of; raises ``CoreError`` if it is of none."""
+        struct = ffi.new("rthyb_codec *")
+        if len(table) != ffi.sizeof(struct[0]):
+            raise CoreError("the table of signals is not one of this version")
+        ffi.memmove(struct, table, len(table))
+        return cls(struct)
+
+    @property
+    def table(self) -> bytes:
+        """All that it knows, for a recording."""
+        return bytes(ffi.buffer(self.struct))
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether frames are bytes of a serial line."""
+        return bool(self.struct.format == lib.RTHYB_WIRE_SERIAL)
+
+    @property
+    def command_id(self) -> int:
+        """Identifier of the command frame."""
+        return int(self.struct.command.id) if self._by_table else ACT_CMD
+
+    @property
+    def feedback_ids(self) -> tuple[int, ...]:
+        """Identifiers that a receive filter has to let through: one, or displacement and force."""
+        if not self._by_table:
+            return (ACT_FB, LC_FB)
+        return tuple(dict.fromkeys((self.struct.displacement.id, self.struct.force.id)))
+
+    @property
+    def is_fd(self) -> bool:
+        """Whether the bus has to be opened for CAN FD."""
+        messages = (self.struct.command, self.struct.displacement, self.struct.force)
+        return self._by_table and any(message.fd for message in messages)
+
+    @property
+    def has_status(self) -> bool:
+        """Whether a drive can say in its frames that it has stopped by itself."""
+        feedback = (self.struct.displacement, self.struct.force)
+        status = lib.RTHYB_FIELD_STATUS
+        return not self._by_table or any(part.field[status].length for part in feedback)
+
+    @property
+    def has_reset(self) -> bool:
+        """Whether a drive that has stopped by itself can be told to follow again."""
+        return not self._by_table or bool(self.struct.reset)
+
+    @property
+    def _by_table(self) -> bool:
+        return bool(self.struct.format == lib.RTHYB_WIRE_TABLE)
+
+    def encode_setpoint(self, setpoint: Setpoint) -> tuple[Frame, float]:
+        """Return a command's frame and the displacement as the drive will read it, m.
+
+        A displacement beyond what the frame holds becomes the nearest that it can. Raises
+        ``CoreError`` for one that is not finite: there is no such frame.
+        """
+        c = self._setpoint
+        c.x_m, c.seq, c.state = setpoint.x_m, setpoint.seq & _WORD, setpoint.state
+        if lib.rthyb_encode_setpoint(self.struct, c, self._frames, self._sent) & _NOT_FINITE:
+            raise CoreError(f"a command must be finite, got {setpoint.x_m}")
+        return _frame(self._frames[0]), self._sent[0]
+
+    def encode_feedback(self, reading: Reading) -> list[Frame]:
+        """Return the frames of one sample of the drive; both values are needed.
+
+        A value that is not finite is sent as "no number". Raises ``CoreError`` if the table cannot
+        say that.
+        """
+        if reading.x_m is None or reading.f_n is None:
+            raise CoreError("a sample of the drive has a displacement and a force")
+        c = self._reading
+        c.has = lib.RTHYB_HAS_X | lib.RTHYB_HAS_F
+        c.x_m, c.f_n = reading.x_m, reading.f_n
+        c.echo, c.count, c.status = reading.echo & _WORD, reading.count & _WORD, reading.status
+        n = lib.rthyb_encode_feedback(self.struct, c, self._frames)
+        if n == 0:
+            raise CoreError("the DBC has no value for a reading that is not finite")
+        return [_frame(self._frames[i]) for i in range(n)]
+
+    def decode_setpoint(self, frame: Frame) -> tuple[int, Setpoint]:
+        """Return the verdict on a frame (0: good) and the command in it."""
+        c = self._setpoint
+        verdict = lib.rthyb_decode_setpoint(self.struct, _fill(self._frames, frame), c)
+        return verdict, Setpoint(c.x_m, c.seq, c.state)
+
+    def decode_feedback(self, frame: Frame) -> tuple[int, Reading]:
+        """Return the verdict on a frame (0: good) and the reading in it."""
+        c = self._reading
+        verdict = lib.rthyb_decode_feedback(self.struct, _fill(self._frames, frame), c)
+        x_m = c.x_m if c.has & lib.RTHYB_HAS_X else None
+        f_n = c.f_n if c.has & lib.RTHYB_HAS_F else None
+        return verdict, Reading(x_m, f_n, c.echo, c.count, c.status)
+
+
+def can() -> Codec:
+    """Return the codec of ``hw/rthyb.dbc``."""
+    return Codec(ffi.new("rthyb_codec *", {"format": lib.RTHYB_WIRE_CAN}))
+
+
+def serial() -> Codec:
+    """Return the codec of the serial packets."""
+    return Codec(ffi.new("rthyb_codec *", {"format": lib.RTHYB_WIRE_SERIAL}))
+
+
+class Deframer:
+    """Finds packets in the bytes of a serial line: the drive's side, and listeners."""
+
+    def __init__(self) -> None:
+        self._c = ffi.new("rthyb_deframer *")
+        self._packet = ffi.new("rthyb_frame *")
+
+    def feed(self, data: bytes) -> Iterator[tuple[int, Frame]]:
+        """Yield verdict and packet for every 0 that ends something.
+
+        With the verdict ``packet`` the frame holds the bytes before the CRC; with any other it is
+        empty.
+        """
+        for byte in data:
+            verdict = lib.rthyb_deframer_byte(self._c, byte, self._packet)
+            if verdict == lib.RTHYB_W_PACKET:
+                yield verdict, _frame(self._packet)
+            elif verdict:
+                yield verdict, Frame(0, b"")
+
+
+class Wire:
+    """The controller's end: makes commands, pairs displacement with force, keeps count.
+
+    Raises ``CoreError`` for a codec whose table does not fit its frames.
+
+    Attributes:
+        codec: what the frames look like.
+        struct: the ``rthyb_wire`` of the C core; a link in C takes it over while it runs, and only
+            `counters` may then be asked.
+    """
+
+    def __init__(self, codec: Codec) -> None:
+        self.codec = codec
+        self.struct = ffi.new("rthyb_wire *")
+        if lib.rthyb_wire_init(self.struct, codec.struct):
+            raise CoreError("the table of signals does not fit its frames")
+        self._frame = ffi.new("rthyb_frame *")
+        self._sent = ffi.new("double *")
+        self._feedback = ffi.new("rthyb_feedback *")
+
+    def command(self, x_m: float, state: int) -> tuple[Frame, float]:
+        """Return the next command's frame and its displacement as the drive will read it, m.
+
+        Raises ``CoreError`` for a displacement that is not finite; no sequence number is used up.
+        """
+        code = lib.rthyb_wire_command(self.struct, x_m, state, self._frame, self._sent)
+        if code & _NOT_FINITE:
+            raise CoreError(f"a command must be finite, got {x_m}")
+        return _frame(self._frame), self._sent[0]
+
+    def receive(self, frame: Frame) -> int:
+        """Take a CAN frame in; return the verdict."""
+        return int(lib.rthyb_wire_receive(self.struct, _fill(self._frame, frame)))
+
+    def feed(self, data: bytes) -> int:
+        """Take bytes of the serial line in; return all verdicts together."""
+        return int(lib.rthyb_wire_feed(self.struct, data, len(data)))
+
+    def take(self) -> Feedback:
+        """Return the newest pair; once a tick, after all that came was taken in."""
+        c = self._feedback
+        lost = lib.rthyb_wire_take(self.struct, c)
+        return Feedback(
+            lost=lost,
+            x_m=c.x_m,
+            f_n=c.f_n,
+            echo=c.echo,
+            count=c.count,
+            status=c.status,
+            delay=None if c.delay < 0 else c.delay,
+            age=c.age,
+            samples=c.samples,
+        )
+
+    def counters(self) -> dict[str, int]:
+        """Return every counter of ``rthyb_wire_counters`` by name."""
+        counters = self.struct.counters
+        return {name: getattr(counters, name) for name, _ in ffi.typeof(counters).fields}
+
+
+def _frame(c: Any) -> Frame:
+    return Frame(c.id, bytes(ffi.buffer(c.data, c.length)), bool(c.fd))
+
+
+def _fill(c: Any, frame: Frame) -> Any:
+    """Write a frame into C memory; one too long for any frame keeps its length and no byte."""
+    target = c[0]
+    target.id, target.fd, target.length = frame.id, frame.fd, len(frame.data)
+    if len(frame.data) <= FRAME_MAX:
+        ffi.memmove(target.data, frame.data, len(frame.data))
+    return c

@@ -1,0 +1,138 @@
+"""How a test ends, in words and in exit codes."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.core import FLAGS, STATES, STATUS
+from rthyb_rt.errors import RthybError
+
+WORDS: Final[dict[str, str]] = {
+    "operator": "the operator",
+    "signal": "the operator",
+    "position": "position limit",
+    "velocity": "velocity limit",
+    "increment": "increment limit",
+    "force": "force limit",
+    "tracking": "tracking limit",
+    "indicator": "tracking indicator limit",
+    "energy": "energy error limit",
+    "rig_position": "position limit of the rig",
+    "rig_force": "force limit of the rig",
+    "lost_pairs": "too many lost pairs",
+    "skips": "too many skipped ticks",
+    "stalled": "this PC stalled",
+    "heartbeat": "the program was silent for a second",
+    "not_arrived": "for 10 s the command came no nearer to the end of its path; look at "
+    "its velocity and acceleration limits, and at the compensator",
+}
+_STOPPED: Final = "has stopped by itself, and may have to be released at its panel."
+REMEDIES: Final[dict[str, str]] = {
+    "link_lost": "No usable pair of displacement and force came for 20 ticks: look at cable, power "
+    f"and display of the drive; it {_STOPPED}",
+    "link_down": "The link itself went away: look at cable, adapter and interface, and release "
+    "the drive at its panel if it has to be.",
+    "drive_stopped": "The drive said that it had stopped by itself: its panel says why.",
+    "not_finite": "A value that is no number came from the drive or was computed: look at the "
+    "sensors first, then at the limits and the controller of the test.",
+    "sensor_stuck": "The displacement stood still while the command moved: look at the sensor and "
+    "its plug.",
+    "sensor_jump": "The displacement jumped farther than anything can move: look at the sensor and "
+    "its plug.",
+    "force_stuck": "The force stood still while the command moved: look at the load cell and its "
+    "plug.",
+    "force_jump": "The force jumped farther than the motion can change it: look at the load cell "
+    "and its plug.",
+    "lost_pairs": "Too many pairs of displacement and force were lost within a second: look at "
+    "cable, plugs and the load of the bus.",
+    "skips": "This PC was late too often: `rthyb jitter` says what to change.",
+    "stalled": "This PC stood still for 20 ticks: `rthyb jitter` says what to change.",
+    "heartbeat": "Something kept the program from working for a second, such as a full disk, a "
+    "suspended process or a debugger.",
+}
+"""What to do about an end that lies neither in the test nor in a limit of its motion."""
+TIMING_CAUSES: Final = ("skips", "stalled", "heartbeat")
+"""Causes that lie in this PC and not in the test."""
+
+_LOST_TICKS: Final = 20
+
+
+class TimingError(RthybError):
+    """This PC is not as punctual as the test demands."""
+
+    exit_code = 7
+
+
+class RefusedError(RthybError):
+    """A command that is not for the present state."""
+
+    exit_code = 5
+
+
+def in_words(cause: str) -> str:
+    """Return a cause as people say it."""
+    return WORDS.get(cause, cause.replace("_", " "))
+
+
+def end_reason(state: str, cause: str, *, moved: bool = True) -> str:
+    """Return in words how a test ended: "completed", or what took it off its course.
+
+    Args:
+        state: the last one.
+        cause: the station's.
+        moved: whether anything was on its way; else nothing can have been ramped out.
+    """
+    words = in_words(cause)
+    if state == "TRIPPED":
+        return f"tripped: {words}"
+    if cause == "operator":
+        return "stopped by the operator"
+    if cause == "completed":
+        return "completed"
+    if cause == "none":
+        return "ended before it began"
+    return f"ramped out: {words}" if moved else f"ended before anything moved: {words}"
+
+
+def remedy(cause: str, samples: NDArray[np.void]) -> str:
+    """Return what to do about an end; "" where that lies in the test, or the cause says it.
+
+    Args:
+        cause: the station's.
+        samples: rows of the test, (n,).
+    """
+    text = REMEDIES.get(cause, "")
+    return (_unusable(samples) or text) if cause == "link_lost" else text
+
+
+def _unusable(samples: NDArray[np.void]) -> str:
+    """Return what to do where readings came to the end, and none was fit for use; "": none came."""
+    tripped = samples["state"] == STATES.index("TRIPPED")
+    before = samples[: int(np.argmax(tripped))] if tripped.any() else samples
+    last = before[before["flags"] & FLAGS["blind"] == 0][-_LOST_TICKS:]
+    whole = last["flags"] & FLAGS["lost"] == 0
+    beyond = last["code"] & STATUS["out_of_range"] != 0
+    leapt = ~beyond & whole & (last["flags"] & FLAGS["predicted"] != 0)
+    if 2 * np.count_nonzero(beyond | leapt) < _LOST_TICKS:
+        return ""
+    if np.count_nonzero(leapt) > np.count_nonzero(beyond):
+        why = "the displacement leapt farther than anything can move; look at its sensor"
+    else:
+        why = (
+            "a sensor stood at the end of its range, or the drive called a reading invalid; look "
+            "at the sensors of displacement and force"
+        )
+    return (
+        f"Readings came, but for {_LOST_TICKS} ticks no usable pair{_as_it_came(last[whole])}: "
+        f"{why} and its plug. The drive {_STOPPED}"
+    )
+
+
+def _as_it_came(whole: NDArray[np.void]) -> str:
+    if not whole.size:
+        return ""
+    x_mm, f_kn = 1e3 * float(whole["x_read_m"][-1]), 1e-3 * float(whole["f_read_n"][-1])
+    return f" (the last one read {x_mm:.6g} mm and {f_kn:.6g} kN, before the tare)"

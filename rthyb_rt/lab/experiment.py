@@ -1,0 +1,684 @@
+"""One hybrid test from its files to the core's settings, and the recording as it begins."""
+
+from __future__ import annotations
+
+import datetime
+import functools
+import math
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import __version__, config, core, ground_motion
+from rthyb_rt.config import Derived, Limit, Limits, Rate, RigFile, TestFile
+from rthyb_rt.config import limits as limits_file
+from rthyb_rt.config import testfile as test_file
+from rthyb_rt.config.limits import VelocityLimit
+from rthyb_rt.config.rigfile import TOLERANCES, Link
+from rthyb_rt.errors import InputError
+from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.record import recording
+
+REFERENCE_DTYPE = np.dtype([("x_ref_m", "<f8"), ("v_ref_mps", "<f8"), ("f_ref_n", "<f8")])
+
+Progress = Callable[[int, int], None]
+
+_A = TypeVar("_A")
+_B = TypeVar("_B")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A test with every figure resolved, ready to run.
+
+    Attributes:
+        test, rig, derived: the files, the test with every default written out, and what follows.
+        motion: the scaled record before resampling.
+        ag_mps2: ground acceleration at every tick of the test, shape (n,).
+        controller, virtual_rig: settings of the core.
+        notes: what the user should know and need not act on.
+        reference: the reference simulation as the test file wants it, shape (n,).
+        channels: named values that its rows have beside the record.
+    """
+
+    test: TestFile
+    rig: RigFile
+    derived: Derived
+    motion: GroundMotion
+    ag_mps2: NDArray[np.float64]
+    controller: core.ControllerConfig
+    virtual_rig: core.RigConfig
+    notes: tuple[str, ...] = ()
+    reference: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, REFERENCE_DTYPE))
+    channels: tuple[core.Channel, ...] = ()
+
+    @property
+    def ticks(self) -> int:
+        """Length of the test in samples."""
+        return int(self.ag_mps2.size)
+
+    @property
+    def rate(self) -> Rate:
+        """Sample rate of the test."""
+        return self.derived.rate
+
+
+def prepare(
+    test: TestFile,
+    rig: RigFile,
+    *,
+    real_time: bool = False,
+    record: GroundMotion | None = None,
+) -> Setup:
+    """Read the ground motion and work out every setting of the core.
+
+    Args:
+        test, rig: the two files.
+        real_time: the test will run over a link, where limits that no file states act as well: a
+            note names them.
+        record: the ground motion as it was read already, not cut, not scaled; None reads it.
+
+    Raises:
+        InputError: with what is wrong in the files, the record, or between them.
+    """
+
+    def read() -> GroundMotion:
+        return load_motion(test) if record is None else record
+
+    if real_time:
+        _refuse_other_rate(test)
+    derived, whole = _both(lambda: config.derive(test, rig), read)
+    test = config.resolve(test, derived)
+    baseline = ground_motion.baseline_check(whole)
+    motion = _cut_and_scale(whole, test.ground_motion)
+    lasts_s = test.test.duration_s
+    if lasts_s is None:
+        lasts_s = motion.duration_s + test.test.free_vibration_s
+    ag = ground_motion.resample(
+        motion, derived.fs_hz, method=test.ground_motion.interpolation, duration_s=lasts_s
+    )
+    end_tick = round(min(motion.duration_s, lasts_s) * derived.fs_hz)
+    setup = Setup(
+        test=test,
+        rig=rig,
+        derived=derived,
+        motion=motion,
+        ag_mps2=ag,
+        controller=controller_config(test, rig, derived, end_tick),
+        virtual_rig=rig_config(rig, derived.fs_hz),
+        notes=derived.notes + (() if baseline.ok else (f"ground motion: {baseline.message}",)),
+    )
+    try:
+        core.Controller(setup.controller)
+        core.Rig(setup.virtual_rig)
+        expected = reference(setup)
+    except core.CoreError as error:
+        # The files' own checks come first; what is left is a combination that they do not know.
+        raise InputError(
+            f"{error}; look at the largest and smallest values of both files",
+            f'test "{test.test.name}" on rig "{rig.rig.name}"',
+        ) from error
+    setup = follow_reference(replace(setup, reference=expected))
+    derived_notes = _derived_notes(setup.derived.limits) if real_time else []
+    notes = (*setup.notes, *_range_notes(rig, expected), *derived_notes)
+    return replace(setup, notes=notes)
+
+
+def _refuse_other_rate(test: TestFile) -> None:
+    hz = test.test.sample_rate_hz
+    if hz != core.FS_HZ:
+        raise InputError(
+            f"found {hz:g} Hz; a test in real time goes at {core.FS_HZ:g} Hz, and other rates are "
+            "for virtual time; leave the key out (or --set test.sample_rate_hz="
+            f"{core.FS_HZ:g}), or run it without --realtime",
+            "test.sample_rate_hz",
+        )
+
+
+def follow_reference(setup: Setup) -> Setup:
+    """Fill in what limits follow from the reference simulation, as far as no file says them.
+
+    Args:
+        setup: the test with its reference, and the limits of its files.
+    """
+    derived, h = setup.derived, setup.rate.period_s
+    x_m = setup.reference["x_ref_m"]
+    sent_m = core.Law(setup.controller.law, period_s=h).run(x_m) if derived.plc_enabled else x_m
+    limits = limits_file.with_reference(
+        derived.limits,
+        float(np.abs(np.diff(sent_m)).max(initial=0.0)) / h,
+        float(np.abs(np.diff(x_m, 2)).max(initial=0.0)) / h**2,
+    )
+    derived = replace(derived, limits=_with_sensors(setup.rig, limits, setup.rate, setup.reference))
+    return replace(setup, derived=derived, test=config.resolve(setup.test, derived))
+
+
+def _with_sensors(
+    rig: RigFile,
+    limits: limits_file.Resolved,
+    rate: Rate,
+    expected: NDArray[np.void] | None = None,
+) -> limits_file.Resolved:
+    """Fill in the limits that follow from sensors and link, and from a reference."""
+    peak, step = 0.0, 0.0
+    if expected is not None:
+        peak = float(np.abs(expected["v_ref_mps"]).max(initial=0.0))
+        step = float(np.abs(np.diff(expected["f_ref_n"])).max(initial=0.0))
+    found = config.derived_limits(rig, limits, peak, step, rate)
+    return replace(limits, derived={**limits.derived, **found})
+
+
+def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
+    """Name the sensors that the reference simulation already drives to their stop."""
+    displacement, force = rig.sensors.displacement, rig.sensors.force
+    channels = (
+        ("displacement.range_m", displacement.range_m, displacement.bias_m, "x_ref_m", "mm", 1e3),
+        ("force.range_n", force.range_n, force.bias_n, "f_ref_n", "kN", 1e-3),
+    )
+    notes = []
+    for key, reach, bias, column, unit, factor in channels:
+        peak = float(np.abs(expected[column] + bias).max())
+        if reach is not None and peak >= reach:
+            notes.append(
+                f"sensors.{key} = {reach * factor:g} {unit} is less than the peak of "
+                f"{peak * factor:.3g} {unit} that the reference simulation brings: samples beyond "
+                "it are lost; take a sensor of longer range, or less ground motion"
+            )
+    return notes
+
+
+def _derived_notes(limits: limits_file.Resolved) -> list[str]:
+    """Name the velocity limit that the test has for want of one in its files."""
+    velocity = limits.derived.get("command_velocity_m_per_s")
+    if velocity is None:
+        return []
+    return [
+        "neither test nor rig has limits.command_velocity_m_per_s: at a link the command is held "
+        f"to {velocity.value:.3g} m/s, {limits_file.VELOCITY_MARGIN:g} times the peak velocity of "
+        "the compensated reference, and twice the velocity of ramps at least; set it in the rig "
+        "file"
+    ]
+
+
+def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
+    """Return what both give, or raise the faults of both at once."""
+    try:
+        a = first()
+    except InputError as error:
+        try:
+            second()
+        except InputError as other:
+            raise InputError([*error.problems, *other.problems]) from None
+        raise
+    return a, second()
+
+
+def load_motion(test: TestFile) -> GroundMotion:
+    """Read the ground motion that a test names, as it stands in its file."""
+    wanted = test.ground_motion
+    return ground_motion.load(
+        wanted.record, format=wanted.format, units=wanted.units, channel=wanted.channel
+    )
+
+
+def _cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotion) -> GroundMotion:
+    if wanted.start_s or wanted.duration_s is not None:
+        motion = motion.window(wanted.start_s, wanted.duration_s)
+    if wanted.pga_g is not None:
+        return motion.scaled(pga_g=wanted.pga_g)
+    return motion if wanted.factor is None else motion.scaled(factor=wanted.factor)
+
+
+_PRESCRIBED: Final = """schema = "rthyb-test/1"
+test = {{ name = "{name}", description = "prescribed motion, not a test" }}
+numerical = {{ period_s = 1, damping_ratio = 0 }}
+controller = {{ type = "none" }}
+"""
+
+
+def prescribed(rig: RigFile, name: str, path_m: NDArray[np.float64]) -> Setup:
+    """Return a displacement that is followed as it stands, as the setup of a test.
+
+    Args:
+        rig: whose limits hold.
+        name: what it is for.
+        path_m: displacement at every tick, (n,).
+
+    Raises:
+        InputError: the rig file's own figures do not fit together.
+    """
+    test = config.parse_test(_PRESCRIBED.format(name=name), name)
+    derived = config.derive(test, rig)
+    derived = replace(derived, limits=_with_sensors(rig, derived.limits, derived.rate))
+    test = config.resolve(test, derived)
+    controller = controller_config(test, rig, derived, path_m.size)
+    return Setup(
+        test=test,
+        rig=rig,
+        derived=derived,
+        motion=GroundMotion("none", name, derived.rate.period_s, np.zeros(1)),
+        ag_mps2=path_m,
+        controller=replace(
+            controller,
+            motion=core.MotionConfig("prescribed", period_s=derived.rate.period_s),
+        ),
+        virtual_rig=rig_config(rig, derived.fs_hz),
+    )
+
+
+# ---- from the files' terms to the core's --------------------------------------------------------
+
+
+def controller_config(
+    test: TestFile, rig: RigFile, derived: Derived, end_tick: int
+) -> core.ControllerConfig:
+    """Return the core's settings; ``end_tick`` is t_ex, where stage 3 of the RFC begins."""
+    wanted, limits = test.controller, test.limits
+    sensors, velocity = rig.sensors, limits.command_velocity_m_per_s
+    return core.ControllerConfig(
+        lead_enabled=derived.plc_enabled,
+        law=law_config(test, derived),
+        rfc=core.RfcConfig(
+            k_e_n_per_m=derived.k_e_n_per_m,
+            enabled=derived.rfc_enabled,
+            tangent=cast(core.Tangent, derived.tangent),
+            divisor=wanted.rfc.divisor,
+            window=derived.window_samples,
+            end_tick=end_tick,
+            rest_noise_m=derived.rest_noise_displacement_m,
+        ),
+        motion=motion_config(test, derived),
+        numerical=derived.structure.part if derived.structure is not None else None,
+        x_range_m=sensors.displacement.range_m or 0.0,
+        f_range_n=sensors.force.range_n or 0.0,
+        velocity_limit_m_per_s=velocity.value if velocity and velocity.enable else 0.0,
+        acceleration_limit_m_per_s2=limits.command_acceleration_m_per_s2 or 0.0,
+        period_s=derived.rate.period_s,
+    )
+
+
+def law_config(test: TestFile, derived: Derived) -> core.LawConfig:
+    """Return the control law with all its settings."""
+    return core.LawConfig(
+        name=test.controller.type,
+        settings=dict(derived.law_settings),
+        adapts=derived.estimator_enabled,
+        rest_noise_m=derived.rest_noise_displacement_m,
+    )
+
+
+def motion_config(test: TestFile, derived: Derived) -> core.MotionConfig:
+    """Return the settings of the numerical part's equation of motion."""
+    return core.MotionConfig(
+        integrator=test.numerical.integrator,
+        mass_kg=derived.mass_kg,
+        damping_n_s_per_m=derived.damping_n_s_per_m,
+        stiffness_n_per_m=test.numerical.stiffness_n_per_m,
+        k_e_n_per_m=derived.k_e_n_per_m,
+        rho_inf=test.numerical.rho_inf,
+        period_s=derived.rate.period_s,
+    )
+
+
+WATCHES: Final[dict[str, str]] = {
+    "command_position_m": "position",
+    "command_velocity_m_per_s": "velocity",
+    "command_increment_m": "increment",
+    "force_n": "force",
+    "tracking_error_m": "tracking",
+    "tracking_indicator_slope_m2_per_s": "indicator",
+    "energy_error_j": "energy",
+    "sensor_stuck_samples": "sensor_stuck",
+    "sensor_jump_m": "sensor_jump",
+    "force_stuck_samples": "force_stuck",
+    "force_jump_n": "force_jump",
+    "lost_pairs_share": "lost_pairs",
+    "lost_pairs_warning_share": "lost_warning",
+    "skipped_ticks_share": "skips",
+    "skipped_ticks_warning_share": "skip_warning",
+}
+"""What the station calls the limits of the files."""
+RIG_WATCHES: Final = {key: f"rig_{WATCHES[key]}" for key in limits_file.BEFORE_TARE}
+"""And those of the rig file that act before the tare."""
+_TIMED: Final[dict[str, Callable[[Rate, float], float]]] = {
+    "command_increment_m": Rate.increment,
+    "sensor_stuck_samples": Rate.samples,
+    "force_stuck_samples": Rate.samples,
+    "sensor_jump_m": Rate.leap,
+    "force_jump_n": Rate.leap,
+}
+"""Limits that a file counts in samples of 1/1024 s, and what they are at another rate."""
+
+
+def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
+    """Return the settings of the station: states, limits and paths around the controller.
+
+    Args:
+        setup: the test.
+        real: there is a link, and something behind it that may break: limits that are derived, and
+            that no file states, act as they say. Else they only indicate.
+    """
+    limits, resolved, rate = setup.test.limits, setup.derived.limits, setup.rate
+    given = {cause: _watched(limits, resolved, key, real) for key, cause in WATCHES.items()}
+    # Those that are derived are of the test's own samples already.
+    stated = {WATCHES[key] for key in _TIMED if getattr(limits, key) is not None}
+    keys = {cause: key for key, cause in WATCHES.items()}
+    for key, cause in RIG_WATCHES.items():
+        given[cause] = getattr(setup.rig.limits, key)
+        if resolved.sources.get(key) != "test":
+            given[WATCHES[key]] = None
+    controller = setup.controller
+    velocity = resolved.derived.get("command_velocity_m_per_s")
+    if velocity is not None and real:
+        controller = replace(controller, velocity_limit_m_per_s=float(velocity.value))
+    return core.StationConfig(
+        controller=controller,
+        watches={
+            cause: core.Watch(
+                at_rate(keys[cause], limit.value, rate) if cause in stated else float(limit.value),
+                limit.action,
+            )
+            for cause, limit in given.items()
+            # Switched off is not left out: the station has its own for skipped ticks.
+            if limit is not None and (limit.acts or cause == "skips")
+        },
+        path_velocity_m_per_s=resolved.path_velocity_m_per_s,
+        path_acceleration_m_per_s2=resolved.path_acceleration_m_per_s2,
+        brake_acceleration_m_per_s2=resolved.brake_acceleration_m_per_s2 or 0.0,
+        rest_spread_m=resolved.rest_spread_m,
+        tare_most_m=_tare_most(setup, "command_position_m"),
+        tare_most_n=_tare_most(setup, "force_n"),
+        tare_ticks=rate.ticks(resolved.tare_s),
+        ramp_in_ticks=rate.ticks(resolved.ramp_in_s),
+        armed_ticks=rate.ticks(resolved.armed_timeout_s),
+    )
+
+
+def at_rate(key: str, value: float, rate: Rate) -> float:
+    """Return what a file's limit comes to at a rate, in samples of that."""
+    timed = _TIMED.get(key)
+    value = float(value) if timed is None else timed(rate, float(value))
+    return float(max(2, round(value))) if key.endswith("_samples") else value
+
+
+def _tare_most(setup: Setup, key: str) -> float:
+    """Return how large a tare may be beside the rig's own limit; 0: any."""
+    limit: Limit | None = getattr(setup.rig.limits, key)
+    if limit is None or not limit.acts:
+        return 0.0
+    return setup.derived.limits.tare_share_most * limit.value
+
+
+def _watched(limits: Limits, resolved: limits_file.Resolved, key: str, real: bool) -> Limit | None:
+    """Return a limit as a file states it, else as it is derived."""
+    given: Limit | None = getattr(limits, key)
+    derived = resolved.derived.get(key)
+    # A velocity limit acts by itself, whatever its action.
+    acts = derived is not None and (derived.ends or isinstance(derived, VelocityLimit))
+    if given is not None or derived is None or real or not acts:
+        return derived if given is None else given
+    return derived.model_copy(update={"action": "indicate"})
+
+
+def first_parameters(setup: Setup, station: core.StationConfig) -> dict[str, Any]:
+    """Return the settings that a recording begins with, generation 0 of its parameters.
+
+    All of them, so that a replay has nothing to derive: another version may derive it otherwise.
+    """
+    values = {"rfc_end_tick": setup.controller.rfc.end_tick, "station": station.plain()}
+    return {"generation": 0, "tick": 0, "values": values}
+
+
+def calibration(rig: RigFile) -> core.Calibration:
+    """Return the six factors between the wire and the structure.
+
+    The channels of the rig file lead from the wire to the specimen, its similitude from there to
+    the structure; a command goes the same way back.
+    """
+    given = rig.calibration
+    x, f, command = given.displacement, given.force, given.command or given.displacement
+    length, force = given.similitude.length, given.similitude.force
+    return core.Calibration(
+        x_gain=length * x.gain,
+        x_offset_m=length * x.offset_m,
+        f_gain=force * f.gain,
+        f_offset_n=force * f.offset_n,
+        cmd_gain=1.0 / (length * command.gain),
+        cmd_offset_m=0.0 - command.offset_m / command.gain,
+    )
+
+
+def stop_decel_m_per_s2(rig: RigFile) -> float:
+    """Return how a rig's drive brakes by itself; without a link as it would behind one."""
+    default: float = Link.model_fields["stop_decel_m_per_s2"].default
+    return default if rig.link is None else rig.link.stop_decel_m_per_s2
+
+
+def rig_config(rig: RigFile, fs_hz: float = core.FS_HZ) -> core.RigConfig:
+    """Return the virtual rig that a rig file describes, at a sample rate."""
+    displacement, force = rig.sensors.displacement, rig.sensors.force
+    return core.RigConfig(
+        servo=_servo_config(rig, Rate(fs_hz)),
+        elements=specimen_elements(rig),
+        displacement=core.SensorConfig(
+            displacement.noise_std_m,
+            displacement.lsb_m,
+            displacement.bias_m,
+            displacement.range_m or 0.0,
+        ),
+        force=core.SensorConfig(force.noise_std_n, force.lsb_n, force.bias_n, force.range_n or 0.0),
+        load_cell=rig.rig.load_cell,
+        seed=rig.rig.seed,
+    )
+
+
+def _servo_config(rig: RigFile, rate: Rate) -> core.ServoConfig:
+    """Translate the actuator; whatever its kind, transport is the core's ``delay_samples``.
+
+    Its substeps are those of a sample of 1/1024 s: at another rate they are as long.
+    """
+    given = rig.actuator.model_dump(exclude=set(TOLERANCES))
+    samples = given.pop("delay_samples", 0) + given.pop("extra_delay_samples", 0)
+    delay = rate.samples(samples) + given.pop("delay_s", 0.0) * rate.hz
+    if "substeps" in given:
+        given["substeps"] = math.ceil(given["substeps"] / rate.pace)
+    return core.ServoConfig(
+        hold=rig.rig.command_hold, period_s=rate.period_s, delay_samples=float(delay), **given
+    )
+
+
+def specimen_elements(rig: RigFile) -> tuple[core.ElementConfig, ...]:
+    """Return the specimen's elements with their parameters in the core's order."""
+    elements = []
+    for item in rig.specimen:
+        values = item.model_dump()
+        kind = values.pop("element")
+        elements.append(core.element(kind, **{k: values[k] for k in core.ELEMENT_PARAMS[kind]}))
+    return tuple(elements)
+
+
+# ---- the reference simulation -------------------------------------------------------------------
+
+
+def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.void]:
+    """Simulate the same structure with the specimen joined to it: no actuator, no sensor.
+
+    Args:
+        setup: the test.
+        table_forces: include what a load cell at the actuator's end also sees of the table (moving
+            mass, friction, viscous force); None takes ``reference.table_forces`` of the test file.
+
+    Returns:
+        ``x_ref_m``, ``v_ref_mps``, ``f_ref_n`` at every tick, shape (n,).
+    """
+    elements = _reference_elements(setup, table_forces)
+    if setup.derived.structure is not None:
+        return _rows_of_reference(*setup.derived.structure.reference(elements, setup.ag_mps2))
+    rigid = [e for e in elements if e.kind not in _IMPLICIT]
+    motion = motion_config(setup.test, setup.derived)
+    # As a force, mass would need the acceleration that it decides, and a damper the velocity: both
+    # go where the integrator treats them implicitly.
+    motion = replace(
+        motion,
+        added_mass_kg=sum(e.params[0] for e in elements if e.kind == "inertia"),
+        damping_n_s_per_m=motion.damping_n_s_per_m
+        + sum(e.params[0] for e in elements if e.kind == "viscous"),
+    )
+    return _rows_of_reference(*core.Motion(motion).reference(rigid, setup.ag_mps2))
+
+
+def _rows_of_reference(
+    x: NDArray[np.float64], v: NDArray[np.float64], force: NDArray[np.float64]
+) -> NDArray[np.void]:
+    result = np.zeros(x.size, dtype=REFERENCE_DTYPE)
+    result["x_ref_m"], result["v_ref_mps"], result["f_ref_n"] = x, v, force
+    return result
+
+
+_IMPLICIT: Final = ("inertia", "viscous")
+"""Elements that the reference joins to the structure's own mass and damping."""
+
+
+def _reference_elements(setup: Setup, table_forces: bool | None) -> list[core.ElementConfig]:
+    elements = list(specimen_elements(setup.rig))
+    if setup.test.reference.table_forces if table_forces is None else table_forces:
+        elements += table_elements(setup.rig)
+    return elements
+
+
+def reference_elements(setup: Setup) -> list[core.ElementConfig]:
+    """Return what the force of the reference simulation comes from."""
+    return [e for e in _reference_elements(setup, None) if e.kind not in _IMPLICIT]
+
+
+def table_elements(rig: RigFile) -> list[core.ElementConfig]:
+    """Return what a load cell at the actuator's end sees of the table besides the specimen."""
+    actuator = rig.actuator
+    if actuator.kind != "servo-hydraulic" or rig.rig.load_cell != "actuator-end":
+        return []
+    return [
+        core.element("inertia", m_kg=actuator.moving_mass_kg),
+        core.element("viscous", c_n_s_per_m=actuator.viscous_n_s_per_m),
+        core.element(
+            "coulomb", fc_n=actuator.friction_n, width_m_per_s=actuator.friction_width_m_per_s
+        ),
+    ]
+
+
+# ---- the recording ------------------------------------------------------------------------------
+
+
+def blank(setup: Setup, clock: str) -> recording.Recording:
+    """Return the recording of a test as it is before its first sample.
+
+    Args:
+        setup: the test.
+        clock: what the test goes by: "virtual", or a clock of `rthyb_rt.core.ticker`.
+    """
+    return recording.Recording(
+        samples=np.zeros(0, dtype=core.row_dtype(setup.channels)),
+        channels=setup.channels,
+        fs_hz=setup.derived.fs_hz,
+        ag_mps2=setup.ag_mps2,
+        ground_motion=_provenance(setup),
+        reference=setup.reference,
+        test_toml=config.dump(setup.test),
+        rig_toml=config.dump(setup.rig),
+        meta={
+            **core.build_facts(),
+            "rthyb_version": __version__,
+            "git_hash": _git_hash(),
+            "created_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "test_name": setup.test.test.name,
+            "clock": clock,
+            "end_reason": "unknown",
+            "interrupted": False,
+        },
+    )
+
+
+def _provenance(setup: Setup) -> dict[str, Any]:
+    motion = setup.motion
+    return {
+        **dict(motion.details),
+        "name": motion.name,
+        "source": motion.source,
+        "pga_g": motion.pga_g,
+        "interpolation": setup.test.ground_motion.interpolation,
+    }
+
+
+@functools.cache
+def _git_hash() -> str:
+    """Return the commit of the checkout that this package runs from, or "" for an installed one."""
+    root = Path(__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return ""
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return answer.stdout.strip()
+
+
+# ---- replay -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What came of running a recording's inputs through this core again.
+
+    Attributes:
+        identical: every computed field agrees bit for bit.
+        rows: rows compared.
+        first_row, field: where it departs first, None when it does not.
+        largest: largest difference by field, for the fields that differ, in the field's unit.
+        same_build: the core that recorded is the core that replays: of the same sources, made by
+            the same compiler for the same architecture.
+    """
+
+    identical: bool
+    rows: int
+    first_row: int | None
+    field: str | None
+    largest: dict[str, float]
+    same_build: bool
+
+
+def compare(rec: recording.Recording, again: core.RecordArray) -> Replay:
+    """Compare every field that was recorded with the rows that were computed again, shape (n,)."""
+    samples = rec.samples
+    first_row: int | None = None
+    first_field: str | None = None
+    largest: dict[str, float] = {}
+    # What its version did not record yet was derived from the rest.
+    for name in recording.fields_of(rec.version):
+        recorded, computed = samples[name], again[name]
+        # Bits, not values: -0.0 is not 0.0 here, and a NaN equals itself.
+        differs = np.nonzero(recorded.view(_bits(name)) != computed.view(_bits(name)))[0]
+        if not differs.size:
+            continue
+        with np.errstate(invalid="ignore", over="ignore"):
+            gap = np.abs(recorded.astype(np.float64) - computed.astype(np.float64))[differs]
+        largest[name] = float(np.max(np.where(np.isnan(gap), np.inf, gap)))
+        if first_row is None or differs[0] < first_row:
+            first_row, first_field = int(differs[0]), name
+    facts = core.build_facts()
+    return Replay(
+        identical=first_row is None,
+        rows=int(samples.size),
+        first_row=first_row,
+        field=first_field,
+        largest=largest,
+        same_build=all(rec.meta.get(key) == value for key, value in facts.items()),
+    )
+
+
+def _bits(name: str) -> str:
+    return f"u{core.RECORD_DTYPE[name].itemsize}"

@@ -1,0 +1,151 @@
+"""A whole test, from the first reading back to rest, whatever happens on the way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rthyb_rt import core
+from rthyb_rt.core.loop import Clock
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab.endings import RefusedError
+from rthyb_rt.lab.experiment import Progress, Setup
+from rthyb_rt.lab.realtime.conductor import FEEDBACK_S
+from rthyb_rt.lab.realtime.keeper import RECORDER_PERIOD_S
+from rthyb_rt.lab.realtime.session import Session
+from rthyb_rt.lab.realtime.telling import Teller
+from rthyb_rt.lab.sequence import Operator, Sequence
+from rthyb_rt.record.recording import Recording
+
+if TYPE_CHECKING:
+    from rthyb_rt.rig.links.opened import Opened
+
+_LOCK_S = 20.0
+_STANDS_S = 2.0
+"""A drive that follows nobody for so long, though commands come, does not follow at all."""
+_STANDS_RESET_S = 0.25
+"""The same where it may be reset: too early does no harm."""
+
+
+def run(
+    setup: Setup,
+    opened: Opened,
+    *,
+    clock: Clock = "host",
+    folder: Path | None = None,
+    before_tick: Callable[[], None] | None = None,
+    progress: Progress | None = None,
+    operator: Operator | None = None,
+    hold_s: float = math.inf,
+    require_realtime: bool = False,
+    warn: Callable[[str], None] = lambda _: None,
+    save: Callable[[Recording], None] | None = None,
+    station: core.StationConfig | None = None,
+    facts: Mapping[str, Any] | None = None,
+    resets: bool = False,
+    heard: Callable[[Session], None] = lambda _: None,
+    zeroed: Callable[[Session], None] = lambda _: None,
+) -> Recording:
+    """Conduct a test: zero, arm, start, and back to rest, whatever happens on the way.
+
+    Args:
+        setup: the test.
+        opened: the link to the drive; stays the caller's.
+        clock, folder, before_tick: as in `Session`.
+        progress: called with (ticks done, ticks of the test) now and then.
+        operator: asks for a stop.
+        hold_s: how long a held test stands before it is stopped.
+        require_realtime: refuse to run without `NEEDED`.
+        warn: takes a sentence that the user should read while the test runs.
+        save: puts the recording in its place; only then is the ring deleted.
+        station, facts: as in `Session`.
+        resets: a drive that has stopped by itself is reset: on the word of its operator, or for
+            being the caller's own virtual rig.
+        heard: called with the session once the drive answers, before anything moves.
+        zeroed: called with the session between the tare and ARM, when nothing has moved; what it
+            raises ends the test there.
+
+    Returns:
+        The recording, all rows from the first tick on. ``meta["real_time"]`` says how it went.
+
+    Raises:
+        TimingError: a privilege is missing that ``require_realtime`` demands; nothing moved.
+        InputError: no feedback comes, or the drive does not follow; nothing moved.
+        RefusedError: the drive has stopped by itself, and nobody has reset it; nothing moved.
+        RthybError: something else failed. What moved is stopped, and the message names the ring
+            that has the records.
+    """
+    with Session(
+        setup,
+        opened,
+        clock=clock,
+        folder=folder,
+        before_tick=before_tick,
+        station=station,
+        facts=facts,
+    ) as session:
+        try:
+            session.start()
+            hint = "rthyb jitter says how to obtain them"
+            session.check_privileges(warn, required=require_realtime, hint=hint)
+            teller = Teller(progress or _no_progress, warn, at_once=clock == "stepped")
+            try:
+                sequence = Sequence(
+                    session, operator, hold_s=hold_s, progress=teller.progress, warn=teller.warn
+                )
+                session.attended()
+                _hear(session, sequence, resets)
+                heard(session)
+                sequence.conduct(lambda: _judge(session, zeroed))
+                session.close()
+            finally:
+                teller.close()
+            rec = session.recording()
+            if operator is not None and operator.stops and session.loop.cause == "none":
+                rec.meta["end_reason"] = "stopped by the operator before it began"
+            if save is not None:
+                save(rec)
+        except BaseException as error:
+            session.close()
+            _say_where(session, error)
+            raise
+        session.discard()
+        return rec
+
+
+def _no_progress(_: int, __: int) -> None:
+    pass
+
+
+def _judge(session: Session, zeroed: Callable[[Session], None]) -> None:
+    zeroed(session)
+    if session.clock != "stepped":
+        # It may have taken its time: a sign of life before anything moves.
+        session.wait(2 * RECORDER_PERIOD_S)
+
+
+def _say_where(session: Session, error: BaseException) -> None:
+    """Leave the ring where it is worth something, and say so in the error."""
+    if not session.run.moved:
+        session.discard()
+        return
+    path = session.run.ring.path
+    error.add_note(f"what was recorded is in {path}; make a recording of it: rthyb recover {path}")
+
+
+def _hear(session: Session, sequence: Sequence, resets: bool) -> None:
+    sequence.until(session.follows, _STANDS_RESET_S if resets else _STANDS_S)
+    if session.stays_stopped() and not sequence.stopped:
+        if not resets:
+            raise RefusedError(session.no_feedback(), where=session.opened.name)
+        session.command("reset")
+    if not sequence.until(session.follows, FEEDBACK_S) and not sequence.stopped:
+        raise InputError(session.no_feedback(), session.opened.name)
+    locked = session.clock != "link" or sequence.until(lambda: session.loop.locked, _LOCK_S)
+    if not locked and not sequence.stopped and session.state != "TRIPPED":
+        sequence.warn(
+            "the ticks do not keep step with the drive's samples: its clock is off by more than "
+            "200 ppm, or its frames come irregularly"
+        )

@@ -1,0 +1,546 @@
+"""Whoever has a rig in hand: its link, the tick thread, and the run whose station ticks.
+
+One test of a process of its own (`rthyb_rt.lab.realtime.Session`) and a service that goes from
+test to test (`rthyb_rt.service.engine.Engine`) begin, wait, command, publish, account and end
+alike: here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core, numbers
+from rthyb_rt.core import FLAGS, ticker
+from rthyb_rt.core.loop import Clock, Link, Loop
+from rthyb_rt.core.wire import Wire
+from rthyb_rt.errors import RthybError
+from rthyb_rt.lab import experiment, jitter, trips
+from rthyb_rt.lab.endings import RefusedError, TimingError
+from rthyb_rt.lab.realtime.live_run import Counted, LiveRun, follows, stays_stopped
+from rthyb_rt.lab.runs import AT_REST
+
+if TYPE_CHECKING:
+    from rthyb_rt.rig.links.opened import Opened
+
+NEEDED: Final = ("fifo", "memory_locked")
+"""Privileges without which a tick comes when the rest of the machine has time for it."""
+
+FEEDBACK_S: Final = 10.0
+"""How long good pairs of a drive that follows are waited for."""
+
+SET_REFUSED: Final = (
+    "while something moves, the set would switch off a limit of the command's velocity or "
+    "acceleration, and what lags behind it would leap; keep both limits (any value above 0), or "
+    "stop, and change them in IDLE; the set before stays in force"
+)
+"""Why a station refuses a set of parameters, and what to do."""
+
+_ATTEMPTS: Final = 10
+_ATTEMPTS_AT_REST: Final = {"zero": 60, "reset": 60}
+"""Where nobody waits: a specimen that has just been stopped has still to stand."""
+_BETWEEN_TICKS: Final = 2
+
+_LEAD_US: Final = 200.0
+_LOOK_S: Final = 0.001
+_ANSWER_S: Final = 2.0
+_FIRST_TICK_S: Final = 5.0
+_TRIP_TICKS: Final = 4
+"""In which its three frames have left."""
+_RESET_TICKS: Final = 4
+"""In which the three commands of a reset have left."""
+_RELEASE_S: Final = 0.25
+"""In which a drive that was reset says that it no longer stands by itself."""
+_PAIR_S: Final = 0.25
+_UNHEARD: Final = 20
+
+_T = TypeVar("_T")
+
+
+class Conductor:
+    """Conducts the runs at one link, from the first tick to the last.
+
+    Commands, waiting and closing belong to one thread.
+
+    Args:
+        opened: the link, which stays the caller's.
+        clock: "host"; "link": the ticks follow the drive's samples; or "stepped", which is not real
+            time: waiting executes the ticks.
+        before_tick: stepped clock: called before every tick, the drive's own tick for one; None: a
+            tick comes with the next pair.
+        first: what begins to tick; deleted if the link is of no use.
+
+    Attributes:
+        opened, clock: as given.
+        run: whose station ticks now.
+        loop, wire, link: what makes the tick; see their modules for what may be read.
+        commands_before: number of the command before the first one; 0 where a drive starts anew.
+
+    Raises:
+        RthybError: the descriptor is of no use.
+        CoreError: a setting is refused.
+    """
+
+    def __init__(
+        self, opened: Opened, clock: Clock, before_tick: Callable[[], None] | None, first: LiveRun
+    ) -> None:
+        self.opened, self.clock, self.run = opened, clock, first
+        self._before_tick = before_tick
+        self._started = self._closed = False
+        self._unheard = _UNHEARD
+        self._farewell = True
+        self.commands_before = 0
+        rig = first.setup.rig
+        self.wire = Wire(opened.codec)
+        with ExitStack() as undo:
+            undo.callback(first.remove)
+            owned = undo.enter_context(ExitStack())
+            self.link = Link(opened.kind, opened.fd)
+            owned.callback(self.link.close)
+            self.loop = Loop(
+                first.station,
+                self.wire,
+                self.link,
+                first.ring,
+                clock,
+                experiment.calibration(rig),
+                lead_us=_LEAD_US if rig.link is None else rig.link.lead_us,
+                paced=before_tick is not None,
+            )
+            self._owned = owned.pop_all()
+            undo.pop_all()
+        first.counted = self._count()
+
+    # ---- its life -------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Begin to tick, in state IDLE.
+
+        The command is the first reading; or, where a drive still follows the last loop at this
+        link and stands as it did then, the last command of that loop.
+
+        Raises:
+            RthybError: the system refused a thread.
+        """
+        self._started = True
+        left, self.opened.left = self.opened.left, None
+        if left is not None:
+            self.loop.go_on(left)
+        self.commands_before = int(self.wire.struct.seq)
+        if self.clock == "stepped":
+            self.loop.drop_old()
+            return
+        awake = self._owned.enter_context(ticker.AwakeProcessors())
+        self.loop.start(cpu=jitter.choose_cpu(jitter.machine_facts()), latency_fd=awake.fd)
+        self._owned.callback(ticker.unlock_memory)
+
+    def check_privileges(self, warn: Callable[[str], None], *, required: bool, hint: str) -> None:
+        """Say which privileges the tick thread did not obtain.
+
+        Args:
+            warn: takes a sentence that the user should read.
+            required: refuse to go on without `NEEDED`.
+            hint: how to obtain them.
+
+        Raises:
+            TimingError: it lacks one, and they are required.
+        """
+        if self.clock == "stepped":
+            return
+        if not self.opened.real_time:
+            name = self.opened.name
+            warn(f"{name}: a Python thread exchanges its frames, which is not real time")
+        end = time.monotonic() + _FIRST_TICK_S
+        # They are known once the thread, which locks memory first, has come to its first tick.
+        while not self.loop.counts.elapsed and time.monotonic() < end:
+            self._pass(_LOOK_S)
+        missing = [name for name in NEEDED if name not in self.privileges]
+        if not missing:
+            return
+        lacking = {"fifo": "real-time priority", "memory_locked": "locked memory"}
+        words = f"the tick thread did not obtain {' and '.join(lacking[n] for n in missing)}"
+        if required:
+            raise TimingError(f"{words}, which require_realtime demands; {hint}")
+        warn(f"{words}: ticks may be late or skipped; {hint}")
+
+    def close(self) -> None:
+        """End the tick thread and let go of everything; twice does no harm.
+
+        What still moves is tripped first, so that the drive stops at once and not by its watchdog.
+        One at rest is told that the silence is meant.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            if self._started and self.moving:
+                self._trip()
+        finally:
+            self.loop.stop()
+            if self._started:
+                if self._farewell:
+                    self.loop.leave()
+                self.opened.left = self.loop.last_command()
+            with self._owned:
+                self._put_away()
+
+    def fall_silent(self) -> None:
+        """End the tick thread as if this PC had died: without a word to the drive."""
+        self._farewell = False
+        self.loop.stop()
+
+    def _put_away(self) -> None:
+        """Take the last rows in, and let go of the run; the tick thread has ended."""
+        raise NotImplementedError
+
+    def _trip(self) -> None:
+        """Have the drive stopped, without anything that may have failed before."""
+        self.loop.command("trip")
+        if self.clock == "stepped":
+            for _ in range(_TRIP_TICKS):
+                with suppress(Exception):
+                    self._await_tick()
+                self.loop.step()
+            return
+        end = time.monotonic() + _ANSWER_S
+        while self.state != "TRIPPED" and time.monotonic() < end:
+            time.sleep(_LOOK_S)
+        time.sleep(_TRIP_TICKS * core.PERIOD_S)
+
+    # ---- looking --------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> str:
+        """Name of the station's state after the last tick."""
+        return self.loop.state
+
+    @property
+    def causing(self) -> tuple[str, float, float]:
+        """The station's latched first cause, the value that was met and the limit's."""
+        return self.run.causing
+
+    @property
+    def config(self) -> core.StationConfig:
+        """Settings of the station that ticks."""
+        return self.run.config
+
+    @property
+    def zeroing_failed(self) -> bool:
+        """Whether the last tare was refused because the reading moved."""
+        return self.run.station.zeroing_failed
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Samples of the test proper so far, and of the whole test."""
+        return self.run.progress
+
+    @property
+    def moving(self) -> bool:
+        """Whether the drive is commanded to move, or held within a test."""
+        return self.state not in AT_REST
+
+    @property
+    def privileges(self) -> list[str]:
+        """What the tick thread obtained, once it ticks."""
+        return self.loop.privileges
+
+    def follows(self) -> bool:
+        """Whether good pairs come, of a drive that obeys."""
+        return follows(self.run.recent_flags)
+
+    def stays_stopped(self) -> bool:
+        """Whether the drive has heard commands, and says all the while that it has stopped."""
+        return stays_stopped(self.run.recent_flags)
+
+    # ---- time -----------------------------------------------------------------------------------
+
+    @property
+    def now_s(self) -> float:
+        """The time that is waited by; stepped clock: of its ticks."""
+        if self.clock == "stepped":
+            return self.loop.counts.elapsed / core.FS_HZ
+        return time.monotonic()
+
+    def _pass(self, seconds: float) -> None:
+        """Let time pass; stepped clock: execute that time's ticks."""
+        if self.clock != "stepped":
+            time.sleep(seconds)
+            return
+        for _ in range(max(round(seconds * core.FS_HZ), 1)):
+            self._await_tick()
+            self.loop.step()
+
+    def _await_tick(self) -> None:
+        """Wait for the drive, though not in every tick for one that has fallen silent."""
+        if self._before_tick is not None:
+            self._before_tick()
+            return
+        gone = self._unheard >= _UNHEARD
+        came = self.loop.await_pair(core.PERIOD_S if gone else _PAIR_S)
+        self._unheard = 0 if came else self._unheard + 1
+
+    def _wait_for(self, asked: Callable[[], _T | None]) -> _T:
+        """Return the tick thread's answer.
+
+        Raises:
+            RthybError: it does not answer.
+        """
+        end = time.monotonic() + _ANSWER_S
+        while (answer := asked()) is None:
+            if time.monotonic() > end and self.clock != "stepped":
+                raise RthybError(
+                    "the tick thread does not answer; the drive's own watchdog stops it; look what "
+                    "else takes this PC's processors, and at `rthyb jitter`"
+                )
+            self._pass(_LOOK_S)
+        return answer
+
+    # ---- commands and parameters ----------------------------------------------------------------
+
+    def command(self, name: core.Command) -> int:
+        """Give an operator's command until it is obeyed; return the run's tick of that.
+
+        Raises:
+            RefusedError: it is not for the present state, or was refused again and again.
+            RthybError: the tick thread does not answer.
+        """
+        for _ in range(_ATTEMPTS_AT_REST.get(name, _ATTEMPTS)):
+            state = self.state
+            obeyed, tick = self._answered(name)
+            tick -= self.loop.load_tick
+            self.run.commands.append({"tick": tick, "command": name, "refused": not obeyed})
+            if obeyed:
+                if name in ("arm", "start"):
+                    self.run.renew()
+                released = name != "reset" or self._is_released()
+                if not released and state == "IDLE":
+                    raise self._refusal(name, state, self._not_released())
+                return tick
+            if not core.command_allowed(state, name):
+                raise self._refusal(name, state, "")
+            # A tick without a fresh pair is none to start in; the next one may be.
+            self._pass(_BETWEEN_TICKS * core.PERIOD_S)
+        raise self._refusal(name, state, self._why_refused(name, state))
+
+    def _is_released(self) -> bool:
+        """Wait for the drive to follow after a reset; False if it does not."""
+        begun_s = self.now_s
+        while True:
+            stopped = self.loop.counters()["stopped"]
+            self._pass(_RESET_TICKS * core.PERIOD_S)
+            if self.loop.counters()["stopped"] == stopped:
+                return True
+            if self.now_s - begun_s > _RELEASE_S:
+                return False
+
+    def _not_released(self) -> str:
+        if self.opened.codec.has_reset:
+            return "the drive was told, and stays stopped; its panel says why"
+        return "its frames have no word for a reset (link.reset_state): release it at its own panel"
+
+    def _answered(self, name: core.Command) -> tuple[bool, int]:
+        generation = self._wait_for(lambda: self.loop.command(name))
+        return self._wait_for(lambda: self.loop.answer(generation))
+
+    def _refusal(self, name: str, state: str, why: str) -> RefusedError:
+        """Return the error for a command that was refused; ``why`` is "" where the state is why."""
+        return RefusedError(f"{name}: refused in state {state}" + (f": {why}" if why else ""))
+
+    def _why_refused(self, name: str, state: str) -> str:
+        if told := trips.figures(*self.run.station.refusal):
+            if name in ("resume", "reset"):
+                return f"{told}; relieve the specimen first, or look at the load cell"
+            return f"{told}; bring the specimen back within it, or relieve it, and zero again"
+        if name == "resume":
+            return "the specimen has not come to a stand yet; try again"
+        if name == "reset" and state == "IDLE" and not self.stays_stopped():
+            return "the drive has not stopped by itself, and there is nothing to reset"
+        if name == "reset":
+            return "the specimen does not stand still, or its readings are missing"
+        return "the drive does not answer in every tick, or has stopped by itself"
+
+    def set_parameters(self, parameters: core.Parameters) -> int:
+        """Publish a set of parameters, wait until a tick has it, and keep it for the recording.
+
+        Returns:
+            its generation, which records then show.
+
+        Raises:
+            CoreError: a value is refused; the set before stays in force.
+            RefusedError: the station refuses it; the set before stays in force.
+            RthybError: the tick thread does not answer.
+        """
+        state, run = self.state, self.run
+        generation = self.loop.set_parameters(parameters)
+        tick = self.loop.counts.elapsed - self.loop.load_tick
+        values = dataclasses.asdict(parameters)
+        # At once: its rows may be on their way already.
+        run.parameters.append({"generation": generation, "tick": tick, "values": values})
+        taken = self._wait_for(lambda: self.loop.set_taken(generation))
+        if not taken:
+            run.parameters.pop()
+        run.renew()
+        if not taken:
+            raise self._refusal("parameters", state, SET_REFUSED)
+        return generation
+
+    # ---- reasons --------------------------------------------------------------------------------
+
+    def why_not_zeroed(self) -> str:
+        """Return in words why the tare did not come to its end."""
+        run = self.run
+        if not self.zeroing_failed:
+            return f"the feedback stopped while it was zeroed; {self.no_feedback()}"
+        if run.station.tare_too_large:
+            cause, value, limit = run.station.refusal
+            share = run.setup.derived.limits.tare_share_most
+            name, unit, factor = ("force", "kN", 1e-3)
+            if cause == "rig_position":
+                name, unit, factor = ("displacement", "mm", 1e3)
+            return (
+                f"the tare of the {name} would be {value * factor:.3g} {unit}, allowed is "
+                f"{limit * factor:.3g} {unit}, {100 * share:g} % of the rig's limit "
+                f"(limits.tare_share_most); bring the specimen to rest without load, or look at "
+                f"the sensor and its calibration.{name}"
+            )
+        return (
+            f"the rig is not at rest: the displacement moved by {run.spread_m() * 1e3:.3g} mm "
+            f"during the tare of {run.config.tare_ticks / core.FS_HZ:g} s, allowed is "
+            f"{run.config.rest_spread_m * 1e3:.3g} mm (limits.rest_spread_m); let it come to rest, "
+            "or look at its sensor"
+        )
+
+    @property
+    def tare(self) -> dict[str, float]:
+        """What zeroing takes off both readings: ``displacement_m`` and ``force_n``."""
+        x_m, f_n = self.run.station.tare
+        return {"displacement_m": x_m, "force_n": f_n}
+
+    def tare_in_words(self) -> str:
+        """Return it for people."""
+        return numbers.tare(*self.run.station.tare)
+
+    def no_feedback(self) -> str:
+        """Return in words why good pairs of a drive that follows do not come."""
+        if self.opened.failure is not None:
+            return f"the thread that exchanges its frames gave up: {self.opened.failure}"
+        counters, pieces = self.wire.counters(), self.link.counters()["pieces_in"]
+        if self.link.down != "up":
+            return f"the link is down ({self.link.down}); check cable, power and interface"
+        if counters["pairs"]:
+            return _no_more(self.run.recent_flags)
+        if counters["frames"] or pieces:
+            bad = {k: n for k, n in counters.items() if n and k not in ("sent", "frames", "stale")}
+            told = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in bad.items())
+            return (
+                f"{counters['frames']} frames came in {FEEDBACK_S:g} s, but no pair of "
+                f"displacement and force ({told or 'none was complete'}); check the DBC, or the "
+                "drive's frames"
+            )
+        return (
+            f"nothing came in {FEEDBACK_S:g} s; is the drive switched on, and does it send "
+            "displacement and force 1024 times a second?"
+        )
+
+    # ---- how it went ----------------------------------------------------------------------------
+
+    def _count(self) -> Counted:
+        return Counted(
+            ticks=self.loop.counts,
+            loop=self.loop.counters(),
+            wire=self.wire.counters(),
+            link=self.link.counters(),
+            wake=self.loop.wake.copy(),
+            sent=self.loop.sent.copy(),
+            delays=self.loop.link_delays(),
+        )
+
+    def ending(self, run: LiveRun) -> dict[str, Any]:
+        """Return what ``meta`` of a run's recording says of its end."""
+        end = run.ending(self.state)
+        return {**end, "real_time": {**end["station"], **self._facts(run)}}
+
+    def _facts(self, run: LiveRun) -> dict[str, Any]:
+        """Return how a run went in real time; every value is there."""
+        before, now = run.counted, self._count()
+        assert before is not None
+        return {
+            "clock": self.clock,
+            "link": self.opened.name,
+            "link_facts": dict(self.opened.facts),
+            "link_failure": self.opened.failure or "",
+            "in_real_time": self.opened.real_time and self.clock != "stepped",
+            "privileges": self.privileges,
+            "began_ns": self.loop.began_ns,
+            "ticks": {
+                "elapsed": now.ticks.elapsed - before.ticks.elapsed,
+                "executed": now.ticks.executed - before.ticks.executed,
+                "skipped": now.ticks.skipped - before.ticks.skipped,
+                "longest_skip": run.longest_skip,
+            },
+            "loop": _more(now.loop, before.loop),
+            "wire": _more(now.wire, before.wire),
+            "wire_counters": _more(now.link, before.link),
+            "locked": self.loop.locked,
+            "arrival_error_us": self.loop.arrival_error_us,
+            "trim_ppm": self.loop.trim_ppm,
+            "link_delay_samples": link_delay(now.delays - before.delays, self.loop.link_delay),
+            "wake": histogram(now.wake.since(before.wake)),
+            "sent": histogram(now.sent.since(before.sent)),
+            "missed_rows": run.missed,
+            "ring": {"locked": run.ring.locked, "in_memory": run.ring.in_memory},
+        }
+
+
+def _no_more(recent: NDArray[np.uint32]) -> str:
+    """Return in words why pairs that came do not count any more."""
+    if (recent & FLAGS["stopped"]).any():
+        return (
+            "the drive reports that it has stopped, and follows nobody until an operator resets "
+            "it; look why it stopped, then `rthyb reset RIG` (a service: `rthyb ctl reset`)"
+        )
+    if (recent & FLAGS["fresh"]).any():
+        return (
+            "the feedback was interrupted, or leapt, a moment ago; try again, and if it comes "
+            "back, look at the sensors and their cables"
+        )
+    return (
+        "the drive has gone silent: no pair of displacement and force comes any more; is it "
+        "switched on, and its cable in place?"
+    )
+
+
+def _more(now: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:
+    return {name: value - before[name] for name, value in now.items()}
+
+
+def link_delay(running: NDArray[np.int64], last: int | None) -> int:
+    """Return the median of the link's delay in the test proper, samples; -1: not known.
+
+    Args:
+        running: how many pairs of it came with a delay of n samples, (n,).
+        last: delay of the last pair of all, for a session without a test.
+    """
+    if not running.any():
+        return -1 if last is None else last
+    return int(np.searchsorted(np.cumsum(running), 0.5 * running.sum()))
+
+
+def histogram(latency: ticker.Latency) -> dict[str, Any]:
+    """Return a histogram as plain numbers: where its buckets begin and how many lie in each."""
+    buckets = latency.buckets()
+    used = np.flatnonzero(buckets)
+    return {
+        "count": latency.count,
+        "p50_ns": latency.percentile_ns(50),
+        "p99_ns": latency.percentile_ns(99),
+        "max_ns": latency.max_ns,
+        "from_ns": latency.edges_ns()[used].tolist(),
+        "counts": buckets[used].tolist(),
+    }

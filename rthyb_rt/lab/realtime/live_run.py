@@ -1,0 +1,177 @@
+"""A run whose rows go through a ring: whoever conducts it reads them there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core
+from rthyb_rt.core import FLAGS, ticker
+from rthyb_rt.core.wire import Codec
+from rthyb_rt.lab import experiment
+from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.lab.runs import Run
+from rthyb_rt.record import ring
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.ring import Reader, Ring
+
+LOOK_BACK_TICKS: Final = 64
+GOOD_PAIRS: Final = 48
+"""Of the last `LOOK_BACK_TICKS`, with a drive that follows: then a test begins."""
+
+_NOT_FOLLOWING: Final = FLAGS["stopped"] | FLAGS["down"]
+_CHUNK: Final = 256
+
+
+def follows(flags: NDArray[np.uint32]) -> bool:
+    """Return whether good pairs come, of a drive that obeys, by the flags of the newest rows."""
+    fresh = np.count_nonzero(flags & FLAGS["fresh"])
+    return bool(fresh >= GOOD_PAIRS and not (flags & _NOT_FOLLOWING).any())
+
+
+def stays_stopped(flags: NDArray[np.uint32]) -> bool:
+    """Return whether pairs come of a drive that stands by itself, by the newest rows' flags."""
+    heard = flags[(flags & FLAGS["lost"]) == 0]
+    return bool(heard.size >= GOOD_PAIRS and (heard & FLAGS["stopped"]).all())
+
+
+@dataclass(frozen=True)
+class Counted:
+    """What the counters of a link showed at one instant."""
+
+    ticks: ticker.Counts
+    loop: dict[str, int]
+    wire: dict[str, int]
+    link: dict[str, int]
+    wake: ticker.Latency
+    sent: ticker.Latency
+    delays: NDArray[np.int64]
+
+
+@dataclass(kw_only=True)
+class LiveRun(Run):
+    """A station and its ring; `make` makes it.
+
+    One thread takes the rows in (`news`); any may look at the book that it keeps.
+
+    Attributes:
+        ring: where the tick thread puts every record.
+        reader: of the ring.
+        keeps: every row stays in memory, for a recording; else those that a tare's spread needs.
+        counted: what the counters showed when the station began to tick.
+        missed: ranges [first, last] of rows that came to be overwritten before they were read.
+        recent_flags: of the last `LOOK_BACK_TICKS` rows.
+    """
+
+    ring: Ring
+    reader: Reader
+    keeps: bool
+    counted: Counted | None = None
+    missed: list[list[int]] = field(default_factory=list)
+    recent_flags: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))
+    _next_row: int = 0
+    _parts: list[NDArray[np.void]] = field(default_factory=list)
+    _kept_rows: int = 0
+
+    @classmethod
+    def make(
+        cls,
+        setup: Setup,
+        clock: str,
+        codec: Codec,
+        folder: Path | None = None,
+        *,
+        config: core.StationConfig | None = None,
+        facts: Mapping[str, Any] | None = None,
+        keeps: bool = False,
+        **more: Any,
+    ) -> Self:
+        """Make a station and its ring.
+
+        Args:
+            setup: the test.
+            clock: what it goes by.
+            codec: the link's frames, without which no replay is the same.
+            folder: of the ring; None takes `rthyb_rt.record.ring.default_folder`.
+            config: settings of the station; None takes those of the test.
+            facts: what else the recording is to know, by name.
+            keeps: as the attribute.
+            more: fields of a subclass.
+
+        Raises:
+            RthybError: the ring has no room.
+            CoreError: a setting is refused.
+        """
+        config = config or experiment.station_config(setup, real=True)
+        run = Run.begin(setup, clock, config, facts)
+        run.bare.replay.codec = codec.table
+        filled = Ring.create(folder or ring.default_folder(), run.bare)
+        try:
+            reader = Reader(filled.path)
+        except BaseException:
+            filled.remove()
+            raise
+        return cls(**vars(run), ring=filled, reader=reader, keeps=keeps, **more)
+
+    def close(self) -> None:
+        """Let go of the ring, which stays where it is; twice does no harm."""
+        self.reader.close()
+        self.ring.close()
+
+    def remove(self) -> None:
+        """Delete the ring and its session file; twice does no harm."""
+        self.reader.close()
+        self.ring.remove()
+
+    def renew(self) -> None:
+        """Write what is known beside the ring, for a recorder or a recovery."""
+        self.ring.renew_session(self.known())
+
+    # ---- the book -------------------------------------------------------------------------------
+
+    def news(self) -> Iterator[NDArray[np.void]]:
+        """Take in the rows that have come, and give them, part by part, each of shape (n,)."""
+        while (rows := self.reader.read(_CHUNK)).samples.size:
+            if rows.first != self._next_row:
+                self.missed.append([self._next_row, rows.first - 1])
+            self._next_row = self.reader.next
+            samples = rows.samples.copy()
+            self.take(samples)
+            yield samples
+
+    def take(self, samples: NDArray[np.void]) -> None:
+        """Note rows in the book, in order, shape (n,)."""
+        super().take(samples)
+        self._keep(samples)
+        self.recent_flags = np.concatenate([self.recent_flags, samples["flags"]])[-LOOK_BACK_TICKS:]
+
+    def _keep(self, samples: NDArray[np.void]) -> None:
+        self._parts.append(samples)
+        self._kept_rows += samples.size
+        if self.keeps:
+            return
+        while self._kept_rows - self._parts[0].size >= self.config.tare_ticks:
+            self._kept_rows -= self._parts.pop(0).size
+
+    def spread_m(self) -> float:
+        """Return how far the reading of the displacement moved during the last tare's time."""
+        ticks = self.config.tare_ticks
+        parts = self._parts[-ticks:]
+        read = [part["x_read_m"][part["flags"] & FLAGS["fresh"] != 0] for part in parts]
+        x_m = np.concatenate([np.zeros(0), *read])[-ticks:]
+        return float(np.ptp(x_m)) if x_m.size else 0.0
+
+    def recording(self) -> Recording:
+        """Return the recording of every row, of a run that keeps them; its end is not in it."""
+        rec = self.known()
+        rec.samples = ring.joined(self._parts)
+        rec.replay.skips = ring.skips(rec.samples)
+        if self.missed:
+            # Row k of the reference belongs to the k-th row of the test, which no longer holds.
+            rec.reference = None
+        return rec

@@ -1,0 +1,107 @@
+"""A recording through a fresh station."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import config, core
+from rthyb_rt.config import RigFile, TestFile
+from rthyb_rt.core import FLAGS
+from rthyb_rt.core.wire import Codec
+from rthyb_rt.errors import InputError
+from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.lab import experiment
+from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.record.recording import Recording, require_replayable
+
+
+def replay(rec: Recording) -> experiment.Replay:
+    """Run all that a test was told through a fresh station, and compare every field.
+
+    Skipped ticks at the very end, whose next executed one is not in the recording, are left out:
+    a black box may be full there, and a process killed.
+
+    Raises:
+        InputError: another version has recorded it, its configuration cannot be read by this one,
+            or rows are missing.
+    """
+    rows, rec, _ = _rerun(rec)
+    return experiment.compare(rec, _padded(rows, rec.samples.size))
+
+
+def first_cause(rec: Recording) -> tuple[str, float, float]:
+    """Return what took a test off its course, by a fresh station's finding.
+
+    For rows of a test that still runs, or whose process has not said it.
+
+    Returns:
+        The cause, "none" if nothing did, the value that was met and the limit's, SI; both 0 where
+        the cause has no number.
+
+    Raises:
+        InputError: another version has recorded it, its configuration cannot be read by this one,
+            or rows are missing.
+    """
+    station = _rerun(rec)[2]
+    return station.cause, station.cause_value, station.cause_limit
+
+
+def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
+    """Return the rows that a fresh station computes, of which recording, and the station then."""
+    require_replayable(rec)
+    own = np.flatnonzero((rec.samples["flags"] & FLAGS["blind"]) == 0)
+    rec = replace(rec, samples=rec.samples[: own[-1] + 1 if own.size else 0])
+    ticks = rec.samples["tick"]
+    if not ticks.size or ticks[0] != 0:
+        raise InputError(
+            "the rows before the first one are missing; only a test that is recorded from its "
+            "first tick on can be replayed",
+            "recording",
+        )
+    test = config.parse_test(rec.test_toml, "recording: test")
+    rig = config.parse_rig(rec.rig_toml, "recording: rig")
+    first, *later = rec.replay.parameters
+    station = core.Station(_settings(rec, test, rig, first["values"]), rec.ag_mps2)
+    published = [(int(one["generation"]), _parameters(one["values"])) for one in later]
+    codec = Codec.of(rec.replay.codec) if rec.replay.codec else None
+    rows = station.replay(rec.samples, codec, experiment.calibration(rig), published)
+    return rows, rec, station
+
+
+def _settings(
+    rec: Recording, test: TestFile, rig: RigFile, values: Mapping[str, Any]
+) -> core.StationConfig:
+    """Return the settings that a recording began with: as it states them, else as they follow."""
+    if "station" in values:
+        return core.StationConfig.of(values["station"])
+    derived = config.derive(test, rig)
+    # Before settings were recorded there were no limits but those of the files.
+    derived = replace(derived, limits=replace(derived.limits, derived={}))
+    setup = Setup(
+        test=test,
+        rig=rig,
+        derived=derived,
+        motion=GroundMotion("recorded", "recording", 1.0 / rec.fs_hz, rec.ag_mps2),
+        ag_mps2=rec.ag_mps2,
+        controller=experiment.controller_config(test, rig, derived, int(values["rfc_end_tick"])),
+        virtual_rig=experiment.rig_config(rig, rec.fs_hz),
+    )
+    return experiment.station_config(setup)
+
+
+def _parameters(values: dict[str, Any]) -> core.Parameters:
+    watches = {name: core.Watch(**watch) for name, watch in values["watches"].items()}
+    return core.Parameters(**(values | {"watches": watches}))
+
+
+def _padded(rows: NDArray[np.void], count: int) -> NDArray[np.void]:
+    """Return so many rows; those that did not come again are like no other."""
+    full = np.zeros(count, dtype=core.RECORD_DTYPE)
+    full["tick"] = np.iinfo(np.uint64).max
+    full[: rows.size] = rows
+    return full

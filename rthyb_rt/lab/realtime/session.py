@@ -1,0 +1,136 @@
+"""One test at one link: begun, conducted and ended in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from rthyb_rt import core
+from rthyb_rt.core.loop import Clock
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.lab.realtime.conductor import Conductor
+from rthyb_rt.lab.realtime.keeper import RECORDER_PERIOD_S, Keeper
+from rthyb_rt.lab.realtime.live_run import LiveRun
+from rthyb_rt.lab.sequence import REST_TICKS
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.ring import AFTER_TRIP
+
+if TYPE_CHECKING:
+    from rthyb_rt.rig.links.opened import Opened
+
+
+class Session(Conductor):
+    """One test at one link; a context manager that leaves nothing running.
+
+    A thread of its own keeps every record and gives the sign of life.
+
+    Args:
+        setup: the test.
+        opened, clock, before_tick: as in `Conductor`.
+        folder: of the ring; None takes `rthyb_rt.record.ring.default_folder`.
+        station: settings of the station; None takes those of the test.
+        facts: what else the recording is to know, by name.
+
+    Raises:
+        RthybError: the ring has no room, or the descriptor is of no use.
+        CoreError: a setting is refused.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        opened: Opened,
+        *,
+        clock: Clock = "host",
+        folder: Path | None = None,
+        before_tick: Callable[[], None] | None = None,
+        station: core.StationConfig | None = None,
+        facts: Mapping[str, Any] | None = None,
+    ) -> None:
+        run = LiveRun.make(
+            setup, clock, opened.codec, folder, config=station, facts=facts, keeps=True
+        )
+        super().__init__(opened, clock, before_tick, run)
+        self._keeper = Keeper(run, self.loop.beat)
+        self._watched = False
+
+    def __enter__(self) -> Session:
+        """Return the session itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End it."""
+        self.close()
+
+    def attended(self) -> None:
+        """Have the operator's thread watched: a test whose operator is not heard ramps out.
+
+        From this call on `wait` must be called at least once a second.
+        """
+        self._watched = True
+        self._keeper.attended()
+
+    def start(self) -> None:
+        """Begin to tick and to keep every record; as `Conductor.start`."""
+        super().start()
+        if self.clock != "stepped":
+            self._keeper.start()
+
+    def _put_away(self) -> None:
+        self._keeper.stop()
+        self.run.close()
+
+    def discard(self) -> None:
+        """Delete the ring and its session file: the recording has all of it."""
+        self.run.remove()
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass; stepped clock: execute that time's ticks.
+
+        Raises:
+            RthybError: the recorder failed.
+            TimingError: the tick thread stands still.
+        """
+        self._pass(seconds)
+
+    def _pass(self, seconds: float) -> None:
+        if self._watched:
+            self._keeper.attended()
+        super()._pass(seconds)
+        if self.clock == "stepped":
+            self._keeper.turn()
+        self._keeper.check()
+
+    def advance(self, ticks: int) -> None:
+        """Let up to so many ticks pass, and no more than an operator may be waited for."""
+        self.wait(min(ticks / core.FS_HZ, RECORDER_PERIOD_S))
+
+    def settle(self) -> None:
+        """Let what is kept behind a test come."""
+        # Of a trip somewhat more, so that the black box is full.
+        ticks = 1.1 * AFTER_TRIP if self.state == "TRIPPED" else REST_TICKS
+        end_s = self.now_s + ticks / core.FS_HZ
+        while self.now_s < end_s:
+            self.wait(RECORDER_PERIOD_S)
+
+    def not_zeroed(self) -> InputError:
+        """Return why the tare did not come to its end."""
+        return InputError(self.why_not_zeroed(), self.opened.name)
+
+    def recording(self) -> Recording:
+        """Return the recording of all that was; after `close`."""
+        rec = self.run.recording()
+        rec.meta |= self.ending(self.run)
+        rec.meta["real_time"] |= {
+            "usage": self.loop.usage(),
+            "commands_before": self.commands_before,
+        }
+        return rec

@@ -1,0 +1,198 @@
+"""What took a test off its course, with its figures: what was met, what is allowed, and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.core import RUNNING, STATES, STATUS
+from rthyb_rt.numbers import number
+from rthyb_rt.record.recording import Recording
+
+if TYPE_CHECKING:
+    from rthyb_rt.analysis.summary import Setup
+
+
+class _Watched(NamedTuple):
+    """How people say what is watched; ``factor`` turns SI into the unit."""
+
+    name: str
+    unit: str
+    factor: float
+
+
+_WATCHED: Final[dict[str, _Watched]] = {
+    "position": _Watched("command", "mm", 1e3),
+    "velocity": _Watched("velocity of the command", "mm/s", 1e3),
+    "increment": _Watched("step of the command", "mm", 1e3),
+    "force": _Watched("force", "kN", 1e-3),
+    "tracking": _Watched("tracking error", "mm", 1e3),
+    "indicator": _Watched("slope of the tracking indicator", "mm²/s", 1e6),
+    "energy": _Watched("energy error", "J", 1.0),
+    "sensor_stuck": _Watched("the displacement stood still for", "samples", 1.0),
+    "sensor_jump": _Watched("the displacement jumped by", "mm", 1e3),
+    "force_stuck": _Watched("the force stood still for", "samples", 1.0),
+    "force_jump": _Watched("the force jumped by", "kN", 1e-3),
+    "rig_position": _Watched("command before the tare", "mm", 1e3),
+    "rig_force": _Watched("force before the tare", "kN", 1e-3),
+    "lost_pairs": _Watched("pairs lost", "%", 100.0),
+    "lost_warning": _Watched("pairs lost", "%", 100.0),
+    "skip_warning": _Watched("skipped", "% of the ticks", 100.0),
+    "link_lost": _Watched("no usable pair for", "ticks", 1.0),
+    "skips": _Watched("skipped", "ticks", 1.0),
+    "skip_share": _Watched("skipped", "% of the ticks", 100.0),
+    "stalled": _Watched("this PC stood still for", "ticks", 1.0),
+}
+_OF_MOTION: Final = (
+    "position", "velocity", "increment", "force", "tracking", "indicator", "energy",
+    "rig_position", "rig_force",
+)  # fmt: skip
+"""Limits that a motion which grows meets, whatever it is that lets it grow."""
+_KEYS: Final = {
+    "position": "command_position_m",
+    "force": "force_n",
+    "tracking": "tracking_error_m",
+}
+_NONE: Final = ("", "none", "completed", "operator", "signal")
+_OFF_COURSE: Final = [STATES.index(name) for name in ("HOLD", "RAMP_OUT", "TRIPPED")]
+
+
+@dataclass(frozen=True)
+class Met:
+    """A limit that took a test off its course.
+
+    Attributes:
+        cause: the station's.
+        value, limit: what was met and what is allowed, SI; both 0 where the cause has no number.
+        time_s: from the first sample of the test proper on; nan where it is not known.
+        alpha: delay estimate then, samples; nan where it is not known.
+    """
+
+    cause: str
+    value: float
+    limit: float
+    time_s: float = float("nan")
+    alpha: float = float("nan")
+
+
+def figures(cause: str, value: float, limit: float) -> str:
+    """Return what was met and what is allowed: "force 15.0 kN (limit 15 kN)"; "" without figures.
+
+    Args:
+        cause: the station's.
+        value, limit: as the station has them, SI.
+    """
+    # Skipped ticks are counted in a row, or as their share.
+    watched = _WATCHED.get("skip_share" if cause == "skips" and limit < 1.0 else cause)
+    if watched is None or not limit:
+        return ""
+    met = abs(value) * watched.factor
+    counted = watched.unit in ("samples", "ticks")
+    told = f"{f'{met:.0f}' if counted else number(met)} {watched.unit}"
+    return f"{watched.name} {told} (limit {limit * watched.factor:g} {watched.unit})"
+
+
+def found(rec: Recording, given: Setup) -> Met | None:
+    """Return what took a recorded test off its course, None if nothing did.
+
+    Recordings that do not hold the figures, as the earlier ones, have the value from their rows and
+    the limit from their test file.
+    """
+    facts = facts_of(rec.meta)
+    rows = rec.samples
+    row = _row(rec)
+    cause = str(facts.get("cause", "")) if facts else _cause_of(rows)
+    if cause in _NONE:
+        return None
+    value, limit = (float(facts.get(key, 0.0)) for key in ("cause_value", "cause_limit"))
+    if not limit and rows.size:
+        value, limit = _of_rows(rows, row, cause), given.limits.get(_KEYS.get(cause, ""), 0.0)
+    if not rows.size:
+        return Met(cause, value, limit)
+    return Met(cause, value, limit, float(rec.time_s()[row]), float(rows["alpha"][row]))
+
+
+def facts_of(meta: dict[str, Any]) -> dict[str, Any]:
+    """Return what the station says of a test, in real time or virtual; {} without a word."""
+    for name in ("station", "real_time"):
+        facts = meta.get(name)
+        if isinstance(facts, dict):
+            return facts
+    return {}
+
+
+def _row(rec: Recording) -> int:
+    """Return the last row on the test's course."""
+    off = np.isin(rec.samples["state"], _OFF_COURSE)
+    started = np.flatnonzero(rec.samples["state"] == RUNNING)
+    first = np.flatnonzero(off & (np.arange(off.size) >= (started[0] if started.size else 0)))
+    return max(0, int(first[0]) - 1 if first.size else off.size - 1)
+
+
+def _cause_of(rows: NDArray[np.void]) -> str:
+    """Return the cause that the last row's code names: a recording of virtual time before 0.2."""
+    code = int(rows["code"][-1]) if rows.size else 0
+    if not code & STATUS["trip"]:
+        return ""
+    return next((name for name in _KEYS if code & STATUS[f"{name}_limit"]), "")
+
+
+def _of_rows(rows: NDArray[np.void], row: int, cause: str) -> float:
+    near = rows[max(0, row - 1) : row + 2]
+    values = {
+        "position": near["x_plc_m"],
+        "force": near["f_meas_n"],
+        "tracking": near["x_meas_m"] - near["x_num_m"],
+    }.get(cause, np.zeros(1))
+    return float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+
+
+def sentence(met: Met, given: Setup) -> str:
+    """Return the end of a test with its figures and what `rthyb check` knows of it.
+
+    Args:
+        met: what was met.
+        given: of the test.
+
+    Returns:
+        Such as "force 15.0 kN (limit 15 kN) at 3.1 s; without compensation this structure survives
+        3.3 samples of delay, the rig has 17"; "" where there are no figures.
+    """
+    told = figures(met.cause, met.value, met.limit)
+    if not told:
+        return ""
+    if np.isfinite(met.time_s):
+        told += f" at {met.time_s:.1f} s"
+    known = _known(met, given) if met.cause in _OF_MOTION else ""
+    return f"{told}; {known}" if known else told
+
+
+def _known(met: Met, given: Setup) -> str:
+    """Return what was known of it before the test ran."""
+    peak = {"position": given.reference_peak_m, "force": given.reference_peak_n}.get(met.cause)
+    if peak is not None and peak > met.limit:
+        watched = _WATCHED[met.cause]
+        reached = f"{number(peak * watched.factor)} {watched.unit}"
+        return f"already the reference simulation reaches {reached}"
+    critical, delay = given.critical_delay_samples, given.alpha_identified
+    if critical is None or delay is None or np.isinf(critical):
+        return ""
+    if not given.plc_enabled:
+        helped = " phase lead" if given.rfc_enabled else " compensation"
+        return (
+            f"without{helped} this structure survives {_samples(critical)} of delay, the rig has "
+            f"{delay:.3g}"
+        )
+    stood = "" if np.isnan(met.alpha) else f", alpha stood at {met.alpha:.3g}"
+    return (
+        f"this structure survives an error of {_samples(critical)} in alpha; the rig's delay is "
+        f"{delay:.3g}{stood}"
+    )
+
+
+def _samples(value: float) -> str:
+    text = f"{value:.2g}"
+    return f"{text} sample" if text == "1" else f"{text} samples"

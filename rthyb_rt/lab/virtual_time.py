@@ -1,0 +1,185 @@
+"""A test in virtual time: the station of one in real time, at the virtual rig, without a clock."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core
+from rthyb_rt.core import FLAGS, Channel
+from rthyb_rt.errors import RthybError
+from rthyb_rt.lab import experiment
+from rthyb_rt.lab.endings import RefusedError
+from rthyb_rt.lab.experiment import Progress, Setup
+from rthyb_rt.lab.runs import Run
+from rthyb_rt.lab.sequence import REST_TICKS, STEP_TICKS, Sequence
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.ring import AFTER_TRIP
+
+WAY_OUT_S: Final = 120.0
+"""How long a ramp-out is followed: a motion that ran away, without limits, comes back for hours."""
+HOLD_S: Final = 1.0
+"""How long a held test stands: nobody is there who could have it resumed."""
+
+TRUTH: Final = (Channel("x_true_m", "m"), Channel("f_true_n", "N"))
+"""What the virtual rig's sensors saw, without their errors."""
+
+
+class Bench:
+    """A station and a virtual rig, conducted tick by tick as fast as it goes.
+
+    Args:
+        setup: the test.
+        rig: what moves and measures; None takes the rig file's.
+        config: settings of the station; None takes those of the test.
+        truth: record what the sensors saw without their errors, as the channels `TRUTH`.
+
+    Attributes:
+        run: the station, and the book that is kept of it.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        rig: core.RigConfig | None = None,
+        config: core.StationConfig | None = None,
+        *,
+        truth: bool = False,
+    ) -> None:
+        if truth:
+            setup = replace(setup, channels=TRUTH)
+        self.run = Run.begin(setup, "virtual", config or experiment.station_config(setup))
+        virtual = core.Rig(rig or setup.virtual_rig)
+        stop_decel = experiment.stop_decel_m_per_s2(setup.rig)
+        self._test = core.Virtual(self.run.station, virtual, stop_decel, truth)
+        before = self.config.tare_ticks + self.config.ramp_in_ticks
+        self._rows = np.empty(before + setup.ticks + 2 * STEP_TICKS, dtype=core.RECORD_DTYPE)
+        self._values = np.zeros((self._rows.size, len(setup.channels)))
+        self._count = 0
+
+    @property
+    def config(self) -> core.StationConfig:
+        """Settings of the station."""
+        return self.run.config
+
+    @property
+    def state(self) -> str:
+        """Name of the station's state."""
+        return self.run.station.state
+
+    @property
+    def causing(self) -> tuple[str, float, float]:
+        """The station's latched first cause, the value that was met and the limit's."""
+        return self.run.causing
+
+    @property
+    def zeroing_failed(self) -> bool:
+        """Whether the last tare was refused because the reading moved."""
+        return self.run.station.zeroing_failed
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Samples of the test proper so far, and of the whole test."""
+        whole = self.run.setup.ticks
+        return min(self.run.station.test_tick, whole), whole
+
+    @property
+    def now_s(self) -> float:
+        """The time of its ticks."""
+        return self._count / self.run.setup.derived.fs_hz
+
+    def command(self, name: core.Command) -> int:
+        """Run one tick with an operator's command; return its number.
+
+        Raises:
+            RefusedError: it was refused.
+        """
+        state = self.state
+        self._tick(1, name)
+        refused = bool(self.rows["flags"][-1] & FLAGS["refused"])
+        tick = self._count - 1
+        self.run.commands.append({"tick": tick, "command": name, "refused": refused})
+        if refused:
+            raise RefusedError(f"{name}: refused in state {state}")
+        return tick
+
+    def advance(self, ticks: int) -> None:
+        """Run so many ticks, fewer where the state becomes another, or a tare has failed."""
+        self._tick(ticks, "none")
+
+    def settle(self) -> None:
+        """Run what is kept behind a test."""
+        kept = AFTER_TRIP if self.state == "TRIPPED" else REST_TICKS
+        self.advance(self.run.setup.rate.ticks(kept / core.FS_HZ))
+
+    def not_zeroed(self) -> RthybError:
+        """Return why the tare did not come to its end."""
+        return RthybError(
+            "the virtual rig is not at rest: its displacement moves by more than "
+            f"{self.config.rest_spread_m * 1e3:.3g} mm (limits.rest_spread_m) during the tare; "
+            "raise that, or lower the noise of sensors.displacement"
+        )
+
+    def _tick(self, ticks: int, command: core.Command) -> None:
+        end = self._count + ticks
+        if end > self._rows.size:
+            longer = np.empty(end + self._rows.size, dtype=core.RECORD_DTYPE)
+            longer[: self._count] = self.rows
+            self._rows = longer
+            more = np.zeros((longer.size - len(self._values), self._values.shape[1]))
+            self._values = np.concatenate([self._values, more])
+        part = slice(self._count, end)
+        self._count += self._fill(self._rows[part], command, self._values[part])
+
+    def _fill(
+        self, rows: core.RecordArray, command: core.Command, values: NDArray[np.float64]
+    ) -> int:
+        """Run as many ticks as there are rows, or until the state becomes another."""
+        return self._test.run(rows, command, values if values.size else None)
+
+    @property
+    def rows(self) -> core.RecordArray:
+        """All records so far, (n,)."""
+        return self._rows[: self._count]
+
+    def recording(self) -> Recording:
+        """Return the recording of all that was."""
+        self.run.take(self.rows)
+        rec = self.run.known()
+        channels = self.run.setup.channels
+        rec.samples = self.rows
+        if channels:
+            rec.samples = core.rows_of(self.rows, channels, self._values[: self._count])
+        rec.meta |= self.run.ending(self.state)
+        return rec
+
+
+def run(setup: Setup, progress: Progress | None = None, *, truth: bool = False) -> Recording:
+    """Run the test against the virtual rig as fast as it goes.
+
+    Args:
+        setup: the test.
+        progress: called with (ticks done, ticks of the test) now and then.
+        truth: record what the sensors saw without their errors, as the channels `TRUTH`.
+
+    Returns:
+        The recording, all rows from the first tick on; ``meta["end_reason"]`` says how it ended.
+
+    Raises:
+        RthybError: the test cannot be begun.
+    """
+    bench = Bench(setup, truth=truth)
+    conduct(bench, progress)
+    return bench.recording()
+
+
+def conduct(bench: Bench, progress: Progress | None = None) -> None:
+    """Zero, arm, start, and bring it back to rest, whatever happens on the way.
+
+    Raises:
+        RthybError: the rig does not come to rest, or a command is refused.
+    """
+    Sequence(bench, hold_s=HOLD_S, way_out_s=WAY_OUT_S, progress=progress).conduct()

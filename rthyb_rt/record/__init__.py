@@ -1,0 +1,1 @@
+"""What is kept of a test: the HDF5 recording, the telemetry ring, exports."""

@@ -1,0 +1,100 @@
+"""Recordings for other programs: MAT for MATLAB and Octave, CSV for the rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.core import FLAGS, STATES
+from rthyb_rt.errors import InputError
+from rthyb_rt.record.recording import UNITS, Recording, replacing
+
+INTERCHANGE: dict[str, str] = {
+    "ag": "ag_mps2",
+    "x_num": "x_num_m",
+    "x_cmd": "x_cmd_m",
+    "x_meas": "x_meas_m",
+    "f_meas": "f_meas_n",
+}
+"""Columns of the interchange format besides ``t`` and the fields that they come from."""
+
+
+def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
+    """Write a recording as CSV, SI units, one header row, numbers that read back exactly.
+
+    Args:
+        rec: the recording.
+        path: file to write.
+        full: False gives the interchange format that ``rthyb diagnose`` and other labs read:
+            the rows of the test proper with columns t, ag, x_num, x_cmd, x_meas, f_meas. True
+            gives every row, every field and every channel under its own name, after ``t_s``.
+
+    Raises:
+        RthybError: the file cannot be written.
+    """
+    if full:
+        rows = np.ones(len(rec.samples), dtype=np.bool_)
+        names = {name: name for name in rec.samples.dtype.names or ()}
+        header = ["t_s", *names]
+    else:
+        rows = rec.running()
+        names = INTERCHANGE
+        header = ["t", *names]
+    columns = [rec.time_s()[rows].tolist()]
+    columns += [_values(rec, name)[rows].tolist() for name in names.values()]
+    with replacing(Path(path)) as temporary, temporary.open("w", encoding="ascii") as file:
+        file.write(",".join(header) + "\n")
+        # repr gives the shortest text that reads back as the same double.
+        file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*columns, strict=True))
+
+
+def to_mat(rec: Recording, path: str | Path) -> None:
+    """Write a recording as a MAT file (version 5), one variable a field, column vectors.
+
+    The variables are ``t_s``, every field of the samples under its own name, ``x_ref_m`` and the
+    other reference signals if there are any, ``fs_hz``, ``test_toml``, ``rig_toml`` and the
+    structures ``units``, ``flag_bits``, ``ground_motion`` and ``meta``; ``state_names`` is a cell.
+
+    Args:
+        rec: the recording.
+        path: file to write.
+
+    Raises:
+        InputError: scipy is not installed.
+        RthybError: the file cannot be written.
+    """
+    try:
+        from scipy.io import savemat
+    except ImportError as error:
+        raise InputError(
+            "writing MAT files needs scipy; install it with pip install 'rthyb-rt[fit]'", str(path)
+        ) from error
+    variables: dict[str, Any] = {"t_s": rec.time_s()}
+    variables |= {name: _values(rec, name) for name in rec.samples.dtype.names or ()}
+    if rec.reference is not None:
+        variables |= {name: rec.reference[name] for name in rec.reference.dtype.names or ()}
+    variables |= {
+        "fs_hz": rec.fs_hz,
+        "test_toml": rec.test_toml,
+        "rig_toml": rec.rig_toml,
+        "units": UNITS | {"t_s": "s"} | {one.name: one.unit for one in rec.channels},
+        "flag_bits": FLAGS,
+        "state_names": np.array(STATES, dtype=object),
+        "ground_motion": {"ag_mps2": rec.ag_mps2} | _without_none(rec.ground_motion),
+        "meta": _without_none(rec.meta),
+    }
+    with replacing(Path(path)) as temporary, temporary.open("wb") as file:
+        savemat(file, variables, do_compression=True, oned_as="column", long_field_names=True)
+
+
+def _values(rec: Recording, name: str) -> NDArray[Any]:
+    """Return a field of the samples, a channel in its unit, (n,)."""
+    is_channel = any(channel.name == name for channel in rec.channels)
+    return rec.channel(name) if is_channel else np.asarray(rec.samples[name])
+
+
+def _without_none(values: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if value is not None}

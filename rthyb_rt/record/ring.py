@@ -1,0 +1,745 @@
+"""The telemetry ring: the last 64 s of a test in a file in memory that outlives its process.
+
+The tick thread pushes one record a tick and never waits. Recorder, dashboard and black box read the
+same ring, each from a read-only mapping. Beside the ring stands its session file, a recording
+without samples; ring and session together are a recording (`recover`), also after ``kill -9``.
+A ring does not survive a reboot.
+
+Layout of the file, every number with its low byte first::
+
+    0        header, see rthyb_ring_header in csrc/rthyb.h; from byte 128 the status page
+    4096     description as JSON: fields with type, offset and unit, versions, boot, process
+    then     the slots, at a whole page: a stamp and the record's words
+"""
+
+from __future__ import annotations
+
+import datetime
+import fcntl
+import json
+import mmap
+import os
+import stat
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import __version__
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core import (
+    FLAGS,
+    RECORD_DTYPE,
+    RUNNING,
+    STATES,
+    Channel,
+    RecordArray,
+    as_records,
+    row_dtype,
+)
+from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.record import recording
+from rthyb_rt.record.recording import Recording
+
+CAPACITY: Final[int] = lib.RTHYB_RING_CAPACITY
+AFTER_TRIP: Final[int] = lib.RTHYB_RING_AFTER_TRIP
+LAYOUT: Final[int] = lib.RTHYB_RING_LAYOUT
+
+_HEADER_BYTES: Final[int] = ffi.sizeof("rthyb_ring_header")
+_MODE = 0o640
+_SESSION = ".session.h5"
+_PRIVATE = 0o700
+
+_SERVICE = Path("/run/rthyb")
+_SHARED = Path("/dev/shm")
+_OTHER_VERSION = "use the version of rthyb_rt that wrote it"
+
+
+class OtherVersionError(InputError):
+    """A ring that another version of the program has written."""
+
+
+_REFUSED: Final[dict[int, str]] = {
+    lib.RTHYB_RING_FOREIGN: "not a telemetry ring; give a file ring.* of a real-time test",
+    lib.RTHYB_RING_UNFINISHED: "the ring was not set up to its end, so no tick was ever recorded",
+    lib.RTHYB_RING_OTHER_RECORD: f"the records are of another size; {_OTHER_VERSION}",
+    lib.RTHYB_RING_TRUNCATED: "the file ends too early; the copy is at fault, copy it again",
+    lib.RTHYB_RING_DAMAGED: "the header is damaged: its sizes contradict one another; copy the "
+    "ring again",
+}
+
+
+def default_folder() -> Path:
+    """Return where rings belong: in memory, and where this user may write.
+
+    ``/run/rthyb`` for the user whose it is by the service's installation, else the user's runtime
+    folder, else a folder of the user's own in ``/dev/shm``.
+    """
+    # Root may write there too: rings of root's are nothing that the service's recorder may read.
+    with suppress(OSError):
+        if _SERVICE.is_dir() and _SERVICE.stat().st_uid == os.geteuid():
+            return _SERVICE
+    return folders()[1]
+
+
+def folders() -> list[Path]:
+    """Return every folder that rings may be in, whether it is there or not: the service's first."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    own = [Path(runtime) / "rthyb"] if runtime else []
+    return [_SERVICE, *own, _SHARED / f"rthyb-{os.geteuid()}"]
+
+
+def claim(folder: Path) -> Path:
+    """Return a folder of rings, made for this user alone if it is missing.
+
+    Raises:
+        RthybError: it cannot be made, or is not to be trusted; see `trusted`.
+    """
+    try:
+        folder.mkdir(mode=_PRIVATE, parents=True, exist_ok=True)
+    except OSError as error:
+        raise _not_made(folder, error) from error
+    return trusted(folder)
+
+
+def _not_made(folder: Path, error: OSError) -> RthybError:
+    return RthybError(
+        f"no telemetry ring can be made here ({error.strerror or error}); "
+        "check the folder's permissions",
+        where=str(folder),
+    )
+
+
+def trusted(folder: Path) -> Path:
+    """Return a folder of rings, unless another user may have put it there, or may write in it.
+
+    Where everybody may make files, as in ``/dev/shm``, it must be a folder of this user's own, with
+    rights for nobody else: who came first could have this user's files written elsewhere, or stand
+    in for his service. One that is missing passes.
+
+    Raises:
+        RthybError: it is not to be trusted; whose it is, and what to do.
+    """
+    try:
+        around, found = folder.parent.stat(), folder.lstat()
+    except FileNotFoundError:
+        return folder
+    if not around.st_mode & stat.S_IWOTH:
+        return folder
+    if not stat.S_ISDIR(found.st_mode):
+        why = "is no folder but something that leads elsewhere; look what it is, and remove it"
+    elif found.st_uid != os.geteuid():
+        why = f"belongs to user {found.st_uid}, not to user {os.geteuid()}; have it removed"
+    elif found.st_mode & 0o077:
+        why = f"has the mode {found.st_mode & 0o777:o}; chmod 700 {folder}"
+    else:
+        return folder
+    raise RthybError(
+        f"everybody may write in {folder.parent}, and this {why}, or set XDG_RUNTIME_DIR",
+        where=str(folder),
+    )
+
+
+def session_path(ring: Path) -> Path:
+    """Return the name of the session file that belongs to a ring."""
+    return ring.with_name(ring.name + _SESSION)
+
+
+def delete(ring: Path) -> None:
+    """Delete a ring and its session.
+
+    The session first: as soon as the ring has gone another one may have its name, and a session.
+    """
+    for path in (session_path(ring), ring):
+        path.unlink(missing_ok=True)
+
+
+def find(folder: Path) -> list[Path]:
+    """Return the rings in a folder, the newest last."""
+    made_s = {}
+    for path in folder.glob("ring.*"):
+        # One may go while they are looked at.
+        with suppress(FileNotFoundError):
+            if _is_ring_name(path.name):
+                made_s[path] = path.stat().st_mtime
+    return sorted(made_s, key=made_s.__getitem__)
+
+
+def _is_ring_name(name: str) -> bool:
+    return len(name.split(".")) == 3 and name.rsplit(".", 1)[1].isdigit()
+
+
+# ---- the producer's side ------------------------------------------------------------------------
+
+
+class Ring:
+    """A ring that this process fills; made by `create`.
+
+    The object owns the memory that the tick thread writes to: it must outlive that thread.
+
+    Attributes:
+        path: the ring's file.
+        locked: the ring cannot be paged out.
+        in_memory: the ring lies on tmpfs. Elsewhere the write-back of the disk can make the
+            producer wait.
+    """
+
+    def __init__(
+        self, path: Path, owned: ExitStack, core: Any, facts: int, dtype: np.dtype[np.void]
+    ) -> None:
+        """Take over what `create` made."""
+        self.dtype = dtype
+        self.path = path
+        self.locked = bool(facts & lib.RTHYB_RING_LOCKED)
+        self.in_memory = bool(facts & lib.RTHYB_RING_IN_MEMORY)
+        self._owned = owned
+        self._c = core
+
+    @classmethod
+    def create(cls, folder: Path, session: Recording, capacity: int = CAPACITY) -> Ring:
+        """Make a ring and its session file, all memory taken, locked and written once.
+
+        Args:
+            folder: where; made if it is missing, for this user alone.
+            session: all that the recording will hold but the samples, which are left out.
+            capacity: records, a power of two.
+
+        Raises:
+            RthybError: the folder cannot be written, has no room or is not to be `trusted`; nothing
+                is left behind.
+            ValueError: ``capacity`` is no power of two.
+        """
+        if capacity < 1 or capacity & (capacity - 1):
+            raise ValueError(f"capacity must be a power of two, got {capacity}")
+        dtype = row_dtype(session.channels)
+        about = json.dumps(_description(session)).encode()
+        count = len(session.channels)
+        size = int(lib.rthyb_ring_bytes(capacity, len(about), count))
+        with ExitStack() as undo:
+            path, fd = _reserve(folder)
+            undo.callback(path.unlink, missing_ok=True)
+            owned = undo.enter_context(ExitStack())
+            owned.callback(os.close, fd)
+            memory = _take_memory(fd, path, size)
+            owned.callback(memory.close)
+            view = ffi.from_buffer(memory, require_writable=True)
+            owned.callback(ffi.release, view)
+            facts = lib.rthyb_ring_settle(fd, view, size)
+            start = lib.rthyb_ring_about_at()
+            memory[start : start + len(about)] = about
+            core = ffi.new("rthyb_ring *")
+            lib.rthyb_ring_init(core, view, capacity, len(about), count)
+            undo.callback(session_path(path).unlink, missing_ok=True)
+            # Last of all: whoever finds a session finds a ring beside it.
+            _write_session(path, session)
+            ring = cls(path, owned.pop_all(), core, facts, dtype)
+            undo.pop_all()
+        return ring
+
+    @property
+    def pointer(self) -> Any:
+        """``rthyb_ring *`` for the tick thread.
+
+        Raises:
+            RthybError: the ring is closed.
+        """
+        if self._c is None:
+            raise RthybError(f"{self.path}: the ring is closed")
+        return self._c
+
+    def push(self, records: RecordArray) -> None:
+        """Push rows of ``dtype``, or their records alone, (n,), as the tick thread does in C.
+
+        For exchange threads in Python; one thread at a time.
+        """
+        source, values = as_records(records), ffi.NULL
+        names = (self.dtype.names or ())[len(RECORD_DTYPE.names or ()) :]
+        if names and records.dtype == self.dtype:
+            channels = np.stack([records[name] for name in names], axis=-1)
+            values = ffi.from_buffer("double[]", np.ascontiguousarray(channels, np.float64))
+        lib.rthyb_ring_push_run(self.pointer, _records(source), source.size, values)
+
+    def renew_session(self, session: Recording) -> None:
+        """Replace the session file in one piece: what tares, commands and parameters have become.
+
+        Raises:
+            RthybError: it cannot be written; the old one is still there.
+        """
+        _write_session(self.path, session)
+
+    def close(self) -> None:
+        """Say that the test ended in good order, and let go of the file; twice does no harm.
+
+        The tick thread must have ended.
+        """
+        if self._c is not None:
+            lib.rthyb_ring_close(self._c)
+            self._c = None
+            self._owned.close()
+
+    def remove(self) -> None:
+        """Close the ring and delete it with its session: the recording has all of it."""
+        self.close()
+        delete(self.path)
+
+
+def _description(session: Recording) -> dict[str, Any]:
+    return {
+        "rthyb_version": __version__,
+        "fields": _fields(session.channels),
+        "channels": [asdict(channel) for channel in session.channels],
+        "record_bytes": row_dtype(session.channels).itemsize,
+        "fs_hz": session.fs_hz,
+        "boot_id": _boot_id(),
+        "pid": os.getpid(),
+        "started_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _fields(channels: Sequence[Channel]) -> list[dict[str, Any]]:
+    fields: Mapping[str, Any] = row_dtype(channels).fields or {}
+    units = recording.UNITS | {channel.name: channel.unit for channel in channels}
+    return [
+        {"name": name, "type": field[0].str, "offset": field[1], "unit": units[name]}
+        for name, field in fields.items()
+    ]
+
+
+def _boot_id() -> str:
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return "unknown"
+
+
+def _reserve(folder: Path) -> tuple[Path, int]:
+    """Make and lock an empty file of a new name."""
+    stem = f"ring.{_boot_id()[:8]}"
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    claim(folder)
+    try:
+        number = 1
+        while True:
+            path = folder / f"{stem}.{number}"
+            with suppress(FileExistsError):
+                fd = os.open(path, flags, _MODE)
+                break
+            number += 1
+        # The lock goes with the process, however that ends: so readers know whether it lives.
+        fcntl.flock(fd, fcntl.LOCK_EX)
+        os.fchmod(fd, _MODE)
+    except OSError as error:
+        raise _not_made(folder, error) from error
+    return path, fd
+
+
+def _take_memory(fd: int, path: Path, size: int) -> mmap.mmap:
+    """Have every block now: on a full tmpfs the tick thread would die of SIGBUS."""
+    try:
+        os.posix_fallocate(fd, 0, size)
+        return mmap.mmap(fd, size)
+    except OSError as error:
+        free = os.fstatvfs(fd)
+        raise RthybError(
+            f"no room for the telemetry ring ({error.strerror or error}): "
+            f"{size / 1e6:.1f} MB needed, {free.f_bavail * free.f_frsize / 1e6:.1f} MB free; "
+            "delete the rings of tests that are recovered (ring.*)",
+            where=str(path.parent),
+        ) from error
+
+
+def _write_session(ring: Path, session: Recording) -> None:
+    bare = replace(session, samples=np.zeros(0, dtype=row_dtype(session.channels)))
+    recording.write(session_path(ring), bare)
+    session_path(ring).chmod(_MODE)
+
+
+def _records(array: RecordArray) -> Any:
+    return ffi.cast("rthyb_record *", ffi.from_buffer(array))
+
+
+# ---- readers ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Records that followed one another without a gap.
+
+    Attributes:
+        first: number of the first of them; the ring's first record ever has number 0.
+        samples: the records, shape (n,).
+    """
+
+    first: int
+    samples: RecordArray
+
+
+class Reader:
+    """One reader of a ring, at its own pace; begins with the oldest record.
+
+    Attributes:
+        path: the ring's file.
+        about: the description in the file: fields, versions, boot, process.
+        dtype: of a row.
+
+    Raises:
+        InputError: the file is missing, no ring, of another version, truncated or damaged.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Map the ring read-only."""
+        self.path = Path(path)
+        with ExitStack() as owned:
+            self._fd = _open(self.path)
+            owned.callback(os.close, self._fd)
+            if os.fstat(self._fd).st_size < _HEADER_BYTES:
+                raise InputError(
+                    "too short for a telemetry ring; give a file ring.* of a real-time test",
+                    str(path),
+                )
+            memory = mmap.mmap(self._fd, 0, access=mmap.ACCESS_READ)
+            owned.callback(memory.close)
+            view = ffi.from_buffer(memory)
+            owned.callback(ffi.release, view)
+            self._c = ffi.new("rthyb_ring_reader *")
+            refused = lib.rthyb_ring_attach(self._c, view, len(memory))
+            self.about, self.dtype = _about(memory, self.path, refused)
+            self._owned = owned.pop_all()
+
+    def __enter__(self) -> Reader:
+        """Return the reader itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let go of the file."""
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file; the reader is of no more use."""
+        self._owned.close()
+
+    @property
+    def next(self) -> int:
+        """Number of the record to be read next."""
+        return int(self._c.next)
+
+    @property
+    def lost(self) -> int:
+        """Records that this reader came too late for, and those that were half written."""
+        return int(self._c.lost)
+
+    @property
+    def pushed(self) -> int:
+        """Records that the ring has taken so far."""
+        return int(lib.rthyb_ring_pushed(self._c))
+
+    @property
+    def frozen(self) -> bool:
+        """Whether the ring stands still after a TRIP."""
+        return bool(lib.rthyb_ring_phase(self._c) & lib.RTHYB_RING_FROZEN)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the producer ended in good order."""
+        return bool(lib.rthyb_ring_phase(self._c) & lib.RTHYB_RING_CLOSED)
+
+    @property
+    def alive(self) -> bool:
+        """Whether a process still holds the ring to fill it."""
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        fcntl.flock(self._fd, fcntl.LOCK_UN)
+        return False
+
+    def read(self, most: int = 8192) -> Rows:
+        """Return the next records, at most so many, without waiting.
+
+        Records that were overwritten meanwhile are passed over: `Rows.first` then lies beyond the
+        last ``next``. No records: there is nothing new.
+        """
+        buffer = np.empty(most, dtype=self.dtype)
+        count = int(lib.rthyb_ring_read(self._c, ffi.from_buffer(buffer), most))
+        return Rows(self.next - count, buffer[:count])
+
+    def newest(self) -> np.void | None:
+        """Return the record of the last tick, also of a frozen ring, or None before the first."""
+        buffer = np.empty(1, dtype=self.dtype)
+        return buffer[0] if lib.rthyb_ring_newest(self._c, ffi.from_buffer(buffer)) else None
+
+
+def _open(path: Path) -> int:
+    if path.is_dir():
+        rings = find(path)
+        hint = f"; did you mean {rings[-1]}?" if rings else ""
+        raise InputError(f"is a folder; give a ring in it (ring.*){hint}", str(path))
+    if not path.is_file():
+        raise InputError(
+            "no such file; a ring is gone after a reboot; rthyb recover lists those that are there",
+            str(path),
+        )
+    try:
+        return os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError as error:
+        raise InputError(
+            f"cannot be opened ({error.strerror}); its owner and its group may read it",
+            str(path),
+        ) from error
+
+
+def _about(memory: mmap.mmap, path: Path, refused: int) -> tuple[dict[str, Any], np.dtype[np.void]]:
+    """Return the description and what it makes a row of, or refuse the ring in words."""
+    if refused and refused != lib.RTHYB_RING_OTHER_LAYOUT:
+        other = refused == lib.RTHYB_RING_OTHER_RECORD
+        raise (OtherVersionError if other else InputError)(_REFUSED[refused], str(path))
+    layout, about = _description_in(memory)
+    version = about.get("rthyb_version")
+    writer = f" of rthyb_rt {version}" if version else ""
+    if refused:
+        raise OtherVersionError(
+            f"layout {layout} of the ring{writer}, this version reads layout {LAYOUT}; "
+            + _OTHER_VERSION,
+            str(path),
+        )
+    if not about:
+        raise InputError(f"the ring is damaged in its description; {_OTHER_VERSION}", str(path))
+    header = ffi.from_buffer("rthyb_ring_header *", memory)
+    row_bytes = int(header.record_bytes)
+    ffi.release(header)
+    with suppress(KeyError, TypeError, ValueError):
+        channels = tuple(Channel(**one) for one in about.get("channels", ()))
+        dtype = row_dtype(channels)
+        if about.get("fields") == _fields(channels) and dtype.itemsize == row_bytes:
+            return about, dtype
+    raise OtherVersionError(f"the ring{writer} has other fields; {_OTHER_VERSION}", str(path))
+
+
+def _description_in(memory: mmap.mmap) -> tuple[int, dict[str, Any]]:
+    """Return layout and description of a ring of any layout; empty if it cannot be read."""
+    header = ffi.from_buffer("rthyb_ring_header *", memory)
+    layout, start, size = int(header.layout), int(header.about_at), int(header.about_bytes)
+    ffi.release(header)
+    with suppress(ValueError):
+        about = json.loads(memory[start : start + size].decode())
+        return layout, about if isinstance(about, dict) else {}
+    return layout, {}
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What a ring shows of itself at a glance.
+
+    Attributes:
+        path: of the ring.
+        test_name: from the session file; "" where that cannot be read.
+        pid: of the process that made it; 0 where it does not say.
+        started_utc: when the ring was made; "" where it does not say.
+        age_s: since then.
+        rows: records that it has taken so far; not all of them may still be there.
+        ticks: ticks up to the newest record.
+        state: of the newest record; "" before the first.
+        alive: a process holds it to fill it.
+        fault: why it cannot be read, or not recovered; "" if it can.
+    """
+
+    path: Path
+    test_name: str = ""
+    pid: int = 0
+    started_utc: str = ""
+    age_s: float | None = None
+    rows: int = 0
+    ticks: int = 0
+    state: str = ""
+    alive: bool = False
+    fault: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all of it by name."""
+        return {**self.__dict__, "path": str(self.path)}
+
+
+def look(path: Path) -> Sight:
+    """Look at a ring without disturbing anybody; what is wrong with it is said, never raised."""
+    try:
+        with Reader(path) as reader:
+            newest = reader.newest()
+            started = str(reader.about.get("started_utc", ""))
+            seen = Sight(
+                path=path,
+                pid=int(reader.about.get("pid", 0)),
+                started_utc=started,
+                age_s=_age_s(started),
+                rows=reader.pushed,
+                ticks=0 if newest is None else int(newest["tick"]) + 1,
+                state="" if newest is None else STATES[newest["state"]],
+                alive=reader.alive,
+                fault="" if newest is not None else "its process has not come to a first tick",
+            )
+    except InputError as error:
+        return Sight(path, fault=error.problems[0].message)
+    try:
+        return replace(seen, test_name=str(_session(path).meta.get("test_name", "")))
+    except RthybError as error:
+        return replace(seen, fault=error.problems[0].message)
+
+
+def _age_s(started_utc: str) -> float | None:
+    with suppress(ValueError, TypeError):
+        began = datetime.datetime.fromisoformat(started_utc)
+        return (datetime.datetime.now(datetime.UTC) - began).total_seconds()
+    return None
+
+
+# ---- from the ring to a recording ---------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What a ring and its session gave.
+
+    Attributes:
+        recording: rows from the oldest record that the ring still had. Its ``meta`` states the
+            other attributes too.
+        rows: first and last ring row held, counted from the ring's start.
+        missing_rows: ranges [first, last] of ring rows that were overwritten or half written.
+        missing_ticks: ranges [first, last] of ticks between two rows: of missing rows, or of the
+            time that the ring was frozen.
+        alive: the test was still running.
+    """
+
+    recording: Recording
+    rows: tuple[int, int]
+    missing_rows: list[list[int]]
+    missing_ticks: list[list[int]]
+    alive: bool
+
+
+def recover(path: str | Path) -> Recovered:
+    """Make a recording of a ring and the session beside it, whatever became of the process.
+
+    Nothing is changed or deleted, and a test that is running does not notice.
+
+    Args:
+        path: the ring.
+
+    Raises:
+        InputError: one of the two cannot be read, or the ring has no record.
+    """
+    path = Path(path)
+    with Reader(path) as reader:
+        alive = reader.alive
+        parts = _read_all(reader)
+        ended = _end_reason(reader, parts, alive)
+    if not parts:
+        raise InputError(
+            "the ring has no record: its process ended before the first tick", str(path)
+        )
+    samples = joined([part.samples for part in parts])
+    found = Recovered(
+        recording=_join(_session(path), samples, parts[0].first),
+        rows=(parts[0].first, parts[-1].first + len(parts[-1].samples) - 1),
+        missing_rows=_missing_rows(parts),
+        missing_ticks=_missing_ticks(samples["tick"]),
+        alive=alive,
+    )
+    now = datetime.datetime.now(datetime.UTC)
+    found.recording.meta |= {
+        "end_reason": f"{ended} (recovered from the telemetry ring)",
+        "recovered_from": path.name,
+        "recovered_utc": now.isoformat(timespec="seconds"),
+        "recovered_rows": list(found.rows),
+        "missing_rows": found.missing_rows,
+        "missing_ticks": found.missing_ticks,
+    }
+    return found
+
+
+def _session(ring: Path) -> Recording:
+    path = session_path(ring)
+    if not path.is_file():
+        raise InputError(
+            f"the session file {path.name} is not beside the ring; copy both together", str(ring)
+        )
+    return recording.read(path)
+
+
+def _join(session: Recording, samples: RecordArray, first_row: int) -> Recording:
+    """Return the session with its samples, and without what no longer fits them."""
+    held = bool((samples["state"] == STATES.index("HOLD")).any())
+    return replace(
+        session,
+        samples=samples,
+        reference=session.reference if _reference_fits(samples, first_row) else None,
+        replay=replace(session.replay, skips=skips(samples)),
+        meta=session.meta | {"interrupted": held},
+    )
+
+
+def _read_all(reader: Reader) -> list[Rows]:
+    """Return everything up to the present; a running test may go on meanwhile."""
+    end = reader.pushed + 1  # a process may have died between a record and its count
+    parts = []
+    while reader.next < end:
+        rows = reader.read(end - reader.next)
+        if not rows.samples.size:
+            break
+        parts.append(rows)
+    return parts
+
+
+def _end_reason(reader: Reader, parts: list[Rows], alive: bool) -> str:
+    if parts and parts[-1].samples["state"][-1] == STATES.index("TRIPPED"):
+        return "tripped"
+    if alive:
+        return "still running"
+    return "closed" if reader.closed else "its process ended early"
+
+
+def joined(parts: Sequence[RecordArray]) -> RecordArray:
+    """Return records of several arrays in one, shape (n,), padding and all."""
+    # np.concatenate would take the padding out of the records.
+    samples = np.zeros(sum(part.size for part in parts), dtype=parts[0].dtype)
+    done = 0
+    for part in parts:
+        samples[done : done + part.size] = part
+        done += part.size
+    return samples
+
+
+def _missing_rows(parts: list[Rows]) -> list[list[int]]:
+    missing, wanted = [], 0
+    for part in parts:
+        if part.first > wanted:
+            missing.append([wanted, part.first - 1])
+        wanted = part.first + len(part.samples)
+    return missing
+
+
+def _missing_ticks(tick: NDArray[np.uint64]) -> list[list[int]]:
+    at = np.flatnonzero(tick[1:] > tick[:-1] + np.uint64(1))
+    return [[int(tick[i]) + 1, int(tick[i + 1]) - 1] for i in at]
+
+
+def _reference_fits(samples: RecordArray, first_row: int) -> bool:
+    """Whether the first RUNNING row is the test's first, and no tick is missing from there on."""
+    running = np.flatnonzero(samples["state"] == RUNNING)
+    if not running.size:
+        return False
+    begin = int(running[0])
+    return (begin > 0 or first_row == 0) and not _missing_ticks(samples["tick"][begin:])
+
+
+def skips(samples: RecordArray) -> NDArray[np.int64]:
+    """Return first tick and length of every run of blind rows, shape (n, 2)."""
+    blind = (samples["flags"] & FLAGS["blind"]) != 0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], blind, [False]]).astype(np.int8)))
+    first, end = edges[::2], edges[1::2]
+    tick = samples["tick"].astype(np.int64)
+    return (
+        np.stack([tick[first], end - first], axis=1) if first.size else np.zeros((0, 2), np.int64)
+    )

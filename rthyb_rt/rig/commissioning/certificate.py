@@ -1,0 +1,369 @@
+"""What has been checked on a rig, when, and for which content of its rig file.
+
+The file lies beside the rig file. A test in real time asks for it: it belongs to the rig file as
+long as nothing in that has changed that could turn a sign or move a limit.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from rthyb_rt import __version__, config
+from rthyb_rt.config import RigFile
+from rthyb_rt.config.rigfile import TOLERANCES
+from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.lab.realtime import RefusedError
+from rthyb_rt.record.recording import replacing
+
+SCHEMA: Final = "rthyb-commissioned/1"
+STEPS: Final = ("link", "polarity", "limits", "watchdog", "trip")
+"""In the order in which they are made."""
+SUFFIX: Final = ".commissioned.json"
+
+_MATTERS: Final = ("link", "calibration", "actuator", "sensors", "limits")
+_FIRST_KEYS: Final[dict[str, tuple[str, ...]]] = {
+    "link": ("interface", "bitrate", "data_bitrate", "dbc"),
+    "limits": (
+        *("command_position_m", "command_velocity_m_per_s", "command_acceleration_m_per_s2"),
+        *("command_increment_m", "force_n", "tracking_error_m", "energy_error_j"),
+        *("tracking_indicator_slope_m2_per_s", "sensor_stuck_samples", "sensor_jump_m"),
+        *("path_velocity_m_per_s", "path_acceleration_m_per_s2", "ramp_in_s", "armed_timeout_s"),
+        *("tare_s", "rest_spread_m"),
+    ),
+}
+"""Keys without a value that have been in the hash from the first version on."""
+_MAX_BYTES: Final = 10**6
+
+
+@dataclass(frozen=True)
+class Step:
+    """What came of one step.
+
+    Attributes:
+        name: one of `STEPS`.
+        passed: True, False, or None for one that could not be made.
+        date: UTC, to the second.
+        figures: what was found, by name; numbers, words, and lists of them.
+        faults: what is wrong, each with its remedy; or why it could not be made.
+    """
+
+    name: str
+    passed: bool | None
+    date: str
+    figures: dict[str, Any] = field(default_factory=dict)
+    faults: tuple[str, ...] = ()
+
+
+def now() -> str:
+    """Return the date of a step."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """The commissioning of one rig.
+
+    Attributes:
+        rig_name, rig_hash: of the rig file, see `rig_hash`.
+        virtual: a virtual rig was at the other end.
+        link: name of the link.
+        version: of this program.
+        steps: by name.
+    """
+
+    rig_name: str
+    rig_hash: str
+    virtual: bool
+    link: str
+    version: str = __version__
+    steps: dict[str, Step] = field(default_factory=dict)
+
+    def with_step(self, step: Step) -> Certificate:
+        """Return it with one more step, or a newer one."""
+        return replace(self, steps={**self.steps, step.name: step})
+
+    def date_of(self, name: str) -> str:
+        """Return when a step passed; "" if it has not."""
+        step = self.steps.get(name)
+        return step.date if step is not None and step.passed else ""
+
+    @property
+    def lacking(self) -> list[str]:
+        """What stands against a test, step by step, in words; empty: every step has passed."""
+        return [f"{name} {self._why(name)}" for name in STEPS if not self.date_of(name)]
+
+    def _why(self, name: str) -> str:
+        step = self.steps.get(name)
+        if step is None:
+            return "was not made"
+        return "FAILED" if step.passed is False else "could not be checked"
+
+    @property
+    def date(self) -> str:
+        """When its last step was made; "" without one."""
+        return max((step.date for step in self.steps.values()), default="")
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as the document of its file."""
+        own = {k: v for k, v in self.__dict__.items() if k != "steps"}
+        steps = {
+            name: {**self.steps[name].__dict__, "faults": list(self.steps[name].faults)}
+            for name in STEPS
+            if name in self.steps
+        }
+        for step in steps.values():
+            del step["name"]
+        return {"schema": SCHEMA, "date": self.date, **own, "steps": steps}
+
+
+def rig_hash(rig: RigFile) -> str:
+    """Return a hash of what a commissioning depends on: hexadecimal, 64 digits.
+
+    Link, calibration, actuator, sensors and limits; not names, comments, specimen, k_e or what an
+    identification found. Of a DBC file its content counts, and not where it lies.
+    """
+    content = {key: value for key, value in rig.model_dump().items() if key in _MATTERS}
+    for table, first in _FIRST_KEYS.items():
+        given = content[table] or {}
+        # A key of later versions that the file does not set makes no other rig of it.
+        for key in [key for key in given if key not in first and given[key] is None]:
+            del given[key]
+    if rig.link is not None and rig.link.dbc is not None:
+        content["link"]["dbc"] = _digest(Path(rig.link.dbc))
+    for key in TOLERANCES:
+        content["actuator"].pop(key, None)
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror or error})", str(path)) from error
+
+
+# ---- files --------------------------------------------------------------------------------------
+
+
+def place(rig_path: Path) -> Path:
+    """Return where the certificate of a rig file goes: beside it, unless it came with the program
+    or its folder may not be written.
+    """
+    name = rig_path.stem + SUFFIX
+    if _shipped(rig_path) or not os.access(rig_path.parent, os.W_OK):
+        return state_folder() / name
+    return rig_path.with_name(name)
+
+
+def state_folder() -> Path:
+    """Return the folder of certificates that cannot lie beside their rig file."""
+    home = os.environ.get("XDG_STATE_HOME")
+    return (Path(home) if home else Path.home() / ".local" / "state") / "rthyb"
+
+
+def _shipped(rig_path: Path) -> bool:
+    try:
+        return config.shipped_rig(rig_path.stem).resolve() == rig_path.resolve()
+    except InputError:
+        return False
+
+
+def write(path: Path, certificate: Certificate) -> None:
+    """Write a certificate, in place of an older one.
+
+    Raises:
+        RthybError: it cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RthybError(
+            f"cannot be made ({error.strerror or error}); check its permissions, or set "
+            "XDG_STATE_HOME",
+            where=str(path.parent),
+        ) from error
+    text = json.dumps(certificate.as_json(), indent=2, ensure_ascii=False, allow_nan=False)
+    with replacing(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+        # A service reads it as another user, whatever root's umask is.
+        temporary.chmod(0o644)
+
+
+def read(path: Path) -> Certificate:
+    """Read a certificate.
+
+    Raises:
+        InputError: there is none, or it cannot be understood.
+    """
+    try:
+        with path.open("rb") as file:
+            document = json.loads(file.read(_MAX_BYTES))
+        if document["schema"] != SCHEMA:
+            raise ValueError(f"schema {document['schema']!r}, this version reads {SCHEMA!r}")
+        return Certificate(
+            rig_name=str(document["rig_name"]),
+            rig_hash=str(document["rig_hash"]),
+            virtual=document["virtual"] is True,
+            link=str(document["link"]),
+            version=str(document["version"]),
+            steps={name: _step(name, step) for name, step in document["steps"].items()},
+        )
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror or error})", str(path)) from error
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise InputError(
+            f"is no commissioning file ({error}); run `rthyb commission` again", str(path)
+        ) from error
+
+
+def _step(name: str, data: dict[str, Any]) -> Step:
+    if name not in STEPS or data["passed"] not in (True, False, None):
+        raise ValueError(f"step {name!r}")
+    date = datetime.datetime.fromisoformat(data["date"]).isoformat(timespec="seconds")
+    return Step(name, data["passed"], date, dict(data["figures"]), tuple(map(str, data["faults"])))
+
+
+def find(rig: RigFile, rig_path: Path) -> tuple[Certificate | None, Certificate | None]:
+    """Return the certificate that holds for a rig as it is; if none does, that of the file before.
+
+    Looked for by the file's name, then among the others of its folder: a rig file that was
+    identified, or renamed, needs no new commissioning. Where several hold, the newest word on each
+    step counts: a check that failed is not outweighed by an older one that passed.
+    """
+    wanted = rig_hash(rig)
+    held: Certificate | None = None
+    older: Certificate | None = None
+    for path, found in _near(rig_path):
+        if found.rig_hash == wanted:
+            held = found if held is None else _newest(held, found)
+        elif path.name == rig_path.stem + SUFFIX:
+            # Its own place, or beside the file where that may only be read: a service's.
+            older = older or found
+    return held, None if held else older
+
+
+def _newest(first: Certificate, other: Certificate) -> Certificate:
+    for name, step in other.steps.items():
+        if name not in first.steps or step.date > first.steps[name].date:
+            first = first.with_step(step)
+    return first
+
+
+def _near(rig_path: Path) -> Iterator[tuple[Path, Certificate]]:
+    own = place(rig_path)
+    # A folder of unreadable files is none of this rig's business, its own file is.
+    if own.exists():
+        yield own, read(own)
+    for path in _others(own, rig_path.parent):
+        try:
+            yield path, read(path)
+        except InputError:
+            continue
+
+
+def _others(own: Path, folder: Path) -> Iterable[Path]:
+    return (path for path in sorted(folder.glob(f"*{SUFFIX}")) if path != own)
+
+
+def carry(rig: RigFile, rig_path: Path, new_path: Path) -> None:
+    """Put a certificate that holds beside another file of the same rig, where none is found."""
+    holds, _ = find(rig, rig_path)
+    if holds is not None and find(rig, new_path)[0] is None:
+        write(place(new_path), holds)
+
+
+# ---- what a test asks for -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Whether a rig file, as it is, may be used for a test in real time.
+
+    Attributes:
+        demanded: a commissioning is asked for; not with a virtual rig at the other end.
+        holds: the certificate that holds for this very content; None without one.
+        path: where the certificate of this file belongs.
+        why_not: what stands against a test, with the remedy; "" if nothing does, or nothing is
+            demanded.
+    """
+
+    demanded: bool
+    holds: Certificate | None
+    path: Path
+    why_not: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as plain values, with result and date of every step of `STEPS`."""
+        made = {} if self.holds is None else self.holds.steps
+        steps = {
+            name: {"passed": made[name].passed, "date": made[name].date} if name in made else None
+            for name in STEPS
+        }
+        return {
+            "demanded": self.demanded,
+            "commissioned": self.holds is not None and not self.holds.lacking,
+            "certificate": str(self.path),
+            "why_not": self.why_not,
+            "steps": steps,
+        }
+
+
+def standing(rig: RigFile, rig_path: Path) -> Standing:
+    """Return whether a rig has been commissioned as its file stands.
+
+    Raises:
+        InputError: its certificate cannot be understood.
+    """
+    demanded = rig.link is not None and not rig.link.virtual
+    holds, older = find(rig, rig_path)
+    lacks = demanded and (holds is None or bool(holds.lacking))
+    why_not = _why_not(rig_path, holds, older) if lacks else ""
+    return Standing(demanded, holds, place(rig_path), why_not)
+
+
+def demand(rig: RigFile, rig_path: Path) -> dict[str, Any]:
+    """Return what a recording is to know of a rig's commissioning, for its ``meta``.
+
+    With a virtual rig at the other end nothing is demanded: no ``[link]``, or ``link.virtual``.
+
+    Raises:
+        RefusedError: a check of `STEPS` has not passed for this very rig file; which ones is said.
+    """
+    found = standing(rig, rig_path)
+    if found.why_not:
+        raise RefusedError(found.why_not, where=str(rig_path))
+    holds = found.holds
+    dates = {name: holds.date_of(name) if holds is not None else "" for name in STEPS}
+    return {
+        "commissioning": {
+            "demanded": found.demanded,
+            "virtual": not found.demanded,
+            "rig_hash": rig_hash(rig),
+            **dates,
+        }
+    }
+
+
+def _why_not(rig_path: Path, holds: Certificate | None, older: Certificate | None) -> str:
+    remedy = f"run `rthyb commission {rig_path}`"
+    if holds is not None:
+        names = ",".join(name for name in STEPS if not holds.date_of(name))
+        told = ", ".join(holds.lacking)
+        return f"not every check of its commissioning has passed: {told}; {remedy} --steps {names}"
+    if older is not None:
+        return (
+            "link, calibration, actuator, sensors or limits have changed since the rig was "
+            f"commissioned on {older.date[:10]}; {remedy}"
+        )
+    return (
+        "this rig has not been commissioned: nobody has seen yet that its actuator goes the right "
+        f"way; {remedy}, or say link.virtual = true if a virtual rig is at the other end"
+    )

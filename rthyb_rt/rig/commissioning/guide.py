@@ -1,0 +1,330 @@
+"""The commissioning of a rig, step by step: what is asked, done, judged and kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core
+from rthyb_rt.core import FLAGS
+from rthyb_rt.core.loop import WATCHDOG_TICKS
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment
+from rthyb_rt.rig.commissioning import limits, polarity, stops
+from rthyb_rt.rig.commissioning.certificate import STEPS, Certificate, Step, now, rig_hash
+from rthyb_rt.rig.commissioning.moving import (
+    ATTEMPTS,
+    Connection,
+    Motion,
+    Moved,
+    Rows,
+    bring_back,
+    check_distance,
+    check_limits,
+    fresh,
+    undisturbed,
+)
+
+REST_S: Final = 2.0
+"""Length of the look at a rig that rests."""
+FRESH_SHARE: Final = 0.98
+"""Of the ticks: less feedback than this is no feedback 1024 times a second."""
+RATE_TOLERANCE: Final = 0.01
+
+_PANEL: Final = "release the drive at its own panel, for its frames have no word for a reset"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be done.
+
+    Attributes:
+        steps: of `rthyb_rt.rig.commissioning.certificate.STEPS`, carried out in that order.
+        distance_m: of the small motions, of the structure.
+        allowed: asks the operator before each motion; False leaves it.
+        tell: takes a line for the operator.
+        witness: asks the operator for what no frame tells; None: nobody is there to look.
+    """
+
+    steps: Sequence[str] = STEPS
+    distance_m: float = 1e-3
+    allowed: Callable[[str], bool] = lambda _: True
+    tell: Callable[[str], None] = lambda _: None
+    witness: Callable[[str], bool | None] = lambda _: None
+
+
+def commission(
+    connection: Connection,
+    plan: Plan,
+    known: Certificate | None = None,
+    keep: Callable[[Certificate], None] = lambda _: None,
+) -> Certificate:
+    """Lead through the steps of a plan; a link or a polarity that fails ends it.
+
+    Args:
+        connection: the rig.
+        plan: what is to be done.
+        known: a certificate that holds for this rig file; its other steps are kept.
+        keep: takes the certificate after every step.
+
+    Returns:
+        The certificate with the steps that were made. A step that was not allowed is not in it, or
+        as it was.
+
+    Raises:
+        InputError: the rig file has no limit on position or force.
+        RefusedError: the distance is beyond what the rig's limits allow.
+        RthybError: a motion failed for another reason than the one in question.
+    """
+    check_limits(connection.rig)
+    check_distance(connection.rig, plan.distance_m)
+    rig = connection.rig
+    # Whoever is asked before each motion knows what stopped the drive: most often a check of these.
+    connection = replace(connection, resets=True)
+    certificate = known or Certificate(
+        rig_name=rig.rig.name,
+        rig_hash=rig_hash(rig),
+        virtual=rig.link is None or rig.link.virtual,
+        link=connection.opened.name,
+    )
+    for name in (name for name in STEPS if name in plan.steps):
+        step = _MADE[name](connection, plan)
+        if step is None:
+            plan.tell(f"{name}: left out")
+            continue
+        certificate = certificate.with_step(step)
+        keep(certificate)
+        _tell(plan, step)
+        if not step.passed and name in ("link", "polarity"):
+            plan.tell("what follows needs this: put it right, then begin again")
+            break
+    return certificate
+
+
+def _tell(plan: Plan, step: Step) -> None:
+    words = {True: "passed", False: "FAILED", None: "could not be checked"}[step.passed]
+    plan.tell(f"{step.name}: {words}")
+    for fault in step.faults:
+        plan.tell(f"  {fault}")
+
+
+# ---- link ---------------------------------------------------------------------------------------
+
+
+def _link(connection: Connection, plan: Plan) -> Step | None:
+    if not plan.allowed(
+        "Send commands to the drive, which is to stay where it is? If displacement and command "
+        "disagree on the wire, it will jump now: let it have little pressure and little way to go."
+    ):
+        return None
+    # What is lost is counted here, and told with what is needed.
+    counted = {"lost_pairs": core.Watch(1.0 - FRESH_SHARE, "indicate")}
+    rest = Motion("rest", np.zeros(round(REST_S * core.FS_HZ)), counted)
+    try:
+        moved = undisturbed(connection, rest)
+    except InputError as error:
+        return Step("link", False, now(), faults=(str(error),))
+    figures = rest_figures(moved)
+    faults = []
+    if moved.cause != "completed":
+        faults.append(f"the rig did not stay at rest: {moved.end_reason}")
+    if figures["fresh_share"] < FRESH_SHARE:
+        faults.append(
+            f"{100 * figures['fresh_share']:.1f} % of the ticks had a new pair of displacement "
+            f"and force, {100 * FRESH_SHARE:g} % are needed; check the wire, and the drive's rate"
+        )
+    setup = experiment.prescribed(connection.rig, rest.name, rest.path_m)
+    spread_m = setup.derived.limits.rest_spread_m
+    if abs(figures["jump_m"]) > spread_m:
+        faults.append(
+            f"the displacement went from {figures['displacement_m'] - figures['jump_m']:.4g} m to "
+            f"{figures['displacement_m']:.4g} m as commands began, though it was told to stay: "
+            "displacement and command disagree; check both in [calibration], offset_m first"
+        )
+    rate = figures["rate_hz"]
+    if rate is not None and abs(rate / core.FS_HZ - 1.0) > RATE_TOLERANCE:
+        faults.append(f"the drive sends {rate:.1f} samples a second, {core.FS_HZ:g} are needed")
+    return Step("link", not faults, now(), figures, tuple(faults))
+
+
+def rest_figures(moved: Moved) -> dict[str, Any]:
+    """Return what a motion that stays at rest shows of the link and the sensors."""
+    rows = moved.running
+    executed = rows[(rows["flags"] & FLAGS["blind"]) == 0]
+    heard = executed[fresh(executed)]
+    delay = moved.facts["link_delay_samples"]
+    return {
+        "link": moved.facts["link"],
+        "fresh_share": heard.size / max(executed.size, 1),
+        "rate_hz": _rate(heard),
+        "link_delay_samples": None if delay < 0 else delay,
+        "slips": int(np.count_nonzero(rows["flags"] & FLAGS["slip"])),
+        "displacement_m": moved.start_m,
+        "jump_m": moved.start_m - float(moved.rows[fresh(moved.rows)]["x_meas_m"][0]),
+        "force_n": moved.start_n,
+        "noise_m": float(heard["x_meas_m"].std()) if heard.size else None,
+        "noise_n": float(heard["f_meas_n"].std()) if heard.size else None,
+        "skipped_ticks": int(rows.size - executed.size),
+    }
+
+
+def _rate(heard: Rows) -> float | None:
+    """Return the drive's samples in a second of this PC, by its own count."""
+    if heard.size < 2:
+        return None
+    counts: NDArray[np.int64] = heard["count"].astype(np.int64)
+    steps = (counts[1:] - counts[:-1]) % 256
+    lasted_s = (int(heard["due_ns"][-1]) - int(heard["due_ns"][0])) * 1e-9
+    return float(steps.sum() / lasted_s)
+
+
+# ---- polarity -----------------------------------------------------------------------------------
+
+
+def _polarity(connection: Connection, plan: Plan) -> Step | None:
+    question = f"Move by {plan.distance_m * 1e3:g} mm and back, at 1 mm/s, to see both signs?"
+    if not plan.allowed(question):
+        return None
+    moved = undisturbed(connection, limits.small_motion(connection.rig, plan.distance_m))
+    verdict = polarity.judge(connection.rig, moved)
+    faults = list(verdict.faults)
+    if moved.cause != "completed":
+        faults.append(f"the motion did not come to its end: {moved.end_reason}")
+    figures = {
+        "commanded_m": moved.commanded_m,
+        "moved_m": moved.moved_m,
+        "slope": verdict.slope,
+        "force_change_n": moved.change_n,
+        "stiffness_n_per_m": verdict.stiffness_n_per_m,
+    }
+    bring_back(connection, moved)
+    return Step("polarity", not faults, now(), figures, tuple(faults))
+
+
+# ---- limits -------------------------------------------------------------------------------------
+
+
+def _limits(connection: Connection, plan: Plan) -> Step | None:
+    if connection.rig.limits.command_velocity_m_per_s is None:
+        plan.tell(
+            "limits.command_velocity_m_per_s is missing in the rig file: each test will be held to "
+            "a velocity that follows from its own reference; better say what this rig may do"
+        )
+    checks = limits.check_all(connection, plan.distance_m, plan.allowed)
+    if all(check.reason == "not allowed" for check in checks):
+        return None
+    faults = [f"limits.{check.key} {check.fault}" for check in checks if check.fault]
+    faults += [
+        f"limits.{check.key} was not tried" for check in checks if check.reason == "not allowed"
+    ]
+    figures = {
+        "checked": [check.as_json() for check in checks if not check.reason],
+        "not_checked": {check.key: check.reason for check in checks if check.reason},
+    }
+    return Step("limits", not faults, now(), figures, tuple(faults))
+
+
+# ---- the drive's own stop -----------------------------------------------------------------------
+
+
+def _watchdog(connection: Connection, plan: Plan) -> Step | None:
+    codec = connection.opened.codec
+    after = "is reset" if codec.has_reset else "is released at its own panel"
+    if not plan.allowed(
+        f"Fall silent, at rest? The drive shall stop by itself after {WATCHDOG_TICKS} of its "
+        f"samples, and stay stopped, though commands come again, until it {after}."
+    ):
+        return None
+    stop = stops.watchdog(connection)
+    if not codec.has_status:
+        return _witnessed(
+            plan,
+            "watchdog",
+            "The commands ceased, and came again. Did the drive stop by itself, and does its panel "
+            "say that it stays stopped until it is released there?",
+        )
+    faults = []
+    if not stop.stopped:
+        faults.append(
+            "the drive did not say that it stopped, though no command came any more: its watchdog "
+            "does not work, and nothing would stop it if this PC failed; do not use it"
+        )
+    else:
+        faults += _late(stop, WATCHDOG_TICKS, "its last command")
+        faults += _follows_again(stop)
+    if stop.stays and not codec.has_reset:
+        plan.tell(f"  {_PANEL}")
+    figures = {"drive_ticks": stop.ticks, "stays_stopped": stop.stays, "reset": stop.released}
+    return Step("watchdog", not faults, now(), figures, tuple(faults))
+
+
+def _follows_again(stop: stops.Stop) -> list[str]:
+    """Return what is wrong with a drive that ends its stop by itself, or does not when reset."""
+    if stop.seen_again is False:
+        return ["the drive no longer said that it had stopped when commands came again"]
+    if stop.stays is False:
+        return [
+            "the drive followed again as soon as commands came, though nobody had reset it: after "
+            "a crash of this PC it would take up whatever comes; let it wait for its reset, or for "
+            "a release at its own panel"
+        ]
+    if stop.released is False:
+        return ["the drive stayed stopped when it was reset: look at what its state means to it"]
+    return []
+
+
+def _trip(connection: Connection, plan: Plan) -> Step | None:
+    if not plan.allowed("Trip, at rest? The drive shall stop at once."):
+        return None
+    stop = stops.trip(connection)
+    codec = connection.opened.codec
+    if not codec.has_status:
+        return _witnessed(plan, "trip", "The drive was told TRIPPED. Did it stop at once?")
+    faults = []
+    if not stop.stopped:
+        faults.append("the drive did not say that it stopped when it was told TRIPPED")
+    else:
+        faults += _late(stop, stops.TRIP_TICKS, "the command that said TRIPPED")
+    if codec.has_reset:
+        stops.release(connection)
+    elif stop.stopped:
+        plan.tell(f"  {_PANEL}")
+    return Step("trip", not faults, now(), {"drive_ticks": stop.ticks}, tuple(faults))
+
+
+def _late(stop: stops.Stop, allowed: int, since: str) -> list[str]:
+    if stop.ticks is None and not stop.gap:
+        return []
+    if stop.gap or stop.ticks is None:
+        return [f"frames were lost around the stop, {ATTEMPTS} times: look at the wire"]
+    if stop.ticks <= allowed:
+        return []
+    return [f"the drive stopped {stop.ticks} of its samples after {since}; {allowed} are allowed"]
+
+
+def _witnessed(plan: Plan, name: str, question: str) -> Step:
+    """Return what the operator has seen of a drive whose frames have no status."""
+    seen = plan.witness(question)
+    plan.tell(f"  {_PANEL}")
+    faults = {
+        True: (),
+        False: ("by the operator's word it did not; do not use it",),
+        None: (
+            "the drive's frames have no status, so that its stop cannot be seen here, and nobody "
+            "was asked: make this check in a terminal, without --yes",
+        ),
+    }[seen]
+    return Step(name, seen, now(), {} if seen is None else {"seen_by": "operator"}, faults)
+
+
+_MADE: Final[dict[str, Callable[[Connection, Plan], Step | None]]] = {
+    "link": _link,
+    "polarity": _polarity,
+    "limits": _limits,
+    "watchdog": _watchdog,
+    "trip": _trip,
+}

@@ -1,0 +1,111 @@
+"""Moving the actuator a little, at a speed limit, under all limits of the rig file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from rthyb_rt.lab import experiment, realtime
+from rthyb_rt.rig.commissioning import polarity
+from rthyb_rt.rig.commissioning.moving import (
+    GENTLE_M_PER_S,
+    Connection,
+    Motion,
+    carry_out,
+    check_distance,
+    check_limits,
+    eased,
+    path_figures,
+    with_rests,
+)
+
+
+@dataclass(frozen=True)
+class Jogged:
+    """Where a jog led; displacements and forces as calibrated, not tared, of the structure.
+
+    Attributes:
+        asked_m, speed_m_per_s: what was wanted.
+        start_m, end_m, start_n, end_n: readings at rest before and behind it.
+        stiffness_n_per_m: change of force over change of displacement; None where there is too
+            little of either.
+        state, cause, end_reason: how it ended, as in a recording.
+        faults: what is wrong with sensors or command, with the remedy.
+        reversed: a sign is wrong, see `rthyb_rt.rig.commissioning.polarity.Verdict`.
+    """
+
+    asked_m: float
+    speed_m_per_s: float
+    start_m: float
+    end_m: float
+    start_n: float
+    end_n: float
+    stiffness_n_per_m: float | None
+    state: str
+    cause: str
+    end_reason: str
+    faults: tuple[str, ...]
+    reversed: bool
+
+    @property
+    def moved_m(self) -> float:
+        """How far it went."""
+        return self.end_m - self.start_m
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all of it by name."""
+        return {**self.__dict__, "moved_m": self.moved_m, "faults": list(self.faults)}
+
+
+def jog(
+    connection: Connection,
+    distance_m: float,
+    speed_m_per_s: float = GENTLE_M_PER_S,
+    *,
+    operator: realtime.Operator | None = None,
+    progress: experiment.Progress | None = None,
+) -> Jogged:
+    """Move by a signed distance and stay there.
+
+    The position limit counts from where the actuator stands, the force limit from zero load. A
+    stop decelerates; the actuator stays where it comes to rest.
+
+    Args:
+        connection: the rig.
+        distance_m: of the structure.
+        speed_m_per_s: the fastest on the way.
+        operator, progress: as in `rthyb_rt.rig.commissioning.moving.carry_out`.
+
+    Raises:
+        InputError: the rig file has no limit on position or force, or no feedback comes.
+        RefusedError: too far, too fast, or it stands where it cannot begin.
+        RthybError: something else failed; what moved is stopped.
+    """
+    check_limits(connection.rig)
+    check_distance(connection.rig, distance_m)
+    velocity, acceleration = path_figures(connection.rig)
+    if not 0.0 < speed_m_per_s <= velocity:
+        raise realtime.RefusedError(
+            f"{speed_m_per_s * 1e3:g} mm/s is no speed for a jog on this rig: up to "
+            f"{velocity * 1e3:g} mm/s are allowed (limits.path_velocity_m_per_s, and half of what "
+            "its other limits leave the command)"
+        )
+    path = with_rests(eased(distance_m, speed_m_per_s, acceleration))
+    moved = carry_out(connection, Motion("jog", path), operator=operator, progress=progress)
+    verdict = polarity.judge(connection.rig, moved)
+    # What was hardly begun says nothing of signs.
+    told = abs(moved.commanded_m) > moved.certain("x_meas_m")
+    return Jogged(
+        asked_m=distance_m,
+        speed_m_per_s=speed_m_per_s,
+        start_m=moved.start_m,
+        end_m=moved.start_m + moved.moved_m,
+        start_n=moved.start_n,
+        end_n=moved.start_n + moved.change_n,
+        stiffness_n_per_m=verdict.stiffness_n_per_m,
+        state=moved.state,
+        cause=moved.cause,
+        end_reason=moved.end_reason,
+        faults=verdict.faults if told else (),
+        reversed=told and verdict.reversed,
+    )

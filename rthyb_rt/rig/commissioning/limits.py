@@ -1,0 +1,289 @@
+"""Each limit of the rig file provoked by one small motion, with the limit lowered for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from rthyb_rt import core
+from rthyb_rt.config import Limit, RigFile
+from rthyb_rt.config import limits as limits_file
+from rthyb_rt.core import FLAGS
+from rthyb_rt.lab.experiment import WATCHES
+from rthyb_rt.rig.commissioning.moving import (
+    GENTLE_M_PER_S,
+    Connection,
+    Floats,
+    Motion,
+    Moved,
+    Rows,
+    bring_back,
+    check_distance,
+    eased,
+    fresh,
+    path_figures,
+    undisturbed,
+    with_rests,
+)
+
+ACCELERATION: Final = "command_acceleration_m_per_s2"
+STUCK: Final = "sensor_stuck_samples"
+
+_NOT_PROVOKED: Final = {
+    STUCK: "needs a sensor that stands still while the actuator moves; pull its plug in a jog, "
+    "with nobody near",
+    "force_stuck_samples": "needs a load cell that stands still while the actuator moves",
+    "force_jump_n": "needs a load cell that jumps",
+    "lost_pairs_share": "needs a link that loses pairs",
+    "lost_pairs_warning_share": "needs a link that loses pairs",
+    "skipped_ticks_share": "needs a PC that is late",
+    "skipped_ticks_warning_share": "needs a PC that is late",
+}
+_SHARE: Final = 0.5
+"""Of what the small motion reaches: so low a limit is set for it."""
+_SHARE_OF_ACCELERATION: Final = 0.9
+"""A command that may brake much less than its path does runs far past the end."""
+_BARELY: Final = 1.02
+_BRISK: Final = 0.1
+_QUANTUM: Final = "quantum"
+"""Beside the limits: step of a command on the wire, in m of the structure."""
+_LEAST_STEPS: Final = 40.0
+"""Of the wire, a sample and sample, that an acceleration needs to be limited evenly."""
+_APART: Final = 64
+"""Ticks over which a command's acceleration is taken: rounded to 1 nm, it shows in no fewer."""
+_SLOPE_S: Final = 0.25
+"""Over which the station takes the slope of the tracking indicator."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """What became of one limit.
+
+    Attributes:
+        key: of the rig file's ``[limits]``.
+        action: what the rig file wants done; "limit" for one that bounds the command.
+        value: to which it was lowered, in the unit of the key; None: not checked.
+        seen: what was done, in the station's words.
+        fault: what is wrong, "" for nothing.
+        reason: why it was not checked, "" for one that was.
+    """
+
+    key: str
+    action: str
+    value: float | None = None
+    seen: str = ""
+    fault: str = ""
+    reason: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what is there to say, by name."""
+        return {name: value for name, value in self.__dict__.items() if value not in (None, "")}
+
+
+def configured(rig: RigFile) -> list[tuple[str, str]]:
+    """Return key and action of every limit of a rig file that does something, in its order."""
+    found: list[tuple[str, str]] = []
+    for key in limits_file.Limits.model_fields:
+        value = getattr(rig.limits, key)
+        if isinstance(value, Limit) and value.acts:
+            found.append((key, value.action))
+        bounds = isinstance(value, limits_file.VelocityLimit) and value.enable and not value.acts
+        if bounds or (key == ACCELERATION and value is not None):
+            found.append((key, "limit"))
+    return found
+
+
+def small_motion(rig: RigFile, distance_m: float) -> Motion:
+    """Return the motion by which limits are provoked.
+
+    Raises:
+        RefusedError: it goes beyond the rig's own position limit.
+    """
+    check_distance(rig, distance_m)
+    velocity, acceleration = path_figures(rig)
+    way = eased(distance_m, min(velocity, GENTLE_M_PER_S), acceleration)
+    return Motion("small-motion", with_rests(way))
+
+
+def brisk_motion(rig: RigFile, distance_m: float) -> Motion:
+    """Return one over the same distance, whose acceleration is more than the wire's rounding."""
+    velocity, acceleration = path_figures(rig)
+    return Motion(
+        "brisk-motion", with_rests(eased(distance_m, velocity, min(acceleration, _BRISK)))
+    )
+
+
+def check_all(
+    connection: Connection, distance_m: float, allowed: Callable[[str], bool]
+) -> list[Check]:
+    """Provoke every limit that can be, each with a motion of its own and the way back.
+
+    Args:
+        connection: the rig.
+        distance_m: of the small motion.
+        allowed: asks the operator before each motion; a limit that may not be tried is not checked.
+
+    Raises:
+        RthybError: a motion failed for another reason than the limit in question.
+    """
+    wanted = configured(connection.rig)
+    plain = small_motion(connection.rig, distance_m)
+    # A limit that trips has the drive stop by itself, and the next motion begins with its reset.
+    connection = replace(connection, resets=True)
+    if not wanted or not allowed(f"Move by {distance_m * 1e3:g} mm and back, with no limit near?"):
+        return [Check(key, action, reason="not allowed") for key, action in wanted]
+    usual = undisturbed(connection, plain)
+    bring_back(connection, usual)
+    if usual.cause != "completed":
+        words = f"the small motion does without it already: {usual.end_reason}"
+        return [Check(key, action, fault=words) for key, action in wanted]
+    brisk = brisk_motion(connection.rig, distance_m)
+    reached = peaks(usual.running) | {
+        ACCELERATION: _largest(np.diff(brisk.path_m, 2)) / core.PERIOD_S**2
+    }
+    return [
+        _check(connection, brisk if key == ACCELERATION else plain, key, action, reached, allowed)
+        for key, action in wanted
+    ]
+
+
+def peaks(rows: Rows) -> dict[str, float]:
+    """Return how far a motion goes towards each limit, by key; rows of the motion itself, (n,).
+
+    The command must not have been limited.
+    """
+    h = core.PERIOD_S
+    taken = rows[fresh(rows)]
+    command = rows["x_cmd_m"]
+    return {
+        "command_position_m": _largest(rows["x_plc_m"]),
+        "command_velocity_m_per_s": _largest(np.diff(rows["x_plc_m"])) / h,
+        "command_increment_m": _largest(np.diff(command)),
+        "force_n": _largest(taken["f_meas_n"]),
+        "tracking_error_m": _largest(taken["x_meas_m"] - taken["x_num_m"]),
+        "tracking_indicator_slope_m2_per_s": _largest(_slopes(rows["tracking_indicator_m2"])),
+        "energy_error_j": _largest(rows["energy_error_j"]),
+        "sensor_jump_m": _largest(np.diff(taken["x_meas_m"])),
+        _QUANTUM: 2.0 * _largest(command - rows["x_plc_m"]),
+    }
+
+
+def _largest(values: Floats) -> float:
+    return float(np.abs(values).max(initial=0.0))
+
+
+def _slopes(indicator: Floats) -> Floats:
+    """Return the slope of the tracking indicator as the station smooths it."""
+    share = min(core.PERIOD_S / _SLOPE_S, 1.0)
+    slope, slopes = 0.0, np.zeros(indicator.size)
+    for n, rise in enumerate(np.diff(indicator) / core.PERIOD_S):
+        slope += (rise - slope) * share
+        slopes[n + 1] = slope
+    return slopes
+
+
+def _check(
+    connection: Connection,
+    plain: Motion,
+    key: str,
+    action: str,
+    reached: dict[str, float],
+    allowed: Callable[[str], bool],
+) -> Check:
+    if key in _NOT_PROVOKED:
+        return Check(key, action, reason=_NOT_PROVOKED[key])
+    least = _LEAST_STEPS * reached[_QUANTUM] / core.PERIOD_S**2 if key == ACCELERATION else 0.0
+    if not reached[key] > least:
+        return Check(key, action, reason="the small motion brings too little of it")
+    given = getattr(connection.rig.limits, key)
+    share = _SHARE_OF_ACCELERATION if key == ACCELERATION else _SHARE
+    value = share * min(reached[key], given if key == ACCELERATION else given.value)
+    outcome = "only bound the command" if action == "limit" else _OUTCOMES[action]
+    unit = limits_file.unit_of(key)
+    question = f"Provoke limits.{key}, lowered to {value:.3g} {unit}? It shall {outcome}."
+    if not allowed(question):
+        return Check(key, action, reason="not allowed")
+    if action == "limit":
+        moved = undisturbed(connection, _bounded(plain, key, value))
+        fault = _why_not_bounded(moved, key, value, reached[_QUANTUM])
+        seen = "command limited" if not fault else moved.end_reason
+    else:
+        moved = undisturbed(connection, _watched(plain, key, action, value))
+        seen = f"{moved.end_reason}, {moved.state}"
+        fault = _why_not_seen(moved, WATCHES[key], action)
+    bring_back(connection, moved)
+    return Check(key, action, value=value, seen=seen, fault=fault)
+
+
+_OUTCOMES: Final = {
+    "indicate": "be noted, and the motion go on",
+    "hold": "hold",
+    "ramp-out": "ramp out, back to where it began",
+    "trip": "trip; release the drive afterwards, if it asks for it",
+}
+
+
+def _watched(plain: Motion, key: str, action: str, value: float) -> Motion:
+    watch = core.Watch(value, action)  # type: ignore[arg-type]
+    return Motion(
+        f"provoke-{WATCHES[key].replace('_', '-')}",
+        plain.path_m,
+        watches={WATCHES[key]: watch},
+        stay=False,
+        whole_force=key != "force_n",
+    )
+
+
+def _bounded(plain: Motion, key: str, value: float) -> Motion:
+    name = {
+        "command_velocity_m_per_s": "velocity_limit_m_per_s",
+        ACCELERATION: "acceleration_limit_m_per_s2",
+    }[key]
+    return Motion(f"bound-{'speed' if 'velocity' in key else 'acceleration'}", plain.path_m,
+                  **{name: value})  # type: ignore[arg-type]  # fmt: skip
+
+
+def _why_not_seen(moved: Moved, cause: str, action: str) -> str:
+    """Return what is wrong with the reaction to a limit, "" for nothing."""
+    if action == "indicate":
+        if cause not in moved.facts["indicated"]:
+            return "was not noted"
+        return "" if moved.cause == "completed" else f"ended the motion: {moved.end_reason}"
+    if moved.cause != cause:
+        return f"was not met; the motion ended otherwise: {moved.end_reason}"
+    needed = {"hold": "HOLD", "ramp-out": "RAMP_OUT", "trip": "TRIPPED"}[action]
+    if needed not in moved.states:
+        return f"did not lead to {needed}: {moved.end_reason}"
+    return ""
+
+
+def _why_not_bounded(moved: Moved, key: str, value: float, quantum_m: float) -> str:
+    """Return what is wrong with the bounds of a command, "" for nothing."""
+    if moved.cause != "completed":
+        return f"the motion ended: {moved.end_reason}"
+    rows = moved.running
+    if not (rows["flags"] & FLAGS["limited"]).any():
+        return "the command was not limited"
+    found, rounding = _command_reached(_without_gaps(rows)["x_cmd_m"], key, quantum_m)
+    if found > value * _BARELY + rounding:
+        return f"the command went on with {found:.4g} {limits_file.unit_of(key)}"
+    return ""
+
+
+def _command_reached(command_m: Floats, key: str, quantum_m: float) -> tuple[float, float]:
+    """Return velocity or acceleration of a command as sent, and what its rounding makes of it."""
+    h = core.PERIOD_S
+    if key != ACCELERATION:
+        return _largest(np.diff(command_m)) / h, quantum_m / h
+    change = np.diff(command_m)
+    apart = change[_APART:] - change[:-_APART]
+    return _largest(apart) / (_APART * h**2), 2.0 * quantum_m / (_APART * h**2)
+
+
+def _without_gaps(rows: Rows) -> Rows:
+    """Return the rows behind the last tick that was skipped: in a gap a command stands."""
+    blind = np.flatnonzero(rows["flags"] & FLAGS["blind"])
+    return rows[int(blind[-1]) + 2 :] if blind.size else rows

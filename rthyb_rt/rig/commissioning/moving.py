@@ -1,0 +1,494 @@
+"""A prescribed motion through the station and the link of a test, with every limit in force."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core
+from rthyb_rt.config import Limit, RigFile
+from rthyb_rt.core import FLAGS, RUNNING, STATES
+from rthyb_rt.core.loop import Clock
+from rthyb_rt.errors import InputError, Problem, RthybError
+from rthyb_rt.lab import experiment, realtime
+from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.record.recording import Recording
+
+if TYPE_CHECKING:
+    from rthyb_rt.rig.links.opened import Opened
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.void]
+
+ATTEMPTS: Final = 3
+"""A PC or a wire that stalls spoils a motion; it is repeated so often."""
+SPOILT: Final = (*realtime.TIMING_CAUSES, "link_lost", "lost_pairs")
+
+GENTLE_M_PER_S: Final = 1e-3
+"""Speed of motions that nobody asked a speed for."""
+
+_HOME_M: Final = 5e-6
+_RAMP_IN_TICKS: Final = 128
+_MEAN_TICKS: Final = 256
+"""Rows at rest from which a position or a force is taken."""
+_PEAK_SPEED: Final = 1.875
+_PEAK_ACCELERATION: Final = 10.0 / math.sqrt(3.0)
+"""Of the quintic from 0 to 1 in the time 1."""
+
+
+class LimitError(RthybError):
+    """A limit, or the drive, ended a motion."""
+
+    exit_code = 6
+
+
+class StoppedError(RthybError):
+    """The operator ended it."""
+
+    exit_code = 130
+
+
+def _untold(_: Callable[[], None]) -> AbstractContextManager[None]:
+    return nullcontext()
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A rig within reach.
+
+    Attributes:
+        rig: its file.
+        opened: the link to its drive; stays the caller's.
+        clock, before_tick: as in `rthyb_rt.lab.realtime.Session`.
+        told: has a function called, while something may move, when the operator wants a stop.
+        warn: takes a sentence that the operator should read; none comes twice.
+        resets: a drive that has stopped by itself is reset before a motion.
+    """
+
+    rig: RigFile
+    opened: Opened
+    clock: Clock = "host"
+    before_tick: Callable[[], None] | None = None
+    told: Callable[[Callable[[], None]], AbstractContextManager[None]] = _untold
+    warn: Callable[[str], None] = lambda _: None
+    resets: bool = False
+    _warned: set[str] = field(default_factory=set, repr=False)
+
+    def warn_once(self, text: str) -> None:
+        """Pass a warning on, unless it has been given."""
+        if text not in self._warned:
+            self._warned.add(text)
+            self.warn(text)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the structure is to do, from where it stands.
+
+    Attributes:
+        name: what it is for.
+        path_m: displacement at every tick, (n,), beginning near 0.
+        watches: in place of the rig's own limits of these names; they count from where the
+            motion begins.
+        velocity_limit_m_per_s, acceleration_limit_m_per_s2: of the command, instead of the rig's.
+        stay: a motion that is broken off ends where it comes to rest, and not where it began.
+        whole_force: the force limit counts from zero load, not from the load at the beginning.
+    """
+
+    name: str
+    path_m: Floats
+    watches: Mapping[str, core.Watch] = field(default_factory=dict)
+    velocity_limit_m_per_s: float | None = None
+    acceleration_limit_m_per_s2: float | None = None
+    stay: bool = True
+    whole_force: bool = True
+
+
+@dataclass(frozen=True)
+class Moved:
+    """What came of a motion.
+
+    Attributes:
+        recording: all of it.
+    """
+
+    recording: Recording
+
+    @property
+    def zeroed(self) -> bool:
+        """Whether it came as far as the tare, from which on everything counts from where it is."""
+        return "ZEROED" in self.states
+
+    @property
+    def start_m(self) -> float:
+        """Reading of the displacement before it, calibrated, not tared."""
+        tare_m = float(self.recording.replay.tares["displacement_m"])
+        return tare_m if self.zeroed else self._at_end("x_meas_m")
+
+    @property
+    def start_n(self) -> float:
+        """Reading of the force before it, calibrated, not tared."""
+        tare_n = float(self.recording.replay.tares["force_n"])
+        return tare_n if self.zeroed else self._at_end("f_meas_n")
+
+    @property
+    def rows(self) -> Rows:
+        """All rows, from the first tick on, (n,)."""
+        return self.recording.samples
+
+    @property
+    def running(self) -> Rows:
+        """Rows of the motion itself, (m,)."""
+        rows: Rows = self.rows[self.rows["state"] == RUNNING]
+        return rows
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """How the session went, as in a recording's ``meta["real_time"]``."""
+        facts: dict[str, Any] = self.recording.meta["real_time"]
+        return facts
+
+    @property
+    def cause(self) -> str:
+        """What ended it: "completed", or a cause of the station."""
+        return str(self.recording.meta["station"]["cause"])
+
+    @property
+    def state(self) -> str:
+        """Name of the last state."""
+        return str(self.recording.meta["station"]["state"])
+
+    @property
+    def states(self) -> set[str]:
+        """Names of all states that it went through."""
+        return {STATES[number] for number in np.unique(self.rows["state"])}
+
+    @property
+    def end_reason(self) -> str:
+        """What ended it, in words."""
+        return str(self.recording.meta["end_reason"])
+
+    @property
+    def moved_m(self) -> float:
+        """Displacement from beginning to end."""
+        return self._at_end("x_meas_m") if self.zeroed else 0.0
+
+    @property
+    def change_n(self) -> float:
+        """Change of the force from beginning to end."""
+        return self._at_end("f_meas_n") if self.zeroed else 0.0
+
+    @property
+    def commanded_m(self) -> float:
+        """Command at the end, from where it began."""
+        return float(self.rows["x_cmd_m"][-1]) if self.zeroed else 0.0
+
+    def noise(self, column: str) -> float:
+        """Return the standard deviation of a reading at rest, before the motion."""
+        still = self.rows[(self.rows["state"] < RUNNING) & fresh(self.rows)][-_MEAN_TICKS:]
+        return float(still[column].std()) if still.size else 0.0
+
+    def certain(self, column: str) -> float:
+        """Return the smallest change between two rests that is no noise."""
+        return 6.0 * self.noise(column) * math.sqrt(2.0 / _MEAN_TICKS) + _FINEST[column]
+
+    def _at_end(self, column: str) -> float:
+        rest = self.rows[fresh(self.rows)][-_MEAN_TICKS:]
+        return float(rest[column].mean()) if rest.size else 0.0
+
+
+_FINEST: Final = {"x_meas_m": 2e-9, "f_meas_n": 2e-3}
+"""Twice what the wire resolves."""
+
+
+def fresh(rows: Rows) -> NDArray[np.bool_]:
+    """Return which rows hold a reading of their own, (n,)."""
+    mask: NDArray[np.bool_] = (rows["flags"] & FLAGS["fresh"]) != 0
+    return mask
+
+
+def command_numbers(rows: Rows, before: int = 0) -> NDArray[np.int64]:
+    """Return the number of the newest command at the beginning of every tick, (n,).
+
+    The first command is number ``before`` + 1: ``commands_before`` of a session's facts.
+    From then on every executed tick makes one, until TRIPPED.
+    """
+    sent = (rows["flags"] & FLAGS["not_sent"]) == 0
+    if not sent.any():
+        return np.full(rows.size, before, dtype=np.int64)
+    begun = np.arange(rows.size) >= int(np.flatnonzero(sent)[0])
+    blind = (rows["flags"] & FLAGS["blind"]) != 0
+    silent = (rows["state"] == STATES.index("TRIPPED")) & ~sent
+    made = np.cumsum(begun & ~blind & ~silent)
+    return before + np.concatenate([[0], made[:-1]])
+
+
+# ---- paths --------------------------------------------------------------------------------------
+
+
+def eased(distance_m: float, speed_m_per_s: float, acceleration_m_per_s2: float) -> Floats:
+    """Return a smooth way from 0 to a distance that keeps to speed and acceleration, (n,)."""
+    size = abs(distance_m)
+    lasts_s = max(
+        _PEAK_SPEED * size / speed_m_per_s,
+        math.sqrt(_PEAK_ACCELERATION * size / acceleration_m_per_s2),
+    )
+    ticks = max(math.ceil(lasts_s * core.FS_HZ), 8)
+    u = np.arange(1, ticks + 1) / ticks
+    way: Floats = distance_m * (u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
+    return way
+
+
+def with_rests(path_m: Floats, before_s: float = 0.25, after_s: float = 0.5) -> Floats:
+    """Return a path with time to stand still before and behind it."""
+    before, after = (round(s * core.FS_HZ) for s in (before_s, after_s))
+    return np.concatenate([np.zeros(before), path_m, np.full(after, path_m[-1])])
+
+
+# ---- what a motion needs ------------------------------------------------------------------------
+
+
+def station_of(setup: Setup, motion: Motion) -> core.StationConfig:
+    """Return the settings of the station: the rig's limits, and what the motion has instead.
+
+    The rig's limits count from where the motion begins, and once that is known from their own zero
+    as well, the force's if the motion says so. Any tare will do: a specimen that stands where no
+    test may begin is brought back by a motion.
+    """
+    base = experiment.station_config(setup, real=True)
+    watches = dict(base.watches)
+    for name in ("position", "force"):
+        of_rig = watches.pop(f"rig_{name}", None)
+        if of_rig is not None:
+            watches.setdefault(name, of_rig)
+    limits = {
+        name: value
+        for name in ("velocity_limit_m_per_s", "acceleration_limit_m_per_s2")
+        if (value := getattr(motion, name)) is not None
+    }
+    return replace(
+        base,
+        controller=replace(base.controller, **limits),
+        watches={**watches, **motion.watches},
+        tare_most_m=0.0,
+        tare_most_n=0.0,
+        # A command that does not begin where the specimen stands goes there no faster.
+        path_velocity_m_per_s=min(base.path_velocity_m_per_s, GENTLE_M_PER_S),
+        ramp_in_ticks=_RAMP_IN_TICKS,
+        stay=motion.stay,
+    )
+
+
+def check_limits(rig: RigFile) -> None:
+    """Refuse to move a rig whose file bounds neither position nor force.
+
+    Raises:
+        InputError: naming what is missing.
+    """
+    problems = []
+    for key, example in (("command_position_m", '"20 mm"'), ("force_n", '"5 kN"')):
+        limit: Limit | None = getattr(rig.limits, key)
+        if limit is None or not limit.ends:
+            found = "missing" if limit is None else "ends nothing"
+            problems.append(
+                Problem(
+                    f"limits.{key}",
+                    f'{found} in the rig file of "{rig.rig.name}"; nothing is moved without a '
+                    f"limit on position and on force that holds, ramps out or trips, such as "
+                    f"{key} = {example} in its [limits]",
+                )
+            )
+    if problems:
+        raise InputError(problems)
+
+
+def path_figures(rig: RigFile) -> tuple[float, float]:
+    """Return velocity (m/s) and acceleration (m/s^2) that no small motion may exceed."""
+    limits = experiment.prescribed(rig, "figures", np.zeros(1)).derived.limits
+    return limits.path_velocity_m_per_s, limits.path_acceleration_m_per_s2
+
+
+def check_distance(rig: RigFile, distance_m: float) -> None:
+    """Refuse a distance beyond the rig's position limit.
+
+    Raises:
+        RefusedError: with what is allowed.
+    """
+    limit = rig.limits.command_position_m
+    if limit is not None and limit.acts and abs(distance_m) > limit.value:
+        raise realtime.RefusedError(
+            f"{distance_m * 1e3:g} mm are more than limits.command_position_m = "
+            f"{limit.value * 1e3:g} mm allows; move by less"
+        )
+
+
+# ---- the motion ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Beginning:
+    """What is looked at before a motion begins."""
+
+    connection: Connection
+    motion: Motion
+
+    def judge(self, session: realtime.Session) -> None:
+        """Judge where the specimen stands, before anything moves."""
+        x_m, f_n = session.run.station.tare
+        self._check_reach(x_m)
+        watches = self._position_from_zero(session, x_m)
+        if self.motion.whole_force:
+            watches |= self._force_from_zero(session, f_n)
+        if watches:
+            config = session.run.config
+            wanted = {**config.watches, **watches}
+            session.set_parameters(replace(core.Parameters.of(config), watches=wanted))
+
+    def _position_from_zero(self, session: realtime.Session, x_m: float) -> dict[str, core.Watch]:
+        """Watch the position before the tare as well: a row of jogs leads no farther than one.
+
+        A specimen that stands beyond the rig's limit may come back, and go no farther: by what the
+        reading may move at rest.
+        """
+        limit = self.connection.rig.limits.command_position_m
+        if limit is None or not limit.acts:
+            return {}
+        stands_m = max(abs(x_m), abs(session.run.station.command_tare_m))
+        most_m = max(limit.value, stands_m + session.run.config.rest_spread_m)
+        return {"rig_position": core.Watch(most_m, limit.action)}
+
+    def _check_reach(self, x_m: float) -> None:
+        reach = self.connection.rig.sensors.displacement.range_m
+        path = self.motion.path_m
+        ends = (x_m + float(path.min()), x_m + float(path.max()))
+        if reach is not None and max(map(abs, ends)) >= reach:
+            raise realtime.RefusedError(
+                f"the specimen stands at {x_m * 1e3:.4g} mm and would go to "
+                f"{max(ends, key=abs) * 1e3:.4g} mm; the displacement sensor reaches to "
+                f"{reach * 1e3:g} mm (sensors.displacement.range_m)"
+            )
+
+    def _force_from_zero(self, session: realtime.Session, f_n: float) -> dict[str, core.Watch]:
+        limit = session.run.config.watches.get("force")
+        if limit is None:
+            return {}
+        left = limit.value - abs(f_n)
+        if left <= 0.0:
+            raise realtime.RefusedError(
+                f"the load cell reads {f_n:.5g} N at rest, limits.force_n is {limit.value:g} N; "
+                "relieve the specimen, correct the load cell's zero ([calibration] "
+                "force.offset_n), or raise the limit for this motion with --set limits.force_n=..."
+            )
+        return {"force": core.Watch(left, limit.reaction)}
+
+
+def carry_out(
+    connection: Connection,
+    motion: Motion,
+    *,
+    operator: realtime.Operator | None = None,
+    progress: experiment.Progress | None = None,
+) -> Moved:
+    """Zero, arm, follow the path, and come to rest, whatever happens on the way.
+
+    Args:
+        connection: the rig.
+        motion: what it is to do.
+        operator: asks for a stop; so does `Connection.told`.
+        progress: called with (ticks done, ticks of the motion) now and then.
+
+    Raises:
+        RefusedError: the specimen stands where the motion cannot begin.
+        InputError: no feedback, no rest, or figures that do not fit; nothing moved.
+        RthybError: something else failed; what moved is stopped.
+    """
+    setup = experiment.prescribed(connection.rig, motion.name, motion.path_m)
+    operator = operator or realtime.Operator()
+    link = connection.rig.link
+    with connection.told(operator.stop):
+        rec = realtime.run(
+            setup,
+            connection.opened,
+            clock=connection.clock,
+            before_tick=connection.before_tick,
+            progress=progress,
+            operator=operator,
+            # Here is nothing to go on with.
+            hold_s=0.0,
+            require_realtime=link is not None and link.require_realtime,
+            warn=connection.warn_once,
+            station=station_of(setup, motion),
+            resets=connection.resets,
+            zeroed=_Beginning(connection, motion).judge,
+        )
+    return Moved(rec)
+
+
+def undisturbed(
+    connection: Connection,
+    motion: Motion,
+    *,
+    progress: experiment.Progress | None = None,
+) -> Moved:
+    """Carry a motion out; go back and do it again if this PC or the wire stalled in it.
+
+    Raises:
+        StoppedError: the operator ended it.
+        TimingError: this PC spoilt it, every time.
+        LimitError: the wire did.
+        RthybError: as in `carry_out`.
+    """
+    for _ in range(ATTEMPTS):
+        moved = carry_out(connection, motion, progress=progress)
+        if moved.cause in ("operator", "signal", "none") and "HOLD" not in moved.states:
+            raise StoppedError(f"{motion.name}: {moved.end_reason}")
+        if moved.cause not in SPOILT:
+            return moved
+        # Its stop is this program's doing, in a motion that the operator has asked for.
+        connection = replace(connection, resets=True)
+        bring_back(connection, moved)
+    raise ended(
+        moved,
+        f"{motion.name}: {moved.end_reason}, {ATTEMPTS} times; rthyb jitter says whether this PC "
+        "is punctual enough",
+    )
+
+
+def bring_back(connection: Connection, moved: Moved) -> None:
+    """Go back to where a motion began, slowly, if the command ended elsewhere.
+
+    The command is what is undone: the sign of the reading may be what is the matter.
+
+    Raises:
+        LimitError: something ended the way back.
+        TimingError: this PC did, by being late.
+        StoppedError: the operator did.
+        RthybError: as in `carry_out`.
+    """
+    velocity, acceleration = path_figures(connection.rig)
+    back_m = -moved.commanded_m
+    for _ in range(ATTEMPTS):
+        if abs(back_m) <= max(moved.certain("x_meas_m"), _HOME_M):
+            return
+        path = with_rests(eased(back_m, min(velocity, GENTLE_M_PER_S), acceleration))
+        returned = carry_out(connection, Motion("way-back", path))
+        if returned.cause == "completed":
+            return
+        if returned.cause in ("operator", "signal", "none"):
+            raise StoppedError(f"on the way back: {returned.end_reason}")
+        back_m -= returned.commanded_m
+        if returned.cause not in SPOILT:
+            break
+    raise ended(returned, f"on the way back: {returned.end_reason}")
+
+
+def ended(moved: Moved, message: str) -> RthybError:
+    """Return the error for a motion that did not come to its end, by what ended it."""
+    late = moved.cause in realtime.TIMING_CAUSES
+    return realtime.TimingError(message) if late else LimitError(message)

@@ -1,0 +1,111 @@
+"""Does the displacement follow the command, and does the force rise with it?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from rthyb_rt.config import RigFile
+from rthyb_rt.config.rigfile import DisplacementChannel
+from rthyb_rt.rig.commissioning.moving import Moved
+
+SLOPE_TOLERANCE: Final = 0.2
+"""Displacement over command, from 1; a shaft that bends and an amplifier have their share."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a slow motion showed.
+
+    Attributes:
+        slope: displacement over command.
+        stiffness_n_per_m: force over displacement; None where there is too little of either.
+        faults: what is wrong, each with its remedy.
+        reversed: a sign is wrong: displacement or force go the other way.
+    """
+
+    slope: float
+    stiffness_n_per_m: float | None
+    faults: tuple[str, ...]
+    reversed: bool = False
+
+    @property
+    def good(self) -> bool:
+        """Nothing is wrong."""
+        return not self.faults
+
+
+def judge(rig: RigFile, moved: Moved) -> Verdict:
+    """Judge a motion that has come to rest."""
+    command_m, x_m, f_n = moved.commanded_m, moved.moved_m, moved.change_n
+    slope = x_m / command_m if abs(command_m) > 0.0 else 0.0
+    stiffness = None
+    if abs(x_m) > moved.certain("x_meas_m") and abs(f_n) > moved.certain("f_meas_n"):
+        stiffness = f_n / x_m
+    faults = []
+    if abs(x_m) <= moved.certain("x_meas_m"):
+        faults.append(
+            f"the displacement did not follow: {_mm(x_m)} when {_mm(command_m)} were commanded; is "
+            "the actuator on and its sensor connected?"
+        )
+    elif slope < 0.0:
+        faults.append(
+            f"the displacement moved against the command: {_mm(x_m)} when {_mm(command_m)} were "
+            f"commanded; {displacement_remedy(rig)}"
+        )
+    elif abs(slope - 1.0) > SLOPE_TOLERANCE:
+        faults.append(
+            f"the displacement moved by {_mm(x_m)} when {_mm(command_m)} were commanded, "
+            f"{slope:.3g} of it; from {1 - SLOPE_TOLERANCE:g} to {1 + SLOPE_TOLERANCE:g} are "
+            "allowed: check the scales of displacement and command in [calibration], and the "
+            "drive's units"
+        )
+    if stiffness is None:
+        faults.append(
+            f"the force did not answer: {f_n:.3g} N for {_mm(x_m)}; is a specimen mounted, the "
+            "load cell connected? A larger distance helps with a soft specimen"
+        )
+    elif stiffness < 0.0 and slope > 0.0:
+        faults.append(
+            f"the force falls with displacement: {stiffness:.4g} N/m, k_e < 0; {force_remedy(rig)}"
+        )
+    seen = abs(x_m) > moved.certain("x_meas_m")
+    backwards = seen and (slope < 0.0 or (stiffness is not None and stiffness < 0.0))
+    return Verdict(slope, stiffness, tuple(faults), backwards)
+
+
+def force_remedy(rig: RigFile) -> str:
+    """Return the change of the rig file that turns the force round."""
+    sign = -rig.calibration.force.polarity
+    return (
+        "check the polarity of the load cell: in the rig file's [calibration], "
+        f"force = {{ polarity = {sign} }}"
+    )
+
+
+def displacement_remedy(rig: RigFile) -> str:
+    """Return the changes of the rig file that turn displacement or command round.
+
+    A command that is absent there goes as the displacement does: both have to be written.
+    """
+    sensor = rig.calibration.displacement
+    command = rig.calibration.command or sensor
+    kept, turned = _table(command, command.polarity), _table(command, -command.polarity)
+    return (
+        "look which way the actuator went. Was it right, its sensor counts the other way: in the "
+        f"rig file's [calibration], displacement = {_table(sensor, -sensor.polarity)} and "
+        f"command = {kept}. Was it wrong, the drive does: command = {turned}"
+    )
+
+
+def _table(channel: DisplacementChannel, polarity: int) -> str:
+    parts = [f"polarity = {polarity}"]
+    if channel.scale != 1.0:
+        parts.append(f"scale = {channel.scale!r}")
+    if channel.offset_m != 0.0:
+        parts.append(f"offset_m = {channel.offset_m!r}")
+    return f"{{ {', '.join(parts)} }}"
+
+
+def _mm(x_m: float) -> str:
+    return f"{x_m * 1e3:.3g} mm"

@@ -1,0 +1,272 @@
+"""The drive's own stop: when commands cease, and when it is told TRIPPED.
+
+Both are provoked at rest. What the drive does is read from its own frames: the bit by which it says
+that it has stopped, the command that it had applied by then, and its count of samples. A PC that is
+late changes none of these.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from rthyb_rt import core
+from rthyb_rt.core import FLAGS, STATES
+from rthyb_rt.core.loop import WATCHDOG_TICKS
+from rthyb_rt.core.wire import DEVICE_STOPPED, VERDICTS, Feedback
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, realtime
+from rthyb_rt.lab.realtime import FEEDBACK_S, RefusedError, Session
+from rthyb_rt.rig.commissioning.moving import (
+    ATTEMPTS,
+    Connection,
+    Motion,
+    Rows,
+    command_numbers,
+    fresh,
+    station_of,
+)
+
+TRIP_TICKS: Final = 1
+"""Of the drive, from the command that says TRIPPED to the beginning of its stop."""
+
+_SILENCE_TICKS: Final = 4 * WATCHDOG_TICKS
+"""Of the drive without a command; then its watchdog has not worked."""
+_SILENCE_S: Final = 2.0
+_AFTER_TRIP_S: Final = 0.25
+_REST_S: Final = 0.25
+_STANDS_S: Final = 0.5
+"""A drive that follows nobody for so long, though commands come, stays stopped."""
+_BYTE: Final = 0x100
+_PAIR: Final = VERDICTS["pair"]
+
+
+@dataclass(frozen=True)
+class Stop:
+    """What a drive did.
+
+    Attributes:
+        stopped: it said that it stopped.
+        ticks: of its own, from its last command, or from the first that said TRIPPED, to its
+            saying so; None where its frames do not tell.
+        gap: frames are missing there, so that it may have been fewer.
+        seen_again: it still said so when the next connection began; None where none was made.
+        stays: and it went on saying so, though commands came, until it was reset.
+        released: it followed again when it was reset; None where its frames have no word for that.
+    """
+
+    stopped: bool
+    ticks: int | None = None
+    gap: bool = False
+    seen_again: bool | None = None
+    stays: bool | None = None
+    released: bool | None = None
+
+
+def _without_gap(attempt: Callable[[], Stop]) -> Stop:
+    """Try until no frames are missing where it counts; at most `ATTEMPTS` times."""
+    stop = Stop(False)
+    for _ in range(ATTEMPTS):
+        stop = attempt()
+        if not stop.gap:
+            break
+    return stop
+
+
+def watchdog(connection: Connection) -> Stop:
+    """Fall silent, without a farewell, and see the drive stop by itself; then connect again.
+
+    Raises:
+        InputError: no feedback comes.
+        RthybError: the system refused what is needed.
+    """
+    return _without_gap(lambda: _in_silence(connection))
+
+
+def trip(connection: Connection) -> Stop:
+    """Trip at rest, and see the drive stop by the word of it.
+
+    Raises:
+        InputError: no feedback comes.
+        RthybError: the system refused what is needed.
+    """
+    return _without_gap(lambda: _by_trip(connection))
+
+
+def release(connection: Connection) -> bool:
+    """Reset a drive that has stopped by itself; False: it had not.
+
+    Raises:
+        InputError: no feedback comes.
+        RefusedError: it does not stand still, or does not follow after the reset.
+        RthybError: the system refused what is needed.
+    """
+    with _begun(connection) as session:
+        if _await(session, session.follows, _STANDS_S):
+            return False
+        if not session.stays_stopped():
+            raise InputError(session.no_feedback(), session.opened.name)
+        session.command("reset")
+        _await(session, session.follows, _STANDS_S)
+        return True
+
+
+@contextmanager
+def at_rest(connection: Connection) -> Iterator[Session]:
+    """Give a session in IDLE, of a drive that follows.
+
+    Raises:
+        InputError: no feedback comes, or the drive does not follow.
+        RthybError: the system refused what is needed.
+    """
+    with _begun(connection) as session:
+        _await(session, lambda: session.follows() or session.stays_stopped(), FEEDBACK_S)
+        if connection.resets and session.stays_stopped():
+            session.command("reset")
+        if not _await(session, session.follows, FEEDBACK_S):
+            raise InputError(session.no_feedback(), session.opened.name)
+        session.wait(_REST_S)
+        yield session
+
+
+@contextmanager
+def _begun(connection: Connection) -> Iterator[Session]:
+    motion = Motion("at-rest", np.zeros(1))
+    setup = experiment.prescribed(connection.rig, motion.name, motion.path_m)
+    with Session(
+        setup,
+        connection.opened,
+        clock=connection.clock,
+        before_tick=connection.before_tick,
+        station=station_of(setup, motion),
+    ) as session:
+        try:
+            session.start()
+            yield session
+        finally:
+            session.close()
+            session.discard()
+
+
+def _await(session: Session, done: Callable[[], bool], most_s: float) -> bool:
+    begun_s = session.now_s
+    while not done():
+        if session.now_s - begun_s > most_s:
+            return False
+        session.wait(realtime.RECORDER_PERIOD_S)
+    return True
+
+
+# ---- silence ------------------------------------------------------------------------------------
+
+
+def _in_silence(connection: Connection) -> Stop:
+    with at_rest(connection) as session:
+        session.fall_silent()
+        stop = _first_stop(connection, session)
+    unseen = not connection.opened.codec.has_status
+    return _with_another_controller(connection, stop) if stop.stopped or unseen else stop
+
+
+def _with_another_controller(connection: Connection, stop: Stop) -> Stop:
+    """Send commands again, as a controller does that begins anew after a crash; then reset."""
+    with _begun(connection) as again:
+        _await(again, lambda: again.follows() or again.stays_stopped(), FEEDBACK_S)
+        again.wait(_STANDS_S)
+        said, stays = again.loop.counters()["stopped"] > 0, again.stays_stopped()
+        released = None
+        if stays and again.opened.codec.has_reset:
+            try:
+                again.command("reset")
+                released = True
+            except RefusedError:
+                released = False
+    return replace(stop, seen_again=said, stays=stays, released=released)
+
+
+def _first_stop(connection: Connection, session: Session) -> Stop:
+    """Read the drive's samples, which nobody answers any more, until it says that it stopped."""
+    # With the link clock, what comes between two ticks has been taken in already.
+    newest = session.wire.take()
+    before = newest.samples
+    first = before if newest.delay == 0 else None
+    gap = False
+    for pair in _pairs(connection, session):
+        missing, before = pair.samples != before + 1, pair.samples
+        # Without an echo the first sample heard is the nearest to the last command.
+        if first is None and pair.delay in (0, None):
+            first, gap = pair.samples, missing
+        if pair.status & DEVICE_STOPPED:
+            if first is None or pair.delay is None:
+                return Stop(True)
+            return Stop(True, pair.samples - first, gap or missing)
+        if first is not None and pair.samples - first > _SILENCE_TICKS:
+            break
+    return Stop(False)
+
+
+def _pairs(connection: Connection, session: Session) -> Iterator[Feedback]:
+    """Give every sample of the drive that comes while the tick thread is no more."""
+    if connection.before_tick is not None:
+        for _ in range(3 * _SILENCE_TICKS):
+            connection.before_tick()
+            yield from _arrived(session)
+        return
+    end_s = time.monotonic() + _SILENCE_S
+    while time.monotonic() < end_s:
+        yield from _arrived(session)
+        time.sleep(0.5 * core.PERIOD_S)
+
+
+def _arrived(session: Session) -> Iterator[Feedback]:
+    while (frame := session.link.receive()) is not None:
+        if not session.wire.codec.is_serial:
+            if session.wire.receive(frame) & _PAIR:
+                yield session.wire.take()
+            continue
+        for byte in frame.data:
+            if session.wire.feed(bytes([byte])) & _PAIR:
+                yield session.wire.take()
+
+
+# ---- TRIPPED ------------------------------------------------------------------------------------
+
+
+def _by_trip(connection: Connection) -> Stop:
+    with at_rest(connection) as session:
+        session.command("trip")
+        session.wait(_AFTER_TRIP_S)
+    rec = session.recording()
+    return after_trip(rec.samples, rec.meta["real_time"]["commands_before"])
+
+
+def after_trip(rows: Rows, before: int = 0) -> Stop:
+    """Return what the drive did after a trip, from all rows of a session, (n,).
+
+    ``before``: as in `rthyb_rt.rig.commissioning.moving.command_numbers`.
+    """
+    told = (rows["state"] == STATES.index("TRIPPED")) & ((rows["flags"] & FLAGS["not_sent"]) == 0)
+    numbers = command_numbers(rows, before)
+    heard = rows[fresh(rows)]
+    stopped = (heard["flags"] & FLAGS["stopped"]) != 0
+    # Stopped from before its first command on; what counts is what comes after it followed.
+    begun = int(np.flatnonzero(~stopped)[0]) if (~stopped).any() else heard.size
+    stops = np.flatnonzero(stopped[begun:]) + begun
+    if not stops.size or not told.any():
+        return Stop(False)
+    at = int(stops[0])
+    first = int(numbers[np.flatnonzero(told)[0]]) + 1
+    applied = (heard["echo"][begun:].astype(np.int64) - first) % _BYTE < _BYTE // 2
+    if not heard["echo"].any():
+        return Stop(True)
+    if not applied[: at - begun + 1].any():
+        return Stop(True, None, gap=True)
+    taken = begun + int(np.flatnonzero(applied)[0])
+    steps = int(heard["count"][at]) - int(heard["count"][taken])
+    gap = at > 0 and (int(heard["count"][at]) - int(heard["count"][at - 1])) % _BYTE > 1
+    return Stop(True, steps % _BYTE, gap)

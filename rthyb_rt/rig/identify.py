@@ -1,0 +1,621 @@
+"""What a test must know of its rig: delay, amplitude, initial alpha, elastic stiffness, rest noise.
+
+The rig rests, then follows a row of sines, from slow to fast, small and under a velocity limit,
+without any compensation. Each sine is fitted to command, displacement and force by least squares:
+with whole cycles and the noise spread over thousands of samples, delay comes out to a hundredth
+of a sample.
+
+The rig is a virtual one, in virtual time, or what is at the other end of a link. Either way the
+sweep goes through the station under the limits of the rig file, and rows without a reading of their
+own are left out of every fit.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core
+from rthyb_rt.config import Identified, RigFile, dump, parse_rig
+from rthyb_rt.core import FLAGS, RUNNING
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.lab.realtime import Operator
+from rthyb_rt.rig.commissioning import moving, polarity
+from rthyb_rt.rig.commissioning.moving import Connection, Moved
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+REST_S = 3.0
+RAMP_CYCLES = 1
+SETTLE_CYCLES, SETTLE_S = 2, 1.2
+"""So many cycles and so long a sine is left alone: the longest delay of a rig is 1 s."""
+
+FIT_CYCLES = 4
+FIT_SECONDS = 2.0
+"""Each frequency is fitted over at least so many whole cycles and so long."""
+
+FREQUENCIES_HZ = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 80.0)
+HIGHEST_HZ = 100.0
+LOW_FREQUENCY_HZ = 2.0
+"""Delay, gain and alpha are stated for the motion up to here, where structures answer."""
+
+STIFFNESS_NONLINEAR = 0.05
+"""Share of the force that linear fit and noise may leave before k_e is called doubtful."""
+
+MASS_RESOLVED = 0.02
+"""Share of the force, at the highest frequency, that a mass needs to be told from rounding."""
+
+CERTAIN = 10.0
+"""An amplitude counts when it is so many times its own standard error."""
+
+NOISE_SCATTER = 4.0
+"""Standard errors by which two estimates of the same noise's power may differ."""
+
+READ_SHARE = 0.8
+"""Of the rows of a fit: with fewer readings there is nothing to fit."""
+
+MEMORY_TICKS = 64
+"""What a made-up reading leaves in the filters of the estimator is gone after so long."""
+
+REVERSED = -0.7
+"""Cosine of the phase at 0 Hz from which on a displacement goes against its command."""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The excitation of an identification.
+
+    Attributes:
+        frequencies_hz: one sine after the other, from slow to fast.
+        amplitude_m: of the slow ones.
+        velocity_m_per_s: the fast ones are made smaller to stay below it.
+    """
+
+    frequencies_hz: tuple[float, ...] = FREQUENCIES_HZ[:9]
+    amplitude_m: float = 2e-3
+    velocity_m_per_s: float = 0.05
+
+    @classmethod
+    def up_to(cls, highest_hz: float, amplitude_m: float = 2e-3) -> Sweep:
+        """Return the usual frequencies up to ``highest_hz``, which closes them."""
+        below = tuple(f for f in FREQUENCIES_HZ if f < highest_hz)
+        return cls((*below, highest_hz), amplitude_m)
+
+    @property
+    def ticks(self) -> int:
+        """Samples of the whole sweep, with the rest before it."""
+        return int(_command(self)[0].size)
+
+    def amplitude_at(self, frequency_hz: float) -> float:
+        """Return the amplitude at one frequency, m."""
+        return min(self.amplitude_m, self.velocity_m_per_s / (2 * np.pi * frequency_hz))
+
+
+@dataclass(frozen=True)
+class Tone:
+    """What one sine showed.
+
+    Attributes:
+        frequency_hz, amplitude_m: the command.
+        gain: amplitude of x_m over that of x_p.
+        delay_s: phase lag as time.
+        force_in_phase_n_per_m: force in phase with x_m, over its amplitude: stiffness less
+            (2 pi f)^2 times the mass that the load cell feels.
+        force_in_quadrature_n_per_m: the same a quarter period ahead: damping and friction.
+        distortion: share of the force (rms) that is no sine of this frequency, and more than the
+            noise at rest makes.
+    """
+
+    frequency_hz: float
+    amplitude_m: float
+    gain: float
+    delay_s: float
+    force_in_phase_n_per_m: float
+    force_in_quadrature_n_per_m: float
+    distortion: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an identification found.
+
+    Attributes:
+        tones: by frequency.
+        alpha: parameter of Eqn 2.5 that undoes this actuator best up to `LOW_FREQUENCY_HZ`, the
+            alpha0 of a test: least squares of Eqn 2.6-2.8, samples.
+        alpha_with_beta, beta: the same with the curvature term and over the whole sweep, samples
+            and samples^2.
+        delay_s, gain: mean up to `LOW_FREQUENCY_HZ`.
+        k_e_n_per_m: elastic stiffness.
+        moving_mass_kg: what else moves under the load cell; None where it is too small to tell.
+        rest_noise_m, rest_noise_n: standard deviations at rest.
+        offset_m, offset_n: means at rest.
+        notes: what the user should know.
+        link_delay_samples: what the link has of the delay, by the drive's echo; None where that is
+            not known, or where there is no link.
+        left_out: rows of the sweep without a reading of their own.
+    """
+
+    tones: tuple[Tone, ...]
+    alpha: float
+    alpha_with_beta: float
+    beta: float
+    delay_s: float
+    gain: float
+    k_e_n_per_m: float
+    moving_mass_kg: float | None
+    rest_noise_m: float
+    rest_noise_n: float
+    offset_m: float
+    offset_n: float
+    notes: tuple[str, ...]
+    link_delay_samples: float | None = None
+    left_out: int = 0
+
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Rows of one sine: all of it, and the settled whole cycles that are fitted."""
+
+    frequency_hz: float
+    start: int
+    fit: slice
+
+
+@dataclass(frozen=True)
+class _Signals:
+    """What a sweep gave: each (n,); ``read`` says which rows hold a reading of their own."""
+
+    command: Floats
+    x_m: Floats
+    f: Floats
+    read: Mask
+
+    @property
+    def whole(self) -> bool:
+        return bool(self.read.all())
+
+
+def identify(rig: RigFile, sweep: Sweep | None = None, progress: Progress | None = None) -> Result:
+    """Sweep the virtual rig of ``rig``, in virtual time, and work out what a test needs.
+
+    Raises:
+        InputError: a sweep that cannot be run, or a rig that does not follow it.
+        LimitError: a limit that the rig file states ended the sweep.
+        RthybError: the rig does not come to rest.
+    """
+    sweep = sweep or Sweep()
+    _check(sweep)
+    motion, parts = _motion(sweep)
+    setup = experiment.prescribed(rig, motion.name, motion.path_m)
+    return _found(rig, Moved(virtual_time.run(setup, progress)), parts)
+
+
+def identify_live(
+    connection: Connection,
+    sweep: Sweep | None = None,
+    progress: Progress | None = None,
+    operator: Operator | None = None,
+) -> Result:
+    """Sweep the rig at the other end of a link, in real time and under all limits of its file.
+
+    Args:
+        connection: the rig; its file need not have been identified, nor say the right k_e.
+        sweep: the excitation.
+        progress: called with (ticks done, ticks of the sweep) now and then.
+        operator: asks for a stop.
+
+    Returns:
+        What was found; delays are those of link and actuator together, `Result.link_delay_samples`
+        is the link's share.
+
+    Raises:
+        InputError: a sweep that cannot be run, no feedback, or a rig that does not follow it.
+        LimitError: a limit or the drive ended the sweep; the message says at which frequency.
+        TimingError: this PC did, by being late.
+        StoppedError: the operator ended it.
+        RthybError: as in `rthyb_rt.rig.commissioning.moving.carry_out`.
+    """
+    sweep = sweep or Sweep()
+    _check(sweep)
+    moving.check_limits(connection.rig)
+    moving.check_distance(connection.rig, sweep.amplitude_m)
+    motion, parts = _motion(sweep)
+    moved = moving.carry_out(connection, motion, operator=operator, progress=progress)
+    found = _found(connection.rig, moved, parts)
+    return replace(found, link_delay_samples=_link_delay(moved))
+
+
+def _motion(sweep: Sweep) -> tuple[moving.Motion, list[_Part]]:
+    command, parts = _command(sweep)
+    # The command of a row is that of the row before on the path: one more brings the last.
+    return moving.Motion("identify", np.append(command, 0.0), stay=False), parts
+
+
+def _found(rig: RigFile, moved: Moved, parts: list[_Part]) -> Result:
+    """Work out what a sweep that was carried out has shown."""
+    _check_ranges(rig, moved.running)
+    running = moved.running[1:]
+    if moved.cause != "completed":
+        raise _broken_off(moved, parts, running.size)
+    _check_not_limited(running, parts)
+    signals = _Signals(
+        running["x_cmd_m"], running["x_meas_m"], running["f_meas_n"], moving.fresh(running)
+    )
+    _check_read(signals, parts)
+    found = _result(rig, signals, parts, (moved.start_m, moved.start_n))
+    return replace(found, left_out=int(np.count_nonzero(~signals.read)))
+
+
+def _result(
+    rig: RigFile, signals: _Signals, parts: list[_Part], tare: tuple[float, float]
+) -> Result:
+    rest = np.zeros(signals.read.size, np.bool_)
+    rest[int(0.2 * core.FS_HZ) : int(REST_S * core.FS_HZ)] = True
+    rest &= signals.read
+    offset_m, offset_n = float(signals.x_m[rest].mean()), float(signals.f[rest].mean())
+    noise_m = float(signals.x_m[rest].std(ddof=1))
+    noise_n = float(signals.f[rest].std(ddof=1))
+    resting = int(np.count_nonzero(rest))
+    signals = replace(signals, x_m=signals.x_m - offset_m, f=signals.f - offset_n)
+    tones: list[Tone] = []
+    for part in parts:
+        before = tones[-1].delay_s if tones else None
+        tones.append(_tone(part, signals, before, _most_noise(noise_n, resting, part)))
+        _check_followed(part, tones[-1], noise_m)
+    _check_direction(rig, tones)
+    _check_specimen(rig, parts[0], tones[0], noise_n)
+    slow = [tone for tone in tones if tone.frequency_hz <= LOW_FREQUENCY_HZ] or tones[:1]
+    begin = parts[0].start
+    end = parts[len(slow)].start if len(slow) < len(parts) else signals.command.size
+    alpha, _ = _inverse(signals, slice(begin, end), noise_m, with_beta=False)
+    alpha_with_beta, beta = _inverse(signals, slice(begin, None), noise_m, with_beta=True)
+    stiffness, mass = _stiffness_and_mass(tones)
+    return Result(
+        tones=tuple(tones),
+        alpha=alpha,
+        alpha_with_beta=alpha_with_beta,
+        beta=beta,
+        delay_s=float(np.mean([tone.delay_s for tone in slow])),
+        gain=float(np.mean([tone.gain for tone in slow])),
+        k_e_n_per_m=stiffness,
+        moving_mass_kg=mass,
+        rest_noise_m=noise_m,
+        rest_noise_n=noise_n,
+        offset_m=offset_m + tare[0],
+        offset_n=offset_n + tare[1],
+        notes=tuple(_notes(tones, stiffness, alpha)),
+    )
+
+
+def identified_rig(rig: RigFile, result: Result) -> RigFile:
+    """Return the rig file with k_e and the section ``identified`` filled in.
+
+    Raises:
+        InputError: a figure that a rig file does not allow.
+    """
+    found = Identified.model_construct(
+        alpha=max(_rounded(result.alpha), 0.0),
+        delay_s=max(_rounded(result.delay_s), 0.0),
+        gain=_rounded(result.gain),
+        rest_noise_displacement_m=_rounded(result.rest_noise_m, 3),
+        rest_noise_force_n=_rounded(result.rest_noise_n, 3),
+        date=datetime.datetime.now(datetime.UTC).date().isoformat(),
+        frequency_hz=[tone.frequency_hz for tone in result.tones],
+        amplitude=[_rounded(tone.gain) for tone in result.tones],
+        delay_at_frequency_s=[max(_rounded(tone.delay_s), 0.0) for tone in result.tones],
+    )
+    info = rig.rig.model_copy(update={"elastic_stiffness_n_per_m": _rounded(result.k_e_n_per_m)})
+    filled = rig.model_copy(update={"rig": info, "identified": found})
+    # Read back, so that whatever is written is a rig file.
+    return parse_rig(dump(filled), "identified rig")
+
+
+def _rounded(value: float, digits: int = 4) -> float:
+    """As many digits as a sweep is good for; noise has fewer."""
+    return float(f"{value:.{digits}g}")
+
+
+def _check(sweep: Sweep) -> None:
+    bad = [f for f in sweep.frequencies_hz if not 0.05 <= f <= HIGHEST_HZ]
+    if bad or not sweep.frequencies_hz:
+        found = ", ".join(f"{f:g} Hz" for f in bad) or "none"
+        raise InputError(
+            f"found the frequencies {found}; each must be from 0.05 to {HIGHEST_HZ:g} Hz",
+            "identify",
+        )
+    if any(np.diff(sweep.frequencies_hz) <= 0.0):
+        raise InputError("the frequencies must rise from one sine to the next", "identify")
+    if not (0 < sweep.amplitude_m <= 1 and 0 < sweep.velocity_m_per_s <= 10):
+        raise InputError(
+            f"found an amplitude of {sweep.amplitude_m:g} m at up to {sweep.velocity_m_per_s:g} "
+            "m/s; both must be positive, at most 1 m and 10 m/s; begin with a millimetre or two",
+            "identify",
+        )
+
+
+def _command(sweep: Sweep) -> tuple[Floats, list[_Part]]:
+    """Return x_c with rest, then sine after sine, each with a smooth start and end."""
+    pieces = [np.zeros(round(REST_S * core.FS_HZ))]
+    parts = []
+    at = pieces[0].size
+    for frequency in sweep.frequencies_hz:
+        fitted = max(FIT_CYCLES, int(np.ceil(FIT_SECONDS * frequency)))
+        ahead = RAMP_CYCLES + max(SETTLE_CYCLES, int(np.ceil(SETTLE_S * frequency)))
+        cycles = ahead + fitted + RAMP_CYCLES
+        n = round(cycles / frequency * core.FS_HZ)
+        turns = np.arange(n) * (frequency / core.FS_HZ)
+        envelope = np.clip(np.minimum(turns, cycles - turns) / RAMP_CYCLES, 0.0, 1.0)
+        smooth = 0.5 - 0.5 * np.cos(np.pi * envelope)
+        pieces.append(sweep.amplitude_at(frequency) * smooth * np.sin(2 * np.pi * turns))
+        first = at + round(ahead / frequency * core.FS_HZ)
+        last = first + round(fitted / frequency * core.FS_HZ)
+        parts.append(_Part(frequency, at, slice(first, last)))
+        at += n
+        # A pause lets the slow part of a servo's integrator die away before the next sine.
+        pause = np.zeros(round(0.5 * core.FS_HZ))
+        pieces.append(pause)
+        at += pause.size
+    return np.concatenate(pieces), parts
+
+
+def _phasor(part: _Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
+    """Return the complex amplitude of the sine in a signal, and what is left of the signal."""
+    w = 2 * np.pi * part.frequency_hz / core.FS_HZ
+    angle = w * np.arange(part.fit.start, part.fit.stop)[read[part.fit]]
+    basis = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
+    values = signal[part.fit][read[part.fit]]
+    fitted, *_ = np.linalg.lstsq(basis, values, rcond=None)
+    return complex(fitted[0], -fitted[1]), values - basis @ fitted
+
+
+def _most_noise(noise_n: float, resting: int, part: _Part) -> float:
+    """Return the power of the force that noise alone may leave of a fit, N^2.
+
+    Args:
+        noise_n: its standard deviation, as measured at rest.
+        resting: samples of that rest.
+        part: the sine.
+    """
+    # The power of white noise in n samples has a relative standard error of sqrt(2 / n).
+    scatter = np.sqrt(2.0 / resting + 2.0 / (part.fit.stop - part.fit.start))
+    return noise_n**2 * (1.0 + NOISE_SCATTER * float(scatter))
+
+
+def _tone(part: _Part, signals: _Signals, before_s: float | None, noise_n2: float) -> Tone:
+    """Fit one sine.
+
+    Args:
+        part: its rows.
+        signals: of the sweep.
+        before_s: delay at the frequency before.
+        noise_n2: power of the force that is the load cell's noise, N^2.
+    """
+    f, read = signals.f, signals.read
+    sent, _ = _phasor(part, signals.command, read)
+    moved, _ = _phasor(part, signals.x_m, read)
+    force, rest = _phasor(part, f, read)
+    ratio = moved / sent
+    stiffness = force / moved if moved else complex(0)
+    total = float(np.sqrt(np.mean(f[part.fit][read[part.fit]] ** 2)))
+    unexplained = math.sqrt(max(float(np.mean(rest**2)) - noise_n2, 0.0))
+    period = 1.0 / part.frequency_hz
+    delay = float(-np.angle(ratio)) / (2 * np.pi) * period
+    # A phase leaves whole periods open: the delay nearest to the one before; the first may be a
+    # small lead, from noise, but no large one.
+    nearest = 0.375 * period if before_s is None else before_s
+    delay += round((nearest - delay) / period) * period
+    return Tone(
+        frequency_hz=part.frequency_hz,
+        amplitude_m=abs(sent),
+        gain=abs(ratio),
+        delay_s=delay,
+        force_in_phase_n_per_m=stiffness.real,
+        force_in_quadrature_n_per_m=stiffness.imag,
+        distortion=unexplained / total if total else 0.0,
+    )
+
+
+def _inverse(
+    signals: _Signals, part: slice, noise_m: float, *, with_beta: bool
+) -> tuple[float, float]:
+    """Least squares of Eqn 2.6-2.8 over a part of the sweep, by the estimator itself."""
+    estimator = core.Estimator(
+        core.EstimatorConfig(
+            law="rls",
+            estimate_beta=with_beta,
+            memory_samples=1e8,
+            rest_noise_m=noise_m,
+            alpha_max=1000.0,
+        )
+    )
+    x_p, x_m = signals.command[part], signals.x_m[part]
+    if signals.whole:
+        estimator.run(x_p, x_m)
+        return estimator.alpha, estimator.beta
+    # Made-up readings keep the filters going, and nothing is learnt from them.
+    made_up = np.convolve(~signals.read[part], np.ones(MEMORY_TICKS))[: x_p.size] > 0.5
+    for p, m, frozen in zip(x_p.tolist(), x_m.tolist(), made_up.tolist(), strict=True):
+        estimator.step(p, m, frozen)
+    return estimator.alpha, estimator.beta
+
+
+def _stiffness_and_mass(tones: list[Tone]) -> tuple[float, float | None]:
+    """In-phase force over frequency: k - m w^2, weighted by how much each sine moved."""
+    w2 = np.array([(2 * np.pi * tone.frequency_hz) ** 2 for tone in tones])
+    in_phase = np.array([tone.force_in_phase_n_per_m for tone in tones])
+    weight = np.array([tone.amplitude_m * tone.gain for tone in tones])
+    if len(tones) < 2:
+        return float(in_phase[0]), None
+    basis = np.column_stack([np.ones_like(w2), -w2])
+    (stiffness, mass), *_ = np.linalg.lstsq(basis * weight[:, None], in_phase * weight, rcond=None)
+    resolved = mass * w2[-1] > MASS_RESOLVED * stiffness
+    return float(stiffness), float(mass) if resolved else None
+
+
+def _standard_error(part: _Part, noise: float) -> float:
+    """Return the standard error of a fitted amplitude in white noise."""
+    return noise * float(np.sqrt(2.0 / (part.fit.stop - part.fit.start)))
+
+
+def _check_ranges(rig: RigFile, rows: NDArray[np.void]) -> None:
+    """Refuse a sweep that drove a sensor to its end, where it says nothing more.
+
+    Ranges are those of the sensors: what was tared off is in them, and so is a reading that the
+    station did not take.
+    """
+    displacement, force = rig.sensors.displacement.range_m, rig.sensors.force.range_n
+    for name, signal, limit, unit in (
+        ("displacement", rows["x_read_m"], displacement, "m"),
+        ("force", rows["f_read_n"], force, "N"),
+    ):
+        if limit is not None and (np.abs(signal) >= limit).any():
+            raise InputError(
+                f"the {name} sensor reached the end of its range, {limit:g} {unit}; identify with "
+                "a smaller amplitude (--amplitude), or check the sensor",
+                "identify",
+            )
+
+
+def _check_followed(part: _Part, tone: Tone, noise_m: float) -> None:
+    moved = tone.gain * tone.amplitude_m
+    if moved <= max(CERTAIN * _standard_error(part, noise_m), 1e-3 * tone.amplitude_m, 1e-12):
+        raise InputError(
+            f"at {tone.frequency_hz:g} Hz the displacement did not follow the command "
+            f"({moved * 1e6:.3g} um of {tone.amplitude_m * 1e6:.3g} um); is the actuator on, the "
+            "sensor connected, the amplitude above the noise?",
+            "identify",
+        )
+
+
+def _check_direction(rig: RigFile, tones: list[Tone]) -> None:
+    """Tell a displacement that goes against its command from one that is late.
+
+    Of a delay alone nothing is left at 0 Hz; of a wrong sign half a turn.
+    """
+    if len(tones) < 2:
+        return
+    first, second = tones[:2]
+    turns = [tone.frequency_hz * tone.delay_s for tone in (first, second)]
+    apart_hz = second.frequency_hz - first.frequency_hz
+    delay_s = ((turns[1] - turns[0] + 0.25) % 1.0 - 0.25) / apart_hz
+    at_zero = turns[0] - first.frequency_hz * delay_s
+    if np.cos(2 * np.pi * at_zero) < REVERSED:
+        raise InputError(
+            f"the displacement moves against the command; {polarity.displacement_remedy(rig)}",
+            "identify",
+        )
+
+
+def _check_not_limited(rows: NDArray[np.void], parts: list[_Part]) -> None:
+    """Refuse a sweep whose command a limit has changed."""
+    limited = np.flatnonzero(rows["flags"] & FLAGS["limited"])
+    if limited.size:
+        raise InputError(
+            "the rig's limits on the command's velocity or acceleration changed it at "
+            f"{_frequency_at(parts, int(limited[0])):g} Hz; identify with a smaller amplitude "
+            "(--amplitude), or up to a lower frequency (--max-frequency)",
+            "identify",
+        )
+
+
+def _check_read(signals: _Signals, parts: list[_Part]) -> None:
+    """Refuse a sweep in which too many readings were lost."""
+    for part in parts:
+        share = float(signals.read[part.fit].mean())
+        if share < READ_SHARE:
+            raise InputError(
+                f"only {100 * share:.0f} % of the samples at {part.frequency_hz:g} Hz brought a "
+                f"reading, {100 * READ_SHARE:g} % are needed; check the link, and this PC with "
+                "rthyb jitter",
+                "identify",
+            )
+
+
+def _frequency_at(parts: list[_Part], row: int) -> float:
+    begun = [part.frequency_hz for part in parts if part.start <= row]
+    return begun[-1] if begun else parts[0].frequency_hz
+
+
+def _broken_off(moved: Moved, parts: list[_Part], rows: int) -> Exception:
+    where = f"at {_frequency_at(parts, rows):g} Hz" if rows > parts[0].start else "before it moved"
+    if moved.cause in ("operator", "signal", "none"):
+        return moving.StoppedError(f"the sweep was stopped {where}; nothing was found")
+    remedy = "identify with a smaller amplitude (--amplitude), or up to a lower frequency"
+    if moved.cause in (*moving.SPOILT, "link_down", "not_finite"):
+        remedy = "check the link, and this PC with rthyb jitter"
+    elif moved.cause == "drive_stopped":
+        remedy = "ask the drive's panel why it stopped"
+    return moving.ended(moved, f"the sweep ended {where}: {moved.end_reason}; {remedy}")
+
+
+def _link_delay(moved: Moved) -> float | None:
+    """Return the mean of the link's delay over the sines, samples."""
+    rows = moved.rows
+    if not rows["echo"].any():
+        return None
+    numbers = moving.command_numbers(rows, moved.facts["commands_before"])
+    delay = (numbers - rows["echo"].astype(np.int64)) % 256
+    motion = delay[moving.fresh(rows) & (rows["state"] == RUNNING)]
+    known = motion[motion < 128]
+    return float(known.mean()) if known.size else None
+
+
+def _check_specimen(rig: RigFile, part: _Part, slowest: Tone, noise_n: float) -> None:
+    in_phase = slowest.force_in_phase_n_per_m
+    moved = slowest.gain * slowest.amplitude_m
+    if abs(in_phase) * moved <= max(CERTAIN * _standard_error(part, noise_n), 1e-9):
+        raise InputError(
+            f"no force in phase with the displacement at {slowest.frequency_hz:g} Hz "
+            f"({in_phase * moved:.3g} N); is a specimen mounted, the load cell connected, the "
+            "amplitude large enough?",
+            "identify",
+        )
+    if in_phase < 0:
+        raise InputError(
+            f"the force falls with displacement ({in_phase:.4g} N/m at "
+            f"{slowest.frequency_hz:g} Hz); {polarity.force_remedy(rig)}; or see that a specimen "
+            "is mounted",
+            "identify",
+        )
+
+
+def _notes(tones: list[Tone], stiffness: float, alpha: float) -> list[str]:
+    """Say what the user should know."""
+    notes = []
+    worst = max(tones[: max(1, len(tones) // 2)], key=lambda tone: tone.distortion)
+    if worst.distortion > STIFFNESS_NONLINEAR:
+        notes.append(
+            f"{100 * worst.distortion:.0f} % of the force at {worst.frequency_hz:g} Hz is no sine: "
+            "friction, a gap or yielding; k_e is the mean slope at this amplitude"
+        )
+    lag = abs(tones[0].force_in_quadrature_n_per_m) / stiffness
+    if lag > 0.05:
+        notes.append(
+            f"the load cell sees {100 * lag:.0f} % of k_e in phase with velocity at "
+            f"{tones[0].frequency_hz:g} Hz: friction or damping beside the specimen"
+        )
+    delays = [tone.delay_s for tone in tones]
+    if max(delays) - min(delays) > 0.1 * abs(delays[0]) + 0.5 * core.PERIOD_S:
+        notes.append(
+            f"the delay runs from {delays[0] * 1e3:.1f} ms at {tones[0].frequency_hz:g} Hz to "
+            f"{delays[-1] * 1e3:.1f} ms at {tones[-1].frequency_hz:g} Hz: the actuator is a lag "
+            "rather than a delay"
+        )
+    samples = delays[0] * core.FS_HZ
+    if abs(alpha - samples) > 0.1 * samples + 0.5:
+        notes.append(
+            f"alpha is {alpha:.4g} samples, though the delay at {tones[0].frequency_hz:g} Hz is "
+            f"{samples:.4g}: no phase lead undoes this actuator"
+        )
+    return notes

@@ -1,0 +1,279 @@
+"""SocketCAN: python-can opens and filters, this module checks, the core exchanges the frames."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import socket
+import traceback
+from collections.abc import Iterator
+from typing import Any, Final
+
+import can
+from can.interfaces.socketcan.utils import pack_filters
+
+from rthyb_rt.config import busload
+from rthyb_rt.config.rigfile import Link
+from rthyb_rt.core.wire import ID_EXTENDED, Codec
+from rthyb_rt.errors import InputError
+from rthyb_rt.rig.links import locks, netlink
+from rthyb_rt.rig.links.netlink import Interface
+from rthyb_rt.rig.links.opened import Opened, Owned, Side, bit_rate
+
+CAN_RAW_ERR_FILTER: Final = 2
+"""Socket option of <linux/can/raw.h> that the socket module does not name."""
+ERROR_CLASSES: Final = 0x1FFF_FFFF
+CAN_RTR_FLAG: Final = 0x4000_0000
+CANFD_MTU: Final = 72
+USUAL_BITRATE: Final = 1_000_000
+
+RECEIVE_BUFFER_BYTES: Final = 1 << 20
+"""Asked for. A full one loses the newest frames: it has to outlast a stall of the machine."""
+SEND_BUFFER_BYTES: Final = 0
+"""The least that the kernel allows, some 6 frames. What waits there while a bus is gone would come
+out as a burst of old commands when it is back."""
+STALE_FRAMES_MOST: Final = 100_000
+
+
+def open_can(wanted: Link, side: Side, codec: Codec) -> Opened:
+    """Open a SocketCAN interface for one side of a link.
+
+    Only frames of the other side and error frames come in, and nothing that was sent here. The
+    interface itself is left as it is: setting it up is the operator's business.
+
+    Args:
+        wanted: ``channel`` is the interface; the bit rates, if any, are compared with the kernel's.
+        side: whose frames are let through.
+        codec: their identifiers.
+
+    Raises:
+        InputError: with all that is wrong with the interface and the command that sets it right.
+    """
+    need_sockets(wanted.channel)
+    fd = wanted.fd or codec.is_fd
+    interface = find(wanted.channel, netlink.interfaces())
+    check(interface, wanted.bitrate, fd, wanted.data_bitrate)
+    check_load(interface, codec)
+    with Owned() as owned:
+        locks.hold(owned, interface.name, interface.name, side)
+        bus = _bus(interface.name, filters(codec, side), fd)
+        owned.callback(bus.shutdown)
+        try:
+            _configure(bus.socket, interface.name, filters(codec, side), fd)
+        except OSError as error:
+            raise InputError(
+                f"cannot be set up: {error.strerror or error}; is it still there and up? "
+                f"see `ip link show {interface.name}`",
+                interface.name,
+            ) from error
+        return Opened(
+            kind="can",
+            fd=bus.socket.fileno(),
+            codec=codec,
+            real_time=True,
+            name=_name(interface),
+            facts=_facts(interface, codec, bus.socket),
+            owned=owned.pop_all(),
+        )
+
+
+def need_sockets(channel: str) -> None:
+    """Raise InputError where the kernel has no SocketCAN, or keeps it from us."""
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError as error:
+        raise InputError(_no_sockets(error), channel) from None
+
+
+def _no_sockets(error: OSError) -> str:
+    if error.errno == errno.EAFNOSUPPORT:
+        return (
+            "this kernel has no SocketCAN (AF_CAN); load its modules with "
+            "`sudo modprobe -a can can-raw`; a service may also be kept from it by "
+            "RestrictAddressFamilies=, a container by its host"
+        )
+    if error.errno == errno.EPROTONOSUPPORT:
+        return "this kernel has CAN but no raw CAN sockets; load them with `sudo modprobe can-raw`"
+    if error.errno in (errno.EPERM, errno.EACCES):
+        return (
+            "this process may not open CAN sockets; SocketCAN itself needs no privilege, so a "
+            "sandbox is in the way (seccomp, container, systemd unit): allow AF_CAN there"
+        )
+    return f"no CAN socket can be opened: {error.strerror}"
+
+
+def find(channel: str, interfaces: dict[str, Interface]) -> Interface:
+    """Return the interface of a name; InputError if there is none, or if it is not CAN."""
+    found = interfaces.get(channel)
+    if found is not None and found.is_can:
+        return found
+    names = ", ".join(sorted(name for name, each in interfaces.items() if each.is_can))
+    there = f"CAN interfaces here: {names}" if names else "there is no CAN interface here"
+    if found is not None:
+        raise InputError(f"is a network interface, but not CAN; {there}", channel)
+    hint = "" if names else "; is the adapter plugged in and its driver loaded? see `ip link`"
+    raise InputError(f"no such interface; {there}{hint}", channel)
+
+
+def check(
+    interface: Interface, bitrate: int | None, fd: bool, data_bitrate: int | None = None
+) -> None:
+    """Raise InputError with everything that is wrong with an interface and its remedy.
+
+    Args:
+        interface: as the kernel has it.
+        bitrate: what the rig file says, bit/s; ``None``: any.
+        fd: whether CAN FD frames go over it.
+        data_bitrate: of CAN FD's data phase, likewise.
+    """
+    wrong = list(_wrong(interface, bitrate, fd, data_bitrate))
+    if wrong:
+        remedy = _remedy(interface, bitrate, fd, data_bitrate)
+        raise InputError(f"{'; '.join(wrong)}; set it up with `{remedy}`", interface.name)
+
+
+def _wrong(
+    interface: Interface, bitrate: int | None, fd: bool, data_bitrate: int | None
+) -> Iterator[str]:
+    if not interface.up:
+        yield "the interface is down"
+    if bitrate and interface.bitrate and interface.bitrate != bitrate:
+        yield f"its bit rate is {interface.bitrate} bit/s, the rig file says {bitrate}"
+    if data_bitrate and interface.data_bitrate and interface.data_bitrate != data_bitrate:
+        yield (
+            f"the bit rate of its data phase is {interface.data_bitrate} bit/s, the rig file says "
+            f"{data_bitrate}"
+        )
+    if interface.restart_ms:
+        yield (
+            f"restart-ms is {interface.restart_ms}, 0 is needed: after a bus-off it must stay off "
+            "the bus until somebody has looked"
+        )
+    if interface.state == "BUS_OFF":
+        yield "the controller is off the bus (bus-off): check cable, termination and bit rates"
+    if interface.listen_only:
+        yield "listen-only is on, so that no command would leave"
+    if fd and interface.mtu < CANFD_MTU:
+        yield f"CAN FD is off (its frames have {interface.mtu} bytes, {CANFD_MTU} are needed)"
+
+
+def _remedy(interface: Interface, bitrate: int | None, fd: bool, data_bitrate: int | None) -> str:
+    name = interface.name
+    lines = [f"sudo ip link set {name} down"] if interface.up else []
+    if interface.driver != "can":
+        lines.append(f"sudo ip link set {name}{f' mtu {CANFD_MTU}' if fd else ''} up")
+        return "; ".join(lines)
+    rate = bitrate or interface.bitrate or USUAL_BITRATE
+    options = f"type can bitrate {rate}"
+    if interface.restart_ms != 0:  # slcan has 0 for ever, and refuses to be told
+        options += " restart-ms 0"
+    if fd:
+        options += f" dbitrate {data_bitrate or interface.data_bitrate or rate} fd on"
+    if interface.listen_only:
+        options += " listen-only off"
+    return "; ".join([*lines, f"sudo ip link set {name} up {options}"])
+
+
+def check_load(interface: Interface, codec: Codec) -> None:
+    """Raise InputError if the frames of a sample leave too little of the bus."""
+    if interface.bitrate is None:
+        return
+    fault = busload.bus_fault(busload.frames_of(codec), interface.bitrate, interface.data_bitrate)
+    if fault:
+        raise InputError(fault, interface.name)
+
+
+def filters(codec: Codec, side: Side) -> list[can.typechecking.CanFilter]:
+    """Return python-can's filters for the frames that the other side sends."""
+    identifiers = codec.feedback_ids if side == "controller" else (codec.command_id,)
+    return [_filter(identifier) for identifier in identifiers]
+
+
+def _filter(identifier: int) -> can.typechecking.CanFilter:
+    extended = bool(identifier & ID_EXTENDED)
+    bits = 0x1FFF_FFFF if extended else 0x7FF
+    return {  # with the flag in the mask a remote frame of this identifier does not pass
+        "can_id": identifier & bits,
+        "can_mask": bits | CAN_RTR_FLAG,
+        "extended": extended,
+    }
+
+
+def _bus(name: str, wanted_filters: list[can.typechecking.CanFilter], fd: bool) -> Any:
+    try:
+        return can.Bus(
+            interface="socketcan",
+            channel=name,
+            can_filters=wanted_filters,
+            fd=fd,
+            receive_own_messages=False,
+            ignore_rx_error_frames=False,
+            ignore_config=True,
+        )
+    except OSError as error:  # it was there a moment ago
+        traceback.clear_frames(error.__traceback__)  # python-can leaves its socket in one of them
+        raise InputError(
+            f"cannot be opened: {error.strerror}; is it still there? see `ip link show {name}`",
+            name,
+        ) from None
+
+
+def _configure(
+    sock: socket.socket, name: str, wanted_filters: list[can.typechecking.CanFilter], fd: bool
+) -> None:
+    """Set what python-can does not, and see that all of it holds: it only logs a refusal."""
+    raw, packed = socket.SOL_CAN_RAW, pack_filters(wanted_filters)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+    sock.setsockopt(raw, CAN_RAW_ERR_FILTER, ERROR_CLASSES)
+    held = {
+        "identifier filters": sock.getsockopt(raw, socket.CAN_RAW_FILTER, 64) == packed,
+        "error frames": sock.getsockopt(raw, CAN_RAW_ERR_FILTER) == ERROR_CLASSES,
+        "silence of own frames": sock.getsockopt(raw, socket.CAN_RAW_RECV_OWN_MSGS) == 0,
+        "frames to other programs": sock.getsockopt(raw, socket.CAN_RAW_LOOPBACK) == 1,
+        "CAN FD": sock.getsockopt(raw, socket.CAN_RAW_FD_FRAMES) == fd,
+    }
+    missing = [what for what, holds in held.items() if not holds]
+    if missing:
+        raise InputError(
+            f"the kernel did not set: {', '.join(missing)}; take a kernel, or a container, whose "
+            "SocketCAN has all of it",
+            name,
+        )
+    _discard(sock)
+
+
+def _discard(sock: socket.socket) -> None:
+    """Throw away what came before the filters were set."""
+    with contextlib.suppress(BlockingIOError):
+        for _ in range(STALE_FRAMES_MOST):
+            sock.recv(CANFD_MTU, socket.MSG_DONTWAIT)
+
+
+def _name(interface: Interface) -> str:
+    if interface.driver in ("vcan", "vxcan"):
+        return f"{interface.name}, virtual CAN"
+    if interface.bitrate is None:
+        return f"{interface.name}, CAN"
+    return f"{interface.name}, CAN {bit_rate(interface.bitrate)}"
+
+
+def _facts(interface: Interface, codec: Codec, sock: socket.socket) -> dict[str, Any]:
+    rate, frames = interface.bitrate, busload.frames_of(codec)
+    facts = {
+        "interface": interface.name,
+        "driver": interface.driver,
+        "operational": interface.operational,
+        "mtu_bytes": interface.mtu,
+        "bitrate": rate,
+        "data_bitrate": interface.data_bitrate,
+        "restart_ms": interface.restart_ms,
+        "controller_state": interface.state,
+        "bus_load": busload.bus_load(frames, rate, interface.data_bitrate) if rate else None,
+        "receive_buffer_bytes": sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF),
+        "send_buffer_bytes": sock.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF),
+    }
+    known = {name: value for name, value in facts.items() if value is not None}
+    if rate is None and interface.driver == "can":
+        known["notes"] = ["the kernel does not know the bit rate; it was not checked"]
+    return known

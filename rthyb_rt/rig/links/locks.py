@@ -1,0 +1,120 @@
+"""One user of a link at a time: a file that is locked as long as the link is open.
+
+The kernel gives the lock back however its holder ends; a file that is left over does no harm.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import os
+import re
+import stat
+import tempfile
+from pathlib import Path
+from typing import Final
+
+from rthyb_rt.errors import InputError
+from rthyb_rt.rig.links.opened import Owned, Side
+
+SHARED_FOLDER: Final = Path("/run/lock")
+"""Where users find each other's locks; not all systems let everybody write there."""
+
+
+def hold(owned: Owned, what: str, key: str, side: Side) -> None:
+    """Keep everybody else from using a link at the same end, until ``owned`` is closed.
+
+    Args:
+        owned: takes the lock.
+        what: the link, for messages.
+        key: the link, unmistakably.
+        side: both ends of a link may be on one machine, and have a lock each.
+
+    Raises:
+        InputError: another process has it, or no lock can be had.
+    """
+    path = folder() / f"rthyb-{_slug(key)}-{side}.lock"
+    try:
+        fd = _locked(path)
+    except BlockingIOError:
+        raise InputError(
+            f"{holder(path)} has it open as {side}; a link has one {side} at a time: end that "
+            "one first",
+            what,
+        ) from None
+    except OSError as error:
+        raise InputError(f"cannot be locked, {path}: {error.strerror}", what) from error
+    owned.callback(_release, fd, path)
+
+
+def folder() -> Path:
+    """Return the folder of the locks: one for all users if there is one."""
+    own = os.environ.get("XDG_RUNTIME_DIR", "")
+    for candidate in (SHARED_FOLDER, Path(own) if own else None):
+        if candidate is not None and candidate.is_dir() and os.access(candidate, os.W_OK):
+            return candidate
+    return Path(tempfile.gettempdir())
+
+
+def holder(path: str | Path) -> str:
+    """Say which process holds the lock on a file."""
+    try:
+        status, listed = os.stat(path), Path("/proc/locks").read_text()
+    except OSError:
+        return "another process"
+    file = (os.major(status.st_dev), os.minor(status.st_dev), status.st_ino)
+    for line in listed.splitlines():
+        words = line.split()
+        if len(words) > 5 and words[1] == "FLOCK":
+            major, minor, inode = words[5].split(":")
+            if (int(major, 16), int(minor, 16), int(inode)) == file and int(words[4]) > 0:
+                return f"process {words[4]}"
+    return "another process"
+
+
+def _slug(key: str) -> str:
+    """A file name that people recognise and no other key has."""
+    plain = re.sub(r"[^A-Za-z0-9]+", "-", key).strip("-")
+    if plain == key:
+        return plain
+    return f"{plain[-40:]}-{hashlib.sha256(key.encode()).hexdigest()[:12]}"
+
+
+def _locked(path: Path) -> int:
+    """Return a locked descriptor of the file that has this name."""
+    while True:
+        fd = _open(path)
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Who had it before removes its file: then the name is free, or another file's.
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(fd), os.stat(path)):
+                    return fd
+        except BaseException:
+            os.close(fd)
+            raise
+        os.close(fd)
+
+
+def _release(fd: int, path: Path) -> None:
+    with contextlib.suppress(OSError):  # made by another user
+        path.unlink()
+    os.close(fd)
+
+
+def _open(path: Path) -> int:
+    # Two steps, since the kernel refuses O_CREAT on another user's file in a folder for everybody.
+    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    try:
+        fd = os.open(path, flags)
+    except FileNotFoundError:
+        try:
+            fd = os.open(path, flags | os.O_CREAT | os.O_EXCL, 0o444)
+        except FileExistsError:
+            return _open(path)
+    if not stat.S_ISREG(os.fstat(fd).st_mode):
+        os.close(fd)
+        raise OSError(errno.EINVAL, "not a regular file")
+    return fd

@@ -1,0 +1,104 @@
+"""A virtual rig in a process of its own, beside a controller."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import select
+import signal
+import subprocess
+import sys
+from typing import Any, Final
+
+from rthyb_rt import config
+from rthyb_rt.config import RigFile
+from rthyb_rt.errors import RthybError
+from rthyb_rt.rig.virtual_rig.lines import inherited_line
+from rthyb_rt.rig.virtual_rig.serving import Stop, serve
+
+_PEER_PATIENCE_S: Final = 20.0
+
+
+class Companion:
+    """A virtual rig in a process of its own, at the other end of a socket pair.
+
+    It is not reached by a Ctrl-C in the terminal, and ends by itself when this process is gone.
+
+    Args:
+        rig: what moves and measures.
+        fd: its end of the pair; stays the caller's, who closes it.
+
+    Raises:
+        RthybError: the process did not come to life; with what it said.
+    """
+
+    def __init__(self, rig: RigFile, fd: int) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "rthyb_rt.rig.virtual_rig"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            pass_fds=(fd,),
+            start_new_session=True,
+        )
+        try:
+            order = {"fd": fd, "rig_toml": config.dump(rig)}
+            assert self._process.stdin is not None
+            with contextlib.suppress(BrokenPipeError), self._process.stdin as order_book:
+                order_book.write(json.dumps(order).encode() + b"\n")
+            self._process.stdin = None
+            self._await_ready()
+        except BaseException:
+            self._kill()
+            raise
+
+    def _await_ready(self) -> None:
+        out = self._process.stdout
+        assert out is not None
+        ready, _, _ = select.select([out], [], [], _PEER_PATIENCE_S)
+        if ready and out.readline().strip() == b"ready":
+            return
+        self._kill()
+        raise RthybError(f"the virtual rig's process did not start: {self._last_words()}")
+
+    def _last_words(self) -> str:
+        assert self._process.stderr is not None
+        said = self._process.stderr.read().decode(errors="replace").strip()
+        return said.splitlines()[-1] if said else f"exit status {self._process.returncode}"
+
+    def _kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    @property
+    def pid(self) -> int:
+        """Number of its process."""
+        return self._process.pid
+
+    def close(self) -> dict[str, Any] | None:
+        """Wait for its end, which the end of the connection brings; return its summary.
+
+        None: it had to be killed, or said nothing.
+        """
+        try:
+            out, _ = self._process.communicate(timeout=_PEER_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._kill()
+            return None
+        with contextlib.suppress(json.JSONDecodeError):
+            found = json.loads(out.decode() or "null")
+            return found if isinstance(found, dict) else None
+        return None
+
+
+def be_companion() -> None:
+    """Be the process of a `Companion`."""
+    order = json.loads(sys.stdin.readline())
+    rig = config.parse_rig(order["rig_toml"], "rig")
+    line = inherited_line(int(order["fd"]))
+    stop = Stop()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    result = serve(rig, line, stop=stop, ready=lambda: print("ready", flush=True))
+    # Its reader may be gone, killed perhaps.
+    with contextlib.suppress(BrokenPipeError):
+        print(json.dumps(result.as_json()), flush=True)

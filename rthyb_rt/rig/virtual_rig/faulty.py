@@ -1,0 +1,83 @@
+"""A test at a virtual rig whose drive, sensors and wire fail as they were told, tick by tick."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+from rthyb_rt.core import loop
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import realtime
+from rthyb_rt.lab.experiment import Progress, Setup
+from rthyb_rt.lab.virtual_time import HOLD_S
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.rig.links import opening
+from rthyb_rt.rig.virtual_rig.plan import POWER_CUT, parse_faults
+from rthyb_rt.rig.virtual_rig.serving import in_step
+
+
+def parse_mishaps(texts: Sequence[str]) -> tuple[loop.Fault, ...]:
+    """Return the faults of a test, in ticks from its first sample.
+
+    Raises:
+        InputError: with every text that cannot be understood, or asks for what only a process has.
+    """
+    faults, cut_s = parse_faults(texts)
+    if cut_s is not None:
+        raise InputError(f"{POWER_CUT}: a rig in this process has none of its own; take silence")
+    return faults
+
+
+def run(
+    setup: Setup,
+    faults: Sequence[loop.Fault],
+    *,
+    progress: Progress | None = None,
+    operator: realtime.Operator | None = None,
+    warn: Callable[[str], None] = lambda _: None,
+    save: Callable[[Recording], None] | None = None,
+) -> Recording:
+    """Run a test with faults: frames, drive and watchdogs are those of a rig, time is not.
+
+    Limits that no file states act as they do at a rig: the test shows what would happen there.
+
+    Args:
+        setup: the test; its link is left out, a socket pair stands in for it.
+        faults: what goes wrong, in ticks from the first sample of the test proper.
+        progress, operator, warn, save: as in `rthyb_rt.lab.realtime.run`.
+
+    Returns:
+        The recording; its clock is "stepped".
+
+    Raises:
+        CoreError: a fault is out of range.
+        RthybError: as `rthyb_rt.lab.realtime.run`.
+    """
+    setup = dataclasses.replace(setup, rig=setup.rig.model_copy(update={"link": None}))
+    ours, theirs = opening.socket_pair()
+    with ours, theirs, in_step(setup.rig, theirs) as drive:
+        # A fault that is out of range is refused here, and not in the middle of the test.
+        drive.schedule(faults)
+        drive.schedule(())
+        begun = False
+
+        def tick() -> None:
+            nonlocal begun
+            if not begun and drive.told == "RUNNING":
+                begun = True
+                drive.schedule(
+                    [dataclasses.replace(f, first=drive.ticks + f.first) for f in faults]
+                )
+            drive.tick()
+
+        return realtime.run(
+            setup,
+            ours,
+            clock="stepped",
+            before_tick=tick,
+            progress=progress,
+            operator=operator,
+            hold_s=HOLD_S,
+            warn=warn,
+            save=save,
+        )

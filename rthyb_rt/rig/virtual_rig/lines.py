@@ -1,0 +1,180 @@
+"""The rig's end of a wire, whoever is at the other."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import math
+import os
+import socket
+import time
+import tty
+from pathlib import Path
+from typing import Final
+
+from rthyb_rt.config.rigfile import Link
+from rthyb_rt.core import dbc, loop, wire
+from rthyb_rt.errors import InputError
+from rthyb_rt.rig.links import opening
+from rthyb_rt.rig.links.opened import Opened
+
+_SETTLED_S: Final = 0.05
+"""What a new connection may take to show that it is up."""
+
+
+class Line:
+    """The rig's end of a wire: a descriptor that stays the same whoever is at the other end.
+
+    Args:
+        kind: as in `rthyb_rt.core.loop.Link`.
+        fd: the descriptor; the line owns it.
+        codec: the frames.
+        name: for messages.
+        mortal: without the other end there is nothing left to do.
+
+    Attributes:
+        kind, fd, codec, name: as given.
+    """
+
+    def __init__(
+        self, kind: loop.Kind, fd: int, codec: wire.Codec, name: str, *, mortal: bool = False
+    ) -> None:
+        self.kind, self.fd, self.codec, self.name = kind, fd, codec, name
+        self._mortal = mortal
+
+    def tend(self, link: loop.Link) -> bool:
+        """Look after the connection; False once there will never be another."""
+        return not (self._mortal and link.down == "hung-up")
+
+    def close(self) -> None:
+        """Let go of the descriptor; twice does no harm."""
+        fd, self.fd = self.fd, -1
+        if fd >= 0:
+            os.close(fd)
+
+
+class OpenedLine(Line):
+    """A line over a link that was opened elsewhere."""
+
+    def __init__(self, opened: Opened) -> None:
+        super().__init__(opened.kind, opened.fd, opened.codec, opened.name)
+        self._opened = opened
+
+    def tend(self, link: loop.Link) -> bool:
+        """Look after the connection; False once a thread in between has given up."""
+        return self._opened.failure is None
+
+    def close(self) -> None:
+        """Give back all that was opened."""
+        self.fd = -1
+        self._opened.close()
+
+
+class ListeningLine(Line):
+    """CAN frames over a socket in the file system that one controller after the other connects to.
+
+    Args:
+        path: where.
+        codec: the frames.
+
+    Raises:
+        InputError: another process listens there, or the path cannot be used.
+    """
+
+    def __init__(self, path: Path, codec: wire.Codec) -> None:
+        here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        # Nobody is there yet: the same as somebody who has left.
+        there.close()
+        super().__init__("can", here.detach(), codec, str(path))
+        self._path = path
+        try:
+            self._listener = _listen(path)
+        except BaseException:
+            super().close()
+            raise
+        self._connected_s = -math.inf
+
+    def tend(self, link: loop.Link) -> bool:
+        """Give the place of a controller that has left to the next one."""
+        if link.down == "up" or time.monotonic() < self._connected_s + _SETTLED_S:
+            return True
+        with contextlib.suppress(BlockingIOError):
+            peer, _ = self._listener.accept()
+            with peer:
+                # Under the number that the drive has: it changes hands between two system calls.
+                os.dup2(peer.fileno(), link.fd, inheritable=False)
+            self._connected_s = time.monotonic()
+        return True
+
+    def close(self) -> None:
+        """Stop listening and take the socket out of the file system."""
+        if self.fd >= 0:
+            self._listener.close()
+            self._path.unlink(missing_ok=True)
+        super().close()
+
+
+def _listen(path: Path) -> socket.socket:
+    with contextlib.ExitStack() as undo:
+        listener = undo.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+        try:
+            _remove_abandoned(path)
+            # Before it has a name: nobody else connects in between.
+            os.fchmod(listener.fileno(), 0o600)
+            listener.bind(str(path))
+            listener.listen(1)
+            listener.setblocking(False)
+        except OSError as error:
+            raise InputError(
+                f"no socket can be made here ({error.strerror or error}); name a path in a folder "
+                "that you may write, 100 characters long at most",
+                str(path),
+            ) from error
+        undo.pop_all()
+        return listener
+
+
+def _remove_abandoned(path: Path) -> None:
+    if not path.is_socket():
+        if path.exists():
+            raise InputError(
+                "is there already, and not a socket; it is left alone: name another path", str(path)
+            )
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+        refused = probe.connect_ex(str(path))
+    if refused != errno.ECONNREFUSED:
+        raise InputError("another virtual rig listens here; stop it, or name another", str(path))
+    path.unlink()
+
+
+def pty_line() -> tuple[Line, str]:
+    """Return a line of serial packets on a new pty, and the path of its other end."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    path = os.ttyname(slave)
+    # What nobody reads shall not wait for the first controller: without one the line is dead.
+    os.close(slave)
+    return Line("stream", master, wire.serial(), path), path
+
+
+def inherited_line(fd: int) -> Line:
+    """Return the line on a socket that another process left to this one; it ends with that."""
+    return Line("can", fd, wire.can(), "socket pair", mortal=True)
+
+
+def line_of(link: Link) -> Line:
+    """Open the drive's end of a rig file's link.
+
+    Raises:
+        InputError: what stands against it.
+    """
+    codec = (
+        None
+        if link.dbc is None
+        else dbc.load(link.dbc, {str(role): name for role, name in link.names.items()})
+    )
+    if link.kind == "socket":
+        return ListeningLine(Path(link.channel), codec or wire.can())
+    return OpenedLine(opening.open_link(link, "drive"))

@@ -1,0 +1,156 @@
+"""What a virtual rig does besides following its commands."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, get_args
+
+from rthyb_rt import core
+from rthyb_rt.core import loop
+from rthyb_rt.errors import InputError
+
+POWER_CUT: Final = "power-cut"
+FAULT_KINDS: Final[tuple[str, ...]] = (*get_args(loop.FaultKind), POWER_CUT)
+DRIFT_MAX_PPM: Final = 199.0
+
+_VALUES: Final[dict[str, tuple[float, float, str, float | None]]] = {
+    "drop": (0.0, 1.0, "", 1.0),
+    "drop-command": (0.0, 1.0, "", 1.0),
+    "drop-force": (0.0, 1.0, "", 1.0),
+    "delay": (0.0, 63.0, "ticks", 1.0),
+    "jump": (-10.0, 10.0, "m", None),
+    "force": (-1e9, 1e9, "N", None),
+}
+"""Lowest and highest value of a fault, its unit, and what it is without one."""
+
+_FOR_EVER: Final = 2**62
+_KEYS: Final[dict[str, str]] = {
+    "drop": "p",
+    "drop-command": "p",
+    "drop-force": "p",
+    "delay": "ticks",
+    "jump": "m",
+    "force": "n",
+}
+"""What a fault's value is called."""
+_FAULT = re.compile(
+    r"(?P<kind>[a-z-]+)@(?P<at>[0-9.eE+-]+)(?::(?P<for>[0-9.eE+-]+))?(?:=(?P<value>[0-9.eE+-]+))?"
+)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a virtual rig does besides following its commands.
+
+    Attributes:
+        seed: of sensor noise and of faults; None takes the rig file's.
+        drift_ppm: how much its clock is fast, 199 at most.
+        faults: what goes wrong, in ticks of its own.
+        power_cut_s: when its power goes, s after its start; None: never.
+        seconds: how long it runs; None: until it is stopped.
+        log_ticks: how many ticks the log has room for.
+    """
+
+    seed: int | None = None
+    drift_ppm: float = 0.0
+    faults: tuple[loop.Fault, ...] = ()
+    power_cut_s: float | None = None
+    seconds: float | None = None
+    log_ticks: int = 0
+
+
+NO_PLAN: Final = Plan()
+"""Nothing goes wrong."""
+
+
+def parse_faults(texts: Sequence[str]) -> tuple[tuple[loop.Fault, ...], float | None]:
+    """Return the faults, and when the power goes.
+
+    Each is ``KIND@SECONDS[:DURATION_S][=VALUE]``, or ``KIND[:KEY=NUMBER,...]`` with the keys from
+    and to (s) and that of its value: p of lost frames, ticks of a delay, m of a jump, n of a force.
+    Without an end a fault stays for good; the shortest one lasts a tick.
+
+    Raises:
+        InputError: with every text that cannot be understood.
+    """
+    faults: list[loop.Fault] = []
+    cuts: list[float] = []
+    problems = []
+    for text in texts:
+        try:
+            kind, at, lasts, value = _fault_parts(text)
+        except ValueError as error:
+            problems.append(f"{text!r}: {error}")
+            continue
+        if kind == POWER_CUT:
+            cuts.append(at)
+            continue
+        ticks = _FOR_EVER if lasts is None else max(round(lasts * core.FS_HZ), 1)
+        first = round(at * core.FS_HZ)
+        faults.append(loop.Fault(kind, first, ticks, value))  # type: ignore[arg-type]
+    if problems:
+        raise InputError("; ".join(problems))
+    return tuple(faults), min(cuts, default=None)
+
+
+def _fault_parts(text: str) -> tuple[str, float, float | None, float]:
+    if "@" not in text:
+        return _named_parts(text)
+    match = _FAULT.fullmatch(text)
+    if match is None:
+        raise ValueError("not KIND@SECONDS[:DURATION_S][=VALUE], such as drop@2.5:0.1=0.5")
+    _known(match["kind"])
+    at = _seconds(match["at"])
+    lasts = None if match["for"] is None else _seconds(match["for"])
+    return match["kind"], at, lasts, _value(match["kind"], match["value"])
+
+
+def _known(kind: str) -> None:
+    if kind not in FAULT_KINDS:
+        raise ValueError(f"no such kind of fault, allowed are {', '.join(FAULT_KINDS)}")
+
+
+def _named_parts(text: str) -> tuple[str, float, float | None, float]:
+    """Return the parts of ``drop:p=0.02,from=5,to=8``."""
+    kind, _, rest = text.partition(":")
+    _known(kind)
+    allowed = ("from", "to", *([_KEYS[kind]] if kind in _KEYS else []))
+    given: dict[str, str] = {}
+    for part in rest.split(",") if rest else ():
+        key, equals, number = part.partition("=")
+        if not equals or key not in allowed or key in given:
+            raise ValueError(
+                f"found {part!r}, {kind} takes each of {', '.join(allowed)} once, such as "
+                f"{kind}:from=5,to=8"
+            )
+        given[key] = number
+    at = _seconds(given.get("from", "0"))
+    lasts = None if "to" not in given else _seconds(given["to"]) - at
+    if lasts is not None and lasts <= 0.0:
+        raise ValueError(f"it ends at {given['to']} s, before it begins at {at:g} s")
+    return kind, at, lasts, _value(kind, given.get(_KEYS.get(kind, "")))
+
+
+def _value(kind: str, text: str | None) -> float:
+    if kind not in _VALUES:
+        if text is not None:
+            raise ValueError(f"found the value {text}; {kind} takes none")
+        return 1.0
+    low, high, unit, default = _VALUES[kind]
+    if text is None and default is None:
+        raise ValueError(f"{kind} needs a value in {unit}, such as {kind}@2.5:0.1={high / 1e3:g}")
+    value = default if text is None else float(text)
+    if value is None or not low <= value <= high:
+        raise ValueError(
+            f"found the value {text}, {kind} takes {low:g} to {high:g} {unit}".rstrip()
+        )
+    return value
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= 1e6:
+        raise ValueError(f"found {text} s, allowed is 0 to 1e6 s")
+    return value

@@ -1,0 +1,265 @@
+"""Actuator controller and load cell at the end of a line, with clock and watchdog of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core
+from rthyb_rt.config import RigFile
+from rthyb_rt.core import loop, ticker, wire
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment
+from rthyb_rt.record.recording import replacing
+from rthyb_rt.rig.links.opened import Opened
+from rthyb_rt.rig.virtual_rig.lines import Line
+from rthyb_rt.rig.virtual_rig.plan import NO_PLAN, Plan
+
+LOG_SECONDS: Final = 600.0
+"""Length of the drive log where nothing says how long the rig will run."""
+_SERIAL_COMMAND: Final = 12
+"""Bytes of a command on the serial line."""
+_LOOK_S: Final = 0.005
+
+
+class Stop:
+    """The wish that a rig ends; a signal's handler may utter it at any instant.
+
+    It takes no lock: `threading.Event.set` would wait for ever for the one that the interrupted
+    thread has while it looks at the event.
+    """
+
+    def __init__(self) -> None:
+        self._wanted = False
+
+    def set(self) -> None:
+        """Have it end."""
+        self._wanted = True
+
+    def is_set(self) -> bool:
+        """Whether it is to end."""
+        return self._wanted
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a virtual rig.
+
+    Attributes:
+        ticks: samples that it lived through.
+        skipped: samples that its own clock slept through.
+        commands: command frames that came.
+        watchdog_stops: how often it stopped because nothing fresh came.
+        told_stops: how often a controller that tripped told it to stop.
+        phase: one of `rthyb_rt.core.loop.PHASES`, at the end.
+        power_cut: its power went.
+        privileges: what its thread obtained, names of `rthyb_rt.core.ticker.PRIVILEGES`.
+        log: what it saw and did, `rthyb_rt.core.loop.LOG_DTYPE`, (n,).
+    """
+
+    ticks: int
+    skipped: int
+    commands: int
+    watchdog_stops: int
+    told_stops: int
+    phase: str
+    power_cut: bool
+    privileges: tuple[str, ...]
+    log: NDArray[np.void] = field(repr=False)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all of it but the log."""
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        del values["log"]
+        return values | {"privileges": list(self.privileges)}
+
+
+class _Watcher:
+    """Counts how often the drive stops, and why, by looking now and then."""
+
+    def __init__(self, drive: loop.Drive) -> None:
+        self._drive = drive
+        self._followed = False
+        self.watchdog_stops = self.told_stops = 0
+
+    def look(self) -> None:
+        follows = self._drive.phase == "following"
+        if self._followed and not follows:
+            told = self._drive.told == "TRIPPED"
+            self.told_stops += told
+            self.watchdog_stops += not told
+        self._followed = follows
+
+
+def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: Plan) -> loop.Drive:
+    """Return the drive of a rig file at its end of a link.
+
+    Raises:
+        CoreError: the rig, the drift or a fault is refused.
+    """
+    seed = rig.rig.seed if plan.seed is None else plan.seed
+    drive = loop.Drive(
+        core.Rig(dataclasses.replace(experiment.rig_config(rig), seed=seed)),
+        codec,
+        link,
+        stop_decel_m_per_s2=experiment.stop_decel_m_per_s2(rig),
+        log_ticks=plan.log_ticks,
+        seed=seed,
+        drift_ppm=plan.drift_ppm,
+        calibration=experiment.calibration(rig),
+    )
+    drive.schedule(plan.faults)
+    return drive
+
+
+@contextlib.contextmanager
+def in_step(rig: RigFile, opened: Opened, plan: Plan = NO_PLAN) -> Iterator[loop.Drive]:
+    """Give a drive that ticks on the caller's word: for the stepped clock, not in real time.
+
+    Args:
+        rig: what moves and measures.
+        opened: its end of the link; stays the caller's.
+        plan: what goes wrong when; its times of power cut and end do not count.
+    """
+    link = loop.Link(opened.kind, opened.fd)
+    try:
+        yield drive_of(rig, opened.codec, link, plan)
+    finally:
+        link.close()
+
+
+def serve(
+    rig: RigFile,
+    line: Line,
+    plan: Plan = NO_PLAN,
+    stop: Stop | None = None,
+    ready: Callable[[], None] = lambda: None,
+) -> Result:
+    """Be a virtual rig until told to stop, the time is over, or nobody is left.
+
+    Args:
+        rig: what moves and measures.
+        line: its end of the wire; stays the caller's.
+        plan: what goes wrong when.
+        stop: ends it; from any thread, or from a signal's handler.
+        ready: called once it ticks.
+
+    Raises:
+        CoreError: the rig, the drift or a fault is refused.
+    """
+    stop = stop or Stop()
+    link = loop.Link(line.kind, line.fd)
+    try:
+        return _run(drive_of(rig, line.codec, link, plan), link, line, plan, stop, ready)
+    finally:
+        link.close()
+
+
+def _run(
+    drive: loop.Drive,
+    link: loop.Link,
+    line: Line,
+    plan: Plan,
+    stop: Stop,
+    ready: Callable[[], None],
+) -> Result:
+    begun = threading.Event()
+    clocks: list[ticker.Ticker] = []
+    obtained: list[str] = []
+
+    def tick() -> None:
+        try:
+            # Locking what the process has takes longer than many a tick: its clock starts later.
+            obtained.extend(ticker.become_real_time())
+            clocks.append(ticker.Ticker("host", ticker.now_ns() + 20_000_000))
+        finally:
+            begun.set()
+        drive.run(clocks[0])
+
+    thread = threading.Thread(target=tick, name="drive", daemon=True)
+    watcher = _Watcher(drive)
+    thread.start()
+    try:
+        begun.wait()
+        (clock,) = clocks
+        ready()
+        cut = _look_after(drive, link, line, plan, stop, watcher)
+    finally:
+        # An interrupt may come before there is a clock that could be stopped.
+        begun.wait()
+        for ticking in clocks:
+            ticking.stop()
+        thread.join()
+        ticker.unlock_memory()
+    watcher.look()
+    counters = link.counters()
+    serial = line.kind == "stream"
+    return Result(
+        ticks=drive.ticks,
+        skipped=clock.counts.skipped,
+        commands=counters["bytes_in"] // _SERIAL_COMMAND if serial else counters["pieces_in"],
+        watchdog_stops=watcher.watchdog_stops,
+        told_stops=watcher.told_stops,
+        phase=drive.phase,
+        power_cut=cut,
+        privileges=tuple(obtained),
+        log=drive.log,
+    )
+
+
+def _look_after(
+    drive: loop.Drive,
+    link: loop.Link,
+    line: Line,
+    plan: Plan,
+    stop: Stop,
+    watcher: _Watcher,
+) -> bool:
+    """Return whether the power was cut."""
+    while not stop.is_set():
+        time.sleep(_LOOK_S)
+        watcher.look()
+        now_s = drive.ticks / core.FS_HZ
+        if plan.power_cut_s is not None and now_s >= plan.power_cut_s:
+            return True
+        if plan.seconds is not None and now_s >= plan.seconds:
+            return False
+        # Nobody left: what moves is stopped first, as it would be in the room.
+        if not line.tend(link) and drive.phase == "stopped":
+            return False
+    return False
+
+
+def write_log(path: Path, log: NDArray[np.void]) -> None:
+    """Write a drive log, as ``.npy``, or as ``.h5`` with the dataset ``drive_log``.
+
+    Raises:
+        InputError: the name ends otherwise.
+        RthybError: the file cannot be written.
+    """
+    if path.suffix not in LOG_SUFFIXES:
+        raise InputError(f"a log ends with {' or '.join(LOG_SUFFIXES)}", str(path))
+    with replacing(path) as temporary:
+        if path.suffix == ".npy":
+            with temporary.open("wb") as file:
+                np.save(file, log)
+            return
+        import h5py
+
+        with h5py.File(temporary, "w") as file:
+            table = file.create_dataset("drive_log", data=log)
+            table.attrs["phases"] = json.dumps(loop.PHASES)
+            table.attrs["fs_hz"] = core.FS_HZ
+
+
+LOG_SUFFIXES: Final = (".npy", ".h5")

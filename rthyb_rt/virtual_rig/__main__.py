@@ -1,5 +1,0 @@
-"""The process of a `Companion`."""
-
-from rthyb_rt.virtual_rig.companion import be_companion
-
-be_companion()

@@ -1,0 +1,83 @@
+"""The rooms of the Python package: who may know whom."""
+
+from __future__ import annotations
+
+import ast
+import graphlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import rthyb_rt
+
+PACKAGE = Path(rthyb_rt.__file__).parent
+ROOMS = ("core", "record", "config", "lab", "analysis", "rig", "diagnose", "report", "service")
+
+
+def _outside_typing(tree: ast.Module) -> list[ast.ImportFrom | ast.Import]:
+    """Return the imports that run: those for the type checker alone tie nothing together."""
+    typing = {
+        inner
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    kinds = (ast.ImportFrom, ast.Import)
+    return [n for n in ast.walk(tree) if isinstance(n, kinds) and n not in typing]
+
+
+def _known_to(path: Path) -> set[str]:
+    """Return the dotted names of the package that a module imports."""
+    found: set[str] = set()
+    for node in _outside_typing(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif node.module:
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return {name for name in found if name.startswith("rthyb_rt.")}
+
+
+def _room(dotted: str) -> str:
+    return dotted.split(".")[1]
+
+
+def _rooms_known() -> dict[str, set[str]]:
+    known: dict[str, set[str]] = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE).parts
+        if len(parts) > 1:
+            others = {_room(name) for name in _known_to(path)} - {parts[0]}
+            known.setdefault(parts[0], set()).update(others & set(ROOMS))
+    return known
+
+
+def test_no_two_rooms_need_each_other() -> None:
+    known = _rooms_known()
+    assert set(ROOMS) <= set(known)
+    try:
+        tuple(graphlib.TopologicalSorter(known).static_order())
+    except graphlib.CycleError as error:
+        pytest.fail(f"these rooms need each other: {' -> '.join(error.args[1])}")
+
+
+def test_the_core_knows_no_other_room() -> None:
+    assert _rooms_known()["core"] == set()
+
+
+def test_only_the_core_and_the_ring_touch_cffi() -> None:
+    touching = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in PACKAGE.rglob("*.py")
+        if any(name.startswith("rthyb_rt._core") for name in _known_to(path))
+    }
+    assert {name for name in touching if not name.startswith("core/")} == {"record/ring.py"}
+
+
+def test_the_core_is_used_without_the_library_of_the_recordings() -> None:
+    code = (
+        "import sys, rthyb_rt.core, rthyb_rt.core.loop, rthyb_rt.core.ticker; "
+        "sys.exit('h5py' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
