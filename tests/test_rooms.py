@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -81,3 +82,20 @@ def test_the_core_is_used_without_the_library_of_the_recordings() -> None:
         "sys.exit('h5py' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+HEADERS = sorted((PACKAGE.parent / "csrc").glob("rthyb_*.h"))
+MOST_LINES = 250
+
+
+@pytest.mark.skipif(not HEADERS, reason="the sources of the core are not beside the package")
+def test_every_part_of_the_contract_is_short_and_stands_alone(tmp_path: Path) -> None:
+    compiler = shutil.which("cc")
+    for header in HEADERS:
+        text = header.read_text(encoding="utf-8")
+        assert text.count("\n") < MOST_LINES, header.name
+        if compiler:
+            source = tmp_path / "alone.c"
+            source.write_text(f'#include "{header.name}"\n')
+            command = [compiler, "-std=c11", "-fsyntax-only", f"-I{header.parent}", str(source)]
+            subprocess.run(command, check=True)

@@ -560,7 +560,7 @@ class Drive:
     @property
     def phase(self) -> str:
         """One of `PHASES`; readable at any time."""
-        return PHASES[self._c.phase]
+        return PHASES[int(self._c.phase)]
 
     @property
     def told(self) -> str:

@@ -7,7 +7,7 @@ A ring does not survive a reboot.
 
 Layout of the file, every number with its low byte first::
 
-    0        header, see rthyb_ring_header in csrc/rthyb.h; from byte 128 the status page
+    0        header, see rthyb_ring_header in csrc/rthyb_ring.h; from byte 128 the status page
     4096     description as JSON: fields with type, offset and unit, versions, boot, process
     then     the slots, at a whole page: a stamp and the record's words
 """

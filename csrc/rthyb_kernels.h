@@ -1,0 +1,127 @@
+/* The kernels of the paper: phase lead (plc.c), delay estimator (delay_estimator.c) and
+ * restoring-force compensator (rfc.c). */
+#ifndef RTHYB_PART_KERNELS_H
+#define RTHYB_PART_KERNELS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "rthyb_record.h"
+
+/* cffi: begin */
+
+/* ---- phase-lead compensator (plc.c) --------------------------------------------------------- */
+
+typedef struct {
+    double w1, w2;
+    double x1, x2;      /* x_c[n-1], x_c[n-2] */
+    double y1, y2;      /* x_p[n-1], x_p[n-2] */
+    double alpha, beta; /* last good ones */
+} rthyb_plc;
+
+/* 1 if the poles of Eqn 2.5 lie inside the unit circle (Fig. 2.1), else 0. */
+int rthyb_plc_is_stable(double w1, double w2);
+int rthyb_plc_init(rthyb_plc *plc, double w1, double w2, double x0_m);
+int rthyb_plc_step(rthyb_plc *plc, double alpha, double beta, double x_c_m, double *x_p_m);
+int rthyb_plc_run(rthyb_plc *plc, const double *alpha, const double *beta, const double *x_c_m,
+                  double *x_p_m, size_t n);
+
+/* ---- delay estimator (delay_estimator.c) ---------------------------------------------------- */
+
+enum rthyb_estimator_law {
+    RTHYB_LAW_FIXED,    /* alpha and beta stay where they start */
+    RTHYB_LAW_GRADIENT, /* Eqn 2.6-2.11 as printed */
+    RTHYB_LAW_ROBUST,   /* the same behind filter pair, gate, projection, power normalisation */
+    RTHYB_LAW_RLS       /* recursive least squares of alpha, or of alpha and beta */
+};
+
+typedef struct {
+    int32_t law;           /* enum rthyb_estimator_law */
+    int32_t estimate_beta; /* RLS only */
+    double alpha0, beta0;
+    double period_s;
+    double reference_m;    /* unit of mu and phi in the normalisation 1 + phi^2: the paper's 1 mm */
+    double gain;           /* gradient: per reference^2 per sample; robust: per sample */
+    double memory_samples; /* RLS: the weight of a sample falls by 1/e in so many samples */
+    double cutoff_hz;      /* filter pair of robust and RLS */
+    double alpha_min, alpha_max;
+    double rest_noise_m; /* standard deviation of x_m measured at rest */
+    double gate_factor;  /* adapt only while phi's power exceeds so many times its power at rest */
+} rthyb_estimator_config;
+
+typedef struct {
+    double b0, b1, b2, a1, a2;
+} rthyb_lowpass;
+
+typedef struct {
+    rthyb_estimator_config cfg;
+    double w1, w2; /* of the compensator that is led */
+    rthyb_lowpass filter;
+    double unit;                     /* 1 / reference_m */
+    double filter_p[2], filter_m[2]; /* states of the pair: low-pass */
+    double level_p, level_m;         /* and what it takes away as offset */
+    double level_weight;             /* of a sample in that; 1 before the first */
+    double p1, p2, m1, m2;           /* x_p[n-1], x_p[n-2], x_m[n-1], x_m[n-2], filtered */
+    double last_p, last_m;           /* last good inputs */
+    double alpha, beta;
+    double power;                     /* mean phi^2 over about 2 s */
+    double short_power;               /* mean phi^2 over 0.2 s, for the gate */
+    double gate_power;                /* what short_power must exceed */
+    double forget;                    /* RLS: lambda */
+    double r11, r12, r22, q1, q2;     /* RLS: weighted normal equations */
+    double noise11, noise12, noise22; /* RLS: what rest noise alone adds to them per sample */
+    double noise1, noise2;
+    double weight;         /* RLS: sum of weights */
+    double ridge1, ridge2; /* RLS: weight of the starting values */
+    int32_t open;          /* the gate, for the record */
+} rthyb_estimator;
+
+int rthyb_estimator_init(rthyb_estimator *est, const rthyb_estimator_config *cfg, double w1,
+                         double w2, double x0_m);
+/* frozen != 0 takes the pair in but leaves alpha and beta alone. */
+int rthyb_estimator_step(rthyb_estimator *est, double x_p_m, double x_m_m, int frozen);
+int rthyb_estimator_run(rthyb_estimator *est, const double *x_p_m, const double *x_m_m,
+                        double *alpha, double *beta, size_t n);
+
+/* ---- restoring-force compensator (rfc.c) ---------------------------------------------------- */
+
+enum rthyb_tangent {
+    RTHYB_TANGENT_MEAN_OF_RATIOS, /* Eqn 3.3 */
+    RTHYB_TANGENT_LEAST_SQUARES   /* slope of f over x_m in the same window */
+};
+
+enum rthyb_divisor {
+    RTHYB_DIVISOR_PRINTED, /* T0 + 1 terms divided by T0, as Eqn 3.3 stands */
+    RTHYB_DIVISOR_TERMS    /* divided by the number of terms */
+};
+
+typedef struct {
+    int32_t enabled;
+    int32_t tangent;     /* enum rthyb_tangent */
+    int32_t divisor;     /* enum rthyb_divisor; mean of ratios only */
+    int32_t window;      /* T0, samples */
+    double k_e_n_per_m;  /* elastic stiffness, upper bound */
+    uint64_t end_tick;   /* t_ex: from this tick on k_exp = k_e again (stage 3) */
+    double rest_noise_m; /* least squares holds k while x_m has moved less than this noise allows */
+} rthyb_rfc_config;
+
+typedef struct {
+    rthyb_rfc_config cfg;
+    uint64_t tick;
+    uint32_t head, filled; /* next to be overwritten; samples in the window */
+    double k_n_per_m;      /* bounded k_exp[n] */
+    double ratio;          /* last term of Eqn 3.3 */
+    double x1, f1, c1;
+    double x[RTHYB_WINDOW_MAX]; /* the T0 samples before the newest: x_m, or ratios (Eqn 3.3) */
+    double f[RTHYB_WINDOW_MAX];
+} rthyb_rfc;
+
+int rthyb_rfc_init(rthyb_rfc *rfc, const rthyb_rfc_config *cfg, double x0_m, double f0_n);
+/* force_n = f + k_exp (x_c - x_m): what the equation of motion sees. frozen != 0 holds k_exp. */
+int rthyb_rfc_step(rthyb_rfc *rfc, double x_c_m, double x_m_m, double f_n, int frozen,
+                   double *force_n);
+int rthyb_rfc_run(rthyb_rfc *rfc, const double *x_c_m, const double *x_m_m, const double *f_n,
+                  double *force_n, double *k_n_per_m, size_t n);
+/* cffi: end */
+
+#endif

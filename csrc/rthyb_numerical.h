@@ -1,0 +1,133 @@
+/* Numerical parts: the equation of motion (motion.c), dense matrices (numerical_dense.c), and
+ * either of them by its kind (numerical.c). */
+#ifndef RTHYB_PART_NUMERICAL_H
+#define RTHYB_PART_NUMERICAL_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "rthyb_rig.h"
+
+/* cffi: begin */
+
+/* ---- equation of motion (motion.c) ---------------------------------------------------------- */
+
+enum rthyb_integrator {
+    RTHYB_CENTRAL_DIFFERENCE,
+    RTHYB_FORWARD_EULER,
+    RTHYB_CR,
+    RTHYB_KR_ALPHA,
+    RTHYB_PRESCRIBED, /* no equation: the next command is the excitation itself */
+    RTHYB_RK4         /* classical Runge-Kutta with a held force: dense parts alone */
+};
+
+typedef struct {
+    int32_t integrator; /* enum rthyb_integrator */
+    double period_s;
+    double mass_kg;       /* numerical mass: ground motion acts on it */
+    double added_mass_kg; /* moves with it, but the ground motion does not act on it */
+    double damping_n_s_per_m;
+    double stiffness_n_per_m; /* numerical stiffness */
+    double k_e_n_per_m;       /* specimen's elastic stiffness; CR and KR-alpha need it */
+    double rho_inf;           /* KR-alpha: spectral radius at infinite frequency, 0 to 1 */
+} rthyb_motion_config;
+
+typedef struct {
+    rthyb_motion_config cfg;
+    double x, v, a;                /* at t_n */
+    double x1, x2;                 /* x[n-1], x[n-2] */
+    double v1, net1;               /* KR-alpha: v[n-1] and (P - f)[n-1] */
+    double a1c, a2c, a3c, alpha_f; /* CR and KR-alpha coefficients */
+    double per_mass, per_step;     /* 1 / mass (central difference: with its damping), 1 / h */
+    double last_force, last_excitation;
+} rthyb_motion;
+
+int rthyb_motion_init(rthyb_motion *motion, const rthyb_motion_config *cfg, double x0_m);
+/* m a + c v + k x + force = -m ag  at t_n  ->  x[n+1]. PRESCRIBED: excitation is x[n+1]. */
+int rthyb_motion_step(rthyb_motion *motion, double excitation, double force_n, double *x_next_m);
+/* Velocity at t_n before the step, as good as the integrator's order allows. */
+double rthyb_motion_velocity(const rthyb_motion *motion);
+
+/* ---- dense numerical part (numerical_dense.c) ------------------------------------------------- */
+
+enum rthyb_dense_size {
+    RTHYB_DENSE_MAX = 8,
+    RTHYB_DENSE_SQUARE = 64, /* its square, */
+    RTHYB_DENSE_STATES = 16, /* its double, */
+    RTHYB_DENSE_STEP = 256   /* and that one's square */
+};
+
+typedef struct {
+    int32_t integrator;  /* RTHYB_CR or RTHYB_RK4 */
+    int32_t size;        /* n, degrees of freedom */
+    int32_t at;          /* the one that is the interface, from 0 */
+    int32_t force_delay; /* samples by which the force is used late: 0 or 1 */
+    double period_s;
+    /* Numerical part alone, n x n, row after row from the first number on; symmetric. */
+    double mass_kg[RTHYB_DENSE_SQUARE];
+    double damping_n_s_per_m[RTHYB_DENSE_SQUARE];
+    double stiffness_n_per_m[RTHYB_DENSE_SQUARE];
+    double load_kg[RTHYB_DENSE_MAX]; /* force of a ground acceleration of -1 m/s^2 */
+    /* What is known of the specimen: CR's coefficients take it in, the equation does not. */
+    double specimen_mass_kg, specimen_damping_n_s_per_m, k_e_n_per_m;
+} rthyb_dense_config;
+
+typedef struct {
+    rthyb_dense_config cfg;
+    double step[RTHYB_DENSE_STEP]; /* D of s += D s + ..., 2n x 2n */
+    double by_force[RTHYB_DENSE_STATES], by_excitation[RTHYB_DENSE_STATES];
+    double s[RTHYB_DENSE_STATES]; /* x, then v, at t_n */
+    double change;    /* of the interface over the next step, without force and excitation */
+    double x, x1, x2; /* of the interface, as answered */
+    double a;         /* of the interface, over the last step */
+    double force, last_force, excitation; /* of this step, as measured last, of this step */
+    int32_t ran_off;
+} rthyb_dense;
+
+int rthyb_dense_init(rthyb_dense *s, const rthyb_dense_config *cfg, double x0_m);
+/* M a + C v + K x + e force = -load ag  at t_n  ->  x[n+1] of the interface; two products. */
+int rthyb_dense_answer(rthyb_dense *s, double excitation, double force_n, double *x_next_m);
+/* The other degrees of freedom follow; before the next answer. */
+int rthyb_dense_advance(rthyb_dense *s);
+
+/* ---- numerical part by kind (numerical.c) ----------------------------------------------------- */
+
+enum rthyb_numerical_kind {
+    RTHYB_NUMERICAL_MOTION, /* rthyb_motion_config, rthyb_motion */
+    RTHYB_NUMERICAL_DENSE,  /* rthyb_dense_config, rthyb_dense */
+    RTHYB_NUMERICAL_KINDS
+};
+
+/* Settings and state are the caller's. A state is rthyb_numerical_size(kind) plain bytes without a
+ * pointer. Two parts never share one. */
+typedef struct {
+    int32_t kind; /* enum rthyb_numerical_kind */
+    const void *cfg;
+    void *state;
+} rthyb_numerical;
+
+/* The interface at t_n: v and a as good as the integrator's order allows; x[n-1], x[n-2]. */
+typedef struct {
+    double x, v, a, x1, x2;
+} rthyb_interface;
+
+/* Bytes of a state; 0 for a kind that does not exist. */
+size_t rthyb_numerical_size(int32_t kind);
+/* At rest at x0. All others need a part that was set up. */
+int rthyb_numerical_init(const rthyb_numerical *part, double x0_m);
+/* Excitation and force at t_n -> x_c[n+1]: all that stands between a reading and its command. */
+int rthyb_numerical_answer(const rthyb_numerical *part, double excitation, double force_n,
+                           double *x_next_m);
+/* The rest of that step, once the command has left; before anything else is asked of the part. */
+int rthyb_numerical_advance(const rthyb_numerical *part);
+/* Instead of answer and advance where a path has the command: the part's time stands still. */
+void rthyb_numerical_freeze(const rthyb_numerical *part, double force_n);
+/* A state to its bytes and back, of the same kind and settings. */
+void rthyb_numerical_save(const rthyb_numerical *part, void *bytes);
+void rthyb_numerical_restore(const rthyb_numerical *part, const void *bytes);
+void rthyb_numerical_look(const rthyb_numerical *part, rthyb_interface *at);
+/* Displacement of every degree of freedom, m, up to `most` of them; how many. */
+size_t rthyb_numerical_report(const rthyb_numerical *part, double *values, size_t most);
+/* cffi: end */
+
+#endif

@@ -1,0 +1,139 @@
+/* What one sample can say and refuse, and its record: ring slot, HDF5 row, replay input.
+ * Largest sizes, status bits, reasons of refusal, states and flags. */
+#ifndef RTHYB_PART_RECORD_H
+#define RTHYB_PART_RECORD_H
+
+#include <stdint.h>
+
+/* cffi: begin */
+
+enum rthyb_size {
+    RTHYB_WINDOW_MAX = 4096,   /* largest T0 of the tangent stiffness, samples: 1 s at 4096 Hz */
+    RTHYB_DELAY_MAX = 4096,    /* longest transport delay of a virtual actuator, samples: 1 s */
+    RTHYB_ELEMENTS_MAX = 16,   /* elements of one specimen */
+    RTHYB_ELEMENT_PARAMS = 16, /* parameters of one element */
+    RTHYB_IWAN_SLIDERS = 12,   /* springs of a chain that yield one by one */
+    RTHYB_ELEMENT_STATES = 16  /* history variables of one element */
+};
+
+/* What a sample was like; bits, because several may be true at once. A record has sixteen of them. */
+enum rthyb_status {
+    RTHYB_OK = 0,
+    RTHYB_S_NOT_FINITE = 1,            /* NaN or inf came in, or would have gone out */
+    RTHYB_S_OUT_OF_RANGE = 2,          /* finite, but outside the sensor's range or any sense */
+    RTHYB_S_LIMITED = 4,               /* the limiter changed the command */
+    RTHYB_S_POSITION_LIMIT = 8,        /* the command went past its position limit */
+    RTHYB_S_FORCE_LIMIT = 16,          /* the measured force went past its limit */
+    RTHYB_S_TRACKING_LIMIT = 32,       /* |x_m - x_c| went past its limit */
+    RTHYB_S_LINK_LOST = 64,            /* for 19.5 ms no accepted pair */
+    RTHYB_S_TRIP = 128,                /* one of these is set to end the test */
+    RTHYB_S_VELOCITY_LIMIT = 1 << 8,   /* the command's velocity went past its limit */
+    RTHYB_S_INCREMENT_LIMIT = 1 << 9,  /* its change from sample to sample did */
+    RTHYB_S_INDICATOR_LIMIT = 1 << 10, /* the slope of the tracking indicator did */
+    RTHYB_S_ENERGY_LIMIT = 1 << 11,    /* the energy error did */
+    RTHYB_S_SENSOR_STUCK = 1 << 12,    /* a sensor repeats itself */
+    RTHYB_S_SENSOR_JUMP = 1 << 13,     /* a reading leapt */
+    RTHYB_S_LOST_RATE = 1 << 14,       /* too large a share of pairs is lost */
+    RTHYB_S_SKIP_RATE = 1 << 15,       /* too large a share of ticks was skipped */
+    RTHYB_LOST = 1 << 16               /* of an input only: nothing arrived */
+};
+
+/* What an _init function refuses. */
+enum rthyb_error {
+    RTHYB_E_PERIOD = 1,
+    RTHYB_E_WEIGHTS,
+    RTHYB_E_ESTIMATOR,
+    RTHYB_E_WINDOW,
+    RTHYB_E_STIFFNESS,
+    RTHYB_E_MOTION,
+    RTHYB_E_SERVO,
+    RTHYB_E_ELEMENT,
+    RTHYB_E_SENSOR,
+    RTHYB_E_LIMIT, /* a limit, or a starting value beyond any sense */
+    RTHYB_E_LAW    /* no such control law, or parameters that it cannot work with */
+};
+
+/* ---- one record: ring slot, HDF5 row and replay input -------------------------------------- */
+
+/* What stands here is declared nowhere else: Python reads names, types and places of the fields from it, and
+ * from them come the rows of a recording and the slots of the ring. */
+enum rthyb_record_size {
+    RTHYB_AXES = 1,          /* displacements that are commanded, each with its force */
+    RTHYB_CHANNELS_MAX = 32, /* named values that a row may have beside its record */
+    RTHYB_RECORD_WORDS = 19  /* of 8 bytes; the record has no padding */
+};
+
+enum rthyb_state {
+    RTHYB_IDLE,
+    RTHYB_ZEROED,
+    RTHYB_ARMED,
+    RTHYB_RAMP_IN,
+    RTHYB_RUNNING,
+    RTHYB_HOLD,
+    RTHYB_RAMP_OUT,
+    RTHYB_TRIPPED
+};
+
+enum rthyb_flag {
+    RTHYB_F_FRESH = 1,     /* a new accepted pair of displacement and force */
+    RTHYB_F_PREDICTED = 2, /* x_meas_m and f_meas_n are extrapolated */
+    RTHYB_F_BLIND = 4,     /* a skipped tick, made up for later */
+    RTHYB_F_FROZEN = 8,    /* alpha and k_t held */
+    RTHYB_F_LIMITED = 16,  /* the limiter changed the command */
+    RTHYB_F_NOT_SENT = 32,
+    /* From here on: what the station was told in this tick, in its last record alone, never in a
+     * blind one. With the reading it is all that a replay needs. */
+    RTHYB_F_SLIP = 1 << 6,    /* the drive's count has slipped against the tick, 192 ticks ago */
+    RTHYB_F_LOST = 1 << 7,    /* the wire had no new pair; PREDICTED without it: the station
+                               * refused the pair that came */
+    RTHYB_F_DOWN = 1 << 8,    /* the link reported a failure */
+    RTHYB_F_STOPPED = 1 << 9, /* the drive's last word is that it has stopped by itself */
+    RTHYB_F_SILENT = 1 << 10, /* the operator's side has been silent for too long */
+    RTHYB_F_BEYOND = 1 << 11, /* the wire cannot hold the command of the tick before */
+    RTHYB_F_TAKEN_OVER = 1
+        << 12,                 /* no reading before this tick: the drive has x_cmd_m from others */
+    RTHYB_F_REFUSED = 1 << 23, /* the operator's command of this tick was refused */
+    RTHYB_F_COMMAND_BIT = 24   /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
+};
+
+/* One axis. */
+typedef struct {
+    double x_read_m;  /* reading as the station was told it, taken or not, calibrated, before
+                       * the tare; NaN: what came was no number */
+    double f_read_n;  /* the same of the force; both 0 where nothing came */
+    double x_cmd_m;   /* x_p[n], as the drive has it */
+    double x_meas_m;  /* x_m[n], accepted or predicted, after tare */
+    double f_meas_n;  /* f[n], accepted or predicted, after tare */
+    uint32_t missing; /* samples in a row without an accepted pair, this one among them */
+    uint16_t echo;    /* low bits of the command sequence number the drive had applied */
+    uint16_t count;   /* low bits of the drive's own sample count */
+} rthyb_axis_record;
+
+typedef struct {
+    uint64_t tick;        /* n, counted from the first sample of the test */
+    int64_t due_ns;       /* when the tick was due, from the start of the test */
+    int32_t wake_late_ns; /* woken after due */
+    int32_t sent_late_ns; /* command sent after due */
+    uint32_t flags;       /* enum rthyb_flag */
+    uint32_t generation;  /* parameter generation in force */
+    uint16_t code;        /* enum rthyb_status */
+    uint16_t state;       /* enum rthyb_state */
+    uint32_t cause;       /* enum rthyb_cause, as latched after the tick */
+    double ag_mps2;       /* ground acceleration at t_n */
+    double x_num_m;       /* x_c[n], command of the integration */
+    double x_plc_m;       /* output of the control law */
+    double alpha;       /* what the control law reports by that name, after the update of tick n, */
+    double beta;        /* samples and samples squared; NaN: it has none */
+    double k_t_n_per_m; /* tangent stiffness that the RFC used */
+    double energy_error_j;
+    double tracking_indicator_m2;
+    rthyb_axis_record axis[RTHYB_AXES];
+} rthyb_record;
+
+const char *rthyb_version(void);
+const char *rthyb_compiler(void);
+/* SHA-256 of the sources that the core was made of (source_hash.cmake); "" built without CMake. */
+const char *rthyb_source_hash(void);
+/* cffi: end */
+
+#endif
