@@ -22,6 +22,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.record import recording, ring
 
 SHORT = ("run", "--no-report", "--set", "test.duration_s=3")
+ROOM_OF = {"recording": "record", "summary": "analysis", "virtual_time": "lab"}
 PROGRAM = Path(sys.executable).with_name("rthyb")
 
 
@@ -39,8 +40,9 @@ def python(code: str, *arguments: str, folder: Path, **environment: str) -> Answ
 
 def signalled(module: str, name: str, signal: str) -> str:
     """Return lines that send a signal at the beginning of a function."""
+    room = ROOM_OF[module]
     return (
-        f"import os, signal\nfrom rthyb_rt import {module}\nreal = {module}.{name}\n"
+        f"import os, signal\nfrom rthyb_rt.{room} import {module}\nreal = {module}.{name}\n"
         "def changed(*arguments, **options):\n"
         f"    os.kill(os.getpid(), signal.{signal})\n"
         "    return real(*arguments, **options)\n"
@@ -87,7 +89,8 @@ def test_test_under_nohup_survives_the_closed_terminal(tmp_path: Path) -> None:
 
 def test_ctrl_c_that_a_library_swallows_is_obeyed_all_the_same(tmp_path: Path) -> None:
     swallow = (
-        "import os, signal, weakref\nfrom rthyb_rt import experiment\nreal = experiment.prepare\n"
+        "import os, signal, weakref\nfrom rthyb_rt.lab import experiment\n"
+        "real = experiment.prepare\n"
         "class Thing: pass\n"
         "def callback(_):\n    os.kill(os.getpid(), signal.SIGINT)\n    [None for _ in range(9)]\n"
         "def changed(*arguments, **options):\n"
@@ -371,7 +374,8 @@ def test_every_sign_of_the_program_has_one_in_ascii() -> None:
     package = Path(cli.__file__).parents[1]
     sources = [
         *(package / "cli").glob("*.py"), *(package / "studies").glob("*.py"),
-        package / "summary.py", package / "identify.py", package / "jitter.py",
+        package / "analysis" / "summary.py", package / "rig" / "identify.py",
+        package / "lab" / "jitter.py",
     ]  # fmt: skip
     left = {
         sign
@@ -540,7 +544,7 @@ LIVE = (
 )
 THRICE = """
 import os, signal
-from rthyb_rt import {module}
+from rthyb_rt.{room} import {module}
 real = {module}.{name}
 def changed(*arguments, **options):
     if not str(arguments[0]).endswith(".session.h5"):
@@ -560,8 +564,8 @@ def test_impatient_ctrl_c_costs_no_recording_of_a_test_in_real_time(
 ) -> None:
     """While it is written, a signal waits; behind that, the file has its place already."""
     answer = python(
-        THRICE.format(module=module, name=name), *LIVE, "--out", "x", folder=tmp_path,
-        XDG_RUNTIME_DIR=str(tmp_path / "rings"),
+        THRICE.format(room=ROOM_OF[module], module=module, name=name), *LIVE, "--out", "x",
+        folder=tmp_path, XDG_RUNTIME_DIR=str(tmp_path / "rings"),
     )  # fmt: skip
     assert answer.code == code, answer.err
     assert recording.open_run(tmp_path / "x").meta["end_reason"] == "completed"
@@ -573,7 +577,7 @@ def test_impatient_ctrl_c_costs_no_recording_of_a_test_in_real_time(
 
 def test_recording_that_finds_no_disk_leaves_its_ring_and_the_line_to_type(tmp_path: Path) -> None:
     full = (
-        "import errno\nfrom rthyb_rt import recording\nreal = recording.write\n"
+        "import errno\nfrom rthyb_rt.record import recording\nreal = recording.write\n"
         "def changed(path, rec):\n"
         "    if str(path).endswith('.session.h5'):\n        return real(path, rec)\n"
         "    raise OSError(errno.ENOSPC, 'No space left on device', str(path))\n"

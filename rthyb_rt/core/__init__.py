@@ -7,100 +7,104 @@ modules of their own.
 
 from __future__ import annotations
 
-from rthyb_rt.core.controller import (
-    Controller,
-    Sample,
-)
-from rthyb_rt.core.kernels import (
-    Element,
-    Estimator,
-    Law,
-    Motion,
-    Plc,
-    Rfc,
-    Rig,
-    element_array,
-    finite_motion,
-    plc_is_stable,
-)
-from rthyb_rt.core.library import (
-    DELAY_MAX,
-    DENSE_MAX,
-    ELEMENTS_MAX,
-    FS_HZ,
-    IWAN_SLIDERS,
-    PERIOD_S,
-    STATUS,
-    WINDOW_MAX,
-    CoreError,
-    FloatArray,
-    RecordArray,
-    build_facts,
-    status_names,
-    version,
-)
-from rthyb_rt.core.rows import (
-    CHANNELS_MAX,
-    COMMAND_BIT,
-    FLAG_NAMES,
-    FLAGS,
-    RECORD_DTYPE,
-    RUNNING,
-    STATES,
-    Channel,
-    as_records,
-    check_channels,
-    dtype_of,
-    row_dtype,
-    rows_of,
-)
-from rthyb_rt.core.settings import (
-    ELEMENT_PARAMS,
-    ControllerConfig,
-    DenseConfig,
-    DenseIntegrator,
-    Divisor,
-    ElementConfig,
-    EstimatorConfig,
-    EstimatorLaw,
-    Hold,
-    Integrator,
-    LawConfig,
-    LoadCell,
-    Matrix,
-    MotionConfig,
-    RfcConfig,
-    RigConfig,
-    SensorConfig,
-    ServoConfig,
-    ServoKind,
-    Tangent,
-    element,
-    rig_struct,
-    struct_of,
-)
-from rthyb_rt.core.station import (
-    BLIND_MAX,
-    CAUSES,
-    COMMANDS,
-    IDENTITY,
-    LOST_TICKS,
-    REACTIONS,
-    WATCHABLE,
-    Calibration,
-    Command,
-    Parameters,
-    Reaction,
-    Station,
-    StationConfig,
-    StationTick,
-    Watch,
-    command_allowed,
-    command_of,
-)
-from rthyb_rt.core.virtual import (
-    Virtual,
-)
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rthyb_rt.core.controller import (
+        Controller,
+        Sample,
+    )
+    from rthyb_rt.core.kernels import (
+        Element,
+        Estimator,
+        Law,
+        Motion,
+        Plc,
+        Rfc,
+        Rig,
+        element_array,
+        finite_motion,
+        plc_is_stable,
+    )
+    from rthyb_rt.core.library import (
+        DELAY_MAX,
+        DENSE_MAX,
+        ELEMENTS_MAX,
+        FS_HZ,
+        IWAN_SLIDERS,
+        PERIOD_S,
+        STATUS,
+        WINDOW_MAX,
+        CoreError,
+        FloatArray,
+        RecordArray,
+        build_facts,
+        status_names,
+        version,
+    )
+    from rthyb_rt.core.rows import (
+        CHANNELS_MAX,
+        COMMAND_BIT,
+        FLAG_NAMES,
+        FLAGS,
+        RECORD_DTYPE,
+        RUNNING,
+        STATES,
+        Channel,
+        as_records,
+        check_channels,
+        dtype_of,
+        row_dtype,
+        rows_of,
+    )
+    from rthyb_rt.core.settings import (
+        ELEMENT_PARAMS,
+        ControllerConfig,
+        DenseConfig,
+        DenseIntegrator,
+        Divisor,
+        ElementConfig,
+        EstimatorConfig,
+        EstimatorLaw,
+        Hold,
+        Integrator,
+        LawConfig,
+        LoadCell,
+        Matrix,
+        MotionConfig,
+        RfcConfig,
+        RigConfig,
+        SensorConfig,
+        ServoConfig,
+        ServoKind,
+        Tangent,
+        element,
+        rig_struct,
+        struct_of,
+    )
+    from rthyb_rt.core.station import (
+        BLIND_MAX,
+        CAUSES,
+        COMMANDS,
+        IDENTITY,
+        LOST_TICKS,
+        REACTIONS,
+        WATCHABLE,
+        Calibration,
+        Command,
+        Parameters,
+        Reaction,
+        Station,
+        StationConfig,
+        StationTick,
+        Watch,
+        command_allowed,
+        command_of,
+    )
+    from rthyb_rt.core.virtual import (
+        Virtual,
+    )
 
 __all__ = [
     "BLIND_MAX",
@@ -184,3 +188,19 @@ __all__ = [
     "struct_of",
     "version",
 ]
+
+_MODULES = ("library", "rows", "settings", "kernels", "controller", "station", "virtual")
+
+
+def __getattr__(name: str) -> Any:
+    """Return what a module of the package calls so, which is loaded when it is first asked for.
+
+    A configuration is read without arrays: it needs `laws` and nothing else of the core.
+    """
+    if name in __all__:
+        for module in _MODULES:
+            found = import_module(f"{__name__}.{module}")
+            if hasattr(found, name):
+                globals()[name] = getattr(found, name)
+                return globals()[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
