@@ -60,7 +60,8 @@ FLAG_NAMES: Final = tuple(FLAGS)
 STATE_NAMES: Final = recording.STATES
 
 _REFUSED: Final[dict[int, str]] = {
-    lib.RTHYB_E_PERIOD: "the sampling period must lie in (0, 1] s and be the same for all parts",
+    lib.RTHYB_E_PERIOD: "the sampling period must lie in (0, 1] s and be the same for all parts, "
+    "and every cut-off below half of its rate",
     lib.RTHYB_E_WEIGHTS: "W1, W2 lie outside the stable region |W1| > 1, |W2| < |W1 + 1|",
     lib.RTHYB_E_ESTIMATOR: "a setting of the delay estimator is out of range",
     lib.RTHYB_E_WINDOW: f"the window T0 must lie in 1 ... {WINDOW_MAX} samples",
@@ -292,7 +293,11 @@ class LawConfig:
 
 @dataclass(frozen=True)
 class RfcConfig:
-    """Settings of the restoring-force compensator (Eqn 3.1-3.3); ``window`` is T0 in samples."""
+    """Settings of the restoring-force compensator (Eqn 3.1-3.3); ``window`` is T0 in samples.
+
+    ``cutoff_hz`` is of the low-pass on x_c - x_m, 0 for none; ``lateness_s`` how much later than
+    x_m the force is that the equation of motion uses.
+    """
 
     k_e_n_per_m: float
     enabled: bool = True
@@ -301,6 +306,9 @@ class RfcConfig:
     window: int = 51
     end_tick: int = 2**63
     rest_noise_m: float = 0.0
+    period_s: float = PERIOD_S
+    cutoff_hz: float = 0.0
+    lateness_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -689,20 +697,34 @@ class Rfc:
         return float(self._c.k_n_per_m)
 
     def step(
-        self, x_c_m: float, x_m_m: float, f_n: float, frozen: bool = False
+        self,
+        x_c_m: float,
+        x_m_m: float,
+        f_n: float,
+        frozen: bool = False,
+        v_c_m_per_s: float = 0.0,
     ) -> tuple[float, int]:
         """Return the force for the equation of motion (Eqn 3.2) and the status bits."""
-        code = lib.rthyb_rfc_step(self._c, x_c_m, x_m_m, f_n, frozen, self._out)
+        code = lib.rthyb_rfc_step(self._c, x_c_m, v_c_m_per_s, x_m_m, f_n, frozen, self._out)
         return self._out[0], code
 
+    def follow(self, x_c_m: float, x_m_m: float, f_n: float) -> None:
+        """Take in a sample of a motion along a path."""
+        lib.rthyb_rfc_follow(self._c, x_c_m, x_m_m, f_n)
+
     def run(
-        self, x_c_m: npt.ArrayLike, x_m_m: npt.ArrayLike, f_n: npt.ArrayLike
+        self,
+        x_c_m: npt.ArrayLike,
+        x_m_m: npt.ArrayLike,
+        f_n: npt.ArrayLike,
+        v_c_m_per_s: npt.ArrayLike | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Return compensated force and tangent stiffness, each (n,)."""
         c, m, f = _doubles(x_c_m), _doubles(x_m_m), _doubles(f_n)
-        _same_length(c, m, f)
+        v = np.zeros_like(c) if v_c_m_per_s is None else _doubles(v_c_m_per_s)
+        _same_length(c, v, m, f)
         force, k = np.empty_like(c), np.empty_like(c)
-        lib.rthyb_rfc_run(self._c, _in(c), _in(m), _in(f), _out(force), _out(k), c.size)
+        lib.rthyb_rfc_run(self._c, _in(c), _in(v), _in(m), _in(f), _out(force), _out(k), c.size)
         return force, k
 
 
