@@ -195,6 +195,17 @@ static int answer(rthyb_controller *c, double excitation, double force, double *
     return rthyb_numerical_answer(&c->cfg.numerical, excitation, force, x_num);
 }
 
+/* Velocity of the interface at t_n; only a force that is late is asked for it. */
+static double velocity(rthyb_controller *c)
+{
+    if (c->cfg.rfc.lateness_s == 0.0)
+        return 0.0;
+    const rthyb_numerical part = part_of(c);
+    rthyb_interface at;
+    rthyb_numerical_look(&part, &at);
+    return at.v;
+}
+
 /* The next displacement by the equation of motion, with what the law learns, RFC and monitors. */
 static int compute_motion(rthyb_controller *c, const rthyb_input *in, double x, double f,
                           int frozen, double *x_num)
@@ -203,7 +214,7 @@ static int compute_motion(rthyb_controller *c, const rthyb_input *in, double x, 
     monitor(c, x, f);
     const int held = frozen || c->cfg.estimate_held;
     int code = rthyb_law_observe(&c->law, c->x_cmd, x, held);
-    code |= rthyb_rfc_step(&c->rfc, c->x_num, x, f, frozen, &force);
+    code |= rthyb_rfc_step(&c->rfc, c->x_num, velocity(c), x, f, frozen, &force);
     code |= answer(c, in->excitation, force, x_num);
     return code;
 }
@@ -212,8 +223,7 @@ static int compute_motion(rthyb_controller *c, const rthyb_input *in, double x, 
 static int follow_path(rthyb_controller *c, double x, double f, double path_m, double *x_num)
 {
     int code = rthyb_law_observe(&c->law, c->x_cmd, x, 1);
-    c->rfc.x1 = x;
-    c->rfc.f1 = f;
+    rthyb_rfc_follow(&c->rfc, c->x_num, x, f);
     if (!has_own_part(c))
         rthyb_numerical_freeze(&c->cfg.numerical, f);
     *x_num = accept(path_m, RTHYB_DISPLACEMENT_MAX_M, c->x_num, &code);

@@ -1,10 +1,20 @@
 /* Restoring-force compensator. What the equation of motion is given instead of the measured force
  * is f + k_exp (x_c - x_m) (Eqn 3.2), with the tangent stiffness k_exp of the last T0 samples
  * (Eqn 3.3) held between 0 and k_e. The window is summed anew every sample: a running sum would
- * keep the trace of one absurd sample for ever. */
-#include "numeric.h"
+ * keep the trace of one absurd sample for ever.
+ *
+ * Beyond the paper, where its settings ask for it: f + k_exp (LP(x_c - x_m) + tau v_c).
+ * LP, a low-pass: what x_m has above its cut-off (noise, a resonance of actuator and specimen) is no error
+ * that the structure should feel; with the whole band of it the loop keeps f - k_e x_m, the specimen's
+ * inertia force alone, which grows with the square of the frequency.
+ * tau: f is the force at x_m(t - tau), so the force at x_c(t) is
+ *   f + k (x_c(t) - x_m(t - tau)) = f + k (x_c - x_m)(t) + k (x_m(t) - x_m(t - tau)),
+ * the last of which is k tau x_m' to first order; x_c' stands for x_m', which has noise. */
+#include "lowpass.h"
 
 #define RATIO_MAX 1e15
+#define VELOCITY_MAX 1e9 /* m/s */
+#define LATENESS_MAX 1.0 /* s, either way */
 #define SPREAD_GATE 16.0 /* least squares: variance of x_m in the window over that of its noise */
 
 /* Sums over a window run in pairs of lanes of 16 bytes, which every 64-bit processor has: that fixes
@@ -33,13 +43,26 @@ int rthyb_rfc_init(rthyb_rfc *rfc, const rthyb_rfc_config *cfg, double x0_m, dou
         cfg->tangent < RTHYB_TANGENT_MEAN_OF_RATIOS || cfg->tangent > RTHYB_TANGENT_LEAST_SQUARES ||
         cfg->divisor < RTHYB_DIVISOR_PRINTED || cfg->divisor > RTHYB_DIVISOR_TERMS)
         return RTHYB_E_STIFFNESS;
-    if (judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK ||
+    const int filters = cfg->cutoff_hz != 0.0;
+    if (filters && !(cfg->cutoff_hz > 0.0 && cfg->period_s > 0.0 && cfg->period_s <= 1.0 &&
+                     cfg->cutoff_hz * cfg->period_s < 0.5))
+        return RTHYB_E_PERIOD;
+    if (!(fabs(cfg->lateness_s) <= LATENESS_MAX) ||
+        judge(x0_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK ||
         judge(f0_n, RTHYB_FORCE_MAX_N) != RTHYB_OK)
         return RTHYB_E_LIMIT;
     *rfc = (rthyb_rfc){.cfg = *cfg, .k_n_per_m = cfg->k_e_n_per_m, .ratio = cfg->k_e_n_per_m};
     rfc->x1 = rfc->c1 = x0_m;
     rfc->f1 = f0_n;
+    if (filters)
+        rfc->filter = lowpass_design(cfg->cutoff_hz, cfg->period_s, sqrt(2.0));
     return 0;
+}
+
+static double low_passed(rthyb_rfc *rfc, double difference)
+{
+    return rfc->cfg.cutoff_hz > 0.0 ? lowpass_step(&rfc->filter, rfc->filter_s, difference)
+                                    : difference;
 }
 
 /* The window keeps the T0 samples before the newest one: what is read is never what was just written. */
@@ -119,11 +142,12 @@ static double least_squares(rthyb_rfc *rfc, double x, double f)
     return (sxf - sx * sf / n) / spread;
 }
 
-int rthyb_rfc_step(rthyb_rfc *rfc, double x_c_m, double x_m_m, double f_n, int frozen,
-                   double *force_n)
+int rthyb_rfc_step(rthyb_rfc *rfc, double x_c_m, double v_c_m_per_s, double x_m_m, double f_n,
+                   int frozen, double *force_n)
 {
     int code = RTHYB_OK;
     const double c = accept(x_c_m, RTHYB_DISPLACEMENT_MAX_M, rfc->c1, &code);
+    const double v = accept(v_c_m_per_s, VELOCITY_MAX, rfc->v1, &code);
     const double x = accept(x_m_m, RTHYB_DISPLACEMENT_MAX_M, rfc->x1, &code);
     const double f = accept(f_n, RTHYB_FORCE_MAX_N, rfc->f1, &code);
     const double k_e = rfc->cfg.k_e_n_per_m;
@@ -137,18 +161,33 @@ int rthyb_rfc_step(rthyb_rfc *rfc, double x_c_m, double x_m_m, double f_n, int f
     else if (!frozen && code == RTHYB_OK)
         rfc->k_n_per_m = clamp(k, 0.0, k_e);
     rfc->c1 = c;
+    rfc->v1 = v;
     rfc->x1 = x;
     rfc->f1 = f;
-    *force_n = rfc->cfg.enabled ? f + rfc->k_n_per_m * (c - x) : f;
+    double apart = low_passed(rfc, c - x);
+    if (rfc->cfg.lateness_s != 0.0)
+        apart += rfc->cfg.lateness_s * v;
+    *force_n = rfc->cfg.enabled ? f + rfc->k_n_per_m * apart : f;
     return code;
 }
 
-int rthyb_rfc_run(rthyb_rfc *rfc, const double *x_c_m, const double *x_m_m, const double *f_n,
-                  double *force_n, double *k_n_per_m, size_t n)
+void rthyb_rfc_follow(rthyb_rfc *rfc, double x_c_m, double x_m_m, double f_n)
+{
+    int code = RTHYB_OK;
+    rfc->c1 = accept(x_c_m, RTHYB_DISPLACEMENT_MAX_M, rfc->c1, &code);
+    rfc->x1 = accept(x_m_m, RTHYB_DISPLACEMENT_MAX_M, rfc->x1, &code);
+    rfc->f1 = accept(f_n, RTHYB_FORCE_MAX_N, rfc->f1, &code);
+    (void)low_passed(rfc, rfc->c1 - rfc->x1);
+}
+
+int rthyb_rfc_run(rthyb_rfc *rfc, const double *x_c_m, const double *v_c_m_per_s,
+                  const double *x_m_m, const double *f_n, double *force_n, double *k_n_per_m,
+                  size_t n)
 {
     int code = RTHYB_OK;
     for (size_t i = 0; i < n; i++) {
-        code |= rthyb_rfc_step(rfc, x_c_m[i], x_m_m[i], f_n[i], 0, &force_n[i]);
+        const double v = v_c_m_per_s ? v_c_m_per_s[i] : 0.0;
+        code |= rthyb_rfc_step(rfc, x_c_m[i], v, x_m_m[i], f_n[i], 0, &force_n[i]);
         k_n_per_m[i] = rfc->k_n_per_m;
     }
     return code;

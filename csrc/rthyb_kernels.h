@@ -103,6 +103,9 @@ typedef struct {
     double k_e_n_per_m;  /* elastic stiffness, upper bound */
     uint64_t end_tick;   /* t_ex: from this tick on k_exp = k_e again (stage 3) */
     double rest_noise_m; /* least squares holds k while x_m has moved less than this noise allows */
+    double period_s;     /* of a sample; the low-pass alone needs it */
+    double cutoff_hz;    /* of the low-pass on x_c - x_m; 0: none */
+    double lateness_s;   /* of the force as it is used, behind x_m */
 } rthyb_rfc_config;
 
 typedef struct {
@@ -111,17 +114,24 @@ typedef struct {
     uint32_t head, filled; /* next to be overwritten; samples in the window */
     double k_n_per_m;      /* bounded k_exp[n] */
     double ratio;          /* last term of Eqn 3.3 */
-    double x1, f1, c1;
+    double x1, f1, c1, v1; /* last good inputs */
+    rthyb_lowpass filter;
+    double filter_s[2];
     double x[RTHYB_WINDOW_MAX]; /* the T0 samples before the newest: x_m, or ratios (Eqn 3.3) */
     double f[RTHYB_WINDOW_MAX];
 } rthyb_rfc;
 
 int rthyb_rfc_init(rthyb_rfc *rfc, const rthyb_rfc_config *cfg, double x0_m, double f0_n);
-/* force_n = f + k_exp (x_c - x_m): what the equation of motion sees. frozen != 0 holds k_exp. */
-int rthyb_rfc_step(rthyb_rfc *rfc, double x_c_m, double x_m_m, double f_n, int frozen,
-                   double *force_n);
-int rthyb_rfc_run(rthyb_rfc *rfc, const double *x_c_m, const double *x_m_m, const double *f_n,
-                  double *force_n, double *k_n_per_m, size_t n);
+/* force_n = f + k_exp (LP(x_c - x_m) + lateness v_c): what the equation of motion sees. v_c is asked for
+ * where there is a lateness. frozen != 0 holds k_exp. */
+int rthyb_rfc_step(rthyb_rfc *rfc, double x_c_m, double v_c_m_per_s, double x_m_m, double f_n,
+                   int frozen, double *force_n);
+/* Takes in what moves along a path, and learns nothing from it. */
+void rthyb_rfc_follow(rthyb_rfc *rfc, double x_c_m, double x_m_m, double f_n);
+/* v_c may be NULL: 0. */
+int rthyb_rfc_run(rthyb_rfc *rfc, const double *x_c_m, const double *v_c_m_per_s,
+                  const double *x_m_m, const double *f_n, double *force_n, double *k_n_per_m,
+                  size_t n);
 /* cffi: end */
 
 #endif

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from kernels import Floats, smooth_motion
+import scipy.signal
+from kernels import FS_HZ, Floats, H, smooth_motion
 
-from rthyb_rt import core
+from rthyb_rt import config, core
+from rthyb_rt.lab import experiment, virtual_time
 
+ROOT = Path(__file__).resolve().parents[1]
 K_E = 1e6
 
 
@@ -193,3 +197,118 @@ def test_window_below_zero_is_refused_like_any_other_window() -> None:
 def test_senseless_start_is_refused(x0_m: float, f0_n: float) -> None:
     with pytest.raises(core.CoreError):
         core.Rfc(core.RfcConfig(k_e_n_per_m=K_E), x0_m, f0_n)
+
+
+# ---- low-pass and lateness ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("cutoff_hz", "period_s"), [(60.0, H), (10.0, H), (60.0, H / 4)])
+def test_difference_of_the_displacements_goes_through_a_butterworth_low_pass(
+    cutoff_hz: float, period_s: float
+) -> None:
+    x_c, x_m, f = motion_with_command(13)
+    force, k = rfc(cutoff_hz=cutoff_hz, period_s=period_s).run(x_c, x_m, f)
+    top, bottom = scipy.signal.butter(2, cutoff_hz, fs=1.0 / period_s)
+    apart = scipy.signal.lfilter(top, bottom, x_c - x_m)
+    np.testing.assert_allclose(force, f + k * apart, rtol=0, atol=1e-6)
+    _, full_band = rfc().run(x_c, x_m, f)
+    np.testing.assert_array_equal(k, full_band)
+
+
+def test_low_pass_keeps_the_noise_of_the_displacement_out_of_the_force() -> None:
+    rng = np.random.default_rng(14)
+    x = smooth_motion(4.0, 15)
+    x_m = x + rng.normal(scale=1e-5, size=x.size)
+    settings = {"tangent": "least-squares", "rest_noise_m": 1e-5}
+    wide, _ = rfc(**settings).run(x, x_m, K_E * x)
+    narrow, _ = rfc(cutoff_hz=60.0, **settings).run(x, x_m, K_E * x)
+    assert np.std(narrow - K_E * x) < 0.4 * np.std(wide - K_E * x)
+
+
+@pytest.mark.parametrize("late_s", [0.5 * H, 1.5 * H, -H])
+def test_force_that_is_late_is_the_force_at_the_command_again(late_s: float) -> None:
+    """An elastic specimen that tracks its command, and a load cell that is late behind that."""
+    t = np.arange(round(6.0 * FS_HZ)) * H
+    w = 2.0 * np.pi * 3.0
+    x, v = 0.01 * np.sin(w * t), 0.01 * w * np.cos(w * t)
+    f = K_E * 0.01 * np.sin(w * (t - late_s))
+    settings = {"tangent": "least-squares", "window": 34, "lateness_s": late_s}
+    force, k = rfc(**settings).run(x, x, f, v)
+    np.testing.assert_allclose(force, f + k * late_s * v, rtol=0, atol=1e-6)
+    settled = slice(1000, None)
+    before = np.std((f - K_E * x)[settled])
+    assert np.std((force - K_E * x)[settled]) < 0.1 * before
+
+
+def test_motion_along_a_path_keeps_the_low_pass_up_to_date() -> None:
+    x_c, x_m, f = motion_with_command(16)
+    watched, free = rfc(cutoff_hz=20.0), rfc(cutoff_hz=20.0)
+    for n in range(1500):
+        watched.follow(x_c[n], x_m[n], f[n])
+        free.step(x_c[n], x_m[n], f[n])
+    held, _ = watched.step(x_c[1500], x_m[1500], f[1500])
+    expected = scipy.signal.lfilter(*scipy.signal.butter(2, 20.0, fs=FS_HZ), x_c - x_m)[1500]
+    assert held == pytest.approx(f[1500] + K_E * expected, abs=1e-6)
+    assert watched.k_n_per_m == K_E  # nothing was learnt on the way
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300, -1e300])
+@pytest.mark.parametrize("place", range(4))
+def test_senseless_sample_is_named_and_leaves_no_trace(bad: float, place: int) -> None:
+    kernel, spared = (rfc(cutoff_hz=60.0, lateness_s=H) for _ in range(2))
+    good = (1e-3, 1e-3, 900.0, 0.1)
+    for _ in range(100):
+        kernel.step(*good[:3], v_c_m_per_s=good[3])
+        spared.step(*good[:3], v_c_m_per_s=good[3])
+    met = [*good]
+    met[place] = bad
+    force, code = kernel.step(*met[:3], v_c_m_per_s=met[3])
+    assert core.status_names(code) in (["not_finite"], ["out_of_range"])
+    assert (force, 0) == spared.step(*good[:3], v_c_m_per_s=good[3])
+    kernel.follow(*met[:3] if place < 3 else good[:3])
+    spared.follow(*good[:3])
+    assert kernel.step(*good[:3]) == spared.step(*good[:3])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"cutoff_hz": -1.0}, "cut-off"),
+        ({"cutoff_hz": np.nan}, "cut-off"),
+        ({"cutoff_hz": np.inf}, "cut-off"),
+        ({"cutoff_hz": 512.0}, "cut-off"),
+        ({"cutoff_hz": 60.0, "period_s": 0.0}, "period"),
+        ({"lateness_s": np.nan}, "limit"),
+        ({"lateness_s": 1.1}, "limit"),
+        ({"lateness_s": -1e300}, "limit"),
+    ],
+)
+def test_senseless_filter_and_lateness_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(core.CoreError, match=message):
+        rfc(**settings)
+
+
+def test_frame_whose_force_comes_late_answers_rightly_again() -> None:
+    """The benchmark's unit delay and hold, on the frame of three storeys."""
+    text = (ROOT / "examples" / "frame-three-storeys.toml").read_text(encoding="utf-8")
+    rig = config.load_rig(config.shipped_rig("rths-benchmark"))
+    wanted = {
+        "numerical.matrices.integrator": "rk4",
+        "numerical.matrices.force_delay_samples": "1",
+        "controller.w1": "2.088",  # both poles of the lead at 60 Hz
+        "controller.w2": "-2.890",
+        "limits.force_n": "8.9 kN",
+        "ground_motion.duration_s": "10",
+        "test.free_vibration_s": "0",
+    }
+    errors = {}
+    for late_s in (0.0, 1.5 * H):
+        more = wanted | {"controller.rfc.force_lateness_s": repr(late_s)}
+        test = config.parse_test(text, "frame", more)
+        setup = experiment.prepare(test, rig)
+        rows = virtual_time.run(setup).samples
+        x = rows["x_num_m"][rows["state"] == core.RUNNING][: setup.ticks]
+        reference = setup.reference["x_ref_m"]
+        errors[late_s] = np.std(x - reference) / np.std(reference)
+    assert errors[0.0] > 0.05
+    assert errors[1.5 * H] < 0.1 * errors[0.0]

@@ -52,6 +52,10 @@ MEANINGS: dict[str, str] = {
     "Rfc.enabled": "false: the measured force goes uncorrected into the equation of motion",
     "Rfc.tangent": 'formula; absent: "mean-of-ratios" for "paper", else "least-squares"',
     "Rfc.divisor": "by what Eqn 3.3 divides its T0 + 1 terms: T0, or their number",
+    "Rfc.cutoff_hz": "cut-off of the low-pass on $x_c - x_m$, below half of the sample rate; "
+    "0: none; absent: 0",
+    "Rfc.force_lateness_s": "how much later than $x_m$ the force is that the equation of motion "
+    "uses; absent: 0",
     "Controller.type": "which control law, see below and tuning",
     "Controller.plc_enabled": "false: the control law does not lead (force compensation alone)",
     "Reference.table_forces": "true: the reference has the table's mass and friction as well",

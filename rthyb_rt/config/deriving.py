@@ -59,6 +59,8 @@ class Derived:
         law_settings: every setting of the control law, by its key; samples are of 1/1024 s.
         plc_enabled, estimator_enabled, rfc_enabled: what runs; nothing does for type "none".
         tangent: the tangent-stiffness formula.
+        rfc_cutoff_hz: of the low-pass on x_c - x_m, 0 for none.
+        force_lateness_s: of the force as the equation of motion uses it, behind x_m.
         rest_noise_displacement_m, rest_noise_force_n: noise at rest behind the excitation gate.
         limits: the limits of test and rig together, with where each comes from.
         notes: what a user should know and need not act on.
@@ -79,6 +81,8 @@ class Derived:
     estimator_enabled: bool
     rfc_enabled: bool
     tangent: str
+    rfc_cutoff_hz: float
+    force_lateness_s: float
     rest_noise_displacement_m: float
     rest_noise_force_n: float
     limits: limits_file.Resolved
@@ -126,6 +130,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     _note_substeps(rig, notes)
     controller = test.controller
     window = _window_samples(test, period, rate, problems)
+    cutoff_hz = _rfc_cutoff(test, rate, problems)
     if problems:
         raise InputError(problems)
     active = controller.type != "none"
@@ -144,6 +149,8 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         estimator_enabled=active and controller.law.learns and controller.delay_estimator.enabled,
         rfc_enabled=active and controller.rfc.enabled,
         tangent=controller.rfc.tangent or default_tangent,
+        rfc_cutoff_hz=cutoff_hz,
+        force_lateness_s=_given(controller.rfc.force_lateness_s, 0.0),
         rest_noise_displacement_m=noise_m,
         rest_noise_force_n=noise_n,
         limits=limits,
@@ -165,6 +172,8 @@ def resolve(test: TestFile, derived: Derived) -> TestFile:
             "window_s": None if standard else derived.window_samples / derived.fs_hz,
             "window_samples": derived.window_samples if standard else None,
             "tangent": derived.tangent,
+            "cutoff_hz": derived.rfc_cutoff_hz,
+            "force_lateness_s": derived.force_lateness_s,
         }
     )
     resolved = controller.with_settings(derived.law_settings).model_copy(update={"rfc": rfc})
@@ -387,6 +396,20 @@ def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Pr
             )
         )
     return samples
+
+
+def _rfc_cutoff(test: TestFile, rate: Rate, problems: list[Problem]) -> float:
+    """Return the cut-off of the low-pass on x_c - x_m, Hz; 0: none."""
+    cutoff_hz = _given(test.controller.rfc.cutoff_hz, 0.0)
+    if not cutoff_hz < 0.5 * rate.hz:
+        problems.append(
+            Problem(
+                "controller.rfc.cutoff_hz",
+                f"found {cutoff_hz:g} Hz; must be below half of test.sample_rate_hz = {rate.hz:g} "
+                "Hz, or 0 for no low-pass; lower it, or raise the rate (256 to 4096 Hz)",
+            )
+        )
+    return cutoff_hz
 
 
 def _rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, float]:

@@ -133,6 +133,9 @@ class Rfc(Table):
     """The restoring-force compensator (Eqn 3.1-3.3); window absent means 0.1 periods.
 
     ``divisor = "printed"`` divides the T0 + 1 terms of Eqn 3.3 by T0, ``"terms"`` by their number.
+    ``cutoff_hz`` is of the low-pass on x_c - x_m, 0 for none; ``force_lateness_s`` says how much
+    later than x_m the force is that the equation of motion uses, and adds as much of the tangent
+    stiffness times velocity.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (
@@ -145,6 +148,12 @@ class Rfc(Table):
     window_samples: SampleCount | None = None
     tangent: Literal["mean-of-ratios", "least-squares"] | None = None
     divisor: Literal["printed", "terms"] = "printed"
+    cutoff_hz: (
+        Annotated[float, Range("Hz", 0, 400, "the cut-off of the low-pass on x_c - x_m")] | None
+    ) = None
+    force_lateness_s: (
+        Annotated[float, Range("s", -0.1, 0.1, "how much later than x_m the force is")] | None
+    ) = None
 
 
 class _Controller(Table):

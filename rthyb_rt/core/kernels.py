@@ -203,21 +203,42 @@ class Rfc:
         return float(self._c.k_n_per_m)
 
     def step(
-        self, x_c_m: float, x_m_m: float, f_n: float, frozen: bool = False
+        self,
+        x_c_m: float,
+        x_m_m: float,
+        f_n: float,
+        frozen: bool = False,
+        v_c_m_per_s: float = 0.0,
     ) -> tuple[float, int]:
         """Return the force for the equation of motion (Eqn 3.2) and the status bits."""
-        code = lib.rthyb_rfc_step(self._c, x_c_m, x_m_m, f_n, frozen, self._out)
+        code = lib.rthyb_rfc_step(self._c, x_c_m, v_c_m_per_s, x_m_m, f_n, frozen, self._out)
         return self._out[0], code
 
+    def follow(self, x_c_m: float, x_m_m: float, f_n: float) -> None:
+        """Take in a sample of a motion along a path."""
+        lib.rthyb_rfc_follow(self._c, x_c_m, x_m_m, f_n)
+
     def run(
-        self, x_c_m: npt.ArrayLike, x_m_m: npt.ArrayLike, f_n: npt.ArrayLike
+        self,
+        x_c_m: npt.ArrayLike,
+        x_m_m: npt.ArrayLike,
+        f_n: npt.ArrayLike,
+        v_c_m_per_s: npt.ArrayLike | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Return compensated force and tangent stiffness, each (n,)."""
         c, m, f = doubles(x_c_m), doubles(x_m_m), doubles(f_n)
-        require_one_length(c, m, f)
+        v = np.zeros_like(c) if v_c_m_per_s is None else doubles(v_c_m_per_s)
+        require_one_length(c, v, m, f)
         force, k = np.empty_like(c), np.empty_like(c)
         lib.rthyb_rfc_run(
-            self._c, reading(c), reading(m), reading(f), writing(force), writing(k), c.size
+            self._c,
+            reading(c),
+            reading(v),
+            reading(m),
+            reading(f),
+            writing(force),
+            writing(k),
+            c.size,
         )
         return force, k
 

@@ -45,7 +45,8 @@ def options(enum: str, prefix: str) -> dict[str, int]:
 STATUS: Final = words("rthyb_status", "RTHYB_S_")
 
 _REFUSED: Final[dict[int, str]] = {
-    lib.RTHYB_E_PERIOD: "the sampling period must lie in (0, 1] s and be the same for all parts",
+    lib.RTHYB_E_PERIOD: "the sampling period must lie in (0, 1] s and be the same for all parts, "
+    "and every cut-off below half of its rate",
     lib.RTHYB_E_WEIGHTS: "W1, W2 lie outside the stable region |W1| > 1, |W2| < |W1 + 1|",
     lib.RTHYB_E_ESTIMATOR: "a setting of the delay estimator is out of range",
     lib.RTHYB_E_WINDOW: f"the window T0 must lie in 1 ... {WINDOW_MAX} samples",

@@ -102,7 +102,11 @@ class LawConfig:
 
 @dataclass(frozen=True)
 class RfcConfig:
-    """Settings of the restoring-force compensator (Eqn 3.1-3.3); ``window`` is T0 in samples."""
+    """Settings of the restoring-force compensator (Eqn 3.1-3.3); ``window`` is T0 in samples.
+
+    ``cutoff_hz`` is of the low-pass on x_c - x_m, 0 for none; ``lateness_s`` how much later than
+    x_m the force is that the equation of motion uses.
+    """
 
     k_e_n_per_m: float
     enabled: bool = True
@@ -111,6 +115,9 @@ class RfcConfig:
     window: int = 51
     end_tick: int = 2**63
     rest_noise_m: float = 0.0
+    period_s: float = PERIOD_S
+    cutoff_hz: float = 0.0
+    lateness_s: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -246,7 +246,7 @@ static void run_estimator(void *kernel)
 
 static void run_rfc(void *kernel)
 {
-    rthyb_rfc_run(kernel, sig.x_num, sig.x_meas, sig.f, sig.out1, sig.out2, SAMPLES);
+    rthyb_rfc_run(kernel, sig.x_num, NULL, sig.x_meas, sig.f, sig.out1, sig.out2, SAMPLES);
 }
 
 static void run_motion(void *kernel)
