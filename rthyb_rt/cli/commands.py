@@ -9,6 +9,7 @@ import typer
 import typer.completion
 
 from rthyb_rt.cli import (
+    campaign,
     check,
     commission,
     ctl,
@@ -45,6 +46,7 @@ if "_RTHYB_COMPLETE" in os.environ:
     # A shell asks for what may come next; nobody else pays for knowing that.
     typer.completion.completion_init()  # type: ignore[attr-defined]
 app.command()(run.run)
+app.command()(campaign.campaign)
 app.command()(check.check)
 app.command()(identify.identify)
 app.command(context_settings=jog.CONTEXT)(jog.jog)

@@ -1,4 +1,4 @@
-"""``rthyb schema``: what a test, rig, baseline or mapping file may hold, for editors."""
+"""``rthyb schema``: what a test, rig, baseline, mapping or campaign file may hold, for editors."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ class Kind(StrEnum):
     RIG = "rig"
     BASELINE = "baseline"
     MAP = "map"
+    CAMPAIGN = "campaign"
 
 
 def schema(

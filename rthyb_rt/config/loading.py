@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from rthyb_rt.config import busload
 from rthyb_rt.config.baselinefile import BASELINE_SCHEMA, BaselineFile
+from rthyb_rt.config.campaignfile import CAMPAIGN_SCHEMA, CampaignFile
 from rthyb_rt.config.fields import Table, nearest, written
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
@@ -22,7 +23,7 @@ from rthyb_rt.config.rigfile import RIG_SCHEMA, Link, RigFile, kinds
 from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile
 from rthyb_rt.errors import InputError, Problem
 
-_Model = TypeVar("_Model", TestFile, RigFile, BaselineFile, MapFile)
+_Model = TypeVar("_Model", TestFile, RigFile, BaselineFile, MapFile, CampaignFile)
 
 MAX_BYTES = 10 * 10**6
 
@@ -92,6 +93,40 @@ def load_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> Ri
         line = KeyLines(text).find(("link", key))
         raise InputError(message, f"--set {blamed}" if blamed else f"{path}:{line}: link.{key}")
     return rig.model_copy(update={"link": link})
+
+
+def load_both(
+    test_path: str | Path | None, rig: str | None, settings: Iterable[str]
+) -> tuple[TestFile, RigFile]:
+    """Read a test file and the rig file that goes with it.
+
+    Args:
+        test_path: the test file; None takes the built-in test.
+        rig: path or name of the rig; None takes the one that the test names.
+        settings: ``key=value`` as given with ``--set``.
+
+    Raises:
+        InputError: with the faults of both files.
+    """
+    test_settings, rig_settings = split_overrides(settings)
+    problems: list[Problem] = []
+    test = rig_file = None
+    test_path = test_path or builtin_test_path()
+    try:
+        test = load_test(test_path, test_settings)
+    except InputError as error:
+        problems += error.problems
+    try:
+        if rig:
+            rig_file = load_rig(find_rig(rig), rig_settings)
+        # A faulty test file does not say reliably which rig it means.
+        elif test is not None:
+            rig_file = load_rig(rig_of_test(test, test_path, test_settings), rig_settings)
+    except InputError as error:
+        problems += error.problems
+    if test is None or rig_file is None:
+        raise InputError(problems)
+    return test, rig_file
 
 
 def frames_of_link(link: Link) -> tuple[busload.FrameSize, ...]:
@@ -175,6 +210,11 @@ def parse_map(text: str, source: str = "mapping") -> MapFile:
     return _parse(MapFile, MAP_SCHEMA, text, source, {})
 
 
+def parse_campaign(text: str, source: str = "campaign") -> CampaignFile:
+    """Check the text of a campaign file; ``source`` is its name in messages."""
+    return _parse(CampaignFile, CAMPAIGN_SCHEMA, text, source, {})
+
+
 def _set_aside(table: dict[str, Any], model: type[Table], prefix: str, strange: list[str]) -> None:
     """Take the keys out of a table that a model does not have, and that are near to none of its."""
     fields = {info.alias or name: info for name, info in model.model_fields.items()}
@@ -217,10 +257,11 @@ def split_overrides(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, 
     return test, rig
 
 
-def json_schema(kind: Literal["test", "rig", "baseline", "map"]) -> dict[str, Any]:
+def json_schema(kind: Literal["test", "rig", "baseline", "map", "campaign"]) -> dict[str, Any]:
     """Return the JSON schema of one kind of files, for editors that complete TOML."""
     models: dict[str, type[Table]] = {
         "test": TestFile, "rig": RigFile, "baseline": BaselineFile, "map": MapFile,
+        "campaign": CampaignFile,
     }  # fmt: skip
     schema = models[kind].model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -619,7 +619,7 @@ def _provenance(setup: Setup) -> dict[str, Any]:
 @functools.cache
 def _git_hash() -> str:
     """Return the commit of the checkout that this package runs from, or "" for an installed one."""
-    root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return ""
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]

@@ -1,0 +1,132 @@
+"""What came of each run, kept as it comes: a campaign that was interrupted goes on where it was."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from pathlib import Path
+from typing import Final, Self
+
+from rthyb_rt.campaign.plan import Plan
+from rthyb_rt.campaign.running import Row
+from rthyb_rt.errors import InputError, RthybError
+
+ROWS: Final = "rows.jsonl"
+PLAN: Final = "plan.json"
+SCHEMA: Final = "rthyb-campaign-plan/1"
+
+
+class Book:
+    """The rows of a campaign, one line of JSON each, in a folder of its own.
+
+    Only the process that conducts the campaign writes, so that no row is there twice, whatever
+    becomes of those that compute. A line that was cut off by a power failure is dropped.
+
+    Args:
+        folder: made if it is missing.
+        plan: of the campaign.
+
+    Raises:
+        InputError: the folder holds another campaign, or anything else.
+        RthybError: it cannot be written, or another process has the campaign in hand.
+    """
+
+    def __init__(self, folder: Path, plan: Plan) -> None:
+        self.folder, self.plan = folder, plan
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._claim()
+            self._file = (folder / ROWS).open("a+", encoding="utf-8")
+        except OSError as error:
+            raise RthybError(
+                f"the campaign cannot be kept here ({error.strerror or error}); choose another "
+                "folder with --out",
+                where=str(folder),
+            ) from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._file.close()
+            raise RthybError(
+                "another process carries out this campaign; wait for it, or choose another folder "
+                "with --out",
+                where=str(folder),
+            ) from None
+        self.rows = self._read()
+
+    def _claim(self) -> None:
+        path = self.folder / PLAN
+        if path.is_file():
+            try:
+                found = json.loads(path.read_text(encoding="utf-8")).get("fingerprint")
+            except (ValueError, AttributeError):
+                found = None
+            if found != self.plan.fingerprint:
+                raise InputError(
+                    "holds a campaign of other runs, other files or another version of the core; "
+                    "its rows are not mixed with new ones: choose another folder with --out, or "
+                    "delete this one",
+                    str(self.folder),
+                )
+            return
+        if any(self.folder.iterdir()):
+            raise InputError(
+                "is not empty and holds no campaign; choose another folder with --out",
+                str(self.folder),
+            )
+        about = {
+            "schema": SCHEMA,
+            "name": self.plan.name,
+            "runs": len(self.plan.cases),
+            "fingerprint": self.plan.fingerprint,
+        }
+        path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+    def _read(self) -> dict[int, Row]:
+        self._file.seek(0)
+        rows: dict[int, Row] = {}
+        good = 0
+        for line in self._file.read().splitlines(keepends=True):
+            if not line.endswith("\n"):
+                break
+            try:
+                row = json.loads(line)
+                rows[int(row["case"])] = row
+            except (ValueError, KeyError, TypeError):
+                break
+            good += len(line.encode())
+        self._file.truncate(good)
+        self._file.seek(0, os.SEEK_END)
+        return rows
+
+    @property
+    def left(self) -> list[int]:
+        """Numbers of the runs that have no row yet."""
+        return [case.number for case in self.plan.cases if case.number not in self.rows]
+
+    def add(self, row: Row) -> None:
+        """Keep the row of a run; one that is there already stays as it is."""
+        number = int(row["case"])
+        if number in self.rows:
+            return
+        self._file.write(json.dumps(row, allow_nan=False) + "\n")
+        self._file.flush()
+        self.rows[number] = row
+
+    def in_order(self) -> list[Row]:
+        """Return all rows by number."""
+        return [self.rows[number] for number in sorted(self.rows)]
+
+    def close(self) -> None:
+        """Have all rows on the disk."""
+        if not self._file.closed:
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,86 @@
+"""A campaign from its file to its table and page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from rthyb_rt.campaign import page, pools, tables
+from rthyb_rt.campaign.book import Book
+from rthyb_rt.campaign.plan import Plan
+from rthyb_rt.campaign.running import Row
+from rthyb_rt.errors import InputError
+
+Progress = Callable[[int, int], None]
+"""Takes how many runs are done, and of how many."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What a campaign came to.
+
+    Attributes:
+        plan: its runs.
+        rows: of those that are done, by number.
+        paths: of its files, by what they are.
+        notes: what was left out, and how to have it.
+    """
+
+    plan: Plan
+    rows: list[Row]
+    paths: dict[str, Path]
+    notes: tuple[str, ...]
+
+
+def conduct(
+    plan: Plan,
+    folder: Path,
+    *,
+    jobs: int = 1,
+    cluster: str | None = None,
+    progress: Progress = lambda done, whole: None,
+) -> Campaign:
+    """Carry out the runs that a folder does not have yet, and write table and page.
+
+    Args:
+        plan: the campaign.
+        folder: its own; what an interrupted campaign has done there stays.
+        jobs: processes of this machine.
+        cluster: address of a Dask scheduler, whose workers take their place.
+        progress: told at each run.
+
+    Raises:
+        InputError: the folder holds something else, or the cluster does not answer.
+        RthybError: a file cannot be written.
+    """
+    with Book(folder, plan) as book:
+        whole = len(plan.cases)
+        progress(len(book.rows), whole)
+
+        def done(row: Row) -> None:
+            book.add(row)
+            progress(len(book.rows), whole)
+
+        cases = [plan.cases[number] for number in book.left]
+        place = str(folder.resolve())
+        if cases and cluster is not None:
+            pools.on_cluster(cases, cluster, plan.keep, place, done)
+        elif cases:
+            pools.locally(cases, jobs, plan.keep, place, done)
+        return _written(plan, book.in_order(), folder)
+
+
+def _written(plan: Plan, rows: list[Row], folder: Path) -> Campaign:
+    paths, notes = {"table": folder / tables.CSV}, []
+    tables.write_csv(rows, folder / tables.CSV)
+    if tables.write_parquet(rows, folder / tables.PARQUET):
+        paths["parquet"] = folder / tables.PARQUET
+    else:
+        notes.append("no Parquet table; install pyarrow with pip install 'rthyb-rt[campaign]'")
+    try:
+        page.write(plan, rows, folder)
+        paths["page"] = folder / page.PAGE
+    except InputError as error:
+        notes.append(f"no page written: {error}")
+    return Campaign(plan, rows, paths, tuple(notes))

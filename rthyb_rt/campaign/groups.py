@@ -1,0 +1,106 @@
+"""What the runs of a campaign say together: medians and worst cases by what was chosen."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+from rthyb_rt.campaign.running import COMPLETED, FAILED, STOPPED, Row
+from rthyb_rt.config.campaignfile import Scalar
+
+
+class Measure(NamedTuple):
+    """A figure that is told of each group: its name in the rows, and how people read it."""
+
+    name: str
+    label: str
+    unit: str
+    factor: float
+
+
+MEASURES: Final = (
+    Measure("tracking_nrmse", "Tracking error", "%", 100.0),
+    Measure("response_nrmse", "Response error", "%", 100.0),
+    Measure("energy_error_relative", "Energy error", "%", 100.0),
+    Measure("peak_measured_m", "Peak displacement", "mm", 1e3),
+)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A measure over the completed runs of a group; ``worst_case`` is the number of that run."""
+
+    median: float
+    worst: float
+    worst_case: int
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs that differ in their plant and noise alone.
+
+    Attributes:
+        chosen: what they have of the campaign's lists.
+        runs, completed, stopped, failed: how many; completed are those that the figures are of.
+        spreads: of each measure by name; of those that no completed run has, none.
+    """
+
+    chosen: dict[str, Scalar]
+    runs: int
+    completed: int
+    stopped: int
+    failed: int
+    spreads: dict[str, Spread]
+
+
+def group(rows: Sequence[Row], keys: Sequence[str]) -> list[Group]:
+    """Return the groups in the order of their first runs.
+
+    Args:
+        rows: of the runs, by number.
+        keys: that the campaign varies by lists.
+    """
+    found: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        found.setdefault(tuple(row.get(key) for key in keys), []).append(row)
+    return [
+        Group(
+            chosen=dict(zip(keys, chosen, strict=True)),
+            runs=len(members),
+            completed=_count(members, COMPLETED),
+            stopped=_count(members, STOPPED),
+            failed=_count(members, FAILED),
+            spreads=_spreads(members),
+        )
+        for chosen, members in found.items()
+    ]
+
+
+def _count(rows: Sequence[Row], ending: str) -> int:
+    return sum(row["ending"] == ending for row in rows)
+
+
+def _spreads(rows: Sequence[Row]) -> dict[str, Spread]:
+    spreads = {}
+    for measure in MEASURES:
+        known = [
+            (abs(row[measure.name]), row["case"])
+            for row in rows
+            if row["ending"] == COMPLETED and row.get(measure.name) is not None
+        ]
+        if known:
+            worst, case = max(known)
+            spreads[measure.name] = Spread(statistics.median(v for v, _ in known), worst, case)
+    return spreads
+
+
+def figure(spread: Spread | None, measure: Measure) -> str:
+    """Return median and worst case as people read them, ``1.2 (3.4)``."""
+    if spread is None:
+        return "–"
+    median, worst = spread.median * measure.factor, spread.worst * measure.factor
+    if median == worst:
+        return f"{median:.3g}"
+    return f"{median:.3g} ({worst:.3g})"

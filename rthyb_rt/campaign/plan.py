@@ -1,0 +1,215 @@
+"""The runs of a campaign: every combination that its file describes, numbered."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from rthyb_rt import config, core
+from rthyb_rt.config.campaignfile import MOST_RUNS, CampaignFile, Draws, Scalar, Spread, beside
+from rthyb_rt.config.lines import KeyLines
+from rthyb_rt.config.loading import load_both
+from rthyb_rt.errors import InputError, Problem
+
+NOISE_SEED: Final = "rig.seed"
+FILES: Final = ("test", "rig")
+"""Keys that name a file, and not one of its values."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run.
+
+    Attributes:
+        number: from 0, in the order of the campaign.
+        chosen: what it has of the lists, by key.
+        drawn: number of its plant, 0 the file's own; -1: the campaign draws none.
+        repeat: number of its noise, from 0.
+        test: test file; "" for the built-in one.
+        rig: rig file or name; "" for that of the test.
+        settings: ``key=value``, as after ``--set``.
+    """
+
+    number: int
+    chosen: dict[str, Scalar]
+    drawn: int
+    repeat: int
+    test: str
+    rig: str
+    settings: tuple[str, ...]
+
+    def command(self) -> str:
+        """Return the command line that repeats this run."""
+        words = ["rthyb", "run"]
+        words += [shlex.quote(self.test)] if self.test else []
+        words += ["--rig", shlex.quote(self.rig)] if self.rig else []
+        for setting in self.settings:
+            words += ["--set", shlex.quote(setting)]
+        return " ".join(words)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All runs of a campaign.
+
+    Attributes:
+        name: of the campaign.
+        keep: of which runs recording and settings are kept.
+        cases: the runs, by number.
+        fingerprint: of the runs, of the files that they read, and of the core that computes them.
+    """
+
+    name: str
+    keep: str
+    cases: tuple[Case, ...]
+    fingerprint: str
+
+
+def read(path: str | Path) -> Plan:
+    """Return the runs of a campaign file.
+
+    Raises:
+        InputError: with every fault of the file, of the test or the rig with which it begins, or
+            with the key that those do not have.
+    """
+    path = Path(path)
+    file = config.parse_campaign(config.read_text(path, "campaign"), str(path))
+    count = _count(file)
+    if count > MOST_RUNS:
+        raise InputError(
+            f"found {count} runs; a campaign has at most {MOST_RUNS}: shorten a list, or make two "
+            "campaigns of it",
+            str(path),
+        )
+    return Plan(
+        name=file.campaign.name,
+        keep=file.campaign.keep,
+        cases=(cases := tuple(_cases(file, path))),
+        fingerprint=_fingerprint(cases),
+    )
+
+
+def _count(file: CampaignFile) -> int:
+    count = file.noise_seeds
+    for values in file.over.values():
+        count *= len(values)
+    for table in file.together:
+        count *= len(next(iter(table.values()), (None,)))
+    if file.draws is not None:
+        count *= file.draws.count + file.draws.nominal
+    return count
+
+
+def _choices(file: CampaignFile) -> Iterator[dict[str, Scalar]]:
+    """Yield what each combination has of the lists; the last list changes fastest."""
+    axes: list[list[dict[str, Scalar]]] = []
+    for key, values in file.over.items():
+        axes.append([{key: value} for value in values])
+    axes += [
+        [dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True)]
+        for table in file.together
+    ]
+    for parts in itertools.product(*axes):
+        yield {key: value for part in parts for key, value in part.items()}
+
+
+def _cases(file: CampaignFile, path: Path) -> Iterator[Case]:
+    number = 0
+    for chosen in _choices(file):
+        test, rig = (str(chosen.get(which, getattr(file.campaign, which) or "")) for which in FILES)
+        test, rig = (beside(path, name) if name else "" for name in (test, rig))
+        given = [f"{key}={_toml(value)}" for key, value in chosen.items() if key not in FILES]
+        if number == 0 or file.draws is not None:
+            # The first run is read here: a slip in the campaign is told before the pool is made.
+            base = _read(path, test, rig, given)
+        plants = _plants(file.draws, base, path) if file.draws is not None else [(-1, ())]
+        for (drawn, factors), repeat in itertools.product(plants, range(file.noise_seeds)):
+            noise = (f"{NOISE_SEED}={repeat + 1}",) if file.noise_seeds > 1 else ()
+            yield Case(number, chosen, drawn, repeat, test, rig, (*given, *factors, *noise))
+            number += 1
+
+
+def _read(path: Path, test: str, rig: str, given: Sequence[str]) -> dict[str, Any]:
+    """Return the values of both files by table, those of the rig below ``rig``."""
+    try:
+        test_file, rig_file = load_both(Path(test) if test else None, rig or None, given)
+    except InputError as error:
+        raise InputError(_placed(problem, path) for problem in error.problems) from error
+    return {**test_file.model_dump(by_alias=True), "rig": rig_file.model_dump(by_alias=True)}
+
+
+def _placed(problem: Problem, path: Path) -> Problem:
+    """Return a complaint about a setting with the place that the campaign file has for it."""
+    before, option, key = problem.where.partition("--set ")
+    if before or not option:
+        return problem
+    lines = KeyLines(config.read_text(path, "campaign"))
+    for table in (("over", key), ("together", 0, key), ("draws", "spread", key)):
+        line = lines.find(table)
+        if line > lines.find(table[:-1]):
+            return Problem(f"{path}:{line}: {key}", problem.message)
+    return Problem(f"{path}: {key}", problem.message)
+
+
+def _plants(draws: Draws, base: dict[str, Any], path: Path) -> list[tuple[int, tuple[str, ...]]]:
+    """Return number and settings of each plant; the same seed draws the same ones."""
+    own = {key: _number(base, key, path) for key in draws.spread}
+    plants: list[tuple[int, tuple[str, ...]]] = [(0, ())] if draws.nominal else []
+    for n in range(1, draws.count + 1):
+        # Each plant has a stream of its own: more of them leave the first ones as they were.
+        random = np.random.default_rng([draws.seed, n])
+        settings = tuple(
+            f"{key}={own[key] * _factor(spread, random)!r}" for key, spread in draws.spread.items()
+        )
+        plants.append((n, settings))
+    return plants
+
+
+def _factor(spread: Spread, random: np.random.Generator) -> float:
+    if spread.std is not None:
+        return float(1.0 + spread.std * random.standard_normal())
+    return float(random.uniform(spread.low or 0.0, spread.high or 0.0))
+
+
+def _number(base: dict[str, Any], key: str, path: Path) -> float:
+    """Return the value that both files have at a dotted key."""
+    place: Any = base
+    for part in key.split("."):
+        if isinstance(place, dict):
+            place = place.get(part)
+        elif isinstance(place, (list, tuple)) and part.isdecimal() and int(part) < len(place):
+            place = place[int(part)]
+        else:
+            place = None
+    if isinstance(place, bool) or not isinstance(place, (int, float)):
+        raise InputError(
+            f"{key} is drawn as a factor on the file's value, but the file has no number there; "
+            "write one into it, or put the key's values into [over]",
+            f"{path}: draws.spread",
+        )
+    return float(place)
+
+
+def _fingerprint(cases: Sequence[Case]) -> str:
+    """Return what tells one campaign from another, files and core included."""
+    digest = hashlib.sha256(json.dumps([asdict(case) for case in cases]).encode())
+    digest.update(core.build_facts()["core_sources"].encode())
+    for name in sorted({name for case in cases for name in (case.test, case.rig) if name}):
+        if Path(name).is_file():
+            digest.update(Path(name).read_bytes())
+    return digest.hexdigest()
+
+
+def _toml(value: Scalar) -> str:
+    """Return a value as `--set` takes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return value if isinstance(value, str) else repr(value)

@@ -1,0 +1,166 @@
+"""Many runs at once: processes of this machine, or the workers of a Dask cluster."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Any, Final
+
+from rthyb_rt.campaign.plan import Case
+from rthyb_rt.campaign.running import FAILED, Row, carry_out, identity
+from rthyb_rt.errors import InputError
+
+ONE_THREAD: Final = (
+    "OPENBLAS_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+)
+"""Each process has one processor: threads of a linear algebra library would share it."""
+AHEAD: Final = 4
+"""Runs that wait for each process, so that none is ever idle; numerics, not tuned."""
+
+Done = Callable[[Row], None]
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+@contextmanager
+def _single_threaded() -> Iterator[None]:
+    """Have the processes that are made inside the block compute with one thread each."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _begin() -> None:
+    # Ctrl-C is for the process that conducts; it ends the others.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def locally(cases: Sequence[Case], jobs: int, keep: str, folder: str, done: Done) -> None:
+    """Carry out runs in processes of this machine.
+
+    A process that dies takes no run with it: those that it may have had are tried again, one at a
+    time, and one whose process dies once more is a row that says so.
+
+    Args:
+        cases: the runs.
+        jobs: processes.
+        keep, folder: as `carry_out` takes them.
+        done: takes each row, in this process, in no order.
+    """
+    suspects = _spread(list(cases), jobs, keep, folder, done)
+    for case in suspects:
+        if _spread([case], 1, keep, folder, done):
+            done(identity(case) | {"ending": FAILED, "cause": "its process died, twice"})
+
+
+def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) -> list[Case]:
+    """Carry out runs; return those that were under way when a process died, and all behind them.
+
+    Behind such a death the rest goes on in new processes.
+    """
+    suspects: list[Case] = []
+    waiting = cases[::-1]
+    while waiting:
+        under_way: dict[Future[Row], Case] = {}
+        with _single_threaded():
+            pool = ProcessPoolExecutor(
+                min(jobs, len(waiting)), multiprocessing.get_context("spawn"), initializer=_begin
+            )
+            try:
+                while waiting or under_way:
+                    while waiting and len(under_way) < AHEAD * jobs:
+                        case = waiting.pop()
+                        under_way[pool.submit(carry_out, case, keep, folder)] = case
+                    ready, _ = wait(under_way, return_when=FIRST_COMPLETED)
+                    for future in ready:
+                        done(future.result())
+                        del under_way[future]
+            except BrokenProcessPool:
+                suspects += _undone(under_way, done)
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
+    return suspects
+
+
+def _undone(under_way: dict[Future[Row], Case], done: Done) -> list[Case]:
+    """Keep what had come to its end when a process died; return the others."""
+    left = []
+    for future, case in under_way.items():
+        if future.done() and not future.cancelled() and future.exception() is None:
+            done(future.result())
+        else:
+            left.append(case)
+    return left
+
+
+def on_cluster(cases: Sequence[Case], address: str, keep: str, folder: str, done: Done) -> None:
+    """Carry out runs on a Dask cluster; arguments as for `locally`.
+
+    A worker that dies takes no run with it: the scheduler gives its runs to others. What is kept of
+    runs goes to the campaign's folder, which the workers must reach under the same path.
+
+    Args:
+        address: of the scheduler, ``tcp://HOST:8786``.
+
+    Raises:
+        InputError: the package distributed is not installed, or nobody answers.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise InputError(
+            f"--cluster needs {error.name}; install it with pip install 'rthyb-rt[cluster]'"
+        ) from error
+    try:
+        client = distributed.Client(address, timeout=10)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(
+            f"no Dask scheduler answers ({error}); start one with: dask scheduler", address
+        ) from error
+    with client:
+        cores = sum(client.ncores().values())
+        if not cores:
+            raise InputError("the cluster has no workers; start some: dask worker ADDRESS", address)
+        waiting = list(cases)[::-1]
+        of: dict[str, Case] = {}
+
+        def next_one() -> Any:
+            case = waiting.pop()
+            future = client.submit(carry_out, case, keep, folder, pure=False)
+            of[future.key] = case
+            return future
+
+        first = [next_one() for _ in range(min(AHEAD * cores, len(waiting)))]
+        arriving = distributed.as_completed(first)
+        for future in arriving:
+            case = of.pop(future.key)
+            if future.status == "error":
+                done(identity(case) | {"ending": FAILED, "cause": _why(future.exception())})
+            else:
+                done(future.result())
+            future.release()
+            if waiting:
+                arriving.add(next_one())
+
+
+def _why(error: BaseException | None) -> str:
+    name = type(error).__name__
+    return "its worker died, again and again" if name == "KilledWorker" else f"{name}: {error}"

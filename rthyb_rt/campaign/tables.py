@@ -1,0 +1,67 @@
+"""The table of a campaign for other programs: CSV, and Parquet where pyarrow is installed."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from rthyb_rt.campaign.running import Row
+from rthyb_rt.record.recording import replacing
+
+CSV: Final = "table.csv"
+PARQUET: Final = "table.parquet"
+_FIRST: Final = ("case",)
+
+
+def columns(rows: Sequence[Row]) -> list[str]:
+    """Return the names of all columns, in the order in which the rows bring them."""
+    names: dict[str, None] = dict.fromkeys(_FIRST)
+    for row in rows:
+        names.update(dict.fromkeys(row))
+    return list(names)
+
+
+def write_csv(rows: Sequence[Row], path: Path) -> None:
+    """Write all rows, one line each; what a run does not have is empty.
+
+    Raises:
+        RthybError: the file cannot be written.
+    """
+    names = columns(rows)
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, names, restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def write_parquet(rows: Sequence[Row], path: Path) -> bool:
+    """Write the same as Parquet; return False where pyarrow is not installed.
+
+    A column that has texts among its values is one of texts.
+
+    Raises:
+        RthybError: the file cannot be written.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        return False
+    table = pyarrow.table({name: _column([row.get(name) for row in rows])
+                           for name in columns(rows)})  # fmt: skip
+    with replacing(path) as temporary:
+        pyarrow.parquet.write_table(table, temporary)
+    return True
+
+
+def _column(values: list[Any]) -> list[Any]:
+    kinds = {type(value) for value in values if value is not None}
+    if str in kinds and len(kinds) > 1:
+        return [None if value is None else str(value) for value in values]
+    if kinds == {int, float}:
+        return [None if value is None else float(value) for value in values]
+    if bool in kinds and len(kinds) > 1:
+        return [None if value is None else str(value) for value in values]
+    return values

@@ -1,0 +1,166 @@
+"""``rthyb campaign``: one test over lists, grids, seeds and drawn plants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rthyb_rt.cli import interrupts, terminal
+from rthyb_rt.cli.inputs import JsonOption
+
+if TYPE_CHECKING:
+    from rthyb_rt.campaign.conducting import Campaign, Progress
+    from rthyb_rt.campaign.groups import Group
+    from rthyb_rt.campaign.plan import Plan
+
+SCHEMA = "rthyb-campaign-result/1"
+ENDED_EARLY = 6
+
+
+def campaign(
+    file: Annotated[
+        Path, typer.Argument(metavar="CAMPAIGN.toml", help="What is varied.", show_default=False)
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the campaign, instead of runs/NAME. One that was interrupted goes on "
+            "there.",
+            show_default=False,
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=1024,
+            metavar="N",
+            help="Processes of this machine; without it as many as it has processors.",
+            show_default=False,
+        ),
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask scheduler whose workers take the runs, such as tcp://lab:8786.",
+            show_default=False,
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="List the runs, and carry out none of them.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run one test in virtual time over lists, grids, seeds, records and drawn plants.
+
+    Every run is kept as it ends: after Ctrl-C or a power failure the same command goes on where it
+    was. Table and page tell medians, worst cases, and which runs ended early and why.
+
+    \b
+    Examples:
+      rthyb campaign examples/campaign.toml
+      rthyb campaign examples/campaign.toml --dry-run
+      rthyb campaign laws.toml --jobs 8 --out laws
+      rthyb campaign laws.toml --cluster tcp://lab:8786
+
+    Exit code 6 says that a limit or a trip ended a run, or that one could not be carried out.
+    """
+    from rthyb_rt.campaign import conducting, pools
+    from rthyb_rt.campaign.plan import read
+
+    if jobs is not None and cluster is not None:
+        raise typer.BadParameter("is for this machine; leave it out with --cluster",
+                                 param_hint="--jobs")  # fmt: skip
+    plan = read(file)
+    people = terminal.people(as_json)
+    if dry_run:
+        _print_plan(plan, people, as_json)
+        return
+    folder = out or Path("runs") / plan.name
+    interrupts.wrote(folder)
+    with _progress(plan) as progress:
+        found = conducting.conduct(
+            plan, folder, jobs=jobs or pools.processors(), cluster=cluster, progress=progress
+        )
+    _print_result(found, people)
+    if as_json:
+        terminal.print_json(_document(found))
+    if any(row["ending"] != "completed" for row in found.rows):
+        raise typer.Exit(ENDED_EARLY)
+
+
+@contextmanager
+def _progress(plan: Plan) -> Iterator[Progress]:
+    with terminal.sections("Campaign") as update:
+        yield lambda done, whole: update(done, whole, plan.name)
+
+
+def _print_plan(plan: Plan, file: IO[str], as_json: bool) -> None:
+    print(f"{plan.name}: {len(plan.cases)} runs", file=file)
+    for case in plan.cases:
+        print(f"{case.number:6}  {case.command()}", file=file)
+    if as_json:
+        runs = [{"case": case.number, "command": case.command()} for case in plan.cases]
+        terminal.print_json({"schema": SCHEMA, "name": plan.name, "runs": runs})
+
+
+def _print_result(found: Campaign, file: IO[str]) -> None:
+    from rthyb_rt.campaign.groups import group
+
+    groups = group(found.rows, list(found.plan.cases[0].chosen))
+    done = sum(one.completed for one in groups)
+    print(f"{found.plan.name}: {done} of {len(found.plan.cases)} runs completed\n", file=file)
+    terminal.show(_grid(groups), file)
+    causes = [row for row in found.rows if row["ending"] != "completed"]
+    for row in causes[:5]:
+        print(f"Run {row['case']} {row['ending']}: {row['cause']}", file=file)
+    if len(causes) > 5:
+        print(f"and {len(causes) - 5} more; the page has all of them", file=file)
+    print(file=file)
+    for name, path in found.paths.items():
+        print(f"{name.capitalize():9}{path}", file=file)
+    for note in found.notes:
+        terminal.tell(f"note: {note}")
+
+
+def _grid(groups: list[Group]) -> Any:
+    from rich.table import Table
+
+    from rthyb_rt.campaign.groups import MEASURES, figure
+    from rthyb_rt.campaign.page import value
+
+    grid = Table(box=None, pad_edge=False, header_style="bold")
+    for key in groups[0].chosen:
+        grid.add_column(key, overflow="fold")
+    for name in ("Runs", "Early", *(f"{m.label}, {m.unit}" for m in MEASURES)):
+        grid.add_column(name, justify="right")
+    for one in groups:
+        grid.add_row(
+            *(value(chosen) for chosen in one.chosen.values()),
+            str(one.runs),
+            str(one.runs - one.completed),
+            *(figure(one.spreads.get(measure.name), measure) for measure in MEASURES),
+        )
+    return grid
+
+
+def _document(found: Campaign) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from rthyb_rt.campaign.groups import group
+
+    return {
+        "schema": SCHEMA,
+        "name": found.plan.name,
+        "runs": len(found.plan.cases),
+        "groups": [asdict(one) for one in group(found.rows, list(found.plan.cases[0].chosen))],
+        "rows": found.rows,
+        "paths": {name: str(path) for name, path in found.paths.items()},
+        "notes": list(found.notes),
+    }

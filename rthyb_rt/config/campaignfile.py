@@ -1,0 +1,138 @@
+"""The campaign file: one test over lists, grids, seeds and drawn plants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PlainValidator
+
+from rthyb_rt.config.fields import (
+    SLUG,
+    SOME_TEXT,
+    Check,
+    Choice,
+    Count,
+    Range,
+    Table,
+    explained,
+    written,
+)
+
+CAMPAIGN_SCHEMA = "rthyb-campaign/1"
+MOST_RUNS = 1_000_000
+
+Scalar = str | bool | int | float
+Values = tuple[Scalar, ...]
+
+
+def _values(given: object) -> Values:
+    """Return the values of one key; raise the explained error for what is no list of them."""
+    found = given if isinstance(given, list) else [given]
+    if not found:
+        raise explained("found an empty list; give at least one value")
+    for value in found:
+        if not isinstance(value, (str, bool, int, float)):
+            raise explained(
+                f"found {written(value)}; each value must be a text, a number, true or false"
+            )
+    if len({(type(value), value) for value in found}) < len(found):
+        raise explained(f"found {written(found)}; a value stands in it twice")
+    return tuple(found)
+
+
+Listed = Annotated[Values, PlainValidator(_values)]
+
+
+class What(Table):
+    """The test that the campaign varies, and what is kept of each run."""
+
+    name: Annotated[str, SLUG]
+    test: Annotated[str, SOME_TEXT] | None = None
+    rig: Annotated[str, SOME_TEXT] | None = None
+    keep: Literal["nothing", "tripped", "all"] = "tripped"
+
+
+class Spread(Table):
+    """How a drawn value scatters: factors on the file's own."""
+
+    std: Annotated[float, Range("", 0.0, 1.0, "a standard deviation", open_low=True)] | None = None
+    low: Annotated[float, Range("", 0.0, 1e3, "the smallest factor", open_low=True)] | None = None
+    high: Annotated[float, Range("", 0.0, 1e3, "the largest factor", open_low=True)] | None = None
+
+    choices = (Choice(("std", "low"), required=True), Choice(("std", "high"), required=True))
+    checks = (
+        Check(
+            "high",
+            ("low", "high"),
+            lambda low, high: (
+                None
+                if low is None or high is None or low < high
+                else f"found low = {low:g}, high = {high:g}; high must be above low"
+            ),
+        ),
+    )
+
+    @classmethod
+    def expand(cls, data: Any) -> Any:
+        """Take a plain number for the standard deviation."""
+        return {"std": data} if isinstance(data, (int, float)) else data
+
+
+class Draws(Table):
+    """Plants drawn about the file's, all keys at once."""
+
+    count: Annotated[int, Count(1, 100_000, "how many plants are drawn")]
+    seed: Annotated[int, Count(0, 2**32 - 1, "the seed of the draws")] = 0
+    nominal: bool = True
+    spread: dict[str, Spread] = Field(min_length=1)
+
+
+class CampaignFile(Table):
+    """A campaign: what is varied, and over what."""
+
+    schema_: Literal["rthyb-campaign/1"] = Field(alias="schema")
+    campaign: What
+    over: dict[str, Listed] = Field(default_factory=dict)
+    together: list[dict[str, Listed]] = Field(default_factory=list)
+    noise_seeds: Annotated[int, Count(1, 100_000, "how often each run is repeated")] = 1
+    draws: Draws | None = None
+
+    @classmethod
+    def further_faults(
+        cls, keys: dict[str, Any]
+    ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
+        """Refuse lists of different length that shall go together, and keys named twice."""
+        seen: dict[str, str] = {}
+        over = keys.get("over")
+        for key in over if isinstance(over, dict) else ():
+            seen[key] = "over"
+        tables = keys.get("together")
+        for number, table in enumerate(tables if isinstance(tables, list) else ()):
+            if not isinstance(table, dict):
+                continue
+            lengths = {k: len(v) if isinstance(v, list) else 1 for k, v in table.items()}
+            if len(set(lengths.values())) > 1:
+                told = ", ".join(f"{key}: {length}" for key, length in lengths.items())
+                yield (
+                    ("together",),
+                    f"table {number + 1} has lists of different length ({told}); values that go "
+                    "together need as many of each",
+                    (),
+                )
+            for key in table:
+                if key in seen:
+                    yield (
+                        ("together",),
+                        f"{key} is varied in [[together]] and in [{seen[key]}] already; "
+                        "keep one of them",
+                        (),
+                    )
+                seen.setdefault(key, "[together]")
+
+
+def beside(path: Path, name: str) -> str:
+    """Return a file's name as a campaign file means it: from its own folder, if it is there."""
+    found = path.parent / name
+    return str(found) if found.is_file() else name
