@@ -10,11 +10,13 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rthyb_rt import config
 from rthyb_rt.campaign import book, conducting, groups, page, plan, pools, running, tables
 from rthyb_rt.campaign.plan import Case
 from rthyb_rt.campaign.running import Row
@@ -418,3 +420,15 @@ def test_campaign_of_thousands_costs_in_proportion(tmp_path: Path) -> None:
     seconds(100)
     small, large = seconds(1000), seconds(10_000)
     assert large < 20 * small
+
+
+EXAMPLES = sorted((Path(__file__).parents[1] / "examples" / "campaigns").glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_shipped_campaign_can_be_carried_out(path: Path) -> None:
+    cases = plan.read(path).cases
+    row = running.carry_out(cases[-1])
+    assert row["ending"] == running.COMPLETED
+    keys = json.loads(json.dumps(config.json_schema("campaign")))["properties"]
+    assert set(tomllib.loads(path.read_text())) <= set(keys)

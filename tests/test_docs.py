@@ -156,6 +156,8 @@ def test_files_that_claim_a_schema_load_and_fit_a_rig(tmp_path: Path) -> None:
             if page == "own-specimen.md" and rig.link is None:
                 found = identify.identified_rig(rig, identify.identify(rig))
                 rigs[IDENTIFIED].write_text(config.dump(found), encoding="utf-8")
+        elif schema == config.campaignfile.CAMPAIGN_SCHEMA:
+            assert config.parse_campaign(text, page).over
         elif schema:
             tests.append((page, text))
     assert tests

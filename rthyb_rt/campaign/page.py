@@ -103,7 +103,11 @@ def _plates(rows: Sequence[Row], keys: Sequence[str], groups: Sequence[Group]) -
     from rthyb_rt.report import drawing as draw
 
     points = [
-        (tuple(row.get(key) for key in keys), row["tracking_nrmse"], row["response_nrmse"])
+        (
+            tuple(row.get(key) for key in keys),
+            100.0 * float(row["tracking_nrmse"]),
+            100.0 * float(row["response_nrmse"]),
+        )
         for row in rows
         if row["ending"] == COMPLETED and row.get("tracking_nrmse") and row.get("response_nrmse")
     ]
@@ -118,16 +122,15 @@ def _plates(rows: Sequence[Row], keys: Sequence[str], groups: Sequence[Group]) -
             own = np.array([p[1:] for p in points if p[0] == tuple(one.chosen.values())])
             if own.size:
                 axes.plot(
-                    100.0 * own[:, 0], 100.0 * own[:, 1], ".", ms=4, alpha=0.7,
+                    own[:, 0], own[:, 1], ".", ms=4, alpha=0.7,
                     color=colours[number % len(colours)],
                     label=(", ".join(map(value, one.chosen.values())) or "all runs")
                     if number < len(colours) else None,
                 )  # fmt: skip
-        for axis, index in ((axes.xaxis, 1), (axes.yaxis, 2)):
-            values = [100.0 * point[index] for point in points]
-            # Over less than a decade a logarithmic scale has no round numbers to show.
-            wide = max(values) > 10.0 * min(values)
-            getattr(axes, f"set_{axis.axis_name}scale")("log" if wide else "linear")
+        abscissae, ordinates = [p[1] for p in points], [p[2] for p in points]
+        # Over less than a decade a logarithmic scale has no round numbers to show.
+        axes.set_xscale("log" if max(abscissae) > 10.0 * min(abscissae) else "linear")
+        axes.set_yscale("log" if max(ordinates) > 10.0 * min(ordinates) else "linear")
         axes.margins(0.04, 0.08)
         draw.head(axes, "Response error, %")
         draw.x_label(axes, "Tracking error, %")

@@ -64,8 +64,8 @@ def campaign(
 
     \b
     Examples:
-      rthyb campaign examples/campaign.toml
-      rthyb campaign examples/campaign.toml --dry-run
+      rthyb campaign examples/campaigns/laws-and-intensities.toml
+      rthyb campaign examples/campaigns/laws-and-intensities.toml --dry-run
       rthyb campaign laws.toml --jobs 8 --out laws
       rthyb campaign laws.toml --cluster tcp://lab:8786
 
