@@ -31,7 +31,6 @@ from rthyb_rt.config.rigfile import (
     StribeckElement,
 )
 from rthyb_rt.config.testfile import Numerical, TestFile
-from rthyb_rt.core.laws import Parameter
 from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
