@@ -24,9 +24,10 @@ enum {
 };
 
 /* clang-format off */
+#define LEAD_ROLL_OFF "identified.roll_off_hz"
 #define LEAD_PARAMETERS                                                                            \
-    {"w1", "", -1e3, 1e3, 3.0, "the weighting W1 (Eqn 2.3)", 0, NULL, NULL},                       \
-    {"w2", "", -1e3, 1e3, 2.0, "the weighting W2 (Eqn 2.3)", 0, NULL, NULL},                       \
+    {"w1", "", -1e3, 1e3, 3.0, "the weighting W1 (Eqn 2.3)", 0, LEAD_ROLL_OFF, NULL},              \
+    {"w2", "", -1e3, 1e3, 2.0, "the weighting W2 (Eqn 2.3)", 0, LEAD_ROLL_OFF, NULL},              \
     {"alpha0", "samples", 0.0, 1000.0, NAN, "the initial delay", 0, "identified.alpha", NULL},     \
     {"beta0", "", -5e5, 5e5, 0.0, "the initial curvature term", 0, NULL, NULL},                    \
     {"delay_estimator.alpha_min", "samples", 0.0, 1000.0, 0.0, "the smallest delay", 0, NULL, NULL}, \
@@ -34,7 +35,7 @@ enum {
     {"delay_estimator.reference_displacement_m", "m", 1e-6, 10.0, 1e-3,                            \
      "the displacement that makes the law unit-free", 0, NULL, NULL}
 #define LEAD_FILTER_PARAMETERS                                                                     \
-    {"delay_estimator.cutoff_hz", "Hz", 0.5, 400.0, 25.0, "the cut-off of the filter pair", 0, NULL, NULL}, \
+    {"delay_estimator.cutoff_hz", "Hz", 0.5, 400.0, 25.0, "the cut-off of the filter pair", 0, LEAD_ROLL_OFF, NULL}, \
     {"delay_estimator.gate_factor", "", 0.0, 1e6, 10.0,                                            \
      "the power over rest noise that opens the gate", 0, NULL, NULL}
 /* clang-format on */

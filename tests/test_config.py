@@ -183,7 +183,8 @@ def test_rig_of_a_test_is_found_by_name_or_beside_it(tmp_path: Path) -> None:
 
 def test_paper_settings_are_the_defaults() -> None:
     test = config.parse_test(TEST)
-    assert (test.controller.type, test.controller.w1, test.controller.w2) == ("paper", 3, 2)
+    weights = [test.controller.setting(key) for key in ("w1", "w2")]
+    assert (test.controller.type, weights) == ("paper", [3, 2])
     assert test.ground_motion.record == "elcentro-1940-ns"
     assert test.test.free_vibration_s == 10
     assert test.numerical.integrator == "central-difference"
@@ -757,7 +758,7 @@ def test_resolved_text_holds_every_default() -> None:
     text = config.dump(config.parse_test(TEST))
     keys = tomllib.loads(text)
     assert text.startswith('schema = "rthyb-test/1"\n')
-    assert keys["controller"]["delay_estimator"]["cutoff_hz"] == 25
+    assert keys["controller"]["delay_estimator"]["gate_factor"] == 10
     assert keys["reference"] == {"table_forces": True}
 
 

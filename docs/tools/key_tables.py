@@ -19,7 +19,15 @@ from typing import Any, Literal
 from pydantic.fields import FieldInfo
 
 from rthyb_rt import core
-from rthyb_rt.config import baselinefile, deriving, lawtables, limits, rigfile, testfile
+from rthyb_rt.config import (
+    baselinefile,
+    deriving,
+    lawtables,
+    limits,
+    rigfile,
+    rigsettings,
+    testfile,
+)
 from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
 from rthyb_rt.config.numerical import Labels, Numbers, Place, Square
 from rthyb_rt.core.laws import LAWS, parameters
@@ -53,9 +61,10 @@ MEANINGS: dict[str, str] = {
     "Rfc.tangent": 'formula; absent: "mean-of-ratios" for "paper", else "least-squares"',
     "Rfc.divisor": "by what Eqn 3.3 divides its T0 + 1 terms: T0, or their number",
     "Rfc.cutoff_hz": "cut-off of the low-pass on $x_c - x_m$, below half of the sample rate; "
-    "0: none; absent: 0",
+    "0: none; absent: the rig's `identified.roll_off_hz`, but for `paper`; else 0",
     "Rfc.force_lateness_s": "how much later than $x_m$ the force is that the equation of motion "
-    "uses; absent: 0",
+    "uses; absent: what integrator and `force_delay_samples` make it where the rig has a "
+    "`roll_off_hz`, but for `paper`; else 0",
     "Controller.type": "which control law, see below and tuning",
     "Controller.plc_enabled": "false: the control law does not lead (force compensation alone)",
     "Reference.table_forces": "true: the reference has the table's mass and friction as well",
@@ -252,7 +261,11 @@ def _of_laws(model: type[Table], key: str) -> str:
                if name.rpartition(".")[0] == table}  # fmt: skip
     names = [law.name for law, _ in users]
     more = f" ({', '.join(f'`{name}`' for name in names)})" if set(names) != sharing else ""
-    if rig_key is not None:
+    if rig_key == rigsettings.RESPONSE:
+        more += f"; absent: fitted to the response in the rig's `{rig_key}`"
+    elif rig_key == rigsettings.ROLL_OFF:
+        more += f"; absent: by the rig's `{rig_key}`, but for `paper`; else {_number(standard)}"
+    elif rig_key is not None:
         more += f"; absent: the rig's `{rig_key}`"
         more += "" if standard is None else f", else {_number(standard)}"
     return more

@@ -162,6 +162,9 @@ def _print_result(rig: RigFile, result: Result, file: IO[str]) -> None:
     mass = "too small to tell"
     if result.moving_mass_kg is not None:
         mass = quantity(result.moving_mass_kg, "kg")
+    resonance = f"none up to {result.tones[-1].frequency_hz:g} Hz"
+    if result.resonance_hz is not None:
+        resonance = quantity(result.resonance_hz, "Hz")
     delay = f"{number(result.delay_s * 1e3, 4)} ms ({number(result.delay_s * FS_HZ, 4)} samples)"
     slow = "mean of the slow sines"
     terminal.print_table(
@@ -174,6 +177,7 @@ def _print_result(rig: RigFile, result: Result, file: IO[str]) -> None:
             ("Gain", number(result.gain, 4), slow),
             ("Elastic stiffness k_e", quantity(result.k_e_n_per_m, "kN/m", 1e-3, 4),
              "bound of the tangent stiffness"),
+            ("First resonance", resonance, "of actuator and specimen; laws roll off below it"),
             ("Moving mass", mass, "felt by the load cell beside the specimen"),
             ("Noise at rest", f"{quantity(result.rest_noise_m, 'µm', 1e6)}, "
              f"{quantity(result.rest_noise_n, 'N')}", "standard deviation"),

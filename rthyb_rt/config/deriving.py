@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rthyb_rt.config import limits as limits_file
+from rthyb_rt.config import rigsettings
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import (
     BoucWen,
@@ -30,7 +31,6 @@ from rthyb_rt.config.rigfile import (
     StribeckElement,
 )
 from rthyb_rt.config.testfile import Numerical, TestFile
-from rthyb_rt.core.laws import Parameter
 from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
@@ -128,9 +128,11 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     _note_sensor_ranges(limits.limits, rig, notes)
     _note_friction(test, rig, mass, rate, notes)
     _note_substeps(rig, notes)
+    rigsettings.note_defaults(test, rig, notes)
     controller = test.controller
     window = _window_samples(test, period, rate, problems)
-    cutoff_hz = _rfc_cutoff(test, rate, problems)
+    by_rig_hz, by_rig_s = rigsettings.rfc_of_rig(test, rig)
+    cutoff_hz = _rfc_cutoff(test, by_rig_hz, rate, problems)
     if problems:
         raise InputError(problems)
     active = controller.type != "none"
@@ -150,7 +152,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         rfc_enabled=active and controller.rfc.enabled,
         tangent=controller.rfc.tangent or default_tangent,
         rfc_cutoff_hz=cutoff_hz,
-        force_lateness_s=_given(controller.rfc.force_lateness_s, 0.0),
+        force_lateness_s=_given(controller.rfc.force_lateness_s, by_rig_s),
         rest_noise_displacement_m=noise_m,
         rest_noise_force_n=noise_n,
         limits=limits,
@@ -332,12 +334,10 @@ def _law_settings(
 ) -> dict[str, float]:
     """Return every setting of the control law: the file's, else the rig's, else the default."""
     controller, settings = test.controller, dict[str, float]()
-    from_rig: set[str] = set()
+    from_rig = rigsettings.law_settings_of_rig(test, rig, rate, problems)
     for parameter in controller.law.parameters:
-        value = _from_rig(parameter, test, rig)
-        if value is not None:
-            from_rig.add(parameter.key)
-        else:
+        value = from_rig.get(parameter.key)
+        if value is None:
             value = controller.setting(parameter.key)
         if value is None and controller.plc_enabled:
             problems.append(
@@ -349,6 +349,8 @@ def _law_settings(
             )
         # Nothing is led by it.
         settings[parameter.key] = max(parameter.low, 0.0) if value is None else value
+    if any(math.isnan(value) for value in settings.values()):
+        return settings  # said already
     found = controller.law.complaint(list(settings.values()), rate.period_s)
     if found is not None:
         key, text = found
@@ -360,19 +362,6 @@ def _law_settings(
             )
         problems.append(Problem(f"controller.{key}", text))
     return settings
-
-
-def _from_rig(parameter: Parameter, test: TestFile, rig: RigFile) -> float | None:
-    """Return what the rig file says of a setting that the test file leaves to it."""
-    place: object = test.controller
-    for part in parameter.key.split("."):
-        place = getattr(place, part, None)
-    if place is not None or parameter.rig_key is None:
-        return None
-    place = rig
-    for part in parameter.rig_key.split("."):
-        place = getattr(place, part, None)
-    return float(place) if isinstance(place, (int, float)) else None
 
 
 def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Problem]) -> int:
@@ -398,9 +387,9 @@ def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Pr
     return samples
 
 
-def _rfc_cutoff(test: TestFile, rate: Rate, problems: list[Problem]) -> float:
+def _rfc_cutoff(test: TestFile, by_rig_hz: float, rate: Rate, problems: list[Problem]) -> float:
     """Return the cut-off of the low-pass on x_c - x_m, Hz; 0: none."""
-    cutoff_hz = _given(test.controller.rfc.cutoff_hz, 0.0)
+    cutoff_hz = _given(test.controller.rfc.cutoff_hz, by_rig_hz)
     if not cutoff_hz < 0.5 * rate.hz:
         problems.append(
             Problem(

@@ -594,14 +594,35 @@ def _one_row_a_frequency(
     )
 
 
+def _one_force_a_frequency(
+    frequency_hz: list[float], in_phase: list[float], in_quadrature: list[float]
+) -> str | None:
+    if len(in_phase) == len(in_quadrature) and len(in_phase) in (0, len(frequency_hz)):
+        return None
+    return (
+        f"force_in_phase_n_per_m and force_in_quadrature_n_per_m have {len(in_phase)} and "
+        f"{len(in_quadrature)} entries; they must have one for each of the {len(frequency_hz)} "
+        "of frequency_hz, or both be left out"
+    )
+
+
 class Identified(Table):
-    """What `rthyb identify` measured; ``alpha`` is the delay estimate the next test starts with."""
+    """What `rthyb identify` measured; ``alpha`` is the delay estimate the next test starts with.
+
+    ``roll_off_hz`` is there where the sweep met a resonance of actuator and specimen: laws roll
+    their lead off below it.
+    """
 
     checks: ClassVar[tuple[Check, ...]] = (
         Check(
             "frequency_hz",
             ("frequency_hz", "amplitude", "delay_at_frequency_s"),
             _one_row_a_frequency,
+        ),
+        Check(
+            "force_in_phase_n_per_m",
+            ("frequency_hz", "force_in_phase_n_per_m", "force_in_quadrature_n_per_m"),
+            _one_force_a_frequency,
         ),
     )
 
@@ -624,6 +645,15 @@ class Identified(Table):
     delay_at_frequency_s: list[Annotated[float, Range("s", -1, 1, "a delay")]] = Field(
         default_factory=list
     )
+    force_in_phase_n_per_m: list[
+        Annotated[float, Range("N/m", -1e12, 1e12, "a force over displacement")]
+    ] = Field(default_factory=list)
+    force_in_quadrature_n_per_m: list[
+        Annotated[float, Range("N/m", -1e12, 1e12, "a force over displacement")]
+    ] = Field(default_factory=list)
+    roll_off_hz: (
+        Annotated[float, Range("Hz", 1, 400, "the roll-off below the first resonance")] | None
+    ) = None
 
     @classmethod
     def expand(cls, data: Any) -> Any:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
-from rthyb_rt.config import Identified, RigFile, dump, parse_rig
+from rthyb_rt.config import Identified, RigFile, dump, parse_rig, response
 from rthyb_rt.core import FLAGS, RUNNING
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
@@ -137,6 +137,7 @@ class Result:
         moving_mass_kg: what else moves under the load cell; None where it is too small to tell.
         rest_noise_m, rest_noise_n: standard deviations at rest.
         offset_m, offset_n: means at rest.
+        resonance_hz: first resonance of actuator and specimen within the sweep, None without.
         notes: what the user should know.
         link_delay_samples: what the link has of the delay, by the drive's echo; None where that is
             not known, or where there is no link.
@@ -156,6 +157,7 @@ class Result:
     offset_m: float
     offset_n: float
     notes: tuple[str, ...]
+    resonance_hz: float | None = None
     link_delay_samples: float | None = None
     left_out: int = 0
 
@@ -295,7 +297,15 @@ def _result(
         offset_m=offset_m + tare[0],
         offset_n=offset_n + tare[1],
         notes=tuple(_notes(tones, stiffness, alpha)),
+        resonance_hz=_resonance(tones),
     )
+
+
+def _resonance(tones: list[Tone]) -> float | None:
+    f = np.array([tone.frequency_hz for tone in tones])
+    lag = np.array([tone.delay_s for tone in tones])
+    g = np.array([tone.gain for tone in tones]) * np.exp(-2j * np.pi * f * lag)
+    return response.resonance_hz(f, g, tones[0].delay_s)
 
 
 def identified_rig(rig: RigFile, result: Result) -> RigFile:
@@ -314,11 +324,20 @@ def identified_rig(rig: RigFile, result: Result) -> RigFile:
         frequency_hz=[tone.frequency_hz for tone in result.tones],
         amplitude=[_rounded(tone.gain) for tone in result.tones],
         delay_at_frequency_s=[max(_rounded(tone.delay_s), 0.0) for tone in result.tones],
+        force_in_phase_n_per_m=[_rounded(tone.force_in_phase_n_per_m) for tone in result.tones],
+        force_in_quadrature_n_per_m=[
+            _rounded(tone.force_in_quadrature_n_per_m) for tone in result.tones
+        ],
+        roll_off_hz=_roll_off(result.resonance_hz),
     )
     info = rig.rig.model_copy(update={"elastic_stiffness_n_per_m": _rounded(result.k_e_n_per_m)})
     filled = rig.model_copy(update={"rig": info, "identified": found})
     # Read back, so that whatever is written is a rig file.
     return parse_rig(dump(filled), "identified rig")
+
+
+def _roll_off(resonance_hz: float | None) -> float | None:
+    return None if resonance_hz is None else _rounded(response.BELOW * resonance_hz, 3)
 
 
 def _rounded(value: float, digits: int = 4) -> float:

@@ -1,0 +1,261 @@
+"""A rig's identified response: its first resonance, and the inverse of the control law ``inverse``.
+
+Of a rig a sweep gives the response G at some frequencies. The inverse is of fifth order,
+
+    C(z) = 1 + sum of b_j ((1 - 1/z) / h)^j / (1 + r (1 - 1/z))^5,   r = rho / (1 - rho),
+
+with all five poles at rho = exp(-2 pi f h), the frequency of its roll-off, so that the inverse
+itself is stable whatever was fitted. The b_j make ``|w (C G - 1)|`` least, with
+w = 1 / (1 + (f / 6 Hz)^2) + 0.01: where a structure answers an error of a percent is felt, above
+that the fit is there to be stable.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.config.rate import STANDARD, Rate
+from rthyb_rt.config.rigfile import Identified, RigFile
+from rthyb_rt.errors import InputError
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+ORDER: Final = 5
+LEAST_TOP_HZ: Final = 40.0
+"""A fit to less than this loses runs once it adapts: the benchmark's sweeps to 20 and 30 Hz."""
+LEAST_TONES: Final = 8
+"""Six coefficients want six numbers; half as many again are there to disagree."""
+LARGEST_ERROR: Final = 0.1
+"""Of C G against 1 at the frequencies where structures answer; more is no inverse."""
+SLOW_HZ: Final = 10.0
+LIGHT_DAMPING: Final = 0.2
+"""A pole pair with less makes more than 2.5 times of a motion: a resonance."""
+EXPLAINED: Final = 0.1
+"""Largest error of 1/G, against itself, of a fit whose poles are believed."""
+BELOW: Final = 0.9
+"""Of the first resonance is where a lead is rolled off: 60 Hz for the 67 Hz of the benchmark."""
+_DELAYS_TRIED: Final = 49
+KNEE_HZ: Final = 6.0
+FLOOR: Final = 0.01
+"""Of the weights: so much of it is left at the highest frequencies."""
+REMEDY: Final = 'run `rthyb identify RIG --max-frequency "80 Hz"` and take the file it writes'
+
+
+@dataclass(frozen=True)
+class Inverse:
+    """A fitted inverse.
+
+    Attributes:
+        b: b_0 to b_5, in seconds to the power of their index, (6,).
+        roll_off_hz: of its poles.
+        period_s: of the samples that it is for.
+        worst: largest ``|C G - 1|`` up to `SLOW_HZ`.
+        worst_hz: where.
+        largest_root: modulus of the largest zero of C, a pole of the rig as fitted.
+    """
+
+    b: Floats
+    roll_off_hz: float
+    period_s: float
+    worst: float
+    worst_hz: float
+    largest_root: float
+
+
+def response(found: Identified, rate: Rate = STANDARD, *, hold: str | None = "zoh") -> Complexes:
+    """Return the identified response of a rig as a controller of a rate meets it, (n,).
+
+    A sweep is made at 1024 Hz. What a drive makes of its commands between two samples is part of
+    the response, and shorter at a higher rate.
+
+    Args:
+        found: what was identified.
+        rate: of the test.
+        hold: ``rig.command_hold``; None: a rig that holds nothing (a pure delay).
+    """
+    f = np.asarray(found.frequency_hz, dtype=np.float64)
+    lag_s = np.asarray(found.delay_at_frequency_s)
+    swept = np.asarray(found.amplitude) * np.exp(-2j * np.pi * f * lag_s)
+    if hold is None or rate == STANDARD:
+        return np.asarray(swept)
+    return np.asarray(swept * _hold(f, rate.period_s, hold) / _hold(f, STANDARD.period_s, hold))
+
+
+def resonance_hz(f_hz: Floats, g: Complexes, longest_s: float) -> float | None:
+    """Return the first resonance in a response: a lightly damped pole pair within the sweep.
+
+    1 / G is fitted by a polynomial of order 5 in s behind a delay, of which some are tried; its
+    zeros are the poles of the rig. What it does not explain shows no resonance.
+
+    Args:
+        f_hz, g: frequencies, rising, and response, (n,) each.
+        longest_s: longest delay that is tried.
+
+    Returns:
+        The undamped natural frequency, or None: none, or a sweep that is too short to tell.
+    """
+    if f_hz.size < LEAST_TONES:
+        return None
+    s = 2j * np.pi * f_hz
+    unit = float(np.abs(s).max()) / 2.0
+    powers = np.array([(s / unit) ** j for j in range(ORDER + 1)]).T * np.abs(g)[:, None]
+    best_error, best = math.inf, np.zeros(ORDER + 1)
+    for delay_s in np.linspace(0.0, max(longest_s, 0.0), _DELAYS_TRIED):
+        wanted = np.exp(-s * delay_s) / g * np.abs(g)
+        found = _least_squares(powers, wanted)
+        error = float(np.abs(powers @ found - wanted).max())
+        if error < best_error:
+            best_error, best = error, found
+    if best_error > EXPLAINED:
+        return None
+    poles = np.roots(best[::-1]) * unit
+    size = np.abs(poles)
+    swept = (size >= 2.0 * np.pi * f_hz[0]) & (size <= 2.0 * np.pi * f_hz[-1])
+    light = (poles.imag > 0.0) & (-poles.real > 0.0) & (-poles.real < LIGHT_DAMPING * size)
+    found_hz = size[swept & light] / (2.0 * np.pi)
+    return float(found_hz.min()) if found_hz.size else None
+
+
+def _hold(f: Floats, h: float, kind: str) -> Complexes:
+    """Return what holding a sampled sine does to it: once for steps, twice for straight lines."""
+    once = np.sinc(f * h) * np.exp(-1j * np.pi * f * h)
+    return np.asarray(once if kind == "zoh" else once * once)
+
+
+def hold_of(rig: RigFile) -> str | None:
+    """Return how a rig joins two commands; None where it has them sample by sample."""
+    return None if rig.actuator.kind == "pure-delay" else rig.rig.command_hold
+
+
+def fitted(rig: RigFile, rate: Rate, roll_off_hz: float) -> Inverse:
+    """Return the inverse of a rig's identified response.
+
+    Args:
+        rig: with the response in its section ``identified``.
+        rate: of the test.
+        roll_off_hz: of the inverse, below half of the rate.
+
+    Raises:
+        InputError: no response, one that is too short, or a fit that is unstable or no inverse.
+    """
+    where = f'rig "{rig.rig.name}": identified'
+    found = rig.identified
+    if found is None or not found.frequency_hz:
+        raise InputError(
+            f"the control law inverse undoes the rig's response, and there is none: {REMEDY}", where
+        )
+    top = max(found.frequency_hz)
+    if top < LEAST_TOP_HZ or len(found.frequency_hz) < LEAST_TONES:
+        raise InputError(
+            f"the response has {len(found.frequency_hz)} frequencies up to {top:g} Hz; the control "
+            f"law inverse needs {LEAST_TONES} or more, to {LEAST_TOP_HZ:g} Hz at least: {REMEDY}, "
+            "or take the law gain-alpha-beta, for which 10 Hz are enough",
+            where,
+        )
+    f = np.asarray(found.frequency_hz, dtype=np.float64)
+    inverse = fit(f, response(found, rate, hold=hold_of(rig)), rate.period_s, roll_off_hz)
+    if not inverse.largest_root < 1.0:
+        raise InputError(
+            f"the fit to the response is unstable: its largest root is {inverse.largest_root:.4g}, "
+            f"and must be below 1; {REMEDY}, with a larger --amplitude if the sensor is noisy, or "
+            "take the law gain-alpha-beta",
+            where,
+        )
+    if inverse.worst > LARGEST_ERROR or inverse.b[0] <= -1.0:
+        raise InputError(
+            f"no inverse of order {ORDER} fits the response: at {inverse.worst_hz:g} Hz it is off "
+            f"by {100 * inverse.worst:.0f} %, {100 * LARGEST_ERROR:g} % are allowed; look at the "
+            "table of rthyb identify for a frequency that stands out, and sweep again with another "
+            "--amplitude, or take the law gain-alpha-beta",
+            where,
+        )
+    return inverse
+
+
+def fit(f_hz: Floats, g: Complexes, period_s: float, roll_off_hz: float) -> Inverse:
+    """Return the least-squares inverse of a response, however good it is.
+
+    Args:
+        f_hz, g: frequencies and response, (n,) each.
+        period_s: sampling period.
+        roll_off_hz: of the inverse.
+    """
+    delta = 1.0 - np.exp(-2j * np.pi * f_hz * period_s)
+    rho = math.exp(-2.0 * math.pi * roll_off_hz * period_s)
+    r = rho / (1.0 - rho)
+    # A sine of 8 Hz makes all columns about as long.
+    scale = (50.0 * period_s) ** -np.arange(ORDER + 1.0)
+    columns = np.array([g * scale[j] * delta**j for j in range(ORDER + 1)]).T
+    columns /= (1.0 + r * delta)[:, None] ** ORDER
+    weight = _weight(f_hz)
+    solved = _least_squares(weight[:, None] * columns, weight.astype(np.complex128))
+    error = np.abs(columns @ solved - 1.0)
+    slow = f_hz <= max(SLOW_HZ, float(f_hz.min()))
+    worst = int(np.argmax(np.where(slow, error, -1.0)))
+    per_delta = solved * scale
+    # (1 + r d)^5 is 1 of C itself.
+    own = np.array([math.comb(ORDER, j) * r**j for j in range(ORDER + 1)])
+    return Inverse(
+        b=(per_delta - own) * period_s ** np.arange(ORDER + 1.0),
+        roll_off_hz=roll_off_hz,
+        period_s=period_s,
+        worst=float(error[worst]),
+        worst_hz=float(f_hz[worst]),
+        largest_root=float(np.abs(_zeros(per_delta)).max(initial=0.0)),
+    )
+
+
+@dataclass(frozen=True)
+class LeadStart:
+    """The rolled-off phase lead that undoes a response best: gain, delay (s), curvature (s^2)."""
+
+    gain: float
+    delay_s: float
+    curvature_s2: float
+
+
+def fitted_lead(f_hz: Floats, g: Complexes, period_s: float, w1: float, w2: float) -> LeadStart:
+    """Return the phase lead of Eqn 2.5, with gain and curvature, that undoes a response best.
+
+    ``|w (C G - 1)|`` is made least with the weights of `fit`, where
+    ``C = 1 + S (g + a d + b d^2) / (W1 + W2 / z + 1 / z^2)`` and ``d = 1 - 1/z``.
+
+    Args:
+        f_hz, g: frequencies and response, (n,) each.
+        period_s: sampling period.
+        w1, w2: weights of the lead.
+    """
+    back = np.exp(-2j * np.pi * f_hz * period_s)
+    delta = 1.0 - back
+    rolled = (w1 + w2 + 1.0) * g / (w1 + w2 * back + back**2)
+    scale = (50.0 * period_s) ** -np.arange(3.0)
+    columns = np.array([rolled * scale[j] * delta**j for j in range(3)]).T
+    weight = _weight(f_hz)
+    solved = _least_squares(weight[:, None] * columns, weight * (1.0 - g)) * scale
+    return LeadStart(
+        1.0 + float(solved[0]), float(solved[1]) * period_s, float(solved[2]) * period_s**2
+    )
+
+
+def _weight(f_hz: Floats) -> Floats:
+    return np.asarray(1.0 / (1.0 + (f_hz / KNEE_HZ) ** 2) + FLOOR)
+
+
+def _least_squares(columns: Complexes, wanted: Complexes) -> Floats:
+    """Return the real coefficients, (n,), of complex columns (m, n)."""
+    rows = np.vstack([columns.real, columns.imag])
+    both = np.concatenate([wanted.real, wanted.imag])
+    return np.asarray(np.linalg.lstsq(rows, both, rcond=None)[0], dtype=np.float64)
+
+
+def _zeros(per_delta: Floats) -> Complexes:
+    """Return the zeros in z of a polynomial in 1 - 1/z, lowest power first, (n,)."""
+    roots = np.roots(per_delta[::-1])
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / (1.0 - roots))

@@ -1,0 +1,181 @@
+"""What a rig file gives to the settings of a test that the test file leaves open."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from rthyb_rt.config.rate import STANDARD_HZ, Rate
+from rthyb_rt.config.rigfile import RigFile
+from rthyb_rt.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    from rthyb_rt.config.testfile import Controller, TestFile
+    from rthyb_rt.core.laws import Parameter
+
+PAIR_CUTOFF_HZ: Final = 10.0
+"""Of the filter pair beside a lead that is rolled off: with the higher one noise decides beta."""
+ROLL_OFF: Final = "identified.roll_off_hz"
+RESPONSE: Final = "identified.frequency_hz"
+_WEIGHTS: Final = ("w1", "w2")
+_PAIR: Final = "delay_estimator.cutoff_hz"
+_COEFFICIENTS: Final = tuple(f"inverse.b{j}" for j in range(6))
+_SWEEP: Final = '`rthyb identify RIG --max-frequency "80 Hz"` looks for a resonance'
+
+
+def roll_off_hz(rig: RigFile) -> float | None:
+    """Return where a lead is to be rolled off, below the rig's first resonance."""
+    return rig.identified.roll_off_hz if rig.identified is not None else None
+
+
+def weights(roll_off_hz: float, period_s: float) -> tuple[float, float]:
+    """Return W1, W2 of Eqn 2.5 that put both poles at ``rho = exp(-2 pi f h)``.
+
+    z^2 + (W2 / W1) z + 1 / W1 = (z - rho)^2, which is stable for every f.
+    """
+    rho = math.exp(-2.0 * math.pi * roll_off_hz * period_s)
+    return 1.0 / rho**2, -2.0 / rho
+
+
+def law_settings_of_rig(
+    test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]
+) -> dict[str, float]:
+    """Return the settings of the control law that the test leaves to the rig, by their keys.
+
+    Args:
+        test, rig: the files.
+        rate: of the test.
+        problems: faults are added to it.
+    """
+    controller = test.controller
+    open_keys = [p for p in controller.law.parameters if p.rig_key and not _said(controller, p.key)]
+    found = dict[str, float]()
+    for p in open_keys:
+        if p.rig_key == ROLL_OFF:
+            # The paper's law keeps the paper's weights.
+            value = None if controller.type == "paper" else _of_roll_off(p, rig, rate)
+        else:
+            value = _plain(p, rig)
+        if value is not None:
+            found[p.key] = value
+    fitted = [p.key for p in open_keys if p.rig_key == RESPONSE]
+    if fitted and controller.plc_enabled:
+        table, start = fitted[0].partition(".")[0], dict[str, float]()
+        try:
+            if table == "inverse":
+                start = _inverse(controller.setting("inverse.fit_roll_off_hz") or 0.0, rig, rate)
+            else:
+                roll_off = found.get(f"{table}.roll_off_hz") or controller.setting(
+                    f"{table}.roll_off_hz"
+                )
+                start = _lead(roll_off or 0.0, rig, rate)
+        except InputError as error:
+            problems += error.problems
+            start = dict.fromkeys((key.rpartition(".")[2] for key in fitted), math.nan)
+        found |= {key: start[name] for key in fitted if (name := key.rpartition(".")[2]) in start}
+    return found
+
+
+def _inverse(roll_off_hz: float, rig: RigFile, rate: Rate) -> dict[str, float]:
+    """Return the coefficients of the rig's inverse, by the last part of their keys."""
+    # NumPy is slow to load, and most laws fit nothing.
+    from rthyb_rt.config import response
+
+    inverse = response.fitted(rig, rate, roll_off_hz)
+    return {f"b{j}": float(value) for j, value in enumerate(inverse.b)}
+
+
+def _lead(roll_off_hz: float, rig: RigFile, rate: Rate) -> dict[str, float]:
+    """Return where a lead with gain and curvature begins: by the response, else the delay."""
+    found = rig.identified
+    if found is None:
+        return {}
+    if len(found.frequency_hz) < 3:
+        return {"delay0_s": found.alpha / STANDARD_HZ}
+    import numpy as np
+
+    from rthyb_rt.config import response
+
+    g = response.response(found, rate, hold=response.hold_of(rig))
+    f_hz = np.asarray(found.frequency_hz)
+    slow = f_hz <= response.SLOW_HZ
+    start = response.fitted_lead(
+        f_hz[slow], g[slow], rate.period_s, *weights(roll_off_hz, rate.period_s)
+    )
+    return {
+        "gain0": start.gain,
+        "delay0_s": start.delay_s,
+        "curvature0_s2": start.curvature_s2,
+    }
+
+
+def rfc_of_rig(test: TestFile, rig: RigFile) -> tuple[float, float]:
+    """Return cut-off and lateness of the force compensation where the test says nothing, Hz and s.
+
+    The force that an integrator holds over a step is half a step late, and one that is used a
+    sample later a whole one more. A rig whose resonance is not known keeps what was before: 0 and
+    0; so does the paper's controller.
+    """
+    roll_off = roll_off_hz(rig)
+    if roll_off is None or test.controller.type in ("paper", "none"):
+        return 0.0, 0.0
+    matrices, rate = test.numerical.matrices, Rate(test.test.sample_rate_hz)
+    late = 0.0
+    if matrices is not None:
+        late = matrices.force_delay_samples + (0.5 if matrices.integrator == "rk4" else 0.0)
+    return min(roll_off, 0.45 * rate.hz), late * rate.period_s
+
+
+def note_defaults(test: TestFile, rig: RigFile, notes: list[str]) -> None:
+    """Say which settings are those of before because the rig's resonance is not known."""
+    controller = test.controller
+    keys = [p.key for p in controller.law.parameters if p.rig_key == ROLL_OFF]
+    left = [key for key in keys if not _said(controller, key)]
+    known = roll_off_hz(rig) is not None or controller.type == "paper"
+    if not left or known or not controller.plc_enabled:
+        return
+    found = rig.identified
+    swept = max(found.frequency_hz, default=0.0) if found is not None else 0.0
+    kept = ", ".join(f"{key} = {controller.setting(key):g}" for key in left)
+    why = f"no resonance up to {swept:g} Hz" if swept else "no identified response"
+    notes.append(
+        f'rig "{rig.rig.name}" has {why}, so that the lead is rolled off as before ({kept}); '
+        + (_SWEEP if swept < 40.0 else "nothing is to be done")
+    )
+
+
+def _said(controller: Controller, key: str) -> bool:
+    """Return whether the test file says a setting, or one that belongs to it.
+
+    The two weights belong together, and with them the filter pair's cut-off; so do the coefficients
+    of an inverse.
+    """
+    together: tuple[str, ...] = _WEIGHTS if key in (*_WEIGHTS, _PAIR) else ()
+    if key in _COEFFICIENTS:
+        together = _COEFFICIENTS
+    return any(_is_in(controller, one) for one in (key, *together))
+
+
+def _is_in(controller: Controller, key: str) -> bool:
+    place: object = controller
+    for part in key.split("."):
+        place = getattr(place, part, None)
+    return place is not None
+
+
+def _of_roll_off(p: Parameter, rig: RigFile, rate: Rate) -> float | None:
+    """Return what a setting is where the lead is rolled off below the rig's resonance."""
+    known = roll_off_hz(rig)
+    if known is None:
+        return None
+    if p.key in _WEIGHTS:
+        return weights(known, rate.period_s)[_WEIGHTS.index(p.key)]
+    return PAIR_CUTOFF_HZ if p.key == _PAIR else min(max(known, p.low), p.high)
+
+
+def _plain(p: Parameter, rig: RigFile) -> float | None:
+    """Return the figure of the rig file itself."""
+    place: object = rig
+    for part in (p.rig_key or "").split("."):
+        place = getattr(place, part, None)
+    return float(place) if isinstance(place, (int, float)) else None
