@@ -71,7 +71,7 @@ def explained(text: str, involved: tuple[str, ...] = ()) -> PydanticCustomError:
     return PydanticCustomError(_EXPLAINED, "{text}", {"text": text, "involved": involved})
 
 
-class _Limits(ABC):
+class Reader(ABC):
     """What a field takes; pydantic validates with `read`."""
 
     @abstractmethod
@@ -86,7 +86,7 @@ class _Limits(ABC):
 
 
 @dataclass(frozen=True)
-class Range(_Limits):
+class Range(Reader):
     """A finite number in the field's own unit, or a text with a unit that is converted to it.
 
     Attributes:
@@ -149,7 +149,7 @@ class Range(_Limits):
 
 
 @dataclass(frozen=True)
-class Count(_Limits):
+class Count(Reader):
     """A whole number.
 
     Attributes:
@@ -186,7 +186,7 @@ class Count(_Limits):
 
 
 @dataclass(frozen=True)
-class Text(_Limits):
+class Text(Reader):
     """A text of a given form.
 
     Attributes:
@@ -230,7 +230,7 @@ SOME_TEXT = Text("the value", r"\S[\s\S]*", "text in quotes, not empty")
 
 
 @dataclass(frozen=True)
-class Sign(_Limits):
+class Sign(Reader):
     """1 or -1.
 
     Attributes:
@@ -257,7 +257,7 @@ class Sign(_Limits):
 
 
 @dataclass(frozen=True)
-class OneOf(_Limits):
+class OneOf(Reader):
     """One of a few words, where these are keys of a table that may hold any of them.
 
     Attributes:

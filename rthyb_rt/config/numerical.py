@@ -7,19 +7,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic import GetJsonSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError
 
-from rthyb_rt.config.fields import Check, Choice, Count, Range, Table, explained, written
+from rthyb_rt.config.fields import Check, Choice, Count, Range, Reader, Table, explained, written
+from rthyb_rt.core.sizes import DENSE_MAX
 
-MOST_DEGREES: Final = 8
-"""RTHYB_DENSE_MAX of the core."""
+MOST_DEGREES: Final = DENSE_MAX
 SYMMETRY: Final = 1e-9
 """Two entries that should be equal may differ by so much of the larger: printed digits."""
 
 
 @dataclass(frozen=True)
-class Numbers:
+class Numbers(Reader):
     """A list of numbers, each as `Range` takes one.
 
     Attributes:
@@ -41,12 +41,6 @@ class Numbers:
             raise explained(f"found {written(value)}; {self.allowed()}")
         return [_entry(self.each, item, f"number {i + 1}") for i, item in enumerate(value)]
 
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        """Validate with `read`."""
-        return core_schema.no_info_plain_validator_function(self.read)
-
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
@@ -56,7 +50,7 @@ class Numbers:
 
 
 @dataclass(frozen=True)
-class Square:
+class Square(Reader):
     """A symmetric matrix as a list of rows; a plain list of numbers stands for its diagonal.
 
     Attributes:
@@ -126,12 +120,6 @@ class Square:
                 "large"
             )
 
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        """Validate with `read`."""
-        return core_schema.no_info_plain_validator_function(self.read)
-
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
@@ -170,7 +158,7 @@ def _entry(each: Range, value: object, where: str) -> float:
 
 
 @dataclass(frozen=True)
-class Place:
+class Place(Reader):
     """A degree of freedom, by its label or its number from 1."""
 
     what: str
@@ -189,12 +177,6 @@ class Place:
             return value
         raise explained(f"found {written(value)}; {self.allowed()}")
 
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        """Validate with `read`."""
-        return core_schema.no_info_plain_validator_function(self.read)
-
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
@@ -204,7 +186,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Labels:
+class Labels(Reader):
     """A name for each degree of freedom."""
 
     what: str = "the labels"
@@ -223,12 +205,6 @@ class Labels:
                 return value
             raise explained(f"found {written(twice[0])} twice; {self.allowed()}")
         raise explained(f"found {written(value)}; {self.allowed()}")
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        """Validate with `read`."""
-        return core_schema.no_info_plain_validator_function(self.read)
 
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler

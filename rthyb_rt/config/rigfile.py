@@ -23,11 +23,12 @@ from rthyb_rt.config.fields import (
 )
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.rate import STANDARD_HZ
+from rthyb_rt.core.sizes import ELEMENTS_MAX
 
 RIG_SCHEMA = "rthyb-rig/1"
 MAX_SUBSTEPS = 1024
-MAX_ELEMENTS = 16
-"""What the core keeps for one specimen (RTHYB_ELEMENTS_MAX)."""
+MAX_ELEMENTS = ELEMENTS_MAX
+"""What the core keeps for one specimen."""
 
 DelaySamples = Annotated[int, Count(0, 1000, "the delay in samples")]
 Stiffness = Annotated[float, Range("N/m", 0, 1e12, "the stiffness")]

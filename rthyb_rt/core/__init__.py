@@ -28,14 +28,7 @@ if TYPE_CHECKING:
         plc_is_stable,
     )
     from rthyb_rt.core.library import (
-        DELAY_MAX,
-        DENSE_MAX,
-        ELEMENTS_MAX,
-        FS_HZ,
-        IWAN_SLIDERS,
-        PERIOD_S,
         STATUS,
-        WINDOW_MAX,
         CoreError,
         FloatArray,
         RecordArray,
@@ -82,6 +75,15 @@ if TYPE_CHECKING:
         element,
         rig_struct,
         struct_of,
+    )
+    from rthyb_rt.core.sizes import (
+        DELAY_MAX,
+        DENSE_MAX,
+        ELEMENTS_MAX,
+        FS_HZ,
+        IWAN_SLIDERS,
+        PERIOD_S,
+        WINDOW_MAX,
     )
     from rthyb_rt.core.station import (
         BLIND_MAX,
@@ -189,7 +191,7 @@ __all__ = [
     "version",
 ]
 
-_MODULES = ("library", "rows", "settings", "kernels", "controller", "station", "virtual")
+_MODULES = ("sizes", "library", "rows", "settings", "kernels", "controller", "station", "virtual")
 
 
 def __getattr__(name: str) -> Any:

@@ -16,8 +16,6 @@ import numpy.typing as npt
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.laws import LAWS
 from rthyb_rt.core.library import (
-    ELEMENTS_MAX,
-    PERIOD_S,
     CoreError,
     FloatArray,
     check,
@@ -39,6 +37,7 @@ from rthyb_rt.core.settings import (
     rig_struct,
     struct_of,
 )
+from rthyb_rt.core.sizes import ELEMENTS_MAX, PERIOD_S
 
 
 class Plc:

@@ -9,16 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.sizes import WINDOW_MAX
 from rthyb_rt.errors import RthybError
-
-FS_HZ: Final = 1024.0
-"""The rate of real time. That of a test in virtual time is its own: `Setup.rate`."""
-PERIOD_S: Final = 1.0 / FS_HZ
-WINDOW_MAX: Final[int] = lib.RTHYB_WINDOW_MAX
-DELAY_MAX: Final[int] = lib.RTHYB_DELAY_MAX
-ELEMENTS_MAX: Final[int] = lib.RTHYB_ELEMENTS_MAX
-DENSE_MAX: Final[int] = lib.RTHYB_DENSE_MAX
-IWAN_SLIDERS: Final[int] = lib.RTHYB_IWAN_SLIDERS
 
 FloatArray = npt.NDArray[np.float64]
 RecordArray = npt.NDArray[np.void]

@@ -11,14 +11,8 @@ import numpy as np
 
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.laws import LAWS
-from rthyb_rt.core.library import (
-    DENSE_MAX,
-    ELEMENTS_MAX,
-    PERIOD_S,
-    CoreError,
-    check,
-    options,
-)
+from rthyb_rt.core.library import CoreError, check, options
+from rthyb_rt.core.sizes import DENSE_MAX, ELEMENTS_MAX, PERIOD_S
 
 EstimatorLaw = Literal["fixed", "gradient", "robust", "rls"]
 Tangent = Literal["mean-of-ratios", "least-squares"]

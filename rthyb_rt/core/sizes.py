@@ -1,0 +1,16 @@
+"""The rate of the core, and what it has room for; known without arrays."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rthyb_rt._core import lib
+
+FS_HZ: Final = 1024.0
+"""The rate of real time. That of a test in virtual time is its own: `Setup.rate`."""
+PERIOD_S: Final = 1.0 / FS_HZ
+WINDOW_MAX: Final[int] = lib.RTHYB_WINDOW_MAX
+DELAY_MAX: Final[int] = lib.RTHYB_DELAY_MAX
+ELEMENTS_MAX: Final[int] = lib.RTHYB_ELEMENTS_MAX
+DENSE_MAX: Final[int] = lib.RTHYB_DENSE_MAX
+IWAN_SLIDERS: Final[int] = lib.RTHYB_IWAN_SLIDERS
