@@ -4,7 +4,7 @@
  * (x_m, x_m', x_m'') in a window that moves, command and measurement behind the same low-pass:
  *   A = (X' X)^-1 X' U
  * They are held while the measurement has moved less than a threshold, kept within bounds, and change no
- * faster than given. At first a0 = 1, a2 = a1^2 / 2. Numbers as in the authors' own set-up file. */
+ * faster than given. At first a0 = 1, a2 = a1^2 / 2 or another share. Numbers as in the authors' own set-up file. */
 #include "control_law.h"
 #include "lowpass.h"
 
@@ -25,7 +25,8 @@ enum {
     A2_MAX,
     A0_RATE,
     A1_RATE,
-    A2_RATE
+    A2_RATE,
+    A2_SHARE
 };
 
 /* clang-format off */
@@ -42,6 +43,7 @@ static const rthyb_law_parameter ats_parameters[] = {
     {"ats.a0_rate_per_s", "1/s", 0.0, 1e3, 2.0, "the fastest change of a0", 0, NULL, NULL},
     {"ats.a1_rate_s_per_s", "", 0.0, 1e3, 0.05, "the fastest change of a1, s per s", 0, NULL, NULL},
     {"ats.a2_rate_s2_per_s", "s", 0.0, 1e3, 0.001, "the fastest change of a2, s^2 per s", 0, NULL, NULL},
+    {"ats.a2_share", "", 0.0, 1.0, 0.5, "the first a2 over the square of the first a1, 0.5 of a pure delay", 0, NULL, NULL},
 };
 /* clang-format on */
 
@@ -99,9 +101,10 @@ static int ats_check(const double *p, double period_s, rthyb_law_complaint *why)
                                      {p[A1], p[A1_MAX]}};
         return A1;
     }
-    if (0.5 * p[A1] * p[A1] > p[A2_MAX]) {
+    if (p[A2_SHARE] * p[A1] * p[A1] > p[A2_MAX]) {
         *why = (rthyb_law_complaint){
-            "found {} s^2; must be at least half the square of a1_s = {} s, which a2 begins with",
+            "found {} s^2; a2 begins with a2_share times the square of a1_s = {} s and must be at "
+            "least that",
             {p[A2_MAX], p[A1]}};
         return A2_MAX;
     }
@@ -133,7 +136,7 @@ static int ats_init(void *state, const rthyb_law_start *start)
     s->size = rows;
     butterworth_design(s->filter, SECTIONS, p[CUTOFF], s->h);
     const double low[] = {p[A0_MIN], 0.0, 0.0}, high[] = {p[A0_MAX], p[A1_MAX], p[A2_MAX]};
-    const double first[] = {1.0, p[A1], 0.5 * p[A1] * p[A1]};
+    const double first[] = {1.0, p[A1], p[A2_SHARE] * p[A1] * p[A1]};
     const double rate[] = {p[A0_RATE], p[A1_RATE], p[A2_RATE]};
     for (int i = 0; i < TERMS; i++) {
         s->low[i] = low[i];
