@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.signal
 from kernels import Floats
 
 from rthyb_rt import config, core, rths_benchmark
@@ -114,6 +115,50 @@ def test_the_drives_input_has_steps_and_an_end() -> None:
     assert coarse[-1] == pytest.approx(0.8 * unlimited[-1], rel=1e-9)
 
 
+@pytest.mark.parametrize("fs_hz", [1024.0, 4096.0])
+def test_the_drives_own_loop_is_the_benchmarks_pi_by_tustins_rule(fs_hz: float) -> None:
+    """Against scipy's bilinear transform of 2 + 95/s, looped through the exact plant."""
+    numerator, denominator = scipy.signal.bilinear([2.0, 95.0], [1.0, 0.0], fs_hz)
+    a, b = plant()
+    augmented = np.zeros((6, 6))
+    augmented[:5, :5], augmented[:5, 5] = a, b
+    step = scipy.linalg.expm(augmented / fs_hz)
+    t = np.arange(6000) / fs_hz
+    command = 2e-3 * (np.sin(20.0 * t) + 0.3 * np.sin(70.0 * t))
+    s, x, u1, e1 = np.zeros(5), np.zeros(t.size), 0.0, 0.0
+    for n, wanted in enumerate(command):
+        x[n] = s[3]
+        error = wanted - s[3]
+        u = numerator[0] * error + numerator[1] * e1 - denominator[1] * u1
+        u1, e1 = u, error
+        s = step[:5, :5] @ s + step[:5, 5] * u
+    loop = quiet(period_s=1.0 / fs_hz, loop_kp=2.0, loop_ki_per_s=95.0)
+    found, _ = core.Rig(loop).run(command)
+    np.testing.assert_allclose(found, x, rtol=0, atol=1e-5 * np.abs(x).max())
+
+
+def test_the_loop_hears_the_sensor_with_its_noise_and_its_steps() -> None:
+    noisy = replace(
+        quiet(loop_kp=2.0, loop_ki_per_s=95.0), displacement=core.SensorConfig(noise_std=1e-5)
+    )
+    still, _ = core.Rig(replace(noisy, displacement=core.SensorConfig())).run(np.zeros(40000))
+    assert not still.any()
+    rig = core.Rig(noisy)
+    true = np.array([(rig.step(0.0), rig.true_displacement_m)[1] for _ in range(40000)])
+    assert 1e-8 < np.std(true) < 1e-5
+    stuck = replace(noisy, displacement=core.SensorConfig(lsb=1.0))
+    deaf, _ = core.Rig(stuck).run(np.full(400, 1e-4))
+    assert not deaf.any()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
+def test_a_loop_with_a_senseless_command_stays_finite(bad: float) -> None:
+    rig = core.Rig(quiet(loop_kp=1e3, loop_ki_per_s=1e6))
+    for n in range(20000):
+        x, f, _ = rig.step(bad if n % 7 == 0 else 1e3)
+        assert np.isfinite([x, f]).all()
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
 def test_a_senseless_command_is_not_taken(bad: float) -> None:
     rig, good = core.Rig(quiet()), core.Rig(quiet())
@@ -143,6 +188,9 @@ def test_a_rig_that_runs_off_stops_at_its_guard() -> None:
         {"hold": "foh"},
         {"command_range_m": -1.0},
         {"delay_samples": 0.5},
+        {"loop_kp": np.nan},
+        {"loop_ki_per_s": np.inf},
+        {"loop_kp": 1e4},
     ],
 )
 def test_a_plant_that_means_nothing_is_refused(changes: dict[str, Any]) -> None:
