@@ -208,6 +208,20 @@ def test_the_first_coefficients_of_ats_invert_the_identified_response() -> None:
         cases.swept_inverse(rths_benchmark.nominal().model_copy(update={"identified": None}))
 
 
+def test_a_law_of_others_can_have_the_force_compensated_as_well() -> None:
+    """The force is a sample and a half late at 4096 Hz, half a sample at 1024 Hz."""
+    for rate_hz, late in ((4096, 1.5), (1024, 0.5)):
+        without = cases.test_of(cases.entrant("ats"), 1, rate_hz).controller
+        both = cases.test_of(cases.entrant("ats+rfc"), 1, rate_hz).controller
+        assert not without.rfc.enabled
+        assert both.rfc.enabled
+        assert both.rfc.force_lateness_s == pytest.approx(late / rate_hz)
+        assert both.rfc.cutoff_hz == 60.0
+        assert both.model_copy(update={"rfc": without.rfc}) == without
+    with pytest.raises(InputError, match="those of others"):
+        cases.entrant("paper+rfc")
+
+
 @pytest.mark.parametrize(
     ("name", "points", "dt_s", "pga_g"),
     [

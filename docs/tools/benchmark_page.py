@@ -41,8 +41,9 @@ def plan() -> dict[str, list[Run]]:
     names = [one.name for one in cases.entrants()]
     rates = list(cases.RATES)
     return {
-        "elcentro": runs.planned(names, rates, [1, 2, 3, 4], ["elcentro"], 20),
-        "motions": runs.planned(names, rates, [1, 4], ["kobe", "morgan"], 20),
+        "elcentro": runs.planned(names, rates, [1, 4], ["elcentro"], 20),
+        "between": runs.planned(names, rates, [2, 3], ["elcentro"], 4),
+        "motions": runs.planned(names, rates, [1, 4], ["kobe", "morgan"], 4),
         "wide": runs.planned(names, rates, [1, 4], ["elcentro"], 20, width=3.0),
         "yielding": runs.planned(names, rates, [1, 4], ["elcentro"], 2, yielding=True),
     }
@@ -89,7 +90,7 @@ def whole_table(lines: Sequence[Line], rate_hz: int) -> str:
     rows = [
         [f"`{line.entrant}`", str(line.case), *table.cells(line)]
         for line in lines
-        if line.rate_hz == rate_hz and line.case in (1, 4)
+        if line.rate_hz == rate_hz
     ]
     return _markdown(heads, rows, 1)
 
@@ -115,6 +116,10 @@ def _case(line: Line) -> str:
     return f"case {line.case}"
 
 
+def _motion(line: Line) -> str:
+    return line.motion
+
+
 def _mean(line: Line, key: str) -> str:
     return table.short(line.mean[key]) if line.mean else "–"
 
@@ -130,14 +135,11 @@ def parts(found: dict[str, list[Outcome]], facts: dict[str, Any]) -> dict[str, s
     lines = table.lines(found["elcentro"])
     for rate in cases.RATES:
         made[f"elcentro-{rate}"] = whole_table(lines, rate)
-        own = [line for line in lines if line.rate_hz == rate and line.case in (2, 3)]
-        made[f"between-{rate}"] = short_table(own, _case, ["case 2", "case 3"])
-    for part in [name for name in ("motions", "wide", "yielding") if name in found]:
-        lines = table.lines(found[part])
+    for part in [name for name in plan() if name in found and name != "elcentro"]:
+        lines, kind = table.lines(found[part]), _case if part == "between" else _motion
         for rate in cases.RATES:
             own = [line for line in lines if line.rate_hz == rate]
-            kinds = list(dict.fromkeys(line.motion for line in own))
-            made[f"{part}-{rate}"] = short_table(own, lambda line: line.motion, kinds)
+            made[f"{part}-{rate}"] = short_table(own, kind, list(dict.fromkeys(map(kind, own))))
     return made
 
 

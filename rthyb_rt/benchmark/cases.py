@@ -50,9 +50,17 @@ RATES: Final = {BENCHMARK_HZ: 1, 1024: 0}
 """Sample rates, and the samples by which the numerical part has the force late: one in the model of
 the benchmark, none in the order of a test of this program."""
 
+HELD: Final = 0.5
+"""Samples by which a force is late that is held over one."""
+
 OWN: Final = ("paper", "robust", "alpha-beta", "inverse")
 """Laws that are shipped together with the restoring-force compensator; others run without it, as
 they were published."""
+
+WITH_FORCE: Final = "+rfc"
+"""Behind the name of a law that was published without: with the restoring-force compensator."""
+FORCE_CUTOFF_HZ: Final = 60.0
+"""Of the low-pass on x_c - x_m there: a little below the first resonance of the plant, 67 Hz."""
 
 BASELINE: Final = "pi-lead"
 
@@ -65,7 +73,8 @@ class Entrant:
         name: as the table has it.
         law: ``controller.type``.
         settings: of the law, by their keys; what is absent comes from the rig or by default.
-        rfc: whether the restoring-force compensator runs.
+        rfc: whether the restoring-force compensator runs; it knows how late the force is.
+        cutoff_hz: of its low-pass; None: as shipped.
         loop: kp and ki of the drive's own loop, 1 and 1/s; None: it has none.
     """
 
@@ -73,6 +82,7 @@ class Entrant:
     law: str
     settings: Mapping[str, float] = field(default_factory=dict)
     rfc: bool = False
+    cutoff_hz: float | None = None
     loop: tuple[float, float] | None = None
 
 
@@ -83,7 +93,8 @@ def entrant(name: str) -> Entrant:
     of which the gain at rest, .9994, is taken as 1. ``ats`` begins with the coefficients that the
     rig's sweep gives: with those of its set-up file, a2 = a1^2 / 2, the loop is unstable at 67 Hz
     until it has learnt. ``amb`` begins with its published coefficients, those of the actuator
-    without the specimen.
+    without the specimen. With `WITH_FORCE` behind its name a law of others has the restoring-force
+    compensator as well.
 
     Raises:
         InputError: there is none of that name.
@@ -91,24 +102,27 @@ def entrant(name: str) -> Entrant:
     if name == BASELINE:
         lead = {"zhao.tau_s": 1.0 / 168.6, "zhao.filter_s": 1.0 / 8570.0}
         return Entrant(name, "zhao", lead, loop=(2.0, 95.0))
-    if name not in LAWS:
+    law, force = name.removesuffix(WITH_FORCE), name.endswith(WITH_FORCE)
+    if law not in LAWS or (force and law in OWN):
         raise InputError(
             f"found {name!r}; must be {BASELINE}, the benchmark's own controller, or a control "
-            f"law: {', '.join(LAWS)}",
+            f"law: {', '.join(LAWS)}; those of others with {WITH_FORCE} as well",
             "--law",
         )
     settings: dict[str, float] = {}
-    if name == "ats":
+    if law == "ats":
         _, a1, a2 = swept_inverse(rths_benchmark.nominal())
         settings = {"ats.a1_s": a1, "ats.a2_share": a2 / a1**2}
-    elif name == "amb":
+    elif law == "amb":
         settings = {"amb.a1_s": 0.01986}
-    return Entrant(name, name, settings, rfc=name in OWN)
+    cutoff_hz = FORCE_CUTOFF_HZ if force else None
+    return Entrant(name, law, settings, rfc=force or law in OWN, cutoff_hz=cutoff_hz)
 
 
 def entrants() -> tuple[Entrant, ...]:
     """Return all that take part, the benchmark's own controller first."""
-    return tuple(entrant(name) for name in (BASELINE, *LAWS))
+    names = (BASELINE, *LAWS, *(f"{law}{WITH_FORCE}" for law in ("amb", "ats")))
+    return tuple(entrant(name) for name in names)
 
 
 def swept_inverse(rig: RigFile) -> tuple[float, float, float]:
@@ -157,6 +171,7 @@ def test_of(who: Entrant, case: int, rate_hz: int) -> TestFile:
         InputError: with what is wrong in it.
     """
     nominal, structure = rths_benchmark.nominal(), CASES[case]
+    late_s = (RATES[rate_hz] + HELD) / rate_hz
     known = {item.element: item for item in nominal.specimen}
     test = f"""schema = "rthyb-test/1"
 rig = "rths-benchmark"
@@ -176,10 +191,13 @@ mass_kg = {getattr(known["inertia"], "m_kg", 0.0)}
 damping_n_s_per_m = {getattr(known["viscous"], "c_n_s_per_m", 0.0)}
 [controller]
 type = "{who.law}"
-rfc = {{ enabled = {str(who.rfc).lower()} }}
+rfc = {{ enabled = {str(who.rfc).lower()}, force_lateness_s = {late_s if who.rfc else 0.0} }}
 """
     file = config.parse_test(test, f"benchmark case {case}")
     own = file.controller.with_settings(who.settings)
+    if who.cutoff_hz is not None:
+        low_passed = own.rfc.model_copy(update={"cutoff_hz": who.cutoff_hz})
+        own = own.model_copy(update={"rfc": low_passed})
     return file.model_copy(update={"controller": own})
 
 
