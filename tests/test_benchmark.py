@@ -191,7 +191,7 @@ def element_forces(config: ElementConfig, x: Floats) -> Floats:
 
 
 def test_the_first_coefficients_of_ats_invert_the_identified_response() -> None:
-    a0, a1, a2 = cases.swept_inverse(rths_benchmark.nominal())
+    a0, a1, a2 = cases.swept_inverse(rths_benchmark.nominal(), 2)
     found = rths_benchmark.nominal().identified
     assert found is not None
     s = 2j * np.pi * np.array(found.frequency_hz)
@@ -205,7 +205,7 @@ def test_the_first_coefficients_of_ats_invert_the_identified_response() -> None:
         for worse in ((change * a0, a1, a2), (a0, change * a1, a2), (a0, a1, change * a2)):
             assert np.sum(left(*worse) ** 2) > np.sum(left(a0, a1, a2) ** 2)
     with pytest.raises(InputError, match="rthyb identify"):
-        cases.swept_inverse(rths_benchmark.nominal().model_copy(update={"identified": None}))
+        cases.swept_inverse(rths_benchmark.nominal().model_copy(update={"identified": None}), 2)
 
 
 def test_a_law_of_others_can_have_the_force_compensated_as_well() -> None:

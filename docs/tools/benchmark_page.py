@@ -22,6 +22,7 @@ import numpy as np
 import pictures
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from rthyb_rt.benchmark import cases, runs, table
 from rthyb_rt.benchmark.runs import Outcome, Run
@@ -168,8 +169,11 @@ def _shown(one: Outcome, rate: int) -> bool:
 
 
 def _draw_rate(axes: Any, outcomes: Sequence[Outcome]) -> None:
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    for axis, limits in ((axes.xaxis, (0.1, 100.0)), (axes.yaxis, (1.0, 300.0))):
+        axis.axes.set(**{f"{axis.axis_name}scale": "log", f"{axis.axis_name}lim": limits})
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
     axes.grid(axis="both")
     names = list(dict.fromkeys(one.run.entrant for one in outcomes))
     colours = (drawing.BLUE, drawing.RED, drawing.GREEN, drawing.PURPLE, drawing.ORANGE)
@@ -194,9 +198,8 @@ def _name_points(axes: Any, places: Sequence[tuple[str, float, float, str]]) -> 
     for name, x, y, colour in sorted(places, key=lambda place: -place[2]):
         height = min(float(np.log10(y)), last - 0.055)
         last = height if last - float(np.log10(y)) < 0.4 else float(np.log10(y))
-        axes.annotate(
-            name, (x, y), xytext=(x * 1.12, 10**height), fontsize=6.5, color=colour, va="center"
-        )
+        place = (x * 1.12, 10**height)
+        axes.annotate(name, (x, y), xytext=place, fontsize=6.5, color=colour, va="center")
 
 
 def main() -> None:

@@ -91,10 +91,10 @@ def entrant(name: str) -> Entrant:
 
     ``pi-lead`` is the benchmark's: 2 + 95/s in the drive, 50.8 (s + 168.6) / (s + 8570) before it,
     of which the gain at rest, .9994, is taken as 1. ``ats`` begins with the coefficients that the
-    rig's sweep gives: with those of its set-up file, a2 = a1^2 / 2, the loop is unstable at 67 Hz
-    until it has learnt. ``amb`` begins with its published coefficients, those of the actuator
-    without the specimen. With `WITH_FORCE` behind its name a law of others has the restoring-force
-    compensator as well.
+    rig's sweep gives, and ``third-order`` has them: with those of the set-up file of ``ats``,
+    a2 = a1^2 / 2, the loop is unstable at 67 Hz until it has learnt. ``amb`` begins with its
+    published coefficients, those of the actuator without the specimen. With `WITH_FORCE` behind its
+    name a law of others has the restoring-force compensator as well.
 
     Raises:
         InputError: there is none of that name.
@@ -111,10 +111,14 @@ def entrant(name: str) -> Entrant:
         )
     settings: dict[str, float] = {}
     if law == "ats":
-        _, a1, a2 = swept_inverse(rths_benchmark.nominal())
+        _, a1, a2 = swept_inverse(rths_benchmark.nominal(), 2)
         settings = {"ats.a1_s": a1, "ats.a2_share": a2 / a1**2}
     elif law == "amb":
         settings = {"amb.a1_s": 0.01986}
+    elif law == "third-order":
+        a0, a1, a2, a3 = swept_inverse(rths_benchmark.nominal(), 3)
+        found = {"a0": a0, "a1_s": a1, "a2_share": a2 / a1**2, "a3_share": a3 / a1**3}
+        settings = {f"third_order.{key}": value for key, value in found.items()}
     cutoff_hz = FORCE_CUTOFF_HZ if force else None
     return Entrant(name, law, settings, rfc=force or law in OWN, cutoff_hz=cutoff_hz)
 
@@ -125,10 +129,15 @@ def entrants() -> tuple[Entrant, ...]:
     return tuple(entrant(name) for name in names)
 
 
-def swept_inverse(rig: RigFile) -> tuple[float, float, float]:
-    """Return a0, a1 (s), a2 (s^2) of the inverse a0 + a1 s + a2 s^2 that a rig's sweep shows.
+def swept_inverse(rig: RigFile, order: int) -> tuple[float, ...]:
+    """Return a0, a1 (s), a2 (s^2) ... of the inverse a0 + a1 s + a2 s^2 ... that a sweep shows.
 
-    Least squares over the swept tones of |G (a0 + a1 s + a2 s^2) - 1|, G the identified response.
+    Least squares over the swept tones of |G (a0 + a1 s + a2 s^2 ...) - 1|, G the identified
+    response.
+
+    Args:
+        rig: with what was identified.
+        order: the last power of s.
 
     Raises:
         InputError: the rig file has no sweep.
@@ -140,11 +149,12 @@ def swept_inverse(rig: RigFile) -> tuple[float, float, float]:
         )
     s = 2j * np.pi * np.array(found.frequency_hz)
     gain = np.array(found.amplitude) * np.exp(-s * np.array(found.delay_at_frequency_s))
-    columns = gain[:, None] * np.column_stack([s**0, s, s**2])
+    scale = float(np.abs(s).max())
+    columns = gain[:, None] * np.vander(s / scale, order + 1, increasing=True)
     rows = np.concatenate([columns.real, columns.imag])
     wanted = np.concatenate([np.ones(s.size), np.zeros(s.size)])
-    a0, a1, a2 = np.linalg.lstsq(rows, wanted, rcond=None)[0]
-    return float(a0), float(a1), float(a2)
+    found = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    return tuple(float(value) / scale**power for power, value in enumerate(found))
 
 
 @functools.cache
