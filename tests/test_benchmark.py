@@ -11,12 +11,13 @@ import scipy.integrate
 from command_line import Rthyb
 from kernels import Floats
 
-from rthyb_rt import experiment, ground_motion, rths_benchmark, virtual_time
-from rthyb_rt.benchmark import cases, criteria, runs, table
+from rthyb_rt import ground_motion
+from rthyb_rt.benchmark import cases, criteria, plants, runs, table
 from rthyb_rt.benchmark.runs import Outcome, Run
 from rthyb_rt.core import ElementConfig
+from rthyb_rt.core.numerical_parts import DensePart
 from rthyb_rt.errors import InputError
-from rthyb_rt.numerical_parts import DensePart
+from rthyb_rt.lab import experiment, virtual_time
 
 PUBLISHED = {
     1: (4.6, 10.4, 11.5, 36.1, 19.0, 32.3, 32.4, 14.8, 14.8),
@@ -191,8 +192,8 @@ def element_forces(config: ElementConfig, x: Floats) -> Floats:
 
 
 def test_the_first_coefficients_of_ats_invert_the_identified_response() -> None:
-    a0, a1, a2 = cases.swept_inverse(rths_benchmark.nominal(), 2)
-    found = rths_benchmark.nominal().identified
+    a0, a1, a2 = cases.swept_inverse(plants.nominal(), 2)
+    found = plants.nominal().identified
     assert found is not None
     s = 2j * np.pi * np.array(found.frequency_hz)
     gain = np.array(found.amplitude) * np.exp(-s * np.array(found.delay_at_frequency_s))
@@ -205,7 +206,7 @@ def test_the_first_coefficients_of_ats_invert_the_identified_response() -> None:
         for worse in ((change * a0, a1, a2), (a0, change * a1, a2), (a0, a1, change * a2)):
             assert np.sum(left(*worse) ** 2) > np.sum(left(a0, a1, a2) ** 2)
     with pytest.raises(InputError, match="rthyb identify"):
-        cases.swept_inverse(rths_benchmark.nominal().model_copy(update={"identified": None}), 2)
+        cases.swept_inverse(plants.nominal().model_copy(update={"identified": None}), 2)
 
 
 def test_a_law_of_others_can_have_the_force_compensated_as_well() -> None:

@@ -9,8 +9,9 @@ import pytest
 import scipy.signal
 from kernels import FS_HZ, Floats, H, smooth_motion
 
-from rthyb_rt import config, core, experiment, virtual_time
+from rthyb_rt import config, core
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, virtual_time
 
 GAINS = 10.0 ** np.array([8.4, 6.2, 2.1, 0.8])
 NAMES = ("a0", "a1", "a2", "a3")

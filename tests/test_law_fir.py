@@ -9,8 +9,9 @@ import pytest
 import scipy.signal
 from kernels import Floats, H, smooth_motion
 
-from rthyb_rt import config, core, experiment, virtual_time
+from rthyb_rt import config, core
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, virtual_time
 
 NAMES = ("th0", "th1", "th2", "th3")
 both = pytest.mark.parametrize("name", ["rls-fir", "kf-adc"])

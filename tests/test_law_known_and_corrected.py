@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from kernels import FS_HZ, Floats, H, smooth_motion, time_s
 
-from rthyb_rt import config, core, experiment, virtual_time
+from rthyb_rt import config, core
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, virtual_time
 
 CORRECTED = ("aic", "darby", "ahmadizadeh")
 

@@ -12,7 +12,8 @@ import scipy.linalg
 import scipy.signal
 from kernels import Floats
 
-from rthyb_rt import config, core, rths_benchmark
+from rthyb_rt import config, core
+from rthyb_rt.benchmark import plants as benchmark
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
 
@@ -209,25 +210,25 @@ def test_a_valve_without_a_mass_to_push_is_refused_by_the_file() -> None:
 
 
 def test_plants_are_drawn_with_the_stated_deviations_and_by_their_seed() -> None:
-    plants = [rths_benchmark.drawn(seed) for seed in range(2000)]
-    assert rths_benchmark.drawn(7) == plants[7]
-    nominal = rths_benchmark.nominal()
+    plants = [benchmark.drawn(seed) for seed in range(2000)]
+    assert benchmark.drawn(7) == plants[7]
+    nominal = benchmark.nominal()
     for key in ("valve_b1_per_s", "valve_b2_per_s2"):
         values = np.array([getattr(plant.actuator, key) for plant in plants])
         own = getattr(nominal.actuator, key)
-        assert values.std() == pytest.approx(rths_benchmark.DEVIATIONS[key], rel=0.1)
+        assert values.std() == pytest.approx(benchmark.DEVIATIONS[key], rel=0.1)
         assert values.mean() == pytest.approx(own, abs=0.1 * values.std())
     stiffness = np.array([plant.specimen[0].model_dump()["k_n_per_m"] for plant in plants])
     damping = np.array([plant.specimen[1].model_dump()["c_n_s_per_m"] for plant in plants])
     assert stiffness.std() == pytest.approx(5e4, rel=0.1)
     np.testing.assert_allclose(damping, 2 * 0.0097 * np.sqrt(MASS * stiffness), rtol=1e-6)
-    wide = rths_benchmark.drawn(7, 3.0).specimen[0].model_dump()["k_n_per_m"]
+    wide = benchmark.drawn(7, 3.0).specimen[0].model_dump()["k_n_per_m"]
     assert wide - 1.19e6 == pytest.approx(3.0 * (stiffness[7] - 1.19e6))
 
 
 @pytest.mark.parametrize("seed", [None, 3])
 def test_a_frame_of_three_storeys_runs_on_the_plant(seed: int | None) -> None:
-    rig = rths_benchmark.nominal() if seed is None else rths_benchmark.drawn(seed)
+    rig = benchmark.nominal() if seed is None else benchmark.drawn(seed)
     text = (config.shipped_rig("rths-benchmark").parents[1] / ".." / "examples").resolve()
     example = (text / "frame-three-storeys.toml").read_text().replace('"15 kN"', '"8.9 kN"')
     specimen = "{ mass_kg = 29.13, damping_n_s_per_m = 114.22, stiffness_n_per_m = 1.19e6 }"

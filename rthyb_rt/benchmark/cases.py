@@ -9,12 +9,13 @@ from typing import Final
 
 import numpy as np
 
-from rthyb_rt import config, ground_motion, rths_benchmark
+from rthyb_rt import config, ground_motion
+from rthyb_rt.benchmark import plants
 from rthyb_rt.config import RigFile, TestFile
 from rthyb_rt.config.rigfile import ServoValve
+from rthyb_rt.core.laws import LAWS
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.laws import LAWS
 
 STIFFNESS_N_PER_M: Final = (
     (2.6054884e7, -2.3133939e7, 0.5937035e7),
@@ -111,12 +112,12 @@ def entrant(name: str) -> Entrant:
         )
     settings: dict[str, float] = {}
     if law == "ats":
-        _, a1, a2 = swept_inverse(rths_benchmark.nominal(), 2)
+        _, a1, a2 = swept_inverse(plants.nominal(), 2)
         settings = {"ats.a1_s": a1, "ats.a2_share": a2 / a1**2}
     elif law == "amb":
         settings = {"amb.a1_s": 0.01986}
     elif law == "third-order":
-        a0, a1, a2, a3 = swept_inverse(rths_benchmark.nominal(), 3)
+        a0, a1, a2, a3 = swept_inverse(plants.nominal(), 3)
         found = {"a0": a0, "a1_s": a1, "a2_share": a2 / a1**2, "a3_share": a3 / a1**3}
         settings = {f"third_order.{key}": value for key, value in found.items()}
     cutoff_hz = FORCE_CUTOFF_HZ if force else None
@@ -180,7 +181,7 @@ def test_of(who: Entrant, case: int, rate_hz: int) -> TestFile:
     Raises:
         InputError: with what is wrong in it.
     """
-    nominal, structure = rths_benchmark.nominal(), CASES[case]
+    nominal, structure = plants.nominal(), CASES[case]
     late_s = (RATES[rate_hz] + HELD) / rate_hz
     known = {item.element: item for item in nominal.specimen}
     test = f"""schema = "rthyb-test/1"
@@ -236,7 +237,7 @@ def rig_of(
         width: times the stated standard deviations.
         yielding: the specimen's stiffness is a Bouc-Wen loop.
     """
-    rig = rths_benchmark.nominal() if seed is None else rths_benchmark.drawn(seed, width)
+    rig = plants.nominal() if seed is None else plants.drawn(seed, width)
     if who.loop is not None and isinstance(rig.actuator, ServoValve):
         kp, ki = who.loop
         loop = {"loop_kp": kp, "loop_ki_per_s": ki}

@@ -13,11 +13,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from rthyb_rt import experiment, virtual_time
 from rthyb_rt.benchmark import cases, criteria
 from rthyb_rt.errors import InputError
-from rthyb_rt.experiment import Setup
-from rthyb_rt.recording import Recording
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.record.recording import Recording
 
 NOMINAL: Final = 0
 """Instead of a seed: the plant that is not perturbed."""
