@@ -197,6 +197,7 @@ def test_the_first_coefficients_of_ats_invert_the_identified_response() -> None:
     assert found is not None
     s = 2j * np.pi * np.array(found.frequency_hz)
     gain = np.array(found.amplitude) * np.exp(-s * np.array(found.delay_at_frequency_s))
+    s, gain = s[:9], gain[:9]  # up to 10 Hz
 
     def left(b0: float, b1: float, b2: float) -> Floats:
         return np.abs(gain * (b0 + b1 * s + b2 * s**2) - 1.0)

@@ -54,7 +54,7 @@ the benchmark, none in the order of a test of this program."""
 HELD: Final = 0.5
 """Samples by which a force is late that is held over one."""
 
-OWN: Final = ("paper", "robust", "alpha-beta", "inverse")
+OWN: Final = ("paper", "robust", "alpha-beta", "gain-alpha-beta", "inverse")
 """Laws that are shipped together with the restoring-force compensator; others run without it, as
 they were published."""
 
@@ -130,11 +130,16 @@ def entrants() -> tuple[Entrant, ...]:
     return tuple(entrant(name) for name in names)
 
 
+SWEPT_HZ: Final = 10.0
+"""Up to which a low order is fitted: the structure's first two modes lie around it, and the first
+resonance of the plant far above."""
+
+
 def swept_inverse(rig: RigFile, order: int) -> tuple[float, ...]:
     """Return a0, a1 (s), a2 (s^2) ... of the inverse a0 + a1 s + a2 s^2 ... that a sweep shows.
 
-    Least squares over the swept tones of |G (a0 + a1 s + a2 s^2 ...) - 1|, G the identified
-    response.
+    Least squares over the swept tones up to `SWEPT_HZ` of |G (a0 + a1 s + a2 s^2 ...) - 1|, G the
+    identified response.
 
     Args:
         rig: with what was identified.
@@ -150,6 +155,8 @@ def swept_inverse(rig: RigFile, order: int) -> tuple[float, ...]:
         )
     s = 2j * np.pi * np.array(found.frequency_hz)
     gain = np.array(found.amplitude) * np.exp(-s * np.array(found.delay_at_frequency_s))
+    slow = np.array(found.frequency_hz) <= SWEPT_HZ
+    s, gain = s[slow], gain[slow]
     scale = float(np.abs(s).max())
     columns = gain[:, None] * np.vander(s / scale, order + 1, increasing=True)
     rows = np.concatenate([columns.real, columns.imag])
