@@ -9,8 +9,8 @@ import typer
 import typer.completion
 
 from rthyb_rt.cli import (
-    campaign,
     benchmark,
+    campaign,
     check,
     commission,
     ctl,
