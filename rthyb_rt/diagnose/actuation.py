@@ -127,6 +127,10 @@ LONG_ROWS = 100_000
 """Rows from which the effects are fitted on two cores at once."""
 MASK_S = 0.4
 STEPS = 12
+UNDAMPED = 1e-9
+"""Of the normal matrix's diagonal: what its rounding comes to."""
+NEAR = 4.0
+"""Misfit, in noise power, up to which a fit may be the answer in noise of its own colour."""
 ZEROS = 10
 """Parts of a recording whose displacement may have a zero of its own."""
 ROW = "row"
@@ -381,8 +385,15 @@ class _Unknown:
             gain = 0.0
             for _ in range(5):
                 damped = gram + np.diag(damping * gram.diagonal() + 1e-9)
-                moved = p + np.clip(np.linalg.solve(damped, right), -reach, reach)
-                moved[-1] = np.clip(moved[-1], -most, most)
+                step = np.linalg.solve(damped, right)
+                last = float(np.clip(p[-1] + step[-1], -most, most) - p[-1])
+                if last != step[-1]:
+                    # The others step to where they are best with it at its end: what a delay or a
+                    # slower column trades for an offset in time is many times the noise.
+                    step = np.r_[
+                        np.linalg.solve(damped[:-1, :-1], right[:-1] - last * damped[:-1, -1]), last
+                    ]
+                moved = p + np.clip(step, -reach, reach)
                 try:
                     trial = self.residual(moved)
                 except SimulationError:
@@ -394,8 +405,13 @@ class _Unknown:
                     damping, better = max(damping * 0.2, 1e-9), True
                     break
                 damping *= 10.0
-            if not better or gain < 1e-5 * chi2 + 0.02:
+            if better and gain >= 1e-5 * chi2 + 0.02:
+                continue
+            # Damping holds back along a valley, and what is gained there looks like nothing: a fit
+            # that may be the answer rests only where it rests without.
+            if damping <= UNDAMPED or chi2 > NEAR * r.size:
                 break
+            damping = UNDAMPED
         return p, chi2, jacobian
 
     def _slopes(self, p: Floats, r: Floats, jacobian: Floats) -> None:
