@@ -24,7 +24,7 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: help run install reproduce test test-long test-vm test-systemd test-live soak sanitize fuzz \
-        fuzz-station tsan proof validate-diagnosis validate-diagnosis-short validate-policy bench lint \
+        fuzz-station tsan proof validate-diagnosis validate-diagnosis-short validate-policy benchmark-rths bench lint \
         clean
 
 help:
@@ -45,6 +45,7 @@ help:
 	@echo 'make validate-diagnosis  the diagnosis on cases that it has not seen, into docs (COUNT=60, SEED=)'
 	@echo 'make validate-diagnosis-short  a fixed few of them, held against that page; two minutes'
 	@echo 'make validate-policy  each threshold of the diagnosis moved, into docs; minutes a case (COUNT=10)'
+	@echo 'make benchmark-rths  every control law on the benchmark of the field, into docs; ten minutes (JOBS=2)'
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
 	@echo 'make clean      remove .venv, build and caches; runs/ stays'
@@ -180,6 +181,11 @@ validate-policy: $(TEST_READY)
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/validate/sensitivity.py \
 	    $(if $(filter command line,$(origin COUNT)),--count $(COUNT)) \
 	    $(if $(filter command line,$(origin SEED)),--seed $(SEED)) --page docs/diagnosis-policy.md
+
+# Every control law on the same plants; the page and its picture go to docs.
+JOBS := 2
+benchmark-rths: $(READY)
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/tools/benchmark_page.py --jobs $(JOBS)
 
 # clang and its run-time library (Debian: clang, libclang-rt-14-dev) are asked for here only. What was
 # found stays in build/fuzz and is where the next run begins.

@@ -4,8 +4,8 @@
  * (x_m, x_m', x_m'') in a window that moves, command and measurement behind the same low-pass:
  *   A = (X' X)^-1 X' U
  * They are held while the measurement has moved less than a threshold, kept within bounds, and change no
- * faster than given. At first a0 = 1, a2 = a1^2 / 2. Numbers as in the authors' own set-up file. */
-#include "control_law.h"
+ * faster than given. At first a0 = 1, a2 = a1^2 / 2 or another share. Numbers as in the authors' own set-up file. */
+#include "derivative_lead.h"
 #include "lowpass.h"
 
 #define SECTIONS 3    /* of the low-pass: sixth order */
@@ -25,7 +25,8 @@ enum {
     A2_MAX,
     A0_RATE,
     A1_RATE,
-    A2_RATE
+    A2_RATE,
+    A2_SHARE
 };
 
 /* clang-format off */
@@ -42,6 +43,7 @@ static const rthyb_law_parameter ats_parameters[] = {
     {"ats.a0_rate_per_s", "1/s", 0.0, 1e3, 2.0, "the fastest change of a0", 0, NULL, NULL},
     {"ats.a1_rate_s_per_s", "", 0.0, 1e3, 0.05, "the fastest change of a1, s per s", 0, NULL, NULL},
     {"ats.a2_rate_s2_per_s", "s", 0.0, 1e3, 0.001, "the fastest change of a2, s^2 per s", 0, NULL, NULL},
+    {"ats.a2_share", "", 0.0, 1.0, 0.5, "the first a2 over the square of the first a1, 0.5 of a pure delay", 0, NULL, NULL},
 };
 /* clang-format on */
 
@@ -56,25 +58,22 @@ typedef struct {
     double h;                                    /* sampling period */
     double low[TERMS], high[TERMS], most[TERMS]; /* bounds; change from row to row */
     double threshold;
-    double learnt[TERMS];        /* a0, a1, a2 */
-    double used[TERMS];          /* the same as the command has them */
-    double x1, x2, offset;       /* x_c[n-1], x_c[n-2] */
-    double m1, m2;               /* x_m[n-1], x_m[n-2] behind the low-pass */
+    rthyb_derivative_lead lead;  /* a0, a1, a2 */
+    rthyb_differences m;         /* of x_m behind the low-pass */
     double last_u, last_m;       /* last good inputs */
     uint32_t spacing, since;     /* ticks from row to row; since the last one */
     uint32_t size, head, filled; /* rows of the window, the next to be overwritten, those there */
     int32_t primed;
     row rows[ROWS_MAX];
-    double alpha, beta; /* reported */
 } ats_state;
 
 /* clang-format off */
 static const rthyb_law_value ats_values[] = {
-    {"alpha", "samples", "delay estimate", offsetof(ats_state, alpha)},
-    {"beta", "samples²", "curvature term", offsetof(ats_state, beta)},
-    {"a0", "", "a0", offsetof(ats_state, used[0])},
-    {"a1", "s", "a1", offsetof(ats_state, used[1])},
-    {"a2", "s²", "a2", offsetof(ats_state, used[2])},
+    {"alpha", "samples", "delay estimate", offsetof(ats_state, lead.alpha)},
+    {"beta", "samples²", "curvature term", offsetof(ats_state, lead.beta)},
+    {"a0", "", "a0", offsetof(ats_state, lead.used[0])},
+    {"a1", "s", "a1", offsetof(ats_state, lead.used[1])},
+    {"a2", "s²", "a2", offsetof(ats_state, lead.used[2])},
 };
 /* clang-format on */
 
@@ -99,26 +98,14 @@ static int ats_check(const double *p, double period_s, rthyb_law_complaint *why)
                                      {p[A1], p[A1_MAX]}};
         return A1;
     }
-    if (0.5 * p[A1] * p[A1] > p[A2_MAX]) {
+    if (p[A2_SHARE] * p[A1] * p[A1] > p[A2_MAX]) {
         *why = (rthyb_law_complaint){
-            "found {} s^2; must be at least half the square of a1_s = {} s, which a2 begins with",
+            "found {} s^2; a2 begins with a2_share times the square of a1_s = {} s and must be at "
+            "least that",
             {p[A2_MAX], p[A1]}};
         return A2_MAX;
     }
     return -1;
-}
-
-/* What is reported beside the coefficients: delay and curvature in samples. */
-static void note(ats_state *s)
-{
-    s->alpha = s->used[1] / s->h;
-    s->beta = s->used[2] / s->h / s->h;
-}
-
-static void stand(ats_state *s, double x)
-{
-    s->x1 = s->x2 = x;
-    s->offset = (1.0 - s->used[0]) * x;
 }
 
 static int ats_init(void *state, const rthyb_law_start *start)
@@ -133,24 +120,22 @@ static int ats_init(void *state, const rthyb_law_start *start)
     s->size = rows;
     butterworth_design(s->filter, SECTIONS, p[CUTOFF], s->h);
     const double low[] = {p[A0_MIN], 0.0, 0.0}, high[] = {p[A0_MAX], p[A1_MAX], p[A2_MAX]};
-    const double first[] = {1.0, p[A1], 0.5 * p[A1] * p[A1]};
+    const double first[] = {1.0, p[A1], p[A2_SHARE] * p[A1] * p[A1]};
     const double rate[] = {p[A0_RATE], p[A1_RATE], p[A2_RATE]};
     for (int i = 0; i < TERMS; i++) {
         s->low[i] = low[i];
         s->high[i] = high[i];
         s->most[i] = fabs(rate[i]) * s->h * s->spacing;
-        s->learnt[i] = s->used[i] = first[i];
     }
     s->threshold = p[THRESHOLD];
     s->last_u = s->last_m = start->x0_m;
-    stand(s, start->x0_m);
-    note(s);
+    rthyb_derivative_init(&s->lead, TERMS, s->h, first, start->x0_m);
     return 0;
 }
 
 static void ats_rest(void *state, double x_m)
 {
-    stand(state, x_m);
+    rthyb_derivative_rest(&((ats_state *)state)->lead, x_m);
 }
 
 /* X'X and X'U over the window, columns scaled to unit length; 0 where they do not tell three parts. */
@@ -210,7 +195,7 @@ static void learn(ats_state *s)
         return;
     for (int i = 0; i < TERMS; i++) {
         const double wanted = clamp(a[i], s->low[i], s->high[i]);
-        s->learnt[i] += clamp(wanted - s->learnt[i], -s->most[i], s->most[i]);
+        s->lead.learnt[i] += clamp(wanted - s->lead.learnt[i], -s->most[i], s->most[i]);
     }
 }
 
@@ -223,15 +208,13 @@ static int ats_observe(void *state, double x_p_m, double x_m_m, int frozen)
     if (!s->primed) {
         butterworth_rest(s->filter, SECTIONS, s->filter_u, s->last_u);
         butterworth_rest(s->filter, SECTIONS, s->filter_m, s->last_m);
-        s->m1 = s->m2 = s->last_m;
+        rthyb_differences_rest(&s->m, s->last_m);
         s->primed = 1;
     }
     const double u = butterworth_step(s->filter, SECTIONS, s->filter_u, s->last_u);
     const double m = butterworth_step(s->filter, SECTIONS, s->filter_m, s->last_m);
-    const double slope = (m - s->m1) / s->h;
-    const row now = {{m, slope, (slope - (s->m1 - s->m2) / s->h) / s->h}, u};
-    s->m2 = s->m1;
-    s->m1 = m;
+    row now = {.u = u};
+    rthyb_differences_step(&s->m, TERMS, s->h, m, now.m);
     s->since++;
     if (s->since < s->spacing || frozen || code != RTHYB_OK)
         return code;
@@ -245,25 +228,7 @@ static int ats_observe(void *state, double x_p_m, double x_m_m, int frozen)
 
 static int ats_lead(void *state, double x_c_m, double allowed_m, double *x_p_m)
 {
-    ats_state *s = state;
-    int code = RTHYB_OK;
-    const double x = accept(x_c_m, RTHYB_DISPLACEMENT_MAX_M, s->x1, &code);
-    const double slope = (x - s->x1) / s->h;
-    const double terms[] = {x, slope, (slope - (s->x1 - s->x2) / s->h) / s->h};
-    double effect = 0.0, led = 0.0;
-    for (int i = 0; i < TERMS; i++)
-        effect += fabs((s->learnt[i] - s->used[i]) * terms[i]);
-    const double share = rthyb_allowed_share(effect, allowed_m);
-    for (int i = 0; i < TERMS; i++) {
-        s->used[i] += share * (s->learnt[i] - s->used[i]);
-        led += s->used[i] * terms[i];
-    }
-    led += rthyb_fade(&s->offset, s->used[0], x - s->x1);
-    s->x2 = s->x1;
-    s->x1 = x;
-    note(s);
-    *x_p_m = led;
-    return code;
+    return rthyb_derivative_step(&((ats_state *)state)->lead, x_c_m, allowed_m, x_p_m);
 }
 
 static const rthyb_control_law ats = {

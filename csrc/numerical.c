@@ -71,7 +71,8 @@ size_t rthyb_numerical_report(const rthyb_numerical *part, double *values, size_
 
 int rthyb_numerical_reference(const rthyb_numerical *part, rthyb_element *elements,
                               size_t element_count, const double *ag_mps2, size_t n,
-                              double period_s, double *x_m, double *v_m_per_s, double *force_n)
+                              double period_s, double *x_m, double *v_m_per_s, double *force_n,
+                              double *all_m, size_t freedoms)
 {
     if (element_count > RTHYB_ELEMENTS_MAX)
         return RTHYB_S_OUT_OF_RANGE;
@@ -80,6 +81,7 @@ int rthyb_numerical_reference(const rthyb_numerical *part, rthyb_element *elemen
         rthyb_interface at;
         rthyb_numerical_look(part, &at);
         x_m[i] = at.x;
+        (void)rthyb_numerical_report(part, all_m + i * freedoms, freedoms);
         v_m_per_s[i] = at.v;
         force_n[i] =
             rthyb_specimen_force(elements, (uint32_t)element_count, at.x, at.v, at.a, period_s);

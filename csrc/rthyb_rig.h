@@ -89,7 +89,10 @@ typedef struct {
     double valve_n_per_m_s3, valve_b1_per_s, valve_b2_per_s2;
     double velocity_feedback_n_s_per_m2, leakage_per_s;
     double specimen_stiffness_n_per_m, specimen_damping_n_s_per_m;
-    double command_range_m, command_lsb_m; /* of the drive's input; 0 = unlimited, none */
+    double command_range_m, command_lsb_m; /* of the drive's converters; 0 = unlimited, none */
+    /* Servo-valve: the drive's own loop on the displacement sensor, kp + ki / s by Tustin; both 0 = none, the
+     * command goes to the valve. */
+    double loop_kp, loop_ki_per_s;
 } rthyb_servo_config;
 
 enum rthyb_valve_size { RTHYB_VALVE_STATES = 5, RTHYB_VALVE_STEP = 35 };
@@ -107,6 +110,7 @@ typedef struct {
     double valve_step[RTHYB_VALVE_STEP], valve_state[RTHYB_VALVE_STATES];
     double integral, valve, piston, piston_velocity, half_velocity, oil_force;
     double valve_gain;
+    double sensed_m, loop_error; /* servo-valve: newest reading, and what the loop had before it */
 } rthyb_servo;
 
 typedef struct {

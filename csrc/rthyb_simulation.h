@@ -22,12 +22,14 @@ typedef struct {
     double stop_decel_m_per_s2;
     int32_t truth;              /* the first two channels are what the sensors saw, without their
                                  * errors: rthyb_rig.x_true_m and f_true_n */
+    int32_t freedoms;           /* so many channels, behind those, say where the numerical part's
+                                 * degrees of freedom are */
     int32_t phase;              /* enum rthyb_drive_phase; from here on the core's own */
     double target_m, target1_m; /* what the actuator is told, and was told before */
 } rthyb_virtual;
 
-/* The members up to truth are the caller's; the rest becomes new. 0; RTHYB_E_LIMIT for a
- * deceleration that is not positive, RTHYB_E_PERIOD where station and rig have not the same period. */
+/* The members up to freedoms are the caller's; the rest becomes new. 0; RTHYB_E_LIMIT for a
+ * deceleration that is not positive or too many channels, RTHYB_E_PERIOD where station and rig have not the same period. */
 int rthyb_virtual_init(rthyb_virtual *test);
 /* Runs up to count ticks, the first one with an operator's command (RTHYB_CMD_NONE: none); each gives one
  * record, and the first channel_count of its channels. Returns how many were run: fewer where the state has

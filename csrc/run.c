@@ -38,7 +38,7 @@ int rthyb_run_reference(rthyb_motion *motion, rthyb_element *elements, size_t el
     const rthyb_numerical part = {
         .kind = RTHYB_NUMERICAL_MOTION, .cfg = &motion->cfg, .state = motion};
     return rthyb_numerical_reference(&part, elements, element_count, ag_mps2, n,
-                                     motion->cfg.period_s, x_m, v_m_per_s, force_n);
+                                     motion->cfg.period_s, x_m, v_m_per_s, force_n, x_m, 0);
 }
 
 const char *rthyb_version(void)

@@ -1,7 +1,8 @@
 /* The transfer system of the field's benchmark (Silva et al., MSSP 135 (2020) 106381), with the specimen
  * joined: servo-valve of second order, natural velocity feedback, actuator of first order,
  *   q'' + b1 q' + b2 q = G (gain u - x),  F' + a3 F = q - a2 v,  m v' + c v + k x + other = F.
- * Command and the force of whatever else the specimen has are held over a substep; else it is exact. */
+ * u is the command, or what the drive's own loop makes of it and of the displacement sensor. u and the force
+ * of whatever else the specimen has are held over a substep; else it is exact. */
 #include <string.h>
 
 #include "internal.h"
@@ -27,7 +28,8 @@ static int config_ok(const rthyb_servo_config *c)
         c->specimen_stiffness_n_per_m >= 0.0 && c->specimen_stiffness_n_per_m <= 1e15 &&
         c->specimen_damping_n_s_per_m >= 0.0 && c->specimen_damping_n_s_per_m <= 1e12;
     const int input_ok = c->command_range_m >= 0.0 && c->command_lsb_m >= 0.0 &&
-                         c->command_range_m <= 1e3 && c->command_lsb_m <= 1.0;
+                         c->command_range_m <= 1e3 && c->command_lsb_m <= 1.0 &&
+                         fabs(c->loop_kp) <= 1e3 && fabs(c->loop_ki_per_s) <= 1e6;
     return valve_ok && actuator_ok && specimen_ok && input_ok && c->hold == RTHYB_ZOH &&
            c->substeps >= 1 && c->substeps <= SUBSTEPS_MAX;
 }
@@ -97,13 +99,26 @@ int rthyb_valve_init(rthyb_servo *s)
     return 0;
 }
 
-static double taken_in(const rthyb_servo *s, double command)
+/* Through a converter. */
+static double taken_in(const rthyb_servo *s, double value)
 {
     const rthyb_servo_config *c = &s->cfg;
     if (c->command_lsb_m > 0.0)
-        command = c->command_lsb_m * nearbyint(command / c->command_lsb_m);
-    return c->command_range_m > 0.0 ? clamp(command, -c->command_range_m, c->command_range_m)
-                                    : command;
+        value = c->command_lsb_m * nearbyint(value / c->command_lsb_m);
+    return c->command_range_m > 0.0 ? clamp(value, -c->command_range_m, c->command_range_m) : value;
+}
+
+/* What goes to the valve: the command, or the output of the drive's loop, with converters before and behind
+ * it. The integral is by the trapezoidal rule, which is Tustin's. */
+static double driven(rthyb_servo *s, double command)
+{
+    const rthyb_servo_config *c = &s->cfg;
+    if (c->loop_kp == 0.0 && c->loop_ki_per_s == 0.0)
+        return taken_in(s, command);
+    const double error = taken_in(s, command - s->sensed_m);
+    s->integral = clamp(s->integral + 0.5 * c->period_s * (error + s->loop_error), -1e3, 1e3);
+    s->loop_error = error;
+    return taken_in(s, c->loop_kp * error + c->loop_ki_per_s * s->integral);
 }
 
 void rthyb_valve_advance(rthyb_servo *s, rthyb_element *elements, uint32_t element_count)
@@ -112,7 +127,7 @@ void rthyb_valve_advance(rthyb_servo *s, rthyb_element *elements, uint32_t eleme
     const double h = c->period_s / c->substeps, w = sqrt(c->valve_b2_per_s2);
     const uint32_t length = RTHYB_DELAY_MAX + 2;
     const uint32_t late = (uint32_t)c->delay_samples;
-    const double command = taken_in(s, s->past[(s->head + length - late) % length]);
+    const double command = driven(s, s->past[(s->head + length - late) % length]);
     double other = 0.0;
     for (int n = 0; n < c->substeps; n++) {
         other = rthyb_specimen_force(elements, element_count, s->x, s->v, s->a, h);

@@ -6,7 +6,8 @@
 
 int rthyb_virtual_init(rthyb_virtual *test)
 {
-    if (!(test->stop_decel_m_per_s2 > 0.0))
+    if (!(test->stop_decel_m_per_s2 > 0.0) || test->freedoms < 0 ||
+        test->freedoms > RTHYB_DENSE_MAX)
         return RTHYB_E_LIMIT;
     if (test->station->cfg.controller.period_s != test->rig->cfg.servo.period_s)
         return RTHYB_E_PERIOD;
@@ -32,6 +33,14 @@ static void drive(rthyb_virtual *test, const rthyb_station_output *out)
     test->target_m = next;
 }
 
+/* What stands in the row of this tick: the part has not made its next step yet. */
+static void note_freedoms(rthyb_virtual *test)
+{
+    const rthyb_numerical part = part_of(&test->station->controller);
+    double *to = test->station->channel + (test->truth ? 2 : 0);
+    (void)rthyb_numerical_report(&part, to, (size_t)test->freedoms);
+}
+
 static void tick(rthyb_virtual *test, int32_t command, rthyb_record *record)
 {
     rthyb_station *station = test->station;
@@ -44,6 +53,8 @@ static void tick(rthyb_virtual *test, int32_t command, rthyb_record *record)
         .x_cmd_m = test->target_m,
     };
     (void)rthyb_rig_step(test->rig, test->target_m, &in.x_m, &in.f_n);
+    if (test->freedoms > 0)
+        note_freedoms(test);
     (void)rthyb_station_tick(station, &in, test->ag_mps2, test->ag_count, record, &out);
     rthyb_station_advance(station);
     record->due_ns = llrint((double)record->tick * station->cfg.controller.period_s * 1e9);

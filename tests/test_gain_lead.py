@@ -10,7 +10,8 @@ import pytest
 import scipy.signal
 from kernels import Floats, smooth_motion
 
-from rthyb_rt import config, core, rths_benchmark
+from rthyb_rt import config, core
+from rthyb_rt.benchmark import plants as rths_benchmark
 from rthyb_rt.config import rigsettings
 from rthyb_rt.core.laws import LAWS as ALL_LAWS
 from rthyb_rt.errors import InputError

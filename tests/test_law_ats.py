@@ -147,13 +147,21 @@ def test_bounds_and_rates_of_change_hold_whatever_comes_back() -> None:
         assert steps.max() > 0.0
 
 
+def test_it_begins_with_a_share_of_the_squared_delay_as_curvature() -> None:
+    for share in (0.0, 0.2, 0.5):
+        first = ats(a1_s=0.02, a2_share=share).report()
+        assert (first["a0"], first["a1"]) == (1.0, 0.02)
+        assert first["a2"] == pytest.approx(share * 4e-4)
+
+
 @pytest.mark.parametrize(
     ("line", "complaint"),
     [
         ("window_s = 2", "must be from 4 to 288 times spacing_s"),
         ("spacing_s = 0.5", "must be from 4 to 288 times spacing_s"),
         ("a1_s = 0.09", "a1_max_s = 0.08"),
-        ("a2_max_s2 = 1e-6", "half the square of a1_s"),
+        ("a2_max_s2 = 1e-6", "a2_share times the square of a1_s"),
+        ("a2_share = 1.5", "must be"),
         ("a0_min = 0", "above 0"),
         ("window_s = 0", "above 0"),
     ],

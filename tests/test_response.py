@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from kernels import Floats
 
-from rthyb_rt import config, rths_benchmark
+from rthyb_rt import config
+from rthyb_rt.benchmark import plants as rths_benchmark
 from rthyb_rt.config import Rate, RigFile, response, rigsettings
 from rthyb_rt.config.rigfile import Identified
 from rthyb_rt.errors import InputError

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.signal
 from kernels import Floats
 
-from rthyb_rt import config, core, rths_benchmark
+from rthyb_rt import config, core
+from rthyb_rt.benchmark import plants as benchmark
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
 
@@ -114,6 +116,50 @@ def test_the_drives_input_has_steps_and_an_end() -> None:
     assert coarse[-1] == pytest.approx(0.8 * unlimited[-1], rel=1e-9)
 
 
+@pytest.mark.parametrize("fs_hz", [1024.0, 4096.0])
+def test_the_drives_own_loop_is_the_benchmarks_pi_by_tustins_rule(fs_hz: float) -> None:
+    """Against scipy's bilinear transform of 2 + 95/s, looped through the exact plant."""
+    numerator, denominator = scipy.signal.bilinear([2.0, 95.0], [1.0, 0.0], fs_hz)
+    a, b = plant()
+    augmented = np.zeros((6, 6))
+    augmented[:5, :5], augmented[:5, 5] = a, b
+    step = scipy.linalg.expm(augmented / fs_hz)
+    t = np.arange(6000) / fs_hz
+    command = 2e-3 * (np.sin(20.0 * t) + 0.3 * np.sin(70.0 * t))
+    s, x, u1, e1 = np.zeros(5), np.zeros(t.size), 0.0, 0.0
+    for n, wanted in enumerate(command):
+        x[n] = s[3]
+        error = wanted - s[3]
+        u = numerator[0] * error + numerator[1] * e1 - denominator[1] * u1
+        u1, e1 = u, error
+        s = step[:5, :5] @ s + step[:5, 5] * u
+    loop = quiet(period_s=1.0 / fs_hz, loop_kp=2.0, loop_ki_per_s=95.0)
+    found, _ = core.Rig(loop).run(command)
+    np.testing.assert_allclose(found, x, rtol=0, atol=1e-5 * np.abs(x).max())
+
+
+def test_the_loop_hears_the_sensor_with_its_noise_and_its_steps() -> None:
+    noisy = replace(
+        quiet(loop_kp=2.0, loop_ki_per_s=95.0), displacement=core.SensorConfig(noise_std=1e-5)
+    )
+    still, _ = core.Rig(replace(noisy, displacement=core.SensorConfig())).run(np.zeros(40000))
+    assert not still.any()
+    rig = core.Rig(noisy)
+    true = np.array([(rig.step(0.0), rig.true_displacement_m)[1] for _ in range(40000)])
+    assert 1e-8 < np.std(true) < 1e-5
+    stuck = replace(noisy, displacement=core.SensorConfig(lsb=1.0))
+    deaf, _ = core.Rig(stuck).run(np.full(400, 1e-4))
+    assert not deaf.any()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
+def test_a_loop_with_a_senseless_command_stays_finite(bad: float) -> None:
+    rig = core.Rig(quiet(loop_kp=1e3, loop_ki_per_s=1e6))
+    for n in range(20000):
+        x, f, _ = rig.step(bad if n % 7 == 0 else 1e3)
+        assert np.isfinite([x, f]).all()
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
 def test_a_senseless_command_is_not_taken(bad: float) -> None:
     rig, good = core.Rig(quiet()), core.Rig(quiet())
@@ -143,6 +189,9 @@ def test_a_rig_that_runs_off_stops_at_its_guard() -> None:
         {"hold": "foh"},
         {"command_range_m": -1.0},
         {"delay_samples": 0.5},
+        {"loop_kp": np.nan},
+        {"loop_ki_per_s": np.inf},
+        {"loop_kp": 1e4},
     ],
 )
 def test_a_plant_that_means_nothing_is_refused(changes: dict[str, Any]) -> None:
@@ -161,25 +210,25 @@ def test_a_valve_without_a_mass_to_push_is_refused_by_the_file() -> None:
 
 
 def test_plants_are_drawn_with_the_stated_deviations_and_by_their_seed() -> None:
-    plants = [rths_benchmark.drawn(seed) for seed in range(2000)]
-    assert rths_benchmark.drawn(7) == plants[7]
-    nominal = rths_benchmark.nominal()
+    plants = [benchmark.drawn(seed) for seed in range(2000)]
+    assert benchmark.drawn(7) == plants[7]
+    nominal = benchmark.nominal()
     for key in ("valve_b1_per_s", "valve_b2_per_s2"):
         values = np.array([getattr(plant.actuator, key) for plant in plants])
         own = getattr(nominal.actuator, key)
-        assert values.std() == pytest.approx(rths_benchmark.DEVIATIONS[key], rel=0.1)
+        assert values.std() == pytest.approx(benchmark.DEVIATIONS[key], rel=0.1)
         assert values.mean() == pytest.approx(own, abs=0.1 * values.std())
     stiffness = np.array([plant.specimen[0].model_dump()["k_n_per_m"] for plant in plants])
     damping = np.array([plant.specimen[1].model_dump()["c_n_s_per_m"] for plant in plants])
     assert stiffness.std() == pytest.approx(5e4, rel=0.1)
     np.testing.assert_allclose(damping, 2 * 0.0097 * np.sqrt(MASS * stiffness), rtol=1e-6)
-    wide = rths_benchmark.drawn(7, 3.0).specimen[0].model_dump()["k_n_per_m"]
+    wide = benchmark.drawn(7, 3.0).specimen[0].model_dump()["k_n_per_m"]
     assert wide - 1.19e6 == pytest.approx(3.0 * (stiffness[7] - 1.19e6))
 
 
 @pytest.mark.parametrize("seed", [None, 3])
 def test_a_frame_of_three_storeys_runs_on_the_plant(seed: int | None) -> None:
-    rig = rths_benchmark.nominal() if seed is None else rths_benchmark.drawn(seed)
+    rig = benchmark.nominal() if seed is None else benchmark.drawn(seed)
     text = (config.shipped_rig("rths-benchmark").parents[1] / ".." / "examples").resolve()
     example = (text / "frame-three-storeys.toml").read_text().replace('"15 kN"', '"8.9 kN"')
     specimen = "{ mass_kg = 29.13, damping_n_s_per_m = 114.22, stiffness_n_per_m = 1.19e6 }"

@@ -159,6 +159,8 @@ MEANINGS: dict[str, str] = {
     "ServoValve.leakage_per_s": "pole $a_3$ of the actuator",
     "ServoValve.command_range_m": "end of the drive's input; 0: none",
     "ServoValve.command_lsb_m": "step of the drive's input; 0: none",
+    "ServoValve.loop_kp": "the drive's own loop on the displacement sensor; 0 and 0: none",
+    "ServoValve.loop_ki_per_s": "its integral, by Tustin's rule at the test's rate",
     "ServoHydraulic.moving_mass_kg": "table, fixtures and piston",
     "StribeckElement.fs_n": "the static friction",
     "LugreElement.fs_n": "the static friction",

@@ -9,6 +9,7 @@ import typer
 import typer.completion
 
 from rthyb_rt.cli import (
+    benchmark,
     campaign,
     check,
     commission,
@@ -53,6 +54,7 @@ app.command(context_settings=jog.CONTEXT)(jog.jog)
 app.command()(commission.commission)
 app.command()(reset.reset)
 app.command()(reproduce.reproduce)
+app.add_typer(benchmark.benchmark)
 app.command()(diagnose.diagnose)
 app.command()(effects.effects)
 app.command()(replay.replay)

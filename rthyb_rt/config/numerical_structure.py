@@ -91,6 +91,15 @@ class Structure:
     def reference(
         self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
     ) -> tuple[Floats, Floats, Floats]:
+        """Simulate the structure with a model of the specimen joined to it, at the interface.
+
+        As `whole_reference`, without what the other degrees of freedom do.
+        """
+        return self.whole_reference(elements, ag_mps2)[:3]
+
+    def whole_reference(
+        self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
+    ) -> tuple[Floats, Floats, Floats, Floats]:
         """Simulate the structure with a model of the specimen joined to it.
 
         What is linear of the model goes into the matrices, so that nothing of it is late.
@@ -100,7 +109,9 @@ class Structure:
             ag_mps2: ground acceleration at every sample, (n,).
 
         Returns:
-            Displacement, velocity, and force of all but the model's masses and dampers, (n,) each.
+            At the interface displacement, velocity, and force of all but the model's masses and
+            dampers, (n,) each; the displacement of every degree of freedom, (n, degrees of
+            freedom).
         """
         ag = np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
         mass, damping, spring = (
@@ -120,8 +131,8 @@ class Structure:
             force_delay=0,
             period_s=self.part.period_s / steps,
         )
-        x, v, force = DensePart(part).reference(others, np.repeat(ag, steps))
-        return x[::steps], v[::steps], force[::steps] + spring * x[::steps]
+        x, v, force, everywhere = DensePart(part).reference(others, np.repeat(ag, steps))
+        return x[::steps], v[::steps], force[::steps] + spring * x[::steps], everywhere[::steps]
 
     def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
         """Return how the interface moves with a specimen that does not yield, (n,)."""

@@ -160,7 +160,8 @@ class ServoValve(Table):
     """Servo valve, natural velocity feedback and actuator by their transfer functions.
 
     Those of Silva et al., MSSP 135 (2020) 106381, with its names for the parameters. The
-    specimen's stiffness, damping and mass are solved with it exactly; it needs an `inertia`.
+    specimen's stiffness, damping and mass are solved with it exactly; it needs an `inertia`. With
+    ``loop_kp`` or ``loop_ki_per_s`` the drive closes a loop of its own on the displacement sensor.
     """
 
     kind: Literal["servo-valve"]
@@ -174,6 +175,8 @@ class ServoValve(Table):
     leakage_per_s: Annotated[float, Range("1/s", 0, 1e6, "the actuator's pole a3")]
     command_range_m: Annotated[float, Range("m", 0, 100, "the range of the drive's input")] = 0.0
     command_lsb_m: Annotated[float, Range("m", 0, 1, "the step of the drive's input")] = 0.0
+    loop_kp: Annotated[float, Range("", 0, 1e3, "the gain of the drive's own loop")] = 0.0
+    loop_ki_per_s: Annotated[float, Range("1/s", 0, 1e6, "its integral gain")] = 0.0
     delay_samples: Annotated[int, Count(0, 1000, "the transport delay")] = 0
     substeps: Annotated[int, Count(1, MAX_SUBSTEPS, "the substeps per sample")] = 1
 

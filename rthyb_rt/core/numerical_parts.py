@@ -80,17 +80,29 @@ class DensePart:
 
     def reference(
         self, elements: Sequence[ElementConfig], ag_mps2: npt.ArrayLike
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return displacement, velocity and specimen force at the interface, each (n,).
+
+        Then the displacement of every degree of freedom, (n, degrees of freedom).
 
         Raises ``CoreError`` for too many elements or a ground motion that is not finite.
         """
         ag = core.finite_motion(elements, ag_mps2)
         array = core.element_array(elements)
         x, v, f = np.empty_like(ag), np.empty_like(ag), np.empty_like(ag)
-        out = [ffi.from_buffer("double[]", one, require_writable=True) for one in (x, v, f)]
-        period_s = self.config.period_s
+        everywhere = np.empty((ag.size, len(self.config.load_kg)))
+        out = [
+            ffi.from_buffer("double[]", one, require_writable=True)
+            for one in (x, v, f, everywhere.reshape(-1))
+        ]
         lib.rthyb_numerical_reference(
-            self._c, array, len(elements), ffi.from_buffer("double[]", ag), ag.size, period_s, *out
+            self._c,
+            array,
+            len(elements),
+            ffi.from_buffer("double[]", ag),
+            ag.size,
+            self.config.period_s,
+            *out,
+            everywhere.shape[1],
         )
-        return x, v, f
+        return x, v, f, everywhere

@@ -204,6 +204,8 @@ class ServoConfig:
     leakage_per_s: float = 0.0
     command_range_m: float = 0.0
     command_lsb_m: float = 0.0
+    loop_kp: float = 0.0
+    loop_ki_per_s: float = 0.0
 
 
 @dataclass(frozen=True)

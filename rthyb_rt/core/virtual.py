@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.kernels import Rig
-from rthyb_rt.core.library import CoreError, FloatArray, RecordArray, reading, writing
+from rthyb_rt.core.library import (
+    DENSE_MAX,
+    CoreError,
+    FloatArray,
+    RecordArray,
+    reading,
+    writing,
+)
 from rthyb_rt.core.rows import CHANNELS_MAX, records_pointer
 from rthyb_rt.core.station import COMMANDS, Command, Station
 
@@ -17,9 +24,12 @@ class Virtual:
         rig: what moves and measures; the drive has the station's zero for its own.
         stop_decel_m_per_s2: how the drive brakes by itself after a trip.
         truth: the first two channels are what the sensors saw, without their errors: m and N.
+        freedoms: so many channels, behind those, say where the numerical part's degrees of freedom
+            are, m.
 
     Raises:
-        CoreError: the deceleration is not positive, or station and rig are not of one rate.
+        CoreError: the deceleration is not positive, there are more degrees of freedom than a part
+            can have, or station and rig are not of one rate.
     """
 
     def __init__(
@@ -28,6 +38,7 @@ class Virtual:
         rig: Rig,
         stop_decel_m_per_s2: float = 1.0,
         truth: bool = False,
+        freedoms: int = 0,
     ) -> None:
         self.station, self.rig = station, rig
         self._c = ffi.new("rthyb_virtual *")
@@ -35,6 +46,7 @@ class Virtual:
         self._c.station, self._c.rig = station._c, rig._c
         self._c.ag_mps2, self._c.ag_count = self._ag, station._ag.size
         self._c.stop_decel_m_per_s2, self._c.truth = stop_decel_m_per_s2, truth
+        self._c.freedoms = freedoms
         error = lib.rthyb_virtual_init(self._c)
         if error == lib.RTHYB_E_PERIOD:
             raise CoreError(
@@ -43,7 +55,8 @@ class Virtual:
             )
         if error:
             raise CoreError(
-                f"the drive brakes with {stop_decel_m_per_s2} m/s^2, more than 0 is needed"
+                f"the drive brakes with {stop_decel_m_per_s2} m/s^2, more than 0 is needed; of "
+                f"{freedoms} degrees of freedom 0 to {DENSE_MAX} can be told"
             )
 
     def run(

@@ -21,9 +21,10 @@ from rthyb_rt.diagnose.estimate import (
     likeliest,
     noise_of,
 )
+from rthyb_rt.diagnose.form import neighbours, of_form
 from rthyb_rt.diagnose.noise import TRIED
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import inflation, penalty
+from rthyb_rt.diagnose.select import clustered, inflation, penalty
 
 
 @dataclass(frozen=True)
@@ -127,6 +128,10 @@ LONG_ROWS = 100_000
 """Rows from which the effects are fitted on two cores at once."""
 MASK_S = 0.4
 STEPS = 12
+UNDAMPED = 1e-9
+"""Of the normal matrix's diagonal: what its rounding comes to."""
+NEAR = 4.0
+"""Misfit, in noise power, up to which a fit may be the answer in noise of its own colour."""
 ZEROS = 10
 """Parts of a recording whose displacement may have a zero of its own."""
 ROW = "row"
@@ -148,8 +153,12 @@ class ActuatorFit:
     Attributes:
         model: the actuator, as it is at the end of the recording.
         before: what it was up to a row, where an effect begins there.
+        covariance: of the numbers and the time offset, as noise alone makes it, (p, p).
+        scatter: the same as the residual shows it, see `select.clustered`.
+        slopes: of the whitened rows to the numbers and the time offset, (rows, p).
         motion: as simulated, on the zero of the displacement sensor.
         zero_m: by how much that lies off the command's, mean of the rows.
+        others: the same effects fitted in another form, or come to rest elsewhere.
     """
 
     effects: tuple[ActuatorEffect, ...]
@@ -158,10 +167,13 @@ class ActuatorFit:
     chi2: float
     count: int
     residual: Floats
-    covariance: Floats | None
+    covariance: Floats
+    scatter: Floats
+    slopes: Floats
     motion: Motion
     zero_m: float = 0.0
     before: Before = None
+    others: tuple[ActuatorFit, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -172,6 +184,16 @@ class ActuatorFit:
         """Return chi-squared with the rows' share scaled down; the prior's is not."""
         prior = (self.model.shift_s / POLICY.offset_prior_s) ** 2
         return (self.chi2 - prior) / scale + prior
+
+    def known(self, scale: float) -> Floats:
+        """Return the covariance of the numbers, (p, p): as noise makes it, or its scatter if more.
+
+        Args:
+            scale: by how much evidence is scaled down.
+        """
+        noise, shown = scale * self.covariance, self.scatter.diagonal()
+        wider = np.sqrt(np.maximum(shown / np.maximum(noise.diagonal(), 1e-300), 1.0))
+        return np.asarray(noise * np.outer(wider, wider))
 
 
 class Actuation:
@@ -259,8 +281,8 @@ class Actuation:
             # Of each variant the most promising ones.
             starts = sorted(starts, key=first)[:3]
         fits = [self._from(effects, settings, start, row) for settings, start in starts]
-        good = [f for f in fits if f is not None]
-        return min(good, key=lambda f: f.chi2) if good else None
+        good = sorted((f for f in fits if f is not None), key=lambda f: f.chi2)
+        return replace(good[0], others=tuple(good[1:])) if good else None
 
     def models(
         self,
@@ -290,13 +312,65 @@ class Actuation:
         p, chi2, jacobian = found
         best, before = unknown.model(p)
         values = tuple(tuple(float(getattr(best, f)) for f in e.fields) for e in effects)
-        inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+        inverse = np.asarray(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))
         chain = unknown.chain(best)
+        units = np.outer(chain, chain)
         whole, motion, zero = self.residual(best, before)
+        slopes = jacobian[: whole.size]
+        scatter = clustered(slopes, whole, inverse)
         return ActuatorFit(
             tuple(effects), best, values, chi2, sum(e.count for e in effects), whole,
-            inverse * np.outer(chain, chain), motion, zero, before,
+            inverse * units, scatter * units, slopes / chain, motion, zero, before,
         )  # fmt: skip
+
+    def around(self, fit: ActuatorFit, scale: float, motion: Motion) -> list[Motion]:
+        """Return motions that lie one standard deviation of a fit's numbers away, each (n,).
+
+        As many as there are numbers, independent of one another; none of another motion than the
+        fit's, but for its time.
+
+        Args:
+            fit: the actuator.
+            scale: by how much evidence is scaled down.
+            motion: along which the force was judged.
+        """
+        v = fit.motion.v
+        late = -float((motion.x - fit.motion.x) @ v) / max(float(v @ v), 1e-300)
+        known = fit.known(scale) + self.of_form(fit)
+        size = np.sqrt(np.maximum(known.diagonal(), 1e-300))
+        power, ways = np.linalg.eigh(known / np.outer(size, size))
+        settings = {"kappa_of": fit.model.kappa_of, "vmax_of": fit.model.vmax_of}
+        values = np.array([v for own in fit.values for v in own])
+        out = []
+        for p, way in zip(power, ways.T, strict=True):
+            step = size * way * float(np.sqrt(max(p, 0.0)))
+            row = (fit.before[0] + step[values.size]) if fit.before else 0.0
+            moved = values + step[: values.size], fit.model.shift_s + late + float(step[-1])
+            try:
+                out.append(self.residual(*self.models(fit.effects, settings, *moved, row))[1])
+            except SimulationError:
+                continue
+        return out
+
+    def of_form(self, fit: ActuatorFit) -> Floats:
+        """Return the covariance of a fit's numbers that comes of its effects' forms, (p, p)."""
+        out = np.zeros_like(fit.covariance)
+        reach = [float(np.max(np.abs(s))) or 1.0 for s in (fit.motion.x, fit.motion.v)]
+        over = list(zip((fit.motion.x, fit.motion.v), reach, strict=True))
+        for effect in fit.effects:
+            less: dict[str, Any] = {f: getattr(self.base, f) for f in effect.fields}
+            without = self.simulate(replace(fit.model, **less)).x
+            made = fit.motion.x - fit.zero_m - without
+            near = [self._seen(n) for n in neighbours(made, over)]
+            out += of_form(fit.slopes, fit.residual, fit.covariance, np.column_stack(near))
+        return out
+
+    def _seen(self, moved: Floats) -> Floats:
+        """Return a displacement, (n,), m, as a residual of it would be judged: white, (rows,)."""
+        own = moved[self.rows] - float(np.mean(moved[self.rows]))
+        if self.own is None:
+            return np.asarray(own / self.sigma)
+        return self.own.whiten(self._between(moved))[self.rows]
 
     def late_zero(self, fit: ActuatorFit) -> float:
         """Return the zero at the end of the recording, m: the mean's where it does not wander.
@@ -381,8 +455,15 @@ class _Unknown:
             gain = 0.0
             for _ in range(5):
                 damped = gram + np.diag(damping * gram.diagonal() + 1e-9)
-                moved = p + np.clip(np.linalg.solve(damped, right), -reach, reach)
-                moved[-1] = np.clip(moved[-1], -most, most)
+                step = np.linalg.solve(damped, right)
+                last = float(np.clip(p[-1] + step[-1], -most, most) - p[-1])
+                if last != step[-1]:
+                    # The others step to where they are best with it at its end: what a delay or a
+                    # slower column trades for an offset in time is many times the noise.
+                    step = np.r_[
+                        np.linalg.solve(damped[:-1, :-1], right[:-1] - last * damped[:-1, -1]), last
+                    ]
+                moved = p + np.clip(step, -reach, reach)
                 try:
                     trial = self.residual(moved)
                 except SimulationError:
@@ -394,8 +475,13 @@ class _Unknown:
                     damping, better = max(damping * 0.2, 1e-9), True
                     break
                 damping *= 10.0
-            if not better or gain < 1e-5 * chi2 + 0.02:
+            if better and gain >= 1e-5 * chi2 + 0.02:
+                continue
+            # Damping holds back along a valley, and what is gained there looks like nothing: a fit
+            # that may be the answer rests only where it rests without.
+            if damping <= UNDAMPED or chi2 > NEAR * r.size:
                 break
+            damping = UNDAMPED
         return p, chi2, jacobian
 
     def _slopes(self, p: Floats, r: Floats, jacobian: Floats) -> None:

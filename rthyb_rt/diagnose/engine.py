@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from rthyb_rt.diagnose import (
     estimate,
     force,
     freebody,
+    lateness,
     localise,
     modulation,
     noise,
@@ -27,15 +28,13 @@ from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.effects.sensor import QUANTISATION
 from rthyb_rt.diagnose.estimate import Estimate
+from rthyb_rt.diagnose.intervals import Sure, intervals, of_the_spring_there_is
 from rthyb_rt.diagnose.policy import POLICY, of_size
 from rthyb_rt.diagnose.predict import Augmented, followed, nrmse, output_error, predict
 from rthyb_rt.diagnose.select import (
     Fit,
     Member,
     Problem,
-    clustered,
-    design_of,
-    inflation,
     leaning,
     price,
     refine,
@@ -351,6 +350,8 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             return force.search(judged, progress, body, doubtful, known)
 
         found, search = _in_its_noise(case, found, search, anew, progress)
+        if disp is not None and found.motion is disp.best.motion and not search.moved:
+            found, ctx, search = lateness.settled(disp.task, disp.best, found, ctx, search)
         if held and not (search.moved and _felt(case, search, ctx)):
             by_balance = search.balance or search
             tried = [search, by_balance] if search.moved else [search]
@@ -755,7 +756,7 @@ def _verdict(
         candidates += _disp_found(disp)
         names += list(disp.best.names)
     if search is not None and ctx is not None and named_force:
-        candidates += _force_found(search, ctx)
+        candidates += _force_found(search, ctx, _around(disp, found))
         names += list(search.best.names)
     if quantised is not None:
         candidates.append(quantised)
@@ -960,9 +961,15 @@ def _errors(
     return out
 
 
-def _force_found(search: force.Search, ctx: Context) -> list[Found]:
-    """Return the effects of the best set, then rivals, with intervals and evidence."""
-    problem = search.problem
+def _force_found(search: force.Search, ctx: Context, motions: Sequence[Motion]) -> list[Found]:
+    """Return the effects of the best set, then rivals, with intervals and evidence.
+
+    Args:
+        search: what was found.
+        ctx: what the laws see.
+        motions: one standard deviation away from that motion each.
+    """
+    problem, sure = search.problem, Sure(search, ctx, motions)
     out: list[Found] = []
     fits = [search.best, *search.equal, *[f for f in search.rivals if f not in search.equal]]
     scores = np.array(
@@ -977,11 +984,8 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
     seen: set[str] = set()
     for number, (fit, weight) in enumerate(zip(fits, weights, strict=True)):
         for i, m in enumerate(fit.members):
-            params, ci = intervals(fit, i, ctx)
-            if number == 0:
-                _scattered(ci, search, i, ctx)
-                _widen(ci, params, search, m.name, ctx)
-            _of_the_spring_there_is(problem, fit, m.name, params, ci)
+            params, ci = intervals(fit, i, ctx) if number else sure.of(i)
+            of_the_spring_there_is(problem, fit, m.name, params, ci)
             for name in m.effect.names:
                 if name in seen:
                     continue
@@ -1006,131 +1010,11 @@ def _force_found(search: force.Search, ctx: Context) -> list[Found]:
     return out
 
 
-def _of_the_spring_there_is(
-    problem: Problem, fit: Fit, name: str, params: dict[str, float], ci: dict[str, list[float]]
-) -> None:
-    """Count what a spring loses as a part of the stiffness found, where the model's was wrong.
-
-    Be that a finding or within the tolerance of the model's.
-    """
-    stiffer = sum(
-        float(b[0])
-        for m, b in zip(fit.members, fit.betas, strict=True)
-        if m.name == effects.of_number("k")
-    )
-    law = effects.catalogue().get(name)
-    key = law.of_spring if law is not None else ""
-    # A loop's spring is not the model's where that is only a line through the loop.
-    if key != "alpha":
-        stiffer += sum(
-            float(b)
-            for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True)
-            if nuisance.number == "k"
-        )
-    if key not in params or not stiffer > -0.9:
-        return
-
-    # Stiffness times gap is what is seen beyond it.
-    seen = 1.0
-    if key == "gap_m":
-        seen = next(
-            float(b[0]) for m, b in zip(fit.members, fit.betas, strict=True) if m.name == name
-        )
-
-    def counted(value: float) -> float:
-        if key == "alpha":
-            return 1.0 - (1.0 - value) / (1.0 + stiffer)
-        return seen * value / (1.0 + stiffer)
-
-    params[key] = counted(params[key])
-    ci[key] = [counted(end) for end in ci[key]]
-
-
-def _scattered(ci: dict[str, list[float]], search: force.Search, member: int, ctx: Context) -> None:
-    """Widen intervals to what the noise left tells, by its colour and by how its parts scatter."""
-    best, problem = search.best, search.problem
-    # Rows whose noise hangs together a little tell less than their number.
-    wider = float(np.sqrt(inflation(best.residual)))
-    scatter = best.scatter
-    if scatter is None and best.covariance is not None:
-        slopes = design_of(problem, best)
-        if slopes.shape == (best.residual.size, best.covariance.shape[0]):
-            scatter = clustered(slopes, best.residual, best.covariance)
-    shown = intervals(replace(best, covariance=scatter), member, ctx)[1]
-    for k, (low, high) in ci.items():
-        middle, half = 0.5 * (low + high), 0.5 * wider * (high - low)
-        if k in shown:
-            half = max(half, 0.5 * (shown[k][1] - shown[k][0]))
-        ci[k] = [middle - half, middle + half]
-
-
-def _widen(
-    ci: dict[str, list[float]],
-    params: dict[str, float],
-    search: force.Search,
-    name: str,
-    ctx: Context,
-) -> None:
-    """Let intervals reach to what other forms of the same law come to; none is known to be true.
-
-    Nor are those that were tried all that there are: a law with a shape has a least half-width.
-    """
-    shaped = any(
-        m.name == name and m.trial.theta and not m.effect.sensor for m in search.best.members
-    )
-    exact = search.problem.estimate.exact
-    least = POLICY.interval_simulated if exact else POLICY.interval_estimated
-    for fit in search.forms:
-        for i, m in enumerate(fit.members):
-            if m.name == name:
-                other = m.effect.report(ctx, m.trial, fit.betas[i])
-                # The true form may lie to the other side of this one by as much.
-                for k, v in other.items():
-                    apart = abs(v - params[k])
-                    ci[k] = [min(ci[k][0], params[k] - apart), max(ci[k][1], params[k] + apart)]
-    for k, v in params.items():
-        half = max(least, POLICY.interval_of_form if shaped else 0.0) * abs(v)
-        ci[k] = [min(ci[k][0], v - half), max(ci[k][1], v + half)]
-
-
-def intervals(
-    fit: Fit, member: int, ctx: Context
-) -> tuple[dict[str, float], dict[str, list[float]]]:
-    """Return the parameters of one effect and their 95 % intervals."""
-    m = fit.members[member]
-    params = m.effect.report(ctx, m.trial, fit.betas[member])
-    if fit.covariance is None:
-        return params, {}
-    shapes = [len(f.trial.theta) for f in fit.members]
-    widths = [len(b) for b in fit.betas]
-    has_shapes = fit.covariance.shape[0] == sum(shapes) + sum(widths) + fit.nuisance.size
-    first_shape = sum(shapes[:member])
-    first_beta = (sum(shapes) if has_shapes else 0) + sum(widths[:member])
-    index = [first_shape + j for j in range(shapes[member])] if has_shapes else []
-    index += [first_beta + j for j in range(widths[member])]
-    cov = fit.covariance[np.ix_(index, index)]
-    gradient: dict[str, list[float]] = {k: [] for k in params}
-    from rthyb_rt.diagnose.effects.base import Trial
-
-    for j in range(shapes[member] if has_shapes else 0):
-        theta = list(m.trial.theta)
-        theta[j] *= np.exp(1e-4)
-        moved = m.effect.report(ctx, Trial(tuple(theta), m.trial.variant), fit.betas[member])
-        for k in params:
-            gradient[k].append((moved[k] - params[k]) / 1e-4)
-    for j in range(widths[member]):
-        beta = fit.betas[member].copy()
-        step = 1e-4 * (abs(beta[j]) or 1e-12)
-        beta[j] += step
-        moved = m.effect.report(ctx, m.trial, beta)
-        for k in params:
-            gradient[k].append((moved[k] - params[k]) / step)
-    ci = {}
-    for k, value in params.items():
-        g = np.array(gradient[k])
-        half = 1.96 * float(np.sqrt(max(g @ cov @ g, 0.0)))
-        ci[k] = [value - half, value + half]
-    return params, ci
+def _around(disp: Displacement | None, found: Estimate | None) -> list[Motion]:
+    """Return motions one standard deviation away from one that a fitted actuator simulates."""
+    if disp is None or found is None or not found.exact:
+        return []
+    return disp.task.around(disp.best, disp.scale, found.motion)
 
 
 def _disp_found(disp: Displacement) -> list[Found]:
@@ -1142,17 +1026,20 @@ def _disp_found(disp: Displacement) -> list[Found]:
     weights = np.exp(-0.5 * np.clip(scores - scores.min(), 0, 700))
     weights /= weights.sum()
     for number, (fit, weight) in enumerate(zip(fits, weights, strict=True)):
-        j = 0
-        for effect, values in zip(fit.effects, fit.values, strict=True):
+        j, known = 0, fit.known(disp.scale)
+        if number == 0 and fit.effects:
+            known = known + disp.task.of_form(fit)
+        reach = fit.chi2 + POLICY.form_alone * (disp.null.chi2 - fit.chi2)
+        others = [o for o in fit.others if o.chi2 < reach]
+        for place, (effect, values) in enumerate(zip(fit.effects, fit.values, strict=True)):
             params = effect.report(disp.task.base, values)
+            forms = [effect.report(disp.task.base, o.values[place]) for o in others]
             ci = {}
             for i, (k, v) in enumerate(params.items()):
-                cov = fit.covariance
-                half = POLICY.interval_simulated * abs(v)
-                if cov is not None:
-                    half = max(
-                        half, 1.96 * float(np.sqrt(max(cov[j + i, j + i], 0.0) * disp.scale))
-                    )
+                half = 1.96 * float(np.sqrt(max(known[j + i, j + i], 0.0)))
+                half = max(half, POLICY.interval_simulated * abs(v))
+                # As of the force: another form of the effect that does nearly as well.
+                half = max([half, *(abs(o[k] - v) for o in forms if number == 0)])
                 ci[k] = [v - half, v + half]
             j += len(values)
             if effect.name in seen:

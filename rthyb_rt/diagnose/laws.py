@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.effects.base import Trial
-from rthyb_rt.diagnose.engine import Diagnosis, intervals
+from rthyb_rt.diagnose.engine import Diagnosis
+from rthyb_rt.diagnose.intervals import intervals
 from rthyb_rt.diagnose.select import columns_of, leaning
 from rthyb_rt.diagnose.words import called
 
@@ -191,9 +192,7 @@ def actuator_law(disp: Displacement) -> Law:
         step = STEP * (abs(value) or 1e-3)
         change: dict[str, Any] = {name: value + step}
         slopes[:, k] = (task.simulate(replace(fit.model, **change)).x - made) / step
-    known = None
-    if fit.covariance is not None:
-        known = fit.covariance[: len(fields), : len(fields)] * disp.scale
+    known = fit.known(disp.scale)[: len(fields), : len(fields)]
     part = Part(fit.names, (made - plain) * 1e3, slopes * 1e3)
     return Law((part,), known)
 

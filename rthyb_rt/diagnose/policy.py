@@ -538,6 +538,10 @@ class Policy:
         0.015, "part of the value", "judgement",
         "The same of a specimen's law that has a shape: the true one may have another form.",
     )  # fmt: skip
+    form_error: float = _entry(
+        0.15, "part of its force", "judgement",
+        "Most by which a smooth function of the motion may bend a law, for its intervals.",
+    )  # fmt: skip
     prediction_follows: float = _entry(
         2.0, "times its noise", "judgement",
         "How near a simulated motion has to be for a prediction to go along it.",

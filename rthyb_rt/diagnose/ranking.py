@@ -10,7 +10,8 @@ import numpy as np
 
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
-from rthyb_rt.diagnose.engine import Diagnosis, Displacement, intervals
+from rthyb_rt.diagnose.engine import Diagnosis, Displacement
+from rthyb_rt.diagnose.intervals import intervals
 from rthyb_rt.diagnose.select import Fit, price
 from rthyb_rt.diagnose.words import called, interval_text, value_text
 

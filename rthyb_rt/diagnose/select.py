@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -117,6 +118,22 @@ def leaning(problem: Problem, fit: Fit) -> Floats:
     return out
 
 
+def whole(problem: Problem, fit: Fit, ctx: Context) -> Floats:
+    """Return all of a fit's force along another motion: its effects', the model's, nuisance, N.
+
+    Of shape (n,), as the load cell shows it.
+    """
+    along = copy(problem)
+    along.ctx, along.nuisances = ctx, problem.nuisances_along(ctx)
+    columns = columns_of(ctx, fit.members)
+    parts = [
+        b * c
+        for beta, own in zip(fit.betas, columns, strict=True)
+        for b, c in zip(beta, own, strict=True)
+    ]
+    return np.asarray(ctx.total + leaning(along, fit) + np.sum(parts, axis=0))
+
+
 @dataclass
 class Fit:
     """A set of effects fitted to the residual.
@@ -170,7 +187,7 @@ class Problem:
             self.pieces = _pieces(estimate, ctx)
             self.rows = self.pieces.rows
         self.y = self.seen(estimate.force - ctx.total)
-        self.nuisances = list(self._nuisances())
+        self.nuisances = list(self._nuisances(ctx))
         self.base = np.column_stack(
             [self.seen(n.column) for n in self.nuisances] or [np.zeros((self.y.size, 0))]
         )
@@ -199,8 +216,12 @@ class Problem:
         """Whether nothing acts on a body: then its mass is the scale of all forces, and stays."""
         return self.case.model.family == "forced" and not np.any(self.ctx.force)
 
-    def _nuisances(self) -> Iterable[Nuisance]:
-        model, ctx = self.case.model, self.ctx
+    def nuisances_along(self, ctx: Context) -> list[Nuisance]:
+        """Return the nuisance as it is along another motion."""
+        return list(self._nuisances(ctx))
+
+    def _nuisances(self, ctx: Context) -> Iterable[Nuisance]:
+        model = self.case.model
         if model.k:
             name = of_number("k")
             yield Nuisance(name, ctx.spring, model.k_tol, "stiffness", "%", number="k", effect=name)
@@ -234,6 +255,13 @@ class Problem:
     def frees(self, number: str) -> bool:
         """Return whether a number of the model is refitted without a tolerance."""
         return any(n.number == number and n.sigma is None for n in self.nuisances)
+
+    def late_as(self, rate: Floats) -> None:
+        """Take the nuisance of a time offset for a line over this rate of the force, (n,), N/s."""
+        self.nuisances = [
+            replace(n, column=rate) if n.name == "skew" else n for n in self.nuisances
+        ]
+        self.base = np.column_stack([self.seen(n.column) for n in self.nuisances])
 
     def rescale(self, factor: float) -> None:
         """Take the noise ``sqrt(factor)`` times as large: rows of coloured noise tell less."""

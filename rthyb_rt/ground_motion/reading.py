@@ -43,6 +43,19 @@ BUILTIN = MappingProxyType(
             " record, processed as tabulated in Chopra, Dynamics of Structures (50 Hz, 1560"
             " points, PGA 0.3188 g)",
         ),
+        **{
+            f"rths-{name.replace('_', '-')}": (
+                f"rths_{name}.txt",
+                f"{source}, with its rests, as the benchmarks of real-time hybrid simulation have"
+                " it (MSSP 135 (2020) 106381); from github.com/FermandoisLab/maRTHS-bmk-RoDeAC,"
+                " MIT licence",
+            )
+            for name, source in (
+                ("elcentro", "Imperial Valley earthquake of 18 May 1940, El Centro, NS (0.320 g)"),
+                ("kobe", "Kobe earthquake of 17 January 1995 (0.645 g)"),
+                ("morgan_hill", "Morgan Hill earthquake of 24 April 1984 (0.244 g)"),
+            )
+        },
     }
 )
 

@@ -28,6 +28,13 @@ TRUTH: Final = (Channel("x_true_m", "m"), Channel("f_true_n", "N"))
 """What the virtual rig's sensors saw, without their errors."""
 
 
+def freedom_channels(setup: Setup) -> tuple[Channel, ...]:
+    """Return the channels that say where the numerical part's degrees of freedom are, in order."""
+    structure = setup.derived.structure
+    count = 1 if structure is None else len(structure.labels)
+    return tuple(Channel(f"x_part_{number + 1}_m", "m") for number in range(count))
+
+
 class Bench:
     """A station and a virtual rig, conducted tick by tick as fast as it goes.
 
@@ -36,6 +43,8 @@ class Bench:
         rig: what moves and measures; None takes the rig file's.
         config: settings of the station; None takes those of the test.
         truth: record what the sensors saw without their errors, as the channels `TRUTH`.
+        freedoms: record where every degree of freedom of the numerical part is, as the channels
+            that `freedom_channels` names.
 
     Attributes:
         run: the station, and the book that is kept of it.
@@ -48,13 +57,15 @@ class Bench:
         config: core.StationConfig | None = None,
         *,
         truth: bool = False,
+        freedoms: bool = False,
     ) -> None:
-        if truth:
-            setup = replace(setup, channels=TRUTH)
+        places = freedom_channels(setup) if freedoms else ()
+        if truth or freedoms:
+            setup = replace(setup, channels=(TRUTH if truth else ()) + places)
         self.run = Run.begin(setup, "virtual", config or experiment.station_config(setup))
         virtual = core.Rig(rig or setup.virtual_rig)
         stop_decel = experiment.stop_decel_m_per_s2(setup.rig)
-        self._test = core.Virtual(self.run.station, virtual, stop_decel, truth)
+        self._test = core.Virtual(self.run.station, virtual, stop_decel, truth, len(places))
         before = self.config.tare_ticks + self.config.ramp_in_ticks
         self._rows = np.empty(before + setup.ticks + 2 * STEP_TICKS, dtype=core.RECORD_DTYPE)
         self._values = np.zeros((self._rows.size, len(setup.channels)))
@@ -157,13 +168,20 @@ class Bench:
         return rec
 
 
-def run(setup: Setup, progress: Progress | None = None, *, truth: bool = False) -> Recording:
+def run(
+    setup: Setup,
+    progress: Progress | None = None,
+    *,
+    truth: bool = False,
+    freedoms: bool = False,
+) -> Recording:
     """Run the test against the virtual rig as fast as it goes.
 
     Args:
         setup: the test.
         progress: called with (ticks done, ticks of the test) now and then.
         truth: record what the sensors saw without their errors, as the channels `TRUTH`.
+        freedoms: record where every degree of freedom of the numerical part is as well.
 
     Returns:
         The recording, all rows from the first tick on; ``meta["end_reason"]`` says how it ended.
@@ -171,7 +189,7 @@ def run(setup: Setup, progress: Progress | None = None, *, truth: bool = False) 
     Raises:
         RthybError: the test cannot be begun.
     """
-    bench = Bench(setup, truth=truth)
+    bench = Bench(setup, truth=truth, freedoms=freedoms)
     conduct(bench, progress)
     return bench.recording()
 

@@ -213,7 +213,11 @@ class Coulomb(Effect):
 
 
 class Stribeck(Effect):
-    """Friction that falls with velocity."""
+    """Friction that falls with velocity.
+
+    Its peak is a Gaussian of velocity or, in the variants that end in "1", an exponential: read
+    from one instead of the other, the level that friction falls to is off by many times its noise.
+    """
 
     name = "stribeck"
     plain = "friction that falls with velocity"
@@ -223,7 +227,7 @@ class Stribeck(Effect):
         Param("Fs_N", "N", 0.0, 1e8),
         Param("vs_m_s", "m/s", 1e-6, 10.0),
     )
-    equation = "f = [Fc + (Fs - Fc) exp(-(v/vs)^2)] tanh(v / width)"
+    equation = "f = [Fc + (Fs - Fc) exp(-|v/vs|^n)] tanh(v / width), n = 2 or 1"
     fingerprint = "friction with a peak at low velocity"
     dry = True
     plainer = Coulomb.name
@@ -242,13 +246,23 @@ class Stribeck(Effect):
                 for w in ctx.v_range * np.array([1e-3, 4e-3, 1.2e-2])
                 if w < 0.4 * vs
             ),
+            *(Trial((float(vs), float(1e-3 * ctx.v_range)), "peak1") for vs in at),
             *(Trial((float(vs), way), v) for vs in at for v in ("contact", "contact1")),
         ]
+
+    @staticmethod
+    def _sheared(trial: Trial) -> bool:
+        """Return whether its sign is that of a contact, which shears before it slips."""
+        return trial.variant.startswith("contact")
+
+    @staticmethod
+    def _power(trial: Trial) -> int:
+        return 1 if trial.variant.endswith("1") else 2
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep the Stribeck velocity within the motion and the width well below it."""
         r = ctx.v_range
-        if trial.variant:
+        if self._sheared(trial):
             way = ctx.x_range
             return [(0.01 * r, 1.2 * r), (CONTACT[0] * way, CONTACT[1] * way)]
         return [(0.01 * r, 1.2 * r), (1e-5 * r, 0.4 * trial.theta[0])]
@@ -256,9 +270,8 @@ class Stribeck(Effect):
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return sliding and additional static friction per N."""
         vs, width = trial.theta
-        sign = slipping(ctx, width) if trial.variant else np.tanh(ctx.v / width)
-        power = 1 if trial.variant == "contact1" else 2
-        return [sign, sign * np.exp(-(np.abs(ctx.v / vs) ** power))]
+        sign = slipping(ctx, width) if self._sheared(trial) else np.tanh(ctx.v / width)
+        return [sign, sign * np.exp(-(np.abs(ctx.v / vs) ** self._power(trial)))]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return both levels and the velocity between them."""
@@ -271,19 +284,19 @@ class Stribeck(Effect):
 
     def rounded(self, trial: Trial, least: float) -> Trial:
         """Return the same peak over a step by tanh."""
-        old = trial.theta[1] if not trial.variant else least
-        return Trial((trial.theta[0], max(old, least)))
+        old = least if self._sheared(trial) else trial.theta[1]
+        return Trial((trial.theta[0], max(old, least)), "peak1" if self._power(trial) == 1 else "")
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the law of the peak, and what its sign is."""
-        power = 1 if trial.variant == "contact1" else 2
-        sign = "a contact that shears before it slips" if trial.variant else "tanh(v / width)"
-        return f"[Fc + (Fs - Fc) exp(-|v/vs|^{power})] by {sign}"
+        sheared = self._sheared(trial)
+        sign = "a contact that shears before it slips" if sheared else "tanh(v / width)"
+        return f"[Fc + (Fs - Fc) exp(-|v/vs|^{self._power(trial)})] by {sign}"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
         p = self.report(ctx, trial, beta)
-        width = 1e-3 * ctx.v_range if trial.variant else trial.theta[1]
+        width = 1e-3 * ctx.v_range if self._sheared(trial) else trial.theta[1]
         width = float(np.clip(width, 1e-7, 1.0))
         return [
             core.element(

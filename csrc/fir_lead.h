@@ -1,0 +1,64 @@
+/* What laws share that lead by four samples of the command, a time apart,
+ *   x_p = th0 x_c[n] + th1 x_c[n-d] + th2 x_c[n-2d] + th3 x_c[n-3d],
+ * and learn the th from those of the measurement, behind the same low-pass, by a recursion of the form
+ *   K = P phi / (r + phi' P phi),   th += K (p - th' phi),   P = P - K phi' P + Q:
+ * least squares with r = 1, Q = 0, or Kalman's filter of a random walk. */
+#ifndef RTHYB_FIR_LEAD_H
+#define RTHYB_FIR_LEAD_H
+
+#include "control_law.h"
+#include "lowpass.h"
+
+#define RTHYB_TAPS 4
+#define RTHYB_FIR_SECTIONS 2   /* of the low-pass: fourth order */
+#define RTHYB_FIR_HISTORY 256u /* samples */
+
+typedef struct {
+    double x[RTHYB_FIR_HISTORY];
+    uint32_t at; /* the newest */
+} rthyb_fir_line;
+
+typedef struct {
+    rthyb_lowpass filter[RTHYB_FIR_SECTIONS];
+    double filter_u[RTHYB_FIR_SECTIONS][2], filter_m[RTHYB_FIR_SECTIONS][2];
+    double learnt[RTHYB_TAPS]; /* th */
+    double used[RTHYB_TAPS];   /* the same as the command has them */
+    double p[RTHYB_TAPS][RTHYB_TAPS];
+    double noise2, walk2, p_max; /* r; Q of each th; P keeps below this */
+    double most;                 /* |th| */
+    double offset, last_u, last_m, h;
+    rthyb_fir_line x, m; /* of the command; of x_m behind the low-pass */
+    uint32_t apart;      /* d in samples */
+    int32_t primed;
+    double alpha; /* reported: the lead in samples */
+} rthyb_fir_lead;
+
+/* Settings of all such laws. P begins with variances of the sum of th, of the delay's direction and of the
+ * two that are left: the discrete orthogonal polynomials of four points. */
+typedef struct {
+    double delay_s, apart_s, cutoff_hz, most;
+    double p_sum, p_delay, p_rest;
+    double noise2, walk2;
+} rthyb_fir_settings;
+
+int rthyb_fir_init(rthyb_fir_lead *s, const rthyb_fir_settings *given,
+                   const rthyb_law_start *start);
+/* The index of the setting that does not fit: 1 the cut-off, 2 the time apart; or -1. */
+int rthyb_fir_check(double cutoff_hz, double apart_s, double period_s,
+                    rthyb_law_complaint *complaint);
+void rthyb_fir_rest(rthyb_fir_lead *s, double x_m);
+int rthyb_fir_observe(rthyb_fir_lead *s, double x_p_m, double x_m_m, int frozen);
+int rthyb_fir_step(rthyb_fir_lead *s, double x_c_m, double allowed_m, double *x_p_m);
+
+#define RTHYB_FIR_VALUES(state)                                                                    \
+    {                                                                                              \
+        {"alpha", "samples", "lead", offsetof(state, fir.alpha)},                                  \
+            {"th0", "", "th0", offsetof(state, fir.used[0])},                                      \
+            {"th1", "", "th1", offsetof(state, fir.used[1])},                                      \
+            {"th2", "", "th2", offsetof(state, fir.used[2])},                                      \
+        {                                                                                          \
+            "th3", "", "th3", offsetof(state, fir.used[3])                                         \
+        }                                                                                          \
+    }
+
+#endif

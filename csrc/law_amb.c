@@ -1,0 +1,164 @@
+/* Adaptive model-based compensation (Galmez & Fermandois, EESD 51 (2022) 1045): the inverse of an actuator of
+ * third order,
+ *   x_p = a0 x_c + a1 x_c' + a2 x_c'' + a3 x_c'''
+ * with backward differences, learnt by a normalised gradient: behind the same low-pass of fourth order, p the
+ * command and phi = (m, m', m'', m''') of the measurement,
+ *   e = (p - a . phi) / (1 + phi . phi),   da/dt = Gamma e phi,   a >= 0,
+ * in metres and seconds, Gamma diagonal. Numbers as in the authors' own model of the benchmark. */
+#include "derivative_lead.h"
+#include "lowpass.h"
+
+#define SECTIONS 2 /* of the low-pass: fourth order */
+#define TERMS RTHYB_DERIVATIVES
+
+enum { A1, A2_SHARE, A3_SHARE, CUTOFF, GAIN0, GAIN1, GAIN2, GAIN3, MOST0 };
+
+/* clang-format off */
+static const rthyb_law_parameter amb_parameters[] = {
+    {"amb.a1_s", "s", 0.0, 1.0, 0.01986, "the first a1, the delay", 0, "identified.delay_s", NULL},
+    {"amb.a2_share", "", 0.0, 1.0, 0.214, "the first a2 over a1^2, 0.5 of a pure delay", 0, NULL, NULL},
+    {"amb.a3_share", "", 0.0, 1.0, 0.0254, "the first a3 over a1^3, 0.167 of a pure delay", 0, NULL, NULL},
+    {"amb.cutoff_hz", "Hz", 0.5, 400.0, 20.0, "the cut-off of the low-pass pair", 0, NULL, NULL},
+    {"amb.log_gain0", "", -12.0, 12.0, 8.4, "the decimal logarithm of the gain of a0", 0, NULL, NULL},
+    {"amb.log_gain1", "", -12.0, 12.0, 6.2, "the decimal logarithm of the gain of a1", 0, NULL, NULL},
+    {"amb.log_gain2", "", -12.0, 12.0, 2.1, "the decimal logarithm of the gain of a2", 0, NULL, NULL},
+    {"amb.log_gain3", "", -12.0, 12.0, 0.8, "the decimal logarithm of the gain of a3", 0, NULL, NULL},
+    {"amb.a0_max", "", 1.0, 10.0, 10.0, "the largest a0", 0, NULL, NULL},
+    {"amb.a1_max_s", "s", 0.0, 1.0, 1.0, "the largest a1", 0, NULL, NULL},
+    {"amb.a2_max_s2", "s^2", 0.0, 1.0, 0.1, "the largest a2", 0, NULL, NULL},
+    {"amb.a3_max_s3", "", 0.0, 1.0, 0.01, "the largest a3, s^3", 0, NULL, NULL},
+};
+/* clang-format on */
+
+typedef struct {
+    rthyb_lowpass filter[SECTIONS];
+    double filter_u[SECTIONS][2], filter_m[SECTIONS][2];
+    double step[TERMS], high[TERMS]; /* gain times sampling period; upper bounds */
+    rthyb_derivative_lead lead;      /* a0 to a3 */
+    rthyb_differences m;             /* of x_m behind the low-pass */
+    double last_u, last_m;           /* last good inputs */
+    int32_t primed;
+} amb_state;
+
+/* clang-format off */
+static const rthyb_law_value amb_values[] = {
+    {"alpha", "samples", "delay estimate", offsetof(amb_state, lead.alpha)},
+    {"beta", "samples²", "curvature term", offsetof(amb_state, lead.beta)},
+    {"a0", "", "a0", offsetof(amb_state, lead.used[0])},
+    {"a1", "s", "a1", offsetof(amb_state, lead.used[1])},
+    {"a2", "s²", "a2", offsetof(amb_state, lead.used[2])},
+    {"a3", "s³", "a3", offsetof(amb_state, lead.used[3])},
+};
+/* clang-format on */
+
+static void first_coefficients(const double *p, double *first)
+{
+    const double a1 = p[A1];
+    first[0] = 1.0;
+    first[1] = a1;
+    first[2] = p[A2_SHARE] * a1 * a1;
+    first[3] = p[A3_SHARE] * a1 * a1 * a1;
+}
+
+static int amb_check(const double *p, double period_s, rthyb_law_complaint *why)
+{
+    double first[TERMS];
+    if (!(p[CUTOFF] * period_s < 0.5)) {
+        *why =
+            (rthyb_law_complaint){"found {} Hz; must be below half of test.sample_rate_hz = {} Hz; "
+                                  "lower it, or raise the rate (256 to 4096 Hz)",
+                                  {p[CUTOFF], 1.0 / period_s}};
+        return CUTOFF;
+    }
+    first_coefficients(p, first);
+    for (int i = 1; i < TERMS; i++) {
+        if (first[i] > p[MOST0 + i]) {
+            *why = (rthyb_law_complaint){
+                "found {}; must be at least {}, which a1_s and the shares begin with",
+                {p[MOST0 + i], first[i]}};
+            return MOST0 + i;
+        }
+    }
+    return -1;
+}
+
+static int amb_init(void *state, const rthyb_law_start *start)
+{
+    amb_state *s = state;
+    const double *p = start->parameters;
+    double first[TERMS];
+    if (!(p[CUTOFF] > 0.0))
+        return RTHYB_E_LAW;
+    butterworth_design(s->filter, SECTIONS, p[CUTOFF], start->period_s);
+    first_coefficients(p, first);
+    for (int i = 0; i < TERMS; i++) {
+        s->high[i] = p[MOST0 + i];
+        s->step[i] = start->period_s * pow(10.0, p[GAIN0 + i]);
+        if (!(s->high[i] <= 1e3 && isfinite(s->step[i]) && fabs(first[i]) <= 1e3))
+            return RTHYB_E_LAW;
+    }
+    s->last_u = s->last_m = start->x0_m;
+    rthyb_derivative_init(&s->lead, TERMS, start->period_s, first, start->x0_m);
+    return 0;
+}
+
+static void amb_rest(void *state, double x_m)
+{
+    rthyb_derivative_rest(&((amb_state *)state)->lead, x_m);
+}
+
+static void learn(amb_state *s, double u, const double *phi)
+{
+    double error = u, power = 1.0;
+    for (int i = 0; i < TERMS; i++) {
+        error -= s->lead.learnt[i] * phi[i];
+        power += phi[i] * phi[i];
+    }
+    for (int i = 0; i < TERMS; i++)
+        s->lead.learnt[i] =
+            clamp(s->lead.learnt[i] + s->step[i] * error * phi[i] / power, 0.0, s->high[i]);
+}
+
+static int amb_observe(void *state, double x_p_m, double x_m_m, int frozen)
+{
+    amb_state *s = state;
+    int code = RTHYB_OK;
+    s->last_u = accept(x_p_m, RTHYB_DISPLACEMENT_MAX_M, s->last_u, &code);
+    s->last_m = accept(x_m_m, RTHYB_DISPLACEMENT_MAX_M, s->last_m, &code);
+    if (!s->primed) {
+        butterworth_rest(s->filter, SECTIONS, s->filter_u, s->last_u);
+        butterworth_rest(s->filter, SECTIONS, s->filter_m, s->last_m);
+        rthyb_differences_rest(&s->m, s->last_m);
+        s->primed = 1;
+    }
+    double phi[TERMS];
+    const double u = butterworth_step(s->filter, SECTIONS, s->filter_u, s->last_u);
+    const double m = butterworth_step(s->filter, SECTIONS, s->filter_m, s->last_m);
+    rthyb_differences_step(&s->m, TERMS, s->lead.h, m, phi);
+    if (!frozen && code == RTHYB_OK)
+        learn(s, u, phi);
+    return code;
+}
+
+static int amb_lead(void *state, double x_c_m, double allowed_m, double *x_p_m)
+{
+    return rthyb_derivative_step(&((amb_state *)state)->lead, x_c_m, allowed_m, x_p_m);
+}
+
+static const rthyb_control_law amb = {
+    .is = {.name = "amb",
+           .meaning = "adaptive model-based: inverse of third order by a normalised gradient",
+           .calmer = "lower controller.amb.log_gain0 to log_gain3",
+           .parameters = amb_parameters,
+           .values = amb_values,
+           .parameter_count = RTHYB_COUNT(amb_parameters),
+           .value_count = RTHYB_COUNT(amb_values)},
+    .state_size = sizeof(amb_state),
+    .check = amb_check,
+    .init = amb_init,
+    .rest = amb_rest,
+    .observe = amb_observe,
+    .lead = amb_lead,
+};
+
+RTHYB_LAW(amb);

@@ -1,0 +1,223 @@
+"""Run the field's benchmark and write docs/benchmark.md and its picture.
+
+``python docs/tools/benchmark_page.py`` renews what stands between the markers
+
+    <!-- generated: NAME -->  ...  <!-- end -->
+
+of the page. Runs are kept in build/benchmark-rths.json, part by part: ``--only PART`` does one of
+them anew and takes the others from there, ``--only none`` draws from what is kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pictures
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from rthyb_rt.benchmark import cases, runs, table
+from rthyb_rt.benchmark.runs import Outcome, Run
+from rthyb_rt.benchmark.table import Line
+from rthyb_rt.report import drawing
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "benchmark.md"
+PICTURE = ROOT / "docs" / "images" / "benchmark-rths.svg"
+KEPT = ROOT / "build" / "benchmark-rths.json"
+_PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+SHORT = ("J2", "J4", "J6", "J8", "true")
+
+
+def plan() -> dict[str, list[Run]]:
+    """Return the runs behind the page, by part."""
+    names = [one.name for one in cases.entrants()]
+    rates = list(cases.RATES)
+    return {
+        "elcentro": runs.planned(names, rates, [1, 4], ["elcentro"], 20),
+        "between": runs.planned(names, rates, [2, 3], ["elcentro"], 4),
+        "motions": runs.planned(names, rates, [1, 4], ["kobe", "morgan"], 4),
+        "wide": runs.planned(names, rates, [1, 4], ["elcentro"], 20, width=3.0),
+        "yielding": runs.planned(names, rates, [1, 4], ["elcentro"], 2, yielding=True),
+    }
+
+
+def measure(part: str, wanted: Sequence[Run], jobs: int) -> None:
+    """Do the runs of a part, and keep them."""
+    begun = time.monotonic()
+    outcomes = runs.measured(wanted, jobs)
+    print(f"{part}: {len(wanted)} runs in {time.monotonic() - begun:.0f} s", flush=True)
+    KEPT.parent.mkdir(exist_ok=True)
+    before = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
+    KEPT.write_text(json.dumps({**before, part: table.document(outcomes)}), encoding="utf-8")
+
+
+def kept() -> tuple[dict[str, list[Outcome]], dict[str, Any]]:
+    """Return what is kept, by part, and the facts of the first."""
+    document = json.loads(KEPT.read_text(encoding="utf-8"))
+    found = {}
+    for part, content in document.items():
+        outcomes = []
+        for one in content["runs"]:
+            figures, end = one.pop("figures"), one.pop("end")
+            outcomes.append(Outcome(Run(**one), end, figures))
+        found[part] = outcomes
+    return found, document["elcentro"]["facts"]
+
+
+# ---- tables -------------------------------------------------------------------------------------
+
+
+def facts_text(facts: dict[str, Any]) -> str:
+    """Return what the figures depend on, as a paragraph."""
+    return (
+        f"rthyb {facts['rthyb']} (sources of the core `{facts['core_sources'][:16]}`, "
+        f"{facts['compiler']}, {facts['architecture']}), Python {facts['python']}, NumPy "
+        f"{facts['numpy']}, {facts['processor']}, {facts['date']}.\n"
+    )
+
+
+def whole_table(lines: Sequence[Line], rate_hz: int) -> str:
+    """Return cases 1 and 4 with all figures."""
+    heads = ["law", "case", *table.heads()]
+    rows = [
+        [f"`{line.entrant}`", str(line.case), *table.cells(line)]
+        for line in lines
+        if line.rate_hz == rate_hz
+    ]
+    return _markdown(heads, rows, 1)
+
+
+def short_table(lines: Sequence[Line], kind: Callable[[Line], str], kinds: Sequence[str]) -> str:
+    """Return a line a law: the figures of `SHORT` as means, case 1 / case 4, in each kind."""
+    rows = []
+    for name in dict.fromkeys(line.entrant for line in lines):
+        row = [f"`{name}`"]
+        for wanted in kinds:
+            own = [line for line in lines if line.entrant == name and kind(line) == wanted]
+            row += [" / ".join(_mean(line, key) for line in own) for key in SHORT]
+            lost, whole = sum(one.unstable for one in own), sum(one.runs for one in own)
+            row.append(f"{lost} of {whole}")
+        rows.append(row)
+    heads = ["law"]
+    for wanted in kinds:
+        heads += [*(f"{wanted}: {SHORT[0]} %", *(f"{key} %" for key in SHORT[1:])), "unstable"]
+    return _markdown(heads, rows, 1)
+
+
+def _case(line: Line) -> str:
+    return f"case {line.case}"
+
+
+def _motion(line: Line) -> str:
+    return line.motion
+
+
+def _mean(line: Line, key: str) -> str:
+    return table.short(line.mean[key]) if line.mean else "–"
+
+
+def _markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
+    rule = ["---"] * texts + ["--:"] * (len(heads) - texts)
+    return "\n".join(f"| {' | '.join(row)} |" for row in (heads, rule, *rows)) + "\n"
+
+
+def parts(found: dict[str, list[Outcome]], facts: dict[str, Any]) -> dict[str, str]:
+    """Return what stands between the markers, by name."""
+    made = {"facts": facts_text(facts)}
+    lines = table.lines(found["elcentro"])
+    for rate in cases.RATES:
+        made[f"elcentro-{rate}"] = whole_table(lines, rate)
+    for part in [name for name in plan() if name in found and name != "elcentro"]:
+        lines, kind = table.lines(found[part]), _case if part == "between" else _motion
+        for rate in cases.RATES:
+            own = [line for line in lines if line.rate_hz == rate]
+            made[f"{part}-{rate}"] = short_table(own, kind, list(dict.fromkeys(map(kind, own))))
+    return made
+
+
+# ---- the picture --------------------------------------------------------------------------------
+
+
+def picture(outcomes: Sequence[Outcome]) -> str:
+    """Return tracking against response error in case 1, every law a point with its spread."""
+    with rc_context(drawing.STYLE):
+        figure = Figure(figsize=(drawing.FULL_WIDTH_IN, 4.4))
+        figure.patch.set_visible(False)
+        for number, rate in enumerate(cases.RATES):
+            axes = figure.add_axes((0.075 + 0.49 * number, 0.11, 0.42, 0.80))
+            axes.patch.set_visible(False)
+            _draw_rate(axes, [one for one in outcomes if _shown(one, rate)])
+            axes.set_title(f"{rate} Hz", loc="left", fontsize=8.0)
+            axes.set_xlabel("tracking error without noise, %")
+            if number == 0:
+                axes.set_ylabel("response error of storey 1 (J4), %")
+        title = "Tracking against response error of every control law on the benchmark"
+        return pictures.on_paper(drawing.to_svg(figure, "benchmark-rths", title))
+
+
+def _shown(one: Outcome, rate: int) -> bool:
+    return one.completed and one.run.rate_hz == rate and one.run.case == 1
+
+
+def _draw_rate(axes: Any, outcomes: Sequence[Outcome]) -> None:
+    for axis, limits in ((axes.xaxis, (0.1, 100.0)), (axes.yaxis, (1.0, 300.0))):
+        axis.axes.set(**{f"{axis.axis_name}scale": "log", f"{axis.axis_name}lim": limits})
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
+    axes.grid(axis="both")
+    names = list(dict.fromkeys(one.run.entrant for one in outcomes))
+    colours = (drawing.BLUE, drawing.RED, drawing.GREEN, drawing.PURPLE, drawing.ORANGE)
+    own = ("inverse", "alpha-beta", "robust", "paper")
+    places = []
+    for name in names:
+        own_figures = [one.figures for one in outcomes if one.run.entrant == name]
+        points = np.array([[found["true"], found["J4"]] for found in own_figures])
+        x, y = points.mean(axis=0)
+        low, high = points.min(axis=0), points.max(axis=0)
+        colour = colours[0] if name in own else drawing.GREY
+        axes.plot([low[0], high[0]], [y, y], color=colour, linewidth=0.7)
+        axes.plot([x, x], [low[1], high[1]], color=colour, linewidth=0.7)
+        axes.plot([x], [y], "o", color=colour, markersize=3.2)
+        places.append((name, x, y, colour))
+    _name_points(axes, places)
+
+
+def _name_points(axes: Any, places: Sequence[tuple[str, float, float, str]]) -> None:
+    """Write the names beside the points, each clear of those above it."""
+    last = np.inf
+    for name, x, y, colour in sorted(places, key=lambda place: -place[2]):
+        height = min(float(np.log10(y)), last - 0.055)
+        last = height if last - float(np.log10(y)) < 0.4 else float(np.log10(y))
+        place = (x * 1.12, 10**height)
+        axes.annotate(name, (x, y), xytext=place, fontsize=6.5, color=colour, va="center")
+
+
+def main() -> None:
+    """Measure, and write the page and its picture."""
+    arguments = argparse.ArgumentParser()
+    arguments.add_argument("--jobs", type=int, default=runs.jobs_there_are())
+    arguments.add_argument("--only", choices=(*plan(), "none"))
+    given = arguments.parse_args()
+    for part, wanted in plan().items():
+        if given.only in (None, part):
+            measure(part, wanted, given.jobs)
+    found, facts = kept()
+    made = parts(found, facts)
+    text = PAGE.read_text(encoding="utf-8")
+    text = _PART.sub(lambda part: f"{part[1]}{made.get(part[2], '')}{part[3]}", text)
+    PAGE.write_text(text, encoding="utf-8")
+    PICTURE.write_text(picture(found["elcentro"]), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,292 @@
+"""What the benchmark asks: structures, motions, rates, plants, and who takes part in it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from rthyb_rt import config, ground_motion
+from rthyb_rt.benchmark import plants
+from rthyb_rt.config import RigFile, TestFile
+from rthyb_rt.config.rigfile import ServoValve
+from rthyb_rt.core.laws import LAWS
+from rthyb_rt.errors import InputError
+from rthyb_rt.ground_motion import GroundMotion
+
+STIFFNESS_N_PER_M: Final = (
+    (2.6054884e7, -2.3133939e7, 0.5937035e7),
+    (-2.3133939e7, 3.2560774e7, -1.4419971e7),
+    (0.5937035e7, -1.4419971e7, 0.9267276e7),
+)
+"""Of the whole structure, three storeys; the specimen is a part of the first one."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A reference structure: mass of each storey, damping ratio of each mode (Table 1)."""
+
+    mass_kg: float
+    damping_ratio: float
+
+
+CASES: Final = {1: Case(1000, 0.05), 2: Case(1100, 0.04), 3: Case(1300, 0.03), 4: Case(1000, 0.03)}
+
+MOTIONS: Final = {
+    "elcentro": "rths-elcentro",
+    "kobe": "rths-kobe",
+    "morgan": "rths-morgan-hill",
+}
+"""Built-in records of the three motions, with their rests; all are taken at `SCALE`."""
+SCALE: Final = 0.4
+
+SEEDS: Final = tuple(range(7001, 7021))
+"""Of the perturbed plants; the benchmark asks for 20."""
+
+BENCHMARK_HZ: Final = 4096
+RATES: Final = {BENCHMARK_HZ: 1, 1024: 0}
+"""Sample rates, and the samples by which the numerical part has the force late: one in the model of
+the benchmark, none in the order of a test of this program."""
+
+HELD: Final = 0.5
+"""Samples by which a force is late that is held over one."""
+
+OWN: Final = ("paper", "robust", "alpha-beta", "gain-alpha-beta", "inverse")
+"""Laws that are shipped together with the restoring-force compensator; others run without it, as
+they were published."""
+
+WITH_FORCE: Final = "+rfc"
+"""Behind the name of a law that was published without: with the restoring-force compensator."""
+FORCE_CUTOFF_HZ: Final = 60.0
+"""Of the low-pass on x_c - x_m there: a little below the first resonance of the plant, 67 Hz."""
+
+BASELINE: Final = "pi-lead"
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """Who takes part: a control law with its settings, on a rig that may have a loop of its own.
+
+    Attributes:
+        name: as the table has it.
+        law: ``controller.type``.
+        settings: of the law, by their keys; what is absent comes from the rig or by default.
+        rfc: whether the restoring-force compensator runs; it knows how late the force is.
+        cutoff_hz: of its low-pass; None: as shipped.
+        loop: kp and ki of the drive's own loop, 1 and 1/s; None: it has none.
+    """
+
+    name: str
+    law: str
+    settings: Mapping[str, float] = field(default_factory=dict)
+    rfc: bool = False
+    cutoff_hz: float | None = None
+    loop: tuple[float, float] | None = None
+
+
+def entrant(name: str) -> Entrant:
+    """Return who takes part by that name: the benchmark's own controller, or a control law.
+
+    ``pi-lead`` is the benchmark's: 2 + 95/s in the drive, 50.8 (s + 168.6) / (s + 8570) before it,
+    of which the gain at rest, .9994, is taken as 1. ``ats`` begins with the coefficients that the
+    rig's sweep gives, and ``third-order`` has them: with those of the set-up file of ``ats``,
+    a2 = a1^2 / 2, the loop is unstable at 67 Hz until it has learnt. ``amb`` begins with its
+    published coefficients, those of the actuator without the specimen. With `WITH_FORCE` behind its
+    name a law of others has the restoring-force compensator as well.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    if name == BASELINE:
+        lead = {"zhao.tau_s": 1.0 / 168.6, "zhao.filter_s": 1.0 / 8570.0}
+        return Entrant(name, "zhao", lead, loop=(2.0, 95.0))
+    law, force = name.removesuffix(WITH_FORCE), name.endswith(WITH_FORCE)
+    if law not in LAWS or (force and law in OWN):
+        raise InputError(
+            f"found {name!r}; must be {BASELINE}, the benchmark's own controller, or a control "
+            f"law: {', '.join(LAWS)}; those of others with {WITH_FORCE} as well",
+            "--law",
+        )
+    settings: dict[str, float] = {}
+    if law == "ats":
+        _, a1, a2 = swept_inverse(plants.nominal(), 2)
+        settings = {"ats.a1_s": a1, "ats.a2_share": a2 / a1**2}
+    elif law == "amb":
+        settings = {"amb.a1_s": 0.01986}
+    elif law == "third-order":
+        a0, a1, a2, a3 = swept_inverse(plants.nominal(), 3)
+        found = {"a0": a0, "a1_s": a1, "a2_share": a2 / a1**2, "a3_share": a3 / a1**3}
+        settings = {f"third_order.{key}": value for key, value in found.items()}
+    cutoff_hz = FORCE_CUTOFF_HZ if force else None
+    return Entrant(name, law, settings, rfc=force or law in OWN, cutoff_hz=cutoff_hz)
+
+
+def entrants() -> tuple[Entrant, ...]:
+    """Return all that take part, the benchmark's own controller first."""
+    names = (BASELINE, *LAWS, *(f"{law}{WITH_FORCE}" for law in ("amb", "ats")))
+    return tuple(entrant(name) for name in names)
+
+
+SWEPT_HZ: Final = 10.0
+"""Up to which a low order is fitted: the structure's first two modes lie around it, and the first
+resonance of the plant far above."""
+
+
+def swept_inverse(rig: RigFile, order: int) -> tuple[float, ...]:
+    """Return a0, a1 (s), a2 (s^2) ... of the inverse a0 + a1 s + a2 s^2 ... that a sweep shows.
+
+    Least squares over the swept tones up to `SWEPT_HZ` of |G (a0 + a1 s + a2 s^2 ...) - 1|, G the
+    identified response.
+
+    Args:
+        rig: with what was identified.
+        order: the last power of s.
+
+    Raises:
+        InputError: the rig file has no sweep.
+    """
+    found = rig.identified
+    if found is None or not found.frequency_hz:
+        raise InputError(
+            "the sweep is missing; run `rthyb identify` and take its file", f"rig {rig.rig.name}"
+        )
+    s = 2j * np.pi * np.array(found.frequency_hz)
+    gain = np.array(found.amplitude) * np.exp(-s * np.array(found.delay_at_frequency_s))
+    slow = np.array(found.frequency_hz) <= SWEPT_HZ
+    s, gain = s[slow], gain[slow]
+    scale = float(np.abs(s).max())
+    columns = gain[:, None] * np.vander(s / scale, order + 1, increasing=True)
+    rows = np.concatenate([columns.real, columns.imag])
+    wanted = np.concatenate([np.ones(s.size), np.zeros(s.size)])
+    found = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    return tuple(float(value) / scale**power for power, value in enumerate(found))
+
+
+@functools.cache
+def motion(name: str) -> GroundMotion:
+    """Return one of `MOTIONS`, not scaled.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    if name not in MOTIONS:
+        raise InputError(f"found {name!r}; must be one of {', '.join(MOTIONS)}", "--motion")
+    return ground_motion.load(MOTIONS[name])
+
+
+def test_of(who: Entrant, case: int, rate_hz: int) -> TestFile:
+    """Return the test file of a run: the whole structure, of which the specimen is taken out.
+
+    Args:
+        who: takes part.
+        case: one of `CASES`.
+        rate_hz: one of `RATES`.
+
+    Raises:
+        InputError: with what is wrong in it.
+    """
+    nominal, structure = plants.nominal(), CASES[case]
+    late_s = (RATES[rate_hz] + HELD) / rate_hz
+    known = {item.element: item for item in nominal.specimen}
+    test = f"""schema = "rthyb-test/1"
+rig = "rths-benchmark"
+test = {{ name = "rths-case-{case}", sample_rate_hz = {rate_hz}, free_vibration_s = 0 }}
+[ground_motion]
+record = "rths-elcentro"
+factor = {SCALE}
+interpolation = "linear"
+[numerical.matrices]
+m_kg = {[structure.mass_kg] * 3}
+k_n_per_m = {[list(row) for row in STIFFNESS_N_PER_M]}
+damping_ratios = [{structure.damping_ratio}]
+integrator = "rk4"
+force_delay_samples = {RATES[rate_hz]}
+[numerical.matrices.specimen]
+mass_kg = {getattr(known["inertia"], "m_kg", 0.0)}
+damping_n_s_per_m = {getattr(known["viscous"], "c_n_s_per_m", 0.0)}
+[controller]
+type = "{who.law}"
+rfc = {{ enabled = {str(who.rfc).lower()}, force_lateness_s = {late_s if who.rfc else 0.0} }}
+"""
+    file = config.parse_test(test, f"benchmark case {case}")
+    own = file.controller.with_settings(who.settings)
+    if who.cutoff_hz is not None:
+        low_passed = own.rfc.model_copy(update={"cutoff_hz": who.cutoff_hz})
+        own = own.model_copy(update={"rfc": low_passed})
+    return file.model_copy(update={"controller": own})
+
+
+YIELD_M: Final = 1e-3
+"""Yield displacement of the yielding specimen: Bouc-Wen with ratio .1, exponent 2.5, parts .1 and
+.9, as the non-linear example to Galmez and Fermandois (2022) has them."""
+POST_YIELD_RATIO: Final = 0.1
+EXPONENT: Final = 2.5
+SHARE: Final = 0.1
+YIELDING_SUBSTEPS: Final = 64
+"""Of a sample of 1/1024 s: over one of them the yielding force is held, which takes damping from
+the plant; with twice as many no criterion differs by more than .1 points."""
+
+
+def rig_of(
+    who: Entrant, seed: int | None, rate_hz: int, *, width: float = 1.0, yielding: bool = False
+) -> RigFile:
+    """Return the plant of a run, its sensors as at that rate.
+
+    The noise of the sensors has the same density at every rate.
+
+    Args:
+        who: takes part: its drive may have a loop.
+        seed: of a perturbed plant; None: the nominal one.
+        rate_hz: one of `RATES`.
+        width: times the stated standard deviations.
+        yielding: the specimen's stiffness is a Bouc-Wen loop.
+    """
+    rig = plants.nominal() if seed is None else plants.drawn(seed, width)
+    if who.loop is not None and isinstance(rig.actuator, ServoValve):
+        kp, ki = who.loop
+        loop = {"loop_kp": kp, "loop_ki_per_s": ki}
+        rig = rig.model_copy(update={"actuator": rig.actuator.model_copy(update=loop)})
+    if yielding:
+        rig = _yielding(rig)
+    return _at_rate(rig, rate_hz)
+
+
+def _at_rate(rig: RigFile, rate_hz: int) -> RigFile:
+    share = (rate_hz / BENCHMARK_HZ) ** 0.5
+    sensors, found = rig.sensors, rig.identified
+    displacement = {"noise_std_m": share * sensors.displacement.noise_std_m}
+    force = {"noise_std_n": share * sensors.force.noise_std_n}
+    quieter = {
+        "displacement": sensors.displacement.model_copy(update=displacement),
+        "force": sensors.force.model_copy(update=force),
+    }
+    update: dict[str, object] = {"sensors": sensors.model_copy(update=quieter)}
+    if found is not None:
+        noise = {
+            key: None if value is None else share * value
+            for key, value in (
+                ("rest_noise_displacement_m", found.rest_noise_displacement_m),
+                ("rest_noise_force_n", found.rest_noise_force_n),
+            )
+        }
+        update["identified"] = found.model_copy(update=noise)
+    return rig.model_copy(update=update)
+
+
+def _yielding(rig: RigFile) -> RigFile:
+    k_n_per_m = sum(e.k_n_per_m for e in rig.specimen if e.element == "stiffness")
+    per_m = 1.0 / YIELD_M**EXPONENT
+    loop = config.rigfile.HysteresisElement(
+        element="hysteresis",
+        k_n_per_m=k_n_per_m,
+        post_yield_ratio=POST_YIELD_RATIO,
+        eta=EXPONENT,
+        b=SHARE * per_m,
+        c=(1.0 - SHARE) * per_m,
+    )
+    others = [item for item in rig.specimen if item.element != "stiffness"]
+    actuator = rig.actuator.model_copy(update={"substeps": YIELDING_SUBSTEPS})
+    return rig.model_copy(update={"specimen": [loop, *others], "actuator": actuator})

@@ -1,0 +1,208 @@
+"""Runs of the benchmark, one by one or by many processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from rthyb_rt.benchmark import cases, criteria
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.record.recording import Recording
+
+NOMINAL: Final = 0
+"""Instead of a seed: the plant that is not perturbed."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run.
+
+    Attributes:
+        entrant: who takes part, by name.
+        rate_hz: one of `cases.RATES`.
+        case: one of `cases.CASES`.
+        motion: one of `cases.MOTIONS`.
+        plant: the seed of a perturbed plant, or `NOMINAL`.
+        width: of the perturbation, in the benchmark's standard deviations.
+        yielding: the specimen yields.
+    """
+
+    entrant: str
+    rate_hz: int
+    case: int
+    motion: str
+    plant: int = NOMINAL
+    width: float = 1.0
+    yielding: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run came to.
+
+    Attributes:
+        run: which.
+        end: how it ended, "completed" when it did; the benchmark's own evaluation takes a force of
+            8900 N for the end of a run.
+        figures: J1 to J9 and the others of `criteria.MEANINGS`; empty if it was not completed.
+    """
+
+    run: Run
+    end: str
+    figures: dict[str, float]
+
+    @property
+    def completed(self) -> bool:
+        """Whether it came to its end."""
+        return bool(self.figures)
+
+
+def planned(
+    entrants: Sequence[str],
+    rates: Sequence[int],
+    numbers: Sequence[int],
+    motions: Sequence[str],
+    plants: int,
+    *,
+    width: float = 1.0,
+    yielding: bool = False,
+) -> list[Run]:
+    """Return all runs of these: of each the nominal plant, then ``plants`` perturbed ones.
+
+    Raises:
+        InputError: there is no such entrant, rate, case or motion, or not so many plants.
+    """
+    for name in entrants:
+        cases.entrant(name)
+    _known(rates, cases.RATES, "--rate", "Hz")
+    _known(numbers, cases.CASES, "--case", "")
+    _known(motions, cases.MOTIONS, "--motion", "")
+    if not 0 <= plants <= len(cases.SEEDS):
+        raise InputError(
+            f"found {plants}; must be 0 to {len(cases.SEEDS)} perturbed plants, beside the nominal "
+            "one",
+            "--plants",
+        )
+    seeds = (NOMINAL, *cases.SEEDS[:plants])
+    return [
+        Run(name, rate, case, motion, seed, width, yielding)
+        for rate in rates
+        for motion in motions
+        for name in entrants
+        for case in numbers
+        for seed in seeds
+    ]
+
+
+def _known(found: Sequence[Any], known: Any, where: str, unit: str) -> None:
+    for one in found:
+        if one not in known:
+            allowed = ", ".join(str(value) for value in known)
+            raise InputError(f"found {one}; must be one of {allowed} {unit}".rstrip(), where)
+
+
+def prepared(run: Run) -> Setup:
+    """Return a run as the program's own test, ready to go."""
+    who = cases.entrant(run.entrant)
+    seed = None if run.plant == NOMINAL else run.plant
+    rig = cases.rig_of(who, seed, run.rate_hz, width=run.width, yielding=run.yielding)
+    test = cases.test_of(who, run.case, run.rate_hz)
+    return experiment.prepare(test, rig, record=cases.motion(run.motion))
+
+
+def measure(run: Run) -> Outcome:
+    """Do one run in virtual time, and measure it."""
+    setup = prepared(run)
+    rec = virtual_time.run(setup, truth=True, freedoms=True)
+    end = str(rec.meta["end_reason"])
+    if end != "completed":
+        return Outcome(run, end, {})
+    return Outcome(run, end, figures_of(setup, rec))
+
+
+def figures_of(setup: Setup, rec: Recording) -> dict[str, float]:
+    """Return the figures of a completed run over the whole record, its rests included."""
+    rows = rec.samples[rec.running()][: setup.ticks]
+    structure = setup.derived.structure
+    if structure is None:
+        raise ValueError("a run of the benchmark has its numerical part by matrices")
+    elements = experiment.specimen_elements(setup.rig)
+    reference = structure.whole_reference(elements, setup.ag_mps2)[3][: rows.size]
+    return criteria.figures(
+        rows["x_num_m"],
+        rows["x_meas_m"],
+        rows["x_true_m"],
+        rows["x_cmd_m"],
+        np.column_stack([rows["x_part_2_m"], rows["x_part_3_m"]]),
+        reference,
+        setup.derived.fs_hz,
+    )
+
+
+Tell = Callable[[int, int, str], None]
+
+_ONE_THREAD: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+_CHUNK: Final = 4
+
+
+def jobs_there_are() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def measured(runs: Sequence[Run], jobs: int = 1, tell: Tell | None = None) -> list[Outcome]:
+    """Do runs, in their order, by as many processes as are asked for.
+
+    Args:
+        runs: which.
+        jobs: processes; 1: this one alone.
+        tell: called with (runs done, runs in all, the entrant) after each.
+
+    Raises:
+        InputError: fewer than one process.
+    """
+    if jobs < 1:
+        raise InputError(f"found {jobs}; must be at least 1 process", "--jobs")
+    outcomes = []
+    with _mapped(min(jobs, len(runs) or 1), runs) as found:
+        for outcome in found:
+            outcomes.append(outcome)
+            if tell is not None:
+                tell(len(outcomes), len(runs), outcome.run.entrant)
+    return outcomes
+
+
+@contextmanager
+def _mapped(jobs: int, runs: Sequence[Run]) -> Iterator[Iterator[Outcome]]:
+    if jobs == 1:
+        yield map(measure, runs)
+        return
+    before = {key: os.environ.get(key) for key in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    # Fresh processes: nothing that this one has open, no lock that one of its threads holds.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_deaf)
+    try:
+        yield pool.map(measure, runs, chunksize=_CHUNK)
+    finally:
+        pool.shutdown(cancel_futures=True)
+        for key, value in before.items():
+            if value is None:
+                os.environ.pop(key)
+            else:
+                os.environ[key] = value
+
+
+def _deaf() -> None:
+    """Leave Ctrl-C to the process that waits."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,0 +1,139 @@
+"""Runs of one kind as one line: means, the worst of the plants, how many were unstable."""
+
+from __future__ import annotations
+
+import datetime
+import math
+import os
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from rthyb_rt import __version__, core
+from rthyb_rt.benchmark import cases, criteria
+from rthyb_rt.benchmark.runs import NOMINAL, Outcome
+
+WITH_WORST: Final = ("J2", "J4", "J6", "J8", "true")
+"""Figures of which a table has the worst plant beside the mean."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """All plants of one entrant in one case, at one rate, with one motion.
+
+    Attributes:
+        entrant, rate_hz, case, motion: which.
+        runs: how many.
+        unstable: how many of them did not come to their end.
+        mean, worst, deviation: of those that did, by figure; of none, nothing.
+    """
+
+    entrant: str
+    rate_hz: int
+    motion: str
+    case: int
+    runs: int
+    unstable: int
+    mean: Mapping[str, float]
+    worst: Mapping[str, float]
+    deviation: Mapping[str, float]
+
+
+def lines(outcomes: Iterable[Outcome]) -> list[Line]:
+    """Return a line for each kind of run, in the order in which they come."""
+    kinds: dict[tuple[int, str, str, int], list[Outcome]] = {}
+    for one in outcomes:
+        run = one.run
+        kinds.setdefault((run.rate_hz, run.motion, run.entrant, run.case), []).append(one)
+    return [_line(kind, found) for kind, found in kinds.items()]
+
+
+def _line(kind: tuple[int, str, str, int], found: Sequence[Outcome]) -> Line:
+    rate_hz, motion, name, case = kind
+    done = [one.figures for one in found if one.completed]
+    columns = {
+        key: np.array([one[key] for one in done]) for key in (criteria.MEANINGS if done else ())
+    }
+    return Line(
+        name,
+        rate_hz,
+        motion,
+        case,
+        len(found),
+        len(found) - len(done),
+        {key: float(values.mean()) for key, values in columns.items()},
+        {key: float(values.max()) for key, values in columns.items()},
+        {key: float(values.std()) for key, values in columns.items()},
+    )
+
+
+def heads() -> list[str]:
+    """Return the heads of the columns behind entrant and case."""
+    units = {"J1": "J1 ms", "true": "true %", "high": "> 100 Hz µm"}
+    return [units.get(key, f"{key} %") for key in criteria.MEANINGS] + ["unstable"]
+
+
+def cells(line: Line) -> list[str]:
+    """Return the cells below `heads`: a mean, behind a stroke the worst where that matters."""
+    found = []
+    for key in criteria.MEANINGS:
+        if not line.mean:
+            found.append("–")
+            continue
+        text = short(line.mean[key])
+        if key in WITH_WORST and line.runs - line.unstable > 1:
+            text += f"/{short(line.worst[key])}"
+        found.append(text)
+    return [*found, f"{line.unstable} of {line.runs}"]
+
+
+def short(value: float) -> str:
+    """Return a figure with what of it matters in a table."""
+    if not math.isfinite(value):
+        return "–"
+    return (
+        f"{value:.2f}"
+        if abs(value) < 10
+        else f"{value:.1f}"
+        if abs(value) < 100
+        else f"{value:.0f}"
+    )
+
+
+def facts() -> dict[str, Any]:
+    """Return what the figures depend on, and where they come from."""
+    return {
+        "rthyb": __version__,
+        **core.build_facts(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "processor": _processor(),
+        "processors": os.cpu_count(),
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+    }
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            found = [line.partition(":")[2].strip() for line in file if "model name" in line]
+    except OSError:
+        found = []
+    return found[0] if found else platform.processor() or platform.machine()
+
+
+def document(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Return everything for machines: facts, meanings, lines, and every run with its figures."""
+    return {
+        "benchmark": "rths",
+        "facts": facts(),
+        "meanings": criteria.MEANINGS,
+        "nominal_plant": NOMINAL,
+        "motions": {name: cases.MOTIONS[name] for name in cases.MOTIONS},
+        "scale": cases.SCALE,
+        "lines": [asdict(line) for line in lines(outcomes)],
+        "runs": [{**asdict(one.run), "end": one.end, "figures": one.figures} for one in outcomes],
+    }

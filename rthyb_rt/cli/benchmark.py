@@ -1,0 +1,123 @@
+"""``rthyb benchmark``: the field's benchmarks, by this program's own parts."""
+
+from __future__ import annotations
+
+from typing import IO, TYPE_CHECKING, Annotated
+
+import typer
+
+from rthyb_rt.cli import terminal
+from rthyb_rt.cli.inputs import JsonOption
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rthyb_rt.benchmark.table import Line
+
+benchmark = typer.Typer(
+    name="benchmark",
+    help="Run a benchmark of the field.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@benchmark.callback()
+def _benchmarks() -> None:
+    """Run a benchmark of the field with this program's own controller and virtual rig."""
+
+
+def _several(what: str, metavar: str) -> typer.models.OptionInfo:
+    option: typer.models.OptionInfo = typer.Option(
+        metavar=metavar, help=f"{what} Can be repeated.", show_default=False
+    )
+    return option
+
+
+@benchmark.command()
+def rths(
+    rate: Annotated[list[int] | None, _several("Sample rate, 4096 or 1024: both.", "HZ")] = None,
+    case: Annotated[list[int] | None, _several("Structure, 1 to 4: all.", "N")] = None,
+    law: Annotated[
+        list[str] | None,
+        _several("Who takes part: pi-lead (the benchmark's own), or a control law: all.", "NAME"),
+    ] = None,
+    motion: Annotated[
+        list[str] | None, _several("elcentro, kobe or morgan: elcentro.", "NAME")
+    ] = None,
+    plants: Annotated[
+        int,
+        typer.Option(metavar="N", help="Perturbed plants beside the nominal one, 0 to 20."),
+    ] = 20,
+    width: Annotated[
+        float,
+        typer.Option(metavar="W", help="How wide they are drawn, in the stated deviations."),
+    ] = 1.0,
+    yielding: Annotated[
+        bool, typer.Option("--yielding", help="A specimen that yields (Bouc-Wen, 1 mm).")
+    ] = False,
+    jobs: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Processes: as many as processors.", show_default=False),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run the benchmark of Silva et al. (2020): every control law on the same plants.
+
+    Its criteria J1 to J9 as its code has them, over the whole record, then the tracking error
+    without the sensor's noise, and what of the command lies above 100 Hz; behind a stroke the worst
+    plant. Motions are scaled by .4. What the figures are is in docs/benchmark.md.
+
+    \b
+    Examples:
+      rthyb benchmark rths --rate 4096 --case 1 --plants 0
+      rthyb benchmark rths --law ats --law alpha-beta --jobs 2
+      rthyb benchmark rths --yielding --motion kobe --json > kobe.json
+    """
+    from rthyb_rt.benchmark import cases, runs, table
+
+    if not 0.0 <= width <= 10.0:
+        raise typer.BadParameter(f"found {width:g}; must be 0 to 10", param_hint="--width")
+    wanted = runs.planned(
+        law or [one.name for one in cases.entrants()],
+        rate or list(cases.RATES),
+        case or list(cases.CASES),
+        motion or ["elcentro"],
+        plants,
+        width=width,
+        yielding=yielding,
+    )
+    with terminal.sections("Benchmark") as progress:
+        found = runs.measured(wanted, runs.jobs_there_are() if jobs is None else jobs, progress)
+    print_lines(table.lines(found), terminal.people(as_json))
+    if as_json:
+        terminal.print_json(table.document(found))
+
+
+def print_lines(lines: Sequence[Line], file: IO[str]) -> None:
+    """Print lines, a table for each rate and motion."""
+    from rich.text import Text
+
+    kinds = list(dict.fromkeys((line.rate_hz, line.motion) for line in lines))
+    for number, (rate_hz, motion) in enumerate(kinds):
+        title = f"{rate_hz} Hz, {motion}"
+        terminal.show(Text(f"\n{title}" if number else title, style="bold"), file)
+        _print_kind([one for one in lines if (one.rate_hz, one.motion) == kinds[number]], file)
+
+
+def _print_kind(lines: Sequence[Line], file: IO[str]) -> None:
+    from rich import box
+    from rich.table import Table
+
+    from rthyb_rt.benchmark import table
+
+    grid = Table(
+        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, header_style="dim"
+    )
+    grid.add_column("law", no_wrap=True)
+    grid.add_column("case", justify="right", no_wrap=True)
+    for head in table.heads():
+        grid.add_column(head, justify="right", no_wrap=True)
+    for line in lines:
+        grid.add_row(line.entrant, str(line.case), *table.cells(line))
+    terminal.show(grid, file)

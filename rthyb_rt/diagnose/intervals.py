@@ -1,0 +1,216 @@
+"""How sure the parameters of what was found are.
+
+An interval of a law's parameter holds what noise makes of it, by its colour or by how the parts of
+the recording scatter; what the law's form may be off by (`form`); what the motion that was
+simulated is not sure of; and where another form of the law, or another reading of the same force,
+comes to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.diagnose import effects, force
+from rthyb_rt.diagnose.case import Floats
+from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.form import neighbours, of_form
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.select import (
+    Fit,
+    Problem,
+    clustered,
+    design_of,
+    inflation,
+    whole,
+)
+
+SIDES = 1.96
+"""Standard deviations to either side of 95 % of a normal distribution."""
+STEP = 1e-4
+Intervals = dict[str, list[float]]
+
+
+class Sure:
+    """The parameters of a search's best set with their intervals."""
+
+    def __init__(self, search: force.Search, ctx: Context, motions: Sequence[Motion] = ()) -> None:
+        """Take in what was found.
+
+        Args:
+            search: the search.
+            ctx: what the laws see.
+            motions: one standard deviation away from that motion each.
+        """
+        self.search, self.ctx = search, ctx
+        best = search.best
+        # Rows whose noise hangs together a little tell less than their number.
+        self.wider = float(np.sqrt(inflation(best.residual)))
+        self.shown, self.more = best.scatter, None
+        if best.scatter is not None or best.covariance is None or not best.members:
+            return
+        slopes = design_of(search.problem, best)
+        if slopes.shape != (best.residual.size, best.covariance.shape[0]):
+            return
+        self.shown = clustered(slopes, best.residual, best.covariance)
+        self.more = self._of_forms(slopes, best.covariance)
+        self.more += self._of_motion(slopes, best.covariance, motions)
+
+    def _of_forms(self, slopes: Floats, inverse: Floats) -> Floats:
+        """Return the covariance that comes of the laws' forms, (p, p)."""
+        problem, best, ctx = self.search.problem, self.search.best, self.ctx
+        out = np.zeros_like(inverse)
+        over = [(ctx.x, ctx.x_range), (ctx.v, ctx.v_range)]
+        for i, member in enumerate(best.members):
+            if member.effect.sensor:
+                continue
+            own = force.contribution(problem, best, i)
+            near = np.column_stack([problem.seen(n) for n in neighbours(own, over)])
+            out += of_form(slopes, best.residual, inverse, near)
+        return out
+
+    def _of_motion(self, slopes: Floats, inverse: Floats, motions: Sequence[Motion]) -> Floats:
+        """Return the covariance that comes of the motion's uncertainty, (p, p).
+
+        All of the force goes along with the motion: what the laws have of it lands in their numbers
+        as far as it looks like them.
+        """
+        problem, best = self.search.problem, self.search.best
+        out = np.zeros_like(inverse)
+        plain = whole(problem, best, self.ctx)
+        for motion in motions:
+            along = replace(self.ctx, motion=motion, ranges=self.ctx.all_ranges)
+            moved = problem.seen(whole(problem, best, along) - plain)
+            shift = inverse @ (slopes.T @ moved)
+            out += np.outer(shift, shift)
+        return out
+
+    def of(self, member: int) -> tuple[dict[str, float], Intervals]:
+        """Return the parameters of one effect and their 95 % intervals."""
+        best = self.search.best
+        params, noise = intervals(best, member, self.ctx)
+        shown = intervals(replace(best, covariance=self.shown), member, self.ctx)[1]
+        more = intervals(replace(best, covariance=self.more), member, self.ctx)[1]
+        ci = {}
+        for k, v in params.items():
+            if k in noise:
+                half = max(self.wider * _half(noise[k]), _half(shown.get(k, [v, v])))
+                half = float(np.hypot(half, _half(more.get(k, [v, v]))))
+                ci[k] = [v - half, v + half]
+        self._widen(ci, params, member)
+        return params, ci
+
+    def _widen(self, ci: Intervals, params: dict[str, float], member: int) -> None:
+        """Let intervals reach to what other forms of a law come to; none is known to be true.
+
+        Nor are those that were tried all that there are: a law with a shape has a least half-width.
+        """
+        search, ctx, own = self.search, self.ctx, self.search.best.members[member]
+        name = own.name
+        shaped = any(
+            m.name == name and m.trial.theta and not m.effect.sensor for m in search.best.members
+        )
+        exact = search.problem.estimate.exact
+        least = POLICY.interval_simulated if exact else POLICY.interval_estimated
+        for fit in search.forms:
+            for i, m in enumerate(fit.members):
+                if m.name == name:
+                    other = m.effect.report(ctx, m.trial, fit.betas[i])
+                    # The true form may lie to the other side of this one by as much.
+                    for k, v in other.items():
+                        apart = abs(v - params[k])
+                        ci[k] = [min(ci[k][0], params[k] - apart), max(ci[k][1], params[k] + apart)]
+        for k, v in params.items():
+            half = max(least, POLICY.interval_of_form if shaped else 0.0) * abs(v)
+            ci[k] = [min(ci[k][0], v - half), max(ci[k][1], v + half)]
+
+
+def _half(ends: list[float]) -> float:
+    return 0.5 * (ends[1] - ends[0])
+
+
+def of_the_spring_there_is(
+    problem: Problem, fit: Fit, name: str, params: dict[str, float], ci: dict[str, list[float]]
+) -> None:
+    """Count what a spring loses as a part of the stiffness found, where the model's was wrong.
+
+    Be that a finding or within the tolerance of the model's.
+    """
+    stiffer = sum(
+        float(b[0])
+        for m, b in zip(fit.members, fit.betas, strict=True)
+        if m.name == effects.of_number("k")
+    )
+    law = effects.catalogue().get(name)
+    key = law.of_spring if law is not None else ""
+    found = stiffer != 0.0
+    # A loop's spring is not the model's where that is only a line through the loop.
+    if key != "alpha":
+        stiffer += sum(
+            float(b)
+            for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True)
+            if nuisance.number == "k"
+        )
+    if key not in params or not stiffer > -0.9:
+        return
+
+    # Stiffness times gap is what is seen beyond it.
+    seen = 1.0
+    if key == "gap_m":
+        seen = next(
+            float(b[0]) for m, b in zip(fit.members, fit.betas, strict=True) if m.name == name
+        )
+
+    def counted(value: float) -> float:
+        if key == "alpha":
+            return 1.0 - (1.0 - value) / (1.0 + stiffer)
+        return seen * value / (1.0 + stiffer)
+
+    # Beside what the model's spring lacks the same force is that of less slack in all of it and of
+    # more in a part: which of them lies in series, no recording says.
+    apart = [params[key]] if found else []
+    params[key] = counted(params[key])
+    ends = [*map(counted, ci[key]), *(seen * v for v in apart)]
+    ci[key] = [min(ends), max(ends)]
+
+
+def intervals(
+    fit: Fit, member: int, ctx: Context
+) -> tuple[dict[str, float], dict[str, list[float]]]:
+    """Return the parameters of one effect and their 95 % intervals."""
+    m = fit.members[member]
+    params = m.effect.report(ctx, m.trial, fit.betas[member])
+    if fit.covariance is None:
+        return params, {}
+    shapes = [len(f.trial.theta) for f in fit.members]
+    widths = [len(b) for b in fit.betas]
+    has_shapes = fit.covariance.shape[0] == sum(shapes) + sum(widths) + fit.nuisance.size
+    first_shape = sum(shapes[:member])
+    first_beta = (sum(shapes) if has_shapes else 0) + sum(widths[:member])
+    index = [first_shape + j for j in range(shapes[member])] if has_shapes else []
+    index += [first_beta + j for j in range(widths[member])]
+    cov = fit.covariance[np.ix_(index, index)]
+    gradient: dict[str, list[float]] = {k: [] for k in params}
+
+    for j in range(shapes[member] if has_shapes else 0):
+        theta = list(m.trial.theta)
+        theta[j] *= np.exp(1e-4)
+        moved = m.effect.report(ctx, Trial(tuple(theta), m.trial.variant), fit.betas[member])
+        for k in params:
+            gradient[k].append((moved[k] - params[k]) / 1e-4)
+    for j in range(widths[member]):
+        beta = fit.betas[member].copy()
+        step = 1e-4 * (abs(beta[j]) or 1e-12)
+        beta[j] += step
+        moved = m.effect.report(ctx, m.trial, beta)
+        for k in params:
+            gradient[k].append((moved[k] - params[k]) / step)
+    ci = {}
+    for k, value in params.items():
+        g = np.array(gradient[k])
+        half = SIDES * float(np.sqrt(max(g @ cov @ g, 0.0)))
+        ci[k] = [value - half, value + half]
+    return params, ci

@@ -1,0 +1,87 @@
+"""What was found, fitted again at the time at which the load cell sees it.
+
+The search has a normal offset in time as a straight line over the rate of the model's force, and
+that rate as a difference of rows. An effect's force comes as late as the model's; and the force of
+a mass behind an actuator that is fast beside the rows has no rate which rows show: at each of them
+the command turns a corner. Along a motion that an actuator simulates both are known exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.diagnose import effects, force
+from rthyb_rt.diagnose.actuation import Actuation, ActuatorFit
+from rthyb_rt.diagnose.effects.base import Context
+from rthyb_rt.diagnose.estimate import Estimate
+from rthyb_rt.diagnose.select import Fit, Problem, refine, solve, whole
+
+PASSES = 3
+STEP_S = 1e-5
+"""A tenth of a normal offset: to either side of it the force is a straight line but at a corner."""
+Settled = tuple[Estimate, Context, force.Search]
+
+
+def settled(
+    task: Actuation, fit: ActuatorFit, found: Estimate, ctx: Context, search: force.Search
+) -> Settled:
+    """Return motion, what laws see of it, and search, along the motion as late as the force is.
+
+    Args:
+        task, fit: the actuator whose motion was taken.
+        found, ctx, search: what came of it.
+    """
+
+    def late_by(seconds: float) -> Motion:
+        model = replace(fit.model, shift_s=fit.model.shift_s + seconds)
+        return task.residual(model, fit.before)[1]
+
+    done: Settled = (found, ctx, search)
+    for _ in range(PASSES if search.best.members else 0):
+        best, problem = done[2].best, done[2].problem
+        place = next((i for i, n in enumerate(problem.nuisances) if n.name == "skew"), None)
+        if place is None:
+            break
+        late = float(best.nuisance[place])
+        sides = [
+            whole(problem, _without(best, place), replace(ctx, motion=late_by(late + step)))
+            for step in (-STEP_S, STEP_S)
+        ]
+        rate = (sides[1] - sides[0]) / (2.0 * STEP_S)
+        along = replace(ctx, motion=late_by(late), ranges=ctx.all_ranges)
+        # All of the offset stays a number of the fit: its prior is one around nothing.
+        now = replace(found, motion=along.motion, force=found.force + late * rate)
+        anew = Problem(problem.case, along, now, effects.catalogue().values())
+        anew.late_as(rate)
+        anew.rescale(problem.loudness**2)
+        better = _refitted(done[2], anew)
+        if better is None:
+            break
+        gain, done = best.chi2 - better.best.chi2, (now, along, better)
+        if gain < 0.1:
+            break
+    return done
+
+
+def _without(fit: Fit, place: int) -> Fit:
+    """Return a fit with one number of its nuisance at nothing."""
+    nuisance = fit.nuisance.copy()
+    nuisance[place] = 0.0
+    return replace(fit, nuisance=nuisance)
+
+
+def _refitted(search: force.Search, problem: Problem) -> force.Search | None:
+    """Return what was found fitted to another problem; None where that fits no better."""
+
+    def again(fit: Fit) -> Fit | None:
+        refined = refine(problem, fit.members)
+        return refined if refined is not None and problem.sensible(refined) else None
+
+    best, null = again(search.best), solve(problem, [], [])
+    if best is None or null is None or best.chi2 > search.best.chi2:
+        return None
+    equal, forms = (
+        [f for f in map(again, fits) if f is not None] for fits in (search.equal, search.forms)
+    )
+    return replace(search, problem=problem, null=null, best=best, equal=equal, forms=forms)

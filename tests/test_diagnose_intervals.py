@@ -1,0 +1,170 @@
+"""Intervals of parameters: what noise, form, a fitted actuator and another reading leave open."""
+
+from __future__ import annotations
+
+import diagnose_cases as cases
+import numpy as np
+import pytest
+from diagnose_answers import diagnosed
+from scipy import signal
+
+from rthyb_rt.core.diagnosis_models import ActuatorModel, Motion, actuator
+from rthyb_rt.diagnose import effects, engine, reading
+from rthyb_rt.diagnose.actuation import Actuation
+from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.form import neighbours, of_form
+
+LATE_S = 8.0e-5  # a normal offset in time, of the load cell
+
+
+def held(d: engine.Diagnosis, name: str, key: str) -> tuple[float, float]:
+    """Return the ends of an interval."""
+    low, high = next(c for c in d.candidates if c.name == name).ci95[key]
+    return low, high
+
+
+def fast(monkeypatch, tmp_path, true: tuple[float, float], stated: tuple[float, float], **more):
+    """Write a recording behind an actuator of true (f, zeta), beside a model with stated ones."""
+    monkeypatch.setattr(cases, "F_HZ", true[0])
+    monkeypatch.setattr(cases, "ZETA", true[1])
+    cases._moved.cache_clear()  # it does not know of other actuators
+    u = cases.command()
+    x = cases.moved(u)[0]
+    late = cases.moved(u, cases.DELAY + more.get("late", 0.0))
+    cases._moved.cache_clear()
+    rng = np.random.default_rng(5)
+    force = 1.004 * cases.K * late[0] + 0.95 * cases.C * late[1]
+    force += (cases.M + more.get("kg", 0.0)) * late[2]
+    columns = {
+        "t": np.arange(u.size) / cases.FS,
+        "x_cmd": u,
+        "x_meas": x + cases.X_STD * rng.standard_normal(u.size),
+        "f_meas": force + cases.F_STD * rng.standard_normal(u.size),
+    }
+    monkeypatch.setattr(cases, "F_HZ", stated[0])
+    monkeypatch.setattr(cases, "ZETA", stated[1])
+    recording, toml = cases.write(tmp_path, columns)
+    return reading.read_case(recording, reading.read_model(toml))
+
+
+@pytest.mark.parametrize("bent", [0.0, 0.08])
+def test_a_law_in_another_form_is_as_unsure_as_it_is(bent):
+    """The truth lies inside as often as is said, though no one knows which form the law has."""
+    rng = np.random.default_rng(11)
+    x = np.sin(np.linspace(0.0, 60.0, 1500))
+    law, sigma = np.sign(x) * np.abs(x) ** 1.5, 0.05
+    design = np.column_stack([law, x]) / sigma
+    inverse = np.linalg.inv(design.T @ design)
+    near = np.column_stack(neighbours(law, [(x, 1.0)])) / sigma
+    inside, inside_noise, draws = 0, 0, 300
+    for _ in range(draws):
+        y = design.sum(axis=1) + near @ (bent * rng.standard_normal(4)) + rng.standard_normal(1500)
+        beta = inverse @ (design.T @ y)
+        form = of_form(design, y - design @ beta, inverse, near)
+        off = abs(beta[0] - 1.0)
+        inside_noise += bool(off < 1.96 * np.sqrt(inverse[0, 0]))
+        inside += bool(off < 1.96 * np.sqrt(inverse[0, 0] + form[0, 0]))
+    # Of 300 draws 95 % are 285 +- 7.5 (two standard deviations).
+    assert inside / draws > 0.925
+    assert inside_noise / draws > 0.92 if not bent else inside_noise / draws < 0.4
+
+
+def test_a_law_in_its_own_form_is_hardly_less_sure_for_it():
+    rng = np.random.default_rng(12)
+    x = np.sin(np.linspace(0.0, 60.0, 1500))
+    design = np.column_stack([x**3, x]) / 0.05
+    inverse = np.linalg.inv(design.T @ design)
+    near = np.column_stack(neighbours(x**3, [(x, 1.0)])) / 0.05
+    wider = []
+    for _ in range(100):
+        y = rng.standard_normal(1500)
+        residual = y - design @ (inverse @ (design.T @ y))
+        wider.append(of_form(design, residual, inverse, near)[0, 0] / inverse[0, 0])
+    assert np.median(wider) < 0.5
+
+
+def test_an_overdamped_actuator_with_a_lower_corner_is_named_alone(tmp_path, monkeypatch):
+    """The fit went to the end of what an offset in time may be, and a delay was named beside it."""
+    case = fast(monkeypatch, tmp_path, (20.0, 2.06), (45.0, 2.05))
+    d = engine.diagnose(case)
+    assert (d.verdict, d.effects) == ("explained", ["oil_column"])
+    for key, true in (("f_Hz", 20.0), ("zeta", 2.06)):
+        low, high = held(d, "oil_column", key)
+        assert low < true < high
+        assert high - low < 0.2 * true
+
+
+def test_a_mass_behind_a_fast_actuator_is_weighed_at_the_time_of_the_load_cell(
+    tmp_path, monkeypatch
+):
+    case = fast(monkeypatch, tmp_path, (70.0, 2.1), (70.0, 2.1), kg=400.0, late=LATE_S)
+    d = engine.diagnose(case)
+    assert (d.verdict, d.effects) == ("explained", ["inertia"])
+    low, high = held(d, "inertia", "m_kg")
+    assert low < 400.0 < high
+    assert high - low < 0.1 * 400.0
+
+
+def test_a_mass_on_a_spring_answers_to_the_motion_and_not_to_its_corners(tmp_path):
+    """Behind a drive of 110 Hz the rows (256 a second) see any part of an acceleration."""
+    _, toml = cases.write(tmp_path, cases.channels())
+    drive = ActuatorModel(delay_s=0.0040, f_hz=110.0, zeta=0.7)
+    motion = actuator(drive, cases.command(), cases.FS)
+    t = np.arange(motion.x.size) / cases.FS
+    ctx = Context(reading.read_model(toml), motion, t, cases.K * motion.x, {})
+    mode = effects.catalogue()["second_mode"]
+    found = mode.columns(ctx, Trial((2.5, 0.03)))[0]
+    w = 2.0 * np.pi * 2.5
+    # On the moving base y'' = w^2 (x - y) + 2 zeta w (x' - y'); it pulls with y''.
+    system = signal.StateSpace(
+        [[0.0, 1.0], [-(w**2), -0.06 * w]], np.array([[0.0, 0.0], [w**2, 0.06 * w]]),
+        np.array([[-(w**2), -0.06 * w]]), np.array([[w**2, 0.06 * w]]),
+    )  # fmt: skip
+    start = [motion.x[0], motion.v[0]]
+    _, pulled, _ = signal.lsim(system, np.column_stack([motion.x, motion.v]), t, X0=start)
+    np.testing.assert_allclose(found, pulled.ravel(), atol=0.02 * np.max(np.abs(pulled)))
+    aliased = effects.catalogue()["inertia"].columns(ctx, Trial())[0]
+    assert np.std(aliased) < 0.97 * np.std(np.gradient(motion.v) * cases.FS)
+
+
+def test_friction_that_falls_with_an_exponential_has_its_own_level(tmp_path):
+    def falling(t, x, v, a):
+        return (300.0 + 260.0 * np.exp(-np.abs(v) / 0.012)) * np.tanh(v / 3e-4)
+
+    d = diagnosed(tmp_path, cases.channels(falling))
+    assert (d.verdict, d.effects) == ("explained", ["stribeck"])
+    found = next(c for c in d.candidates if c.name == "stribeck")
+    assert "^1" in found.form
+    for key, true in (("Fc_N", 300.0), ("Fs_N", 560.0), ("vs_m_s", 0.012)):
+        low, high = found.ci95[key]
+        assert low < true < high
+
+
+def test_slack_beside_a_softer_spring_is_told_in_either_reading(tmp_path):
+    """In all of the spring there is, or in the part that the model has: the same force."""
+    gap, part = 4.0e-4, -0.12
+
+    def slack(t, x, v, a):
+        return cases.K * (part * x - np.clip(x, -gap, gap))
+
+    d = diagnosed(tmp_path, cases.channels(slack))
+    assert (d.verdict, sorted(d.effects)) == ("explained", ["gap", "stiffness"])
+    low, high = held(d, "gap", "gap_m")
+    assert low < gap < high
+    assert low < gap / (1.0 + part) < high
+
+
+def test_motions_about_a_fitted_actuator_lie_one_standard_deviation_away(tmp_path):
+    """Their distances from it, squared, in units of the noise, come to the numbers that it has."""
+    recording, toml = cases.write(tmp_path, cases.channels(delay=cases.DELAY + 2e-3))
+    case = reading.read_case(recording, reading.read_model(toml))
+    disp = engine.displacement(case)
+    assert disp is not None
+    assert disp.best.names == ("delay",)
+    task: Actuation = disp.task
+    own = disp.best.motion
+    around = task.around(disp.best, 1.0, Motion(own.x, own.v, own.a))
+    apart = [np.sum(((m.x - own.x)[task.rows] / task.sigma) ** 2) for m in around]
+    # A delay and an offset in time are one number to the rows; the offset's prior parts them.
+    assert 0.5 < np.sum(apart) < 3.0
+    assert len(around) == 2
