@@ -5,7 +5,6 @@ from __future__ import annotations
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.kernels import Rig
 from rthyb_rt.core.library import (
-    DENSE_MAX,
     CoreError,
     FloatArray,
     RecordArray,
@@ -13,6 +12,7 @@ from rthyb_rt.core.library import (
     writing,
 )
 from rthyb_rt.core.rows import CHANNELS_MAX, records_pointer
+from rthyb_rt.core.sizes import DENSE_MAX
 from rthyb_rt.core.station import COMMANDS, Command, Station
 
 
