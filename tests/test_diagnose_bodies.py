@@ -159,6 +159,7 @@ def of_a_shaken_body(x, a, ag, folder: Path, x_std: float, f_std: float):
     return diagnosed(folder, columns, head + noise)
 
 
+@pytest.mark.long
 def test_a_body_that_stands_still_most_of_the_time_is_told_by_its_friction(tmp_path):
     """Three fifths of the load hold it, and a displacement of a thousand times its noise."""
     n, peak = rows(10.0), 0.15
