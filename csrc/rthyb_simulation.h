@@ -67,8 +67,10 @@ typedef struct {
 } rthyb_body_model;
 
 /* mass a + sum of elements = force; second order in the substep. An inertia belongs into mass_kg:
- * elements have the acceleration of the substep before. Elements are advanced in place. 0,
- * RTHYB_E_MOTION, or RTHYB_E_LIMIT when it ran off. */
+ * elements have the acceleration of the substep before. Dry friction (coulomb, coulomb_uneven,
+ * stribeck) whose step over velocity is too narrow for that is solved for with the motion: what
+ * sticks stands still, but for the part of the width that holds it. Elements are advanced in place.
+ * 0, RTHYB_E_MOTION, or RTHYB_E_LIMIT when it ran off. */
 int rthyb_simulate_body(const rthyb_body_model *model, rthyb_element *elements,
                         size_t element_count, const double *force_n, size_t n, double *x_m,
                         double *v_m_per_s, double *a_m_per_s2);

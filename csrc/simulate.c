@@ -1,5 +1,6 @@
 /* Simulators of the diagnosis: an actuator along its recorded command, and a body that is driven by
  * a known force. Both work on a finer grid than the recording and give values at its rows. */
+#include "laws.h"
 #include "numeric.h"
 
 #define SUBSTEPS_MAX 256
@@ -240,12 +241,158 @@ int rthyb_simulate_actuator(const rthyb_actuator_model *before, const rthyb_actu
     return fabs(x_m[n - 1]) <= RTHYB_DISPLACEMENT_MAX_M ? 0 : RTHYB_E_LIMIT;
 }
 
-static double resisted(rthyb_element *elements, size_t count, double x, double v, double a,
-                       double dt)
+/* Dry friction that is solved for together with the motion: forces to either side, and the width
+ * of the step between them. As an explicit force it is stable only in steps over which it changes
+ * the velocity by less than that width; a body that sticks would chatter, and creep. */
+typedef struct {
+    double up, down, width;
+} friction;
+
+#define FRICTION_MAX 4
+#define SATURATED 19.0 /* widths from which on smooth_sign is 1 */
+/* Change of velocity in a step, in widths, from which on friction is solved for: explicit steps run
+ * off at two. */
+#define STIFF 0.5
+#define STICKS_MAX 4
+#define SOLVE_MAX 60
+
+typedef struct {
+    const rthyb_element *from[FRICTION_MAX];
+    friction now[FRICTION_MAX]; /* at the velocity of the last call of levels_at */
+    size_t count;
+    uint64_t taken;               /* a bit for each element that is not an explicit force */
+    double up, down, least, most; /* sums of the forces; least and largest width */
+} dry;
+
+/* 0 where the element is no dry friction. */
+static int friction_of(const rthyb_element *e, double v, friction *out)
+{
+    const double *p = e->params;
+    switch (e->kind) {
+    case RTHYB_COULOMB:
+        *out = (friction){p[0], p[0], p[1]};
+        return 1;
+    case RTHYB_COULOMB_UNEVEN:
+        *out = (friction){p[0], p[1], p[2]};
+        return 1;
+    case RTHYB_STRIBECK: {
+        const double level = rthyb_stribeck_level(p, v);
+        *out = (friction){level, level, p[3]};
+        return 1;
+    }
+    default:
+        return 0;
+    }
+}
+
+static dry dry_of(const rthyb_element *elements, size_t count, double step)
+{
+    dry out = {.least = INFINITY};
+    for (size_t i = 0; i < count && i < 64 && out.count < FRICTION_MAX; i++) {
+        friction f;
+        if (!friction_of(&elements[i], 0.0, &f) || !(fmax(f.up, f.down) * step > STIFF * f.width))
+            continue;
+        out.least = fmin(out.least, f.width);
+        out.most = fmax(out.most, f.width);
+        out.from[out.count++] = &elements[i];
+        out.taken |= (uint64_t)1 << i;
+    }
+    return out;
+}
+
+static void levels_at(dry *d, double v)
+{
+    d->up = d->down = 0.0;
+    for (size_t j = 0; j < d->count; j++) {
+        friction_of(d->from[j], v, &d->now[j]);
+        d->up += d->now[j].up;
+        d->down += d->now[j].down;
+    }
+}
+
+static double drag(const dry *d, double v, double *slope)
+{
+    double sum = 0.0;
+    *slope = 0.0;
+    for (size_t j = 0; j < d->count; j++) {
+        const double level = v < 0.0 ? d->now[j].down : d->now[j].up;
+        const double share = smooth_sign(v / d->now[j].width);
+        sum += level * share;
+        *slope += level * (1.0 - share * share) / d->now[j].width;
+    }
+    return sum;
+}
+
+/* The velocity v with v + step drag(v) = alone: between 0 and alone, as drag has the sign of v.
+ * near: a velocity that is not far from it where the body sticks. */
+static double dragged(const dry *d, double alone, double step, double near)
+{
+    const double whole = step * (alone < 0.0 ? d->down : d->up), past = fabs(alone) - whole;
+    if (past > SATURATED * d->most)
+        return copysign(past, alone);
+    if (!(whole > 0.0)) /* it resists to the other side only */
+        return alone;
+    double low = fmin(alone, 0.0), high = fmax(alone, 0.0), v = clamp(near, low, high);
+    for (int k = 0; k < STICKS_MAX && d->count == 1; k++) {
+        const double share = (alone - v) / whole, from = v;
+        if (fabs(share) > 0.99)
+            break;
+        v = d->least * atanh(share);
+        if (fabs(v - from) <= 1e-6 * whole)
+            return v;
+    }
+    v = clamp(v, low, high);
+    for (int k = 0; k < SOLVE_MAX; k++) {
+        double slope;
+        const double over = v + step * drag(d, v, &slope) - alone;
+        *(over > 0.0 ? &high : &low) = v;
+        const double next = v - over / (1.0 + step * slope), before = v;
+        v = next >= low && next <= high ? next : 0.5 * (low + high);
+        if (fabs(v - before) <= 1e-6 * d->least)
+            break;
+    }
+    return v;
+}
+
+/* A step of friction beside an acceleration a, the mean of the step, from a velocity at which it
+ * takes held m/s^2 off. Returns the velocity at the end. Where the body comes to a stand on the way
+ * it goes on from there: way is then how far it comes, else NaN. */
+static double rubbed(const dry *d, double v, double held, double a, double h, double mass,
+                     double *way)
+{
+    *way = NAN;
+    const double before = a - held;
+    const int slides = fabs(v) > SATURATED * d->most;
+    if (!slides || !(v * (v + before * h) < 0.0))
+        return dragged(d, v + h * a, h / mass, v);
+    const double until = clamp(-v / before, 0.0, h), left = h - until;
+    const double end = dragged(d, left * a, left / mass, 0.0);
+    *way = 0.5 * (v * until + end * left);
+    return end;
+}
+
+/* Acceleration that friction takes off at a velocity: of a body that stands, all there is. */
+static double held_back(const dry *d, double v, double a, double mass)
+{
+    if (v > SATURATED * d->most)
+        return d->up / mass;
+    if (v < -SATURATED * d->most)
+        return -d->down / mass;
+    double slope;
+    const double up = d->up / mass, down = d->down / mass;
+    if (fabs(v) < d->least) /* well below its largest force: it stands */
+        return clamp(a, -down, up);
+    const double own = drag(d, v, &slope) / mass;
+    return fabs(own) < 0.999 * (own < 0.0 ? down : up) ? clamp(a, -down, up) : own;
+}
+
+static double resisted(rthyb_element *elements, size_t count, uint64_t taken, double x, double v,
+                       double a, double dt)
 {
     double sum = 0.0;
     for (size_t i = 0; i < count; i++)
-        sum += rthyb_element_force(&elements[i], x, v, a, dt);
+        if (i >= 64 || !(taken >> i & 1u))
+            sum += rthyb_element_force(&elements[i], x, v, a, dt);
     return sum;
 }
 
@@ -261,23 +408,35 @@ int rthyb_simulate_body(const rthyb_body_model *model, rthyb_element *elements,
     if (!ok)
         return RTHYB_E_MOTION;
     const double dr = 1.0 / model->substeps, h = model->period_s / model->substeps;
-    double x = model->x0_m, v = model->v0_m_per_s, a = 0.0;
+    const double mass = model->mass_kg;
+    dry d = dry_of(elements, element_count, h / mass);
+    double x = model->x0_m, v = model->v0_m_per_s, held = 0.0, a = 0.0;
     int code = RTHYB_OK;
     if (n > 0)
-        a = (force_n[0] - resisted(elements, element_count, x, v, 0.0, h)) / model->mass_kg;
+        a = (force_n[0] - resisted(elements, element_count, d.taken, x, v, 0.0, h)) / mass;
+    if (d.count > 0) {
+        levels_at(&d, v);
+        held = held_back(&d, v, a, mass);
+    }
     for (size_t i = 0; i < n; i++) {
         x_m[i] = x;
         v_m_per_s[i] = v;
-        a_m_per_s2[i] = a;
+        a_m_per_s2[i] = a - held;
         for (int k = 1; k <= model->substeps; k++) {
             const double p = command_at(force_n, n, (double)i + k * dr, model->hold);
-            const double next = x + h * v + 0.5 * h * h * a;
-            const double guess = v + h * a;
-            const double net = p - resisted(elements, element_count, next, guess, a, h);
-            const double a_next = net / model->mass_kg;
-            x = confine(next, RTHYB_DISPLACEMENT_MAX_M, &code);
-            v = confine(v + 0.5 * h * (a + a_next), 1e6, &code);
-            a = confine(a_next, 1e9, &code);
+            const double next = x + h * v + 0.5 * h * h * (a - held), guess = v + h * (a - held);
+            const double net =
+                p - resisted(elements, element_count, d.taken, next, guess, a - held, h);
+            const double mean = 0.5 * (a + net / mass);
+            double way = NAN;
+            v = confine(d.count > 0 ? rubbed(&d, v, held, mean, h, mass, &way) : v + h * mean, 1e6,
+                        &code);
+            x = confine(isnan(way) ? next : x + way, RTHYB_DISPLACEMENT_MAX_M, &code);
+            a = confine(net / mass, 1e9, &code);
+            if (d.count > 0) {
+                levels_at(&d, v);
+                held = held_back(&d, v, a, mass);
+            }
         }
     }
     return code == RTHYB_OK ? 0 : RTHYB_E_LIMIT;

@@ -314,7 +314,7 @@ def test_run_that_kills_each_process_is_told_and_the_others_go_on(
 
 def test_processes_compute_with_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    with pools._single_threaded():
+    with pools.single_threaded():
         assert {os.environ[name] for name in pools.ONE_THREAD} == {"1"}
     assert os.environ["OMP_NUM_THREADS"] == "7"
 

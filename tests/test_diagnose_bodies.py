@@ -142,6 +142,37 @@ def test_a_mass_beside_a_play_of_a_body_under_a_force_is_named_too(tmp_path):
     assert found(d, "gap", "gap_m") == pytest.approx(gap, rel=0.05)
 
 
+def of_a_shaken_body(x, a, ag, folder: Path, x_std: float, f_std: float):
+    rng = np.random.default_rng(5)
+    n = x.size
+    columns = {
+        "t": np.arange(n) / cases.FS,
+        "ag": ag,
+        "x_meas": x + x_std * rng.standard_normal(n),
+        "f_meas": -MASS * (a + ag) + f_std * rng.standard_normal(n),
+    }
+    model = cases.baseline(family='"ground"', k=SPRING, c=DASHPOT, moving_mass=0.0)
+    model = model.replace(f"f_std = {cases.F_STD}", f"f_std = {f_std}")
+    model = model.replace(f"x_std = {cases.X_STD}", f"x_std = {x_std}")
+    head, _, tail = model.partition("[actuator]")
+    noise = f"[numerical]\nm = {MASS}\n[noise]" + tail.partition("[noise]")[2]
+    return diagnosed(folder, columns, head + noise)
+
+
+@pytest.mark.long
+def test_a_body_that_stands_still_most_of_the_time_is_told_by_its_friction(tmp_path):
+    """Three fifths of the load hold it, and a displacement of a thousand times its noise."""
+    n, peak = rows(10.0), 0.15
+    shake, fine = swept(n, 0.5, 0.1)
+    grip = 0.6 * MASS * peak
+    x, a = moved_body(
+        -MASS * peak * fine, lambda x, v: SPRING * x + DASHPOT * v, MASS, n, lambda v: grip
+    )
+    d = of_a_shaken_body(x, a, peak * shake, tmp_path, 1e-3 * float(np.std(x)), 3.0)
+    assert (d.verdict, d.effects) == ("explained", ["coulomb"])
+    assert found(d, "coulomb", "Fc_N") == pytest.approx(grip, rel=2e-3)
+
+
 @pytest.mark.long
 def test_a_stop_beside_sticking_friction_on_moving_ground_shows_in_the_motion(tmp_path):
     """A friction with a peak, before a noisy cell: no estimate follows a body that sticks."""
@@ -154,20 +185,7 @@ def test_a_stop_beside_sticking_friction_on_moving_ground_shows_in_the_motion(tm
         n,
         lambda v: fc + (fs - fc) * math.exp(-((v / vs) ** 2)),
     )
-    rng = np.random.default_rng(5)
-    ag = 0.15 * shake
-    columns = {
-        "t": np.arange(n) / cases.FS,
-        "ag": ag,
-        "x_meas": x + 7e-6 * rng.standard_normal(n),
-        "f_meas": -MASS * (a + ag) + 100.0 * rng.standard_normal(n),
-    }
-    model = cases.baseline(family='"ground"', k=SPRING, c=DASHPOT, moving_mass=0.0)
-    model = model.replace(f"f_std = {cases.F_STD}", "f_std = 100.0")
-    model = model.replace(f"x_std = {cases.X_STD}", "x_std = 7e-6")
-    head, _, tail = model.partition("[actuator]")
-    noise = f"[numerical]\nm = {MASS}\n[noise]" + tail.partition("[noise]")[2]
-    d = diagnosed(tmp_path, columns, head + noise)
+    d = of_a_shaken_body(x, a, 0.15 * shake, tmp_path, 7e-6, 100.0)
     assert (d.verdict, sorted(d.effects)) == ("explained", ["stopper", "stribeck"])
     assert found(d, "stopper", "xs_m") == pytest.approx(xs, rel=0.05)
     assert found(d, "stribeck", "Fc_N") == pytest.approx(fc, rel=0.1)

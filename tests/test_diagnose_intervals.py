@@ -168,3 +168,13 @@ def test_motions_about_a_fitted_actuator_lie_one_standard_deviation_away(tmp_pat
     # A delay and an offset in time are one number to the rows; the offset's prior parts them.
     assert 0.5 < np.sum(apart) < 3.0
     assert len(around) == 2
+
+
+def test_a_lag_without_an_inertia_of_its_own_ends_no_diagnosis(tmp_path, monkeypatch):
+    """Of second order it has its corner and its damping beyond all bounds: that is a rival."""
+    case = fast(monkeypatch, tmp_path, (90.0, 30.0), (28.0, 0.9))
+    d = engine.diagnose(case)
+    assert d.disp is not None
+    lags = [f.model for f in (*d.disp.rivals, d.disp.best) if "oil_column" in f.names]
+    assert lags
+    assert all(m.zeta <= 1e3 and m.f_hz <= 1e5 for m in lags)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import diagnose_cases as cases
 import numpy as np
 import pytest
@@ -15,9 +17,13 @@ from rthyb_rt.core.diagnosis_models import (
     iwan,
     play,
 )
-from rthyb_rt.diagnose.case import BoucWen
+from rthyb_rt.diagnose import effects
+from rthyb_rt.diagnose.case import BoucWen, Model
+from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.effects.sensor import shifted
 from rthyb_rt.diagnose.estimate import white_noise
+from rthyb_rt.diagnose.predict import Augmented
+from rthyb_rt.diagnose.select import Member
 
 LAG = ActuatorModel(cases.DELAY, cases.F_HZ, cases.ZETA)
 
@@ -92,12 +98,111 @@ def test_a_constant_force_ends_at_rest_on_the_spring():
     assert motion.x[-1] == pytest.approx(5e-3, rel=1e-3)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_force_that_is_no_number_does_not_pass_as_a_motion(bad):
+def sharp(kind: str = "coulomb", **params: float) -> core.ElementConfig:
+    """Return dry friction whose step over velocity has next to no width."""
+    return core.element(kind, **params, width_m_per_s=1e-9)
+
+
+def test_a_body_that_slides_on_a_table_stops_where_its_energy_is_spent_and_stays():
+    mass, grip, v0, n = 40.0, 60.0, 0.2, 4096
+    motion = body(mass, [sharp(fc_n=grip)], np.zeros(n), cases.FS, (0.0, v0), substeps=4)
+    t, slows = np.arange(n) / cases.FS, grip / mass
+    stops = v0 / slows
+    x = np.where(t < stops, v0 * t - 0.5 * slows * t**2, 0.5 * v0**2 / slows)
+    assert motion.x == pytest.approx(x, abs=1e-9)
+    assert motion.a == pytest.approx(np.where(t < stops, -slows, 0.0), abs=1e-6)
+
+
+def test_friction_takes_the_same_off_each_half_swing_until_the_spring_holds_no_more():
+    """Half swings of w about -+grip / k (e.g. Den Hartog, Trans. ASME 53, 1931)."""
+    mass, k, grip, x0, n = 50.0, 5e4, 12.0, 1.9e-3, 2048
+    w, off = np.sqrt(k / mass), grip / k
+    elements = [core.element("stiffness", k_n_per_m=k), sharp(fc_n=grip)]
+    motion = body(mass, elements, np.zeros(n), cases.FS, (x0, 0.0), substeps=16)
+    t, x, from_s, at = np.arange(n) / cases.FS, np.full(n, np.nan), 0.0, x0
+    while abs(at) > off:
+        middle = np.sign(at) * off
+        part = (t >= from_s) & (t <= from_s + np.pi / w)
+        x[part] = middle + (at - middle) * np.cos(w * (t[part] - from_s))
+        from_s, at = from_s + np.pi / w, 2.0 * middle - at
+    x[t > from_s] = at
+    assert motion.x == pytest.approx(x, abs=1e-3 * x0)
+    assert np.ptp(motion.x[t > from_s + 0.01]) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("friction", "up", "down"),
+    [
+        (sharp(fc_n=80.0), 80.0, 80.0),
+        (sharp("coulomb_uneven", fc_up_n=80.0, fc_down_n=50.0), 80.0, 50.0),
+        (sharp("coulomb_uneven", fc_up_n=80.0, fc_down_n=0.0), 80.0, 0.0),
+        (sharp("stribeck", fc_n=30.0, fs_n=80.0, vs_m_per_s=1e-3), 80.0, 80.0),
+    ],
+)
+def test_a_body_that_stands_is_held_by_what_pushes_it_and_goes_when_that_is_more(
+    friction, up, down
+):
+    mass, n = 20.0, 2048
+    for force, grip in ((0.97, up), (-0.97, down), (1.03, up), (-1.03, down)):
+        push = np.full(n, force * grip) if grip else np.full(n, force)
+        motion = body(mass, [friction], push, cases.FS, substeps=4)
+        gone = abs(motion.x[-1])
+        assert gone < 1e-8 if abs(force) < 1.0 and grip else gone > 5e-3
+
+
+def test_the_velocity_of_a_body_that_sticks_tells_the_force_that_holds_it():
+    """Its friction is a law of velocity: along the simulated motion it is the same force."""
+    mass, grip, width = 900.0, 400.0, 2e-6
+    push = 0.9 * grip * np.sin(2 * np.pi * 0.7 * np.arange(3072) / cases.FS)
+    friction = core.element("coulomb", fc_n=grip, width_m_per_s=width)
+    motion = body(mass, [friction], push, cases.FS, substeps=4)
+    held = grip * np.tanh(motion.v / width)
+    assert held == pytest.approx(push - mass * motion.a, abs=2e-3 * grip)
+    assert np.max(np.abs(motion.a)) < 1e-3 * grip / mass
+
+
+def test_a_softer_loop_moves_as_the_model_that_has_its_stiffness():
+    """An error of a yielding spring's stiffness is that of its whole loop."""
+    n = 2048
+    t = np.arange(n) / cases.FS
+    push = 900.0 * np.sin(2 * np.pi * 1.5 * t)
+    loop = BoucWen(0.2, 3e-3, 2.0, 0.55, 0.45)
+    model = Model("forced", cases.FS, 2e5, 300.0, 500.0, k_tol=0.01, c_tol=0.1, bouc_wen=loop)
+    member = Member(effects.catalogue()["stiffness"], Trial())
+    ranges = (1e-2, 0.1, 1.0)
+    for share in (-0.3, 0.4):
+        found = Augmented(model, model, (member,), (np.array([share]),), None, ranges)
+        assert not found.elements()[2]
+        moved = found.moved_by(push, 0.0, t, {}).x
+        other = replace(model, k=(1.0 + share) * model.k)
+        softer = Augmented(other, other, (), (), None, ranges).moved_by(push, 0.0, t, {}).x
+        assert moved == pytest.approx(softer, abs=1e-9 * np.ptp(softer))
+
+
+def test_a_narrow_step_ends_where_a_wide_one_tends_to():
+    """Explicit steps, small enough, of ever narrower friction against the one that is solved."""
+    mass, n = 50.0, 1024
+    push = 60.0 * np.sin(2 * np.pi * 2.0 * np.arange(n) / cases.FS)
+    spring = core.element("stiffness", k_n_per_m=5e4)
+    solved = body(mass, [spring, sharp(fc_n=20.0)], push, cases.FS, substeps=16).x
+    off = []
+    for width in (8e-4, 2e-4):
+        friction = core.element("coulomb", fc_n=20.0, width_m_per_s=width)
+        assert 20.0 / (mass * 256 * cases.FS) < 0.01 * width
+        explicit = body(mass, [spring, friction], push, cases.FS, substeps=256).x
+        off.append(np.std(explicit - solved) / np.std(solved))
+    assert off[1] < 0.4 * off[0] < 0.02
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])
+@pytest.mark.parametrize(
+    "element", [core.element("stiffness", k_n_per_m=1.0), sharp(fc_n=1.0)], ids=["spring", "grip"]
+)
+def test_a_force_that_is_no_number_does_not_pass_as_a_motion(bad, element):
     force = np.zeros(100)
     force[50] = bad
     with pytest.raises(SimulationError):
-        body(1.0, [core.element("stiffness", k_n_per_m=1.0)], force, cases.FS)
+        body(1.0, [element], force, cases.FS)
 
 
 def test_what_cannot_be_simulated_is_refused():

@@ -27,6 +27,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from rthyb_rt.benchmark import cases, runs, table
 from rthyb_rt.benchmark.runs import Outcome, Run
 from rthyb_rt.benchmark.table import Line
+from rthyb_rt.campaign import pools
 from rthyb_rt.report import drawing
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -205,7 +206,7 @@ def _name_points(axes: Any, places: Sequence[tuple[str, float, float, str]]) -> 
 def main() -> None:
     """Measure, and write the page and its picture."""
     arguments = argparse.ArgumentParser()
-    arguments.add_argument("--jobs", type=int, default=runs.jobs_there_are())
+    arguments.add_argument("--jobs", type=int, default=pools.processors())
     arguments.add_argument("--only", choices=(*plan(), "none"))
     given = arguments.parse_args()
     for part, wanted in plan().items():

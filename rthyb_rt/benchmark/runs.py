@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -14,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from rthyb_rt.benchmark import cases, criteria
+from rthyb_rt.campaign import pools
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.lab.experiment import Setup
@@ -151,13 +150,7 @@ def figures_of(setup: Setup, rec: Recording) -> dict[str, float]:
 
 Tell = Callable[[int, int, str], None]
 
-_ONE_THREAD: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _CHUNK: Final = 4
-
-
-def jobs_there_are() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def measured(runs: Sequence[Run], jobs: int = 1, tell: Tell | None = None) -> list[Outcome]:
@@ -187,22 +180,11 @@ def _mapped(jobs: int, runs: Sequence[Run]) -> Iterator[Iterator[Outcome]]:
     if jobs == 1:
         yield map(measure, runs)
         return
-    before = {key: os.environ.get(key) for key in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     # Fresh processes: nothing that this one has open, no lock that one of its threads holds.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_deaf)
-    try:
-        yield pool.map(measure, runs, chunksize=_CHUNK)
-    finally:
-        pool.shutdown(cancel_futures=True)
-        for key, value in before.items():
-            if value is None:
-                os.environ.pop(key)
-            else:
-                os.environ[key] = value
-
-
-def _deaf() -> None:
-    """Leave Ctrl-C to the process that waits."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with pools.single_threaded():
+        pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=pools.leave_interrupts)
+        try:
+            yield pool.map(measure, runs, chunksize=_CHUNK)
+        finally:
+            pool.shutdown(cancel_futures=True)

@@ -34,7 +34,7 @@ def processors() -> int:
 
 
 @contextmanager
-def _single_threaded() -> Iterator[None]:
+def single_threaded() -> Iterator[None]:
     """Have the processes that are made inside the block compute with one thread each."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
@@ -48,8 +48,8 @@ def _single_threaded() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _begin() -> None:
-    # Ctrl-C is for the process that conducts; it ends the others.
+def leave_interrupts() -> None:
+    """Leave Ctrl-C to the process that conducts, which ends the others."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -80,9 +80,11 @@ def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) ->
     waiting = cases[::-1]
     while waiting:
         under_way: dict[Future[Row], Case] = {}
-        with _single_threaded():
+        with single_threaded():
             pool = ProcessPoolExecutor(
-                min(jobs, len(waiting)), multiprocessing.get_context("spawn"), initializer=_begin
+                min(jobs, len(waiting)),
+                multiprocessing.get_context("spawn"),
+                initializer=leave_interrupts,
             )
             try:
                 while waiting or under_way:

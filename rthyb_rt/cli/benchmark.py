@@ -75,6 +75,7 @@ def rths(
       rthyb benchmark rths --yielding --motion kobe --json > kobe.json
     """
     from rthyb_rt.benchmark import cases, runs, table
+    from rthyb_rt.campaign import pools
 
     if not 0.0 <= width <= 10.0:
         raise typer.BadParameter(f"found {width:g}; must be 0 to 10", param_hint="--width")
@@ -88,7 +89,7 @@ def rths(
         yielding=yielding,
     )
     with terminal.sections("Benchmark") as progress:
-        found = runs.measured(wanted, runs.jobs_there_are() if jobs is None else jobs, progress)
+        found = runs.measured(wanted, pools.processors() if jobs is None else jobs, progress)
     print_lines(table.lines(found), terminal.people(as_json))
     if as_json:
         terminal.print_json(table.document(found))

@@ -13,6 +13,7 @@ from rthyb_rt.cli import (
     campaign,
     check,
     commission,
+    compare_laws,
     ctl,
     diagnose,
     effects,
@@ -55,6 +56,7 @@ app.command()(commission.commission)
 app.command()(reset.reset)
 app.command()(reproduce.reproduce)
 app.add_typer(benchmark.benchmark)
+app.command("compare-laws")(compare_laws.compare_laws)
 app.command()(diagnose.diagnose)
 app.command()(effects.effects)
 app.command()(replay.replay)

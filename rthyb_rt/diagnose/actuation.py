@@ -403,10 +403,16 @@ class _Unknown:
         self.task, self.effects, self.settings, self.row = task, effects, settings, row
         self.fields = [f for e in effects for f in e.fields]
         self.logs = [e.log for e in effects for _ in e.fields]
+        # A lag that is slow for its damping goes on towards one of first order without an end.
+        limits = [(np.log(q.low), np.log(q.high)) if e.log else (-np.inf, np.inf)
+                  for e in effects for q in e.params]  # fmt: skip
         if any(e.late for e in effects):  # when they begin, in rows, is fitted as well
             self.fields, self.logs = [*self.fields, ROW], [*self.logs, False]
+            limits.append((-np.inf, np.inf))
         own_scales = {"delay_s": 1e-3, "kappa_s2_m": 1e-2}
         self.scales = np.array([own_scales.get(f, 1.0) for f in self.fields] + [1e-5])
+        most = POLICY.offset_reach_s
+        self.low, self.high = np.array([*limits, (-most, most)]).T / self.scales
 
     def first(self, start: Floats) -> Floats:
         """Return the scaled numbers of a start, with no time offset."""
@@ -445,7 +451,6 @@ class _Unknown:
         except SimulationError:
             return None
         chi2, damping = float(r @ r), 1e-3
-        most = POLICY.offset_reach_s / float(self.scales[-1])
         reach = 1.0 / self.scales.clip(1e-3)
         jacobian = np.zeros((r.size, p.size))
         for _ in range(STEPS):
@@ -456,14 +461,14 @@ class _Unknown:
             for _ in range(5):
                 damped = gram + np.diag(damping * gram.diagonal() + 1e-9)
                 step = np.linalg.solve(damped, right)
-                last = float(np.clip(p[-1] + step[-1], -most, most) - p[-1])
+                last = float(np.clip(p[-1] + step[-1], self.low[-1], self.high[-1]) - p[-1])
                 if last != step[-1]:
                     # The others step to where they are best with it at its end: what a delay or a
                     # slower column trades for an offset in time is many times the noise.
                     step = np.r_[
                         np.linalg.solve(damped[:-1, :-1], right[:-1] - last * damped[:-1, -1]), last
                     ]
-                moved = p + np.clip(step, -reach, reach)
+                moved = np.clip(p + np.clip(step, -reach, reach), self.low, self.high)
                 try:
                     trial = self.residual(moved)
                 except SimulationError:

@@ -75,10 +75,8 @@ class Swing(Body):
 
     def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
         """Return recording less simulation in units of the noise, one for each of the rows."""
-        rate = 2.0 * np.pi * self.spread
         push, mass = self._push(1.0)
-        start = (at[0] + loose[0] * self.spread, at[1] + loose[1] * rate)
-        motion = now.moved_by(push, mass, self.case.t, self.other, start)
+        motion = now.moved_by(push, mass, self.case.t, self.other, self._begun(at, loose))
         x = motion.x + loose[2] * self.spread
         return np.asarray((x - self.x)[self.rows] / self.sigma)
 

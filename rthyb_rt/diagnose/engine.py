@@ -349,10 +349,14 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         def anew(judged: Problem, known: list[tuple[Member, ...]]) -> force.Search:
             return force.search(judged, progress, body, doubtful, known)
 
-        found, search = _in_its_noise(case, found, search, anew, progress)
-        if disp is not None and found.motion is disp.best.motion and not search.moved:
-            found, ctx, search = lateness.settled(disp.task, disp.best, found, ctx, search)
-        if held and not (search.moved and _felt(case, search, ctx)):
+        # What the displacement and the load cell show alike is not judged by the balance's noise.
+        settled = search.moved and (not held or _felt(case, search, ctx))
+        if not settled:
+            found, search = _in_its_noise(case, found, search, anew, progress)
+            if disp is not None and found.motion is disp.best.motion and not search.moved:
+                found, ctx, search = lateness.settled(disp.task, disp.best, found, ctx, search)
+            settled = search.moved and (not held or _felt(case, search, ctx))
+        if held and not settled:
             by_balance = search.balance or search
             tried = [search, by_balance] if search.moved else [search]
             again = (_along_its_motion(case, done, ctx, progress) for done in tried)

@@ -232,8 +232,14 @@ class _Mover(_Fitter):
         self.open = POLICY.form_of_rig if body.whole_rig else POLICY.form_moved
 
     def move(self, fit: Fit) -> Fit | None:
-        """Refine a set that was found in the balance of forces; the better of its shapes stays."""
-        found = self.body.refined(self.problem, fit)
+        """Refine a set that was found in the balance of forces; the better of its shapes stays.
+
+        One that meets the motion is not to be bettered from anywhere else.
+        """
+        known = self.by_names.get(fit.names)
+        if known is not None and known.chi2 < POLICY.motion_met_alone * self.rows:
+            return known
+        found = self.body.settled(self.problem, fit)
         if found is None:
             return None
         self._scaled(found)
@@ -264,13 +270,11 @@ class _Mover(_Fitter):
         """Return whether a set need not be simulated: without one of its effects or more, or with
         fewer of others, the noise is reached, and no stated number is bent for it.
 
-        Only where the whole rig is simulated: there nothing else is left to be explained.
+        Of a whole rig a set with one effect more is simulated still: its force tells a small one.
         """
-        if not self.body.whole_rig:
-            return False
         met = [f for f in self.by_names.values() if f.chi2 < POLICY.motion_met_alone * self.rows]
         return any(
-            len(f.names) + (set(f.names) < set(names)) < len(names)
+            len(f.names) + (self.body.whole_rig and set(f.names) < set(names)) < len(names)
             for f in met
             if not bent(self.problem, f)
         )

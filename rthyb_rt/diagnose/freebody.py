@@ -21,7 +21,6 @@ from rthyb_rt.diagnose import estimate
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects import having, of_number
 from rthyb_rt.diagnose.effects.base import Context
-from rthyb_rt.diagnose.effects.friction import SHARP
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented, changed, parameters, start_of
 from rthyb_rt.diagnose.select import (
@@ -83,7 +82,6 @@ class Body:
 
     largest = 2
     linear = True
-    rough = np.inf
     whole_rig = False
     threads = 2
 
@@ -91,7 +89,7 @@ class Body:
         self.case, self.ctx, self.runs = case, ctx, RUNS
         self.lock = Lock()
         self._moved: deque[tuple[Augmented, tuple[float, ...], Motion]] = deque(maxlen=KEPT)
-        self.met = POLICY.motion_met_alone
+        self.met, self.rough = POLICY.motion_met_alone, POLICY.motion_rough
         self.loose = self._loose()
         self.held = "f_meas" in case.channels and case.model.family == "ground"
         self.x = case.channels["x_meas"]
@@ -164,12 +162,11 @@ class Body:
             members=tuple(fit.members[i] for i in felt),
             betas=tuple(fit.betas[i] for i in felt),
         )
-        # An estimated motion rounds the step of dry friction off: what sticks needs a sharp one.
-        begins = [b for b in (begun, self._sharp(begun)) if b is not None]
-        fits = [f for f in (self.refined(problem, b) for b in begins) if f is not None]
-        if not fits:
+        # What has its scatter has been fitted to what it simulates.
+        known = fit.scatter is not None and len(felt) == len(fit.members)
+        found = fit if known else self.settled(problem, begun)
+        if found is None:
             return None
-        found = min(fits, key=lambda f: f.chi2)
         allowed = POLICY.motion_met * self.rows.size
         if found.chi2 > allowed:
             null = self.refined(problem, replace(fit, members=(), betas=()))
@@ -181,17 +178,16 @@ class Body:
                 if n.name == "blur"]  # fmt: skip
         push, mass = self._push(float(np.exp(sum(blur) / self.whole)))
         try:
-            start = start_of(own, push, mass, self.case, self.other, self.x)
+            start = found.start or start_of(own, push, mass, self.case, self.other, self.x)
             motion = own.moved_by(push, mass, self.case.t, self.other, start)
         except (SimulationError, core.CoreError):
             return None
         rest = (motion.x - self.x)[self.rows] / self.sigma
         return motion if float(rest @ rest) < allowed else None
 
-    def _sharp(self, fit: Fit) -> Fit | None:
+    def sharp(self, fit: Fit) -> Fit | None:
         """Return a set with the step of its dry friction sharp; None where it has none."""
-        width = SHARP * self.ctx.v_range
-        members = tuple(replace(m, trial=m.effect.sharp(m.trial, width)) for m in fit.members)
+        members = tuple(replace(m, trial=m.effect.sharp(m.trial)) for m in fit.members)
         return replace(fit, members=members) if members != fit.members else None
 
     def _known(self, problem: Problem, fit: Fit) -> Floats:
@@ -211,6 +207,20 @@ class Body:
             ]
         )
 
+    def settled(self, problem: Problem, fit: Fit) -> Fit | None:
+        """Return a set as `refined`, its dry friction with or without a width to its step.
+
+        An estimated motion rounds the step off, and a simulated body creeps by its width where it
+        sticks: without one it is simulated first, and with one where that does not do.
+        """
+        sharp = self.sharp(fit)
+        found = self.refined(problem, sharp) if sharp is not None else None
+        if found is not None and found.chi2 < POLICY.motion_met_alone * self.rows.size:
+            return found
+        rounded = self.refined(problem, fit)
+        fits = [f for f in (found, rounded) if f is not None]
+        return min(fits, key=lambda f: f.chi2, default=None)
+
     def start(self, first: Augmented) -> tuple[float, float] | None:
         """Return displacement (m) and velocity (m/s) that a set begins with; None: it cannot."""
         push, mass = self._push(1.0)
@@ -219,10 +229,15 @@ class Body:
         except (SimulationError, core.CoreError):
             return None
 
+    def _begun(self, at: tuple[float, float], loose: Floats) -> tuple[float, float]:
+        """Return the start of a motion: where it was estimated, and what is loose of it."""
+        moved = {name: float(q) for (name, _, _), q in zip(self.loose, loose, strict=True)}
+        rate = 2.0 * np.pi * self.spread
+        return (at[0] + moved.get("x", 0.0) * self.spread, at[1] + moved.get("v", 0.0) * rate)
+
     def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
         """Return recording less simulation in units of the noise, one for each of the rows."""
-        rate = 2.0 * np.pi * self.spread
-        start = (at[0] + loose[2] * self.spread, at[1] + loose[3] * rate)
+        start = self._begun(at, loose)
         key = (float(loose[0]), *start)
         motion = next((m for n, k, m in list(self._moved) if n is now and k == key), None)
         if motion is None:
@@ -245,7 +260,7 @@ class Body:
         first = Augmented(plain, base, fit.members, fit.betas, None, self.ctx.all_ranges)
         places = [p for p in parameters(first) if p[0] != "m"]
         count = len(places)
-        start = self.start(first)
+        start = fit.start or self.start(first)
         if start is None or self.runs <= 0:
             return None
         cost = 1 if self.quick(fit) else SLOW
@@ -288,7 +303,7 @@ class Body:
         found = Fit(
             best.members, best.betas, float(r @ r), fit.count, nuisance, r[:n],
             _covariance(first, places, inverse, nuisance.size),
-            _covariance(first, places, scatter, nuisance.size),
+            _covariance(first, places, scatter, nuisance.size), self._begun(start, p[count:]),
         )  # fmt: skip
         return _as_effects(problem, found)
 

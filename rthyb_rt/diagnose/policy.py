@@ -308,7 +308,7 @@ class Policy:
         "What a simulated rig leaves from which on no further effect is looked for: less than "
         "noise is known by, 3 per cent in 20 s, so that a small one beside a large one is found.",
     )  # fmt: skip
-    rig_rough: float = _entry(
+    motion_rough: float = _entry(
         3.0, "chi-squared a row", "numerics",
         "What it leaves from which a fit need not be a good one of its kind.",
     )  # fmt: skip

@@ -89,16 +89,23 @@ class Augmented:
         ctx = self.context(
             Motion(np.zeros(2), np.zeros(2), np.zeros(2)), np.arange(2.0) / self.model.fs_hz, {}
         )
-        out, mass = self.model.elements(), self.model.moving_mass
+        pairs = list(zip(self.members, self.betas, strict=True))
+        loop = self.base.k * sum(m.effect.of_loop(ctx, m.trial, b) for m, b in pairs)
+        model = replace(self.model, k=self.model.k + loop)
+        if loop and not model.k > 0.0:  # no loop of the core's
+            model, loop = self.model, 0.0
+        out, mass = model.elements(), model.moving_mass
         rest: list[tuple[Member, Floats]] = []
-        for member, beta in zip(self.members, self.betas, strict=True):
+        for member, beta in pairs:
             own = None
+            if loop and member.effect.of_loop(ctx, member.trial, beta):
+                continue
             added = member.effect.mass_kg(beta)
             if added is not None and beside + mass + added > 0.0:
                 mass += added
                 continue
             if not member.effect.sensor and not member.effect.replaces_spring:
-                own = member.effect.elements(ctx, member.trial, beta)
+                own = member.effect.on_a_body(ctx, member.trial, beta)
             if own is None:
                 rest.append((member, beta))
                 continue

@@ -162,7 +162,7 @@ class RigBody(Body):
     def __init__(self, case: Case, ctx: Context) -> None:
         super().__init__(case, ctx)
         self.held = False
-        self.met, self.rough = POLICY.rig_nothing_left, POLICY.rig_rough
+        self.met = POLICY.rig_nothing_left
         self.f = case.channels["f_meas"]
         peak = int(np.argmax(np.abs(self.other["x_meas"])))
         last = max(LONGEST_S * case.fs_hz, peak + BEYOND_S * case.fs_hz)
@@ -197,6 +197,10 @@ class RigBody(Body):
     def refined(self, problem: Problem, fit: Fit) -> Fit | None:
         """Fit a set's parameters to displacement and force; None where it cannot be simulated."""
         return super().refined(problem, self._smooth(fit))
+
+    def settled(self, problem: Problem, fit: Fit) -> Fit | None:
+        """Return the same: a rig's friction has a width."""
+        return self.refined(problem, fit)
 
     def _smooth(self, fit: Fit) -> Fit:
         """Return a set whose dry contacts have a step over velocity, as the rig's friction has."""

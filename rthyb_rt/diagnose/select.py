@@ -146,6 +146,7 @@ class Fit:
         residual: whitened, judged rows; empty before refinement.
         covariance: of (log shapes, coefficients), before scaling.
         scatter: the same as the residual shows it, see `clustered`; of a simulated motion only.
+        start: displacement, m, and velocity, m/s, with which that motion begins.
     """
 
     members: tuple[Member, ...]
@@ -156,6 +157,7 @@ class Fit:
     residual: Floats = field(default_factory=lambda: np.zeros(0))
     covariance: Floats | None = None
     scatter: Floats | None = None
+    start: tuple[float, float] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -246,8 +246,8 @@ class Effect:
         """Return the shape with a step over velocity no sharper than ``least``, m/s."""
         return trial
 
-    def sharp(self, trial: Trial, width: float) -> Trial:
-        """Return the shape with its step over velocity as sharp as ``width``, m/s."""
+    def sharp(self, trial: Trial) -> Trial:
+        """Return the shape with a step over velocity of no width: what sticks does not creep."""
         return trial
 
     def like(self, trial: Trial) -> Trial:
@@ -286,6 +286,10 @@ class Effect:
         """Return the allowed range of each shape parameter."""
         return [(abs(value) / 30.0, abs(value) * 30.0) for value in trial.theta]
 
+    def of_loop(self, ctx: Context, trial: Trial, beta: Floats) -> float:
+        """Return by what part of its stiffness it changes the loop of a model that yields."""
+        return 0.0
+
     def mass_kg(self, beta: Floats) -> float | None:
         """Return the mass that the effect is to a body that moves freely, None where it is none."""
         return None
@@ -293,3 +297,9 @@ class Effect:
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the effect as elements of the core, or None where it has none (sensor side)."""
         return None
+
+    def on_a_body(
+        self, ctx: Context, trial: Trial, beta: Floats
+    ) -> list[core.ElementConfig] | None:
+        """Return the same for a body that moves freely, whose dry friction may have no width."""
+        return self.elements(ctx, trial, beta)

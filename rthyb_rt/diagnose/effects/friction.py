@@ -137,7 +137,10 @@ CONTACT = (2e-5, 4e-3)
 """Way before a dry contact slips, as part of the amplitude: more of it is bristle friction."""
 
 SHARP = 1e-4
-"""Width of the step of a dry contact where it is simulated, as part of the largest velocity."""
+"""Width of the step of a dry contact in a rig file, as part of the largest velocity."""
+STICKS = 1e-7
+"""The same where a body that moves freely is simulated, which solves for the force that holds it:
+in a minute at rest it creeps by a hundred-thousandth of what it comes in a second."""
 
 
 def slipping(ctx: Context, way_m: float) -> Floats:
@@ -151,7 +154,7 @@ class Coulomb(Effect):
     Variant "contact" shears by a little before it slips, as every contact does: then what a small
     reversal shows is a spring's force, not a step's. Variant "root" rounds the step by the other
     common formula, which comes to its level later than tanh: told from tanh alone, the difference
-    would be taken for damping.
+    would be taken for damping. Variant "sharp" has no width: a body that is simulated sticks.
     """
 
     name = "coulomb"
@@ -178,7 +181,7 @@ class Coulomb(Effect):
         """Keep the width below what would be a dashpot, the contact below a bristle."""
         if trial.variant == "contact":
             return [(CONTACT[0] * ctx.x_range, CONTACT[1] * ctx.x_range)]
-        return [(1e-5 * ctx.v_range, 0.12 * ctx.v_range)]
+        return [(1e-5 * ctx.v_range, 0.12 * ctx.v_range) for _ in trial.theta]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the smoothed sign of velocity, or of the last path."""
@@ -186,16 +189,16 @@ class Coulomb(Effect):
             return [slipping(ctx, trial.theta[0])]
         if trial.variant == "root":
             return [ctx.v / np.hypot(ctx.v, trial.theta[0])]
-        return [np.tanh(ctx.v / trial.theta[0])]
+        return [np.tanh(ctx.v / (trial.theta[0] if trial.theta else STICKS * ctx.v_range))]
 
     def rounded(self, trial: Trial, least: float) -> Trial:
         """Return a step by tanh; a contact has one of the least width."""
         old = trial.theta[0] if trial.theta and not trial.variant else least
         return Trial((max(old, least),))
 
-    def sharp(self, trial: Trial, width: float) -> Trial:
-        """Return a step by tanh."""
-        return Trial((width,)) if trial.theta else trial
+    def sharp(self, trial: Trial) -> Trial:
+        """Return a step without a width."""
+        return Trial((), "sharp")
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return how the sign of velocity is rounded."""
@@ -203,12 +206,22 @@ class Coulomb(Effect):
             return "Fc of a contact that shears before it slips"
         if trial.variant == "root":
             return "Fc v / sqrt(v^2 + width^2)"
-        return "Fc tanh(v / width)"
+        return "Fc tanh(v / width)" if trial.theta else "Fc sgn(v)"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
-        width = SHARP * ctx.v_range if trial.variant == "contact" else trial.theta[0]
+        shaped = trial.theta and trial.variant != "contact"
+        width = trial.theta[0] if shaped else SHARP * ctx.v_range
         width = float(np.clip(width, 1e-7, 1.0))
+        return [core.element("coulomb", fc_n=float(beta[0]), width_m_per_s=width)]
+
+    def on_a_body(
+        self, ctx: Context, trial: Trial, beta: Floats
+    ) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        if trial.theta and trial.variant != "contact":
+            return self.elements(ctx, trial, beta)
+        width = float(STICKS * ctx.v_range)
         return [core.element("coulomb", fc_n=float(beta[0]), width_m_per_s=width)]
 
 
@@ -262,6 +275,8 @@ class Stribeck(Effect):
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep the Stribeck velocity within the motion and the width well below it."""
         r = ctx.v_range
+        if trial.variant == "sharp":
+            return [(0.01 * r, 1.2 * r)]
         if self._sheared(trial):
             way = ctx.x_range
             return [(0.01 * r, 1.2 * r), (CONTACT[0] * way, CONTACT[1] * way)]
@@ -269,7 +284,7 @@ class Stribeck(Effect):
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return sliding and additional static friction per N."""
-        vs, width = trial.theta
+        vs, width = (*trial.theta, STICKS * ctx.v_range)[:2]
         sign = slipping(ctx, width) if self._sheared(trial) else np.tanh(ctx.v / width)
         return [sign, sign * np.exp(-(np.abs(ctx.v / vs) ** self._power(trial)))]
 
@@ -284,20 +299,38 @@ class Stribeck(Effect):
 
     def rounded(self, trial: Trial, least: float) -> Trial:
         """Return the same peak over a step by tanh."""
-        old = least if self._sheared(trial) else trial.theta[1]
+        old = least if self._sheared(trial) else (*trial.theta, least)[1]
         return Trial((trial.theta[0], max(old, least)), "peak1" if self._power(trial) == 1 else "")
+
+    def sharp(self, trial: Trial) -> Trial:
+        """Return the same peak over a step without a width."""
+        return Trial(trial.theta[:1], "sharp")
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the law of the peak, and what its sign is."""
         sheared = self._sheared(trial)
         sign = "a contact that shears before it slips" if sheared else "tanh(v / width)"
+        sign = "sgn(v)" if trial.variant == "sharp" else sign
         return f"[Fc + (Fs - Fc) exp(-|v/vs|^{self._power(trial)})] by {sign}"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
+        shaped = len(trial.theta) > 1 and not self._sheared(trial)
+        width = trial.theta[1] if shaped else 1e-3 * ctx.v_range
+        return self._of_width(ctx, trial, beta, float(np.clip(width, 1e-7, 1.0)))
+
+    def on_a_body(
+        self, ctx: Context, trial: Trial, beta: Floats
+    ) -> list[core.ElementConfig] | None:
+        """Return the element."""
+        if len(trial.theta) > 1 and not self._sheared(trial):
+            return self.elements(ctx, trial, beta)
+        return self._of_width(ctx, trial, beta, float(STICKS * ctx.v_range))
+
+    def _of_width(
+        self, ctx: Context, trial: Trial, beta: Floats, width: float
+    ) -> list[core.ElementConfig]:
         p = self.report(ctx, trial, beta)
-        width = 1e-3 * ctx.v_range if self._sheared(trial) else trial.theta[1]
-        width = float(np.clip(width, 1e-7, 1.0))
         return [
             core.element(
                 "stribeck",

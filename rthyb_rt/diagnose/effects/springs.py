@@ -64,6 +64,10 @@ class Stiffness(Effect):
         """Return False where nothing would be left of the spring."""
         return bool(beta[0] > -1.0) or not ctx.model.k
 
+    def of_loop(self, ctx: Context, trial: Trial, beta: Floats) -> float:
+        """Return the error of the stiffness: a loop is as stiff as its spring, whatever it does."""
+        return float(beta[0]) if ctx.model.bouc_wen and not trial.variant else 0.0
+
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return a spring, negative where the model has too much; of a gain all that it shows."""
         share, model = float(beta[0]), ctx.model

@@ -1,0 +1,68 @@
+"""One test through all control laws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+from rthyb_rt import config
+from rthyb_rt.campaign.plan import Case
+from rthyb_rt.campaign.running import COMPLETED, FAILED, Row, carry_out
+from rthyb_rt.core.laws import LAWS
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment
+
+LAW: Final = "law"
+"""Key of a row that says which law it is."""
+TYPE: Final = "controller.type"
+
+
+def compare(
+    test: Path | None,
+    rig: str | None,
+    settings: Sequence[str],
+    names: Sequence[str],
+    tell: Callable[[int, int, str], None] | None = None,
+) -> list[Row]:
+    """Run one test with each control law in virtual time, all else being as the files say.
+
+    Args:
+        test: test file; None: the built-in one.
+        rig: rig file or name; None: that of the test.
+        settings: ``key=value``, as after ``--set``.
+        names: of the laws, ``controller.type``; none: all.
+        tell: called with (laws done, laws in all, the next) before each.
+
+    Returns:
+        A row each, as `carry_out` gives it, with the law's name at `LAW`: those that came to their
+        end by their response error, then those that a limit ended, then those that refuse the test.
+
+    Raises:
+        InputError: with the faults of the files, a law that there is not, or a setting that chooses
+            one.
+    """
+    for name in names:
+        if name not in LAWS:
+            raise InputError(f"found {name!r}; must be one of {', '.join(LAWS)}", "--law")
+    if any(setting.partition("=")[0].strip() == TYPE for setting in settings):
+        raise InputError(f"{TYPE} is what is compared; say which laws with --law", "--set")
+    experiment.prepare(*config.load_both(test, rig, settings))
+    wanted = list(dict.fromkeys(names)) or list(LAWS)
+    rows = []
+    for number, name in enumerate(wanted):
+        if tell is not None:
+            tell(number, len(wanted), name)
+        own = (*settings, f"{TYPE}={name}")
+        case = Case(number, {LAW: name}, -1, 0, str(test or ""), rig or "", own)
+        rows.append(carry_out(case))
+    return sorted(rows, key=_rank)
+
+
+def _rank(row: Row) -> tuple[int, float]:
+    if row["ending"] == FAILED:
+        return 2, 0.0
+    found = row.get("response_nrmse")
+    found = row.get("tracking_nrmse") if found is None else found
+    return int(row["ending"] != COMPLETED), math.inf if found is None else float(found)

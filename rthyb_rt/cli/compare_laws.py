@@ -1,0 +1,87 @@
+"""``rthyb compare-laws``: one test through all control laws."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rthyb_rt.cli import terminal
+from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+SCHEMA = "rthyb-compare-laws/1"
+
+
+def compare_laws(
+    test: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[TEST.toml]", help="Test file; the built-in test.", show_default=False
+        ),
+    ] = None,
+    rig: RigOption = None,
+    settings: SetOption = None,
+    law: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only this law. Can be repeated.", show_default=False),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run one test with every control law, in virtual time, and compare.
+
+    All else stays as the files say, the restoring-force compensator too; each law has its own
+    settings from the test file, else its defaults and what the rig file has identified. The best
+    response stands first.
+
+    \b
+    Examples:
+      rthyb compare-laws
+      rthyb compare-laws my-test.toml --law ats --law inverse
+      rthyb compare-laws my-test.toml --set controller.rfc.enabled=false
+    """
+    from rthyb_rt.campaign import comparison
+
+    with terminal.sections("Comparing") as progress:
+        rows = comparison.compare(test, rig, settings or (), law or (), progress)
+    _print(rows, terminal.people(as_json))
+    if as_json:
+        laws = [{key: value for key, value in row.items() if key != "case"} for row in rows]
+        terminal.print_json({"schema": SCHEMA, "laws": laws})
+
+
+def _print(rows: Sequence[dict[str, Any]], file: IO[str]) -> None:
+    from rich import box
+    from rich.table import Table
+
+    grid = Table(
+        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, header_style="dim"
+    )
+    grid.add_column("law", no_wrap=True)
+    for head in ("response", "largest difference", "tracking", "delay at the end"):
+        grid.add_column(head, justify="right", no_wrap=True)
+    grid.add_column("end", overflow="fold")
+    for row in rows:
+        grid.add_row(row["law"], *_cells(row))
+    terminal.show(grid, file)
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    """Return response, largest difference, tracking, delay and end of a law."""
+    from rthyb_rt.campaign.running import COMPLETED
+    from rthyb_rt.numbers import number, percent
+
+    if row["ending"] != COMPLETED:
+        # What it came to until then says nothing beside a whole test.
+        return ["–", "–", "–", "–", " ".join(str(row["cause"]).split())]
+    difference, delay = row["response_peak_difference_m"], row["alpha_end"]
+    return [
+        percent(row["response_nrmse"]),
+        "–" if difference is None else f"{number(1e3 * difference)} mm",
+        percent(row["tracking_nrmse"]),
+        "–" if delay is None else f"{number(1e3 * delay / row['fs_hz'])} ms",
+        "",
+    ]
