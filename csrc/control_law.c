@@ -125,6 +125,18 @@ void rthyb_law_report(const rthyb_law *law, double *values)
         values[i] = rthyb_law_value_at(law, (int32_t)is->values[i].offset);
 }
 
+uint32_t rthyb_law_report_beside(const rthyb_law *law, double *values, uint32_t most)
+{
+    const rthyb_law_description *is = &law_of(law)->is;
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < is->value_count && count < most; i++) {
+        const int32_t at = (int32_t)is->values[i].offset;
+        if (at != law->alpha_at && at != law->beta_at)
+            values[count++] = rthyb_law_value_at(law, at);
+    }
+    return count;
+}
+
 int rthyb_law_run(rthyb_law *law, const double *x_c_m, double *x_p_m, size_t n)
 {
     int code = RTHYB_OK;

@@ -94,6 +94,8 @@ int rthyb_law_lead(rthyb_law *law, double x_c_m, double allowed_m, double *x_p_m
 double rthyb_law_value_at(const rthyb_law *law, int32_t offset);
 /* Room for RTHYB_LAW_VALUES_MAX. */
 void rthyb_law_report(const rthyb_law *law, double *values);
+/* The same without alpha and beta, which the record has; most of them at most. Returns how many. */
+uint32_t rthyb_law_report_beside(const rthyb_law *law, double *values, uint32_t most);
 /* Without learning. */
 int rthyb_law_run(rthyb_law *law, const double *x_c_m, double *x_p_m, size_t n);
 /* cffi: end */

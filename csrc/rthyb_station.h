@@ -81,6 +81,9 @@ typedef struct {
     double tare_most_m, tare_most_n;    /* and a tare beyond these; 0 = any */
     int32_t tare_ticks, ramp_in_ticks, armed_ticks;
     int32_t stay; /* RAMP_OUT ends where its deceleration does, and not at 0 */
+    /* Which of the row's channels are what the control law reports beside alpha and beta: from which
+     * one on, and how many; 0: none. */
+    uint32_t law_channel, law_channel_count;
 } rthyb_station_config;
 
 /* Displacement over a whole number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u); u = 0 ... 1. Or a

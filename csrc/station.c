@@ -55,6 +55,9 @@ static int config_error(const rthyb_station_config *c)
         return RTHYB_E_LIMIT;
     if (!(c->tare_most_m >= 0.0 && c->tare_most_n >= 0.0))
         return RTHYB_E_LIMIT;
+    if (c->law_channel > RTHYB_CHANNELS_MAX ||
+        c->law_channel_count > RTHYB_CHANNELS_MAX - c->law_channel)
+        return RTHYB_E_LIMIT;
     const int ticks_ok = c->tare_ticks >= 1 && c->tare_ticks <= 1 << 20 && c->ramp_in_ticks >= 1 &&
                          c->ramp_in_ticks <= 1 << 24 && c->armed_ticks >= 1;
     return ticks_ok && c->rest_spread_m > 0.0 ? 0 : RTHYB_E_LIMIT;
@@ -1250,6 +1253,9 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
     if (s->state == RTHYB_TRIPPED && s->trip_frames > 0)
         s->trip_frames--;
     s->reset_frames -= out->send && s->reset_frames > 0;
+    if (s->cfg.law_channel_count > 0)
+        (void)rthyb_law_report_beside(&s->controller.law, s->channel + s->cfg.law_channel,
+                                      s->cfg.law_channel_count);
     rthyb_record *last = &records[made_up];
     last->code |= (uint16_t)s->noted;
     note_pair(last, in->x_m, in->f_n, in->lost);

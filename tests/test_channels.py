@@ -333,3 +333,46 @@ def test_a_loop_records_what_its_station_has_in_its_channels(tmp_path: Path) -> 
     for wrong in (np.zeros((7, 1)), np.zeros((8, 33))):
         with pytest.raises(core.CoreError, match="one row each"):
             test.run(rows, "none", wrong)
+
+
+# ---- what the control law reports ----------------------------------------------------------------
+
+
+def run_with(law: str, **options: bool) -> recording.Recording:
+    test, rig = config.load_both(None, None, [f"controller.type={law}", "test.duration_s=4"])
+    return virtual.run(experiment.prepare(test, rig), **options)
+
+
+def test_what_a_law_learns_beside_alpha_and_beta_stands_in_the_recording() -> None:
+    rec = run_with("ats")
+    assert [(one.name, one.unit) for one in rec.channels] == [("a0", ""), ("a1", "s"), ("a2", "s²")]
+    running = rec.running()
+    a0, a1, a2 = (rec.channel(name)[running] for name in ("a0", "a1", "a2"))
+    # Chae et al. (2013), Eqn 8: x_p = a0 x + a1 x' + a2 x''; alpha and beta are a1, a2 in samples.
+    rows = rec.samples[running]
+    np.testing.assert_allclose(rows["alpha"], a1 * rec.fs_hz, rtol=1e-9)
+    np.testing.assert_allclose(rows["beta"], a2 * rec.fs_hz**2, rtol=1e-9)
+    assert np.ptp(a0) > 0.0
+
+
+def test_truth_and_law_stand_side_by_side() -> None:
+    rec = run_with("ats", truth=True)
+    assert [one.name for one in rec.channels] == ["x_true_m", "f_true_n", "a0", "a1", "a2"]
+    bare = run_with("ats")
+    for name in ("a0", "a1", "a2"):
+        np.testing.assert_array_equal(rec.channel(name), bare.channel(name))
+    running = rec.running()
+    assert np.abs(rec.channel("x_true_m") - rec.samples["x_meas_m"])[running].max() < 2e-5
+
+
+def test_law_that_has_alpha_and_beta_alone_makes_no_row_longer() -> None:
+    assert run_with("alpha-beta").channels == ()
+
+
+def test_station_refuses_more_values_of_a_law_than_a_row_has_room_for() -> None:
+    test, rig = config.load_both(None, None, ["controller.type=ats"])
+    settings = experiment.station_config(experiment.prepare(test, rig))
+    for first, count in ((30, 3), (33, 0), (0, 33), (2**32 - 1, 2)):
+        wrong = dataclasses.replace(settings, law_channel=first, law_channel_count=count)
+        with pytest.raises(core.CoreError):
+            core.Station(wrong, np.zeros(8))

@@ -86,6 +86,11 @@ class Law:
         """Return what it reports by that name, if it does."""
         return next((v for v in self.values if v.name == name), None)
 
+    @property
+    def beside(self) -> tuple[Value, ...]:
+        """What it reports beside alpha and beta, which have their places in the record."""
+        return tuple(value for value in self.values if value.name not in ("alpha", "beta"))
+
     def ordered(self, given: Mapping[str, float]) -> list[float]:
         """Return all settings in the core's order, defaults where nothing is given.
 

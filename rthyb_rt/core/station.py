@@ -64,7 +64,9 @@ class StationConfig:
     lost_warning, skips and skip_warning (share of the last second's ticks).
     ``tare_most_m``, ``tare_most_n``: ZERO refuses a larger tare; 0 takes any.
     ``brake_acceleration_m_per_s2``: of HOLD, and where RAMP_OUT begins; 0: as of paths. ``stay``:
-    RAMP_OUT ends where it comes to rest, and not at 0.
+    RAMP_OUT ends where it comes to rest, and not at 0. ``law_channel``,
+    ``law_channel_count``: which of a row's channels are what the control law reports beside alpha
+    and beta.
     """
 
     controller: ControllerConfig
@@ -79,6 +81,8 @@ class StationConfig:
     ramp_in_ticks: int = 2048
     armed_ticks: int = 30720
     stay: bool = False
+    law_channel: int = 0
+    law_channel_count: int = 0
 
     @property
     def fs_hz(self) -> float:

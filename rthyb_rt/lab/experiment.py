@@ -20,6 +20,7 @@ from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import testfile as test_file
 from rthyb_rt.config.limits import VelocityLimit
 from rthyb_rt.config.rigfile import TOLERANCES, Link
+from rthyb_rt.core.laws import LAWS
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.record import recording
@@ -109,8 +110,9 @@ def prepare(
         derived=derived,
         motion=motion,
         ag_mps2=ag,
-        controller=controller_config(test, rig, derived, end_tick),
+        controller=(controller := controller_config(test, rig, derived, end_tick)),
         virtual_rig=rig_config(rig, derived.fs_hz),
+        channels=law_channels(controller.law),
         notes=derived.notes + (() if baseline.ok else (f"ground motion: {baseline.message}",)),
     )
     try:
@@ -358,6 +360,11 @@ _TIMED: Final[dict[str, Callable[[Rate, float], float]]] = {
 """Limits that a file counts in samples of 1/1024 s, and what they are at another rate."""
 
 
+def law_channels(law: core.LawConfig) -> tuple[core.Channel, ...]:
+    """Return the channels of what a control law reports beside alpha and beta."""
+    return tuple(core.Channel(value.name, value.unit) for value in LAWS[law.name].beside)
+
+
 def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
     """Return the settings of the station: states, limits and paths around the controller.
 
@@ -379,6 +386,7 @@ def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
     velocity = resolved.derived.get("command_velocity_m_per_s")
     if velocity is not None and real:
         controller = replace(controller, velocity_limit_m_per_s=float(velocity.value))
+    count = _law_channel_count(setup)
     return core.StationConfig(
         controller=controller,
         watches={
@@ -399,7 +407,15 @@ def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
         tare_ticks=rate.ticks(resolved.tare_s),
         ramp_in_ticks=rate.ticks(resolved.ramp_in_s),
         armed_ticks=rate.ticks(resolved.armed_timeout_s),
+        law_channel=max(0, len(setup.channels) - count),
+        law_channel_count=count,
     )
+
+
+def _law_channel_count(setup: Setup) -> int:
+    """Return how many of a row's channels, behind all others, are what the law reports."""
+    own = law_channels(setup.controller.law)
+    return len(own) if own and setup.channels[-len(own) :] == own else 0
 
 
 def at_rate(key: str, value: float, rate: Rate) -> float:

@@ -60,8 +60,8 @@ class Bench:
         freedoms: bool = False,
     ) -> None:
         places = freedom_channels(setup) if freedoms else ()
-        if truth or freedoms:
-            setup = replace(setup, channels=(TRUTH if truth else ()) + places)
+        # The core has what it adds itself before everything else.
+        setup = replace(setup, channels=(TRUTH if truth else ()) + places + setup.channels)
         self.run = Run.begin(setup, "virtual", config or experiment.station_config(setup))
         virtual = core.Rig(rig or setup.virtual_rig)
         stop_decel = experiment.stop_decel_m_per_s2(setup.rig)
