@@ -30,23 +30,26 @@ def is_stable(
     top, bottom = (lead or Lead()).polynomials()
     feed, back = top / bottom[0], bottom / bottom[0]
     late = part.force_delay + delay_samples
-    # s, x[n-1], x[n-2], y[n-1], y[n-2], then y[n-1] ... y[n-late]
-    size = rows + 4 + late
+    # s, then x[n-1], x[n-2] ... and y[n-1], y[n-2] ... that the law remembers, y[n-1] ... y[n-late]
+    kept = feed.size - 1
+    led, ahead = rows + kept, rows + 2 * kept
+    size = ahead + late
     m = np.zeros((size, size))
     row = np.zeros(size)
     row[part.at] = feed[0]
-    row[rows : rows + 4] = feed[1], feed[2], -back[1], -back[2]
+    row[rows:led], row[led:ahead] = feed[1:], -back[1:]
     m[:rows, :rows] = a
     if late:
         m[:rows, size - 1] += part.k_e_n_per_m * b
-        m[rows + 4, :] = row
-        m[np.arange(rows + 5, size), np.arange(rows + 4, size - 1)] = 1.0
+        m[ahead, :] = row
+        m[np.arange(ahead + 1, size), np.arange(ahead, size - 1)] = 1.0
     else:
         m[:rows, :] += part.k_e_n_per_m * np.outer(b, row)
-    m[rows, part.at] = 1.0
-    m[rows + 1, rows] = 1.0
-    m[rows + 2, :] = row
-    m[rows + 3, rows + 2] = 1.0
+    if kept:
+        m[rows, part.at] = 1.0
+        m[led, :] = row
+        for first in (rows, led):
+            m[np.arange(first + 1, first + kept), np.arange(first, first + kept - 1)] = 1.0
     return bool(np.all(np.abs(np.linalg.eigvals(m)) < 1.0))
 
 

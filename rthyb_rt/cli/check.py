@@ -14,6 +14,7 @@ from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
+    from rthyb_rt.analysis.loop_roots import Verdict
     from rthyb_rt.analysis.margins import Lead, SampledLead
     from rthyb_rt.config import Link
     from rthyb_rt.lab.braking import RunOn
@@ -52,15 +53,17 @@ def check(
     """Check a test without running it.
 
     Every fault of test file and rig file is named at once. For a test without fault: period and
-    mass, the compensator's gains, the delay that the structure survives, the margin of the delay
-    estimator, the limits of test and rig together, the rig's link with the load of its bus and the
-    dates of its commissioning, with notes and warnings where one of them is close.
+    mass, the compensator's gains, the delay that the structure survives, roots and margins of the
+    whole loop where the rig's response is known, the margin of the delay estimator, the limits of
+    test and rig together, the rig's link with the load of its bus and the dates of its
+    commissioning, with notes and warnings where one of them is close.
 
     \b
     Examples:
       rthyb check my-test.toml
       rthyb check my-test.toml --rig my-rig.toml --set numerical.period_s=0.8
     """
+    from rthyb_rt.analysis import loop_roots
     from rthyb_rt.core import FS_HZ
     from rthyb_rt.lab import braking, experiment
 
@@ -68,14 +71,20 @@ def check(
     real_time = rig_file.link is not None and test_file.test.sample_rate_hz == FS_HZ
     setup = experiment.prepare(test_file, rig_file, real_time=real_time)
     figures, limits, link = _figures(setup), _limits(setup), _link(setup)
+    loop = loop_roots.judge(setup)
     runs_on = braking.run_on(setup)
     factors = _calibration(setup)
     commissioning = _commissioning(setup, rig or test_file.rig)
     notes, warnings = _remarks(setup, figures)
     warnings += _run_on_warnings(setup, figures, runs_on)
+    remark = loop_roots.remark(loop)
+    if remark is not None:
+        warnings.append(remark)
+    if loop is not None and loop.unstable and _is_real(setup):
+        warnings.append("a test in real time will be refused: the loop is unstable")
     file = terminal.people(as_json)
     print(f"{setup.test.test.name} on {setup.rig.rig.name}: no fault found\n", file=file)
-    terminal.print_table(_rows(setup, figures), file)
+    terminal.print_table([*_rows(setup, figures), *_loop_rows(loop)], file)
     if commissioning is not None and commissioning["why_not"]:
         warnings.append(f"a test in real time will be refused: {commissioning['why_not']}")
     for rows in (
@@ -100,6 +109,7 @@ def check(
                 "rig_name": setup.rig.rig.name,
                 "figures": asdict(figures),
                 "run_on": asdict(runs_on),
+                "loop": None if loop is None else asdict(loop),
                 "limits": limits,
                 "link": link,
                 "commissioning": commissioning,
@@ -532,6 +542,34 @@ def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
             )
         )
     return rows
+
+
+def _is_real(setup: Setup) -> bool:
+    """Return whether something real is at the other end of the rig's link."""
+    return setup.rig.link is not None and not setup.rig.link.virtual
+
+
+def _loop_rows(loop: Verdict | None) -> list[tuple[str, str, str]]:
+    """Return the lines of the whole loop: root, gain margin, delay margin."""
+    from rthyb_rt.analysis.loop_roots import MOST_GAIN
+    from rthyb_rt.config import STANDARD_HZ
+    from rthyb_rt.numbers import number, quantity
+
+    if loop is None:
+        return [("Largest root", "not judged", "the rig file has no identified response")]
+    what = f"whole loop, elastic specimen; rig known up to {loop.swept_hz:g} Hz"
+    root = f"{loop.radius:.5f} at {number(loop.frequency_hz)} Hz"
+    if loop.unstable:
+        return [("Largest root", f"{root}: UNSTABLE", what)]
+    more = f"{MOST_GAIN:g} or more" if loop.gain_margin >= MOST_GAIN else number(loop.gain_margin)
+    late = "any"
+    if math.isfinite(loop.delay_margin_samples):
+        late = quantity(loop.delay_margin_samples / STANDARD_HZ, "ms", 1e3)
+    return [
+        ("Largest root", root, what),
+        ("Gain margin", more, "what the rig's answer may be multiplied by"),
+        ("Delay margin", late, "what the rig may be later"),
+    ]
 
 
 # ---- limits, link, calibration ------------------------------------------------------------------

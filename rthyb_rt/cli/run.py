@@ -97,7 +97,7 @@ def run(
     Exit code 6 says that a limit or a trip ended the test, 7 that this PC was not punctual enough;
     recording and report are there all the same.
     """
-    from rthyb_rt.analysis import summary
+    from rthyb_rt.analysis import loop_roots, summary
     from rthyb_rt.lab import experiment, virtual_time
     from rthyb_rt.record import recording
 
@@ -113,7 +113,9 @@ def run(
     started = datetime.datetime.now(datetime.UTC)
     test_file, rig_file = load(test, rig, settings)
     setup = experiment.prepare(test_file, rig_file, real_time=realtime or bool(mishaps))
-    for note in setup.notes:
+    # Whoever runs in virtual time may want to see it grow.
+    remark = loop_roots.demand(setup) if realtime else loop_roots.remark_of(setup)
+    for note in (*setup.notes, *filter(None, [remark])):
         terminal.tell(f"note: {note}")
     facts = _commissioned(rig or test_file.rig, rig_file) if realtime else {}
     refuse_taken(out)

@@ -223,6 +223,20 @@ class LeadStart:
 def fitted_lead(f_hz: Floats, g: Complexes, period_s: float, w1: float, w2: float) -> LeadStart:
     """Return the phase lead of Eqn 2.5, with gain and curvature, that undoes a response best.
 
+    Args:
+        f_hz, g: frequencies and response, (n,) each.
+        period_s: sampling period.
+        w1, w2: weights of the lead.
+    """
+    more, delay, curvature = fitted_terms(f_hz, g, period_s, w1, w2, (0, 1, 2))
+    return LeadStart(1.0 + more, delay * period_s, curvature * period_s**2)
+
+
+def fitted_terms(
+    f_hz: Floats, g: Complexes, period_s: float, w1: float, w2: float, which: tuple[int, ...]
+) -> tuple[float, float, float]:
+    """Return gain less 1, delay and curvature, in samples, of the lead that undoes a response best.
+
     ``|w (C G - 1)|`` is made least with the weights of `fit`, where
     ``C = 1 + S (g + a d + b d^2) / (W1 + W2 / z + 1 / z^2)`` and ``d = 1 - 1/z``.
 
@@ -230,17 +244,18 @@ def fitted_lead(f_hz: Floats, g: Complexes, period_s: float, w1: float, w2: floa
         f_hz, g: frequencies and response, (n,) each.
         period_s: sampling period.
         w1, w2: weights of the lead.
+        which: of the three; the others are 0.
     """
     back = np.exp(-2j * np.pi * f_hz * period_s)
     delta = 1.0 - back
     rolled = (w1 + w2 + 1.0) * g / (w1 + w2 * back + back**2)
     scale = (50.0 * period_s) ** -np.arange(3.0)
-    columns = np.array([rolled * scale[j] * delta**j for j in range(3)]).T
+    columns = np.array([rolled * scale[j] * delta**j for j in which]).T
     weight = _weight(f_hz)
-    solved = _least_squares(weight[:, None] * columns, weight * (1.0 - g)) * scale
-    return LeadStart(
-        1.0 + float(solved[0]), float(solved[1]) * period_s, float(solved[2]) * period_s**2
-    )
+    terms = np.zeros(3)
+    terms[list(which)] = _least_squares(weight[:, None] * columns, weight * (1.0 - g))
+    terms *= scale
+    return float(terms[0]), float(terms[1]), float(terms[2])
 
 
 def _weight(f_hz: Floats) -> Floats:
@@ -259,3 +274,97 @@ def _zeros(per_delta: Floats) -> Complexes:
     roots = np.roots(per_delta[::-1])
     with np.errstate(divide="ignore"):
         return np.asarray(1.0 / (1.0 - roots))
+
+
+# ---- a model of the rig -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Plant:
+    """An identified rig: ``x_m = exp(-s delay) / P(s)`` of the command as the drive holds it.
+
+    Attributes:
+        p: coefficients of P, lowest power first, in seconds to the power of their index.
+        delay_s: pure delay beside it.
+        stiffness_n_per_m, damping_n_s_per_m, mass_kg: of the force over x_m.
+        swept_hz: the highest frequency that is behind it.
+        error: largest error of 1/G against itself.
+    """
+
+    p: Floats
+    delay_s: float
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float
+    mass_kg: float
+    swept_hz: float
+    error: float
+
+
+MOST_ERROR: Final = 0.25
+"""Of 1/G: a model that is farther off says nothing of the loop's stability."""
+_GOOD: Final = 0.01
+_WORTH: Final = 2.0
+"""A higher order must halve the error of a lower one, which is not good by itself."""
+
+
+def plant(rig: RigFile) -> Plant | None:
+    """Return the model of a rig that its identified response is explained by; None without one.
+
+    1/G, less what the drive's hold makes of it, is fitted by a polynomial in s behind a delay: of
+    the orders 0 to `ORDER` and the delays tried the simplest stable one that is good.
+    """
+    found = rig.identified
+    if found is None or len(found.frequency_hz) < 2:
+        return None
+    f = np.asarray(found.frequency_hz, dtype=np.float64)
+    hold = hold_of(rig)
+    g = response(found)
+    if hold is not None:
+        g = g / _hold(f, STANDARD.period_s, hold)
+    fits = [_polynomial(f, g, order) for order in range(min(ORDER, f.size - 1) + 1)]
+    stable = [fit for fit in fits if fit is not None]
+    if not stable:
+        return None
+    good = max(_WORTH * min(fit[0] for fit in stable), _GOOD)
+    error, p, delay_s = next(fit for fit in stable if fit[0] <= good)
+    if error > MOST_ERROR:
+        return None
+    k, c, m = _impedance(found, rig.rig.elastic_stiffness_n_per_m)
+    return Plant(p, delay_s, k, c, m, float(f.max()), error)
+
+
+def _polynomial(f: Floats, g: Complexes, order: int) -> tuple[float, Floats, float] | None:
+    """Return error, coefficients and delay of the best stable polynomial of an order."""
+    s = 2j * np.pi * f
+    unit = float(np.abs(s).max()) / 2.0
+    powers = np.array([(s / unit) ** j for j in range(order + 1)]).T * np.abs(g)[:, None]
+    slow_s = max(float(-np.angle(g[0]) / (2.0 * np.pi * f[0])), 0.0)
+    best: tuple[float, Floats, float] | None = None
+    for delay_s in np.linspace(0.0, slow_s, _DELAYS_TRIED):
+        wanted = np.exp(-s * delay_s) / g * np.abs(g)
+        found = _least_squares(powers, wanted)
+        error = float(np.abs(powers @ found - wanted).max())
+        if best is not None and error >= best[0]:
+            continue
+        roots = np.roots(found[::-1])
+        if roots.size < order or (roots.real >= 0.0).any():
+            continue
+        best = error, found / unit ** np.arange(order + 1), float(delay_s)
+    return best
+
+
+def _impedance(found: Identified, k_e_n_per_m: float) -> tuple[float, float, float]:
+    """Return stiffness, damping and mass that the load cell feels; k_e without figures."""
+    in_phase = np.asarray(found.force_in_phase_n_per_m)
+    if not in_phase.size:
+        return k_e_n_per_m, 0.0, 0.0
+    w = 2.0 * np.pi * np.asarray(found.frequency_hz, dtype=np.float64)
+    # The slow sines say the stiffness, the fast ones the mass: each counts as its own size, and as
+    # much as it moved. A sweep keeps to a velocity.
+    moved = np.asarray(found.amplitude) / w
+    weight = moved / (k_e_n_per_m + np.abs(in_phase))
+    columns = np.column_stack([np.ones_like(w), -(w**2)]) * weight[:, None]
+    k, m = np.linalg.lstsq(columns, in_phase * weight, rcond=None)[0]
+    quadrature = np.asarray(found.force_in_quadrature_n_per_m)
+    c = float(np.sum(weight**2 * w * quadrature) / np.sum((weight * w) ** 2))
+    return float(k), max(c, 0.0), max(float(m), 0.0)

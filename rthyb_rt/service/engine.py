@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import config, core
-from rthyb_rt.analysis import summary
+from rthyb_rt.analysis import loop_roots, summary
 from rthyb_rt.config import RigFile, TestFile
 from rthyb_rt.core import STATES
 from rthyb_rt.core.loop import Clock
@@ -318,7 +318,10 @@ class Engine(Conductor):
         Raises:
             InputError: with what is wrong in the test, or between test and rig.
         """
-        return Loaded.of(experiment.prepare(test, self.rig, real_time=True, record=record))
+        setup = experiment.prepare(test, self.rig, real_time=True, record=record)
+        remark = loop_roots.demand(setup)
+        notes = setup.notes if remark is None else (*setup.notes, remark)
+        return Loaded.of(dataclasses.replace(setup, notes=notes))
 
     def check_load(self) -> None:
         """Refuse a load that the state does not allow, before anything is made of it.

@@ -1,0 +1,442 @@
+"""Whether the whole loop of a test is stable, before it runs: roots, gain margin, delay margin.
+
+Round the loop go the numerical part, the control law, the rig as it was identified (response and
+force), and force compensation. All of it is linear as long as the specimen is elastic, so that its
+largest root says whether what is there grows. A phase lead that learns is asked with its first
+settings and with those that the rig's response leads it to; any other law with its first.
+
+    f* = R x_c + k (LP + tau V) x_c,   R = (Z - k LP) G C,   x_c = -N f*
+
+with N the numerical part, C the law, G the rig, Z the force over x_m, LP the low-pass and tau V the
+lateness of the force compensation, k its tangent stiffness, at k_e.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.analysis import margins
+from rthyb_rt.config import response, rigsettings
+from rthyb_rt.config.rate import STANDARD_HZ, Rate
+from rthyb_rt.core import ControllerConfig, LawConfig
+from rthyb_rt.core.laws import LAWS
+from rthyb_rt.core.numerical_parts import DensePart
+from rthyb_rt.errors import InputError
+
+if TYPE_CHECKING:
+    from rthyb_rt.lab.experiment import Setup
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+ROUNDING: Final = 1e-7
+"""Above 1, of a root that stands on the circle: a structure without damping is not unstable."""
+MOST_GAIN: Final = 4.0
+"""A loop that bears as much is not asked for more."""
+THIN_GAIN: Final = 1.25
+"""The plants of the field's benchmark differ by 10 % in what their actuators make of a command."""
+THIN_DELAY_SAMPLES: Final = margins.LEAST_DELAY_MARGIN
+"""Of 1/1024 s: a command that is held moves the delay by as much."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A linear system of one input, s[n+1] = A s[n] + b u[n], y[n] = C s[n] + d u[n]; y (m,)."""
+
+    a: Floats
+    b: Floats
+    c: Floats
+    d: Floats
+
+    def response(self, z: Complexes) -> Complexes:
+        """Return the transfer function at z (k,) as (k, m)."""
+        size = len(self.a)
+        if not size:
+            return np.broadcast_to(self.d.astype(complex), (z.size, self.d.size))
+        inner = z[:, None, None] * np.eye(size) - self.a
+        states = np.linalg.solve(inner, np.broadcast_to(self.b[:, None], (z.size, size, 1)))
+        return np.asarray((self.c @ states)[:, :, 0] + self.d)
+
+    def then(self, other: Block) -> Block:
+        """Return the other fed by the first output of this one."""
+        n, m = len(self.a), len(other.a)
+        a = np.zeros((n + m, n + m))
+        a[:n, :n], a[n:, n:] = self.a, other.a
+        a[n:, :n] = np.outer(other.b, self.c[0])
+        b = np.concatenate([self.b, other.b * self.d[0]])
+        c = np.hstack([np.outer(other.d, self.c[0]), other.c])
+        return Block(a, b, c, other.d * self.d[0])
+
+    def beside(self, other: Block) -> Block:
+        """Return both on one input, the outputs of this one first."""
+        n, m = len(self.a), len(other.a)
+        a = np.zeros((n + m, n + m))
+        a[:n, :n], a[n:, n:] = self.a, other.a
+        c = np.zeros((len(self.c) + len(other.c), n + m))
+        c[: len(self.c), :n], c[len(self.c) :, n:] = self.c, other.c
+        return Block(a, np.concatenate([self.b, other.b]), c, np.concatenate([self.d, other.d]))
+
+    def weighted(self, *rows: tuple[float, ...]) -> Block:
+        """Return other outputs, each a sum of these."""
+        by = np.array(rows)
+        return Block(self.a, self.b, by @ self.c, by @ self.d)
+
+
+def gain(value: float) -> Block:
+    """Return a system without memory."""
+    return Block(np.zeros((0, 0)), np.zeros(0), np.zeros((1, 0)), np.array([value]))
+
+
+def rational(top: Floats, bottom: Floats) -> Block:
+    """Return the system of a transfer function in z, highest power first; it must be causal."""
+    bottom = np.trim_zeros(np.asarray(bottom, dtype=np.float64), "f")
+    order = bottom.size - 1
+    top = np.concatenate([np.zeros(bottom.size - len(top)), top]) / bottom[0]
+    back = bottom[1:] / bottom[0]
+    a = np.zeros((order, order))
+    if order:
+        a[0] = -back
+        a[np.arange(1, order), np.arange(order - 1)] = 1.0
+    b = np.eye(order)[0] if order else np.zeros(0)
+    return Block(a, b, (top[1:] - top[0] * back)[None, :], top[:1])
+
+
+# ---- the parts ----------------------------------------------------------------------------------
+
+
+def numerical(config: ControllerConfig) -> Block:
+    """Return force f*[n] -> displacement of the interface at t_n."""
+    if config.numerical is None:
+        top, bottom = margins.compliance(config.motion)
+        whole = np.asarray(np.polyadd(bottom, config.motion.stiffness_n_per_m * top), np.float64)
+        return rational(-top, whole)
+    part = config.numerical
+    a, b = DensePart(part).step_matrices()
+    c = np.zeros((1, len(a)))
+    c[0, part.at] = 1.0
+    whole_part = Block(a, b, c, np.zeros(1))
+    late = rational(np.array([1.0]), np.array([1.0, 0.0]))
+    return late.then(whole_part) if part.force_delay else whole_part
+
+
+def backward_velocity(h: float) -> Block:
+    """Return the second-order backward difference of csrc/motion.c."""
+    return rational(np.array([3.0, -4.0, 1.0]) / (2.0 * h), np.array([1.0, 0.0, 0.0]))
+
+
+def rig(model: response.Plant, h: float, hold: str | None) -> Block:
+    """Return command -> x_m and force, as a controller of a sampling period meets them.
+
+    Args:
+        model: what was identified.
+        h: sampling period.
+        hold: ``rig.command_hold``, None for a rig that holds nothing.
+    """
+    order = model.p.size - 1
+    late = model.delay_s / h
+    if hold == "foh":
+        late += 0.5  # a straight line between two commands is half a sample behind steps
+    whole = math.floor(late + 1e-9)
+    part = max(late - whole, 0.0)
+    if order == 0:
+        one = _delay(whole, part).weighted((1.0 / model.p[0],))
+        return one.weighted((1.0,), (model.stiffness_n_per_m,))
+    # Controller form in x, x', x'', ...; the late part of a command acts from within a sample on.
+    top = model.p[order]
+    unit = abs(model.p[0] / top) ** (1.0 / order)
+    a = np.diag(np.ones(order - 1), 1)
+    a[-1] = -model.p[:order] / top / unit ** np.arange(order, 0, -1)
+    b = np.zeros(order)
+    b[-1] = 1.0 / (top * unit**order)
+    phi, gamma = _held(a * unit, b * unit, h)
+    _, first = _held(a * unit, b * unit, h * (1.0 - part))
+    # Over a sample the old command acts for `part`, the new one for the rest.
+    old = gamma - first
+    c = np.zeros((2, order + 1))
+    impedance = (model.stiffness_n_per_m, model.damping_n_s_per_m, model.mass_kg)
+    c[0, 0] = 1.0
+    for j, value in enumerate(impedance[: min(order, 3)]):
+        c[1, j] = value * unit**j
+    step = np.zeros((order + 1, order + 1))
+    step[:order, :order], step[:order, order] = phi, old
+    table = Block(step, np.append(first, 1.0), c, np.zeros(2))
+    return _delay(whole, 0.0).then(table)
+
+
+def _held(a: Floats, b: Floats, h: float) -> tuple[Floats, Floats]:
+    """Return exp(a h) and what a command held for h adds."""
+    size = len(a)
+    whole = np.zeros((size + 1, size + 1))
+    whole[:size, :size], whole[:size, size] = a * h, b * h
+    halvings = max(0, math.ceil(math.log2(max(float(np.abs(whole).sum(axis=1).max()), 1e-12))) + 4)
+    term = result = np.eye(size + 1)
+    for j in range(1, 14):
+        term = term @ whole / (j * 2.0**halvings)
+        result = result + term
+    for _ in range(halvings):
+        result = result @ result
+    return result[:size, :size], result[:size, size]
+
+
+def _delay(whole: int, part: float) -> Block:
+    """Return a delay in samples, the broken part of one by a straight line."""
+    taps = np.zeros(whole + 2)
+    taps[whole], taps[whole + 1] = 1.0 - part, part
+    taps = np.trim_zeros(taps, "b")
+    return rational(taps, np.eye(1, taps.size)[0])
+
+
+def low_pass(cutoff_hz: float, h: float) -> Block:
+    """Return the Butterworth low-pass of csrc/lowpass.h; cut-off 0: none."""
+    if not cutoff_hz:
+        return gain(1.0)
+    k = math.tan(math.pi * cutoff_hz * h)
+    norm = 1.0 + math.sqrt(2.0) * k + k * k
+    top = np.array([1.0, 2.0, 1.0]) * (k * k / norm)
+    bottom = np.array([1.0, 2.0 * (k * k - 1.0) / norm, (1.0 - math.sqrt(2.0) * k + k * k) / norm])
+    return rational(top, bottom)
+
+
+def laws(law: LawConfig, model: response.Plant, h: float, hold: str | None) -> list[Block]:
+    """Return a control law as it begins, and as the rig's response leads it to be."""
+    given = dict(zip((p.key for p in LAWS[law.name].parameters), law.values(), strict=True))
+    table = law.name.replace("-", "_")
+    if f"{table}.gain_sigma" in given:
+        own = {key.partition(".")[2]: value for key, value in given.items()}
+        w1, w2 = rigsettings.weights(own["roll_off_hz"], h)
+        terms = [own.get("gain0", 1.0) - 1.0, own.get("delay0_s", 0.0) / h,
+                 own.get("curvature0_s2", 0.0) / h**2]  # fmt: skip
+        lead = _lead(terms, w1, w2)
+        return [lead.then(_inverse(own, h)) if "b0" in own else lead]
+    first = margins.lead_of(law, h)
+    found = [rational(*first.polynomials())]
+    if isinstance(first, margins.Lead) and law.adapts:
+        f = np.array([one for one in _SLOW_HZ if one <= model.swept_hz])
+        z = np.exp(2j * np.pi * f * h)
+        g = rig(model, h, hold).response(z)[:, 0]
+        fitted = response.fitted_terms(f, g, h, first.w1, first.w2, _learnt(law.name))
+        found.append(_lead(list(fitted), first.w1, first.w2))
+    return found
+
+
+_SLOW_HZ: Final = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
+
+
+def _learnt(name: str) -> tuple[int, ...]:
+    """Return which of gain, delay and curvature a phase lead learns."""
+    return (1, 2) if name == "alpha-beta" else (1,)
+
+
+def _lead(terms: list[float], w1: float, w2: float) -> Block:
+    bottom = np.array([w1, w2, 1.0])
+    slope, bend = np.array([1.0, -1.0, 0.0]), np.array([1.0, -2.0, 1.0])
+    added = terms[0] * np.array([1.0, 0.0, 0.0]) + terms[1] * slope + terms[2] * bend
+    return rational(bottom + bottom.sum() * added, bottom)
+
+
+def _inverse(own: dict[str, float], h: float) -> Block:
+    """Return C(z) of `rthyb_rt.config.response`, pole by pole: one of order five would lose digits.
+
+    With v = d / (1 + r d) it is 1 + sum of b_j / h^j v^j (1 - r v)^(5 - j), a polynomial in v.
+    """
+    rho = math.exp(-2.0 * math.pi * own["fit_roll_off_hz"] * h)
+    r = rho / (1.0 - rho)
+    e = np.zeros(response.ORDER + 1)
+    e[0] = 1.0
+    for j in range(response.ORDER + 1):
+        term = np.array([own[f"b{j}"] / h**j])
+        for _ in range(response.ORDER - j):
+            term = np.convolve(term, [1.0, -r])
+        e[j:] += term
+    slope = rational(np.array([1.0 - rho, rho - 1.0]), np.array([1.0, -rho]))
+    whole = gain(float(e[-1]))
+    for value in e[-2::-1]:
+        whole = slope.then(whole).beside(gain(float(value))).weighted((1.0, 1.0))
+    return whole
+
+
+# ---- the loop -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A loop taken apart: -N from f* to x_c, what comes back by the rig, and what does not."""
+
+    part: Block
+    by_rig: Block
+    beside: Block
+
+    def roots(self, by: float = 1.0) -> Complexes:
+        """Return the roots of the loop with the rig's answer multiplied."""
+        back = self.by_rig.weighted((by,)).beside(self.beside).weighted((1.0, 1.0))
+        part = self.part
+        n, m = len(part.a), len(back.a)
+        a = np.zeros((n + m, n + m))
+        a[:n, :n] = part.a + np.outer(part.b, back.d[0] * part.c[0])
+        a[:n, n:] = np.outer(part.b, back.c[0])
+        a[n:, :n] = np.outer(back.b, part.c[0])
+        a[n:, n:] = back.a
+        return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
+
+    def stable(self, by: float = 1.0) -> bool:
+        """Return whether no root lies outside the circle."""
+        return bool(np.abs(self.roots(by)).max() <= 1.0 + ROUNDING)
+
+    def gain_margin(self) -> float:
+        """Return what the rig's answer may be multiplied by; `MOST_GAIN` stands for more."""
+        low, high = 1.0, 1.0
+        for high in np.geomspace(1.0, MOST_GAIN, 25)[1:]:
+            if not self.stable(float(high)):
+                break
+            low = float(high)
+        else:
+            return MOST_GAIN
+        for _ in range(20):
+            middle = 0.5 * (low + float(high))
+            low, high = (middle, high) if self.stable(middle) else (low, middle)
+        return low
+
+    def delay_margin(self) -> float:
+        """Return what the rig may be later, samples; inf: any delay."""
+
+        def loop(z: Complexes) -> Complexes:
+            moved = self.part.response(z)[:, 0]
+            inner = self.beside.response(z)[:, 0]
+            return np.asarray(-moved * self.by_rig.response(z)[:, 0] / (1.0 - moved * inner))
+
+        peaks = np.abs(np.angle(np.concatenate([self.roots(), self.roots(0.0)])))
+        return margins.first_crossing(loop, peaks, 0)
+
+
+def loop_of(config: ControllerConfig, model: response.Plant, law: Block, hold: str | None) -> Loop:
+    """Put the loop of a test together, the tangent stiffness of force compensation at k_e."""
+    h, rfc = config.period_s, config.rfc
+    k = rfc.k_e_n_per_m if rfc.enabled else 0.0
+    table = rig(model, h, hold)
+    lead = law if config.lead_enabled else gain(1.0)
+    filtered = low_pass(rfc.cutoff_hz, h)
+    # x_m through the low-pass, and the force as it is.
+    force = table.weighted((0.0, 1.0))
+    moved = table.weighted((1.0, 0.0)).then(filtered)
+    back = force.beside(moved).weighted((1.0, -k)) if k else force
+    late = k * rfc.lateness_s
+    beside = filtered.weighted((k,))
+    if late:
+        # RK4 has a velocity of its own; this difference of second order is as good for roots.
+        beside = beside.beside(backward_velocity(h)).weighted((1.0, late))
+    return Loop(numerical(config), lead.then(back), beside)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a loop comes to.
+
+    Attributes:
+        radius: modulus of its largest root.
+        frequency_hz: of that root.
+        gain_margin: what the rig's answer may be multiplied by; `MOST_GAIN` stands for more; 0
+            where it is unstable as it is.
+        delay_margin_samples: by how much the rig may be later, of 1/1024 s; inf: any; 0 likewise.
+        swept_hz: up to where the rig's response is known.
+    """
+
+    radius: float
+    frequency_hz: float
+    gain_margin: float
+    delay_margin_samples: float
+    swept_hz: float
+
+    @property
+    def unstable(self) -> bool:
+        """Whether it grows by itself."""
+        return self.radius > 1.0 + ROUNDING
+
+    @property
+    def thin(self) -> bool:
+        """Whether little is missing to that."""
+        return not self.unstable and (
+            self.gain_margin < THIN_GAIN or self.delay_margin_samples < THIN_DELAY_SAMPLES
+        )
+
+
+def judge(setup: Setup) -> Verdict | None:
+    """Return what the loop of a test comes to; None where the rig's response is not known.
+
+    Of the law's first settings and those that the response leads it to, the worse.
+    """
+    config = setup.controller
+    model = response.plant(setup.rig)
+    if model is None or config.motion.integrator == "prescribed":
+        return None
+    hold = response.hold_of(setup.rig)
+    found = [
+        _verdict(loop_of(config, model, law, hold), setup.rate, model.swept_hz)
+        for law in laws(config.law, model, config.period_s, hold)
+    ]
+    return max(found, key=lambda v: (v.unstable, -v.gain_margin, -v.delay_margin_samples))
+
+
+_SLOW: Final = "compensate the delay, or give the structure more damping"
+_FAST: Final = (
+    "the lead drives a resonance of actuator and specimen: leave controller.w1 and w2 out on a rig "
+    "that was identified to 80 Hz, lower controller.rfc.cutoff_hz, or take the control law inverse"
+)
+
+
+def remark(found: Verdict | None) -> str | None:
+    """Return what a user should know of a loop that is unstable, or nearly; None if nothing."""
+    if found is None or not (found.unstable or found.thin):
+        return None
+    known = f"the rig's response is known up to {found.swept_hz:g} Hz"
+    if found.thin:
+        per_ms = 1e3 / STANDARD_HZ
+        return (
+            "the whole loop is stable with little to spare: it bears "
+            f"{found.gain_margin:.3g} times the rig's answer ({THIN_GAIN:g} are advised) and "
+            f"{found.delay_margin_samples * per_ms:.3g} ms of more delay "
+            f"({THIN_DELAY_SAMPLES * per_ms:.2g} ms are advised); {known}"
+        )
+    remedy = _SLOW if found.frequency_hz <= response.SLOW_HZ else _FAST
+    return (
+        "the whole loop (numerical part, control law, rig, force compensation; specimen elastic) "
+        f"is unstable: its largest root is {found.radius:.5f} at {found.frequency_hz:.3g} Hz, and "
+        f"must be below 1: the motion will grow; {known}; {remedy}"
+    )
+
+
+def remark_of(setup: Setup) -> str | None:
+    """Return the remark on a test that nothing real can come to harm in."""
+    return remark(judge(setup))
+
+
+def demand(setup: Setup) -> str | None:
+    """Refuse a test on a real link whose loop is unstable; return the remark on any other.
+
+    Raises:
+        InputError: the loop is unstable, and something real is at the other end of the rig's link.
+    """
+    found = judge(setup)
+    text = remark(found)
+    link = setup.rig.link
+    if found is not None and found.unstable and link is not None and not link.virtual:
+        raise InputError(text or "", f'test "{setup.test.test.name}" on rig "{setup.rig.rig.name}"')
+    return text
+
+
+def _verdict(loop: Loop, rate: Rate, swept_hz: float) -> Verdict:
+    roots = loop.roots()
+    largest = roots[np.argmax(np.abs(roots))]
+    radius, frequency = float(np.abs(largest)), float(abs(np.angle(largest))) * rate.hz
+    stable = radius <= 1.0 + ROUNDING
+    return Verdict(
+        radius=radius,
+        frequency_hz=frequency / (2.0 * math.pi),
+        gain_margin=loop.gain_margin() if stable else 0.0,
+        delay_margin_samples=loop.delay_margin() / rate.pace if stable else 0.0,
+        swept_hz=swept_hz,
+    )
