@@ -136,7 +136,7 @@ def test_rows_have_all_storeys_of_the_numerical_part_at_their_own_instant() -> N
     rec = virtual_time.run(setup, truth=True, freedoms=True)
     rows = rec.samples[rec.running()][: 4096 * 8]
     assert [one.name for one in rec.channels] == [
-        "x_true_m", "f_true_n", "x_part_1_m", "x_part_2_m", "x_part_3_m",
+        "x_true_m", "f_true_n", "x_part_1_m", "x_part_2_m", "x_part_3_m", "a0", "a1", "a2",
     ]  # fmt: skip
     np.testing.assert_array_equal(rows["x_part_1_m"], rows["x_num_m"])
     assert setup.derived.structure is not None

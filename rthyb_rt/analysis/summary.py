@@ -547,7 +547,8 @@ def summarize(rec: Recording) -> Summary:
 
 def _selected(samples: NDArray[np.void], mask: NDArray[np.bool_]) -> NDArray[np.void]:
     """Return the rows of a mask; without a copy where they stand in a row, as they do in a test."""
-    first, count = int(np.argmax(mask)), int(np.count_nonzero(mask))
+    count = int(np.count_nonzero(mask))
+    first = int(np.argmax(mask)) if count else 0
     if mask[first : first + count].all():
         return samples[first : first + count]
     return samples[mask]
