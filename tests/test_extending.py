@@ -14,20 +14,19 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "extending.md"
-_BLOCK = re.compile(
-    r"[Ww]ritten as `([^`]+)`|As `([^`]+)`|^```(?:c|python)\n(.*?)^```$", re.M | re.S
-)
+_BLOCK = re.compile(r"^```(?:c|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_PATH = re.compile(r"(?:csrc|tests)/\w+\.\w+")
 
 pytestmark = pytest.mark.long
 
 
 def recipe() -> dict[str, str]:
-    """The files that the page has its reader write, by their path."""
-    files, path = {}, ""
+    """The files that the page has its reader write, by the path in their first line."""
+    files = {}
     for match in _BLOCK.finditer(PAGE.read_text(encoding="utf-8")):
-        path = match[1] or match[2] or path
-        if match[3]:
-            files[path] = match[3]
+        path = _PATH.search(match[1].splitlines()[0])
+        assert path is not None
+        files[path[0]] = match[1]
     return files
 
 

@@ -170,22 +170,20 @@ def _shown(one: Outcome, rate: int) -> bool:
 
 
 def _draw_rate(axes: Any, outcomes: Sequence[Outcome]) -> None:
-    for axis, limits in ((axes.xaxis, (0.1, 100.0)), (axes.yaxis, (1.0, 300.0))):
+    for axis, limits in ((axes.xaxis, (0.08, 250.0)), (axes.yaxis, (1.0, 300.0))):
         axis.axes.set(**{f"{axis.axis_name}scale": "log", f"{axis.axis_name}lim": limits})
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_locator(NullLocator())
     axes.grid(axis="both")
     names = list(dict.fromkeys(one.run.entrant for one in outcomes))
-    colours = (drawing.BLUE, drawing.RED, drawing.GREEN, drawing.PURPLE, drawing.ORANGE)
-    own = ("inverse", "alpha-beta", "robust", "paper")
     places = []
     for name in names:
         own_figures = [one.figures for one in outcomes if one.run.entrant == name]
         points = np.array([[found["true"], found["J4"]] for found in own_figures])
         x, y = points.mean(axis=0)
         low, high = points.min(axis=0), points.max(axis=0)
-        colour = colours[0] if name in own else drawing.GREY
+        colour = drawing.BLUE if name in cases.OWN else drawing.GREY
         axes.plot([low[0], high[0]], [y, y], color=colour, linewidth=0.7)
         axes.plot([x, x], [low[1], high[1]], color=colour, linewidth=0.7)
         axes.plot([x], [y], "o", color=colour, markersize=3.2)
