@@ -28,7 +28,7 @@ def fast(monkeypatch, tmp_path, true: tuple[float, float], stated: tuple[float, 
     monkeypatch.setattr(cases, "F_HZ", true[0])
     monkeypatch.setattr(cases, "ZETA", true[1])
     cases._moved.cache_clear()  # it does not know of other actuators
-    u = cases.command()
+    u = cases.command(more.get("kind", "sweep"))
     x = cases.moved(u)[0]
     late = cases.moved(u, cases.DELAY + more.get("late", 0.0))
     cases._moved.cache_clear()
@@ -178,3 +178,17 @@ def test_a_lag_without_an_inertia_of_its_own_ends_no_diagnosis(tmp_path, monkeyp
     lags = [f.model for f in (*d.disp.rivals, d.disp.best) if "oil_column" in f.names]
     assert lags
     assert all(m.zeta <= 1e3 and m.f_hz <= 1e5 for m in lags)
+
+
+def test_equals_are_told_at_the_time_of_the_load_cell_as_well(tmp_path, monkeypatch):
+    case = fast(monkeypatch, tmp_path, (70.0, 2.1), (70.0, 2.1), kg=400.0, late=LATE_S, kind="sine")
+    d = engine.diagnose(case)
+    assert d.verdict == "ambiguous"
+    assert sorted(d.ambiguous_with) == [["inertia"], ["stiffness"]]
+    assert d.force is not None
+    assert d.context is not None
+    assert d.force.problem.ctx is d.context
+    equal = {f.names: f for f in d.force.equal}
+    again = [f for f in d.force.rivals if f.names in equal]
+    assert again
+    assert all(f is equal[f.names] for f in again)

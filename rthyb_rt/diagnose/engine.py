@@ -975,7 +975,8 @@ def _force_found(search: force.Search, ctx: Context, motions: Sequence[Motion]) 
     """
     problem, sure = search.problem, Sure(search, ctx, motions)
     out: list[Found] = []
-    fits = [search.best, *search.equal, *[f for f in search.rivals if f not in search.equal]]
+    equal = {f.names for f in search.equal}
+    fits = [search.best, *search.equal, *[f for f in search.rivals if f.names not in equal]]
     scores = np.array(
         [
             f.chi2

@@ -83,7 +83,16 @@ def _refitted(search: force.Search, problem: Problem) -> force.Search | None:
     best, null = again(search.best), solve(problem, [], [])
     if best is None or null is None or best.chi2 > search.best.chi2:
         return None
-    equal, forms = (
-        [f for f in map(again, fits) if f is not None] for fits in (search.equal, search.forms)
+    pairs = [(f, again(f)) for f in search.equal]
+    anew = {id(f): new for f, new in [(search.best, best), *pairs] if new is not None}
+    return replace(
+        search,
+        problem=problem,
+        null=null,
+        best=best,
+        equal=[anew[id(f)] for f in search.equal if id(f) in anew],
+        forms=[f for f in map(again, search.forms) if f is not None],
+        # The others were not named: where they are shown, it is as they were.
+        fits=[anew.get(id(f), f) for f in search.fits],
+        rivals=[anew.get(id(f), f) for f in search.rivals],
     )
-    return replace(search, problem=problem, null=null, best=best, equal=equal, forms=forms)

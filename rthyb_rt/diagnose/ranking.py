@@ -111,7 +111,8 @@ def _force(d: Diagnosis, search: forces.Search) -> list[Row]:
     problem, ctx = search.problem, d.context
     assert ctx is not None
     by_name = {c.name: c for c in d.candidates if c.channel == "force"}
-    rivals = [f for f in search.rivals if f not in search.equal]
+    equal = {f.names for f in search.equal}
+    rivals = [f for f in search.rivals if f.names not in equal]
     fits = _distinct([search.best, *search.equal, *rivals])
     scores = [
         f.chi2
