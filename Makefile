@@ -45,7 +45,7 @@ help:
 	@echo 'make validate-diagnosis  the diagnosis on cases that it has not seen, into docs (COUNT=60, SEED=)'
 	@echo 'make validate-diagnosis-short  a fixed few of them, held against that page; two minutes'
 	@echo 'make validate-policy  each threshold of the diagnosis moved, into docs; minutes a case (COUNT=10)'
-	@echo 'make benchmark-rths  every control law on the benchmark of the field, into docs; ten minutes (JOBS=2)'
+	@echo 'make benchmark-rths  every control law on the benchmark of the field, into docs; half an hour (JOBS=2)'
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
 	@echo 'make clean      remove .venv, build and caches; runs/ stays'
