@@ -189,3 +189,25 @@ def test_a_stop_beside_sticking_friction_on_moving_ground_shows_in_the_motion(tm
     assert (d.verdict, sorted(d.effects)) == ("explained", ["stopper", "stribeck"])
     assert found(d, "stopper", "xs_m") == pytest.approx(xs, rel=0.05)
     assert found(d, "stribeck", "Fc_N") == pytest.approx(fc, rel=0.1)
+
+
+@pytest.mark.parametrize(("missed", "known"), [(0.0, True), (0.5, False)])
+def test_a_body_that_moves_as_simulated_lacks_no_force_whatever_its_sensors_hum(
+    missed, known, tmp_path
+):
+    """Slow noise of the displacement makes a force that nothing pushes with."""
+    n = rows(12.0)
+    t = np.arange(n) / cases.FS
+    push = 900.0 * np.clip(t / 0.5, 0, 1) * np.sin(2 * np.pi * (0.3 * t + 0.1 * t**2))
+    system = signal.StateSpace(
+        [[0, 1], [-SPRING / MASS, -DASHPOT / MASS]], [[0], [1 / MASS]], np.eye(2), np.zeros((2, 1))
+    )
+    # A force of its own timing, that no law of the motion has.
+    other = missed * 90.0 * np.sign(np.sin(2 * np.pi * 0.37 * t**1.2))
+    _, y, _ = signal.lsim(system, push - other, t)
+    a = (push - other - SPRING * y[:, 0] - DASHPOT * y[:, 1]) / MASS
+    rng = np.random.default_rng(3)
+    slow = signal.lfilter([1.0], [1.0, -0.995], rng.standard_normal(n))
+    slow *= 1e-6 / np.std(slow)
+    d = of_a_free_body(y[:, 0] + slow, push, a + 50.0 * slow, tmp_path, x_std=3e-7)
+    assert (d.verdict == "none") == known

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 
 import diagnose_cases as cases
 import numpy as np
@@ -231,3 +232,15 @@ def test_the_exponent_of_a_fluid_damper_is_found(tmp_path):
 )  # fmt: skip
 def test_a_power_of_velocity_at_the_end_of_its_range_is_the_law_beyond_it(exponent, law):
     assert effects.catalogue()["power_damping"].borders(Trial((exponent,))) == law
+
+
+def test_a_cell_of_a_closed_loop_is_not_early_by_what_its_noise_takes_to_come_round(ctx):
+    """A reading moves the specimen a row and the actuator's delay later, noise and all."""
+    law = effects.catalogue()["time_skew"]
+    loop = Context(replace(ctx.model, family="loop"), ctx.motion, ctx.t, ctx.force, {})
+    most = loop.model.actuator.delay_s + loop.dt
+    early = [-t.theta[0] for t in law.trials(loop) if t.theta[0] < 0.0]
+    assert 0.0 < max(early) < most < max(-t.theta[0] for t in law.trials(ctx))
+    assert max(t.theta[0] for t in law.trials(loop)) == max(t.theta[0] for t in law.trials(ctx))
+    assert law.limits(loop, Trial((-1e-3,)))[0][1] == pytest.approx(min(most, 0.03))
+    assert law.limits(ctx, Trial((-1e-3,)))[0][1] == pytest.approx(0.03)

@@ -497,11 +497,12 @@ def _felt(case: Case, search: force.Search, ctx: Context) -> bool:
 
 def _force_known(case: Case, search: force.Search) -> bool:
     """Return whether what was found leaves no more than the form of a law."""
+    if search.moved and search.excess_after < POLICY.excess_as_noise:
+        # What is moved as it was measured, by what is named or by nothing, has the force for it.
+        return True
     if search.moved and search.best.members:
         left = search.excess_after / max(search.excess_before, 1e-12)
-        return search.excess_after < POLICY.excess_as_noise or left < of_size(
-            POLICY.left_moved, len(search.best.names)
-        )
+        return left < of_size(POLICY.left_moved, len(search.best.names))
     if search.problem.estimate.coloured and _by_the_sheet(case, search):
         return True
     if not search.best.members:

@@ -375,7 +375,19 @@ def _linear(problem: Problem, body: Body, fitter: _Fitter, null: Fit) -> tuple[F
             begun = solve(stiff, [member], [stiff.columns(member)])
             if begun is not None:
                 mover.move(begun)
-    return plain, mover
+    return _nothing(problem, body, mover, plain), mover
+
+
+def _nothing(problem: Problem, body: Body, mover: _Mover, plain: Fit) -> Fit:
+    """Return nothing but nuisance, from where the best single effect has left it if that is better.
+
+    The balance may begin it too far off: then an effect of no size would explain what it misses.
+    """
+    best = min(mover.by_names.values(), key=lambda f: f.chi2, default=plain)
+    if len(best.members) != 1 or best.chi2 >= plain.chi2 or plain.chi2 < body.met * mover.rows:
+        return plain
+    again = body.refined(problem, _without(problem, best, 0))
+    return again if again is not None and again.chi2 < plain.chi2 else plain
 
 
 def _met(plain: Fit, mover: _Mover) -> bool:

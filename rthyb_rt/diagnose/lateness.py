@@ -15,6 +15,7 @@ from rthyb_rt.diagnose import effects, force
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorFit
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import Estimate
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Fit, Problem, refine, solve, whole
 
 PASSES = 3
@@ -61,7 +62,7 @@ def settled(
         if better is None:
             break
         gain, done = best.chi2 - better.best.chi2, (now, along, better)
-        if gain < 0.1:
+        if gain < 0.1 or not better.best.members:
             break
     return done
 
@@ -74,7 +75,10 @@ def _without(fit: Fit, place: int) -> Fit:
 
 
 def _refitted(search: force.Search, problem: Problem) -> force.Search | None:
-    """Return what was found fitted to another problem; None where that fits no better."""
+    """Return what was found fitted to another problem; None where that fits no better.
+
+    What does not earn its price there made up for the time, and is nothing.
+    """
 
     def again(fit: Fit) -> Fit | None:
         refined = refine(problem, fit.members)
@@ -83,6 +87,14 @@ def _refitted(search: force.Search, problem: Problem) -> force.Search | None:
     best, null = again(search.best), solve(problem, [], [])
     if best is None or null is None or best.chi2 > search.best.chi2:
         return None
+    several = POLICY.several_price if len(best.members) > 1 else 1.0
+    if null.chi2 - best.chi2 < several * force.cost(problem, best):
+        rows = problem.y.size * problem.estimate.share
+        left = search.scale * null.chi2 / rows - 1.0
+        return replace(
+            search, problem=problem, null=null, best=null, equal=[], forms=[], rivals=[],
+            excess_before=left, excess_after=left, gain=0.0, held_gain=0.0,
+        )  # fmt: skip
     pairs = [(f, again(f)) for f in search.equal]
     anew = {id(f): new for f, new in [(search.best, best), *pairs] if new is not None}
     return replace(

@@ -258,7 +258,23 @@ class TimeSkew(Effect):
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return skews to either side."""
         steps = np.array([0.15, 0.3, 0.6, 1.0, 1.6, 2.5, 4.0, 6.0, 9.0, 13.0, 20.0]) * 1e-3
-        return [Trial((float(sign * s),)) for s in steps for sign in (1.0, -1.0)]
+        skews = [float(sign * s) for s in steps for sign in (1.0, -1.0)]
+        return [Trial((s,)) for s in skews if s > -self._most_early(ctx)]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep a cell of a closed loop from being early by what its noise takes to come round."""
+        (low, high), early = super().limits(ctx, trial)[0], self._most_early(ctx)
+        return [(low, high if trial.theta[0] > 0.0 else max(min(high, early), low))]
+
+    @staticmethod
+    def _most_early(ctx: Context) -> float:
+        """Return how far the cell may be ahead of the displacement, s.
+
+        What it reads, noise and all, moves a closed loop's specimen a row and the actuator's delay
+        later: ahead by as much, a reading is found again in the motion, whoever is early.
+        """
+        lag = ctx.model.actuator
+        return lag.delay_s + ctx.dt if ctx.model.family == "loop" and lag else np.inf
 
     def settings(
         self, ctx: Context, trial: Trial
