@@ -271,15 +271,16 @@ static void judge_states(observer *o, const event *e, const rthyb_station *s)
 
 /* ---- rows --------------------------------------------------------------------------------------- */
 
-static int is_finite(const rthyb_record *r)
+/* A law that has no alpha, or no beta, has no number there. */
+static int is_finite(const rthyb_law *law, const rthyb_record *r)
 {
     return isfinite(r->ag_mps2) && isfinite(r->x_num_m) && isfinite(r->x_plc_m) &&
            isfinite(r->axis[0].x_cmd_m) && isfinite(r->axis[0].x_meas_m) && isfinite(r->axis[0].f_meas_n) &&
-           isfinite(r->alpha) && isfinite(r->beta) && isfinite(r->k_t_n_per_m) &&
+           (isfinite(r->alpha) || law->alpha_at < 0) && (isfinite(r->beta) || law->beta_at < 0) && isfinite(r->k_t_n_per_m) &&
            isfinite(r->energy_error_j) && isfinite(r->tracking_indicator_m2);
 }
 
-static void judge_rows(observer *o, const event *e)
+static void judge_rows(observer *o, const event *e, const rthyb_station *s)
 {
     const uint32_t made_up = e->in.skipped < RTHYB_LOST_TICKS ? e->in.skipped : RTHYB_LOST_TICKS;
     must(o, RULE_ROWS, e->count == made_up + 1, e->count, made_up + 1.0);
@@ -287,7 +288,7 @@ static void judge_rows(observer *o, const event *e)
         const rthyb_record *r = &e->rows[i];
         const int last = i == e->count - 1;
         const uint64_t due = o->station + (last ? e->in.skipped : i);
-        must(o, RULE_FINITE, is_finite(r), i, 0.0);
+        must(o, RULE_FINITE, is_finite(&s->controller.law, r), i, 0.0);
         must(o, RULE_ROWS, r->tick == due, (double)r->tick, (double)due);
         must(o, RULE_ROWS, ((r->flags & RTHYB_F_BLIND) == 0) == last, r->flags, 0.0);
         o->running = r->state == RTHYB_RUNNING ? o->running + 1 : o->running;
@@ -632,7 +633,7 @@ static void observe(observer *o, const event *e, const rthyb_station *s, size_t 
         o->tare_x[0] = o->tare_f[0] = INFINITY;
         o->tare_x[1] = o->tare_f[1] = -INFINITY;
     }
-    judge_rows(o, e);
+    judge_rows(o, e, s);
     if (o->over)
         return;
     note_skips(o, e);

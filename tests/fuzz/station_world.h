@@ -207,6 +207,9 @@ static void some_watches(dice *d, const scale *s, rthyb_watch w[RTHYB_CAUSE_COUN
 static rthyb_station_config some_station(dice *d, const scale *s)
 {
     const double v = s->peak_m * s->omega_per_s, a = v * s->omega_per_s;
+    dice own = *d; /* as with laws: what came later makes no other day */
+    (void)throw_bits(&own);
+    (void)throw_bits(&own);
     rthyb_station_config c = {.controller = some_controller(d, s),
                               .path_velocity_m_per_s = v * some(d, 0.1, 2.0),
                               .path_acceleration_m_per_s2 = a * some(d, 0.1, 2.0),
@@ -220,6 +223,13 @@ static rthyb_station_config some_station(dice *d, const scale *s)
     if (one_in(d, 4))
         c.tare_most_m = some(d, 0.01, 0.1);
     some_watches(d, s, c.watch);
+    c.controller.rfc.period_s = PERIOD_S;
+    if (one_in(&own, 2))
+        c.controller.rfc.cutoff_hz = some(&own, 5.0, 400.0);
+    if (one_in(&own, 2))
+        c.controller.rfc.lateness_s = between(&own, -0.002, 0.002);
+    c.law_channel = below(&own, RTHYB_CHANNELS_MAX);
+    c.law_channel_count = below(&own, RTHYB_CHANNELS_MAX - c.law_channel + 1);
     return c;
 }
 
