@@ -379,15 +379,16 @@ def _linear(problem: Problem, body: Body, fitter: _Fitter, null: Fit) -> tuple[F
 
 
 def _nothing(problem: Problem, body: Body, mover: _Mover, plain: Fit) -> Fit:
-    """Return nothing but nuisance, from where the best single effect has left it if that is better.
+    """Return nothing but nuisance, from where the best effect left it if it meets the motion.
 
-    The balance may begin it too far off: then an effect of no size would explain what it misses.
+    The balance may begin it too far off: then an effect of no size would explain what it misses. If
+    it does not meet the motion from there either, an effect of some size is needed after all.
     """
     best = min(mover.by_names.values(), key=lambda f: f.chi2, default=plain)
     if len(best.members) != 1 or best.chi2 >= plain.chi2 or plain.chi2 < body.met * mover.rows:
         return plain
     again = body.refined(problem, _without(problem, best, 0))
-    return again if again is not None and again.chi2 < plain.chi2 else plain
+    return again if again is not None and again.chi2 < body.met * mover.rows else plain
 
 
 def _met(plain: Fit, mover: _Mover) -> bool:
@@ -471,8 +472,7 @@ def _moved(
                 if len(dry & names) < 2 and tuple(sorted(names)) not in mover.by_names:
                     mover.fit(members)
     mover.relieve()
-    if body.whole_rig:
-        mover.plain_friction()
+    mover.plain_friction()
     if problem.decays:
         mover.exchange()
     mover.settle()
