@@ -51,6 +51,18 @@ struct rthyb_control_law {
     static const rthyb_control_law *const law##_entry                                              \
         __attribute__((used, section("rthyb_laws"))) = &law
 
+/* Whether a setting lies below half of the sample rate; says what is wrong where it does not. */
+static inline int rthyb_below_half_rate(double hz, double period_s, rthyb_law_complaint *why)
+{
+    const int below = hz * period_s < 0.5;
+    if (!below)
+        *why =
+            (rthyb_law_complaint){"found {} Hz; must be below half of test.sample_rate_hz = {} Hz; "
+                                  "lower it, or raise the rate (256 to 4096 Hz)",
+                                  {hz, 1.0 / period_s}};
+    return below;
+}
+
 /* NULL: no such law. */
 const rthyb_control_law *rthyb_law_at(int32_t kind);
 

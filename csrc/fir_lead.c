@@ -50,13 +50,8 @@ void rthyb_fir_rest(rthyb_fir_lead *s, double x_m)
 int rthyb_fir_check(double cutoff_hz, double apart_s, double period_s,
                     rthyb_law_complaint *complaint)
 {
-    if (!(cutoff_hz * period_s < 0.5)) {
-        *complaint =
-            (rthyb_law_complaint){"found {} Hz; must be below half of test.sample_rate_hz = {} Hz; "
-                                  "lower it, or raise the rate (256 to 4096 Hz)",
-                                  {cutoff_hz, 1.0 / period_s}};
+    if (!rthyb_below_half_rate(cutoff_hz, period_s, complaint))
         return 1;
-    }
     const uint32_t most_apart = RTHYB_FIR_HISTORY / RTHYB_TAPS;
     const double most = most_apart * period_s;
     if (!(apart_s <= most)) {
@@ -82,7 +77,7 @@ int rthyb_fir_init(rthyb_fir_lead *s, const rthyb_fir_settings *given, const rth
     s->apart = ticks_of(given->apart_s, s->h);
     if (s->apart > RTHYB_FIR_HISTORY / RTHYB_TAPS)
         return RTHYB_E_LAW;
-    butterworth_design(s->filter, RTHYB_FIR_SECTIONS, given->cutoff_hz, s->h);
+    rthyb_pair_init(&s->pair, RTHYB_FIR_SECTIONS, given->cutoff_hz, s->h, start->x0_m);
     /* The smallest th whose sum is 1 and whose lead is the delay. */
     const double slope = -(1.5 + given->delay_s / s->h / s->apart) / 5.0;
     for (int i = 0; i < RTHYB_TAPS; i++) {
@@ -95,7 +90,6 @@ int rthyb_fir_init(rthyb_fir_lead *s, const rthyb_fir_settings *given, const rth
     s->noise2 = given->noise2;
     s->walk2 = given->walk2 * s->h;
     s->p_max = largest;
-    s->last_u = s->last_m = start->x0_m;
     rthyb_fir_rest(s, start->x0_m);
     note(s);
     return 0;
@@ -129,18 +123,12 @@ static void learn(rthyb_fir_lead *s, double u, const double *phi)
 
 int rthyb_fir_observe(rthyb_fir_lead *s, double x_p_m, double x_m_m, int frozen)
 {
-    int code = RTHYB_OK;
-    s->last_u = accept(x_p_m, RTHYB_DISPLACEMENT_MAX_M, s->last_u, &code);
-    s->last_m = accept(x_m_m, RTHYB_DISPLACEMENT_MAX_M, s->last_m, &code);
-    if (!s->primed) {
-        butterworth_rest(s->filter, RTHYB_FIR_SECTIONS, s->filter_u, s->last_u);
-        butterworth_rest(s->filter, RTHYB_FIR_SECTIONS, s->filter_m, s->last_m);
-        fill(&s->m, s->last_m);
-        s->primed = 1;
-    }
-    double phi[RTHYB_TAPS];
-    const double u = butterworth_step(s->filter, RTHYB_FIR_SECTIONS, s->filter_u, s->last_u);
-    push(&s->m, butterworth_step(s->filter, RTHYB_FIR_SECTIONS, s->filter_m, s->last_m));
+    const int first = !s->pair.primed;
+    double u, m, phi[RTHYB_TAPS];
+    const int code = rthyb_pair_step(&s->pair, x_p_m, x_m_m, &u, &m);
+    if (first)
+        fill(&s->m, s->pair.last_m);
+    push(&s->m, m);
     for (uint32_t i = 0; i < RTHYB_TAPS; i++)
         phi[i] = tap(&s->m, i * s->apart);
     if (!frozen && code == RTHYB_OK)

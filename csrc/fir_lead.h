@@ -6,8 +6,7 @@
 #ifndef RTHYB_FIR_LEAD_H
 #define RTHYB_FIR_LEAD_H
 
-#include "control_law.h"
-#include "lowpass.h"
+#include "filter_pair.h"
 
 #define RTHYB_TAPS 4
 #define RTHYB_FIR_SECTIONS 2   /* of the low-pass: fourth order */
@@ -19,18 +18,16 @@ typedef struct {
 } rthyb_fir_line;
 
 typedef struct {
-    rthyb_lowpass filter[RTHYB_FIR_SECTIONS];
-    double filter_u[RTHYB_FIR_SECTIONS][2], filter_m[RTHYB_FIR_SECTIONS][2];
+    rthyb_filter_pair pair;
     double learnt[RTHYB_TAPS]; /* th */
     double used[RTHYB_TAPS];   /* the same as the command has them */
     double p[RTHYB_TAPS][RTHYB_TAPS];
     double noise2, walk2, p_max; /* r; Q of each th; P keeps below this */
     double most;                 /* |th| */
-    double offset, last_u, last_m, h;
+    double offset, h;
     rthyb_fir_line x, m; /* of the command; of x_m behind the low-pass */
     uint32_t apart;      /* d in samples */
-    int32_t primed;
-    double alpha; /* reported: the lead in samples */
+    double alpha;        /* reported: the lead in samples */
 } rthyb_fir_lead;
 
 /* Settings of all such laws. P begins with variances of the sum of th, of the delay's direction and of the

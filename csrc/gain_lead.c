@@ -126,13 +126,8 @@ int rthyb_inverse_is_stable(const double *b, double roll_off_hz, double period_s
 int rthyb_gain_lead_check(const double *p, double period_s, rthyb_law_complaint *why)
 {
     for (int at = GAIN_LEAD_ROLL_OFF; at <= GAIN_LEAD_CUTOFF; at++) {
-        if (!(p[at] * period_s < 0.5)) {
-            *why = (rthyb_law_complaint){"found {} Hz; must be below half of test.sample_rate_hz = "
-                                         "{} Hz; lower it, or raise "
-                                         "the rate (256 to 4096 Hz)",
-                                         {p[at], 1.0 / period_s}};
+        if (!rthyb_below_half_rate(p[at], period_s, why))
             return at;
-        }
     }
     if (!(p[GAIN_LEAD_LEAST] < p[GAIN_LEAD_MOST])) {
         *why = (rthyb_law_complaint){"found {} s; must be greater than delay_least_s = {} s",

@@ -6,7 +6,7 @@
  *   e = (p - a . phi) / (1 + phi . phi),   da/dt = Gamma e phi,   a >= 0,
  * in metres and seconds, Gamma diagonal. Numbers as in the authors' own model of the benchmark. */
 #include "derivative_lead.h"
-#include "lowpass.h"
+#include "filter_pair.h"
 
 #define SECTIONS 2 /* of the low-pass: fourth order */
 #define TERMS RTHYB_DERIVATIVES
@@ -31,13 +31,10 @@ static const rthyb_law_parameter amb_parameters[] = {
 /* clang-format on */
 
 typedef struct {
-    rthyb_lowpass filter[SECTIONS];
-    double filter_u[SECTIONS][2], filter_m[SECTIONS][2];
+    rthyb_filter_pair pair;
     double step[TERMS], high[TERMS]; /* gain times sampling period; upper bounds */
     rthyb_derivative_lead lead;      /* a0 to a3 */
     rthyb_differences m;             /* of x_m behind the low-pass */
-    double last_u, last_m;           /* last good inputs */
-    int32_t primed;
 } amb_state;
 
 /* clang-format off */
@@ -63,13 +60,8 @@ static void first_coefficients(const double *p, double *first)
 static int amb_check(const double *p, double period_s, rthyb_law_complaint *why)
 {
     double first[TERMS];
-    if (!(p[CUTOFF] * period_s < 0.5)) {
-        *why =
-            (rthyb_law_complaint){"found {} Hz; must be below half of test.sample_rate_hz = {} Hz; "
-                                  "lower it, or raise the rate (256 to 4096 Hz)",
-                                  {p[CUTOFF], 1.0 / period_s}};
+    if (!rthyb_below_half_rate(p[CUTOFF], period_s, why))
         return CUTOFF;
-    }
     first_coefficients(p, first);
     for (int i = 1; i < TERMS; i++) {
         if (first[i] > p[MOST0 + i]) {
@@ -89,7 +81,7 @@ static int amb_init(void *state, const rthyb_law_start *start)
     double first[TERMS];
     if (!(p[CUTOFF] > 0.0))
         return RTHYB_E_LAW;
-    butterworth_design(s->filter, SECTIONS, p[CUTOFF], start->period_s);
+    rthyb_pair_init(&s->pair, SECTIONS, p[CUTOFF], start->period_s, start->x0_m);
     first_coefficients(p, first);
     for (int i = 0; i < TERMS; i++) {
         s->high[i] = p[MOST0 + i];
@@ -97,7 +89,6 @@ static int amb_init(void *state, const rthyb_law_start *start)
         if (!(s->high[i] <= 1e3 && isfinite(s->step[i]) && fabs(first[i]) <= 1e3))
             return RTHYB_E_LAW;
     }
-    s->last_u = s->last_m = start->x0_m;
     rthyb_derivative_init(&s->lead, TERMS, start->period_s, first, start->x0_m);
     return 0;
 }
@@ -122,18 +113,12 @@ static void learn(amb_state *s, double u, const double *phi)
 static int amb_observe(void *state, double x_p_m, double x_m_m, int frozen)
 {
     amb_state *s = state;
-    int code = RTHYB_OK;
-    s->last_u = accept(x_p_m, RTHYB_DISPLACEMENT_MAX_M, s->last_u, &code);
-    s->last_m = accept(x_m_m, RTHYB_DISPLACEMENT_MAX_M, s->last_m, &code);
-    if (!s->primed) {
-        butterworth_rest(s->filter, SECTIONS, s->filter_u, s->last_u);
-        butterworth_rest(s->filter, SECTIONS, s->filter_m, s->last_m);
-        rthyb_differences_rest(&s->m, s->last_m);
-        s->primed = 1;
-    }
     double phi[TERMS];
-    const double u = butterworth_step(s->filter, SECTIONS, s->filter_u, s->last_u);
-    const double m = butterworth_step(s->filter, SECTIONS, s->filter_m, s->last_m);
+    const int first = !s->pair.primed;
+    double u, m;
+    const int code = rthyb_pair_step(&s->pair, x_p_m, x_m_m, &u, &m);
+    if (first)
+        rthyb_differences_rest(&s->m, s->pair.last_m);
     rthyb_differences_step(&s->m, TERMS, s->lead.h, m, phi);
     if (!frozen && code == RTHYB_OK)
         learn(s, u, phi);

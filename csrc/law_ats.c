@@ -6,7 +6,7 @@
  * They are held while the measurement has moved less than a threshold, kept within bounds, and change no
  * faster than given. At first a0 = 1, a2 = a1^2 / 2 or another share. Numbers as in the authors' own set-up file. */
 #include "derivative_lead.h"
-#include "lowpass.h"
+#include "filter_pair.h"
 
 #define SECTIONS 3    /* of the low-pass: sixth order */
 #define ROWS_MAX 320u /* of the window */
@@ -53,17 +53,14 @@ typedef struct {
 } row;
 
 typedef struct {
-    rthyb_lowpass filter[SECTIONS];
-    double filter_u[SECTIONS][2], filter_m[SECTIONS][2];
+    rthyb_filter_pair pair;
     double h;                                    /* sampling period */
     double low[TERMS], high[TERMS], most[TERMS]; /* bounds; change from row to row */
     double threshold;
     rthyb_derivative_lead lead;  /* a0, a1, a2 */
     rthyb_differences m;         /* of x_m behind the low-pass */
-    double last_u, last_m;       /* last good inputs */
     uint32_t spacing, since;     /* ticks from row to row; since the last one */
     uint32_t size, head, filled; /* rows of the window, the next to be overwritten, those there */
-    int32_t primed;
     row rows[ROWS_MAX];
 } ats_state;
 
@@ -80,13 +77,8 @@ static const rthyb_law_value ats_values[] = {
 static int ats_check(const double *p, double period_s, rthyb_law_complaint *why)
 {
     const double spacing = fmax(p[SPACING], period_s);
-    if (!(p[CUTOFF] * period_s < 0.5)) {
-        *why =
-            (rthyb_law_complaint){"found {} Hz; must be below half of test.sample_rate_hz = {} Hz; "
-                                  "lower it, or raise the rate (256 to 4096 Hz)",
-                                  {p[CUTOFF], 1.0 / period_s}};
+    if (!rthyb_below_half_rate(p[CUTOFF], period_s, why))
         return CUTOFF;
-    }
     if (!(p[WINDOW] >= 4.0 * spacing && p[WINDOW] <= 0.9 * ROWS_MAX * spacing)) {
         *why = (rthyb_law_complaint){
             "found {} s; must be from 4 to 288 times spacing_s = {} s (or one sample, {} s)",
@@ -118,7 +110,7 @@ static int ats_init(void *state, const rthyb_law_start *start)
     if (rows < TERMS || rows > ROWS_MAX || !(p[CUTOFF] > 0.0))
         return RTHYB_E_LAW;
     s->size = rows;
-    butterworth_design(s->filter, SECTIONS, p[CUTOFF], s->h);
+    rthyb_pair_init(&s->pair, SECTIONS, p[CUTOFF], s->h, start->x0_m);
     const double low[] = {p[A0_MIN], 0.0, 0.0}, high[] = {p[A0_MAX], p[A1_MAX], p[A2_MAX]};
     const double first[] = {1.0, p[A1], p[A2_SHARE] * p[A1] * p[A1]};
     const double rate[] = {p[A0_RATE], p[A1_RATE], p[A2_RATE]};
@@ -128,7 +120,6 @@ static int ats_init(void *state, const rthyb_law_start *start)
         s->most[i] = fabs(rate[i]) * s->h * s->spacing;
     }
     s->threshold = p[THRESHOLD];
-    s->last_u = s->last_m = start->x0_m;
     rthyb_derivative_init(&s->lead, TERMS, s->h, first, start->x0_m);
     return 0;
 }
@@ -202,17 +193,11 @@ static void learn(ats_state *s)
 static int ats_observe(void *state, double x_p_m, double x_m_m, int frozen)
 {
     ats_state *s = state;
-    int code = RTHYB_OK;
-    s->last_u = accept(x_p_m, RTHYB_DISPLACEMENT_MAX_M, s->last_u, &code);
-    s->last_m = accept(x_m_m, RTHYB_DISPLACEMENT_MAX_M, s->last_m, &code);
-    if (!s->primed) {
-        butterworth_rest(s->filter, SECTIONS, s->filter_u, s->last_u);
-        butterworth_rest(s->filter, SECTIONS, s->filter_m, s->last_m);
-        rthyb_differences_rest(&s->m, s->last_m);
-        s->primed = 1;
-    }
-    const double u = butterworth_step(s->filter, SECTIONS, s->filter_u, s->last_u);
-    const double m = butterworth_step(s->filter, SECTIONS, s->filter_m, s->last_m);
+    const int first = !s->pair.primed;
+    double u, m;
+    const int code = rthyb_pair_step(&s->pair, x_p_m, x_m_m, &u, &m);
+    if (first)
+        rthyb_differences_rest(&s->m, s->pair.last_m);
     row now = {.u = u};
     rthyb_differences_step(&s->m, TERMS, s->h, m, now.m);
     s->since++;

@@ -36,13 +36,8 @@ static const rthyb_law_value inverse_values[] = {
 
 static int inverse_check(const double *p, double period_s, rthyb_law_complaint *why)
 {
-    if (!(p[FIT_ROLL_OFF] * period_s < 0.5)) {
-        *why = (rthyb_law_complaint){"found {} Hz; must be below half of test.sample_rate_hz = {} "
-                                     "Hz; lower it, or raise the "
-                                     "rate (256 to 4096 Hz)",
-                                     {p[FIT_ROLL_OFF], 1.0 / period_s}};
+    if (!rthyb_below_half_rate(p[FIT_ROLL_OFF], period_s, why))
         return FIT_ROLL_OFF;
-    }
     if (!rthyb_inverse_is_stable(p + B0, p[FIT_ROLL_OFF], period_s)) {
         *why = (rthyb_law_complaint){"with b0 = {} and the coefficients after it the rig as fitted "
                                      "is unstable: a zero of the "

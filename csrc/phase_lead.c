@@ -35,13 +35,8 @@ int rthyb_lead_check(const double *p, double period_s, rthyb_law_complaint *why)
 int rthyb_lead_check_filtered(const double *p, double period_s, rthyb_law_complaint *why)
 {
     const int at = LEAD_OWN + 1;
-    if (!(p[at] * period_s < 0.5)) {
-        *why =
-            (rthyb_law_complaint){"found {} Hz; must be below half of test.sample_rate_hz = {} Hz; "
-                                  "lower it, or raise the rate (256 to 4096 Hz)",
-                                  {p[at], 1.0 / period_s}};
+    if (!rthyb_below_half_rate(p[at], period_s, why))
         return at;
-    }
     return rthyb_lead_check(p, period_s, why);
 }
 

@@ -222,10 +222,10 @@ def test_interrupted_campaign_goes_on_where_it_was(
         file.write('{"case": 4, "ending"')
     asked: list[int] = []
 
-    def locally(cases: list[Case], *arguments: object) -> None:
+    def locally(cases: list[Case], jobs: int, keep: str, folder: str, done: pools.Done) -> None:
         asked.extend(case.number for case in cases)
         for case in cases:
-            arguments[-1](running.carry_out(case))  # type: ignore[operator]
+            done(running.carry_out(case))
 
     monkeypatch.setattr(pools, "locally", locally)
     found = conducting.conduct(whole, tmp_path / "out")

@@ -6,6 +6,7 @@ import json
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from command_line import Rthyb
 
 from rthyb_rt import config, core
 from rthyb_rt.config.limits import WATCHED
+from rthyb_rt.core.station import Command, Reaction
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, realtime, virtual_time
 
@@ -530,3 +532,8 @@ def test_check_warns_of_sensor_limits_that_good_readings_exceed(rthyb: Rthyb, fi
         "limits.command_increment_m = 1e-06 m is below the",
     ):
         assert f"Warning: {words}" in answer.out
+
+
+def test_type_checker_and_header_know_the_same_commands_and_reactions() -> None:
+    assert get_args(Command) == core.COMMANDS
+    assert get_args(Reaction) == core.REACTIONS

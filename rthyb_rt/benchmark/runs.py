@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
@@ -180,11 +178,5 @@ def _mapped(jobs: int, runs: Sequence[Run]) -> Iterator[Iterator[Outcome]]:
     if jobs == 1:
         yield map(measure, runs)
         return
-    # Fresh processes: nothing that this one has open, no lock that one of its threads holds.
-    context = multiprocessing.get_context("spawn")
-    with pools.single_threaded():
-        pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=pools.leave_interrupts)
-        try:
-            yield pool.map(measure, runs, chunksize=_CHUNK)
-        finally:
-            pool.shutdown(cancel_futures=True)
+    with pools.workers(jobs) as pool:
+        yield pool.map(measure, runs, chunksize=_CHUNK)

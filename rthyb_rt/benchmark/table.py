@@ -15,6 +15,7 @@ import numpy as np
 from rthyb_rt import __version__, core
 from rthyb_rt.benchmark import cases, criteria
 from rthyb_rt.benchmark.runs import NOMINAL, Outcome
+from rthyb_rt.lab import jitter
 
 WITH_WORST: Final = ("J2", "J4", "J6", "J8", "true")
 """Figures of which a table has the worst plant beside the mean."""
@@ -110,19 +111,10 @@ def facts() -> dict[str, Any]:
         **core.build_facts(),
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "processor": _processor(),
+        "processor": jitter.processor(),
         "processors": os.cpu_count(),
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
     }
-
-
-def _processor() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            found = [line.partition(":")[2].strip() for line in file if "model name" in line]
-    except OSError:
-        found = []
-    return found[0] if found else platform.processor() or platform.machine()
 
 
 def document(outcomes: Sequence[Outcome]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Final, Self
 
-from rthyb_rt.campaign.plan import Plan
+from rthyb_rt.campaign.plan import Case, Plan
 from rthyb_rt.campaign.running import Row
 from rthyb_rt.errors import InputError, RthybError
 
@@ -101,9 +101,9 @@ class Book:
         return rows
 
     @property
-    def left(self) -> list[int]:
-        """Numbers of the runs that have no row yet."""
-        return [case.number for case in self.plan.cases if case.number not in self.rows]
+    def left(self) -> list[Case]:
+        """Runs that have no row yet."""
+        return [case for case in self.plan.cases if case.number not in self.rows]
 
     def add(self, row: Row) -> None:
         """Keep the row of a run; one that is there already stays as it is."""

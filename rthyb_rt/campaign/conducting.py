@@ -62,7 +62,7 @@ def conduct(
             book.add(row)
             progress(len(book.rows), whole)
 
-        cases = [plan.cases[number] for number in book.left]
+        cases = book.left
         place = str(folder.resolve())
         if cases and cluster is not None:
             pools.on_cluster(cases, cluster, plan.keep, place, done)

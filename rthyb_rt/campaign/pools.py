@@ -48,9 +48,22 @@ def single_threaded() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def leave_interrupts() -> None:
+def _leave_interrupts() -> None:
     """Leave Ctrl-C to the process that conducts, which ends the others."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of so many processes of one thread each; what waits at the end is dropped."""
+    # Fresh processes: nothing that this one has open, no lock that one of its threads holds.
+    context = multiprocessing.get_context("spawn")
+    with single_threaded():
+        pool = ProcessPoolExecutor(jobs, context, initializer=_leave_interrupts)
+        try:
+            yield pool
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
 def locally(cases: Sequence[Case], jobs: int, keep: str, folder: str, done: Done) -> None:
@@ -80,12 +93,7 @@ def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) ->
     waiting = cases[::-1]
     while waiting:
         under_way: dict[Future[Row], Case] = {}
-        with single_threaded():
-            pool = ProcessPoolExecutor(
-                min(jobs, len(waiting)),
-                multiprocessing.get_context("spawn"),
-                initializer=leave_interrupts,
-            )
+        with workers(min(jobs, len(waiting))) as pool:
             try:
                 while waiting or under_way:
                     while waiting and len(under_way) < AHEAD * jobs:
@@ -97,8 +105,6 @@ def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) ->
                         del under_way[future]
             except BrokenProcessPool:
                 suspects += _undone(under_way, done)
-            finally:
-                pool.shutdown(wait=True, cancel_futures=True)
     return suspects
 
 

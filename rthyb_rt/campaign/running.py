@@ -22,7 +22,15 @@ COMPLETED, STOPPED, FAILED = "completed", "stopped", "failed"
 """A run reached its end; a limit or a trip ended it; it could not be carried out."""
 FOLDERS: Final = "runs"
 REPORT: Final = "report.html"
-_LEFT_OUT: Final = ("test_name", "end_reason", "interrupted", "clock", "final_state", "ended_by")
+_LEFT_OUT: Final = (
+    "test_name",
+    "end_reason",
+    "interrupted",
+    "clock",
+    "final_state",
+    "ended_by",
+    "live",
+)
 
 
 def carry_out(case: Case, keep: str = "nothing", folder: str = "") -> Row:
@@ -76,13 +84,8 @@ def identity(case: Case) -> Row:
 
 
 def _measures(found: summary.Summary) -> Row:
-    plain = {
-        name: value
-        for name, value in found.as_json().items()
-        if name not in _LEFT_OUT and isinstance(value, (bool, int, float, type(None)))
-    }
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in plain.items()
-        if name not in ("live",)
+        for name, value in found.as_json().items()
+        if name not in _LEFT_OUT and isinstance(value, (bool, int, float, type(None)))
     }

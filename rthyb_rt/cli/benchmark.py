@@ -107,14 +107,10 @@ def print_lines(lines: Sequence[Line], file: IO[str]) -> None:
 
 
 def _print_kind(lines: Sequence[Line], file: IO[str]) -> None:
-    from rich import box
-    from rich.table import Table
 
     from rthyb_rt.benchmark import table
 
-    grid = Table(
-        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, header_style="dim"
-    )
+    grid = terminal.ruled_table()
     grid.add_column("law", no_wrap=True)
     grid.add_column("case", justify="right", no_wrap=True)
     for head in table.heads():

@@ -54,12 +54,8 @@ def compare_laws(
 
 
 def _print(rows: Sequence[dict[str, Any]], file: IO[str]) -> None:
-    from rich import box
-    from rich.table import Table
 
-    grid = Table(
-        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, header_style="dim"
-    )
+    grid = terminal.ruled_table()
     grid.add_column("law", no_wrap=True)
     for head in ("response", "largest difference", "tracking", "delay at the end"):
         grid.add_column(head, justify="right", no_wrap=True)

@@ -140,16 +140,12 @@ def _link_rows(result: Result) -> list[tuple[str, str, str]]:
 
 
 def _print_result(rig: RigFile, result: Result, file: IO[str]) -> None:
-    from rich import box
-    from rich.table import Table as Grid
 
     from rthyb_rt.core import FS_HZ
     from rthyb_rt.numbers import number, quantity
 
     print(f"{rig.rig.name}: {rig.rig.description or rig.actuator.kind}\n", file=file)
-    grid = Grid(
-        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, header_style="dim"
-    )
+    grid = terminal.ruled_table()
     for head in ("frequency, Hz", "amplitude, mm", "gain", "delay, ms", "delay, samples"):
         grid.add_column(head, justify="right")
     for tone in result.tones:

@@ -130,8 +130,6 @@ def _write(
 def _print_result(
     results: Sequence[Result], facts: dict[str, Any], verdict: Verdict, file: IO[str]
 ) -> None:
-    from rich import box
-    from rich.table import Table as Grid
 
     from rthyb_rt.lab.jitter import CRITERION
     from rthyb_rt.report.jitter import fact_rows, figure_row, obtained
@@ -139,9 +137,7 @@ def _print_result(
     shown = ("kernel", "preemption", "cpu", "virtual machine", "governor", "isolated cpus")
     rows = [row for row in fact_rows(facts) if row[0] in shown]
     terminal.print_table([(*row, "") for row in (*rows, obtained(results))], file)
-    grid = Grid(
-        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, header_style="dim"
-    )
+    grid = terminal.ruled_table()
     grid.add_column("times in µs", overflow="fold")
     for head in ("p50", "p99", "longest", "reference p99", "ratio", "to sent p99", "skipped"):
         grid.add_column(head, justify="right")

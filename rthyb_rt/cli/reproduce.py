@@ -122,12 +122,7 @@ def _print_study(study: Study, file: IO[str]) -> None:
 
 
 def _grid(table: Table, width: int) -> Grid:
-    from rich import box
-    from rich.table import Table as Grid
-
-    grid = Grid(
-        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, header_style="dim"
-    )
+    grid = terminal.ruled_table()
     grid.add_column("", overflow="fold")
     if table.has_units:
         grid.add_column("unit", style="dim")

@@ -86,6 +86,16 @@ def print_table(rows: Iterable[Sequence[str]], file: IO[str]) -> None:
         show(table, file)
 
 
+def ruled_table() -> Table:
+    """Return an empty table of many columns: a rule below its heads, no frame."""
+    from rich import box
+    from rich.table import Table
+
+    return Table(
+        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, header_style="dim"
+    )
+
+
 def show(text: RenderableType, file: IO[str]) -> None:
     """Print what rich lays out, without the blanks at the ends of lines.
 

@@ -347,6 +347,11 @@ def _preemption(root: Path) -> str:
     return f"{models[0]} ({rest.partition(')')[0]})" if found else models[0]
 
 
+def processor() -> str:
+    """Return the name of this PC's processor, else its architecture."""
+    return _cpu_model(_read(Path("/proc/cpuinfo")) or "")
+
+
 def _cpu_model(cpuinfo: str) -> str:
     for line in cpuinfo.splitlines():
         if line.startswith("model name"):
