@@ -26,6 +26,7 @@
 #include "rthyb_kernels.h"
 #include "rthyb_law.h"
 #include "rthyb_rig.h"
+#include "rthyb_sparse.h"
 #include "rthyb_numerical.h"
 #include "rthyb_controller.h"
 #include "rthyb_station.h"

@@ -1,20 +1,24 @@
-"""How long a delay a numerical part given by matrices survives: `margins` for many degrees."""
+"""How long a delay a numerical part of many degrees of freedom survives, as `margins` has it."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt.analysis.linear_parts import LinearPart
 from rthyb_rt.analysis.margins import Lead, SampledLead, first_crossing, largest_survived
 from rthyb_rt.core import DenseConfig
-from rthyb_rt.core.numerical_parts import DensePart
+from rthyb_rt.core.sparse import SparseConfig
 
 Floats = NDArray[np.float64]
+Config = DenseConfig | SparseConfig | LinearPart
 
 
-def is_stable(
-    part: DenseConfig, delay_samples: int, lead: Lead | SampledLead | None = None
-) -> bool:
+def _linear(part: Config) -> LinearPart:
+    return part if isinstance(part, LinearPart) else LinearPart.of(part)
+
+
+def is_stable(part: Config, delay_samples: int, lead: Lead | SampledLead | None = None) -> bool:
     """Return whether every root of the part with a delayed elastic specimen lies in the circle.
 
     The specimen is a spring ``k_e_n_per_m`` that feels the compensated command so many samples
@@ -25,7 +29,8 @@ def is_stable(
         delay_samples: pure delay between compensated command and motion.
         lead: the compensator, or None without.
     """
-    a, b = DensePart(part).step_matrices()
+    part = _linear(part)
+    a, b = part.a, part.b
     rows = len(a)
     top, bottom = (lead or Lead()).polynomials()
     feed, back = top / bottom[0], bottom / bottom[0]
@@ -36,7 +41,7 @@ def is_stable(
     size = ahead + late
     m = np.zeros((size, size))
     row = np.zeros(size)
-    row[part.at] = feed[0]
+    row[:rows] = feed[0] * part.c
     row[rows:led], row[led:ahead] = feed[1:], -back[1:]
     m[:rows, :rows] = a
     if late:
@@ -46,43 +51,41 @@ def is_stable(
     else:
         m[:rows, :] += part.k_e_n_per_m * np.outer(b, row)
     if kept:
-        m[rows, part.at] = 1.0
+        m[rows, :rows] = part.c
         m[led, :] = row
         for first in (rows, led):
             m[np.arange(first + 1, first + kept), np.arange(first, first + kept - 1)] = 1.0
     return bool(np.all(np.abs(np.linalg.eigvals(m)) < 1.0))
 
 
-def critical_delay(part: DenseConfig, lead: Lead | SampledLead | None = None) -> float:
+def critical_delay(part: Config, lead: Lead | SampledLead | None = None) -> float:
     """Return the longest pure delay that is survived, samples, as `margins.critical_delay`.
 
     Args:
         part: the numerical part; its ``force_delay`` comes on top.
         lead: the compensator at a fixed alpha, or None without; no force compensation.
     """
-    lead = lead or Lead()
+    lead, part = lead or Lead(), _linear(part)
     start = round(lead.alpha)
     if not is_stable(part, start, lead):
         return 0.0
-    a, b = DensePart(part).step_matrices()
+    k_e, late = part.k_e_n_per_m, part.force_delay
     top, bottom = lead.polynomials()
-    one, at = np.eye(len(a)), part.at
 
     def loop(z: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        by_force = np.broadcast_to(b[:, None], (z.size, b.size, 1))
-        moved = np.linalg.solve(z[:, None, None] * one - a, by_force)
-        lead_gain = np.polyval(top, z) / np.polyval(bottom, z)
         # 1 = -loop z^-D; the part's b has the force's sign.
-        return np.asarray(-part.k_e_n_per_m * moved[:, at, 0] * lead_gain * z**-part.force_delay)
+        return np.asarray(-k_e * part.response(z) * np.polyval(top, z) / np.polyval(bottom, z)
+                          * z**-late)  # fmt: skip
 
-    return first_crossing(loop, np.abs(np.angle(np.linalg.eigvals(a))), start)
+    return first_crossing(loop, np.abs(np.angle(np.linalg.eigvals(part.a))), start)
 
 
-def largest_followed_delay(part: DenseConfig, lead: Lead, most: int, step: int = 1) -> int | None:
+def largest_followed_delay(part: Config, lead: Lead, most: int, step: int = 1) -> int | None:
     """Return the largest pure delay survived while alpha is the delay; see `margins`."""
+    linear = _linear(part)
 
     def survives(delay: int) -> bool:
         beta = delay**2 / 2.0 if lead.beta else 0.0
-        return is_stable(part, delay, Lead(float(delay), beta, lead.w1, lead.w2))
+        return is_stable(linear, delay, Lead(float(delay), beta, lead.w1, lead.w2))
 
     return largest_survived(survives, most, step)

@@ -31,6 +31,7 @@ from rthyb_rt.core.settings import (
     mapping,
     struct_of,
 )
+from rthyb_rt.core.sparse import SparseConfig
 
 if TYPE_CHECKING:
     from rthyb_rt.core.wire import Codec
@@ -93,7 +94,14 @@ class StationConfig:
 
     def plain(self) -> dict[str, Any]:
         """Return all of it as plain values, for a recording: `of` takes them back."""
-        return dataclasses.asdict(self)
+        part = self.controller.numerical
+        if part is None or isinstance(part, DenseConfig):
+            return dataclasses.asdict(self)
+        bare = dataclasses.asdict(
+            replace(self, controller=replace(self.controller, numerical=None))
+        )
+        bare["controller"]["numerical"] = part.plain()
+        return bare
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> StationConfig:
@@ -110,7 +118,7 @@ class StationConfig:
             parts = {"law": LawConfig, "rfc": RfcConfig, "motion": MotionConfig}
             inner |= {name: kind(**inner[name]) for name, kind in parts.items()}
             if inner.get("numerical") is not None:
-                inner["numerical"] = _dense(inner["numerical"])
+                inner["numerical"] = _numerical(inner["numerical"])
             watches = {name: Watch(**watch) for name, watch in given.pop("watches").items()}
             return cls(controller=ControllerConfig(**inner), watches=watches, **given)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -193,8 +201,10 @@ class StationTick:
     records: RecordArray = field(repr=False)
 
 
-def _dense(plain: Mapping[str, Any]) -> DenseConfig:
+def _numerical(plain: Mapping[str, Any]) -> DenseConfig | SparseConfig:
     """Return a part's settings from plain values, lists for tuples."""
+    if plain.get("kind") == "sparse":
+        return SparseConfig.of_plain(plain)
 
     def frozen(value: Any) -> Any:
         return tuple(frozen(v) for v in value) if isinstance(value, (list, tuple)) else value
