@@ -15,6 +15,7 @@ from rthyb_rt import ground_motion
 from rthyb_rt.benchmark import cases, criteria, plants, runs, table
 from rthyb_rt.benchmark.runs import Outcome, Run
 from rthyb_rt.core import ElementConfig
+from rthyb_rt.core.laws import LAWS
 from rthyb_rt.core.numerical_parts import DensePart
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
@@ -222,6 +223,16 @@ def test_a_law_of_others_can_have_the_force_compensated_as_well() -> None:
         assert both.model_copy(update={"rfc": without.rfc}) == without
     with pytest.raises(InputError, match="those of others"):
         cases.entrant("paper+rfc")
+
+
+def test_a_law_says_itself_whether_it_has_the_force_compensated() -> None:
+    """The five that are shipped with it; any other runs as it was published."""
+    with_it = {"paper", "robust", "alpha-beta", "gain-alpha-beta", "inverse"}
+    by_name = {who.name: who for who in cases.entrants()}
+    assert set(by_name) >= set(LAWS)
+    for name in LAWS:
+        assert by_name[name].rfc == (name in with_it)
+        assert cases.test_of(by_name[name], 1, 1024).controller.rfc.enabled == (name in with_it)
 
 
 @pytest.mark.parametrize(

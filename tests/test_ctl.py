@@ -227,7 +227,7 @@ def test_nothing_is_armed_that_would_not_be_recorded(rthyb: Rthyb, place: Path) 
 def test_room_for_what_a_law_reports_is_asked_for_before_a_test_is_armed(
     rthyb: Rthyb, place: Path, monkeypatch: pytest.MonkeyPatch, law: str, answered: int
 ) -> None:
-    """As much room as the rows of a law take that reports nothing: with one that does, too little."""
+    """As much room as the rows of a law that reports nothing: too little for one that does."""
     with served(place, recorder="service") as daemon:
         assert rthyb("ctl", "load", *SHORT, "--set", f"controller.type={law}").code == 0
         assert rthyb("ctl", "zero").code == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -93,6 +94,13 @@ def test_the_program_takes_it_by_its_name(built: Path) -> None:
     shown = python(built, call, "compare-laws", "--law", "slope", "--law", "ats")
     assert shown.returncode == 0, shown.stderr
     assert {line.split()[0] for line in shown.stdout.splitlines()[2:]} == {"ats", "slope"}
+    of_all = python(
+        built,
+        call,
+        *["benchmark", "rths", "--rate", "1024", "--case", "1", "--plants", "0"],
+        "--json",
+    )
+    assert "slope" in {run["entrant"] for run in json.loads(of_all.stdout)["runs"]}
     wrong = python(
         built, call, "run", "--set", "controller.type=slope", "--set", "controller.slope.delay_s=2"
     )
