@@ -362,6 +362,8 @@ def test_groups_tell_median_worst_and_how_many_ended_early() -> None:
     tracking = first.spreads["tracking_nrmse"]
     assert (tracking.median, tracking.worst, tracking.worst_case) == (0.02, 0.05, 1)
     assert first.spreads["response_nrmse"].median == 0.025
+    assert groups.figure(tracking, groups.MEASURES[0]) == "2.00 (5.00)"
+    assert groups.figure(None, groups.MEASURES[0]) == "–"
     assert (second.runs, second.stopped, second.spreads) == (1, 1, {})
 
 

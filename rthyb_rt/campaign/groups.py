@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 
 from rthyb_rt.campaign.running import COMPLETED, FAILED, STOPPED, Row
 from rthyb_rt.config.campaignfile import Scalar
+from rthyb_rt.numbers import number
 
 
 class Measure(NamedTuple):
@@ -102,5 +103,5 @@ def figure(spread: Spread | None, measure: Measure) -> str:
         return "–"
     median, worst = spread.median * measure.factor, spread.worst * measure.factor
     if median == worst:
-        return f"{median:.3g}"
-    return f"{median:.3g} ({worst:.3g})"
+        return number(median)
+    return f"{number(median)} ({number(worst)})"

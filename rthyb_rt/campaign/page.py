@@ -13,6 +13,7 @@ from rthyb_rt import __version__, core
 from rthyb_rt.campaign.groups import MEASURES, Group, figure, group
 from rthyb_rt.campaign.plan import Case, Plan
 from rthyb_rt.campaign.running import COMPLETED, FAILED, STOPPED, Row
+from rthyb_rt.numbers import number
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
 
@@ -45,6 +46,7 @@ def render(plan: Plan, rows: Sequence[Row]) -> str:
         plates = _plates(rows, keys, groups)
         engine = environment(_HERE)
     engine.filters["figure"] = figure
+    engine.filters["number"] = number
     engine.globals["value"] = value
     cases = {case.number: case for case in plan.cases}
     bad = [row for row in rows if row["ending"] != COMPLETED]
