@@ -259,7 +259,7 @@ def test_the_motions_come_with_their_rests(
 
 
 def test_more_processes_give_the_same_figures_in_the_same_order() -> None:
-    wanted = runs.planned(["ats", "none"], [1024], [1, 4], ["elcentro"], 1)
+    wanted = runs.planned(["ats", "none"], [1024], [1, 4], ["elcentro"], runs.seeds_of(1))
     alone = runs.measured(wanted)
     assert [one.run for one in alone] == wanted
     told: list[int] = []
