@@ -24,6 +24,7 @@
 /* clang-format off */
 #include "rthyb_record.h"
 #include "rthyb_kernels.h"
+#include "rthyb_kinematics.h"
 #include "rthyb_law.h"
 #include "rthyb_rig.h"
 #include "rthyb_sparse.h"

@@ -43,6 +43,7 @@ typedef struct {
     const rthyb_law_value *values; /* that it reports: alpha and beta go into the record */
     uint32_t parameter_count, value_count;
     int32_t uses_rest_noise;
+    int32_t with_rfc; /* made to run with the restoring-force compensator; a law of others is not */
 } rthyb_law_description;
 
 /* What is wrong with settings that are each within their range. Text with {} for each of the numbers;

@@ -50,7 +50,9 @@ enum rthyb_error {
     RTHYB_E_ELEMENT,
     RTHYB_E_SENSOR,
     RTHYB_E_LIMIT, /* a limit, or a starting value beyond any sense */
-    RTHYB_E_LAW    /* no such control law, or parameters that it cannot work with */
+    RTHYB_E_LAW,   /* no such control law, or parameters that it cannot work with */
+    RTHYB_E_KINEMATICS,
+    RTHYB_E_PLANT /* a virtual plant of several axes: its sizes, or a number that is not finite */
 };
 
 /* ---- one record: ring slot, HDF5 row and replay input -------------------------------------- */

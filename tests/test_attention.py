@@ -257,10 +257,10 @@ def test_margin_of_the_delay_is_what_the_damping_bears() -> None:
     motion = core.MotionConfig(
         "central-difference", mass_kg=500.0, damping_n_s_per_m=400.0, k_e_n_per_m=219300.0
     )
-    margin = margins.delay_margin(margins.critical_delay(motion))
+    margin = margins.delay_margin(margins.critical_delay(margins.OneDegree(motion)))
     assert margin == pytest.approx(400.0 / 219300.0 * core.FS_HZ, rel=0.01)
     undamped = dataclasses.replace(motion, damping_n_s_per_m=0.0)
-    assert margins.delay_margin(margins.critical_delay(undamped)) == 1.0
+    assert margins.delay_margin(margins.critical_delay(margins.OneDegree(undamped))) == 1.0
 
 
 # --- ends -----------------------------------------------------------------------------------------

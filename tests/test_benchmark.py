@@ -15,6 +15,7 @@ from rthyb_rt import ground_motion
 from rthyb_rt.benchmark import cases, criteria, plants, runs, table
 from rthyb_rt.benchmark.runs import Outcome, Run
 from rthyb_rt.core import ElementConfig
+from rthyb_rt.core.laws import LAWS
 from rthyb_rt.core.numerical_parts import DensePart
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
@@ -224,6 +225,16 @@ def test_a_law_of_others_can_have_the_force_compensated_as_well() -> None:
         cases.entrant("paper+rfc")
 
 
+def test_a_law_says_itself_whether_it_has_the_force_compensated() -> None:
+    """The five that are shipped with it; any other runs as it was published."""
+    with_it = {"paper", "robust", "alpha-beta", "gain-alpha-beta", "inverse"}
+    by_name = {who.name: who for who in cases.entrants()}
+    assert set(by_name) >= set(LAWS)
+    for name in LAWS:
+        assert by_name[name].rfc == (name in with_it)
+        assert cases.test_of(by_name[name], 1, 1024).controller.rfc.enabled == (name in with_it)
+
+
 @pytest.mark.parametrize(
     ("name", "points", "dt_s", "pga_g"),
     [
@@ -248,7 +259,7 @@ def test_the_motions_come_with_their_rests(
 
 
 def test_more_processes_give_the_same_figures_in_the_same_order() -> None:
-    wanted = runs.planned(["ats", "none"], [1024], [1, 4], ["elcentro"], 1)
+    wanted = runs.planned(["ats", "none"], [1024], [1, 4], ["elcentro"], runs.seeds_of(1))
     alone = runs.measured(wanted)
     assert [one.run for one in alone] == wanted
     told: list[int] = []

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from rthyb_rt import config
+from rthyb_rt.benchmark import campaigns
 from rthyb_rt.campaign import book, conducting, groups, page, plan, pools, running, tables
-from rthyb_rt.campaign.plan import Case
-from rthyb_rt.campaign.running import Row
+from rthyb_rt.campaign.plan import Case, Row
 from rthyb_rt.errors import InputError, RthybError
 
 SHORT = '"test.duration_s" = [3]'
@@ -36,7 +36,7 @@ name = "two-laws"
 def campaign(folder: Path, text: str = TWO_LAWS) -> plan.Plan:
     path = folder / "campaign.toml"
     path.write_text(text)
-    return plan.read(path)
+    return campaigns.read(path)
 
 
 def fault(folder: Path, text: str) -> str:
@@ -175,7 +175,7 @@ def test_run_that_trips_is_kept_with_its_cause_and_runs_again_as_it_stands(tmp_p
     text = TWO_LAWS.replace('"alpha-beta"', '"none"').replace("[3]", "[8]")
     case = campaign(tmp_path, text).cases[1]
     row = running.carry_out(case, "tripped", str(tmp_path))
-    assert row["ending"] == running.STOPPED
+    assert row["ending"] == plan.STOPPED
     assert "limit 15 kN" in row["cause"]
     kept = tmp_path / row["folder"]
     assert {p.name for p in kept.iterdir()} >= {"recording.h5", "test.toml", "rig.toml"}
@@ -186,7 +186,7 @@ def test_run_that_trips_is_kept_with_its_cause_and_runs_again_as_it_stands(tmp_p
 def test_run_that_cannot_be_carried_out_is_a_row_that_says_why(tmp_path: Path) -> None:
     case = campaign(tmp_path, TWO_LAWS + '"numerical.mass_kg" = [4220, -1]\n').cases[1]
     row = running.carry_out(case)
-    assert row["ending"] == running.FAILED
+    assert row["ending"] == plan.FAILED
     assert "numerical.mass_kg" in row["cause"]
     assert json.dumps(row, allow_nan=False)
 
@@ -274,7 +274,7 @@ def test_row_that_comes_twice_is_kept_once(tmp_path: Path) -> None:
 # ---- processes that die -------------------------------------------------------------------------
 
 
-def dies_at(case: Case, keep: str, folder: str) -> Row:
+def dies_at(case: Case, keep: str, folder: str, wanted: str) -> Row:
     """Carry out what `deadly` says: a run that kills its process once, or each time."""
     marks = Path(folder)
     if case.repeat == 1 and not (marks / f"{case.number}").exists():
@@ -282,7 +282,7 @@ def dies_at(case: Case, keep: str, folder: str) -> Row:
         os.kill(os.getpid(), signal.SIGKILL)
     if case.repeat == 2:
         os.kill(os.getpid(), signal.SIGKILL)
-    return running.identity(case) | {"ending": "completed", "cause": ""}
+    return case.identity() | {"ending": "completed", "cause": ""}
 
 
 def deadly(repeats: list[int]) -> list[Case]:
@@ -307,7 +307,7 @@ def test_run_that_kills_each_process_is_told_and_the_others_go_on(
     pools.locally(deadly([0, 0, 2, 0, 0, 0]), 2, "nothing", str(tmp_path), rows.append)
     by_number = {row["case"]: row for row in rows}
     assert len(rows) == len(by_number) == 6
-    assert by_number[2]["ending"] == running.FAILED
+    assert by_number[2]["ending"] == plan.FAILED
     assert "died" in by_number[2]["cause"]
     assert all(row["ending"] == "completed" for n, row in by_number.items() if n != 2)
 
@@ -317,6 +317,17 @@ def test_processes_compute_with_one_thread_each(monkeypatch: pytest.MonkeyPatch)
     with pools.single_threaded():
         assert {os.environ[name] for name in pools.ONE_THREAD} == {"1"}
     assert os.environ["OMP_NUM_THREADS"] == "7"
+
+
+def test_campaign_ends_where_a_process_has_another_program_than_the_one_that_conducts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody has rebuilt the core in the middle of it: no row is made by the new one."""
+    monkeypatch.setattr(pools, "program", lambda: "0.1 0123")
+    rows: list[Row] = []
+    with pytest.raises(InputError, match=r"the campaign is of 0\.1 0123: install the same sources"):
+        pools.locally(campaign(tmp_path).cases, 1, "nothing", str(tmp_path), rows.append)
+    assert rows == []
 
 
 @pytest.mark.long
@@ -362,6 +373,8 @@ def test_groups_tell_median_worst_and_how_many_ended_early() -> None:
     tracking = first.spreads["tracking_nrmse"]
     assert (tracking.median, tracking.worst, tracking.worst_case) == (0.02, 0.05, 1)
     assert first.spreads["response_nrmse"].median == 0.025
+    assert groups.figure(tracking, plan.MEASURES[0]) == "2.00 (5.00)"
+    assert groups.figure(None, plan.MEASURES[0]) == "–"
     assert (second.runs, second.stopped, second.spreads) == (1, 1, {})
 
 
@@ -427,8 +440,8 @@ EXAMPLES = sorted((Path(__file__).parents[1] / "examples" / "campaigns").glob("*
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_shipped_campaign_can_be_carried_out(path: Path) -> None:
-    cases = plan.read(path).cases
+    cases = campaigns.read(path).cases
     row = running.carry_out(cases[-1])
-    assert row["ending"] == running.COMPLETED
+    assert row["ending"] == plan.COMPLETED
     keys = json.loads(json.dumps(config.json_schema("campaign")))["properties"]
     assert set(tomllib.loads(path.read_text())) <= set(keys)

@@ -28,11 +28,11 @@ from rthyb_rt.core import STATES
 from rthyb_rt.lab import realtime
 from rthyb_rt.record import recording
 from rthyb_rt.rig.commissioning import certificate
-from rthyb_rt.service import metrics
+from rthyb_rt.service import disk, metrics, recorder
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import Daemon
 from rthyb_rt.service.peers import Peer
-from rthyb_rt.service.recorder import read_index
+from rthyb_rt.service.recorder import Status, read_index
 
 pytestmark = pytest.mark.alone
 
@@ -221,6 +221,29 @@ def test_nothing_is_armed_that_would_not_be_recorded(rthyb: Rthyb, place: Path) 
         assert answer.code == 5
         assert "the recorder gives no sign of life" in answer.err
         assert "no sign of life" in rthyb("ctl", "status").out
+
+
+@pytest.mark.parametrize(("law", "answered"), [("none", 0), ("amb", 5)])
+def test_room_for_what_a_law_reports_is_asked_for_before_a_test_is_armed(
+    rthyb: Rthyb, place: Path, monkeypatch: pytest.MonkeyPatch, law: str, answered: int
+) -> None:
+    """As much room as the rows of a law that reports nothing: too little for one that does."""
+    with served(place, recorder="service") as daemon:
+        assert rthyb("ctl", "load", *SHORT, "--set", f"controller.type={law}").code == 0
+        assert rthyb("ctl", "zero").code == 0
+        assert daemon.engine.loaded is not None
+        free = disk.needed_bytes(daemon.engine.loaded.setup.ticks)
+
+        def said(_: Path) -> Status:
+            run_id = daemon.engine.run_id
+            return Status(1, time.monotonic(), str(place / "runs"), free, run_id=run_id)
+
+        monkeypatch.setattr(recorder, "read_status", said)
+        answer = rthyb("ctl", "arm")
+        assert answer.code == answered, answer.err
+        if answered:
+            assert "the recording may take" in answer.err
+            assert "make room" in answer.err
 
 
 def test_limits_are_reloaded(rthyb: Rthyb, place: Path) -> None:

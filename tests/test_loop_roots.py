@@ -185,9 +185,10 @@ def test_delay_margin_is_what_the_critical_delay_leaves(law: str, delay: int) ->
     test = config.load_test(config.builtin_test_path(), changes)
     setup = experiment.prepare(test, rig)
     lead = margins.lead_of(setup.controller.law) if law == "paper" else None
-    critical = margins.critical_delay(setup.controller.motion, lead)
+    structure = margins.OneDegree(setup.controller.motion)
+    critical = margins.critical_delay(structure, lead)
     verdict = judged(setup)
-    assert verdict.unstable == (not margins.is_stable(setup.controller.motion, delay, lead))
+    assert verdict.unstable == (not structure.is_stable(delay, lead))
     if not verdict.unstable:
         assert verdict.delay_margin_samples == pytest.approx(critical - delay, abs=1e-6)
     else:

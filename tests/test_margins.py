@@ -10,7 +10,7 @@ from scipy import signal
 
 from rthyb_rt import config, core, ground_motion
 from rthyb_rt.analysis import margins
-from rthyb_rt.analysis.margins import Lead
+from rthyb_rt.analysis.margins import Lead, OneDegree
 from rthyb_rt.core import MotionConfig
 from rthyb_rt.ground_motion import GroundMotion
 
@@ -90,8 +90,8 @@ def test_largest_stable_delay_of_the_half_second_structure(
     integrator: core.Integrator, without: int, followed: int
 ) -> None:
     motion = structure(integrator)
-    assert math.floor(margins.critical_delay(motion)) == without
-    largest = margins.largest_followed_delay(motion, Lead(), 80)
+    assert math.floor(margins.critical_delay(OneDegree(motion))) == without
+    largest = margins.largest_followed_delay(OneDegree(motion), Lead(), 80)
     assert largest is not None
     assert abs(largest - followed) <= 1
 
@@ -100,7 +100,7 @@ def test_critical_delay_without_lead_is_twice_the_damping_ratio_over_the_frequen
     # A delay tau takes k tau off the damping: 2 zeta / omega is what there is.
     omega = math.sqrt(K_E / MASS_KG)
     zeta = DAMPING / (2.0 * math.sqrt(K_E * MASS_KG))
-    assert margins.critical_delay(structure()) == pytest.approx(
+    assert margins.critical_delay(OneDegree(structure())) == pytest.approx(
         2.0 * zeta / omega * core.FS_HZ, rel=0.01
     )
 
@@ -112,13 +112,13 @@ def test_critical_delay_agrees_with_the_roots_at_every_delay(
     integrator: core.Integrator, stiffness: float, lead: Lead
 ) -> None:
     motion = structure(integrator, stiffness=stiffness)
-    critical = margins.critical_delay(motion, lead)
+    critical = margins.critical_delay(OneDegree(motion), lead)
     start = round(lead.alpha)
-    assert (critical > 0.0) == margins.is_stable(motion, start, lead)
+    assert (critical > 0.0) == OneDegree(motion).is_stable(start, lead)
     if critical > 0.0:
         for delay in range(start, math.floor(critical) + 1):
-            assert margins.is_stable(motion, delay, lead)
-        assert not margins.is_stable(motion, math.floor(critical) + 1, lead)
+            assert OneDegree(motion).is_stable(delay, lead)
+        assert not OneDegree(motion).is_stable(math.floor(critical) + 1, lead)
 
 
 def free_vibration(delay_samples: int, alpha: float) -> np.ndarray:
@@ -146,7 +146,7 @@ def free_vibration(delay_samples: int, alpha: float) -> np.ndarray:
 
 @pytest.mark.parametrize("alpha", [0.0, 10.0, 17.0])
 def test_free_vibration_dies_out_below_the_critical_delay_and_grows_above(alpha: float) -> None:
-    last = math.floor(margins.critical_delay(structure(), Lead(alpha)))
+    last = math.floor(margins.critical_delay(OneDegree(structure()), Lead(alpha)))
     for delay, grows in ((last, False), (last + 1, True)):
         x = free_vibration(delay, alpha)
         early, late = np.abs(x[2048:4096]).max(), np.abs(x[-2048:]).max()
@@ -154,17 +154,20 @@ def test_free_vibration_dies_out_below_the_critical_delay_and_grows_above(alpha:
 
 
 def test_undamped_structure_survives_no_delay() -> None:
-    assert margins.critical_delay(structure(damping=0.0)) == 0.0
+    assert margins.critical_delay(OneDegree(structure(damping=0.0))) == 0.0
     assert (
-        margins.largest_followed_delay(structure("forward-euler", damping=0.0), Lead(), 9) is None
+        margins.largest_followed_delay(
+            OneDegree(structure("forward-euler", damping=0.0)), Lead(), 9
+        )
+        is None
     )
 
 
 def test_weak_specimen_beside_a_stiff_damped_computed_part_bears_any_delay() -> None:
     motion = structure(stiffness=100.0 * K_E, damping=20.0 * DAMPING)
-    assert margins.critical_delay(motion) == math.inf
-    assert margins.is_stable(motion, 200)
-    assert margins.largest_followed_delay(motion, Lead(), 12) == 12
+    assert margins.critical_delay(OneDegree(motion)) == math.inf
+    assert OneDegree(motion).is_stable(200)
+    assert margins.largest_followed_delay(OneDegree(motion), Lead(), 12) == 12
 
 
 # ---- the delay estimator's loop -----------------------------------------------------------------
@@ -189,7 +192,7 @@ def test_guard_on_tcu068_with_ten_samples_of_delay(
 ) -> None:
     motion = tcu068_first_50_s.scaled(pga_g=0.2)
     ag = ground_motion.resample(motion, core.FS_HZ)
-    x = margins.elastic_displacement_m(structure("forward-euler"), ag)
+    x = OneDegree(structure("forward-euler")).elastic_displacement_m(ag)
     phi = margins.peak_excitation(x, Lead(w1=3.0, w2=2.0))
     assert margins.estimator_loop_gain(gain, 10.0, phi) == pytest.approx(expected, rel=0.01)
 

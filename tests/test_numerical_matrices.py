@@ -181,22 +181,24 @@ def test_what_is_taken_out_of_a_whole_structure_comes_back_with_the_specimen() -
 
 def test_the_critical_delay_of_one_degree_of_freedom_is_the_known_one() -> None:
     m, c, k, k_e = 4220.0, 2121.0, 1e5, 666400.0
-    old = core.MotionConfig("cr", m, c, k, k_e)
-    new = core.DenseConfig("cr", ((m,),), ((c,),), ((k,),), (m,), k_e_n_per_m=k_e)
+    old = margins.OneDegree(core.MotionConfig("cr", m, c, k, k_e))
+    part = core.DenseConfig("cr", ((m,),), ((c,),), ((k,),), (m,), k_e_n_per_m=k_e)
+    new = numerical_margins.ManyDegrees(Structure(("1",), part))
     for lead in (None, margins.Lead(10.0), margins.Lead(8.0, 32.0)):
         expected = margins.critical_delay(old, lead)
-        assert numerical_margins.critical_delay(new, lead) == pytest.approx(expected, rel=1e-6)
+        assert margins.critical_delay(new, lead) == pytest.approx(expected, rel=1e-6)
     lead = margins.Lead(1.0)
     expected_most = margins.largest_followed_delay(old, lead, 60)
-    assert numerical_margins.largest_followed_delay(new, lead, 60) == expected_most
+    assert margins.largest_followed_delay(new, lead, 60) == expected_most
 
 
 @pytest.mark.parametrize("force_delay", [0, 1])
 def test_a_delay_beyond_the_critical_one_grows_and_one_below_does_not(force_delay: int) -> None:
     part = frame("rk4", taken_out=True, force_delay=force_delay)
-    critical = numerical_margins.critical_delay(part)
-    assert numerical_margins.is_stable(part, int(np.floor(critical)))
-    assert not numerical_margins.is_stable(part, int(np.ceil(critical)))
+    structure = numerical_margins.ManyDegrees(Structure(("1", "2", "3"), part))
+    critical = margins.critical_delay(structure)
+    assert structure.is_stable(int(np.floor(critical)))
+    assert not structure.is_stable(int(np.ceil(critical)))
     for delay, grows in ((int(critical * 0.8), False), (int(critical * 1.25), True)):
         one = core.Controller(
             core.ControllerConfig(

@@ -479,9 +479,10 @@ def test_the_delay_that_is_survived_is_found_in_steps_too() -> None:
     motion = core.MotionConfig(
         "central-difference", mass_kg=4220, damping_n_s_per_m=2121, k_e_n_per_m=666400
     )
-    one = margins.largest_followed_delay(motion, margins.Lead(17.0), 60)
+    structure = margins.OneDegree(motion)
+    one = margins.largest_followed_delay(structure, margins.Lead(17.0), 60)
     for step in (2, 4, 7):
-        assert margins.largest_followed_delay(motion, margins.Lead(17.0), 60, step) == one
+        assert margins.largest_followed_delay(structure, margins.Lead(17.0), 60, step) == one
 
 
 # ---- what is refused ----------------------------------------------------------------------------

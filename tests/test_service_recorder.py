@@ -14,6 +14,7 @@ import time
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -26,6 +27,7 @@ from recording_data import recording as made_up
 
 from rthyb_rt import core
 from rthyb_rt.errors import RthybError
+from rthyb_rt.lab import experiment
 from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import BLOCK_ROWS, FILE_NAME
 from rthyb_rt.record.ring import Ring
@@ -990,10 +992,35 @@ def test_nobody_else_can_take_the_place_of_the_recorder(place: Path) -> None:
         assert stat.S_IMODE(lock.stat().st_mode) == 0o600
 
 
-def test_room_is_judged_before_a_test_is_armed() -> None:
-    hour = disk.needed_bytes(3600 * 1024)
-    assert hour > 3600 * 1024 * core.RECORD_DTYPE.itemsize
-    assert hour < 2 * 3600 * 1024 * core.RECORD_DTYPE.itemsize
+def channels_of(kind: str) -> tuple[core.Channel, ...]:
+    """What rows have beside their record: nothing, what a law reports, as much as there may be."""
+    if kind == "none":
+        return ()
+    if kind == "most":
+        return tuple(core.Channel(f"c{n}", "1") for n in range(core.CHANNELS_MAX))
+    return experiment.law_channels(core.LawConfig(kind))
+
+
+@pytest.mark.parametrize("kind", ["none", "amb", "most"])
+def test_room_that_is_asked_for_is_what_the_rows_take_and_not_much_more(
+    place: Path, kind: str
+) -> None:
+    """Rows of noise, which does not compress: nothing takes more room."""
+    channels, count = channels_of(kind), 100 * BLOCK_ROWS
+    assert bool(channels) == (kind != "none")
+    rng = np.random.default_rng(2)
+    records = np.frombuffer(rng.bytes(count * core.RECORD_DTYPE.itemsize), core.RECORD_DTYPE).copy()
+    records["tick"] = np.arange(count)
+    rows = core.rows_of(records, channels, rng.standard_normal((count, len(channels))))
+    session = replace(made_up(), samples=rows[:0], channels=channels)
+    session.meta["service"] = {"run_id": kind}
+    file = growing.GrowingFile(place / "run", session)
+    before = (place / "run" / PART_NAME).stat().st_size
+    file.add(rows)
+    file.close()  # gives back what is reserved
+    taken = (place / "run" / PART_NAME).stat().st_size - before
+    asked = disk.needed_bytes(count, channels) - disk.needed_bytes(0, channels)
+    assert 0.9 * asked < taken <= asked
 
 
 def test_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -184,44 +184,82 @@ def _times(*factors: ArrayLike) -> Floats:
     return product
 
 
-def _loop(motion: MotionConfig, lead: Lead | SampledLead) -> tuple[Floats, Floats]:
-    """Return P and Q of the characteristic equation P(z) z^D + Q(z) = 0.
+class DelayedStructure(Protocol):
+    """A numerical part and an elastic specimen that feels the compensated command late.
 
-    The specimen is a spring k_e that feels the compensated command D samples late:
-    f[n] = k_e x_p[n-D].
+    The specimen is a spring ``k_e_n_per_m``: f[n] = k_e x_p[n-D]. Restoring-force compensation is
+    left out: with the exact k_e it removes the delay from the equation of motion altogether.
     """
-    top, bottom = compliance(motion)
-    lead_top, lead_bottom = lead.polynomials()
-    own = np.polyadd(bottom, motion.stiffness_n_per_m * top)
-    return _times(own, lead_bottom), motion.k_e_n_per_m * _times(top, lead_top)
+
+    def is_stable(self, delay_samples: int, lead: Lead | SampledLead | None = None) -> bool:
+        """Return whether every characteristic root lies inside the unit circle.
+
+        Args:
+            delay_samples: pure delay between compensated command and motion.
+            lead: the compensator, or None without.
+        """
+
+    def loop(self, lead: Lead | SampledLead) -> tuple[Callable[[Complexes], Complexes], Floats]:
+        """Return L of 1 + L z^-D = 0, of z on the unit circle, (k,), and its narrow peaks.
+
+        The peaks are angles of resonances of the numerical part alone, which can be narrower than
+        any grid, (m,).
+        """
+
+    def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
+        """Return how the structure would move with a specimen that does not yield, (n,).
+
+        Yielding slows a structure down, so this is the motion that asks most of an estimator.
+
+        Args:
+            ag_mps2: ground acceleration, (n,).
+        """
 
 
-def is_stable(
-    motion: MotionConfig, delay_samples: int, lead: Lead | SampledLead | None = None
-) -> bool:
-    """Return whether every characteristic root lies inside the unit circle.
+@dataclass(frozen=True)
+class OneDegree:
+    """A `DelayedStructure` of one degree of freedom, by the polynomials of its integrator."""
 
-    Args:
-        motion: the numerical part, with the elastic specimen's stiffness ``k_e_n_per_m``.
-        delay_samples: pure delay between compensated command and motion.
-        lead: the compensator, or None without. Restoring-force compensation is left out: with the
-            exact k_e it removes the delay from the equation of motion altogether.
-    """
-    p, q = _loop(motion, lead or Lead())
-    roots = np.roots(np.polyadd(np.concatenate([p, np.zeros(delay_samples)]), q))
-    return bool(np.all(np.abs(roots) < 1.0))
+    motion: MotionConfig
+
+    def _polynomials(self, lead: Lead | SampledLead) -> tuple[Floats, Floats]:
+        """Return P and Q of the characteristic equation P(z) z^D + Q(z) = 0."""
+        top, bottom = compliance(self.motion)
+        lead_top, lead_bottom = lead.polynomials()
+        own = np.polyadd(bottom, self.motion.stiffness_n_per_m * top)
+        return _times(own, lead_bottom), self.motion.k_e_n_per_m * _times(top, lead_top)
+
+    def is_stable(self, delay_samples: int, lead: Lead | SampledLead | None = None) -> bool:
+        """As `DelayedStructure` has it."""
+        p, q = self._polynomials(lead or Lead())
+        roots = np.roots(np.polyadd(np.concatenate([p, np.zeros(delay_samples)]), q))
+        return bool(np.all(np.abs(roots) < 1.0))
+
+    def loop(self, lead: Lead | SampledLead) -> tuple[Callable[[Complexes], Complexes], Floats]:
+        """As `DelayedStructure` has it."""
+        p, q = self._polynomials(lead)
+
+        def of(z: Complexes) -> Complexes:
+            return np.asarray(np.polyval(q, z) / np.polyval(p, z))
+
+        return of, np.abs(np.angle(np.roots(p)))
+
+    def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
+        """As `DelayedStructure` has it."""
+        spring = element("stiffness", k_n_per_m=self.motion.k_e_n_per_m)
+        return Motion(self.motion).reference([spring], ag_mps2)[0]
 
 
-def critical_delay(motion: MotionConfig, lead: Lead | SampledLead | None = None) -> float:
+def critical_delay(structure: DelayedStructure, lead: Lead | SampledLead | None = None) -> float:
     """Return the longest pure delay that the structure with an elastic specimen survives.
 
     A characteristic root can cross the unit circle only at an angle theta at which
-    |Q / P| = 1, and these angles do not depend on the delay (Walton & Marshall 1987); at each, the
-    delays that put a root there are (arg(Q / P) + pi + 2 pi k) / theta. The first of them above
+    |L| = 1, and these angles do not depend on the delay (Walton & Marshall 1987); at each, the
+    delays that put a root there are (arg L + pi + 2 pi k) / theta. The first of them above
     the delay that the compensator is made for ends stability.
 
     Args:
-        motion: the numerical part, with the elastic specimen's stiffness ``k_e_n_per_m``.
+        structure: numerical part and specimen; a lateness of its own comes on top.
         lead: the compensator at a fixed alpha, or None without; no force compensation.
 
     Returns:
@@ -230,15 +268,10 @@ def critical_delay(motion: MotionConfig, lead: Lead | SampledLead | None = None)
     """
     lead = lead or Lead()
     start = round(lead.alpha)
-    if not is_stable(motion, start, lead):
+    if not structure.is_stable(start, lead):
         return 0.0
-    p, q = _loop(motion, lead)
-
-    def loop(z: Complexes) -> Complexes:
-        return np.asarray(np.polyval(q, z) / np.polyval(p, z))
-
-    # A resonance of the numerical part alone can be narrower than the grid.
-    return first_crossing(loop, np.abs(np.angle(np.roots(p))), start)
+    loop, peaks = structure.loop(lead)
+    return first_crossing(loop, peaks, start)
 
 
 def first_crossing(loop: Callable[[Complexes], Complexes], peaks: Floats, start: int) -> float:
@@ -292,12 +325,12 @@ def _crossings(loop: Callable[[Complexes], Complexes], peaks: Floats) -> list[fl
 
 
 def largest_followed_delay(
-    motion: MotionConfig, lead: Lead, most: int, step: int = 1
+    structure: DelayedStructure, lead: Lead, most: int, step: int = 1
 ) -> int | None:
     """Return the largest pure delay that is survived while alpha equals the delay.
 
     Args:
-        motion: the numerical part, with the elastic specimen's stiffness ``k_e_n_per_m``.
+        structure: numerical part and specimen.
         lead: the compensator; its alpha is replaced by the delay, and where it has a beta, that by
             delay^2 / 2.
         most: delay at which to stop looking, samples.
@@ -310,13 +343,8 @@ def largest_followed_delay(
 
     def survives(delay: int) -> bool:
         beta = delay**2 / 2.0 if lead.beta else 0.0
-        return is_stable(motion, delay, Lead(float(delay), beta, lead.w1, lead.w2))
+        return structure.is_stable(delay, Lead(float(delay), beta, lead.w1, lead.w2))
 
-    return largest_survived(survives, most, step)
-
-
-def largest_survived(survives: Callable[[int], bool], most: int, step: int) -> int | None:
-    """Return the largest delay of those from 0 on that are survived, see above."""
     survived = -1
     for delay in (*range(0, most, step), most):
         if not survives(delay):
@@ -327,19 +355,6 @@ def largest_survived(survives: Callable[[int], bool], most: int, step: int) -> i
 
 
 # ---- the delay estimator's own loop -------------------------------------------------------------
-
-
-def elastic_displacement_m(motion: MotionConfig, ag_mps2: ArrayLike) -> Floats:
-    """Return how the structure would move with a specimen that does not yield, shape (n,).
-
-    Yielding slows a structure down, so this is the motion that asks most of the estimator.
-
-    Args:
-        motion: the numerical part, with the elastic specimen's stiffness ``k_e_n_per_m``.
-        ag_mps2: ground acceleration, shape (n,).
-    """
-    spring = element("stiffness", k_n_per_m=motion.k_e_n_per_m)
-    return Motion(motion).reference([spring], ag_mps2)[0]
 
 
 def peak_excitation(x_m: ArrayLike, lead: Lead, reference_m: float = 1e-3) -> float:

@@ -120,7 +120,7 @@ def setup(rec: Recording) -> Setup:
         period = 1.0 / first.frequency_hz if first.frequency_hz else None
         ratio, critical_delay = (
             first.damping_ratio,
-            numerical_margins.critical_delay(structure.part),
+            margins.critical_delay(numerical_margins.ManyDegrees(structure)),
         )
     window = _times(_number(_get(test, "controller", "rfc", "window_samples")), rate.pace)
     if window is None:
@@ -193,7 +193,7 @@ def _critical_delay(
         period_s=rate.period_s,
     )
     try:
-        return margins.critical_delay(motion)
+        return margins.critical_delay(margins.OneDegree(motion))
     except ValueError:
         # An integrator that this version has not.
         return None

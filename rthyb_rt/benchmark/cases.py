@@ -54,10 +54,6 @@ the benchmark, none in the order of a test of this program."""
 HELD: Final = 0.5
 """Samples by which a force is late that is held over one."""
 
-OWN: Final = ("paper", "robust", "alpha-beta", "gain-alpha-beta", "inverse")
-"""Laws that are shipped together with the restoring-force compensator; others run without it, as
-they were published."""
-
 WITH_FORCE: Final = "+rfc"
 """Behind the name of a law that was published without: with the restoring-force compensator."""
 FORCE_CUTOFF_HZ: Final = 60.0
@@ -104,7 +100,8 @@ def entrant(name: str) -> Entrant:
         lead = {"zhao.tau_s": 1.0 / 168.6, "zhao.filter_s": 1.0 / 8570.0}
         return Entrant(name, "zhao", lead, loop=(2.0, 95.0))
     law, force = name.removesuffix(WITH_FORCE), name.endswith(WITH_FORCE)
-    if law not in LAWS or (force and law in OWN):
+    with_rfc = law in LAWS and LAWS[law].with_rfc
+    if law not in LAWS or (force and with_rfc):
         raise InputError(
             f"found {name!r}; must be {BASELINE}, the benchmark's own controller, or a control "
             f"law: {', '.join(LAWS)}; those of others with {WITH_FORCE} as well",
@@ -121,7 +118,7 @@ def entrant(name: str) -> Entrant:
         found = {"a0": a0, "a1_s": a1, "a2_share": a2 / a1**2, "a3_share": a3 / a1**3}
         settings = {f"third_order.{key}": value for key, value in found.items()}
     cutoff_hz = FORCE_CUTOFF_HZ if force else None
-    return Entrant(name, law, settings, rfc=force or law in OWN, cutoff_hz=cutoff_hz)
+    return Entrant(name, law, settings, rfc=force or with_rfc, cutoff_hz=cutoff_hz)
 
 
 def entrants() -> tuple[Entrant, ...]:

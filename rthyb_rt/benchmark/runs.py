@@ -52,11 +52,13 @@ class Outcome:
         end: how it ended, "completed" when it did; the benchmark's own evaluation takes a force of
             8900 N for the end of a run.
         figures: J1 to J9 and the others of `criteria.MEANINGS`; empty if it was not completed.
+        beyond: it was not, and no law could have: see `is_beyond`.
     """
 
     run: Run
     end: str
     figures: dict[str, float]
+    beyond: bool = False
 
     @property
     def completed(self) -> bool:
@@ -69,28 +71,33 @@ def planned(
     rates: Sequence[int],
     numbers: Sequence[int],
     motions: Sequence[str],
-    plants: int,
+    seeds: Sequence[int],
     *,
     width: float = 1.0,
     yielding: bool = False,
 ) -> list[Run]:
-    """Return all runs of these: of each the nominal plant, then ``plants`` perturbed ones.
+    """Return all runs of these, each on every plant.
+
+    Args:
+        entrants, rates, numbers, motions: which; ``numbers`` of `cases.CASES`.
+        seeds: of the plants, or `NOMINAL`; `seeds_of` gives the benchmark's.
+        width, yielding: as `Run` has them.
 
     Raises:
-        InputError: there is no such entrant, rate, case or motion, or not so many plants.
+        InputError: there is no such entrant, rate, case, motion or plant.
     """
     for name in entrants:
         cases.entrant(name)
     _known(rates, cases.RATES, "--rate", "Hz")
     _known(numbers, cases.CASES, "--case", "")
     _known(motions, cases.MOTIONS, "--motion", "")
-    if not 0 <= plants <= len(cases.SEEDS):
-        raise InputError(
-            f"found {plants}; must be 0 to {len(cases.SEEDS)} perturbed plants, beside the nominal "
-            "one",
-            "--plants",
-        )
-    seeds = (NOMINAL, *cases.SEEDS[:plants])
+    for seed in seeds:
+        if seed not in (NOMINAL, *cases.SEEDS):
+            raise InputError(
+                f"found {seed}; must be {NOMINAL}, the nominal plant, or the seed of a perturbed "
+                f"one, {cases.SEEDS[0]} to {cases.SEEDS[-1]}",
+                "--plant",
+            )
     return [
         Run(name, rate, case, motion, seed, width, yielding)
         for rate in rates
@@ -99,6 +106,21 @@ def planned(
         for case in numbers
         for seed in seeds
     ]
+
+
+def seeds_of(perturbed: int) -> tuple[int, ...]:
+    """Return the nominal plant and the seeds of so many perturbed ones.
+
+    Raises:
+        InputError: there are not so many.
+    """
+    if not 0 <= perturbed <= len(cases.SEEDS):
+        raise InputError(
+            f"found {perturbed}; must be 0 to {len(cases.SEEDS)} perturbed plants, beside the "
+            "nominal one",
+            "--plants",
+        )
+    return (NOMINAL, *cases.SEEDS[:perturbed])
 
 
 def _known(found: Sequence[Any], known: Any, where: str, unit: str) -> None:
@@ -117,24 +139,44 @@ def prepared(run: Run) -> Setup:
     return experiment.prepare(test, rig, record=cases.motion(run.motion))
 
 
+def recorded(setup: Setup) -> Recording:
+    """Carry a run out in virtual time, with what `figures_of` needs beside the record."""
+    return virtual_time.run(setup, truth=True, freedoms=True)
+
+
 def measure(run: Run) -> Outcome:
     """Do one run in virtual time, and measure it."""
     setup = prepared(run)
-    rec = virtual_time.run(setup, truth=True, freedoms=True)
+    rec = recorded(setup)
     end = str(rec.meta["end_reason"])
     if end != "completed":
-        return Outcome(run, end, {})
+        return Outcome(run, end, {}, is_beyond(setup))
     return Outcome(run, end, figures_of(setup, rec))
+
+
+def is_beyond(setup: Setup) -> bool:
+    """Return whether the reference simulation of a run passes the force limit itself.
+
+    That is so with Kobe in case 3, on the stiffer eight of the 21 plants: the limit would end the
+    run of a perfect control law.
+    """
+    limit = setup.rig.limits.force_n
+    force_n = _reference(setup)[2]
+    return limit is not None and float(np.abs(force_n).max()) > limit.value
+
+
+def _reference(setup: Setup) -> tuple[criteria.Floats, ...]:
+    structure = setup.derived.structure
+    if structure is None:
+        raise ValueError("a run of the benchmark has its numerical part by matrices")
+    elements = experiment.specimen_elements(setup.rig)
+    return structure.whole_reference(elements, setup.ag_mps2)
 
 
 def figures_of(setup: Setup, rec: Recording) -> dict[str, float]:
     """Return the figures of a completed run over the whole record, its rests included."""
     rows = rec.samples[rec.running()][: setup.ticks]
-    structure = setup.derived.structure
-    if structure is None:
-        raise ValueError("a run of the benchmark has its numerical part by matrices")
-    elements = experiment.specimen_elements(setup.rig)
-    reference = structure.whole_reference(elements, setup.ag_mps2)[3][: rows.size]
+    reference = _reference(setup)[3][: rows.size]
     return criteria.figures(
         rows["x_num_m"],
         rows["x_meas_m"],

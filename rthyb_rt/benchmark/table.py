@@ -29,6 +29,7 @@ class Line:
         entrant, rate_hz, case, motion: which.
         runs: how many.
         unstable: how many of them did not come to their end.
+        beyond: how many of them no law could have brought there; not counted among the unstable.
         mean, worst, deviation: of those that did, by figure; of none, nothing.
     """
 
@@ -38,6 +39,7 @@ class Line:
     case: int
     runs: int
     unstable: int
+    beyond: int
     mean: Mapping[str, float]
     worst: Mapping[str, float]
     deviation: Mapping[str, float]
@@ -55,6 +57,7 @@ def lines(outcomes: Iterable[Outcome]) -> list[Line]:
 def _line(kind: tuple[int, str, str, int], found: Sequence[Outcome]) -> Line:
     rate_hz, motion, name, case = kind
     done = [one.figures for one in found if one.completed]
+    beyond = sum(one.beyond for one in found)
     columns = {
         key: np.array([one[key] for one in done]) for key in (criteria.MEANINGS if done else ())
     }
@@ -64,7 +67,8 @@ def _line(kind: tuple[int, str, str, int], found: Sequence[Outcome]) -> Line:
         motion,
         case,
         len(found),
-        len(found) - len(done),
+        len(found) - len(done) - beyond,
+        beyond,
         {key: float(values.mean()) for key, values in columns.items()},
         {key: float(values.max()) for key, values in columns.items()},
         {key: float(values.std()) for key, values in columns.items()},
@@ -85,10 +89,10 @@ def cells(line: Line) -> list[str]:
             found.append("–")
             continue
         text = short(line.mean[key])
-        if key in WITH_WORST and line.runs - line.unstable > 1:
+        if key in WITH_WORST and line.runs - line.unstable - line.beyond > 1:
             text += f"/{short(line.worst[key])}"
         found.append(text)
-    return [*found, f"{line.unstable} of {line.runs}"]
+    return [*found, f"{line.unstable} of {line.runs - line.beyond}"]
 
 
 def short(value: float) -> str:
@@ -127,5 +131,8 @@ def document(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "motions": {name: cases.MOTIONS[name] for name in cases.MOTIONS},
         "scale": cases.SCALE,
         "lines": [asdict(line) for line in lines(outcomes)],
-        "runs": [{**asdict(one.run), "end": one.end, "figures": one.figures} for one in outcomes],
+        "runs": [
+            {**asdict(one.run), "end": one.end, "beyond": one.beyond, "figures": one.figures}
+            for one in outcomes
+        ],
     }

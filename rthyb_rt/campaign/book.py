@@ -8,8 +8,7 @@ import os
 from pathlib import Path
 from typing import Final, Self
 
-from rthyb_rt.campaign.plan import Case, Plan
-from rthyb_rt.campaign.running import Row
+from rthyb_rt.campaign.plan import Case, Plan, Row
 from rthyb_rt.errors import InputError, RthybError
 
 ROWS: Final = "rows.jsonl"

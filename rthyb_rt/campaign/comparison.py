@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from rthyb_rt import config
-from rthyb_rt.campaign.plan import Case
-from rthyb_rt.campaign.running import COMPLETED, FAILED, Row, carry_out
+from rthyb_rt.campaign.plan import COMPLETED, FAILED, Case, Row
+from rthyb_rt.campaign.running import carry_out
 from rthyb_rt.core.laws import LAWS
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from rthyb_rt.campaign import page, pools, tables
 from rthyb_rt.campaign.book import Book
-from rthyb_rt.campaign.plan import Plan
-from rthyb_rt.campaign.running import Row
+from rthyb_rt.campaign.plan import Plan, Row
 from rthyb_rt.errors import InputError
 
 Progress = Callable[[int, int], None]

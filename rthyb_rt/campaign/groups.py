@@ -5,27 +5,11 @@ from __future__ import annotations
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any
 
-from rthyb_rt.campaign.running import COMPLETED, FAILED, STOPPED, Row
+from rthyb_rt.campaign.plan import COMPLETED, FAILED, MEASURES, STOPPED, Measure, Row
 from rthyb_rt.config.campaignfile import Scalar
-
-
-class Measure(NamedTuple):
-    """A figure that is told of each group: its name in the rows, and how people read it."""
-
-    name: str
-    label: str
-    unit: str
-    factor: float
-
-
-MEASURES: Final = (
-    Measure("tracking_nrmse", "Tracking error", "%", 100.0),
-    Measure("response_nrmse", "Response error", "%", 100.0),
-    Measure("energy_error_relative", "Energy error", "%", 100.0),
-    Measure("peak_measured_m", "Peak displacement", "mm", 1e3),
-)
+from rthyb_rt.numbers import number
 
 
 @dataclass(frozen=True)
@@ -55,12 +39,15 @@ class Group:
     spreads: dict[str, Spread]
 
 
-def group(rows: Sequence[Row], keys: Sequence[str]) -> list[Group]:
+def group(
+    rows: Sequence[Row], keys: Sequence[str], measures: Sequence[Measure] = MEASURES
+) -> list[Group]:
     """Return the groups in the order of their first runs.
 
     Args:
         rows: of the runs, by number.
         keys: that the campaign varies by lists.
+        measures: that are told of each.
     """
     found: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
@@ -72,7 +59,7 @@ def group(rows: Sequence[Row], keys: Sequence[str]) -> list[Group]:
             completed=_count(members, COMPLETED),
             stopped=_count(members, STOPPED),
             failed=_count(members, FAILED),
-            spreads=_spreads(members),
+            spreads=_spreads(members, measures),
         )
         for chosen, members in found.items()
     ]
@@ -82,9 +69,9 @@ def _count(rows: Sequence[Row], ending: str) -> int:
     return sum(row["ending"] == ending for row in rows)
 
 
-def _spreads(rows: Sequence[Row]) -> dict[str, Spread]:
+def _spreads(rows: Sequence[Row], measures: Sequence[Measure]) -> dict[str, Spread]:
     spreads = {}
-    for measure in MEASURES:
+    for measure in measures:
         known = [
             (abs(row[measure.name]), row["case"])
             for row in rows
@@ -102,5 +89,5 @@ def figure(spread: Spread | None, measure: Measure) -> str:
         return "–"
     median, worst = spread.median * measure.factor, spread.worst * measure.factor
     if median == worst:
-        return f"{median:.3g}"
-    return f"{median:.3g} ({worst:.3g})"
+        return number(median)
+    return f"{number(median)} ({number(worst)})"

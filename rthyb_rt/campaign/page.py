@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rthyb_rt import __version__, core
-from rthyb_rt.campaign.groups import MEASURES, Group, figure, group
-from rthyb_rt.campaign.plan import Case, Plan
-from rthyb_rt.campaign.running import COMPLETED, FAILED, STOPPED, Row
+from rthyb_rt.campaign.groups import Group, figure, group
+from rthyb_rt.campaign.plan import COMPLETED, FAILED, STOPPED, Case, Plan, Row
+from rthyb_rt.numbers import number
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
 
@@ -40,30 +40,38 @@ def write(plan: Plan, rows: Sequence[Row], folder: Path) -> None:
 def render(plan: Plan, rows: Sequence[Row]) -> str:
     """Return the page as HTML; arguments and errors as for `write`."""
     keys = list(plan.cases[0].chosen)
-    groups = group(rows, keys)
+    groups = group(rows, keys, plan.measures)
     with extra_needed("the page of a campaign"):
-        plates = _plates(rows, keys, groups)
+        plates = _plates(rows, plan, groups)
         engine = environment(_HERE)
     engine.filters["figure"] = figure
+    engine.filters["number"] = number
     engine.globals["value"] = value
     cases = {case.number: case for case in plan.cases}
     bad = [row for row in rows if row["ending"] != COMPLETED]
-    shown = [*bad[:MOST_ROWS], *(r for r in rows if r["ending"] == COMPLETED)][:MOST_ROWS]
+    shown = _shown(rows, groups)
     return engine.get_template("campaign.html.j2").render(
         plan=plan,
         keys=keys,
         groups=groups,
-        measures=MEASURES,
+        measures=plan.measures,
         counts={e: sum(r["ending"] == e for r in rows) for e in (COMPLETED, STOPPED, FAILED)},
         left=len(plan.cases) - len(rows),
         bad=[(row, cases[row["case"]]) for row in bad[:MOST_ROWS]],
         more_bad=max(0, len(bad) - MOST_ROWS),
-        rows=[(row, cases[row["case"]]) for row in sorted(shown, key=lambda r: r["case"])],
-        more=max(0, len(rows) - MOST_ROWS),
+        rows=[(row, cases[row["case"]]) for row in shown],
+        more=len(rows) - len(shown),
         sheets=sheets(plates),
         facts=_facts(plan),
         names=name_of,
     )
+
+
+def _shown(rows: Sequence[Row], groups: Sequence[Group]) -> list[Row]:
+    """Return the runs that the page lists: worst ones, to which it leads, and early ones first."""
+    worst = {spread.worst_case for one in groups for spread in one.spreads.values()}
+    order = sorted(rows, key=lambda r: (r["case"] not in worst, r["ending"] == COMPLETED))
+    return sorted(order[: max(MOST_ROWS, len(worst))], key=lambda r: int(r["case"]))
 
 
 def _facts(plan: Plan) -> list[str]:
@@ -96,44 +104,47 @@ def name_of(row: Row, case: Case) -> str:
     return ", ".join(parts) or f"run {row['case']}"
 
 
-def _plates(rows: Sequence[Row], keys: Sequence[str], groups: Sequence[Group]) -> list[Plate]:
-    """Return the figure of response over tracking error, a point a run; none without points."""
+def _plates(rows: Sequence[Row], plan: Plan, groups: Sequence[Group]) -> list[Plate]:
+    """Return the figure of the second measure over the first, a point a run; none without them."""
     from matplotlib import rc_context
 
     from rthyb_rt.report import drawing as draw
 
-    points = [
-        (
-            tuple(row.get(key) for key in keys),
-            100.0 * float(row["tracking_nrmse"]),
-            100.0 * float(row["response_nrmse"]),
-        )
-        for row in rows
-        if row["ending"] == COMPLETED and row.get("tracking_nrmse") and row.get("response_nrmse")
-    ]
-    if len(points) < 2:
+    first, second = plan.measures[:2]
+    points: dict[tuple[Any, ...], list[tuple[float, float]]] = {}
+    for row in rows:
+        if row["ending"] == COMPLETED and row.get(first.name) and row.get(second.name):
+            chosen = tuple(row.get(key) for key in plan.cases[0].chosen)
+            place = (first.factor * row[first.name], second.factor * row[second.name])
+            points.setdefault(chosen, []).append(place)
+    if sum(map(len, points.values())) < 2:
         return []
-    colours = (draw.BLUE, draw.ORANGE, draw.GREEN, draw.RED, draw.PURPLE, draw.BLACK, draw.GREY)
+    colours = (draw.BLUE, draw.ORANGE, draw.GREEN, draw.RED, draw.PURPLE, draw.BLACK)
     with rc_context(draw.STYLE):
         paper = draw.Paper("errors", draw.FULL_WIDTH_IN, (2.6,), bottom_in=draw.room_below(
-            min(len(groups), len(colours)), 3))  # fmt: skip
+            min(len(points), len(colours) + 1), 3))  # fmt: skip
         (axes,) = paper.axes
-        for number, one in enumerate(groups):
-            own = np.array([p[1:] for p in points if p[0] == tuple(one.chosen.values())])
-            if own.size:
-                axes.plot(
-                    own[:, 0], own[:, 1], ".", ms=4, alpha=0.7,
-                    color=colours[number % len(colours)],
-                    label=(", ".join(map(value, one.chosen.values())) or "all runs")
-                    if number < len(colours) else None,
-                )  # fmt: skip
-        abscissae, ordinates = [p[1] for p in points], [p[2] for p in points]
-        # Over less than a decade a logarithmic scale has no round numbers to show.
-        axes.set_xscale("log" if max(abscissae) > 10.0 * min(abscissae) else "linear")
-        axes.set_yscale("log" if max(ordinates) > 10.0 * min(ordinates) else "linear")
-        axes.margins(0.04, 0.08)
-        draw.head(axes, "Response error, %")
-        draw.x_label(axes, "Tracking error, %")
+        seen = [one for one in groups if tuple(one.chosen.values()) in points]
+        for number, one in enumerate(seen):
+            own = np.array(points[tuple(one.chosen.values())])
+            label = ", ".join(map(value, one.chosen.values())) or "all runs"
+            named = number < len(colours)
+            axes.plot(
+                own[:, 0], own[:, 1], ".", ms=4, alpha=0.7,
+                color=colours[number] if named else draw.GREY,
+                label=label if named else "others" if number == len(colours) else None,
+            )  # fmt: skip
+        _scale(axes, [place for own in points.values() for place in own])
+        draw.head(axes, f"{second.label}, {second.unit}")
+        draw.x_label(axes, f"{first.label}, {first.unit}")
         draw.legend_below(axes, 3)
         note = "Each point is a completed run; a colour is one choice of the campaign's lists."
-        return [paper.plate("Response error over tracking error", note)]
+        return [paper.plate(f"{second.label} over {first.label.lower()}", note)]
+
+
+def _scale(axes: Any, points: Sequence[tuple[float, float]]) -> None:
+    """Scale both axes; over less than a decade a logarithmic one has no round numbers to show."""
+    for which, values in zip("xy", zip(*points, strict=True), strict=True):
+        kind = "log" if max(values) > 10.0 * min(values) else "linear"
+        axes.set(**{f"{which}scale": kind})
+    axes.margins(0.04, 0.08)

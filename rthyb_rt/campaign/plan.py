@@ -5,28 +5,66 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from rthyb_rt import config, core
+from rthyb_rt import __version__, config, core
+from rthyb_rt.analysis import summary
 from rthyb_rt.config.campaignfile import MOST_RUNS, CampaignFile, Draws, Scalar, Spread, beside
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.loading import load_both
 from rthyb_rt.errors import InputError, Problem
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.record.recording import Recording
+
+Row = dict[str, Any]
+"""What came of one run: ``case``, what it was chosen and drawn to be, ``ending``, measures."""
+
+COMPLETED, STOPPED, FAILED = "completed", "stopped", "failed"
+"""A run reached its end; a limit or a trip ended it; it could not be carried out."""
 
 NOISE_SEED: Final = "rig.seed"
 FILES: Final = ("test", "rig")
 """Keys that name a file, and not one of its values."""
+_LEFT_OUT: Final = (
+    "test_name",
+    "end_reason",
+    "interrupted",
+    "clock",
+    "final_state",
+    "ended_by",
+    "live",
+)
+
+
+class Measure(NamedTuple):
+    """A figure that is told of each group: its name in the rows, and how people read it."""
+
+    name: str
+    label: str
+    unit: str
+    factor: float
+
+
+MEASURES: Final = (
+    Measure("tracking_nrmse", "Tracking error", "%", 100.0),
+    Measure("response_nrmse", "Response error", "%", 100.0),
+    Measure("energy_error_relative", "Energy error", "%", 100.0),
+    Measure("peak_measured_m", "Peak displacement", "mm", 1e3),
+)
+"""Of a test; the page draws the second over the first."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One run.
+    """One run: how it is prepared, recorded and measured, in whatever process that is.
 
     Attributes:
         number: from 0, in the order of the campaign.
@@ -55,6 +93,53 @@ class Case:
             words += ["--set", shlex.quote(setting)]
         return " ".join(words)
 
+    def identity(self) -> Row:
+        """Return the part of its row that says which run it is."""
+        row: Row = {"case": self.number, **self.chosen}
+        if self.drawn >= 0:
+            row["drawn"] = self.drawn
+        row["repeat"] = self.repeat
+        return row
+
+    def prepared(self) -> Setup:
+        """Return it ready to go.
+
+        Raises:
+            InputError: with what is wrong in its files and settings.
+        """
+        test, rig = load_both(Path(self.test) if self.test else None, self.rig or None,
+                              self.settings)  # fmt: skip
+        return experiment.prepare(test, rig)
+
+    def recorded(self, setup: Setup) -> Recording:
+        """Carry it out in virtual time."""
+        return virtual_time.run(setup)
+
+    def measured(self, setup: Setup, rec: Recording) -> Row:
+        """Return ``ending``, ``cause`` and measures: those of ``rthyb run --json``.
+
+        What is not a number there is None.
+        """
+        found = summary.summarize(rec)
+        measures = {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in found.as_json().items()
+            if name not in _LEFT_OUT and isinstance(value, (bool, int, float, type(None)))
+        }
+        return ended(rec, found) | measures
+
+
+def ended(rec: Recording, found: summary.Summary | None = None) -> Row:
+    """Return how a run ended: ``ending``, and ``cause`` in words.
+
+    Args:
+        rec: of the run.
+        found: what is known of it already.
+    """
+    if rec.meta["end_reason"] == "completed":
+        return {"ending": COMPLETED, "cause": ""}
+    return {"ending": STOPPED, "cause": (found or summary.summarize(rec)).ending}
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -65,23 +150,27 @@ class Plan:
         keep: of which runs recording and settings are kept.
         cases: the runs, by number.
         fingerprint: of the runs, of the files that they read, and of the core that computes them.
+        measures: that are told of each group.
     """
 
     name: str
     keep: str
     cases: tuple[Case, ...]
     fingerprint: str
+    measures: tuple[Measure, ...] = MEASURES
 
 
-def read(path: str | Path) -> Plan:
-    """Return the runs of a campaign file.
+def of(file: CampaignFile, path: Path) -> Plan:
+    """Return the runs of a campaign that is of a test.
+
+    Args:
+        file: the campaign.
+        path: of its file.
 
     Raises:
-        InputError: with every fault of the file, of the test or the rig with which it begins, or
-            with the key that those do not have.
+        InputError: with every fault of the test or the rig with which it begins, or with the key
+            that those do not have.
     """
-    path = Path(path)
-    file = config.parse_campaign(config.read_text(path, "campaign"), str(path))
     count = _count(file)
     if count > MOST_RUNS:
         raise InputError(
@@ -89,12 +178,8 @@ def read(path: str | Path) -> Plan:
             "campaigns of it",
             str(path),
         )
-    return Plan(
-        name=file.campaign.name,
-        keep=file.campaign.keep,
-        cases=(cases := tuple(_cases(file, path))),
-        fingerprint=_fingerprint(cases),
-    )
+    cases = tuple(_cases(file, path))
+    return Plan(file.campaign.name, file.campaign.keep, cases, fingerprint(cases))
 
 
 def _count(file: CampaignFile) -> int:
@@ -198,10 +283,18 @@ def _number(base: dict[str, Any], key: str, path: Path) -> float:
     return float(place)
 
 
-def _fingerprint(cases: Sequence[Case]) -> str:
-    """Return what tells one campaign from another, files and core included."""
+def program() -> str:
+    """Return what tells one program that computes from another: version, sources of the core.
+
+    Control laws are a part of the core, whoever wrote them.
+    """
+    return f"{__version__} {core.build_facts()['core_sources']}"
+
+
+def fingerprint(cases: Sequence[Case]) -> str:
+    """Return what tells one campaign from another, files and program included."""
     digest = hashlib.sha256(json.dumps([asdict(case) for case in cases]).encode())
-    digest.update(core.build_facts()["core_sources"].encode())
+    digest.update(program().encode())
     for name in sorted({name for case in cases for name in (case.test, case.rig) if name}):
         if Path(name).is_file():
             digest.update(Path(name).read_bytes())

@@ -11,8 +11,8 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, Final
 
-from rthyb_rt.campaign.plan import Case
-from rthyb_rt.campaign.running import FAILED, Row, carry_out, identity
+from rthyb_rt.campaign.plan import FAILED, Case, Row, program
+from rthyb_rt.campaign.running import OtherProgramError, carry_out
 from rthyb_rt.errors import InputError
 
 ONE_THREAD: Final = (
@@ -77,11 +77,14 @@ def locally(cases: Sequence[Case], jobs: int, keep: str, folder: str, done: Done
         jobs: processes.
         keep, folder: as `carry_out` takes them.
         done: takes each row, in this process, in no order.
+
+    Raises:
+        InputError: a process has another core than this one: its sources were changed meanwhile.
     """
     suspects = _spread(list(cases), jobs, keep, folder, done)
     for case in suspects:
         if _spread([case], 1, keep, folder, done):
-            done(identity(case) | {"ending": FAILED, "cause": "its process died, twice"})
+            done(case.identity() | {"ending": FAILED, "cause": "its process died, twice"})
 
 
 def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) -> list[Case]:
@@ -98,7 +101,7 @@ def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) ->
                 while waiting or under_way:
                     while waiting and len(under_way) < AHEAD * jobs:
                         case = waiting.pop()
-                        under_way[pool.submit(carry_out, case, keep, folder)] = case
+                        under_way[pool.submit(carry_out, case, keep, folder, program())] = case
                     ready, _ = wait(under_way, return_when=FIRST_COMPLETED)
                     for future in ready:
                         done(future.result())
@@ -123,13 +126,16 @@ def on_cluster(cases: Sequence[Case], address: str, keep: str, folder: str, done
     """Carry out runs on a Dask cluster; arguments as for `locally`.
 
     A worker that dies takes no run with it: the scheduler gives its runs to others. What is kept of
-    runs goes to the campaign's folder, which the workers must reach under the same path.
+    runs goes to the campaign's folder, which the workers must reach under the same path. All of
+    them must have the program of this process: its control laws are compiled into its core, and
+    those that a lab has added are in no other.
 
     Args:
         address: of the scheduler, ``tcp://HOST:8786``.
 
     Raises:
-        InputError: the package distributed is not installed, or nobody answers.
+        InputError: the package distributed is not installed, nobody answers, or a worker has
+            another program.
     """
     try:
         import distributed
@@ -147,12 +153,14 @@ def on_cluster(cases: Sequence[Case], address: str, keep: str, folder: str, done
         cores = sum(client.ncores().values())
         if not cores:
             raise InputError("the cluster has no workers; start some: dask worker ADDRESS", address)
+        ours = program()
+        _require_same_program(client, ours, address)
         waiting = list(cases)[::-1]
         of: dict[str, Case] = {}
 
         def next_one() -> Any:
             case = waiting.pop()
-            future = client.submit(carry_out, case, keep, folder, pure=False)
+            future = client.submit(carry_out, case, keep, folder, ours, pure=False)
             of[future.key] = case
             return future
 
@@ -161,12 +169,34 @@ def on_cluster(cases: Sequence[Case], address: str, keep: str, folder: str, done
         for future in arriving:
             case = of.pop(future.key)
             if future.status == "error":
-                done(identity(case) | {"ending": FAILED, "cause": _why(future.exception())})
+                if isinstance(future.exception(), OtherProgramError):  # one that came later
+                    raise future.exception()
+                done(case.identity() | {"ending": FAILED, "cause": _why(future.exception())})
             else:
                 done(future.result())
             future.release()
             if waiting:
                 arriving.add(next_one())
+
+
+def _require_same_program(client: Any, ours: str, address: str) -> None:
+    """Refuse workers that would compute something else.
+
+    Raises:
+        InputError: with their addresses.
+    """
+    found = client.run(program, on_error="return")
+    others = {worker: has for worker, has in found.items() if has != ours}
+    if others:
+        told = "; ".join(
+            f"{worker}: {has if isinstance(has, str) else type(has).__name__ + f': {has}'}"
+            for worker, has in sorted(others.items())
+        )
+        raise InputError(
+            f"not every worker has the rthyb_rt of this process, {ours}, and with it the same "
+            f"control laws ({told}); install the same sources on every machine",
+            address,
+        )
 
 
 def _why(error: BaseException | None) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from rthyb_rt.campaign.running import Row
+from rthyb_rt.campaign.plan import Row
 from rthyb_rt.record.recording import replacing
 
 CSV: Final = "table.csv"

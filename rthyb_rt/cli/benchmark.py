@@ -49,6 +49,10 @@ def rths(
         int,
         typer.Option(metavar="N", help="Perturbed plants beside the nominal one, 0 to 20."),
     ] = 20,
+    plant: Annotated[
+        list[int] | None,
+        _several("A plant by its seed, 7001 to 7020, 0 the nominal one, instead.", "SEED"),
+    ] = None,
     width: Annotated[
         float,
         typer.Option(metavar="W", help="How wide they are drawn, in the stated deviations."),
@@ -84,7 +88,7 @@ def rths(
         rate or list(cases.RATES),
         case or list(cases.CASES),
         motion or ["elcentro"],
-        plants,
+        plant or runs.seeds_of(plants),
         width=width,
         yielding=yielding,
     )

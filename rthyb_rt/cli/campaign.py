@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated, Any
@@ -15,7 +15,7 @@ from rthyb_rt.cli.inputs import JsonOption
 if TYPE_CHECKING:
     from rthyb_rt.campaign.conducting import Campaign, Progress
     from rthyb_rt.campaign.groups import Group
-    from rthyb_rt.campaign.plan import Plan
+    from rthyb_rt.campaign.plan import Measure, Plan
 
 SCHEMA = "rthyb-campaign-result/1"
 ENDED_EARLY = 6
@@ -71,8 +71,8 @@ def campaign(
 
     Exit code 6 says that a limit or a trip ended a run, or that one could not be carried out.
     """
+    from rthyb_rt.benchmark.campaigns import read
     from rthyb_rt.campaign import conducting, pools
-    from rthyb_rt.campaign.plan import read
 
     if jobs is not None and cluster is not None:
         raise typer.BadParameter("is for this machine; leave it out with --cluster",
@@ -113,10 +113,10 @@ def _print_plan(plan: Plan, file: IO[str], as_json: bool) -> None:
 def _print_result(found: Campaign, file: IO[str]) -> None:
     from rthyb_rt.campaign.groups import group
 
-    groups = group(found.rows, list(found.plan.cases[0].chosen))
+    groups = group(found.rows, list(found.plan.cases[0].chosen), found.plan.measures)
     done = sum(one.completed for one in groups)
     print(f"{found.plan.name}: {done} of {len(found.plan.cases)} runs completed\n", file=file)
-    terminal.show(_grid(groups), file)
+    terminal.show(_grid(groups, found.plan.measures), file)
     causes = [row for row in found.rows if row["ending"] != "completed"]
     for row in causes[:5]:
         print(f"Run {row['case']} {row['ending']}: {row['cause']}", file=file)
@@ -129,23 +129,23 @@ def _print_result(found: Campaign, file: IO[str]) -> None:
         terminal.tell(f"note: {note}")
 
 
-def _grid(groups: list[Group]) -> Any:
+def _grid(groups: list[Group], measures: Sequence[Measure]) -> Any:
     from rich.table import Table
 
-    from rthyb_rt.campaign.groups import MEASURES, figure
+    from rthyb_rt.campaign.groups import figure
     from rthyb_rt.campaign.page import value
 
     grid = Table(box=None, pad_edge=False, header_style="bold")
     for key in groups[0].chosen:
         grid.add_column(key, overflow="fold")
-    for name in ("Runs", "Early", *(f"{m.label}, {m.unit}" for m in MEASURES)):
+    for name in ("Runs", "Early", *(f"{m.label}, {m.unit}" for m in measures)):
         grid.add_column(name, justify="right")
     for one in groups:
         grid.add_row(
             *(value(chosen) for chosen in one.chosen.values()),
             str(one.runs),
             str(one.runs - one.completed),
-            *(figure(one.spreads.get(measure.name), measure) for measure in MEASURES),
+            *(figure(one.spreads.get(measure.name), measure) for measure in measures),
         )
     return grid
 
@@ -159,7 +159,10 @@ def _document(found: Campaign) -> dict[str, Any]:
         "schema": SCHEMA,
         "name": found.plan.name,
         "runs": len(found.plan.cases),
-        "groups": [asdict(one) for one in group(found.rows, list(found.plan.cases[0].chosen))],
+        "groups": [
+            asdict(one)
+            for one in group(found.rows, list(found.plan.cases[0].chosen), found.plan.measures)
+        ],
         "rows": found.rows,
         "paths": {name: str(path) for name, path in found.paths.items()},
         "notes": list(found.notes),

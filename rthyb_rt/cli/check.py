@@ -230,26 +230,18 @@ class _Survival:
         """Return them; ``lead`` is None where nothing leads the command."""
         from rthyb_rt.analysis import margins, numerical_margins
 
-        ag, step = setup.ag_mps2, max(1, round(setup.derived.rate.pace))
-        with_lead = followed = None
-        follows = lead if isinstance(lead, margins.Lead) else None
-        structure = setup.derived.structure
-        if structure is not None:
-            part = structure.part
-            if lead is not None:
-                with_lead = numerical_margins.critical_delay(part, lead)
-            if follows is not None:
-                most = _most(setup)
-                followed = numerical_margins.largest_followed_delay(part, follows, most, step)
-            alone = numerical_margins.critical_delay(part)
-            return cls(alone, with_lead, followed, structure.elastic_displacement_m(ag))
-        motion = setup.controller.motion
-        if lead is not None:
-            with_lead = margins.critical_delay(motion, lead)
-        if follows is not None:
-            followed = margins.largest_followed_delay(motion, follows, _most(setup), step)
-        elastic_m = margins.elastic_displacement_m(motion, ag)
-        return cls(margins.critical_delay(motion), with_lead, followed, elastic_m)
+        matrices, step = setup.derived.structure, max(1, round(setup.derived.rate.pace))
+        structure: margins.DelayedStructure = (
+            margins.OneDegree(setup.controller.motion)
+            if matrices is None
+            else numerical_margins.ManyDegrees(matrices)
+        )
+        with_lead = None if lead is None else margins.critical_delay(structure, lead)
+        followed = None
+        if isinstance(lead, margins.Lead):
+            followed = margins.largest_followed_delay(structure, lead, _most(setup), step)
+        elastic_m = structure.elastic_displacement_m(setup.ag_mps2)
+        return cls(margins.critical_delay(structure), with_lead, followed, elastic_m)
 
 
 # ---- remarks ------------------------------------------------------------------------------------

@@ -67,7 +67,7 @@ def _print(rows: Sequence[dict[str, Any]], file: IO[str]) -> None:
 
 def _cells(row: dict[str, Any]) -> list[str]:
     """Return response, largest difference, tracking, delay and end of a law."""
-    from rthyb_rt.campaign.running import COMPLETED
+    from rthyb_rt.campaign.plan import COMPLETED
     from rthyb_rt.numbers import number, percent
 
     if row["ending"] != COMPLETED:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, PlainValidator
 
@@ -89,6 +89,20 @@ class Draws(Table):
     spread: dict[str, Spread] = Field(min_length=1)
 
 
+class Benchmark(Table):
+    """A benchmark of the field instead of a test: it says itself what its tests and rigs are."""
+
+    name: Literal["rths"]
+    plants: Annotated[int, Count(0, 20, "how many perturbed plants, beside the nominal one")] = 20
+    width: Annotated[float, Range("", 0.0, 10.0, "how wide they are drawn")] = 1.0
+    yielding: bool = False
+
+
+BENCHMARK_KEYS: Final = ("rate_hz", "motion", "law", "structure")
+"""What a benchmark can be varied over; of a key that is not named, all that there is. A structure
+is what the benchmark calls a case; in a campaign that word is taken."""
+
+
 class CampaignFile(Table):
     """A campaign: what is varied, and over what."""
 
@@ -98,12 +112,15 @@ class CampaignFile(Table):
     together: list[dict[str, Listed]] = Field(default_factory=list)
     noise_seeds: Annotated[int, Count(1, 100_000, "how often each run is repeated")] = 1
     draws: Draws | None = None
+    benchmark: Benchmark | None = None
 
     @classmethod
     def further_faults(
         cls, keys: dict[str, Any]
     ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
-        """Refuse lists of different length that shall go together, and keys named twice."""
+        """Refuse lists that do not go together, keys named twice, and what no benchmark has."""
+        if keys.get("benchmark") is not None:
+            yield from _foreign_to_benchmark(keys)
         seen: dict[str, str] = {}
         over = keys.get("over")
         for key in over if isinstance(over, dict) else ():
@@ -130,6 +147,26 @@ class CampaignFile(Table):
                         (),
                     )
                 seen.setdefault(key, "[together]")
+
+
+def _foreign_to_benchmark(
+    keys: dict[str, Any],
+) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
+    """Refuse what a campaign of a benchmark says of tests, rigs and plants of its own."""
+    own = "a benchmark has its own tests, rigs and plants; leave this out, or leave out [benchmark]"
+    for key in ("together", "draws"):
+        if keys.get(key):
+            yield (key,), own, ()
+    if keys.get("noise_seeds", 1) != 1:
+        yield ("noise_seeds",), own, ()
+    campaign, over = (keys.get(key) for key in ("campaign", "over"))
+    for key in ("test", "rig"):
+        if isinstance(campaign, dict) and key in campaign:
+            yield ("campaign", key), own, ()
+    for key in over if isinstance(over, dict) else ():
+        if key not in BENCHMARK_KEYS:
+            told = ", ".join(BENCHMARK_KEYS)
+            yield ("over", key), f"is no key of a benchmark, which can be varied over {told}", ()
 
 
 def beside(path: Path, name: str) -> str:

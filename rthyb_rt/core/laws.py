@@ -60,6 +60,8 @@ class Law:
         parameters: in the order that the core wants them.
         values: what it reports; alpha and beta go into the record.
         uses_rest_noise: it must know the noise at rest.
+        with_rfc: it is made to run with the restoring-force compensator; laws of others were
+            published without.
         kind: its place in this program's list, and in no other's.
         state_bytes: size of its state.
     """
@@ -70,6 +72,7 @@ class Law:
     parameters: tuple[Parameter, ...]
     values: tuple[Value, ...]
     uses_rest_noise: bool
+    with_rfc: bool
     kind: int
     state_bytes: int
 
@@ -159,6 +162,7 @@ def _law(kind: int) -> Law:
         parameters=tuple(_parameter(found.parameters[i]) for i in range(found.parameter_count)),
         values=tuple(Value(_words(v.name), _words(v.unit), _words(v.label)) for v in values),
         uses_rest_noise=bool(found.uses_rest_noise),
+        with_rfc=bool(found.with_rfc),
         kind=kind,
         state_bytes=int(lib.rthyb_law_state_size(kind)),
     )

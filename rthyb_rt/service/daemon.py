@@ -32,6 +32,7 @@ from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.ground_motion.reading import MAX_DURATION_S
 from rthyb_rt.ground_motion.text import MAX_POINTS
+from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import replacing
@@ -363,7 +364,7 @@ class Daemon:
                 return
             await asyncio.sleep(TURN_S)
 
-    def _check_recorder(self, ticks: int) -> None:
+    def _check_recorder(self, setup: Setup) -> None:
         """Refuse to arm what would not be recorded.
 
         Raises:
@@ -381,7 +382,7 @@ class Daemon:
         if found.run_id != self.engine.run_id:
             why = found.fault or "look at its journal"
             raise StateError("arm", f"the recorder has not begun with this test: {why}", state)
-        needed = disk.needed_bytes(ticks)
+        needed = disk.needed_bytes(setup.ticks, setup.channels)
         if found.free_bytes < needed:
             raise StateError(
                 "arm",
@@ -477,7 +478,7 @@ class Daemon:
             run = self.engine.recorded
             assert run is not None
             await self._await_recorder()
-            self._check_recorder(run.setup.ticks)
+            self._check_recorder(run.setup)
             token = self.engine.arm(given["digest"], peer.name)
         log.info("armed by %s", peer.name)
         return {"token": token, "timeout_s": run.config.armed_ticks / core.FS_HZ}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +15,9 @@ RESERVE_BYTES: Final = 1 << 20
 KEPT_FREE_BYTES: Final = 8 << 20
 """Of the disk: for the last steps of a recording, and for everybody else."""
 
-_PER_ROW: Final = core.RECORD_DTYPE.itemsize + 8
+_INDEX_PER_ROW_BYTES: Final = 8
+"""Of the file's index and checksums: measured 2.4 where rows do not compress, as bad a case as
+there is."""
 _AROUND_S: Final = 120.0
 """Beside the test proper: zeroing, armed, ramps, a HOLD."""
 
@@ -29,10 +32,16 @@ def free_bytes(folder: Path) -> int:
     return found.f_bavail * found.f_frsize
 
 
-def needed_bytes(test_ticks: int) -> int:
-    """Return the room that the recording of a test may take, with what is kept free."""
+def needed_bytes(test_ticks: int, channels: Sequence[core.Channel] = ()) -> int:
+    """Return the room that the rows of a test may take, with what is kept free.
+
+    Args:
+        test_ticks: of the test proper.
+        channels: what its rows have beside the record.
+    """
     ticks = test_ticks + round(_AROUND_S * core.FS_HZ)
-    return ticks * _PER_ROW + KEPT_FREE_BYTES + 2 * RESERVE_BYTES
+    per_row = core.row_dtype(channels).itemsize + _INDEX_PER_ROW_BYTES
+    return ticks * per_row + KEPT_FREE_BYTES + 2 * RESERVE_BYTES
 
 
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

@@ -1,0 +1,264 @@
+/* Kinematics of several actuators at one specimen.
+ *
+ * Pins: the coupler moves in its plane by (x, y) and turns by theta, so that a pin p moves by
+ *   d = (x, y) + (R(theta) - 1) p,
+ * and its axis, from base to pin r at rest, becomes longer by
+ *   |r + d| - |r| = d (2 r + d) / (|r + d| + |r|),
+ * which keeps its digits however small d is. A far axis has its direction e for ever: e d. The way back is
+ * Newton's, two steps from the last pose: within a sample a specimen moves by less than a millimetre, and each
+ * step squares what is left. */
+#include "numeric.h"
+#include "small_solve.h"
+
+#define ANGLE_MAX 1.5 /* rad: beyond, something has broken */
+/* Of the Jacobian, its columns in lengths of the coupler: a twentieth of a degree between two axes. */
+#define PIVOT_MIN 1e-3
+#define NEWTON_STEPS 2
+
+enum { MOST = RTHYB_COUPLED_MAX };
+
+typedef struct {
+    double x, y, theta;
+} plane;
+
+static double limit_of(const rthyb_kinematics *s, int coordinate)
+{
+    const int turns = s->cfg.kind == RTHYB_KINEMATICS_PINS &&
+                      s->cfg.coordinate[coordinate] == RTHYB_COORDINATE_THETA;
+    return turns ? ANGLE_MAX : RTHYB_DISPLACEMENT_MAX_M;
+}
+
+static plane plane_of(const rthyb_kinematics *s, const double *pose)
+{
+    plane at = {0.0, 0.0, 0.0};
+    for (int j = 0; j < s->cfg.size; j++) {
+        double *const where[] = {&at.x, &at.y, &at.theta};
+        *where[s->cfg.coordinate[j]] = pose[j];
+    }
+    return at;
+}
+
+/* How much an axis counts at that pose; and its derivatives by the coordinates. */
+static double reach(const rthyb_kinematics *s, const plane *at, int axis, double *slope)
+{
+    const double px = s->cfg.pin_m[axis][0], py = s->cfg.pin_m[axis][1];
+    const double sine = sin(at->theta), half = sin(0.5 * at->theta), less = -2.0 * half * half;
+    const double dx = at->x + less * px - sine * py, dy = at->y + sine * px + less * py;
+    const double rx = s->reach[axis][0], ry = s->reach[axis][1];
+    const int far = s->cfg.far[axis];
+    const double length = far ? 1.0 : hypot(rx + dx, ry + dy);
+    /* A pin in its own base has no direction: the axis keeps the one it had at rest. */
+    const int stands = far || !(length > 0.0);
+    const double unit = stands && !far ? s->rest_m[axis] : length;
+    const double ex = (stands ? rx : rx + dx) / unit, ey = (stands ? ry : ry + dy) / unit;
+    const double by[] = {
+        ex, ey, ex * (-sine * px - (1.0 + less) * py) + ey * ((1.0 + less) * px - sine * py)};
+    const double sign = s->cfg.pulls[axis] ? -1.0 : 1.0;
+    for (int j = 0; slope && j < s->cfg.size; j++)
+        slope[j] = sign * by[s->cfg.coordinate[j]];
+    const double longer =
+        far ? rx * dx + ry * dy
+            : (dx * (2.0 * rx + dx) + dy * (2.0 * ry + dy)) / (length + s->rest_m[axis]);
+    return sign * longer;
+}
+
+static void multiply(const double *matrix, const double *x, int n, double *out)
+{
+    for (int i = 0; i < n; i++) {
+        out[i] = 0.0;
+        for (int j = 0; j < n; j++)
+            out[i] += matrix[i * n + j] * x[j];
+    }
+}
+
+/* ---- setting up ---------------------------------------------------------------------------------- */
+
+static int within(const double *values, int count, double most)
+{
+    for (int i = 0; i < count; i++)
+        if (!(fabs(values[i]) <= most))
+            return 0;
+    return 1;
+}
+
+static int matrix_init(rthyb_kinematics *s)
+{
+    const int n = s->cfg.size;
+    double a[RTHYB_COUPLED_SQUARE] = {0.0}, norm = 0.0;
+    if (!within(s->cfg.matrix, n * n, 1e6))
+        return RTHYB_E_KINEMATICS;
+    for (int i = 0; i < n * n; i++) {
+        a[i] = s->cfg.matrix[i];
+        norm = fmax(norm, fabs(a[i]));
+        s->inverse[i] = i % (n + 1) == 0 ? 1.0 : 0.0;
+    }
+    return norm >= 1e-6 && small_solve(a, s->inverse, n, n, 1e-9 * norm) ? 0 : RTHYB_E_KINEMATICS;
+}
+
+static int coordinates_ok(const rthyb_kinematics_config *cfg)
+{
+    int named[3] = {0, 0, 0};
+    for (int j = 0; j < cfg->size; j++) {
+        const int32_t c = cfg->coordinate[j];
+        if (c < RTHYB_COORDINATE_X || c > RTHYB_COORDINATE_THETA || named[c])
+            return 0;
+        named[c] = 1;
+    }
+    return 1;
+}
+
+static int solves(const rthyb_kinematics *s, const double *jacobian, double *b)
+{
+    const int n = s->cfg.size;
+    double a[RTHYB_COUPLED_SQUARE] = {0.0};
+    for (int i = 0; i < n * n; i++)
+        a[i] = jacobian[i] / s->scale[i % n];
+    if (!small_solve(a, b, n, 1, PIVOT_MIN))
+        return 0;
+    for (int j = 0; j < n; j++)
+        b[j] /= s->scale[j];
+    return 1;
+}
+
+static int pins_init(rthyb_kinematics *s)
+{
+    const rthyb_kinematics_config *cfg = &s->cfg;
+    const int n = cfg->size;
+    if (n > 3 || !coordinates_ok(cfg) || !within(cfg->pin_m[0], 2 * n, RTHYB_DISPLACEMENT_MAX_M) ||
+        !within(cfg->base_m[0], 2 * n, 1e6))
+        return RTHYB_E_KINEMATICS;
+    double arm = 0.0;
+    for (int i = 0; i < n; i++) {
+        const double *pin = cfg->pin_m[i], *base = cfg->base_m[i];
+        const double rx = cfg->far[i] ? base[0] : pin[0] - base[0];
+        const double ry = cfg->far[i] ? base[1] : pin[1] - base[1], length = hypot(rx, ry);
+        if (!(length > 1e-6))
+            return RTHYB_E_KINEMATICS;
+        s->reach[i][0] = cfg->far[i] ? rx / length : rx;
+        s->reach[i][1] = cfg->far[i] ? ry / length : ry;
+        s->rest_m[i] = length;
+        arm = fmax(arm, hypot(pin[0], pin[1]));
+    }
+    for (int j = 0; j < n; j++) {
+        s->scale[j] = cfg->coordinate[j] == RTHYB_COORDINATE_THETA ? arm : 1.0;
+        if (!(s->scale[j] > 1e-6))
+            return RTHYB_E_KINEMATICS;
+    }
+    double jacobian[RTHYB_COUPLED_SQUARE] = {0.0}, b[MOST] = {0.0};
+    rthyb_kinematics_jacobian(s, jacobian);
+    return solves(s, jacobian, b) ? 0 : RTHYB_E_KINEMATICS;
+}
+
+int rthyb_kinematics_init(rthyb_kinematics *s, const rthyb_kinematics_config *cfg)
+{
+    if (cfg->size < 1 || cfg->size > MOST ||
+        (cfg->kind != RTHYB_KINEMATICS_MATRIX && cfg->kind != RTHYB_KINEMATICS_PINS))
+        return RTHYB_E_KINEMATICS;
+    *s = (rthyb_kinematics){.cfg = *cfg};
+    return cfg->kind == RTHYB_KINEMATICS_MATRIX ? matrix_init(s) : pins_init(s);
+}
+
+/* ---- both ways ----------------------------------------------------------------------------------- */
+
+void rthyb_kinematics_jacobian(const rthyb_kinematics *s, double *jacobian)
+{
+    const int n = s->cfg.size;
+    if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX) {
+        for (int i = 0; i < n * n; i++)
+            jacobian[i] = s->cfg.matrix[i];
+        return;
+    }
+    const plane at = plane_of(s, s->pose);
+    for (int i = 0; i < n; i++)
+        (void)reach(s, &at, i, jacobian + (ptrdiff_t)i * n);
+}
+
+int rthyb_kinematics_axes(rthyb_kinematics *s, const double *pose, double *axis_m)
+{
+    int code = RTHYB_OK;
+    const int n = s->cfg.size;
+    for (int j = 0; j < n; j++)
+        s->wanted[j] = accept(pose[j], limit_of(s, j), s->wanted[j], &code);
+    if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX) {
+        multiply(s->cfg.matrix, s->wanted, n, axis_m);
+        return code;
+    }
+    const plane at = plane_of(s, s->wanted);
+    for (int i = 0; i < n; i++)
+        axis_m[i] = reach(s, &at, i, NULL);
+    return code;
+}
+
+/* Two steps of Newton; the last pose stays where they lead to nothing. */
+static int pose_by_newton(rthyb_kinematics *s)
+{
+    const int n = s->cfg.size;
+    double pose[MOST];
+    for (int j = 0; j < n; j++)
+        pose[j] = s->pose[j];
+    for (int step = 0; step < NEWTON_STEPS; step++) {
+        const plane at = plane_of(s, pose);
+        double jacobian[RTHYB_COUPLED_SQUARE] = {0.0}, left[MOST] = {0.0};
+        for (int i = 0; i < n; i++)
+            left[i] = s->axis_m[i] - reach(s, &at, i, jacobian + (ptrdiff_t)i * n);
+        if (!solves(s, jacobian, left))
+            return RTHYB_S_OUT_OF_RANGE;
+        for (int j = 0; j < n; j++)
+            pose[j] += left[j];
+    }
+    for (int j = 0; j < n; j++)
+        if (judge(pose[j], limit_of(s, j)) != RTHYB_OK)
+            return RTHYB_S_OUT_OF_RANGE;
+    for (int j = 0; j < n; j++)
+        s->pose[j] = pose[j];
+    return RTHYB_OK;
+}
+
+int rthyb_kinematics_pose(rthyb_kinematics *s, const double *axis_m, double *pose)
+{
+    int code = RTHYB_OK;
+    const int n = s->cfg.size;
+    for (int i = 0; i < n; i++)
+        s->axis_m[i] = accept(axis_m[i], RTHYB_DISPLACEMENT_MAX_M, s->axis_m[i], &code);
+    if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX)
+        multiply(s->inverse, s->axis_m, n, s->pose);
+    else
+        code |= pose_by_newton(s);
+    for (int j = 0; j < n; j++)
+        pose[j] = s->pose[j];
+    return code;
+}
+
+int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *force)
+{
+    int code = RTHYB_OK;
+    const int n = s->cfg.size;
+    double jacobian[RTHYB_COUPLED_SQUARE] = {0.0};
+    rthyb_kinematics_jacobian(s, jacobian);
+    for (int i = 0; i < n; i++)
+        s->axis_n[i] = accept(axis_n[i], RTHYB_FORCE_MAX_N, s->axis_n[i], &code);
+    for (int j = 0; j < n; j++) {
+        force[j] = 0.0;
+        for (int i = 0; i < n; i++)
+            force[j] += jacobian[i * n + j] * s->axis_n[i];
+    }
+    return code;
+}
+
+int rthyb_kinematics_axes_run(rthyb_kinematics *s, const double *pose, double *axis_m, size_t n)
+{
+    int code = RTHYB_OK;
+    const size_t width = (size_t)s->cfg.size;
+    for (size_t i = 0; i < n; i++)
+        code |= rthyb_kinematics_axes(s, pose + i * width, axis_m + i * width);
+    return code;
+}
+
+int rthyb_kinematics_pose_run(rthyb_kinematics *s, const double *axis_m, double *pose, size_t n)
+{
+    int code = RTHYB_OK;
+    const size_t width = (size_t)s->cfg.size;
+    for (size_t i = 0; i < n; i++)
+        code |= rthyb_kinematics_pose(s, axis_m + i * width, pose + i * width);
+    return code;
+}

@@ -1,0 +1,163 @@
+"""Displacements of several actuators from those of the interface, and back.
+
+Up to `AXES_MAX` axes act on one specimen, whose motion is told in interface coordinates: as many as
+axes. They are tied by a constant matrix, or by pins on a stiff coupler and bases, exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.library import (
+    CoreError,
+    FloatArray,
+    check,
+    doubles,
+    reading,
+    words,
+    writing,
+)
+
+AXES_MAX: Final = int(lib.RTHYB_COUPLED_MAX)
+"""Axes at one specimen."""
+
+Coordinate = Literal["x", "y", "theta"]
+COORDINATES: Final = words("rthyb_coordinate", "RTHYB_COORDINATE_")
+"""Coordinates of a plane motion: x and y in m, theta in rad from x towards y."""
+
+
+@dataclass(frozen=True)
+class Pin:
+    """One axis between its base and its pin on the coupler.
+
+    Attributes:
+        pin_m: where its pin is at rest, x and y from the point whose motion the interface is, m.
+        base_m: where its base is, likewise; ``far``: the direction from base to pin instead, of any
+            length.
+        far: the base is so far away that the axis never turns.
+        pulls: the axis counts its shortening as positive.
+    """
+
+    pin_m: tuple[float, float]
+    base_m: tuple[float, float]
+    far: bool = False
+    pulls: bool = False
+
+
+class Kinematics:
+    """Interface coordinates and axes of one specimen; a pose is found from the last one.
+
+    Args:
+        matrix: axes = matrix times pose, square, one row an axis.
+        pins: instead of it, one for each axis.
+        coordinates: with pins, the coordinates of the interface; those not named stay 0.
+
+    Raises:
+        CoreError: axes that leave a coordinate free, a pin in its own base, a coordinate twice,
+            not as many coordinates as axes, or more than `AXES_MAX` of them.
+    """
+
+    def __init__(
+        self,
+        matrix: npt.ArrayLike | None = None,
+        *,
+        pins: Sequence[Pin] = (),
+        coordinates: Sequence[Coordinate] = (),
+    ) -> None:
+        if (matrix is None) == (not pins):
+            raise CoreError("kinematics are either a matrix or pins")
+        settings = _of_pins(pins, coordinates) if matrix is None else _of_matrix(matrix)
+        self.size: int = settings["size"]
+        self._c = ffi.new("rthyb_kinematics *")
+        check(lib.rthyb_kinematics_init(self._c, ffi.new("rthyb_kinematics_config *", settings)))
+
+    @property
+    def struct(self) -> Any:
+        """The C struct, for other faces of the core."""
+        return self._c
+
+    def axes(self, pose: npt.ArrayLike) -> tuple[FloatArray, int]:
+        """Return axis displacements, m, of the shape of ``pose``, (size,) or (n, size).
+
+        The second is the status bits: a value that is no number or beyond any sense is replaced by
+        the last good one.
+        """
+        return self._run(lib.rthyb_kinematics_axes_run, pose)
+
+    def pose(self, axis_m: npt.ArrayLike) -> tuple[FloatArray, int]:
+        """Return interface coordinates of the shape of ``axis_m``, (size,) or (n, size); status.
+
+        Two steps of Newton a row, each from the pose of the row before.
+        """
+        return self._run(lib.rthyb_kinematics_pose_run, axis_m)
+
+    def forces(self, axis_n: npt.ArrayLike) -> tuple[FloatArray, int]:
+        """Return forces, N, and moments, N m, along the coordinates, (size,); status bits.
+
+        Transposed Jacobian at the last pose that was found, by forces of the axes, (size,).
+        """
+        force, out = self._given(axis_n), np.empty(self.size)
+        if force.shape != (self.size,):
+            raise CoreError(f"one force for each of {self.size} axes needed, got {force.shape}")
+        code = lib.rthyb_kinematics_forces(self._c, reading(force), writing(out))
+        return out, int(code)
+
+    def jacobian(self) -> FloatArray:
+        """Return d axis / d pose at the last pose that was found, (size, size)."""
+        out = np.empty(self.size**2)
+        lib.rthyb_kinematics_jacobian(self._c, writing(out))
+        return out.reshape(self.size, self.size)
+
+    def _given(self, values: npt.ArrayLike) -> FloatArray:
+        given = doubles(values)
+        if given.ndim > 2 or given.shape[-1] != self.size:
+            raise CoreError(f"rows of {self.size} numbers needed, got shape {given.shape}")
+        return given
+
+    def _run(self, run: Any, values: npt.ArrayLike) -> tuple[FloatArray, int]:
+        given = self._given(values)
+        out = np.empty_like(given)
+        code = run(
+            self._c,
+            reading(given.reshape(-1)),
+            writing(out.reshape(-1)),
+            given.size // self.size,
+        )
+        return out, int(code)
+
+
+def _of_matrix(matrix: npt.ArrayLike) -> dict[str, Any]:
+    given = np.asarray(matrix, dtype=np.float64)
+    if given.ndim != 2 or given.shape[0] != given.shape[1] or not 1 <= len(given) <= AXES_MAX:
+        raise CoreError(
+            f"a square matrix of 1 to {AXES_MAX} axes needed, one row an axis, got {given.shape}"
+        )
+    return {
+        "kind": lib.RTHYB_KINEMATICS_MATRIX,
+        "size": len(given),
+        "matrix": given.reshape(-1).tolist(),
+    }
+
+
+def _of_pins(pins: Sequence[Pin], coordinates: Sequence[Coordinate]) -> dict[str, Any]:
+    unknown = [name for name in coordinates if name not in COORDINATES]
+    if unknown or not 1 <= len(pins) <= len(COORDINATES) or len(coordinates) != len(pins):
+        raise CoreError(
+            f"{len(pins)} axes with pins need as many of the coordinates {', '.join(COORDINATES)}, "
+            f"got {', '.join(coordinates) or 'none'}"
+        )
+    return {
+        "kind": lib.RTHYB_KINEMATICS_PINS,
+        "size": len(pins),
+        "coordinate": [COORDINATES[name] for name in coordinates],
+        "pin_m": [pin.pin_m for pin in pins],
+        "base_m": [pin.base_m for pin in pins],
+        "far": [int(pin.far) for pin in pins],
+        "pulls": [int(pin.pulls) for pin in pins],
+    }
