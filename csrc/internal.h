@@ -102,10 +102,6 @@ int rthyb_watches_check(const rthyb_watch watch[RTHYB_CAUSE_COUNT]);
 int rthyb_path_limits_check(double velocity_m_per_s, double acceleration_m_per_s2,
                             double brake_m_per_s2);
 
-/* Neither waits. _read: 1 for a set that is new; one half written is left for the next time. */
-void rthyb_handover_write(rthyb_handover *handover, const rthyb_parameters *parameters);
-int rthyb_handover_read(rthyb_handover *handover, rthyb_parameters *parameters);
-
 /* What the calling thread has used since `before`. */
 void rthyb_usage_since(rthyb_usage *usage, const rthyb_usage *before);
 

@@ -18,6 +18,7 @@
 #include <unistd.h>
 
 #include "internal.h"
+#include "loop_state.h"
 #include "rthyb.h"
 #include "station_rules.h"
 #include "station_world.h"
@@ -416,14 +417,15 @@ static int set_up_loop(episode *e)
                              .origin_m = e->w.origin_m,
                              .stop_decel_m_per_s2 = some(&e->d, 0.1, 10.0),
                              .seed = throw_bits(&e->d)};
-    e->loop = (rthyb_loop){.station = &e->station,
-                           .wire = &e->wire,
-                           .link = &e->near,
-                           .ag_mps2 = e->ag_mps2,
-                           .ag_count = e->ag_count,
-                           .calibration = e->calibration};
+    const rthyb_loop_config config = {.station = &e->station,
+                                      .wire = &e->wire,
+                                      .link = &e->near,
+                                      .ag_mps2 = e->ag_mps2,
+                                      .ag_count = e->ag_count,
+                                      .calibration = e->calibration,
+                                      .clock = RTHYB_CLOCK_STEPPED};
     return rthyb_wire_init(&e->wire, &e->codec) || rthyb_drive_init(&e->drive) ||
-           rthyb_loop_init(&e->loop, RTHYB_CLOCK_STEPPED) || open_links(e);
+           rthyb_loop_init(&e->loop, &config) || open_links(e);
 }
 
 static void tick_drive(episode *e)
@@ -498,7 +500,7 @@ static void load_another(episode *e)
     const rthyb_load load = {&e->twin, NULL, e->ag_mps2, 0};
     judge_replay(e);
     e->twin = e->station;
-    e->loop.station = &e->twin; /* as it was: the one that goes */
+    e->loop.cfg.station = &e->twin; /* as it was: the one that goes */
     another_test(&e->d, &e->w);
     take_test(e);
     const rthyb_load next = {&e->station, load.ring, e->ag_mps2, e->ag_count};

@@ -275,8 +275,9 @@ static void judge_states(observer *o, const event *e, const rthyb_station *s)
 static int is_finite(const rthyb_law *law, const rthyb_record *r)
 {
     return isfinite(r->ag_mps2) && isfinite(r->x_num_m) && isfinite(r->x_plc_m) &&
-           isfinite(r->axis[0].x_cmd_m) && isfinite(r->axis[0].x_meas_m) && isfinite(r->axis[0].f_meas_n) &&
-           (isfinite(r->alpha) || law->alpha_at < 0) && (isfinite(r->beta) || law->beta_at < 0) && isfinite(r->k_t_n_per_m) &&
+           isfinite(r->axis[0].x_cmd_m) && isfinite(r->axis[0].x_meas_m) &&
+           isfinite(r->axis[0].f_meas_n) && (isfinite(r->alpha) || law->alpha_at < 0) &&
+           (isfinite(r->beta) || law->beta_at < 0) && isfinite(r->k_t_n_per_m) &&
            isfinite(r->energy_error_j) && isfinite(r->tracking_indicator_m2);
 }
 
