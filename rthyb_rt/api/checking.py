@@ -72,7 +72,7 @@ def check(test: Test | Place, rig: Rig | Place | None = None) -> Check:
         InputError: with every fault of test, rig and ground motion at once.
 
     Examples:
-        >>> check("section5-T0.5").figures["period_s"]
+        >>> round(check("section5-T0.5").figures["period_s"], 3)
         0.5
     """
     from rthyb_rt.cli.check import examine

@@ -197,6 +197,9 @@ class Rig(_Document[RigFile]):
             key's unit, texts have their own: ``actuator={"delay_samples": 12}``. Without a source
             they are the whole rig, else changes as of `with_`.
 
+    Attributes:
+        place: path or name that it was read from; None where it was changed or comes from keywords.
+
     Raises:
         InputError: with every fault, its place and what is allowed there.
 
@@ -206,6 +209,7 @@ class Rig(_Document[RigFile]):
 
     _kind = "rig"
     _model = RigFile
+    place: str | None = None
 
     def __init__(self, source: Place | None = None, /, **tables: Any) -> None:
         if source is None and not tables:
@@ -218,6 +222,8 @@ class Rig(_Document[RigFile]):
         self._file, self._origin = config.load_rig(path), str(path)
         if tables:
             self._file = self.with_(**tables)._file
+        else:
+            self.place = str(path.resolve()) if path == Path(source) else os.fspath(source)
 
     @property
     def name(self) -> str:
@@ -300,7 +306,7 @@ class Test(_Document[TestFile]):
             if tables:
                 self._file = self.with_(**tables)._file
         if rig is not None:
-            self._on(as_rig(rig))
+            self._take(as_rig(rig))
 
     @property
     def name(self) -> str:
@@ -366,7 +372,7 @@ class Test(_Document[TestFile]):
             problems += error.problems
         if problems:
             raise InputError(problems)
-        return made if changed is None else made._on(changed)
+        return made if changed is None else made._take(changed)
 
     @classmethod
     def from_toml(cls, text: str, rig: Rig | Place | None = None, source: str = "test") -> Test:
@@ -376,21 +382,30 @@ class Test(_Document[TestFile]):
             InputError: with every fault and its line.
         """
         made = cls._made(config.parse_test(text, source), source)
-        return made if rig is None else made._on(as_rig(rig))
+        return made if rig is None else made._take(as_rig(rig))
 
-    def _on(self, rig: Rig) -> Self:
-        """Take a rig, which stands for the one that the file names."""
-        self._rig = rig
-        self._file = self._file.model_copy(update={_RIG: None})
+    def _take(self, rig: Rig) -> Self:
+        """Take a rig instead of the one that the file names, by its place if it has one."""
+        self._rig = None if rig.place else rig
+        self._file = self._file.model_copy(update={_RIG: rig.place})
         return self
 
     def __eq__(self, other: object) -> bool:
         """Tell whether both stand for the same test on the same rig."""
         if not isinstance(other, Test):
             return NotImplemented
-        return self._file == other._file and self._rig == other._rig
+        mine, its = (one._file.model_copy(update={_RIG: None}) for one in (self, other))
+        if mine != its:
+            return False
+        if self._rig is None and other._rig is None and self._file.rig == other._file.rig:
+            return True
+        try:
+            return self.rig == other.rig
+        except InputError:
+            return False
 
-    __hash__ = _Document.__hash__
+    def __hash__(self) -> int:
+        return hash(config.dump(self._file.model_copy(update={_RIG: None})))
 
     def __repr__(self) -> str:
         motion, part = self._file.ground_motion, self._file.numerical
