@@ -469,7 +469,7 @@ def _moved(
                 names = {n for m in members for n in m.effect.names}
                 if (body.held and _seen_only(members)) or (enough and not body.plain(members)):
                     continue
-                if len(dry & names) < 2 and tuple(sorted(names)) not in mover.by_names:
+                if tuple(sorted(names)) not in mover.by_names:
                     mover.fit(members)
     mover.relieve()
     mover.plain_friction()
