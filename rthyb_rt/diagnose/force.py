@@ -476,6 +476,10 @@ def _moved(
     if problem.decays:
         mover.exchange()
     mover.settle()
+    # A part that leads now may bend a stated number, or have a plainer friction.
+    body.runs = max(body.runs, PARTS)
+    mover.relieve()
+    mover.plain_friction()
     best = min((plain, *mover.by_names.values()), key=mover.score)
     scale = inflation(best.residual)
     before, after = plain.chi2, best.chi2
