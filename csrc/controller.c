@@ -22,6 +22,8 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
     const rthyb_numerical part = part_of(c);
     if (!error)
         error = rthyb_numerical_init(&part, 0.0);
+    if (!error && rthyb_numerical_interfaces(&part) != 1)
+        error = RTHYB_E_MOTION;
     c->freeze_after = ticks_of(FREEZE_AFTER_S, cfg->period_s);
     c->extrapolate_until = ticks_of(EXTRAPOLATE_UNTIL_S, cfg->period_s);
     c->upper_m = COMMAND_MAX_M;
@@ -192,7 +194,7 @@ static int answer(rthyb_controller *c, double excitation, double force, double *
     if (has_own_part(c))
         return rthyb_motion_step(&c->motion, excitation, force, x_num);
     c->behind = 1;
-    return rthyb_numerical_answer(&c->cfg.numerical, excitation, force, x_num);
+    return rthyb_numerical_answer(&c->cfg.numerical, excitation, &force, x_num);
 }
 
 /* Velocity of the interface at t_n; only a force that is late is asked for it. */
@@ -225,7 +227,7 @@ static int follow_path(rthyb_controller *c, double x, double f, double path_m, d
     int code = rthyb_law_observe(&c->law, c->x_cmd, x, 1);
     rthyb_rfc_follow(&c->rfc, c->x_num, x, f);
     if (!has_own_part(c))
-        rthyb_numerical_freeze(&c->cfg.numerical, f);
+        rthyb_numerical_freeze(&c->cfg.numerical, &f);
     *x_num = accept(path_m, RTHYB_DISPLACEMENT_MAX_M, c->x_num, &code);
     return code;
 }

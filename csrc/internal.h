@@ -48,7 +48,7 @@ static inline double command_to_wire(const rthyb_calibration *c, double x_m)
 /* What goes to the wire: never what its rounding would take beyond the station's bounds. NaN where the
  * wire has nothing between them. */
 static inline double command_for_wire(const rthyb_codec *codec, const rthyb_calibration *c,
-                                      const rthyb_station_output *out)
+                                      const rthyb_axis_output *out)
 {
     const double one = command_to_wire(c, out->low_m), other = command_to_wire(c, out->high_m);
     const int turned = one > other;
@@ -75,7 +75,8 @@ static inline void note_command(rthyb_station *s, const rthyb_calibration *c, in
                                 double wire_m)
 {
     rthyb_controller *controller = &s->controller;
-    controller->x_cmd = sent ? command_from_wire(c, wire_m) - s->tare_cmd : controller->x_cmd1;
+    controller->x_cmd =
+        sent ? command_from_wire(c, wire_m) - s->axis[0].tare_cmd : controller->x_cmd1;
     if (!sent)
         command_stayed(controller);
 }
@@ -101,10 +102,6 @@ static inline double braked_target(double target_m, double target1_m, double dec
 int rthyb_watches_check(const rthyb_watch watch[RTHYB_CAUSE_COUNT]);
 int rthyb_path_limits_check(double velocity_m_per_s, double acceleration_m_per_s2,
                             double brake_m_per_s2);
-
-/* Neither waits. _read: 1 for a set that is new; one half written is left for the next time. */
-void rthyb_handover_write(rthyb_handover *handover, const rthyb_parameters *parameters);
-int rthyb_handover_read(rthyb_handover *handover, rthyb_parameters *parameters);
 
 /* What the calling thread has used since `before`. */
 void rthyb_usage_since(rthyb_usage *usage, const rthyb_usage *before);

@@ -10,6 +10,7 @@
 #include <time.h>
 
 #include "internal.h"
+#include "loop_state.h"
 #include "relaxed.h"
 
 #define HEAD_START_NS 20000000 /* from the thread being ready to the first tick */
@@ -24,27 +25,20 @@
 #define ASLEEP_NS 100000000 /* no suspension is shorter; a stall may be, between two clocks */
 #define RESYNC_AGE 20       /* ticks of silence after which the drive's count may have wrapped */
 
-_Static_assert(sizeof(pthread_t) <= sizeof(uint64_t), "a thread's name fits rthyb_loop.thread");
+_Static_assert(sizeof(pthread_t) <= sizeof(uint64_t), "a thread's name fits its place in the loop");
 
-int rthyb_loop_init(rthyb_loop *loop, int32_t clock)
+size_t rthyb_loop_size(void)
 {
-    *loop = (rthyb_loop){
-        .station = loop->station,
-        .wire = loop->wire,
-        .link = loop->link,
-        .ring = loop->ring,
-        .ag_mps2 = loop->ag_mps2,
-        .ag_count = loop->ag_count,
-        .calibration = loop->calibration,
-        .lead_ns = loop->lead_ns,
-        .delay = -1,
-        .cpu = -1,
-        .latency_fd = -1,
-    };
-    int error = rthyb_calibration_check(&loop->calibration);
-    if (!error && clock == RTHYB_CLOCK_LINK)
-        error = rthyb_phase_init(&loop->phase, loop->lead_ns);
-    return error ? error : rthyb_ticker_init(&loop->ticker, clock, 0);
+    return sizeof(rthyb_loop);
+}
+
+int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
+{
+    *loop = (rthyb_loop){.cfg = *cfg, .delay = -1, .cpu = -1, .latency_fd = -1};
+    int error = rthyb_calibration_check(&cfg->calibration);
+    if (!error && cfg->clock == RTHYB_CLOCK_LINK)
+        error = rthyb_phase_init(&loop->phase, cfg->lead_ns);
+    return error ? error : rthyb_ticker_init(&loop->ticker, cfg->clock, 0);
 }
 
 /* ---- mailbox and heartbeat -------------------------------------------------------------------- */
@@ -101,19 +95,19 @@ int rthyb_loop_loaded(const rthyb_loop *loop, uint64_t generation)
  * replaced before its first reading has told it nothing, and passes on what it was to begin with. */
 static void hand_over(rthyb_loop *loop, const rthyb_station *next)
 {
-    const rthyb_station *last = loop->station;
+    const rthyb_station *last = loop->cfg.station;
     loop->taken_over = last->seen && !next->seen;
     loop->offered = (last->seen || loop->offered) && !next->seen;
     loop->beyond = 0;
     if (!last->seen)
         return;
-    loop->taken_cmd_m = last->controller.x_cmd + last->tare_cmd;
-    loop->offered_x_m = last->seen_x;
+    loop->taken_cmd_m = last->controller.x_cmd + last->axis[0].tare_cmd;
+    loop->offered_x_m = last->axis[0].seen_x;
 }
 
 void rthyb_loop_go_on(rthyb_loop *loop, double x_cmd_m, double x_m, uint32_t seq)
 {
-    loop->wire->seq = seq;
+    loop->cfg.wire->seq = seq;
     loop->offered = 1;
     loop->taken_cmd_m = x_cmd_m;
     loop->offered_x_m = x_m;
@@ -125,17 +119,17 @@ static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
     if (generation == loop->load_answer >> 1)
         return;
     const rthyb_load *load = &loop->load;
-    const int another = load->station != loop->station;
-    const int refused = another && loop->station->state != RTHYB_IDLE;
+    const int another = load->station != loop->cfg.station;
+    const int refused = another && loop->cfg.station->state != RTHYB_IDLE;
     if (!refused) {
         if (another) {
             put(&loop->load_tick, tick->k - tick->skipped);
             hand_over(loop, load->station);
         }
-        loop->station = load->station;
-        loop->ring = load->ring;
-        loop->ag_mps2 = load->ag_mps2;
-        loop->ag_count = load->ag_count;
+        loop->cfg.station = load->station;
+        loop->cfg.ring = load->ring;
+        loop->cfg.ag_mps2 = load->ag_mps2;
+        loop->cfg.ag_count = load->ag_count;
     }
     release(&loop->load_answer, generation << 1 | (uint64_t)refused);
 }
@@ -155,7 +149,7 @@ static void take_parameters(rthyb_loop *loop)
     rthyb_parameters parameters;
     if (!rthyb_handover_read(&loop->handover, &parameters))
         return;
-    const int taken = rthyb_station_adopt(loop->station, &parameters);
+    const int taken = rthyb_station_adopt(loop->cfg.station, &parameters);
     add(taken ? &loop->counters.parameters : &loop->counters.parameters_refused, 1);
     release(&loop->set_answer, (uint64_t)parameters.generation << 1 | (uint64_t)!taken);
 }
@@ -190,7 +184,7 @@ static int heartbeat_late(rthyb_loop *loop, uint64_t ticks)
  * nothing ever. */
 static int is_punctual(const rthyb_loop *loop, const rthyb_tick *tick)
 {
-    const int timeless = loop->unpaced && loop->ticker.clock == RTHYB_CLOCK_STEPPED;
+    const int timeless = loop->cfg.unpaced && loop->ticker.clock == RTHYB_CLOCK_STEPPED;
     return !timeless && !tick->skipped && tick->woken_ns - tick->due_ns < HALF_PERIOD_NS;
 }
 
@@ -240,9 +234,9 @@ typedef struct {
 /* What came at this instant or before it. */
 static void take_in(rthyb_loop *loop, int64_t now_ns)
 {
-    const uint64_t pairs = peek(&loop->wire->counters.pairs);
-    rthyb_link_drain(loop->link, loop->wire);
-    if (peek(&loop->wire->counters.pairs) != pairs)
+    const uint64_t pairs = peek(&loop->cfg.wire->counters.pairs);
+    rthyb_link_drain(loop->cfg.link, loop->cfg.wire);
+    if (peek(&loop->cfg.wire->counters.pairs) != pairs)
         loop->arrived_ns = now_ns;
 }
 
@@ -250,7 +244,7 @@ static void take_in(rthyb_loop *loop, int64_t now_ns)
  * hears none says so before: its own watchdog is the shorter. What is usual is what was so at rest. */
 static int is_belated(rthyb_loop *loop, const rthyb_feedback *feedback)
 {
-    const int32_t state = loop->station->state;
+    const int32_t state = loop->cfg.station->state;
     if (feedback->delay < 0)
         return 0;
     if (state == RTHYB_IDLE || state == RTHYB_ZEROED || state == RTHYB_ARMED) {
@@ -262,13 +256,13 @@ static int is_belated(rthyb_loop *loop, const rthyb_feedback *feedback)
 
 static void take_feedback(rthyb_loop *loop, const rthyb_tick *tick, arrival *found)
 {
-    const uint32_t age = loop->wire->age;
+    const uint32_t age = loop->cfg.wire->age;
     take_in(loop, tick->woken_ns);
-    found->lost = rthyb_wire_take(loop->wire, &found->feedback);
+    found->lost = rthyb_wire_take(loop->cfg.wire, &found->feedback);
     found->slipped = 0;
     if (found->lost)
         return;
-    loop->delay = found->feedback.delay;
+    put_signed(&loop->delay, found->feedback.delay);
     if (is_belated(loop, &found->feedback)) {
         add(&loop->counters.belated, 1);
         found->lost = RTHYB_LOST;
@@ -282,13 +276,14 @@ static int send_command(rthyb_loop *loop, const rthyb_station_output *out)
 {
     rthyb_frame frame;
     double sent_m = 0.0;
-    const double wanted_m = command_for_wire(&loop->wire->codec, &loop->calibration, out);
-    const int nowhere = isnan(wanted_m) && isfinite(out->x_cmd_m);
-    const int code = rthyb_wire_command(loop->wire, wanted_m, out->told, &frame, &sent_m);
+    const double wanted_m =
+        command_for_wire(&loop->cfg.wire->codec, &loop->cfg.calibration, &out->axis[0]);
+    const int nowhere = isnan(wanted_m) && isfinite(out->axis[0].x_cmd_m);
+    const int code = rthyb_wire_command(loop->cfg.wire, wanted_m, out->told, &frame, &sent_m);
     loop->beyond = nowhere || (code & RTHYB_S_OUT_OF_RANGE);
     add(&loop->counters.beyond, (uint64_t)loop->beyond);
-    const int sent = !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->link, &frame);
-    note_command(loop->station, &loop->calibration, sent, sent_m);
+    const int sent = !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->cfg.link, &frame);
+    note_command(loop->cfg.station, &loop->cfg.calibration, sent, sent_m);
     add(sent ? &loop->counters.sent : &loop->counters.not_sent, 1);
     return sent;
 }
@@ -347,35 +342,35 @@ static void answer(rthyb_loop *loop, uint64_t mail, int refused, uint64_t tick)
 
 static void publish(rthyb_loop *loop)
 {
-    put(&loop->state, (uint64_t)loop->station->state);
-    put(&loop->cause, (uint64_t)loop->station->cause);
-    put(&loop->cause_tick, loop->station->cause_tick);
+    put(&loop->state, (uint64_t)loop->cfg.station->state);
+    put(&loop->cause, (uint64_t)loop->cfg.station->cause);
+    put(&loop->cause_tick, loop->cfg.station->cause_tick);
     add(&loop->counters.records, loop->record_count);
-    if (!loop->ring || loop->record_count == 0)
+    if (!loop->cfg.ring || loop->record_count == 0)
         return;
     /* Of what was slept through nobody knows more than its record. */
     const uint32_t last = loop->record_count - 1;
-    rthyb_ring_push_run(loop->ring, loop->records, last, NULL);
-    rthyb_ring_push(loop->ring, &loop->records[last], loop->station->channel);
+    rthyb_ring_push_run(loop->cfg.ring, loop->records, last, NULL);
+    rthyb_ring_push(loop->cfg.ring, &loop->records[last], loop->cfg.station->channel);
 }
 
 /* Also if it was down and is back already: between two ticks, a lot can happen to a plug. And if it took
  * no command for as long as the drive's own watchdog waits: a drive that cannot say so has stopped. */
 static int is_down(rthyb_loop *loop)
 {
-    const uint64_t times = peek(&loop->link->counters.times_down);
+    const uint64_t times = peek(&loop->cfg.link->counters.times_down);
     const int again = times != loop->downs_seen || loop->unsent >= RTHYB_DRIVE_WATCHDOG;
     loop->downs_seen = times;
-    return again || peek(&loop->link->down) != RTHYB_LINK_UP;
+    return again || peek(&loop->cfg.link->down) != RTHYB_LINK_UP;
 }
 
 /* Whether the station is to go on with the command that the drive has. Until a reading is good enough for
  * it nothing is sent: a drive that stops, or moves, meanwhile has that command no more. */
 static int takes_over(rthyb_loop *loop, const arrival *found, double x_m, int stopped)
 {
-    const int still = fabs(x_m - loop->offered_x_m) <= loop->station->cfg.rest_spread_m;
+    const int still = fabs(x_m - loop->offered_x_m) <= loop->cfg.station->cfg.axis[0].rest_spread_m;
     const int elsewhere = !found->lost && !loop->taken_over && !still;
-    loop->offered = loop->offered && !loop->station->seen && !stopped && !elsewhere;
+    loop->offered = loop->offered && !loop->cfg.station->seen && !stopped && !elsewhere;
     return !found->lost && (loop->taken_over || loop->offered);
 }
 
@@ -391,11 +386,8 @@ static void note_delay(rthyb_loop *loop, const arrival *found)
  * suspended, the drive does not. */
 static uint32_t skipped_ticks(rthyb_loop *loop, const rthyb_tick *tick)
 {
-    const int timeless = loop->ticker.clock == RTHYB_CLOCK_STEPPED && !loop->unpaced;
-    const int64_t asleep_ns = timeless ? 0 : rthyb_asleep_ns();
-    const int woke_up = loop->asleep_known && asleep_ns - loop->asleep_ns >= ASLEEP_NS;
-    loop->asleep_ns = asleep_ns;
-    loop->asleep_known = 1;
+    const int timeless = loop->ticker.clock == RTHYB_CLOCK_STEPPED && !loop->cfg.unpaced;
+    const int woke_up = !timeless && rthyb_ticker_slept_ns(&loop->ticker) >= ASLEEP_NS;
     if (woke_up)
         add(&loop->counters.suspended, 1);
     const uint64_t skipped =
@@ -409,13 +401,14 @@ static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint
     take_feedback(loop, tick, found);
     const int stopped = (found->feedback.status & RTHYB_DEVICE_STOPPED) != 0;
     const int down = is_down(loop);
-    const double x_m = calibrated_x(&loop->calibration, found->feedback.x_m);
+    const double x_m = calibrated_x(&loop->cfg.calibration, found->feedback.x_m);
     const int waiting = mail >> COMMAND_BITS != loop->answer >> COMMAND_BITS;
     add(&loop->counters.down, (uint64_t)down);
     add(&loop->counters.stopped, (uint64_t)stopped);
     return (rthyb_station_input){
-        .x_m = x_m,
-        .f_n = calibrated_f(&loop->calibration, found->feedback.f_n),
+        .axis = {{.x_m = x_m,
+                  .f_n = calibrated_f(&loop->cfg.calibration, found->feedback.f_n),
+                  .x_cmd_m = loop->taken_cmd_m}},
         .lost = found->lost,
         .skipped = skipped_ticks(loop, tick),
         .command = waiting ? (int32_t)(mail & ((1u << COMMAND_BITS) - 1u)) : RTHYB_CMD_NONE,
@@ -424,7 +417,6 @@ static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint
         .heartbeat_late = heartbeat_late(loop, 1 + tick->skipped),
         .beyond = loop->beyond,
         .taken_over = takes_over(loop, found, x_m, stopped),
-        .x_cmd_m = loop->taken_cmd_m,
     };
 }
 
@@ -436,7 +428,8 @@ static void execute(rthyb_loop *loop, const rthyb_tick *tick)
     take_parameters(loop);
     const uint64_t mail = acquire(&loop->mail);
     const rthyb_station_input in = gather(loop, tick, mail, &found);
-    rthyb_station_tick(loop->station, &in, loop->ag_mps2, loop->ag_count, loop->records, &out);
+    rthyb_station_tick(loop->cfg.station, &in, loop->cfg.ag_mps2, loop->cfg.ag_count, loop->records,
+                       &out);
     loop->record_count = out.records;
     loop->taken_over = 0;
     complete(loop, tick, &found);
@@ -445,7 +438,7 @@ static void execute(rthyb_loop *loop, const rthyb_tick *tick)
     loop->unsent = sent ? 0 : loop->unsent + 1;
     if (out.send)
         note_sent(loop, tick, sent);
-    rthyb_station_advance(loop->station);
+    rthyb_station_advance(loop->cfg.station);
     if (loop->ticker.clock == RTHYB_CLOCK_LINK)
         follow_drive(loop, tick, &found);
     publish(loop);
@@ -468,7 +461,7 @@ static void listen(rthyb_loop *loop)
     loop->overheard = 0;
     const int64_t due_ns = rthyb_ticker_due_ns(&loop->ticker, loop->ticker.elapsed);
     for (int i = 0; i < RTHYB_WAKE_UPS_MAX; i++) {
-        if (!rthyb_link_wait(loop->link, due_ns - rthyb_now_ns()))
+        if (!rthyb_link_wait(loop->cfg.link, due_ns - rthyb_now_ns()))
             return;
         add(&loop->counters.wake_ups, 1);
         take_in(loop, rthyb_now_ns());
@@ -487,19 +480,19 @@ static int wait_for_tick(rthyb_loop *loop, rthyb_tick *tick)
 void rthyb_loop_drop_old(rthyb_loop *loop)
 {
     rthyb_frame frame, packet;
-    const int serial = loop->wire->codec.format == RTHYB_WIRE_SERIAL;
-    for (int i = 0; i < RTHYB_OLD_PIECES_MAX && rthyb_link_receive(loop->link, &frame); i++) {
+    const int serial = loop->cfg.wire->codec.format == RTHYB_WIRE_SERIAL;
+    for (int i = 0; i < RTHYB_OLD_PIECES_MAX && rthyb_link_receive(loop->cfg.link, &frame); i++) {
         for (int32_t at = 0; serial && at < frame.length; at++)
-            (void)rthyb_deframer_byte(&loop->wire->deframer, frame.data[at], &packet);
+            (void)rthyb_deframer_byte(&loop->cfg.wire->deframer, frame.data[at], &packet);
         add(&loop->counters.old, 1);
     }
-    loop->downs_seen = peek(&loop->link->counters.times_down);
+    loop->downs_seen = peek(&loop->cfg.link->counters.times_down);
 }
 
 /* The first tick is one like all others: what it takes came just before it. */
 static void set_off(rthyb_loop *loop)
 {
-    loop->ticker.t0_ns = rthyb_now_ns() + HEAD_START_NS;
+    put_signed(&loop->ticker.t0_ns, rthyb_now_ns() + HEAD_START_NS);
     const int64_t until_ns = loop->ticker.t0_ns - LISTEN_NS;
     const struct timespec until = {.tv_sec = until_ns / SECOND_NS, .tv_nsec = until_ns % SECOND_NS};
     while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL) == EINTR)
@@ -523,8 +516,11 @@ static void *tick_thread(void *shared)
     return NULL;
 }
 
-int rthyb_loop_start(rthyb_loop *loop)
+int rthyb_loop_start(rthyb_loop *loop, int32_t priority, int32_t cpu, int32_t latency_fd)
 {
+    loop->priority = priority;
+    loop->cpu = cpu;
+    loop->latency_fd = latency_fd;
     pthread_attr_t attributes;
     pthread_t thread;
     int error = pthread_attr_init(&attributes);
@@ -539,19 +535,34 @@ int rthyb_loop_start(rthyb_loop *loop)
     return error;
 }
 
+static int ended_at_rest(const rthyb_station *s)
+{
+    return s->seen &&
+           (s->state == RTHYB_IDLE || s->state == RTHYB_ZEROED || s->state == RTHYB_ARMED);
+}
+
+int rthyb_loop_last(const rthyb_loop *loop, double *x_cmd_m, double *x_m, uint32_t *seq)
+{
+    const rthyb_station *s = loop->cfg.station;
+    *x_cmd_m = s->controller.x_cmd + s->axis[0].tare_cmd;
+    *x_m = s->axis[0].seen_x;
+    *seq = loop->cfg.wire->seq;
+    return ended_at_rest(s);
+}
+
 int rthyb_loop_leave(rthyb_loop *loop)
 {
-    const rthyb_station *s = loop->station;
-    const int at_rest =
-        s->state == RTHYB_IDLE || s->state == RTHYB_ZEROED || s->state == RTHYB_ARMED;
-    if (!at_rest || !s->seen)
+    const rthyb_station *s = loop->cfg.station;
+    if (!ended_at_rest(s))
         return 0;
     /* What has left once is on a value of the wire. */
     rthyb_frame frame;
     double sent_m;
-    const double wire_m = command_to_wire(&loop->calibration, s->controller.x_cmd + s->tare_cmd);
-    const int code = rthyb_wire_command(loop->wire, wire_m, RTHYB_TOLD_LEAVING, &frame, &sent_m);
-    return !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->link, &frame);
+    const double wire_m =
+        command_to_wire(&loop->cfg.calibration, s->controller.x_cmd + s->axis[0].tare_cmd);
+    const int code =
+        rthyb_wire_command(loop->cfg.wire, wire_m, RTHYB_TOLD_LEAVING, &frame, &sent_m);
+    return !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->cfg.link, &frame);
 }
 
 int rthyb_loop_join(rthyb_loop *loop)
@@ -559,4 +570,53 @@ int rthyb_loop_join(rthyb_loop *loop)
     pthread_t thread;
     memcpy(&thread, &loop->thread, sizeof thread);
     return pthread_join(thread, NULL);
+}
+
+/* ---- what others may know of it ------------------------------------------------------------------ */
+
+void rthyb_loop_look(const rthyb_loop *loop, rthyb_loop_view *view)
+{
+    *view = (rthyb_loop_view){
+        .state = peek(&loop->state),
+        .cause = peek(&loop->cause),
+        .cause_tick = peek(&loop->cause_tick),
+        .load_tick = peek(&loop->load_tick),
+        .began_ns = peek_signed(&loop->ticker.t0_ns),
+        .arrival_error_ns = peek_signed(&loop->arrival_error_ns),
+        .trim_ppb = peek_signed(&loop->trim_ppb),
+        .locked = peek(&loop->locked),
+        .delay = peek_signed(&loop->delay),
+    };
+}
+
+const rthyb_loop_counters *rthyb_loop_counted(const rthyb_loop *loop)
+{
+    return &loop->counters;
+}
+
+const uint64_t *rthyb_loop_delays(const rthyb_loop *loop)
+{
+    return loop->delays;
+}
+
+const rthyb_latency *rthyb_loop_sent(const rthyb_loop *loop)
+{
+    return &loop->sent;
+}
+
+rthyb_ticker *rthyb_loop_ticker(rthyb_loop *loop)
+{
+    return &loop->ticker;
+}
+
+const rthyb_record *rthyb_loop_records(const rthyb_loop *loop, uint32_t *count)
+{
+    *count = loop->record_count;
+    return loop->records;
+}
+
+uint32_t rthyb_loop_ended(const rthyb_loop *loop, rthyb_usage *usage)
+{
+    *usage = loop->usage;
+    return loop->privileges;
 }

@@ -182,33 +182,40 @@ double rthyb_motion_velocity(const rthyb_motion *motion)
 
 /* ---- as a kind of numerical part --------------------------------------------------------------- */
 
-static int init(void *state, const void *cfg, double x0_m)
+static size_t size(const void *cfg)
 {
-    return rthyb_motion_init(state, cfg, x0_m);
+    (void)cfg;
+    return sizeof(rthyb_motion);
 }
 
-static int answer(void *state, double excitation, double force_n, double *x_next_m)
+static int init(const rthyb_numerical *part, double x0_m)
 {
-    return rthyb_motion_step(state, excitation, force_n, x_next_m);
+    return rthyb_motion_init(part->state, part->cfg, x0_m);
 }
 
-static void look(const void *state, rthyb_interface *at)
+static int answer(const rthyb_numerical *part, double excitation, const double *force_n,
+                  double *x_next_m)
 {
-    const rthyb_motion *s = state;
+    return rthyb_motion_step(part->state, excitation, *force_n, x_next_m);
+}
+
+static void look(const rthyb_numerical *part, rthyb_interface *at)
+{
+    const rthyb_motion *s = part->state;
     *at = (rthyb_interface){
         .x = s->x, .v = rthyb_motion_velocity(s), .a = s->a, .x1 = s->x1, .x2 = s->x2};
 }
 
-static size_t report(const void *state, double *values, size_t most)
+static size_t report(const rthyb_numerical *part, double *values, size_t most)
 {
-    const rthyb_motion *s = state;
+    const rthyb_motion *s = part->state;
     if (most > 0)
         values[0] = s->x;
     return most > 0;
 }
 
 const rthyb_numerical_ops rthyb_motion_ops = {
-    .size = sizeof(rthyb_motion),
+    .size = size,
     .init = init,
     .answer = answer,
     .look = look,

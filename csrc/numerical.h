@@ -9,18 +9,20 @@
  * command stands `answer` alone; what may wait until the command has left is in `advance`, which the
  * next answer, freeze or look finds done. */
 typedef struct {
-    size_t size; /* of a state */
-    int (*init)(void *state, const void *cfg, double x0_m);
-    /* Excitation and force of t_n -> x_c[n+1]; status bits. */
-    int (*answer)(void *state, double excitation, double force_n, double *x_next_m);
-    int (*advance)(void *state); /* the rest of that step; status bits. NULL: there is none */
+    size_t (*size)(const void *cfg); /* of a state; 0 for senseless settings */
+    int (*init)(const rthyb_numerical *part, double x0_m);
+    /* Excitation and forces of t_n -> x_c[n+1], one each for every interface; status bits. */
+    int (*answer)(const rthyb_numerical *part, double excitation, const double *force_n,
+                  double *x_next_m);
+    int (*advance)(
+        const rthyb_numerical *part); /* the rest of that step; status bits. NULL: none */
     /* A tick in which the displacement comes from a path: time stands still. NULL: nothing to do */
-    void (*freeze)(void *state, double force_n);
-    void (*look)(const void *state, rthyb_interface *at);
-    size_t (*report)(const void *state, double *values, size_t most);
+    void (*freeze)(const rthyb_numerical *part, const double *force_n);
+    void (*look)(const rthyb_numerical *part, rthyb_interface *at); /* one for every interface */
+    size_t (*report)(const rthyb_numerical *part, double *values, size_t most);
 } rthyb_numerical_ops;
 
-extern const rthyb_numerical_ops rthyb_motion_ops, rthyb_dense_ops;
+extern const rthyb_numerical_ops rthyb_motion_ops, rthyb_dense_ops, rthyb_sparse_ops;
 
 /* NULL for a kind that does not exist. */
 const rthyb_numerical_ops *rthyb_numerical_find(int32_t kind);

@@ -288,33 +288,40 @@ int rthyb_dense_advance(rthyb_dense *s)
 
 /* ---- as a kind of numerical part --------------------------------------------------------------- */
 
-static int init(void *state, const void *cfg, double x0_m)
+static size_t size(const void *cfg)
 {
-    return rthyb_dense_init(state, cfg, x0_m);
+    (void)cfg;
+    return sizeof(rthyb_dense);
 }
 
-static int answer(void *state, double excitation, double force_n, double *x_next_m)
+static int init(const rthyb_numerical *part, double x0_m)
 {
-    return rthyb_dense_answer(state, excitation, force_n, x_next_m);
+    return rthyb_dense_init(part->state, part->cfg, x0_m);
 }
 
-static int advance(void *state)
+static int answer(const rthyb_numerical *part, double excitation, const double *force_n,
+                  double *x_next_m)
 {
-    return rthyb_dense_advance(state);
+    return rthyb_dense_answer(part->state, excitation, *force_n, x_next_m);
+}
+
+static int advance(const rthyb_numerical *part)
+{
+    return rthyb_dense_advance(part->state);
 }
 
 /* The force before the first sample that goes on is the one that the path ended with. */
-static void freeze(void *state, double force_n)
+static void freeze(const rthyb_numerical *part, const double *force_n)
 {
-    rthyb_dense *s = state;
+    rthyb_dense *s = part->state;
     int code = RTHYB_OK;
-    s->last_force = accept(force_n, RTHYB_FORCE_MAX_N, s->last_force, &code);
+    s->last_force = accept(*force_n, RTHYB_FORCE_MAX_N, s->last_force, &code);
 }
 
 /* Like motion.c: the velocity of CR is (x[n] - x[n-1]) / h, half a step old. */
-static void look(const void *state, rthyb_interface *at)
+static void look(const rthyb_numerical *part, rthyb_interface *at)
 {
-    const rthyb_dense *s = state;
+    const rthyb_dense *s = part->state;
     const double backward = (3.0 * s->x - 4.0 * s->x1 + s->x2) / (2.0 * s->cfg.period_s);
     const double own = s->s[s->cfg.size + s->cfg.at];
     *at = (rthyb_interface){
@@ -326,16 +333,16 @@ static void look(const void *state, rthyb_interface *at)
     };
 }
 
-static size_t report(const void *state, double *values, size_t most)
+static size_t report(const rthyb_numerical *part, double *values, size_t most)
 {
-    const rthyb_dense *s = state;
+    const rthyb_dense *s = part->state;
     const size_t n = (size_t)s->cfg.size, count = n < most ? n : most;
     memcpy(values, s->s, count * sizeof(double));
     return count;
 }
 
 const rthyb_numerical_ops rthyb_dense_ops = {
-    .size = sizeof(rthyb_dense),
+    .size = size,
     .init = init,
     .answer = answer,
     .advance = advance,

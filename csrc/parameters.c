@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "internal.h"
+#include "loop_state.h"
 #include "numeric.h"
 #include "relaxed.h"
 

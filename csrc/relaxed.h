@@ -15,6 +15,11 @@ static inline void put(uint64_t *number, uint64_t value)
     __atomic_store_n(number, value, __ATOMIC_RELAXED);
 }
 
+static inline int64_t peek_signed(const int64_t *number)
+{
+    return __atomic_load_n(number, __ATOMIC_RELAXED);
+}
+
 /* NOLINTNEXTLINE(readability-non-const-parameter): the store is a builtin */
 static inline void put_signed(int64_t *number, int64_t value)
 {

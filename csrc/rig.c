@@ -1,44 +1,13 @@
 /* The virtual rig: actuator, specimen, and two sensors with noise, bias, steps and an end to their
  * range. Seeded, so that a test can be repeated to the bit. */
 #include "internal.h"
-#include "numeric.h"
-
-static uint64_t splitmix(uint64_t *state)
-{
-    uint64_t z = (*state += 0x9e3779b97f4a7c15u);
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
-    return z ^ (z >> 31);
-}
-
-/* xoroshiro128+ (Blackman & Vigna): uniform in (0, 1]. */
-static double uniform(uint64_t s[2])
-{
-    const uint64_t a = s[0], sum = a + s[1], b = s[1] ^ a;
-    s[0] = ((a << 24) | (a >> 40)) ^ b ^ (b << 16);
-    s[1] = (b << 37) | (b >> 27);
-    return ((double)(sum >> 11) + 1.0) * 0x1p-53;
-}
-
-/* Box and Muller's pair, one at a time. */
-static double normal(rthyb_rig *rig)
-{
-    if (rig->has_spare) {
-        rig->has_spare = 0;
-        return rig->spare;
-    }
-    const double r = sqrt(-2.0 * log(uniform(rig->random)));
-    const double angle = 2.0 * RTHYB_PI * uniform(rig->random);
-    rig->spare = r * sin(angle);
-    rig->has_spare = 1;
-    return r * cos(angle);
-}
+#include "noise.h"
 
 static double sense(rthyb_rig *rig, const rthyb_sensor *sensor, double value)
 {
     double reading = value + sensor->bias;
     if (sensor->noise_std > 0.0)
-        reading += sensor->noise_std * normal(rig);
+        reading += sensor->noise_std * normal(&rig->noise);
     if (sensor->lsb > 0.0)
         reading = sensor->lsb * nearbyint(reading / sensor->lsb);
     return sensor->range > 0.0 ? clamp(reading, -sensor->range, sensor->range) : reading;
@@ -100,10 +69,7 @@ int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg)
 
 void rthyb_rig_reseed(rthyb_rig *rig)
 {
-    uint64_t seed = rig->cfg.seed;
-    rig->random[0] = splitmix(&seed);
-    rig->random[1] = splitmix(&seed);
-    rig->has_spare = 0;
+    noise_seed(&rig->noise, rig->cfg.seed);
 }
 
 /* What the load cell is under: the oil column's force at the actuator's end, else the specimen's.

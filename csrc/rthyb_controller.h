@@ -77,8 +77,8 @@ int rthyb_run_reference(rthyb_motion *motion, rthyb_element *elements, size_t el
                         const double *ag_mps2, size_t n, double *x_m, double *v_m_per_s,
                         double *force_n);
 /* The same with a numerical part of any kind, and of its period; what is known of the specimen's mass
- * and damping belongs into the part's own. all_m: where the first `freedoms` degrees of freedom are, n
- * rows of them. */
+ * and damping belongs into the part's own. all_m: what the part reports at each instant, `freedoms`
+ * values, n rows of them. RTHYB_S_OUT_OF_RANGE at once for a part with more than one interface. */
 int rthyb_numerical_reference(const rthyb_numerical *part, rthyb_element *elements,
                               size_t element_count, const double *ag_mps2, size_t n,
                               double period_s, double *x_m, double *v_m_per_s, double *force_n,

@@ -53,12 +53,20 @@ typedef struct {
     uint64_t suspended; /* times that the PC was asleep between two ticks */
 } rthyb_loop_counters;
 
-/* A set of parameters on its way from the operator's side to the tick. */
+/* What a loop is made of: set up by the caller, who keeps it alive and leaves all but the counters alone
+ * while the thread runs. */
 typedef struct {
-    uint64_t stamp; /* odd while it is being written; 0: none yet */
-    uint64_t taken; /* the tick's own: stamp of the set that it took last */
-    uint64_t words[RTHYB_PARAMETER_WORDS];
-} rthyb_handover;
+    rthyb_station *station;
+    rthyb_wire *wire;
+    rthyb_link *link;
+    rthyb_ring *ring;      /* NULL: no ring */
+    const double *ag_mps2; /* ground motion of the test */
+    size_t ag_count;
+    rthyb_calibration calibration;
+    int32_t clock;   /* enum rthyb_clock */
+    int32_t unpaced; /* stepped clock: the drive does not wait for its ticks */
+    double lead_ns;  /* link clock: the pair arrives so long before the tick */
+} rthyb_loop_config;
 
 /* What a loop goes on with: another test at the same link. */
 typedef struct {
@@ -68,80 +76,52 @@ typedef struct {
     size_t ag_count;
 } rthyb_load;
 
-/* The tick: link -> wire -> station -> wire -> link -> record -> ring. The caller sets up what the
- * pointers point to, and leaves all of it but the counters alone while the thread runs. */
+/* What any thread may know of a loop at any time; each number is whole, two may be of successive ticks. */
 typedef struct {
-    rthyb_station *station;
-    rthyb_wire *wire;
-    rthyb_link *link;
-    rthyb_ring *ring;      /* NULL: no ring */
-    const double *ag_mps2; /* ground motion of the test */
-    size_t ag_count;
-    rthyb_calibration calibration;
-    double lead_ns; /* link clock: the pair arrives so long before the tick */
-    rthyb_ticker ticker;
-    rthyb_latency sent; /* host clock: from wake-up to the command being sent */
-    rthyb_loop_counters counters;
-    rthyb_record records[RTHYB_BLIND_MAX + 1]; /* of the last tick, record_count of them */
-    uint32_t record_count;
-    int32_t delay;                      /* as in rthyb_feedback, of the last fresh pair */
-    int32_t usual_delay;                /* the same at rest, before the test */
-    uint32_t unsent;                    /* commands in a row that the link did not take */
-    int64_t asleep_ns;                  /* rthyb_asleep_ns at the last tick, */
-    int32_t asleep_known;               /* if there was one */
-    uint64_t delays[RTHYB_LINK_DELAYS]; /* fresh pairs of RUNNING by that delay; for any thread */
-    /* The same as words that any thread may read. */
-    uint64_t state, cause, cause_tick;
-    /* Of the link clock, to be read by any thread: error of the arrival, trim in parts per 1e9. */
-    int64_t arrival_error_ns, trim_ppb;
-    uint64_t locked;
-    int64_t arrived_ns; /* when the newest pair did, on CLOCK_MONOTONIC */
-    rthyb_phase phase;
-    rthyb_handover handover;
-    uint32_t generation; /* of the last set that was published */
-    uint64_t set_answer; /* of the last set that a tick saw: generation << 1 | refused */
-    /* Mailbox: generation << 8 | command, and what became of it: generation << 8 | refused. */
-    uint64_t mail, answer, answer_tick;
-    rthyb_load load;
-    uint64_t loads, load_answer; /* generation of the load; what became of it: << 1 | refused */
-    uint64_t load_tick; /* of the loop: where tick 0 of the station is that was taken last */
-    uint64_t heartbeat, heard, silence; /* word of the other side, last seen, ticks since */
-    uint64_t downs_seen;                /* of the link's times_down */
-    int64_t offset;                     /* drive's count - tick */
-    int64_t offset_seen;                /* another one, and in which of the last ticks */
-    uint64_t vote_map[RTHYB_SLIP_WINDOW / 64];
-    uint64_t voted; /* ticks that had a say */
-    int32_t offset_known, votes;
-    int32_t taken_over; /* the station has not ticked yet, and another one's last command was: */
-    double taken_cmd_m;
-    int32_t offered; /* taken_cmd_m, to the first sound reading, as long as the drive reads: */
-    double offered_x_m;
-    int32_t unpaced;   /* the caller's: stepped clock, and the drive does not wait for its ticks */
-    int32_t beyond;    /* the wire could not hold the last command */
-    int32_t overheard; /* link clock: more came before this tick than it listens to */
-    int32_t priority, cpu, latency_fd; /* of the thread, as in rthyb_thread_become_real_time */
-    uint32_t privileges;               /* obtained: enum rthyb_privilege */
-    rthyb_usage usage;                 /* of the thread, from the first tick to the last */
-    uint64_t thread;
-} rthyb_loop;
+    uint64_t state, cause, cause_tick; /* of the station, after the last tick */
+    uint64_t load_tick;                /* where tick 0 of the station is that was taken last */
+    int64_t began_ns;                  /* CLOCK_MONOTONIC at due_ns 0; stepped clock: 0 */
+    int64_t arrival_error_ns;          /* link clock: after the wanted instant, smoothed; */
+    int64_t trim_ppb;                  /* by how much the period is made longer; */
+    uint64_t locked;                   /* whether the ticks follow the drive's samples */
+    int64_t delay;                     /* as in rthyb_feedback, of the last fresh pair */
+} rthyb_loop_view;
 
-/* The members up to lead_ns are the caller's; the rest becomes new. 0; RTHYB_E_PERIOD for an unknown
- * clock, or a lead that the link clock refuses; RTHYB_E_LIMIT for the calibration. */
-int rthyb_loop_init(rthyb_loop *loop, int32_t clock);
+/* The tick: link -> wire -> station -> wire -> link -> record -> ring. */
+typedef struct rthyb_loop rthyb_loop;
+
+size_t rthyb_loop_size(void); /* bytes, aligned as a double is; the caller's */
+
+/* 0; RTHYB_E_PERIOD for an unknown clock, or a lead that the link clock refuses; RTHYB_E_LIMIT for the
+ * calibration. */
+int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg);
+/* Parts that may be read while it runs; the ticker is for granting, missing and stopping as well. */
+void rthyb_loop_look(const rthyb_loop *loop, rthyb_loop_view *view);
+const rthyb_loop_counters *rthyb_loop_counted(const rthyb_loop *loop);
+const uint64_t *rthyb_loop_delays(const rthyb_loop *loop); /* RTHYB_LINK_DELAYS pairs of RUNNING */
+const rthyb_latency *rthyb_loop_sent(const rthyb_loop *loop); /* from wake-up to the command sent */
+rthyb_ticker *rthyb_loop_ticker(rthyb_loop *loop);
+/* Records of the last tick, *count of them; not while a thread runs. */
+const rthyb_record *rthyb_loop_records(const rthyb_loop *loop, uint32_t *count);
+/* Of the thread, once it has ended: enum rthyb_privilege that it had, and what the system did to it. */
+uint32_t rthyb_loop_ended(const rthyb_loop *loop, rthyb_usage *usage);
 /* What an earlier loop at this link told the drive last, where that stood then, without tare, and the seq
  * that it was told it with: a drive that still follows takes none that is older. Holds if the first
  * sound reading, and each before it, is the same within rest_spread_m and the drive has not stopped
  * meanwhile: then the command goes on from there. Else, as without this call, it begins at the reading;
  * x_m = NaN asks for that. Before the start. */
 void rthyb_loop_go_on(rthyb_loop *loop, double x_cmd_m, double x_m, uint32_t seq);
+/* What rthyb_loop_go_on of the next one is to be given, once this one has ended; 0: nothing was ever sent, or
+ * it did not end at rest. */
+int rthyb_loop_last(const rthyb_loop *loop, double *x_cmd_m, double *x_m, uint32_t *seq);
 /* Drops what waits in the link, RTHYB_OLD_PIECES_MAX pieces at most: it was sent to somebody else, or long
  * ago. Stepped clock: before the first tick, on the caller's word; the others do it by themselves. */
 void rthyb_loop_drop_old(rthyb_loop *loop);
 /* One tick on the calling thread, on its word: the stepped clock. */
 void rthyb_loop_step(rthyb_loop *loop);
-/* A thread that ticks until rthyb_ticker_stop; 0 or errno. But for the stepped clock the first tick is
- * due a little later than now. */
-int rthyb_loop_start(rthyb_loop *loop);
+/* A thread that ticks until rthyb_ticker_stop, as punctual as rthyb_thread_become_real_time makes it; 0 or
+ * errno. But for the stepped clock the first tick is due a little later than now. */
+int rthyb_loop_start(rthyb_loop *loop, int32_t priority, int32_t cpu, int32_t latency_fd);
 /* Waits for the thread's end. */
 int rthyb_loop_join(rthyb_loop *loop);
 /* Once more the last command, with RTHYB_TOLD_LEAVING; 0 if none was sent: not at rest, nothing sent ever,

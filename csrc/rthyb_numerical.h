@@ -1,5 +1,5 @@
-/* Numerical parts: the equation of motion (motion.c), dense matrices (numerical_dense.c), and
- * either of them by its kind (numerical.c). */
+/* Numerical parts: the equation of motion (motion.c), dense matrices (numerical_dense.c), sparse ones
+ * (rthyb_sparse.h), and any of them by its kind (numerical.c). */
 #ifndef RTHYB_PART_NUMERICAL_H
 #define RTHYB_PART_NUMERICAL_H
 
@@ -7,6 +7,7 @@
 #include <stdint.h>
 
 #include "rthyb_rig.h"
+#include "rthyb_sparse.h"
 
 /* cffi: begin */
 
@@ -95,11 +96,12 @@ int rthyb_dense_advance(rthyb_dense *s);
 enum rthyb_numerical_kind {
     RTHYB_NUMERICAL_MOTION, /* rthyb_motion_config, rthyb_motion */
     RTHYB_NUMERICAL_DENSE,  /* rthyb_dense_config, rthyb_dense */
+    RTHYB_NUMERICAL_SPARSE, /* rthyb_sparse_config; the state begins with rthyb_sparse */
     RTHYB_NUMERICAL_KINDS
 };
 
-/* Settings and state are the caller's. A state is rthyb_numerical_size(kind) plain bytes without a
- * pointer. Two parts never share one. */
+/* Settings and state are the caller's. A state is rthyb_numerical_size(part) plain bytes without a
+ * pointer, at an address fit for a double. Two parts never share one; settings are read throughout. */
 typedef struct {
     int32_t kind; /* enum rthyb_numerical_kind */
     const void *cfg;
@@ -111,22 +113,27 @@ typedef struct {
     double x, v, a, x1, x2;
 } rthyb_interface;
 
-/* Bytes of a state; 0 for a kind that does not exist. */
-size_t rthyb_numerical_size(int32_t kind);
-/* At rest at x0. All others need a part that was set up. */
+/* Bytes of a state, by kind and settings; 0 for a kind that does not exist, or senseless settings. */
+size_t rthyb_numerical_size(const rthyb_numerical *part);
+/* How many forces it takes and displacements it gives; of settings that init has accepted. */
+int32_t rthyb_numerical_interfaces(const rthyb_numerical *part);
+/* At rest at x0; a sparse part where its settings say, and x0 must be 0. All others need a part that was set up. */
 int rthyb_numerical_init(const rthyb_numerical *part, double x0_m);
-/* Excitation and force at t_n -> x_c[n+1]: all that stands between a reading and its command. */
-int rthyb_numerical_answer(const rthyb_numerical *part, double excitation, double force_n,
+/* Excitation and forces at t_n -> x_c[n+1], one for every interface: all that stands between a reading
+ * and its command. */
+int rthyb_numerical_answer(const rthyb_numerical *part, double excitation, const double *force_n,
                            double *x_next_m);
 /* The rest of that step, once the command has left; before anything else is asked of the part. */
 int rthyb_numerical_advance(const rthyb_numerical *part);
 /* Instead of answer and advance where a path has the command: the part's time stands still. */
-void rthyb_numerical_freeze(const rthyb_numerical *part, double force_n);
+void rthyb_numerical_freeze(const rthyb_numerical *part, const double *force_n);
 /* A state to its bytes and back, of the same kind and settings. */
 void rthyb_numerical_save(const rthyb_numerical *part, void *bytes);
 void rthyb_numerical_restore(const rthyb_numerical *part, const void *bytes);
+/* One for every interface. */
 void rthyb_numerical_look(const rthyb_numerical *part, rthyb_interface *at);
-/* Displacement of every degree of freedom, m, up to `most` of them; how many. */
+/* Displacement of every degree of freedom, m, up to `most` of them; how many. Of a sparse part: its
+ * responses, of this tick from the answer on until it advances. */
 size_t rthyb_numerical_report(const rthyb_numerical *part, double *values, size_t most);
 /* cffi: end */
 

@@ -120,6 +120,13 @@ typedef struct {
     double range; /* saturates at +-range, 0 = unlimited */
 } rthyb_sensor;
 
+/* A seeded source of it. */
+typedef struct {
+    uint64_t random[2];
+    double spare;
+    int32_t has_spare;
+} rthyb_noise;
+
 enum rthyb_load_cell { RTHYB_ACTUATOR_END, RTHYB_SPECIMEN_END };
 
 typedef struct {
@@ -134,9 +141,7 @@ typedef struct {
 typedef struct {
     rthyb_rig_config cfg;
     rthyb_servo servo;
-    uint64_t random[2];
-    double spare;
-    int32_t has_spare;
+    rthyb_noise noise;
     double x_true_m, f_true_n; /* what the sensors saw without their errors */
     double ridden_kg;          /* of the specimen's own mass, which rides on the table */
 } rthyb_rig;

@@ -52,7 +52,9 @@ typedef struct {
     uint32_t stop, bell;
     uint64_t granted, missed, missed_taken; /* stepped: what was said, and how much of it is done */
     uint64_t elapsed, executed, skipped, longest_skip;
-    rthyb_latency wake; /* host, link: woken after the due time of the tick that was waited for */
+    rthyb_latency wake;   /* host, link: woken after the due time of the tick that was waited for */
+    int64_t asleep_ns;    /* rthyb_asleep_ns when _slept_ns was last asked, */
+    int32_t asleep_known; /* if it ever was */
 } rthyb_ticker;
 
 typedef struct {
@@ -89,6 +91,8 @@ void rthyb_ticker_read(const rthyb_ticker *ticker, rthyb_ticker_counts *counts);
 int64_t rthyb_now_ns(void); /* CLOCK_MONOTONIC */
 /* For how long the PC has been suspended since it was switched on: that clock stood still then. */
 int64_t rthyb_asleep_ns(void);
+/* For how long since it was asked before: once a tick, by the ticker's own thread. First time: 0. */
+int64_t rthyb_ticker_slept_ns(rthyb_ticker *ticker);
 
 /* The link clock's loop (phase.c). Error is how long after the instant that is lead_ns before the
  * tick the pair of that tick arrived. */

@@ -29,6 +29,15 @@ int64_t rthyb_asleep_ns(void)
     return (int64_t)whole.tv_sec * SECOND_NS + whole.tv_nsec - awake_ns;
 }
 
+int64_t rthyb_ticker_slept_ns(rthyb_ticker *ticker)
+{
+    const int64_t asleep_ns = rthyb_asleep_ns(), before_ns = ticker->asleep_ns;
+    const int known = ticker->asleep_known;
+    ticker->asleep_ns = asleep_ns;
+    ticker->asleep_known = 1;
+    return known ? asleep_ns - before_ns : 0;
+}
+
 int rthyb_ticker_init(rthyb_ticker *ticker, int32_t clock, int64_t t0_ns)
 {
     if (clock < RTHYB_CLOCK_HOST || clock > RTHYB_CLOCK_LINK || t0_ns < 0)

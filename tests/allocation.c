@@ -71,11 +71,14 @@ typedef struct {
     int law, tangent, integrator, servo, hold, half;
 } choice;
 
-/* Behind the integrators of one degree of freedom: CR and RK4 of a part of three. */
+/* Behind the integrators of one degree of freedom: CR and RK4 of a part of three, then a sparse part. */
+enum { SPARSE = RTHYB_PRESCRIBED + 3 };
+
 static int dense_integrator(const choice *c)
 {
     const int dense[] = {RTHYB_CR, RTHYB_RK4};
-    return c->integrator > RTHYB_PRESCRIBED ? dense[c->integrator - RTHYB_PRESCRIBED - 1] : -1;
+    const int own = c->integrator > RTHYB_PRESCRIBED && c->integrator < SPARSE;
+    return own ? dense[c->integrator - RTHYB_PRESCRIBED - 1] : -1;
 }
 
 static const rthyb_dense_config *dense_part(int integrator)
@@ -95,10 +98,94 @@ static const rthyb_dense_config *dense_part(int integrator)
     return &cfg;
 }
 
-static int set_up_controller(rthyb_controller *controller, const choice *c)
+enum { STOREYS = 4, SPARSE_STATE = 4096 };
+
+/* A chain, 1 and k K_E throughout, with rho_inf = 1: S = M / 2 + (h C + h^2 K / 2) / 4 is tridiagonal and
+ * is factored from its first row on. One storey is Bouc-Wen besides, one mode has modal damping. */
+static rthyb_numerical sparse_part(void)
+{
+    static const int32_t start[] = {0, 1, 2, 3, 3}, next[] = {1, 2, 3}, none[] = {0, 0, 0, 0, 0};
+    static const int32_t one_row[] = {0, 1}, first[] = {0}, roof[] = {STOREYS - 1};
+    static const double mass[] = {4e3, 4e3, 4e3, 4e3}, unit[] = {1.0}, k_e[] = {K_E};
+    static const double k[] = {3.0 * K_E, 2.0 * K_E, 2.0 * K_E, K_E}, k_off[] = {-K_E, -K_E, -K_E};
+    static const double modal[] = {10.0, 20.0, 30.0, 40.0};
+    static double d[STOREYS], l[STOREYS - 1], by_force[STOREYS], by_ag[STOREYS], z[STOREYS],
+        inner[1];
+    static double state[SPARSE_STATE];
+    static rthyb_joint joint;
+    static rthyb_sparse_config cfg;
+    cfg = (rthyb_sparse_config){
+        .size = STOREYS,
+        .interfaces = 1,
+        .joints = 1,
+        .modes = 0,
+        .responses = 1,
+        .damped = 1,
+        .period_s = PERIOD_S,
+        .alpha_m = 0.5,
+        .alpha_f = 0.5,
+        .gamma = 0.5,
+        .beta = 0.25,
+        .mass_kg = {.diagonal = mass, .start = none},
+        .stiffness_n_per_m = {.diagonal = k, .start = start, .at = next, .value = k_off},
+        .damping_n_s_per_m = {.diagonal = mass, .start = none},
+        .by_mass_per_s = 0.3,
+        .load_kg = mass,
+        .interface = {.start = one_row, .at = first, .weight = unit},
+        .k_e_n_per_m = k_e,
+        .joint = &joint,
+        .response = {.start = one_row, .at = roof, .weight = unit},
+        .factor = {.diagonal = d, .start = start, .at = next, .value = l},
+        .modal = modal,
+        .modal_solved = z,
+        .modal_inner = inner,
+        .by_force = by_force,
+        .first_by_force = by_force,
+        .by_excitation = by_ag,
+        .first_by_excitation = by_ag,
+    };
+    joint = (rthyb_joint){.below = 1, .above = 2, .stiffness_n_per_m = 0.0};
+    (void)rthyb_element_init(&joint.element, ELEMENTS[0].kind, ELEMENTS[0].params, ELEMENTS[0].n);
+    const double h = PERIOD_S, of_k = 0.125 * h * h, of_m = 0.5 + 0.25 * h * 1.3;
+    double pivot = of_m * mass[0] + of_k * k[0];
+    for (int i = 0; i < STOREYS; i++) {
+        d[i] = 1.0 / pivot;
+        if (i + 1 == STOREYS)
+            break;
+        l[i] = of_k * k_off[i] / pivot;
+        pivot = of_m * mass[i + 1] + of_k * k[i + 1] - l[i] * of_k * k_off[i];
+    }
+    for (int i = 0; i < STOREYS; i++) {
+        z[i] = modal[i];
+        by_force[i] = i == 0 ? -0.5 : 0.0;
+        by_ag[i] = -0.5 * mass[i];
+    }
+    rthyb_sparse_solve(&cfg, z);
+    double along = 4.0 / h;
+    for (int i = 0; i < STOREYS; i++)
+        along += modal[i] * z[i];
+    inner[0] = 1.0 / along;
+    cfg.modes = 1;
+    rthyb_sparse_solve(&cfg, by_force);
+    rthyb_sparse_solve(&cfg, by_ag);
+    return (rthyb_numerical){.kind = RTHYB_NUMERICAL_SPARSE, .cfg = &cfg, .state = state};
+}
+
+static rthyb_numerical part_of_case(const choice *c)
 {
     static rthyb_dense state;
+    if (c->integrator == SPARSE)
+        return sparse_part();
     const int dense = dense_integrator(c);
+    return dense < 0 ? (rthyb_numerical){.kind = RTHYB_NUMERICAL_MOTION}
+                     : (rthyb_numerical){.kind = RTHYB_NUMERICAL_DENSE,
+                                         .cfg = dense_part(dense),
+                                         .state = &state};
+}
+
+static int set_up_controller(rthyb_controller *controller, const choice *c)
+{
+    const int own = c->integrator <= RTHYB_PRESCRIBED;
     const rthyb_controller_config cfg = {
         .period_s = PERIOD_S,
         .lead_enabled = 1,
@@ -109,10 +196,8 @@ static int set_up_controller(rthyb_controller *controller, const choice *c)
                 .k_e_n_per_m = K_E,
                 .end_tick = 500,
                 .rest_noise_m = 2e-6},
-        .numerical = {.kind = dense < 0 ? RTHYB_NUMERICAL_MOTION : RTHYB_NUMERICAL_DENSE,
-                      .cfg = dense < 0 ? NULL : dense_part(dense),
-                      .state = dense < 0 ? NULL : &state},
-        .motion = {.integrator = dense < 0 ? c->integrator : RTHYB_CR,
+        .numerical = part_of_case(c),
+        .motion = {.integrator = own ? c->integrator : RTHYB_CR,
                    .period_s = PERIOD_S,
                    .mass_kg = 4220.0,
                    .damping_n_s_per_m = 2121.0,
@@ -179,7 +264,7 @@ int main(int argc, char **argv)
     choice c;
     for (c.law = 0; c.law < (int)rthyb_law_count(); c.law++)
         for (c.tangent = 0; c.tangent <= RTHYB_TANGENT_LEAST_SQUARES; c.tangent++)
-            for (c.integrator = 0; c.integrator <= RTHYB_PRESCRIBED + 2; c.integrator++)
+            for (c.integrator = 0; c.integrator <= SPARSE; c.integrator++)
                 for (c.servo = 0; c.servo <= RTHYB_SERVO_HYDRAULIC; c.servo++)
                     for (c.hold = 0; c.hold <= RTHYB_FOH; c.hold++)
                         for (c.half = 0; c.half <= 1; c.half++, cases++)

@@ -115,9 +115,9 @@ int main(int argc, char **argv)
     r.wrong = argc > 3 ? argv[3] : "";
     main_thread = pthread_self();
     if (loop_example_set_up(&r.e) || rthyb_drive_init(&r.e.drive) ||
-        rthyb_loop_init(&r.e.loop, clock) ||
+        loop_example_init(&r.e, clock) ||
         rthyb_ticker_init(&r.clock, RTHYB_CLOCK_HOST, rthyb_now_ns()) ||
-        pthread_create(&thread, NULL, drive, &r) || rthyb_loop_start(&r.e.loop))
+        pthread_create(&thread, NULL, drive, &r) || rthyb_loop_start(&r.e.loop, 0, -1, -1))
         return 2;
     wait_for(&r.e.loop.ticker.elapsed, 10);
     wait_for(&drive_ticks, 10);

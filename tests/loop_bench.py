@@ -169,6 +169,7 @@ class Bench:
         codec: wire.Codec | None = None,
         interfaces: tuple[str, str] | None = None,
         calibration: core.Calibration = core.IDENTITY,
+        paced: bool = True,
         **changes: Any,
     ) -> None:
         self.owned = ExitStack()
@@ -187,7 +188,9 @@ class Bench:
         self.config, self.ag = config(**changes), shaking(seconds)
         self.station = core.Station(self.config, self.ag)
         self.wire = wire.Wire(self.codec)
-        self.loop = loop.Loop(self.station, self.wire, self.link, ring, clock, calibration)
+        self.loop = loop.Loop(
+            self.station, self.wire, self.link, ring, clock, calibration, paced=paced
+        )
         self.drive = loop.Drive(
             rig(),
             self.codec,

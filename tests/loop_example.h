@@ -9,7 +9,7 @@
 #include <unistd.h>
 
 #include "law_example.h"
-#include "rthyb.h"
+#include "loop_state.h"
 
 #define EXAMPLE_K_E 666400.0
 #define EXAMPLE_PERIOD_S (1.0 / 1024.0)
@@ -21,6 +21,7 @@ typedef struct {
     rthyb_station station;
     rthyb_wire wire;
     rthyb_link near, far;
+    rthyb_loop_config config;
     rthyb_loop loop;
     double ag_mps2[EXAMPLE_TICKS];
 } loop_example;
@@ -43,7 +44,7 @@ static rthyb_station_config loop_example_station(void)
                        .velocity_limit_m_per_s = 0.5},
         .path_velocity_m_per_s = 0.05,
         .path_acceleration_m_per_s2 = 1.0,
-        .rest_spread_m = 1e-4,
+        .axis = {{.rest_spread_m = 1e-4}},
         .tare_ticks = 16,
         .ramp_in_ticks = 64,
         .armed_ticks = 500,
@@ -62,7 +63,7 @@ static int loop_example_links(loop_example *e)
     return error;
 }
 
-/* Everything but the loop itself, whose members the caller may still change; 0, or what was refused. */
+/* Everything but the loop itself, whose settings the caller may still change; 0, or what was refused. */
 static int loop_example_set_up(loop_example *e)
 {
     const double stiffness = EXAMPLE_K_E;
@@ -83,14 +84,20 @@ static int loop_example_set_up(loop_example *e)
     e->drive.codec = codec;
     e->drive.calibration = identity;
     e->drive.stop_decel_m_per_s2 = 1.0;
-    e->loop.station = &e->station;
-    e->loop.wire = &e->wire;
-    e->loop.link = &e->near;
-    e->loop.calibration = identity;
-    e->loop.lead_ns = 200e3;
-    e->loop.ag_mps2 = e->ag_mps2;
-    e->loop.ag_count = EXAMPLE_TICKS;
+    e->config.station = &e->station;
+    e->config.wire = &e->wire;
+    e->config.link = &e->near;
+    e->config.calibration = identity;
+    e->config.lead_ns = 200e3;
+    e->config.ag_mps2 = e->ag_mps2;
+    e->config.ag_count = EXAMPLE_TICKS;
     return error;
+}
+
+static inline int loop_example_init(loop_example *e, int32_t clock)
+{
+    e->config.clock = clock;
+    return rthyb_loop_init(&e->loop, &e->config);
 }
 
 static inline void loop_example_close(loop_example *e)

@@ -18,6 +18,7 @@
 #include <time.h>
 
 #include "loop_example.h"
+#include "relaxed.h"
 
 enum { TICKS = 40000, WATCHERS = 2, READERS = 3, CAPACITY = 256, BATCH = 32 };
 enum { TICKERS = 60, GRANTERS = 2, GRANTS = 200 };
@@ -52,11 +53,6 @@ static void must(int holds, const char *what)
     __atomic_fetch_add(&faults, 1, __ATOMIC_RELAXED);
 }
 
-static uint64_t peek(const uint64_t *word)
-{
-    return __atomic_load_n(word, __ATOMIC_RELAXED);
-}
-
 static int is_over(const bench *b)
 {
     return (int)__atomic_load_n(&b->over, __ATOMIC_ACQUIRE);
@@ -89,8 +85,8 @@ static void set_up(bench *b, int32_t clock)
     }
     memset(b->map, 0, b->bytes);
     rthyb_ring_init(&b->ring, b->map, CAPACITY, 0, 0);
-    b->e.loop.ring = &b->ring;
-    must(rthyb_loop_init(&b->e.loop, clock) == 0, "the loop takes its clock");
+    b->e.config.ring = &b->ring;
+    must(loop_example_init(&b->e, clock) == 0, "the loop takes its clock");
 }
 
 static void tear_down(bench *b)
@@ -129,8 +125,7 @@ static void look(bench *b, rthyb_ticker_counts *last)
     must(counts.elapsed >= last->elapsed && counts.executed >= last->executed,
          "counters never fall");
     *last = counts;
-    (void)(peek((const uint64_t *)&loop->arrival_error_ns) +
-           peek((const uint64_t *)&loop->trim_ppb) +
+    (void)((uint64_t)(peek_signed(&loop->arrival_error_ns) + peek_signed(&loop->trim_ppb)) +
            sum((const uint64_t *)&loop->counters, sizeof loop->counters / 8) +
            sum((const uint64_t *)&b->e.near.counters, sizeof b->e.near.counters / 8) +
            peek(&b->e.near.down) + sum(loop->delays, RTHYB_LINK_DELAYS) +
@@ -362,7 +357,7 @@ static void stepped_test(bench *b, int race)
     company c;
     set_up(b, RTHYB_CLOCK_STEPPED);
     b->race = (uint32_t)race;
-    must(rthyb_loop_start(&b->e.loop) == 0, "the tick thread starts");
+    must(rthyb_loop_start(&b->e.loop, 0, -1, -1) == 0, "the tick thread starts");
     gather(&c, b);
     run_stepped(b);
     rthyb_ticker_stop(&b->e.loop.ticker);
@@ -398,7 +393,7 @@ static void real_time_test(bench *b, int32_t clock, const char *name)
     set_up(b, clock);
     must(rthyb_ticker_init(&b->drive_clock, RTHYB_CLOCK_HOST, rthyb_now_ns()) == 0, "a clock");
     start(&thread, drive, b);
-    must(rthyb_loop_start(&b->e.loop) == 0, "the tick thread starts");
+    must(rthyb_loop_start(&b->e.loop, 0, -1, -1) == 0, "the tick thread starts");
     gather(&c, b);
     sleep_ns(REAL_TIME_NS);
     rthyb_ticker_stop(&b->e.loop.ticker);

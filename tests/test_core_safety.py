@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -506,13 +507,18 @@ def test_station_in_use_outlives_the_loads_that_nobody_asks_after() -> None:
     with Bench(seconds=0.2) as bench:
         bench.steps(30)
         for _ in range(3):
-            bench.loop.load(core.Station(bench.config, bench.ag), None)
+            station = core.Station(bench.config, bench.ag)
+            in_use = weakref.ref(station)
+            bench.loop.load(station, None)
+            del station
             with pytest.raises(core.CoreError, match="not been taken up yet"):
                 bench.loop.load(core.Station(bench.config, bench.ag), None)
             bench.steps(1)
-            in_use = bench.loop._c.station
-            stations = [one for one in gc.get_objects() if isinstance(one, core.Station)]
-            assert any(one._c == in_use for one in stations)
+            gc.collect()
+            alive = in_use()
+            assert alive is not None
+            assert alive._c.tick == 1
+            del alive
 
 
 @pytest.mark.usefixtures("biased")

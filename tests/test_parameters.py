@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import subprocess
 import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,13 +15,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_bench import FLAGS, STATE, Bench, H
-from rthyb_rt._core import ffi, lib
 
 from rthyb_rt import core
 
 pytestmark = pytest.mark.alone
 
 WATCHABLE = core.WATCHABLE
+TESTS = Path(__file__).parent
 
 
 def changed(bench: Bench, **changes: Any) -> core.Parameters:
@@ -222,23 +224,14 @@ def test_any_set_arrives_as_it_was_given(wanted: list[core.Parameters]) -> None:
             assert in_force(bench) == one
 
 
-def test_set_that_is_half_written_is_left_for_the_tick_after() -> None:
-    with Bench() as bench:
-        bench.running()
-        before = in_force(bench)
-        handover = bench.loop._c.handover
-        wanted = changed(bench, velocity_limit_m_per_s=0.125, adapt=False)
-        struct = wanted.struct(7)
-        words = ffi.cast("uint64_t *", struct)
-        handover.stamp += 1
-        for n in range(lib.RTHYB_PARAMETER_WORDS):
-            handover.words[n] = words[n]
-            bench.step()
-            assert in_force(bench) == before
-        handover.stamp += 1
-        bench.step()
-        assert in_force(bench) == wanted
-        assert bench.records[-1]["generation"] == [7]
+def test_set_that_is_half_written_is_left_for_the_tick_after(tmp_path: Path) -> None:
+    core_sources, program = TESTS.parent / "csrc", tmp_path / "handover"
+    sources = [TESTS / "handover.c", core_sources / "parameters.c"]
+    subprocess.run(
+        ["gcc", "-std=c11", f"-I{core_sources}", *sources, "-lm", "-o", program], check=True
+    )
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert done.stdout == "0\n"
 
 
 def test_no_tick_ever_has_half_of_one_set_and_half_of_another() -> None:

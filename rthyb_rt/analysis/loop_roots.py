@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.analysis import margins
+from rthyb_rt.analysis.linear_parts import LinearPart
 from rthyb_rt.config import response, rigsettings
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.core import ControllerConfig, LawConfig
 from rthyb_rt.core.laws import LAWS
-from rthyb_rt.core.numerical_parts import DensePart
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -115,12 +115,9 @@ def numerical(config: ControllerConfig) -> Block:
         top, bottom = margins.compliance(config.motion)
         whole = np.asarray(np.polyadd(bottom, config.motion.stiffness_n_per_m * top), np.float64)
         return rational(-top, whole)
-    part = config.numerical
-    a, b = DensePart(part).step_matrices()
-    c = np.zeros((1, len(a)))
-    c[0, part.at] = 1.0
-    whole_part = Block(a, b, c, np.zeros(1))
+    part = LinearPart.of(config.numerical)
     late = rational(np.array([1.0]), np.array([1.0, 0.0]))
+    whole_part = Block(part.a, part.b, part.c[None, :], np.zeros(1))
     return late.then(whole_part) if part.force_delay else whole_part
 
 

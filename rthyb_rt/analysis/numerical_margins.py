@@ -1,16 +1,17 @@
-"""How long a delay a numerical part given by matrices survives: `margins` for many degrees."""
+"""How long a delay a numerical part of many degrees of freedom survives, as `margins` has it."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rthyb_rt.analysis.linear_parts import LinearPart
 from rthyb_rt.analysis.margins import Lead, SampledLead
 from rthyb_rt.config.numerical_structure import Structure
-from rthyb_rt.core.numerical_parts import DensePart
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -25,10 +26,15 @@ class ManyDegrees:
 
     structure: Structure
 
+    @functools.cached_property
+    def linear(self) -> LinearPart:
+        """The part as the loop meets it."""
+        return LinearPart.of(self.structure.part)
+
     def is_stable(self, delay_samples: int, lead: Lead | SampledLead | None = None) -> bool:
         """As `margins.DelayedStructure` has it."""
-        part = self.structure.part
-        a, b = DensePart(part).step_matrices()
+        part = self.linear
+        a, b = part.a, part.b
         rows = len(a)
         top, bottom = (lead or Lead()).polynomials()
         feed, back = top / bottom[0], bottom / bottom[0]
@@ -40,7 +46,7 @@ class ManyDegrees:
         size = ahead + late
         m = np.zeros((size, size))
         row = np.zeros(size)
-        row[part.at] = feed[0]
+        row[:rows] = feed[0] * part.c
         row[rows:led], row[led:ahead] = feed[1:], -back[1:]
         m[:rows, :rows] = a
         if late:
@@ -50,7 +56,7 @@ class ManyDegrees:
         else:
             m[:rows, :] += part.k_e_n_per_m * np.outer(b, row)
         if kept:
-            m[rows, part.at] = 1.0
+            m[rows, :rows] = part.c
             m[led, :] = row
             for first in (rows, led):
                 m[np.arange(first + 1, first + kept), np.arange(first, first + kept - 1)] = 1.0
@@ -58,21 +64,15 @@ class ManyDegrees:
 
     def loop(self, lead: Lead | SampledLead) -> tuple[Callable[[Complexes], Complexes], Floats]:
         """As `margins.DelayedStructure` has it."""
-        part = self.structure.part
-        a, b = DensePart(part).step_matrices()
-        top, bottom = lead.polynomials()
-        one, at = np.eye(len(a)), part.at
+        part, (top, bottom) = self.linear, lead.polynomials()
 
         def of(z: Complexes) -> Complexes:
-            by_force = np.broadcast_to(b[:, None], (z.size, b.size, 1))
-            moved = np.linalg.solve(z[:, None, None] * one - a, by_force)
             lead_gain = np.polyval(top, z) / np.polyval(bottom, z)
             # The part's b has the force's sign.
-            return np.asarray(
-                -part.k_e_n_per_m * moved[:, at, 0] * lead_gain * z**-part.force_delay
-            )
+            moved = -part.k_e_n_per_m * part.response(z)
+            return np.asarray(moved * lead_gain * z**-part.force_delay)
 
-        return of, np.abs(np.angle(np.linalg.eigvals(a)))
+        return of, np.abs(np.angle(np.linalg.eigvals(part.a)))
 
     def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
         """As `margins.DelayedStructure` has it."""

@@ -199,18 +199,27 @@ class Loop:
     ) -> None:
         self._calibration = calibration
         self._kept = (station, wire, link, ring)
-        self._c = ffi.new("rthyb_loop *")
+        # Doubles, for the sake of their alignment.
+        self._memory = ffi.new("double[]", lib.rthyb_loop_size() // ffi.sizeof("double") + 1)
+        self._c = ffi.cast("rthyb_loop *", self._memory)
         self._ag = ffi.from_buffer("double[]", station._ag)
-        self._c.station, self._c.wire, self._c.link = station._c, wire.struct, link.struct
-        self._c.ring = ffi.NULL if ring is None else ring.pointer
-        self._c.ag_mps2, self._c.ag_count = self._ag, station._ag.size
-        self._c.calibration = calibration.struct()[0]
-        self._c.lead_ns = lead_us * 1e3
-        if lib.rthyb_loop_init(self._c, _CLOCKS[clock]):
+        config = {
+            "station": station._c,
+            "wire": wire.struct,
+            "link": link.struct,
+            "ring": ffi.NULL if ring is None else ring.pointer,
+            "ag_mps2": self._ag,
+            "ag_count": station._ag.size,
+            "calibration": calibration.struct()[0],
+            "clock": _CLOCKS[clock],
+            "unpaced": not paced,
+            "lead_ns": lead_us * 1e3,
+        }
+        if lib.rthyb_loop_init(self._c, ffi.new("rthyb_loop_config *", config)):
             raise core.CoreError(
                 f"a pair cannot arrive {lead_us} us before its tick: 10 to 488 us are possible"
             )
-        self._c.unpaced = not paced
+        self._clock = clock
         self._running = False
         self._ring = None if ring is None else ring.pointer
         self._next: tuple[core.Station, RingMemory | None, Any, Any] | None = None
@@ -238,15 +247,11 @@ class Loop:
 
         None: nothing was ever sent, or it did not end at rest.
         """
-        station = self._c.station
-        if not station.seen or self.state not in ("IDLE", "ZEROED", "ARMED"):
+        x_cmd_m, x_m = ffi.new("double *"), ffi.new("double *")
+        seq = ffi.new("uint32_t *")
+        if not lib.rthyb_loop_last(self._c, x_cmd_m, x_m, seq):
             return None
-        return LastCommand(
-            float(station.controller.x_cmd + station.tare_cmd),
-            float(station.seen_x),
-            int(self._c.wire.seq),
-            self._calibration,
-        )
+        return LastCommand(x_cmd_m[0], x_m[0], seq[0], self._calibration)
 
     def step(self, skipped: int = 0) -> None:
         """Run one tick of the stepped clock, after ``skipped`` that nobody executes."""
@@ -273,8 +278,7 @@ class Loop:
         Raises:
             RthybError: the system refused a thread.
         """
-        self._c.priority, self._c.cpu, self._c.latency_fd = priority, cpu, latency_fd
-        error = lib.rthyb_loop_start(self._c)
+        error = lib.rthyb_loop_start(self._c, priority, cpu, latency_fd)
         if error:
             raise RthybError(f"the tick thread was not started: {os.strerror(error)}")
         self._running = True
@@ -294,7 +298,7 @@ class Loop:
         for _ in range(_FAREWELLS):
             if not lib.rthyb_loop_leave(self._c):
                 return
-            if self._c.ticker.clock != lib.RTHYB_CLOCK_STEPPED:
+            if self._clock != "stepped":
                 time.sleep(core.PERIOD_S)
 
     def grant(self, ticks: int) -> None:
@@ -351,7 +355,7 @@ class Loop:
     @property
     def load_tick(self) -> int:
         """Tick of the loop in which the present station had its tick 0; after a load."""
-        return int(self._c.load_tick)
+        return int(self._look().load_tick)
 
     def set_parameters(self, parameters: core.Parameters) -> int:
         """Publish a set of parameters; return its generation, which records then show.
@@ -386,55 +390,59 @@ class Loop:
     @property
     def state(self) -> str:
         """Name of the station's state after the last tick; readable at any time."""
-        return str(core.STATES[self._c.state])
+        return str(core.STATES[self._look().state])
 
     @property
     def cause(self) -> str:
         """The station's latched first cause; readable at any time."""
-        return str(core.CAUSES[self._c.cause])
+        return str(core.CAUSES[self._look().cause])
 
     @property
     def cause_tick(self) -> int:
         """Tick in which that cause came up; readable at any time."""
-        return int(self._c.cause_tick)
+        return int(self._look().cause_tick)
 
     @property
     def began_ns(self) -> int:
         """CLOCK_MONOTONIC at the records' ``due_ns`` 0; stepped clock: 0; readable at any time."""
-        return int(self._ticker.t0_ns)
+        return int(self._look().began_ns)
 
     @property
     def locked(self) -> bool:
         """Link clock: whether the ticks follow the drive's samples; readable at any time."""
-        return bool(self._c.locked)
+        return bool(self._look().locked)
 
     @property
     def arrival_error_us(self) -> float:
         """Link clock: how long after the wanted instant pairs arrive, smoothed; at any time."""
-        return int(self._c.arrival_error_ns) / 1e3
+        return int(self._look().arrival_error_ns) / 1e3
 
     @property
     def trim_ppm(self) -> float:
         """Link clock: by how much the period is made longer, mean of 4 s; readable at any time."""
-        return int(self._c.trim_ppb) / 1e3
+        return int(self._look().trim_ppb) / 1e3
 
     @property
     def records(self) -> core.RecordArray:
         """Records of the last tick, a copy; not while a thread runs."""
-        raw = ffi.buffer(self._c.records, self._c.record_count * core.RECORD_DTYPE.itemsize)
+        count = ffi.new("uint32_t *")
+        records = lib.rthyb_loop_records(self._c, count)
+        raw = ffi.buffer(records, count[0] * core.RECORD_DTYPE.itemsize)
         return np.frombuffer(bytes(raw), core.RECORD_DTYPE)
 
     @property
     def link_delay(self) -> int | None:
         """Samples from command to feedback that the wire takes, by the last echo."""
-        return None if self._c.delay < 0 else int(self._c.delay)
+        delay = int(self._look().delay)
+        return None if delay < 0 else delay
 
     def link_delays(self) -> npt.NDArray[np.int64]:
         """Return how many pairs of the RUNNING state the wire delayed by n samples, (256,).
 
         The last one: that and more. Readable at any time.
         """
-        return np.array(list(self._c.delays), dtype=np.int64)
+        delays = lib.rthyb_loop_delays(self._c)
+        return np.array(list(delays[0 : lib.RTHYB_LINK_DELAYS]), dtype=np.int64)
 
     @property
     def counts(self) -> Counts:
@@ -445,30 +453,38 @@ class Loop:
 
     def counters(self) -> dict[str, int]:
         """Return every counter of ``rthyb_loop_counters`` by name; readable at any time."""
-        return _by_name(self._c.counters)
+        return _by_name(lib.rthyb_loop_counted(self._c)[0])
 
     @property
     def wake(self) -> Latency:
         """Histogram of the wake-up latency; readable at any time."""
-        return Latency(ffi.addressof(self._c.ticker, "wake"), self._c)
+        return Latency(ffi.addressof(self._ticker, "wake"), self._memory)
 
     @property
     def sent(self) -> Latency:
         """Histogram of the time from wake-up to the command being sent; readable at any time."""
-        return Latency(ffi.addressof(self._c, "sent"), self._c)
+        return Latency(lib.rthyb_loop_sent(self._c), self._memory)
 
     @property
     def privileges(self) -> list[str]:
         """What the thread obtained; names of `rthyb_rt.core.ticker.PRIVILEGES`."""
-        return privilege_names(self._c.privileges)
+        return privilege_names(lib.rthyb_loop_ended(self._c, ffi.new("rthyb_usage *")))
 
     def usage(self) -> dict[str, int]:
         """Return what the system did to the thread, once it has ended: ``rthyb_usage`` by name."""
-        return _by_name(self._c.usage)
+        usage = ffi.new("rthyb_usage *")
+        lib.rthyb_loop_ended(self._c, usage)
+        return _by_name(usage[0])
 
     @property
     def _ticker(self) -> Any:
-        return ffi.addressof(self._c, "ticker")
+        return lib.rthyb_loop_ticker(self._c)
+
+    def _look(self) -> Any:
+        """Return a ``rthyb_loop_view``."""
+        view = ffi.new("rthyb_loop_view *")
+        lib.rthyb_loop_look(self._c, view)
+        return view
 
 
 @dataclass(frozen=True)

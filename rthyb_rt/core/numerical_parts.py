@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,34 +11,41 @@ import numpy.typing as npt
 from rthyb_rt import core
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core import CoreError, DenseConfig, ElementConfig, FloatArray
+from rthyb_rt.core.settings import fill_part
+from rthyb_rt.core.sparse import SparseConfig
 
 
-class DensePart:
-    """A linear part of up to `core.DENSE_MAX` degrees of freedom; raises ``CoreError``.
+class Part:
+    """A numerical part with one or more interfaces; raises ``CoreError``.
 
     Args:
         config: its matrices and integrator.
-        x0_m: where the interface is at rest.
+        x0_m: where the interface is at rest; a sparse part begins where its settings say.
     """
 
-    def __init__(self, config: DenseConfig, x0_m: float = 0.0) -> None:
-        self.config = config
-        self._settings, self._state = config.struct(), ffi.new("rthyb_dense *")
-        kind = lib.RTHYB_NUMERICAL_DENSE
-        self._c = ffi.new(
-            "rthyb_numerical *", {"kind": kind, "cfg": self._settings, "state": self._state}
-        )
+    refused = "the numerical part was refused: every number must be finite and sensible"
+
+    def __init__(self, config: DenseConfig | SparseConfig, x0_m: float = 0.0) -> None:
+        self._c = ffi.new("rthyb_numerical *")
+        self._kept = fill_part(self._c, config)
         if lib.rthyb_numerical_init(self._c, x0_m):
-            raise CoreError(
-                "the numerical part was refused: mass must be positive definite, every matrix "
-                "symmetric and finite, the starting value sensible"
-            )
-        self._out = ffi.new("double *")
+            raise CoreError(self.refused)
+        self._period_s = config.period_s
+        self._interfaces = int(lib.rthyb_numerical_interfaces(self._c))
+        self._forces = ffi.new("double[]", self._interfaces)
+        self._out = ffi.new("double[]", self._interfaces)
 
     def answer(self, ag_mps2: float, force_n: float) -> tuple[float, int]:
         """Return x[n+1] of the interface from ground acceleration and force at t_n; status bits."""
-        code = lib.rthyb_numerical_answer(self._c, ag_mps2, force_n, self._out)
-        return self._out[0], code
+        x, code = self.answer_all(ag_mps2, [force_n])
+        return float(x[0]), code
+
+    def answer_all(self, ag_mps2: float, force_n: Sequence[float]) -> tuple[FloatArray, int]:
+        """Return the same of all interfaces, (m,), from a force at each, (m,)."""
+        for i, force in enumerate(force_n):
+            self._forces[i] = force
+        code = lib.rthyb_numerical_answer(self._c, ag_mps2, self._forces, self._out)
+        return np.array(list(self._out)), int(code)
 
     def advance(self) -> int:
         """Do the rest of the step that was answered; return the status bits."""
@@ -48,61 +56,125 @@ class DensePart:
         x, code = self.answer(ag_mps2, force_n)
         return x, code | self.advance()
 
+    def look(self) -> Any:
+        """Return the first interface at t_n as the core's ``rthyb_interface``."""
+        all_of_them = ffi.new("rthyb_interface[]", self._interfaces)
+        lib.rthyb_numerical_look(self._c, all_of_them)
+        return all_of_them[0]
+
     def freeze(self, force_n: float) -> None:
         """Let a tick pass in which the interface follows a path, with this force."""
-        lib.rthyb_numerical_freeze(self._c, force_n)
+        self._forces[0] = force_n
+        lib.rthyb_numerical_freeze(self._c, self._forces)
+
+    @property
+    def state_bytes(self) -> int:
+        """Size of a state."""
+        return int(lib.rthyb_numerical_size(self._c))
 
     def save(self) -> bytes:
         """Return the state."""
-        kept = ffi.new("char[]", lib.rthyb_numerical_size(self._c.kind))
+        kept = ffi.new("char[]", self.state_bytes)
         lib.rthyb_numerical_save(self._c, kept)
         return bytes(ffi.buffer(kept))
 
     def restore(self, state: bytes) -> None:
         """Go on from a state that `save` gave."""
-        if len(state) != lib.rthyb_numerical_size(self._c.kind):
-            raise CoreError(f"a state of {len(state)} bytes is none of a dense part")
+        if len(state) != self.state_bytes:
+            raise CoreError(f"a state of {len(state)} bytes is none of this part")
         lib.rthyb_numerical_restore(self._c, ffi.from_buffer(state))
+
+    def reported(self, most: int) -> FloatArray:
+        """Return what the part reports, up to so many values."""
+        values = np.zeros(most)
+        out = ffi.from_buffer("double[]", values, require_writable=True)
+        return values[: lib.rthyb_numerical_report(self._c, out, most)]
+
+    def joined(
+        self, elements: Sequence[ElementConfig], ag_mps2: npt.ArrayLike, reports: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Run the part with elements at its interface and nothing between them.
+
+        Args:
+            elements: what resists there.
+            ag_mps2: ground acceleration at every sample, (n,).
+            reports: so many values are reported at each.
+
+        Returns:
+            Displacement, velocity and force at the interface, (n,) each; what was reported,
+            (n, reports).
+
+        Raises:
+            CoreError: too many elements, more than one interface, or a ground motion that is not
+                finite.
+        """
+        ag = core.finite_motion(elements, ag_mps2)
+        if self._interfaces != 1:
+            raise CoreError(f"a reference of {self._interfaces} interfaces is not simulated")
+        array = core.element_array(elements)
+        x, v, f = np.empty_like(ag), np.empty_like(ag), np.empty_like(ag)
+        everywhere = np.empty((ag.size, reports))
+        out = [
+            ffi.from_buffer("double[]", one, require_writable=True)
+            for one in (x, v, f, everywhere.reshape(-1))
+        ]
+        period_s, samples = self._period_s, ffi.from_buffer("double[]", ag)
+        lib.rthyb_numerical_reference(
+            self._c, array, len(elements), samples, ag.size, period_s, *out, reports
+        )
+        return x, v, f, everywhere
+
+
+class DensePart(Part):
+    """A linear part of up to `core.DENSE_MAX` degrees of freedom."""
+
+    refused = (
+        "the numerical part was refused: mass must be positive definite, every matrix "
+        "symmetric and finite, the starting value sensible"
+    )
+
+    def __init__(self, config: DenseConfig, x0_m: float = 0.0) -> None:
+        super().__init__(config, x0_m)
+        self.config = config
 
     def step_matrices(self) -> tuple[FloatArray, FloatArray]:
         """Return A (2n, 2n) and b (2n,) of s[n+1] = A s[n] + b force[n], s = (x, v)."""
         rows = 2 * len(self.config.load_kg)
-        step = np.array(list(self._state.step[0 : rows * rows])).reshape(rows, rows)
-        return step + np.eye(rows), np.array(list(self._state.by_force[0:rows]))
+        state = ffi.cast("rthyb_dense *", self._c.state)
+        step = np.array(list(state.step[0 : rows * rows])).reshape(rows, rows)
+        return step + np.eye(rows), np.array(list(state.by_force[0:rows]))
 
     def displacements(self) -> FloatArray:
         """Return where every degree of freedom is, m, (n,)."""
-        values = np.zeros(core.DENSE_MAX)
-        count = lib.rthyb_numerical_report(
-            self._c, ffi.from_buffer("double[]", values, require_writable=True), values.size
-        )
-        return values[:count]
+        return self.reported(core.DENSE_MAX)
 
     def reference(
         self, elements: Sequence[ElementConfig], ag_mps2: npt.ArrayLike
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return displacement, velocity and specimen force at the interface, each (n,).
 
-        Then the displacement of every degree of freedom, (n, degrees of freedom).
-
-        Raises ``CoreError`` for too many elements or a ground motion that is not finite.
+        Then the displacement of every degree of freedom, (n, degrees of freedom); see `joined`.
         """
-        ag = core.finite_motion(elements, ag_mps2)
-        array = core.element_array(elements)
-        x, v, f = np.empty_like(ag), np.empty_like(ag), np.empty_like(ag)
-        everywhere = np.empty((ag.size, len(self.config.load_kg)))
-        out = [
-            ffi.from_buffer("double[]", one, require_writable=True)
-            for one in (x, v, f, everywhere.reshape(-1))
-        ]
-        lib.rthyb_numerical_reference(
-            self._c,
-            array,
-            len(elements),
-            ffi.from_buffer("double[]", ag),
-            ag.size,
-            self.config.period_s,
-            *out,
-            everywhere.shape[1],
-        )
-        return x, v, f, everywhere
+        return self.joined(elements, ag_mps2, len(self.config.load_kg))
+
+
+class SparsePart(Part):
+    """A part of any size, with elements between its degrees of freedom."""
+
+    def __init__(self, config: SparseConfig) -> None:
+        super().__init__(config)
+        self.config = config
+        place = self._kept[2].place
+        self._place = np.asarray(place)
+
+    def displacements(self) -> FloatArray:
+        """Return where every degree of freedom is, m, (n,)."""
+        values = np.zeros(self.config.size)
+        state = ffi.cast("rthyb_sparse *", self._c.state)
+        out = ffi.from_buffer("double[]", values, require_writable=True)
+        lib.rthyb_sparse_displacements(self._c.cfg, state, out, values.size)
+        return np.asarray(values[self._place])
+
+    def responses(self) -> FloatArray:
+        """Return the responses: of this sample between `answer` and `advance`, (count,)."""
+        return self.reported(len(self.config.responses))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.laws import LAWS
 from rthyb_rt.core.library import CoreError, check, options
 from rthyb_rt.core.sizes import DENSE_MAX, ELEMENTS_MAX, PERIOD_S
+
+if TYPE_CHECKING:
+    from rthyb_rt.core.sparse import SparseConfig
 
 EstimatorLaw = Literal["fixed", "gradient", "robust", "rls"]
 Tangent = Literal["mean-of-ratios", "least-squares"]
@@ -255,7 +258,7 @@ class ControllerConfig:
     velocity_limit_m_per_s: float = 0.0
     acceleration_limit_m_per_s2: float = 0.0
     clamp_m: float = 0.0
-    numerical: DenseConfig | None = None
+    numerical: DenseConfig | SparseConfig | None = None
 
 
 ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
@@ -352,14 +355,21 @@ def mapping(config: Any) -> dict[str, Any]:
     return {name: _value(name, value) for name, value in given.items() if value is not None}
 
 
-def fill_part(slot: Any, config: DenseConfig | None) -> list[Any]:
+def fill_part(slot: Any, config: DenseConfig | SparseConfig | None) -> list[Any]:
     """Have a controller compute with a numerical part of its own; return what must stay alive."""
     if config is None:
         return []
-    settings = config.struct()
-    state = ffi.new("rthyb_dense *")
-    slot.kind, slot.cfg, slot.state = lib.RTHYB_NUMERICAL_DENSE, settings, state
-    return [settings, state]
+    if isinstance(config, DenseConfig):
+        settings, kept = config.struct(), list[Any]()
+        slot.kind = lib.RTHYB_NUMERICAL_DENSE
+    else:
+        settings, *kept = config.struct()
+        slot.kind = lib.RTHYB_NUMERICAL_SPARSE
+    slot.cfg = settings
+    part = slot if ffi.typeof(slot).kind == "pointer" else ffi.addressof(slot)
+    state = ffi.new("double[]", lib.rthyb_numerical_size(part) // 8 + 1)
+    slot.state = state
+    return [settings, state, *kept]
 
 
 def struct_of(ctype: str, config: Any) -> Any:

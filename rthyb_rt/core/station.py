@@ -31,6 +31,7 @@ from rthyb_rt.core.settings import (
     mapping,
     struct_of,
 )
+from rthyb_rt.core.sparse import SparseConfig
 
 if TYPE_CHECKING:
     from rthyb_rt.core.wire import Codec
@@ -93,7 +94,14 @@ class StationConfig:
 
     def plain(self) -> dict[str, Any]:
         """Return all of it as plain values, for a recording: `of` takes them back."""
-        return dataclasses.asdict(self)
+        part = self.controller.numerical
+        if part is None or isinstance(part, DenseConfig):
+            return dataclasses.asdict(self)
+        bare = dataclasses.asdict(
+            replace(self, controller=replace(self.controller, numerical=None))
+        )
+        bare["controller"]["numerical"] = part.plain()
+        return bare
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> StationConfig:
@@ -110,7 +118,7 @@ class StationConfig:
             parts = {"law": LawConfig, "rfc": RfcConfig, "motion": MotionConfig}
             inner |= {name: kind(**inner[name]) for name, kind in parts.items()}
             if inner.get("numerical") is not None:
-                inner["numerical"] = _dense(inner["numerical"])
+                inner["numerical"] = _numerical(inner["numerical"])
             watches = {name: Watch(**watch) for name, watch in given.pop("watches").items()}
             return cls(controller=ControllerConfig(**inner), watches=watches, **given)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -193,8 +201,10 @@ class StationTick:
     records: RecordArray = field(repr=False)
 
 
-def _dense(plain: Mapping[str, Any]) -> DenseConfig:
+def _numerical(plain: Mapping[str, Any]) -> DenseConfig | SparseConfig:
     """Return a part's settings from plain values, lists for tuples."""
+    if plain.get("kind") == "sparse":
+        return SparseConfig.of_plain(plain)
 
     def frozen(value: Any) -> Any:
         return tuple(frozen(v) for v in value) if isinstance(value, (list, tuple)) else value
@@ -250,6 +260,9 @@ class Station:
 
     def __init__(self, config: StationConfig, ag_mps2: npt.ArrayLike) -> None:
         plain = {k: v for k, v in _mapping_of(config).items() if k != "watches"}
+        axis = {name: plain.pop(name) for name in ("rest_spread_m", "tare_most_m", "tare_most_n")}
+        ranges = {name: plain["controller"][name] for name in ("x_range_m", "f_range_n")}
+        plain["axis"] = [axis | ranges]
         struct = ffi.new("rthyb_station_config *", plain)
         self._part = fill_part(struct.controller.numerical, config.controller.numerical)
         _fill_watches(struct.watch, config.watches)
@@ -276,8 +289,9 @@ class Station:
         ``taken_over_m``: with the first sound reading, the command that the drive has already.
         """
         i = self._in
-        i.taken_over, i.x_cmd_m = taken_over_m is not None, taken_over_m or 0.0
-        i.x_m, i.f_n, i.lost = x_m, f_n, lib.RTHYB_LOST if lost else 0
+        i.taken_over = taken_over_m is not None
+        i.axis[0] = {"x_m": x_m, "f_n": f_n, "x_cmd_m": taken_over_m or 0.0}
+        i.lost = lib.RTHYB_LOST if lost else 0
         i.skipped, i.command = skipped, COMMANDS.index(command)
         i.link_down, i.drive_stopped, i.heartbeat_late = link_down, drive_stopped, heartbeat_late
         records = np.zeros(BLIND_MAX + 1, dtype=RECORD_DTYPE)
@@ -286,7 +300,7 @@ class Station:
         )
         out = self._out
         return StationTick(
-            x_cmd_m=out.x_cmd_m,
+            x_cmd_m=out.axis[0].x_cmd_m,
             sent=bool(out.send),
             state=STATES[out.state],
             refused=bool(out.refused),
@@ -408,12 +422,12 @@ class Station:
     @property
     def tare(self) -> tuple[float, float]:
         """Offsets taken off displacement (m) and force (N)."""
-        return self._c.tare_x, self._c.tare_f
+        return self._c.axis[0].tare_x, self._c.axis[0].tare_f
 
     @property
     def command_tare_m(self) -> float:
         """What is added to a command on its way to the drive: where that stood at the tare, m."""
-        return float(self._c.tare_cmd)
+        return float(self._c.axis[0].tare_cmd)
 
 
 def command_of(flags: int) -> Command:

@@ -77,7 +77,7 @@ def main(spec: dict[str, Any]) -> int:
             def listen() -> None:
                 while not daemon.engine.loop.counts.elapsed:
                     threading.Event().wait(0.001)
-                print(daemon.engine.loop._c.ticker.t0_ns, flush=True)
+                print(daemon.engine.loop.began_ns, flush=True)
                 watched = Watched(daemon)
                 for _ in sys.stdin:
                     print(json.dumps(watched.said()), flush=True)

@@ -1,0 +1,130 @@
+"""A virtual rig of several axes that feel one another (``csrc/coupled_plant.c``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.kinematics import AXES_MAX, Kinematics
+from rthyb_rt.core.library import CoreError, FloatArray, check, doubles, reading, writing
+from rthyb_rt.core.sizes import PERIOD_S
+
+STATES_MAX: Final = int(lib.RTHYB_PLANT_STATES)
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledPlantConfig:
+    """Plant, sensors and specimen of a `CoupledPlant`.
+
+    Attributes:
+        a, b, c: s[n+1] = a s[n] + b u[n], x[n] = c s[n], u the commands held from t_n on, m;
+            (states, states), (states, axes), (axes, states).
+        kinematics: of the axes; its settings are copied.
+        stroke_m: how far a command goes either way, one an axis.
+        noise_m: standard deviation of a reading, white, one an axis.
+        stiffness, damping, mass: forces of the specimen by the pose that is read, its velocity and
+            its acceleration, both by backward differences, (forces, axes) each.
+        seed: of the noise.
+        period_s: of a sample.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    kinematics: Kinematics
+    stroke_m: tuple[float, ...]
+    noise_m: tuple[float, ...]
+    stiffness: FloatArray
+    damping: FloatArray
+    mass: FloatArray
+    seed: int = 0
+    period_s: float = PERIOD_S
+
+    def struct(self) -> Any:
+        """Return the C struct; raises ``CoreError`` for shapes that do not go together."""
+        axes, states, forces = len(self.noise_m), len(self.a), len(self.stiffness)
+        shapes = {
+            "a": (states, states),
+            "b": (states, axes),
+            "c": (axes, states),
+            "stiffness": (forces, axes),
+            "damping": (forces, axes),
+            "mass": (forces, axes),
+            "stroke_m": (axes,),
+        }
+        for name, shape in shapes.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise CoreError(
+                    f"{name} of a plant of {states} states, {axes} axes and {forces} forces has the"
+                    f" shape {shape}, got {np.shape(getattr(self, name))}"
+                )
+        if not (1 <= axes <= AXES_MAX and 1 <= states <= STATES_MAX and forces <= AXES_MAX):
+            raise CoreError(
+                f"a plant has up to {AXES_MAX} axes and forces and {STATES_MAX} states, got "
+                f"{axes}, {forces} and {states}"
+            )
+        return ffi.new(
+            "rthyb_coupled_plant_config *",
+            {name: np.asarray(getattr(self, name), np.float64).tolist() for name in shapes}
+            | {
+                "size": axes,
+                "states": states,
+                "forces": forces,
+                "period_s": self.period_s,
+                "noise_m": list(self.noise_m),
+                "kinematics": self.kinematics.struct.cfg,
+                "seed": self.seed,
+            },
+        )
+
+
+class CoupledPlant:
+    """A virtual rig of several axes, at rest at 0; raises ``CoreError``."""
+
+    def __init__(self, config: CoupledPlantConfig) -> None:
+        self.config = config
+        self.axes, self.forces = len(config.noise_m), len(config.stiffness)
+        self._c = ffi.new("rthyb_coupled_plant *")
+        check(lib.rthyb_coupled_plant_init(self._c, config.struct()))
+
+    def latch(self) -> tuple[FloatArray, FloatArray, int]:
+        """Return readings, m, (axes,), and forces, (forces,), of this instant; status bits."""
+        x, f = np.empty(self.axes), np.empty(self.forces)
+        code = lib.rthyb_coupled_plant_latch(self._c, writing(x), writing(f))
+        return x, f, int(code)
+
+    def apply(self, x_p_m: npt.ArrayLike) -> int:
+        """Apply commands, (axes,), from this instant on; return the status bits."""
+        given = doubles(x_p_m)
+        if given.shape != (self.axes,):
+            raise CoreError(f"{self.axes} commands needed, got shape {given.shape}")
+        return int(lib.rthyb_coupled_plant_apply(self._c, reading(given)))
+
+    def run(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return readings, (n, axes), and forces, (n, forces), along commands, (n, axes)."""
+        given = doubles(x_p_m)
+        if given.ndim != 2 or given.shape[1] != self.axes:
+            raise CoreError(f"rows of {self.axes} commands needed, got shape {given.shape}")
+        x, f = np.empty_like(given), np.empty((len(given), self.forces))
+        lib.rthyb_coupled_plant_run(
+            self._c,
+            reading(given.reshape(-1)),
+            writing(x.reshape(-1)),
+            writing(f.reshape(-1)),
+            len(given),
+        )
+        return x, f
+
+    @property
+    def true_m(self) -> FloatArray:
+        """Displacements at the last latch without the sensors' noise, (axes,)."""
+        return np.array(list(self._c.true_m[0 : self.axes]))
+
+    @property
+    def pose(self) -> FloatArray:
+        """Interface coordinates at the last latch, as they were read, (axes,)."""
+        return np.array(list(self._c.pose[0 : self.axes]))

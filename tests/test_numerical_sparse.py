@@ -1,0 +1,624 @@
+"""Numerical parts of any size: against the printed matrix form written again in numpy, closed
+forms, scipy's integrator and OpenSees; through controller and station; with senseless readings."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.linalg
+from courses import course, departure
+from frames import shear_building, space_frame
+from kernels import Floats
+from rthyb_rt._core import ffi, lib
+
+from rthyb_rt import core
+from rthyb_rt.core.numerical_parts import DensePart, SparsePart
+from rthyb_rt.core.sparse import (
+    GROUND,
+    Joint,
+    Response,
+    SparseConfig,
+    Symmetric,
+    initial_stiffness,
+)
+
+H = 1.0 / 1024.0
+K_E = 3e7
+N = 12
+M, K = shear_building(2e4 * (1.0 + 0.5 * np.sin(np.arange(N))), 3e7 * np.ones(N))
+FIRST = (((0, 1.0),),)
+RAYLEIGH = {"by_mass_per_s": 0.3, "by_stiffness_s": 2e-4}
+
+
+def building(m: Floats = M, k: Floats = K, **settings: Any) -> SparseConfig:
+    """Storeys whose lowest is driven by the actuator; `settings` as of the part."""
+    given: dict[str, Any] = {"interfaces": FIRST, "k_e_n_per_m": (K_E,), "load_kg": np.diag(m)}
+    given |= settings
+    return SparseConfig(Symmetric.of(m), Symmetric.of(k), **given)
+
+
+Force = Callable[[int, Floats], Floats]
+
+
+def printed(config: SparseConfig, ag: Floats, force: Force) -> Floats:
+    """Kolay & Ricles (2014) as it is printed, with its three integration matrices: (n, degrees)."""
+    rho, h = config.rho_inf, config.period_s
+    alpha_m, alpha_f = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
+    gamma = 0.5 - alpha_m + alpha_f
+    beta = 0.25 * (0.5 + gamma) ** 2
+    m, own = config.mass_kg.matrix().toarray(), config.stiffness_n_per_m.matrix().toarray()
+    n = len(m)
+    b = np.zeros((len(config.interfaces), n))
+    for row, terms in zip(b, config.interfaces, strict=True):
+        for at, by in terms:
+            row[at] = by
+    whole = own + b.T @ np.diag(config.k_e_n_per_m) @ b
+    c = config.damping_times(np.eye(n))
+    step = m + gamma * h * c + beta * h * h * whole
+    one = np.linalg.solve(step, m)
+    two = (0.5 + gamma) * one
+    three = np.linalg.solve(
+        step, alpha_m * m + alpha_f * gamma * h * c + alpha_f * beta * h * h * whole
+    )
+    x = v = x1 = v1 = load1 = np.zeros(n)
+    a = np.zeros(n)
+    found = []
+    for i, excitation in enumerate(ag):
+        found.append(x)
+        load = -config.load_kg * excitation - b.T @ force(i, b @ x)
+        if i == 0:
+            a = np.linalg.solve(m, load)
+        else:
+            now, before = 1.0 - alpha_f, alpha_f
+            rhs = now * load + before * load1 - c @ (now * v + before * v1)
+            rhs -= own @ (now * x + before * x1) + m @ three @ a
+            a = np.linalg.solve(m @ (np.eye(n) - three), rhs)
+        load1, x1, v1 = load, x, v
+        x, v = x + h * v + h * h * two @ a, v + h * one @ a
+    return np.array(found)
+
+
+def run(config: SparseConfig, ag: Floats, force: Force) -> Floats:
+    part, found = SparsePart(config), []
+    at = np.zeros(len(config.interfaces))
+    for i, excitation in enumerate(ag):
+        found.append(part.displacements())
+        at, code = part.answer_all(float(excitation), list(force(i, at)))
+        assert code == 0
+        assert part.advance() == 0
+    return np.array(found)
+
+
+def elastic(i: int, at: Floats) -> Floats:
+    return np.asarray(0.9 * K_E * at + 100.0 * np.sin(i / 50.0))
+
+
+def worst(found: Floats, expected: Floats) -> float:
+    """Largest difference of any degree of freedom, of that one's own peak."""
+    return float((np.abs(found - expected).max(axis=0) / np.abs(expected).max(axis=0)).max())
+
+
+AG = np.random.default_rng(1).standard_normal(3000)
+
+
+@pytest.mark.parametrize("rho_inf", [1.0, 0.8, 0.5, 0.0])
+def test_one_sparse_solve_is_the_printed_method(rho_inf: float) -> None:
+    config = building(rho_inf=rho_inf, **RAYLEIGH)
+    assert worst(run(config, AG, elastic), printed(config, AG, elastic)) < 1e-12
+
+
+def modal_shapes(m: Floats, k: Floats, ratios: list[float]) -> Floats:
+    w2, phi = scipy.linalg.eigh(k, m)
+    r = len(ratios)
+    return np.asarray(m @ phi[:, :r] * np.sqrt(2.0 * np.array(ratios) * np.sqrt(w2[:r])))
+
+
+@pytest.mark.parametrize("rho_inf", [1.0, 0.5])
+def test_modal_damping_by_a_rank_update_is_the_printed_method(rho_inf: float) -> None:
+    whole = building().whole_stiffness().toarray()
+    shapes = modal_shapes(M, whole, [0.02, 0.03, 0.05])
+    config = building(rho_inf=rho_inf, modal=shapes)
+    assert worst(run(config, AG, elastic), printed(config, AG, elastic)) < 1e-12
+
+
+def test_dampers_beside_the_matrices_are_the_printed_method() -> None:
+    extra = Symmetric.of(1e-4 * building().whole_stiffness().toarray())
+    config = building(damping_n_s_per_m=extra, by_mass_per_s=0.2)
+    assert worst(run(config, AG, elastic), printed(config, AG, elastic)) < 1e-12
+
+
+def test_two_actuators_at_a_storey_and_at_a_drift_are_the_printed_method() -> None:
+    rows = (((2, 1.0),), ((7, 1.0), (6, -1.0)))
+    config = building(interfaces=rows, k_e_n_per_m=(K_E, 0.5 * K_E), rho_inf=0.8, **RAYLEIGH)
+
+    def force(i: int, at: Floats) -> Floats:
+        return np.asarray([0.8 * K_E, 0.4 * K_E] * at + 50.0 * np.cos(i / 30.0))
+
+    assert worst(run(config, AG, force), printed(config, AG, force)) < 1e-12
+
+
+def test_it_is_the_method_of_chen_and_ricles_for_a_small_structure() -> None:
+    m, k = shear_building(np.array([900.0, 800.0, 700.0]), np.array([2e6, 1.5e6, 1e6]))
+    c = 0.2 * m + 1e-4 * k
+    rows = [tuple(map(tuple, one.tolist())) for one in (m, c, k)]
+    dense = DensePart(core.DenseConfig("cr", *rows, tuple(np.diag(m)), at=1, k_e_n_per_m=4e5))
+    sparse = SparsePart(
+        building(
+            m,
+            k,
+            interfaces=(((1, 1.0),),),
+            k_e_n_per_m=(4e5,),
+            damping_n_s_per_m=Symmetric.of(c),
+            integrator="cr",
+        )
+    )
+    x, expected = [0.0], [0.0]
+    for i, ag in enumerate(AG):
+        expected.append(dense.step(float(ag), 4e5 * expected[-1] + 9.0 * np.sin(i / 9.0))[0])
+        x.append(sparse.step(float(ag), 4e5 * x[-1] + 9.0 * np.sin(i / 9.0))[0])
+    assert np.abs(np.array(x) - expected).max() < 1e-11 * np.abs(expected).max()
+    assert sparse.look().v == pytest.approx(dense.look().v, rel=1e-9)
+    assert sparse.look().a == pytest.approx(dense.look().a, rel=1e-9)
+
+
+def test_the_central_difference_where_there_is_mass() -> None:
+    config = building(integrator="central-difference", **RAYLEIGH)
+    found = run(config, AG, elastic)
+    m, own = M, config.stiffness_n_per_m.matrix().toarray()
+    c = config.damping_times(np.eye(N))
+    implicit = m + 0.5 * H * c
+    x1 = x = np.zeros(N)
+    expected = []
+    for i, ag in enumerate(AG):
+        expected.append(x)
+        net = -config.load_kg * ag - own @ x
+        net[0] -= elastic(i, x[:1])[0]
+        moved = (m - 0.5 * H * c) @ (x - x1) + H * H * net
+        x, x1 = x + np.linalg.solve(implicit, moved), x
+    assert worst(found, np.array(expected)) < 1e-12
+
+
+def test_degrees_of_freedom_without_mass_follow_the_others() -> None:
+    mass, stiffness, _, corner = space_frame((2, 2), 3)
+    n = mass.shape[0]
+    load = np.zeros(n)
+    load[0::6] = mass.diagonal()[0::6]
+    first = (((corner[0], 1.0),),)
+    whole = SparseConfig(
+        Symmetric.of(mass), Symmetric.of(stiffness), load, first, (K_E,), by_mass_per_s=0.3,
+        rho_inf=0.8,
+    )  # fmt: skip
+    with_mass = np.flatnonzero(mass.diagonal())
+    without = np.setdiff1d(np.arange(n), with_mass)
+    k = stiffness.toarray()
+    inner = np.linalg.solve(k[np.ix_(without, without)], k[np.ix_(without, with_mass)])
+    condensed = k[np.ix_(with_mass, with_mass)] - k[np.ix_(with_mass, without)] @ inner
+    at = int(np.flatnonzero(with_mass == corner[0])[0])
+    small = replace(
+        whole,
+        mass_kg=Symmetric.of(mass.toarray()[np.ix_(with_mass, with_mass)]),
+        stiffness_n_per_m=Symmetric.of(condensed),
+        load_kg=load[with_mass],
+        interfaces=(((at, 1.0),),),
+    )
+    moving = np.flatnonzero(load)
+    in_small = np.searchsorted(with_mass, moving)
+    found, expected = run(whole, AG, elastic), run(small, AG, elastic)
+    assert worst(found[:, moving], expected[:, in_small]) < 1e-9
+
+
+def test_two_modes_swing_freely_as_they_should() -> None:
+    config = building(k_e_n_per_m=(0.0,))
+    w2, phi = scipy.linalg.eigh(K, M)
+    w = np.sqrt(w2[:2])
+    x0 = 0.01 * phi[:, 0] / phi[-1, 0] + 0.003 * phi[:, 1] / phi[-1, 1]
+    part = SparsePart(replace(config, first_x_m=x0))
+    found = []
+    for _ in range(4096):
+        found.append(part.displacements())
+        part.step(0.0, 0.0)
+    t = np.arange(4096) * H
+    expected = np.outer(np.cos(w[0] * t), 0.01 * phi[:, 0] / phi[-1, 0])
+    expected += np.outer(np.cos(w[1] * t), 0.003 * phi[:, 1] / phi[-1, 1])
+    # KR-alpha with rho 1 has the periods of the average acceleration: longer by (w h)^2 / 12.
+    allowed = 2.0 * t[-1] * w[1] * (w[1] * H) ** 2 / 12.0
+    assert worst(np.array(found), expected) < allowed
+    v0 = 0.2 * phi[:, 0] / phi[-1, 0]
+    part = SparsePart(replace(config, first_v_m_per_s=v0))
+    found = []
+    for _ in range(4096):
+        found.append(part.displacements())
+        part.step(0.0, 0.0)
+    expected = np.outer(np.sin(w[0] * t) / w[0], v0)
+    assert worst(np.array(found), expected) < 2.0 * t[-1] * w[0] * (w[0] * H) ** 2 / 12.0 + 1e-5
+
+
+# ---- elements -----------------------------------------------------------------------------------
+
+BOUC_WEN = core.element(
+    "hysteresis", k_n_per_m=K_E, post_yield_ratio=0.05, a=1.0, b=100.0, c=100.0, eta=1.0
+)
+
+
+def test_an_element_in_the_part_does_what_the_same_one_does_at_the_actuator() -> None:
+    ag = 3.0 * np.sin(np.arange(3000) / 90.0)
+    inside = building(joints=(Joint(GROUND, 0, BOUC_WEN, K_E),), k_e_n_per_m=(0.0,), **RAYLEIGH)
+    outside = building(**RAYLEIGH)
+    x = SparsePart(inside).joined([], ag, 0)[0]
+    expected = SparsePart(outside).joined([BOUC_WEN], ag, 0)[0]
+    assert np.abs(expected).max() > 0.01  # it yields
+    assert np.abs(x - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_weight_on_a_storey_is_a_negative_stiffness() -> None:
+    pulls = core.element("p_delta", gravity_load_n=4e6, height_m=3.0)
+    slope = initial_stiffness(pulls)
+    assert slope == pytest.approx(-4e6 / 3.0, rel=1e-6)
+    joined = building(joints=(Joint(3, 4, pulls, -4e6 / 3.0),), **RAYLEIGH)
+    k = K.copy()
+    k[np.ix_([3, 4], [3, 4])] += -4e6 / 3.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    expected = run(building(k=k, **RAYLEIGH), AG, elastic)
+    assert worst(run(joined, AG, elastic), expected) < 1e-10
+
+
+def test_a_yielding_storey_of_ten_is_what_scipy_says() -> None:
+    """Beside it the drift's velocity matters: a viscous damper is an element as well."""
+    n, k = 10, 3e7
+    m, stiffness = shear_building(2e4 * np.ones(n), np.append(k * np.ones(4), 0.0)[[0, 1, 4, 2, 3] +
+                                  [0] * 5])  # fmt: skip
+    # The third storey is Bouc-Wen alone.
+    dashpot = core.element("viscous", c_n_s_per_m=4e5)
+    part = SparseConfig(
+        Symmetric.of(m),
+        Symmetric.of(stiffness),
+        np.diag(m).copy(),
+        (((0, 1.0),),),
+        (0.0,),
+        by_mass_per_s=0.3,
+        joints=(Joint(1, 2, BOUC_WEN, K_E), Joint(4, 5, dashpot)),
+        responses=(
+            Response("drift", "m", displacements=((2, 1.0), (1, -1.0))),
+            Response("shear", "N", joints=((0, 1.0),)),
+        ),
+    )
+    t = np.arange(6 * 1024) * H
+    ag = 3.0 * np.sin(6.0 * t) * np.exp(-0.2 * t)
+    drift = SparsePart(part).joined([], ag, 2)[3]
+
+    def rate(now: float, s: Floats) -> Floats:
+        x, v, z = s[:n], s[n : 2 * n], s[2 * n]
+        moved, speed = x[2] - x[1], v[2] - v[1]
+        shear = K_E * (0.05 * moved + 0.95 * z)
+        force = -np.diag(m) * 3.0 * np.sin(6.0 * now) * np.exp(-0.2 * now)
+        force = force - stiffness @ x - 0.3 * m @ v
+        force[2] -= shear
+        force[1] += shear
+        damper = 4e5 * (v[5] - v[4])
+        force[5] -= damper
+        force[4] += damper
+        dz = speed - 100.0 * abs(speed) * z - 100.0 * speed * abs(z)
+        return np.concatenate([v, force / np.diag(m), [dz]])
+
+    solved = scipy.integrate.solve_ivp(
+        rate, (0.0, t[-1]), np.zeros(2 * n + 1), "DOP853", t, rtol=1e-9, atol=1e-12, max_step=0.005
+    )
+    expected = solved.y[2] - solved.y[1]
+    assert np.abs(expected).max() > 0.01
+    assert np.abs(drift[:, 0] - expected).max() < 0.003 * np.abs(expected).max()
+    shear = K_E * (0.05 * expected + 0.95 * solved.y[2 * n])
+    assert np.abs(drift[:, 1] - shear).max() < 0.003 * np.abs(shear).max()
+
+
+# ---- as a part of a test ------------------------------------------------------------------------
+
+
+def test_a_saved_part_goes_on_as_if_nothing_had_been() -> None:
+    config = building(joints=(Joint(2, 3, BOUC_WEN, K_E),), **RAYLEIGH)
+    one, other = SparsePart(config), SparsePart(config)
+    for i in range(500):
+        one.step(float(AG[i]), 1e4)
+    other.restore(one.save())
+    assert one.save() == other.save()
+    for i in range(500, 900):
+        assert one.step(float(AG[i]), 2e4) == other.step(float(AG[i]), 2e4)
+    with pytest.raises(core.CoreError, match="a state of 3 bytes is none of this part"):
+        one.restore(b"abc")
+
+
+def test_a_path_has_time_stand_still() -> None:
+    one = SparsePart(building(**RAYLEIGH))
+    for i in range(100):
+        one.step(float(AG[i]), 0.0)
+    before = one.save()
+    one.freeze(1e5)
+    assert one.save() == before
+
+
+def test_settings_come_back_from_a_recording_to_the_last_bit() -> None:
+    config = building(
+        modal=modal_shapes(M, K, [0.02]),
+        damping_n_s_per_m=Symmetric.of(1e-5 * K),
+        joints=(Joint(GROUND, 0, BOUC_WEN, K_E),),
+        responses=(Response("drift_2", "m", ((1, 1.0), (0, -1.0)), ((0, 2.0),), ((0, 1.0),)),),
+        first_x_m=np.linspace(0.0, 1e-3, N),
+        rho_inf=0.7,
+    )
+    again = SparseConfig.of_plain(json.loads(json.dumps(config.plain())))
+    one, other = SparsePart(config), SparsePart(again)
+    for ag in AG[:300]:
+        assert one.step(float(ag), 3e3) == other.step(float(ag), 3e3)
+        assert list(one.responses()) == list(other.responses())
+    assert one.save() == other.save()
+
+
+def controller(numerical: SparseConfig) -> core.ControllerConfig:
+    return core.ControllerConfig(
+        law=core.LawConfig(),
+        rfc=core.RfcConfig(K_E, enabled=False),
+        motion=core.MotionConfig("cr", mass_kg=1.0, k_e_n_per_m=K_E),
+        lead_enabled=False,
+        numerical=numerical,
+    )
+
+
+def station(config: SparseConfig, ag: Floats) -> core.StationConfig:
+    return core.StationConfig(
+        controller(config), tare_ticks=20, ramp_in_ticks=20, path_velocity_m_per_s=10.0,
+        path_acceleration_m_per_s2=1e3,
+    )  # fmt: skip
+
+
+def test_a_hold_stops_the_time_of_every_storey() -> None:
+    ag = 0.5 * np.sin(np.arange(4000) * 0.02)
+    settings = station(building(**RAYLEIGH), ag)
+    again = core.StationConfig.of(json.loads(json.dumps(settings.plain())))
+    with_hold, without, replayed = (core.Station(one, ag) for one in (settings, settings, again))
+    held, straight = course(with_hold, K_E, 1500), course(without, K_E, None)
+    assert with_hold.interrupted
+    assert min(held.size, straight.size) > 3900
+    assert departure(held, straight, 1700) < 1e-3
+    assert np.array_equal(course(replayed, K_E, None), straight)
+    part, expected = SparsePart(building(**RAYLEIGH)), [0.0]
+    for one in ag[:3000]:
+        expected.append(part.step(float(one), K_E * expected[-1])[0])
+    assert np.abs(straight[:3000]).max() > 1e-4
+    assert np.array_equal(straight[:3000], np.array(expected)[1:])
+
+
+def test_more_than_one_interface_is_not_for_a_controller_of_one_actuator() -> None:
+    two = building(interfaces=(((0, 1.0),), ((1, 1.0),)), k_e_n_per_m=(K_E, K_E))
+    with pytest.raises(core.CoreError):
+        core.Controller(controller(two))
+    with pytest.raises(core.CoreError, match="of 2 interfaces"):
+        SparsePart(two).joined([], AG, 0)
+
+
+# ---- senseless readings and settings ------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, 1e13])
+@pytest.mark.parametrize("what", ["force", "excitation"])
+def test_a_senseless_value_is_told_and_not_taken(value: float, what: str) -> None:
+    part = SparsePart(building(**RAYLEIGH))
+    good, x = (2e4, 0.3), 0.0
+    for i in range(300):
+        force, ag = good
+        if i % 7 == 3:
+            force, ag = (value, ag) if what == "force" else (force, value)
+        x, code = part.step(ag, force)
+        assert (code != 0) == (i % 7 == 3)
+        assert np.isfinite(x)
+    expected = SparsePart(building(**RAYLEIGH))
+    for _ in range(300):
+        last = expected.step(good[1], good[0])[0]
+    assert x == last  # the last good value stood in
+
+
+@pytest.mark.parametrize("joints", [(), (Joint(2, 3, BOUC_WEN, K_E),)])
+def test_a_part_that_runs_off_comes_to_rest_at_the_edge(joints: tuple[Joint, ...]) -> None:
+    k = K.copy()
+    k[5, 5] -= 2e9
+    part = SparsePart(building(k=k, joints=joints, k_e_n_per_m=(0.0,)))
+    seen = 0
+    for i in range(20000):
+        _, code = part.step(1e4 * (-1.0) ** (i // 100), 1e12)
+        seen |= code
+        assert np.all(np.isfinite(part.displacements()))
+    assert seen & core.STATUS["out_of_range"]
+    assert np.abs(part.displacements()).max() <= 1e3
+    assert np.isfinite(part.look().v)
+    assert np.isfinite(part.look().a)
+
+
+SENSELESS: dict[str, Callable[[Any], object]] = {
+    "no degree of freedom": lambda c: setattr(c, "size", 0),
+    "too many": lambda c: setattr(c, "size", lib.RTHYB_SPARSE_MAX + 1),
+    "no interface": lambda c: setattr(c, "interfaces", 0),
+    "nine interfaces": lambda c: setattr(c, "interfaces", 9),
+    "elements below none": lambda c: setattr(c, "joints", -1),
+    "too many modes": lambda c: setattr(c, "modes", 65),
+    "too many responses": lambda c: setattr(c, "responses", 33),
+    "no period": lambda c: setattr(c, "period_s", 0.0),
+    "period NaN": lambda c: setattr(c, "period_s", np.nan),
+    "alpha_f": lambda c: setattr(c, "alpha_f", 0.7),
+    "alpha_m": lambda c: setattr(c, "alpha_m", np.inf),
+    "gamma": lambda c: setattr(c, "gamma", np.nan),
+    "beta": lambda c: setattr(c, "beta", 1e300),
+    "Rayleigh": lambda c: setattr(c, "by_mass_per_s", np.nan),
+    "mass NaN": lambda c: c.mass_kg.diagonal.__setitem__(3, np.nan),
+    "stiffness 1e300": lambda c: c.stiffness_n_per_m.value.__setitem__(0, 1e300),
+    "starts below": lambda c: c.stiffness_n_per_m.start.__setitem__(2, -1),
+    "starts not at 0": lambda c: c.factor.start.__setitem__(0, 1),
+    "place beyond": lambda c: c.stiffness_n_per_m.at.__setitem__(0, N),
+    "place below the diagonal": lambda c: c.factor.at.__setitem__(5, 0),
+    "factor inf": lambda c: c.factor.diagonal.__setitem__(0, np.inf),
+    "load": lambda c: c.load_kg.__setitem__(0, np.nan),
+    "no load": lambda c: setattr(c, "load_kg", ffi.NULL),
+    "no start": lambda c: setattr(c.mass_kg, "start", ffi.NULL),
+    "force column": lambda c: c.by_force.__setitem__(1, np.nan),
+    "k_e": lambda c: c.k_e_n_per_m.__setitem__(0, np.inf),
+    "interface beyond": lambda c: c.interface.at.__setitem__(0, N),
+    "interface below": lambda c: c.interface.at.__setitem__(0, -1),
+    "response beyond": lambda c: c.response.at.__setitem__(0, N + 2),
+    "element on itself": lambda c: setattr(c.joint[0], "below", c.joint[0].above),
+    "element beyond": lambda c: setattr(c.joint[0], "above", N),
+    "element unknown": lambda c: setattr(c.joint[0].element, "kind", 99),
+    "element stiffness": lambda c: setattr(c.joint[0], "stiffness_n_per_m", np.nan),
+    "no elements": lambda c: setattr(c, "joint", ffi.NULL),
+    "start x": lambda c: c.first_x.__setitem__(0, np.nan),
+    "half a start": lambda c: setattr(c, "first_v", ffi.NULL),
+    "runs off at once": lambda c: c.first_v.__setitem__(0, 1e12),
+    "modal": lambda c: c.modal.__setitem__(0, np.nan),
+}
+
+
+@pytest.mark.parametrize("fault", SENSELESS)
+def test_senseless_settings_are_refused_before_anything_runs(fault: str) -> None:
+    config = building(
+        joints=(Joint(1, 2, BOUC_WEN, K_E),),
+        responses=(Response("roof", "m", ((N - 1, 1.0),)),),
+        modal=modal_shapes(M, K, [0.02]),
+        first_x_m=np.zeros(N),
+    )
+    settings, kept = config.struct()
+    assert kept
+    mutable = ffi.new("rthyb_sparse_config *", settings[0])
+    state = ffi.new("double[]", 4096)
+    part = ffi.new(
+        "rthyb_numerical *",
+        {"kind": lib.RTHYB_NUMERICAL_SPARSE, "cfg": mutable, "state": state},
+    )
+    assert lib.rthyb_numerical_init(part, 0.0) == 0
+    assert lib.rthyb_numerical_init(part, 0.1) == lib.RTHYB_E_LIMIT
+    _writable(mutable)
+    SENSELESS[fault](mutable)
+    assert lib.rthyb_numerical_init(part, 0.0) != 0
+
+
+def _writable(settings: Any) -> None:
+    """Have every array that a fault may be written into be one of its own."""
+    for path, count in (
+        ("mass_kg.diagonal", N), ("stiffness_n_per_m.value", N), ("stiffness_n_per_m.start", N + 1),
+        ("stiffness_n_per_m.at", N), ("factor.start", N + 1), ("factor.at", N),
+        ("factor.diagonal", N), ("load_kg", N), ("by_force", N), ("k_e_n_per_m", 1),
+        ("interface.at", 1), ("response.at", 1), ("first_x", N), ("first_v", N), ("modal", N),
+    ):  # fmt: skip
+        *above, name = path.split(".")
+        owner = settings
+        for part in above:
+            owner = getattr(owner, part)
+        old = getattr(owner, name)
+        kind = "int32_t[]" if "int" in ffi.typeof(old).cname else "double[]"
+        own = ffi.new(kind, [old[i] for i in range(count)])
+        _KEPT.append(own)
+        setattr(owner, name, own)
+
+
+_KEPT: list[Any] = []
+
+
+def test_a_structure_that_nothing_holds_and_that_weighs_nothing_is_refused() -> None:
+    m = M.copy()
+    m[4, 4] = 0.0
+    with pytest.raises(core.CoreError, match="some motion has neither mass nor stiffness"):
+        SparsePart(building(m, k=np.diag(np.where(np.arange(N) == 4, 0.0, np.diag(K)))))
+    with pytest.raises(core.CoreError, match="singular"):
+        SparsePart(building(m, integrator="central-difference"))
+
+
+# ---- against OpenSees ---------------------------------------------------------------------------
+
+
+def opensees() -> Any:
+    """OpenSees, or a skip that says what is missing."""
+    pytest.importorskip("openseespy", reason="openseespy is not installed")
+    try:
+        import openseespy.opensees as found
+    except (ImportError, RuntimeError) as error:
+        pytest.skip(
+            f"openseespy cannot be loaded ({error}); on Debian it needs libblas3, liblapack3"
+        )
+    return found
+
+
+def frame_in_opensees(ops: Any, storeys: int, bays: int) -> int:
+    """A plane frame with mass in all three directions of every node; how many nodes move."""
+    ops.wipe()
+    ops.model("basic", "-ndm", 2, "-ndf", 3)
+    for s in range(storeys + 1):
+        for b in range(bays + 1):
+            tag = 100 * s + b + 1
+            ops.node(tag, 6.0 * b - 0.5 * b * b, 3.2 * s)
+            if s:
+                ops.mass(tag, 2e4, 2e4, 3e3)
+            else:
+                ops.fix(tag, 1, 1, 1)
+    ops.geomTransf("Linear", 1)
+    element = 1
+    for s in range(1, storeys + 1):
+        for b in range(bays + 1):
+            ops.element("elasticBeamColumn", element, 100 * s - 99 + b, 100 * s + b + 1, 0.02, 2e11,
+                        4e-4, 1)  # fmt: skip
+            element += 1
+        for b in range(bays):
+            ops.element("elasticBeamColumn", element, 100 * s + b + 1, 100 * s + b + 2, 0.01, 2e11,
+                        3e-4, 1)  # fmt: skip
+            element += 1
+    return storeys * (bays + 1)
+
+
+@pytest.mark.parametrize("rho_inf", [1.0, 0.5])
+def test_every_degree_of_freedom_is_where_opensees_has_it(rho_inf: float) -> None:
+    ops = opensees()
+    storeys, bays, steps = 6, 2, 20 * 1024
+    n = 3 * frame_in_opensees(ops, storeys, bays)
+    a, b = 0.4, 3e-4
+    ops.rayleigh(a, 0.0, b, 0.0)  # by the initial stiffness
+    ag = 2.0 * np.sin(9.0 * np.arange(steps + 1) * H) * np.sin(np.arange(steps + 1) * H / 3.0)
+    ops.timeSeries("Path", 1, "-dt", H, "-values", *ag.tolist())
+    ops.pattern("UniformExcitation", 1, 1, "-accel", 1)
+    matrices, place = [], []
+
+    def prepare(*integrator: object) -> None:
+        ops.wipeAnalysis()
+        for command, kind in (
+            ("constraints", "Plain"), ("numberer", "Plain"), ("system", "FullGeneral"),
+            ("algorithm", "Linear"),
+        ):  # fmt: skip
+            getattr(ops, command)(kind)
+        ops.integrator(*integrator)
+        ops.analysis("Transient")
+
+    for which in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)):
+        prepare("GimmeMCK", *which)
+        ops.analyze(1, 0.0)
+        matrices.append(np.array(ops.printA("-ret")).reshape(n, n))
+        place = [
+            (tag, d) for tag in ops.getNodeTags() for d in range(3) if ops.nodeDOFs(tag)[d] >= 0
+        ]
+        place.sort(key=lambda one: ops.nodeDOFs(one[0])[one[1]])
+    ops.setTime(0.0)
+    prepare("KRAlphaExplicit", rho_inf)
+    expected = np.zeros((steps, n))
+    for i in range(1, steps):
+        assert ops.analyze(1, H) == 0
+        expected[i] = [ops.nodeDisp(tag, d + 1) for tag, d in place]
+    ops.wipe()
+    m, k = matrices
+    k = 0.5 * (k + k.T)
+    influence = np.array([1.0 if d == 0 else 0.0 for _, d in place])
+    config = SparseConfig(
+        Symmetric.of(m), Symmetric.of(k), m @ influence, (((0, 1.0),),), (0.0,), by_mass_per_s=a,
+        by_stiffness_s=b, rho_inf=rho_inf,
+    )  # fmt: skip
+    part, found = SparsePart(config), np.zeros((steps, n))
+    for i in range(steps):
+        found[i] = part.displacements()
+        part.step(float(ag[i]), 0.0)
+    assert worst(found, expected) < 1e-10
