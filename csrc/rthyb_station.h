@@ -84,6 +84,8 @@ typedef struct {
     /* Which of the row's channels are what the control law reports beside alpha and beta: from which
      * one on, and how many; 0: none. */
     uint32_t law_channel, law_channel_count;
+    /* And which are what the numerical part reports, of this tick. */
+    uint32_t part_channel, part_channel_count;
 } rthyb_station_config;
 
 /* Displacement over a whole number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u); u = 0 ... 1. Or a
