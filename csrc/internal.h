@@ -48,7 +48,7 @@ static inline double command_to_wire(const rthyb_calibration *c, double x_m)
 /* What goes to the wire: never what its rounding would take beyond the station's bounds. NaN where the
  * wire has nothing between them. */
 static inline double command_for_wire(const rthyb_codec *codec, const rthyb_calibration *c,
-                                      const rthyb_station_output *out)
+                                      const rthyb_axis_output *out)
 {
     const double one = command_to_wire(c, out->low_m), other = command_to_wire(c, out->high_m);
     const int turned = one > other;
@@ -75,7 +75,8 @@ static inline void note_command(rthyb_station *s, const rthyb_calibration *c, in
                                 double wire_m)
 {
     rthyb_controller *controller = &s->controller;
-    controller->x_cmd = sent ? command_from_wire(c, wire_m) - s->tare_cmd : controller->x_cmd1;
+    controller->x_cmd =
+        sent ? command_from_wire(c, wire_m) - s->axis[0].tare_cmd : controller->x_cmd1;
     if (!sent)
         command_stayed(controller);
 }

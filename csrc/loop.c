@@ -101,8 +101,8 @@ static void hand_over(rthyb_loop *loop, const rthyb_station *next)
     loop->beyond = 0;
     if (!last->seen)
         return;
-    loop->taken_cmd_m = last->controller.x_cmd + last->tare_cmd;
-    loop->offered_x_m = last->seen_x;
+    loop->taken_cmd_m = last->controller.x_cmd + last->axis[0].tare_cmd;
+    loop->offered_x_m = last->axis[0].seen_x;
 }
 
 void rthyb_loop_go_on(rthyb_loop *loop, double x_cmd_m, double x_m, uint32_t seq)
@@ -276,8 +276,9 @@ static int send_command(rthyb_loop *loop, const rthyb_station_output *out)
 {
     rthyb_frame frame;
     double sent_m = 0.0;
-    const double wanted_m = command_for_wire(&loop->cfg.wire->codec, &loop->cfg.calibration, out);
-    const int nowhere = isnan(wanted_m) && isfinite(out->x_cmd_m);
+    const double wanted_m =
+        command_for_wire(&loop->cfg.wire->codec, &loop->cfg.calibration, &out->axis[0]);
+    const int nowhere = isnan(wanted_m) && isfinite(out->axis[0].x_cmd_m);
     const int code = rthyb_wire_command(loop->cfg.wire, wanted_m, out->told, &frame, &sent_m);
     loop->beyond = nowhere || (code & RTHYB_S_OUT_OF_RANGE);
     add(&loop->counters.beyond, (uint64_t)loop->beyond);
@@ -367,7 +368,7 @@ static int is_down(rthyb_loop *loop)
  * it nothing is sent: a drive that stops, or moves, meanwhile has that command no more. */
 static int takes_over(rthyb_loop *loop, const arrival *found, double x_m, int stopped)
 {
-    const int still = fabs(x_m - loop->offered_x_m) <= loop->cfg.station->cfg.rest_spread_m;
+    const int still = fabs(x_m - loop->offered_x_m) <= loop->cfg.station->cfg.axis[0].rest_spread_m;
     const int elsewhere = !found->lost && !loop->taken_over && !still;
     loop->offered = loop->offered && !loop->cfg.station->seen && !stopped && !elsewhere;
     return !found->lost && (loop->taken_over || loop->offered);
@@ -405,8 +406,9 @@ static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint
     add(&loop->counters.down, (uint64_t)down);
     add(&loop->counters.stopped, (uint64_t)stopped);
     return (rthyb_station_input){
-        .x_m = x_m,
-        .f_n = calibrated_f(&loop->cfg.calibration, found->feedback.f_n),
+        .axis = {{.x_m = x_m,
+                  .f_n = calibrated_f(&loop->cfg.calibration, found->feedback.f_n),
+                  .x_cmd_m = loop->taken_cmd_m}},
         .lost = found->lost,
         .skipped = skipped_ticks(loop, tick),
         .command = waiting ? (int32_t)(mail & ((1u << COMMAND_BITS) - 1u)) : RTHYB_CMD_NONE,
@@ -415,7 +417,6 @@ static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint
         .heartbeat_late = heartbeat_late(loop, 1 + tick->skipped),
         .beyond = loop->beyond,
         .taken_over = takes_over(loop, found, x_m, stopped),
-        .x_cmd_m = loop->taken_cmd_m,
     };
 }
 
@@ -543,8 +544,8 @@ static int ended_at_rest(const rthyb_station *s)
 int rthyb_loop_last(const rthyb_loop *loop, double *x_cmd_m, double *x_m, uint32_t *seq)
 {
     const rthyb_station *s = loop->cfg.station;
-    *x_cmd_m = s->controller.x_cmd + s->tare_cmd;
-    *x_m = s->seen_x;
+    *x_cmd_m = s->controller.x_cmd + s->axis[0].tare_cmd;
+    *x_m = s->axis[0].seen_x;
     *seq = loop->cfg.wire->seq;
     return ended_at_rest(s);
 }
@@ -558,7 +559,7 @@ int rthyb_loop_leave(rthyb_loop *loop)
     rthyb_frame frame;
     double sent_m;
     const double wire_m =
-        command_to_wire(&loop->cfg.calibration, s->controller.x_cmd + s->tare_cmd);
+        command_to_wire(&loop->cfg.calibration, s->controller.x_cmd + s->axis[0].tare_cmd);
     const int code =
         rthyb_wire_command(loop->cfg.wire, wire_m, RTHYB_TOLD_LEAVING, &frame, &sent_m);
     return !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->cfg.link, &frame);

@@ -29,7 +29,7 @@ enum {
     {"w1", "", -1e3, 1e3, 3.0, "the weighting W1 (Eqn 2.3)", 0, LEAD_ROLL_OFF, NULL},              \
     {"w2", "", -1e3, 1e3, 2.0, "the weighting W2 (Eqn 2.3)", 0, LEAD_ROLL_OFF, NULL},              \
     {"alpha0", "samples", 0.0, 1000.0, NAN, "the initial delay", 0, "identified.alpha", NULL},     \
-    {"beta0", "", -5e5, 5e5, 0.0, "the initial curvature term", 0, NULL, NULL},                    \
+    {"beta0", "", -5e5, 5e5, 0.0, "the initial curvature term", 0, LEAD_ROLL_OFF, NULL},                    \
     {"delay_estimator.alpha_min", "samples", 0.0, 1000.0, 0.0, "the smallest delay", 0, NULL, NULL}, \
     {"delay_estimator.alpha_max", "samples", 0.0, 1000.0, 60.0, "the largest delay", 0, NULL, NULL}, \
     {"delay_estimator.reference_displacement_m", "m", 1e-6, 10.0, 1e-3,                            \

@@ -34,8 +34,9 @@ static rthyb_station_input input_of(const rthyb_station *station, const rthyb_re
 {
     const uint64_t skipped = row->tick - station->tick;
     return (rthyb_station_input){
-        .x_m = row->axis[0].x_read_m,
-        .f_n = row->axis[0].f_read_n,
+        .axis = {{.x_m = row->axis[0].x_read_m,
+                  .f_n = row->axis[0].f_read_n,
+                  .x_cmd_m = row->axis[0].x_cmd_m}},
         .lost = lost(row),
         .skipped = skipped < UINT32_MAX ? (uint32_t)skipped : UINT32_MAX,
         .command = (int32_t)(row->flags >> RTHYB_F_COMMAND_BIT),
@@ -44,7 +45,6 @@ static rthyb_station_input input_of(const rthyb_station *station, const rthyb_re
         .heartbeat_late = (row->flags & RTHYB_F_SILENT) != 0,
         .beyond = (row->flags & RTHYB_F_BEYOND) != 0,
         .taken_over = (row->flags & RTHYB_F_TAKEN_OVER) != 0,
-        .x_cmd_m = row->axis[0].x_cmd_m,
     };
 }
 
@@ -55,7 +55,7 @@ static int send_again(rthyb_station *station, const rthyb_replay *source,
     rthyb_frame frame;
     double sent_m = 0.0;
     const rthyb_setpoint setpoint = {
-        .x_m = command_for_wire(source->codec, &source->calibration, out),
+        .x_m = command_for_wire(source->codec, &source->calibration, &out->axis[0]),
         .state = (uint32_t)out->told,
     };
     const int code = rthyb_encode_setpoint(source->codec, &setpoint, &frame, &sent_m);

@@ -69,23 +69,27 @@ typedef struct {
     int32_t reaction; /* enum rthyb_reaction */
 } rthyb_watch;
 
+/* An actuator with its displacement sensor and its load cell; all before tare. */
+typedef struct {
+    double x_range_m, f_range_n;     /* a reading beyond its sensor's range is not taken; 0 = off */
+    double rest_spread_m;            /* ZERO refuses a displacement that moves by more */
+    double tare_most_m, tare_most_n; /* and a tare beyond these; 0 = any */
+} rthyb_axis_config;
+
 typedef struct {
     rthyb_controller_config controller;
+    rthyb_axis_config axis[RTHYB_AXES];
     /* SKIPS and what follows it; stuck: ticks, jump: m or N, shares: of 1. SKIPS with value 0 is
      * a ramp-out at 50 in 1024. */
     rthyb_watch watch[RTHYB_CAUSE_COUNT];
     double path_velocity_m_per_s; /* of ramps and RESUME */
     double path_acceleration_m_per_s2;
     double brake_acceleration_m_per_s2; /* of HOLD, and where ramp-out begins; 0: as of paths */
-    double rest_spread_m;               /* ZERO refuses a displacement that moves by more */
-    double tare_most_m, tare_most_n;    /* and a tare beyond these; 0 = any */
     int32_t tare_ticks, ramp_in_ticks, armed_ticks;
     int32_t stay; /* RAMP_OUT ends where its deceleration does, and not at 0 */
-    /* Which of the row's channels are what the control law reports beside alpha and beta: from which
-     * one on, and how many; 0: none. */
-    uint32_t law_channel, law_channel_count;
-    /* And which are what the numerical part reports, of this tick. */
-    uint32_t part_channel, part_channel_count;
+    /* Which of the row's channels are what the control law reports beside alpha and beta, and which what
+     * the numerical part does: from which one on, and how many; 0: none. */
+    uint32_t law_channel, law_channel_count, part_channel, part_channel_count;
 } rthyb_station_config;
 
 /* Displacement over a whole number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u); u = 0 ... 1. Or a
@@ -120,6 +124,21 @@ enum rthyb_station_size {
     RTHYB_BLIND_MAX = 80,   /* ticks that are made up for: as long at 4096 Hz */
     RTHYB_RECENT_MAX = 4096 /* ticks of the last second: as above */
 };
+
+/* What a station knows of an axis; readings are those before tare. */
+typedef struct {
+    double tare_cmd; /* 0 of the command, before tare: sensor and drive need not agree */
+    double tare_x, tare_f, sum_x, sum_f, low_x, high_x;
+    double gap; /* reading less command at rest, as the tare found it: to be measured from */
+    rthyb_stillness still_x, still_f;
+    double seen_x, seen_f; /* last readings */
+    rthyb_leaps leaps_x, leaps_f;
+    double rest_x;       /* where the readings have been at rest, */
+    uint32_t rest_ticks; /* and for how many of them */
+    int32_t off_scale;   /* of this tick's reading: bit 0 displacement, bit 1 force */
+    rthyb_overload over_f, over_rig_f;
+    double told_x, told_f; /* this tick's reading, if there was one */
+} rthyb_axis;
 
 /* One bit for each tick of the last second, and how many of them are set. */
 typedef struct {
@@ -163,23 +182,12 @@ typedef struct {
     double resume_x, resume_v, resume_a;
     int32_t zeroing;       /* 0 no, 1 under way, 2 failed: the reading moved, 3: too large */
     int32_t tare_readings; /* that the tare has so far */
-    double tare_cmd;       /* 0 of the command, before tare: sensor and drive need not agree */
-    double tare_x, tare_f, sum_x, sum_f, low_x, high_x;
-    int32_t tared; /* there is one that counts: none before the first, none after a RESET */
-    double gap;    /* reading less command at rest, as the tare found it: to be measured from */
-    rthyb_stillness still_x, still_f;
-    double seen_x;    /* last reading, before tare */
-    int32_t seen;     /* there is one */
+    int32_t tared;         /* there is one that counts: none before the first, none after a RESET */
+    int32_t seen;          /* there is a reading of every axis */
     int32_t commands; /* x_cmd is the drive's by an earlier tare or station, not by a reading */
-    rthyb_leaps leaps_x, leaps_f;
-    double seen_f;       /* last reading of the force, before tare */
-    double rest_x;       /* where the readings have been at rest, before tare, */
-    uint32_t rest_ticks; /* and for how many of them */
-    rthyb_overload over_f, over_rig_f;
-    int32_t noted;         /* bits of this tick's record, found before there is one */
-    int32_t off_scale;     /* of this tick's reading: bit 0 displacement, bit 1 force */
-    double told_x, told_f; /* that reading, */
-    int32_t told;          /* if there was one */
+    int32_t noted;    /* bits of this tick's record, found before there is one */
+    int32_t told;     /* this tick had a reading */
+    rthyb_axis axis[RTHYB_AXES];
     int32_t drive_stands;  /* it has stopped by itself, or nobody can reach it */
     int32_t refused_cause; /* why the last ARM, START, RESUME, RESET or tare was refused: */
     double refused_value, refused_limit; /* as with a cause; NONE: not by a watch */
@@ -193,8 +201,19 @@ typedef struct {
     double channel[RTHYB_CHANNELS_MAX];
 } rthyb_station;
 
+/* Of an axis. */
 typedef struct {
-    double x_m, f_n;        /* newest pair, before tare */
+    double x_m, f_n; /* newest pair, before tare */
+    double x_cmd_m;  /* with taken_over: what the drive has */
+} rthyb_axis_input;
+
+typedef struct {
+    double x_cmd_m;       /* for the wire: with tare */
+    double low_m, high_m; /* with tare: the wire's rounding must not take it beyond these */
+} rthyb_axis_output;
+
+typedef struct {
+    rthyb_axis_input axis[RTHYB_AXES];
     int32_t lost;           /* as in rthyb_input */
     uint32_t skipped;       /* ticks that were skipped before this one */
     int32_t command;        /* enum rthyb_command */
@@ -202,18 +221,16 @@ typedef struct {
     int32_t drive_stopped;  /* the drive says that it has stopped by itself */
     int32_t heartbeat_late; /* Python has been silent for a second */
     int32_t beyond;         /* the wire could not hold the last command and sent the nearest */
-    int32_t taken_over;     /* with the first sound reading: x_cmd_m is what the drive has */
-    double x_cmd_m;
+    int32_t taken_over;     /* with the first sound reading: the drive has a command already */
 } rthyb_station_input;
 
 typedef struct {
-    double x_cmd_m; /* for the wire: with tare */
-    int32_t send;   /* 0: silence */
+    rthyb_axis_output axis[RTHYB_AXES];
+    int32_t send; /* 0: silence */
     int32_t state;
     int32_t told;    /* to the drive: the state, or RTHYB_TOLD_RESET */
     int32_t refused; /* the command was refused: not for this state, or nobody there to obey */
     uint32_t records;
-    double low_m, high_m; /* with tare: the wire's rounding must not take it beyond these */
 } rthyb_station_output;
 
 int rthyb_station_init(rthyb_station *station, const rthyb_station_config *cfg);

@@ -8,8 +8,10 @@
  * is latched. Everything is a function of (state, input); the clock and the wire are elsewhere. */
 #include <string.h>
 
+#include "axis.h"
 #include "internal.h"
 #include "numeric.h"
+#include "path.h"
 
 #define STANDARD_S (1.0 / 1024.0) /* a tick of real time */
 #define JUMP_TAKEN 3              /* readings in a row that make a new level, at any rate */
@@ -17,11 +19,8 @@
 #define OVERLOAD 1.5              /* times a force's limit: not even one tick */
 #define START_SPREADS 5.0 /* times rest_spread_m: how far from the command START may find x_m */
 #define SKIPS_SHARE (50.0 / 1024.0) /* of the last second, where nothing else is said */
-#define OFF_X 1                     /* bits of off_scale */
-#define OFF_F 2
 #define TRIP_FRAMES 3
-#define RESET_FRAMES 3  /* one that is lost does not matter */
-#define SEARCH_STEPS 80 /* of 1.25 each: from 8 ms to longer than any test */
+#define RESET_FRAMES 3 /* one that is lost does not matter */
 
 int rthyb_command_allowed(int32_t state, int32_t command)
 {
@@ -53,8 +52,9 @@ static int config_error(const rthyb_station_config *c)
         rthyb_path_limits_check(c->path_velocity_m_per_s, c->path_acceleration_m_per_s2,
                                 c->brake_acceleration_m_per_s2))
         return RTHYB_E_LIMIT;
-    if (!(c->tare_most_m >= 0.0 && c->tare_most_n >= 0.0))
-        return RTHYB_E_LIMIT;
+    for (int i = 0; i < RTHYB_AXES; i++)
+        if (axis_check(&c->axis[i]))
+            return RTHYB_E_LIMIT;
     if (c->law_channel > RTHYB_CHANNELS_MAX ||
         c->law_channel_count > RTHYB_CHANNELS_MAX - c->law_channel ||
         c->part_channel > RTHYB_CHANNELS_MAX ||
@@ -62,7 +62,7 @@ static int config_error(const rthyb_station_config *c)
         return RTHYB_E_LIMIT;
     const int ticks_ok = c->tare_ticks >= 1 && c->tare_ticks <= 1 << 20 && c->ramp_in_ticks >= 1 &&
                          c->ramp_in_ticks <= 1 << 24 && c->armed_ticks >= 1;
-    return ticks_ok && c->rest_spread_m > 0.0 ? 0 : RTHYB_E_LIMIT;
+    return ticks_ok ? 0 : RTHYB_E_LIMIT;
 }
 
 /* The sensors' ranges are the station's to judge, before the tare is taken off. */
@@ -113,50 +113,7 @@ static int switches_off(const rthyb_station *s, const rthyb_parameters *p)
            (c->acceleration_limit_m_per_s2 > 0.0 && !(p->acceleration_limit_m_per_s2 > 0.0));
 }
 
-/* ---- paths ------------------------------------------------------------------------------------ */
-
-static int64_t whole_ticks(double duration_s, double h)
-{
-    return (int64_t)clamp(ceil(duration_s / h - 1e-9), 1.0, 1e15);
-}
-
-/* Quintic from (x0, v0, a0) to (x1, v1, a1) in so many ticks of h. */
-static rthyb_path quintic(const double from[3], const double to[3], int64_t ticks, double h)
-{
-    const double T = (double)ticks * h;
-    const double v0 = from[1] * T, a0 = from[2] * T * T, v1 = to[1] * T, a1 = to[2] * T * T;
-    const double d = to[0] - from[0] - v0 - 0.5 * a0, e = v1 - v0 - a0, g = a1 - a0;
-    return (rthyb_path){
-        .c = {from[0], v0, 0.5 * a0, 10.0 * d - 4.0 * e + 0.5 * g, -15.0 * d + 7.0 * e - g,
-              6.0 * d - 3.0 * e + 0.5 * g},
-        .end = to[0],
-        .ticks = ticks,
-    };
-}
-
-/* x or its first or second derivative by u (order 0, 1, 2) of a polynomial path. */
-static double polynomial(const rthyb_path *p, double u, int order)
-{
-    double sum = 0.0;
-    for (int i = 5; i >= order; i--) {
-        const double factor = order == 0 ? 1.0 : (order == 1 ? i : (double)i * (i - 1));
-        sum = sum * u + factor * p->c[i];
-    }
-    return sum;
-}
-
-/* The largest share of the limits that a polynomial path takes; up to 1 it is within them. */
-static double path_share(const rthyb_path *p, double h, double v_max, double a_max)
-{
-    const double T = (double)p->ticks * h;
-    double share = 0.0;
-    for (int i = 0; i <= 32; i++) {
-        const double u = i / 32.0;
-        share = fmax(share, fabs(polynomial(p, u, 1)) / (v_max * T));
-        share = fmax(share, fabs(polynomial(p, u, 2)) / (a_max * T * T));
-    }
-    return share;
-}
+/* ---- limits of paths --------------------------------------------------------------------------- */
 
 /* Of a path and of the command: the narrower one; 0 is no limit of the command. */
 static double narrower(double path, double command)
@@ -182,121 +139,23 @@ static double brake_acceleration(const rthyb_station *s)
                      : path_acceleration(s);
 }
 
-/* The shortest quintic, within a factor of 1.25, that keeps to the path limits; where the end states
- * themselves are beyond them, it keeps to their values. A way to a point that is near but left at speed may
- * be short of time and of room at once, and a longer one only swings the farther: then the one that exceeds
- * the limits least. */
+static path_limits limits_of(const rthyb_station *s)
+{
+    return (path_limits){
+        .period_s = s->cfg.controller.period_s,
+        .velocity_m_per_s = path_velocity(s),
+        .acceleration_m_per_s2 = path_acceleration(s),
+        .brake_m_per_s2 = brake_acceleration(s),
+        .least_way = s->ticks.least_way,
+        .turn = s->ticks.turn,
+        .least_turn = s->ticks.least_turn,
+    };
+}
+
 static rthyb_path plan(const rthyb_station *s, const double from[3], const double to[3])
 {
-    const double h = s->cfg.controller.period_s;
-    const double v = fmax(path_velocity(s), 1.01 * fmax(fabs(from[1]), fabs(to[1])));
-    const double a = fmax(path_acceleration(s), 1.01 * fmax(fabs(from[2]), fabs(to[2])));
-    double T = (double)s->ticks.least_way * h;
-    rthyb_path best = quintic(from, to, whole_ticks(T, h), h);
-    double least = path_share(&best, h, v, a);
-    for (int i = 0; i < SEARCH_STEPS && least > 1.0; i++) {
-        T *= 1.25;
-        const rthyb_path path = quintic(from, to, whole_ticks(T, h), h);
-        const double share = path_share(&path, h, v, a);
-        best = share < least ? path : best;
-        least = fmin(share, least);
-    }
-    return best;
-}
-
-/* Displacement, velocity and acceleration on a brake: its acceleration goes over into the deceleration,
- * stays, and goes over into 0. */
-static void braked(const rthyb_path *p, double h, double now[3])
-{
-    const double turn = (double)p->turn * h, steady = (double)(p->ticks - 2 * p->turn) * h;
-    const double lasts[3] = {turn, steady, turn}, ends[3] = {p->c[3], p->c[3], 0.0};
-    double left = (double)p->elapsed * h;
-    memcpy(now, p->c, 3 * sizeof now[0]);
-    for (int i = 0; i < 3 && left > 0.0; i++) {
-        const double t = fmin(left, lasts[i]);
-        const double jerk = lasts[i] > 0.0 ? (ends[i] - now[2]) / lasts[i] : 0.0;
-        now[0] += t * (now[1] + t * (0.5 * now[2] + t * jerk / 6.0));
-        now[1] += t * (now[2] + 0.5 * t * jerk);
-        now[2] += t * jerk;
-        left -= t;
-    }
-}
-
-/* Brakes from (x, v, a) to rest. A step of the acceleration would be a leap behind the phase lead: each
- * change takes `turn`, less for a motion that is over sooner: v = (b - a / 2) turn. What a has beyond the
- * limit b is cut off. */
-static rthyb_path brake(const rthyb_station *s, const double from[3])
-{
-    const double h = s->cfg.controller.period_s, b = brake_acceleration(s), v = fabs(from[1]);
-    const double a = clamp(from[1] < 0.0 ? -from[2] : from[2], -b, b);
-    const int64_t turn =
-        (int64_t)clamp(v / (b - 0.5 * a) / h, (double)s->ticks.least_turn, (double)s->ticks.turn);
-    const double changes = (double)turn * h, rest = (v + 0.5 * a * changes) / b - changes;
-    const int64_t steady = rest > 0.0 ? whole_ticks(rest, h) : 0;
-    const double needed = (v + 0.5 * a * changes) / (changes + (double)steady * h);
-    const double way = from[1] < 0.0 ? -1.0 : 1.0;
-    rthyb_path path = {
-        .c = {from[0], from[1], way * a, -way * needed},
-        .ticks = 2 * turn + steady,
-        .turn = turn,
-    };
-    double at_rest[3];
-    path.elapsed = path.ticks;
-    braked(&path, h, at_rest);
-    path.elapsed = 0;
-    path.end = at_rest[0];
-    return path;
-}
-
-/* Half a wave of a raised cosine from a to b. */
-static rthyb_path ramp(double a, double b, int64_t ticks)
-{
-    return (rthyb_path){.c = {0.5 * (a + b), 0.5 * (a - b)}, .end = b, .ticks = ticks, .cosine = 1};
-}
-
-/* Peak velocity pi/2 way/T and acceleration pi^2/2 way/T^2 of that wave within the path limits. */
-static int64_t ramp_in_ticks(const rthyb_station *s, double way)
-{
-    const double h = s->cfg.controller.period_s, size = fabs(way);
-    const double by_velocity = 0.5 * RTHYB_PI * size / path_velocity(s);
-    const double by_acceleration = RTHYB_PI * sqrt(0.5 * size / path_acceleration(s));
-    const int64_t least = whole_ticks(fmax(by_velocity, by_acceleration), h);
-    return least > s->cfg.ramp_in_ticks ? least : s->cfg.ramp_in_ticks;
-}
-
-static int path_done(const rthyb_path *p)
-{
-    return p->elapsed >= p->ticks;
-}
-
-/* Displacement, velocity and acceleration where a path is now. */
-static void along(const rthyb_path *p, double h, double now[3])
-{
-    const double T = (double)p->ticks * h, u = (double)p->elapsed / (double)p->ticks;
-    const double turned = RTHYB_PI * u, size = p->c[1], rate = RTHYB_PI / T;
-    if (p->turn > 0) {
-        braked(p, h, now);
-    } else if (p->cosine) {
-        now[0] = p->c[0] + size * cos(turned);
-        now[1] = -size * rate * sin(turned);
-        now[2] = -size * rate * rate * cos(turned);
-    } else {
-        now[0] = polynomial(p, u, 0);
-        now[1] = polynomial(p, u, 1) / T;
-        now[2] = polynomial(p, u, 2) / (T * T);
-    }
-}
-
-/* The displacement of the next tick. */
-static double follow(rthyb_path *p, double h)
-{
-    if (!path_done(p))
-        p->elapsed++;
-    if (path_done(p))
-        return p->end;
-    double now[3];
-    along(p, h, now);
-    return now[0];
+    const path_limits limits = limits_of(s);
+    return path_between(&limits, from, to);
 }
 
 /* ---- transitions ------------------------------------------------------------------------------ */
@@ -310,12 +169,6 @@ static void enter(rthyb_station *s, int state)
     s->no_nearer = 0;
     s->nearest_m = INFINITY;
 }
-
-/* A cause with what was met and what is allowed; both 0 where it has no number. */
-typedef struct {
-    int cause;
-    double value, limit;
-} finding;
 
 static finding plain(int cause)
 {
@@ -340,24 +193,21 @@ static void forget_cause(rthyb_station *s)
     s->cause_value = s->cause_limit = 0.0;
 }
 
-/* A reading at the very end of the sensor's range is a sensor that cannot say more; that end knows
- * nothing of a tare. */
-static int off_scale(const rthyb_station *s, const rthyb_station_input *in)
-{
-    const double x_range = s->cfg.controller.x_range_m, f_range = s->cfg.controller.f_range_n;
-    return (x_range > 0.0 && fabs(in->x_m) >= x_range ? OFF_X : 0) |
-           (f_range > 0.0 && fabs(in->f_n) >= f_range ? OFF_F : 0);
-}
-
+/* A pair of every axis, of numbers that it can be. */
 static int is_sensible(const rthyb_station_input *in)
 {
-    return !in->lost && judge(in->x_m, RTHYB_DISPLACEMENT_MAX_M) == RTHYB_OK &&
-           judge(in->f_n, RTHYB_FORCE_MAX_N) == RTHYB_OK;
+    int sensible = !in->lost;
+    for (int i = 0; i < RTHYB_AXES; i++)
+        sensible = sensible && axis_is_sensible(&in->axis[i]);
+    return sensible;
 }
 
 static int is_sound(const rthyb_station *s, const rthyb_station_input *in)
 {
-    return is_sensible(in) && !off_scale(s, in);
+    int sound = is_sensible(in);
+    for (int i = 0; i < RTHYB_AXES; i++)
+        sound = sound && !axis_off_scale(&s->cfg.axis[i], &in->axis[i]);
+    return sound;
 }
 
 static int is_moving(int state)
@@ -384,8 +234,8 @@ static void settle(rthyb_station *s, double x)
 /* Where the specimen is read to be. */
 static void settle_at(rthyb_station *s, double reading)
 {
-    settle(s, reading - s->tare_x);
-    s->gap = 0.0;
+    settle(s, reading - s->axis[0].tare_x);
+    s->axis[0].gap = 0.0;
 }
 
 /* Displacement, velocity and acceleration of what the phase lead is given. */
@@ -400,7 +250,7 @@ static void present(rthyb_station *s, double now[3])
         now[2] = (x - 2.0 * at.x1 + at.x2) / (h * h);
         now[1] = (x - at.x1) / h + 0.5 * h * now[2];
     } else if (!path_done(&s->path)) {
-        along(&s->path, h, now);
+        path_along(&s->path, h, now);
     }
     now[0] = x;
 }
@@ -412,7 +262,8 @@ static void brake_in(rthyb_station *s, int state, int leg)
     present(s, now);
     enter(s, state);
     s->leg = leg;
-    s->path = brake(s, now);
+    const path_limits limits = limits_of(s);
+    s->path = path_to_rest(&limits, now);
 }
 
 static void trip(rthyb_station *s, finding found)
@@ -465,7 +316,9 @@ static void resume(rthyb_station *s)
 static void ramp_to_zero(rthyb_station *s)
 {
     const double x = s->controller.x_num;
-    s->path = ramp(x, 0.0, ramp_in_ticks(s, x));
+    const path_limits limits = limits_of(s);
+    const int64_t least = path_ramp_ticks(&limits, x), usual = s->cfg.ramp_in_ticks;
+    s->path = path_ramp(x, 0.0, least > usual ? least : usual);
     s->leg = 0;
 }
 
@@ -531,41 +384,53 @@ static int ends_beyond(const rthyb_station *s, int cause, double value, finding 
     return 1;
 }
 
-static int overloaded(const rthyb_station *s, double f_n, finding *found)
+static int overloaded(const rthyb_station *s, const rthyb_axis *a, double f_n, finding *found)
 {
-    return (s->tared && ends_beyond(s, RTHYB_CAUSE_FORCE, f_n - s->tare_f, found)) ||
+    return (s->tared && ends_beyond(s, RTHYB_CAUSE_FORCE, f_n - a->tare_f, found)) ||
            ends_beyond(s, RTHYB_CAUSE_RIG_FORCE, f_n, found);
 }
 
 /* What a test would be taken off its course for before it has begun. A reading at the end of its range
  * says nothing of what lies beyond. */
+static int axis_not_at_rest(const rthyb_station *s, int i, finding *found)
+{
+    const rthyb_axis *a = &s->axis[i];
+    const double x = a->seen_x - a->tare_x;
+    if (a->off_scale & AXIS_OFF_F) {
+        *found = (finding){RTHYB_CAUSE_FORCE, a->told_f, s->cfg.axis[i].f_range_n};
+        return 1;
+    }
+    if (a->off_scale & AXIS_OFF_X) {
+        *found = (finding){RTHYB_CAUSE_POSITION, a->told_x, s->cfg.axis[i].x_range_m};
+        return 1;
+    }
+    return overloaded(s, a, a->seen_f, found) ||
+           ends_beyond(s, RTHYB_CAUSE_TRACKING, x - s->controller.x_num - a->gap, found) ||
+           ends_beyond(s, RTHYB_CAUSE_POSITION, x, found) ||
+           ends_beyond(s, RTHYB_CAUSE_RIG_POSITION, x + a->tare_cmd, found);
+}
+
 static int not_at_rest(const rthyb_station *s, finding *found)
 {
-    const rthyb_controller *c = &s->controller;
-    const double x = s->seen_x - s->tare_x;
-    if (s->off_scale & OFF_F) {
-        *found = (finding){RTHYB_CAUSE_FORCE, s->told_f, c->cfg.f_range_n};
-        return 1;
-    }
-    if (s->off_scale & OFF_X) {
-        *found = (finding){RTHYB_CAUSE_POSITION, s->told_x, c->cfg.x_range_m};
-        return 1;
-    }
-    return overloaded(s, s->seen_f, found) ||
-           ends_beyond(s, RTHYB_CAUSE_TRACKING, x - c->x_num - s->gap, found) ||
-           ends_beyond(s, RTHYB_CAUSE_POSITION, x, found) ||
-           ends_beyond(s, RTHYB_CAUSE_RIG_POSITION, x + s->tare_cmd, found);
+    for (int i = 0; i < RTHYB_AXES; i++)
+        if (axis_not_at_rest(s, i, found))
+            return 1;
+    return 0;
 }
 
 /* The drive does not hold the specimen where it was told to. */
 static int has_wandered(const rthyb_station *s, finding *found)
 {
-    const double away = s->seen_x - s->tare_x - s->controller.x_cmd - s->gap;
-    const double most = START_SPREADS * s->cfg.rest_spread_m;
-    if (!(fabs(away) > most))
-        return 0;
-    *found = (finding){RTHYB_CAUSE_TRACKING, away, most};
-    return 1;
+    for (int i = 0; i < RTHYB_AXES; i++) {
+        const rthyb_axis *a = &s->axis[i];
+        const double away = a->seen_x - a->tare_x - s->controller.x_cmd - a->gap;
+        const double most = START_SPREADS * s->cfg.axis[i].rest_spread_m;
+        if (!(fabs(away) > most))
+            continue;
+        *found = (finding){RTHYB_CAUSE_TRACKING, away, most};
+        return 1;
+    }
+    return 0;
 }
 
 static int refuse(rthyb_station *s, finding found)
@@ -590,10 +455,11 @@ static void begin_test(rthyb_station *s)
     forget_cause(s);
     s->indicated = 0;
     s->indicator_slope = 0.0;
-    s->over_f = s->over_rig_f = (rthyb_overload){.seen = s->tick};
+    for (int i = 0; i < RTHYB_AXES; i++)
+        s->axis[i].over_f = s->axis[i].over_rig_f = (rthyb_overload){.seen = s->tick};
     s->losses = (rthyb_recent){.count = 0};
     settle(s, x);
-    s->controller.x_m1 = s->seen_x - s->tare_x;
+    s->controller.x_m1 = s->axis[0].seen_x - s->axis[0].tare_x;
     enter(s, RTHYB_RAMP_IN);
     ramp_to_zero(s);
 }
@@ -603,9 +469,8 @@ static void begin_zero(rthyb_station *s)
     enter(s, RTHYB_IDLE);
     s->zeroing = 1;
     s->tare_readings = 0;
-    s->sum_x = s->sum_f = 0.0;
-    s->low_x = RTHYB_DISPLACEMENT_MAX_M;
-    s->high_x = -RTHYB_DISPLACEMENT_MAX_M;
+    for (int i = 0; i < RTHYB_AXES; i++)
+        axis_begin_tare(&s->axis[i]);
 }
 
 /* Where a command may go: the test's limit about the tare, the rig's about the drive's own zero. */
@@ -624,7 +489,8 @@ static range reach(const rthyb_station *s)
 {
     const double own = farthest(s, RTHYB_CAUSE_POSITION);
     const double rig = farthest(s, RTHYB_CAUSE_RIG_POSITION);
-    return (range){fmax(-own, -rig - s->tare_cmd), fmin(own, rig - s->tare_cmd)};
+    const double zero = s->axis[0].tare_cmd;
+    return (range){fmax(-own, -rig - zero), fmin(own, rig - zero)};
 }
 
 /* A drive takes up where it stands: it must stand, and where must be known. What pulls at the specimen
@@ -636,10 +502,17 @@ static int can_reset(rthyb_station *s, const rthyb_station_input *in)
     const int trips = s->cfg.watch[RTHYB_CAUSE_RIG_FORCE].reaction == RTHYB_REACT_TRIP;
     if (s->state == RTHYB_IDLE && (!in->drive_stopped || s->zeroing == 1))
         return 0;
-    if (is_sound(s, in) && trips && ends_beyond(s, RTHYB_CAUSE_RIG_FORCE, in->f_n, &found))
-        return refuse(s, found);
-    return !in->link_down && is_sound(s, in) && s->rest_ticks >= s->ticks.rest &&
-           s->in_state >= s->ticks.rest && fabs(in->x_m - s->rest_x) <= s->cfg.rest_spread_m;
+    if (!is_sound(s, in))
+        return 0;
+    int rests = !in->link_down && s->in_state >= s->ticks.rest;
+    for (int i = 0; i < RTHYB_AXES; i++) {
+        const rthyb_axis *a = &s->axis[i];
+        if (trips && ends_beyond(s, RTHYB_CAUSE_RIG_FORCE, in->axis[i].f_n, &found))
+            return refuse(s, found);
+        rests = rests && a->rest_ticks >= s->ticks.rest &&
+                fabs(in->axis[i].x_m - a->rest_x) <= s->cfg.axis[i].rest_spread_m;
+    }
+    return rests;
 }
 
 /* What leads to motion needs a drive at the other end that follows. */
@@ -679,7 +552,7 @@ static int obey(rthyb_station *s, const rthyb_station_input *in)
             hold(s);
         break;
     case RTHYB_CMD_RESUME:
-        if (overloaded(s, s->controller.f1 + s->tare_f, &found))
+        if (overloaded(s, &s->axis[0], s->controller.f1 + s->axis[0].tare_f, &found))
             return refuse(s, found);
         if (s->leg != 1)
             return 0;
@@ -699,7 +572,7 @@ static int obey(rthyb_station *s, const rthyb_station_input *in)
         enter(s, RTHYB_IDLE);
         forget_cause(s);
         s->tared = 0;
-        settle_at(s, in->x_m);
+        settle_at(s, in->axis[0].x_m);
         s->reset_frames = RESET_FRAMES;
         break;
     default:
@@ -735,46 +608,35 @@ static void note_tick(rthyb_station *s, int was_skipped)
     s->in_state++;
 }
 
-/* A specimen that is bent, or a sensor that is off, by this much is not what zero should be. */
-static int tare_too_large(rthyb_station *s, double x, double f)
+/* Mean of tare_ticks readings, of all axes over the same ticks, unless they move; a tick without one is none
+ * of them. */
+static void take_tare(rthyb_station *s, const rthyb_station_input *in)
 {
-    const double most_m = s->cfg.tare_most_m, most_n = s->cfg.tare_most_n;
+    const rthyb_axis_config *cfg = s->cfg.axis;
     finding found = plain(RTHYB_CAUSE_NONE);
-    if (most_n > 0.0 && fabs(f) > most_n)
-        found = (finding){RTHYB_CAUSE_RIG_FORCE, f, most_n};
-    else if (most_m > 0.0 && fabs(x) > most_m)
-        found = (finding){RTHYB_CAUSE_RIG_POSITION, x, most_m};
-    (void)refuse(s, found);
-    return found.cause != RTHYB_CAUSE_NONE;
-}
-
-/* Mean of tare_ticks readings, unless they move; a tick without one is none of them. */
-static void take_tare(rthyb_station *s, double x, double f)
-{
-    s->sum_x += x;
-    s->sum_f += f;
-    s->low_x = fmin(s->low_x, x);
-    s->high_x = fmax(s->high_x, x);
-    if (s->high_x - s->low_x > s->cfg.rest_spread_m) {
-        s->zeroing = 2;
-        return;
-    }
+    for (int i = 0; i < RTHYB_AXES; i++)
+        if (!axis_add_to_tare(&s->axis[i], &cfg[i], &in->axis[i])) {
+            s->zeroing = 2;
+            return;
+        }
     if (++s->tare_readings < s->cfg.tare_ticks)
         return;
-    const double command = s->controller.x_cmd + s->tare_cmd;
-    const double tare_x = s->sum_x / s->cfg.tare_ticks, tare_f = s->sum_f / s->cfg.tare_ticks;
-    if (tare_too_large(s, tare_x, tare_f)) {
-        s->zeroing = 3;
-        return;
+    (void)refuse(s, found);
+    for (int i = 0; i < RTHYB_AXES; i++) {
+        const rthyb_axis *a = &s->axis[i];
+        if (axis_is_far_off(&cfg[i], a->sum_x / s->cfg.tare_ticks, a->sum_f / s->cfg.tare_ticks,
+                            &found)) {
+            (void)refuse(s, found);
+            s->zeroing = 3;
+            return;
+        }
     }
-    s->tare_x = tare_x;
-    s->tare_f = tare_f;
+    for (int i = 0; i < RTHYB_AXES; i++) {
+        rthyb_axis *a = &s->axis[i];
+        settle(s, axis_take_tare(a, a->sum_x / s->cfg.tare_ticks, a->sum_f / s->cfg.tare_ticks,
+                                 s->controller.x_cmd + a->tare_cmd, s->commands));
+    }
     s->tared = 1;
-    /* The drive stays where it is. Where an earlier tare has told already how far command and reading lie
-     * apart, that is no way to go: every test would go it again. */
-    s->tare_cmd = s->commands ? command : s->tare_x;
-    settle(s, command - s->tare_cmd);
-    s->gap = s->tare_cmd - command;
     s->commands = 1;
     s->zeroing = 0;
     enter(s, RTHYB_ZEROED);
@@ -789,7 +651,7 @@ static const double *next_on_path(rthyb_station *s, double *x)
     const int on_the_way = s->state == RTHYB_RAMP_IN || s->state == RTHYB_RAMP_OUT ||
                            (s->state == RTHYB_HOLD && s->leg != 1);
     if (on_the_way)
-        *x = follow(&s->path, s->cfg.controller.period_s);
+        *x = path_follow(&s->path, s->cfg.controller.period_s);
     return x;
 }
 
@@ -868,48 +730,52 @@ static int is_off_course(int state)
     return state != RTHYB_RAMP_IN && state != RTHYB_RUNNING;
 }
 
-/* Counts the ticks of a force beyond its limit where a hold or a ramp-out does no more; what falls below it
- * for a while only, by its noise, begins no new count. */
-static void count_overload(const rthyb_station *s, rthyb_overload *over, int is_beyond)
-{
-    const uint64_t gone = s->tick - over->seen, ticks = gone < s->ticks.lost ? gone : s->ticks.lost;
-    over->seen = s->tick;
-    over->calm = is_beyond ? 0 : over->calm + ticks;
-    if (!is_off_course(s->state) || over->calm >= s->ticks.overload)
-        over->ticks = 0;
-    else if (is_beyond)
-        over->ticks += ticks;
-}
-
 /* A force beyond its limit. What is to hold or to ramp out has nothing left but a trip where the force stays,
  * or grows, in spite of it. One at the end of the sensor's range may be any force. */
-static int check_force(rthyb_station *s, int cause, double value, rthyb_overload *over)
+static int check_force(rthyb_station *s, int i, int cause, double value, rthyb_overload *over)
 {
     const rthyb_watch *watch = &s->cfg.watch[cause];
-    const int off_scale = s->off_scale & OFF_F;
+    const rthyb_axis *a = &s->axis[i];
+    const int off_scale = a->off_scale & AXIS_OFF_F;
     if (watch->reaction == RTHYB_REACT_NONE || !(watch->value > 0.0))
         return RTHYB_OK;
     const int is_beyond = off_scale || fabs(value) > watch->value;
-    count_overload(s, over, is_beyond);
+    const uint64_t gone = s->tick - over->seen;
+    over->seen = s->tick;
+    axis_count_overload(over, gone < s->ticks.lost ? gone : s->ticks.lost, is_beyond,
+                        is_off_course(s->state), s->ticks.overload);
     if (!is_beyond)
         return RTHYB_OK;
     const int too_much =
         off_scale || fabs(value) > OVERLOAD * watch->value || over->ticks >= s->ticks.overload;
     const int escalates =
         watch->reaction >= RTHYB_REACT_HOLD && is_off_course(s->state) && too_much;
-    const finding found = off_scale ? (finding){cause, s->told_f, s->cfg.controller.f_range_n}
+    const finding found = off_scale ? (finding){cause, a->told_f, s->cfg.axis[i].f_range_n}
                                     : (finding){cause, value, watch->value};
     return react_to(s, found, escalates ? RTHYB_REACT_TRIP : watch->reaction, RTHYB_S_FORCE_LIMIT);
 }
 
 static int check_forces(rthyb_station *s, const rthyb_record *r)
 {
-    /* The reading counts though its pair was not taken: what pulls at the specimen need not be smooth. */
-    const double f = s->told ? s->told_f - s->tare_f : r->axis[0].f_meas_n;
     int code = RTHYB_OK;
-    if (s->tared)
-        code = check_force(s, RTHYB_CAUSE_FORCE, f, &s->over_f);
-    return code | check_force(s, RTHYB_CAUSE_RIG_FORCE, f + s->tare_f, &s->over_rig_f);
+    for (int i = 0; i < RTHYB_AXES; i++) {
+        rthyb_axis *a = &s->axis[i];
+        /* The reading counts though its pair was not taken: what pulls at the specimen need not be
+         * smooth. */
+        const double f = s->told ? a->told_f - a->tare_f : r->axis[i].f_meas_n;
+        if (s->tared)
+            code |= check_force(s, i, RTHYB_CAUSE_FORCE, f, &a->over_f);
+        code |= check_force(s, i, RTHYB_CAUSE_RIG_FORCE, f + a->tare_f, &a->over_rig_f);
+    }
+    return code;
+}
+
+static int is_off_scale(const rthyb_station *s)
+{
+    int bits = 0;
+    for (int i = 0; i < RTHYB_AXES; i++)
+        bits |= s->axis[i].off_scale;
+    return bits;
 }
 
 /* A displacement at the end of its sensor's range is as one beyond the position limit. */
@@ -917,11 +783,25 @@ static int check_off_scale(rthyb_station *s)
 {
     int code = RTHYB_OK;
     const int causes[] = {RTHYB_CAUSE_RIG_POSITION, RTHYB_CAUSE_POSITION};
-    for (int i = 0; i < 2 && s->off_scale & OFF_X; i++) {
-        const rthyb_watch *watch = &s->cfg.watch[causes[i]];
-        const finding found = {causes[i], s->told_x, s->cfg.controller.x_range_m};
-        if (watch->reaction != RTHYB_REACT_NONE && watch->value > 0.0)
-            code |= react_to(s, found, watch->reaction, RTHYB_S_POSITION_LIMIT);
+    for (int i = 0; i < RTHYB_AXES; i++) {
+        const rthyb_axis *a = &s->axis[i];
+        for (int j = 0; j < 2 && a->off_scale & AXIS_OFF_X; j++) {
+            const rthyb_watch *watch = &s->cfg.watch[causes[j]];
+            const finding found = {causes[j], a->told_x, s->cfg.axis[i].x_range_m};
+            if (watch->reaction != RTHYB_REACT_NONE && watch->value > 0.0)
+                code |= react_to(s, found, watch->reaction, RTHYB_S_POSITION_LIMIT);
+        }
+    }
+    return code;
+}
+
+static int check_tracking(rthyb_station *s, const rthyb_record *r, int at_rest)
+{
+    int code = RTHYB_OK;
+    for (int i = 0; i < RTHYB_AXES; i++) {
+        const double gap = at_rest ? s->axis[i].gap : 0.0;
+        code |= check(s, RTHYB_CAUSE_TRACKING, r->axis[i].x_meas_m - r->x_num_m - gap,
+                      RTHYB_S_TRACKING_LIMIT);
     }
     return code;
 }
@@ -930,12 +810,11 @@ static int check_off_scale(rthyb_station *s)
  * never zeroed has no zero to be far from. */
 static void watch_at_rest(rthyb_station *s, rthyb_record *r)
 {
-    if (!s->seen || s->drive_stands || (s->controller.missing && !s->off_scale))
+    if (!s->seen || s->drive_stands || (s->controller.missing && !is_off_scale(s)))
         return;
     int code = r->code | check_forces(s, r) | check_off_scale(s);
     if (s->tared)
-        code |= check(s, RTHYB_CAUSE_TRACKING, r->axis[0].x_meas_m - r->x_num_m - s->gap,
-                      RTHYB_S_TRACKING_LIMIT);
+        code |= check_tracking(s, r, 1);
     r->code = (uint16_t)code;
 }
 
@@ -948,13 +827,13 @@ static void watch_limits(rthyb_station *s, rthyb_record *r, double indicator_bef
     s->indicator_slope += (slope - s->indicator_slope) * fmin(h / 0.25, 1.0);
     int code = r->code;
     code |= check(s, RTHYB_CAUSE_POSITION, c->x_plc, RTHYB_S_POSITION_LIMIT);
-    code |= check(s, RTHYB_CAUSE_RIG_POSITION, c->x_plc + s->tare_cmd, RTHYB_S_POSITION_LIMIT);
+    code |=
+        check(s, RTHYB_CAUSE_RIG_POSITION, c->x_plc + s->axis[0].tare_cmd, RTHYB_S_POSITION_LIMIT);
     code |= check_off_scale(s);
     code |= check(s, RTHYB_CAUSE_VELOCITY, (c->x_plc - r->x_plc_m) / h, RTHYB_S_VELOCITY_LIMIT);
     code |= check(s, RTHYB_CAUSE_INCREMENT, c->x_cmd - r->axis[0].x_cmd_m, RTHYB_S_INCREMENT_LIMIT);
     code |= check_forces(s, r);
-    code |=
-        check(s, RTHYB_CAUSE_TRACKING, r->axis[0].x_meas_m - r->x_num_m, RTHYB_S_TRACKING_LIMIT);
+    code |= check_tracking(s, r, 0);
     code |= check(s, RTHYB_CAUSE_INDICATOR, s->indicator_slope, RTHYB_S_INDICATOR_LIMIT);
     code |= check(s, RTHYB_CAUSE_ENERGY, r->energy_error_j, RTHYB_S_ENERGY_LIMIT);
     code |= check(s, RTHYB_CAUSE_LOST_WARNING, share_of(s, &s->losses), RTHYB_S_LOST_RATE);
@@ -963,35 +842,17 @@ static void watch_limits(rthyb_station *s, rthyb_record *r, double indicator_bef
 }
 
 /* A sensor that repeats itself while the command has moved on. */
-static void watch_stuck(rthyb_station *s, int cause, rthyb_stillness *still, double reading)
+static void watch_stuck(rthyb_station *s, int i, int cause, rthyb_stillness *still, double reading)
 {
-    const double command = s->controller.x_cmd;
-    if (reading != still->reading || !is_moving(s->state)) {
-        *still = (rthyb_stillness){reading, command, 0};
-        return;
-    }
-    still->ticks++;
     const rthyb_watch *watch = &s->cfg.watch[cause];
-    if (watch->value > 0.0 && (double)still->ticks >= watch->value &&
-        fabs(command - still->command) > s->cfg.rest_spread_m)
+    if (axis_is_stuck(still, reading, s->controller.x_cmd, is_moving(s->state), watch->value,
+                      s->cfg.axis[i].rest_spread_m))
         s->noted |= react_to(s, (finding){cause, (double)still->ticks, watch->value},
                              watch->reaction, RTHYB_S_SENSOR_STUCK);
 }
 
-/* Another level is believed when it stays, unless a leap is to end the test. */
-static int stays_there(const rthyb_station *s, rthyb_leaps *leaps, double level,
-                       const rthyb_watch *watch)
-{
-    const int again = leaps->count > 0 && fabs(level - leaps->level) <= watch->value;
-    leaps->count = again ? leaps->count + 1 : 1;
-    leaps->level = level;
-    const int ends_test = watch->reaction >= RTHYB_REACT_RAMP_OUT && s->state != RTHYB_IDLE &&
-                          s->state != RTHYB_TRIPPED;
-    return !ends_test && leaps->count >= JUMP_TAKEN;
-}
-
 /* 1 unless a sensor leapt. In ticks without a pair the specimen may have moved on, in each by as much as
- * in one. */
+ * in one. Another level is believed when it stays, unless a leap is to end the test. */
 static int is_steady(rthyb_station *s, int cause, rthyb_leaps *leaps, double seen, double reading)
 {
     const rthyb_watch *watch = &s->cfg.watch[cause];
@@ -1000,47 +861,50 @@ static int is_steady(rthyb_station *s, int cause, rthyb_leaps *leaps, double see
     int good = 1;
     if (s->seen && watch->value > 0.0 && fabs(leap) > most) {
         s->noted |= react_to(s, (finding){cause, leap, most}, watch->reaction, RTHYB_S_SENSOR_JUMP);
-        good = stays_there(s, leaps, reading, watch);
+        const int ends_test = watch->reaction >= RTHYB_REACT_RAMP_OUT && s->state != RTHYB_IDLE &&
+                              s->state != RTHYB_TRIPPED;
+        good = axis_count_leaps(leaps, reading, watch->value) >= JUMP_TAKEN && !ends_test;
     }
     if (good)
         leaps->count = 0;
     return good;
 }
 
-/* A pair of which one half leaps is not taken; 1 if it is. */
+/* A pair of which one half leaps is not taken, nor are those of the other axes then; 1 if it is. */
 static int plausible(rthyb_station *s, const rthyb_station_input *in)
 {
-    finding found;
-    const int x = is_steady(s, RTHYB_CAUSE_SENSOR_JUMP, &s->leaps_x, s->seen_x, in->x_m);
-    /* A force beyond its limit is that first, however it came there. */
-    if (overloaded(s, in->f_n, &found))
-        return x;
-    const int f = is_steady(s, RTHYB_CAUSE_FORCE_JUMP, &s->leaps_f, s->seen_f, in->f_n);
-    return x && f;
-}
-
-/* What stood still before the readings ceased need not stand still now. */
-static void watch_rest(rthyb_station *s, double x)
-{
-    if (fabs(x - s->rest_x) > s->cfg.rest_spread_m || s->controller.missing >= s->ticks.lost) {
-        s->rest_x = x;
-        s->rest_ticks = 0;
+    int good = 1;
+    for (int i = 0; i < RTHYB_AXES; i++) {
+        rthyb_axis *a = &s->axis[i];
+        finding found;
+        const double x = in->axis[i].x_m, f = in->axis[i].f_n;
+        good &= is_steady(s, RTHYB_CAUSE_SENSOR_JUMP, &a->leaps_x, a->seen_x, x);
+        /* A force beyond its limit is that first, however it came there. */
+        if (!overloaded(s, a, f, &found))
+            good &= is_steady(s, RTHYB_CAUSE_FORCE_JUMP, &a->leaps_f, a->seen_f, f);
     }
-    s->rest_ticks += s->rest_ticks < s->ticks.rest;
+    return good;
 }
 
 static void note_reading(rthyb_station *s, const rthyb_station_input *in)
 {
-    watch_stuck(s, RTHYB_CAUSE_SENSOR_STUCK, &s->still_x, in->x_m);
-    watch_stuck(s, RTHYB_CAUSE_FORCE_STUCK, &s->still_f, in->f_n);
-    watch_rest(s, in->x_m);
+    const int ceased = s->controller.missing >= s->ticks.lost;
+    for (int i = 0; i < RTHYB_AXES; i++) {
+        rthyb_axis *a = &s->axis[i];
+        const double x = in->axis[i].x_m, f = in->axis[i].f_n;
+        watch_stuck(s, i, RTHYB_CAUSE_SENSOR_STUCK, &a->still_x, x);
+        watch_stuck(s, i, RTHYB_CAUSE_FORCE_STUCK, &a->still_f, f);
+        axis_watch_rest(a, x, s->cfg.axis[i].rest_spread_m, ceased, s->ticks.rest);
+    }
     if (!s->seen && !s->commands)
-        settle_at(s, in->x_m);
+        settle_at(s, in->axis[0].x_m);
     s->seen = 1;
-    s->seen_x = in->x_m;
-    s->seen_f = in->f_n;
+    for (int i = 0; i < RTHYB_AXES; i++) {
+        s->axis[i].seen_x = in->axis[i].x_m;
+        s->axis[i].seen_f = in->axis[i].f_n;
+    }
     if (s->zeroing == 1)
-        take_tare(s, in->x_m, in->f_n);
+        take_tare(s, in);
 }
 
 /* Where the command ends in spite of everything: what a limit takes off its course must not have left
@@ -1063,7 +927,8 @@ static range wire_bounds(const rthyb_station *s)
     const range within = reach(s);
     if (!s->commands || s->state == RTHYB_TRIPPED)
         return (range){-HUGE_VAL, HUGE_VAL};
-    return (range){s->tare_cmd + fmin(within.low, x), s->tare_cmd + fmax(within.high, x)};
+    const double zero = s->axis[0].tare_cmd;
+    return (range){zero + fmin(within.low, x), zero + fmax(within.high, x)};
 }
 
 /* A trip that its own record shows. */
@@ -1186,18 +1051,21 @@ static rthyb_input take_pair(rthyb_station *s, const rthyb_station_input *in, co
 {
     rthyb_input pair = at_tick(s, ag, n);
     pair.lost = in->lost;
-    s->off_scale = is_sensible(in) ? off_scale(s, in) : 0;
     s->told = is_sensible(in);
-    s->told_x = in->x_m;
-    s->told_f = in->f_n;
-    if (s->off_scale)
+    for (int i = 0; i < RTHYB_AXES; i++) {
+        rthyb_axis *a = &s->axis[i];
+        a->off_scale = s->told ? axis_off_scale(&s->cfg.axis[i], &in->axis[i]) : 0;
+        a->told_x = in->axis[i].x_m;
+        a->told_f = in->axis[i].f_n;
+    }
+    if (is_off_scale(s))
         pair.lost = RTHYB_LOST | RTHYB_S_OUT_OF_RANGE;
-    else if (is_sensible(in) && !plausible(s, in))
+    else if (s->told && !plausible(s, in))
         pair.lost = RTHYB_LOST;
-    else if (is_sensible(in))
+    else if (s->told)
         note_reading(s, in);
-    pair.x_meas_m = in->x_m - s->tare_x;
-    pair.f_meas_n = in->f_n - s->tare_f;
+    pair.x_meas_m = in->axis[0].x_m - s->axis[0].tare_x;
+    pair.f_meas_n = in->axis[0].f_n - s->axis[0].tare_f;
     return pair;
 }
 
@@ -1206,7 +1074,7 @@ static rthyb_input take_pair(rthyb_station *s, const rthyb_station_input *in, co
 static void stand_by(rthyb_station *s, const rthyb_station_input *in)
 {
     if (s->state == RTHYB_IDLE && in->drive_stopped && !s->controller.missing)
-        settle_at(s, s->seen_x);
+        settle_at(s, s->axis[0].seen_x);
 }
 
 /* With the first reading that is sound: what is taken over before would wait, unsent, for who knows how
@@ -1214,9 +1082,9 @@ static void stand_by(rthyb_station *s, const rthyb_station_input *in)
 static int take_over(rthyb_station *s, const rthyb_station_input *in)
 {
     if (!in->taken_over || s->seen || !is_sound(s, in) ||
-        judge(in->x_cmd_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
+        judge(in->axis[0].x_cmd_m, RTHYB_DISPLACEMENT_MAX_M) != RTHYB_OK)
         return 0;
-    settle(s, in->x_cmd_m);
+    settle(s, in->axis[0].x_cmd_m);
     s->commands = 1;
     return 1;
 }
@@ -1248,14 +1116,14 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
     const range wire = wire_bounds(s);
     const int frame = s->state != RTHYB_TRIPPED || s->trip_frames > 0;
     *out = (rthyb_station_output){
-        .x_cmd_m = s->controller.x_cmd + s->tare_cmd,
+        .axis = {{.x_cmd_m = s->controller.x_cmd + s->axis[0].tare_cmd,
+                  .low_m = wire.low,
+                  .high_m = wire.high}},
         .send = s->seen && frame,
         .state = s->state,
         .told = s->reset_frames > 0 ? RTHYB_TOLD_RESET : s->state,
         .refused = refused,
         .records = made_up + 1,
-        .low_m = wire.low,
-        .high_m = wire.high,
     };
     if (s->state == RTHYB_TRIPPED && s->trip_frames > 0)
         s->trip_frames--;
@@ -1265,7 +1133,7 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
                                       s->cfg.law_channel_count);
     rthyb_record *last = &records[made_up];
     last->code |= (uint16_t)s->noted;
-    note_pair(last, in->x_m, in->f_n, in->lost);
+    note_pair(last, in->axis[0].x_m, in->axis[0].f_n, in->lost);
     if (in->beyond && s->state == RTHYB_TRIPPED)
         last->code |= RTHYB_S_POSITION_LIMIT | RTHYB_S_TRIP;
     last->flags &= ~(uint32_t)RTHYB_F_NOT_SENT;

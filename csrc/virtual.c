@@ -23,7 +23,7 @@ static void drive(rthyb_virtual *test, const rthyb_station_output *out)
     if (test->phase == RTHYB_DRIVE_FOLLOWING && out->state == RTHYB_TRIPPED)
         test->phase = RTHYB_DRIVE_STOPPING;
     if (test->phase == RTHYB_DRIVE_FOLLOWING) {
-        next = out->send ? out->x_cmd_m : next;
+        next = out->send ? out->axis[0].x_cmd_m : next;
     } else if (test->phase == RTHYB_DRIVE_STOPPING) {
         next = braked_target(test->target_m, test->target1_m, test->stop_decel_m_per_s2,
                              test->rig->cfg.servo.period_s);
@@ -50,15 +50,15 @@ static void tick(rthyb_virtual *test, int32_t command, rthyb_record *record)
         .command = command,
         .drive_stopped = test->phase != RTHYB_DRIVE_FOLLOWING,
         .taken_over = !station->seen,
-        .x_cmd_m = test->target_m,
+        .axis = {{.x_cmd_m = test->target_m}},
     };
-    (void)rthyb_rig_step(test->rig, test->target_m, &in.x_m, &in.f_n);
+    (void)rthyb_rig_step(test->rig, test->target_m, &in.axis[0].x_m, &in.axis[0].f_n);
     if (test->freedoms > 0)
         note_freedoms(test);
     (void)rthyb_station_tick(station, &in, test->ag_mps2, test->ag_count, record, &out);
     rthyb_station_advance(station);
     record->due_ns = llrint((double)record->tick * station->cfg.controller.period_s * 1e9);
-    note_pair(record, in.x_m, in.f_n, 0);
+    note_pair(record, in.axis[0].x_m, in.axis[0].f_n, 0);
     if (test->truth) {
         station->channel[0] = test->rig->x_true_m;
         station->channel[1] = test->rig->f_true_n;

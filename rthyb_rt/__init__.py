@@ -2,23 +2,77 @@
 
 Part of a structure is real, on an actuator; the rest is computed. 1024 times a second the
 controller reads the specimen, solves the equation of motion, compensates the actuator's delay and
-sends the next command. Importing the package itself loads nothing else.
+sends the next command.
+
+`__all__` is the public interface, and all of it: ``import rthyb_rt as rt``. What else can be
+imported may change with any version. Importing the package itself loads nothing; a name is looked
+up when it is first used.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from rthyb_rt.api.checking import Check, check
+    from rthyb_rt.api.files import Rig, Test
+    from rthyb_rt.api.recordings import Plot, Plots, Recording
+    from rthyb_rt.api.recordings import open_recording as open
+    from rthyb_rt.api.running import run
+    from rthyb_rt.errors import InputError, Problem, RthybError
+
+__all__ = [
+    "Check",
+    "InputError",
+    "Plot",
+    "Plots",
+    "Problem",
+    "Recording",
+    "Rig",
+    "RthybError",
+    "Test",
+    "__version__",
+    "check",
+    "open",
+    "run",
+]
+
+_HOMES = {
+    "Check": "api.checking",
+    "InputError": "errors",
+    "Plot": "api.recordings",
+    "Plots": "api.recordings",
+    "Problem": "errors",
+    "Recording": "api.recordings",
+    "Rig": "api.files",
+    "RthybError": "errors",
+    "Test": "api.files",
+    "check": "api.checking",
+    "open": "api.recordings",
+    "run": "api.running",
+}
+"""Where each name is defined."""
+_NAMES = {"open": "open_recording"}
+"""What those are called at home that have another name here."""
 
 __version__: str
 
 if not TYPE_CHECKING:  # else mypy would believe that the package has every attribute
 
-    def __getattr__(name: str) -> str:
-        """Look the version up when somebody asks, since reading metadata costs an import."""
+    def __getattr__(name: str) -> object:
+        """Look a name up when somebody asks, since each costs an import."""
         if name == "__version__":
             from importlib.metadata import version
 
             return version("rthyb-rt")
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
+        found = getattr(import_module(f"{__name__}.{_HOMES[name]}"), _NAMES.get(name, name))
+        globals()[name] = found
+        return found
+
+    def __dir__() -> list[str]:
+        """Return the public names."""
+        return sorted(__all__)

@@ -44,7 +44,7 @@ static rthyb_station_config loop_example_station(void)
                        .velocity_limit_m_per_s = 0.5},
         .path_velocity_m_per_s = 0.05,
         .path_acceleration_m_per_s2 = 1.0,
-        .rest_spread_m = 1e-4,
+        .axis = {{.rest_spread_m = 1e-4}},
         .tare_ticks = 16,
         .ramp_in_ticks = 64,
         .armed_ticks = 500,

@@ -52,7 +52,7 @@ def floats(tmp_path_factory: pytest.TempPathFactory) -> wire.Codec:
 def sent_m(bench: Bench) -> np.ndarray:
     """Every position that came to the drive, of the structure, from its zero at the tare."""
     log = bench.drive.log
-    zero_m = bench.station._c.tare_cmd
+    zero_m = bench.station._c.axis[0].tare_cmd
     wired = log["x_m"][(log["frames"] > 0) & (log["state"] >= STATE["RAMP_IN"])]
     c = bench.calibration
     return np.asarray((wired - c.cmd_offset_m) / c.cmd_gain - zero_m)
@@ -121,7 +121,7 @@ def test_jog_that_ends_at_the_limit_stays_within_it_at_rest(
         bench.steps(100)
         assert bench.loop.cause == "completed"
         assert bench.rows()["x_plc_m"][-1] == pytest.approx(end_m, abs=1e-9)
-        at_rest = bench.drive.log["target_m"][-50:] - bench.station._c.tare_cmd
+        at_rest = bench.drive.log["target_m"][-50:] - bench.station._c.axis[0].tare_cmd
         assert np.ptp(at_rest) == 0.0
         assert limit_m - 1e-4 < at_rest[0] <= limit_m + 1e-10
 
@@ -137,7 +137,7 @@ def test_limit_narrower_than_a_step_of_the_wire_trips_and_nothing_leaves(
         stood_m = bench.drive.log["target_m"][-1]
         bench.step("zero")
         bench.until("ZEROED")
-        bench.station._c.seen_x = bench.station._c.tare_x
+        bench.station._c.axis[0].seen_x = bench.station._c.axis[0].tare_x
         bench.step("arm")
         bench.step("start")
         bench.until("TRIPPED")

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy.optimize
 from kernels import Floats
 
 from rthyb_rt import config
@@ -244,6 +245,29 @@ def test_gain_alpha_beta_needs_no_more_than_the_sweep_to_ten_hertz() -> None:
 # ---- defaults by the rig's resonance ------------------------------------------------------------
 
 
+def best_curvature(roll_off_hz: float, rate: int) -> float:
+    """Beta in samples of 1/1024 s, by a general minimizer of |C G - 1| over the slow tones."""
+    found = nominal().identified
+    assert found is not None
+    f = np.array(found.frequency_hz)
+    slow = f <= response.SLOW_HZ
+    g = response.response(found, Rate(rate), hold=response.hold_of(nominal()))[slow]
+    f = f[slow]
+    z = np.exp(2j * np.pi * f / rate)
+    rho = math.exp(-2 * math.pi * roll_off_hz / rate)
+    rolled = (1 - rho) ** 2 / (1 - rho / z) ** 2
+    weight = 1 / (1 + (f / response.KNEE_HZ) ** 2) + response.FLOOR
+
+    def left(terms: Floats) -> Floats:
+        alpha_s, beta_s2 = terms * (1e-2, 1e-4)
+        slope = (1 - 1 / z) * rate
+        error = weight * ((1 + rolled * (alpha_s * slope + beta_s2 * slope**2)) * g - 1)
+        return np.concatenate([error.real, error.imag])
+
+    made = scipy.optimize.least_squares(left, [2.0, 2.0], xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    return float(made.x[1]) * 1e-4 * 1024**2
+
+
 @pytest.mark.parametrize("rate", [1024, 4096])
 @pytest.mark.parametrize("law", ["robust", "alpha-beta"])
 def test_a_known_resonance_rolls_the_lead_and_the_force_compensation_off(
@@ -258,6 +282,7 @@ def test_a_known_resonance_rolls_the_lead_and_the_force_compensation_off(
     assert np.abs(poles) == pytest.approx(rho, rel=1e-6)
     assert settings["delay_estimator.cutoff_hz"] == 10.0
     assert found.rfc_cutoff_hz == 60.2
+    assert settings["beta0"] == pytest.approx(best_curvature(60.2, rate), rel=1e-6)
     assert not any("rolled off as before" in note for note in found.notes)
 
 
@@ -266,6 +291,9 @@ def test_what_the_test_says_itself_comes_first() -> None:
     assert (given.law_settings["w1"], given.law_settings["w2"]) == (4.0, 2.0)
     assert given.law_settings["delay_estimator.cutoff_hz"] == 25.0
     assert given.rfc_cutoff_hz == 0.0
+    assert given.law_settings["beta0"] == 0.0
+    assert derived(nominal(), "robust", "beta0 = 7").law_settings["beta0"] == 7.0
+    assert derived(nominal(), "robust", "beta0 = 7").law_settings["w2"] < 0.0
     other = derived(nominal(), "alpha-beta", "delay_estimator = { cutoff_hz = 15 }")
     assert other.law_settings["delay_estimator.cutoff_hz"] == 15.0
     assert other.law_settings["w2"] < 0.0
@@ -274,6 +302,7 @@ def test_what_the_test_says_itself_comes_first() -> None:
 def test_the_papers_controller_keeps_the_papers_weights() -> None:
     found = derived(nominal(), "paper")
     assert (found.law_settings["w1"], found.law_settings["w2"]) == (3.0, 2.0)
+    assert found.law_settings["beta0"] == 0.0
     assert (found.rfc_cutoff_hz, found.force_lateness_s) == (0.0, 0.0)
     assert not any("rolled off" in note for note in found.notes)
 
@@ -284,6 +313,7 @@ def test_an_old_rig_file_keeps_what_was_and_is_told_so(law: str) -> None:
     settings = found.law_settings
     assert (settings["w1"], settings["w2"]) == (3.0, 2.0)
     assert settings["delay_estimator.cutoff_hz"] == 25.0
+    assert settings["beta0"] == 0.0
     assert (found.rfc_cutoff_hz, found.force_lateness_s) == (0.0, 0.0)
     note = next(note for note in found.notes if "rolled off as before" in note)
     assert "no resonance up to 10 Hz" in note

@@ -216,7 +216,8 @@ def laws(law: LawConfig, model: response.Plant, h: float, hold: str | None) -> l
         f = np.array([one for one in _SLOW_HZ if one <= model.swept_hz])
         z = np.exp(2j * np.pi * f * h)
         g = rig(model, h, hold).response(z)[:, 0]
-        fitted = response.fitted_terms(f, g, h, first.w1, first.w2, _learnt(law.name))
+        held = (0.0, first.alpha, first.beta)
+        fitted = response.fitted_terms(f, g, h, first.w1, first.w2, _learnt(law.name), held)
         found.append(_lead(list(fitted), first.w1, first.w2))
     return found
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -188,6 +187,8 @@ def figures_of(setup: Setup, rec: Recording) -> dict[str, float]:
     )
 
 
+Item = TypeVar("Item")
+Found = TypeVar("Found")
 Tell = Callable[[int, int, str], None]
 
 _CHUNK: Final = 4
@@ -204,21 +205,24 @@ def measured(runs: Sequence[Run], jobs: int = 1, tell: Tell | None = None) -> li
     Raises:
         InputError: fewer than one process.
     """
-    if jobs < 1:
-        raise InputError(f"found {jobs}; must be at least 1 process", "--jobs")
     outcomes = []
-    with _mapped(min(jobs, len(runs) or 1), runs) as found:
-        for outcome in found:
-            outcomes.append(outcome)
-            if tell is not None:
-                tell(len(outcomes), len(runs), outcome.run.entrant)
+    for outcome in each(measure, runs, jobs):
+        outcomes.append(outcome)
+        if tell is not None:
+            tell(len(outcomes), len(runs), outcome.run.entrant)
     return outcomes
 
 
-@contextmanager
-def _mapped(jobs: int, runs: Sequence[Run]) -> Iterator[Iterator[Outcome]]:
-    if jobs == 1:
-        yield map(measure, runs)
+def each(do: Callable[[Item], Found], items: Sequence[Item], jobs: int) -> Iterator[Found]:
+    """Yield what a function makes of each item, in their order, by so many processes.
+
+    Raises:
+        InputError: fewer than one process.
+    """
+    if jobs < 1:
+        raise InputError(f"found {jobs}; must be at least 1 process", "--jobs")
+    if min(jobs, len(items)) <= 1:
+        yield from map(do, items)
         return
-    with pools.workers(jobs) as pool:
-        yield pool.map(measure, runs, chunksize=_CHUNK)
+    with pools.workers(min(jobs, len(items))) as pool:
+        yield from pool.map(do, items, chunksize=_CHUNK)

@@ -6,11 +6,10 @@ import contextlib
 from pathlib import Path
 from typing import Final
 
-from rthyb_rt import config
 from rthyb_rt.campaign.plan import FAILED, STOPPED, Case, Row, program
 from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.lab import keeping
 from rthyb_rt.lab.experiment import Setup
-from rthyb_rt.record import recording
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import write_report
 
@@ -58,10 +57,7 @@ def _kept(case: Case, setup: Setup, rec: Recording, folder: Path) -> Row:
     """Keep recording, settings and report of a run; return what leads to them."""
     place = folder / FOLDERS / f"{case.number:06d}"
     place.mkdir(parents=True, exist_ok=True)
-    recording.write(place / recording.FILE_NAME, rec)
-    written = config.dump(setup.test.model_copy(update={"rig": "rig.toml"}))
-    (place / "test.toml").write_text(written, encoding="utf-8")
-    (place / "rig.toml").write_text(rec.rig_toml, encoding="utf-8")
+    keeping.keep(place, setup, rec)
     found: Row = {"folder": str(place.relative_to(folder))}
     with contextlib.suppress(InputError):  # without the packages that a report needs
         write_report(rec, place / REPORT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import IO, TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,7 +16,7 @@ from rthyb_rt.errors import InputError
 if TYPE_CHECKING:
     from rthyb_rt.analysis.loop_roots import Verdict
     from rthyb_rt.analysis.margins import Lead, SampledLead
-    from rthyb_rt.config import Link
+    from rthyb_rt.config import Link, RigFile, TestFile
     from rthyb_rt.lab.braking import RunOn
     from rthyb_rt.lab.experiment import Setup
 
@@ -63,18 +63,90 @@ def check(
       rthyb check my-test.toml
       rthyb check my-test.toml --rig my-rig.toml --set numerical.period_s=0.8
     """
+    test_file, rig_file = load(test, rig, settings)
+    found = examine(test_file, rig_file, rig or test_file.rig)
+    _print(found, terminal.people(as_json))
+    if as_json:
+        terminal.print_json(found.document())
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What a test came to that was checked.
+
+    Attributes:
+        setup: the test, ready to go.
+        figures: that follow from test and rig.
+        loop: roots and margins of the loop; None where the rig's response is not known.
+        runs_on: how far a HOLD, a STOP or a ramp-out goes on at most.
+        limits: those that act, and where they come from.
+        link, commissioning: of the rig; None for one without a link.
+        factors: of the rig's calibration.
+        notes, warnings: what a user should know, and what should be changed.
+    """
+
+    setup: Setup
+    figures: Figures
+    loop: Verdict | None
+    runs_on: RunOn
+    limits: list[dict[str, Any]]
+    link: dict[str, Any] | None
+    commissioning: dict[str, Any] | None
+    factors: dict[str, float]
+    notes: list[str]
+    warnings: list[str]
+
+    def document(self) -> dict[str, Any]:
+        """Return it as a JSON document."""
+        return {
+            "schema": SCHEMA,
+            "ok": True,
+            "test_name": self.setup.test.test.name,
+            "rig_name": self.setup.rig.rig.name,
+            "figures": asdict(self.figures),
+            "run_on": asdict(self.runs_on),
+            "loop": None if self.loop is None else asdict(self.loop),
+            "limits": self.limits,
+            "link": self.link,
+            "commissioning": self.commissioning,
+            "calibration": self.factors,
+            "notes": self.notes,
+            "warnings": self.warnings,
+        }
+
+    def tables(self) -> list[list[tuple[str, str, str]]]:
+        """Return its tables, those that have a row: what, how much, what it is."""
+        setup = self.setup
+        tables = (
+            [*_rows(setup, self.figures), *_loop_rows(self.loop)],
+            _link_rows(self.link),
+            _commissioning_rows(self.commissioning),
+            _calibration_rows(self.factors),
+            _limit_rows(setup, self.limits),
+            _run_on_rows(self.runs_on),
+        )
+        return [list(rows) for rows in tables if rows]
+
+
+def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> Examined:
+    """Check a test on a rig.
+
+    Args:
+        test_file, rig_file: the two.
+        rig: path or name of the rig, by which it is known whether it was commissioned.
+
+    Raises:
+        InputError: with what is wrong between them.
+    """
     from rthyb_rt.analysis import loop_roots
     from rthyb_rt.core import FS_HZ
     from rthyb_rt.lab import braking, experiment
 
-    test_file, rig_file = load(test, rig, settings)
     real_time = rig_file.link is not None and test_file.test.sample_rate_hz == FS_HZ
     setup = experiment.prepare(test_file, rig_file, real_time=real_time)
-    figures, limits, link = _figures(setup), _limits(setup), _link(setup)
+    figures, runs_on = _figures(setup), braking.run_on(setup)
     loop = loop_roots.judge(setup)
-    runs_on = braking.run_on(setup)
-    factors = _calibration(setup)
-    commissioning = _commissioning(setup, rig or test_file.rig)
+    commissioning = None if rig is None else _commissioning(setup, rig)
     notes, warnings = _remarks(setup, figures)
     warnings += _run_on_warnings(setup, figures, runs_on)
     remark = loop_roots.remark(loop)
@@ -82,42 +154,33 @@ def check(
         warnings.append(remark)
     if loop is not None and loop.unstable and _is_real(setup):
         warnings.append("a test in real time will be refused: the loop is unstable")
-    file = terminal.people(as_json)
-    print(f"{setup.test.test.name} on {setup.rig.rig.name}: no fault found\n", file=file)
-    terminal.print_table([*_rows(setup, figures), *_loop_rows(loop)], file)
     if commissioning is not None and commissioning["why_not"]:
         warnings.append(f"a test in real time will be refused: {commissioning['why_not']}")
-    for rows in (
-        _link_rows(link),
-        _commissioning_rows(commissioning),
-        _calibration_rows(factors),
-        _limit_rows(setup, limits),
-        _run_on_rows(runs_on),
-    ):
-        if rows:
+    return Examined(
+        setup=setup,
+        figures=figures,
+        loop=loop,
+        runs_on=runs_on,
+        limits=_limits(setup),
+        link=_link(setup),
+        commissioning=commissioning,
+        factors=_calibration(setup),
+        notes=notes,
+        warnings=warnings,
+    )
+
+
+def _print(found: Examined, file: IO[str]) -> None:
+    setup = found.setup
+    print(f"{setup.test.test.name} on {setup.rig.rig.name}: no fault found\n", file=file)
+    for number, rows in enumerate(found.tables()):
+        if number:
             print("", file=file)
-            terminal.print_table(rows, file)
-    remarks = [f"Warning: {text}" for text in warnings] + [f"Note: {text}" for text in notes]
+        terminal.print_table(rows, file)
+    remarks = [f"Warning: {text}" for text in found.warnings]
+    remarks += [f"Note: {text}" for text in found.notes]
     if remarks:
         print("", *remarks, sep="\n", file=file)
-    if as_json:
-        terminal.print_json(
-            {
-                "schema": SCHEMA,
-                "ok": True,
-                "test_name": setup.test.test.name,
-                "rig_name": setup.rig.rig.name,
-                "figures": asdict(figures),
-                "run_on": asdict(runs_on),
-                "loop": None if loop is None else asdict(loop),
-                "limits": limits,
-                "link": link,
-                "commissioning": commissioning,
-                "calibration": factors,
-                "notes": notes,
-                "warnings": warnings,
-            }
-        )
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def run(
     recording and report are there all the same.
     """
     from rthyb_rt.analysis import loop_roots, summary
-    from rthyb_rt.lab import experiment, virtual_time
+    from rthyb_rt.lab import experiment, keeping, virtual_time
     from rthyb_rt.record import recording
 
     if clock is not None and not realtime:
@@ -125,8 +125,7 @@ def run(
         def keep(rec: Recording) -> Path:
             # A test that has been carried out is kept; and HDF5's callbacks would swallow a Ctrl-C.
             with interrupts.held():
-                recording.write(stage / recording.FILE_NAME, rec)
-                _write_settings(stage, setup, rec)
+                keeping.keep(stage, setup, rec)
                 return publish(stage, target, numbered=out is None)
 
         with terminal.progress("Testing", setup.ticks, setup.derived.fs_hz) as progress:
@@ -252,15 +251,6 @@ def _tell_ring(session: Session) -> None:
 
 def _tell_tare(session: Session) -> None:
     terminal.tell(f"zeroed: {session.tare_in_words()}")
-
-
-def _write_settings(folder: Path, setup: Setup, rec: Recording) -> None:
-    """Write test and rig as they were used; the test names the rig beside it."""
-    from rthyb_rt import config
-
-    test = config.dump(setup.test.model_copy(update={"rig": "rig.toml"}))
-    (folder / "test.toml").write_text(test, encoding="utf-8")
-    (folder / "rig.toml").write_text(rec.rig_toml, encoding="utf-8")
 
 
 def _write_report(rec: Recording, folder: Path) -> Path | None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from rthyb_rt.config.baselinefile import BaselineFile
+from rthyb_rt.config.changes import IN_PYTHON
 from rthyb_rt.config.defaults import derived_limits
 from rthyb_rt.config.deriving import Derived, derive, resolve
 from rthyb_rt.config.limits import Limit, Limits
 from rthyb_rt.config.loading import (
     builtin_test_path,
+    check_values,
     find_rig,
     frames_of_link,
     json_schema,
@@ -22,16 +24,19 @@ from rthyb_rt.config.loading import (
     read_text,
     rig_of_test,
     schema_of,
+    shipped,
     shipped_rig,
+    shipped_test,
     split_overrides,
 )
 from rthyb_rt.config.mapfile import MapFile
 from rthyb_rt.config.rate import STANDARD, STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import Calibration, Identified, Link, RigFile, SpecimenElement
 from rthyb_rt.config.testfile import TestFile
-from rthyb_rt.config.writing import dump
+from rthyb_rt.config.writing import dump, dump_values, inline
 
 __all__ = [
+    "IN_PYTHON",
     "STANDARD",
     "STANDARD_HZ",
     "BaselineFile",
@@ -47,11 +52,14 @@ __all__ = [
     "SpecimenElement",
     "TestFile",
     "builtin_test_path",
+    "check_values",
     "derive",
     "derived_limits",
     "dump",
+    "dump_values",
     "find_rig",
     "frames_of_link",
+    "inline",
     "json_schema",
     "load_both",
     "load_rig",
@@ -65,6 +73,8 @@ __all__ = [
     "resolve",
     "rig_of_test",
     "schema_of",
+    "shipped",
     "shipped_rig",
+    "shipped_test",
     "split_overrides",
 ]

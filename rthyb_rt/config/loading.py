@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from rthyb_rt.config import busload
 from rthyb_rt.config.baselinefile import BASELINE_SCHEMA, BaselineFile
 from rthyb_rt.config.campaignfile import CAMPAIGN_SCHEMA, CampaignFile
+from rthyb_rt.config.changes import ON_COMMAND_LINE, Wording
 from rthyb_rt.config.fields import Table, nearest, written
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
@@ -27,6 +28,11 @@ from rthyb_rt.errors import InputError, Problem
 _Model = TypeVar("_Model", TestFile, RigFile, BaselineFile, MapFile, CampaignFile)
 
 MAX_BYTES = 10 * 10**6
+
+_SCHEMAS: dict[type[Table], str] = {
+    TestFile: TEST_SCHEMA, RigFile: RIG_SCHEMA, BaselineFile: BASELINE_SCHEMA,
+    MapFile: MAP_SCHEMA, CampaignFile: CAMPAIGN_SCHEMA,
+}  # fmt: skip
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SYNTAX_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
@@ -190,17 +196,56 @@ def _dbc_fault(link: Link) -> tuple[str, str] | None:
 
 
 def parse_test(
-    text: str, source: str = "test", overrides: Mapping[str, str] | None = None
+    text: str,
+    source: str = "test",
+    overrides: Mapping[str, str] | None = None,
+    wording: Wording = ON_COMMAND_LINE,
 ) -> TestFile:
-    """Check the text of a test file; ``source`` is its name in messages."""
-    return _parse(TestFile, TEST_SCHEMA, text, source, overrides or {})
+    """Check the text of a test file.
+
+    Args:
+        text: of the file.
+        source: its name in messages.
+        overrides: dotted key -> value as typed after ``--set``.
+        wording: how messages call an override.
+
+    Raises:
+        InputError: with every fault of text and overrides.
+    """
+    return _parse(TestFile, TEST_SCHEMA, text, source, overrides or {}, wording=wording)
 
 
 def parse_rig(
-    text: str, source: str = "rig", overrides: Mapping[str, str] | None = None
+    text: str,
+    source: str = "rig",
+    overrides: Mapping[str, str] | None = None,
+    wording: Wording = ON_COMMAND_LINE,
 ) -> RigFile:
-    """Check the text of a rig file; ``source`` is its name in messages."""
-    return _parse(RigFile, RIG_SCHEMA, text, source, overrides or {})
+    """Check the text of a rig file; arguments and errors as for `parse_test`."""
+    return _parse(RigFile, RIG_SCHEMA, text, source, overrides or {}, wording=wording)
+
+
+def check_values(model: type[_Model], values: Mapping[str, Any], source: str) -> _Model:
+    """Check the values of a file that is written nowhere, table by table as in TOML.
+
+    Args:
+        model: of the file.
+        values: key -> value, a table being a mapping of its own; without ``schema``.
+        source: what messages call it.
+
+    Raises:
+        InputError: with every fault, its key and what is allowed there.
+    """
+    raw = {"schema": _SCHEMAS[model], **values}
+    try:
+        return model.model_validate(raw)
+    except ValidationError as error:
+        problems = []
+        for fault in error.errors(include_url=False, include_input=False):
+            name = ".".join(str(part) for part in _key_path(fault["loc"], raw))
+            where = f"{source}: {name}" if name else source
+            problems.append(Problem(where, str(fault["ctx"]["text"])))
+        raise InputError(problems) from None
 
 
 def parse_baseline(text: str, source: str = "baseline") -> tuple[BaselineFile, list[str]]:
@@ -302,14 +347,29 @@ def shipped_rig(name: str) -> Path:
     Raises:
         InputError: when there is none of that name; the message lists those there are.
     """
-    rigs = {path.stem: path for path in sorted(_shipped("rigs").glob("*.toml"))}
-    if name in rigs:
-        return rigs[name]
-    known = ", ".join(rigs) or "none"
+    return _named("rig", name)
+
+
+def shipped_test(name: str) -> Path:
+    """Return the file of a test that comes with the program; errors as for `shipped_rig`."""
+    return _named("test", name)
+
+
+def shipped(kind: Literal["rig", "test"]) -> dict[str, Path]:
+    """Return the files that come with the program by their names."""
+    folder = _shipped({"rig": "rigs", "test": "examples"}[kind])
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def _named(kind: Literal["rig", "test"], name: str) -> Path:
+    files = shipped(kind)
+    if name in files:
+        return files[name]
+    known = ", ".join(files) or "none"
     raise InputError(
-        f"found {written(name)}; no file and no rig of that name{nearest(name, list(rigs))}; give "
-        f"the path of a rig file, or one of those that come with the program: {known}",
-        where="rig",
+        f"found {written(name)}; no file and no {kind} of that name{nearest(name, list(files))}; "
+        f"give the path of a {kind} file, or one of those that come with the program: {known}",
+        where=kind,
     )
 
 
@@ -406,7 +466,7 @@ def read_text(path: str | Path, kind: str) -> str:
 
 def _parse(
     model: type[_Model], schema: str, text: str, source: str, overrides: Mapping[str, str],
-    raw: dict[str, Any] | None = None,
+    raw: dict[str, Any] | None = None, wording: Wording = ON_COMMAND_LINE,
 ) -> _Model:  # fmt: skip
     raw = _toml(text, source) if raw is None else raw
     if isinstance(raw.get("schema"), str) and raw["schema"] != schema:
@@ -417,9 +477,9 @@ def _parse(
     given: dict[KeyPath, str] = {}
     for key, value in overrides.items():
         path = _override_path(model, key)
-        complaint = _override(raw, path, value, set(given))
+        complaint = _override(raw, path, value, set(given), wording)
         if complaint:
-            problems.append(Problem(f"--set {key}", complaint))
+            problems.append(Problem(wording.place(key), complaint))
         else:
             given[path] = key
     # Tables that were given another kind, and those whose other keys do not fit it.
@@ -447,7 +507,7 @@ def _parse(
                 inner = place[len(_override_path(model, culprit)) :]
                 name = ".".join(str(part) for part in inner)
                 problems.append(
-                    Problem(f"--set {culprit}", f"{name}: {message}" if name else message)
+                    Problem(wording.place(culprit), f"{name}: {message}" if name else message)
                 )
             else:
                 line = lines.find(place)
@@ -457,14 +517,14 @@ def _parse(
     changed: KeyPath
     for changed in sorted(unfit, key=str):
         name = given[(*changed, new_kinds[changed])]
-        problems.append(Problem(f"--set {name}", _kind_message(raw, changed, name)))
+        problems.append(Problem(wording.place(name), _kind_message(raw, changed, name, wording)))
     problems = [problem for _, problem in sorted(placed, key=lambda pair: pair[0])] + problems
     if problems:
         raise InputError(problems)
     return result
 
 
-def _kind_message(raw: dict[str, Any], path: KeyPath, override: str) -> str:
+def _kind_message(raw: dict[str, Any], path: KeyPath, override: str, wording: Wording) -> str:
     """Say how a table gets another kind, with the keys that this one needs."""
     values: Any = raw
     for part in path:
@@ -481,10 +541,9 @@ def _kind_message(raw: dict[str, Any], path: KeyPath, override: str) -> str:
         for key, info in model.model_fields.items()
         if info.is_required()
     }
-    table = ", ".join(f"{key} = {value}" for key, value in needed.items())
     return (
         f"{written(kind)} takes other keys than those of the file; set the whole table: "
-        f"--set '{name}={{ {table} }}' (allowed: {', '.join(model.model_fields)})"
+        f"{wording.whole(name, needed)} (allowed: {', '.join(model.model_fields)})"
     )
 
 
@@ -549,7 +608,9 @@ def _override_path(model: type[Table], key: str) -> KeyPath:
     return tuple(parts)
 
 
-def _override(raw: dict[str, Any], path: KeyPath, text: str, given: set[KeyPath]) -> str | None:
+def _override(
+    raw: dict[str, Any], path: KeyPath, text: str, given: set[KeyPath], wording: Wording
+) -> str | None:
     """Put an override into the file's values; return the complaint when it has no place there."""
     if "" in path:
         return "the key has an empty part; keys are written as controller.w1"
@@ -572,7 +633,7 @@ def _override(raw: dict[str, Any], path: KeyPath, text: str, given: set[KeyPath]
         else:
             return (
                 f"{name} is {written(place)}, which has no keys; set it as a whole: "
-                f"--set '{name}={{ {part} = {text} }}'"
+                f"{wording.whole(name, {str(part): text})}"
             )
     return None
 

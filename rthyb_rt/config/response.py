@@ -233,7 +233,13 @@ def fitted_lead(f_hz: Floats, g: Complexes, period_s: float, w1: float, w2: floa
 
 
 def fitted_terms(
-    f_hz: Floats, g: Complexes, period_s: float, w1: float, w2: float, which: tuple[int, ...]
+    f_hz: Floats,
+    g: Complexes,
+    period_s: float,
+    w1: float,
+    w2: float,
+    which: tuple[int, ...],
+    others: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[float, float, float]:
     """Return gain less 1, delay and curvature, in samples, of the lead that undoes a response best.
 
@@ -244,16 +250,20 @@ def fitted_terms(
         f_hz, g: frequencies and response, (n,) each.
         period_s: sampling period.
         w1, w2: weights of the lead.
-        which: of the three; the others are 0.
+        which: of the three.
+        others: what the three are that are not fitted.
     """
     back = np.exp(-2j * np.pi * f_hz * period_s)
     delta = 1.0 - back
     rolled = (w1 + w2 + 1.0) * g / (w1 + w2 * back + back**2)
     scale = (50.0 * period_s) ** -np.arange(3.0)
-    columns = np.array([rolled * scale[j] * delta**j for j in which]).T
+    columns = np.array([rolled * scale[j] * delta**j for j in range(3)]).T
     weight = _weight(f_hz)
-    terms = np.zeros(3)
-    terms[list(which)] = _least_squares(weight[:, None] * columns, weight * (1.0 - g))
+    fitted = list(which)
+    terms = np.array(others) / scale
+    terms[fitted] = 0.0
+    wanted = 1.0 - g - columns @ terms
+    terms[fitted] = _least_squares(weight[:, None] * columns[:, fitted], weight * wanted)
     terms *= scale
     return float(terms[0]), float(terms[1]), float(terms[2])
 

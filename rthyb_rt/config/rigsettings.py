@@ -20,6 +20,7 @@ ROLL_OFF: Final = "identified.roll_off_hz"
 RESPONSE: Final = "identified.frequency_hz"
 _WEIGHTS: Final = ("w1", "w2")
 _PAIR: Final = "delay_estimator.cutoff_hz"
+_CURVATURE: Final = "beta0"
 _COEFFICIENTS: Final = tuple(f"inverse.b{j}" for j in range(6))
 _SWEEP: Final = '`rthyb identify RIG --max-frequency "80 Hz"` looks for a resonance'
 
@@ -54,7 +55,7 @@ def law_settings_of_rig(
     for p in open_keys:
         if p.rig_key == ROLL_OFF:
             # The paper's law keeps the paper's weights.
-            value = None if controller.type == "paper" else _of_roll_off(p, rig, rate)
+            value = None if controller.type == "paper" else _of_roll_off(p, test, rig, rate)
         else:
             value = _plain(p, rig)
         if value is not None:
@@ -148,10 +149,10 @@ def note_defaults(test: TestFile, rig: RigFile, notes: list[str]) -> None:
 def _said(controller: Controller, key: str) -> bool:
     """Return whether the test file says a setting, or one that belongs to it.
 
-    The two weights belong together, and with them the filter pair's cut-off; so do the coefficients
-    of an inverse.
+    The two weights belong together, and with them the filter pair's cut-off and the curvature; so
+    do the coefficients of an inverse.
     """
-    together: tuple[str, ...] = _WEIGHTS if key in (*_WEIGHTS, _PAIR) else ()
+    together: tuple[str, ...] = _WEIGHTS if key in (*_WEIGHTS, _PAIR, _CURVATURE) else ()
     if key in _COEFFICIENTS:
         together = _COEFFICIENTS
     return any(_is_in(controller, one) for one in (key, *together))
@@ -164,14 +165,46 @@ def _is_in(controller: Controller, key: str) -> bool:
     return place is not None
 
 
-def _of_roll_off(p: Parameter, rig: RigFile, rate: Rate) -> float | None:
+def _of_roll_off(p: Parameter, test: TestFile, rig: RigFile, rate: Rate) -> float | None:
     """Return what a setting is where the lead is rolled off below the rig's resonance."""
     known = roll_off_hz(rig)
     if known is None:
         return None
+    if p.key == _CURVATURE:
+        most = test.controller.setting("delay_estimator.alpha_max") or 0.0
+        return _curvature(known, rig, rate, 0.5 * most**2)
     if p.key in _WEIGHTS:
         return weights(known, rate.period_s)[_WEIGHTS.index(p.key)]
     return PAIR_CUTOFF_HZ if p.key == _PAIR else min(max(known, p.low), p.high)
+
+
+def _curvature(roll_off_hz: float, rig: RigFile, rate: Rate, most: float) -> float | None:
+    """Return beta, samples^2 of 1/1024 s, with which the lead undoes the response up to 10 Hz best.
+
+    Both poles of the roll-off bend the lead down by alpha / (pi f), as much as a rig that is a
+    delay does by itself; a law that does not learn beta would leave all of that.
+
+    Args:
+        roll_off_hz: of the lead.
+        rig: with what was identified.
+        rate: of the test.
+        most: bound of beta.
+    """
+    found = rig.identified
+    if found is None:
+        return None
+    import numpy as np
+
+    from rthyb_rt.config import response
+
+    f_hz = np.asarray(found.frequency_hz)
+    slow = f_hz <= response.SLOW_HZ
+    if slow.sum() < 3:
+        return None
+    g = response.response(found, rate, hold=response.hold_of(rig))
+    both = weights(roll_off_hz, rate.period_s)
+    beta = response.fitted_terms(f_hz[slow], g[slow], rate.period_s, *both, (1, 2))[2]
+    return min(max(beta / rate.pace**2, -most), most)
 
 
 def _plain(p: Parameter, rig: RigFile) -> float | None:

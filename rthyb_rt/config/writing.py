@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 
 from rthyb_rt.config.fields import Table
@@ -13,7 +14,17 @@ def dump(table: Table) -> str:
 
     Keys whose value is absent are left out. The text ends with a newline.
     """
-    return "\n".join(_table_lines((), table.model_dump(by_alias=True))).strip() + "\n"
+    return dump_values(table.model_dump(by_alias=True))
+
+
+def dump_values(values: Mapping[str, object]) -> str:
+    """Return the values of a file, table by table, as TOML; else as `dump`."""
+    return "\n".join(_table_lines((), values)).strip() + "\n"
+
+
+def inline(value: object) -> str:
+    """Return one value as TOML, tables within braces."""
+    return _value(value)
 
 
 def _table_lines(
@@ -21,13 +32,13 @@ def _table_lines(
 ) -> Iterator[str]:
     """Write the plain values first: after a sub-table they would belong to that one."""
     plain = {k: v for k, v in table.items() if not isinstance(v, dict) and not _is_tables(v)}
-    lines = [f"{key} = {_value(value)}" for key, value in plain.items() if value is not None]
+    lines = [f"{_key(k)} = {_value(value)}" for k, value in plain.items() if value is not None]
     if header and lines:
         yield f"\n{header}"
     yield from lines
     for key, value in table.items():
         inner = (*path, key)
-        name = ".".join(inner)
+        name = ".".join(_key(part) for part in inner)
         if isinstance(value, dict):
             yield from _table_lines(inner, value, f"[{name}]")
         elif isinstance(value, list) and _is_tables(value):
@@ -45,6 +56,15 @@ def _value(value: object) -> str:
     if isinstance(value, str):
         # JSON's escapes are TOML's, but for DEL, which TOML wants escaped as well.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
-    if isinstance(value, list):
+    if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_value(item) for item in value) + "]"
+    if isinstance(value, Mapping):
+        pairs = (f"{_key(key)} = {_value(inner)}" for key, inner in value.items())
+        return "{ " + ", ".join(pairs) + " }"
     return repr(value)
+
+
+def _key(key: object) -> str:
+    """Return a key as TOML has it: bare where that can be."""
+    text = str(key)
+    return text if re.fullmatch(r"[A-Za-z0-9_-]+", text) else _value(text)

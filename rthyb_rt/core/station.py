@@ -262,6 +262,9 @@ class Station:
 
     def __init__(self, config: StationConfig, ag_mps2: npt.ArrayLike) -> None:
         plain = {k: v for k, v in _mapping_of(config).items() if k != "watches"}
+        axis = {name: plain.pop(name) for name in ("rest_spread_m", "tare_most_m", "tare_most_n")}
+        ranges = {name: plain["controller"][name] for name in ("x_range_m", "f_range_n")}
+        plain["axis"] = [axis | ranges]
         struct = ffi.new("rthyb_station_config *", plain)
         self._part = fill_part(struct.controller.numerical, config.controller.numerical)
         _fill_watches(struct.watch, config.watches)
@@ -288,8 +291,9 @@ class Station:
         ``taken_over_m``: with the first sound reading, the command that the drive has already.
         """
         i = self._in
-        i.taken_over, i.x_cmd_m = taken_over_m is not None, taken_over_m or 0.0
-        i.x_m, i.f_n, i.lost = x_m, f_n, lib.RTHYB_LOST if lost else 0
+        i.taken_over = taken_over_m is not None
+        i.axis[0] = {"x_m": x_m, "f_n": f_n, "x_cmd_m": taken_over_m or 0.0}
+        i.lost = lib.RTHYB_LOST if lost else 0
         i.skipped, i.command = skipped, COMMANDS.index(command)
         i.link_down, i.drive_stopped, i.heartbeat_late = link_down, drive_stopped, heartbeat_late
         records = np.zeros(BLIND_MAX + 1, dtype=RECORD_DTYPE)
@@ -298,7 +302,7 @@ class Station:
         )
         out = self._out
         return StationTick(
-            x_cmd_m=out.x_cmd_m,
+            x_cmd_m=out.axis[0].x_cmd_m,
             sent=bool(out.send),
             state=STATES[out.state],
             refused=bool(out.refused),
@@ -420,12 +424,12 @@ class Station:
     @property
     def tare(self) -> tuple[float, float]:
         """Offsets taken off displacement (m) and force (N)."""
-        return self._c.tare_x, self._c.tare_f
+        return self._c.axis[0].tare_x, self._c.axis[0].tare_f
 
     @property
     def command_tare_m(self) -> float:
         """What is added to a command on its way to the drive: where that stood at the tare, m."""
-        return float(self._c.tare_cmd)
+        return float(self._c.axis[0].tare_cmd)
 
 
 def command_of(flags: int) -> Command:

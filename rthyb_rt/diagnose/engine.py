@@ -203,7 +203,7 @@ def displacement(case: Case) -> Displacement | None:
     size = float(np.std(task.x[task.rows])) / task.sigma
     sets = _Weighed(task, null, fits, scale, size, task.simulate(base))
     good = [f for f in fits if sets.worth(f) and sets.needed(f)]
-    best = good[0] if good else null
+    best = good[0] if good else _as_stated(task, null)
     equal = [f for f in good if f is not best and sets.alike(f, best)]
     after = best.chi2 / n - 1.0
     left = after / before if before > 0 else 0.0
@@ -222,6 +222,18 @@ def displacement(case: Case) -> Displacement | None:
     known = known or quiet
     rivals = [f for f in fits if f is not best][:5]
     return Displacement(task, null, best, equal, rivals, scale, left, known, quiet)
+
+
+def _as_stated(task: Actuation, null: ActuatorFit) -> ActuatorFit:
+    """Return nothing but nuisance without its time offset, where that brings nothing.
+
+    A lag that follows a held command has a velocity that steps with it: an offset of a nanosecond
+    the wrong way, which noise decides, would take each row's step before the row.
+    """
+    residual, motion, zero = task.residual(task.base)
+    if float(residual @ residual) - null.chi2 > POLICY.same_evidence:
+        return null
+    return replace(null, model=task.base, residual=residual, motion=motion, zero_m=zero)
 
 
 def _allowed(case: Case, size: int) -> float:

@@ -469,13 +469,17 @@ def _moved(
                 names = {n for m in members for n in m.effect.names}
                 if (body.held and _seen_only(members)) or (enough and not body.plain(members)):
                     continue
-                if len(dry & names) < 2 and tuple(sorted(names)) not in mover.by_names:
+                if tuple(sorted(names)) not in mover.by_names:
                     mover.fit(members)
     mover.relieve()
     mover.plain_friction()
     if problem.decays:
         mover.exchange()
     mover.settle()
+    # A part that leads now may bend a stated number, or have a plainer friction.
+    body.runs = max(body.runs, PARTS)
+    mover.relieve()
+    mover.plain_friction()
     best = min((plain, *mover.by_names.values()), key=mover.score)
     scale = inflation(best.residual)
     before, after = plain.chi2, best.chi2

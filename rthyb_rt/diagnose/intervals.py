@@ -115,7 +115,9 @@ class Sure:
         )
         exact = search.problem.estimate.exact
         least = POLICY.interval_simulated if exact else POLICY.interval_estimated
-        for fit in search.forms:
+        # What bends a stated number in the place of its effect says nothing of how large that is.
+        stands = [f for f in search.forms if name not in force.bent(search.problem, f)]
+        for fit in stands:
             for i, m in enumerate(fit.members):
                 if m.name == name:
                     other = m.effect.report(ctx, m.trial, fit.betas[i])

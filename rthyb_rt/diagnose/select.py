@@ -689,7 +689,13 @@ class Dictionary:
 
 
 def compatible(members: Sequence[Member]) -> bool:
-    """Return whether effects may stand beside one another."""
+    """Return whether effects may stand beside one another.
+
+    A contact has one law of friction: a second one beside it is the first in a form of its own, and
+    takes up what the first one's form leaves.
+    """
+    if sum(m.effect.dry for m in members) > 1:
+        return False
     whole = [m for m in members if m.effect.complete]
     beside = [m for m in members if not m.effect.complete and not m.effect.sensor]
     return not whole or (len(whole) == 1 and not beside)

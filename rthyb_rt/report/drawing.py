@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -91,6 +91,7 @@ class Plate:
         svg: the drawing; empty when there is nothing to draw, and ``note`` says why.
         note: what to know when reading it.
         half: two of these stand side by side.
+        figure: of matplotlib, None where there is nothing to draw.
     """
 
     key: str
@@ -98,6 +99,7 @@ class Plate:
     svg: str
     note: str
     half: bool
+    figure: Figure | None = field(default=None, repr=False, compare=False)
 
 
 class Paper:
@@ -130,7 +132,8 @@ class Paper:
 
     def plate(self, title: str, note: str) -> Plate:
         """Return the finished figure."""
-        return Plate(self.key, title, to_svg(self.figure, self.key, title), note, self.half)
+        svg = to_svg(self.figure, self.key, title)
+        return Plate(self.key, title, svg, note, self.half, self.figure)
 
 
 def curve(

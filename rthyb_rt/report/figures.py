@@ -42,6 +42,17 @@ def draw_all(rec: Recording, summary: Summary) -> list[draw.Plate]:
     return [plate for plate in plates if plate is not None]
 
 
+def draw_one(rec: Recording, summary: Summary, key: str) -> draw.Plate | None:
+    """Return one figure of the report by its key; None where the recording has nothing for it."""
+    with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
+        plate: draw.Plate | None = getattr(_Figures(rec, summary), _METHODS.get(key, key))()
+    return plate
+
+
+_METHODS = {"tracking": "tracking_error", "accumulated": "accumulated_error"}
+"""Figures whose key is shorter than what draws them."""
+
+
 class _Figures:
     """The signals of one recording in the units of the figures."""
 

@@ -184,9 +184,9 @@ static void show(const episode *e, const event *v)
            "%.9g | num %.9g plc %.9g cmd %.9g -> %.9g%s | step %.3g flags %x code %x cause %d\n",
            e->o.tick, v->was, v->is, v->in.command, v->refused ? "!" : "", v->in.skipped,
            v->in.lost, v->in.link_down, v->in.drive_stopped, v->in.heartbeat_late, v->in.beyond,
-           v->in.x_m - s->tare_x, v->in.f_n - s->tare_f, r->x_num_m, r->x_plc_m, r->axis[0].x_cmd_m,
-           v->at_drive_m, v->sent ? "" : " unsent", e->o.step_m, r->flags & 0x801fff, r->code,
-           s->cause);
+           v->in.axis[0].x_m - s->axis[0].tare_x, v->in.axis[0].f_n - s->axis[0].tare_f, r->x_num_m,
+           r->x_plc_m, r->axis[0].x_cmd_m, v->at_drive_m, v->sent ? "" : " unsent", e->o.step_m,
+           r->flags & 0x801fff, r->code, s->cause);
 }
 
 static void judge(episode *e, const event *v)
@@ -248,14 +248,15 @@ static int pass_on(episode *e, plain_drive *p, const rthyb_station_output *out, 
     rthyb_frame frame;
     double wire_m = 0.0;
     if (!e->coded) {
-        drive_hears(p, &e->w, out->told, out->x_cmd_m);
+        drive_hears(p, &e->w, out->told, out->axis[0].x_cmd_m);
         return 1;
     }
-    const double wanted_m = command_for_wire(&e->codec, &e->calibration, out);
+    const double wanted_m = command_for_wire(&e->codec, &e->calibration, &out->axis[0]);
     const rthyb_setpoint setpoint = {.x_m = wanted_m, .state = (uint32_t)out->told};
     const int code = rthyb_encode_setpoint(&e->codec, &setpoint, &frame, &wire_m);
     const int sent = !unsent && !(code & RTHYB_S_NOT_FINITE);
-    p->beyond = (isnan(wanted_m) && isfinite(out->x_cmd_m)) || (code & RTHYB_S_OUT_OF_RANGE);
+    p->beyond =
+        (isnan(wanted_m) && isfinite(out->axis[0].x_cmd_m)) || (code & RTHYB_S_OUT_OF_RANGE);
     note_command(&e->station, &e->calibration, sent, wire_m);
     if (sent)
         drive_hears(p, &e->w, out->told, command_from_wire(&e->calibration, wire_m));
@@ -292,13 +293,13 @@ static void judge_refusal(episode *e, const event *v, const rthyb_station_output
     in.command = RTHYB_CMD_NONE;
     rthyb_station_tick(&e->twin, &in, e->ag_mps2, e->ag_count, other, &plain);
     const rthyb_record *a = &v->rows[v->count - 1], *b = &other[plain.records - 1];
-    const int same = plain.x_cmd_m == out->x_cmd_m && plain.state == out->state &&
-                     plain.send == out->send && plain.low_m == out->low_m &&
+    const int same = plain.axis[0].x_cmd_m == out->axis[0].x_cmd_m && plain.state == out->state &&
+                     plain.send == out->send && plain.axis[0].low_m == out->axis[0].low_m &&
                      (a->flags & mask) == (b->flags & mask) && a->x_num_m == b->x_num_m &&
                      e->twin.cause == e->station.cause && e->twin.in_state == e->station.in_state &&
                      e->twin.leg == e->station.leg && e->twin.zeroing == e->station.zeroing &&
                      e->twin.path.ticks == e->station.path.ticks &&
-                     e->twin.tare_x == e->station.tare_x;
+                     e->twin.axis[0].tare_x == e->station.axis[0].tare_x;
     must(&e->o, RULE_REFUSED, same, v->in.command, v->was);
 }
 
@@ -308,8 +309,8 @@ static void tick_alone(episode *e, plain_drive *p)
     rthyb_station_output out;
     surroundings around = {0};
     rthyb_station_input *in = &around.in;
-    drive_ticks(e, p, 1, &in->x_m, &in->f_n);
-    in->x_m += e->w.origin_m;
+    drive_ticks(e, p, 1, &in->axis[0].x_m, &in->axis[0].f_n);
+    in->axis[0].x_m += e->w.origin_m;
     in->command = operate(d, &e->mood, e->station.state);
     suffer_all(d, &e->t, &e->w.size, &e->station.cfg, &around);
     if (in->skipped)
@@ -317,7 +318,7 @@ static void tick_alone(episode *e, plain_drive *p)
     in->drive_stopped = in->drive_stopped || (p->tells && !p->follows);
     in->beyond = p->beyond;
     in->taken_over = p->taken_over && !e->station.seen;
-    in->x_cmd_m = p->taken_m;
+    in->axis[0].x_cmd_m = p->taken_m;
     const int was = e->station.state;
     if (in->command)
         e->twin = e->station;
@@ -333,7 +334,7 @@ static void tick_alone(episode *e, plain_drive *p)
     if (out.refused)
         judge_refusal(e, &v, &out);
     v.sent = out.send && pass_on(e, p, &out, around.unsent);
-    v.at_drive_m = e->station.controller.x_cmd + e->station.tare_cmd;
+    v.at_drive_m = e->station.controller.x_cmd + e->station.axis[0].tare_cmd;
     rthyb_record *last = &made[out.records - 1];
     last->flags &= ~(uint32_t)RTHYB_F_NOT_SENT;
     last->flags |= v.sent ? 0u : (uint32_t)RTHYB_F_NOT_SENT;
@@ -348,7 +349,7 @@ static void reload(episode *e, plain_drive *p)
     judge_replay(e);
     p->taken_over = e->station.seen || p->taken_over;
     if (e->station.seen)
-        p->taken_m = e->station.controller.x_cmd + e->station.tare_cmd;
+        p->taken_m = e->station.controller.x_cmd + e->station.axis[0].tare_cmd;
     p->beyond = 0;
     another_test(&e->d, &e->w);
     take_test(e);
@@ -458,15 +459,15 @@ static event as_written(const episode *e, uint32_t skipped, int was, int wanted)
                .wanted = wanted,
                .sent = wanted && !(flags & RTHYB_F_NOT_SENT),
                .refused = (flags & RTHYB_F_REFUSED) != 0,
-               .at_drive_m = e->station.controller.x_cmd + e->station.tare_cmd};
+               .at_drive_m = e->station.controller.x_cmd + e->station.axis[0].tare_cmd};
     v.in.skipped = skipped;
     v.in.command = (int32_t)(flags >> RTHYB_F_COMMAND_BIT);
     v.in.link_down = (flags & RTHYB_F_DOWN) != 0;
     v.in.drive_stopped = (flags & RTHYB_F_STOPPED) != 0;
     v.in.heartbeat_late = (flags & RTHYB_F_SILENT) != 0;
     v.in.beyond = (flags & RTHYB_F_BEYOND) != 0;
-    v.in.x_m = last->axis[0].x_read_m;
-    v.in.f_n = last->axis[0].f_read_n;
+    v.in.axis[0].x_m = last->axis[0].x_read_m;
+    v.in.axis[0].f_n = last->axis[0].f_read_n;
     if (flags & RTHYB_F_LOST)
         v.in.lost = RTHYB_LOST | (isnan(last->axis[0].x_read_m) ? RTHYB_S_NOT_FINITE : 0);
     return v;

@@ -253,8 +253,9 @@ static void judge_states(observer *o, const event *e, const rthyb_station *s)
     if (e->was == RTHYB_TRIPPED && e->is != RTHYB_TRIPPED) {
         const int by_reset = obeyed == RTHYB_CMD_RESET && e->is == RTHYB_IDLE && !e->in.lost;
         must(o, RULE_RESET,
-             by_reset && o->readings >= REST_READINGS && spread_of(o) <= 2.0 * s->cfg.rest_spread_m,
-             spread_of(o), s->cfg.rest_spread_m);
+             by_reset && o->readings >= REST_READINGS &&
+                 spread_of(o) <= 2.0 * s->cfg.axis[0].rest_spread_m,
+             spread_of(o), s->cfg.axis[0].rest_spread_m);
     }
     if (e->in.command == RTHYB_CMD_NONE || e->in.skipped)
         return;
@@ -324,8 +325,8 @@ static double ending(const rthyb_station *s, int cause)
 static void note_bounds(observer *o, const rthyb_station *s, double *low_m, double *high_m)
 {
     const double test = ending(s, RTHYB_CAUSE_POSITION), rig = ending(s, RTHYB_CAUSE_RIG_POSITION);
-    *low_m = fmax(s->tare_cmd - test, -rig);
-    *high_m = fmin(s->tare_cmd + test, rig);
+    *low_m = fmax(s->axis[0].tare_cmd - test, -rig);
+    *high_m = fmin(s->axis[0].tare_cmd + test, rig);
     const int brakes = o->adopted && s->cfg.controller.acceleration_limit_m_per_s2 > 0.0;
     o->low_m = brakes ? fmin(o->low_m, *low_m) : *low_m;
     o->high_m = brakes ? fmax(o->high_m, *high_m) : *high_m;
@@ -368,8 +369,8 @@ static void judge_limits(observer *o, const event *e, const rthyb_station *s, do
     judge_velocity(o, s, step_m, wire);
     /* An acceleration limit that was drawn in may be too small to brake before the position limit, which
      * comes first; where that has itself been drawn in, it is as far out as could be braked until then. */
-    const int at_the_end = x >= s->controller.upper_m + s->tare_cmd - wire ||
-                           x <= s->controller.lower_m + s->tare_cmd + wire;
+    const int at_the_end = x >= s->controller.upper_m + s->axis[0].tare_cmd - wire ||
+                           x <= s->controller.lower_m + s->axis[0].tare_cmd + wire;
     if (!(o->adopted && at_the_end))
         judge_acceleration(o, s, step_m, 2.0 * wire);
 }
@@ -424,9 +425,9 @@ static int in_range(double value, double range, double most)
 
 static int is_sensible(const event *e, const rthyb_station *s)
 {
-    const rthyb_controller_config *c = &s->cfg.controller;
-    return !e->in.lost && in_range(e->in.x_m, c->x_range_m, 1e3) &&
-           in_range(e->in.f_n, c->f_range_n, 1e12);
+    const rthyb_axis_config *c = &s->cfg.axis[0];
+    return !e->in.lost && in_range(e->in.axis[0].x_m, c->x_range_m, 1e3) &&
+           in_range(e->in.axis[0].f_n, c->f_range_n, 1e12);
 }
 
 static void note_tare(observer *o, double x, double f)
@@ -449,7 +450,8 @@ static void judge_tare(observer *o, const event *e, const rthyb_station *s)
     if (e->is == RTHYB_ZEROED && o->zeroing) {
         must(o, RULE_TARE,
              o->tare_readings == (uint64_t)s->cfg.tare_ticks &&
-                 lies_between(s->tare_x, o->tare_x) && lies_between(s->tare_f, o->tare_f),
+                 lies_between(s->axis[0].tare_x, o->tare_x) &&
+                 lies_between(s->axis[0].tare_f, o->tare_f),
              (double)o->tare_readings, s->cfg.tare_ticks);
         o->tared = 1;
     }
@@ -467,11 +469,11 @@ static void note_readings(observer *o, const event *e, const rthyb_station *s)
     o->missing = fresh ? 0 : o->missing + e->count;
     o->seen = o->seen || fresh;
     if (fresh)
-        o->rest_x[o->readings++ % REST_READINGS] = e->in.x_m;
+        o->rest_x[o->readings++ % REST_READINGS] = e->in.axis[0].x_m;
     if (fresh)
-        o->force_n = e->in.f_n;
+        o->force_n = e->in.axis[0].f_n;
     if (fresh && o->zeroing)
-        note_tare(o, e->in.x_m, e->in.f_n);
+        note_tare(o, e->in.axis[0].x_m, e->in.axis[0].f_n);
 }
 
 /* A sensor at the end of its range may be anywhere beyond: a tick's reading of such a force counts as the
@@ -479,13 +481,15 @@ static void note_readings(observer *o, const event *e, const rthyb_station *s)
 static double force_taken(const observer *o, const event *e, const rthyb_station *s, int cause)
 {
     const int fresh = (e->rows[e->count - 1].flags & RTHYB_F_FRESH) != 0;
-    const double range = s->cfg.controller.f_range_n;
+    const double range = s->cfg.axis[0].f_range_n;
     if (cause == RTHYB_CAUSE_FORCE && !o->tared)
         return 0.0;
-    if (!e->in.lost && range > 0.0 && fabs(e->in.f_n) >= range && fabs(e->in.f_n) <= 1e12 &&
-        fabs(e->in.x_m) <= 1e3)
+    if (!e->in.lost && range > 0.0 && fabs(e->in.axis[0].f_n) >= range &&
+        fabs(e->in.axis[0].f_n) <= 1e12 && fabs(e->in.axis[0].x_m) <= 1e3)
         return INFINITY;
-    return fresh ? fabs(cause == RTHYB_CAUSE_FORCE ? e->in.f_n - s->tare_f : e->in.f_n) : 0.0;
+    return fresh ? fabs(cause == RTHYB_CAUSE_FORCE ? e->in.axis[0].f_n - s->axis[0].tare_f
+                                                   : e->in.axis[0].f_n)
+                 : 0.0;
 }
 
 static void judge_held_force(observer *o, const event *e, uint64_t *beyond, double force,
@@ -530,7 +534,7 @@ static void judge_admission(observer *o, const event *e, const rthyb_station *s)
                          e->in.command == RTHYB_CMD_RESUME;
     if (!moves_on || e->refused || o->missing)
         return;
-    const double own = fabs(o->force_n - s->tare_f), rig = fabs(o->force_n);
+    const double own = fabs(o->force_n - s->axis[0].tare_f), rig = fabs(o->force_n);
     must(o, RULE_ADMITTED,
          !(o->tared && own > ending(s, RTHYB_CAUSE_FORCE)) &&
              !(rig > ending(s, RTHYB_CAUSE_RIG_FORCE)),
@@ -595,7 +599,7 @@ static void judge_shares(observer *o, const event *e, const rthyb_station *s)
 
 static int has_no_number(const event *e)
 {
-    return (!e->in.lost && (!isfinite(e->in.x_m) || !isfinite(e->in.f_n))) ||
+    return (!e->in.lost && (!isfinite(e->in.axis[0].x_m) || !isfinite(e->in.axis[0].f_n))) ||
            (e->in.lost & RTHYB_S_NOT_FINITE);
 }
 

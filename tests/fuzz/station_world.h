@@ -210,18 +210,21 @@ static rthyb_station_config some_station(dice *d, const scale *s)
     dice own = *d; /* as with laws: what came later makes no other day */
     (void)throw_bits(&own);
     (void)throw_bits(&own);
-    rthyb_station_config c = {.controller = some_controller(d, s),
-                              .path_velocity_m_per_s = v * some(d, 0.1, 2.0),
-                              .path_acceleration_m_per_s2 = a * some(d, 0.1, 2.0),
-                              .rest_spread_m = some(d, 2e-5, 1e-3),
-                              .tare_ticks = ticks(d, 4.0, 200.0),
-                              .ramp_in_ticks = ticks(d, 1.0, 500.0),
-                              .armed_ticks = ticks(d, 2.0, 2000.0),
-                              .stay = one_in(d, 8)};
+    /* One after the other: in an initializer the dice would be thrown in any order. */
+    rthyb_station_config c = {.controller = some_controller(d, s)};
+    c.path_velocity_m_per_s = v * some(d, 0.1, 2.0);
+    c.path_acceleration_m_per_s2 = a * some(d, 0.1, 2.0);
+    c.axis[0].rest_spread_m = some(d, 2e-5, 1e-3);
+    c.tare_ticks = ticks(d, 4.0, 200.0);
+    c.ramp_in_ticks = ticks(d, 1.0, 500.0);
+    c.armed_ticks = ticks(d, 2.0, 2000.0);
+    c.stay = one_in(d, 8);
     if (one_in(d, 4))
-        c.tare_most_n = some(d, 0.1, 1.0) * s->k_e_n_per_m * s->peak_m;
+        c.axis[0].tare_most_n = some(d, 0.1, 1.0) * s->k_e_n_per_m * s->peak_m;
     if (one_in(d, 4))
-        c.tare_most_m = some(d, 0.01, 0.1);
+        c.axis[0].tare_most_m = some(d, 0.01, 0.1);
+    c.axis[0].x_range_m = c.controller.x_range_m;
+    c.axis[0].f_range_n = c.controller.f_range_n;
     some_watches(d, s, c.watch);
     c.controller.rfc.period_s = PERIOD_S;
     if (one_in(&own, 2))
@@ -468,8 +471,8 @@ static void suffer(dice *d, trouble *t, const scale *s, const rthyb_station_conf
     rthyb_station_input *in = &around->in;
     const double force = s->k_e_n_per_m * s->peak_m;
     if (t->age == 0) {
-        t->seen_x = in->x_m;
-        t->seen_f = in->f_n;
+        t->seen_x = in->axis[0].x_m;
+        t->seen_f = in->axis[0].f_n;
     }
     switch (t->kind) {
     case TROUBLE_LOST:
@@ -479,37 +482,38 @@ static void suffer(dice *d, trouble *t, const scale *s, const rthyb_station_conf
         in->lost = one_in(d, 19) ? 0 : RTHYB_LOST;
         break;
     case TROUBLE_STUCK_X:
-        in->x_m = t->seen_x;
+        in->axis[0].x_m = t->seen_x;
         break;
     case TROUBLE_STUCK_F:
-        in->f_n = t->seen_f;
+        in->axis[0].f_n = t->seen_f;
         break;
     case TROUBLE_JUMP:
-        in->x_m += t->size * s->peak_m;
+        in->axis[0].x_m += t->size * s->peak_m;
         break;
     case TROUBLE_NOT_FINITE:
-        *(one_in(d, 2) ? &in->x_m : &in->f_n) = no_number(d);
+        *(one_in(d, 2) ? &in->axis[0].x_m : &in->axis[0].f_n) = no_number(d);
         break;
     case TROUBLE_SENSELESS:
-        *(one_in(d, 2) ? &in->x_m : &in->f_n) = copysign(one_in(d, 2) ? 1e300 : 1e13, t->size);
+        *(one_in(d, 2) ? &in->axis[0].x_m : &in->axis[0].f_n) =
+            copysign(one_in(d, 2) ? 1e300 : 1e13, t->size);
         break;
     case TROUBLE_OUT_OF_RANGE:
-        if (t->size > 0.0 && c->controller.x_range_m > 0.0)
-            in->x_m = copysign(c->controller.x_range_m, in->x_m);
-        else if (c->controller.f_range_n > 0.0)
-            in->f_n = copysign(c->controller.f_range_n, in->f_n);
+        if (t->size > 0.0 && c->axis[0].x_range_m > 0.0)
+            in->axis[0].x_m = copysign(c->axis[0].x_range_m, in->axis[0].x_m);
+        else if (c->axis[0].f_range_n > 0.0)
+            in->axis[0].f_n = copysign(c->axis[0].f_range_n, in->axis[0].f_n);
         break;
     case TROUBLE_REFUSED:
         in->lost = RTHYB_LOST | (one_in(d, 4) ? RTHYB_S_NOT_FINITE : RTHYB_S_OUT_OF_RANGE);
         break;
     case TROUBLE_FORCE_STEP:
-        in->f_n += 6.0 * t->size * force;
+        in->axis[0].f_n += 6.0 * t->size * force;
         break;
     case TROUBLE_FORCE_CREEP:
-        in->f_n += t->size * force * (double)t->age / 200.0;
+        in->axis[0].f_n += t->size * force * (double)t->age / 200.0;
         break;
     case TROUBLE_DRIFT:
-        in->x_m += t->size * s->peak_m * (double)t->age / 300.0;
+        in->axis[0].x_m += t->size * s->peak_m * (double)t->age / 300.0;
         break;
     case TROUBLE_LINK_DOWN:
         in->link_down = 1;

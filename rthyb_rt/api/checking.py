@@ -1,0 +1,82 @@
+"""Is a test sound, and how far is it from trouble: what `rthyb check` says."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from rthyb_rt.api import files
+from rthyb_rt.api.files import Place, Rig, Test
+
+if TYPE_CHECKING:
+    from rthyb_rt.cli.check import Examined
+
+
+class Check:
+    """What a check found of a test without fault."""
+
+    def __init__(self, found: Examined) -> None:
+        self._found = found
+
+    @cached_property
+    def figures(self) -> dict[str, Any]:
+        """What follows from test and rig by name, the unit in it; None where it does not apply."""
+        figures: dict[str, Any] = self.document["figures"]
+        return figures
+
+    @property
+    def warnings(self) -> list[str]:
+        """What should be changed before the test is run."""
+        return list(self._found.warnings)
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know and need not act on."""
+        return list(self._found.notes)
+
+    @cached_property
+    def document(self) -> dict[str, Any]:
+        """All of it, as ``rthyb check --json`` prints it: figures, loop, limits, link."""
+        return self._found.document()
+
+    @property
+    def table(self) -> list[tuple[str, str, str]]:
+        """The tables of the command line below one another: what, how much, what it is."""
+        return [row for rows in self._found.tables() for row in rows]
+
+    def __repr__(self) -> str:
+        setup = self._found.setup
+        return (
+            f"<Check {setup.test.test.name} on {setup.rig.rig.name}: no fault, "
+            f"{len(self.warnings)} warnings, {len(self.notes)} notes>"
+        )
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        lines = [f"<p>{escape(repr(self)[1:-1])}</p>"]
+        lines += [f"<p><b>Warning:</b> {escape(text)}</p>" for text in self.warnings]
+        lines += [f"<p>Note: {escape(text)}</p>" for text in self.notes]
+        cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self.table)
+        return "".join([*lines, "<table>", *(f"<tr>{row}</tr>" for row in cells), "</table>"])
+
+
+def check(test: Test | Place, rig: Rig | Place | None = None) -> Check:
+    """Check a test without running it.
+
+    Args:
+        test: the test, or path or name of one.
+        rig: the rig, or path or name of one; None: that of the test.
+
+    Raises:
+        InputError: with every fault of test, rig and ground motion at once.
+
+    Examples:
+        >>> round(check("section5-T0.5").figures["period_s"], 3)
+        0.5
+    """
+    from rthyb_rt.cli.check import examine
+
+    found = files.as_test(test)
+    on = found.rig if rig is None else files.as_rig(rig)
+    return Check(examine(files.file_of_test(found), files.file_of_rig(on), files.origin_of(on)))

@@ -1,0 +1,457 @@
+"""Test and rig as objects: from a file, a name or keywords, changed by copies, written as TOML."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Final, Generic, Literal, Self, TypeVar
+
+import numpy as np
+
+from rthyb_rt import config
+from rthyb_rt.config import RigFile, TestFile
+from rthyb_rt.config.fields import Table, nearest, written
+from rthyb_rt.errors import InputError, Problem
+
+Place = str | os.PathLike[str]
+"""A file as Python names it."""
+
+_File = TypeVar("_File", TestFile, RigFile)
+_RIG: Final = "rig"
+
+
+def plain(value: Any) -> Any:
+    """Return a value as a file holds it: NumPy's scalars and paths as Python's own."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {str(key): plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(inner) for inner in value]
+    return value
+
+
+def flat(tables: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield dotted keys and values of nested tables."""
+    for key, value in tables.items():
+        if isinstance(value, Mapping) and value:
+            yield from ((f"{key}.{inner}", found) for inner, found in flat(value))
+        else:
+            yield key, value
+
+
+def _changes(given: Mapping[str, Any] | None, tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what `with_` was given by dotted key; keys of tables come one by one."""
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(
+            f"found {written(given)}; changes are a dict of dotted keys, "
+            'with_({"controller.w1": 3}), or tables by keyword, with_(controller={"w1": 3})',
+            "with_",
+        )
+    return {**{str(key): plain(value) for key, value in (given or {}).items()},
+            **dict(flat(plain(tables)))}  # fmt: skip
+
+
+def _without(values: dict[str, Any], key: str, own: str) -> None:
+    """Take a key out of the values of a file, where it is called ``own``.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    *tables, last = own.split(".")
+    place: Any = values
+    for part in tables:
+        place = place.get(part) if isinstance(place, dict) else None
+    if not isinstance(place, dict) or last not in place:
+        known = list(place) if isinstance(place, dict) else []
+        allowed = f"; keys there are: {', '.join(known)}" if known else ""
+        raise InputError(
+            f"found None, which leaves a key out, but there is no such key"
+            f"{nearest(last, known)}{allowed}",
+            config.IN_PYTHON.place(key),
+        )
+    place[last] = None
+
+
+class _Document(Generic[_File]):
+    """What test and rig have in common."""
+
+    _kind: ClassVar[Literal["test", "rig"]]
+    _model: ClassVar[type[Table]]
+    _file: _File
+    _origin: str
+
+    def __getitem__(self, key: str) -> Any:
+        """Return the value at a dotted key of the file, such as ``"numerical.mass_kg"``.
+
+        Raises:
+            InputError: there is no such key; says which there are beside it.
+        """
+        place: Any = self._file.model_dump(by_alias=True)
+        for depth, part in enumerate(key.split(".")):
+            inside = place.get(part, ...) if isinstance(place, dict) else ...
+            if isinstance(place, list) and part.isdecimal() and int(part) < len(place):
+                inside = place[int(part)]
+            if inside is ...:
+                known = list(place) if isinstance(place, dict) else []
+                table = ".".join(key.split(".")[:depth]) or f"a {self._kind} file"
+                raise InputError(
+                    f"no such key{nearest(part, known)}; {table} has: "
+                    f"{', '.join(known) or 'no keys'}",
+                    f"{self._kind}[{written(key)}]",
+                )
+            place = inside
+        return place
+
+    def to_toml(self) -> str:
+        """Return the file as TOML text with every default written out; it reads back equal."""
+        return config.dump(self._file)
+
+    def save(self, path: Place) -> Path:
+        """Write `to_toml` to a file, whole or not at all; an older one is replaced.
+
+        Raises:
+            RthybError: it cannot be written.
+        """
+        from rthyb_rt.record.recording import replacing
+
+        with replacing(Path(path)) as temporary:
+            temporary.write_text(self.to_toml(), encoding="utf-8")
+        return Path(path)
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether both stand for the same file, wherever they come from."""
+        if not isinstance(other, type(self)):
+            return NotImplemented
+        return self._file == other._file
+
+    def __hash__(self) -> int:
+        return hash(self.to_toml())
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """Return the names of those that come with the program."""
+        return list(config.shipped(cls._kind))
+
+    @classmethod
+    def _made(cls, file: _File, origin: str) -> Self:
+        made = cls.__new__(cls)
+        made._file, made._origin = file, origin
+        return made
+
+    @staticmethod
+    def _own_key(key: str) -> str:
+        """Return a key as the file has it."""
+        return key
+
+    def _changed(self, changes: Mapping[str, Any], parse: Callable[..., _File]) -> _File:
+        """Return the file with changes by dotted key, of which None leaves a key out."""
+        values = self._file.model_dump(by_alias=True)
+        gone = [key for key, value in changes.items() if value is None]
+        problems: list[Problem] = []
+        for key in gone:
+            try:
+                _without(values, key, self._own_key(key))
+            except InputError as error:
+                problems += error.problems
+        if problems:
+            raise InputError(problems)
+        given = {key: config.inline(value) for key, value in changes.items() if key not in gone}
+        return parse(config.dump_values(values), self._origin, given, config.IN_PYTHON)
+
+
+def _source(kind: Literal["test", "rig"], given: object) -> Path:
+    """Return the file that is meant by a path or a name."""
+    if not isinstance(given, (str, os.PathLike)):
+        raise InputError(
+            f"found {written(given)}; the first argument is the path of a {kind} file or the name "
+            f"of one that comes with the program; tables are given by keyword",
+            kind.capitalize(),
+        )
+    path = Path(given)
+    if path.is_file() or path.suffix == ".toml" or len(path.parts) > 1:
+        return path
+    return config.shipped_rig(str(given)) if kind == "rig" else config.shipped_test(str(given))
+
+
+def _nothing(kind: Literal["test", "rig"], example: str) -> InputError:
+    names = ", ".join(config.shipped(kind))
+    return InputError(
+        f"nothing is given; give the path of a {kind} file, one of those that come with the "
+        f"program ({names}), or its tables by keyword: {example}",
+        kind.capitalize(),
+    )
+
+
+class Rig(_Document[RigFile]):
+    """Actuator, specimen and sensors: what a rig file says.
+
+    Args:
+        source: path of a rig file, or the name of one that comes with the program (`Rig.names`).
+        tables: tables of the file by keyword, each a dict with the file's keys; numbers are in the
+            key's unit, texts have their own: ``actuator={"delay_samples": 12}``. Without a source
+            they are the whole rig, else changes as of `with_`.
+
+    Attributes:
+        place: path or name that it was read from; None where it was changed or comes from keywords.
+
+    Raises:
+        InputError: with every fault, its place and what is allowed there.
+
+    Examples:
+        >>> rig = Rig("delay-10-elastic").with_({"actuator.delay_samples": 12})
+    """
+
+    _kind = "rig"
+    _model = RigFile
+    place: str | None = None
+
+    def __init__(self, source: Place | None = None, /, **tables: Any) -> None:
+        if source is None and not tables:
+            raise _nothing("rig", 'Rig(rig={"name": "mine"}, actuator={...}, specimen=[...])')
+        if source is None:
+            self._file = config.check_values(RigFile, plain(tables), "Rig")
+            self._origin = "Rig"
+            return
+        path = _source("rig", source)
+        self._file, self._origin = config.load_rig(path), str(path)
+        if tables:
+            self._file = self.with_(**tables)._file
+        else:
+            self.place = str(path.resolve()) if path == Path(source) else os.fspath(source)
+
+    @property
+    def name(self) -> str:
+        """Name of the rig."""
+        return self._file.rig.name
+
+    def with_(self, changes: Mapping[str, Any] | None = None, /, **tables: Any) -> Rig:
+        """Return a changed copy.
+
+        Args:
+            changes: value by dotted key; a dict as value replaces that table as a whole, and None
+                leaves the key out.
+            tables: by keyword, whose keys are changed one by one.
+
+        Raises:
+            InputError: with every fault of the changes.
+
+        Examples:
+            >>> Rig("delay-10-elastic").with_(actuator={"delay_samples": 12})["actuator.kind"]
+            'pure-delay'
+        """
+        return self._made(self._changed(_changes(changes, tables), config.parse_rig), self._origin)
+
+    @staticmethod
+    def _own_key(key: str) -> str:
+        """Return a key without the ``rig.`` that a test's changes of its rig have before it."""
+        inner = key.removeprefix(f"{_RIG}.")
+        return inner if inner.split(".")[0] in RigFile.model_fields else key
+
+    @classmethod
+    def from_toml(cls, text: str, source: str = "rig") -> Rig:
+        """Return what the text of a rig file says; ``source`` is its name in messages.
+
+        Raises:
+            InputError: with every fault and its line.
+        """
+        return cls._made(config.parse_rig(text, source), source)
+
+    def __repr__(self) -> str:
+        actuator = self._file.actuator.kind
+        elements = ", ".join(element.element for element in self._file.specimen)
+        return f"<Rig {self.name}: {actuator} actuator, specimen {elements}>"
+
+
+class Test(_Document[TestFile]):
+    """Ground motion, numerical part, compensation and limits: what a test file says.
+
+    Args:
+        source: path of a test file, or the name of one that comes with the program (`Test.names`).
+        rig: the rig: a `Rig`, or path or name of one; without it, the one that the file names.
+        tables: tables of the file by keyword, each a dict with the file's keys; numbers are in the
+            key's unit, texts have their own: ``numerical={"period_s": "500 ms"}``. Without a source
+            they are the whole test, else changes as of `with_`.
+
+    Raises:
+        InputError: with every fault, its place and what is allowed there.
+
+    Examples:
+        >>> test = Test("section5-T0.5").with_(ground_motion={"pga_g": "0.06 g"})
+        >>> test["ground_motion.pga_g"]
+        0.06
+    """
+
+    __test__ = False
+    _kind = "test"
+    _model = TestFile
+    _rig: Rig | None = None
+
+    def __init__(
+        self, source: Place | None = None, /, rig: Rig | Place | None = None, **tables: Any
+    ) -> None:
+        if source is None and not tables:
+            raise _nothing("test", 'Test(test={"name": "mine"}, numerical={...}, rig="NAME")')
+        if source is None:
+            self._file = config.check_values(TestFile, plain(tables), "Test")
+            self._origin = "Test"
+        else:
+            path = _source("test", source)
+            self._file, self._origin = config.load_test(path), str(path)
+            if tables:
+                self._file = self.with_(**tables)._file
+        if rig is not None:
+            self._take(as_rig(rig))
+
+    @property
+    def name(self) -> str:
+        """Name of the test."""
+        return self._file.test.name
+
+    @property
+    def rig(self) -> Rig:
+        """The rig that it runs on.
+
+        Raises:
+            InputError: the test has none, or names one that there is not.
+        """
+        if self._rig is not None:
+            return self._rig
+        if self._file.rig is None:
+            raise InputError(
+                f'the test "{self.name}" names no rig; give one, test.with_(rig="NAME") or '
+                f"run(test, rig), of: {', '.join(Rig.names())}; or a rig file, or a Rig",
+                "rig",
+            )
+        return Rig(config.find_rig(self._file.rig))
+
+    def with_(
+        self,
+        changes: Mapping[str, Any] | None = None,
+        /,
+        rig: Rig | Place | Mapping[str, Any] | None = None,
+        **tables: Any,
+    ) -> Test:
+        """Return a changed copy.
+
+        Args:
+            changes: value by dotted key; a dict as value replaces that table as a whole, None
+                leaves the key out. Keys that begin with ``rig.`` change the rig.
+            rig: another rig, or changes of its tables.
+            tables: by keyword, whose keys are changed one by one.
+
+        Raises:
+            InputError: with every fault of the changes.
+
+        Examples:
+            >>> Test("section5-T0.5").with_({"controller.type": "robust"})["controller.type"]
+            'robust'
+        """
+        given = _changes(changes, tables)
+        other = given.pop(_RIG, None) if isinstance(given.get(_RIG), (str, Rig)) else rig
+        of_rig = {key: given.pop(key) for key in list(given) if key.startswith(f"{_RIG}.")}
+        if isinstance(other, Mapping):
+            of_rig |= {f"{_RIG}.{key}": value for key, value in flat(plain(other))}
+            other = None
+        problems: list[Problem] = []
+        made, changed = self, self._rig if other is None else as_rig(other)
+        try:
+            made = self._made(self._changed(given, config.parse_test), self._origin)
+        except InputError as error:
+            problems += error.problems
+        try:
+            if of_rig:
+                base = changed or self.rig
+                changed = base.with_(of_rig)
+        except InputError as error:
+            problems += error.problems
+        if problems:
+            raise InputError(problems)
+        return made if changed is None else made._take(changed)
+
+    @classmethod
+    def from_toml(cls, text: str, rig: Rig | Place | None = None, source: str = "test") -> Test:
+        """Return what the text of a test file says; ``source`` is its name in messages.
+
+        Raises:
+            InputError: with every fault and its line.
+        """
+        made = cls._made(config.parse_test(text, source), source)
+        return made if rig is None else made._take(as_rig(rig))
+
+    def _take(self, rig: Rig) -> Self:
+        """Take a rig instead of the one that the file names, by its place if it has one."""
+        self._rig = None if rig.place else rig
+        self._file = self._file.model_copy(update={_RIG: rig.place})
+        return self
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether both stand for the same test on the same rig."""
+        if not isinstance(other, Test):
+            return NotImplemented
+        mine, its = (one._file.model_copy(update={_RIG: None}) for one in (self, other))
+        if mine != its:
+            return False
+        if self._rig is None and other._rig is None and self._file.rig == other._file.rig:
+            return True
+        try:
+            return self.rig == other.rig
+        except InputError:
+            return False
+
+    def __hash__(self) -> int:
+        return hash(config.dump(self._file.model_copy(update={_RIG: None})))
+
+    def __repr__(self) -> str:
+        motion, part = self._file.ground_motion, self._file.numerical
+        at = f" at {motion.pga_g:.3g} g" if motion.pga_g is not None else ""
+        structure = "matrices"
+        if part.period_s is not None:
+            structure = f"{part.period_s:g} s"
+        elif part.mass_kg is not None:
+            structure = f"{part.mass_kg:g} kg"
+        rig = self._rig.name if self._rig is not None else Path(self._file.rig or "no rig").stem
+        return (
+            f"<Test {self.name}: {Path(motion.record).stem}{at}, {structure}, "
+            f"controller {self._file.controller.type}, on {rig}>"
+        )
+
+
+def as_rig(given: Rig | Place) -> Rig:
+    """Return a rig that was given as one, or by path or name.
+
+    Raises:
+        InputError: it is none of these, or with the faults of its file.
+    """
+    return given if isinstance(given, Rig) else Rig(given)
+
+
+def as_test(given: Test | Place | None) -> Test:
+    """Return a test that was given as one, or by path or name; None is the built-in one.
+
+    Raises:
+        InputError: it is none of these, or with the faults of its file.
+    """
+    if given is None:
+        return Test(config.builtin_test_path())
+    return given if isinstance(given, Test) else Test(given)
+
+
+def file_of_test(test: Test) -> TestFile:
+    """Return the checked file behind a test."""
+    return test._file
+
+
+def file_of_rig(rig: Rig) -> RigFile:
+    """Return the checked file behind a rig."""
+    return rig._file
+
+
+def origin_of(rig: Rig) -> str | None:
+    """Return the file that a rig was read from; None: it comes from none."""
+    return rig._origin if Path(rig._origin).is_file() else None

@@ -1,0 +1,445 @@
+"""A recording as an object: named arrays with units, measures, figures, tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.api.files import Place, Rig, Test
+from rthyb_rt.config.fields import nearest, written
+from rthyb_rt.errors import InputError
+from rthyb_rt.record import recording as files
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+    from xarray import Dataset
+
+    from rthyb_rt.analysis.summary import Summary
+
+TIME: Final = "t_s"
+_IDENTITY: Final = ("test_name", "end_reason", "ended_by", "attention", "setup")
+_SUFFIXES: Final = (".csv", ".mat")
+
+
+class Plot:
+    """A figure of the report.
+
+    Attributes:
+        key: its name, as in `Plots`.
+        title: what it shows.
+        note: what to know when reading it; where there is nothing to draw, why.
+        svg: the drawing as an SVG element; empty where there is nothing to draw.
+        figure: the figure of matplotlib, to be changed and saved like any other; None where there
+            is nothing to draw.
+    """
+
+    def __init__(self, key: str, title: str, note: str, svg: str, figure: Figure | None) -> None:
+        self.key, self.title, self.note, self.svg, self.figure = key, title, note, svg, figure
+
+    def save(self, path: Place) -> Path:
+        """Write the figure, in the format of the file's ending: svg, pdf, png.
+
+        Raises:
+            InputError: there is nothing to draw, or no such format.
+            RthybError: the file cannot be written.
+        """
+        path = Path(path)
+        if self.figure is None:
+            raise InputError(f"there is no figure to save: {self.note}", f"plot.{self.key}")
+        from matplotlib.backend_bases import FigureCanvasBase
+
+        known = sorted(FigureCanvasBase.get_supported_filetypes())
+        kind = path.suffix.removeprefix(".")
+        if kind not in known:
+            raise InputError(
+                f"found the ending {written(path.suffix)}; must be one of {', '.join(known)}",
+                str(path),
+            )
+        with files.replacing(path) as temporary:
+            self.figure.savefig(temporary, format=kind)
+        return path
+
+    def __repr__(self) -> str:
+        return f"<Plot {self.key}: {self.title}>"
+
+    def _repr_html_(self) -> str:
+        return f"<figure>{self.svg}<figcaption>{self.title}. {self.note}</figcaption></figure>"
+
+
+class Plots:
+    """The figures of the report, each drawn when it is asked for.
+
+    Every method returns a `Plot` and raises `InputError` where matplotlib is not installed.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._of = recording
+
+    def _drawn(self, key: str) -> Plot:
+        from rthyb_rt.report.html import extra_needed
+
+        with extra_needed("a figure"):
+            from rthyb_rt.report.figures import draw_one
+        plate = draw_one(self._of.raw, self._of.summary, key)
+        if plate is None:
+            return Plot(key, key, "The recording has no reference simulation.", "", None)
+        return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
+
+    def displacement(self) -> Plot:
+        """Draw ground acceleration, command, compensated command and measured displacement."""
+        return self._drawn("displacement")
+
+    def peak(self) -> Plot:
+        """Draw the same around the largest command."""
+        return self._drawn("peak")
+
+    def hysteresis(self) -> Plot:
+        """Draw measured force over measured displacement."""
+        return self._drawn("hysteresis")
+
+    def tracking(self) -> Plot:
+        """Draw measured displacement less command."""
+        return self._drawn("tracking")
+
+    def response(self) -> Plot:
+        """Draw measured displacement and reference simulation, and their difference."""
+        return self._drawn("response")
+
+    def accumulated(self) -> Plot:
+        """Draw the accumulated error against the reference simulation (Eqn 4.3)."""
+        return self._drawn("accumulated")
+
+    def energy(self) -> Plot:
+        """Draw energy error and tracking indicator."""
+        return self._drawn("energy")
+
+    def delay(self) -> Plot:
+        """Draw the delay estimate with its bounds."""
+        return self._drawn("delay")
+
+    def stiffness(self) -> Plot:
+        """Draw the tangent stiffness of the force compensation."""
+        return self._drawn("stiffness")
+
+    def __repr__(self) -> str:
+        names = [name for name in vars(type(self)) if not name.startswith("_")]
+        return f"<Plots: {', '.join(names)}>"
+
+
+class Recording(Mapping[str, NDArray[Any]]):
+    """A recorded hybrid test: a mapping of signals by name, each with a row for every sample.
+
+    Names and units are those of the file: ``x_meas_m`` in m, ``f_meas_n`` in N, the law's channels
+    under theirs, ``x_ref_m``, ``v_ref_mps`` and ``f_ref_n`` of the reference simulation, which is
+    not a number outside the test proper, and the time ``t_s``, zero at its first sample.
+
+    Attributes:
+        path: where it is kept; None: nowhere.
+        notes: what preparing it said that a user should know; of a run of this process alone.
+    """
+
+    def __init__(
+        self, raw: files.Recording, path: Path | None = None, notes: tuple[str, ...] = ()
+    ) -> None:
+        self._raw, self.path, self.notes = raw, path, notes
+
+    # ---- signals --------------------------------------------------------------------------------
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Unit of each signal by its name, ``1`` for a plain number."""
+        raw = self._raw
+        channels = {one.name: one.unit for one in raw.channels}
+        own = {name: files.UNITS.get(name, channels.get(name, ""))
+               for name in raw.samples.dtype.names or ()}  # fmt: skip
+        reference = files.REFERENCE_UNITS if raw.reference is not None else {}
+        return {TIME: "s", **own, **reference}
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return a signal, shape (n,), in its unit; a row for every sample of the recording.
+
+        Raises:
+            InputError: there is none of that name; says which there are.
+        """
+        raw = self._raw
+        if name == TIME:
+            return raw.time_s()
+        if any(one.name == name for one in raw.channels):
+            return raw.channel(name)
+        if name in (raw.samples.dtype.names or ()):
+            return np.asarray(raw.samples[name])
+        if raw.reference is not None and name in files.REFERENCE_UNITS:
+            values = np.full(len(raw.samples), np.nan)
+            rows = np.flatnonzero(raw.running())[: len(raw.reference)]
+            values[rows] = raw.reference[name][: rows.size]
+            return values
+        raise InputError(
+            f"no signal {written(name)}{nearest(str(name), list(self.units))}; signals are: "
+            f"{', '.join(self.units)}",
+            "recording",
+        )
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.units
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.units)
+
+    def __len__(self) -> int:
+        return len(self.units)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    __hash__ = object.__hash__
+
+    @property
+    def running(self) -> NDArray[np.bool_]:
+        """Which rows belong to the test proper, shape (n,)."""
+        return self._raw.running()
+
+    @property
+    def fs_hz(self) -> float:
+        """Rate of the samples, Hz."""
+        return self._raw.fs_hz
+
+    def to_pandas(self, *, whole: bool = False) -> DataFrame:
+        """Return the signals as a table by time in s; ``attrs["units"]`` has the units.
+
+        Args:
+            whole: every row; False: those of the test proper.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        pandas = _extra("pandas", "to_pandas")
+        rows = slice(None) if whole else self.running
+        columns = {name: self[name][rows] for name in self if name != TIME}
+        index = pandas.Index(self[TIME][rows], name=TIME)
+        table: DataFrame = pandas.DataFrame(columns, index=index)
+        table.attrs = {"name": self.name, "fs_hz": self.fs_hz, "units": dict(self.units)}
+        return table
+
+    def to_xarray(self, *, whole: bool = False) -> Dataset:
+        """Return the signals over the coordinate ``t_s``, each with the attribute ``units``.
+
+        Args:
+            whole: every row; False: those of the test proper.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        xarray = _extra("xarray", "to_xarray")
+        rows = slice(None) if whole else self.running
+        signals = {
+            name: (TIME, self[name][rows], {"units": unit})
+            for name, unit in self.units.items()
+            if name != TIME
+        }
+        time = (TIME, self[TIME][rows], {"units": "s"})
+        about = {"name": self.name, "fs_hz": self.fs_hz, "verdict": self.verdict}
+        found: Dataset = xarray.Dataset(signals, coords={TIME: time}, attrs=about)
+        return found
+
+    # ---- what it says ---------------------------------------------------------------------------
+
+    @cached_property
+    def summary(self) -> Summary:
+        """All that the report tells, as the program has it; `measures` has the figures alone."""
+        from rthyb_rt.analysis.summary import summarize
+
+        return summarize(self._raw)
+
+    @cached_property
+    def measures(self) -> dict[str, Any]:
+        """The figures of the test by name, as in ``rthyb run --json``: SI units and fractions.
+
+        The unit stands in the name; None is what the recording does not say.
+        """
+        found = self.summary.as_json()
+        return {name: value for name, value in found.items() if name not in _IDENTITY}
+
+    @property
+    def table(self) -> list[tuple[str, str, str]]:
+        """The table of the command line: what, how much, by which formula."""
+        from rthyb_rt.analysis import summary
+
+        return [(row.label, row.value, row.formula) for row in summary.table(self.summary)]
+
+    @property
+    def name(self) -> str:
+        """Name of the test."""
+        return str(self._raw.meta.get("test_name", ""))
+
+    @property
+    def completed(self) -> bool:
+        """Whether the test came to its end."""
+        return self.summary.end_reason == "completed"
+
+    @property
+    def ending(self) -> str:
+        """``completed``, or what ended the test with its figures."""
+        return "completed" if self.completed else self.summary.ending or self.summary.end_reason
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        from rthyb_rt.analysis import summary
+
+        return summary.verdict(self.summary)
+
+    @property
+    def notices(self) -> list[str]:
+        """What must not be missed, the gravest first."""
+        from rthyb_rt.analysis import summary
+
+        return [notice.text for notice in summary.notices(self.summary)]
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """Versions, clock, date: what the file says of itself."""
+        return dict(self._raw.meta)
+
+    @cached_property
+    def test(self) -> Test:
+        """The test as it was run, with every default written out, on `rig`.
+
+        Raises:
+            InputError: another version wrote it, with keys that this one does not have.
+        """
+        return Test.from_toml(self._raw.test_toml, self.rig, "test of the recording")
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The rig as it was used; errors as for `test`."""
+        return Rig.from_toml(self._raw.rig_toml, "rig of the recording")
+
+    @property
+    def plot(self) -> Plots:
+        """The figures of the report, by name."""
+        return Plots(self)
+
+    @property
+    def raw(self) -> files.Recording:
+        """The recording as the program has it; not a part of the stable interface."""
+        return self._raw
+
+    # ---- files ----------------------------------------------------------------------------------
+
+    def report(self, path: Place) -> Path:
+        """Write the report as one HTML file.
+
+        Raises:
+            InputError: matplotlib or jinja2 is not installed.
+            RthybError: the file cannot be written.
+        """
+        from rthyb_rt.report import write_report
+
+        write_report(self._raw, Path(path))
+        return Path(path)
+
+    def save(self, path: Place) -> Path:
+        """Write the recording as an HDF5 file, from which `open` gives it back.
+
+        Raises:
+            RthybError: the file cannot be written.
+        """
+        files.write(Path(path), self._raw)
+        return Path(path)
+
+    def export(self, path: Place, *, whole: bool = False) -> Path:
+        """Write the signals for other programs, by the file's ending: ``.csv`` or ``.mat``.
+
+        Args:
+            path: file to write.
+            whole: of a CSV file: every row and signal; False: the columns that `diagnose` reads,
+                of the test proper. A MAT file has everything.
+
+        Raises:
+            InputError: there is no such format, or scipy is not installed for ``.mat``.
+            RthybError: the file cannot be written.
+        """
+        from rthyb_rt.record import export
+
+        path = Path(path)
+        if path.suffix not in _SUFFIXES:
+            raise InputError(
+                f"found the ending {written(path.suffix)}; must be one of {', '.join(_SUFFIXES)}",
+                str(path),
+            )
+        if path.suffix == ".mat":
+            export.to_mat(self._raw, path)
+        else:
+            export.to_csv(self._raw, path, full=whole)
+        return path
+
+    # ---- at the prompt --------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        from rthyb_rt.numbers import percent
+
+        found = self.summary
+        errors = f"tracking {percent(found.tracking_nrmse)}"
+        if found.response_nrmse is not None:
+            errors += f", response {percent(found.response_nrmse)}"
+        return (
+            f"<Recording {self.name}: {self.ending}, {found.duration_s:.4g} s at "
+            f"{self.fs_hz:g} Hz, {errors}>"
+        )
+
+    def _repr_html_(self) -> str:
+        """Return verdict, notices, table and figure for a notebook."""
+        from html import escape
+
+        parts = [f"<p><b>{escape(self.name)}</b>: {escape(self.verdict)}</p>"]
+        parts += [f"<p>{escape(text)}</p>" for text in self.notices]
+        try:
+            plot = self.plot.response()
+            parts.append((plot if plot.svg else self.plot.displacement())._repr_html_())
+        except InputError as error:
+            parts.append(f"<p>{escape(str(error))}</p>")
+        rows = "".join(
+            f"<tr><td>{escape(label)}</td><td>{escape(value)}</td><td>{escape(note)}</td></tr>"
+            for label, value, note in self.table
+        )
+        return "".join([*parts, f"<table>{rows}</table>"])
+
+
+def _extra(package: str, what: str) -> Any:
+    """Import a package that the program does not need itself.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    from importlib import import_module
+
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise InputError(
+            f"needs {package}; install it with pip install 'rthyb-rt[data]'", what
+        ) from error
+
+
+def open_recording(path: Place) -> Recording:
+    """Open the recording of a run; `rthyb_rt.open` is this function.
+
+    Args:
+        path: folder of a run, or its ``recording.h5``.
+
+    Raises:
+        InputError: there is none, or it cannot be read; says why.
+    """
+    found = Path(path)
+    return Recording(files.open_run(found), found)
+
+
+def as_recording(given: Recording | Place) -> Recording:
+    """Return a recording that was given as one, or by its path; errors as for `open_recording`."""
+    return given if isinstance(given, Recording) else open_recording(given)

@@ -1,0 +1,106 @@
+"""A test in virtual time, as `rthyb run` carries it out."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rthyb_rt.api import files
+from rthyb_rt.api.files import Place, Rig, Test
+from rthyb_rt.api.recordings import Recording
+from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.lab import experiment, keeping, virtual_time
+
+Progress = Callable[[int, int], None]
+"""Takes how many samples are done, and of how many."""
+
+
+def prepared(test: Test | Place | None, rig: Rig | Place | None) -> experiment.Setup:
+    """Return a test ready to go; arguments and errors as for `run`."""
+    found = files.as_test(test)
+    on = found.rig if rig is None else files.as_rig(rig)
+    return experiment.prepare(files.file_of_test(found), files.file_of_rig(on))
+
+
+def run(
+    test: Test | Place | None = None,
+    rig: Rig | Place | None = None,
+    *,
+    out: Place | None = None,
+    report: bool = True,
+    progress: Progress | None = None,
+) -> Recording:
+    """Run a hybrid test in virtual time, on the virtual rig that the rig describes.
+
+    A limit that ends the test is no error: ``completed`` of the recording is False then, and
+    ``ending`` says what was met. In real time a test is run by ``rthyb run --realtime``.
+
+    Args:
+        test: the test, or path or name of one; None: the built-in one.
+        rig: the rig, or path or name of one; None: that of the test.
+        out: folder for recording, settings and report, which must be new or empty; None writes
+            nothing.
+        report: whether the report goes there too, where matplotlib is installed.
+        progress: told now and then.
+
+    Raises:
+        InputError: with every fault of test, rig and ground motion, or the folder is taken.
+        RthybError: the test cannot be begun, or the folder cannot be written.
+
+    Examples:
+        >>> rec = run("section5-T0.5")
+        >>> rec.completed
+        True
+    """
+    folder = None if out is None else _free(Path(out))
+    setup = prepared(test, rig)
+    raw = virtual_time.run(setup, progress)
+    rec = Recording(raw, folder, setup.notes)
+    if folder is not None:
+        with _whole(folder) as stage:
+            keeping.keep(stage, setup, raw)
+            if report:
+                try:
+                    rec.report(stage / "report.html")
+                except InputError as error:
+                    rec.notes += (f"no report written: {error}",)
+    return rec
+
+
+def _free(folder: Path) -> Path:
+    """Return a folder that may be filled.
+
+    Raises:
+        InputError: something is there already.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(
+            "exists already; name a new folder with out, so that no run is lost", str(folder)
+        )
+    return folder
+
+
+@contextmanager
+def _whole(folder: Path) -> Iterator[Path]:
+    """Give a hidden folder beside one, and move it there when the block ends well.
+
+    Raises:
+        RthybError: it cannot be written; nothing is left behind.
+    """
+    # As the command line names its own, which removes those that a killed process has left.
+    stage = folder.with_name(f".{folder.name}.{os.getpid()}.part")
+    try:
+        stage.mkdir(parents=True)
+        yield stage
+        stage.rename(folder)
+    except OSError as error:
+        raise RthybError(
+            f"cannot be written ({error.strerror or error}); check permissions and space, or name "
+            "another folder with out",
+            where=str(folder),
+        ) from error
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)

@@ -1,0 +1,419 @@
+"""The public interface in Python: tests and rigs as objects, runs, checks, recordings."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rthyb_rt as rt
+from rthyb_rt import config
+from rthyb_rt.analysis import summary
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.record import recording
+
+RTHYB = [sys.executable, "-c", "import rthyb_rt.cli as cli; cli.main()"]
+SHORT = {"ground_motion": {"duration_s": "4 s"}, "test": {"free_vibration_s": "1 s"}}
+
+
+@pytest.fixture(scope="module")
+def short() -> rt.Test:
+    return rt.Test("section5-T0.5", **SHORT)
+
+
+@pytest.fixture(scope="module")
+def rec(short: rt.Test) -> rt.Recording:
+    return rt.run(short)
+
+
+# ---- importing ----------------------------------------------------------------------------------
+
+
+def _cpu_s(code: str) -> float:
+    """Return the computing time of a new interpreter, the least of five."""
+    best = np.inf
+    for _ in range(5):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-c", code], check=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        best = min(best, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    return float(best)
+
+
+def test_importing_the_package_loads_nothing_of_what_it_may_need() -> None:
+    code = (
+        "import sys, json; import rthyb_rt as rt; dir(rt); "
+        "print(json.dumps([m for m in sys.modules if m.split('.')[0] in "
+        "('numpy', 'pydantic', 'h5py', 'matplotlib', 'pandas', 'xarray', 'scipy', 'typer', "
+        "'rthyb_rt')]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert json.loads(done.stdout) == ["rthyb_rt"]
+
+
+@pytest.mark.speed
+def test_importing_the_package_costs_less_than_150_ms_of_processor() -> None:
+    empty, imported = _cpu_s("pass"), _cpu_s("import rthyb_rt")
+    print(f"import rthyb_rt: {1e3 * (imported - empty):.1f} ms of processor time")
+    assert imported - empty <= 0.15
+
+
+def test_a_test_is_run_without_the_packages_that_draw_and_tabulate() -> None:
+    code = (
+        "import sys, rthyb_rt as rt; rec = rt.run(rt.Test('section5-T0.5', "
+        "ground_motion={'duration_s': 1}, test={'free_vibration_s': 0})); repr(rec); "
+        "sys.exit(any(m in sys.modules for m in ('matplotlib', 'pandas', 'xarray', 'jinja2')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_every_public_name_is_there_and_says_what_it_is() -> None:
+    assert sorted(rt.__all__) == dir(rt)
+    for name in rt.__all__:
+        thing = getattr(rt, name)
+        if name != "__version__":
+            assert inspect.getdoc(thing), name
+    with pytest.raises(AttributeError, match="no attribute 'simulate'"):
+        rt.simulate  # type: ignore[attr-defined] # noqa: B018
+
+
+# ---- tests and rigs -----------------------------------------------------------------------------
+
+
+def test_test_from_file_from_name_and_from_its_own_text_are_one(tmp_path: Path) -> None:
+    named = rt.Test("section5-T0.5")
+    path = named.save(tmp_path / "mine.toml")
+    assert named == rt.Test(path) == rt.Test.from_toml(path.read_text())
+    assert hash(named) == hash(rt.Test(path))
+    assert named.to_toml() == config.dump(config.load_test(config.builtin_test_path()))
+    assert rt.Test(named.save(tmp_path / "again.toml")).rig == named.rig
+
+
+def test_test_from_keywords_takes_units_as_the_file_does() -> None:
+    mine = rt.Test(
+        test={"name": "mine"},
+        ground_motion={"pga_g": "0.3924 m/s2"},
+        numerical={"period_s": "500 ms", "damping_ratio": "2 %"},
+        limits={"force_n": "15 kN"},
+        rig="shaking-table-portal-frame",
+    )
+    assert mine["numerical.period_s"] == 0.5
+    assert mine["numerical.damping_ratio"] == 0.02
+    assert mine["limits.force_n.value"] == 15e3
+    assert mine["ground_motion.pga_g"] == pytest.approx(0.3924 / 9.80665)
+    assert mine.rig.name == "shaking-table-portal-frame"
+
+
+def test_values_of_numpy_and_paths_are_taken_as_numbers_and_texts(tmp_path: Path) -> None:
+    record = tmp_path / "quake.csv"
+    changed = rt.Test("section5-T0.5").with_(
+        controller={"w1": np.float32(2.5), "alpha0": np.int64(12)}, ground_motion={"record": record}
+    )
+    assert changed["controller.w1"] == 2.5
+    assert changed["controller.alpha0"] == 12
+    assert changed["ground_motion.record"] == str(record)
+
+
+def test_changed_copy_leaves_the_first_as_it_was() -> None:
+    first = rt.Test("section5-T0.5")
+    changed = first.with_(numerical={"period_s": "0.8 s"}).with_({"controller.type": "robust"})
+    assert changed["numerical.period_s"] == 0.8
+    # A period stands for the mass of the file, as it does after --set.
+    assert changed["numerical.mass_kg"] is None
+    assert changed["controller.type"] == "robust"
+    assert first["numerical.mass_kg"] == 4220
+    assert first["controller.type"] == "paper"
+    assert first != changed
+
+
+def test_none_leaves_a_key_out() -> None:
+    free = rt.Test("section5-T0.5").with_({"limits.force_n": None})
+    assert free["limits.force_n"] is None
+    assert "force_n" not in free.to_toml().split("[limits")[1].split("[reference")[0]
+
+
+def test_rig_is_changed_through_its_test_or_by_itself() -> None:
+    rig = rt.Rig("delay-10-elastic")
+    later = rig.with_(actuator={"delay_samples": 12})
+    first = rt.Test("section5-T0.5", rig=rig)
+    assert later["actuator.delay_samples"] == 12
+    assert first.with_({"rig.actuator.delay_samples": 12}).rig == later
+    assert first.with_(rig={"actuator": {"delay_samples": 12}}).rig == later
+    assert first.with_(rig=later).rig == later
+    assert first.with_(rig="first-order-5hz").rig == rt.Rig("first-order-5hz")
+    assert first.rig == rig
+    assert rt.Rig.from_toml(later.to_toml()) == later
+
+
+def test_actuator_becomes_another_kind_as_a_whole() -> None:
+    rig = rt.Rig("shaking-table-portal-frame").with_(
+        {"actuator": {"kind": "pure-delay", "delay_samples": 3}}
+    )
+    assert rig["actuator"] == {"kind": "pure-delay", "delay_samples": 3}
+
+
+def test_rig_from_keywords_runs_like_one_from_a_file() -> None:
+    shipped = rt.Rig("delay-10-elastic")
+    tables = {key: shipped[key] for key in ("rig", "actuator", "specimen", "sensors")}
+    mine = rt.Rig(**tables)
+    assert mine["specimen"] == shipped["specimen"]
+    assert rt.check(rt.Test("section5-T0.5"), mine).figures["samples"] > 0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        (lambda t: t.with_(controller={"typ": "x"}),
+         ['with_: controller.typ: unknown key (did you mean "type"?)', "allowed here: type"]),
+        (lambda t: t.with_({"numerical.mass_kg": "3 kN"}),
+         ['with_: numerical.mass_kg: found "3 kN" (that is a force)', "must be a mass from"]),
+        (lambda t: t.with_({"rig.actuator.kind": "pure-delay"}),
+         ['with_: rig.actuator.kind: "pure-delay" takes other keys',
+          'with_({"rig.actuator": {"kind": "pure-delay", "delay_samples": ...}})']),
+        (lambda t: t.with_({"numerical.mass_kg": -1, "rig.actuator.kp_per_s": "a"}),
+         ["with_: numerical.mass_kg: found -1", 'with_: rig.actuator.kp_per_s: found "a"']),
+        (lambda t: t.with_({"limits.forze_n": None}),
+         ['with_: limits.forze_n: found None', 'did you mean "force_n"?']),
+        (lambda t: t.with_(["controller.w1"]), ["with_: found", "a dict of dotted keys"]),
+        (lambda t: t["numerical.mass"],
+         ['test["numerical.mass"]: no such key (did you mean "mass_kg"?)', "numerical has:"]),
+        (lambda _: rt.Test(numerical={"period_s": "1 kg"}),
+         ["Test: test: missing", 'Test: numerical.period_s: found "1 kg" (that is a mass)']),
+        (lambda _: rt.Test(), ["Test: nothing is given", "section5-T0.5", "by keyword"]),
+        (lambda _: rt.Test("section5"), ['test: found "section5"', "section5-T0.5"]),
+        (lambda _: rt.Rig("nowhere.toml"), ["nowhere.toml: no such file"]),
+        (lambda _: rt.Rig(3), ["Rig: found 3", "path of a rig file"]),
+        (lambda _: rt.open("nowhere"), ["nowhere: does not exist; give the recording.h5"]),
+        (lambda t: rt.run(rt.Test.from_toml(t.to_toml()).with_({"rig": None})),
+         ['the test "section5-t0.5" names no rig', "test.with_(rig=", "delay-10-elastic"]),
+    ],
+)  # fmt: skip
+def test_wrong_use_is_told_with_place_value_what_is_allowed_and_remedy(
+    wrong: Callable[[rt.Test], object], told: list[str]
+) -> None:
+    with pytest.raises(rt.InputError) as raised:
+        wrong(rt.Test("section5-T0.5"))
+    for part in told:
+        assert part in str(raised.value)
+    assert "--set" not in str(raised.value)
+
+
+def test_fault_of_a_file_has_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(rt.Test("section5-T0.5").to_toml().replace("w1 = 3", "w9 = 3"))
+    with pytest.raises(rt.InputError, match=r"bad\.toml:\d+: controller\.w9: unknown key"):
+        rt.Test(path)
+
+
+def test_objects_say_in_one_line_what_they_are(rec: rt.Recording) -> None:
+    test = rt.Test("section5-T0.5")
+    for thing in (test, test.rig, rec, rt.check(test), rec.plot):
+        assert "\n" not in repr(thing)
+        assert repr(thing).startswith(f"<{type(thing).__name__}")
+    assert "4220 kg" in repr(test)
+    assert "completed, 5 s at 1024 Hz, tracking" in repr(rec)
+
+
+# ---- runs and checks ----------------------------------------------------------------------------
+
+
+def test_run_is_that_of_the_command_line_bit_for_bit(short: rt.Test, rec: rt.Recording) -> None:
+    settings = ["ground_motion.duration_s=4", "test.free_vibration_s=1"]
+    again = virtual_time.run(experiment.prepare(*config.load_both(None, None, settings)))
+    assert again.samples.tobytes() == rec.raw.samples.tobytes()
+    assert rt.run(short, short.rig).raw.samples.tobytes() == again.samples.tobytes()
+
+
+def test_run_that_a_limit_ends_is_no_error() -> None:
+    rec = rt.run(rt.Test("section5-T0.5", controller={"type": "none"}))
+    assert not rec.completed
+    assert "limit 15 kN" in rec.ending
+    assert rec.notices
+
+
+def test_run_keeps_what_the_command_keeps(short: rt.Test, tmp_path: Path) -> None:
+    rec = rt.run(short, out=tmp_path / "kept")
+    assert sorted(path.name for path in (tmp_path / "kept").iterdir()) == [
+        "recording.h5", "report.html", "rig.toml", "test.toml",
+    ]  # fmt: skip
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "kept"]
+    again = rt.open(tmp_path / "kept")
+    assert again.raw.samples.tobytes() == rec.raw.samples.tobytes()
+    assert again.test == rt.Test(tmp_path / "kept" / "test.toml").with_(
+        rig=rt.Rig(tmp_path / "kept" / "rig.toml")
+    )
+    assert rt.run(tmp_path / "kept" / "test.toml").raw.samples.tobytes() == (
+        rec.raw.samples.tobytes()
+    )
+    with pytest.raises(rt.InputError, match="exists already"):
+        rt.run(short, out=tmp_path / "kept")
+
+
+def test_folder_that_cannot_be_written_is_told_and_nothing_is_left(
+    short: rt.Test, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(rt.RthybError, match="cannot be written"):
+        rt.run(short, out=tmp_path / "file" / "run")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_progress_is_told(short: rt.Test) -> None:
+    told: list[tuple[int, int]] = []
+    rt.run(short, progress=lambda done, whole: told.append((done, whole)))
+    assert told[-1][0] == told[-1][1] == 5 * 1024
+
+
+def test_check_says_what_the_command_says() -> None:
+    done = subprocess.run(
+        [*RTHYB, "check", str(config.builtin_test_path()), "--json"],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    found = rt.check("section5-T0.5")
+    assert json.loads(json.dumps(found.document)) == json.loads(done.stdout)
+    assert found.figures["period_s"] == pytest.approx(0.5, rel=1e-3)
+    assert "<table>" in found._repr_html_()
+    heavy = rt.check(rt.Test("section5-T0.5", numerical={"damping_ratio": 0.9}))
+    assert any("of critical" in text for text in heavy.warnings)
+
+
+# ---- recordings ---------------------------------------------------------------------------------
+
+
+def test_signals_have_names_and_units(rec: rt.Recording) -> None:
+    assert rec.units["x_meas_m"] == "m"
+    assert rec.units["f_ref_n"] == "N"
+    assert set(rec) == set(rec.units)
+    assert "x_meas_m" in rec
+    assert "x_meas" not in rec
+    np.testing.assert_array_equal(rec["x_meas_m"], rec.raw.samples["x_meas_m"])
+    assert rec["t_s"][rec.running][0] == 0.0
+    for name in rec:
+        assert rec[name].shape == rec["t_s"].shape, name
+    inside = rec["x_ref_m"][rec.running]
+    assert np.isfinite(inside).all()
+    assert np.isnan(rec["x_ref_m"][~rec.running]).all()
+    assert np.abs(rec["x_meas_m"][rec.running] - inside).max() == pytest.approx(
+        rec.measures["response_peak_difference_m"]
+    )
+    with pytest.raises(rt.InputError, match=r'no signal "x_meas" \(did you mean "x_meas_m"\?\)'):
+        rec["x_meas"]
+
+
+def test_channel_of_a_law_is_a_signal_with_its_unit() -> None:
+    rec = rt.run(rt.Test("section5-T0.5", controller={"type": "ats"}, **SHORT))
+    names = [channel.name for channel in rec.raw.channels]
+    assert names
+    for channel in rec.raw.channels:
+        assert rec.units[channel.name] == channel.unit
+        np.testing.assert_array_equal(rec[channel.name], rec.raw.channel(channel.name))
+
+
+def test_tables_of_pandas_and_xarray_have_the_signals_and_their_units(rec: rt.Recording) -> None:
+    pytest.importorskip("pandas")
+    pytest.importorskip("xarray")
+    table, whole, grid = rec.to_pandas(), rec.to_pandas(whole=True), rec.to_xarray()
+    assert len(table) == np.count_nonzero(rec.running)
+    assert len(whole) == len(rec["t_s"])
+    assert table.index.name == "t_s"
+    assert table.attrs["units"]["f_meas_n"] == "N"
+    np.testing.assert_array_equal(whole["x_meas_m"], rec["x_meas_m"])
+    np.testing.assert_array_equal(grid["x_meas_m"], table["x_meas_m"])
+    assert grid["x_meas_m"].attrs["units"] == "m"
+    assert grid.coords["t_s"].attrs["units"] == "s"
+
+
+def test_package_that_is_missing_is_named_with_its_remedy(
+    rec: rt.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    for name in ("rthyb_rt.report.figures", "rthyb_rt.report.drawing"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    with pytest.raises(rt.InputError, match=r"to_pandas: needs pandas; .*rthyb-rt\[data\]"):
+        rec.to_pandas()
+    with pytest.raises(rt.InputError, match=r"a figure needs matplotlib.*rthyb-rt\[report\]"):
+        rec.plot.response()
+    assert "rthyb-rt[report]" in rec._repr_html_()
+
+
+def test_measures_are_those_of_the_command_line(rec: rt.Recording) -> None:
+    found = summary.summarize(rec.raw)
+    assert rec.measures["tracking_nrmse"] == found.tracking_nrmse
+    assert rec.measures["fs_hz"] == 1024
+    assert rec.verdict == summary.verdict(found)
+    assert rec.table[0][0] == "End of the test"
+    json.dumps(rec.measures)
+
+
+def test_figures_are_those_of_the_report(rec: rt.Recording, tmp_path: Path) -> None:
+    from rthyb_rt.report.figures import draw_all
+
+    plates = draw_all(rec.raw, rec.summary)
+    for plate in plates:
+        plot = getattr(rec.plot, plate.key)()
+        assert plot.title == plate.title
+        assert bool(plot.svg) == bool(plate.svg)
+    plot = rec.plot.hysteresis()
+    assert plot.figure is not None
+    for ending, head in (("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")):
+        assert plot.save(tmp_path / f"loop.{ending}").read_bytes().startswith(head)
+    with pytest.raises(rt.InputError, match=r'found the ending ".docx"; must be one of'):
+        plot.save(tmp_path / "loop.docx")
+
+
+def test_figure_that_a_recording_has_not_says_so(rec: rt.Recording, tmp_path: Path) -> None:
+    bare = rt.Recording(recording.Recording(**{**vars(rec.raw), "reference": None}))
+    plot = bare.plot.accumulated()
+    assert plot.svg == ""
+    assert "no reference simulation" in plot.note
+    with pytest.raises(rt.InputError, match="no figure to save"):
+        plot.save(tmp_path / "none.svg")
+    assert "x_ref_m" not in bare
+
+
+def test_notebook_shows_verdict_and_figure(rec: rt.Recording) -> None:
+    html = rec._repr_html_()
+    assert rec.verdict in html
+    assert "<svg" in html
+    assert "Tracking, NRMSE" in html
+
+
+def test_recording_is_saved_exported_and_reported(rec: rt.Recording, tmp_path: Path) -> None:
+    assert rt.open(rec.save(tmp_path / "recording.h5"))["x_meas_m"].tobytes() == (
+        rec["x_meas_m"].tobytes()
+    )
+    header = rec.export(tmp_path / "short.csv").read_text().splitlines()[0]
+    assert header == "t,ag,x_num,x_cmd,x_meas,f_meas"
+    assert "x_meas_m" in rec.export(tmp_path / "all.csv", whole=True).read_text().splitlines()[0]
+    assert rec.export(tmp_path / "all.mat").stat().st_size > 0
+    assert "<svg" in rec.report(tmp_path / "report.html").read_text()
+    with pytest.raises(rt.InputError, match=r'found the ending ".xlsx"; must be one of .csv, .mat'):
+        rec.export(tmp_path / "all.xlsx")
+
+
+@pytest.mark.speed
+def test_running_from_python_costs_what_the_command_costs(tmp_path: Path) -> None:
+    # Alternating, with the report: the least of each is what the machine has disturbed least.
+    python = (
+        "import rthyb_rt as rt; rec = rt.run(out=__import__('sys').argv[1]); rec.table, rec.notices"
+    )
+    times: dict[str, list[float]] = {"python": [], "command": []}
+    for number in range(5):
+        for name, command in (
+            ("python", [sys.executable, "-c", python, str(tmp_path / f"p{number}")]),
+            ("command", [*RTHYB, "run", "--out", str(tmp_path / f"c{number}")]),
+        ):
+            before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+            subprocess.run(command, check=True, capture_output=True)
+            times[name].append(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before)
+    ratio = min(times["python"]) / min(times["command"])
+    print(f"rt.run over rthyb run: {ratio:.3f} of the processor time")
+    assert ratio <= 1.05
