@@ -26,6 +26,7 @@
 #include "rthyb_kernels.h"
 #include "rthyb_kinematics.h"
 #include "rthyb_matrix_lead.h"
+#include "rthyb_matrix_rfc.h"
 #include "rthyb_law.h"
 #include "rthyb_rig.h"
 #include "rthyb_sparse.h"

@@ -87,9 +87,9 @@ typedef struct {
     double brake_acceleration_m_per_s2; /* of HOLD, and where ramp-out begins; 0: as of paths */
     int32_t tare_ticks, ramp_in_ticks, armed_ticks;
     int32_t stay; /* RAMP_OUT ends where its deceleration does, and not at 0 */
-    /* Which of the row's channels are what the control law reports beside alpha and beta: from which
-     * one on, and how many; 0: none. */
-    uint32_t law_channel, law_channel_count;
+    /* Which of the row's channels are what the control law reports beside alpha and beta, and which what
+     * the numerical part does: from which one on, and how many; 0: none. */
+    uint32_t law_channel, law_channel_count, part_channel, part_channel_count;
 } rthyb_station_config;
 
 /* Displacement over a whole number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u); u = 0 ... 1. Or a

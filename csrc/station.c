@@ -56,7 +56,9 @@ static int config_error(const rthyb_station_config *c)
         if (axis_check(&c->axis[i]))
             return RTHYB_E_LIMIT;
     if (c->law_channel > RTHYB_CHANNELS_MAX ||
-        c->law_channel_count > RTHYB_CHANNELS_MAX - c->law_channel)
+        c->law_channel_count > RTHYB_CHANNELS_MAX - c->law_channel ||
+        c->part_channel > RTHYB_CHANNELS_MAX ||
+        c->part_channel_count > RTHYB_CHANNELS_MAX - c->part_channel)
         return RTHYB_E_LIMIT;
     const int ticks_ok = c->tare_ticks >= 1 && c->tare_ticks <= 1 << 20 && c->ramp_in_ticks >= 1 &&
                          c->ramp_in_ticks <= 1 << 24 && c->armed_ticks >= 1;
@@ -1089,6 +1091,11 @@ static int take_over(rthyb_station *s, const rthyb_station_input *in)
 
 void rthyb_station_advance(rthyb_station *s)
 {
+    if (s->cfg.part_channel_count > 0) {
+        const rthyb_numerical part = part_of(&s->controller);
+        (void)rthyb_numerical_report(&part, s->channel + s->cfg.part_channel,
+                                     s->cfg.part_channel_count);
+    }
     rthyb_controller_advance(&s->controller);
 }
 

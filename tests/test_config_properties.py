@@ -20,6 +20,7 @@ from rthyb_rt.config.limits import WATCHED, Limits, resolve
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.numerical import Labels, Matrices, Numbers, Place, Square
 from rthyb_rt.config.rigfile import BoucWen, Link, RigFile
+from rthyb_rt.config.structures import Counts, Each, Names, Terms
 from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment
@@ -49,6 +50,14 @@ def values_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> st.SearchStrat
             if limits.pattern == r"[\s\S]*":
                 return texts
             return st.from_regex(r"\A[a-z0-9][a-z0-9._-]{0,20}\Z")
+        if isinstance(limits, Each):
+            return values_of(float, (limits.one,))
+        if isinstance(limits, Counts):
+            return st.just([1])
+        if isinstance(limits, Terms):
+            return st.just([["7.x", 1.0]])
+        if isinstance(limits, Names):
+            return st.just(["x_1"])
         if isinstance(limits, (Square, Numbers, Labels, Place)):
             return st.just([1.0])  # `matrices` has them fit
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
@@ -86,12 +95,19 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
             data[kept] = 1.0
     if model is Numerical:
         data["matrices"] = draw(st.none() | tables(Matrices))
+        data.update(draw(of_many()) if data["matrices"] is None else ONE_DEGREE)
         single = ("mass_kg", "period_s", "damping_n_s_per_m", "damping_ratio")
         if data["matrices"] is not None:
             data.update(dict.fromkeys(single), integrator="central-difference")
             data["stiffness_n_per_m"] = 0.0
+        elif data["storeys"] is not None:
+            data.update(dict.fromkeys(single), integrator=draw(st.sampled_from(["cr", "kr-alpha"])))
+            data["stiffness_n_per_m"] = 0.0
         elif None in (data["mass_kg"] or data["period_s"], data["damping_n_s_per_m"]):
             data.update(dict.fromkeys(single), mass_kg=1.0, damping_ratio=0.02)
+    if model is TestFile:
+        many = data["numerical"]["storeys"] is not None
+        data["interface"] = [{"name": "x", "storey": 1, "dof": None}] if many else []
     if model is Matrices:
         data.update(draw(matrices()))
     if model is RigFile and data["actuator"]["kind"] == "servo-valve":
@@ -128,6 +144,33 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
         for place, _, _ in list(lawtables.faults(data)):
             data[place[0]] = None
     return data
+
+
+ONE_DEGREE: dict[str, Any] = {"storeys": None, "damping": None, "nonlinear": [], "record": None}
+
+
+@st.composite
+def of_many(draw: st.DrawFn) -> dict[str, Any]:
+    """Storeys, or none, with what goes with them."""
+    if draw(st.booleans()):
+        return ONE_DEGREE
+    count = draw(st.integers(1, 5))
+    each = st.lists(st.floats(0.1, 100.0), min_size=count, max_size=count)
+    law = {"element": "cubic", "k3_n_per_m3": draw(st.floats(0.0, 1e9))}
+    element = {"storeys": [count], "dof": None, "between": None, "beside": True, "law": law}
+    return {
+        "storeys": {
+            "count": count,
+            "mass_kg": draw(each | st.floats(1.0, 1e6)),
+            "stiffness_n_per_m": draw(each | st.floats(1.0, 1e9)),
+            "height_m": draw(each),
+            "p_delta": draw(st.booleans()),
+            "specimen": [draw(st.integers(1, count))],
+        },
+        "damping": {"ratio": draw(st.floats(0, 1)), "modes": [1], "form": "rayleigh"},
+        "nonlinear": draw(st.just([]) | st.just([element])),
+        "record": draw(st.none() | st.just(["x_1", "drift_1"])),
+    }
 
 
 @st.composite

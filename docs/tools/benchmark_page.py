@@ -97,7 +97,7 @@ def whole_table(lines: Sequence[Line], rate_hz: int) -> str:
         for line in lines
         if line.rate_hz == rate_hz
     ]
-    return _markdown(heads, rows, 1)
+    return markdown(heads, rows, 1)
 
 
 def short_table(lines: Sequence[Line], kind: Callable[[Line], str], kinds: Sequence[str]) -> str:
@@ -115,7 +115,7 @@ def short_table(lines: Sequence[Line], kind: Callable[[Line], str], kinds: Seque
     heads = ["law"]
     for wanted in kinds:
         heads += [*(f"{wanted}: {SHORT[0]} %", *(f"{key} %" for key in SHORT[1:])), "unstable"]
-    return _markdown(heads, rows, 1)
+    return markdown(heads, rows, 1)
 
 
 def _case(line: Line) -> str:
@@ -130,7 +130,7 @@ def _mean(line: Line, key: str) -> str:
     return table.short(line.mean[key]) if line.mean else "–"
 
 
-def _markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
+def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
     rule = ["---"] * texts + ["--:"] * (len(heads) - texts)
     return "\n".join(f"| {' | '.join(row)} |" for row in (heads, rule, *rows)) + "\n"
 
@@ -174,20 +174,38 @@ def _shown(one: Outcome, rate: int) -> bool:
 
 
 def _draw_rate(axes: Any, outcomes: Sequence[Outcome]) -> None:
-    for axis, limits in ((axes.xaxis, (0.08, 250.0)), (axes.yaxis, (1.0, 300.0))):
+    names = list(dict.fromkeys(one.run.entrant for one in outcomes))
+    named = []
+    for name in names:
+        own = [one.figures for one in outcomes if one.run.entrant == name]
+        points = np.array([[found["true"], found["J4"]] for found in own])
+        named.append((name, points, name in LAWS and LAWS[name].with_rfc))
+    scatter(axes, named, (0.08, 250.0), (1.0, 300.0))
+
+
+def scatter(
+    axes: Any,
+    named: Sequence[tuple[str, Any, bool]],
+    across: tuple[float, float],
+    up: tuple[float, float],
+) -> None:
+    """Draw laws as points with bars from the best to the worst plant, on two logarithmic axes.
+
+    Args:
+        axes: of a figure.
+        named: name, points (plants, 2), and whether it is this program's own.
+        across, up: limits.
+    """
+    for axis, limits in ((axes.xaxis, across), (axes.yaxis, up)):
         axis.axes.set(**{f"{axis.axis_name}scale": "log", f"{axis.axis_name}lim": limits})
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_locator(NullLocator())
     axes.grid(axis="both")
-    names = list(dict.fromkeys(one.run.entrant for one in outcomes))
     places = []
-    for name in names:
-        own_figures = [one.figures for one in outcomes if one.run.entrant == name]
-        points = np.array([[found["true"], found["J4"]] for found in own_figures])
+    for name, points, ours in named:
         x, y = points.mean(axis=0)
         low, high = points.min(axis=0), points.max(axis=0)
-        ours = name in LAWS and LAWS[name].with_rfc
         colour = drawing.BLUE if ours else drawing.GREY
         axes.plot([low[0], high[0]], [y, y], color=colour, linewidth=0.7)
         axes.plot([x, x], [low[1], high[1]], color=colour, linewidth=0.7)

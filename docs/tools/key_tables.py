@@ -30,6 +30,7 @@ from rthyb_rt.config import (
 )
 from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
 from rthyb_rt.config.numerical import Labels, Numbers, Place, Square
+from rthyb_rt.config.structures import Counts, Each, Names, Terms
 from rthyb_rt.core.laws import LAWS, parameters
 from rthyb_rt.record import recording
 
@@ -53,6 +54,20 @@ MEANINGS: dict[str, str] = {
     "Matrices.interface": "the degree of freedom that the specimen is joined to",
     "Matrices.integrator": "integrator of the equation of motion",
     "Matrices.force_delay_samples": "1: the force is used one sample late",
+    "MatrixFile.file": ".npz or .mat with all matrices, beside the test file",
+    "MatrixFile.data": "what was in the files; only the program writes it, into recordings",
+    "MatrixFile.direction": "the influence vector that is used, of a file that has several",
+    "MatrixFiles.mass": "masses, .mtx or .csv",
+    "MatrixFiles.stiffness": "stiffnesses",
+    "MatrixFiles.damping": "dampings",
+    "MatrixFiles.labels": "names of the degrees of freedom, one a line",
+    "MatrixFiles.influence": "displacements when the ground moves by 1, .mtx or .csv",
+    "Storeys.p_delta": "true: the weight above each storey leans on it",
+    "Damping.form": "Rayleigh damping, of one or two modes, or modal damping of those named",
+    "Nonlinear.dof": "between this degree of freedom of the matrices and the ground",
+    "Nonlinear.between": "between these two degrees of freedom of the matrices",
+    "Nonlinear.beside": "true: beside the storey's stiffness, not in its place",
+    "Interface.dof": "the degree of freedom, or a combination",
     "TakenOut.mass_kg": "the specimen's mass",
     "TakenOut.damping_n_s_per_m": "the specimen's damping",
     "TakenOut.stiffness_n_per_m": "the specimen's stiffness; absent: $k_e$",
@@ -226,6 +241,8 @@ def tables() -> dict[str, str]:
         for key, models in _sections(file):
             parts[f"{prefix}.{key}"] = _choices(models) if len(models) > 1 else _table(models[0])
     del parts["rig.limits"]  # the test file's
+    del parts["test.numerical.nonlinear.law"]  # the rig file's specimen
+    parts = {name.replace(" MatrixFile", ".from-a-file"): text for name, text in parts.items()}
     parts["test.controller.laws"] = _laws(parts)
     parts["test.limits.KEY"] = _table(limits.Limit)
     parts["samples"] = _samples()
@@ -285,7 +302,12 @@ def _sections(file: type[Table]) -> Iterator[tuple[str, list[type[Table]]]]:
 def _inner(model: type[Table], prefix: str) -> Iterator[tuple[str, list[type[Table]]]]:
     for name, info in model.model_fields.items():
         found = [p for p in _parts(info.annotation) if _is_table(p) and not _is_limit(p)]
-        if found and (len(found) > 1 or _plain(found[0])):
+        tagged = [one for one in found if any(tag in one.model_fields for tag in _TAGS)]
+        if len(found) > 1 and not tagged:
+            # Forms of one table, told apart by their keys.
+            yield prefix + name, found[:1]
+            yield from ((f"{prefix}{name} {one.__name__}", [one]) for one in found[1:])
+        elif found and (len(found) > 1 or _plain(found[0])):
             yield prefix + name, found
         for inner in found:
             yield from _inner(inner, f"{prefix}{name}.")
@@ -383,6 +405,16 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
             allowed = f"{rows}, each {each}"
         elif isinstance(part, (Labels, Place)):
             allowed, meaning = part.form, part.what
+        elif isinstance(part, Each):
+            unit, meaning = part.one.unit, part.one.what
+            allowed = f"{_number(part.one.low)} to {_number(part.one.high)}, or a list"
+        elif isinstance(part, Counts):
+            allowed = f"list, whole, {part.one.low} to {part.one.high}"
+            meaning = part.one.what
+        elif isinstance(part, Terms):
+            allowed, meaning = "list, label, or labels with weights", part.what
+        elif isinstance(part, Names):
+            allowed, meaning = "list, different texts", part.what
         elif isinstance(part, Sign):
             allowed, meaning = "1, -1", part.what
         elif isinstance(part, Text):

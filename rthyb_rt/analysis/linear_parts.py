@@ -18,8 +18,8 @@ Complexes = NDArray[np.complex128]
 
 MOST_MODES: Final = 80
 """Of a part's modes in its loop; what all others give way by acts at once."""
-_DIRECT: Final = 40
-"""States up to which a response is solved for at each frequency, 4 MB at a time."""
+_DIRECT: Final = 16
+"""States up to which a response is solved for at each frequency."""
 
 
 @dataclass(frozen=True)

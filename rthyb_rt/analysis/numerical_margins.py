@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rthyb_rt.analysis.linear_parts import LinearPart
 from rthyb_rt.analysis.margins import Lead, SampledLead
 from rthyb_rt.config.numerical_structure import Structure
+from rthyb_rt.config.sparse_structure import SparseStructure
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -24,7 +25,7 @@ class ManyDegrees:
     The specimen's mass and damping are left out of its roots.
     """
 
-    structure: Structure
+    structure: Structure | SparseStructure
 
     @functools.cached_property
     def linear(self) -> LinearPart:

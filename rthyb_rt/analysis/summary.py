@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 
 from rthyb_rt.analysis import margins, measures, numerical_margins
 from rthyb_rt.analysis.attention import Finding, Judge, Subject
+from rthyb_rt.config.deriving import structure_of_test
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.numerical_structure import Structure, structure_of
 from rthyb_rt.config.rate import Rate
+from rthyb_rt.config.sparse_structure import SparseStructure
+from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.core import FLAGS, RUNNING, STATES, Integrator, MotionConfig
 from rthyb_rt.core.laws import LAWS, Law
+from rthyb_rt.errors import InputError
 from rthyb_rt.lab import trips
 from rthyb_rt.lab.trips import Met
 from rthyb_rt.numbers import count, number, percent, quantity
@@ -114,9 +118,9 @@ def setup(rec: Recording) -> Setup:
             ratio = damping / critical
     rate = Rate(rec.fs_hz)
     critical_delay = _critical_delay(test, mass, damping, k_e, rate)
-    structure = _structure(_get(test, "numerical", "matrices"), k_e, rate)
+    structure = structure_of_recording(test, k_e, rate)
     if structure is not None:
-        first = structure.modes()[0]
+        first = structure.first()
         period = 1.0 / first.frequency_hz if first.frequency_hz else None
         ratio, critical_delay = (
             first.damping_ratio,
@@ -161,13 +165,27 @@ def setup(rec: Recording) -> Setup:
     )
 
 
-def _structure(matrices: object, k_e: float | None, rate: Rate) -> Structure | None:
-    """Return a numerical part that is given by matrices; None where there is none to be read."""
-    if not isinstance(matrices, dict) or k_e is None:
+def structure_of_recording(
+    test: dict[str, Any], k_e: float | None, rate: Rate
+) -> Structure | SparseStructure | None:
+    """Return a numerical part of many degrees of freedom; None where there is none to be read.
+
+    Args:
+        test: the test file as it was recorded.
+        k_e: elastic stiffness of the specimen, N/m.
+        rate: of the test.
+    """
+    if k_e is None or not isinstance(_get(test, "numerical"), dict):
         return None
+    matrices = _get(test, "numerical", "matrices")
     try:
+        of_file = isinstance(matrices, dict) and "data" in matrices
+        if of_file or _get(test, "numerical", "storeys") is not None:
+            return structure_of_test(TestFile.model_validate(test), k_e, rate.period_s)
+        if not isinstance(matrices, dict):
+            return None
         return structure_of(Matrices.model_validate(matrices), k_e, rate.period_s)
-    except ValueError:
+    except (ValueError, InputError):
         # Another version's.
         return None
 

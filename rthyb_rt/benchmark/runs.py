@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -161,11 +160,16 @@ def is_beyond(setup: Setup) -> bool:
     run of a perfect control law.
     """
     limit = setup.rig.limits.force_n
-    force_n = _reference(setup)[2]
+    force_n = reference(setup)[2]
     return limit is not None and float(np.abs(force_n).max()) > limit.value
 
 
-def _reference(setup: Setup) -> tuple[criteria.Floats, ...]:
+def reference(setup: Setup) -> tuple[criteria.Floats, ...]:
+    """Return the reference simulation of a run, the plant's own specimen joined to the structure.
+
+    Displacement, velocity and force of the interface, (n,) each, and the displacement of every
+    storey, (n, 3).
+    """
     structure = setup.derived.structure
     if structure is None:
         raise ValueError("a run of the benchmark has its numerical part by matrices")
@@ -176,18 +180,20 @@ def _reference(setup: Setup) -> tuple[criteria.Floats, ...]:
 def figures_of(setup: Setup, rec: Recording) -> dict[str, float]:
     """Return the figures of a completed run over the whole record, its rests included."""
     rows = rec.samples[rec.running()][: setup.ticks]
-    reference = _reference(setup)[3][: rows.size]
+    storeys_m = reference(setup)[3][: rows.size]
     return criteria.figures(
         rows["x_num_m"],
         rows["x_meas_m"],
         rows["x_true_m"],
         rows["x_cmd_m"],
         np.column_stack([rows["x_part_2_m"], rows["x_part_3_m"]]),
-        reference,
+        storeys_m,
         setup.derived.fs_hz,
     )
 
 
+Item = TypeVar("Item")
+Found = TypeVar("Found")
 Tell = Callable[[int, int, str], None]
 
 _CHUNK: Final = 4
@@ -204,21 +210,24 @@ def measured(runs: Sequence[Run], jobs: int = 1, tell: Tell | None = None) -> li
     Raises:
         InputError: fewer than one process.
     """
-    if jobs < 1:
-        raise InputError(f"found {jobs}; must be at least 1 process", "--jobs")
     outcomes = []
-    with _mapped(min(jobs, len(runs) or 1), runs) as found:
-        for outcome in found:
-            outcomes.append(outcome)
-            if tell is not None:
-                tell(len(outcomes), len(runs), outcome.run.entrant)
+    for outcome in each(measure, runs, jobs):
+        outcomes.append(outcome)
+        if tell is not None:
+            tell(len(outcomes), len(runs), outcome.run.entrant)
     return outcomes
 
 
-@contextmanager
-def _mapped(jobs: int, runs: Sequence[Run]) -> Iterator[Iterator[Outcome]]:
-    if jobs == 1:
-        yield map(measure, runs)
+def each(do: Callable[[Item], Found], items: Sequence[Item], jobs: int) -> Iterator[Found]:
+    """Yield what a function makes of each item, in their order, by so many processes.
+
+    Raises:
+        InputError: fewer than one process.
+    """
+    if jobs < 1:
+        raise InputError(f"found {jobs}; must be at least 1 process", "--jobs")
+    if min(jobs, len(items)) <= 1:
+        yield from map(do, items)
         return
-    with pools.workers(jobs) as pool:
-        yield pool.map(measure, runs, chunksize=_CHUNK)
+    with pools.workers(min(jobs, len(items))) as pool:
+        yield from pool.map(do, items, chunksize=_CHUNK)

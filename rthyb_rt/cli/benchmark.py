@@ -12,6 +12,7 @@ from rthyb_rt.cli.inputs import JsonOption
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rthyb_rt.benchmark.marths_table import Line as MarthsLine
     from rthyb_rt.benchmark.table import Line
 
 benchmark = typer.Typer(
@@ -97,6 +98,79 @@ def rths(
     print_lines(table.lines(found), terminal.people(as_json))
     if as_json:
         terminal.print_json(table.document(found))
+
+
+@benchmark.command()
+def marths(
+    law: Annotated[
+        list[str] | None,
+        _several(
+            "Who takes part: none, lead, lead-decoupled, rodeac, matrix, matrix-inverse: all.",
+            "NAME",
+        ),
+    ] = None,
+    motion: Annotated[
+        list[str] | None, _several("elcentro, kobe or morgan: elcentro.", "NAME")
+    ] = None,
+    plants: Annotated[
+        int,
+        typer.Option(metavar="N", help="Perturbed plants beside the nominal one, 0 to 20."),
+    ] = 20,
+    integrator: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="newmark, as the benchmark has it, or kr-alpha, this program's own.",
+        ),
+    ] = "newmark",
+    jobs: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Processes: as many as processors.", show_default=False),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run the multi-axial benchmark (maRTHS): two actuators that feel one another.
+
+    Its criteria J1 to J10 as its code has them, a number for each actuator or degree of freedom;
+    then what they do not show: tracking without noise, and the response against the numerical part
+    and the force model solved as one. In brackets the worst plant. Motions are scaled by .4. What
+    the figures are is in docs/benchmark-marths.md.
+
+    \b
+    Examples:
+      rthyb benchmark marths --plants 0
+      rthyb benchmark marths --law rodeac --law matrix-inverse --motion kobe
+      rthyb benchmark marths --integrator kr-alpha --json > marths.json
+    """
+    from rthyb_rt.benchmark import marths as own
+    from rthyb_rt.benchmark import marths_laws, marths_table
+    from rthyb_rt.campaign import pools
+
+    wanted = own.planned(law or list(marths_laws.NAMES), motion or ["elcentro"], plants, integrator)
+    with terminal.sections("Benchmark") as progress:
+        found = own.measured(wanted, pools.processors() if jobs is None else jobs, progress)
+    print_marths(marths_table.lines(found), terminal.people(as_json))
+    if as_json:
+        terminal.print_json(marths_table.document(found))
+
+
+def print_marths(lines: Sequence[MarthsLine], file: IO[str]) -> None:
+    """Print lines of the multi-axial benchmark, two tables for each motion."""
+    from rich.text import Text
+
+    from rthyb_rt.benchmark import marths_table
+
+    for number, motion in enumerate(dict.fromkeys(line.motion for line in lines)):
+        terminal.show(Text(f"\n{motion}" if number else motion, style="bold"), file)
+        for names in (marths_table.PUBLISHED, marths_table.BESIDE):
+            grid = terminal.ruled_table()
+            grid.add_column("law", no_wrap=True)
+            for head in marths_table.heads(names):
+                grid.add_column(head, justify="right", no_wrap=True)
+            for line in lines:
+                if line.motion == motion:
+                    grid.add_row(line.law, *marths_table.cells(line, names))
+            terminal.show(grid, file)
 
 
 def print_lines(lines: Sequence[Line], file: IO[str]) -> None:

@@ -273,7 +273,11 @@ def _figures(setup: Setup) -> Figures:
         peak_phi=phi,
         estimator_loop_gain=loop_gain,
         modes=tuple(
-            {"frequency_hz": mode.frequency_hz, "damping_ratio": mode.damping_ratio}
+            {
+                "frequency_hz": mode.frequency_hz,
+                "damping_ratio": mode.damping_ratio,
+                "effective_mass": mode.effective_mass,
+            }
             for mode in (derived.structure.modes() if derived.structure is not None else ())
         ),
     )
@@ -501,7 +505,8 @@ def _structure_rows(f: Figures) -> list[tuple[str, str, str]]:
             (
                 f"Mode {i + 1} of {len(f.modes)}",
                 f"{number(mode['frequency_hz'], 4)} Hz ({number(1 / mode['frequency_hz'])} s), "
-                f"damping {percent(mode['damping_ratio'], 3)}",
+                f"damping {percent(mode['damping_ratio'], 3)}, "
+                f"{percent(mode['effective_mass'], 3)} of the mass",
                 "" if i else "of the whole structure, specimen elastic",
             )
             for i, mode in enumerate(f.modes)
@@ -522,9 +527,13 @@ def _structure_rows(f: Figures) -> list[tuple[str, str, str]]:
 
 
 def _integrator(setup: Setup) -> str:
+    from rthyb_rt.config.numerical import Matrices
+
     numerical = setup.test.numerical
     matrices = numerical.matrices
-    return numerical.integrator if matrices is None else matrices.integrator
+    if not isinstance(matrices, Matrices):
+        return numerical.integrator
+    return matrices.integrator
 
 
 def _rows(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import rigsettings
+from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import (
     BoucWen,
@@ -34,8 +35,8 @@ from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
-    from rthyb_rt.config.numerical import Matrices
     from rthyb_rt.config.numerical_structure import Structure
+    from rthyb_rt.config.sparse_structure import SparseStructure
 
 DEFAULT_WINDOW_PERIODS = 0.1
 """The paper's conclusion: a tenth of the period."""
@@ -87,7 +88,7 @@ class Derived:
     rest_noise_force_n: float
     limits: limits_file.Resolved
     notes: tuple[str, ...] = ()
-    structure: Structure | None = None
+    structure: Structure | SparseStructure | None = None
 
     @property
     def rate(self) -> Rate:
@@ -111,8 +112,10 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     rate = Rate(test.test.sample_rate_hz)
     k_e = rig.rig.elastic_stiffness_n_per_m
     stiffness = k_e + test.numerical.stiffness_n_per_m
-    structure: Structure | None = None
-    if test.numerical.matrices is not None:
+    structure: Structure | SparseStructure | None = None
+    if test.numerical.structure is not None:
+        structure, (mass, period, damping, ratio) = _of_many(test, k_e, rate, problems, notes)
+    elif isinstance(test.numerical.matrices, Matrices):
         structure, (mass, period, damping, ratio) = _by_matrices(
             test.numerical.matrices, k_e, rate, problems
         )
@@ -184,6 +187,69 @@ def resolve(test: TestFile, derived: Derived) -> TestFile:
 
 def _given(value: float | None, default: float) -> float:
     return default if value is None else value
+
+
+def structure_of_test(test: TestFile, k_e: float, period_s: float) -> SparseStructure:
+    """Return the structure of a test with storeys, or with matrices from a file.
+
+    Args:
+        test: the test; what its file of matrices says has been read.
+        k_e: elastic stiffness of the rig's specimen, N/m.
+        period_s: of a sample.
+
+    Raises:
+        InputError: with what does not fit together.
+    """
+    from rthyb_rt.config import sparse_structure
+
+    numerical = test.numerical
+    assert numerical.structure is not None
+    keys = sparse_structure.Keys(
+        numerical.damping, numerical.nonlinear, numerical.record, test.interface,
+        numerical.integrator, numerical.rho_inf,
+    )  # fmt: skip
+    return sparse_structure.build(numerical.structure, keys, k_e, period_s)
+
+
+def _of_many(
+    test: TestFile, k_e: float, rate: Rate, problems: list[Problem], notes: list[str]
+) -> tuple[SparseStructure | None, tuple[float, float, float, float]]:
+    """Return the part, and mass, period, damping and its ratio of the mode that moves most."""
+    from rthyb_rt.core import CoreError
+
+    try:
+        structure = structure_of_test(test, k_e, rate.period_s)
+    except InputError as error:
+        problems += error.problems
+        return None, (1.0, 1.0, 0.0, 0.0)
+    except CoreError as error:
+        problems.append(Problem("numerical", str(error)))
+        return None, (1.0, 1.0, 0.0, 0.0)
+    storeys, first = test.numerical.storeys, structure.first()
+    if storeys is not None:
+        storey = storeys.specimen[0]
+        said = storeys.each("stiffness_n_per_m")[storey - 1]
+        if abs(k_e / said - 1) > 0.01:
+            notes.append(
+                f"storey {storey} is the specimen: its stiffness is the rig's k_e = {k_e:g} N/m, "
+                f"not the {said:g} N/m of numerical.storeys"
+            )
+    if first.frequency_hz > 0.25 * rate.hz:
+        problems.append(
+            Problem(
+                "test.sample_rate_hz",
+                f"the mode that the ground moves most is at {first.frequency_hz:.4g} Hz, which "
+                f"{rate.hz:g} Hz cannot follow; check the units of masses and stiffnesses",
+            )
+        )
+    omega = 2 * math.pi * first.frequency_hz
+    mass = 1.0 / max(first.at_interface**2, 1e-12)
+    return structure, (
+        mass,
+        1.0 / first.frequency_hz,
+        2 * first.damping_ratio * omega * mass,
+        first.damping_ratio,
+    )
 
 
 def _by_matrices(

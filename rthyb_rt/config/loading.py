@@ -21,6 +21,7 @@ from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
 from rthyb_rt.config.mapfile import MAP_SCHEMA, MapFile
 from rthyb_rt.config.rigfile import RIG_SCHEMA, Link, RigFile, kinds
+from rthyb_rt.config.structures import FROM_FILE, WRITTEN_OUT, MatrixFile
 from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile
 from rthyb_rt.errors import InputError, Problem
 
@@ -73,8 +74,31 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
         update={
             "rig": found(test.rig, "rig"),
             "ground_motion": motion.model_copy(update={"record": record}),
+            "numerical": _with_matrices(test.numerical, str(path), overrides),
         }
     )
+
+
+def _with_matrices(numerical: Numerical, path: str, overrides: Mapping[str, str]) -> Numerical:
+    """Read the file of matrices that a test names, so that the test has all that it needs.
+
+    Raises:
+        InputError: what is wrong with the file, and where the test names it.
+    """
+    given = numerical.matrices
+    if not isinstance(given, MatrixFile) or given.data is not None:
+        return numerical
+    # NumPy and SciPy are slow to load.
+    from rthyb_rt.config import matrixfile
+    from rthyb_rt.core import CoreError
+
+    from_override = any(key.startswith("numerical.matrices") for key in overrides)
+    try:
+        data = matrixfile.read(given, Path() if from_override else Path(path).parent)
+    except CoreError as error:
+        raise InputError(str(error), f"{path}: numerical.matrices") from error
+    read = given.model_copy(update={"data": data.packed()})
+    return numerical.model_copy(update={"matrices": read})
 
 
 def load_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> RigFile:
@@ -644,6 +668,8 @@ def _key_path(loc: tuple[int | str, ...], raw: dict[str, Any]) -> KeyPath:
     place: Any = raw
     tag_seen = False
     for part in loc:
+        if part in (WRITTEN_OUT, FROM_FILE):
+            continue
         tags = (place.get("kind"), place.get("element")) if isinstance(place, dict) else ()
         if part in tags and not tag_seen:
             tag_seen = True

@@ -34,12 +34,14 @@ class Mode:
         damping_ratio: phi' C phi / (2 omega), with phi' M phi = 1.
         shape: largest entry 1, (n,).
         at_interface: entry of the interface in the shape of unit modal mass, 1/sqrt(kg).
+        effective_mass: share of the mass that the ground motion moves in it.
     """
 
     frequency_hz: float
     damping_ratio: float
     shape: tuple[float, ...]
     at_interface: float
+    effective_mass: float
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ class Structure:
         """Return the modes of the joined structure, the lowest first."""
         m, c, k = self.joined()
         w2, phi = _modes_of(m, k)
+        load = np.array(self.part.load_kg)
+        whole = float(load @ np.linalg.solve(m, load))
         found = []
         for square, shape in zip(w2, phi.T, strict=True):
             omega = float(np.sqrt(square)) if square > 0.0 else 0.0
@@ -79,9 +83,14 @@ class Structure:
                     damping / (2.0 * omega) if omega else 0.0,
                     tuple(float(v) for v in shape / largest),
                     float(shape[self.part.at]),
+                    float(shape @ load) ** 2 / whole if whole else 0.0,
                 )
             )
         return tuple(found)
+
+    def first(self) -> Mode:
+        """Return the lowest mode."""
+        return self.modes()[0]
 
     def spectral_radius(self) -> float:
         """Return the largest root of one step of the joined structure, the specimen elastic."""

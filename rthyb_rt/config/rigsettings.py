@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import RigFile
 from rthyb_rt.errors import InputError, Problem
@@ -122,7 +123,7 @@ def rfc_of_rig(test: TestFile, rig: RigFile) -> tuple[float, float]:
         return 0.0, 0.0
     matrices, rate = test.numerical.matrices, Rate(test.test.sample_rate_hz)
     late = 0.0
-    if matrices is not None:
+    if isinstance(matrices, Matrices):
         late = matrices.force_delay_samples + (0.5 if matrices.integrator == "rk4" else 0.0)
     return min(roll_off, 0.45 * rate.hz), late * rate.period_s
 

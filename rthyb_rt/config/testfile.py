@@ -5,13 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, StrictBool
+from pydantic import Discriminator, Field, StrictBool, Tag
 
 from rthyb_rt.config import lawtables
 from rthyb_rt.config.fields import SLUG, SOME_TEXT, Check, Choice, Count, Range, Table, Text
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ
+from rthyb_rt.config.structures import (
+    FROM_FILE,
+    INTERFACES,
+    WRITTEN_OUT,
+    Damping,
+    Interface,
+    MatrixFile,
+    Names,
+    Nonlinear,
+    Storeys,
+)
 from rthyb_rt.core.laws import LAWS, Law
 
 if TYPE_CHECKING:
@@ -20,6 +31,7 @@ else:
     LawName = Literal[tuple(LAWS)]
 
 TEST_SCHEMA = "rthyb-test/1"
+MOST_NONLINEAR = 2000
 
 SampleCount = Annotated[
     int, Count(1, 1024, "the number of samples T0 of the tangent-stiffness window (Eqn 3.3)")
@@ -77,31 +89,76 @@ class GroundMotion(Table):
         return data
 
 
-def _only_in_matrices(matrices: Matrices | None, integrator: str) -> str | None:
+def _form(given: object) -> str:
+    """Tell which of both forms a table of matrices is; neither is a key of a file."""
+    keys = given if isinstance(given, dict) else getattr(given, "model_fields_set", ())
+    return FROM_FILE if {"file", "files", "data"} & set(keys) else WRITTEN_OUT
+
+
+def _only_in_matrices(
+    matrices: Matrices | MatrixFile | None, storeys: Storeys | None, integrator: str
+) -> str | None:
+    if isinstance(matrices, MatrixFile) or storeys is not None:
+        if integrator != "forward-euler":
+            return None
+        return (
+            f'found "{integrator}"; storeys and matrices from a file take kr-alpha, cr or '
+            "central-difference"
+        )
     if matrices is None or integrator == "central-difference":
         return None
     return f'found "{integrator}"; with matrices it is numerical.matrices.integrator that counts'
 
 
-def _in_matrices(matrices: Matrices | None, stiffness_n_per_m: float) -> str | None:
-    if matrices is None or stiffness_n_per_m == 0.0:
+def _in_matrices(
+    matrices: Matrices | MatrixFile | None, storeys: Storeys | None, stiffness_n_per_m: float
+) -> str | None:
+    if (matrices is None and storeys is None) or stiffness_n_per_m == 0.0:
         return None
+    if storeys is not None or isinstance(matrices, MatrixFile):
+        return (
+            f"found {stiffness_n_per_m:g} N/m; it is for one degree of freedom: a structure has "
+            "its stiffness in storeys or matrices"
+        )
     return f"found {stiffness_n_per_m:g} N/m; with matrices every stiffness belongs into k_n_per_m"
+
+
+def _for_structures(what: str) -> Any:
+    def test(
+        matrices: Matrices | MatrixFile | None, storeys: Storeys | None, value: Any
+    ) -> str | None:
+        if storeys is not None or isinstance(matrices, MatrixFile) or not value:
+            return None
+        return f"{what} belongs to storeys, or to matrices from a file; there are neither"
+
+    return test
+
+
+def _storeys_damped(storeys: Storeys | None, damping: Damping | None) -> str | None:
+    if storeys is None or damping is not None:
+        return None
+    return "missing; storeys need it: damping = { ratio = 0.02, modes = [1, 2] }"
 
 
 class Numerical(Table):
     """The computed part: mass or period, damping or damping ratio, stiffness beside the specimen.
 
-    ``rho_inf`` is read by the integrator ``kr-alpha`` alone. ``matrices`` stands for all of it.
+    ``rho_inf`` is read by the integrator ``kr-alpha`` alone. ``matrices`` or ``storeys`` stand for
+    all of it; with storeys, or matrices from a file, the integrator is ``kr-alpha`` with 0.8
+    where the file says nothing.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (
-        Choice(("mass_kg", "period_s", "matrices"), required=True),
-        Choice(("damping_n_s_per_m", "damping_ratio", "matrices"), required=True),
+        Choice(("mass_kg", "period_s", "matrices", "storeys"), required=True),
+        Choice(("damping_n_s_per_m", "damping_ratio", "matrices", "storeys"), required=True),
     )
     checks: ClassVar[tuple[Check, ...]] = (
-        Check("integrator", ("matrices", "integrator"), _only_in_matrices),
-        Check("stiffness_n_per_m", ("matrices", "stiffness_n_per_m"), _in_matrices),
+        Check("integrator", ("matrices", "storeys", "integrator"), _only_in_matrices),
+        Check("stiffness_n_per_m", ("matrices", "storeys", "stiffness_n_per_m"), _in_matrices),
+        Check("damping", ("storeys", "damping"), _storeys_damped),
+        Check("damping", ("matrices", "storeys", "damping"), _for_structures("damping")),
+        Check("nonlinear", ("matrices", "storeys", "nonlinear"), _for_structures("an element")),
+        Check("record", ("matrices", "storeys", "record"), _for_structures("what is recorded")),
     )
 
     mass_kg: Annotated[float, Range("kg", 1e-3, 1e9, "the mass")] | None = None
@@ -117,7 +174,34 @@ class Numerical(Table):
         "central-difference"
     )
     rho_inf: Annotated[float, Range("", 0, 1, "the spectral radius at high frequency")] = 1.0
-    matrices: Matrices | None = None
+    matrices: (
+        Annotated[
+            Annotated[Matrices, Tag(WRITTEN_OUT)] | Annotated[MatrixFile, Tag(FROM_FILE)],
+            Discriminator(_form),
+        ]
+        | None
+    ) = None
+    storeys: Storeys | None = None
+    damping: Damping | None = None
+    nonlinear: list[Nonlinear] = Field(default_factory=list, max_length=MOST_NONLINEAR)
+    record: Annotated[list[str], Names("what is recorded by name")] | None = None
+
+    @classmethod
+    def expand(cls, data: Any) -> Any:
+        """Give a structure of many degrees of freedom the integrator that is meant for it."""
+        if not isinstance(data, dict):
+            return data
+        matrices = data.get("matrices")
+        if data.get("storeys") is None and not (matrices and _form(matrices) == FROM_FILE):
+            return data
+        return {"integrator": "kr-alpha", "rho_inf": 0.8, **data}
+
+    @property
+    def structure(self) -> Storeys | MatrixFile | None:
+        """What describes a structure of many degrees of freedom; matrices in the file do not."""
+        if self.storeys is not None:
+            return self.storeys
+        return self.matrices if isinstance(self.matrices, MatrixFile) else None
 
 
 class _DelayEstimator(Table):
@@ -202,8 +286,21 @@ class Reference(Table):
     table_forces: StrictBool = True
 
 
+def _something_to_move(numerical: Numerical, interface: list[Interface]) -> str | None:
+    if interface and numerical.structure is None:
+        return (
+            "found a table without storeys or matrices from a file; a numerical part of one degree "
+            "of freedom, or of matrices in the test file, says itself what the actuator moves"
+        )
+    return None
+
+
 class TestFile(Table):
     """A hybrid test. ``rig`` is a path, or the name of a rig that comes with the program."""
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("interface", ("numerical", "interface"), _something_to_move),
+    )
 
     __test__: ClassVar[bool] = False
 
@@ -212,6 +309,7 @@ class TestFile(Table):
     test: TestInfo
     ground_motion: GroundMotion = Field(default_factory=GroundMotion)
     numerical: Numerical
+    interface: list[Interface] = Field(default_factory=list, max_length=INTERFACES)
     controller: Controller = Field(default_factory=Controller)
     limits: Limits = Field(default_factory=Limits)
     reference: Reference = Field(default_factory=Reference)

@@ -65,6 +65,12 @@ class Symmetric:
         )
 
     @classmethod
+    def of_entries(cls, size: int, row: Any, column: Any, value: Any) -> Symmetric:
+        """Return it from entries on and above its diagonal; those of one place are added."""
+        sparse = _scipy_sparse()
+        return cls.of(sparse.coo_matrix((value, (row, column)), shape=(size, size)))
+
+    @classmethod
     def zero(cls, size: int) -> Symmetric:
         """Return the matrix without entries."""
         none = np.zeros(0, np.int32)

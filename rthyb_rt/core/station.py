@@ -69,7 +69,7 @@ class StationConfig:
     ``brake_acceleration_m_per_s2``: of HOLD, and where RAMP_OUT begins; 0: as of paths. ``stay``:
     RAMP_OUT ends where it comes to rest, and not at 0. ``law_channel``,
     ``law_channel_count``: which of a row's channels are what the control law reports beside alpha
-    and beta.
+    and beta; ``part_channel``, ``part_channel_count`` those of the numerical part's responses.
     """
 
     controller: ControllerConfig
@@ -86,6 +86,8 @@ class StationConfig:
     stay: bool = False
     law_channel: int = 0
     law_channel_count: int = 0
+    part_channel: int = 0
+    part_channel_count: int = 0
 
     @property
     def fs_hz(self) -> float:

@@ -112,7 +112,7 @@ def prepare(
         ag_mps2=ag,
         controller=(controller := controller_config(test, rig, derived, end_tick)),
         virtual_rig=rig_config(rig, derived.fs_hz),
-        channels=law_channels(controller.law),
+        channels=part_channels(derived) + law_channels(controller.law),
         notes=derived.notes + (() if baseline.ok else (f"ground motion: {baseline.message}",)),
     )
     try:
@@ -365,6 +365,14 @@ def law_channels(law: core.LawConfig) -> tuple[core.Channel, ...]:
     return tuple(core.Channel(value.name, value.unit) for value in LAWS[law.name].beside)
 
 
+def part_channels(derived: Derived) -> tuple[core.Channel, ...]:
+    """Return the channels of what the test has recorded of its structure, by name."""
+    part = derived.structure.part if derived.structure is not None else None
+    if part is None or isinstance(part, core.DenseConfig):
+        return ()
+    return tuple(core.Channel(one.name, one.unit) for one in part.responses)
+
+
 def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
     """Return the settings of the station: states, limits and paths around the controller.
 
@@ -409,7 +417,14 @@ def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
         armed_ticks=rate.ticks(resolved.armed_timeout_s),
         law_channel=max(0, len(setup.channels) - count),
         law_channel_count=count,
+        part_channel=_first_channel(setup, part_channels(setup.derived)),
+        part_channel_count=len(part_channels(setup.derived)),
     )
+
+
+def _first_channel(setup: Setup, own: tuple[core.Channel, ...]) -> int:
+    """Return which of a row's channels is the first of some that stand together."""
+    return setup.channels.index(own[0]) if own else 0
 
 
 def _law_channel_count(setup: Setup) -> int:

@@ -91,7 +91,7 @@ class Sweep:
     @property
     def ticks(self) -> int:
         """Samples of the whole sweep, with the rest before it."""
-        return int(_command(self)[0].size)
+        return int(command_of(self)[0].size)
 
     def amplitude_at(self, frequency_hz: float) -> float:
         """Return the amplitude at one frequency, m."""
@@ -166,7 +166,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class _Part:
+class Part:
     """Rows of one sine: all of it, and the settled whole cycles that are fitted."""
 
     frequency_hz: float
@@ -238,13 +238,13 @@ def identify_live(
     return replace(found, link_delay_samples=_link_delay(moved))
 
 
-def _motion(sweep: Sweep) -> tuple[moving.Motion, list[_Part]]:
-    command, parts = _command(sweep)
+def _motion(sweep: Sweep) -> tuple[moving.Motion, list[Part]]:
+    command, parts = command_of(sweep)
     # The command of a row is that of the row before on the path: one more brings the last.
     return moving.Motion("identify", np.append(command, 0.0), stay=False), parts
 
 
-def _found(rig: RigFile, moved: Moved, parts: list[_Part]) -> Result:
+def _found(rig: RigFile, moved: Moved, parts: list[Part]) -> Result:
     """Work out what a sweep that was carried out has shown."""
     _check_ranges(rig, moved.running)
     running = moved.running[1:]
@@ -260,7 +260,7 @@ def _found(rig: RigFile, moved: Moved, parts: list[_Part]) -> Result:
 
 
 def _result(
-    rig: RigFile, signals: _Signals, parts: list[_Part], tare: tuple[float, float]
+    rig: RigFile, signals: _Signals, parts: list[Part], tare: tuple[float, float]
 ) -> Result:
     rest = np.zeros(signals.read.size, np.bool_)
     rest[int(0.2 * core.FS_HZ) : int(REST_S * core.FS_HZ)] = True
@@ -363,7 +363,7 @@ def _check(sweep: Sweep) -> None:
         )
 
 
-def _command(sweep: Sweep) -> tuple[Floats, list[_Part]]:
+def command_of(sweep: Sweep) -> tuple[Floats, list[Part]]:
     """Return x_c with rest, then sine after sine, each with a smooth start and end."""
     pieces = [np.zeros(round(REST_S * core.FS_HZ))]
     parts = []
@@ -379,7 +379,7 @@ def _command(sweep: Sweep) -> tuple[Floats, list[_Part]]:
         pieces.append(sweep.amplitude_at(frequency) * smooth * np.sin(2 * np.pi * turns))
         first = at + round(ahead / frequency * core.FS_HZ)
         last = first + round(fitted / frequency * core.FS_HZ)
-        parts.append(_Part(frequency, at, slice(first, last)))
+        parts.append(Part(frequency, at, slice(first, last)))
         at += n
         # A pause lets the slow part of a servo's integrator die away before the next sine.
         pause = np.zeros(round(0.5 * core.FS_HZ))
@@ -388,7 +388,7 @@ def _command(sweep: Sweep) -> tuple[Floats, list[_Part]]:
     return np.concatenate(pieces), parts
 
 
-def _phasor(part: _Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
+def phasor(part: Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
     """Return the complex amplitude of the sine in a signal, and what is left of the signal."""
     w = 2 * np.pi * part.frequency_hz / core.FS_HZ
     angle = w * np.arange(part.fit.start, part.fit.stop)[read[part.fit]]
@@ -398,7 +398,7 @@ def _phasor(part: _Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
     return complex(fitted[0], -fitted[1]), values - basis @ fitted
 
 
-def _most_noise(noise_n: float, resting: int, part: _Part) -> float:
+def _most_noise(noise_n: float, resting: int, part: Part) -> float:
     """Return the power of the force that noise alone may leave of a fit, N^2.
 
     Args:
@@ -411,7 +411,7 @@ def _most_noise(noise_n: float, resting: int, part: _Part) -> float:
     return noise_n**2 * (1.0 + NOISE_SCATTER * float(scatter))
 
 
-def _tone(part: _Part, signals: _Signals, before_s: float | None, noise_n2: float) -> Tone:
+def _tone(part: Part, signals: _Signals, before_s: float | None, noise_n2: float) -> Tone:
     """Fit one sine.
 
     Args:
@@ -421,9 +421,9 @@ def _tone(part: _Part, signals: _Signals, before_s: float | None, noise_n2: floa
         noise_n2: power of the force that is the load cell's noise, N^2.
     """
     f, read = signals.f, signals.read
-    sent, _ = _phasor(part, signals.command, read)
-    moved, _ = _phasor(part, signals.x_m, read)
-    force, rest = _phasor(part, f, read)
+    sent, _ = phasor(part, signals.command, read)
+    moved, _ = phasor(part, signals.x_m, read)
+    force, rest = phasor(part, f, read)
     ratio = moved / sent
     stiffness = force / moved if moved else complex(0)
     total = float(np.sqrt(np.mean(f[part.fit][read[part.fit]] ** 2)))
@@ -482,7 +482,7 @@ def _stiffness_and_mass(tones: list[Tone]) -> tuple[float, float | None]:
     return float(stiffness), float(mass) if resolved else None
 
 
-def _standard_error(part: _Part, noise: float) -> float:
+def _standard_error(part: Part, noise: float) -> float:
     """Return the standard error of a fitted amplitude in white noise."""
     return noise * float(np.sqrt(2.0 / (part.fit.stop - part.fit.start)))
 
@@ -506,7 +506,7 @@ def _check_ranges(rig: RigFile, rows: NDArray[np.void]) -> None:
             )
 
 
-def _check_followed(part: _Part, tone: Tone, noise_m: float) -> None:
+def _check_followed(part: Part, tone: Tone, noise_m: float) -> None:
     moved = tone.gain * tone.amplitude_m
     if moved <= max(CERTAIN * _standard_error(part, noise_m), 1e-3 * tone.amplitude_m, 1e-12):
         raise InputError(
@@ -536,7 +536,7 @@ def _check_direction(rig: RigFile, tones: list[Tone]) -> None:
         )
 
 
-def _check_not_limited(rows: NDArray[np.void], parts: list[_Part]) -> None:
+def _check_not_limited(rows: NDArray[np.void], parts: list[Part]) -> None:
     """Refuse a sweep whose command a limit has changed."""
     limited = np.flatnonzero(rows["flags"] & FLAGS["limited"])
     if limited.size:
@@ -548,7 +548,7 @@ def _check_not_limited(rows: NDArray[np.void], parts: list[_Part]) -> None:
         )
 
 
-def _check_read(signals: _Signals, parts: list[_Part]) -> None:
+def _check_read(signals: _Signals, parts: list[Part]) -> None:
     """Refuse a sweep in which too many readings were lost."""
     for part in parts:
         share = float(signals.read[part.fit].mean())
@@ -561,12 +561,12 @@ def _check_read(signals: _Signals, parts: list[_Part]) -> None:
             )
 
 
-def _frequency_at(parts: list[_Part], row: int) -> float:
+def _frequency_at(parts: list[Part], row: int) -> float:
     begun = [part.frequency_hz for part in parts if part.start <= row]
     return begun[-1] if begun else parts[0].frequency_hz
 
 
-def _broken_off(moved: Moved, parts: list[_Part], rows: int) -> Exception:
+def _broken_off(moved: Moved, parts: list[Part], rows: int) -> Exception:
     where = f"at {_frequency_at(parts, rows):g} Hz" if rows > parts[0].start else "before it moved"
     if moved.cause in ("operator", "signal", "none"):
         return moving.StoppedError(f"the sweep was stopped {where}; nothing was found")
@@ -590,7 +590,7 @@ def _link_delay(moved: Moved) -> float | None:
     return float(known.mean()) if known.size else None
 
 
-def _check_specimen(rig: RigFile, part: _Part, slowest: Tone, noise_n: float) -> None:
+def _check_specimen(rig: RigFile, part: Part, slowest: Tone, noise_n: float) -> None:
     in_phase = slowest.force_in_phase_n_per_m
     moved = slowest.gain * slowest.amplitude_m
     if abs(in_phase) * moved <= max(CERTAIN * _standard_error(part, noise_n), 1e-9):

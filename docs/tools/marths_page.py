@@ -1,0 +1,151 @@
+"""Run the multi-axial benchmark and write docs/benchmark-marths.md and its picture.
+
+``python docs/tools/marths_page.py`` renews what stands between the markers
+
+    <!-- generated: NAME -->  ...  <!-- end -->
+
+of the page. Runs are kept in build/benchmark-marths.json, part by part: ``--only PART`` does one of
+them anew and takes the others from there, ``--only none`` draws from what is kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pictures
+from benchmark_page import facts_text, markdown, scatter
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from rthyb_rt.benchmark import marths, marths_laws, marths_table
+from rthyb_rt.benchmark.marths import Outcome, Run
+from rthyb_rt.campaign import pools
+from rthyb_rt.report import drawing
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "benchmark-marths.md"
+PICTURE = ROOT / "docs" / "images" / "benchmark-marths.svg"
+KEPT = ROOT / "build" / "benchmark-marths.json"
+_PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+OURS = ("lead", "lead-decoupled", "matrix", "matrix-inverse")
+
+
+def plan() -> dict[str, list[Run]]:
+    """Return the runs behind the page, by part."""
+    names = list(marths_laws.NAMES)
+    return {
+        "elcentro": marths.planned(names, ["elcentro"], 20),
+        "motions": marths.planned(names, ["kobe", "morgan"], 4),
+        "kr-alpha": marths.planned(names, ["elcentro"], 20, "kr-alpha"),
+    }
+
+
+def measure(part: str, wanted: Sequence[Run], jobs: int) -> None:
+    """Do the runs of a part, and keep them."""
+    begun = time.monotonic()
+    outcomes = marths.measured(wanted, jobs)
+    print(f"{part}: {len(wanted)} runs in {time.monotonic() - begun:.0f} s", flush=True)
+    KEPT.parent.mkdir(exist_ok=True)
+    before = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
+    document = {**before, part: marths_table.document(outcomes)}
+    KEPT.write_text(json.dumps(document), encoding="utf-8")
+
+
+def kept() -> tuple[dict[str, list[Outcome]], dict[str, Any]]:
+    """Return what is kept, by part, and the facts of the first."""
+    document = json.loads(KEPT.read_text(encoding="utf-8"))
+    found = {}
+    for part, content in document.items():
+        outcomes = []
+        for one in content["runs"]:
+            figures = one.pop("figures")
+            outcomes.append(Outcome(Run(**one), figures))
+        found[part] = outcomes
+    return found, document["elcentro"]["facts"]
+
+
+def table_of(outcomes: Sequence[Outcome], motion: str, names: Sequence[str]) -> str:
+    """Return a line a law, with one motion."""
+    rows = [
+        [f"`{line.law}`", *marths_table.cells(line, names)]
+        for line in marths_table.lines(outcomes)
+        if line.motion == motion
+    ]
+    return markdown(["law", *marths_table.heads(names)], rows, 1)
+
+
+def parts(found: dict[str, list[Outcome]], facts: dict[str, Any]) -> dict[str, str]:
+    """Return what stands between the markers, by name."""
+    made = {"facts": facts_text(facts)}
+    made["laws"] = markdown(
+        ["law", "what it is"],
+        [[f"`{name}`", words] for name, words in marths_laws.NAMES.items()],
+        2,
+    )
+    made["elcentro"] = table_of(found["elcentro"], "elcentro", marths_table.PUBLISHED)
+    made["elcentro-beside"] = table_of(found["elcentro"], "elcentro", marths_table.BESIDE)
+    for motion in ("kobe", "morgan"):
+        names = ("J3", "J5", "J7", *marths_table.BESIDE)
+        made[motion] = table_of(found["motions"], motion, names)
+    names = ("J3", "J5", *marths_table.BESIDE)
+    made["kr-alpha"] = table_of(found["kr-alpha"], "elcentro", names)
+    return made
+
+
+def picture(outcomes: Sequence[Outcome]) -> str:
+    """Return tracking against response error, every law a point with its spread, each actuator."""
+    with rc_context(drawing.STYLE):
+        figure = Figure(figsize=(drawing.FULL_WIDTH_IN, 4.0))
+        figure.patch.set_visible(False)
+        for number in (0, 1):
+            axes = figure.add_axes((0.075 + 0.49 * number, 0.12, 0.42, 0.79))
+            axes.patch.set_visible(False)
+            named = [
+                (name, _points(outcomes, name, number + 1), name in OURS)
+                for name in marths_laws.NAMES
+            ]
+            scatter(axes, named, (0.1, 150.0), (0.03, 15.0))
+            axes.set_title(f"actuator {number + 1}", loc="left", fontsize=8.0)
+            axes.set_xlabel("tracking error without noise, %")
+            if number == 0:
+                axes.set_ylabel("response error of the upper storeys, joined, %")
+        title = "Tracking against response error on the multi-axial benchmark"
+        return pictures.on_paper(drawing.to_svg(figure, "benchmark-marths", title))
+
+
+def _points(outcomes: Sequence[Outcome], name: str, axis: int) -> Any:
+    own = [one.figures for one in outcomes if one.run.law == name and one.completed]
+    return np.array(
+        [
+            [found[f"true.{axis}"], max(found[f"joined-upper.{i}"] for i in range(1, 5))]
+            for found in own
+        ]
+    )
+
+
+def main() -> None:
+    """Measure, and write the page and its picture."""
+    arguments = argparse.ArgumentParser()
+    arguments.add_argument("--jobs", type=int, default=pools.processors())
+    arguments.add_argument("--only", choices=(*plan(), "none"))
+    given = arguments.parse_args()
+    for part, wanted in plan().items():
+        if given.only in (None, part):
+            measure(part, wanted, given.jobs)
+    found, facts = kept()
+    made = parts(found, facts)
+    text = PAGE.read_text(encoding="utf-8")
+    text = _PART.sub(lambda part: f"{part[1]}{made.get(part[2], '')}{part[3]}", text)
+    PAGE.write_text(text, encoding="utf-8")
+    PICTURE.write_text(picture(found["elcentro"]), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

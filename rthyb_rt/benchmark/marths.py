@@ -1,0 +1,302 @@
+"""Runs of the multi-axial benchmark, and their criteria.
+
+"Experimental benchmark control problem on multi-axial real-time hybrid simulation" (Frontiers in
+Built Environment, research topic 2023-2025): a frame of which one bay is in the laboratory, moved
+by two actuators that feel one another.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.benchmark import cases, marths_laws, runs
+from rthyb_rt.benchmark import marths_frame as frame
+from rthyb_rt.core.coupled_plant import CoupledPlant
+from rthyb_rt.errors import InputError
+
+Floats = NDArray[np.float64]
+
+NOMINAL: Final = runs.NOMINAL
+RUNAWAY: Final = 1.0
+"""Displacement of the interface, m, and rotation, rad, that end a run: it has gone unstable."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run.
+
+    Attributes:
+        law: one of `marths_laws.NAMES`.
+        motion: one of `cases.MOTIONS`, scaled by `cases.SCALE`.
+        plant: the seed of a perturbed plant, or `NOMINAL`.
+        integrator: of the numerical part, one of `PARTS`.
+        noisy: whether the readings have their noise.
+    """
+
+    law: str
+    motion: str
+    plant: int = NOMINAL
+    integrator: str = "newmark"
+    noisy: bool = True
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run came to: its figures by name, none if it went unstable."""
+
+    run: Run
+    figures: dict[str, float]
+
+    @property
+    def completed(self) -> bool:
+        """Whether it came to its end."""
+        return bool(self.figures)
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What a run recorded; n samples, axes 1 and 2.
+
+    Attributes:
+        target_m, reading_m, true_m, command_m: of the actuators, (n, 2) each.
+        pose: x and theta as they were read, (n, 2).
+        displacement: of the numerical part, (n, 29).
+        force: force and moments of the specimen, (n, 3).
+    """
+
+    target_m: Floats
+    reading_m: Floats
+    true_m: Floats
+    command_m: Floats
+    pose: Floats
+    displacement: Floats
+    force: Floats
+
+    @classmethod
+    def of(cls, samples: int) -> Signals:
+        """Return room for so many samples."""
+        freedoms = len(frame.numerical().influence)
+        return cls(*(np.zeros((samples, width)) for width in (2, 2, 2, 2, 2, freedoms, 3)))
+
+    def put(self, n: int, row: Sequence[Floats]) -> None:
+        """Keep what sample n came to, in the order of the attributes."""
+        for name, value in zip(self.__dataclass_fields__, row, strict=True):
+            getattr(self, name)[n] = value
+
+
+@functools.cache
+def ground_motion(name: str) -> Floats:
+    """Return the scaled accelerations of a motion to the instant of its last point, m/s2, (n,).
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    record = cases.motion(name)
+    time_s = record.time_s
+    count = round(float(time_s[-1]) * frame.RATE_HZ) + 1
+    at_s = np.arange(count) / frame.RATE_HZ
+    return np.asarray(cases.SCALE * np.interp(at_s, time_s, record.acceleration_mps2))
+
+
+@functools.cache
+def reference(motion: str) -> Floats:
+    """Return the displacements of the whole frame, (n, 29)."""
+    return frame.Newmark(frame.reference()).run(ground_motion(motion))
+
+
+@functools.cache
+def joined(motion: str) -> Floats:
+    """Return those of the numerical part with the frame that makes the forces, (n, 29)."""
+    return frame.Newmark(frame.joined()).run(ground_motion(motion))
+
+
+PARTS: Final[dict[str, type[frame.Newmark | frame.KrAlpha]]] = {
+    "newmark": frame.Newmark,
+    "kr-alpha": frame.KrAlpha,
+}
+"""Integrators of the numerical part: as the benchmark has it; this program's own."""
+
+
+def simulate(run: Run) -> Signals | None:
+    """Do one run; None where it went unstable.
+
+    Targets, commands and readings of a row are of one instant t_n, from which on the plant has the
+    commands. ``newmark`` computes the targets of t_n from the forces of t_n, ``kr-alpha`` from
+    those of the sample before it, as a test of this program does.
+    """
+    ag = ground_motion(run.motion)
+    seed = None if run.plant == NOMINAL else run.plant
+    noise_m = frame.NOISE_M if run.noisy else 0.0
+    rig = CoupledPlant(frame.plant(seed, run.plant + 1, noise_m))
+    law, tie = marths_laws.compensation(run.law), frame.kinematics()
+    part = PARTS[run.integrator](frame.numerical())
+    found = Signals.of(ag.size)
+    x = np.zeros(found.displacement.shape[1])
+    target, command = np.zeros(2), np.zeros(2)
+    for n, ground in enumerate(ag.tolist()):
+        reading, force, _ = rig.latch()
+        if not part.ahead:
+            x = part.step(ground, frame.TO_INTERFACE @ force)
+            target, _ = tie.axes(_node(x))
+            command = np.clip(law.lead(target), -frame.STROKE_M, frame.STROKE_M)
+        if not np.abs(x).max() < RUNAWAY:
+            return None
+        found.put(n, (target, reading, rig.true_m, command, rig.pose, x, force))
+        law.observe(command, reading)
+        rig.apply(command)
+        if part.ahead:
+            x = part.step(ground, frame.TO_INTERFACE @ force)
+            target, _ = tie.axes(_node(x))
+            command = np.clip(law.lead(target), -frame.STROKE_M, frame.STROKE_M)
+    return found
+
+
+# ---- criteria -----------------------------------------------------------------------------------
+
+MEANINGS: Final = {
+    "J1": "delay of actuators 1 and 2, ms",
+    "J2": "tracking error of actuators 1 and 2, rms, %",
+    "J3": "the same, peak, %",
+    "J5": "error of x and theta against the numerical part, rms, %",
+    "J6": "the same, peak, %",
+    "J7": "error of x and theta against the reference, rms, %",
+    "J8": "error of x and theta of storeys 2 and 3 against the reference, rms, %",
+    "J9": "as J7, peak, %",
+    "J10": "as J8, peak, %",
+    "true": "J2 without the noise of the readings, %",
+    "joined": "as J7, against numerical part and force model solved as one, %",
+    "joined-upper": "as J8, against the same, %",
+    "command": "largest command of actuators 1 and 2, mm",
+    "force": "largest force of actuators 1 and 2, kN",
+}
+"""Of the figures; each has two or four, numbered from 1. J4 is J1."""
+
+COUNTS: Final = {name: 4 if name in ("J8", "J10", "joined-upper") else 2 for name in MEANINGS}
+
+
+def figures(run: Run, signals: Signals) -> dict[str, float]:
+    """Return the figures of a completed run, over the whole record, by name and number."""
+    target, reading = signals.target_m, signals.reading_m
+    upper = list(frame.UPPER.values())
+    storeys = signals.displacement[:, upper]
+    node = _node(signals.displacement)
+    whole, as_one = reference(run.motion), joined(run.motion)
+    found = {
+        "J1": [1e3 * _delay(target[:, i], reading[:, i]) / frame.RATE_HZ for i in (0, 1)],
+        "J2": _rms(reading - target, target),
+        "J3": _peak(reading - target, target),
+        "J5": _rms(signals.pose - node, node),
+        "J6": _peak(signals.pose - node, node),
+        "J7": _rms(signals.pose - _node(whole), _node(whole)),
+        "J8": _rms(storeys - whole[:, upper], whole[:, upper]),
+        "J9": _peak(signals.pose - _node(whole), _node(whole)),
+        "J10": _peak(storeys - whole[:, upper], whole[:, upper]),
+        "true": _rms(signals.true_m - target, target),
+        "joined": _rms(signals.pose - _node(as_one), _node(as_one)),
+        "joined-upper": _rms(storeys - as_one[:, upper], as_one[:, upper]),
+        "command": 1e3 * np.abs(signals.command_m).max(axis=0),
+        "force": 1e-3 * np.abs(actuator_forces(signals)).max(axis=0),
+    }
+    return {
+        f"{name}.{i + 1}": float(value)
+        for name, values in found.items()
+        for i, value in enumerate(values)
+    }
+
+
+def actuator_forces(signals: Signals) -> Floats:
+    """Return the forces of the actuators that hold the specimen's, N, (n, 2)."""
+    tie = frame.kinematics()
+    found = np.empty_like(signals.reading_m)
+    for n, reading in enumerate(signals.reading_m):
+        tie.pose(reading)
+        found[n] = np.linalg.solve(tie.jacobian().T, signals.force[n, :2])
+    return found
+
+
+def _node(displacement: Floats) -> Floats:
+    """Return x and theta of the joint at the coupler, with the laboratory's sign, (..., 2)."""
+    return np.asarray(displacement[..., [frame.X, frame.TURN]] * [1.0, -1.0])
+
+
+def _delay(target: Floats, reading: Floats) -> int:
+    """Return the lag, samples, at which the correlation of both is largest in size.
+
+    MATLAB's finddelay; of lags that are equally good the smallest.
+    """
+    size = 1 << (2 * target.size - 1).bit_length()
+    product = np.fft.irfft(np.conj(np.fft.rfft(target, size)) * np.fft.rfft(reading, size), size)
+    lags = np.concatenate([np.arange(target.size), -np.arange(1, target.size)])
+    found = np.abs(product[lags])
+    best = lags[found >= found.max() * (1.0 - 1e-12)]
+    return int(best[np.argmin(np.abs(best))])
+
+
+def _rms(error: Floats, of: Floats) -> Floats:
+    return np.asarray(100.0 * error.std(axis=0) / of.std(axis=0))
+
+
+def _peak(error: Floats, of: Floats) -> Floats:
+    return np.asarray(100.0 * np.abs(error).max(axis=0) / np.abs(of).max(axis=0))
+
+
+# ---- many runs ----------------------------------------------------------------------------------
+
+
+def measure(run: Run) -> Outcome:
+    """Do one run, and measure it."""
+    signals = simulate(run)
+    return Outcome(run, {} if signals is None else figures(run, signals))
+
+
+def planned(
+    laws: Sequence[str], motions: Sequence[str], plants: int, integrator: str = "newmark"
+) -> list[Run]:
+    """Return all runs of these: of each the nominal plant, then ``plants`` perturbed ones.
+
+    Raises:
+        InputError: there is no such law, motion or integrator, or not so many plants.
+    """
+    if integrator not in PARTS:
+        raise InputError(f"found {integrator!r}; must be one of {', '.join(PARTS)}", "--integrator")
+    for name in laws:
+        marths_laws.compensation(name)
+    for name in motions:
+        cases.motion(name)
+    if not 0 <= plants <= len(frame.SEEDS):
+        raise InputError(
+            f"found {plants}; must be 0 to {len(frame.SEEDS)} perturbed plants, beside the nominal "
+            "one",
+            "--plants",
+        )
+    seeds = (NOMINAL, *frame.SEEDS[:plants])
+    return [
+        Run(law, motion, seed, integrator) for motion in motions for law in laws for seed in seeds
+    ]
+
+
+def measured(
+    wanted: Sequence[Run], jobs: int = 1, tell: Callable[[int, int, str], None] | None = None
+) -> list[Outcome]:
+    """Do runs, in their order, by as many processes as are asked for.
+
+    Args:
+        wanted: which.
+        jobs: processes; 1: this one alone.
+        tell: called with (runs done, runs in all, the law) after each.
+
+    Raises:
+        InputError: fewer than one process.
+    """
+    found = []
+    for outcome in runs.each(measure, wanted, jobs):
+        found.append(outcome)
+        if tell is not None:
+            tell(len(found), len(wanted), outcome.run.law)
+    return found

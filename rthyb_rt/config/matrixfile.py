@@ -1,0 +1,357 @@
+"""Reading the matrices of a structure: .npz, .mat, Matrix Market, CSV.
+
+An .npz or .mat file has the arrays ``M`` and ``K`` and may have ``C``, (n, n), dense or as SciPy
+keeps sparse ones; ``labels``, n texts; ``influence``, n numbers, or n rows with a column for each
+of ``directions``. Units are SI. .npz has sparse matrices as ``M_row``, ``M_column``, ``M_value``.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.config.fields import nearest, written
+from rthyb_rt.config.structures import MatrixFile, MatrixFiles
+from rthyb_rt.core.sparse import SPARSE_MAX, Symmetric
+from rthyb_rt.errors import InputError
+
+Floats = NDArray[np.float64]
+
+SYMMETRY: Final = 1e-6
+"""Of the largest entry of two rows: what a finite-element program's rounding leaves."""
+MAX_BYTES: Final = 500 * 10**6
+_NAMES: Final = {"mass": "M", "stiffness": "K", "damping": "C"}
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixData:
+    """What a file of matrices says.
+
+    Attributes:
+        mass_kg, stiffness_n_per_m, damping_n_s_per_m: (n, n) each; damping None: not said.
+        labels: of the degrees of freedom, (n,).
+        influence: displacements when the ground moves by 1, one vector for each direction, (n,).
+    """
+
+    mass_kg: Symmetric
+    stiffness_n_per_m: Symmetric
+    damping_n_s_per_m: Symmetric | None
+    labels: tuple[str, ...]
+    influence: Mapping[str, Floats]
+
+    @property
+    def size(self) -> int:
+        """The number of degrees of freedom."""
+        return self.mass_kg.size
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return it as the arrays of an .npz file."""
+        found: dict[str, NDArray[Any]] = {
+            "labels": np.array(self.labels),
+            "size": np.array(self.size),
+        }
+        if self.influence:
+            found["directions"] = np.array(list(self.influence))
+            found["influence"] = np.array(list(self.influence.values())).T
+        for name, one in (
+            ("M", self.mass_kg), ("K", self.stiffness_n_per_m), ("C", self.damping_n_s_per_m),
+        ):  # fmt: skip
+            if one is not None:
+                found |= {
+                    f"{name}_row": one.row, f"{name}_column": one.column, f"{name}_value": one.value
+                }  # fmt: skip
+        return found
+
+    def packed(self) -> str:
+        """Return it as a text, for the recording of a test."""
+        held = io.BytesIO()
+        np.savez(held, **self.arrays())  # type: ignore[arg-type]
+        return base64.b64encode(zlib.compress(held.getvalue(), 9)).decode()
+
+
+def unpacked(text: str) -> MatrixData:
+    """Return what `MatrixData.packed` made a text of.
+
+    Raises:
+        InputError: it is none.
+    """
+    where = "numerical.matrices.data"
+    try:
+        raw = zlib.decompress(base64.b64decode(text, validate=True))
+        with np.load(io.BytesIO(raw), allow_pickle=False) as stored:
+            return _of_arrays(dict(stored), where)
+    except (ValueError, OSError, zlib.error) as error:
+        raise InputError(
+            f"found a text that the program has not written ({error}); leave the key out and give "
+            "file", where,
+        ) from error  # fmt: skip
+
+
+def read(given: MatrixFile, folder: Path) -> MatrixData:
+    """Return the matrices that a test file names.
+
+    Args:
+        given: the table of the test file.
+        folder: in which files are looked for that have no path of their own.
+
+    Raises:
+        InputError: a file is not there or not readable, or what stands in it is no structure; with
+            file, place and value.
+    """
+    if given.files is not None:
+        return _of_parts(given.files, folder)
+    path = folder / str(given.file)
+    readers = {".npz": _npz, ".mat": _mat}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(
+            f"found a file of the kind {written(path.suffix)}; .npz and .mat hold all matrices; "
+            "of Matrix Market (.mtx) and CSV (.csv) name one for each, "
+            'files = { mass = "M.mtx", stiffness = "K.mtx" }',
+            str(path),
+        )
+    _check_there(path)
+    return _of_arrays(reader(path), str(path))
+
+
+def _check_there(path: Path) -> None:
+    if not path.is_file():
+        raise InputError(
+            "no such file; it is looked for beside the test file, or give its whole path", str(path)
+        )
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise InputError(f"has {size / 1e6:.0f} MB; at most {MAX_BYTES / 1e6:.0f} MB", str(path))
+
+
+def _npz(path: Path) -> dict[str, Any]:
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return dict(stored)
+    except (ValueError, OSError, EOFError, KeyError) as error:
+        raise InputError(f"cannot be read as .npz ({error})", str(path)) from error
+
+
+def _mat(path: Path) -> dict[str, Any]:
+    try:
+        from scipy.io import loadmat
+        from scipy.io.matlab import MatReadError
+    except ImportError:
+        raise InputError(
+            'SciPy is needed to read .mat files: pip install "rthyb-rt[structures]"', str(path)
+        ) from None
+    try:
+        return {k: v for k, v in loadmat(path).items() if not k.startswith("__")}
+    except NotImplementedError:
+        raise InputError(
+            "is of MATLAB 7.3, which is not read; save it with save(name, ..., '-v7')", str(path)
+        ) from None
+    except (ValueError, OSError, TypeError, MatReadError, KeyError, IndexError) as error:
+        raise InputError(f"cannot be read as a MATLAB file ({error})", str(path)) from error
+
+
+def _of_parts(files: MatrixFiles, folder: Path) -> MatrixData:
+    """Read a file for each matrix."""
+    arrays: dict[str, Any] = {}
+    places: dict[str, str] = {}
+    for key, name in _NAMES.items():
+        given = getattr(files, key)
+        if given is not None:
+            arrays[name] = _one_matrix(folder / given)
+            places[name] = str(folder / given)
+    if files.labels is not None:
+        path = folder / files.labels
+        _check_there(path)
+        lines = path.read_text(encoding="utf-8").replace(",", "\n").splitlines()
+        arrays["labels"] = np.array([line.strip() for line in lines if line.strip()])
+    if files.influence is not None:
+        arrays["influence"] = _one_matrix(folder / files.influence)
+    return _of_arrays(arrays, str(folder), places)
+
+
+def _one_matrix(path: Path) -> Any:
+    _check_there(path)
+    try:
+        if path.suffix.lower() == ".csv":
+            return np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8")
+        if path.suffix.lower() in (".mtx", ".gz"):
+            from scipy.io import mmread
+
+            return mmread(path)
+    except ImportError:
+        raise InputError(
+            'SciPy is needed to read Matrix Market: pip install "rthyb-rt[structures]"', str(path)
+        ) from None
+    except (ValueError, OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read as a matrix ({error})", str(path)) from error
+    raise InputError(
+        f"found a file of the kind {written(path.suffix)}; one matrix is read from .mtx or .csv",
+        str(path),
+    )
+
+
+# ---- what the arrays mean -----------------------------------------------------------------------
+
+
+def _of_arrays(
+    arrays: Mapping[str, Any], where: str, places: Mapping[str, str] | None = None
+) -> MatrixData:
+    places = places or {}
+    found: dict[str, Symmetric] = {}
+    for name in ("M", "K", "C"):
+        place = f"{places.get(name, where)}: {name}"
+        matrix = _matrix(arrays, name, place)
+        if matrix is not None:
+            found[name] = _checked(matrix, place)
+    missing = [name for name in ("M", "K") if name not in found]
+    if missing:
+        there = ", ".join(sorted(arrays)) or "nothing"
+        near = nearest(missing[0], list(arrays))
+        raise InputError(
+            f"has no {' and no '.join(missing)}{near}; needed are M (masses, kg) and K "
+            f"(stiffnesses, N/m), square and of one size; found: {there}",
+            where,
+        )
+    n = found["M"].size
+    for name, one in found.items():
+        if one.size != n:
+            raise InputError(f"{name} has {one.size} rows and M {n}; all must have one size", where)
+    if not 1 <= n <= SPARSE_MAX:
+        raise InputError(f"found {n} degrees of freedom; allowed are 1 to {SPARSE_MAX}", where)
+    labels = _labels(arrays.get("labels"), n, where)
+    _check_masses(found["M"], labels, where)
+    influence = _influence(arrays, n, where)
+    return MatrixData(found["M"], found["K"], found.get("C"), labels, influence)
+
+
+def _matrix(arrays: Mapping[str, Any], name: str, where: str) -> Any:
+    import scipy.sparse
+
+    if f"{name}_value" in arrays:
+        try:
+            n = int(arrays["size"])
+            row, column, value = (arrays[f"{name}_{part}"] for part in ("row", "column", "value"))
+            upper = scipy.sparse.coo_matrix((value, (row, column)), shape=(n, n))
+            return upper + scipy.sparse.triu(upper, 1).T
+        except (KeyError, ValueError, TypeError) as error:
+            raise InputError(f"is no sparse matrix ({error})", where) from error
+    if name not in arrays:
+        return None
+    value = arrays[name]
+    if scipy.sparse.issparse(value):
+        return value
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub" or array.ndim != 2:
+        raise InputError(
+            f"found an array of {array.dtype} and shape {array.shape}; must be a square matrix of "
+            "real numbers", where,
+        )  # fmt: skip
+    return scipy.sparse.coo_matrix(array.astype(np.float64))
+
+
+def _checked(matrix: Any, where: str) -> Symmetric:
+    import scipy.sparse
+
+    rows, columns = matrix.shape
+    if rows != columns or rows == 0:
+        raise InputError(f"has {rows} rows and {columns} columns; must be square", where)
+    coo = scipy.sparse.coo_matrix(matrix)
+    if coo.data.dtype.kind == "c":
+        raise InputError("has complex numbers; must be real", where)
+    bad = np.flatnonzero(~np.isfinite(coo.data))
+    if bad.size:
+        i, j, value = coo.row[bad[0]], coo.col[bad[0]], coo.data[bad[0]]
+        raise InputError(
+            f"found {value} in row {i + 1}, column {j + 1}; every number must be finite", where
+        )
+    csr = coo.tocsr().astype(np.float64)
+    apart = abs(csr - csr.T).tocoo()
+    largest = abs(csr).max(axis=1).toarray().ravel()
+    allowed = SYMMETRY * np.maximum(largest[apart.row], largest[apart.col])
+    wrong = np.flatnonzero(apart.data > allowed)
+    if wrong.size:
+        worst = wrong[np.argmax(apart.data[wrong])]
+        i, j = int(apart.row[worst]), int(apart.col[worst])
+        raise InputError(
+            f"found {csr[i, j]:g} in row {i + 1}, column {j + 1} and {csr[j, i]:g} in row {j + 1}, "
+            f"column {i + 1}; the matrix must be symmetric: the two must be equal",
+            where,
+        )
+    return Symmetric.of(0.5 * (csr + csr.T))
+
+
+def _check_masses(mass: Symmetric, labels: tuple[str, ...], where: str) -> None:
+    diagonal = np.zeros(mass.size)
+    on = mass.row == mass.column
+    diagonal[mass.row[on]] = mass.value[on]
+    bad = np.flatnonzero(diagonal < 0.0)
+    if bad.size:
+        at = bad[0]
+        raise InputError(
+            f"found a mass of {diagonal[at]:g} kg at {written(labels[at])} (row {at + 1}); must be "
+            "0 or more",
+            f"{where}: M",
+        )
+    coupled = np.flatnonzero(~on & ((diagonal[mass.row] == 0.0) | (diagonal[mass.column] == 0.0)))
+    if coupled.size:
+        k = coupled[0]
+        raise InputError(
+            f"found {mass.value[k]:g} in row {mass.row[k] + 1}, column {mass.column[k] + 1} beside "
+            "a mass of 0 on the diagonal; a degree of freedom without mass has none anywhere",
+            f"{where}: M",
+        )
+    if not np.any(diagonal > 0.0):
+        raise InputError("found no mass at all; something must move", f"{where}: M")
+
+
+def _labels(given: Any, n: int, where: str) -> tuple[str, ...]:
+    if given is None:
+        return tuple(str(i + 1) for i in range(n))
+    flat = np.asarray(given, dtype=object).ravel()
+    # MATLAB's cells are arrays of one text each, its character arrays are padded.
+    names = tuple(str(one.ravel()[0] if isinstance(one, np.ndarray) and one.size else one).strip()
+                  for one in flat)  # fmt: skip
+    if len(names) != n or not all(names):
+        raise InputError(f"found {len(names)} labels; must be {n}, none empty", f"{where}: labels")
+    if len(set(names)) < n:
+        seen: set[str] = set()
+        twice = next(one for one in names if one in seen or seen.add(one))  # type: ignore[func-returns-value]
+        raise InputError(f"found {written(twice)} twice; must be different", f"{where}: labels")
+    return names
+
+
+def _influence(arrays: Mapping[str, Any], n: int, where: str) -> dict[str, Floats]:
+    place = f"{where}: influence"
+    if "influence" not in arrays:
+        return {}
+    given = arrays["influence"]
+    given = given.toarray() if hasattr(given, "toarray") else np.asarray(given)
+    if given.dtype.kind not in "fiub":
+        raise InputError(f"found {given.dtype}; must be numbers", place)
+    values = np.atleast_2d(given.astype(np.float64))
+    if values.shape[0] != n and values.shape[1] == n:
+        values = values.T
+    if values.shape[0] != n:
+        raise InputError(f"has the shape {given.shape}; must have {n} rows", place)
+    if not np.all(np.isfinite(values)) or np.abs(values).max(initial=0.0) > 1e6:
+        raise InputError("found a number that is not finite, or beyond 1e6", place)
+    names = arrays.get("directions")
+    directions = (
+        [str(i + 1) for i in range(values.shape[1])]
+        if names is None
+        else [str(one).strip() for one in np.asarray(names, dtype=object).ravel()]
+    )
+    if len(directions) != values.shape[1]:
+        raise InputError(
+            f"found {len(directions)} directions for {values.shape[1]} columns",
+            f"{where}: directions",
+        )
+    return {name: values[:, i].copy() for i, name in enumerate(directions)}

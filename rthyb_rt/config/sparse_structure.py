@@ -1,0 +1,595 @@
+"""A structure of many degrees of freedom with its specimen: what the test file's keys come to."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rthyb_rt import core
+from rthyb_rt.config import matrixfile
+from rthyb_rt.config.fields import nearest, written
+from rthyb_rt.config.numerical_structure import Mode
+from rthyb_rt.config.structures import (
+    Damping,
+    Interface,
+    MatrixFile,
+    Nonlinear,
+    Storeys,
+)
+from rthyb_rt.core import CoreError, ElementConfig
+from rthyb_rt.core.numerical_parts import SparsePart
+from rthyb_rt.core.sparse import (
+    GROUND,
+    Joint,
+    Response,
+    SparseConfig,
+    SparseIntegrator,
+    Symmetric,
+    Term,
+    initial_stiffness,
+    lowest_modes,
+)
+from rthyb_rt.errors import InputError
+
+Floats = NDArray[np.float64]
+
+SHOWN_MODES: Final = 10
+GRAVITY_M_PER_S2: Final = 9.80665
+DEFAULT_RECORDED: Final = 10
+"""Storeys up to which drifts and shears are recorded where the file names nothing."""
+_DIFFERENCE: Final = re.compile(r"(.+?)\s+-\s+(.+)")
+
+
+@dataclass(frozen=True, eq=False)
+class SparseStructure:
+    """A numerical part of any size and what is known of its specimen.
+
+    Attributes:
+        labels: of the degrees of freedom, (n,).
+        part: the part as the core takes it.
+        influence: displacements when the ground moves by 1, (n,).
+        specimen_mass_kg: taken out of the masses, and standing in the laboratory.
+        interface: name of what the actuator moves.
+        heights_m: of the storeys' floors above the ground, (count,); empty: no storeys.
+    """
+
+    labels: tuple[str, ...]
+    part: SparseConfig
+    influence: Floats
+    specimen_mass_kg: float = 0.0
+    interface: str = "x"
+    heights_m: tuple[float, ...] = ()
+
+    @functools.cached_property
+    def joined(self) -> SparseConfig:
+        """The part with the specimen's mass at the interface."""
+        return _with(self.part, self.specimen_mass_kg, 0.0, 0.0)
+
+    @functools.cached_property
+    def _modes(self) -> tuple[Mode, ...]:
+        w2, shapes = lowest_modes(self.joined, SHOWN_MODES)
+        damping = np.einsum("ij,ij->j", shapes, self.joined.damping_times(shapes))
+        row = self.joined.interface_rows()[0]
+        moved = shapes.T @ self.part.load_kg
+        whole = float(self.influence @ self.part.load_kg)
+        found = []
+        for i, square in enumerate(w2):
+            omega, shape = math.sqrt(square), shapes[:, i]
+            # Rotations are no displacements: the largest is that of what the ground moves.
+            at = np.flatnonzero(self.influence) if np.any(self.influence) else np.arange(shape.size)
+            largest = shape[at][np.argmax(np.abs(shape[at]))] or 1.0
+            found.append(
+                Mode(
+                    omega / (2.0 * math.pi),
+                    float(damping[i]) / (2.0 * omega),
+                    tuple(float(v) for v in shape / largest),
+                    float(row @ shape),
+                    float(moved[i] ** 2) / whole if whole else 0.0,
+                )
+            )
+        return tuple(found)
+
+    def modes(self) -> tuple[Mode, ...]:
+        """Return the lowest modes of the joined structure, `SHOWN_MODES` at most."""
+        return self._modes
+
+    def first(self) -> Mode:
+        """Return the mode that the ground motion moves most."""
+        return max(self.modes(), key=lambda mode: mode.effective_mass)
+
+    def reference(
+        self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
+    ) -> tuple[Floats, Floats, Floats]:
+        """Simulate the structure with a model of the specimen joined to it, at the interface."""
+        return self.whole_reference(elements, ag_mps2)[:3]
+
+    def whole_reference(
+        self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Simulate the structure with a model of the specimen joined to it.
+
+        What is linear of the model goes into the matrices, so that nothing of it is late.
+
+        Args:
+            elements: the model.
+            ag_mps2: ground acceleration at every sample, (n,).
+
+        Returns:
+            At the interface displacement, velocity, and force of all but the model's masses and
+            dampers, (n,) each; the responses by name, (n, responses), of which one that has the
+            specimen's force in it has here that of the model's nonlinear elements alone.
+        """
+        ag = np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
+        mass, damping, spring = (
+            sum(e.params[0] for e in elements if e.kind == kind)
+            for kind in ("inertia", "viscous", "stiffness")
+        )
+        others = [e for e in elements if e.kind not in ("inertia", "viscous", "stiffness")]
+        part = _with(self.part, mass, damping, spring)
+        x, v, force, values = SparsePart(part).joined(others, ag, len(part.responses))
+        for i, one in enumerate(part.responses):
+            values[:, i] += sum(by for _, by in one.interfaces) * spring * x
+        return x, v, force + spring * x, values
+
+    def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
+        """Return how the interface moves with a specimen that does not yield, (n,)."""
+        model = [
+            core.element("stiffness", k_n_per_m=self.part.k_e_n_per_m[0]),
+            core.element("inertia", m_kg=self.specimen_mass_kg),
+        ]
+        return self.reference(model, ag_mps2)[0]
+
+
+def _with(part: SparseConfig, mass: float, damping: float, spring: float) -> SparseConfig:
+    """Return a part with something linear at its interface; k_e is less by the spring."""
+    if not (mass or damping or spring):
+        return part
+    row = part.interface_rows()[0]
+    at = np.flatnonzero(row)
+    square = np.zeros((at.size, at.size))
+    square[:] = np.outer(row[at], row[at])
+
+    def more(matrix: Symmetric, value: float) -> Symmetric:
+        if not value:
+            return matrix
+        i, j = np.triu_indices(at.size)
+        return Symmetric.of_entries(
+            matrix.size,
+            np.concatenate([matrix.row, at[i]]),
+            np.concatenate([matrix.column, at[j]]),
+            np.concatenate([matrix.value, value * square[i, j]]),
+        )
+
+    own = part.damping_n_s_per_m or Symmetric.zero(part.size)
+    return replace(
+        part,
+        mass_kg=more(part.mass_kg, mass),
+        stiffness_n_per_m=more(part.stiffness_n_per_m, spring),
+        damping_n_s_per_m=more(own, damping) if damping else part.damping_n_s_per_m,
+        # Rayleigh damping goes on being that of the same stiffness.
+        k_e_n_per_m=(max(part.k_e_n_per_m[0] - spring, 0.0),),
+    )
+
+
+# ---- from the keys ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Keys:
+    """What a test file says of a structure, beside storeys or matrices.
+
+    Attributes:
+        damping: in modes; None: that of the file.
+        nonlinear: elements.
+        record: names of what is recorded; None: drifts and shears of a few storeys.
+        interfaces: what the actuator moves.
+        integrator, rho_inf: of the numerical part.
+    """
+
+    damping: Damping | None
+    nonlinear: Sequence[Nonlinear]
+    record: Sequence[str] | None
+    interfaces: Sequence[Interface]
+    integrator: str
+    rho_inf: float
+
+
+@dataclass
+class _Bare:
+    """A structure before its damping."""
+
+    labels: tuple[str, ...]
+    mass: Symmetric
+    stiffness: Symmetric
+    damping: Symmetric | None
+    influence: Floats
+    load: Floats
+    interface: tuple[Term, ...]
+    joints: list[Joint]
+    responses: list[Response]
+    specimen_mass_kg: float = 0.0
+    heights_m: tuple[float, ...] = ()
+
+
+def build(
+    given: Storeys | MatrixFile, keys: Keys, k_e_n_per_m: float, period_s: float
+) -> SparseStructure:
+    """Return the structure that a test file describes.
+
+    Args:
+        given: storeys, or the matrices of a file that was read.
+        keys: what else there is of it.
+        k_e_n_per_m: elastic stiffness of the rig's specimen.
+        period_s: of a sample.
+
+    Raises:
+        InputError: with the first that does not fit together.
+    """
+    bare = (
+        _of_storeys(given, keys)
+        if isinstance(given, Storeys)
+        else _of_file(given, keys, k_e_n_per_m)
+    )
+    part = SparseConfig(
+        bare.mass,
+        bare.stiffness,
+        bare.load,
+        (bare.interface,),
+        (k_e_n_per_m,),
+        damping_n_s_per_m=bare.damping if keys.damping is None else None,
+        joints=tuple(bare.joints),
+        responses=tuple(bare.responses),
+        integrator=cast(SparseIntegrator, keys.integrator),
+        rho_inf=keys.rho_inf,
+        period_s=period_s,
+    )
+    name = keys.interfaces[0].name if keys.interfaces else "x"
+    structure = SparseStructure(
+        bare.labels, part, bare.influence, bare.specimen_mass_kg, name, bare.heights_m
+    )
+    try:
+        if keys.damping is not None:
+            structure = replace(structure, part=_damped(structure, keys.damping))
+        SparsePart(structure.part)
+        structure.modes()
+    except CoreError as error:
+        raise InputError(
+            f"{error}; every motion must have a mass or a stiffness, and something must hold it: "
+            "look for a missing spring, a sign, or a specimen that was taken out and is stiffer "
+            f"than the rig's k_e = {k_e_n_per_m:g} N/m",
+            "numerical.storeys" if isinstance(given, Storeys) else "numerical.matrices",
+        ) from error
+    _check_step(structure)
+    return structure
+
+
+def _check_step(structure: SparseStructure) -> None:
+    """Refuse a central difference that the highest mode makes grow."""
+    if structure.part.integrator != "central-difference":
+        return
+    k, m = structure.joined.whole_stiffness(), structure.joined.mass_kg.matrix()
+    from scipy.sparse.linalg import eigsh
+
+    if structure.part.size < 3:
+        import scipy.linalg
+
+        highest = float(scipy.linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)[-1])
+    else:
+        highest = float(eigsh(k, 1, m, which="LM", return_eigenvectors=False, tol=1e-4)[0])
+    omega, rate = math.sqrt(highest), 1.0 / structure.part.period_s
+    if omega >= 2.0 * rate:
+        raise InputError(
+            f"central-difference at {rate:g} Hz is unstable: the highest mode of the structure is "
+            f"at {omega / (2 * math.pi):.4g} Hz and must be below {rate / math.pi:.4g} Hz; take "
+            'integrator = "kr-alpha", which has no such bound',
+            "numerical.integrator",
+        )
+
+
+def _damped(structure: SparseStructure, damping: Damping) -> SparseConfig:
+    """Return the part with damping ratios in modes of the joined structure."""
+    part = structure.part
+    most = max(damping.modes)
+    w2, shapes = lowest_modes(structure.joined, most)
+    if len(w2) < most:
+        raise InputError(
+            f"found mode {most}; the structure has {len(w2)} modes with a mass",
+            "numerical.damping.modes",
+        )
+    w = np.sqrt(w2[[mode - 1 for mode in damping.modes]])
+    ratios = np.array(damping.ratios)
+    if damping.form == "modal":
+        own = part.mass_kg.matrix() @ shapes[:, [mode - 1 for mode in damping.modes]]
+        return replace(part, modal=np.asarray(own * np.sqrt(2.0 * ratios * w)))
+    if len(w) == 1:
+        return replace(part, by_mass_per_s=float(2.0 * ratios[0] * w[0]))
+    a, b = np.linalg.solve(np.column_stack([1.0 / w, w]), 2.0 * ratios)
+    if min(a, b) < 0.0:
+        raise InputError(
+            f"ratios of {ratios[0]:g} and {ratios[1]:g} at {w[0] / 6.2832:.4g} and "
+            f"{w[1] / 6.2832:.4g} Hz make Rayleigh damping negative elsewhere; bring them nearer "
+            'to each other, or take form = "modal"',
+            "numerical.damping.ratio",
+        )
+    return replace(part, by_mass_per_s=float(a), by_stiffness_s=float(b))
+
+
+def element_of(law: Any) -> ElementConfig:
+    """Return an element of the catalogue from its table."""
+    values = law.model_dump()
+    kind = values.pop("element")
+    return core.element(kind, **{key: values[key] for key in core.ELEMENT_PARAMS[kind]})
+
+
+def _joint(below: int, above: int, law: Any) -> Joint:
+    element = element_of(law)
+    return Joint(below, above, element, initial_stiffness(element))
+
+
+# ---- storeys ------------------------------------------------------------------------------------
+
+
+def _drift(storey: int) -> tuple[Term, ...]:
+    return ((storey - 1, 1.0),) + (((storey - 2, -1.0),) if storey > 1 else ())
+
+
+def _of_storeys(given: Storeys, keys: Keys) -> _Bare:
+    n, specimen = given.count, given.specimen[0]
+    masses, stiffness = given.each("mass_kg"), given.each("stiffness_n_per_m")
+    stiffness[specimen - 1] = 0.0
+    joints: list[Joint] = []
+    in_storey: dict[int, list[int]] = {}
+    for i, one in enumerate(keys.nonlinear):
+        if one.storeys is None:
+            raise InputError(
+                "found a degree of freedom; of a structure of storeys an element stands in some of "
+                "them: storeys = [2, 3]", f"numerical.nonlinear.{i}",
+            )  # fmt: skip
+        for storey in one.storeys:
+            place = f"numerical.nonlinear.{i}.storeys"
+            _check_storey(storey, n, place)
+            if storey == specimen and not one.beside:
+                raise InputError(
+                    f"found storey {storey}, which is the specimen; nothing is computed in its "
+                    "place: name another, or say beside = true", place,
+                )  # fmt: skip
+            if not one.beside:
+                stiffness[storey - 1] = 0.0
+            in_storey.setdefault(storey, []).append(len(joints))
+            joints.append(_joint(storey - 2 if storey > 1 else GROUND, storey - 1, one.law))
+    columns = list(stiffness)
+    if given.p_delta:
+        weights = GRAVITY_M_PER_S2 * np.cumsum(masses[::-1])[::-1]
+        for i, height in enumerate(given.each("height_m")):
+            columns[i] -= float(weights[i]) / height
+    entries = [
+        (min(i, j), max(i, j), columns[s - 1] * by * other)
+        for s in range(1, n + 1)
+        for i, by in _drift(s)
+        for j, other in _drift(s)
+        if i <= j
+    ]
+    row, column, value = (np.array(part) for part in zip(*entries, strict=True))
+    at = np.arange(n)
+    heights = given.each("height_m") if given.height_m is not None else [3.0] * n
+    bare = _Bare(
+        labels=tuple(str(i) for i in range(1, n + 1)),
+        mass=Symmetric.of_entries(n, at, at, np.array(masses)),
+        stiffness=Symmetric.of_entries(n, row, column, value),
+        damping=None,
+        influence=np.ones(n),
+        load=np.array(masses),
+        interface=_drift(specimen),
+        joints=joints,
+        responses=[],
+        heights_m=tuple(float(v) for v in np.cumsum(heights)),
+    )
+    _check_interfaces(keys.interfaces, specimen)
+    bare.responses = _storey_responses(given, keys.record, stiffness, in_storey)
+    return bare
+
+
+def _check_storey(storey: int, count: int, place: str) -> None:
+    if storey > count:
+        raise InputError(f"found storey {storey} of {count}; must be one of 1 to {count}", place)
+
+
+def _check_interfaces(given: Sequence[Interface], specimen: int) -> None:
+    for i, one in enumerate(given):
+        if one.storey != specimen:
+            found = f"storey {one.storey}" if one.storey else "a degree of freedom"
+            raise InputError(
+                f"found {found}; the actuator moves the specimen, storey {specimen}: write "
+                f"storey = {specimen}, or change numerical.storeys.specimen",
+                f"interface.{i}",
+            )
+
+
+def _storey_responses(
+    given: Storeys,
+    wanted: Sequence[str] | None,
+    stiffness: Sequence[float],
+    in_storey: Mapping[int, list[int]],
+) -> list[Response]:
+    n, specimen = given.count, given.specimen[0]
+    if wanted is None:
+        few = range(1, n + 1) if n <= DEFAULT_RECORDED else ()
+        wanted = [f"{what}_{s}" for what in ("drift", "shear") for s in few]
+    found = []
+    for i, name in enumerate(wanted):
+        match = re.fullmatch(r"(x|drift|shear)_([1-9]\d*)", name)
+        storey = int(match[2]) if match else 0
+        if match is None or storey > n:
+            raise InputError(
+                f"found {written(name)}; of {n} storeys are recorded x_1 to x_{n} (displacement "
+                f"against the ground), drift_1 to drift_{n}, and shear_1 to shear_{n}",
+                f"numerical.record.{i}",
+            )
+        if match[1] == "x":
+            found.append(Response(name, "m", ((storey - 1, 1.0),)))
+        elif match[1] == "drift":
+            found.append(Response(name, "m", _drift(storey)))
+        else:
+            own = stiffness[storey - 1]
+            found.append(
+                Response(
+                    name,
+                    "N",
+                    tuple((at, by * own) for at, by in _drift(storey)) if own else (),
+                    tuple((at, 1.0) for at in in_storey.get(storey, ())),
+                    ((0, 1.0),) if storey == specimen else (),
+                )
+            )
+    return found
+
+
+# ---- matrices -----------------------------------------------------------------------------------
+
+
+def _of_file(given: MatrixFile, keys: Keys, k_e: float) -> _Bare:
+    if given.data is None:
+        raise InputError(
+            "the file was not read; load the test file from where it stands", "numerical.matrices"
+        )
+    data = matrixfile.unpacked(given.data)
+    n, place = data.size, {label: i for i, label in enumerate(data.labels)}
+    if keys.damping is None and data.damping_n_s_per_m is None:
+        raise InputError(
+            "missing, and the file has no C; give damping = { ratio = 0.02, modes = [1, 2] }",
+            "numerical.damping",
+        )
+    influence = _direction(given, data)
+    interface = _interface_of(keys.interfaces, data.labels, place)
+    joints, entry_joint = list[Joint](), list[int]()
+    for i, one in enumerate(keys.nonlinear):
+        at = f"numerical.nonlinear.{i}"
+        if one.storeys is not None:
+            raise InputError("found storeys; of matrices give dof or between", f"{at}.storeys")
+        ends = [one.dof] if one.dof is not None else list(one.between or ())
+        found = [_find(label, data.labels, place, at) for label in ends]
+        if len(set(found)) < len(found):
+            raise InputError(f"found {written(ends[0])} twice; two different are needed", at)
+        entry_joint.append(len(joints))
+        joints.append(_joint(GROUND if len(found) == 1 else found[0], found[-1], one.law))
+    mass, stiffness, damping = data.mass_kg, data.stiffness_n_per_m, data.damping_n_s_per_m
+    load = np.asarray(mass.matrix() @ influence)
+    taken_mass = 0.0
+    if given.specimen is not None:
+        out = given.specimen
+        taken_mass = out.mass_kg
+        k = k_e if out.stiffness_n_per_m is None else out.stiffness_n_per_m
+        row = np.zeros(n)
+        for dof, by in interface:
+            row[dof] = by
+        mass = _less(mass, row, out.mass_kg)
+        stiffness = _less(stiffness, row, k)
+        damping = damping if damping is None else _less(damping, row, out.damping_n_s_per_m)
+    responses = _label_responses(keys.record or (), data.labels, place, entry_joint)
+    return _Bare(
+        data.labels, mass, stiffness, damping, influence, load, interface, joints, responses,
+        taken_mass,
+    )  # fmt: skip
+
+
+def _less(matrix: Symmetric, row: Floats, value: float) -> Symmetric:
+    if not value:
+        return matrix
+    at = np.flatnonzero(row)
+    i, j = np.triu_indices(at.size)
+    return Symmetric.of_entries(
+        matrix.size,
+        np.concatenate([matrix.row, at[i]]),
+        np.concatenate([matrix.column, at[j]]),
+        np.concatenate([matrix.value, -value * row[at[i]] * row[at[j]]]),
+    )
+
+
+def _direction(given: MatrixFile, data: matrixfile.MatrixData) -> Floats:
+    known = list(data.influence)
+    where = "numerical.matrices.direction"
+    if not known:
+        if given.direction is not None:
+            raise InputError(
+                f"found {written(given.direction)}; the file has no influence vectors", where
+            )
+        return np.ones(data.size)
+    if given.direction is None:
+        if len(known) > 1:
+            raise InputError(f"missing; must be one of {', '.join(map(written, known))}", where)
+        return data.influence[known[0]]
+    if given.direction not in data.influence:
+        raise InputError(
+            f"found {written(given.direction)}; must be one of {', '.join(map(written, known))}",
+            where,
+        )
+    return data.influence[given.direction]
+
+
+def _find(label: str, labels: Sequence[str], place: Mapping[str, int], where: str) -> int:
+    if label in place:
+        return place[label]
+    shown = ", ".join(written(one) for one in labels[:8]) + (", ..." if len(labels) > 8 else "")
+    raise InputError(
+        f"found {written(label)}{nearest(label, list(labels))}; must be a label of the structure: "
+        f"{shown}",
+        where,
+    )
+
+
+def _interface_of(
+    given: Sequence[Interface], labels: Sequence[str], place: Mapping[str, int]
+) -> tuple[Term, ...]:
+    if not given:
+        raise InputError(
+            'missing; say what the actuator moves: [[interface]] with dof = "LABEL"', "interface"
+        )
+    if given[0].dof is None:
+        raise InputError("found a storey; of matrices give dof", "interface.0")
+    terms = tuple(
+        (_find(label, labels, place, "interface.0.dof"), by) for label, by in given[0].dof
+    )
+    if len({at for at, _ in terms}) < len(terms):
+        raise InputError("found a degree of freedom twice; each stands once", "interface.0.dof")
+    return terms
+
+
+def _label_responses(
+    wanted: Sequence[str], labels: Sequence[str], place: Mapping[str, int], joints: Sequence[int]
+) -> list[Response]:
+    found: list[Response] = []
+    for i, text in enumerate(wanted):
+        where = f"numerical.record.{i}"
+        match = re.fullmatch(r"element_([1-9]\d*)", text)
+        if match and text not in place:
+            if int(match[1]) > len(joints):
+                raise InputError(
+                    f"found {written(text)}; there are {len(joints)} tables "
+                    "[[numerical.nonlinear]], counted from 1",
+                    where,
+                )
+            found.append(Response(text, "N", joints=((joints[int(match[1]) - 1], 1.0),)))
+            continue
+        both = None if text in place else _DIFFERENCE.fullmatch(text)
+        ends = [text] if both is None else [both[1], both[2]]
+        terms = [
+            (_find(label, labels, place, where), by)
+            for label, by in zip(ends, (1.0, -1.0), strict=False)
+        ]
+        turns = re.search(r"(^|\W)r[xyz]?$", ends[0]) is not None
+        name = "dof_" + re.sub(r"[^a-z0-9]+", "_", " less ".join(ends).lower()).strip("_")
+        found.append(Response(name[:32], "rad" if turns else "m", tuple(terms)))
+    names = [one.name for one in found]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(
+            f"two of them would be recorded as {twice}, their labels cut to 32 letters; use "
+            "shorter labels", "numerical.record",
+        )  # fmt: skip
+    return found

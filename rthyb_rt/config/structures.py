@@ -1,0 +1,351 @@
+"""Structures of many degrees of freedom in the test file: storeys, matrices from a file.
+
+What is in a file of matrices is read by `rthyb_rt.config.matrixfile`; what the keys come to is
+worked out by `rthyb_rt.config.sparse_structure`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Final, Literal
+
+from pydantic import Field, GetJsonSchemaHandler, StrictBool
+from pydantic_core import CoreSchema, PydanticCustomError
+
+from rthyb_rt.config.fields import (
+    SLUG,
+    SOME_TEXT,
+    Check,
+    Choice,
+    Count,
+    Range,
+    Reader,
+    Table,
+    explained,
+    written,
+)
+from rthyb_rt.config.numerical import TakenOut
+from rthyb_rt.config.rigfile import SpecimenElement
+
+MOST_STOREYS: Final = 500
+MOST_TERMS: Final = 16
+MOST_RECORDED: Final = 20
+"""Of a row's channels, of which control law and virtual rig want some as well."""
+DAMPED_MODES: Final = 64
+INTERFACES: Final = 1
+"""What one actuator moves."""
+WRITTEN_OUT: Final = "written out"
+FROM_FILE: Final = "from a file"
+"""The forms of ``[numerical.matrices]``: in a fault's place they stand as no key can."""
+
+
+@dataclass(frozen=True)
+class Each(Reader):
+    """A number for all, or a list of one for each, the lowest first.
+
+    Attributes:
+        one: what each of them is.
+    """
+
+    one: Range
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return f"{self.one.allowed()}; or a list with one for each, from below"
+
+    def read(self, value: object) -> float | list[float]:
+        """Return the number or the numbers; raise the explained error otherwise."""
+        if not isinstance(value, list):
+            return self.one.read(value)
+        if not 1 <= len(value) <= MOST_STOREYS:
+            raise explained(f"found {written(value)}; {self.allowed()}")
+        return [self._entry(item, i) for i, item in enumerate(value)]
+
+    def _entry(self, item: object, i: int) -> float:
+        try:
+            return self.one.read(item)
+        except PydanticCustomError as error:
+            text = str((error.context or {})["text"])
+            raise explained(f"number {i + 1}: {text}") from None
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe both forms."""
+        one = self.one.__get_pydantic_json_schema__(schema, handler)
+        return {"anyOf": [one, {"type": "array", "items": one}], "description": self.one.what}
+
+
+@dataclass(frozen=True)
+class Counts(Reader):
+    """Different whole numbers; a number alone stands for a list of one.
+
+    Attributes:
+        one: what each of them is.
+        most: so many at most.
+    """
+
+    one: Count
+    most: int
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return f"must be a list of 1 to {self.most} different numbers; {self.one.allowed()}"
+
+    def read(self, value: object) -> list[int]:
+        """Return the numbers; raise the explained error otherwise."""
+        items = value if isinstance(value, list) else [value]
+        if not 1 <= len(items) <= self.most:
+            raise explained(f"found {written(value)}; {self.allowed()}")
+        found = [self.one.read(item) for item in items]
+        if len(set(found)) < len(found):
+            raise explained(f"found a number twice in {found}; {self.allowed()}")
+        return found
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe both forms."""
+        one = self.one.__get_pydantic_json_schema__(schema, handler)
+        return {"anyOf": [one, {"type": "array", "items": one, "maxItems": self.most}]}
+
+
+@dataclass(frozen=True)
+class Terms(Reader):
+    """Degrees of freedom with weights: a label, or a table of labels and weights.
+
+    Held as a list of pairs, which is a third form.
+    """
+
+    what: str
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return (
+            f'{self.what} must be a label, "7.x", or a table of 1 to {MOST_TERMS} labels and '
+            'weights, { "8.x" = 1, "7.x" = -1 }'
+        )
+
+    def read(self, value: object) -> list[list[Any]]:
+        """Return label and weight of each; raise the explained error otherwise."""
+        pairs: list[Any] = [[value, 1.0]] if isinstance(value, str) else []
+        if isinstance(value, dict):
+            pairs = [list(item) for item in value.items()]
+        elif isinstance(value, list):
+            pairs = value
+        if not 1 <= len(pairs) <= MOST_TERMS:
+            raise explained(f"found {written(value)}; {self.allowed()}")
+        return [self._pair(pair, value) for pair in pairs]
+
+    def _pair(self, pair: object, value: object) -> list[Any]:
+        if not (isinstance(pair, (list, tuple)) and len(pair) == 2 and isinstance(pair[0], str)):
+            raise explained(f"found {written(value)}; {self.allowed()}")
+        label, weight = pair
+        number = isinstance(weight, (int, float)) and not isinstance(weight, bool)
+        if not label or not number or not 1e-6 <= abs(weight) <= 1e6:
+            raise explained(
+                f"found the weight {written(weight)} of {written(label)}; a weight is a number of "
+                "a size from 1e-6 to 1e6, either sign"
+            )
+        return [label, float(weight)]
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the forms."""
+        table = {"type": "object", "additionalProperties": {"type": "number"}}
+        return {
+            "anyOf": [{"type": "string"}, table, {"type": "array"}],
+            "description": self.what,
+        }
+
+
+@dataclass(frozen=True)
+class Names(Reader):
+    """A list of different texts."""
+
+    what: str
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return f"{self.what} must be a list of up to {MOST_RECORDED} different texts"
+
+    def read(self, value: object) -> list[str]:
+        """Return the texts; raise the explained error otherwise."""
+        texts = isinstance(value, list) and all(isinstance(v, str) and v.strip() for v in value)
+        if isinstance(value, list) and texts and len(value) <= MOST_RECORDED:
+            if len(set(value)) == len(value):
+                return value
+            twice = next(v for v in value if value.count(v) > 1)
+            raise explained(f"found {written(twice)} twice; {self.allowed()}")
+        raise explained(f"found {written(value)}; {self.allowed()}")
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the list."""
+        item = {"type": "string", "minLength": 1}
+        return {"type": "array", "items": item, "maxItems": MOST_RECORDED, "description": self.what}
+
+
+def _one_each(what: str) -> Any:
+    def test(count: int, values: float | list[float] | None) -> str | None:
+        if not isinstance(values, list) or len(values) == count:
+            return None
+        return (
+            f"found {len(values)} numbers for {count} storeys; must be {count}, from below, or one "
+            f"{what} for all"
+        )
+
+    return test
+
+
+def _storeys_there(count: int, specimen: list[int]) -> str | None:
+    if max(specimen) <= count:
+        return None
+    return f"found storey {max(specimen)} of {count}; must be one of 1 to {count}, 1 the lowest"
+
+
+def _weighs_on_height(p_delta: bool, height_m: float | list[float] | None) -> str | None:
+    if not p_delta or height_m is not None:
+        return None
+    return "found true without a height; give height_m, in m, of all storeys or of each"
+
+
+class Storeys(Table):
+    """A shear building: storeys on one another, a mass on each; the ground carries the first.
+
+    The specimen is one storey: its stiffness is the rig's, not that of ``stiffness_n_per_m``.
+    With ``p_delta`` the weight above a storey, over its height, is a negative stiffness.
+    """
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("mass_kg", ("count", "mass_kg"), _one_each("mass")),
+        Check("stiffness_n_per_m", ("count", "stiffness_n_per_m"), _one_each("stiffness")),
+        Check("height_m", ("count", "height_m"), _one_each("height")),
+        Check("specimen", ("count", "specimen"), _storeys_there),
+        Check("p_delta", ("p_delta", "height_m"), _weighs_on_height),
+    )
+
+    count: Annotated[int, Count(1, MOST_STOREYS, "the number of storeys")]
+    mass_kg: Annotated[float | list[float], Each(Range("kg", 1e-3, 1e9, "the mass of a storey"))]
+    stiffness_n_per_m: Annotated[
+        float | list[float], Each(Range("N/m", 1e-3, 1e12, "the stiffness of a storey"))
+    ]
+    height_m: (
+        Annotated[float | list[float], Each(Range("m", 0.1, 100, "the height of a storey"))] | None
+    ) = None
+    p_delta: StrictBool = False
+    specimen: Annotated[
+        list[int], Counts(Count(1, MOST_STOREYS, "the storey in the laboratory"), 1)
+    ] = Field(default_factory=lambda: [1])
+
+    def each(self, key: Literal["mass_kg", "stiffness_n_per_m", "height_m"]) -> list[float]:
+        """Return a value of every storey, from below."""
+        value = getattr(self, key)
+        return list(value) if isinstance(value, list) else [float(value)] * self.count
+
+
+class MatrixFiles(Table):
+    """The files of matrices of which each holds one, Matrix Market or CSV."""
+
+    mass: Annotated[str, SOME_TEXT]
+    stiffness: Annotated[str, SOME_TEXT]
+    damping: Annotated[str, SOME_TEXT] | None = None
+    labels: Annotated[str, SOME_TEXT] | None = None
+    influence: Annotated[str, SOME_TEXT] | None = None
+
+
+class MatrixFile(Table):
+    """A structure by the matrices of a file: mass, stiffness, damping, labels, influence.
+
+    ``file`` is of .npz or .mat, ``files`` names one for each matrix. ``data`` is what was in them,
+    as the program writes it into a recording. ``direction`` is the influence vector to be used, of
+    a file that has several. With ``specimen`` the matrices are those of the whole structure.
+    """
+
+    choices: ClassVar[tuple[Choice, ...]] = (Choice(("file", "files"), required=True),)
+
+    file: Annotated[str, SOME_TEXT] | None = None
+    files: MatrixFiles | None = None
+    data: Annotated[str, SOME_TEXT] | None = None
+    direction: Annotated[str, SOME_TEXT] | None = None
+    specimen: TakenOut | None = None
+
+
+def _few_for_rayleigh(form: str, modes: list[int], ratio: float | list[float]) -> str | None:
+    if form == "modal":
+        if not isinstance(ratio, list) or len(ratio) == len(modes):
+            return None
+        return f"found {len(ratio)} ratios for {len(modes)} modes; give one for each, or for all"
+    if len(modes) > 2:
+        return (
+            f"found {len(modes)} modes; Rayleigh damping has its ratio in one or two: name those, "
+            'or take form = "modal"'
+        )
+    if isinstance(ratio, list) and len(ratio) not in (1, len(modes)):
+        return f"found {len(ratio)} ratios for {len(modes)} modes; give one for each, or for all"
+    return None
+
+
+class Damping(Table):
+    """Damping ratios of modes of the whole structure, elastic; modes are counted from 1.
+
+    Rayleigh damping has them in one mode (by mass alone) or two and more in what lies beyond;
+    modal damping in as many as are named, and nothing in the others.
+    """
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("modes", ("form", "modes", "ratio"), _few_for_rayleigh),
+    )
+
+    ratio: Annotated[float | list[float], Each(Range("", 0, 1, "the damping ratio"))]
+    modes: Annotated[
+        list[int], Counts(Count(1, DAMPED_MODES, "the number of a mode"), DAMPED_MODES)
+    ]
+    form: Literal["rayleigh", "modal"] = "rayleigh"
+
+    @property
+    def ratios(self) -> list[float]:
+        """The ratio of each of the modes."""
+        if isinstance(self.ratio, list):
+            return self.ratio * (len(self.modes) if len(self.ratio) == 1 else 1)
+        return [self.ratio] * len(self.modes)
+
+
+def _no_mass(law: SpecimenElement) -> str | None:
+    if law.element not in ("inertia", "second_mode"):
+        return None
+    return f'found "{law.element}"; a mass belongs into the masses of the structure'
+
+
+class Nonlinear(Table):
+    """An element between storeys, or between degrees of freedom of the matrices.
+
+    ``storeys``: in each of them, in the place of its stiffness; with ``beside``, beside it.
+    ``dof``: between it and the ground; ``between``: between two, and it sees the second's
+    displacement less the first's.
+    """
+
+    choices: ClassVar[tuple[Choice, ...]] = (Choice(("storeys", "dof", "between"), required=True),)
+    checks: ClassVar[tuple[Check, ...]] = (Check("law", ("law",), _no_mass),)
+
+    storeys: (
+        Annotated[list[int], Counts(Count(1, MOST_STOREYS, "the storey"), MOST_STOREYS)] | None
+    ) = None
+    dof: Annotated[str, SOME_TEXT] | None = None
+    between: list[Annotated[str, SOME_TEXT]] | None = Field(
+        default=None, min_length=2, max_length=2
+    )
+    beside: StrictBool = False
+    law: Annotated[SpecimenElement, Field(discriminator="element")]
+
+
+class Interface(Table):
+    """What of the structure the actuator moves: a storey's drift, or degrees of freedom."""
+
+    choices: ClassVar[tuple[Choice, ...]] = (Choice(("storey", "dof"), required=True),)
+
+    name: Annotated[str, SLUG] = "x"
+    storey: Annotated[int, Count(1, MOST_STOREYS, "the storey")] | None = None
+    dof: Annotated[list[list[Any]], Terms("the degree of freedom")] | None = None

@@ -1,0 +1,126 @@
+"""Restoring-force compensation of several axes by a tangent stiffness matrix (``matrix_rfc.c``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.kinematics import AXES_MAX
+from rthyb_rt.core.library import CoreError, FloatArray, check, doubles, reading, writing
+from rthyb_rt.core.sizes import PERIOD_S
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixRfcConfig:
+    """Settings of a `MatrixRfc`; interface coordinates are in m or rad, forces in N or N m.
+
+    Attributes:
+        k_e: elastic stiffness, symmetric and positive definite, (size, size).
+        rest_noise: standard deviation of each coordinate at rest, (size,): while it has moved by no
+            more than four times that within the memory, its stiffness is the elastic one.
+        memory_s: a sample's weight falls to 1/e in this time.
+        cutoff_hz: of the low-pass on x_c - x_m; 0 for none.
+        lateness_s: of the forces behind x_m.
+        enabled: whether forces are changed at all.
+        period_s: of a sample.
+    """
+
+    k_e: FloatArray
+    rest_noise: tuple[float, ...]
+    memory_s: float = 0.05
+    cutoff_hz: float = 0.0
+    lateness_s: float = 0.0
+    enabled: bool = True
+    period_s: float = PERIOD_S
+
+
+class MatrixRfc:
+    """A restoring-force compensator of several coordinates at work.
+
+    Args:
+        config: its settings.
+        x0: where the coordinates are at rest, (size,); None: at 0.
+        f0: with which forces, likewise.
+
+    Raises:
+        CoreError: a setting out of range, or an elastic stiffness that is none.
+    """
+
+    def __init__(
+        self,
+        config: MatrixRfcConfig,
+        x0: npt.ArrayLike | None = None,
+        f0: npt.ArrayLike | None = None,
+    ) -> None:
+        self.size = len(config.rest_noise)
+        given = np.asarray(config.k_e, np.float64)
+        if not 1 <= self.size <= AXES_MAX or given.shape != (self.size, self.size):
+            raise CoreError(
+                f"1 to {AXES_MAX} coordinates with their noise and a square k_e needed, got "
+                f"{self.size} and {given.shape}"
+            )
+        settings = {
+            "size": self.size,
+            "enabled": int(config.enabled),
+            "period_s": config.period_s,
+            "memory_s": config.memory_s,
+            "cutoff_hz": config.cutoff_hz,
+            "lateness_s": config.lateness_s,
+            "k_e": given.tolist(),
+            "rest_noise": list(config.rest_noise),
+        }
+        self._c = ffi.new("rthyb_matrix_rfc *")
+        x, f = (self._row(np.zeros(self.size) if one is None else one) for one in (x0, f0))
+        struct = ffi.new("rthyb_matrix_rfc_config *", settings)
+        check(lib.rthyb_matrix_rfc_init(self._c, struct, reading(x), reading(f)))
+
+    @property
+    def k(self) -> FloatArray:
+        """Present tangent stiffness, (size, size): symmetric, between 0 and k_e."""
+        rows = range(self.size)
+        return np.array([[self._c.k[i][j] for j in rows] for i in rows])
+
+    def step(
+        self,
+        x_c: npt.ArrayLike,
+        x_m: npt.ArrayLike,
+        f: npt.ArrayLike,
+        v_c: npt.ArrayLike | None = None,
+        frozen: bool = False,
+    ) -> tuple[FloatArray, int]:
+        """Return the forces for the equation of motion, (size,), and the status bits."""
+        c, m, own = self._row(x_c), self._row(x_m), self._row(f)
+        v = self._row(np.zeros(self.size) if v_c is None else v_c)
+        out = np.empty(self.size)
+        code = lib.rthyb_matrix_rfc_step(
+            self._c, reading(c), reading(v), reading(m), reading(own), frozen, writing(out)
+        )
+        return out, int(code)
+
+    def run(
+        self,
+        x_c: npt.ArrayLike,
+        x_m: npt.ArrayLike,
+        f: npt.ArrayLike,
+        v_c: npt.ArrayLike | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return forces, (n, size), and tangent stiffness, (n, size, size), along rows of all."""
+        c, m, own = doubles(x_c), doubles(x_m), doubles(f)
+        v = np.zeros_like(c) if v_c is None else doubles(v_c)
+        if c.ndim != 2 or c.shape[1] != self.size or not c.shape == m.shape == own.shape == v.shape:
+            raise CoreError(f"rows of {self.size} coordinates needed, all of one length")
+        force, k = np.empty_like(c), np.empty((len(c), self.size, self.size))
+        given = [reading(one.reshape(-1)) for one in (c, v, m, own)]
+        lib.rthyb_matrix_rfc_run(
+            self._c, *given, writing(force.reshape(-1)), writing(k.reshape(-1)), len(c)
+        )
+        return force, k
+
+    def _row(self, values: npt.ArrayLike) -> FloatArray:
+        given = doubles(values)
+        if given.shape != (self.size,):
+            raise CoreError(f"{self.size} numbers needed, one a coordinate, got {given.shape}")
+        return given

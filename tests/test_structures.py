@@ -1,0 +1,374 @@
+"""Storeys and matrices from a file: what they come to, what is recorded, what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.linalg
+import scipy.sparse
+from frames import shear_building
+
+from rthyb_rt import config
+from rthyb_rt.config import deriving, matrixfile
+from rthyb_rt.config.sparse_structure import SparseStructure
+from rthyb_rt.config.structures import MatrixFile
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.lab.realtime import replaying
+from rthyb_rt.record import recording
+
+K_E = 4737410.0
+EXAMPLE = config.builtin_test_path().with_name("ten-storeys.toml")
+HEAD = 'schema = "rthyb-test/1"\nrig = "delay-10-elastic"\ntest = { name = "t" }\n'
+LAW = (
+    'law = { element = "hysteresis", k_n_per_m = 4e6, post_yield_ratio = 0.1, xy_m = 0.006, '
+    "eta = 2 }"
+)
+STOREYS = """
+[numerical]
+damping = { ratio = 0.02, modes = [1, 3] }
+[numerical.storeys]
+count = 5
+mass_kg = [3000, 2800, 2600, 2400, 2200]
+stiffness_n_per_m = "4.5 MN/m"
+"""
+
+
+def structure(text: str) -> SparseStructure:
+    found = deriving.structure_of_test(config.parse_test(HEAD + text), K_E, 1.0 / 1024.0)
+    assert isinstance(found, SparseStructure)
+    return found
+
+
+# ---- storeys ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("specimen", [1, 3])
+def test_storeys_are_the_shear_building_with_the_rig_in_one_of_them(specimen: int) -> None:
+    found = structure(STOREYS + f"specimen = [{specimen}]")
+    stiffness = np.full(5, 4.5e6)
+    stiffness[specimen - 1] = K_E
+    m, k = shear_building(np.array([3000.0, 2800, 2600, 2400, 2200]), stiffness)
+    assert found.part.whole_stiffness().toarray() == pytest.approx(k)
+    w2, phi = scipy.linalg.eigh(k, m)
+    modes = found.modes()
+    assert [mode.frequency_hz for mode in modes] == pytest.approx(np.sqrt(w2) / (2 * np.pi))
+    assert [modes[0].damping_ratio, modes[2].damping_ratio] == pytest.approx([0.02, 0.02])
+    share = (phi.T @ np.diag(m)) ** 2 / np.trace(m)
+    assert [mode.effective_mass for mode in modes] == pytest.approx(share)
+    assert sum(mode.effective_mass for mode in modes) == pytest.approx(1.0)
+    assert abs(modes[0].shape[-1]) == pytest.approx(1.0)
+    x, _ = np.linalg.qr(np.eye(5))  # the actuator moves the storey's drift
+    assert found.part.interface_rows()[0] @ x == pytest.approx(
+        [float(i == specimen - 1) - float(i == specimen - 2) for i in range(5)]
+    )
+
+
+def test_modal_damping_is_in_the_named_modes_alone() -> None:
+    text = STOREYS.replace("modes = [1, 3] }", 'modes = [1, 2, 4], form = "modal" }')
+    ratios = [mode.damping_ratio for mode in structure(text).modes()]
+    assert ratios == pytest.approx([0.02, 0.02, 0.0, 0.02, 0.0], abs=1e-9)
+
+
+def test_the_weight_of_the_floors_leans_on_every_storey() -> None:
+    plain = structure(STOREYS).part.whole_stiffness().toarray()
+    leaning = structure(STOREYS + "height_m = 3\np_delta = true").part.whole_stiffness().toarray()
+    weights = 9.80665 * np.cumsum([2200.0, 2400, 2600, 2800, 3000])[::-1]
+    assert plain - leaning == pytest.approx(shear_building(np.ones(5), weights / 3.0)[1])
+
+
+def test_a_yielding_storey_has_its_element_in_the_place_of_its_stiffness() -> None:
+    found = structure(STOREYS + f"[[numerical.nonlinear]]\nstoreys = [2, 4]\n{LAW}")
+    assert [(j.below, j.above) for j in found.part.joints] == [(0, 1), (2, 3)]
+    stiffness = np.array([K_E, 4e6, 4.5e6, 4e6, 4.5e6])
+    expected = shear_building(np.ones(5), stiffness)[1]
+    assert found.part.whole_stiffness().toarray() == pytest.approx(expected, rel=1e-6, abs=10.0)
+    beside = structure(STOREYS + f"[[numerical.nonlinear]]\nstoreys = [2]\nbeside = true\n{LAW}")
+    assert beside.part.whole_stiffness()[1, 1] == pytest.approx(4.5e6 + 4e6 + 4.5e6, rel=1e-6)
+
+
+@pytest.fixture(scope="module")
+def ten() -> tuple[experiment.Setup, Any]:
+    test, rig = config.load_both(EXAMPLE, None, ["test.free_vibration_s=1"])
+    setup = experiment.prepare(test, rig)
+    return setup, virtual_time.run(setup)
+
+
+def test_ten_storeys_follow_their_reference(ten: tuple[experiment.Setup, Any]) -> None:
+    setup, rec = ten
+    rows = rec.samples[rec.samples["state"] == 4][: setup.ticks]
+    reference = setup.reference["x_ref_m"][: rows.size]
+    apart = np.abs(rows["x_num_m"] - reference).max() / np.abs(reference).max()
+    assert apart < 0.02
+
+
+def test_drifts_and_shears_are_recorded_by_name(ten: tuple[experiment.Setup, Any]) -> None:
+    setup, rec = ten
+    names = [channel.name for channel in rec.channels]
+    assert names[:20] == [f"{what}_{i}" for what in ("drift", "shear") for i in range(1, 11)]
+    rows = rec.samples[rec.samples["state"] == 4]
+    # The same row's: what the actuator was told of this tick, and the force that was used.
+    assert rows["drift_1"] == pytest.approx(rows["x_num_m"], abs=1e-12)
+    assert np.abs(rows["shear_1"] - rows["f_meas_n"]).max() < 0.1 * np.abs(rows["f_meas_n"]).max()
+    assert rows["shear_7"] == pytest.approx(4737410.0 * rows["drift_7"], rel=1e-9)
+    assert np.abs(rows["drift_2"]).max() > 0.006  # it yields
+    _, _, _, values = setup.derived.structure.whole_reference(
+        experiment.specimen_elements(setup.rig), setup.ag_mps2
+    )
+    peak = np.abs(values).max(axis=0)
+    count = min(len(rows), len(values))
+    apart = [np.abs(rows[n][:count] - values[:count, i]).max() for i, n in enumerate(names[:20])]
+    assert np.all(np.array(apart) < 0.05 * peak)
+
+
+def test_a_recording_of_ten_storeys_replays_bit_for_bit(
+    ten: tuple[experiment.Setup, Any], tmp_path: Path
+) -> None:
+    recording.write(tmp_path / "ten.h5", ten[1])
+    found = replaying.replay(recording.read(tmp_path / "ten.h5"))
+    assert found.identical
+
+
+# ---- matrices from a file -----------------------------------------------------------------------
+
+M4, K4 = shear_building(np.array([3000.0, 2800, 2600, 2400]), np.full(4, 4.5e6))
+C4 = 0.3 * M4 + 1e-4 * K4
+LABELS = ["1.x", "2.x", "3.x", "4.x"]
+
+
+def written(folder: Path, kind: str) -> str:
+    """Write the matrices; return how a test names them."""
+    if kind == "npz":
+        np.savez(folder / "a.npz", M=M4, K=K4, C=C4, labels=LABELS, influence=np.ones(4))
+        return 'file = "a.npz"'
+    if kind == "mat":
+        cells = np.array(LABELS, dtype=object)
+        data = {"M": scipy.sparse.csc_matrix(M4), "K": K4, "C": C4, "labels": cells}
+        scipy.io.savemat(folder / "a.mat", data | {"influence": np.ones((4, 1))})
+        return 'file = "a.mat"'
+    for name, matrix in (("M", M4), ("K", K4), ("C", C4)):
+        if kind == "mtx":
+            scipy.io.mmwrite(folder / f"{name}.mtx", scipy.sparse.coo_matrix(matrix))
+        else:
+            np.savetxt(folder / f"{name}.csv", matrix, delimiter=",")
+    (folder / "labels.txt").write_text("\n".join(LABELS))
+    names = ", ".join(
+        f'{key} = "{name}.{kind}"'
+        for key, name in (("mass", "M"), ("stiffness", "K"), ("damping", "C"))
+    )
+    return f'files = {{ {names}, labels = "labels.txt" }}'
+
+
+def from_file(folder: Path, matrices: str, more: str = '[[interface]]\ndof = "1.x"') -> Any:
+    path = folder / "test.toml"
+    path.write_text(f"{HEAD}[numerical.matrices]\n{matrices}\n{more}\n")
+    return config.load_test(path)
+
+
+@pytest.mark.parametrize("kind", ["npz", "mat", "mtx", "csv"])
+def test_a_structure_is_the_same_from_every_kind_of_file(kind: str, tmp_path: Path) -> None:
+    test = from_file(tmp_path, written(tmp_path, kind))
+    # As it is dumped into a recording, without the file.
+    (tmp_path / "a.npz").unlink(missing_ok=True)
+    again = config.parse_test(config.dump(test))
+    found = deriving.structure_of_test(again, K_E, 1.0 / 1024.0)
+    assert found.labels == tuple(LABELS)
+    assert found.part.mass_kg.matrix().toarray() == pytest.approx(M4)
+    assert found.part.stiffness_n_per_m.matrix().toarray() == pytest.approx(K4)
+    assert found.part.damping_n_s_per_m is not None
+    assert found.part.damping_n_s_per_m.matrix().toarray() == pytest.approx(C4)
+    assert found.part.load_kg == pytest.approx(np.diag(M4))
+
+
+def test_a_specimen_is_taken_out_and_a_combination_moved(tmp_path: Path) -> None:
+    more = """specimen = { stiffness_n_per_m = 1e6, mass_kg = 50 }
+[numerical]
+record = ["4.x", "3.x - 2.x", "element_1"]
+[[numerical.nonlinear]]
+between = ["2.x", "3.x"]
+law = { element = "viscous", c_n_s_per_m = 1000 }
+[[interface]]
+dof = { "2.x" = 1, "1.x" = -1 }"""
+    test = from_file(tmp_path, written(tmp_path, "npz"), more)
+    found = deriving.structure_of_test(test, K_E, 1.0 / 1024.0)
+    row = np.array([-1.0, 1.0, 0.0, 0.0])
+    own = found.part.stiffness_n_per_m.matrix().toarray()
+    assert own == pytest.approx(K4 - 1e6 * np.outer(row, row))
+    assert found.part.mass_kg.matrix().toarray() == pytest.approx(M4 - 50.0 * np.outer(row, row))
+    assert found.joined.mass_kg.matrix().toarray() == pytest.approx(M4)
+    assert found.part.load_kg == pytest.approx(np.diag(M4))
+    names = [(one.name, one.unit) for one in found.part.responses]
+    assert names == [("dof_4_x", "m"), ("dof_3_x_less_2_x", "m"), ("element_1", "N")]
+
+
+# ---- what is refused ----------------------------------------------------------------------------
+
+
+def changed(**arrays: Any) -> dict[str, Any]:
+    return {"M": M4, "K": K4, "C": C4, "labels": LABELS, "influence": np.ones(4)} | arrays
+
+
+def but(matrix: Any, i: int, j: int, value: float) -> Any:
+    other = matrix.copy()
+    other[i, j] = value
+    return other
+
+
+@pytest.mark.parametrize(
+    ("arrays", "said"),
+    [
+        (changed(K=but(K4, 1, 2, 7.0)), ": K: found 7 in row 2, column 3 and -4.5e+06 in row 3"),
+        (changed(M=but(M4, 2, 2, -5.0)), 'M: found a mass of -5 kg at "3.x" (row 3); must be 0 or'),
+        (changed(K=but(K4, 0, 0, np.nan)), ": K: found nan in row 1, column 1; every number must"),
+        (changed(C=but(C4, 3, 3, np.inf)), ": C: found inf in row 4, column 4"),
+        (changed(K=K4[:3, :3]), "K has 3 rows and M 4"),
+        (changed(K=K4[:3]), ": K: has 3 rows and 4 columns; must be square"),
+        (changed(M=np.zeros((4, 4))), "M: found no mass at all"),
+        (changed(labels=["a", "b", "a", "c"]), 'labels: found "a" twice; must be different'),
+        (changed(labels=["a", "b"]), "labels: found 2 labels; must be 4"),
+        (changed(influence=np.ones(3)), "influence: has the shape (3,); must have 4 rows"),
+        (changed(influence=np.full(4, np.nan)), "influence: found a number that is not finite"),
+        (changed(K=K4.astype(str)), ": K: found an array of <U"),
+        ({"mass": M4, "K": K4}, "has no M; needed are M (masses, kg) and K"),
+        (changed(M=but(but(M4, 0, 0, 0.0), 0, 1, 5.0)), "M: found 5 in row 1, column 2 and 0 in"),
+        (
+            changed(M=but(but(but(M4, 0, 0, 0.0), 0, 1, 5.0), 1, 0, 5.0)),
+            "M: found 5 in row 1, column 2 beside a mass of 0 on the diagonal",
+        ),
+    ],
+)
+def test_a_file_that_is_no_structure_is_refused(
+    arrays: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(InputError) as caught:
+        from_file(tmp_path, 'file = "a.npz"')
+    assert said in str(caught.value)
+    assert "a.npz" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.npz", b"rubbish", "cannot be read as .npz"),
+        ("a.mat", b"rubbish", "cannot be read as a MATLAB file"),
+        ("a.xls", b"", 'found a file of the kind ".xls"; .npz and .mat hold all'),
+        ("b.npz", b"", "no such file; it is looked for beside the test file"),
+    ],
+)
+def test_a_file_of_another_kind_is_refused(
+    name: str, content: bytes, said: str, tmp_path: Path
+) -> None:
+    if name != "b.npz":
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        from_file(tmp_path, f'file = "{name}"')
+    assert said in str(caught.value)
+    with pytest.raises(InputError, match="a text that the program has not written"):
+        matrixfile.unpacked("AAAA")
+    with pytest.raises(InputError, match="no such file"):
+        matrixfile.read(MatrixFile.model_validate({"files": {"mass": "m.csv", "stiffness": "k"}}),
+                        tmp_path)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "said"),
+    [
+        (STOREYS.replace("count = 5", "count = 0"), "count", "must be a whole number from 1 to"),
+        (STOREYS.replace("2600", "-2600"), "mass_kg", "number 3: found -2600"),
+        (STOREYS.replace(", 2200", ""), "mass_kg", "found 4 numbers for 5 storeys"),
+        (STOREYS + "specimen = [6]", "specimen", "found storey 6 of 5"),
+        (STOREYS + "p_delta = true", "p_delta", "found true without a height"),
+        (STOREYS.replace("damping", "#"), "damping", "missing; storeys need it"),
+        (STOREYS.replace("[1, 3]", "[1, 2, 3]"), "damping.modes", "Rayleigh damping has its ratio"),
+        (STOREYS + "[[interface]]\ndof = 3", "interface.0.dof", "must be a label"),
+        (STOREYS + f"[[numerical.nonlinear]]\n{LAW}", "nonlinear.0", "give exactly one of storeys"),
+        (
+            STOREYS
+            + "[[numerical.nonlinear]]\nstoreys = [2]\nlaw = { element = 'inertia', m_kg = 1 }",
+            "nonlinear.0.law",
+            "a mass belongs into the masses of the structure",
+        ),
+        ("numerical = { mass_kg = 1, damping_ratio = 0, record = ['x'] }", "record", "there are"),
+        (
+            "numerical = { mass_kg = 1, damping_ratio = 0 }\n[[interface]]\nstorey = 1",
+            "interface",
+            "found a table without storeys",
+        ),
+        (
+            STOREYS.replace("[numerical]", '[numerical]\nintegrator = "forward-euler"'),
+            "integrator",
+            "take kr-alpha, cr or central-difference",
+        ),
+        ("[numerical.matrices]\nfile = 'a'\nfiles = 'b'", "numerical.matrices", "must be a table"),
+    ],
+)
+def test_keys_that_mean_nothing_are_refused_with_their_line(
+    text: str, where: str, said: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        config.parse_test(HEAD + text, "my.toml")
+    message = str(caught.value)
+    assert said in message
+    assert where in message
+    assert "my.toml:" in message
+
+
+@pytest.mark.parametrize(
+    ("more", "where", "said"),
+    [
+        ("[[interface]]\nstorey = 2", "interface.0", "the actuator moves the specimen, storey 1"),
+        (f"[[numerical.nonlinear]]\nstoreys = [9]\n{LAW}", "nonlinear.0.storeys", "storey 9 of 5"),
+        (f"[[numerical.nonlinear]]\nstoreys = [1]\n{LAW}", "nonlinear.0", "which is the specimen"),
+        (f"[[numerical.nonlinear]]\ndof = '1'\n{LAW}", "nonlinear.0", "found a degree of freedom"),
+    ],
+)
+def test_what_does_not_fit_the_storeys_is_refused(more: str, where: str, said: str) -> None:
+    test, rig = (
+        config.parse_test(HEAD + STOREYS + more),
+        config.load_rig(config.find_rig("delay-10-elastic")),
+    )
+    with pytest.raises(InputError) as caught:
+        config.derive(test, rig)
+    assert said in str(caught.value)
+    assert where in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ('[[interface]]\ndof = "9.x"', 'interface.0.dof: found "9.x"'),
+        ("", "interface: missing; say what the actuator moves"),
+        ("[[interface]]\nstorey = 1", "found a storey; of matrices give dof"),
+        ('[[interface]]\ndof = { "1.x" = 1 }\n[numerical]\nrecord = ["q"]', 'record.0: found "q"'),
+        ('direction = "y"\n[[interface]]\ndof = "1.x"', 'found "y"; must be one of "1"'),
+        ("specimen = { mass_kg = 1e6 }\n[[interface]]\ndof = '1.x'", "numerical.matrices: "),
+        ("specimen = { stiffness_n_per_m = 1e9 }\n[[interface]]\ndof = '1.x'", "something must"),
+        (
+            "[[interface]]\ndof = '1.x'\n[numerical]\ndamping = { ratio = 0.1, modes = [1, 9] }",
+            "found mode 9; the structure has 4 modes",
+        ),
+        (
+            '[[interface]]\ndof = "1.x"\n[[numerical.nonlinear]]\nbetween = ["2.x", "2.x"]\n' + LAW,
+            'found "2.x" twice',
+        ),
+    ],
+)
+def test_what_does_not_fit_the_matrices_is_refused(more: str, said: str, tmp_path: Path) -> None:
+    test = from_file(tmp_path, written(tmp_path, "npz"), more)
+    rig = config.load_rig(config.find_rig("delay-10-elastic"))
+    with pytest.raises(InputError) as caught:
+        config.derive(test, rig)
+    assert said in str(caught.value)
+
+
+def test_a_central_difference_beyond_its_bound_is_refused() -> None:
+    stiff = STOREYS.replace("4.5 MN/m", "40000 MN/m").replace(
+        "[numerical]", '[numerical]\nintegrator = "central-difference"'
+    )
+    with pytest.raises(InputError, match="central-difference at 1024 Hz is unstable"):
+        structure(stiff)
