@@ -58,7 +58,7 @@ def test_first_test_runs_as_it_stands_and_shows_verdict_figures_and_messages(
     whole = "\n".join(shown)
     assert "The specimen followed the command within" in whole
     assert "<svg" in whole
-    assert whole.count("<figure>") >= 4
+    assert whole.count("<figure ") >= 4
     assert "tracking  0.09" in whole
     assert "limit 15 kN" in whole
     assert 'with_: numerical.mass_kg: found "4220 N" (that is a force)' in whole

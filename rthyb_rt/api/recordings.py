@@ -76,7 +76,8 @@ class Plot:
         # A notebook shows many figures on one page, and what a drawing refers to must be its own.
         own = f"{self.key}-{next(_SHOWN)}-"
         svg = re.sub(rf'( id="|#){re.escape(self.key)}-', rf"\g<1>{own}", self.svg)
-        return f"<figure>{svg}<figcaption>{self.title}. {self.note}</figcaption></figure>"
+        width = "" if self.figure is None else f"max-width:{self.figure.get_figwidth():.1f}in"
+        return f'<figure style="{width}">{svg}<figcaption>{self.title}. {self.note}</figcaption></figure>'
 
 
 class Plots:
