@@ -24,8 +24,8 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: help run install reproduce test test-long test-vm test-systemd test-live soak sanitize fuzz \
-        fuzz-station tsan proof validate-diagnosis validate-diagnosis-short validate-policy benchmark-rths benchmark-marths bench lint \
-        clean
+        fuzz-station tsan proof validate-diagnosis validate-diagnosis-short validate-policy benchmark-rths \
+        benchmark-rths-short benchmark-marths bench lint clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
@@ -46,6 +46,7 @@ help:
 	@echo 'make validate-diagnosis-short  a fixed few of them, held against that page; two minutes'
 	@echo 'make validate-policy  each threshold of the diagnosis moved, into docs; minutes a case (COUNT=10)'
 	@echo 'make benchmark-rths  every control law on the benchmark of the field, into docs; half an hour (JOBS=2)'
+	@echo 'make benchmark-rths-short  the goals of the law inverse on it, held; two minutes'
 	@echo 'make benchmark-marths  the benchmark of two actuators, into docs; ten minutes (JOBS=2)'
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
@@ -187,6 +188,10 @@ validate-policy: $(TEST_READY)
 JOBS := 2
 benchmark-rths: $(READY)
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/tools/benchmark_page.py --jobs $(JOBS)
+
+# The goals of the law inverse, held: all plants, both rates, two minutes of computing time.
+benchmark-rths-short: $(READY)
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/validate/benchmark_limits.py --jobs $(WORKERS)
 
 # The numerical part by sparse matrices is factored by what the test group brings.
 benchmark-marths: $(TEST_READY)

@@ -160,11 +160,16 @@ def is_beyond(setup: Setup) -> bool:
     run of a perfect control law.
     """
     limit = setup.rig.limits.force_n
-    force_n = _reference(setup)[2]
+    force_n = reference(setup)[2]
     return limit is not None and float(np.abs(force_n).max()) > limit.value
 
 
-def _reference(setup: Setup) -> tuple[criteria.Floats, ...]:
+def reference(setup: Setup) -> tuple[criteria.Floats, ...]:
+    """Return the reference simulation of a run, the plant's own specimen joined to the structure.
+
+    Displacement, velocity and force of the interface, (n,) each, and the displacement of every
+    storey, (n, 3).
+    """
     structure = setup.derived.structure
     if structure is None:
         raise ValueError("a run of the benchmark has its numerical part by matrices")
@@ -175,14 +180,14 @@ def _reference(setup: Setup) -> tuple[criteria.Floats, ...]:
 def figures_of(setup: Setup, rec: Recording) -> dict[str, float]:
     """Return the figures of a completed run over the whole record, its rests included."""
     rows = rec.samples[rec.running()][: setup.ticks]
-    reference = _reference(setup)[3][: rows.size]
+    storeys_m = reference(setup)[3][: rows.size]
     return criteria.figures(
         rows["x_num_m"],
         rows["x_meas_m"],
         rows["x_true_m"],
         rows["x_cmd_m"],
         np.column_stack([rows["x_part_2_m"], rows["x_part_3_m"]]),
-        reference,
+        storeys_m,
         setup.derived.fs_hz,
     )
 

@@ -1,0 +1,64 @@
+"""The goals of the benchmark: one that is missed is told, and ends with another exit code."""
+
+from __future__ import annotations
+
+import pytest
+from validate import benchmark_limits as limits
+
+from rthyb_rt.benchmark import criteria, runs
+from rthyb_rt.benchmark.runs import Outcome, Run
+
+GOOD = dict.fromkeys(criteria.MEANINGS, 0.1)
+
+
+def outcomes(rate_hz: int, case: int, *figures: dict[str, float]) -> list[Outcome]:
+    return [
+        Outcome(Run(limits.LAW, rate_hz, case, "elcentro", plant), "completed", one)
+        for plant, one in enumerate(figures)
+    ]
+
+
+def missed(usual: list[Outcome], wide: list[Outcome] | None = None) -> list[str]:
+    return [goal.what for goal in limits.goals(usual, wide or []) if not goal.met]
+
+
+@pytest.mark.parametrize(("rate_hz", "case"), list(limits.GOALS))
+def test_each_goal_is_missed_by_a_mean_just_above_it_and_met_just_below(
+    rate_hz: int, case: int
+) -> None:
+    for key, most in (limits.GOALS[rate_hz, case] | limits.EVERYWHERE).items():
+        below, above = (GOOD | {key: share * most} for share in (0.999, 1.001))
+        assert missed(outcomes(rate_hz, case, below, below)) == []
+        assert missed(outcomes(rate_hz, case, above, above)) == [
+            f"{rate_hz} Hz, case {case}: {key}"
+        ]
+
+
+def test_one_plant_that_is_worse_than_the_others_is_told() -> None:
+    usual = outcomes(4096, 1, GOOD, GOOD | {"J4": 0.32})
+    assert missed(usual) == ["4096 Hz, case 1: J4, worst less mean"]
+
+
+def test_an_unstable_run_is_told_and_one_beyond_the_rig_is_none() -> None:
+    run = Run(limits.LAW, 1024, 3, "kobe", 7001)
+    assert missed([Outcome(run, "force limit", {})]) == ["unstable of 1 runs"]
+    assert missed([Outcome(run, "force limit", {}, beyond=True)]) == []
+
+
+def test_wide_plants_are_judged_by_the_length_of_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plant that moves half as far has twice the J2 by the sensor's noise alone."""
+    by_plant = {0: [0.0, 2.0], 1: [0.0, 1.0]}
+    monkeypatch.setattr(runs, "prepared", lambda run: run.plant)
+    monkeypatch.setattr(runs, "reference", lambda plant: (by_plant[plant],))
+    wide = outcomes(1024, 4, GOOD, GOOD | {"J2": 0.2})
+    assert missed([], wide) == []
+    wide = outcomes(1024, 4, GOOD, GOOD | {"J2": 0.3})
+    assert missed([], wide) == ["1024 Hz, case 4, wide: worst tracking over mean"]
+
+
+def test_the_exit_code_says_whether_every_goal_is_met(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["benchmark_limits.py", "--jobs", "1"])
+    for j2, code in ((2.5, 0), (2.6, 1)):
+        found = outcomes(4096, 1, GOOD | {"J2": j2})
+        monkeypatch.setattr(runs, "measured", lambda wanted, jobs, found=found: found)
+        assert limits.main() == code
