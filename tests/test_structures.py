@@ -163,7 +163,7 @@ def test_a_structure_that_this_computer_cannot_step_in_time_is_refused_in_real_t
     test, rig = config.load_both(EXAMPLE, None, [])
     assert SparsePart(config.derive(test, rig).structure.part).step_time_s() > 0.0  # type: ignore[union-attr]
     monkeypatch.setattr(SparsePart, "step_time_s", lambda part: 0.0006)
-    with pytest.raises(InputError, match="takes 600 us on this computer .* are 488 us, half of"):
+    with pytest.raises(InputError, match=r"takes 600 us on this computer .* are 488 us, half of"):
         experiment.prepare(test, rig, real_time=True)
     assert experiment.prepare(test, rig).ticks > 0
 
