@@ -10,17 +10,10 @@
  * where v is what the drives had, put through the axes as they were fitted. All rows have the same
  * right side, so that one matrix of moments serves them all. */
 #include "control_law.h"
+#include "learning.h"
 #include "lowpass.h"
 #include "small_solve.h"
 
-#define UNIT 1e3            /* 1/m: least squares in millimetres */
-#define OFFSET_TIME_S 3.2   /* lower end of the filter pair: 0.05 Hz */
-#define GATE_TIME_S 0.2     /* mean of phi^2 that the gate looks at */
-#define RESPONSE_S 8.0      /* length of the impulse response summed at the beginning, */
-#define RESPONSE_MAX 32768u /* and the most samples of it: at 4096 Hz */
-#define NUMB_MM 1e-6        /* what less noise is taken for: keeps the normal equations regular */
-#define STANDS_MM2 1e-18    /* power of phi below which nothing moves */
-#define NOISE_SHARE_MAX 0.5 /* of a pivot that noise compensation may take away */
 #define NOISE_TRIES 4       /* halvings of it */
 #define PIVOT_MIN 1e-12     /* of equations with a diagonal of 1 */
 #define COEFFICIENT_MAX 1e6 /* of the inverse */

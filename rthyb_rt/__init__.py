@@ -15,41 +15,66 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rthyb_rt.api.checking import Check, check
+    from rthyb_rt.api.comparing import Comparison, compare
+    from rthyb_rt.api.diagnosing import Diagnosis, diagnose
     from rthyb_rt.api.files import Rig, Test
+    from rthyb_rt.api.identifying import Identification, identify
     from rthyb_rt.api.recordings import Plot, Plots, Recording
     from rthyb_rt.api.recordings import open_recording as open
+    from rthyb_rt.api.replaying import replay
     from rthyb_rt.api.running import run
+    from rthyb_rt.api.sweeping import Sweep, sweep
     from rthyb_rt.errors import InputError, Problem, RthybError
+    from rthyb_rt.lab.experiment import Replay
 
 __all__ = [
     "Check",
+    "Comparison",
+    "Diagnosis",
+    "Identification",
     "InputError",
     "Plot",
     "Plots",
     "Problem",
     "Recording",
+    "Replay",
     "Rig",
     "RthybError",
+    "Sweep",
     "Test",
     "__version__",
     "check",
+    "compare",
+    "diagnose",
+    "identify",
     "open",
+    "replay",
     "run",
+    "sweep",
 ]
 
 _HOMES = {
     "Check": "api.checking",
+    "Comparison": "api.comparing",
+    "Diagnosis": "api.diagnosing",
+    "Identification": "api.identifying",
     "InputError": "errors",
     "Plot": "api.recordings",
     "Plots": "api.recordings",
     "Problem": "errors",
     "Recording": "api.recordings",
+    "Replay": "lab.experiment",
     "Rig": "api.files",
     "RthybError": "errors",
+    "Sweep": "api.sweeping",
     "Test": "api.files",
     "check": "api.checking",
+    "compare": "api.comparing",
+    "identify": "api.identifying",
     "open": "api.recordings",
+    "replay": "api.replaying",
     "run": "api.running",
+    "sweep": "api.sweeping",
 }
 """Where each name is defined."""
 _NAMES = {"open": "open_recording"}
@@ -65,10 +90,13 @@ if not TYPE_CHECKING:  # else mypy would believe that the package has every attr
             from importlib.metadata import version
 
             return version("rthyb-rt")
-        if name not in _HOMES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from importlib import import_module
 
+        if name == "diagnose":
+            # The room of that name can be called; importing it makes it an attribute.
+            return import_module(f"{__name__}.diagnose")
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         found = getattr(import_module(f"{__name__}.{_HOMES[name]}"), _NAMES.get(name, name))
         globals()[name] = found
         return found

@@ -248,6 +248,89 @@ static int run_case(const choice *c)
     return error;
 }
 
+enum { AXES = 2, CHOICES = 4 };
+
+static int set_up_axes(int choice, rthyb_coupled_plant *plant, rthyb_matrix_lead *lead,
+                       rthyb_matrix_rfc *rfc)
+{
+    const double rest[AXES] = {0.0, 0.0};
+    const rthyb_coupled_plant_config cfg = {
+        .size = AXES,
+        .states = AXES,
+        .forces = 3,
+        .period_s = PERIOD_S,
+        .a = {{0.9, 0.01}, {0.02, 0.95}},
+        .b = {{0.09, 0.0}, {0.0, 0.05}},
+        .c = {{1.0, 0.1}, {0.1, 1.0}},
+        .stroke_m = {0.03, 0.03},
+        .noise_m = {1e-5, 1e-5},
+        .kinematics = {.kind = choice % 2 ? RTHYB_KINEMATICS_PINS : RTHYB_KINEMATICS_MATRIX,
+                       .size = AXES,
+                       .matrix = {1.0, 0.13, 1.0, -0.13},
+                       .coordinate = {RTHYB_COORDINATE_X, RTHYB_COORDINATE_THETA},
+                       .pin_m = {{0.27, 0.13}, {0.27, -0.13}},
+                       .base_m = {{1.6, 0.13}, {1.6, -0.13}}},
+        .stiffness = {{K_E, 0.0}, {0.0, 0.1 * K_E}, {0.0, 1.0}},
+        .mass = {{8.0, 0.0}, {0.0, 1.0}, {0.0, 0.0}},
+        .seed = 1,
+    };
+    const rthyb_matrix_lead_config led = {
+        .size = AXES,
+        .coupled = choice / 2,
+        .poles = 1,
+        .period_s = PERIOD_S,
+        .roll_off_hz = 20.0,
+        .cutoff_hz = 10.0,
+        .gate_factor = 10.0,
+        .memory_s = 1.0,
+        .sigma = {0.05, 0.004, 1e-5},
+        .gain_most = 0.3,
+        .delay_most_s = 0.05,
+        .rest_noise_m = {1e-5, 1e-5},
+        .pole_hz = {40.0},
+        .inverse = {{{1.0, -0.1}, {-0.1, 1.0}}, {{0.5, 0.0}, {0.0, 0.5}}},
+    };
+    const rthyb_matrix_rfc_config compensated = {
+        .size = AXES,
+        .enabled = 1,
+        .period_s = PERIOD_S,
+        .memory_s = 0.05,
+        .cutoff_hz = choice / 2 ? 60.0 : 0.0,
+        .lateness_s = 5e-4,
+        .k_e = {{K_E, 0.0}, {0.0, 0.1 * K_E}},
+        .rest_noise = {1e-5, 1e-4},
+    };
+    return rthyb_coupled_plant_init(plant, &cfg) | rthyb_matrix_lead_init(lead, &led, rest) |
+           rthyb_matrix_rfc_init(rfc, &compensated, rest, rest);
+}
+
+/* Two axes that feel one another, the same absurd readings among the good ones. */
+static int run_axes(int choice)
+{
+    static rthyb_coupled_plant plant;
+    static rthyb_matrix_lead lead;
+    static rthyb_matrix_rfc rfc;
+    const int error = set_up_axes(choice, &plant, &lead, &rfc);
+    double command[AXES] = {0.0, 0.0};
+    for (int n = 0; n < SAMPLES && !error; n++) {
+        const double t = n * PERIOD_S, v[AXES] = {0.1, 0.1};
+        double x[AXES], force[3], pose[AXES] = {4e-3 * sin(20.0 * t), 0.03 * sin(33.0 * t)};
+        double target[AXES], used[AXES], push[AXES];
+        (void)rthyb_coupled_plant_latch(&plant, x, force);
+        if (n % 131 == 0)
+            x[n % 2] = n % 4 ? NAN : 1e300;
+        if (n % 173 == 0)
+            pose[0] = INFINITY;
+        (void)rthyb_matrix_rfc_step(&rfc, pose, v, plant.pose, force, n % 97 < 4, used);
+        (void)rthyb_matrix_lead_observe(&lead, command, x, n % 97 < 4);
+        (void)rthyb_kinematics_axes(&plant.kinematics, pose, target);
+        (void)rthyb_kinematics_forces(&plant.kinematics, used, push);
+        (void)rthyb_matrix_lead_lead(&lead, target, n % 3 ? 1e-6 : INFINITY, command);
+        (void)rthyb_coupled_plant_apply(&plant, command);
+    }
+    return error;
+}
+
 static void finish(int status)
 {
     syscall(SYS_exit, status);
@@ -269,6 +352,8 @@ int main(int argc, char **argv)
                     for (c.hold = 0; c.hold <= RTHYB_FOH; c.hold++)
                         for (c.half = 0; c.half <= 1; c.half++, cases++)
                             error |= run_case(&c);
+    for (int choice = 0; choice < CHOICES; choice++, cases++)
+        error |= run_axes(choice);
     if (!strcmp(wrong, "allocate")) {
         void *volatile block = malloc(64);
         free(block);

@@ -10,14 +10,13 @@ them anew and takes the others from there, ``--only none`` draws from what is ke
 
 from __future__ import annotations
 
-import argparse
 import json
-import re
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import measuring
 import numpy as np
 import pictures
 from matplotlib import rc_context
@@ -27,7 +26,6 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from rthyb_rt.benchmark import cases, runs, table
 from rthyb_rt.benchmark.runs import Outcome, Run
 from rthyb_rt.benchmark.table import Line
-from rthyb_rt.campaign import pools
 from rthyb_rt.core.laws import LAWS
 from rthyb_rt.report import drawing
 
@@ -35,7 +33,6 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "benchmark.md"
 PICTURE = ROOT / "docs" / "images" / "benchmark-rths.svg"
 KEPT = ROOT / "build" / "benchmark-rths.json"
-_PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 SHORT = ("J2", "J4", "J6", "J8", "true")
 
 
@@ -59,9 +56,7 @@ def measure(part: str, wanted: Sequence[Run], jobs: int) -> None:
     begun = time.monotonic()
     outcomes = runs.measured(wanted, jobs)
     print(f"{part}: {len(wanted)} runs in {time.monotonic() - begun:.0f} s", flush=True)
-    KEPT.parent.mkdir(exist_ok=True)
-    before = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
-    KEPT.write_text(json.dumps({**before, part: table.document(outcomes)}), encoding="utf-8")
+    measuring.keep(KEPT, part, table.document(outcomes))
 
 
 def kept() -> tuple[dict[str, list[Outcome]], dict[str, Any]]:
@@ -226,18 +221,13 @@ def _name_points(axes: Any, places: Sequence[tuple[str, float, float, str]]) -> 
 
 def main() -> None:
     """Measure, and write the page and its picture."""
-    arguments = argparse.ArgumentParser()
-    arguments.add_argument("--jobs", type=int, default=pools.processors())
-    arguments.add_argument("--only", choices=(*plan(), "none"))
-    given = arguments.parse_args()
+    given = measuring.arguments(plan())
     for part, wanted in plan().items():
         if given.only in (None, part):
             measure(part, wanted, given.jobs)
     found, facts = kept()
     made = parts(found, facts)
-    text = PAGE.read_text(encoding="utf-8")
-    text = _PART.sub(lambda part: f"{part[1]}{made.get(part[2], '')}{part[3]}", text)
-    PAGE.write_text(text, encoding="utf-8")
+    measuring.renew(PAGE, made)
     PICTURE.write_text(picture(found["elcentro"]), encoding="utf-8")
 
 

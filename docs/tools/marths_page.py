@@ -1,23 +1,18 @@
 """Run the multi-axial benchmark and write docs/benchmark-marths.md and its picture.
 
-``python docs/tools/marths_page.py`` renews what stands between the markers
-
-    <!-- generated: NAME -->  ...  <!-- end -->
-
-of the page. Runs are kept in build/benchmark-marths.json, part by part: ``--only PART`` does one of
-them anew and takes the others from there, ``--only none`` draws from what is kept.
+``python docs/tools/marths_page.py`` renews what stands between the page's markers; runs are kept in
+build/benchmark-marths.json (see `measuring`).
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import measuring
 import numpy as np
 import pictures
 from benchmark_page import facts_text, markdown, scatter
@@ -26,14 +21,12 @@ from matplotlib.figure import Figure
 
 from rthyb_rt.benchmark import marths, marths_laws, marths_table
 from rthyb_rt.benchmark.marths import Outcome, Run
-from rthyb_rt.campaign import pools
 from rthyb_rt.report import drawing
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "benchmark-marths.md"
 PICTURE = ROOT / "docs" / "images" / "benchmark-marths.svg"
 KEPT = ROOT / "build" / "benchmark-marths.json"
-_PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 OURS = ("lead", "lead-decoupled", "matrix", "matrix-inverse")
 
 
@@ -52,10 +45,7 @@ def measure(part: str, wanted: Sequence[Run], jobs: int) -> None:
     begun = time.monotonic()
     outcomes = marths.measured(wanted, jobs)
     print(f"{part}: {len(wanted)} runs in {time.monotonic() - begun:.0f} s", flush=True)
-    KEPT.parent.mkdir(exist_ok=True)
-    before = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
-    document = {**before, part: marths_table.document(outcomes)}
-    KEPT.write_text(json.dumps(document), encoding="utf-8")
+    measuring.keep(KEPT, part, marths_table.document(outcomes))
 
 
 def kept() -> tuple[dict[str, list[Outcome]], dict[str, Any]]:
@@ -132,18 +122,13 @@ def _points(outcomes: Sequence[Outcome], name: str, axis: int) -> Any:
 
 def main() -> None:
     """Measure, and write the page and its picture."""
-    arguments = argparse.ArgumentParser()
-    arguments.add_argument("--jobs", type=int, default=pools.processors())
-    arguments.add_argument("--only", choices=(*plan(), "none"))
-    given = arguments.parse_args()
+    given = measuring.arguments(plan())
     for part, wanted in plan().items():
         if given.only in (None, part):
             measure(part, wanted, given.jobs)
     found, facts = kept()
     made = parts(found, facts)
-    text = PAGE.read_text(encoding="utf-8")
-    text = _PART.sub(lambda part: f"{part[1]}{made.get(part[2], '')}{part[3]}", text)
-    PAGE.write_text(text, encoding="utf-8")
+    measuring.renew(PAGE, made)
     PICTURE.write_text(picture(found["elcentro"]), encoding="utf-8")
 
 

@@ -18,7 +18,7 @@ Place = str | os.PathLike[str]
 """A file as Python names it."""
 
 _File = TypeVar("_File", TestFile, RigFile)
-_RIG: Final = "rig"
+RIG: Final = "rig"
 
 
 def plain(value: Any) -> Any:
@@ -250,7 +250,7 @@ class Rig(_Document[RigFile]):
     @staticmethod
     def _own_key(key: str) -> str:
         """Return a key without the ``rig.`` that a test's changes of its rig have before it."""
-        inner = key.removeprefix(f"{_RIG}.")
+        inner = key.removeprefix(f"{RIG}.")
         return inner if inner.split(".")[0] in RigFile.model_fields else key
 
     @classmethod
@@ -353,10 +353,10 @@ class Test(_Document[TestFile]):
             'robust'
         """
         given = _changes(changes, tables)
-        other = given.pop(_RIG, None) if isinstance(given.get(_RIG), (str, Rig)) else rig
-        of_rig = {key: given.pop(key) for key in list(given) if key.startswith(f"{_RIG}.")}
+        other = given.pop(RIG, None) if isinstance(given.get(RIG), (str, Rig)) else rig
+        of_rig = {key: given.pop(key) for key in list(given) if key.startswith(f"{RIG}.")}
         if isinstance(other, Mapping):
-            of_rig |= {f"{_RIG}.{key}": value for key, value in flat(plain(other))}
+            of_rig |= {f"{RIG}.{key}": value for key, value in flat(plain(other))}
             other = None
         problems: list[Problem] = []
         made, changed = self, self._rig if other is None else as_rig(other)
@@ -387,14 +387,14 @@ class Test(_Document[TestFile]):
     def _take(self, rig: Rig) -> Self:
         """Take a rig instead of the one that the file names, by its place if it has one."""
         self._rig = None if rig.place else rig
-        self._file = self._file.model_copy(update={_RIG: rig.place})
+        self._file = self._file.model_copy(update={RIG: rig.place})
         return self
 
     def __eq__(self, other: object) -> bool:
         """Tell whether both stand for the same test on the same rig."""
         if not isinstance(other, Test):
             return NotImplemented
-        mine, its = (one._file.model_copy(update={_RIG: None}) for one in (self, other))
+        mine, its = (one._file.model_copy(update={RIG: None}) for one in (self, other))
         if mine != its:
             return False
         if self._rig is None and other._rig is None and self._file.rig == other._file.rig:
@@ -405,7 +405,7 @@ class Test(_Document[TestFile]):
             return False
 
     def __hash__(self) -> int:
-        return hash(config.dump(self._file.model_copy(update={_RIG: None})))
+        return hash(config.dump(self._file.model_copy(update={RIG: None})))
 
     def __repr__(self) -> str:
         motion, part = self._file.ground_motion, self._file.numerical

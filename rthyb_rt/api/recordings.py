@@ -218,7 +218,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         Raises:
             InputError: pandas is not installed.
         """
-        pandas = _extra("pandas", "to_pandas")
+        pandas = extra("pandas", "to_pandas")
         rows = slice(None) if whole else self.running
         columns = {name: self[name][rows] for name in self if name != TIME}
         index = pandas.Index(self[TIME][rows], name=TIME)
@@ -235,7 +235,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         Raises:
             InputError: xarray is not installed.
         """
-        xarray = _extra("xarray", "to_xarray")
+        xarray = extra("xarray", "to_xarray")
         rows = slice(None) if whole else self.running
         signals = {
             name: (TIME, self[name][rows], {"units": unit})
@@ -411,7 +411,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         return "".join([*parts, f"<table>{rows}</table>"])
 
 
-def _extra(package: str, what: str) -> Any:
+def extra(package: str, what: str) -> Any:
     """Import a package that the program does not need itself.
 
     Raises:

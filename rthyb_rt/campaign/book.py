@@ -10,9 +10,12 @@ from typing import Final, Self
 
 from rthyb_rt.campaign.plan import Case, Plan, Row
 from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.record.recording import replacing
 
 ROWS: Final = "rows.jsonl"
 PLAN: Final = "plan.json"
+GIVEN: Final = "given"
+"""Folder of what the runs of a sweep read: there before the campaign is."""
 SCHEMA: Final = "rthyb-campaign-plan/1"
 
 
@@ -69,7 +72,7 @@ class Book:
                     str(self.folder),
                 )
             return
-        if any(self.folder.iterdir()):
+        if any(path.name != GIVEN for path in self.folder.iterdir()):
             raise InputError(
                 "is not empty and holds no campaign; choose another folder with --out",
                 str(self.folder),
@@ -80,7 +83,8 @@ class Book:
             "runs": len(self.plan.cases),
             "fingerprint": self.plan.fingerprint,
         }
-        path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+        with replacing(path) as temporary:
+            temporary.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
     def _read(self) -> dict[int, Row]:
         self._file.seek(0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rthyb_rt.campaign import page, pools, tables
 from rthyb_rt.campaign.book import Book
@@ -37,7 +38,7 @@ def conduct(
     folder: Path,
     *,
     jobs: int = 1,
-    cluster: str | None = None,
+    cluster: Any = None,
     progress: Progress = lambda done, whole: None,
 ) -> Campaign:
     """Carry out the runs that a folder does not have yet, and write table and page.
@@ -46,7 +47,7 @@ def conduct(
         plan: the campaign.
         folder: its own; what an interrupted campaign has done there stays.
         jobs: processes of this machine.
-        cluster: address of a Dask scheduler, whose workers take their place.
+        cluster: address of a Dask scheduler, or a client of it, whose workers take their place.
         progress: told at each run.
 
     Raises:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from types import ModuleType
 from typing import Any, Final
 
 from rthyb_rt.campaign.plan import FAILED, Case, Row, program
@@ -54,11 +56,26 @@ def _leave_interrupts() -> None:
 
 
 @contextmanager
+def _no_main() -> Iterator[None]:
+    """Have the processes that are made inside the block import nothing of whoever calls.
+
+    They would run a user's script from its top otherwise, sweep and all, unless it is guarded by
+    its ``__name__``; and a run needs nothing of it.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
+@contextmanager
 def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Yield a pool of so many processes of one thread each; what waits at the end is dropped."""
     # Fresh processes: nothing that this one has open, no lock that one of its threads holds.
     context = multiprocessing.get_context("spawn")
-    with single_threaded():
+    with single_threaded(), _no_main():
         pool = ProcessPoolExecutor(jobs, context, initializer=_leave_interrupts)
         try:
             yield pool
@@ -122,7 +139,7 @@ def _undone(under_way: dict[Future[Row], Case], done: Done) -> list[Case]:
     return left
 
 
-def on_cluster(cases: Sequence[Case], address: str, keep: str, folder: str, done: Done) -> None:
+def on_cluster(cases: Sequence[Case], cluster: Any, keep: str, folder: str, done: Done) -> None:
     """Carry out runs on a Dask cluster; arguments as for `locally`.
 
     A worker that dies takes no run with it: the scheduler gives its runs to others. What is kept of
@@ -131,7 +148,8 @@ def on_cluster(cases: Sequence[Case], address: str, keep: str, folder: str, done
     those that a lab has added are in no other.
 
     Args:
-        address: of the scheduler, ``tcp://HOST:8786``.
+        cluster: address of the scheduler, ``tcp://HOST:8786``, or a `distributed.Client`, which
+            stays open.
 
     Raises:
         InputError: the package distributed is not installed, nobody answers, or a worker has
@@ -143,13 +161,8 @@ def on_cluster(cases: Sequence[Case], address: str, keep: str, folder: str, done
         raise InputError(
             f"--cluster needs {error.name}; install it with pip install 'rthyb-rt[cluster]'"
         ) from error
-    try:
-        client = distributed.Client(address, timeout=10)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(
-            f"no Dask scheduler answers ({error}); start one with: dask scheduler", address
-        ) from error
-    with client:
+    with _client(distributed, cluster) as client:
+        address = client.scheduler.address
         cores = sum(client.ncores().values())
         if not cores:
             raise InputError("the cluster has no workers; start some: dask worker ADDRESS", address)
@@ -177,6 +190,23 @@ def on_cluster(cases: Sequence[Case], address: str, keep: str, folder: str, done
             future.release()
             if waiting:
                 arriving.add(next_one())
+
+
+def _client(distributed: Any, cluster: Any) -> AbstractContextManager[Any]:
+    """Return a client of a cluster: that which was given, or one for as long as it is used.
+
+    Raises:
+        InputError: nobody answers at the address.
+    """
+    if not isinstance(cluster, str):
+        return nullcontext(cluster)
+    try:
+        client: AbstractContextManager[Any] = distributed.Client(cluster, timeout=10)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(
+            f"no Dask scheduler answers ({error}); start one with: dask scheduler", cluster
+        ) from error
+    return client
 
 
 def _require_same_program(client: Any, ours: str, address: str) -> None:

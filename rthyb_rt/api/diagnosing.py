@@ -1,0 +1,193 @@
+"""Which physics a model leaves out, and where: what `rthyb diagnose` says."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rthyb_rt.api.files import Place, Rig
+from rthyb_rt.api.messages import in_python
+from rthyb_rt.api.recordings import Recording
+from rthyb_rt.errors import InputError, RthybError
+
+if TYPE_CHECKING:
+    from rthyb_rt.diagnose import engine
+    from rthyb_rt.diagnose.outcome import Outcome
+
+Progress = Callable[[str], None]
+"""Takes the name of the part that begins."""
+_WORDS = {
+    "^--model$": "diagnose: model",
+    r'--map (\w+)="([^"]*)"': r'columns={"\1": "\2"}',
+    r"^--map (\w+)": r"diagnose: columns: \1",
+    "--map": "columns",
+}
+"""Options of the command line in messages, and what they are here."""
+
+
+class Diagnosis:
+    """The answer to what a model leaves out."""
+
+    def __init__(
+        self,
+        found: engine.Diagnosis,
+        outcome: Outcome,
+        checks: list[dict[str, Any]] | None,
+        model: Path,
+    ) -> None:
+        self._found, self._outcome, self._checks, self._model = found, outcome, checks, model
+
+    @property
+    def verdict(self) -> str:
+        """``none``: nothing is missing; ``explained``, ``ambiguous``, ``unknown``."""
+        return self._found.verdict
+
+    @property
+    def effects(self) -> list[str]:
+        """Names of the effects that are missing, as in ``rthyb effects``; of ``unknown``, none."""
+        return list(self._found.effects)
+
+    @property
+    def ambiguous_with(self) -> list[list[str]]:
+        """Sets of effects that explain the recording as well."""
+        return [list(names) for names in self._found.ambiguous_with]
+
+    @property
+    def text(self) -> str:
+        """The answer in plain words."""
+        from rthyb_rt.diagnose import words
+
+        return words.sentence(self._found, self._outcome.answer)
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """All of it, as ``rthyb diagnose --json`` prints it."""
+        extra = {} if self._checks is None else {"self_check": self._checks}
+        return self._outcome.answer | extra
+
+    @property
+    def notes(self) -> list[str]:
+        """What was taken for something that the recording does not say, and the like."""
+        return list(self._found.notes)
+
+    def report(self, folder: Place) -> list[Path]:
+        """Write ``report.html``, ``diagnosis.json`` and ``augmented.toml``; return their paths.
+
+        Raises:
+            InputError: matplotlib or jinja2 is not installed.
+            RthybError: a file cannot be written.
+        """
+        from rthyb_rt.diagnose.page import write_report
+
+        return write_report(Path(folder), self._found, self._outcome, self._checks, self._model)
+
+    def __repr__(self) -> str:
+        named = f": {', '.join(self.effects)}" if self.effects else ""
+        return f"<Diagnosis {self._found.case.name}: {self.verdict}{named}>"
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        notes = "".join(f"<p>Note: {escape(note)}</p>" for note in self.notes)
+        return f"<p><b>{escape(self.verdict)}</b>: {escape(self.text)}</p>{notes}"
+
+
+def diagnose(
+    recording: Recording | Place,
+    model: Rig | Place,
+    *,
+    columns: Mapping[str, str] | Place | None = None,
+    heldout: Recording | Place | None = None,
+    effects: Sequence[Place] = (),
+    self_check: bool = False,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Say what physics a model leaves out of a recording.
+
+    Its products are long and narrow: shared between processors by a linear algebra library they
+    take four times as long. ``OPENBLAS_NUM_THREADS=1`` in the environment prevents that; it is set
+    here where NumPy has not been loaded yet.
+
+    Args:
+        recording: of this program, or path of one, or of a CSV file of any lab.
+        model: what the lab believes: a rig, or path or name of one, a test file, or a baseline file
+            (``rthyb-baseline/1``).
+        columns: of a CSV file by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping file.
+        heldout: a second recording, by which the answer is judged.
+        effects: Python files that register effects of a user's own.
+        self_check: hide known effects in the recording and see whether they are found again.
+        progress: told the name of each part.
+
+    Raises:
+        InputError: with what is wrong in the files, or the data allow no honest answer; says why.
+    """
+    if "numpy" not in sys.modules:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from rthyb_rt.diagnose import effects as register
+    from rthyb_rt.diagnose import engine, mapping, reading
+    from rthyb_rt.diagnose.outcome import finish
+    from rthyb_rt.diagnose.power import self_check as checked
+
+    try:
+        for path in effects:
+            register.load(Path(path))
+        tell = progress or (lambda part: None)
+        with _as_files(recording, model, heldout) as (path, model_path, second_path):
+            wishes = mapping.read_wishes(_options(columns))
+            case = reading.read_case(path, reading.read_model(model_path), wishes=wishes)
+            second = None
+            if second_path is not None:
+                second = reading.read_case(
+                    second_path, case.model, judged=False, wishes=wishes, beside=case
+                )
+                if not second.channels.keys() & {"x_meas", "f_meas"}:
+                    raise InputError(
+                        "holds no x_meas, fx_meas or fy_meas that the model could be held against",
+                        str(second_path),
+                    )
+            found = engine.diagnose(case, tell)
+            outcome = finish(found, second, None)
+            checks = checked(found, tell) if self_check else None
+    except RthybError as error:
+        raise in_python(error, _WORDS) from None
+    return Diagnosis(found, outcome, checks, model_path)
+
+
+def _options(columns: Mapping[str, str] | Place | None) -> list[str]:
+    if columns is None:
+        return []
+    if isinstance(columns, Mapping):
+        return [f"{channel}={column}" for channel, column in columns.items()]
+    return [os.fspath(columns)]
+
+
+@contextmanager
+def _as_files(
+    recording: Recording | Place, model: Rig | Place, second: Recording | Place | None
+) -> Iterator[tuple[Path, Path, Path | None]]:
+    """Give the files of what was given, some of them for the time of the block."""
+    from rthyb_rt.diagnose.reading import find_model
+
+    with tempfile.TemporaryDirectory(prefix="rthyb-") as folder:
+
+        def recorded(given: Recording | Place, name: str) -> Path:
+            if not isinstance(given, Recording):
+                return Path(given)
+            if given.path is not None and given.path.exists():
+                return given.path
+            return given.save(Path(folder) / name / (given.name or name) / "recording.h5")
+
+        if isinstance(model, Rig):
+            model_path = model.save(Path(folder) / f"{model.name}.toml")
+        else:
+            model_path = find_model(os.fspath(model))
+        yield (
+            recorded(recording, "recording"),
+            model_path,
+            None if second is None else recorded(second, "heldout"),
+        )

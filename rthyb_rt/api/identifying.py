@@ -1,0 +1,104 @@
+"""What a test must know of its rig: what `rthyb identify` finds on the virtual rig."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Final
+
+from pydantic_core import PydanticCustomError
+
+from rthyb_rt import config
+from rthyb_rt.api import files
+from rthyb_rt.api.files import Place, Rig
+from rthyb_rt.config.fields import Range
+from rthyb_rt.errors import InputError
+from rthyb_rt.rig import identify as sweeping
+
+Progress = Callable[[int, int], None]
+"""Takes how many samples are done, and of how many."""
+
+_AMPLITUDE: Final = Range("m", 1e-5, 1.0, "the amplitude of the slow sines", 'as in "1 mm"')
+_FREQUENCY: Final = Range("Hz", 0.05, 100.0, "the last sine's frequency", 'as in "5 Hz"')
+
+
+class Identification:
+    """What an identification found.
+
+    Attributes:
+        rig: the rig with what was found filled in, for tests to begin with.
+    """
+
+    def __init__(self, found: sweeping.Result, rig: Rig) -> None:
+        self._found, self.rig = found, rig
+
+    @property
+    def measures(self) -> dict[str, Any]:
+        """The figures by name, as in ``rthyb identify --json``: SI units, ``alpha`` in samples.
+
+        The unit stands in the name; None is what could not be told.
+        """
+        found = dataclasses.asdict(self._found)
+        return {name: value for name, value in found.items() if name not in ("tones", "notes")}
+
+    @property
+    def tones(self) -> list[dict[str, float]]:
+        """What each sine showed: frequency, gain, delay, force in phase and in quadrature."""
+        return [dataclasses.asdict(tone) for tone in self._found.tones]
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know."""
+        return list(self._found.notes)
+
+    def __repr__(self) -> str:
+        from rthyb_rt.numbers import quantity
+
+        found = self._found
+        return (
+            f"<Identification {self.rig.name}: delay {quantity(found.delay_s, 'ms', 1e3)}, "
+            f"alpha {quantity(found.alpha, 'samples', digits=4)}, "
+            f"k_e {quantity(found.k_e_n_per_m, 'kN/m', 1e-3, 4)}>"
+        )
+
+
+def identify(
+    rig: Rig | Place,
+    *,
+    amplitude: float | str = "2 mm",
+    max_frequency: float | str = "10 Hz",
+    progress: Progress | None = None,
+) -> Identification:
+    """Find delay, gain, stiffness and noise of a virtual rig by sines from slow to fast.
+
+    A rig in the laboratory is identified by ``rthyb identify --realtime``.
+
+    Args:
+        rig: the rig, or path or name of one; it need not have an elastic stiffness.
+        amplitude: of the slow sines, m, or a text with a unit; 0.01 mm to 1 m.
+        max_frequency: of the last sine, Hz, or a text with a unit; 0.05 Hz to 100 Hz.
+        progress: told now and then.
+
+    Raises:
+        InputError: with the faults of the rig, or the rig cannot be identified; says why.
+
+    Examples:
+        >>> found = identify("delay-10-elastic")
+        >>> round(found.measures["alpha"])
+        10
+    """
+    on = files.as_rig(rig)
+    sweep = sweeping.Sweep.up_to(
+        _read(max_frequency, "max_frequency", _FREQUENCY), _read(amplitude, "amplitude", _AMPLITUDE)
+    )
+    result = sweeping.identify(files.file_of_rig(on), sweep, progress)
+    filled = sweeping.identified_rig(files.file_of_rig(on), result)
+    return Identification(result, Rig.from_toml(config.dump(filled), f"identified {on.name}"))
+
+
+def _read(value: float | str, name: str, allowed: Range) -> float:
+    try:
+        return allowed.read(files.plain(value))
+    except PydanticCustomError as error:
+        told = str((error.context or {}).get("text", error))
+        raise InputError(told, f"identify: {name}") from None

@@ -1,0 +1,26 @@
+"""Messages of the command line's parts, in the words of Python."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from rthyb_rt.errors import InputError, Problem, RthybError
+
+
+def in_python(error: RthybError, words: Mapping[str, str]) -> RthybError:
+    """Return an error with other words for options and keys.
+
+    Args:
+        error: the error.
+        words: what its messages and places call something, as patterns, and what it is called here.
+    """
+    problems = []
+    for problem in error.problems:
+        where, message = problem.where, problem.message
+        for called, here in words.items():
+            where, message = re.sub(called, here, where), re.sub(called, here, message)
+        problems.append(Problem(where, message))
+    if isinstance(error, InputError):
+        return InputError(problems)
+    return RthybError(problems[0].message, where=problems[0].where)

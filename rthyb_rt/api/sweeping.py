@@ -1,0 +1,350 @@
+"""One test over lists of values, on all processors or a cluster: the campaign engine in Python."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from rthyb_rt import config
+from rthyb_rt.api import files
+from rthyb_rt.api.files import Place, Rig, Test, plain
+from rthyb_rt.api.messages import in_python
+from rthyb_rt.api.recordings import Recording, extra, open_recording
+from rthyb_rt.campaign import conducting, plan, pools
+from rthyb_rt.campaign.book import GIVEN, PLAN
+from rthyb_rt.campaign.groups import group
+from rthyb_rt.campaign.plan import FAILED, STOPPED, Measure, Row
+from rthyb_rt.config.campaignfile import CAMPAIGN_SCHEMA, CampaignFile
+from rthyb_rt.config.fields import nearest, written
+from rthyb_rt.errors import InputError, Problem, RthybError
+from rthyb_rt.record.recording import replacing
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Progress = Callable[[int, int], None]
+"""Takes how many runs are done, and of how many."""
+_CALLED: Final = "sweep"
+_NO_MEASURES: Final = ("case", "drawn", "repeat", "ending", "cause", "folder", "report")
+_TOLD: Final = {
+    "with --out": "with out",
+    "--cluster": "client",
+    rf"{_CALLED}: campaign\.": f"{_CALLED}: ",
+    f"{_CALLED}: noise_seeds": f"{_CALLED}: repeat_seeds",
+}
+"""What messages of the campaign engine call something, and what it is here."""
+
+
+class Sweep:
+    """What came of a sweep: a row for every run, and how the runs of each combination scatter.
+
+    Attributes:
+        name: of the sweep.
+        folder: where it is kept, with table, page, and the recordings of some runs.
+        rows: of the runs by number: what was chosen, ``ending``, ``cause``, and the measures of
+            `Recording.measures` that are numbers, under the same names.
+        paths: its files by what they are.
+        notes: what was left out, and how to have it.
+    """
+
+    def __init__(self, found: conducting.Campaign, folder: Path) -> None:
+        self.name, self.folder = found.plan.name, folder
+        self.rows: list[Row] = found.rows
+        self.paths, self.notes = dict(found.paths), found.notes
+        self._keys = list(found.plan.cases[0].chosen)
+        self._measures = found.plan.measures
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def failed(self) -> list[Row]:
+        """Rows of the runs that could not be carried out; ``cause`` says why."""
+        return [row for row in self.rows if row["ending"] == FAILED]
+
+    @property
+    def stopped(self) -> list[Row]:
+        """Rows of the runs that a limit or a trip ended; ``cause`` says which."""
+        return [row for row in self.rows if row["ending"] == STOPPED]
+
+    def statistics(self, *measures: str) -> list[Row]:
+        """Return a row for each combination: how its completed runs scatter, seed by seed.
+
+        Args:
+            measures: names of columns; none: those that the campaign's page tells.
+
+        Returns:
+            What was chosen, the counts ``runs``, ``completed``, ``stopped``, ``failed``, and of
+            each measure ``NAME_median`` and ``NAME_worst``, the largest magnitude; None where no
+            run was completed.
+
+        Raises:
+            InputError: there is no such measure; says which there are.
+        """
+        known = [name for name in self._columns() if name not in (*self._keys, *_NO_MEASURES)]
+        for name in measures:
+            if name not in known:
+                raise InputError(
+                    f"no measure {written(name)}{nearest(name, known)}; measures are: "
+                    f"{', '.join(known)}",
+                    "statistics",
+                )
+        wanted = [Measure(name, name, "", 1.0) for name in measures] or list(self._measures)
+        rows = []
+        for one in group(self.rows, self._keys, wanted):
+            row: Row = dict(one.chosen)
+            row |= {name: getattr(one, name) for name in ("runs", "completed", STOPPED, FAILED)}
+            for measure in wanted:
+                spread = one.spreads.get(measure.name)
+                row[f"{measure.name}_median"] = None if spread is None else spread.median
+                row[f"{measure.name}_worst"] = None if spread is None else spread.worst
+            rows.append(row)
+        return rows
+
+    def _columns(self) -> list[str]:
+        return list(dict.fromkeys(name for row in self.rows for name in row))
+
+    def to_pandas(self) -> DataFrame:
+        """Return the rows as a table by the number of the run.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        table: DataFrame = extra("pandas", "to_pandas").DataFrame(self.rows).set_index("case")
+        return table
+
+    def recording(self, case: int) -> Recording:
+        """Open the recording of a run.
+
+        Args:
+            case: its number.
+
+        Raises:
+            InputError: it was not kept; says which were.
+        """
+        kept = {row["case"]: row["folder"] for row in self.rows if row.get("folder")}
+        if case not in kept:
+            told = ", ".join(map(str, kept)) or "none"
+            raise InputError(
+                f"the recording of run {case} was not kept; kept are: {told}; "
+                'sweep(..., keep="all") keeps all of them',
+                str(self.folder),
+            )
+        return open_recording(self.folder / kept[case])
+
+    def __repr__(self) -> str:
+        stopped, failed = len(self.stopped), len(self.failed)
+        completed = len(self.rows) - stopped - failed
+        return (
+            f"<Sweep {self.name}: {len(self.rows)} runs, {completed} completed, "
+            f"{stopped} stopped, {failed} failed>"
+        )
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        from rthyb_rt.numbers import number
+
+        rows = self.statistics()
+        head = "".join(f"<th>{escape(name)}</th>" for name in rows[0])
+        lines = [f"<p>{escape(repr(self)[1:-1])}</p><table><tr>{head}</tr>"]
+        for row in rows:
+            shown = (number(v) if isinstance(v, float) else str(v) for v in row.values())
+            lines.append("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in shown) + "</tr>")
+        lines.append("</table>")
+        early = [*self.failed, *self.stopped]
+        lines += [
+            f"<p>Run {row['case']} {row['ending']}: {escape(str(row['cause']))}</p>"
+            for row in early[:5]
+        ]
+        return "".join(lines)
+
+
+def sweep(
+    test: Test | Place | None = None,
+    over: Mapping[str, Iterable[Any]] | None = None,
+    *,
+    rig: Rig | Place | None = None,
+    together: Sequence[Mapping[str, Iterable[Any]]] = (),
+    draws: Mapping[str, Any] | None = None,
+    repeat_seeds: int = 1,
+    name: str | None = None,
+    out: Place | None = None,
+    keep: Literal["nothing", "tripped", "all"] = "tripped",
+    jobs: int | None = None,
+    client: Any = None,
+    progress: Progress | None = None,
+) -> Sweep:
+    """Run one test in virtual time over lists of values, every value with every other.
+
+    Each run is kept as it ends: called again, whatever ended it, the sweep goes on where it was.
+    A run that cannot be carried out is a row that says so, and ends no other.
+
+    Args:
+        test: the test, or path or name of one; None: the built-in one.
+        over: values by dotted key of the test, or of the rig with ``rig.`` before it; at the keys
+            ``rig`` and ``test`` rigs and tests, or paths and names.
+        rig: the rig, or path or name of one; None: that of the test.
+        together: lists by key that go in step, a dict for each such set.
+        draws: plants drawn about the rig's own values, as the table ``[draws]`` of a campaign file:
+            ``{"count": 20, "seed": 1, "spread": {"rig.actuator.delay_samples": 0.05}}``.
+        repeat_seeds: how often each run is repeated, each time with noise of another seed.
+        name: of the sweep; None: that of the test with ``-sweep`` behind it.
+        out: its folder; None: ``runs/NAME``.
+        keep: of which runs recording and report are kept.
+        jobs: processes; None: one for every processor.
+        client: a `distributed.Client`, or the address of a Dask scheduler, whose workers compute
+            instead; they need the same sources of the program, and see ``out`` by the same path.
+        progress: told at each run; None: a line on a terminal.
+
+    Raises:
+        InputError: with what is wrong in the lists, or in the first run; or the folder holds
+            something else.
+        RthybError: the folder cannot be written.
+
+    Examples:
+        >>> short = Test("section5-T0.5", ground_motion={"duration_s": 2})
+        >>> found = sweep(short, {"controller.type": ["paper", "robust"]}, out="laws", jobs=1)
+        >>> found
+        <Sweep section5-t0.5-sweep: 2 runs, 2 completed, 0 stopped, 0 failed>
+    """
+    base = files.as_test(test)
+    base = base if rig is None else base.with_(rig=files.as_rig(rig))
+    called = name or f"{base.name}-{_CALLED}"
+    parts: dict[str, str] = {}
+    values: dict[str, Any] = {
+        "campaign": {"name": called, "test": "test.toml", "keep": keep},
+        "noise_seeds": plain(repeat_seeds),
+        "over": _lists({} if over is None else over, parts),
+        "together": [_lists(table, parts) for table in together],
+        "draws": plain(draws or {}),
+    }
+    parts |= _written(base, {key: value for key, value in values.items() if value not in ({}, [])})
+    folder = Path(out or Path("runs") / called).resolve()
+    try:
+        planned = _planned(folder, parts)
+        found = conducting.conduct(
+            planned, folder, jobs=jobs or pools.processors(), cluster=client,
+            progress=progress or _line(called),
+        )  # fmt: skip
+    except RthybError as error:
+        raise in_python(error, _TOLD) from None
+    return Sweep(found, folder)
+
+
+def _lists(over: Mapping[str, Iterable[Any]], parts: dict[str, str]) -> dict[str, Any]:
+    """Return the values by key as a campaign file has them; the files that they name go to parts.
+
+    Raises:
+        InputError: they are no lists by key, or a rig stands where none can.
+    """
+    if not isinstance(over, Mapping):
+        raise InputError(
+            f"found {written(over)}; give a dict of lists by dotted key, "
+            'over={"controller.type": ["paper", "robust"]}',
+            f"{_CALLED}: over",
+        )
+
+    def value(key: str, given: Any) -> Any:
+        if not isinstance(given, (Rig, Test)):
+            return plain(given)
+        if not isinstance(given, Rig if key == files.RIG else Test):
+            raise InputError(
+                f"found {given!r}; a rig stands at the key rig, and a test at the key test",
+                f"{_CALLED}: over.{key}",
+            )
+        file = f"{given.name}.toml"
+        if parts.setdefault(file, given.to_toml()) != given.to_toml():
+            file = f"{given.name}-{len(parts)}.toml"
+            parts[file] = given.to_toml()
+        return file
+
+    lists = {}
+    for key, given in over.items():
+        single = isinstance(given, (str, bool, int, float, Rig, Test)) or not isinstance(
+            given, Iterable
+        )
+        lists[str(key)] = [value(str(key), one) for one in ([given] if single else given)]
+    return lists
+
+
+def _written(base: Test, values: dict[str, Any]) -> dict[str, str]:
+    """Return the files of a sweep by name: test, rig, and the campaign over them.
+
+    Raises:
+        InputError: with what is wrong in the values, or in the first run.
+    """
+    parts = {"test.toml": base.to_toml()}
+    try:
+        campaign = config.check_values(CampaignFile, values, _CALLED)
+    except InputError as error:
+        raise in_python(error, _TOLD) from None
+    if files.RIG not in campaign.over:
+        parts["rig.toml"] = base.rig.to_toml()
+        values["campaign"]["rig"] = "rig.toml"
+    _try_first(base, campaign)
+    parts["campaign.toml"] = config.dump_values({"schema": CAMPAIGN_SCHEMA, **values})
+    return parts
+
+
+def _try_first(base: Test, campaign: CampaignFile) -> None:
+    """Refuse values of which the first run has a fault, before anything is written.
+
+    Raises:
+        InputError: with the keys of the sweep.
+    """
+    first = {key: found[0] for key, found in campaign.over.items() if key not in plan.FILES}
+    first |= {key: found[0] for table in campaign.together for key, found in table.items()}
+    if "test" in campaign.over or files.RIG in campaign.over:
+        return
+    try:
+        base.with_(first)
+    except InputError as error:
+        raise InputError(
+            Problem(p.where.replace("with_: ", f"{_CALLED}: over."), p.message)
+            for p in error.problems
+        ) from None
+
+
+def _planned(folder: Path, parts: Mapping[str, str]) -> plan.Plan:
+    """Write what the runs read into the folder of the sweep, and return the runs.
+
+    Raises:
+        InputError: another sweep is there, or the first run has a fault.
+        RthybError: it cannot be written.
+    """
+    given = folder / GIVEN
+    if folder.is_dir() and any(folder.iterdir()) and not given.is_dir():
+        raise InputError(
+            "is not empty and holds no sweep; choose another folder with out", str(folder)
+        )
+    for name, text in parts.items():
+        path = given / name
+        if path.exists() and path.read_text(encoding="utf-8") == text:
+            continue
+        # Before there is a plan no run has been done, and what was given may be mended.
+        if (folder / PLAN).exists():
+            raise InputError(
+                "holds a sweep of another test, rig or other values; its runs are not mixed with "
+                "new ones: choose another folder with out, or delete this one",
+                str(folder),
+            )
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    path = given / "campaign.toml"
+    campaign = config.parse_campaign(config.read_text(path, "campaign"), str(path))
+    return plan.of(campaign, path)
+
+
+def _line(name: str) -> Progress:
+    """Return what keeps one line on a terminal, and says nothing elsewhere."""
+    if not sys.stderr.isatty():
+        return lambda done, whole: None
+
+    def tell(done: int, whole: int) -> None:
+        print(f"\r{name}: {done} of {whole} runs", end="\n" if done == whole else "",
+              file=sys.stderr, flush=True)  # fmt: skip
+
+    return tell
