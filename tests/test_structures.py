@@ -10,16 +10,20 @@ import pytest
 import scipy.io
 import scipy.linalg
 import scipy.sparse
+from command_line import Rthyb
 from frames import shear_building
 
 from rthyb_rt import config
+from rthyb_rt.analysis import summary
 from rthyb_rt.config import deriving, matrixfile
 from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.config.structures import MatrixFile
+from rthyb_rt.core.numerical_parts import SparsePart
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.lab.realtime import replaying
 from rthyb_rt.record import recording
+from rthyb_rt.report import figures
 
 K_E = 4737410.0
 EXAMPLE = config.builtin_test_path().with_name("ten-storeys.toml")
@@ -131,6 +135,37 @@ def test_a_recording_of_ten_storeys_replays_bit_for_bit(
     recording.write(tmp_path / "ten.h5", ten[1])
     found = replaying.replay(recording.read(tmp_path / "ten.h5"))
     assert found.identical
+
+
+def test_the_report_draws_modes_storeys_and_what_was_recorded(
+    ten: tuple[experiment.Setup, Any],
+) -> None:
+    rec = ten[1]
+    plates = {plate.key: plate for plate in figures.draw_all(rec, summary.summarize(rec))}
+    assert {"modes", "drifts", "shears", "recorded-displacements", "recorded-forces"} <= set(plates)
+    assert "0.990 Hz, 2.0 %" in plates["modes"].svg
+    assert "storey 2." in plates["drifts"].note
+    assert "drift_2" in plates["recorded-displacements"].svg
+    assert "7 more in the recording moved less" in plates["recorded-forces"].note
+
+
+def test_check_shows_the_modes_and_how_much_of_the_mass_moves_in_each(rthyb: Rthyb) -> None:
+    answer = rthyb("check", EXAMPLE)
+    assert answer.code == 0, answer.err
+    assert "Mode 1 of 10" in answer.out
+    assert "0.9895 Hz (1.01 s), damping 2.00 %, 84.9 % of the mass" in answer.out
+    assert "kr-alpha" in answer.out
+
+
+def test_a_structure_that_this_computer_cannot_step_in_time_is_refused_in_real_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    test, rig = config.load_both(EXAMPLE, None, [])
+    assert SparsePart(config.derive(test, rig).structure.part).step_time_s() > 0.0  # type: ignore[union-attr]
+    monkeypatch.setattr(SparsePart, "step_time_s", lambda part: 0.0006)
+    with pytest.raises(InputError, match=r"takes 600 us on this computer .* are 488 us, half of"):
+        experiment.prepare(test, rig, real_time=True)
+    assert experiment.prepare(test, rig).ticks > 0
 
 
 # ---- matrices from a file -----------------------------------------------------------------------

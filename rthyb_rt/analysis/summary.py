@@ -165,6 +165,13 @@ def setup(rec: Recording) -> Setup:
     )
 
 
+def recorded_structure(rec: Recording) -> Structure | SparseStructure | None:
+    """Return a recording's numerical part where it has many degrees of freedom, else None."""
+    test, rig = _parse(rec.test_toml), _parse(rec.rig_toml)
+    k_e = _positive(_get(rig, "rig", "elastic_stiffness_n_per_m"))
+    return structure_of_recording(test, k_e, Rate(rec.fs_hz))
+
+
 def structure_of_recording(
     test: dict[str, Any], k_e: float | None, rate: Rate
 ) -> Structure | SparseStructure | None:

@@ -19,6 +19,7 @@ from rthyb_rt.cli import (
     effects,
     export,
     identify,
+    import_opensees,
     install_service,
     jitter,
     jog,
@@ -57,6 +58,7 @@ app.command()(reset.reset)
 app.command()(reproduce.reproduce)
 app.add_typer(benchmark.benchmark)
 app.command("compare-laws")(compare_laws.compare_laws)
+app.command("import-opensees")(import_opensees.import_opensees)
 app.command()(diagnose.diagnose)
 app.command()(effects.effects)
 app.command()(replay.replay)

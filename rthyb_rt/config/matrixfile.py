@@ -87,7 +87,7 @@ def unpacked(text: str) -> MatrixData:
     try:
         raw = zlib.decompress(base64.b64decode(text, validate=True))
         with np.load(io.BytesIO(raw), allow_pickle=False) as stored:
-            return _of_arrays(dict(stored), where)
+            return check_arrays(dict(stored), where)
     except (ValueError, OSError, zlib.error) as error:
         raise InputError(
             f"found a text that the program has not written ({error}); leave the key out and give "
@@ -119,7 +119,7 @@ def read(given: MatrixFile, folder: Path) -> MatrixData:
             str(path),
         )
     _check_there(path)
-    return _of_arrays(reader(path), str(path))
+    return check_arrays(reader(path), str(path))
 
 
 def _check_there(path: Path) -> None:
@@ -174,7 +174,7 @@ def _of_parts(files: MatrixFiles, folder: Path) -> MatrixData:
         arrays["labels"] = np.array([line.strip() for line in lines if line.strip()])
     if files.influence is not None:
         arrays["influence"] = _one_matrix(folder / files.influence)
-    return _of_arrays(arrays, str(folder), places)
+    return check_arrays(arrays, str(folder), places)
 
 
 def _one_matrix(path: Path) -> Any:
@@ -201,9 +201,19 @@ def _one_matrix(path: Path) -> Any:
 # ---- what the arrays mean -----------------------------------------------------------------------
 
 
-def _of_arrays(
+def check_arrays(
     arrays: Mapping[str, Any], where: str, places: Mapping[str, str] | None = None
 ) -> MatrixData:
+    """Return the structure that arrays describe, as an .npz file has them.
+
+    Args:
+        arrays: by their names.
+        where: from which file, for messages.
+        places: from which, where the matrices are from files of their own.
+
+    Raises:
+        InputError: they are none; with file, place, value and what is allowed.
+    """
     places = places or {}
     found: dict[str, Symmetric] = {}
     for name in ("M", "K", "C"):

@@ -94,6 +94,8 @@ def prepare(
     if real_time:
         _refuse_other_rate(test)
     derived, whole = _both(lambda: config.derive(test, rig), read)
+    if real_time:
+        _refuse_slow(derived)
     test = config.resolve(test, derived)
     baseline = ground_motion.baseline_check(whole)
     motion = _cut_and_scale(whole, test.ground_motion)
@@ -205,6 +207,28 @@ def _derived_notes(limits: limits_file.Resolved) -> list[str]:
         "the compensated reference, and twice the velocity of ramps at least; set it in the rig "
         "file"
     ]
+
+
+def _refuse_slow(derived: Derived) -> None:
+    """Refuse a structure whose step does not leave half of the sampling period to everything else.
+
+    Raises:
+        InputError: with the time that it takes on this computer.
+    """
+    if derived.structure is None or isinstance(derived.structure.part, core.DenseConfig):
+        return
+    from rthyb_rt.core.numerical_parts import SparsePart
+
+    part = derived.structure.part
+    taken_s, most_s = SparsePart(part).step_time_s(), 0.5 * part.period_s
+    if taken_s > most_s:
+        raise InputError(
+            f"a step of the structure takes {taken_s * 1e6:.0f} us on this computer (median of "
+            f"200, {part.size} degrees of freedom, {len(part.joints)} elements); allowed in real "
+            f"time are {most_s * 1e6:.0f} us, half of the sampling period: condense what has no "
+            "mass, take a coarser model, or run it in virtual time",
+            "numerical",
+        )
 
 
 def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:

@@ -10,12 +10,18 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rthyb_rt.analysis import measures
-from rthyb_rt.analysis.summary import Summary, reference_pair, stiffness_shares
+from rthyb_rt.analysis.summary import (
+    Summary,
+    recorded_structure,
+    reference_pair,
+    stiffness_shares,
+)
 from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.core.laws import law_value
 from rthyb_rt.numbers import number, quantity
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import drawing as draw
+from rthyb_rt.report import structure as of_structure
 from rthyb_rt.report.decimate import robust_limit
 
 if TYPE_CHECKING:
@@ -39,6 +45,9 @@ def draw_all(rec: Recording, summary: Summary) -> list[draw.Plate]:
             figures.delay(),
             figures.stiffness(),
         ]
+        structure = recorded_structure(rec)
+        if structure is not None:
+            plates += of_structure.plates(rec, structure)
     return [plate for plate in plates if plate is not None]
 
 

@@ -1,0 +1,135 @@
+"""The figures of a structure of many degrees of freedom: mode shapes, storeys, what is recorded."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from rthyb_rt.config.numerical_structure import Structure
+from rthyb_rt.config.sparse_structure import SparseStructure
+from rthyb_rt.core.sparse import Response
+from rthyb_rt.numbers import number, percent
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.report import drawing as draw
+from rthyb_rt.report.decimate import robust_limit
+
+Floats = NDArray[np.float64]
+
+SHOWN_MODES = 5
+SHOWN_CURVES = 3
+_COLOURS = (draw.BLUE, draw.ORANGE, draw.GREEN, draw.PURPLE, draw.RED)
+_UNITS = {"m": ("mm", 1e3), "N": ("kN", 1e-3), "rad": ("mrad", 1e3)}
+_WORDS = {"m": "displacements", "N": "forces", "rad": "rotations"}
+
+
+def plates(rec: Recording, structure: Structure | SparseStructure) -> list[draw.Plate]:
+    """Return the figures of a recording's structure, in the order of the report."""
+    found = [modes(structure)]
+    if isinstance(structure, SparseStructure):
+        responses = structure.part.responses
+        found += storeys(rec, responses)
+        found += curves(rec, responses)
+    return found
+
+
+def modes(structure: Structure | SparseStructure) -> draw.Plate:
+    """Return the shapes of the lowest modes beside one another."""
+    shown = structure.modes()[:SHOWN_MODES]
+    heights: Floats
+    if isinstance(structure, SparseStructure) and structure.heights_m:
+        heights, what = np.array(structure.heights_m), "height, m"
+        at = np.arange(heights.size)
+    else:
+        # Without coordinates: in their order, those that the ground motion moves.
+        influence = getattr(structure, "influence", np.ones(len(structure.labels)))
+        at = np.flatnonzero(influence) if np.any(influence) else np.arange(len(structure.labels))
+        heights, what = np.asarray(at + 1.0, np.float64), "degree of freedom, in order"
+    grounded = isinstance(structure, SparseStructure) and bool(structure.heights_m)
+    paper = draw.Paper("modes", draw.FULL_WIDTH_IN, (2.0,))
+    (axes,) = paper.axes
+    for i, mode in enumerate(shown):
+        shape = np.array(mode.shape)[at]
+        x, y = (np.append(0.0, v) if grounded else v for v in (shape, heights))
+        axes.axvline(2.5 * i, color=draw.GREY, linewidth=0.4)
+        axes.plot(2.5 * i + x, y, color=_COLOURS[i], linewidth=1.0, marker="o", markersize=2.0)
+    axes.set_xlim(-1.25, 2.5 * len(shown) - 1.25)
+    axes.set_ylim(0.0 if grounded else 0.5, float(heights.max()) * 1.04 + 0.04)
+    axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
+    names = [f"{number(m.frequency_hz, 3)} Hz, {percent(m.damping_ratio, 2)}" for m in shown]
+    axes.set_xticks([2.5 * i for i in range(len(shown))], names)
+    draw.head(axes, what)
+    shares = ", ".join(percent(mode.effective_mass, 2) for mode in shown)
+    note = (
+        "Frequency and damping ratio of the structure with an elastic specimen; the ground motion "
+        f"moves {shares} of the mass in them."
+    )
+    return paper.plate("Mode shapes", note)
+
+
+def storeys(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
+    """Return the peaks of drifts and of shears over the storeys, those that were recorded."""
+    found = []
+    running = rec.running()
+    for what, title in (("drift", "Peak storey drifts"), ("shear", "Peak storey shears")):
+        numbered = [
+            (int(match[1]), one)
+            for one in responses
+            if (match := re.fullmatch(rf"{what}_(\d+)", one.name)) and _has(rec, one)
+        ]
+        if len(numbered) < 3:
+            continue
+        unit, factor = _UNITS[numbered[0][1].unit]
+        paper = draw.Paper(f"{what}s", draw.HALF_WIDTH_IN, (1.8,))
+        (axes,) = paper.axes
+        storey = np.array([i for i, _ in numbered])
+        values = [rec.samples[one.name][running] * factor for _, one in numbered]
+        high, low = (
+            np.array([getattr(v, f)() if v.size else 0.0 for v in values]) for f in ("max", "min")
+        )
+        axes.barh(storey, high - low, left=low, height=0.55, color=draw.BLUE)
+        axes.axvline(0.0, color=draw.GREY, linewidth=0.4)
+        axes.yaxis.set_major_locator(MaxNLocator(10, integer=True))
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        largest = max(float(np.abs([low, high]).max()), 1e-9)
+        axes.set_xlim(-1.08 * largest, 1.08 * largest)
+        draw.head(axes, "storey")
+        draw.x_label(axes, f"{what}, {unit}")
+        at = storey[int(np.argmax(np.maximum(high, -low)))]
+        note = f"From the least to the largest; largest {number(largest)} {unit}, storey {at}."
+        found.append(paper.plate(title, note))
+    return found
+
+
+def curves(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
+    """Return what was recorded by name over time: of each unit what moved most."""
+    found = []
+    t, running = rec.time_s(), rec.running()
+    for unit, (shown_unit, factor) in _UNITS.items():
+        own = [one for one in responses if one.unit == unit and _has(rec, one)]
+        if not own:
+            continue
+        peaks = [float(np.abs(rec.samples[one.name][running]).max(initial=0.0)) for one in own]
+        most = [own[i] for i in np.argsort(peaks)[::-1][:SHOWN_CURVES]]
+        paper = draw.Paper(f"recorded-{_WORDS[unit]}", draw.FULL_WIDTH_IN, (1.4,))
+        (axes,) = paper.axes
+        signals = [rec.samples[one.name] * factor for one in most]
+        for signal, one, colour in zip(signals, most, _COLOURS, strict=False):
+            draw.curve(axes, t, signal, colour, 0.8, one.name)
+        draw.symmetric(axes, max(robust_limit(*signals), 1e-9))
+        draw.head(axes, f"{_WORDS[unit]}, {shown_unit}")
+        if t.size:
+            axes.set_xlim(*draw.span(t[0], t[-1] + 1.0 / rec.fs_hz))
+        draw.x_label(axes, "time, s")
+        others = len(own) - len(most)
+        note = "What was recorded of the structure by name"
+        note += f"; {others} more in the recording moved less." if others else "."
+        found.append(paper.plate(f"Recorded {_WORDS[unit]}", note))
+    return found
+
+
+def _has(rec: Recording, one: Response) -> bool:
+    return one.name in (rec.samples.dtype.names or ())
