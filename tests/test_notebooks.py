@@ -65,3 +65,21 @@ def test_first_test_runs_as_it_stands_and_shows_verdict_figures_and_messages(
     assert "the rig file has 666.4 kN/m" in whole
     assert shown[-1].strip() == "True"
     assert (tmp_path / "first-test" / "report.html").is_file()
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
+def test_stability_map_shows_every_run_and_no_run_below_the_critical_delay_was_ended(
+    tmp_path: Path,
+) -> None:
+    (notebook,) = [path for path in NOTEBOOKS if path.stem == "stability-map"]
+    book = executed(notebook, tmp_path)
+    shown = [text_of(cell) for cell in book.cells if cell.cell_type == "code"]
+    assert "<Sweep stability-map-sweep: 60 runs, " in shown[1]
+    assert ", 0 failed>" in shown[1]
+    assert "'3.3'" in shown[3]  # of T = 0.5 s, as the first notebook has it
+    assert any(
+        "image/png" in out.get("data", {}) for cell in book.cells for out in cell.get("outputs", [])
+    )
+    count, beyond = shown[-1].split()
+    assert int(count) >= 10
+    assert beyond == "True"
