@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
 import resource
 import subprocess
 import sys
@@ -384,6 +385,16 @@ def test_notebook_shows_verdict_and_figure(rec: rt.Recording) -> None:
     assert rec.verdict in html
     assert "<svg" in html
     assert "Tracking, NRMSE" in html
+
+
+def test_figures_of_one_notebook_share_no_names(rec: rt.Recording) -> None:
+    plot = rec.plot.response()
+    pages = [plot._repr_html_(), plot._repr_html_()]
+    first, second = ({*re.findall(r' id="([^"]+)"', page)} for page in pages)
+    assert first
+    assert not first & second
+    for page, own in zip(pages, (first, second), strict=True):
+        assert {*re.findall(r'(?:url\(|href=")#([^)"]+)', page)} <= own
 
 
 def test_recording_is_saved_exported_and_reported(rec: rt.Recording, tmp_path: Path) -> None:

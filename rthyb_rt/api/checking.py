@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test
+from rthyb_rt.api.tables import html_table
 
 if TYPE_CHECKING:
     from rthyb_rt.cli.check import Examined
@@ -57,8 +58,7 @@ class Check:
         lines = [f"<p>{escape(repr(self)[1:-1])}</p>"]
         lines += [f"<p><b>Warning:</b> {escape(text)}</p>" for text in self.warnings]
         lines += [f"<p>Note: {escape(text)}</p>" for text in self.notes]
-        cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self.table)
-        return "".join([*lines, "<table>", *(f"<tr>{row}</tr>" for row in cells), "</table>"])
+        return "".join([*lines, html_table(self.table)])
 
 
 def check(test: Test | Place, rig: Rig | Place | None = None) -> Check:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.api.files import Place
 from rthyb_rt.api.recordings import Plot, Recording, as_recording, extra
+from rthyb_rt.api.tables import html_table
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -85,14 +86,9 @@ class Comparison:
     def _repr_html_(self) -> str:
         from html import escape
 
-        from rthyb_rt.numbers import number
-
-        head = "".join(f"<th>{escape(name)}</th>" for name in self.rows[0])
-        lines = [f"<table><tr>{head}</tr>"]
-        for row in self.rows:
-            shown = (number(v) if isinstance(v, float) else str(v) for v in row.values())
-            lines.append("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in shown) + "</tr>")
-        lines.append("</table>")
+        names = [name for name in self.rows[0] if name != "label"]
+        rows = [[name, *(row[name] for row in self.rows)] for name in names]
+        lines = [html_table(rows, ["", *self.labels])]
         try:
             lines.append(self.plot()._repr_html_())
         except InputError as error:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.api.files import Place, Rig, Test
+from rthyb_rt.api.tables import html_table
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.errors import InputError
 from rthyb_rt.record import recording as files
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
     from rthyb_rt.analysis.summary import Summary
 
 TIME: Final = "t_s"
+_SHOWN: Final = count(1)
 _IDENTITY: Final = ("test_name", "end_reason", "ended_by", "attention", "setup")
 _SUFFIXES: Final = (".csv", ".mat")
 
@@ -69,7 +73,12 @@ class Plot:
         return f"<Plot {self.key}: {self.title}>"
 
     def _repr_html_(self) -> str:
-        return f"<figure>{self.svg}<figcaption>{self.title}. {self.note}</figcaption></figure>"
+        # A notebook shows many figures on one page, and what a drawing refers to must be its own.
+        own = f"{self.key}-{next(_SHOWN)}-"
+        svg = re.sub(rf'( id="|#){re.escape(self.key)}-', rf"\g<1>{own}", self.svg)
+        width = "" if self.figure is None else f"max-width:{self.figure.get_figwidth():.1f}in"
+        told = f"<figcaption>{self.title}. {self.note}</figcaption>"
+        return f'<figure style="{width}">{svg}{told}</figure>'
 
 
 class Plots:
@@ -404,11 +413,7 @@ class Recording(Mapping[str, NDArray[Any]]):
             parts.append((plot if plot.svg else self.plot.displacement())._repr_html_())
         except InputError as error:
             parts.append(f"<p>{escape(str(error))}</p>")
-        rows = "".join(
-            f"<tr><td>{escape(label)}</td><td>{escape(value)}</td><td>{escape(note)}</td></tr>"
-            for label, value, note in self.table
-        )
-        return "".join([*parts, f"<table>{rows}</table>"])
+        return "".join([*parts, html_table(self.table)])
 
 
 def extra(package: str, what: str) -> Any:

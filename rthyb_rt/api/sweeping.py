@@ -12,6 +12,7 @@ from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test, plain
 from rthyb_rt.api.messages import in_python
 from rthyb_rt.api.recordings import Recording, extra, open_recording
+from rthyb_rt.api.tables import html_table
 from rthyb_rt.campaign import conducting, plan, pools
 from rthyb_rt.campaign.book import GIVEN, PLAN
 from rthyb_rt.campaign.groups import group
@@ -145,15 +146,9 @@ class Sweep:
     def _repr_html_(self) -> str:
         from html import escape
 
-        from rthyb_rt.numbers import number
-
         rows = self.statistics()
-        head = "".join(f"<th>{escape(name)}</th>" for name in rows[0])
-        lines = [f"<p>{escape(repr(self)[1:-1])}</p><table><tr>{head}</tr>"]
-        for row in rows:
-            shown = (number(v) if isinstance(v, float) else str(v) for v in row.values())
-            lines.append("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in shown) + "</tr>")
-        lines.append("</table>")
+        lines = [f"<p>{escape(repr(self)[1:-1])}</p>"]
+        lines.append(html_table([list(row.values()) for row in rows], list(rows[0])))
         early = [*self.failed, *self.stopped]
         lines += [
             f"<p>Run {row['case']} {row['ending']}: {escape(str(row['cause']))}</p>"

@@ -1,0 +1,67 @@
+"""The notebooks of the guide run from their first cell to their last in an empty folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "docs" / "notebooks").glob("*.ipynb"))
+by_notebook = pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+
+
+def code_cells(notebook: Path) -> list[dict[str, Any]]:
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    return [cell for cell in cells if cell["cell_type"] == "code"]
+
+
+def executed(notebook: Path, folder: Path) -> Any:
+    """Run all cells in a kernel of its own; an error in one of them is raised."""
+    nbclient = pytest.importorskip("nbclient", reason="runs notebooks")
+    nbformat = pytest.importorskip("nbformat", reason="runs notebooks")
+    pytest.importorskip("ipykernel", reason="runs notebooks")
+    book = nbformat.read(notebook, as_version=4)
+    resources = {"metadata": {"path": str(folder)}}
+    nbclient.NotebookClient(book, timeout=120, resources=resources).execute()
+    return book
+
+
+def text_of(cell: Any) -> str:
+    """Return all that a cell has printed and shown."""
+    parts = []
+    for output in cell.outputs:
+        parts.append(output.get("text", ""))
+        parts += [str(value) for value in output.get("data", {}).values()]
+    return "\n".join(parts)
+
+
+def test_there_are_notebooks() -> None:
+    assert "first-test" in [path.stem for path in NOTEBOOKS]
+
+
+@by_notebook
+def test_notebook_is_kept_without_outputs(notebook: Path) -> None:
+    for cell in code_cells(notebook):
+        assert cell["outputs"] == []
+        assert cell["execution_count"] is None
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
+def test_first_test_runs_as_it_stands_and_shows_verdict_figures_and_messages(
+    tmp_path: Path,
+) -> None:
+    (notebook,) = [path for path in NOTEBOOKS if path.stem == "first-test"]
+    book = executed(notebook, tmp_path)
+    shown = [text_of(cell) for cell in book.cells if cell.cell_type == "code"]
+    whole = "\n".join(shown)
+    assert "The specimen followed the command within" in whole
+    assert "<svg" in whole
+    assert whole.count("<figure ") >= 4
+    assert "tracking  0.09" in whole
+    assert "limit 15 kN" in whole
+    assert 'with_: numerical.mass_kg: found "4220 N" (that is a force)' in whole
+    assert "the rig file has 666.4 kN/m" in whole
+    assert shown[-1].strip() == "True"
+    assert (tmp_path / "first-test" / "report.html").is_file()
