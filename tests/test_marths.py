@@ -133,6 +133,12 @@ def test_perturbed_plants_are_as_far_off_as_stated_and_keep_their_gains_at_rest(
         assert np.allclose(-c @ np.linalg.solve(a, b), at_rest, rtol=1e-9)
         assert np.linalg.eigvals(a).real.max() < 0
     assert frame.roots(8001) == frame.roots(8001) != frame.roots(8002)
+    for name, root in frame.roots(8003, 3.0).items():
+        once = frame.roots(8003)[name] / frame.ROOTS[name] - 1.0
+        assert root / frame.ROOTS[name] - 1.0 == pytest.approx(3.0 * once, rel=1e-9)
+    assert all(
+        np.linalg.eigvals(frame.plant_matrices(seed, 3.0)[0]).real.max() < 0 for seed in frame.SEEDS
+    )
 
 
 # ---- integration ---------------------------------------------------------------------------------
@@ -281,6 +287,12 @@ def test_unknown_names_are_refused() -> None:
         with pytest.raises(InputError, match=says):
             marths.planned(*arguments)  # type: ignore[arg-type]
     assert len(marths.planned(["none", "lead"], ["kobe"], 20)) == 42
+
+
+def test_a_width_beyond_any_plant_is_refused(rthyb: Rthyb) -> None:
+    done = rthyb("benchmark", "marths", "--width", "4")
+    assert done.code != 0
+    assert "must be 0 to 3" in done.err
 
 
 def test_worst_plants_stand_behind_the_mean() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +148,17 @@ def test_the_report_draws_modes_storeys_and_what_was_recorded(
     assert "storey 2." in plates["drifts"].note
     assert "drift_2" in plates["recorded-displacements"].svg
     assert "7 more in the recording moved less" in plates["recorded-forces"].note
+
+
+@pytest.mark.parametrize("rows", [0, 5, 3000])
+def test_the_report_bears_rows_of_which_the_channels_are_not_known(
+    rows: int, ten: tuple[experiment.Setup, Any]
+) -> None:
+    rec = replace(ten[1], samples=ten[1].samples[:rows].copy())
+    for name in ("drift_1", "drift_2", "shear_1"):
+        rec.samples[name][: rows // 2 + 1] = np.nan
+    keys = {plate.key for plate in figures.draw_all(rec, summary.summarize(rec))}
+    assert {"modes", "drifts", "shears"} <= keys
 
 
 def test_check_shows_the_modes_and_how_much_of_the_mass_moves_in_each(rthyb: Rthyb) -> None:

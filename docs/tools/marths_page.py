@@ -37,6 +37,7 @@ def plan() -> dict[str, list[Run]]:
         "elcentro": marths.planned(names, ["elcentro"], 20),
         "motions": marths.planned(names, ["kobe", "morgan"], 4),
         "kr-alpha": marths.planned(names, ["elcentro"], 20, "kr-alpha"),
+        "wide": marths.planned(names, ["elcentro"], 20, width=3.0),
     }
 
 
@@ -86,6 +87,7 @@ def parts(found: dict[str, list[Outcome]], facts: dict[str, Any]) -> dict[str, s
         made[motion] = table_of(found["motions"], motion, names)
     names = ("J3", "J5", *marths_table.BESIDE)
     made["kr-alpha"] = table_of(found["kr-alpha"], "elcentro", names)
+    made["wide"] = table_of(found["wide"], "elcentro", names)
     return made
 
 

@@ -36,6 +36,7 @@ class Run:
         motion: one of `cases.MOTIONS`, scaled by `cases.SCALE`.
         plant: the seed of a perturbed plant, or `NOMINAL`.
         integrator: of the numerical part, one of `PARTS`.
+        width: of the perturbation, in the benchmark's standard deviations.
         noisy: whether the readings have their noise.
     """
 
@@ -43,6 +44,7 @@ class Run:
     motion: str
     plant: int = NOMINAL
     integrator: str = "newmark"
+    width: float = 1.0
     noisy: bool = True
 
 
@@ -133,7 +135,7 @@ def simulate(run: Run) -> Signals | None:
     ag = ground_motion(run.motion)
     seed = None if run.plant == NOMINAL else run.plant
     noise_m = frame.NOISE_M if run.noisy else 0.0
-    rig = CoupledPlant(frame.plant(seed, run.plant + 1, noise_m))
+    rig = CoupledPlant(frame.plant(seed, run.plant + 1, noise_m, run.width))
     law, tie = marths_laws.compensation(run.law), frame.kinematics()
     part = PARTS[run.integrator](frame.numerical())
     found = Signals.of(ag.size)
@@ -256,9 +258,15 @@ def measure(run: Run) -> Outcome:
 
 
 def planned(
-    laws: Sequence[str], motions: Sequence[str], plants: int, integrator: str = "newmark"
+    laws: Sequence[str],
+    motions: Sequence[str],
+    plants: int,
+    integrator: str = "newmark",
+    width: float = 1.0,
 ) -> list[Run]:
     """Return all runs of these: of each the nominal plant, then ``plants`` perturbed ones.
+
+    ``width``: of the perturbation, in the benchmark's standard deviations.
 
     Raises:
         InputError: there is no such law, motion or integrator, or not so many plants.
@@ -277,7 +285,10 @@ def planned(
         )
     seeds = (NOMINAL, *frame.SEEDS[:plants])
     return [
-        Run(law, motion, seed, integrator) for motion in motions for law in laws for seed in seeds
+        Run(law, motion, seed, integrator, width)
+        for motion in motions
+        for law in laws
+        for seed in seeds
     ]
 
 

@@ -237,13 +237,16 @@ SEEDS: Final = tuple(range(8001, 8021))
 """Of the perturbed plants; the benchmark asks for 20."""
 
 
-def roots(seed: int | None) -> dict[str, complex]:
-    """Return zeros and poles, Hz, of the nominal plant (None) or of a perturbed one."""
+def roots(seed: int | None, width: float = 1.0) -> dict[str, complex]:
+    """Return zeros and poles, Hz, of the nominal plant (None) or of a perturbed one.
+
+    ``width``: times the stated standard deviations.
+    """
     if seed is None:
         return dict(ROOTS)
     normal = np.random.default_rng(seed).normal(size=len(DEVIATIONS))
     return {
-        name: ROOTS[name] * (1.0 + deviation * float(z))
+        name: ROOTS[name] * (1.0 + width * deviation * float(z))
         for (name, deviation), z in zip(DEVIATIONS.items(), normal, strict=True)
     }
 
@@ -264,12 +267,12 @@ def _transfer(
     return rest * own_below[-1] / own[-1] * own, own_below
 
 
-def plant_matrices(seed: int | None) -> tuple[Floats, Floats, Floats]:
+def plant_matrices(seed: int | None, width: float = 1.0) -> tuple[Floats, Floats, Floats]:
     """Return A, B, C of the plant in continuous time, (8, 8), (8, 2), (2, 8), mm to mm or m to m.
 
     Each column of the transfer matrix has its own four poles, in the form of a controller.
     """
-    of = roots(seed)
+    of = roots(seed, width)
     first, second = ("pole_1a", "pole_1b"), ("pole_2a", "pole_2b")
     entries = {
         (0, 0): (("zero_1a", "zero_1b"), first, GAINS["11"]),
@@ -288,13 +291,15 @@ def plant_matrices(seed: int | None) -> tuple[Floats, Floats, Floats]:
     return a, b, c
 
 
-def plant(seed: int | None, noise_seed: int, noise_m: float = NOISE_M) -> CoupledPlantConfig:
+def plant(
+    seed: int | None, noise_seed: int, noise_m: float = NOISE_M, width: float = 1.0
+) -> CoupledPlantConfig:
     """Return the virtual rig with the nominal plant (None) or a perturbed one.
 
     Discretised as Simulink's ode4 does a held input: the series of the exponential to the fourth
     power of a sample.
     """
-    a, b, c = plant_matrices(seed)
+    a, b, c = plant_matrices(seed, width)
     step, power, by_input = np.eye(8), np.eye(8), np.zeros((8, 8))
     for order in range(1, 5):
         by_input = by_input + power * PERIOD_S / order

@@ -123,6 +123,10 @@ def marths(
             help="newmark, as the benchmark has it, or kr-alpha, this program's own.",
         ),
     ] = "newmark",
+    width: Annotated[
+        float,
+        typer.Option(metavar="W", help="How wide they are drawn, in the stated deviations."),
+    ] = 1.0,
     jobs: Annotated[
         int | None,
         typer.Option(metavar="N", help="Processes: as many as processors.", show_default=False),
@@ -146,7 +150,11 @@ def marths(
     from rthyb_rt.benchmark import marths_laws, marths_table
     from rthyb_rt.campaign import pools
 
-    wanted = own.planned(law or list(marths_laws.NAMES), motion or ["elcentro"], plants, integrator)
+    if not 0.0 <= width <= 3.0:
+        raise typer.BadParameter(f"found {width:g}; must be 0 to 3", param_hint="--width")
+    wanted = own.planned(
+        law or list(marths_laws.NAMES), motion or ["elcentro"], plants, integrator, width
+    )
     with terminal.sections("Benchmark") as progress:
         found = own.measured(wanted, pools.processors() if jobs is None else jobs, progress)
     print_marths(marths_table.lines(found), terminal.people(as_json))

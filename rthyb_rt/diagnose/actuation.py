@@ -126,6 +126,8 @@ CATALOGUE: tuple[ActuatorEffect, ...] = (
 
 LONG_ROWS = 100_000
 """Rows from which the effects are fitted on two cores at once."""
+START_S = 0.01
+"""Of a recording: whether its displacement stands or moves."""
 MASK_S = 0.4
 STEPS = 12
 UNDAMPED = 1e-9
@@ -196,6 +198,26 @@ class ActuatorFit:
         return np.asarray(noise * np.outer(wider, wider))
 
 
+def from_rest(case: Case) -> bool:
+    """Return whether a recording begins at rest: else its first rows follow commands of before.
+
+    A command that is at its zero may be on its way through it: then the displacement moves, at more
+    than a share of its largest velocity in the first hundredth of a second.
+    """
+    u = filled(case.channels["x_cmd"])
+    if not abs(u[0]) < POLICY.command_at_rest * (float(np.max(np.abs(u))) or 1.0):
+        return False
+    x_meas = case.channels.get("x_meas")
+    if x_meas is None:
+        return True
+    head = max(int(START_S * case.fs_hz), 4)
+    t, x = np.arange(head) / case.fs_hz, filled(x_meas)
+    sigma = noise_of(x_meas, case.model.x_std) / (float(np.std(t)) * head**0.5)
+    slope = float(np.polyfit(t, x[:head], 1)[0])
+    largest = float(np.max(np.abs(np.gradient(u)))) * case.fs_hz
+    return bool(abs(slope) < POLICY.moving_at_start * largest + 3.0 * sigma)
+
+
 class Actuation:
     """The recorded command and displacement, and the actuator's model between them."""
 
@@ -206,8 +228,7 @@ class Actuation:
         self.sigma = noise_of(x, case.model.x_std)
         self.own: Whitener | None = None
         rows = case.rows & np.isfinite(x) & np.isfinite(case.channels["x_cmd"])
-        rest = abs(self.u[0]) < 1e-3 * (np.max(np.abs(self.u)) or 1.0)
-        self.first = 0 if rest else int(MASK_S * case.fs_hz)
+        self.first = 0 if from_rest(case) else int(MASK_S * case.fs_hz)
         rows[: self.first] = False
         rows &= away_from_gaps(case.channels["x_cmd"], case.fs_hz, 0.01, GAP_S)
         self.rows = np.flatnonzero(rows)

@@ -28,7 +28,7 @@ from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.effects.sensor import QUANTISATION
 from rthyb_rt.diagnose.estimate import Estimate
-from rthyb_rt.diagnose.intervals import Sure, intervals, of_the_spring_there_is
+from rthyb_rt.diagnose.intervals import SIDES, Sure, intervals, of_the_spring_there_is
 from rthyb_rt.diagnose.policy import POLICY, of_size
 from rthyb_rt.diagnose.predict import Augmented, followed, nrmse, output_error, predict
 from rthyb_rt.diagnose.select import (
@@ -244,9 +244,7 @@ def _allowed(case: Case, size: int) -> float:
 
 def settled(case: Case) -> int:
     """Return the first row that is no longer under the influence of an unknown start."""
-    u = case.channels["x_cmd"]
-    top = float(np.nanmax(np.abs(u))) or 1.0
-    return 0 if abs(u[np.isfinite(u)][0]) < 1e-3 * top else int(actuation.MASK_S * case.fs_hz)
+    return 0 if actuation.from_rest(case) else int(actuation.MASK_S * case.fs_hz)
 
 
 def motion_of(case: Case, disp: Displacement | None) -> Estimate | None:
@@ -554,9 +552,10 @@ def _by_the_sheet(case: Case, search: force.Search) -> bool:
     if found.coloured and found.blur is not None:
         # What the estimate of the motion adds has no sheet; the colour was held within its own.
         white = found.whiten(rest)[found.rows]
-        return float(white @ white) < (
-            1.0 + POLICY.excess_as_noise
-        ) * found.share * white.size and _steady(white, case.fs_hz)
+        count = found.share * white.size
+        # Three standard deviations of the power of so few rows.
+        most = 1.0 + POLICY.excess_as_noise + 3.0 * np.sqrt(2.0 / count)
+        return float(white @ white) < most * count and _steady(white, case.fs_hz)
     return "f_meas" in case.channels and _mere_noise(
         rest[found.rows], found.whiten(rest)[found.rows], sheet * (1.0 + found.scatter), case.fs_hz
     )
@@ -765,6 +764,8 @@ def _verdict(
         agreed = _simulates(case, search)
         if agreed:
             named_force, force_known = False, True
+    if search is not None and ctx is not None and named_force and _by_chance(search, ctx):
+        named_force = False
     if quantised is not None and search is not None and _rounded(case, search, quantised):
         # All that is left is what rounding leaves, and no force law.
         named_force, force_known = False, True
@@ -798,6 +799,29 @@ def _verdict(
     named = [c for c in candidates if c.name in names]
     done.notes += modulation.in_words([c.name for c in named], [c.modulated_by for c in named])
     return done
+
+
+def _by_chance(search: force.Search, ctx: Context) -> bool:
+    """Return whether one effect beside nothing but noise is what noise of such a colour may do.
+
+    Where the noise has a colour that was read off the recording itself, evidence counted row by row
+    is worth what that colour is known by. The effect's interval knows of more, how the parts of the
+    recording scatter among it: by that, too, the effect has to earn its price.
+    """
+    fit, problem = search.best, search.problem
+    noise = search.excess_before < POLICY.excess_as_noise and problem.estimate.coloured
+    if not noise or len(fit.members) != 1 or search.moved:
+        return False
+    params, ends = Sure(search, ctx).of(0)
+    member = fit.members[0]
+    gone = member.effect.report(ctx, member.trial, 0.0 * fit.betas[0])
+    # How strong it is, and not where: a frequency is sharp however weak the hum.
+    sizes = [
+        abs(params[k]) / (0.5 * (high - low) / SIDES)
+        for k, (low, high) in ends.items()
+        if high > low and gone[k] == 0.0
+    ]
+    return bool(sizes) and max(sizes) ** 2 < force.cost(problem, fit)
 
 
 def _located(

@@ -450,6 +450,15 @@ class Policy:
         0.02, "part of the largest displacement", "judgement",
         "What a body at rest moves at most in a tenth of a second.",
     )  # fmt: skip
+    command_at_rest: float = _entry(
+        1e-3, "part of the largest command", "judgement",
+        "A command no larger than this may belong to an actuator at rest.",
+    )  # fmt: skip
+    moving_at_start: float = _entry(
+        0.02, "part of the largest velocity", "judgement",
+        "An actuator that is faster in the first hundredth of a second, beyond what noise shows, "
+        "was on its way before.",
+    )  # fmt: skip
     forgotten_force: float = _entry(
         0.3, "standard deviations of noise", "judgement",
         "By which two forces differ that count as one: a yielding model has forgotten its start.",

@@ -86,10 +86,9 @@ def storeys(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
         paper = draw.Paper(f"{what}s", draw.HALF_WIDTH_IN, (1.8,))
         (axes,) = paper.axes
         storey = np.array([i for i, _ in numbered])
-        values = [rec.samples[one.name][running] * factor for _, one in numbered]
-        high, low = (
-            np.array([getattr(v, f)() if v.size else 0.0 for v in values]) for f in ("max", "min")
-        )
+        values = [_finite(rec.samples[one.name][running]) * factor for _, one in numbered]
+        high = np.array([v.max(initial=0.0) for v in values])
+        low = np.array([v.min(initial=0.0) for v in values])
         axes.barh(storey, high - low, left=low, height=0.55, color=draw.BLUE)
         axes.axvline(0.0, color=draw.GREY, linewidth=0.4)
         axes.yaxis.set_major_locator(MaxNLocator(10, integer=True))
@@ -112,7 +111,9 @@ def curves(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
         own = [one for one in responses if one.unit == unit and _has(rec, one)]
         if not own:
             continue
-        peaks = [float(np.abs(rec.samples[one.name][running]).max(initial=0.0)) for one in own]
+        peaks = [
+            float(np.abs(_finite(rec.samples[one.name][running])).max(initial=0.0)) for one in own
+        ]
         most = [own[i] for i in np.argsort(peaks)[::-1][:SHOWN_CURVES]]
         paper = draw.Paper(f"recorded-{_WORDS[unit]}", draw.FULL_WIDTH_IN, (1.4,))
         (axes,) = paper.axes
@@ -129,6 +130,11 @@ def curves(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
         note += f"; {others} more in the recording moved less." if others else "."
         found.append(paper.plate(f"Recorded {_WORDS[unit]}", note))
     return found
+
+
+def _finite(values: Floats) -> Floats:
+    """Return what is known: of a tick that was slept through nobody knows the channels."""
+    return np.asarray(values[np.isfinite(values)])
 
 
 def _has(rec: Recording, one: Response) -> bool:

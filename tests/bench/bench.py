@@ -25,6 +25,7 @@ import loops
 import numpy as np
 import punctuality
 import screen
+import structures
 from rthyb_rt._core import ffi, lib
 
 from rthyb_rt import config, core
@@ -348,6 +349,27 @@ def loop_timing_figures() -> list[Figure]:
     ]  # fmt: skip
 
 
+def structure_figures() -> list[Figure]:
+    """Time a step of structures of many degrees of freedom."""
+    t = structures.measure()
+    return [
+        Figure(
+            "structure: 1008 DOF, 200 Bouc-Wen, a step",
+            t.frame_us,
+            "us",
+            70.0,
+            note=f"dense, printed method {t.dense_us:.0f}; one dense product {t.product_us:.0f}",
+        ),
+        Figure("structure: step over dense matrices", t.frame_us / t.dense_us, "x", 0.25),
+        Figure(
+            "structure: linear, 3024 DOF, a step", t.large_us, "us", 300.0,
+            note=f"slender; {t.squat_us:.0f} in 12 wide storeys",
+        ),
+        Figure("structure: force to command, 3024 over 1 DOF", t.answer_us, "us", 5.0),
+        Figure("structure: memory, 3024 DOF", t.large_mb, "MB", 8.0),
+    ]  # fmt: skip
+
+
 def screen_figures() -> list[Figure]:
     """Time the live view from a sample to the screen, if there is a browser to look with."""
     missing = screen.missing()
@@ -406,6 +428,7 @@ def main() -> None:
         Figure("GIL: a thread counts during a test", ratio, "x", 0.5, True, "of its speed alone"),
         *loop_figures(),
         *timing_figures(),
+        *structure_figures(),
         *screen_figures(),
         *commands,
     ]
