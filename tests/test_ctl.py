@@ -93,6 +93,17 @@ def test_operator_runs_a_test_and_is_told_what_comes_next(
     assert re.search(r"^State +IDLE +allowed now: load, zero, stop, reload$", shown, re.M)
 
 
+def test_a_building_of_ten_storeys_runs_through_the_service(
+    rthyb: Rthyb, place: Path, daemon: Daemon
+) -> None:
+    example = config.builtin_test_path().with_name("ten-storeys.toml")
+    to_arm(rthyb, str(example), *SHORT)
+    assert rthyb("ctl", "start").out.startswith("Started; ")
+    while status(place)["last"] is None:
+        pass
+    assert re.search(r"^Last test +ten-storeys +completed$", rthyb("ctl", "status").out, re.M)
+
+
 def test_every_answer_comes_as_json_too(rthyb: Rthyb, place: Path, daemon: Daemon) -> None:
     digest = rthyb("ctl", "load", *LONG, "--json").json["digest"]
     found = rthyb("ctl", "status", "--json")
