@@ -191,7 +191,7 @@ benchmark-rths: $(READY)
 
 # The goals of the law inverse, held: all plants, both rates, two minutes of computing time.
 benchmark-rths-short: $(READY)
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/validate/benchmark_limits.py --jobs $(WORKERS)
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/bench/benchmark_limits.py --jobs $(WORKERS)
 
 # The numerical part by sparse matrices is factored by what the test group brings.
 benchmark-marths: $(TEST_READY)

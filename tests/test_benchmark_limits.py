@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from validate import benchmark_limits as limits
+from bench import benchmark_limits as limits
 
 from rthyb_rt.benchmark import criteria, runs
 from rthyb_rt.benchmark.runs import Outcome, Run

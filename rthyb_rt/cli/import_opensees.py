@@ -23,7 +23,7 @@ def import_opensees(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write the mass, damping and stiffness of an OpenSees model to an .npz file.
+    """Write an OpenSees model's matrices to an .npz file.
 
     MODEL.py builds the model with openseespy and stops before an analysis. What is nonlinear in it
     is written with its stiffness at rest. The file is what `file` of [numerical.matrices] reads.

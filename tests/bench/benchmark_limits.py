@@ -1,4 +1,4 @@
-"""The benchmark's goals for the law `inverse`, held: ``python tests/validate/benchmark_limits.py``.
+"""The benchmark's goals for the law `inverse`, held: ``python tests/bench/benchmark_limits.py``.
 
 All 21 plants, both rates: El Centro in cases 1 and 4 against the figures that were set before the
 law was written, every case and motion for runs that are unstable, plants drawn three times as
