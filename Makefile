@@ -278,7 +278,7 @@ $(READY): pyproject.toml csrc/CMakeLists.txt csrc/cffi_build.py
 	    print(*f())') && { test -z "$$needs" || $(BIN)/python -m pip install -qq $$needs; }
 	@$(BIN)/python -c "$$FIND_CMAKE"
 	@echo 'Building the C core and installing rthyb'
-	@$(BIN)/python -m pip install -qq --no-build-isolation -e '.[report,fit,live]'
+	@$(BIN)/python -m pip install -qq --no-build-isolation -e '.[report,fit,live,structures,data]'
 	@rm -f $(VENV)/.ready-* && touch $@
 
 $(TEST_READY): $(READY)

@@ -441,3 +441,10 @@ def test_every_element_and_actuator_has_its_formula() -> None:
     kinds = dict(key_tables._sections(config.RigFile))
     for model in (*kinds["specimen"], *kinds["actuator"]):
         assert f"| `{key_tables._tag(model)}` |" in page
+
+
+def test_what_make_run_installs_is_enough_for_the_examples_and_the_code_of_the_readme() -> None:
+    (extras,) = re.findall(r"-e '\.\[([\w,]+)\]'", read(ROOT / "Makefile"))
+    given = tomllib.loads(read(ROOT / "pyproject.toml"))["project"]["optional-dependencies"]
+    installed = {re.split(r"\W", need)[0] for extra in extras.split(",") for need in given[extra]}
+    assert {"matplotlib", "jinja2", "pandas", "scipy", "qdldl"} <= installed
