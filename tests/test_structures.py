@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -411,6 +412,35 @@ def test_what_does_not_fit_the_matrices_is_refused(more: str, said: str, tmp_pat
     with pytest.raises(InputError) as caught:
         config.derive(test, rig)
     assert said in str(caught.value)
+
+
+def test_a_library_that_is_missing_is_named_and_the_structure_is_not_blamed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "qdldl", None)
+    with pytest.raises(InputError) as caught:
+        structure(STOREYS)
+    assert str(caught.value).endswith('pip install "rthyb-rt[structures]"')
+    assert "missing spring" not in str(caught.value)
+
+
+def test_floors_so_heavy_that_the_storeys_topple_are_told_from_a_missing_spring() -> None:
+    heavy = STOREYS + 'height_m = "3 m"\np_delta = true\n'
+    heavy = heavy.replace("[3000, 2800, 2600, 2400, 2200]", "3e6")
+    with pytest.raises(InputError, match="a weight that p_delta lets topple the storeys"):
+        structure(heavy)
+
+
+def test_a_file_that_is_no_npz_is_refused_without_the_advice_to_run_what_is_in_it(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "a.npz").write_text("garbage", encoding="utf-8")
+    with pytest.raises(InputError, match=r"a\.npz: cannot be read as \.npz: it is none") as caught:
+        matrixfile.read(MatrixFile(file="a.npz"), tmp_path)
+    assert "pickle" not in str(caught.value)
+    np.savez(tmp_path / "a.npz", M=np.eye(1), K=np.eye(1), labels=np.array(["x"], dtype=object))
+    with pytest.raises(InputError, match="labels as text, no arrays of Python objects"):
+        matrixfile.read(MatrixFile(file="a.npz"), tmp_path)
 
 
 def test_a_central_difference_beyond_its_bound_is_refused() -> None:

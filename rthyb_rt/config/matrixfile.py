@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import io
+import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -134,9 +135,22 @@ def _check_there(path: Path) -> None:
 
 def _npz(path: Path) -> dict[str, Any]:
     try:
+        with path.open("rb") as file:
+            whole = zipfile.is_zipfile(file)
+        if not whole:  # NumPy would advise to load it with pickle, which runs what is in it
+            raise InputError(
+                "cannot be read as .npz: it is none, or not a whole one; numpy.savez writes it",
+                str(path),
+            )
         with np.load(path, allow_pickle=False) as stored:
             return dict(stored)
-    except (ValueError, OSError, EOFError, KeyError) as error:
+    except ValueError as error:
+        raise InputError(
+            f"cannot be read as .npz ({error}); store numbers as numbers and labels as text, "
+            "no arrays of Python objects",
+            str(path),
+        ) from error
+    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, KeyError) as error:
         raise InputError(f"cannot be read as .npz ({error})", str(path)) from error
 
 

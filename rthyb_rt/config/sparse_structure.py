@@ -24,6 +24,7 @@ from rthyb_rt.config.structures import (
     Storeys,
 )
 from rthyb_rt.core import CoreError, ElementConfig
+from rthyb_rt.core.library import LibraryMissing
 from rthyb_rt.core.numerical_parts import SparsePart
 from rthyb_rt.core.sparse import (
     GROUND,
@@ -254,17 +255,26 @@ def build(
     structure = SparseStructure(
         bare.labels, part, bare.influence, bare.specimen_mass_kg, name, bare.heights_m
     )
+    place = "numerical.storeys" if isinstance(given, Storeys) else "numerical.matrices"
     try:
         if keys.damping is not None:
             structure = replace(structure, part=_damped(structure, keys.damping))
         SparsePart(structure.part)
         structure.modes()
+    except LibraryMissing as error:
+        raise InputError(str(error), place) from error
     except CoreError as error:
+        leaning = isinstance(given, Storeys) and given.p_delta
         raise InputError(
             f"{error}; every motion must have a mass or a stiffness, and something must hold it: "
-            "look for a missing spring, a sign, or a specimen that was taken out and is stiffer "
+            + (
+                "look for a weight that p_delta lets topple the storeys, "
+                if leaning
+                else "look for "
+            )
+            + "a missing spring, a sign, or a specimen that was taken out and is stiffer "
             f"than the rig's k_e = {k_e_n_per_m:g} N/m",
-            "numerical.storeys" if isinstance(given, Storeys) else "numerical.matrices",
+            place,
         ) from error
     _check_step(structure)
     return structure

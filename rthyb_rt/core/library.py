@@ -61,6 +61,10 @@ class CoreError(RthybError, ValueError):
     """The core refused a setting; the message says which kind."""
 
 
+class LibraryMissing(CoreError):
+    """A package that the structure needs is not installed; the message says how to get it."""
+
+
 def status_names(code: int) -> list[str]:
     """Return the names of the status bits set in ``code``."""
     return [name for name, bit in STATUS.items() if code & bit]

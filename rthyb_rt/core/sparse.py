@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt._core import ffi, lib
-from rthyb_rt.core.library import CoreError
+from rthyb_rt.core.library import CoreError, LibraryMissing
 from rthyb_rt.core.settings import ElementConfig, init_element
 from rthyb_rt.core.sizes import PERIOD_S
 
@@ -288,9 +288,9 @@ def _scipy_sparse() -> Any:
     return scipy.sparse
 
 
-def missing_library(name: str) -> CoreError:
+def missing_library(name: str) -> LibraryMissing:
     """Return the error of a structure that needs more than is installed."""
-    return CoreError(
+    return LibraryMissing(
         f"{name} is not installed, and structures of many degrees of freedom need it: "
         'pip install "rthyb-rt[structures]"'
     )
@@ -307,7 +307,8 @@ def factored(matrix: Any, what: str) -> Any:
     """Return ``qdldl.Solver`` of a symmetric matrix that must be positive definite.
 
     Raises:
-        CoreError: it is not, or qdldl is not installed.
+        CoreError: it is not.
+        LibraryMissing: qdldl or SciPy is not installed.
     """
     try:
         import qdldl
