@@ -183,6 +183,7 @@ def test_rig_from_keywords_runs_like_one_from_a_file() -> None:
         (lambda t: t.with_({"limits.forze_n": None}),
          ['with_: limits.forze_n: found None', 'did you mean "force_n"?']),
         (lambda t: t.with_(["controller.w1"]), ["with_: found", "a dict of dotted keys"]),
+        (lambda t: t[3], ["test[3]: no such key", "a test file has: schema, rig, test"]),
         (lambda t: t["numerical.mass"],
          ['test["numerical.mass"]: no such key (did you mean "mass_kg"?)', "numerical has:"]),
         (lambda _: rt.Test(numerical={"period_s": "1 kg"}),

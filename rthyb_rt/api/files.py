@@ -93,13 +93,13 @@ class _Document(Generic[_File]):
             InputError: there is no such key; says which there are beside it.
         """
         place: Any = self._file.model_dump(by_alias=True)
-        for depth, part in enumerate(key.split(".")):
+        for depth, part in enumerate(str(key).split(".")):
             inside = place.get(part, ...) if isinstance(place, dict) else ...
             if isinstance(place, list) and part.isdecimal() and int(part) < len(place):
                 inside = place[int(part)]
             if inside is ...:
                 known = list(place) if isinstance(place, dict) else []
-                table = ".".join(key.split(".")[:depth]) or f"a {self._kind} file"
+                table = ".".join(str(key).split(".")[:depth]) or f"a {self._kind} file"
                 raise InputError(
                     f"no such key{nearest(part, known)}; {table} has: "
                     f"{', '.join(known) or 'no keys'}",
