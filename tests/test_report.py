@@ -577,3 +577,16 @@ def test_result_table_needs_neither_matplotlib_nor_h5py() -> None:
 def test_two_reports_of_one_recording_are_the_same_bytes() -> None:
     rec = recording(2.0)
     assert render(rec) == render(rec)
+
+
+def test_how_the_station_ended_stands_in_words_and_not_as_a_dict_of_python() -> None:
+    rec = recording()
+    rec.meta["station"] = {"state": "IDLE", "cause_value": 0.0, "indicated": []}
+    assert "state IDLE, cause_value 0</td>" in render(rec)
+    rec.meta["station"] = {"state": "TRIP", "indicated": ["FORCE", "DRIVE"]}
+    assert "state TRIP, indicated FORCE, DRIVE</td>" in render(rec)
+
+
+def test_on_a_narrow_screen_half_figures_are_no_wider_than_beside_one_another(page: str) -> None:
+    narrow = page[page.index("@media screen and (max-width: 44rem)") : page.index("@page")]
+    assert re.search(r"\.two figure svg \{ max-width: 28rem; \}", narrow)

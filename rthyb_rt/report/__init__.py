@@ -120,4 +120,8 @@ def _shown(value: Any) -> str:
     """Return a value with no more digits than a reader wants, also where it was kept as text."""
     if isinstance(value, str) and re.fullmatch(r"-?\d+\.\d{7,}", value):
         value = float(value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_shown(item)}" for key, item in value.items() if item != [])
+    if isinstance(value, list):
+        return ", ".join(map(_shown, value))
     return f"{value:.6g}" if isinstance(value, float) else str(value)
