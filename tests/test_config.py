@@ -792,3 +792,21 @@ def test_error_prints_one_line_a_fault() -> None:
     assert str(error) == "a.toml:1: x: wrong\nbad"
     assert str(InputError("bad", where="b.toml")) == "b.toml: bad"
     assert InputError(Problem("a", "b")).problems == [Problem("a", "b")]
+
+
+@pytest.mark.parametrize(
+    ("schema", "said"),
+    [
+        ("rthyb-test/1", "this is a test file, and a campaign file (schema ="),
+        ("rthyb-campaign/9", 'found schema = "rthyb-campaign/9"; a campaign file starts with'),
+    ],
+)
+def test_file_of_another_kind_in_the_place_of_a_campaign_is_named(schema: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        config.parse_campaign(f'schema = "{schema}"\n', "c.toml")
+    assert str(caught.value).startswith(f"c.toml:1: {said}")
+
+
+def test_campaign_in_the_place_of_a_test_file_is_named() -> None:
+    with pytest.raises(InputError, match="this is a campaign file, and a test file"):
+        config.parse_test('schema = "rthyb-campaign/1"\n')

@@ -574,6 +574,7 @@ def _schema_message(found: str, wanted: str) -> str:
         RIG_SCHEMA: "a rig file",
         BASELINE_SCHEMA: "a baseline file",
         MAP_SCHEMA: "a mapping file",
+        CAMPAIGN_SCHEMA: "a campaign file",
     }
     if found in kinds:
         return f"this is {kinds[found]}, and {kinds[wanted]} (schema = {written(wanted)}) is needed"
