@@ -34,7 +34,7 @@ size_t rthyb_loop_size(void)
 
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
 {
-    *loop = (rthyb_loop){.cfg = *cfg, .delay = -1, .cpu = -1, .latency_fd = -1};
+    *loop = (rthyb_loop){.cfg = *cfg, .delay = -1};
     int error = rthyb_calibration_check(&cfg->calibration);
     if (!error && cfg->clock == RTHYB_CLOCK_LINK)
         error = rthyb_phase_init(&loop->phase, cfg->lead_ns);

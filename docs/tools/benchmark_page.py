@@ -10,8 +10,6 @@ them anew and takes the others from there, ``--only none`` draws from what is ke
 
 from __future__ import annotations
 
-import json
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ import pictures
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from measuring import facts_text, markdown
 
 from rthyb_rt.benchmark import cases, runs, table
 from rthyb_rt.benchmark.runs import Outcome, Run
@@ -53,35 +52,16 @@ def plan() -> dict[str, list[Run]]:
 
 def measure(part: str, wanted: Sequence[Run], jobs: int) -> None:
     """Do the runs of a part, and keep them."""
-    begun = time.monotonic()
-    outcomes = runs.measured(wanted, jobs)
-    print(f"{part}: {len(wanted)} runs in {time.monotonic() - begun:.0f} s", flush=True)
-    measuring.keep(KEPT, part, table.document(outcomes))
+    measuring.measure(KEPT, part, len(wanted), lambda: table.document(runs.measured(wanted, jobs)))
 
 
-def kept() -> tuple[dict[str, list[Outcome]], dict[str, Any]]:
-    """Return what is kept, by part, and the facts of the first."""
-    document = json.loads(KEPT.read_text(encoding="utf-8"))
-    found = {}
-    for part, content in document.items():
-        outcomes = []
-        for one in content["runs"]:
-            figures, end, beyond = (one.pop(key) for key in ("figures", "end", "beyond"))
-            outcomes.append(Outcome(Run(**one), end, figures, beyond))
-        found[part] = outcomes
-    return found, document["elcentro"]["facts"]
+def outcome(kept: dict[str, Any]) -> Outcome:
+    """Return a run that was kept."""
+    figures, end, beyond = (kept.pop(key) for key in ("figures", "end", "beyond"))
+    return Outcome(Run(**kept), end, figures, beyond)
 
 
 # ---- tables -------------------------------------------------------------------------------------
-
-
-def facts_text(facts: dict[str, Any]) -> str:
-    """Return what the figures depend on, as a paragraph."""
-    return (
-        f"rthyb {facts['rthyb']} (sources of the core `{facts['core_sources'][:16]}`, "
-        f"{facts['compiler']}, {facts['architecture']}), Python {facts['python']}, NumPy "
-        f"{facts['numpy']}, {facts['processor']}, {facts['date']}.\n"
-    )
 
 
 def whole_table(lines: Sequence[Line], rate_hz: int) -> str:
@@ -123,11 +103,6 @@ def _motion(line: Line) -> str:
 
 def _mean(line: Line, key: str) -> str:
     return table.short(line.mean[key]) if line.mean else "–"
-
-
-def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
-    rule = ["---"] * texts + ["--:"] * (len(heads) - texts)
-    return "\n".join(f"| {' | '.join(row)} |" for row in (heads, rule, *rows)) + "\n"
 
 
 def parts(found: dict[str, list[Outcome]], facts: dict[str, Any]) -> dict[str, str]:
@@ -225,7 +200,7 @@ def main() -> None:
     for part, wanted in plan().items():
         if given.only in (None, part):
             measure(part, wanted, given.jobs)
-    found, facts = kept()
+    found, facts = measuring.kept(KEPT, outcome, "elcentro")
     made = parts(found, facts)
     measuring.renew(PAGE, made)
     PICTURE.write_text(picture(found["elcentro"]), encoding="utf-8")

@@ -6,8 +6,6 @@ build/benchmark-marths.json (see `measuring`).
 
 from __future__ import annotations
 
-import json
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,9 +13,10 @@ from typing import Any
 import measuring
 import numpy as np
 import pictures
-from benchmark_page import facts_text, markdown, scatter
+from benchmark_page import scatter
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from measuring import facts_text, markdown
 
 from rthyb_rt.benchmark import marths, marths_laws, marths_table
 from rthyb_rt.benchmark.marths import Outcome, Run
@@ -43,23 +42,15 @@ def plan() -> dict[str, list[Run]]:
 
 def measure(part: str, wanted: Sequence[Run], jobs: int) -> None:
     """Do the runs of a part, and keep them."""
-    begun = time.monotonic()
-    outcomes = marths.measured(wanted, jobs)
-    print(f"{part}: {len(wanted)} runs in {time.monotonic() - begun:.0f} s", flush=True)
-    measuring.keep(KEPT, part, marths_table.document(outcomes))
+    measuring.measure(
+        KEPT, part, len(wanted), lambda: marths_table.document(marths.measured(wanted, jobs))
+    )
 
 
-def kept() -> tuple[dict[str, list[Outcome]], dict[str, Any]]:
-    """Return what is kept, by part, and the facts of the first."""
-    document = json.loads(KEPT.read_text(encoding="utf-8"))
-    found = {}
-    for part, content in document.items():
-        outcomes = []
-        for one in content["runs"]:
-            figures = one.pop("figures")
-            outcomes.append(Outcome(Run(**one), figures))
-        found[part] = outcomes
-    return found, document["elcentro"]["facts"]
+def outcome(kept: dict[str, Any]) -> Outcome:
+    """Return a run that was kept."""
+    figures = kept.pop("figures")
+    return Outcome(Run(**kept), figures)
 
 
 def table_of(outcomes: Sequence[Outcome], motion: str, names: Sequence[str]) -> str:
@@ -128,7 +119,7 @@ def main() -> None:
     for part, wanted in plan().items():
         if given.only in (None, part):
             measure(part, wanted, given.jobs)
-    found, facts = kept()
+    found, facts = measuring.kept(KEPT, outcome, "elcentro")
     made = parts(found, facts)
     measuring.renew(PAGE, made)
     PICTURE.write_text(picture(found["elcentro"]), encoding="utf-8")

@@ -35,6 +35,24 @@ def _several(what: str, metavar: str) -> typer.models.OptionInfo:
     return option
 
 
+MotionOption = Annotated[list[str] | None, _several("elcentro, kobe or morgan: elcentro.", "NAME")]
+PlantsOption = Annotated[
+    int, typer.Option(metavar="N", help="Perturbed plants beside the nominal one, 0 to 20.")
+]
+WidthOption = Annotated[
+    float, typer.Option(metavar="W", help="How wide they are drawn, in the stated deviations.")
+]
+JobsOption = Annotated[
+    int | None,
+    typer.Option(metavar="N", help="Processes: as many as processors.", show_default=False),
+]
+
+
+def _check_width(width: float, most: float) -> None:
+    if not 0.0 <= width <= most:
+        raise typer.BadParameter(f"found {width:g}; must be 0 to {most:g}", param_hint="--width")
+
+
 @benchmark.command()
 def rths(
     rate: Annotated[list[int] | None, _several("Sample rate, 4096 or 1024: both.", "HZ")] = None,
@@ -43,28 +61,17 @@ def rths(
         list[str] | None,
         _several("Who takes part: pi-lead (the benchmark's own), or a control law: all.", "NAME"),
     ] = None,
-    motion: Annotated[
-        list[str] | None, _several("elcentro, kobe or morgan: elcentro.", "NAME")
-    ] = None,
-    plants: Annotated[
-        int,
-        typer.Option(metavar="N", help="Perturbed plants beside the nominal one, 0 to 20."),
-    ] = 20,
+    motion: MotionOption = None,
+    plants: PlantsOption = 20,
     plant: Annotated[
         list[int] | None,
         _several("A plant by its seed, 7001 to 7020, 0 the nominal one, instead.", "SEED"),
     ] = None,
-    width: Annotated[
-        float,
-        typer.Option(metavar="W", help="How wide they are drawn, in the stated deviations."),
-    ] = 1.0,
+    width: WidthOption = 1.0,
     yielding: Annotated[
         bool, typer.Option("--yielding", help="A specimen that yields (Bouc-Wen, 1 mm).")
     ] = False,
-    jobs: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Processes: as many as processors.", show_default=False),
-    ] = None,
+    jobs: JobsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run the benchmark of Silva et al. (2020): every control law on the same plants.
@@ -82,8 +89,7 @@ def rths(
     from rthyb_rt.benchmark import cases, runs, table
     from rthyb_rt.campaign import pools
 
-    if not 0.0 <= width <= 10.0:
-        raise typer.BadParameter(f"found {width:g}; must be 0 to 10", param_hint="--width")
+    _check_width(width, 10.0)
     wanted = runs.planned(
         law or [one.name for one in cases.entrants()],
         rate or list(cases.RATES),
@@ -109,13 +115,8 @@ def marths(
             "NAME",
         ),
     ] = None,
-    motion: Annotated[
-        list[str] | None, _several("elcentro, kobe or morgan: elcentro.", "NAME")
-    ] = None,
-    plants: Annotated[
-        int,
-        typer.Option(metavar="N", help="Perturbed plants beside the nominal one, 0 to 20."),
-    ] = 20,
+    motion: MotionOption = None,
+    plants: PlantsOption = 20,
     integrator: Annotated[
         str,
         typer.Option(
@@ -123,14 +124,8 @@ def marths(
             help="newmark, as the benchmark has it, or kr-alpha, this program's own.",
         ),
     ] = "newmark",
-    width: Annotated[
-        float,
-        typer.Option(metavar="W", help="How wide they are drawn, in the stated deviations."),
-    ] = 1.0,
-    jobs: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Processes: as many as processors.", show_default=False),
-    ] = None,
+    width: WidthOption = 1.0,
+    jobs: JobsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run the multi-axial benchmark (maRTHS): two actuators that feel one another.
@@ -150,8 +145,7 @@ def marths(
     from rthyb_rt.benchmark import marths_laws, marths_table
     from rthyb_rt.campaign import pools
 
-    if not 0.0 <= width <= 3.0:
-        raise typer.BadParameter(f"found {width:g}; must be 0 to 3", param_hint="--width")
+    _check_width(width, 3.0)
     wanted = own.planned(
         law or list(marths_laws.NAMES), motion or ["elcentro"], plants, integrator, width
     )

@@ -35,7 +35,7 @@ from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
-    from rthyb_rt.config.numerical_structure import Structure
+    from rthyb_rt.config.numerical_structure import Mode, Structure
     from rthyb_rt.config.sparse_structure import SparseStructure
 
 DEFAULT_WINDOW_PERIODS = 0.1
@@ -242,14 +242,14 @@ def _of_many(
                 f"{rate.hz:g} Hz cannot follow; check the units of masses and stiffnesses",
             )
         )
-    omega = 2 * math.pi * first.frequency_hz
-    mass = 1.0 / max(first.at_interface**2, 1e-12)
-    return structure, (
-        mass,
-        1.0 / first.frequency_hz,
-        2 * first.damping_ratio * omega * mass,
-        first.damping_ratio,
-    )
+    return structure, _oscillator(first)
+
+
+def _oscillator(mode: Mode) -> tuple[float, float, float, float]:
+    """Return mass, period, damping and its ratio of a mode, as the interface feels it."""
+    omega = 2 * math.pi * mode.frequency_hz
+    mass = 1.0 / max(mode.at_interface**2, 1e-12)
+    return mass, 1.0 / mode.frequency_hz, 2 * mode.damping_ratio * omega * mass, mode.damping_ratio
 
 
 def _by_matrices(
@@ -274,14 +274,7 @@ def _by_matrices(
         )
         return structure, (1.0, 1.0, 0.0, 0.0)
     _check_stability(structure, problems, 1.0 + RADIUS_SLACK)
-    omega = 2 * math.pi * first.frequency_hz
-    mass = 1.0 / max(first.at_interface**2, 1e-12)
-    return structure, (
-        mass,
-        1.0 / first.frequency_hz,
-        2 * first.damping_ratio * omega * mass,
-        first.damping_ratio,
-    )
+    return structure, _oscillator(first)
 
 
 def _check_stability(structure: Structure, problems: list[Problem], most: float) -> None:

@@ -23,6 +23,8 @@ RADIUS_SLACK: Final = 1e-9
 """Of a spectral radius above 1: rounding of an eigenvalue on the unit circle."""
 REFERENCE_SUBSTEPS: Final = 8
 """Of RK4 with a specimen that is not linear: its force is held for an eighth of a sample then."""
+LINEAR: Final = ("inertia", "viscous", "stiffness")
+"""Elements that are numbers in the matrices."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,16 @@ class Mode:
     shape: tuple[float, ...]
     at_interface: float
     effective_mass: float
+
+
+def linear_and_others(
+    elements: Sequence[ElementConfig],
+) -> tuple[tuple[float, float, float], list[ElementConfig]]:
+    """Return a model's mass, kg, damping, N s/m, stiffness, N/m, and what else it is made of."""
+    mass, damping, spring = (
+        sum(e.params[0] for e in elements if e.kind == kind) for kind in LINEAR
+    )
+    return (mass, damping, spring), [e for e in elements if e.kind not in LINEAR]
 
 
 @dataclass(frozen=True)
@@ -123,11 +135,7 @@ class Structure:
             freedom).
         """
         ag = np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
-        mass, damping, spring = (
-            sum(e.params[0] for e in elements if e.kind == kind)
-            for kind in ("inertia", "viscous", "stiffness")
-        )
-        others = [e for e in elements if e.kind not in ("inertia", "viscous", "stiffness")]
+        (mass, damping, spring), others = linear_and_others(elements)
         steps = REFERENCE_SUBSTEPS if others and self.part.integrator == "rk4" else 1
         part = replace(
             self.part,

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from rthyb_rt import core
 from rthyb_rt.config import matrixfile
 from rthyb_rt.config.fields import nearest, written
-from rthyb_rt.config.numerical_structure import Mode
+from rthyb_rt.config.numerical_structure import Mode, linear_and_others
 from rthyb_rt.config.structures import (
     Damping,
     Interface,
@@ -128,11 +128,7 @@ class SparseStructure:
             specimen's force in it has here that of the model's nonlinear elements alone.
         """
         ag = np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
-        mass, damping, spring = (
-            sum(e.params[0] for e in elements if e.kind == kind)
-            for kind in ("inertia", "viscous", "stiffness")
-        )
-        others = [e for e in elements if e.kind not in ("inertia", "viscous", "stiffness")]
+        (mass, damping, spring), others = linear_and_others(elements)
         part = _with(self.part, mass, damping, spring)
         x, v, force, values = SparsePart(part).joined(others, ag, len(part.responses))
         for i, one in enumerate(part.responses):

@@ -218,6 +218,11 @@ def from_rest(case: Case) -> bool:
     return bool(abs(slope) < POLICY.moving_at_start * largest + 3.0 * sigma)
 
 
+def settled(case: Case) -> int:
+    """Return the first row that is no longer under the influence of an unknown start."""
+    return 0 if from_rest(case) else int(MASK_S * case.fs_hz)
+
+
 class Actuation:
     """The recorded command and displacement, and the actuator's model between them."""
 
@@ -228,7 +233,7 @@ class Actuation:
         self.sigma = noise_of(x, case.model.x_std)
         self.own: Whitener | None = None
         rows = case.rows & np.isfinite(x) & np.isfinite(case.channels["x_cmd"])
-        self.first = 0 if from_rest(case) else int(MASK_S * case.fs_hz)
+        self.first = settled(case)
         rows[: self.first] = False
         rows &= away_from_gaps(case.channels["x_cmd"], case.fs_hz, 0.01, GAP_S)
         self.rows = np.flatnonzero(rows)

@@ -242,11 +242,6 @@ def _allowed(case: Case, size: int) -> float:
     return of_size(POLICY.left_stated, size)
 
 
-def settled(case: Case) -> int:
-    """Return the first row that is no longer under the influence of an unknown start."""
-    return 0 if actuation.from_rest(case) else int(actuation.MASK_S * case.fs_hz)
-
-
 def motion_of(case: Case, disp: Displacement | None) -> Estimate | None:
     """Return the motion and the force, simulated where the actuator is understood."""
     found = _motion(case, disp)
@@ -286,17 +281,17 @@ def _motion(case: Case, disp: Displacement | None) -> Estimate | None:
         and disp.known
         and (disp.quiet or disp.best.chi2 / disp.task.rows.size < POLICY.motion_understood)
     ):
-        found = estimate.along(case, disp.best.motion, settled(case))
+        found = estimate.along(case, disp.best.motion, actuation.settled(case))
         if found is not None:
             return found
     by_rig = rigged.as_given(case)
     if by_rig is not None:
-        found = estimate.along(case, by_rig, settled(case))
+        found = estimate.along(case, by_rig, actuation.settled(case))
         if found is not None:
             return found
     if "x_meas" not in case.channels and "x_cmd" in case.channels and case.model.actuator:
         motion = simulated(case)
-        return estimate.along(case, motion, settled(case))
+        return estimate.along(case, motion, actuation.settled(case))
     return estimate.from_sensors(case)
 
 
@@ -431,7 +426,7 @@ def _in_the_rig(problem: Problem, progress: Progress) -> tuple[Estimate, Context
 
     search = force.search(problem, progress, body, doubtful)
     motion = body.motion(search.problem, search.best) if search.moved else None
-    along = estimate.along(case, motion, settled(case)) if motion is not None else None
+    along = estimate.along(case, motion, actuation.settled(case)) if motion is not None else None
     if along is None:
         return found, ctx, search
     now = context_of(case, along, ctx.all_ranges)

@@ -433,9 +433,7 @@ def _moved(
     """Judge the most promising sets by the motion that they simulate; None where none meets it."""
     problem = dictionary.problem
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
-    # Two laws of dry friction beside one another are one law in a third form.
-    dry = having(lambda e: e.dry)
-    ranked = [f for f in ranked if len(dry & set(f.names)) < 2 and body.quick(f)]
+    ranked = [f for f in ranked if body.quick(f)]
     # What only a load cell sees does not move the body.
     ranked = [f for f in ranked if not body.held or not _seen_only(f.members)]
     singles = [f for f in ranked if len(f.members) == 1]
