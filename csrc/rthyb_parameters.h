@@ -8,17 +8,29 @@
 
 /* cffi: begin */
 
-enum rthyb_parameters_size { RTHYB_PARAMETER_WORDS = 62 };
+enum rthyb_parameters_size {
+    RTHYB_PARAMETER_WORDS = 6 + 2 * RTHYB_CAUSE_COUNT +
+                            RTHYB_COUPLED_MAX * (7 + 2 * RTHYB_CAUSE_COUNT)
+};
+
+/* Of one axis, and of the interface of that number. */
+typedef struct {
+    int32_t own; /* 0: watches and limits of the axis are those of the set */
+    rthyb_watch watch[RTHYB_CAUSE_COUNT];
+    double velocity_limit_m_per_s, acceleration_limit_m_per_s2;
+    rthyb_interface_config interface;
+} rthyb_axis_parameters;
 
 /* What may be changed while a test runs. Generation 0 is what the station was set up with. */
 typedef struct {
     uint32_t generation;
-    int32_t adapt;                        /* 0: what the control law has learnt stays as it is */
+    int32_t adapt;                        /* 0: what the control laws have learnt stays as it is */
     rthyb_watch watch[RTHYB_CAUSE_COUNT]; /* as in rthyb_station_config */
-    double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* of the command; 0 = off */
+    double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* of the commands; 0 = off */
     /* As in rthyb_station_config, of paths that begin from now on; narrower than those of the path
      * that runs, that brakes to rest within them and begins anew. */
     double path_velocity_m_per_s, path_acceleration_m_per_s2, brake_acceleration_m_per_s2;
+    rthyb_axis_parameters axis[RTHYB_COUPLED_MAX];
 } rthyb_parameters;
 
 /* 0 or RTHYB_E_LIMIT. */

@@ -68,7 +68,7 @@ struct rthyb_ring {
     char *slots;
     uint64_t mask;
     uint64_t pushed, shown; /* records in the ring, records on the status page */
-    uint32_t slot_bytes, channel_count;
+    uint32_t slot_bytes, record_words, channel_count;
     uint32_t tripped; /* records taken since the TRIP */
 };
 
@@ -83,9 +83,10 @@ typedef struct {
     uint64_t lost; /* records overwritten, or half written, before they were read */
 } rthyb_ring_reader;
 
-/* Size of the file for a capacity, a power of two, so many bytes of description and so many channels,
- * RTHYB_CHANNELS_MAX at most. */
-size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes, uint32_t channel_count);
+/* Size of the file for a capacity, a power of two, so many bytes of description, and rows of so many axes and
+ * channels, RTHYB_CHANNELS_MAX at most. */
+size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes, int32_t axis_count,
+                        uint32_t channel_count);
 /* Where the description begins, bytes from the start of the file. */
 size_t rthyb_ring_about_at(void);
 /* Locks the mapping and writes all of it once; returns enum rthyb_ring_fact bits. The file must
@@ -94,14 +95,13 @@ int rthyb_ring_settle(int fd, void *map, size_t bytes);
 /* Writes the header over a settled mapping of rthyb_ring_bytes() bytes whose description is in its
  * place; from then on readers find a ring. */
 void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t about_bytes,
-                     uint32_t channel_count);
+                     int32_t axis_count, uint32_t channel_count);
 /* Never waits, fails or calls the kernel. RTHYB_RING_AFTER_TRIP records in state TRIPPED are taken,
  * further ones go to the status page alone until the state is another. */
 /* channels: as many values as the ring has channels; NULL: not known, they become NaN. */
 void rthyb_ring_push(rthyb_ring *ring, const rthyb_record *record, const double *channels);
-/* channels: of each record in turn, or NULL. */
-void rthyb_ring_push_run(rthyb_ring *ring, const rthyb_record *records, size_t n,
-                         const double *channels);
+/* Rows of as many axes as the ring has, one after the other; channels: of each in turn, or NULL. */
+void rthyb_ring_push_run(rthyb_ring *ring, const void *rows, size_t n, const double *channels);
 void rthyb_ring_close(rthyb_ring *ring);
 
 /* Takes a mapping of a whole file and stands before its oldest record; 0 or enum
