@@ -13,6 +13,7 @@ from rthyb_rt.cli import (
     campaign,
     check,
     commission,
+    compare,
     compare_laws,
     ctl,
     diagnose,
@@ -57,6 +58,7 @@ app.command()(commission.commission)
 app.command()(reset.reset)
 app.command()(reproduce.reproduce)
 app.add_typer(benchmark.benchmark)
+app.command()(compare.compare)
 app.command("compare-laws")(compare_laws.compare_laws)
 app.command("import-opensees")(import_opensees.import_opensees)
 app.command()(diagnose.diagnose)
