@@ -2,7 +2,6 @@
 #include <string.h>
 
 #include "internal.h"
-#include "noise.h"
 
 typedef struct {
     int32_t (*axes)(const void *state); /* 0: of no use as a rig */
@@ -41,47 +40,38 @@ static void rig_truth(const void *state, double *x_true_m, double *f_true_n)
     *f_true_n = ((const rthyb_rig *)state)->f_true_n;
 }
 
-/* ---- several, as a state space ----------------------------------------------------------------- */
+/* ---- several ----------------------------------------------------------------------------------- */
 
 static int32_t coupled_axes(const void *state)
 {
-    const rthyb_coupled_plant *plant = state;
-    return plant->cfg.forces == plant->cfg.size ? plant->cfg.size : 0;
+    return ((const rthyb_coupled_rig *)state)->cfg.size;
 }
 
 static double coupled_period_s(const void *state)
 {
-    return ((const rthyb_coupled_plant *)state)->cfg.period_s;
+    return ((const rthyb_coupled_rig *)state)->cfg.period_s;
 }
 
-/* Its forces are along the coordinates: each load cell is under what its axis has to push with. */
 static int coupled_step(void *state, const double *x_p_m, double *x_m_m, double *f_n)
 {
-    rthyb_coupled_plant *plant = state;
-    double force[RTHYB_COUPLED_MAX];
-    int code = rthyb_coupled_plant_latch(plant, x_m_m, force);
-    code |= rthyb_kinematics_pushes(&plant->kinematics, force, f_n);
-    return code | rthyb_coupled_plant_apply(plant, x_p_m);
+    return rthyb_coupled_rig_step(state, x_p_m, x_m_m, f_n);
 }
 
 static void coupled_reseed(void *state)
 {
-    rthyb_coupled_plant *plant = state;
-    noise_seed(&plant->noise, plant->cfg.seed);
+    rthyb_coupled_rig_reseed(state);
 }
 
-/* Forces have no errors of their own. */
 static void coupled_truth(const void *state, double *x_true_m, double *f_true_n)
 {
-    const rthyb_coupled_plant *plant = state;
-    memcpy(x_true_m, plant->true_m, (size_t)plant->cfg.size * sizeof *x_true_m);
-    for (int i = 0; i < plant->cfg.size; i++)
-        f_true_n[i] = (double)NAN;
+    const rthyb_coupled_rig *rig = state;
+    memcpy(x_true_m, rig->x_true_m, (size_t)rig->cfg.size * sizeof *x_true_m);
+    memcpy(f_true_n, rig->f_true_n, (size_t)rig->cfg.size * sizeof *f_true_n);
 }
 
 static const plant_ops KINDS[RTHYB_PLANT_KINDS] = {
     [RTHYB_PLANT_RIG] = {rig_axes, rig_period_s, rig_step, rig_reseed, rig_truth},
-    [RTHYB_PLANT_COUPLED] = {coupled_axes, coupled_period_s, coupled_step, coupled_reseed,
+    [RTHYB_PLANT_COUPLED_RIG] = {coupled_axes, coupled_period_s, coupled_step, coupled_reseed,
                              coupled_truth},
 };
 

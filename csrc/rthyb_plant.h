@@ -4,14 +4,14 @@
 
 #include <stdint.h>
 
-#include "rthyb_coupled_plant.h"
+#include "rthyb_coupled_rig.h"
 #include "rthyb_rig.h"
 
 /* cffi: begin */
 
 enum rthyb_plant_kind {
-    RTHYB_PLANT_RIG,     /* rthyb_rig: one axis */
-    RTHYB_PLANT_COUPLED, /* rthyb_coupled_plant, of as many forces as coordinates */
+    RTHYB_PLANT_RIG,         /* rthyb_rig: one axis */
+    RTHYB_PLANT_COUPLED_RIG, /* rthyb_coupled_rig */
     RTHYB_PLANT_KINDS
 };
 
@@ -21,7 +21,7 @@ typedef struct {
     void *state;
 } rthyb_plant;
 
-/* Axes, 1 to RTHYB_COUPLED_MAX; 0: no such kind, or a plant that gives its axes no forces. */
+/* Axes, 1 to RTHYB_COUPLED_MAX; 0: no such kind. */
 int32_t rthyb_plant_axes(const rthyb_plant *plant);
 double rthyb_plant_period_s(const rthyb_plant *plant);
 /* Latches x_m[n] and f[n] of each axis, then applies x_p[n] and moves on to t_{n+1}. Status bits. */

@@ -23,14 +23,17 @@ ENDED_EARLY = 6
 
 def campaign(
     file: Annotated[
-        Path, typer.Argument(metavar="CAMPAIGN.toml", help="What is varied.", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="CAMPAIGN.toml", help="File that says what varies.", show_default=False
+        ),
     ],
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder of the campaign, instead of runs/NAME. One that was interrupted goes on "
-            "there.",
+            help="Folder of the campaign, instead of runs/NAME. An interrupted campaign "
+            "resumes there.",
             show_default=False,
         ),
     ] = None,
@@ -40,7 +43,7 @@ def campaign(
             min=1,
             max=1024,
             metavar="N",
-            help="Processes of this machine; without it as many as it has processors.",
+            help="Number of processes on this machine. Default: one per processor.",
             show_default=False,
         ),
     ] = None,
@@ -48,19 +51,22 @@ def campaign(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Dask scheduler whose workers take the runs, such as tcp://lab:8786.",
+            help="Address of a Dask scheduler whose workers carry out the runs, such as "
+            "tcp://lab:8786.",
             show_default=False,
         ),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="List the runs, and carry out none of them.")
+        bool, typer.Option("--dry-run", help="List the runs without carrying them out.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run one test in virtual time over lists, grids, seeds, records and drawn plants.
+    """Run one test many times with varied settings.
 
-    Every run is kept as it ends: after Ctrl-C or a power failure the same command goes on where it
-    was. Table and page tell medians, worst cases, and which runs ended early and why.
+    The runs are in virtual time. Settings vary over lists, grids, seeds, ground motions and
+    randomly drawn plants. Every run is saved as soon as it ends: after Ctrl-C or a power failure,
+    the same command resumes where it stopped. The table and the page give medians, worst cases,
+    and which runs ended early and why.
 
     \b
     Examples:
@@ -69,7 +75,7 @@ def campaign(
       rthyb campaign laws.toml --jobs 8 --out laws
       rthyb campaign laws.toml --cluster tcp://lab:8786
 
-    Exit code 6 says that a limit or a trip ended a run, or that one could not be carried out.
+    The exit code is 6 if a limit or a trip ended a run, or if a run could not be carried out.
     """
     from rthyb_rt.benchmark.campaigns import read
     from rthyb_rt.campaign import conducting, pools
