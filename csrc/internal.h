@@ -98,9 +98,15 @@ static inline uint32_t unsent_flag(int axis, int axis_count)
            (axis_count > 1 ? (uint32_t)1 << (RTHYB_F_UNSENT_BIT + axis) : 0u);
 }
 
+/* Of a row of so many axes. */
+static inline size_t record_bytes(int32_t axis_count)
+{
+    return ((size_t)RTHYB_TEST_WORDS + (size_t)axis_count * RTHYB_AXIS_WORDS) * sizeof(uint64_t);
+}
+
 static inline rthyb_record *row_at(void *rows, int32_t axis_count, size_t n)
 {
-    return (rthyb_record *)(void *)((char *)rows + n * rthyb_record_bytes(axis_count));
+    return (rthyb_record *)(void *)((char *)rows + n * record_bytes(axis_count));
 }
 
 /* A drive that brakes by itself, one tick: the next target from the velocity of the last two; the same

@@ -80,7 +80,8 @@ static void sample(rthyb_jitter *jitter, const rthyb_tick *tick)
 {
     rthyb_record record;
     rthyb_input in = {.excitation = excitation_at(jitter, tick->k)};
-    rthyb_rig_step(jitter->rig, jitter->controller->axis[0].x_cmd, &in.axis[0].x_meas_m, &in.axis[0].f_meas_n);
+    rthyb_rig_step(jitter->rig, jitter->controller->axis[0].x_cmd, &in.axis[0].x_meas_m,
+                   &in.axis[0].f_meas_n);
     rthyb_controller_step(jitter->controller, &in, &record);
     keep(jitter, &record);
 }

@@ -57,9 +57,8 @@ static void draw_back(int n, const double *from, const double *low, const double
         least = fmin(least, share[i]);
     }
     for (int i = 0; i < n; i++)
-        to[i] = share[i] == least
-                    ? kept[i]
-                    : clamp(from[i] + least * (to[i] - from[i]), low[i], high[i]);
+        to[i] = share[i] == least ? kept[i]
+                                  : clamp(from[i] + least * (to[i] - from[i]), low[i], high[i]);
 }
 
 /* The step that closes a lag and can still be braked away with half the acceleration limit. */
@@ -100,8 +99,8 @@ static void close_lags(const rthyb_controller *c, const double *wanted, double *
         if (least == HUGE_VAL)
             step[i] = wanted[i] - x_lim;
         else
-            step[i] = wanted[i] - x_plc +
-                      (share[i] == least ? closing[i] : least * (x_plc - x_lim));
+            step[i] =
+                wanted[i] - x_plc + (share[i] == least ? closing[i] : least * (x_plc - x_lim));
     }
 }
 

@@ -131,9 +131,8 @@ static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
         return;
     const rthyb_load *load = &loop->load;
     const int another = load->station != loop->cfg.station;
-    const int refused =
-        another && (loop->cfg.station->state != RTHYB_IDLE ||
-                    load->station->cfg.controller.axis_count != loop->axis_count);
+    const int refused = another && (loop->cfg.station->state != RTHYB_IDLE ||
+                                    load->station->cfg.controller.axis_count != loop->axis_count);
     if (!refused) {
         if (another) {
             put(&loop->load_tick, tick->k - tick->skipped);
@@ -335,8 +334,7 @@ static int send_command(rthyb_loop *loop, int axis, const rthyb_station_output *
     rthyb_loop_way *way = &loop->way[axis];
     rthyb_frame frame;
     double sent_m = 0.0;
-    const double wanted_m =
-        command_for_wire(&at->wire->codec, &at->calibration, &out->axis[axis]);
+    const double wanted_m = command_for_wire(&at->wire->codec, &at->calibration, &out->axis[axis]);
     const int nowhere = isnan(wanted_m) && isfinite(out->axis[axis].x_cmd_m);
     const int code = rthyb_wire_command(at->wire, wanted_m, out->told, &frame, &sent_m);
     way->beyond = nowhere || (code & RTHYB_S_OUT_OF_RANGE);
@@ -656,8 +654,8 @@ static int take_leave(const rthyb_loop *loop, int axis)
     const rthyb_loop_axis *at = &loop->cfg.axis[axis];
     rthyb_frame frame;
     double sent_m;
-    const double wire_m = command_to_wire(&at->calibration, s->controller.axis[axis].x_cmd +
-                                                                s->axis[axis].tare_cmd);
+    const double wire_m =
+        command_to_wire(&at->calibration, s->controller.axis[axis].x_cmd + s->axis[axis].tare_cmd);
     const int code = rthyb_wire_command(at->wire, wire_m, RTHYB_TOLD_LEAVING, &frame, &sent_m);
     return !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(at->link, &frame);
 }

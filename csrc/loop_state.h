@@ -18,14 +18,14 @@ int rthyb_handover_read(rthyb_handover *handover, rthyb_parameters *parameters);
 
 /* What the tick keeps of one axis. */
 typedef struct {
-    int64_t delay;        /* as in rthyb_feedback, of the last fresh pair; for any thread */
-    int32_t usual_delay;  /* the same at rest, before the test */
-    uint32_t unsent;      /* commands in a row that the link did not take */
-    int64_t arrived_ns;   /* when the newest pair did, on CLOCK_MONOTONIC */
-    uint64_t downs_seen;  /* of the link's times_down */
-    int64_t offset;       /* drive's count - tick */
-    int64_t offset_seen;  /* another one, and in which of the last ticks */
-    int64_t abreast;      /* the offset at rest: from there on counts may not come apart */
+    int64_t delay;       /* as in rthyb_feedback, of the last fresh pair; for any thread */
+    int32_t usual_delay; /* the same at rest, before the test */
+    uint32_t unsent;     /* commands in a row that the link did not take */
+    int64_t arrived_ns;  /* when the newest pair did, on CLOCK_MONOTONIC */
+    uint64_t downs_seen; /* of the link's times_down */
+    int64_t offset;      /* drive's count - tick */
+    int64_t offset_seen; /* another one, and in which of the last ticks */
+    int64_t abreast;     /* the offset at rest: from there on counts may not come apart */
     uint64_t vote_map[RTHYB_SLIP_WINDOW / 64];
     uint64_t voted; /* ticks that had a say */
     int32_t offset_known, votes;
@@ -58,8 +58,9 @@ struct rthyb_loop {
     uint64_t load_tick; /* of the loop: where tick 0 of the station is that was taken last */
     uint64_t heartbeat, heard, silence; /* word of the other side, last seen, ticks since */
     int32_t taken_over; /* the station has not ticked yet, and another one's last command was */
-    int32_t offered;    /* taken_cmd_m, to the first sound reading, as long as the drives read offered_x_m */
-    int32_t apart;      /* the drives' counts are, by the last tick that had them all */
+    int32_t
+        offered; /* taken_cmd_m, to the first sound reading, as long as the drives read offered_x_m */
+    int32_t apart;     /* the drives' counts are, by the last tick that had them all */
     int32_t overheard; /* link clock: more came before this tick than it listens to */
     int32_t priority, cpu, latency_fd; /* of the thread, as in rthyb_thread_become_real_time */
     uint32_t privileges;               /* obtained: enum rthyb_privilege */

@@ -72,7 +72,7 @@ static void coupled_truth(const void *state, double *x_true_m, double *f_true_n)
 static const plant_ops KINDS[RTHYB_PLANT_KINDS] = {
     [RTHYB_PLANT_RIG] = {rig_axes, rig_period_s, rig_step, rig_reseed, rig_truth},
     [RTHYB_PLANT_COUPLED_RIG] = {coupled_axes, coupled_period_s, coupled_step, coupled_reseed,
-                             coupled_truth},
+                                 coupled_truth},
 };
 
 /* ---- whichever it is --------------------------------------------------------------------------- */

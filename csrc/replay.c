@@ -19,8 +19,8 @@ static size_t group_of(const rthyb_replay *source, int axes, size_t from, rthyb_
 {
     size_t n = 0;
     while (from + n < source->count && n < GROUP_MAX) {
-        memcpy(&group[n], (const char *)source->rows + (from + n) * rthyb_record_bytes(axes),
-               rthyb_record_bytes(axes));
+        memcpy(&group[n], (const char *)source->rows + (from + n) * record_bytes(axes),
+               record_bytes(axes));
         if (!(group[n++].flags & RTHYB_F_BLIND))
             return n;
     }
@@ -42,8 +42,7 @@ static int32_t lost(const rthyb_record *row, int axis, int axes)
     const rthyb_axis_record *a = &row->axis[axis];
     if (!(row->flags & RTHYB_F_LOST) || (axes > 1 && !isnan(a->x_read_m)))
         return 0;
-    const int32_t no_number =
-        isnan(axes > 1 ? a->f_read_n : a->x_read_m) ? RTHYB_S_NOT_FINITE : 0;
+    const int32_t no_number = isnan(axes > 1 ? a->f_read_n : a->x_read_m) ? RTHYB_S_NOT_FINITE : 0;
     return RTHYB_LOST | no_number | (row->code & RTHYB_S_OUT_OF_RANGE);
 }
 
@@ -155,7 +154,7 @@ size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, 
             return done;
         const size_t got = replay_group(station, source, rows, n, made);
         for (size_t i = 0; i < n && i < got; i++)
-            memcpy(row_at(out, axes, done + i), &made[i], rthyb_record_bytes(axes));
+            memcpy(row_at(out, axes, done + i), &made[i], record_bytes(axes));
         if (got != n)
             return done + (n < got ? n : got);
         done += n;

@@ -43,7 +43,7 @@ static size_t slots_at(size_t about_bytes)
 
 static uint32_t row_bytes(int32_t axis_count, uint32_t channel_count)
 {
-    return (uint32_t)rthyb_record_bytes(axis_count) + channel_count * (uint32_t)sizeof(double);
+    return (uint32_t)record_bytes(axis_count) + channel_count * (uint32_t)sizeof(double);
 }
 
 static uint32_t slot_bytes(uint32_t row)
@@ -89,7 +89,7 @@ void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t abou
         .slots = (char *)map + header->slots_at,
         .mask = capacity - 1,
         .slot_bytes = header->slot_bytes,
-        .record_words = (uint32_t)(rthyb_record_bytes(axis_count) / sizeof(uint64_t)),
+        .record_words = (uint32_t)(record_bytes(axis_count) / sizeof(uint64_t)),
         .channel_count = channel_count,
     };
     /* Last, so that nobody takes half a header for a ring. */

@@ -35,6 +35,7 @@
 #include "rthyb_plant.h"
 #include "rthyb_numerical.h"
 #include "rthyb_controller.h"
+#include "rthyb_watch.h"
 #include "rthyb_station.h"
 #include "rthyb_parameters.h"
 #include "rthyb_wire.h"

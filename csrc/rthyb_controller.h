@@ -29,7 +29,7 @@ typedef struct {
 typedef struct {
     double period_s;
     int32_t axis_count, interface_count;
-    int32_t lead_enabled; /* 0: what the laws lead by does not reach the commands */
+    int32_t lead_enabled;  /* 0: what the laws lead by does not reach the commands */
     int32_t estimate_held; /* what the laws have learnt stays as it is */
     rthyb_motion_config motion;
     rthyb_numerical
@@ -43,19 +43,20 @@ typedef struct {
 
 /* How the limiter goes on with one axis (limiter.c). */
 typedef struct {
-    double x_lim, step;   /* command that left last, and its way from the one that left before it: as the
-                           * limiter had them, before the wire rounded */
-    double x_lim1, step1; /* the same before this sample, should its command not leave */
+    double x_lim,
+        step; /* command that left last, and its way from the one that left before it: as the
+               * limiter had them, before the wire rounded */
+    double x_lim1, step1;    /* the same before this sample, should its command not leave */
     double lower_m, upper_m; /* the command may be no further out than these now */
     int32_t gap;             /* a tick since then in which none left */
 } rthyb_limiter;
 
 typedef struct {
-    double target, target1;     /* displacement asked of it for t_n, and for t_{n-1} */
-    double x_plc, x_plc1;       /* the same, led */
-    double x_cmd, x_cmd1;       /* and as it leaves */
-    double x_m1, f1;            /* of t_{n-1}, measured or made up */
-    uint32_t missing;           /* samples in a row without an accepted pair of its own */
+    double target, target1; /* displacement asked of it for t_n, and for t_{n-1} */
+    double x_plc, x_plc1;   /* the same, led */
+    double x_cmd, x_cmd1;   /* and as it leaves */
+    double x_m1, f1;        /* of t_{n-1}, measured or made up */
+    uint32_t missing;       /* samples in a row without an accepted pair of its own */
     rthyb_limiter limiter;
     rthyb_law law;
 } rthyb_controller_axis;

@@ -65,8 +65,8 @@ typedef struct {
 typedef struct {
     rthyb_station *station;
     rthyb_loop_axis axis[RTHYB_COUPLED_MAX]; /* as many as the station has */
-    rthyb_ring *ring;      /* NULL: no ring */
-    const double *ag_mps2; /* ground motion of the test */
+    rthyb_ring *ring;                        /* NULL: no ring */
+    const double *ag_mps2;                   /* ground motion of the test */
     size_t ag_count;
     int32_t clock;   /* enum rthyb_clock */
     int32_t unpaced; /* stepped clock: the drive does not wait for its ticks */

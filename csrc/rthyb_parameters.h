@@ -10,7 +10,7 @@
 
 enum rthyb_parameters_size {
     RTHYB_PARAMETER_WORDS = 6 + 2 * RTHYB_CAUSE_COUNT +
-                            RTHYB_COUPLED_MAX * (7 + 2 * RTHYB_CAUSE_COUNT)
+    RTHYB_COUPLED_MAX * (7 + 2 * RTHYB_CAUSE_COUNT)
 };
 
 /* Of one axis, and of the interface of that number. */

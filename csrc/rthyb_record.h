@@ -100,27 +100,30 @@ enum rthyb_flag {
     RTHYB_F_SILENT = 1 << 10, /* the operator's side has been silent for too long */
     RTHYB_F_BEYOND = 1 << 11, /* the wire cannot hold the command of the tick before */
     RTHYB_F_TAKEN_OVER = 1
-        << 12,                 /* no reading before this tick: the drive has x_cmd_m from others */
+        << 12, /* no reading before this tick: the drive has x_cmd_m from others */
     /* Of several axes alone, from here to bit 22. */
-    RTHYB_F_APART = 1 << 13,  /* the drives' counts are more than one sample apart */
-    RTHYB_F_UNSENT_BIT = 14,  /* bits 14 to 17: the command of this axis did not leave; no flag itself */
-    RTHYB_F_CAUSE_BIT = 18,   /* bits 18 to 20: 1 + axis, or interface, of the cause; no flag itself */
+    RTHYB_F_APART = 1 << 13, /* the drives' counts are more than one sample apart */
+    RTHYB_F_UNSENT_BIT =
+        14, /* bits 14 to 17: the command of this axis did not leave; no flag itself */
+    RTHYB_F_CAUSE_BIT =
+        18, /* bits 18 to 20: 1 + axis, or interface, of the cause; no flag itself */
     RTHYB_F_INTERFACE = 1 << 21, /* an interface it is */
-    RTHYB_F_REFUSED = 1 << 23, /* the operator's command of this tick was refused */
-    RTHYB_F_COMMAND_BIT = 24   /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
+    RTHYB_F_REFUSED = 1 << 23,   /* the operator's command of this tick was refused */
+    RTHYB_F_COMMAND_BIT = 24 /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
 };
 
 /* One axis. */
 typedef struct {
-    double x_read_m;  /* reading as the station was told it, taken or not, calibrated, before
-                       * the tare; NaN: what came was no number, or, with several axes, nothing */
-    double f_read_n;  /* the same of the force; both 0 where nothing came */
-    double x_cmd_m;   /* x_p[n], as the drive has it */
-    double x_meas_m;  /* x_m[n], accepted or predicted, after tare */
-    double f_meas_n;  /* f[n], accepted or predicted, after tare */
-    uint32_t missing; /* samples in a row without an accepted pair of its own, this one among them */
-    uint16_t echo;    /* low bits of the command sequence number the drive had applied */
-    uint16_t count;   /* low bits of the drive's own sample count */
+    double x_read_m; /* reading as the station was told it, taken or not, calibrated, before
+                      * the tare; NaN: what came was no number, or, with several axes, nothing */
+    double f_read_n; /* the same of the force; both 0 where nothing came */
+    double x_cmd_m;  /* x_p[n], as the drive has it */
+    double x_meas_m; /* x_m[n], accepted or predicted, after tare */
+    double f_meas_n; /* f[n], accepted or predicted, after tare */
+    uint32_t
+        missing;    /* samples in a row without an accepted pair of its own, this one among them */
+    uint16_t echo;  /* low bits of the command sequence number the drive had applied */
+    uint16_t count; /* low bits of the drive's own sample count */
 } rthyb_axis_record;
 
 /* A row of n axes is the record up to its n-th axis: rthyb_record_bytes(n) of it. What is said once, and what

@@ -20,10 +20,10 @@ typedef struct {
     const double *ag_mps2; /* ground motion of the test */
     size_t ag_count;
     double stop_decel_m_per_s2;
-    int32_t truth;              /* the first two channels of each axis are what its sensors saw, without
-                                 * their errors: rthyb_plant_truth */
-    int32_t freedoms;           /* so many channels, behind those, say where the numerical part's
-                                 * degrees of freedom are */
+    int32_t truth;    /* the first two channels of each axis are what its sensors saw, without
+                       * their errors: rthyb_plant_truth */
+    int32_t freedoms; /* so many channels, behind those, say where the numerical part's
+                       * degrees of freedom are */
     /* From here on the core's own: enum rthyb_drive_phase, what each actuator is told, and was told before. */
     int32_t phase[RTHYB_COUPLED_MAX];
     double target_m[RTHYB_COUPLED_MAX], target1_m[RTHYB_COUPLED_MAX];

@@ -6,6 +6,7 @@
 #include <stdint.h>
 
 #include "rthyb_controller.h"
+#include "rthyb_watch.h"
 
 /* cffi: begin */
 
@@ -22,61 +23,14 @@ enum rthyb_command {
     RTHYB_CMD_COUNT
 };
 
-/* Why a test left its course; the first one since START (or RESET) is latched, but a fault takes the
- * place of COMPLETED and OPERATOR. */
-enum rthyb_cause {
-    RTHYB_CAUSE_NONE,
-    RTHYB_CAUSE_COMPLETED,
-    RTHYB_CAUSE_OPERATOR,
-    RTHYB_CAUSE_SIGNAL,
-    RTHYB_CAUSE_NOT_FINITE,
-    RTHYB_CAUSE_LINK_LOST,
-    RTHYB_CAUSE_LINK_DOWN,
-    RTHYB_CAUSE_DRIVE_STOPPED,
-    RTHYB_CAUSE_STALLED,
-    RTHYB_CAUSE_HEARTBEAT,
-    RTHYB_CAUSE_NOT_ARRIVED,
-    RTHYB_CAUSE_SKIPS, /* share of the last second's ticks, or more than 10 in a row */
-    RTHYB_CAUSE_SKIP_WARNING,
-    RTHYB_CAUSE_LOST_PAIRS, /* share of the last second's ticks without an accepted pair */
-    RTHYB_CAUSE_LOST_WARNING,
-    RTHYB_CAUSE_SENSOR_STUCK,
-    RTHYB_CAUSE_SENSOR_JUMP,
-    RTHYB_CAUSE_FORCE_STUCK,
-    RTHYB_CAUSE_FORCE_JUMP,
-    RTHYB_CAUSE_POSITION,
-    RTHYB_CAUSE_VELOCITY,
-    RTHYB_CAUSE_INCREMENT,
-    RTHYB_CAUSE_FORCE,
-    RTHYB_CAUSE_TRACKING,
-    RTHYB_CAUSE_INDICATOR,
-    RTHYB_CAUSE_ENERGY,
-    RTHYB_CAUSE_RIG_POSITION, /* before tare: where the drive was told to go */
-    RTHYB_CAUSE_RIG_FORCE,    /* before tare */
-    RTHYB_CAUSE_APART,        /* two axes' drives have counted their samples apart; nothing to watch */
-    RTHYB_CAUSE_COUNT
-};
-
-enum rthyb_reaction {
-    RTHYB_REACT_NONE,
-    RTHYB_REACT_INDICATE,
-    RTHYB_REACT_HOLD,
-    RTHYB_REACT_RAMP_OUT,
-    RTHYB_REACT_TRIP
-};
-
-typedef struct {
-    double value;     /* 0 = off */
-    int32_t reaction; /* enum rthyb_reaction */
-} rthyb_watch;
-
 /* An actuator with its displacement sensor and its load cell; all before tare. */
 typedef struct {
     double x_range_m, f_range_n;     /* a reading beyond its sensor's range is not taken; 0 = off */
     double rest_spread_m;            /* ZERO refuses a displacement that moves by more */
     double tare_most_m, tare_most_n; /* and a tare beyond these; 0 = any */
-    int32_t own_watches; /* 0: the station's; else these, of what belongs to an axis: stuck, jump, position
-                          * to tracking, rig position and rig force */
+    int32_t
+        own_watches; /* 0: the station's; else these, of what belongs to an axis: stuck, jump, position
+                      * to tracking, rig position and rig force */
     rthyb_watch watch[RTHYB_CAUSE_COUNT];
 } rthyb_axis_config;
 
@@ -178,13 +132,13 @@ typedef struct {
     rthyb_station_config cfg;
     rthyb_station_ticks ticks;
     rthyb_controller controller;
-    int32_t state;       /* enum rthyb_state */
-    int32_t cause;       /* enum rthyb_cause, latched */
+    int32_t state;                       /* enum rthyb_state */
+    int32_t cause;                       /* enum rthyb_cause, latched */
     int32_t cause_axis, cause_interface; /* of which, or -1 */
-    uint64_t cause_tick; /* when the cause came up */
-    double cause_value;  /* what was met, in the unit of what is watched (m, N, ticks ...), */
-    double cause_limit;  /* and what was allowed; both 0 where the cause has no number */
-    uint32_t indicated;  /* bit 1 << cause: seen, not acted on */
+    uint64_t cause_tick;                 /* when the cause came up */
+    double cause_value; /* what was met, in the unit of what is watched (m, N, ticks ...), */
+    double cause_limit; /* and what was allowed; both 0 where the cause has no number */
+    uint32_t indicated; /* bit 1 << cause: seen, not acted on */
     int32_t interrupted;
     uint64_t tick;      /* ticks of the station */
     uint64_t in_state;  /* ticks since the state was entered */
@@ -194,7 +148,8 @@ typedef struct {
     rthyb_path path[RTHYB_COUPLED_MAX]; /* of each interface; they begin and end together */
     int32_t leg; /* HOLD: 0 decelerating, 1 stands, 2 resuming, 3 decelerating before it resumes;
                   * RAMP_OUT: 0 decelerating, 1 on the way; RAMP_IN: 0 on the way, 1 decelerating */
-    double resume[RTHYB_COUPLED_MAX][3]; /* displacement, velocity, acceleration of each interface */
+    double resume[RTHYB_COUPLED_MAX]
+                 [3];      /* displacement, velocity, acceleration of each interface */
     int32_t zeroing;       /* 0 no, 1 under way, 2 failed: the reading moved, 3: too large */
     int32_t tare_readings; /* that the tare has so far */
     int32_t tared;         /* there is one that counts: none before the first, none after a RESET */
@@ -218,9 +173,9 @@ typedef struct {
 
 /* Of an axis. */
 typedef struct {
-    double x_m, f_n; /* newest pair, before tare */
-    double x_cmd_m;  /* with taken_over: what the drive has */
-    int32_t lost;    /* as in rthyb_pair */
+    double x_m, f_n;       /* newest pair, before tare */
+    double x_cmd_m;        /* with taken_over: what the drive has */
+    int32_t lost;          /* as in rthyb_pair */
     int32_t link_down;     /* the link itself reports a failure */
     int32_t drive_stopped; /* the drive says that it has stopped by itself */
     int32_t beyond;        /* the wire could not hold the last command and sent the nearest */

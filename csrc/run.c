@@ -28,10 +28,9 @@ size_t rthyb_run_virtual(rthyb_controller *controller, rthyb_rig *rig, const dou
     size_t done = 0;
     while (done < count && !(*status & RTHYB_S_NOT_FINITE)) {
         rthyb_input in = {.excitation = excitation_at(controller, excitation, n_total)};
-        rthyb_rig_step(rig, controller->axis[0].x_cmd, &in.axis[0].x_meas_m,
-                       &in.axis[0].f_meas_n);
+        rthyb_rig_step(rig, controller->axis[0].x_cmd, &in.axis[0].x_meas_m, &in.axis[0].f_meas_n);
         *status |= rthyb_controller_step(controller, &in, &record);
-        memcpy(row_at(rows, 1, done++), &record, rthyb_record_bytes(1));
+        memcpy(row_at(rows, 1, done++), &record, record_bytes(1));
     }
     return done;
 }
@@ -48,7 +47,7 @@ int rthyb_run_reference(rthyb_motion *motion, rthyb_element *elements, size_t el
 
 size_t rthyb_record_bytes(int32_t axis_count)
 {
-    return ((size_t)RTHYB_TEST_WORDS + (size_t)axis_count * RTHYB_AXIS_WORDS) * sizeof(uint64_t);
+    return record_bytes(axis_count);
 }
 
 const char *rthyb_version(void)

@@ -745,8 +745,7 @@ void rthyb_station_advance(rthyb_station *s)
     rthyb_controller_advance(&s->controller);
 }
 
-static void write_output(rthyb_station *s, int refused, uint32_t records,
-                         rthyb_station_output *out)
+static void write_output(rthyb_station *s, int refused, uint32_t records, rthyb_station_output *out)
 {
     const int frame = s->state != RTHYB_TRIPPED || s->trip_frames > 0;
     *out = (rthyb_station_output){

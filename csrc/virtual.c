@@ -111,7 +111,7 @@ size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, voi
     while (done < count && !told) {
         const int32_t state = station->state, zeroing = station->zeroing;
         tick(test, done == 0 ? command : RTHYB_CMD_NONE, &record);
-        memcpy(row_at(rows, axes, done), &record, rthyb_record_bytes(axes));
+        memcpy(row_at(rows, axes, done), &record, record_bytes(axes));
         if (channel_count > 0)
             memcpy(channels + done * channel_count, station->channel,
                    channel_count * sizeof *channels);

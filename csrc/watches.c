@@ -1,9 +1,9 @@
 /* What is not as it should be, and what happens then: limits, sensors, forces, shares of the last second. */
 #include "station.h"
 
-#define JUMP_TAKEN 3                /* readings in a row that make a new level, at any rate */
-#define OVERLOAD 1.5                /* times a force's limit: not even one tick */
-#define START_SPREADS 5.0           /* times rest_spread_m: how far from the command START may find x_m */
+#define JUMP_TAKEN 3      /* readings in a row that make a new level, at any rate */
+#define OVERLOAD 1.5      /* times a force's limit: not even one tick */
+#define START_SPREADS 5.0 /* times rest_spread_m: how far from the command START may find x_m */
 #define SKIPS_SHARE (50.0 / 1024.0) /* of the last second, where nothing else is said */
 
 /* ---- reactions --------------------------------------------------------------------------------- */
@@ -146,9 +146,9 @@ static int check_force(rthyb_station *s, int i, int cause, double value, rthyb_o
         off_scale || fabs(value) > OVERLOAD * watch->value || over->ticks >= s->ticks.overload;
     const int escalates =
         watch->reaction >= RTHYB_REACT_HOLD && is_off_course(s->state) && too_much;
-    const finding found =
-        off_scale ? (finding){cause, a->told_f, s->cfg.axis[i].f_range_n, of_axis(i)}
-                  : (finding){cause, value, watch->value, of_axis(i)};
+    const finding found = off_scale
+                              ? (finding){cause, a->told_f, s->cfg.axis[i].f_range_n, of_axis(i)}
+                              : (finding){cause, value, watch->value, of_axis(i)};
     return watch_react(s, found, escalates ? RTHYB_REACT_TRIP : watch->reaction,
                        RTHYB_S_FORCE_LIMIT);
 }
@@ -236,8 +236,8 @@ static int check_commands(rthyb_station *s)
         const rthyb_controller_axis *a = &s->controller.axis[i];
         code |= check_axis(s, i, RTHYB_CAUSE_VELOCITY, (a->x_plc - a->x_plc1) / h,
                            RTHYB_S_VELOCITY_LIMIT);
-        code |= check_axis(s, i, RTHYB_CAUSE_INCREMENT, a->x_cmd - a->x_cmd1,
-                           RTHYB_S_INCREMENT_LIMIT);
+        code |=
+            check_axis(s, i, RTHYB_CAUSE_INCREMENT, a->x_cmd - a->x_cmd1, RTHYB_S_INCREMENT_LIMIT);
     }
     return code;
 }
@@ -268,9 +268,8 @@ static void check_stuck(rthyb_station *s, int i, int cause, rthyb_stillness *sti
     const rthyb_watch *watch = watch_of(s, i, cause);
     if (axis_is_stuck(still, reading, s->controller.axis[i].x_cmd, is_moving(s->state),
                       watch->value, s->cfg.axis[i].rest_spread_m))
-        s->noted |=
-            watch_react(s, (finding){cause, (double)still->ticks, watch->value, of_axis(i)},
-                        watch->reaction, RTHYB_S_SENSOR_STUCK);
+        s->noted |= watch_react(s, (finding){cause, (double)still->ticks, watch->value, of_axis(i)},
+                                watch->reaction, RTHYB_S_SENSOR_STUCK);
 }
 
 void watch_stuck(rthyb_station *s, int axis, double x_m, double f_n)
