@@ -107,7 +107,7 @@ def test_response_that_is_lost_in_the_quiet_part_is_told() -> None:
     assert one.value > 0.4
     assert one.from_s > 20.0
     assert summary.summarize(rec).response_peak_error < 0.1, "of the peak it is small"
-    assert alarms(rec)[0].startswith("The response left the reference simulation: from")
+    assert alarms(rec)[0].startswith("The response departed from the reference simulation: from")
 
 
 def test_alpha_that_learns_from_motion_alone_stays_with_the_delay() -> None:
@@ -356,7 +356,7 @@ def test_the_live_view_says_of_a_running_test_what_goes_wrong(tmp_path: Path) ->
     alpha = [text for text in told_live(rec, 20.0, tmp_path) if text.startswith("Alpha left")]
     assert len(alpha) == 1
     whole = told_live(rec, 40.0, tmp_path)
-    assert whole[0].startswith("The response left the reference simulation")
+    assert whole[0].startswith("The response departed from the reference simulation")
     assert "controller.delay_estimator.gain_per_mm2_per_sample" in whole[1]
 
 

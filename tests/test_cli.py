@@ -196,7 +196,7 @@ def test_limit_ends_the_test_with_code_6_and_the_files_are_there(
 ) -> None:
     answer = rthyb("run", "--set", "limits.force_n=1000", "--out", "x")
     assert answer.code == 6
-    assert re.search(r"End of the test +tripped: force limit, after \d", answer.out)
+    assert re.search(r"Result +tripped: force limit, after \d", answer.out)
     assert {file.name for file in (tmp_path / "x").iterdir()} >= {"recording.h5", "report.html"}
 
 
