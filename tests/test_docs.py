@@ -117,11 +117,11 @@ def test_safety_note_is_in_readme_and_guide() -> None:
         assert note in " ".join(read(page).lower().replace("*", "").split())
 
 
-# ---- the outline of the house -------------------------------------------------------------------
+# ---- the layout of the repository ----------------------------------------------------------------
 
 
 def outline() -> list[str]:
-    text = read(ROOT / "README.md").split("## Outline of the house")[1]
+    text = read(ROOT / "README.md").split("## Repository layout")[1]
     block = _FENCE.search(text)
     assert block is not None
     return [line.split()[0] for line in block[2].splitlines()]
