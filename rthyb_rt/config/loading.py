@@ -16,7 +16,8 @@ from rthyb_rt.config import busload
 from rthyb_rt.config.baselinefile import BASELINE_SCHEMA, BaselineFile
 from rthyb_rt.config.campaignfile import CAMPAIGN_SCHEMA, CampaignFile
 from rthyb_rt.config.changes import ON_COMMAND_LINE, Wording
-from rthyb_rt.config.fields import Table, nearest, written
+from rthyb_rt.config.fields import Choice, Table, nearest, written
+from rthyb_rt.config.history import CyclesHistory, History, RandomHistory, with_file
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
 from rthyb_rt.config.mapfile import MAP_SCHEMA, MapFile
@@ -38,10 +39,11 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 _SYNTAX_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
 
 # Tables in which an override of one key replaces the others that stand for the same thing.
-_EXCLUSIVE: dict[KeyPath, type[Table]] = {
-    ("numerical",): Numerical,
-    ("ground_motion",): GroundMotion,
-    ("controller", "rfc"): Rfc,
+_EXCLUSIVE: dict[KeyPath, tuple[Choice, ...]] = {
+    ("numerical",): Numerical.choices,
+    ("ground_motion",): GroundMotion.choices,
+    ("controller", "rfc"): Rfc.choices,
+    ("history",): (*CyclesHistory.choices, *RandomHistory.choices),
 }
 
 
@@ -75,8 +77,21 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
             "rig": found(test.rig, "rig"),
             "ground_motion": motion.model_copy(update={"record": record}),
             "numerical": _with_matrices(test.numerical, str(path), overrides),
+            "history": _with_steps(test.history, str(path), overrides),
         }
     )
+
+
+def _with_steps(given: History | None, path: str, overrides: Mapping[str, str]) -> History | None:
+    """Read the CSV file of amplitudes and cycles that a history names.
+
+    Raises:
+        InputError: what is wrong with the file.
+    """
+    if not isinstance(given, CyclesHistory) or given.file is None:
+        return given
+    from_override = any(key.startswith("history") for key in overrides)
+    return with_file(given, Path() if from_override else Path(path).parent)
 
 
 def _with_matrices(numerical: Numerical, path: str, overrides: Mapping[str, str]) -> Numerical:
@@ -486,7 +501,7 @@ def _parse(
     new_kinds: dict[KeyPath, int | str] = {
         key[:-1]: key[-1]
         for key in given
-        if key[-1] in ("kind", "element") and key[0] in ("actuator", "specimen")
+        if key[-1] in ("kind", "element") and key[0] in ("actuator", "specimen", "history")
     }
     unfit: set[KeyPath] = set()
     placed: list[tuple[int, Problem]] = []
@@ -533,7 +548,7 @@ def _kind_message(raw: dict[str, Any], path: KeyPath, override: str, wording: Wo
     kind = values[tag]
     (model,) = (
         model
-        for model in kinds()
+        for model in (*kinds(), *get_args(History))
         if tag in model.model_fields and kind in get_args(model.model_fields[tag].annotation)
     )
     needed = {
@@ -641,8 +656,7 @@ def _override(
 
 def _drop_alternatives(table: dict[str, Any], path: KeyPath, given: set[KeyPath]) -> None:
     """Let a period from the command line replace the mass in the file, and the like."""
-    model = _EXCLUSIVE.get(path[:-1])
-    for choice in model.choices if model else ():
+    for choice in _EXCLUSIVE.get(path[:-1], ()):
         if path[-1] in choice.keys:
             for key in choice.keys:
                 if (*path[:-1], key) not in given:
