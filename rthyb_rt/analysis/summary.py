@@ -368,9 +368,9 @@ class Summary:
     """The figures of a test; fractions and SI units, nan or None where there is nothing to say.
 
     ``attention`` is what went wrong although the test may have completed, the gravest first;
-    ``ended_by`` the cause that took it off its course, None if none did; ``loops`` what the cycles of
-    a prescribed history have shown, by amplitude. Errors, indices and flags
-    are taken over the rows of the test proper.
+    ``ended_by`` the cause that took it off its course, None if none did; ``loops`` what the cycles
+    of a prescribed history have shown, by amplitude. Errors, indices and flags are taken over the
+    rows of the test proper.
     """
 
     test_name: str

@@ -370,7 +370,9 @@ def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
 
 
 def load_motion(test: TestFile) -> GroundMotion:
-    """Read the ground motion that a test names, as it stands in its file."""
+    """Read the ground motion that a test names, as it stands in its file; a history has rest."""
+    if test.history is not None:
+        return GroundMotion(test.history.title, "history", 1.0 / core.FS_HZ, np.zeros(1))
     wanted = test.ground_motion
     return ground_motion.load(
         wanted.record, format=wanted.format, units=wanted.units, channel=wanted.channel
