@@ -115,6 +115,12 @@ int rthyb_servo_latch(rthyb_servo *servo, double x_p_m);
  * computation that has run off. */
 int rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count);
 
+/* Servo-hydraulic: the command at the beginning of a sample, and what it rises by in a substep. */
+void rthyb_servo_run_up(const rthyb_servo *servo, double *start, double *rise);
+
+/* A virtual rig that has gone unstable stops at its guard instead of filling with inf. */
+int rthyb_servo_confine(rthyb_servo *servo);
+
 /* servo_valve.c: set-up of its step; one sample. */
 int rthyb_valve_init(rthyb_servo *servo);
 void rthyb_valve_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count);

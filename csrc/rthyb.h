@@ -31,6 +31,7 @@
 #include "rthyb_rig.h"
 #include "rthyb_sparse.h"
 #include "rthyb_coupled_plant.h"
+#include "rthyb_coupled_rig.h"
 #include "rthyb_numerical.h"
 #include "rthyb_controller.h"
 #include "rthyb_station.h"

@@ -77,7 +77,7 @@ def test_help_names_every_command_and_the_exit_codes(rthyb: Rthyb) -> None:
 def test_without_arguments_the_help_is_shown(rthyb: Rthyb) -> None:
     answer = rthyb()
     assert answer.code in (0, 2)
-    assert "Begin with" in answer.out + answer.err
+    assert "Getting started" in answer.out + answer.err
 
 
 @pytest.mark.parametrize("command", ["run", "check", "replay", "export", "report", "schema"])

@@ -24,11 +24,11 @@ def check(
 ) -> None:
     """Check a test without running it.
 
-    Every fault of test file and rig file is named at once. For a test without fault: period and
-    mass, the compensator's gains, the delay that the structure survives, roots and margins of the
-    whole loop where the rig's response is known, the margin of the delay estimator, the limits of
-    test and rig together, the rig's link with the load of its bus and the dates of its
-    commissioning, with notes and warnings where one of them is close.
+    Reports every error in the test file and the rig file. If there is none, shows the period and
+    mass, the gains of the compensator, the critical delay, the roots and margins of the complete
+    loop if the rig's response is known, the margin of the delay estimator, the combined limits of
+    test and rig, and the rig's link with its bus load and commissioning dates. Notes and warnings
+    point out whatever is close to a limit.
 
     \b
     Examples:

@@ -28,26 +28,30 @@ def identify(
         str,
         typer.Argument(
             metavar="RIG",
-            help="Rig file, or the name of a shipped rig; it need not have an elastic stiffness.",
+            help="Rig file or name of a shipped rig; it does not need an elastic stiffness.",
             show_default=False,
         ),
     ],
     amplitude: Annotated[
         str,
         typer.Option(
-            metavar="LENGTH", help="Of the slow sines, 0.01 mm to 1 m; fast ones are smaller."
+            metavar="LENGTH",
+            help="Amplitude of the slow sine waves, 0.01 mm to 1 m; fast ones are smaller.",
         ),
     ] = "2 mm",
     max_frequency: Annotated[
-        str, typer.Option(metavar="FREQUENCY", help="Of the last sine, 0.05 Hz to 100 Hz.")
+        str,
+        typer.Option(
+            metavar="FREQUENCY", help="Frequency of the last sine wave, 0.05 Hz to 100 Hz."
+        ),
     ] = "10 Hz",
     settings: RigSetOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Rig file to write, instead of runs/identify-RIG-UTC/rig.toml. "
-            "An older one is replaced.",
+            help="Rig file to write, instead of runs/identify-RIG-UTC/rig.toml. An existing "
+            "file is replaced.",
             show_default=False,
         ),
     ] = None,
@@ -55,21 +59,21 @@ def identify(
         bool,
         typer.Option(
             "--realtime",
-            help="The rig at the other end of the rig file's [link], under all its limits; "
-            "without a [link] a virtual rig in a process of its own.",
+            help="Use the rig at the other end of the rig file's [link], under all its limits; "
+            "without a [link], a virtual rig in a separate process.",
         ),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Find delay, gain, stiffness and noise of a rig.
+    """Measure delay, gain, stiffness and noise of a rig.
 
-    The rig rests, then follows sines from slow to fast without compensation. From these come the
-    delay estimate that a test starts with, the elastic stiffness that bounds the tangent
-    stiffness, and the noise at rest that the estimator must not mistake for motion.
+    The rig first rests, then follows slow to fast sine waves without compensation. This gives the
+    delay estimate with which a test starts, the elastic stiffness that bounds the tangent
+    stiffness, and the noise at rest, which the estimator must not mistake for motion.
 
-    With --realtime the actuator moves: the rig file must have passed every check of `rthyb
-    commission`, or exit code 5 says what is missing. Ctrl-C brings it back to rest, a second one
-    trips.
+    With --realtime the actuator moves. The rig must have passed every check of `rthyb commission`;
+    otherwise the exit code is 5 and the message says what is missing. Ctrl-C brings the actuator
+    to rest; a second Ctrl-C trips.
 
     \b
     Examples:

@@ -23,9 +23,9 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """Write the report of a recording as HTML.
+    """Write the HTML report of a recording.
 
-    One file with verdict, figures, measures and settings, for the screen and for paper.
+    A single file with the verdict, figures, results and settings, for screen and print.
 
     \b
     Example:

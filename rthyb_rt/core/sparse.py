@@ -303,6 +303,22 @@ def _terms_matrix(rows: Sequence[tuple[Term, ...]], n: int) -> Any:
     return sparse.coo_matrix((by, (i, at)), shape=(len(rows), n)).tocsr()
 
 
+def _panels(lower: Any) -> NDArray[np.int32]:
+    """Return where runs of columns begin that have the same rows below them, and their number.
+
+    Args:
+        lower: a factor, (n, n), by columns with sorted rows.
+    """
+    start, at = lower.indptr, lower.indices
+    n = lower.shape[0]
+    begins = np.ones(n + 1, dtype=bool)
+    for j in range(n - 1):
+        rows, of_next = at[start[j] : start[j + 1]], at[start[j + 1] : start[j + 2]]
+        alike = rows.size == of_next.size + 1 and rows[0] == j + 1
+        begins[j + 1] = not (alike and np.array_equal(rows[1:], of_next))
+    return np.flatnonzero(begins).astype(np.int32)
+
+
 def factored(matrix: Any, what: str) -> Any:
     """Return ``qdldl.Solver`` of a symmetric matrix that must be positive definite.
 
@@ -456,6 +472,8 @@ class Layout:
             cfg.damped = 1
             self._symmetric(cfg.damping_n_s_per_m, config.damping_n_s_per_m.matrix())
         self._factor(cfg.factor)
+        panels = _panels(self.lower)
+        cfg.panel, cfg.panels = self._whole(panels), len(panels) - 1
         self._modes(cfg)
         self._loads(cfg)
         self._start(cfg)
