@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
+    ConfigDict,
     Discriminator,
     Field,
     SerializerFunctionWrapHandler,
@@ -313,6 +314,11 @@ _NO_STRUCTURE = {"period_s": 1.0, "damping_ratio": 0.0}
 """Stands where a history has no structure: what reads it finds an oscillator, and moves nothing."""
 
 
+def _numerical_or_history(schema: dict[str, Any]) -> None:
+    schema["required"].remove("numerical")
+    schema["oneOf"] = [{"required": ["numerical"]}, {"required": ["history"]}]
+
+
 class TestFile(Table):
     """A hybrid test, or a prescribed history.
 
@@ -325,6 +331,7 @@ class TestFile(Table):
     )
 
     __test__: ClassVar[bool] = False
+    model_config = ConfigDict(json_schema_extra=_numerical_or_history)
 
     schema_: Literal["rthyb-test/1"] = Field(alias="schema")
     rig: Annotated[str, SOME_TEXT] | None = None

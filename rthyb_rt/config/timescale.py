@@ -14,9 +14,10 @@ step as the unstretched one with h / L, for only h c / m and h^2 k / m are in th
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from rthyb_rt.core.settings import ELEMENT_PARAMS, ElementConfig
+if TYPE_CHECKING:
+    from rthyb_rt.core.settings import ElementConfig
 
 _EXPONENTS: Final = (
     ("_n_s2_per_m2", 2),
@@ -41,6 +42,9 @@ def slowed(element: ElementConfig, time_scale: float) -> ElementConfig:
         element: of a structure or a specimen.
         time_scale: seconds of the laboratory for one of the structure.
     """
+    # NumPy, which the core needs, is slow to load, and most tests are not slow.
+    from rthyb_rt.core.settings import ELEMENT_PARAMS
+
     names = ELEMENT_PARAMS[element.kind]
     values = (
         value * time_scale ** exponent(name)
@@ -51,4 +55,6 @@ def slowed(element: ElementConfig, time_scale: float) -> ElementConfig:
 
 def rate_dependent(element: ElementConfig) -> bool:
     """Return whether an element's force depends on how fast a motion is."""
+    from rthyb_rt.core.settings import ELEMENT_PARAMS
+
     return any(exponent(name) for name in ELEMENT_PARAMS[element.kind])
