@@ -19,7 +19,7 @@ from rthyb_rt.config import Derived, Limit, Limits, Rate, RigFile, TestFile, tim
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import testfile as test_file
 from rthyb_rt.config.limits import VelocityLimit
-from rthyb_rt.config.rigfile import TOLERANCES, Link
+from rthyb_rt.config.rigfile import TOLERANCES, Link, Sensors
 from rthyb_rt.core.laws import LAWS
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.ground_motion import GroundMotion
@@ -646,23 +646,27 @@ def stop_decel_m_per_s2(rig: RigFile) -> float:
 
 def rig_config(rig: RigFile, fs_hz: float = core.FS_HZ) -> core.RigConfig:
     """Return the virtual rig that a rig file describes, at a sample rate."""
-    displacement, force = rig.sensors.displacement, rig.sensors.force
+    displacement, force = sensor_configs(rig.sensors)
     return core.RigConfig(
-        servo=_servo_config(rig, Rate(fs_hz)),
+        servo=servo_config(rig, Rate(fs_hz)),
         elements=specimen_elements(rig),
-        displacement=core.SensorConfig(
-            displacement.noise_std_m,
-            displacement.lsb_m,
-            displacement.bias_m,
-            displacement.range_m or 0.0,
-        ),
-        force=core.SensorConfig(force.noise_std_n, force.lsb_n, force.bias_n, force.range_n or 0.0),
+        displacement=displacement,
+        force=force,
         load_cell=rig.rig.load_cell,
         seed=rig.rig.seed,
     )
 
 
-def _servo_config(rig: RigFile, rate: Rate) -> core.ServoConfig:
+def sensor_configs(sensors: Sensors) -> tuple[core.SensorConfig, core.SensorConfig]:
+    """Return what a virtual rig has of a displacement sensor and of a load cell."""
+    x, f = sensors.displacement, sensors.force
+    return (
+        core.SensorConfig(x.noise_std_m, x.lsb_m, x.bias_m, x.range_m or 0.0),
+        core.SensorConfig(f.noise_std_n, f.lsb_n, f.bias_n, f.range_n or 0.0),
+    )
+
+
+def servo_config(rig: RigFile, rate: Rate) -> core.ServoConfig:
     """Translate the actuator; whatever its kind, transport is the core's ``delay_samples``.
 
     Its substeps are those of a sample of 1/1024 s: at another rate they are as long.
