@@ -35,6 +35,7 @@ from rthyb_rt.cli import (
     run,
     schema,
     serve,
+    sweep,
 )
 
 app = typer.Typer(
@@ -50,6 +51,7 @@ if "_RTHYB_COMPLETE" in os.environ:
     # A shell asks for what may come next; nobody else pays for knowing that.
     typer.completion.completion_init()  # type: ignore[attr-defined]
 app.command()(run.run)
+app.command()(sweep.sweep)
 app.command()(campaign.campaign)
 app.command()(check.check)
 app.command()(identify.identify)

@@ -52,12 +52,13 @@ def compare(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Set recordings beside the first of them: curves, differences, one table, one page.
+    """Set recordings beside one another, on one page.
 
-    Two to ten: tests of this program, the kept runs of a campaign or sweep, the reference
-    simulation of a test file, CSV files of other labs whose columns state their units. A recording
-    alone is held against its own reference simulation. Where rates differ, the rate of the slowest
-    is taken; where lengths differ, what all of them have; and it is said.
+    Curves, what differs from the first, one table. Two to ten: tests of this program, the kept runs
+    of a campaign or sweep, the reference simulation of a test file, CSV files of other labs whose
+    columns state their units. A recording alone is held against its own reference simulation. Where
+    rates differ, the rate of the slowest is taken; where lengths differ, what all of them have; and
+    it is said.
 
     \b
     Examples:
