@@ -110,10 +110,10 @@ def response_spectrum(rec: Recording) -> draw.Plate:
     ag = run["ag_mps2"]
     moved = draw.largest(run["x_num_m"]) > 0.0
     if len(run) < 16 or not moved or draw.largest(run["x_meas_m"]) > 1e3:
-        return draw.Plate("response-spectrum", title, "", _TOO_LITTLE, True)
+        return draw.Plate("response_spectrum", title, "", _TOO_LITTLE, True)
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         paper = draw.Paper(
-            "response-spectrum", draw.HALF_WIDTH_IN, (1.9,), bottom_in=draw.LEGEND_IN
+            "response_spectrum", draw.HALF_WIDTH_IN, (1.9,), bottom_in=draw.LEGEND_IN
         )
         (axes,) = paper.axes
         periods = of_oscillators.PERIODS_S
