@@ -30,6 +30,7 @@ from rthyb_rt.config import (
     testfile,
 )
 from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
+from rthyb_rt.config.history import Amplitudes, CycleCounts
 from rthyb_rt.config.numerical import Labels, Numbers, Place, Square
 from rthyb_rt.config.structures import Counts, Each, Names, Terms
 from rthyb_rt.core.laws import LAWS, parameters
@@ -217,6 +218,8 @@ MEANINGS: dict[str, str] = {
     "JointIdentified.date": "date of the identification, text or TOML date",
     "TestFile.schema": "first line of the file",
     "RigFile.schema": "first line of the file",
+    "SweepHistory.spacing": "whether equal times are equal ratios or equal steps of frequency",
+    "CyclesHistory.file": "CSV file of amplitudes and cycles beside the test file, instead",
     "TestFile.rig": "path of a rig file (beside the test file), or name of a shipped rig",
 }
 """What a key is for, where its model does not say it in a range."""
@@ -439,7 +442,7 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
             each = f"{_number(part.each.low)} to {_number(part.each.high)}"
             rows = "rows or diagonal" if isinstance(part, Square) else "list"
             allowed = f"{rows}, each {each}"
-        elif isinstance(part, (Labels, Place)):
+        elif isinstance(part, (Labels, Place, Amplitudes, CycleCounts)):
             allowed, meaning = part.form, part.what
         elif isinstance(part, Each):
             unit, meaning = part.one.unit, part.one.what

@@ -17,7 +17,8 @@ from rthyb_rt.config.axesfile import AxesRig, Plant
 from rthyb_rt.config.baselinefile import BASELINE_SCHEMA, BaselineFile
 from rthyb_rt.config.campaignfile import CAMPAIGN_SCHEMA, CampaignFile
 from rthyb_rt.config.changes import ON_COMMAND_LINE, Wording
-from rthyb_rt.config.fields import Table, nearest, written
+from rthyb_rt.config.fields import Choice, Table, nearest, written
+from rthyb_rt.config.history import CyclesHistory, History, RandomHistory, with_file
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
 from rthyb_rt.config.mapfile import MAP_SCHEMA, MapFile
@@ -39,10 +40,11 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 _SYNTAX_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
 
 # Tables in which an override of one key replaces the others that stand for the same thing.
-_EXCLUSIVE: dict[KeyPath, type[Table]] = {
-    ("numerical",): Numerical,
-    ("ground_motion",): GroundMotion,
-    ("controller", "rfc"): Rfc,
+_EXCLUSIVE: dict[KeyPath, tuple[Choice, ...]] = {
+    ("numerical",): Numerical.choices,
+    ("ground_motion",): GroundMotion.choices,
+    ("controller", "rfc"): Rfc.choices,
+    ("history",): (*CyclesHistory.choices, *RandomHistory.choices),
 }
 
 
@@ -76,8 +78,21 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
             "rig": found(test.rig, "rig"),
             "ground_motion": motion.model_copy(update={"record": record}),
             "numerical": _with_matrices(test.numerical, str(path), overrides),
+            "history": _with_steps(test.history, str(path), overrides),
         }
     )
+
+
+def _with_steps(given: History | None, path: str, overrides: Mapping[str, str]) -> History | None:
+    """Read the CSV file of amplitudes and cycles that a history names.
+
+    Raises:
+        InputError: what is wrong with the file.
+    """
+    if not isinstance(given, CyclesHistory) or given.file is None:
+        return given
+    from_override = any(key.startswith("history") for key in overrides)
+    return with_file(given, Path() if from_override else Path(path).parent)
 
 
 def _with_matrices(numerical: Numerical, path: str, overrides: Mapping[str, str]) -> Numerical:
@@ -677,7 +692,7 @@ def _parse(
     new_kinds: dict[KeyPath, int | str] = {
         key[:-1]: key[-1]
         for key in given
-        if key[-1] in ("kind", "element") and ({"actuator", "specimen"} & set(key[:3]))
+        if key[-1] in ("kind", "element") and {"actuator", "specimen", "history"} & set(key[:3])
     }
     unfit: set[KeyPath] = set()
     placed: list[tuple[int, Problem]] = []
@@ -724,7 +739,7 @@ def _kind_message(raw: dict[str, Any], path: KeyPath, override: str, wording: Wo
     kind = values[tag]
     (model,) = (
         model
-        for model in kinds()
+        for model in (*kinds(), *get_args(History))
         if tag in model.model_fields and kind in get_args(model.model_fields[tag].annotation)
     )
     needed = {
@@ -833,8 +848,7 @@ def _override(
 
 def _drop_alternatives(table: dict[str, Any], path: KeyPath, given: set[KeyPath]) -> None:
     """Let a period from the command line replace the mass in the file, and the like."""
-    model = _EXCLUSIVE.get(path[:-1])
-    for choice in model.choices if model else ():
+    for choice in _EXCLUSIVE.get(path[:-1], ()):
         if path[-1] in choice.keys:
             for key in choice.keys:
                 if (*path[:-1], key) not in given:
