@@ -139,6 +139,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     _note_sensor_ranges(limits.limits, rig, notes)
     _note_friction(test, rig, mass, rate, notes)
     _note_substeps(rig, notes)
+    _note_omitted(rig, notes)
     rigsettings.note_defaults(test, rig, notes)
     controller = test.controller
     window = window_samples_of(test, period, rate, problems)
@@ -603,6 +604,21 @@ def _note_friction(test: TestFile, rig: RigFile, mass: float, rate: Rate, notes:
                 f"step of the reference simulation, which chatters on {moving:.4g} kg and must not "
                 f"be trusted; give it a width of at least {needed:.2g} m/s{how}"
             )
+
+
+def _note_omitted(rig: RigFile, notes: list[str]) -> None:
+    """Print what a servo-hydraulic actuator has only because its file does not say it."""
+    actuator = rig.actuator
+    if not isinstance(actuator, ServoHydraulic):
+        return
+    omitted = [key for key in type(actuator).model_fields if key not in actuator.model_fields_set]
+    if not omitted:
+        return
+    values = ", ".join(f"{key} = {getattr(actuator, key):g}" for key in omitted)
+    notes.append(
+        f'rig "{rig.rig.name}" does not give {values} of its actuator: those are the figures of '
+        "shaking-table-portal-frame; write down the ones of this rig"
+    )
 
 
 def _note_substeps(rig: RigFile, notes: list[str]) -> None:
