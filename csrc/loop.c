@@ -259,6 +259,7 @@ static void take_feedback(rthyb_loop *loop, const rthyb_tick *tick, arrival *fou
     const uint32_t age = loop->cfg.wire->age;
     take_in(loop, tick->woken_ns);
     found->lost = rthyb_wire_take(loop->cfg.wire, &found->feedback);
+    rthyb_wire_tell_extras(loop->cfg.wire, loop->cfg.station->channel);
     found->slipped = 0;
     if (found->lost)
         return;
