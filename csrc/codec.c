@@ -626,7 +626,7 @@ static int serial_put_setpoint(const rthyb_setpoint *setpoint, rthyb_frame *fram
 static int serial_put_feedback(const rthyb_codec *codec, const rthyb_reading *reading,
                                rthyb_frame *frame)
 {
-    uint8_t packet[RTHYB_PACKET_MAX] = {PACKET_FEEDBACK};
+    uint8_t packet[RTHYB_PACKET_ROOM] = {PACKET_FEEDBACK};
     put_i32(packet + 1, to_wire(reading->x_m, UNIT_X_M));
     put_i32(packet + 5, to_wire(reading->f_n, UNIT_F_N));
     put_tail(packet + 9, reading);

@@ -14,9 +14,9 @@ enum rthyb_wire_size {
     RTHYB_FRAME_MAX = 64,      /* data of a CAN FD frame, bytes */
     RTHYB_SERIAL_COMMAND = 12, /* a command on the serial line, including the final 0 */
     RTHYB_SERIAL_FEEDBACK =
-        16, /* the same for feedback without extra channels, each of which adds 4 */
-    /* After COBS decoding, including the CRC, with every extra channel. */
-    RTHYB_PACKET_MAX = 14 + 4 * RTHYB_EXTRAS_MAX
+        16,                /* the same for feedback without extra channels, each of which adds 4 */
+    RTHYB_PACKET_MAX = 14, /* after COBS decoding, including the CRC, without them */
+    RTHYB_PACKET_ROOM = RTHYB_PACKET_MAX + 4 * RTHYB_EXTRAS_MAX
 };
 
 enum rthyb_can_id { RTHYB_ACT_CMD = 0x101, RTHYB_ACT_FB = 0x181, RTHYB_LC_FB = 0x182 };
@@ -173,11 +173,12 @@ size_t rthyb_cobs_encode(const uint8_t *bytes, size_t n, uint8_t *out);
 /* Finds packets in a stream of bytes; after an error it resynchronises at the next 0. Initialise it with
  * zeros. */
 typedef struct {
-    uint8_t data[RTHYB_PACKET_MAX];
+    uint8_t data[RTHYB_PACKET_ROOM];
     uint8_t length;   /* bytes in data */
     uint8_t left;     /* bytes until the next code byte */
     uint8_t begun;    /* a byte was received since the last 0 */
-    uint8_t too_long; /* buffer full: waiting for the 0 */
+    uint8_t too_long; /* longer than any packet: waiting for the 0 */
+    uint8_t extras;   /* the caller's: extra channels in a packet */
 } rthyb_deframer;
 
 /* 0: packet not complete. RTHYB_W_PACKET: *packet contains the bytes without the CRC. Otherwise the error. */

@@ -25,6 +25,7 @@ int rthyb_wire_init(rthyb_wire *w, const rthyb_codec *codec)
     if (error)
         return error;
     *w = (rthyb_wire){.codec = *codec, .echo_mask = mask_of(8), .count_mask = mask_of(8)};
+    w->deframer.extras = (uint8_t)codec->extra_count;
     if (codec->format == RTHYB_WIRE_TABLE) {
         const rthyb_signal *x = codec->displacement.field, *f = codec->force.field;
         const int32_t seq = codec->command.field[RTHYB_FIELD_SEQ].length;

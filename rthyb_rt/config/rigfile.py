@@ -924,8 +924,10 @@ def kinds() -> Iterator[type[Table]]:
 
 def _extras_arrive(sensors: Sensors, link: Link | None) -> str | None:
     """Name an extra channel that the link has no place for."""
-    if link is None or not sensors.extra or link.kind in ("serial", "socket"):
+    if link is None or not sensors.extra or link.kind == "socket":
         return None
+    if link.kind == "serial":
+        return busload.serial_fault(link.bitrate or DEFAULT_BAUD, len(sensors.extra))
     if link.dbc is None:
         return (
             f"found {len(sensors.extra)} extra channels; the frames of hw/rthyb.dbc are full: give "

@@ -335,10 +335,14 @@ def serial() -> Codec:
 
 
 class Deframer:
-    """Finds packets in the bytes of a serial line: the drive's side, and listeners."""
+    """Finds packets in the bytes of a serial line: the drive's side, and listeners.
 
-    def __init__(self) -> None:
-        self._c = ffi.new("rthyb_deframer *")
+    Args:
+        extras: extra channels in a packet of feedback.
+    """
+
+    def __init__(self, extras: int = 0) -> None:
+        self._c = ffi.new("rthyb_deframer *", {"extras": extras})
         self._packet = ffi.new("rthyb_frame *")
 
     def feed(self, data: bytes) -> Iterator[tuple[int, Frame]]:
