@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -33,6 +33,8 @@ from rthyb_rt.config.rigfile import (
 )
 from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError, Problem
+
+Rows = Sequence[Sequence[float]]
 
 if TYPE_CHECKING:
     from rthyb_rt.config.numerical_structure import Mode, Structure
@@ -127,9 +129,10 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         slow = test.test.time_scale
         mass, period, damping = slow**2 * mass, slow * period, slow * damping
         _check_integration(test.numerical, period, ratio, rate, problems, notes)
-    _check_rate(test, rig, rate, problems)
-    settings = _law_settings(test, rig, rate, problems)
-    noise_m, noise_n = _rest_noise(test, rig, notes)
+    check_rate(test, rig, rate, problems)
+    _check_one_axis(test, rig, problems)
+    settings = law_settings(test, rig, rate, problems)
+    noise_m, noise_n = rest_noise(test, rig, notes)
     limits = limits_file.resolve(test.limits, rig.limits, rig.rig.name, noise_m, problems)
     _note_slowness(test, rig, notes)
     _note_stiffness(rig, notes)
@@ -139,9 +142,9 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     _note_omitted(rig, notes)
     rigsettings.note_defaults(test, rig, notes)
     controller = test.controller
-    window = _window_samples(test, period, rate, problems)
+    window = window_samples_of(test, period, rate, problems)
     by_rig_hz, by_rig_s = rigsettings.rfc_of_rig(test, rig)
-    cutoff_hz = _rfc_cutoff(test, by_rig_hz, rate, problems)
+    cutoff_hz = rfc_cutoff(test, by_rig_hz, rate, problems)
     if problems:
         raise InputError(problems)
     active = controller.type != "none"
@@ -170,6 +173,17 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     )
 
 
+def _check_one_axis(test: TestFile, rig: RigFile, problems: list[Problem]) -> None:
+    """Find what only a rig of several axes can have."""
+    alone = f'rig "{rig.rig.name}" has one axis; it is for rigs with several, [[axis]]'
+    if test.controller.type == "matrix":
+        problems.append(Problem("controller.type", f'found "matrix"; {alone}'))
+    if test.controller.axis:
+        problems.append(Problem("controller.axis", f"found laws of axes by name; {alone}"))
+    if len(test.interface) > 1 and test.numerical.structure is None:
+        problems.append(Problem("interface", f"found {len(test.interface)} directions; {alone}"))
+
+
 def resolve(test: TestFile, derived: Derived) -> TestFile:
     """Return the test with every setting written out that came from the rig or from a default.
 
@@ -196,12 +210,13 @@ def _given(value: float | None, default: float) -> float:
     return default if value is None else value
 
 
-def structure_of_test(test: TestFile, k_e: float, period_s: float) -> SparseStructure:
+def structure_of_test(test: TestFile, k_e: float | Rows, period_s: float) -> SparseStructure:
     """Return the structure of a test with storeys, or with matrices from a file.
 
     Args:
         test: the test; what its file of matrices says has been read.
-        k_e: elastic stiffness of the rig's specimen, N/m.
+        k_e: elastic stiffness of the rig's specimen, N/m; of several axes its rows, in the order
+            of the interfaces.
         period_s: of a sample.
 
     Raises:
@@ -250,10 +265,10 @@ def _of_many(
                 f"{rate.hz:g} Hz cannot follow; check the units of masses and stiffnesses",
             )
         )
-    return structure, _oscillator(first)
+    return structure, oscillator(first)
 
 
-def _oscillator(mode: Mode) -> tuple[float, float, float, float]:
+def oscillator(mode: Mode) -> tuple[float, float, float, float]:
     """Return mass, period, damping and its ratio of a mode, as the interface feels it."""
     omega = 2 * math.pi * mode.frequency_hz
     mass = 1.0 / max(mode.at_interface**2, 1e-12)
@@ -282,7 +297,7 @@ def _by_matrices(
         )
         return structure, (1.0, 1.0, 0.0, 0.0)
     _check_stability(structure, problems, 1.0 + RADIUS_SLACK)
-    return structure, _oscillator(first)
+    return structure, oscillator(first)
 
 
 def _check_stability(structure: Structure, problems: list[Problem], most: float) -> None:
@@ -374,7 +389,7 @@ def _check_integration(
         )
 
 
-def _check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]) -> None:
+def check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]) -> None:
     """Find what cannot be had at a rate: part of a sample of a pure delay, too high a cut-off."""
     actuator = rig.actuator
     key, delay = "", 0
@@ -396,7 +411,7 @@ def _check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem
         )
 
 
-def _law_settings(
+def law_settings(
     test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]
 ) -> dict[str, float]:
     """Return every setting of the control law: the file's, else the rig's, else the default."""
@@ -431,7 +446,7 @@ def _law_settings(
     return settings
 
 
-def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Problem]) -> int:
+def window_samples_of(test: TestFile, period: float, rate: Rate, problems: list[Problem]) -> int:
     rfc = test.controller.rfc
     if rfc.window_samples is not None:
         return max(1, round(rate.samples(rfc.window_samples)))
@@ -457,7 +472,7 @@ def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Pr
     return samples
 
 
-def _rfc_cutoff(test: TestFile, by_rig_hz: float, rate: Rate, problems: list[Problem]) -> float:
+def rfc_cutoff(test: TestFile, by_rig_hz: float, rate: Rate, problems: list[Problem]) -> float:
     """Return the cut-off of the low-pass on x_c - x_m, Hz; 0: none."""
     cutoff_hz = _given(test.controller.rfc.cutoff_hz, by_rig_hz)
     if not cutoff_hz < 0.5 * rate.hz:
@@ -471,7 +486,7 @@ def _rfc_cutoff(test: TestFile, by_rig_hz: float, rate: Rate, problems: list[Pro
     return cutoff_hz
 
 
-def _rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, float]:
+def rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, float]:
     """Return measured noise, or what the sensors are said to have."""
     identified, sensors = rig.identified, rig.sensors
     noise_m = identified.rest_noise_displacement_m if identified else None

@@ -117,13 +117,12 @@ def extra(path: str | Path, codec: Codec, name: str) -> tuple[Any, bool]:
         if signal.name == wanted
     ]
     if len(found) != 1:
-        what = (
-            "is in both feedback frames; give FRAME.Signal"
-            if found
-            else (
-                "no signal of this name in the frames of displacement and force, which alone are read"
+        what = "is in both feedback frames; give FRAME.Signal"
+        if not found:
+            what = (
+                "no signal of this name in the frames of displacement and force, which alone are "
+                "read"
             )
-        )
         raise InputError(what, f"{Path(path).name}: {name}")
     signal, in_force = found[0]
     place = ffi.new("rthyb_signal *")

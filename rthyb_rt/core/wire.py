@@ -266,8 +266,10 @@ class Codec:
         for i, one in enumerate(extras):
             slot = struct.extra[i]
             slot.in_force = one.in_force or struct.format != self.struct.format
-            signal = {"kind": lib.RTHYB_SIGNED, "length": 32, "start": at + 32 * i, "has_none": 1,
-                      "none": _NO_NUMBER, "scale": one.step, "low": -_MOST, "high": _MOST}  # fmt: skip
+            signal = {
+                "kind": lib.RTHYB_SIGNED, "length": 32, "start": at + 32 * i, "scale": one.step,
+                "has_none": 1, "none": _NO_NUMBER, "low": -_MOST, "high": _MOST,
+            }  # fmt: skip
             if one.signal is not None:
                 ffi.memmove(ffi.addressof(slot, "signal"), one.signal, ffi.sizeof("rthyb_signal"))
             else:
