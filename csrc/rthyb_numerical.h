@@ -94,9 +94,10 @@ int rthyb_dense_advance(rthyb_dense *s);
 /* ---- numerical part by kind (numerical.c) ----------------------------------------------------- */
 
 enum rthyb_numerical_kind {
-    RTHYB_NUMERICAL_MOTION, /* rthyb_motion_config, rthyb_motion */
-    RTHYB_NUMERICAL_DENSE,  /* rthyb_dense_config, rthyb_dense */
-    RTHYB_NUMERICAL_SPARSE, /* rthyb_sparse_config; the state begins with rthyb_sparse */
+    RTHYB_NUMERICAL_MOTION,  /* rthyb_motion_config, rthyb_motion */
+    RTHYB_NUMERICAL_DENSE,   /* rthyb_dense_config, rthyb_dense */
+    RTHYB_NUMERICAL_SPARSE,  /* rthyb_sparse_config; the state begins with rthyb_sparse */
+    RTHYB_NUMERICAL_LIBRARY, /* rthyb_library_config; the user's own (rthyb_own_part.h) */
     RTHYB_NUMERICAL_KINDS
 };
 
@@ -117,7 +118,7 @@ typedef struct {
 size_t rthyb_numerical_size(const rthyb_numerical *part);
 /* How many forces it takes and displacements it gives; of settings that init has accepted. */
 int32_t rthyb_numerical_interfaces(const rthyb_numerical *part);
-/* At rest at x0; a sparse part where its settings say, and x0 must be 0. All others need a part that was set up. */
+/* At rest at x0; a sparse part where its settings say, a library at 0, and x0 must be 0. All others need a part that was set up. */
 int rthyb_numerical_init(const rthyb_numerical *part, double x0_m);
 /* Excitation and forces at t_n -> x_c[n+1], one for every interface: all that stands between a reading
  * and its command. */
