@@ -303,7 +303,7 @@ static void child(const rthyb_numerical *part, double period_s, double k_e_n_per
     const int refused = rthyb_numerical_init(part, 0.0);
     if (refused) {
         r->ended = RTHYB_TRIAL_REFUSED;
-        r->number = refused;
+        r->number = part->kind == RTHYB_NUMERICAL_LIBRARY ? rthyb_library_refusal(part) : refused;
         _exit(0);
     }
     r->stage = RTHYB_TRIAL_IN_STEPS;
@@ -376,6 +376,9 @@ void rthyb_part_try(const rthyb_numerical *part, double period_s, double k_e_n_p
         } else if (WIFSIGNALED(status)) {
             result->ended = RTHYB_TRIAL_CRASHED;
             result->number = WTERMSIG(status);
+        } else if (result->ended == RTHYB_TRIAL_NOT_TRIED) {
+            result->ended = RTHYB_TRIAL_ENDED;
+            result->number = WEXITSTATUS(status);
         }
     }
     (void)munmap(shared, sizeof *shared);

@@ -13,6 +13,7 @@ typedef struct {
     double x[RTHYB_INTERFACES_MAX], x1[RTHYB_INTERFACES_MAX], x2[RTHYB_INTERFACES_MAX];
     double force[RTHYB_INTERFACES_MAX];
     double excitation;
+    int64_t refused; /* what its init returned */
 } library_state;
 
 static void *state_of(const rthyb_numerical *part)
@@ -42,7 +43,14 @@ static int init(const rthyb_numerical *part, double x0_m)
     if (x0_m != 0.0)
         return RTHYB_E_LIMIT;
     memset(part->state, 0, bytes);
-    return c->calls.init(state_of(part), &c->setup) ? RTHYB_E_MOTION : 0;
+    library_state *s = part->state;
+    s->refused = c->calls.init(state_of(part), &c->setup);
+    return s->refused ? RTHYB_E_MOTION : 0;
+}
+
+int32_t rthyb_library_refusal(const rthyb_numerical *part)
+{
+    return (int32_t)((const library_state *)part->state)->refused;
 }
 
 /* What was not written, or is no number, leaves the interface where it is; what runs off stops at the edge. */

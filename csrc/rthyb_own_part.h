@@ -33,6 +33,9 @@ typedef struct {
     int32_t interfaces, responses;
 } rthyb_library_config;
 
+/* What the part's own init returned, of a part that rthyb_numerical_init refused. */
+int32_t rthyb_library_refusal(const rthyb_numerical *part);
+
 enum rthyb_library_size { RTHYB_LIBRARY_STATE_MAX = 1 << 30 };
 
 /* ---- an FMU (numerical_fmu.c) ------------------------------------------------------------------ */
@@ -82,6 +85,7 @@ enum rthyb_trial_end {
     RTHYB_TRIAL_DONE,
     RTHYB_TRIAL_REFUSED, /* number: what init returned */
     RTHYB_TRIAL_CRASHED, /* number: the signal */
+    RTHYB_TRIAL_ENDED,   /* number: the status that it ended the process with */
     RTHYB_TRIAL_STUCK,   /* not done in time */
     RTHYB_TRIAL_CALLED   /* number: of the system call that a step made */
 };

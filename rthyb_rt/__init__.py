@@ -24,15 +24,19 @@ if TYPE_CHECKING:
     from rthyb_rt.api.replaying import replay
     from rthyb_rt.api.running import run
     from rthyb_rt.api.sweeping import Sweep, sweep
+    from rthyb_rt.core.own import ControlLaw, Element, NumericalPart
     from rthyb_rt.errors import InputError, Problem, RthybError
     from rthyb_rt.lab.experiment import Replay
 
 __all__ = [
     "Check",
     "Comparison",
+    "ControlLaw",
     "Diagnosis",
+    "Element",
     "Identification",
     "InputError",
+    "NumericalPart",
     "Plot",
     "Plots",
     "Problem",
@@ -56,9 +60,12 @@ __all__ = [
 _HOMES = {
     "Check": "api.checking",
     "Comparison": "api.comparing",
+    "ControlLaw": "core.own",
     "Diagnosis": "api.diagnosing",
+    "Element": "core.own",
     "Identification": "api.identifying",
     "InputError": "errors",
+    "NumericalPart": "core.own",
     "Plot": "api.recordings",
     "Plots": "api.recordings",
     "Problem": "errors",

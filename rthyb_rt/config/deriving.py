@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import rigsettings
 from rthyb_rt.config.numerical import Matrices
+from rthyb_rt.config.own import PythonClass
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import (
     BoucWen,
@@ -36,6 +37,7 @@ from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
     from rthyb_rt.config.numerical_structure import Mode, Structure
+    from rthyb_rt.config.own_structure import OwnStructure
     from rthyb_rt.config.sparse_structure import SparseStructure
 
 DEFAULT_WINDOW_PERIODS = 0.1
@@ -66,7 +68,8 @@ class Derived:
         limits: the limits of test and rig together, with where each comes from.
         notes: what a user should know and need not act on.
         structure: the numerical part where the test gives it by matrices; mass, period and damping
-            are then those of the joined structure's first mode, as the interface sees it.
+            are then those of the joined structure's first mode, as the interface sees it. Or the
+            user's own, of which they are what the test says.
     """
 
     fs_hz: float
@@ -88,7 +91,7 @@ class Derived:
     rest_noise_force_n: float
     limits: limits_file.Resolved
     notes: tuple[str, ...] = ()
-    structure: Structure | SparseStructure | None = None
+    structure: Structure | SparseStructure | OwnStructure | None = None
 
     @property
     def rate(self) -> Rate:
@@ -112,7 +115,8 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     rate = Rate(test.test.sample_rate_hz)
     k_e = rig.rig.elastic_stiffness_n_per_m
     stiffness = k_e + test.numerical.stiffness_n_per_m
-    structure: Structure | SparseStructure | None = None
+    structure: Structure | SparseStructure | OwnStructure | None = None
+    _check_own(test, rig)
     if test.numerical.structure is not None:
         structure, (mass, period, damping, ratio) = _of_many(test, k_e, rate, problems, notes)
     elif isinstance(test.numerical.matrices, Matrices):
@@ -122,7 +126,10 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     else:
         mass, period = _mass_and_period(test.numerical, stiffness, problems)
         damping, ratio = _damping(test.numerical, stiffness, mass)
-        _check_integration(test.numerical, period, ratio, rate, problems, notes)
+        if test.numerical.own is None:
+            _check_integration(test.numerical, period, ratio, rate, problems, notes)
+        else:
+            structure = _of_own(test, k_e, period, rate, problems, notes)
     _check_rate(test, rig, rate, problems)
     settings = _law_settings(test, rig, rate, problems)
     noise_m, noise_n = _rest_noise(test, rig, notes)
@@ -187,6 +194,55 @@ def resolve(test: TestFile, derived: Derived) -> TestFile:
 
 def _given(value: float | None, default: float) -> float:
     return default if value is None else value
+
+
+def _check_own(test: TestFile, rig: RigFile) -> None:
+    """Import the classes of the user's own, before anything is asked of them.
+
+    Raises:
+        InputError: with all that cannot be had.
+    """
+    classes = [("controller.python", test.controller.python, "ControlLaw")]
+    for i, one in enumerate(rig.specimen):
+        if isinstance(one, PythonClass):
+            classes.append((f"specimen.{i}", one, "Element"))
+    if not any(given for _, given, _ in classes):
+        return
+    from rthyb_rt.core import CoreError, own
+
+    problems = []
+    for place, given, kind in classes:
+        try:
+            if given is not None:
+                given.own.made(getattr(own, kind))
+        except CoreError as error:
+            problems.append(Problem(f"{place}.class", str(error)))
+    if problems:
+        raise InputError(problems)
+
+
+def _of_own(
+    test: TestFile,
+    k_e: float,
+    period_s: float,
+    rate: Rate,
+    problems: list[Problem],
+    notes: list[str],
+) -> OwnStructure | None:
+    """Return a numerical part of the user's own."""
+    from rthyb_rt.config import own_structure
+
+    given = test.numerical.own
+    assert given is not None
+    try:
+        structure = own_structure.build(given, k_e, rate.period_s)
+    except InputError as error:
+        problems += error.problems
+        return None
+    if 0.01 <= period_s <= 100:
+        note = own_structure.period_note(structure, period_s)
+        notes += [] if note is None else [note]
+    return structure
 
 
 def structure_of_test(test: TestFile, k_e: float, period_s: float) -> SparseStructure:

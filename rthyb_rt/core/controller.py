@@ -9,6 +9,7 @@ import numpy as np
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.kernels import Rig
 from rthyb_rt.core.library import FloatArray, RecordArray, check, doubles, reading
+from rthyb_rt.core.pending import raise_pending
 from rthyb_rt.core.rows import RECORD_DTYPE, records_pointer
 from rthyb_rt.core.settings import ControllerConfig, fill_part, struct_of
 
@@ -45,6 +46,7 @@ class Controller:
         i.x_meas_m, i.f_meas_n, i.excitation = x_meas_m, f_meas_n, excitation
         i.lost = lib.RTHYB_LOST if lost else 0
         code = lib.rthyb_controller_step(self._c, i, self._record)
+        raise_pending()
         row = np.frombuffer(bytes(ffi.buffer(self._record)), RECORD_DTYPE)[0]
         return Sample(
             self._c.x_cmd, code, {name: row[name].item() for name in RECORD_DTYPE.names or ()}
@@ -73,4 +75,5 @@ class Controller:
         done = lib.rthyb_run_virtual(
             self._c, rig._c, reading(ag), ag.size, records.size, records_pointer(records), status
         )
+        raise_pending()
         return int(done), int(status[0])

@@ -15,6 +15,9 @@ from rthyb_rt.core.library import CoreError, check, options
 from rthyb_rt.core.sizes import DENSE_MAX, ELEMENTS_MAX, PERIOD_S
 
 if TYPE_CHECKING:
+    from rthyb_rt.core.laws import Law
+    from rthyb_rt.core.own import OwnClass
+    from rthyb_rt.core.own_parts import OwnPartConfig
     from rthyb_rt.core.sparse import SparseConfig
 
 EstimatorLaw = Literal["fixed", "gradient", "robust", "rls"]
@@ -65,13 +68,31 @@ class LawConfig:
     """A control law by its name, with the settings that are not its table's defaults.
 
     ``settings`` is by the keys of `rthyb_rt.core.laws`; ``adapts`` False: what it would learn stays
-    as it begins. ``rest_noise_m``: standard deviation of x_m at rest.
+    as it begins. ``rest_noise_m``: standard deviation of x_m at rest. ``own``: a class in Python
+    instead, of which the name is "python".
     """
 
     name: str = "none"
     settings: Mapping[str, float] = field(default_factory=dict)
     adapts: bool = True
     rest_noise_m: float = 0.0
+    own: OwnClass | None = None
+
+    @property
+    def law(self) -> Law:
+        """What the law says of itself.
+
+        Raises:
+            CoreError: there is no such law.
+        """
+        if self.own is not None:
+            from rthyb_rt.core.own import law_of
+
+            return law_of(self.own)
+        law = LAWS.get(self.name)
+        if law is None:
+            raise CoreError(f"control law {self.name!r}: unknown; there are {', '.join(LAWS)}")
+        return law
 
     def values(self) -> list[float]:
         """Return all settings in the core's order.
@@ -79,22 +100,20 @@ class LawConfig:
         Raises:
             CoreError: there is no such law or setting, or one without a default is missing.
         """
-        law = LAWS.get(self.name)
-        if law is None:
-            raise CoreError(f"control law {self.name!r}: unknown; there are {', '.join(LAWS)}")
         try:
-            return law.ordered(self.settings)
+            return self.law.ordered(self.settings)
         except ValueError as error:
             raise CoreError(str(error)) from None
 
     def mapping(self) -> dict[str, Any]:
         """Return the ``rthyb_law_config`` of the C core as a mapping; raises ``CoreError``."""
-        return {
-            "parameters": self.values(),
-            "kind": LAWS[self.name].kind,
-            "adapts": self.adapts,
-            "rest_noise_m": self.rest_noise_m,
-        }
+        plain = {"parameters": self.values(), "kind": self.law.kind, "adapts": self.adapts,
+                 "rest_noise_m": self.rest_noise_m}  # fmt: skip
+        if self.own is not None:
+            from rthyb_rt.core.own import control_law
+
+            plain["own"] = control_law(self.own)
+        return plain
 
 
 @dataclass(frozen=True)
@@ -223,10 +242,14 @@ class SensorConfig:
 
 @dataclass(frozen=True)
 class ElementConfig:
-    """One element of the catalogue: its kind and its parameters in the core's order."""
+    """One element of the catalogue: its kind and its parameters in the core's order.
+
+    ``own``: a class in Python instead, of the kind "python".
+    """
 
     kind: str
     params: tuple[float, ...]
+    own: OwnClass | None = None
 
 
 @dataclass(frozen=True)
@@ -258,7 +281,7 @@ class ControllerConfig:
     velocity_limit_m_per_s: float = 0.0
     acceleration_limit_m_per_s2: float = 0.0
     clamp_m: float = 0.0
-    numerical: DenseConfig | SparseConfig | None = None
+    numerical: DenseConfig | SparseConfig | OwnPartConfig | None = None
 
 
 ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
@@ -355,7 +378,7 @@ def mapping(config: Any) -> dict[str, Any]:
     return {name: _value(name, value) for name, value in given.items() if value is not None}
 
 
-def fill_part(slot: Any, config: DenseConfig | SparseConfig | None) -> list[Any]:
+def fill_part(slot: Any, config: DenseConfig | SparseConfig | OwnPartConfig | None) -> list[Any]:
     """Have a controller compute with a numerical part of its own; return what must stay alive."""
     if config is None:
         return []
@@ -364,7 +387,8 @@ def fill_part(slot: Any, config: DenseConfig | SparseConfig | None) -> list[Any]
         slot.kind = lib.RTHYB_NUMERICAL_DENSE
     else:
         settings, *kept = config.struct()
-        slot.kind = lib.RTHYB_NUMERICAL_SPARSE
+        own = config.kind != "sparse"
+        slot.kind = lib.RTHYB_NUMERICAL_LIBRARY if own else lib.RTHYB_NUMERICAL_SPARSE
     slot.cfg = settings
     part = slot if ffi.typeof(slot).kind == "pointer" else ffi.addressof(slot)
     state = ffi.new("double[]", lib.rthyb_numerical_size(part) // 8 + 1)
@@ -395,6 +419,10 @@ def rig_struct(config: RigConfig) -> Any:
 
 
 def init_element(slot: Any, config: ElementConfig) -> None:
-    kind = _ELEMENT_KIND.get(config.kind, -1)
+    kind = _ELEMENT_KIND.get(config.kind, -1) if config.own is None else lib.RTHYB_OWN
     target = slot if ffi.typeof(slot).kind == "pointer" else ffi.addressof(slot)
     check(lib.rthyb_element_init(target, kind, list(config.params), len(config.params)))
+    if config.own is not None:
+        from rthyb_rt.core.own import own_force
+
+        target.own = own_force(config.own)

@@ -20,6 +20,7 @@ from rthyb_rt.core.library import (
     reading,
     words,
 )
+from rthyb_rt.core.pending import raise_pending
 from rthyb_rt.core.rows import COMMAND_BIT, RECORD_DTYPE, STATES, as_records, records_pointer
 from rthyb_rt.core.settings import (
     ControllerConfig,
@@ -34,6 +35,8 @@ from rthyb_rt.core.settings import (
 from rthyb_rt.core.sparse import SparseConfig
 
 if TYPE_CHECKING:
+    from rthyb_rt.core.own import OwnClass
+    from rthyb_rt.core.own_parts import OwnPartConfig
     from rthyb_rt.core.wire import Codec
 
 Reaction = Literal["none", "indicate", "hold", "ramp-out", "trip"]
@@ -96,13 +99,17 @@ class StationConfig:
 
     def plain(self) -> dict[str, Any]:
         """Return all of it as plain values, for a recording: `of` takes them back."""
-        part = self.controller.numerical
-        if part is None or isinstance(part, DenseConfig):
-            return dataclasses.asdict(self)
+        part, own = self.controller.numerical, self.controller.law.own
         bare = dataclasses.asdict(
             replace(self, controller=replace(self.controller, numerical=None))
         )
-        bare["controller"]["numerical"] = part.plain()
+        if part is not None:
+            bare["controller"]["numerical"] = (
+                dataclasses.asdict(part) if isinstance(part, DenseConfig) else part.plain()
+            )
+        bare["controller"]["law"].pop("own")
+        if own is not None:
+            bare["controller"]["law"]["own"] = own.plain()
         return bare
 
     @classmethod
@@ -117,6 +124,8 @@ class StationConfig:
             inner: dict[str, Any] = dict(given.pop("controller"))
             if "estimator" in inner:
                 inner |= _law_of_estimator(inner)
+            if inner["law"].get("own") is not None:
+                inner["law"] = inner["law"] | {"own": _own_class(inner["law"]["own"])}
             parts = {"law": LawConfig, "rfc": RfcConfig, "motion": MotionConfig}
             inner |= {name: kind(**inner[name]) for name, kind in parts.items()}
             if inner.get("numerical") is not None:
@@ -203,10 +212,20 @@ class StationTick:
     records: RecordArray = field(repr=False)
 
 
-def _numerical(plain: Mapping[str, Any]) -> DenseConfig | SparseConfig:
+def _own_class(plain: Mapping[str, Any]) -> OwnClass:
+    from rthyb_rt.core.own import OwnClass
+
+    return OwnClass.of_plain(plain)
+
+
+def _numerical(plain: Mapping[str, Any]) -> DenseConfig | SparseConfig | OwnPartConfig:
     """Return a part's settings from plain values, lists for tuples."""
     if plain.get("kind") == "sparse":
         return SparseConfig.of_plain(plain)
+    if "kind" in plain:
+        from rthyb_rt.core.own_parts import of_plain
+
+        return of_plain(plain)
 
     def frozen(value: Any) -> Any:
         return tuple(frozen(v) for v in value) if isinstance(value, (list, tuple)) else value
@@ -300,6 +319,7 @@ class Station:
         lib.rthyb_station_tick(
             self._c, i, reading(self._ag), self._ag.size, records_pointer(records), self._out
         )
+        raise_pending()
         out = self._out
         return StationTick(
             x_cmd_m=out.axis[0].x_cmd_m,
@@ -350,7 +370,9 @@ class Station:
         source.codec = ffi.NULL if codec is None else codec.struct
         source.calibration = calibration.struct()[0]
         source.parameters, source.parameter_count = sets, len(parameters)
-        return out[: lib.rthyb_station_replay(self._c, source, records_pointer(out))]
+        count = lib.rthyb_station_replay(self._c, source, records_pointer(out))
+        raise_pending()
+        return out[:count]
 
     @property
     def state(self) -> str:

@@ -11,6 +11,7 @@ from rthyb_rt.core.library import (
     reading,
     writing,
 )
+from rthyb_rt.core.pending import raise_pending
 from rthyb_rt.core.rows import CHANNELS_MAX, records_pointer
 from rthyb_rt.core.sizes import DENSE_MAX
 from rthyb_rt.core.station import COMMANDS, Command, Station
@@ -74,6 +75,7 @@ class Virtual:
 
         Raises:
             CoreError: ``channels`` has other rows than ``records``, or too many columns.
+            OwnCodeError: code of the user's own has raised an error.
         """
         number, values, count = COMMANDS.index(command), ffi.NULL, 0
         if channels is not None:
@@ -84,8 +86,10 @@ class Virtual:
                     f"{CHANNELS_MAX} columns at most"
                 )
             values = writing(channels)
-        return int(
+        done = int(
             lib.rthyb_virtual_run(
                 self._c, number, records.size, records_pointer(records), values, count
             )
         )
+        raise_pending()
+        return done
