@@ -1,7 +1,7 @@
 /* Tries a user's numerical part out before a test: in a child process, so that neither a crash nor a loop
  * without an end takes this one along. First by the clock; then with every allocation counted and every
  * system call forbidden. The same memory, shared, brings the findings home. */
-#define _GNU_SOURCE
+#define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-*): asked for by name */
 #include <errno.h>
 #include <link.h>
 #include <linux/filter.h>
@@ -104,10 +104,16 @@ typedef struct {
     size_t bytes[2], entry[2];
 } object_tables;
 
+/* Where things are the loader says in numbers. */
+static void *place(uintptr_t address)
+{
+    return (void *)address; /* NOLINT(performance-no-int-to-ptr) */
+}
+
 static const void *table_at(const struct dl_phdr_info *object, uintptr_t value)
 {
-    /* The loader has made addresses of them, but for objects that it does not write to. */
-    return (const void *)(value < object->dlpi_addr ? object->dlpi_addr + value : value);
+    /* It has made addresses of them, but for objects that it does not write to. */
+    return place(value < object->dlpi_addr ? object->dlpi_addr + value : value);
 }
 
 static object_tables tables_of(const struct dl_phdr_info *object, const ElfW(Dyn) * dynamic)
@@ -155,11 +161,11 @@ static size_t symbol_of(uintptr_t info)
     return sizeof(void *) == 8 ? (size_t)(info >> 32) : (size_t)(info >> 8);
 }
 
-static void put(void **slot, rthyb_any_function instead, uintptr_t page)
+static void put(uintptr_t slot, rthyb_any_function instead, uintptr_t page)
 {
-    const uintptr_t first = (uintptr_t)slot & ~(page - 1);
-    if (!mprotect((void *)first, page, PROT_READ | PROT_WRITE))
-        memcpy(slot, &instead, sizeof instead);
+    const uintptr_t first = slot & ~(page - 1);
+    if (!mprotect(place(first), page, PROT_READ | PROT_WRITE))
+        memcpy(place(slot), (const void *)&instead, sizeof instead);
 }
 
 /* Has an object call the counting functions; of dl_iterate_phdr. */
@@ -169,7 +175,7 @@ static int count_calls_of(struct dl_phdr_info *object, size_t size, void *page)
     const ElfW(Dyn) *dynamic = NULL;
     for (int i = 0; i < object->dlpi_phnum; i++)
         if (object->dlpi_phdr[i].p_type == PT_DYNAMIC)
-            dynamic = (const void *)(object->dlpi_addr + object->dlpi_phdr[i].p_vaddr);
+            dynamic = place(object->dlpi_addr + object->dlpi_phdr[i].p_vaddr);
     if (!dynamic)
         return 0;
     const object_tables t = tables_of(object, dynamic);
@@ -182,7 +188,7 @@ static int count_calls_of(struct dl_phdr_info *object, size_t size, void *page)
             const rthyb_any_function instead =
                 symbol ? counted(t.names + t.symbol[symbol].st_name) : NULL;
             if (instead)
-                put((void **)(object->dlpi_addr + one->r_offset), instead, *(uintptr_t *)page);
+                put(object->dlpi_addr + one->r_offset, instead, *(const uintptr_t *)page);
         }
     }
     return 0;
@@ -326,11 +332,12 @@ static void sum_up(shared_findings *f, rthyb_trial *result)
     *result = f->result;
     if (f->result.steps == 0)
         return;
+    const uint32_t middle = f->result.steps / 2, last = f->result.steps - 1;
     qsort(f->whole_ns, f->result.steps, sizeof *f->whole_ns, by_size);
     qsort(f->answer_ns, f->result.steps, sizeof *f->answer_ns, by_size);
-    result->step_s = 1e-9 * (double)f->whole_ns[f->result.steps / 2];
-    result->worst_s = 1e-9 * (double)f->whole_ns[f->result.steps - 1];
-    result->answer_s = 1e-9 * (double)f->answer_ns[f->result.steps / 2];
+    result->step_s = 1e-9 * (double)f->whole_ns[middle];
+    result->worst_s = 1e-9 * (double)f->whole_ns[last];
+    result->answer_s = 1e-9 * (double)f->answer_ns[middle];
 }
 
 /* Waits for the child, and ends it when its time is up. Returns its status, or -1. */

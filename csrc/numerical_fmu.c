@@ -77,8 +77,8 @@ static const fmi2_callbacks *callbacks_of(rthyb_fmu *fmu)
 {
     const fmi2_callbacks made = {.logger = note_log2, .allocate = calloc, .free = free, .fmu = fmu};
     _Static_assert(sizeof made == sizeof fmu->callbacks, "the callbacks have another size");
-    memcpy(fmu->callbacks, &made, sizeof made);
-    return (const void *)fmu->callbacks;
+    memcpy((void *)fmu->callbacks, &made, sizeof made);
+    return (const fmi2_callbacks *)(const void *)fmu->callbacks;
 }
 
 /* ---- beginning and end --------------------------------------------------------------------------- */

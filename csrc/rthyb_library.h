@@ -30,9 +30,10 @@ typedef struct {
 /* What rthyb_part_names is asked for. */
 enum rthyb_part_names_of {
     RTHYB_PART_PARAMETERS, /* "mass_kg damping_n_s_per_m": keys of the test file */
-    RTHYB_PART_RESPONSES,  /* "roof[m] shear_1[N]": values of report, channels of the recording */
-    RTHYB_PART_NAMES_ROOM = 2048
+    RTHYB_PART_RESPONSES   /* "roof[m] shear_1[N]": values of report, channels of the recording */
 };
+
+enum rthyb_part_names_size { RTHYB_PART_NAMES_ROOM = 2048 };
 
 /* cffi: end */
 

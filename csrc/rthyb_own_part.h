@@ -71,10 +71,10 @@ typedef struct {
     char said[RTHYB_FMU_TEXT]; /* its last complaint */
 } rthyb_fmu;
 
-/* The calls of a part whose instance is a rthyb_fmu. Parameters of the setup are set before it begins. */
-int32_t rthyb_fmu_init(void *fmu, const rthyb_part_setup *setup);
-int32_t rthyb_fmu_answer(void *fmu, double ag_mps2, const double *force_n, double *x_next_m);
-void rthyb_fmu_report(const void *fmu, double *values);
+/* The calls of a part whose instance, `of`, is a rthyb_fmu. Parameters of the setup are set before it begins. */
+int32_t rthyb_fmu_init(void *of, const rthyb_part_setup *setup);
+int32_t rthyb_fmu_answer(void *of, double ag_mps2, const double *force_n, double *x_next_m);
+void rthyb_fmu_report(const void *of, double *values);
 /* Ends it and frees what it has; may be called again. */
 void rthyb_fmu_close(rthyb_fmu *fmu);
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import rthyb_rt as rt
 
@@ -11,7 +11,7 @@ import rthyb_rt as rt
 class Oscillator(rt.NumericalPart):
     """m x'' + c x' + force = -m ag by the central difference, as csrc/motion.c has it."""
 
-    responses = {"velocity": "m/s"}
+    responses: ClassVar[dict[str, str]] = {"velocity": "m/s"}
 
     def __init__(self, mass_kg: float, damping_n_s_per_m: float = 0.0) -> None:
         self.m, self.c = mass_kg, damping_n_s_per_m
@@ -54,9 +54,9 @@ class Silly(Oscillator):
 
 
 class Inverse(rt.ControlLaw):
-    """The inverse of a lag of first order (Chen & Ricles 2009), as csrc/law_chen_ricles.c has it."""
+    """The inverse of a lag of first order, as csrc/law_chen_ricles.c has it."""
 
-    values = {"alpha": "samples", "beta": "samples²", "effort": "m"}
+    values: ClassVar[dict[str, str]] = {"alpha": "samples", "beta": "samples²", "effort": "m"}
 
     def __init__(self, delay_s: float, fails_at: int = 0) -> None:
         self.delay_s, self.fails_at = delay_s, fails_at

@@ -1,5 +1,5 @@
-"""A numerical part in a shared library: the examples in C and Fortran against the program's own, what
-a library does that no test may wait for, and what is refused before it is run."""
+"""A numerical part in a shared library: the examples in C and Fortran against the program's own,
+what a library does that no test may wait for, and what is refused before it is run."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ import pytest
 import rthyb_rt as rt
 from rthyb_rt import core
 from rthyb_rt.api import files
-from rthyb_rt.config.own_structure import tried
 from rthyb_rt.core.numerical_parts import Part
-from rthyb_rt.core.own_library import LibraryConfig
+from rthyb_rt.core.own_library import LibraryConfig, tried
 from rthyb_rt.lab import experiment
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -120,7 +120,8 @@ def test_an_error_in_a_part_comes_out_as_it_was_raised_with_its_own_line() -> No
         rt.run(SHORT.with_(numerical=own_parts.Failing(4220.0)))
     last = traceback.extract_tb(caught.value.__traceback__)[-1]
     assert Path(last.filename).name == HERE
-    assert last.line is not None and "super().answer(ag_mps2, force_n) / (1" in last.line
+    assert last.line is not None
+    assert "super().answer(ag_mps2, force_n) / (1" in last.line
 
 
 def test_after_an_error_the_next_test_runs_as_if_nothing_had_been(plain: rt.Recording) -> None:
@@ -208,7 +209,7 @@ def test_a_class_that_is_not_there_is_refused_with_its_place() -> None:
 
 def test_settings_that_the_class_does_not_take_are_told_by_python() -> None:
     wrong = {"class": "own_parts:Oscillator", "settings": {"mass": 3.0}}
-    with pytest.raises(TypeError, match="unexpected keyword argument 'mass'|missing"):
+    with pytest.raises(TypeError, match=r"argument.*mass"):
         rt.run(SHORT.with_({"numerical.python": wrong}))
 
 

@@ -198,7 +198,9 @@ def test_response_or_tracking_off_by_more_than_half_is_an_alarm() -> None:
     assert rows(within)["Tracking, NRMSE"] == "40.0 %"
     # Within half of the motion it may be of use; that it is off by a fifth is told all the same.
     assert "the measured motion is not that" not in alarms(within)
-    assert "the rms difference was 40.6 % of the reference, at most 20 % is allowed" in alarms(within)
+    assert "the rms difference was 40.6 % of the reference, at most 20 % is allowed" in alarms(
+        within
+    )
 
 
 def test_error_that_moves_more_energy_than_the_earthquake_is_an_alarm() -> None:
@@ -211,7 +213,9 @@ def test_error_that_moves_more_energy_than_the_earthquake_is_an_alarm() -> None:
 def test_motion_that_ran_away_is_an_alarm() -> None:
     rec = recording(2.0)
     rec.samples["x_num_m"][-1] = rec.samples["x_meas_m"][-1] = 3.0
-    assert "The motion ran away: 3.00 m, farther than any laboratory actuator can move." in alarms(rec)
+    assert "The motion ran away: 3.00 m, farther than any laboratory actuator can move." in alarms(
+        rec
+    )
 
 
 def test_clamp_that_acted_is_an_alarm_and_a_lost_feedback_is_told_as_such() -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, Final
 
 from rthyb_rt import core

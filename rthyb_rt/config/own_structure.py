@@ -16,7 +16,7 @@ from rthyb_rt.config.own import FmuFile, LibraryFile, PythonClass
 from rthyb_rt.core import CoreError, ElementConfig
 from rthyb_rt.core.numerical_parts import Part
 from rthyb_rt.core.own import PythonPartConfig
-from rthyb_rt.core.own_library import FEW_STEPS, TRIAL_STEPS, LibraryConfig, Trial, try_out
+from rthyb_rt.core.own_library import FEW_STEPS, LibraryConfig, tried
 from rthyb_rt.core.own_parts import OwnPartConfig
 from rthyb_rt.errors import InputError
 
@@ -123,25 +123,6 @@ def _config(
     if isinstance(given, LibraryFile):
         return LibraryConfig(path, k_e_n_per_m, parameters, period_s)
     raise CoreError("an FMU cannot be run yet")
-
-
-def tried(part: LibraryConfig, steps: int = TRIAL_STEPS) -> Trial:
-    """Try a part out in a process of its own.
-
-    Raises:
-        CoreError: it refuses its settings, crashes, or does not come back; or it cannot be had.
-    """
-    from rthyb_rt._core import ffi
-    from rthyb_rt.core.settings import fill_part
-
-    slot = ffi.new("rthyb_numerical *")
-    kept = fill_part(slot, part)
-    try:
-        return try_out(slot, part.k_e_n_per_m, part.period_s, steps)
-    except CoreError as error:
-        raise CoreError(f"{Path(part.path).name} {error}") from error
-    finally:
-        kept.clear()
 
 
 def refuse_in_real_time(part: OwnPartConfig) -> None:

@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Final
 
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.library import CoreError
+from rthyb_rt.core.settings import fill_part
 from rthyb_rt.core.sizes import PERIOD_S
 
 LIBRARY_VERSION: Final[int] = lib.RTHYB_LIBRARY_VERSION
@@ -343,18 +344,8 @@ class Trial:
     ill: bool
 
 
-def try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_STEPS) -> Trial:
-    """Try a part out at an elastic specimen, in a process of its own.
-
-    Args:
-        part: a ``rthyb_numerical``.
-        k_e_n_per_m: of the specimen.
-        period_s: of a step.
-        steps: by the clock, and as many under watch.
-
-    Raises:
-        CoreError: it refuses its settings, crashes, or does not come back.
-    """
+def _try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_STEPS) -> Trial:
+    """Try a ``rthyb_numerical`` out; arguments and errors as for `tried`."""
     found = ffi.new("rthyb_trial *")
     lib.rthyb_part_try(part, period_s, k_e_n_per_m, steps, TRIAL_S, found)
     where = _STAGES.get(found.stage, "")
@@ -381,3 +372,23 @@ def try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_S
         int(found.number) if called else None, bool(found.watched) or called, int(found.steps),
         bool(found.status),
     )  # fmt: skip
+
+
+def tried(part: LibraryConfig, steps: int = TRIAL_STEPS) -> Trial:
+    """Try a part out at an elastic specimen, in a process of its own.
+
+    Args:
+        part: its settings.
+        steps: by the clock, and as many under watch.
+
+    Raises:
+        CoreError: it refuses its settings, crashes, or does not come back; or it cannot be had.
+    """
+    slot = ffi.new("rthyb_numerical *")
+    kept = fill_part(slot, part)
+    try:
+        return _try_out(slot, part.k_e_n_per_m, part.period_s, steps)
+    except CoreError as error:
+        raise CoreError(f"{Path(part.path).name} {error}") from error
+    finally:
+        kept.clear()
