@@ -159,8 +159,9 @@ static int config_error(config *c)
         symmetric_ok(&c->factor, c->size) && panels_ok(&c->factor, c->size, c->panel, c->panels);
     const int vectors_ok = numbers_ok(c->modal, n * r) && numbers_ok(c->modal_solved, n * r) &&
                            numbers_ok(c->modal_inner, r * r) && numbers_ok(c->load_kg, n) &&
-                           numbers_ok(c->k_e_n_per_m, m) && numbers_ok(c->by_force, n * m) &&
-                           numbers_ok(c->first_by_force, n * m) &&
+                           numbers_ok(c->k_e_n_per_m, m) &&
+                           (!c->k_e_between || numbers_ok(c->k_e_between, m * m)) &&
+                           numbers_ok(c->by_force, n * m) && numbers_ok(c->first_by_force, n * m) &&
                            numbers_ok(c->by_excitation, n) && numbers_ok(c->first_by_excitation, n);
     const int rest_ok = fabs(c->by_mass_per_s) <= 1e9 && fabs(c->by_stiffness_s) <= 1e9 &&
                         rows_ok(&c->interface, c->interfaces, c->size) && joints_ok(c) &&
@@ -329,6 +330,8 @@ static void look_ahead(config *c, rthyb_sparse *s, vectors *all)
         const double x =
             row_sum(&c->interface, i, to_k) - of_q * row_sum(&c->interface, i, all->last);
         add_row(&c->interface, i, c->k_e_n_per_m[i] * x - af * s->force[i], q);
+        for (int32_t j = 0; c->k_e_between && j < c->interfaces; j++)
+            add_row(&c->interface, j, c->k_e_between[j * c->interfaces + i] * x, q);
     }
     add_joints(c, all, q);
     damp(c, to_c, q);

@@ -67,6 +67,7 @@ typedef struct {
     const double *load_kg;      /* size */
     rthyb_rows interface;       /* B', a row for each interface */
     const double *k_e_n_per_m;  /* interfaces */
+    const double *k_e_between;  /* interfaces x interfaces, 0 on its diagonal; NULL: none */
     const rthyb_joint *joint;
     /* q of a unit force and of a unit excitation: size for each interface, one after the other; size. The
      * first step, which has none before it, has its own. */

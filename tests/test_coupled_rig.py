@@ -13,11 +13,13 @@ import scipy.integrate
 import scipy.linalg
 from kernels import Floats
 
+from rthyb_rt import config as config_module
 from rthyb_rt import core
 from rthyb_rt.core import CoreError, ElementConfig, RigConfig, SensorConfig, ServoConfig, element
 from rthyb_rt.core.coupled_rig import CoupledRig, CoupledRigConfig, StateSpace, held_step
 from rthyb_rt.core.kinematics import Kinematics, Pin
 from rthyb_rt.core.library import STATUS
+from rthyb_rt.lab import axes_rig
 
 H = 1.0 / 1024.0
 TABLE = ServoConfig(
@@ -410,3 +412,18 @@ def test_what_does_not_fit_together_is_refused(settings: dict[str, Any], why: st
 def test_axes_on_one_line_are_refused() -> None:
     with pytest.raises(CoreError, match="do not set every coordinate"):
         Kinematics([[1.0, 0.2], [1.0, 0.2]])
+
+
+def test_the_shipped_frame_is_a_rig_whose_axes_feel_one_another() -> None:
+    frame = config_module.load_any_rig(config_module.shipped_rig("two-axis-frame"))
+    assert isinstance(frame, config_module.AxesRig)
+    rig = axes_rig.virtual_rig(frame)
+    held = np.zeros((6000, 2))
+    held[500:, 0] = 2e-4
+    x, f = rig.run(held)
+    # The upper axis moves; the frame pushes the lower one, which holds against it.
+    assert x[-500:, 0].mean() == pytest.approx(2e-4, abs=2e-5)
+    assert abs(x[-500:, 1].mean()) < 2e-5
+    wanted = frame.along_axes() @ x[-500:].mean(axis=0)
+    assert np.allclose(f[-500:].mean(axis=0), wanted, rtol=0.01)
+    assert abs(wanted[1]) > 0.2 * abs(wanted[0])

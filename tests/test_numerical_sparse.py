@@ -58,7 +58,8 @@ def printed(config: SparseConfig, ag: Floats, force: Force) -> Floats:
     for row, terms in zip(b, config.interfaces, strict=True):
         for at, by in terms:
             row[at] = by
-    whole = own + b.T @ np.diag(config.k_e_n_per_m) @ b
+    between = np.array(config.k_e_between) if config.k_e_between else 0.0
+    whole = own + b.T @ (np.diag(config.k_e_n_per_m) + between) @ b
     c = config.damping_times(np.eye(n))
     step = m + gamma * h * c + beta * h * h * whole
     one = np.linalg.solve(step, m)
@@ -141,6 +142,26 @@ def test_two_actuators_at_a_storey_and_at_a_drift_are_the_printed_method() -> No
         return np.asarray([0.8 * K_E, 0.4 * K_E] * at + 50.0 * np.cos(i / 30.0))
 
     assert worst(run(config, AG, force), printed(config, AG, force)) < 1e-12
+
+
+def test_a_specimen_that_couples_two_actuators_is_the_printed_method() -> None:
+    rows = (((2, 1.0),), ((7, 1.0), (6, -1.0)))
+    coupled = np.array([[K_E, 0.4 * K_E], [0.4 * K_E, 0.5 * K_E]])
+    config = building(
+        interfaces=rows,
+        k_e_n_per_m=tuple(np.diag(coupled).tolist()),
+        k_e_between=((0.0, 0.4 * K_E), (0.4 * K_E, 0.0)),
+        rho_inf=0.8,
+        **RAYLEIGH,
+    )
+
+    def force(i: int, at: Floats) -> Floats:
+        return np.asarray(0.8 * coupled @ at + 50.0 * np.cos(i / 30.0))
+
+    found = run(config, AG, force)
+    assert worst(found, printed(config, AG, force)) < 1e-12
+    assert worst(found, run(replace(config, k_e_between=()), AG, force)) > 1e-6
+    assert np.array_equal(run(SparseConfig.of_plain(config.plain()), AG, force), found)
 
 
 @pytest.mark.parametrize(("columns", "storeys", "widest"), [((2, 2), 3, 24), ((5, 4), 6, 100)])

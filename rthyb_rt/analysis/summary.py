@@ -10,8 +10,9 @@ from typing import Any, Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.analysis import margins, measures, numerical_margins
+from rthyb_rt.analysis import hysteresis, margins, measures, numerical_margins
 from rthyb_rt.analysis.attention import Finding, Judge, Subject
+from rthyb_rt.analysis.hysteresis import Amplitude
 from rthyb_rt.config.deriving import structure_of_test
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.numerical_structure import Structure, structure_of
@@ -64,6 +65,9 @@ class Setup:
         reference_peak_n: the same of its force.
         description: the test file's.
         rig_name: name of the rig.
+        history: what was prescribed, in words; "": a hybrid test.
+        time_scale: seconds of the laboratory for one of the structure; masses, dampings and periods
+            are those of the laboratory's time.
     """
 
     controller: str | None
@@ -87,6 +91,8 @@ class Setup:
     reference_peak_n: float | None
     description: str
     rig_name: str
+    history: str = ""
+    time_scale: float = 1.0
 
 
 def setup(rec: Recording) -> Setup:
@@ -116,6 +122,8 @@ def setup(rec: Recording) -> Setup:
             damping = ratio * critical
         elif damping is not None:
             ratio = damping / critical
+    slow = _positive(_get(test, "test", "time_scale")) or 1.0
+    mass, damping, period = _times(mass, slow**2), _times(damping, slow), _times(period, slow)
     rate = Rate(rec.fs_hz)
     critical_delay = _critical_delay(test, mass, damping, k_e, rate)
     structure = structure_of_recording(test, k_e, rate)
@@ -162,6 +170,8 @@ def setup(rec: Recording) -> Setup:
         reference_peak_n=_reference_peak(rec, "f_ref_n"),
         description=_words(_get(test, "test", "description")),
         rig_name=_words(_get(rig, "rig", "name")),
+        history=_words(rec.ground_motion.get("name")) if _get(test, "history") else "",
+        time_scale=slow,
     )
 
 
@@ -191,7 +201,8 @@ def structure_of_recording(
             return structure_of_test(TestFile.model_validate(test), k_e, rate.period_s)
         if not isinstance(matrices, dict):
             return None
-        return structure_of(Matrices.model_validate(matrices), k_e, rate.period_s)
+        slow = _positive(_get(test, "test", "time_scale")) or 1.0
+        return structure_of(Matrices.model_validate(matrices), k_e, rate.period_s).slowed(slow)
     except (ValueError, InputError):
         # Another version's.
         return None
@@ -357,8 +368,9 @@ class Summary:
     """The figures of a test; fractions and SI units, nan or None where there is nothing to say.
 
     ``attention`` is what went wrong although the test may have completed, the gravest first;
-    ``ended_by`` the cause that took it off its course, None if none did. Errors, indices and flags
-    are taken over the rows of the test proper.
+    ``ended_by`` the cause that took it off its course, None if none did; ``loops`` what the cycles
+    of a prescribed history have shown, by amplitude. Errors, indices and flags are taken over the
+    rows of the test proper.
     """
 
     test_name: str
@@ -400,6 +412,7 @@ class Summary:
     ended_by: Met | None
     live: Live | None
     setup: Setup = field(repr=False)
+    loops: tuple[Amplitude, ...] = ()
 
     @property
     def ending(self) -> str:
@@ -510,7 +523,7 @@ def summarize(rec: Recording) -> Summary:
     relative = input_j = None
     if given.mass_kg is not None:
         input_j = measures.input_energy(run["ag_mps2"], x_num, given.mass_kg)
-    if given.k_e_n_per_m is not None:
+    if given.k_e_n_per_m is not None and not given.history:
         relative = measures.hsem(error_j, input_j, force, given.k_e_n_per_m)
     response: dict[str, float | None] = dict.fromkeys(("nrmse", "difference", "error", "sum"))
     pair = reference_pair(rec)
@@ -566,6 +579,7 @@ def summarize(rec: Recording) -> Summary:
         ended_by=trips.found(rec, given),
         live=how,
         setup=given,
+        loops=hysteresis.amplitudes(rec) if given.history else (),
     )
     return _bare(found) if found.never_began else found
 
@@ -671,11 +685,24 @@ def verdict(s: Summary) -> str:
         f"The specimen followed the command within {_mm(s.tracking_peak_difference_m)} "
         f"({percent(s.tracking_peak_error)})"
     )
+    if s.setup.history:
+        return f"{tracking}{_loops_in_words(s.loops)}."
     if s.response_peak_difference_m is None:
         return f"{tracking}; there is no reference simulation to compare the response with."
     return (
         f"{tracking}; the response differs from the reference simulation by at most "
         f"{_mm(s.response_peak_difference_m)} ({percent(s.response_peak_error)})."
+    )
+
+
+def _loops_in_words(loops: tuple[Amplitude, ...]) -> str:
+    if not loops:
+        return ""
+    largest = max(loops, key=lambda one: one.amplitude_m)
+    return (
+        f"; at {quantity(largest.amplitude_m, 'mm', 1e3)} its secant stiffness was "
+        f"{quantity(largest.last.secant_n_per_m, 'kN/m', 1e-3)}, its equivalent damping "
+        f"{percent(largest.last.damping_ratio)}"
     )
 
 
@@ -872,16 +899,23 @@ def _useless(s: Summary) -> list[Notice]:
 
 
 def key_figures(s: Summary) -> list[str]:
-    """Return what was tested in a few words: structure, controller, window."""
-    given = s.setup
+    """Return what was tested in a few words: structure or history, controller, window.
+
+    Period, mass and damping are those of the structure's own time.
+    """
+    given, slow = s.setup, s.setup.time_scale
     figures = [
-        ("T = ", quantity(given.period_s, "s")),
-        ("m = ", quantity(given.mass_kg, "kg", digits=4)),
-        ("c = ", quantity(given.damping_n_s_per_m, "N s/m", digits=4)),
+        ("T = ", quantity(_times(given.period_s, 1.0 / slow), "s")),
+        ("m = ", quantity(_times(given.mass_kg, slow**-2), "kg", digits=4)),
+        ("c = ", quantity(_times(given.damping_n_s_per_m, 1.0 / slow), "N s/m", digits=4)),
         ("ζ = ", percent(given.damping_ratio, 3)),
         ("k_e = ", quantity(given.k_e_n_per_m, "kN/m", 1e-3, 4)),
     ]
     found = [name + value for name, value in figures if value != "–"]
+    if given.history:
+        found.insert(0, given.history)
+    if given.time_scale != 1.0:
+        found.append(f"time scale {given.time_scale:g}")
     if given.controller is not None:
         adapts = given.gain is not None and given.estimator_enabled
         found.append(f"controller {given.controller}" + (f", {given.gain}" if adapts else ""))
@@ -922,7 +956,9 @@ def table(s: Summary) -> list[Row]:
             "max |x_meas − x_num|, of max |x_num|",
         ),
     ]
-    if s.response_nrmse is None:
+    if s.setup.history:
+        rows += _loop_rows(s.loops)
+    elif s.response_nrmse is None:
         rows.append(Row("Response", "no reference simulation", ""))
     else:
         rows += [
@@ -951,16 +987,7 @@ def table(s: Summary) -> list[Row]:
         ),
         Row("Amplitude ratio", number(s.fei_amplitude, 4), "|FEI|; 1 is ideal"),
         Row("Final delay estimate", _alpha(s), "alpha"),
-        Row(
-            "Energy error",
-            f"{quantity(s.energy_error_j, 'J')}"
-            + (
-                f", at most {percent(s.energy_error_relative)} of the energy in the test"
-                if s.energy_error_relative is not None
-                else ""
-            ),
-            "∫ f d(x_meas − x_num); positive adds energy",
-        ),
+        *([] if s.setup.history else [_energy_row(s)]),
         Row(
             "Tracking indicator",
             quantity(s.tracking_indicator_m2, "mm²", 1e6),
@@ -969,6 +996,32 @@ def table(s: Summary) -> list[Row]:
         Row("Samples", _samples(s), "rows of the recording, and flagged rows"),
     ]
     return rows + _live_rows(s.live)
+
+
+def _energy_row(s: Summary) -> Row:
+    return Row(
+        "Energy error",
+        f"{quantity(s.energy_error_j, 'J')}"
+        + (
+            f", at most {percent(s.energy_error_relative)} of the energy in the test"
+            if s.energy_error_relative is not None
+            else ""
+        ),
+        "∫ f d(x_meas − x_num); positive adds energy",
+    )
+
+
+def _loop_rows(loops: tuple[Amplitude, ...]) -> list[Row]:
+    return [
+        Row(
+            f"Loops at {quantity(one.amplitude_m, 'mm', 1e3)}",
+            f"{quantity(one.last.secant_n_per_m, 'kN/m', 1e-3)}, "
+            f"{quantity(one.last.energy_j, 'J')} a cycle, damping "
+            f"{percent(one.last.damping_ratio)}",
+            f"secant, ∮ f dx, E / 2πkX² of the last of {count(len(one.loops), 'cycle')}",
+        )
+        for one in loops
+    ]
 
 
 def _limit_rows(met: Met | None) -> list[Row]:

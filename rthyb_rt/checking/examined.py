@@ -9,6 +9,7 @@ from rthyb_rt.analysis import loop_roots
 from rthyb_rt.analysis.loop_roots import Verdict
 from rthyb_rt.checking import facts, remarks, tables
 from rthyb_rt.checking.figures import Figures, figures_of
+from rthyb_rt.checking.history import HistoryFigures, figures_of_history, rows_of_history
 from rthyb_rt.config import RigFile, TestFile
 from rthyb_rt.core import FS_HZ
 from rthyb_rt.lab import braking, experiment
@@ -34,7 +35,7 @@ class Examined:
     """
 
     setup: Setup
-    figures: Figures
+    figures: Figures | HistoryFigures
     loop: Verdict | None
     runs_on: RunOn
     limits: list[dict[str, Any]]
@@ -66,7 +67,7 @@ class Examined:
         """Return its tables, those that have a row: what, how much, what it is."""
         setup = self.setup
         all_tables = (
-            [*tables.rows_of_test(setup, self.figures), *tables.loop_rows(self.loop)],
+            self._first_rows(),
             tables.link_rows(self.link),
             tables.commissioning_rows(self.commissioning),
             tables.calibration_rows(self.factors),
@@ -74,6 +75,12 @@ class Examined:
             tables.run_on_rows(self.runs_on),
         )
         return [list(rows) for rows in all_tables if rows]
+
+    def _first_rows(self) -> list[tuple[str, str, str]]:
+        if isinstance(self.figures, HistoryFigures):
+            return rows_of_history(self.setup, self.figures)
+        rows = tables.rows_of_test(self.setup, self.figures)
+        return [*rows, *tables.loop_rows(self.loop)]
 
 
 def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> Examined:
@@ -88,7 +95,8 @@ def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> E
     """
     real_time = rig_file.link is not None and test_file.test.sample_rate_hz == FS_HZ
     setup = experiment.prepare(test_file, rig_file, real_time=real_time)
-    figures, runs_on = figures_of(setup), braking.run_on(setup)
+    figures = figures_of(setup) if setup.plan is None else figures_of_history(setup)
+    runs_on = braking.run_on(setup)
     loop = loop_roots.judge(setup)
     commissioning = None if rig is None else facts.commissioning_of(setup, rig)
     notes, warnings = remarks.remarks(setup, figures)

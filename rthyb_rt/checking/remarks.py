@@ -7,6 +7,7 @@ from typing import Final
 from rthyb_rt.analysis.margins import LITTLE_MARGIN, OSCILLATES
 from rthyb_rt.checking.facts import dbc_is_read
 from rthyb_rt.checking.figures import GAIN, Figures
+from rthyb_rt.checking.history import HistoryFigures
 from rthyb_rt.config import STANDARD, STANDARD_HZ
 from rthyb_rt.lab.braking import RunOn
 from rthyb_rt.lab.experiment import Setup
@@ -22,21 +23,14 @@ NOISE_SPAN: Final = 7
 """Standard deviations that 1024 samples of noise span."""
 
 
-def remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
+def remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[str]]:
     """Return notes and warnings."""
 
     notes, warnings = list(setup.notes), list[str]()
     if "warning" in setup.motion.details:
         notes.append(f"ground motion: {setup.motion.details['warning']}")
-    for found in (_divergence(setup, f), _oscillation(setup, f)):
-        if found is not None:
-            is_warning, text = found
-            (warnings if is_warning else notes).append(text)
-    if f.damping_ratio > MUCH_DAMPING:
-        warnings.append(
-            f"the damping is {f.damping_ratio:.3g} of critical; a structure has 0.01 to 0.1: 2 % "
-            'is numerical.damping_ratio = 0.02, or "2 %"'
-        )
+    if isinstance(f, Figures):
+        _of_structure(setup, f, notes, warnings)
     warnings += _limits_in_reach(setup, f)
     limits = setup.test.limits
     if not any(limit and limit.ends for limit in (limits.command_position_m, limits.force_n)):
@@ -55,7 +49,20 @@ def remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
     return notes, warnings
 
 
-def _real_time_remarks(setup: Setup, f: Figures) -> tuple[list[str], list[str]]:
+def _of_structure(setup: Setup, f: Figures, notes: list[str], warnings: list[str]) -> None:
+    """Add what may go wrong between a structure and the rig."""
+    for found in (_divergence(setup, f), _oscillation(setup, f)):
+        if found is not None:
+            is_warning, text = found
+            (warnings if is_warning else notes).append(text)
+    if f.damping_ratio > MUCH_DAMPING:
+        warnings.append(
+            f"the damping is {f.damping_ratio:.3g} of critical; a structure has 0.01 to 0.1: 2 % "
+            'is numerical.damping_ratio = 0.02, or "2 %"'
+        )
+
+
+def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[str]]:
     """Return notes and warnings on what only a test in real time watches."""
     limits, noise = setup.test.limits, setup.derived.rest_noise_displacement_m
     notes, warnings = list[str](), list[str]()
@@ -142,7 +149,7 @@ def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
     )
 
 
-def _limits_in_reach(setup: Setup, f: Figures) -> list[str]:
+def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
     """Name the limits that already the reference simulation exceeds."""
     limits = setup.test.limits
     pairs = [
@@ -171,7 +178,7 @@ def _limits_in_reach(setup: Setup, f: Figures) -> list[str]:
     return found
 
 
-def run_on_warnings(setup: Setup, f: Figures, found: RunOn) -> list[str]:
+def run_on_warnings(setup: Setup, f: Figures | HistoryFigures, found: RunOn) -> list[str]:
     """Name what a HOLD, a STOP or a ramp-out runs on to that the test itself does not reach."""
     limits = setup.test.limits
     warnings = []

@@ -65,6 +65,14 @@ def _integrator(setup: Setup) -> str:
     return matrices.integrator
 
 
+def _slow_rows(setup: Setup) -> list[tuple[str, str, str]]:
+    slow = setup.test.test.time_scale
+    if slow == 1.0:
+        return []
+    what = "seconds of the laboratory for one of the structure; below all is in the laboratory's"
+    return [("Time scale", number(slow), what)]
+
+
 def rows_of_test(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
     """Return the lines of the test itself: motion, structure, controller, delays, peaks."""
     fs_hz = setup.derived.fs_hz
@@ -80,6 +88,7 @@ def rows_of_test(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
     rows = [
         ("Ground motion", f"{setup.motion.name}, PGA {number(f.pga_g)} g", ""),
         ("Length of the test", f"{f.duration_s:.2f} s ({f.samples} samples)", _rate_words(fs_hz)),
+        *_slow_rows(setup),
         *_structure_rows(f),
         ("Elastic stiffness", quantity(f.k_e_n_per_m, "kN/m", 1e-3, 4), "k_e of the specimen"),
         ("Integrator", _integrator(setup), ""),

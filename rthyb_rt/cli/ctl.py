@@ -189,7 +189,8 @@ def _test(found: dict[str, Any], test: dict[str, Any] | None) -> tuple[str, str]
         return "none", "to load one: rthyb ctl load TEST.toml"
     done = found["progress"]["ticks"] / 1024.0
     about = f"{done:.1f} of {test['duration_s']:.1f} s, {test['ground_motion']}"
-    return f"{test['name']} ({test['digest'][:12]})", f"{about}, PGA {test['pga_g']:.3g} g"
+    about += f", PGA {test['pga_g']:.3g} g" if test["pga_g"] else ""
+    return f"{test['name']} ({test['digest'][:12]})", about
 
 
 def _number(value: float | None, factor: float, unit: str) -> str:

@@ -291,6 +291,8 @@ def _print_result(setup: Setup, result: Summary, recording: Path, as_json: bool)
 
 
 def _motion(setup: Setup) -> str:
+    if setup.plan is not None:
+        return setup.motion.name
     return f"{setup.motion.name}, PGA {setup.motion.pga_g:.3g} g"
 
 

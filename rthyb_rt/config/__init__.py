@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rthyb_rt.config.axesfile import AxesRig
 from rthyb_rt.config.baselinefile import BaselineFile
 from rthyb_rt.config.changes import IN_PYTHON
 from rthyb_rt.config.defaults import derived_limits
@@ -13,9 +14,11 @@ from rthyb_rt.config.loading import (
     find_rig,
     frames_of_link,
     json_schema,
+    load_any_rig,
     load_both,
     load_rig,
     load_test,
+    parse_any_rig,
     parse_baseline,
     parse_campaign,
     parse_map,
@@ -39,6 +42,7 @@ __all__ = [
     "IN_PYTHON",
     "STANDARD",
     "STANDARD_HZ",
+    "AxesRig",
     "BaselineFile",
     "Calibration",
     "Derived",
@@ -61,9 +65,11 @@ __all__ = [
     "frames_of_link",
     "inline",
     "json_schema",
+    "load_any_rig",
     "load_both",
     "load_rig",
     "load_test",
+    "parse_any_rig",
     "parse_baseline",
     "parse_campaign",
     "parse_map",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rthyb_rt.config import limits as limits_file
-from rthyb_rt.config import rigsettings
+from rthyb_rt.config import rigsettings, timescale
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.own import PythonClass
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
@@ -56,7 +56,8 @@ class Derived:
         fs_hz: sample rate.
         k_e_n_per_m: elastic stiffness of the specimen, k_e.
         stiffness_n_per_m: k_e plus the computed stiffness.
-        mass_kg, period_s: with m = k (T / 2 pi)^2 of the whole stiffness.
+        mass_kg, period_s: with m = k (T / 2 pi)^2 of the whole stiffness; with a slow time scale
+            these and the damping are those of the laboratory's time.
         damping_n_s_per_m, damping_ratio: with c = 2 zeta sqrt(k m).
         window_samples: T0 of Eqn 3.3, samples at that rate.
         law_settings: every setting of the control law, by its key; samples are of 1/1024 s.
@@ -121,11 +122,14 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         structure, (mass, period, damping, ratio) = _of_many(test, k_e, rate, problems, notes)
     elif isinstance(test.numerical.matrices, Matrices):
         structure, (mass, period, damping, ratio) = _by_matrices(
-            test.numerical.matrices, k_e, rate, problems
+            test.numerical.matrices, k_e, rate, problems, test.test.time_scale
         )
     else:
         mass, period = _mass_and_period(test.numerical, stiffness, problems)
         damping, ratio = _damping(test.numerical, stiffness, mass)
+        # In the laboratory's time, see rthyb_rt.config.timescale.
+        slow = test.test.time_scale
+        mass, period, damping = slow**2 * mass, slow * period, slow * damping
         if test.numerical.own is None:
             _check_integration(test.numerical, period, ratio, rate, problems, notes)
         else:
@@ -134,6 +138,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     settings = _law_settings(test, rig, rate, problems)
     noise_m, noise_n = _rest_noise(test, rig, notes)
     limits = limits_file.resolve(test.limits, rig.limits, rig.rig.name, noise_m, problems)
+    _note_slowness(test, rig, notes)
     _note_stiffness(rig, notes)
     _note_sensor_ranges(limits.limits, rig, notes)
     _note_friction(test, rig, mass, rate, notes)
@@ -159,7 +164,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         law_settings=settings,
         plc_enabled=active and controller.plc_enabled,
         estimator_enabled=active and controller.law.learns and controller.delay_estimator.enabled,
-        rfc_enabled=active and controller.rfc.enabled,
+        rfc_enabled=active and controller.rfc.enabled and test.history is None,
         tangent=controller.rfc.tangent or default_tangent,
         rfc_cutoff_hz=cutoff_hz,
         force_lateness_s=_given(controller.rfc.force_lateness_s, by_rig_s),
@@ -180,6 +185,7 @@ def resolve(test: TestFile, derived: Derived) -> TestFile:
     standard = derived.rate.pace == 1.0
     rfc = controller.rfc.model_copy(
         update={
+            "enabled": controller.rfc.enabled and test.history is None,
             "window_periods": None,
             "window_s": None if standard else derived.window_samples / derived.fs_hz,
             "window_samples": derived.window_samples if standard else None,
@@ -206,6 +212,12 @@ def _check_own(test: TestFile, rig: RigFile) -> None:
     for i, one in enumerate(rig.specimen):
         if isinstance(one, PythonClass):
             classes.append((f"specimen.{i}", one, "Element"))
+            if test.test.time_scale != 1.0:
+                raise InputError(
+                    f"found {test.test.time_scale:g}, and {one.class_} is a class in Python, of "
+                    "which is not known how it goes with a slow time; leave one of the two out",
+                    "test.time_scale",
+                )
     if not any(given for _, given, _ in classes):
         return
     from rthyb_rt.core import CoreError, own
@@ -234,6 +246,16 @@ def _of_own(
 
     given = test.numerical.own
     assert given is not None
+    if test.test.time_scale != 1.0:
+        problems.append(
+            Problem(
+                "test.time_scale",
+                f"found {test.test.time_scale:g}; a numerical part of your own keeps its own time: "
+                "leave the key out, and stretch the part itself, masses by the square of the "
+                "scale, dampings by the scale",
+            )
+        )
+        return None
     try:
         structure = own_structure.build(given, k_e, rate.period_s)
     except InputError as error:
@@ -264,7 +286,8 @@ def structure_of_test(test: TestFile, k_e: float, period_s: float) -> SparseStru
         numerical.damping, numerical.nonlinear, numerical.record, test.interface,
         numerical.integrator, numerical.rho_inf,
     )  # fmt: skip
-    return sparse_structure.build(numerical.structure, keys, k_e, period_s)
+    found = sparse_structure.build(numerical.structure, keys, k_e, period_s)
+    return found.slowed(test.test.time_scale)
 
 
 def _of_many(
@@ -309,13 +332,13 @@ def _oscillator(mode: Mode) -> tuple[float, float, float, float]:
 
 
 def _by_matrices(
-    given: Matrices, k_e: float, rate: Rate, problems: list[Problem]
+    given: Matrices, k_e: float, rate: Rate, problems: list[Problem], time_scale: float
 ) -> tuple[Structure, tuple[float, float, float, float]]:
     """Return the part, and mass, period, damping and its ratio of the first mode."""
     # NumPy is slow to load, and most tests have no matrices.
     from rthyb_rt.config.numerical_structure import RADIUS_SLACK, structure_of
 
-    structure = structure_of(given, k_e, rate.period_s)
+    structure = structure_of(given, k_e, rate.period_s).slowed(time_scale)
     modes = structure.modes()
     first = modes[0]
     if first.frequency_hz == 0.0:
@@ -490,6 +513,9 @@ def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Pr
         window_s = _given(rfc.window_periods, DEFAULT_WINDOW_PERIODS) * period
     samples = math.floor(window_s * rate.hz + 0.5)
     most = math.floor(MAX_WINDOW_S * rate.hz + 0.5)
+    if test.test.time_scale > 1.0:
+        # A tenth of a slow period may be minutes, and the window's noise is small long before.
+        samples = min(samples, most)
     if not 1 <= samples <= most:
         problems.append(
             Problem(
@@ -556,6 +582,28 @@ def _note_stiffness(rig: RigFile, notes: list[str]) -> None:
             f"k_e = {k_e:g} N/m, but the specimen's elements begin with {total:g} N/m: check "
             "rig.elastic_stiffness_n_per_m"
         )
+
+
+def _note_slowness(test: TestFile, rig: RigFile, notes: list[str]) -> None:
+    """Say what a slow test leaves out of a specimen whose force depends on velocity."""
+    slow = test.test.time_scale
+    if slow == 1.0 or test.history is not None:
+        return
+    names = {item.element for item in rig.specimen if _is_rate_dependent(item)}
+    text = f"test.time_scale = {slow:g}: the specimen moves so many times slower than the structure"
+    if not names:
+        notes.append(f"{text}; its elements have no rate in them, so nothing is left out")
+        return
+    notes.append(
+        f"{text}, and of its {', '.join(sorted(names))} only what that velocity asks for is "
+        f"measured: a viscous force is 1/{slow:g} of the structure's, inertia 1/{slow**2:g}; "
+        "put what is known of them into the numerical part, or test faster"
+    )
+
+
+def _is_rate_dependent(item: SpecimenElement) -> bool:
+    keys = type(item).model_fields
+    return any(timescale.exponent(key) for key in keys)
 
 
 def _note_sensor_ranges(limits: limits_file.Limits, rig: RigFile, notes: list[str]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rthyb_rt import core
-from rthyb_rt.config import matrixfile
+from rthyb_rt.config import matrixfile, timescale
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.config.numerical_structure import Mode, linear_and_others
 from rthyb_rt.config.own import core_element
@@ -68,6 +68,37 @@ class SparseStructure:
     specimen_mass_kg: float = 0.0
     interface: str = "x"
     heights_m: tuple[float, ...] = ()
+
+    def slowed(self, time_scale: float) -> SparseStructure:
+        """Return it in a time that runs so much slower, see `rthyb_rt.config.timescale`.
+
+        The specimen's mass stands in the laboratory and is not slowed: what it lacks is computed,
+        and `with_lack` takes that out again.
+        """
+        if time_scale == 1.0:
+            return self
+        part, to_m, to_c = self.part, time_scale**2, time_scale
+        c, modal = part.damping_n_s_per_m, part.modal
+        slow = replace(
+            part,
+            mass_kg=_times(part.mass_kg, to_m),
+            load_kg=to_m * part.load_kg,
+            damping_n_s_per_m=None if c is None else _times(c, to_c),
+            by_mass_per_s=part.by_mass_per_s / to_c,
+            by_stiffness_s=to_c * part.by_stiffness_s,
+            modal=None if modal is None else math.sqrt(to_c) * modal,
+            joints=tuple(
+                replace(joint, element=timescale.slowed(joint.element, time_scale))
+                for joint in part.joints
+            ),
+        )
+        return replace(self, part=slow).with_lack(time_scale, 1.0)
+
+    def with_lack(self, time_scale: float, share: float) -> SparseStructure:
+        """Return it with so much more of what the known specimen lacks in its slowness."""
+        mass = share * (time_scale**2 - 1.0) * self.specimen_mass_kg
+        # Rayleigh damping goes on being that of the same mass.
+        return replace(self, part=_with(self.part, mass, -self.part.by_mass_per_s * mass, 0.0))
 
     @functools.cached_property
     def joined(self) -> SparseConfig:
@@ -143,6 +174,10 @@ class SparseStructure:
             core.element("inertia", m_kg=self.specimen_mass_kg),
         ]
         return self.reference(model, ag_mps2)[0]
+
+
+def _times(matrix: Symmetric, factor: float) -> Symmetric:
+    return replace(matrix, value=factor * matrix.value)
 
 
 def _with(part: SparseConfig, mass: float, damping: float, spring: float) -> SparseConfig:

@@ -5,10 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Discriminator, Field, StrictBool, Tag
+from pydantic import (
+    ConfigDict,
+    Discriminator,
+    Field,
+    SerializerFunctionWrapHandler,
+    StrictBool,
+    Tag,
+    model_serializer,
+)
 
 from rthyb_rt.config import lawtables
 from rthyb_rt.config.fields import SLUG, SOME_TEXT, Check, Choice, Count, Names, Range, Table, Text
+from rthyb_rt.config.history import History
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.own import PYTHON, FmuFile, LibraryFile, PythonClass
@@ -44,6 +53,7 @@ class TestInfo(Table):
 
     ``duration_s`` absent means the ground motion followed by ``free_vibration_s``. Another rate
     than 1024 Hz is for virtual time; what the files count in samples is of 1/1024 s at any rate.
+    ``time_scale`` makes a test slow: its laboratory takes so many seconds for one of the structure.
     """
 
     __test__: ClassVar[bool] = False
@@ -57,6 +67,9 @@ class TestInfo(Table):
     sample_rate_hz: Annotated[
         float, Range("Hz", LEAST_HZ, MOST_HZ, "the rate of the controller")
     ] = STANDARD_HZ
+    time_scale: Annotated[
+        float, Range("", 1, 1000, "seconds of the laboratory for one of the structure")
+    ] = 1.0
 
 
 class GroundMotion(Table):
@@ -337,21 +350,86 @@ def _something_to_move(numerical: Numerical, interface: list[Interface]) -> str 
     return None
 
 
+_WITHOUT_STRUCTURE = ("ground_motion", "numerical", "interface", "reference")
+"""Tables of a hybrid test, which a prescribed history has not."""
+_NO_STRUCTURE = {"period_s": 1.0, "damping_ratio": 0.0}
+"""Stands where a history has no structure: what reads it finds an oscillator, and moves nothing."""
+
+
+def _numerical_or_history(schema: dict[str, Any]) -> None:
+    schema["required"].remove("numerical")
+    schema["oneOf"] = [{"required": ["numerical"]}, {"required": ["history"]}]
+
+
 class TestFile(Table):
-    """A hybrid test. ``rig`` is a path, or the name of a rig that comes with the program."""
+    """A hybrid test, or a prescribed history.
+
+    ``rig`` is a path, or the name of a rig that comes with the program. With ``history`` there is
+    no structure and no ground motion, and no control law unless one is named.
+    """
 
     checks: ClassVar[tuple[Check, ...]] = (
         Check("interface", ("numerical", "interface"), _something_to_move),
     )
 
     __test__: ClassVar[bool] = False
+    model_config = ConfigDict(json_schema_extra=_numerical_or_history)
 
     schema_: Literal["rthyb-test/1"] = Field(alias="schema")
     rig: Annotated[str, SOME_TEXT] | None = None
     test: TestInfo
+    history: Annotated[History, Field(discriminator="kind")] | None = None
     ground_motion: GroundMotion = Field(default_factory=GroundMotion)
     numerical: Numerical
     interface: list[Interface] = Field(default_factory=list, max_length=INTERFACES)
     controller: Controller = Field(default_factory=Controller)
     limits: Limits = Field(default_factory=Limits)
     reference: Reference = Field(default_factory=Reference)
+
+    @classmethod
+    def expand(cls, data: Any) -> Any:
+        """Give a history what it has instead of a structure, and no control law by default."""
+        if not isinstance(data, dict) or data.get("history") is None:
+            return data
+        controller = data.get("controller")
+        if controller is None or (isinstance(controller, dict) and "type" not in controller):
+            controller = {**(controller or {}), "type": "none"}
+        data = {**data, "controller": controller}
+        if "numerical" not in data:
+            data["numerical"] = _NO_STRUCTURE
+        return data
+
+    @classmethod
+    def further_faults(
+        cls, keys: dict[str, Any]
+    ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
+        """Name what a history cannot have beside it."""
+        if keys.get("history") is None:
+            return
+        for key in _WITHOUT_STRUCTURE:
+            if key in keys and keys[key] is not _NO_STRUCTURE:
+                yield (
+                    (key,),
+                    "found a table beside [history], which prescribes the displacement: there is "
+                    "no structure to compute; take one of the two out",
+                    (key, "history"),
+                )
+        info = keys.get("test")
+        for key in ("duration_s", "free_vibration_s"):
+            if isinstance(info, dict) and key in info:
+                yield (
+                    ("test", key),
+                    "found a length; a history says itself how long it lasts: leave the key out",
+                    (f"test.{key}",),
+                )
+
+    @model_serializer(mode="wrap")
+    def _without_structure(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out of a history what it has not, so that it reads back equal."""
+        found: dict[str, Any] = handler(self)
+        if self.history is not None:
+            for key in _WITHOUT_STRUCTURE:
+                found.pop(key, None)
+            for key in ("duration_s", "free_vibration_s"):
+                found["test"].pop(key, None)
+        return found

@@ -145,6 +145,8 @@ class SparseConfig:
         interfaces: what of the structure each actuator moves: weighted degrees of freedom. A force
             f acts on them by the same weights.
         k_e_n_per_m: elastic stiffness of the specimen at each interface.
+        k_e_between: and between them, rows of the symmetric matrix with 0 on its diagonal; empty:
+            none.
         damping_n_s_per_m: damping beside the two forms below; None: none.
         by_mass_per_s, by_stiffness_s: Rayleigh damping a M + b K, K with the initial stiffness of
             joints and specimen.
@@ -171,6 +173,7 @@ class SparseConfig:
     first_x_m: Floats | None = None
     first_v_m_per_s: Floats | None = None
     period_s: float = PERIOD_S
+    k_e_between: tuple[tuple[float, ...], ...] = ()
     kind: ClassVar[str] = "sparse"
     _laid_out: list[tuple[Any, Layout]] = field(default_factory=list, init=False, repr=False)
 
@@ -187,7 +190,11 @@ class SparseConfig:
         rows += self.interfaces
         values += self.k_e_n_per_m
         b = _terms_matrix(rows, self.size)
-        return (self.stiffness_n_per_m.matrix() + b.T @ sparse.diags(values) @ b).tocsc()
+        whole = self.stiffness_n_per_m.matrix() + b.T @ sparse.diags(values) @ b
+        if self.k_e_between:
+            at = _terms_matrix(self.interfaces, self.size)
+            whole = whole + at.T @ sparse.csr_matrix(np.array(self.k_e_between)) @ at
+        return whole.tocsc()
 
     @staticmethod
     def _between(below: int, above: int) -> tuple[Term, ...]:
@@ -266,6 +273,7 @@ class SparseConfig:
         values |= arrays
         values["interfaces"] = tuple(_as_terms(row) for row in values["interfaces"])
         values["k_e_n_per_m"] = tuple(values["k_e_n_per_m"])
+        values["k_e_between"] = tuple(tuple(row) for row in values.get("k_e_between", ()))
         values["joints"] = tuple(
             Joint(below, above, ElementConfig(kind, tuple(params)), k)
             for below, above, kind, params, k in values["joints"]
@@ -480,6 +488,8 @@ class Layout:
         self._start(cfg)
         self._rows(cfg.interface, config.interfaces)
         cfg.k_e_n_per_m = self._doubles(np.array(config.k_e_n_per_m, dtype=np.float64))
+        if config.k_e_between:
+            cfg.k_e_between = self._doubles(np.array(config.k_e_between, dtype=np.float64))
         self._joints(cfg)
         self._responses(cfg)
         return cfg, self

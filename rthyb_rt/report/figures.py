@@ -20,6 +20,7 @@ from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.core.laws import law_value
 from rthyb_rt.numbers import number, quantity
 from rthyb_rt.record.recording import Recording
+from rthyb_rt.report import cyclic
 from rthyb_rt.report import drawing as draw
 from rthyb_rt.report import structure as of_structure
 from rthyb_rt.report.decimate import robust_limit
@@ -34,17 +35,19 @@ def draw_all(rec: Recording, summary: Summary) -> list[draw.Plate]:
     """Return the figures of a recording in the order of the report."""
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
         figures = _Figures(rec, summary)
+        history = bool(summary.setup.history)
         plates = [
             figures.displacement(),
             figures.peak(),
             figures.hysteresis(),
             figures.tracking_error(),
-            figures.response(),
+            None if history else figures.response(),
             figures.accumulated_error(),
-            figures.energy(),
-            figures.delay(),
-            figures.stiffness(),
+            None if history else figures.energy(),
+            None if history and not summary.setup.plc_enabled else figures.delay(),
+            None if history else figures.stiffness(),
         ]
+        plates += cyclic.plates(rec, summary.loops)
         structure = recorded_structure(rec)
         if structure is not None:
             plates += of_structure.plates(rec, structure)
@@ -100,12 +103,11 @@ class _Figures:
     # --- figures ------------------------------------------------------------------------------
 
     def displacement(self) -> draw.Plate:
-        paper = draw.Paper("displacement", draw.FULL_WIDTH_IN, (0.5, 1.6))
-        ground, axes = paper.axes
-        g = self.rec.samples["ag_mps2"] / 9.80665
-        draw.curve(ground, self.t, g, draw.GREY, 0.6)
-        draw.symmetric(ground, robust_limit(g), margin=1.1, ticks=2)
-        draw.head(ground, "ground acceleration, g")
+        heights = (1.6,) if self.s.setup.history else (0.5, 1.6)
+        paper = draw.Paper("displacement", draw.FULL_WIDTH_IN, heights)
+        axes = paper.axes[-1]
+        if not self.s.setup.history:
+            self._ground(paper.axes[0])
         axes.axvspan(*self.window, color="#fbf0d9", linewidth=0)
         compensated = self.s.setup.plc_enabled
         if compensated:
@@ -358,6 +360,13 @@ class _Figures:
         return paper.plate(title, note)
 
     # --- parts --------------------------------------------------------------------------------
+
+    def _ground(self, axes: Axes) -> None:
+        # What a slow test has in its laboratory is less, by the square of its time scale.
+        g = self.rec.samples["ag_mps2"] / 9.80665 * self.s.setup.time_scale**2
+        draw.curve(axes, self.t, g, draw.GREY, 0.6)
+        draw.symmetric(axes, robust_limit(g), margin=1.1, ticks=2)
+        draw.head(axes, "ground acceleration, g")
 
     def _time_axis(self, axes: Axes) -> None:
         """Give the axis of time its range and label."""
