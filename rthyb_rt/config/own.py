@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 
 from pydantic import Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError
@@ -31,6 +31,7 @@ class Parameters(Reader):
     """Numbers by name, of a library or an FMU, in the order of the file."""
 
     what: str = "the parameters"
+    form: ClassVar[str] = "table of names and numbers"
 
     def allowed(self) -> str:
         """Return what is allowed, in words."""
@@ -69,6 +70,7 @@ class Settings(Reader):
     """Arguments that a class is made with: numbers, texts, true, false, or lists of these."""
 
     what: str = "the settings"
+    form: ClassVar[str] = "table of arguments"
 
     def allowed(self) -> str:
         """Return what is allowed, in words."""

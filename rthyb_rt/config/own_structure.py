@@ -16,6 +16,7 @@ from rthyb_rt.config.own import FmuFile, LibraryFile, PythonClass
 from rthyb_rt.core import CoreError, ElementConfig
 from rthyb_rt.core.numerical_parts import Part
 from rthyb_rt.core.own import PythonPartConfig
+from rthyb_rt.core.own_fmu import FmuConfig
 from rthyb_rt.core.own_library import FEW_STEPS, LibraryConfig, tried
 from rthyb_rt.core.own_parts import OwnPartConfig
 from rthyb_rt.errors import InputError
@@ -122,7 +123,10 @@ def _config(
     parameters = tuple(given.parameters.items())
     if isinstance(given, LibraryFile):
         return LibraryConfig(path, k_e_n_per_m, parameters, period_s)
-    raise CoreError("an FMU cannot be run yet")
+    return FmuConfig(
+        path, k_e_n_per_m, given.force, given.displacement, given.ground_acceleration, parameters,
+        tuple(given.record), period_s,
+    )  # fmt: skip
 
 
 def refuse_in_real_time(part: OwnPartConfig) -> None:

@@ -374,11 +374,11 @@ def _try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_
     )  # fmt: skip
 
 
-def tried(part: LibraryConfig, steps: int = TRIAL_STEPS) -> Trial:
+def tried(part: Any, steps: int = TRIAL_STEPS) -> Trial:
     """Try a part out at an elastic specimen, in a process of its own.
 
     Args:
-        part: its settings.
+        part: its settings, of a library or an FMU.
         steps: by the clock, and as many under watch.
 
     Raises:
@@ -389,6 +389,8 @@ def tried(part: LibraryConfig, steps: int = TRIAL_STEPS) -> Trial:
     try:
         return _try_out(slot, part.k_e_n_per_m, part.period_s, steps)
     except CoreError as error:
-        raise CoreError(f"{Path(part.path).name} {error}") from error
+        said = part.complaint() if "refuses" in str(error) and part.kind == "fmu" else ""
+        said = f': it says "{said}"' if said else ""
+        raise CoreError(f"{Path(part.path).name} {error}{said}") from error
     finally:
         kept.clear()

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from rthyb_rt.core.own import PythonPartConfig
+from rthyb_rt.core.own_fmu import FmuConfig
 from rthyb_rt.core.own_library import LibraryConfig
 
-OwnPartConfig = LibraryConfig | PythonPartConfig
+OwnPartConfig = LibraryConfig | FmuConfig | PythonPartConfig
 
-KINDS: Final[dict[str, type[LibraryConfig | PythonPartConfig]]] = {
-    kind.kind: kind for kind in (LibraryConfig, PythonPartConfig)
+KINDS: Final[dict[str, type[LibraryConfig | FmuConfig | PythonPartConfig]]] = {
+    kind.kind: kind for kind in (LibraryConfig, FmuConfig, PythonPartConfig)
 }
 
 
