@@ -25,7 +25,7 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 .NOTPARALLEL:
 .PHONY: help run install reproduce test test-long test-vm test-systemd test-live soak sanitize fuzz \
         fuzz-station tsan proof validate-diagnosis validate-diagnosis-short validate-policy benchmark-rths \
-        benchmark-rths-short benchmark-marths bench lint docs wheels test-aarch64 clean
+        benchmark-rths-short benchmark-marths bench lint docs man wheels test-aarch64 clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
@@ -51,6 +51,7 @@ help:
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
 	@echo 'make docs       the guide as a web site in build/site; broken links are errors'
+	@echo 'make man        the manual page, after a change to the help of a command'
 	@echo 'make wheels     source distribution and wheels in dist/; the one for this machine is installed and run'
 	@echo 'make test-aarch64  the C tests of the core on an emulated 64-bit ARM processor'
 	@echo 'make clean      remove .venv, build and caches; runs/ stays'
@@ -132,6 +133,10 @@ lint: $(LINT_READY)
 docs: $(READY)
 	@$(BIN)/python -m pip install -qq --group docs
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict && echo 'build/site/index.html'
+
+# The page that `man rthyb` shows: after a change to the help of a command.
+man: $(READY)
+	@$(BIN)/python docs/tools/man_page.py
 
 wheels: $(READY)
 	@$(BIN)/python -m pip install -qq --group wheels

@@ -200,6 +200,8 @@ MEANINGS: dict[str, str] = {
     "Identified.frequency_hz": "frequencies of the sweep",
     "Identified.amplitude": "amplitude ratio at each",
     "Identified.delay_at_frequency_s": "delay at each",
+    "MatrixLaw.inverse": "true: behind the inverse of the identified response",
+    "MatrixLaw.coupled": "false: numbers on the diagonal alone, each axis by itself",
     "Axis.actuator": "as in a rig of one axis",
     "MatrixKinematics.interface": "names of the directions, the columns of the matrix",
     "MatrixKinematics.matrix": "displacements of the axes by those of the interface: rows are axes",
@@ -269,6 +271,8 @@ def tables() -> dict[str, str]:
         ("baseline", baselinefile.BaselineFile),
     ):
         for key, models in _sections(file):
+            if key.startswith("controller.axis"):
+                continue  # the keys of [controller]
             parts[f"{prefix}.{key}"] = _choices(models) if len(models) > 1 else _table(models[0])
     parts |= {f"axes.{key}": text for key, text in _of_axes().items()}
     del parts["rig.limits"]  # the test file's

@@ -17,6 +17,7 @@ from rthyb_rt.errors import InputError, RthybError
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose import engine
+    from rthyb_rt.diagnose.effects import Effect
     from rthyb_rt.diagnose.outcome import Outcome
 
 Progress = Callable[[str], None]
@@ -103,7 +104,7 @@ def diagnose(
     *,
     columns: Mapping[str, str] | Place | None = None,
     heldout: Recording | Place | None = None,
-    effects: Sequence[Place] = (),
+    effects: Sequence[Place | Effect] = (),
     self_check: bool = False,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -119,7 +120,7 @@ def diagnose(
             (``rthyb-baseline/1``).
         columns: of a CSV file by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping file.
         heldout: a second recording, by which the answer is judged.
-        effects: Python files that register effects of a user's own.
+        effects: effects of your own, as objects or as Python files that register them.
         self_check: hide known effects in the recording and see whether they are found again.
         progress: told the name of each part.
 
@@ -128,14 +129,13 @@ def diagnose(
     """
     if "numpy" not in sys.modules:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from rthyb_rt.diagnose import effects as register
     from rthyb_rt.diagnose import engine, mapping, reading
     from rthyb_rt.diagnose.outcome import finish
     from rthyb_rt.diagnose.power import self_check as checked
 
     try:
-        for path in effects:
-            register.load(Path(path))
+        for one in effects:
+            _take(one)
         tell = progress or (lambda part: None)
         with _as_files(recording, model, heldout) as (path, model_path, second_path):
             wishes = mapping.read_wishes(map_options(columns))
@@ -156,6 +156,27 @@ def diagnose(
     except RthybError as error:
         raise in_python(error, _WORDS) from None
     return Diagnosis(found, outcome, checks, model_path)
+
+
+def _take(given: Effect | Place) -> None:
+    """Register an effect of the user's own, or those of a file.
+
+    Raises:
+        InputError: it is none, or lacks what the search needs of it.
+    """
+    from rthyb_rt.diagnose import effects as register
+
+    if isinstance(given, register.Effect):
+        register.add(given)
+    elif isinstance(given, (str, os.PathLike)):
+        register.load(Path(given))
+    else:
+        name = getattr(given, "__name__", type(given).__name__)
+        raise InputError(
+            f"found {name}; an effect is an object of a class {name}(rthyb_rt.Effect), such as "
+            f"{name}(), or the path of a Python file that registers one",
+            "diagnose: effects",
+        )
 
 
 @contextmanager

@@ -24,7 +24,7 @@ def compare(
         list[Path],
         typer.Argument(
             metavar="A [B]...",
-            help="Recording; folder of a sweep; test file, for its simulation; CSV of any lab.",
+            help="Recording; folder of a sweep; test file, for its simulation; CSV file.",
             show_default=False,
         ),
     ],
@@ -40,7 +40,7 @@ def compare(
     ] = None,
     align: Annotated[
         bool,
-        typer.Option("--align", help="Move each so that it lies over the first."),
+        typer.Option("--align", help="Shift each in time so that it matches the first."),
     ] = False,
     out: Annotated[
         Path | None,
@@ -52,13 +52,13 @@ def compare(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Set recordings beside one another, on one page.
+    """Compare recordings, simulations and CSV files on one page.
 
-    Curves, what differs from the first, one table. Two to ten: tests of this program, the kept runs
-    of a campaign or sweep, the reference simulation of a test file, CSV files of other labs whose
-    columns state their units. A recording alone is held against its own reference simulation. Where
-    rates differ, the rate of the slowest is taken; where lengths differ, what all of them have; and
-    it is said.
+    Shows curves, differences from the first, and a table, for two to ten of: tests of this
+    program, kept runs of a campaign or sweep, the reference simulation of a test file, and CSV
+    files of other laboratories whose columns state their units. A single recording is compared
+    with its own reference simulation. If rates differ, the lowest is used; if lengths differ, the
+    part common to all; notes say so.
 
     \b
     Examples:

@@ -33,25 +33,25 @@ def sweep(
         list[str],
         typer.Option(
             metavar="KEY=V1,V2,...",
-            help="Values of one key, as after --set; each with those of every other --over.",
+            help="Values of one key, as for --set. Can be repeated; all combinations are run.",
             show_default=False,
         ),
     ],
     test: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[TEST.toml]", help="Test file; the built-in test.", show_default=False
+            metavar="[TEST.toml]", help="Test file. Default: the built-in test.", show_default=False
         ),
     ] = None,
     rig: RigOption = None,
     settings: SetOption = None,
     repeat_seeds: Annotated[
         int,
-        typer.Option(metavar="N", help="Repeat each run with noise of N seeds, 1 to 100000."),
+        typer.Option(metavar="N", help="Repeat each run with noise from N seeds, 1 to 100000."),
     ] = 1,
     name: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Of the sweep, instead of TEST-sweep.",
+        typer.Option(metavar="NAME", help="Name of the sweep, instead of TEST-sweep.",
                      show_default=False),
     ] = None,
     keep: Annotated[
@@ -66,10 +66,11 @@ def sweep(
 ) -> None:  # fmt: skip
     """Run one test over lists of values, in virtual time.
 
-    Each value meets every value of the other lists, on all processors. Every run is kept as it
-    ends: after Ctrl-C or a power failure the same command goes on where it was. Table and page tell
-    median and worst case over the seeds, and which runs ended early and why; statistics.csv has
-    mean and standard deviation too. `rthyb compare` sets the kept runs beside one another.
+    Every value is combined with every value of the other lists, on all processors. Every run is
+    saved as soon as it ends: after Ctrl-C or a power failure, the same command resumes where it
+    stopped. The table and the page give median and worst case over the seeds, and which runs ended
+    early and why; statistics.csv also has mean and standard deviation. `rthyb compare` compares
+    the runs that were kept.
 
     \b
     Examples:
@@ -77,7 +78,7 @@ def sweep(
       rthyb sweep --over controller.type=paper,robust --over ground_motion.pga_g=0.02,0.04
       rthyb sweep my-test.toml --over rig=delay-10-elastic,first-order-5hz --keep all
 
-    Exit code 6 says that a limit or a trip ended a run, or that one could not be carried out.
+    The exit code is 6 if a limit or a trip ended a run, or if a run could not be carried out.
     """
     from rthyb_rt.campaign import given
 

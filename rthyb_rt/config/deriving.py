@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -34,6 +34,8 @@ from rthyb_rt.config.rigfile import (
 )
 from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError, Problem
+
+Rows = Sequence[Sequence[float]]
 
 if TYPE_CHECKING:
     from rthyb_rt.config.numerical_structure import Mode, Structure
@@ -133,21 +135,23 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         if test.numerical.own is None:
             _check_integration(test.numerical, period, ratio, rate, problems, notes)
         else:
-            structure = _of_own(test, k_e, period, rate, problems, notes)
-    _check_rate(test, rig, rate, problems)
-    settings = _law_settings(test, rig, rate, problems)
-    noise_m, noise_n = _rest_noise(test, rig, notes)
+            structure = _of_own(test, k_e, (rate.period_s, period), problems, notes)
+    check_rate(test, rig, rate, problems)
+    _check_one_axis(test, rig, problems)
+    settings = law_settings(test, rig, rate, problems)
+    noise_m, noise_n = rest_noise(test, rig, notes)
     limits = limits_file.resolve(test.limits, rig.limits, rig.rig.name, noise_m, problems)
     _note_slowness(test, rig, notes)
     _note_stiffness(rig, notes)
     _note_sensor_ranges(limits.limits, rig, notes)
     _note_friction(test, rig, mass, rate, notes)
     _note_substeps(rig, notes)
+    _note_omitted(rig, notes)
     rigsettings.note_defaults(test, rig, notes)
     controller = test.controller
-    window = _window_samples(test, period, rate, problems)
+    window = window_samples_of(test, period, rate, problems)
     by_rig_hz, by_rig_s = rigsettings.rfc_of_rig(test, rig)
-    cutoff_hz = _rfc_cutoff(test, by_rig_hz, rate, problems)
+    cutoff_hz = rfc_cutoff(test, by_rig_hz, rate, problems)
     if problems:
         raise InputError(problems)
     active = controller.type != "none"
@@ -174,6 +178,17 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         notes=tuple(notes),
         structure=structure,
     )
+
+
+def _check_one_axis(test: TestFile, rig: RigFile, problems: list[Problem]) -> None:
+    """Find what only a rig of several axes can have."""
+    alone = f'rig "{rig.rig.name}" has one axis; it is for rigs with several, [[axis]]'
+    if test.controller.type == "matrix":
+        problems.append(Problem("controller.type", f'found "matrix"; {alone}'))
+    if test.controller.axis:
+        problems.append(Problem("controller.axis", f"found laws of axes by name; {alone}"))
+    if len(test.interface) > 1 and test.numerical.structure is None:
+        problems.append(Problem("interface", f"found {len(test.interface)} directions; {alone}"))
 
 
 def resolve(test: TestFile, derived: Derived) -> TestFile:
@@ -203,76 +218,34 @@ def _given(value: float | None, default: float) -> float:
 
 
 def _check_own(test: TestFile, rig: RigFile) -> None:
-    """Import the classes of the user's own, before anything is asked of them.
-
-    Raises:
-        InputError: with all that cannot be had.
-    """
-    classes = [("controller.python", test.controller.python, "ControlLaw")]
-    for i, one in enumerate(rig.specimen):
-        if isinstance(one, PythonClass):
-            classes.append((f"specimen.{i}", one, "Element"))
-            if test.test.time_scale != 1.0:
-                raise InputError(
-                    f"found {test.test.time_scale:g}, and {one.class_} is a class in Python, of "
-                    "which is not known how it goes with a slow time; leave one of the two out",
-                    "test.time_scale",
-                )
-    if not any(given for _, given, _ in classes):
+    """Refuse classes of the user's own that cannot be had, before anything is asked of them."""
+    if test.controller.python is None and not any(isinstance(e, PythonClass) for e in rig.specimen):
         return
-    from rthyb_rt.core import CoreError, own
+    from rthyb_rt.config.own_deriving import check_classes
 
-    problems = []
-    for place, given, kind in classes:
-        try:
-            if given is not None:
-                given.own.made(getattr(own, kind))
-        except CoreError as error:
-            problems.append(Problem(f"{place}.class", str(error)))
-    if problems:
-        raise InputError(problems)
+    check_classes(test, rig)
 
 
 def _of_own(
     test: TestFile,
     k_e: float,
-    period_s: float,
-    rate: Rate,
+    periods_s: tuple[float, float],
     problems: list[Problem],
     notes: list[str],
 ) -> OwnStructure | None:
-    """Return a numerical part of the user's own."""
-    from rthyb_rt.config import own_structure
+    # NumPy, which it needs, is slow to load.
+    from rthyb_rt.config.own_deriving import structure_of
 
-    given = test.numerical.own
-    assert given is not None
-    if test.test.time_scale != 1.0:
-        problems.append(
-            Problem(
-                "test.time_scale",
-                f"found {test.test.time_scale:g}; a numerical part of your own keeps its own time: "
-                "leave the key out, and stretch the part itself, masses by the square of the "
-                "scale, dampings by the scale",
-            )
-        )
-        return None
-    try:
-        structure = own_structure.build(given, k_e, rate.period_s)
-    except InputError as error:
-        problems += error.problems
-        return None
-    if 0.01 <= period_s <= 100:
-        note = own_structure.period_note(structure, period_s)
-        notes += [] if note is None else [note]
-    return structure
+    return structure_of(test, k_e, periods_s, problems, notes)
 
 
-def structure_of_test(test: TestFile, k_e: float, period_s: float) -> SparseStructure:
+def structure_of_test(test: TestFile, k_e: float | Rows, period_s: float) -> SparseStructure:
     """Return the structure of a test with storeys, or with matrices from a file.
 
     Args:
         test: the test; what its file of matrices says has been read.
-        k_e: elastic stiffness of the rig's specimen, N/m.
+        k_e: elastic stiffness of the rig's specimen, N/m; of several axes its rows, in the order
+            of the interfaces.
         period_s: of a sample.
 
     Raises:
@@ -321,10 +294,10 @@ def _of_many(
                 f"{rate.hz:g} Hz cannot follow; check the units of masses and stiffnesses",
             )
         )
-    return structure, _oscillator(first)
+    return structure, oscillator(first)
 
 
-def _oscillator(mode: Mode) -> tuple[float, float, float, float]:
+def oscillator(mode: Mode) -> tuple[float, float, float, float]:
     """Return mass, period, damping and its ratio of a mode, as the interface feels it."""
     omega = 2 * math.pi * mode.frequency_hz
     mass = 1.0 / max(mode.at_interface**2, 1e-12)
@@ -353,7 +326,7 @@ def _by_matrices(
         )
         return structure, (1.0, 1.0, 0.0, 0.0)
     _check_stability(structure, problems, 1.0 + RADIUS_SLACK)
-    return structure, _oscillator(first)
+    return structure, oscillator(first)
 
 
 def _check_stability(structure: Structure, problems: list[Problem], most: float) -> None:
@@ -445,7 +418,7 @@ def _check_integration(
         )
 
 
-def _check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]) -> None:
+def check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]) -> None:
     """Find what cannot be had at a rate: part of a sample of a pure delay, too high a cut-off."""
     actuator = rig.actuator
     key, delay = "", 0
@@ -467,7 +440,7 @@ def _check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem
         )
 
 
-def _law_settings(
+def law_settings(
     test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]
 ) -> dict[str, float]:
     """Return every setting of the control law: the file's, else the rig's, else the default."""
@@ -502,7 +475,7 @@ def _law_settings(
     return settings
 
 
-def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Problem]) -> int:
+def window_samples_of(test: TestFile, period: float, rate: Rate, problems: list[Problem]) -> int:
     rfc = test.controller.rfc
     if rfc.window_samples is not None:
         return max(1, round(rate.samples(rfc.window_samples)))
@@ -528,7 +501,7 @@ def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Pr
     return samples
 
 
-def _rfc_cutoff(test: TestFile, by_rig_hz: float, rate: Rate, problems: list[Problem]) -> float:
+def rfc_cutoff(test: TestFile, by_rig_hz: float, rate: Rate, problems: list[Problem]) -> float:
     """Return the cut-off of the low-pass on x_c - x_m, Hz; 0: none."""
     cutoff_hz = _given(test.controller.rfc.cutoff_hz, by_rig_hz)
     if not cutoff_hz < 0.5 * rate.hz:
@@ -542,7 +515,7 @@ def _rfc_cutoff(test: TestFile, by_rig_hz: float, rate: Rate, problems: list[Pro
     return cutoff_hz
 
 
-def _rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, float]:
+def rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, float]:
     """Return measured noise, or what the sensors are said to have."""
     identified, sensors = rig.identified, rig.sensors
     noise_m = identified.rest_noise_displacement_m if identified else None
@@ -660,6 +633,21 @@ def _note_friction(test: TestFile, rig: RigFile, mass: float, rate: Rate, notes:
                 f"step of the reference simulation, which chatters on {moving:.4g} kg and must not "
                 f"be trusted; give it a width of at least {needed:.2g} m/s{how}"
             )
+
+
+def _note_omitted(rig: RigFile, notes: list[str]) -> None:
+    """Print what a servo-hydraulic actuator has only because its file does not say it."""
+    actuator = rig.actuator
+    if not isinstance(actuator, ServoHydraulic):
+        return
+    omitted = [key for key in type(actuator).model_fields if key not in actuator.model_fields_set]
+    if not omitted:
+        return
+    values = ", ".join(f"{key} = {getattr(actuator, key):g}" for key in omitted)
+    notes.append(
+        f'rig "{rig.rig.name}" does not give {values} of its actuator: those are the figures of '
+        "shaking-table-portal-frame; write down the ones of this rig"
+    )
 
 
 def _note_substeps(rig: RigFile, notes: list[str]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import (
     ConfigDict,
@@ -16,7 +16,18 @@ from pydantic import (
 )
 
 from rthyb_rt.config import lawtables
-from rthyb_rt.config.fields import SLUG, SOME_TEXT, Check, Choice, Count, Names, Range, Table, Text
+from rthyb_rt.config.fields import (
+    SLUG,
+    SOME_TEXT,
+    Check,
+    Choice,
+    Count,
+    Names,
+    Range,
+    Table,
+    Text,
+    written,
+)
 from rthyb_rt.config.history import History
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.numerical import Matrices
@@ -34,11 +45,17 @@ from rthyb_rt.config.structures import (
     Storeys,
 )
 from rthyb_rt.core.laws import LAWS, Law
+from rthyb_rt.core.sizes import COUPLED_MAX
+
+MATRIX: Final = "matrix"
+"""The compensation of several axes that feel one another, by matrices; no law of one axis."""
 
 if TYPE_CHECKING:
     LawName = str
+    LawNameOrMatrix = str
 else:
-    LawName = Literal[(*LAWS, PYTHON)]
+    LawName = Literal[tuple(LAWS)]
+    LawNameOrMatrix = Literal[(*LAWS, MATRIX, PYTHON)]
 
 TEST_SCHEMA = "rthyb-test/1"
 MOST_NONLINEAR = 2000
@@ -273,40 +290,17 @@ class Rfc(Table):
     ) = None
 
 
-def _by_its_class(type: str, python: PythonClass | None) -> str | None:
-    if type == PYTHON and python is None:
-        return 'missing; type = "python" needs it: python = { class = "my_laws:Slope" }'
-    if type != PYTHON and python is not None:
-        return f'found a class, and type = "{type}"; write type = "python", or leave it out'
-    return None
-
-
-class _Controller(Table):
-    """The compensation: the control law with its settings, restoring force (Eqn 3.2).
-
-    ``python`` is the law of the type "python".
-    """
-
-    checks: ClassVar[tuple[Check, ...]] = (Check("python", ("type", "python"), _by_its_class),)
+class _Law(Table):
+    """A control law with its settings."""
 
     type: LawName = lawtables.DEFAULT_LAW
     plc_enabled: StrictBool = True
     delay_estimator: _DelayEstimator = Field(default_factory=_DelayEstimator)
-    rfc: Rfc = Field(default_factory=Rfc)
-    python: PythonClass | None = None
 
     @property
     def law(self) -> Law:
-        """The control law.
-
-        Raises:
-            CoreError: it is a class in Python that cannot be imported.
-        """
-        if self.python is None:
-            return LAWS[self.type]
-        from rthyb_rt.core.own import law_of
-
-        return law_of(self.python.own)
+        """The control law; of a compensation by matrices, which has none, that without any."""
+        return LAWS[self.type] if self.type in LAWS else LAWS["none"]
 
     def setting(self, key: str) -> float | None:
         """Return what the file says of a law's parameter, else its default, else None."""
@@ -321,17 +315,105 @@ class _Controller(Table):
         cls, keys: dict[str, Any]
     ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
         """Ask the control law what its settings do wrong together."""
-        yield from lawtables.faults(keys)
+        if keys.get("type") != MATRIX:
+            yield from lawtables.faults(keys)
+
+
+class _AxisLaw(_Law):
+    """The control law of one axis, in the place of that of all."""
+
+    name: Annotated[str, SLUG]
+
+
+class MatrixLaw(Table):
+    """Compensation by matrices: gain, delay and curvature, of axes that feel one another.
+
+    Behind the inverse that is fitted to the rig's ``[identified]`` where ``inverse`` is true; else
+    they begin as what undoes that response best. What is left they learn, but for
+    ``delay_estimator.enabled = false``.
+    """
+
+    inverse: StrictBool = True
+    coupled: StrictBool = True
+    roll_off_hz: Annotated[float, Range("Hz", 1, 400, "the roll-off of the lead")] = 20.0
+    cutoff_hz: Annotated[float, Range("Hz", 0.1, 400, "the cut-off of what is learnt from")] = 10.0
+    memory_s: Annotated[float, Range("s", 0.1, 1e4, "the memory")] = 10.0
+    gate_factor: Annotated[float, Range("", 0, 1e6, "the power over that of rest")] = 10.0
+
+
+def _of_matrix(type: str, matrix: MatrixLaw | None) -> str | None:
+    if matrix is None or type == MATRIX:
+        return None
+    return f'found type = "{type}"; the table is of type = "{MATRIX}": leave it out, or say that'
+
+
+def _of_axes(type: str, axis: list[Any]) -> str | None:
+    if axis and type == MATRIX:
+        return (
+            f'found laws of axes beside type = "{MATRIX}", which compensates all of them; keep one'
+        )
+    names = [one.name for one in axis]
+    twice = [name for name in names if names.count(name) > 1]
+    return f'found axis "{twice[0]}" twice; each has one law' if twice else None
+
+
+def _by_its_class(type: str, python: PythonClass | None) -> str | None:
+    if type == PYTHON and python is None:
+        return 'missing; type = "python" needs it: python = { class = "my_laws:Slope" }'
+    if type != PYTHON and python is not None:
+        return f'found a class, and type = "{type}"; write type = "python", or leave it out'
+    return None
+
+
+class _Controller(_Law):
+    """The compensation: the control law with its settings, restoring force (Eqn 3.2).
+
+    ``python`` is the law of the type "python".
+    """
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("matrix", ("type", "matrix"), _of_matrix),
+        Check("axis", ("type", "axis"), _of_axes),
+        Check("python", ("type", "python"), _by_its_class),
+    )
+
+    type: LawNameOrMatrix = lawtables.DEFAULT_LAW
+    rfc: Rfc = Field(default_factory=Rfc)
+    matrix: MatrixLaw | None = None
+    axis: list[_AxisLaw] = Field(default_factory=list, max_length=COUPLED_MAX)
+    python: PythonClass | None = None
+
+    @property
+    def law(self) -> Law:
+        """The control law; of a compensation by matrices, which has none, that without any.
+
+        Raises:
+            CoreError: it is a class in Python that cannot be imported.
+        """
+        if self.python is None:
+            return super().law
+        from rthyb_rt.core.own import law_of
+
+        return law_of(self.python.own)
 
 
 if TYPE_CHECKING:
     # The laws' own tables add their keys, which are read by `setting`.
     DelayEstimator = _DelayEstimator
+    AxisLaw = _AxisLaw
     Controller = _Controller
 else:
     DelayEstimator = lawtables.extended(_DelayEstimator, "DelayEstimator", "delay_estimator")
+    AxisLaw = lawtables.extended(
+        _AxisLaw, "AxisLaw", "", sections={"delay_estimator": DelayEstimator}
+    )
+
+    class _WithAxes(_Controller):
+        __doc__ = _Controller.__doc__
+        axis: list[AxisLaw] = Field(default_factory=list, max_length=COUPLED_MAX)
+
     Controller = lawtables.extended(
-        _Controller, "Controller", "", sections={"delay_estimator": DelayEstimator}
+        _WithAxes, "Controller", "", sections={"delay_estimator": DelayEstimator}
     )
 
 
@@ -347,6 +429,17 @@ def _something_to_move(numerical: Numerical, interface: list[Interface]) -> str 
             "found a table without storeys or matrices from a file; a numerical part of one degree "
             "of freedom, or of matrices in the test file, says itself what the actuator moves"
         )
+    return None
+
+
+def _interfaces_differ(interface: list[Interface]) -> str | None:
+    names = [one.name for one in interface]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            return (
+                f"interfaces {names.index(name) + 1} and {i + 1} are both called "
+                f"{written(name)}; each has a name of its own, which the rig's kinematics know"
+            )
     return None
 
 
@@ -370,6 +463,7 @@ class TestFile(Table):
 
     checks: ClassVar[tuple[Check, ...]] = (
         Check("interface", ("numerical", "interface"), _something_to_move),
+        Check("interface", ("interface",), _interfaces_differ),
     )
 
     __test__: ClassVar[bool] = False

@@ -65,6 +65,16 @@ def load(path: Path) -> list[str]:
     return added
 
 
+def add(effect: Effect) -> None:
+    """Register an effect, and refuse one that lacks what the search needs of it.
+
+    Raises:
+        InputError: with what it lacks.
+    """
+    _check(effect, type(effect).__name__)
+    register(effect)
+
+
 def _line_of(error: BaseException, path: Path) -> str:
     if isinstance(error, SyntaxError):
         return f":{error.lineno}"
@@ -114,6 +124,7 @@ __all__ = [
     "Effect",
     "Param",
     "Trial",
+    "add",
     "catalogue",
     "having",
     "load",
