@@ -236,3 +236,78 @@ def test_a_diagnosis_refuses_a_model_with_a_class_in_python() -> None:
     model = SHORT.rig.with_(specimen=[own_parts.Spring(6e5)])
     with pytest.raises(rt.InputError, match="own_parts:Spring is a class in Python"):
         rt.diagnose(rec, model)
+
+
+# ---- an effect for the diagnosis ----------------------------------------------------------------
+
+
+class Magnet(rt.Effect):
+    """A magnet at a place pulls the specimen to it."""
+
+    name = "magnet"
+    params = (rt.Param("pull_N", "N", 0.0, 1e6), rt.Param("at_m", "m", -1.0, 1.0))
+    equation = "f = pull exp(-((x - at) / 0.3 mm)^2)"
+    fingerprint = "a force at one displacement only"
+    signs = "+"
+
+    def trials(self, ctx: rt.Context) -> list[rt.Trial]:
+        return [rt.Trial((float(x),)) for x in np.linspace(0.1, 0.9, 17) * ctx.x_range]
+
+    def columns(self, ctx: rt.Context, trial: rt.Trial) -> list[Any]:
+        return [np.exp(-(((ctx.x - trial.theta[0]) / 3e-4) ** 2))]
+
+    def report(self, ctx: rt.Context, trial: rt.Trial, beta: Any) -> dict[str, float]:
+        return {"pull_N": float(beta[0]), "at_m": trial.theta[0]}
+
+
+class Broken(Magnet):
+    """Looks for something that is not there."""
+
+    def columns(self, ctx: rt.Context, trial: rt.Trial) -> list[Any]:
+        return [ctx.other["no such channel"]]
+
+
+class Bump(rt.Element):
+    """The force of that magnet."""
+
+    def force(self, x_m: float, v: float, a: float, dt_s: float, state: Any) -> float:
+        return float(900.0 * np.exp(-(((x_m - 3e-3) / 3e-4) ** 2)))
+
+
+@pytest.fixture(scope="module")
+def pulled() -> rt.Recording:
+    test = rt.Test("section5-T0.5")
+    return rt.run(test.with_(rig={"specimen": [*test.rig["specimen"], Bump()]}))
+
+
+def test_an_effect_of_ones_own_is_found_and_leaves_the_catalogue_as_it_was(
+    pulled: rt.Recording, tmp_path: Path
+) -> None:
+    from rthyb_rt.diagnose import effects
+
+    before = effects.catalogue()
+    found = rt.diagnose(pulled, SHORT.rig, effects=[Magnet()])
+    assert (found.verdict, found.effects) == ("explained", ["magnet"])
+    assert found.answer["candidates"][0]["params"]["pull_N"] == pytest.approx(900.0, rel=0.02)
+    assert "magnet" in found.text
+    assert found.report(tmp_path / "told")
+    assert effects.catalogue() == before
+
+
+def test_an_error_in_an_effect_names_its_line(pulled: rt.Recording) -> None:
+    with pytest.raises(KeyError) as caught:
+        rt.diagnose(pulled, SHORT.rig, effects=[Broken()])
+    lines = [frame.line for frame in traceback.extract_tb(caught.value.__traceback__)]
+    assert 'return [ctx.other["no such channel"]]' in lines
+
+
+def test_an_effect_that_is_none_or_lacks_something_is_refused(pulled: rt.Recording) -> None:
+    class Nameless(Magnet):
+        """Has everything but a name."""
+
+        name = ""
+
+    with pytest.raises(rt.InputError, match="effect 'Nameless' lacks name"):
+        rt.diagnose(pulled, SHORT.rig, effects=[Nameless()])
+    with pytest.raises(rt.InputError, match=r"such as Magnet\(\)"):
+        rt.diagnose(pulled, SHORT.rig, effects=[Magnet])  # type: ignore[list-item]

@@ -40,8 +40,10 @@ class Diagnosis:
         outcome: Outcome,
         checks: list[dict[str, Any]] | None,
         model: Path,
+        own: Sequence[Effect] = (),
     ) -> None:
         self._found, self._outcome, self._checks, self._model = found, outcome, checks, model
+        self._own = own
 
     @property
     def verdict(self) -> str:
@@ -61,9 +63,10 @@ class Diagnosis:
     @property
     def text(self) -> str:
         """The answer in plain words."""
-        from rthyb_rt.diagnose import words
+        from rthyb_rt.diagnose import effects, words
 
-        return words.sentence(self._found, self._outcome.answer)
+        with effects.beside(self._own):
+            return words.sentence(self._found, self._outcome.answer)
 
     @property
     def answer(self) -> dict[str, Any]:
@@ -83,9 +86,11 @@ class Diagnosis:
             InputError: matplotlib or jinja2 is not installed.
             RthybError: a file cannot be written.
         """
+        from rthyb_rt.diagnose import effects
         from rthyb_rt.diagnose.page import write_report
 
-        return write_report(Path(folder), self._found, self._outcome, self._checks, self._model)
+        with effects.beside(self._own):
+            return write_report(Path(folder), self._found, self._outcome, self._checks, self._model)
 
     def __repr__(self) -> str:
         named = f": {', '.join(self.effects)}" if self.effects else ""
@@ -129,15 +134,18 @@ def diagnose(
     """
     if "numpy" not in sys.modules:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from rthyb_rt.diagnose import effects as register
     from rthyb_rt.diagnose import engine, mapping, reading
     from rthyb_rt.diagnose.outcome import finish
     from rthyb_rt.diagnose.power import self_check as checked
 
     try:
-        for one in effects:
-            _take(one)
+        own = _own_effects(effects)
         tell = progress or (lambda part: None)
-        with _as_files(recording, model, heldout) as (path, model_path, second_path):
+        with (
+            register.beside(own),
+            _as_files(recording, model, heldout) as (path, model_path, second_path),
+        ):
             wishes = mapping.read_wishes(map_options(columns))
             case = reading.read_case(path, reading.read_model(model_path), wishes=wishes)
             second = None
@@ -155,28 +163,31 @@ def diagnose(
             checks = checked(found, tell) if self_check else None
     except RthybError as error:
         raise in_python(error, _WORDS) from None
-    return Diagnosis(found, outcome, checks, model_path)
+    return Diagnosis(found, outcome, checks, model_path, own)
 
 
-def _take(given: Effect | Place) -> None:
-    """Register an effect of the user's own, or those of a file.
+def _own_effects(given: Sequence[Any]) -> list[Effect]:
+    """Run the files among what was given, and return the effects of a user's own.
 
     Raises:
-        InputError: it is none, or lacks what the search needs of it.
+        InputError: a file registers none; or what was given is neither file nor effect.
     """
     from rthyb_rt.diagnose import effects as register
 
-    if isinstance(given, register.Effect):
-        register.add(given)
-    elif isinstance(given, (str, os.PathLike)):
-        register.load(Path(given))
-    else:
-        name = getattr(given, "__name__", type(given).__name__)
-        raise InputError(
-            f"found {name}; an effect is an object of a class {name}(rthyb_rt.Effect), such as "
-            f"{name}(), or the path of a Python file that registers one",
-            "diagnose: effects",
-        )
+    found = []
+    for one in given:
+        if isinstance(one, register.Effect):
+            found.append(one)
+        elif isinstance(one, (str, os.PathLike)):
+            register.load(Path(one))
+        else:
+            name = getattr(one, "__name__", type(one).__name__)
+            raise InputError(
+                f"found {name}; an effect is an object of a class {name}(rthyb_rt.Effect), such as "
+                f"{name}(), or the path of a Python file that registers one",
+                "diagnose: effects",
+            )
+    return found
 
 
 @contextmanager
