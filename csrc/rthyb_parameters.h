@@ -8,17 +8,29 @@
 
 /* cffi: begin */
 
-enum rthyb_parameters_size { RTHYB_PARAMETER_WORDS = 62 };
+enum rthyb_parameters_size {
+    RTHYB_PARAMETER_WORDS = 6 + 2 * RTHYB_CAUSE_COUNT +
+    RTHYB_COUPLED_MAX * (7 + 2 * RTHYB_CAUSE_COUNT)
+};
+
+/* Of one axis, and of the interface of that number. */
+typedef struct {
+    int32_t own; /* 0: watches and limits of the axis are those of the set */
+    rthyb_watch watch[RTHYB_CAUSE_COUNT];
+    double velocity_limit_m_per_s, acceleration_limit_m_per_s2;
+    rthyb_interface_config interface;
+} rthyb_axis_parameters;
 
 /* Parameters that can be changed during a test. Generation 0 is the set with which the station was set up. */
 typedef struct {
     uint32_t generation;
-    int32_t adapt;                        /* 0: the control law does not adapt */
+    int32_t adapt;                        /* 0: the control laws do not adapt */
     rthyb_watch watch[RTHYB_CAUSE_COUNT]; /* as in rthyb_station_config */
-    double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* of the command; 0 = off */
+    double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* of the commands; 0 = off */
     /* As in rthyb_station_config, for paths that begin from now on. If they are tighter than those of the
      * current path, that path brakes to rest within them and then starts again. */
     double path_velocity_m_per_s, path_acceleration_m_per_s2, brake_acceleration_m_per_s2;
+    rthyb_axis_parameters axis[RTHYB_COUPLED_MAX];
 } rthyb_parameters;
 
 /* 0 or RTHYB_E_LIMIT. */

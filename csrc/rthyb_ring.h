@@ -69,7 +69,7 @@ struct rthyb_ring {
     char *slots;
     uint64_t mask;
     uint64_t pushed, shown; /* records in the ring, records on the status page */
-    uint32_t slot_bytes, channel_count;
+    uint32_t slot_bytes, record_words, channel_count;
     uint32_t tripped; /* records stored since the TRIP */
 };
 
@@ -84,9 +84,10 @@ typedef struct {
     uint64_t lost; /* records overwritten before they could be read */
 } rthyb_ring_reader;
 
-/* File size for a capacity (a power of two), a length of the description in bytes, and a number of
- * channels (at most RTHYB_CHANNELS_MAX). */
-size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes, uint32_t channel_count);
+/* File size for a capacity (a power of two), a length of the description in bytes, and numbers of axes and of
+ * channels (at most RTHYB_CHANNELS_MAX) of each row. */
+size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes, int32_t axis_count,
+                        uint32_t channel_count);
 /* Offset of the description in the file, in bytes. */
 size_t rthyb_ring_about_at(void);
 /* Locks the mapping in memory and writes to all of it once; returns enum rthyb_ring_fact bits. The blocks
@@ -95,14 +96,13 @@ int rthyb_ring_settle(int fd, void *map, size_t bytes);
 /* Writes the header into a settled mapping of rthyb_ring_bytes() bytes that already contains the
  * description. Readers can attach from then on. */
 void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t about_bytes,
-                     uint32_t channel_count);
+                     int32_t axis_count, uint32_t channel_count);
 /* Never waits, fails or calls the kernel. In state TRIPPED, RTHYB_RING_AFTER_TRIP records are stored;
  * further records update only the status page until the state changes.
  * channels: one value per channel of the ring; NULL stores NaN. */
 void rthyb_ring_push(rthyb_ring *ring, const rthyb_record *record, const double *channels);
-/* channels: values of each record in turn, or NULL. */
-void rthyb_ring_push_run(rthyb_ring *ring, const rthyb_record *records, size_t n,
-                         const double *channels);
+/* Consecutive rows with as many axes as the ring has. channels: values of each row in turn, or NULL. */
+void rthyb_ring_push_run(rthyb_ring *ring, const void *rows, size_t n, const double *channels);
 void rthyb_ring_close(rthyb_ring *ring);
 
 /* Attaches to a mapping of a complete file, positioned before its oldest record; 0 or enum

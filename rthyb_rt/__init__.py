@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rthyb_rt.analysis.spectra import FrequencyResponse
     from rthyb_rt.api.checking import Check, check
     from rthyb_rt.api.comparing import Comparison, compare
     from rthyb_rt.api.diagnosing import Diagnosis, diagnose
@@ -37,6 +38,7 @@ __all__ = [
     "Diagnosis",
     "Effect",
     "Element",
+    "FrequencyResponse",
     "Identification",
     "InputError",
     "NumericalPart",
@@ -70,6 +72,7 @@ _HOMES = {
     "Diagnosis": "api.diagnosing",
     "Effect": "diagnose.effects.base",
     "Element": "core.own",
+    "FrequencyResponse": "analysis.spectra",
     "Identification": "api.identifying",
     "InputError": "errors",
     "NumericalPart": "core.own",

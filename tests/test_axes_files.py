@@ -49,8 +49,10 @@ def test_a_file_with_axes_is_a_rig_of_several_and_one_without_is_as_before() -> 
     assert one == config.load_rig(config.shipped_rig("shaking-table-portal-frame"))
 
 
-def test_a_command_for_one_axis_says_that_the_rig_has_two() -> None:
-    with pytest.raises(InputError, match=r"rig of several axes \(upper, lower\).*--axis"):
+def test_what_takes_one_axis_says_that_the_rig_has_two() -> None:
+    with pytest.raises(
+        InputError, match=r"rig of several axes \(upper, lower\), and a rig of one is needed here"
+    ):
         config.load_rig(SHIPPED)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import subprocess
@@ -33,6 +34,7 @@ from rthyb_rt.numbers import number, percent, quantity
 from rthyb_rt.record.recording import UNITS, Recording
 from rthyb_rt.report import render, write_report
 from rthyb_rt.report.decimate import envelope, robust_limit, trace
+from rthyb_rt.report.files import escaped, write_files
 
 pytest.importorskip("matplotlib")
 
@@ -293,16 +295,22 @@ def test_page_asks_nothing_of_the_network(page: str) -> None:
 
 def test_page_is_small_and_has_all_figures(page: str) -> None:
     assert len(page.encode()) < 2_000_000
-    assert len(drawings(page)) == 9
-    titles = re.findall(r"<b>Figure \d\. (.*?)\.</b>", page)
+    assert len(drawings(page)) == 15
+    titles = re.findall(r"<b>Figure \d+\. (.*?)\.</b>", page)
     assert titles == [
         "Command and measured displacement",
         "At the peak",
         "Hysteresis loop",
         "Tracking error",
+        "Synchronisation subspace",
+        "From command to measured displacement",
+        "Force of the specimen",
         "Response against the reference simulation",
         "Accumulated error",
         "Energy error and tracking indicator",
+        "Energy balance",
+        "Spectra of command and measured displacement",
+        "Response spectra",
         "Delay estimate",
         "Tangent stiffness",
     ]
@@ -387,7 +395,7 @@ def test_test_without_compensation_has_no_empty_figures() -> None:
     assert "The test ran without delay compensation." in page
     assert "The test ran without force compensation." in page
     assert "compensated" not in "".join(re.findall(r"<svg.*?</svg>", page, re.DOTALL))
-    assert len(drawings(page)) == 7
+    assert len(drawings(page)) == 13
 
 
 def test_fixed_delay_is_told_in_words() -> None:
@@ -594,3 +602,44 @@ def test_how_the_station_ended_stands_in_words_and_not_as_a_dict_of_python() -> 
 def test_on_a_narrow_screen_half_figures_are_no_wider_than_beside_one_another(page: str) -> None:
     narrow = page[page.index("@media screen and (max-width: 44rem)") : page.index("@page")]
     assert re.search(r"\.two figure svg \{ max-width: 28rem; \}", narrow)
+
+
+# --- files for a paper ------------------------------------------------------------------------
+
+
+def test_figures_and_tables_are_files_of_their_own_and_twice_the_same(tmp_path: Path) -> None:
+    rec = recording(3.0)
+    written = write_files(rec, tmp_path / "one")
+    names = {path.name for path in written}
+    assert {"displacement.svg", "displacement.pdf", "balance.pdf", "transfer.svg"} <= names
+    assert {"table.tex", "table.csv", "measures.csv"} <= names
+    for path in written:
+        if path.suffix == ".svg":
+            assert ET.parse(path).getroot().get("width", "").endswith("pt")
+        elif path.suffix == ".pdf":
+            assert path.read_bytes().startswith(b"%PDF-")
+    for path in write_files(rec, tmp_path / "two"):
+        assert path.read_bytes() == (tmp_path / "one" / path.name).read_bytes(), path.name
+
+
+def test_table_of_latex_has_every_row_and_no_letter_that_latex_takes_otherwise(
+    tmp_path: Path,
+) -> None:
+    rec = recording(3.0)
+    write_files(rec, tmp_path)
+    text = (tmp_path / "table.tex").read_text()
+    assert text.count(r" \\" + "\n") == len(result_table(rec))
+    assert text.isascii()
+    assert not re.search(r"(?<!\\)[%#](?! \\usepackage)", text)
+    assert escaped("1.2·10⁻⁵ m²_x ≤ 5 %") == (
+        r"1.2\ensuremath{\cdot}10\textsuperscript{-5} m\textsuperscript{2}\_x "
+        r"\ensuremath{\le} 5 \%"
+    )
+
+
+def test_measures_as_csv_are_those_of_json(tmp_path: Path) -> None:
+    rec = recording(3.0)
+    write_files(rec, tmp_path)
+    with (tmp_path / "measures.csv").open() as file:
+        found = dict(csv.reader(file))
+    assert float(found["tracking_nrmse"]) == summarize(rec).tracking_nrmse

@@ -539,10 +539,16 @@ class JointIdentified(Table):
 
 
 class AxesInfo(Table):
-    """Conventions of a rig of several axes, as of one; its elastic stiffness is the specimen's."""
+    """Conventions of a rig of several axes, as of one.
+
+    ``elastic_stiffness`` along the interface is what was measured; absent: the specimen's.
+    """
 
     name: Annotated[str, SLUG]
     description: Annotated[str, Text("a description")] = ""
+    elastic_stiffness: Annotated[Rows, MatrixOf("the elastic stiffness", symmetric=True)] | None = (
+        None
+    )
     load_cell: Literal["actuator-end", "specimen"] = "actuator-end"
     command_hold: Literal["zoh", "foh"] = "zoh"
     command_shift_s: Annotated[
@@ -596,6 +602,13 @@ def _specimen_fits(axes: list[Axis], kinematics: Kinematics, specimen: JointSpec
     return None
 
 
+def _elastic_fits(rig: AxesInfo, specimen: JointSpecimen) -> str | None:
+    if rig.elastic_stiffness is None:
+        return None
+    fault = _same_size(specimen.stiffness, rig.elastic_stiffness) or _holds(rig.elastic_stiffness)
+    return None if fault is None else f"elastic_stiffness: {fault}"
+
+
 def _plant_fits(axes: list[Axis], plant: Plant | None) -> str | None:
     if plant is None or plant.a is None or plant.b is None or plant.c is None:
         return None
@@ -640,6 +653,7 @@ class AxesRig(Table):
         Check("axis", ("axis",), _one_clock),
         Check("kinematics", ("axis", "kinematics"), _kinematics_fault),
         Check("specimen", ("axis", "kinematics", "specimen"), _specimen_fits),
+        Check("rig", ("rig", "specimen"), _elastic_fits),
         Check("plant", ("axis", "plant"), _plant_fits),
         Check("identified", ("axis", "identified"), _identified_fits),
     )
@@ -682,7 +696,8 @@ class AxesRig(Table):
         limits = {
             key: getattr(self.limits, key) if value is None else value for key, value in own.items()
         }
-        info = {key: getattr(self.rig, key) for key in AxesInfo.model_fields if key != "name"}
+        keys = set(AxesInfo.model_fields) - {"name", "elastic_stiffness"}
+        info = {key: getattr(self.rig, key) for key in keys}
         return RigFile.model_construct(
             schema_=self.schema_,
             rig=RigInfo.model_construct(
@@ -713,5 +728,10 @@ class AxesRig(Table):
         import numpy as np
 
         back = np.linalg.inv(self.core_kinematics().jacobian())
-        found: Rows = (back.T @ np.array(self.specimen.stiffness) @ back).tolist()
+        found: Rows = (back.T @ np.array(self.k_e) @ back).tolist()
         return found
+
+    @property
+    def k_e(self) -> Rows:
+        """The specimen's elastic stiffness along the interface, (n, n)."""
+        return self.rig.elastic_stiffness or self.specimen.stiffness

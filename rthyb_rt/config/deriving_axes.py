@@ -66,7 +66,7 @@ def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
     if problems:
         raise InputError(problems)
     try:
-        structure = structure_of_test(test, rig.specimen.stiffness, rate.period_s)
+        structure = structure_of_test(test, rig.k_e, rate.period_s)
     except CoreError as error:
         raise InputError(str(error), "numerical") from error
     first, found, notes = structure.first(), list[Derived](), list[str]()
@@ -88,7 +88,7 @@ def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
         notes += [f"axis {name}: {note}" for note in own.notes]
     if problems:
         raise InputError(problems)
-    return AxesDerived(rate.hz, structure, tuple(found), rig.specimen.stiffness, tuple(notes))
+    return AxesDerived(rate.hz, structure, tuple(found), rig.k_e, tuple(notes))
 
 
 def in_order(test: TestFile, rig: AxesRig) -> TestFile:

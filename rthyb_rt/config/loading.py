@@ -383,7 +383,7 @@ def parse_rig(
         names = ", ".join(_axis_names(raw)) or "several"
         raise InputError(
             f"found [[axis]]: this is a rig of several axes ({names}), and a rig of one is needed "
-            "here; where a command has --axis, name one of them",
+            "here",
             f"{source}:{KeyLines(text).find(('axis',))}",
         )
     return _parse(RigFile, RIG_SCHEMA, text, source, overrides or {}, raw, wording=wording)
@@ -400,6 +400,11 @@ def parse_any_rig(
     if "axis" in raw:
         return _parse(AxesRig, RIG_SCHEMA, text, source, given, raw, wording=wording)
     return _parse(RigFile, RIG_SCHEMA, text, source, given, raw, wording=wording)
+
+
+def has_axes(path: str | Path) -> bool:
+    """Tell whether a rig file is of several axes; raises ``InputError`` where it is no TOML."""
+    return "axis" in _toml(read_text(path, "rig"), str(path))
 
 
 def _axis_names(raw: Mapping[str, Any]) -> list[str]:
