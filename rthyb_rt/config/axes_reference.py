@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.config.axesfile import AxesRig
+from rthyb_rt.config.own import core_element
 from rthyb_rt.config.rigfile import ServoHydraulic
 from rthyb_rt.config.sparse_structure import (
     JointModel,
     SparseStructure,
-    element_of,
     joint_reference,
 )
 from rthyb_rt.config.testfile import TestFile
@@ -74,6 +74,6 @@ def joint_model(test: TestFile, rig: AxesRig) -> JointModel:
                 mass = mass + axis.actuator.moving_mass_kg * np.outer(row, row)
                 damping = damping + axis.actuator.viscous_n_s_per_m * np.outer(row, row)
     elements = tuple(
-        (rig.directions.index(one.along), element_of(one.law)) for one in given.element
+        (rig.directions.index(one.along), core_element(one.law)) for one in given.element
     )
     return JointModel(stiffness, damping, mass, elements)

@@ -309,6 +309,18 @@ class Plant:
     swept_hz: float
     error: float
 
+    def response(self, f_hz: Floats, period_s: float, hold: str | None) -> Complexes:
+        """Return x_m over the samples of a command, (k,) complex.
+
+        Args:
+            f_hz: frequencies, (k,), Hz.
+            period_s: of the samples, s.
+            hold: how the drive joins them, from `hold_of`.
+        """
+        s = 2j * np.pi * f_hz
+        g = np.exp(-s * self.delay_s) / np.polyval(self.p[::-1], s)
+        return np.asarray(g if hold is None else g * _hold(f_hz, period_s, hold))
+
 
 MOST_ERROR: Final = 0.25
 """Of 1/G: a model that is farther off says nothing of the loop's stability."""

@@ -16,6 +16,7 @@ from rthyb_rt import core
 from rthyb_rt.config import matrixfile, timescale
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.config.numerical_structure import Mode, linear_and_others
+from rthyb_rt.config.own import core_element
 from rthyb_rt.config.structures import (
     Damping,
     Interface,
@@ -458,15 +459,8 @@ def _damped(structure: SparseStructure, damping: Damping) -> SparseConfig:
     return replace(part, by_mass_per_s=float(a), by_stiffness_s=float(b))
 
 
-def element_of(law: Any) -> ElementConfig:
-    """Return an element of the catalogue from its table."""
-    values = law.model_dump()
-    kind = values.pop("element")
-    return core.element(kind, **{key: values[key] for key in core.ELEMENT_PARAMS[kind]})
-
-
 def _joint(below: int, above: int, law: Any) -> Joint:
-    element = element_of(law)
+    element = core_element(law)
     return Joint(below, above, element, initial_stiffness(element))
 
 

@@ -21,9 +21,9 @@ from rthyb_rt.config import testfile as test_file
 from rthyb_rt.config.axes_reference import AxesReference
 from rthyb_rt.config.deriving_axes import AxesDerived
 from rthyb_rt.config.limits import VelocityLimit
+from rthyb_rt.config.own import PythonClass, core_element
 from rthyb_rt.config.rigfile import TOLERANCES, Link, Sensors
 from rthyb_rt.core.coupled_rig import CoupledRigConfig
-from rthyb_rt.core.laws import LAWS
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import histories
@@ -119,6 +119,7 @@ def prepare(
 
     if real_time:
         refuse_other_rate(test)
+        _refuse_python(test, rig)
     if test.history is not None:
         return _prepare_history(test, rig, real_time)
     derived, whole = both(lambda: config.derive(test, rig), read)
@@ -147,7 +148,7 @@ def prepare(
         ag_mps2=ag,
         controller=(controller := controller_config(test, rig, derived, end_tick)),
         virtual_rig=rig_config(rig, derived.fs_hz),
-        channels=part_channels(derived) + law_channels(controller.law),
+        channels=(extra_channels(rig) + part_channels(derived) + law_channels(controller.law)),
         notes=derived.notes + (() if baseline.ok else (f"ground motion: {baseline.message}",)),
     )
     try:
@@ -213,7 +214,7 @@ def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
         ag_mps2=plan.path_m,
         controller=controller,
         virtual_rig=rig_config(rig, derived.fs_hz),
-        channels=law_channels(controller.law),
+        channels=extra_channels(rig) + law_channels(controller.law),
         notes=derived.notes,
         plan=plan,
         reference=_along(rig, plan),
@@ -290,6 +291,34 @@ def refuse_other_rate(test: TestFile) -> None:
         )
 
 
+def _refuse_python(test: TestFile, rig: RigFile) -> None:
+    """Refuse classes in Python, each with what takes its place.
+
+    Raises:
+        InputError: with all of them.
+    """
+    found = []
+    if test.numerical.python is not None:
+        found.append(
+            ("numerical.python", "a numerical part in a shared library, numerical.library")
+        )
+    if test.controller.python is not None:
+        found.append(("controller.python", "a control law in C, docs/extending.md"))
+    for i, one in enumerate(rig.specimen):
+        if isinstance(one, PythonClass):
+            found.append((f"specimen.{i}", "elements of the catalogue"))
+    if found:
+        raise InputError(
+            Problem(
+                where,
+                "is a class in Python, which now and then takes longer than a sampling period "
+                "(collecting garbage, waiting for its lock), so that a test in real time must not "
+                f"wait for it; it runs in virtual time; in real time take {instead}",
+            )
+            for where, instead in found
+        )
+
+
 def follow_reference(setup: Setup) -> Setup:
     """Fill in what limits follow from the reference simulation, as far as no file says them.
 
@@ -363,8 +392,12 @@ def _refuse_slow(derived: Derived) -> None:
     """
     if derived.structure is None or isinstance(derived.structure.part, core.DenseConfig):
         return
+    from rthyb_rt.config.own_structure import OwnStructure, refuse_in_real_time
     from rthyb_rt.core.numerical_parts import SparsePart
 
+    if isinstance(derived.structure, OwnStructure):
+        refuse_in_real_time(derived.structure.part)
+        return
     part = derived.structure.part
     taken_s, most_s = SparsePart(part).step_time_s(), 0.5 * part.period_s
     if taken_s > most_s:
@@ -442,6 +475,7 @@ def prescribed(rig: RigFile, name: str, path_m: NDArray[np.float64]) -> Setup:
             motion=core.MotionConfig("prescribed", period_s=derived.rate.period_s),
         ),
         virtual_rig=rig_config(rig, derived.fs_hz),
+        channels=extra_channels(rig),
     )
 
 
@@ -486,6 +520,7 @@ def law_config(test: TestFile, derived: Derived) -> core.LawConfig:
         settings=dict(derived.law_settings),
         adapts=derived.estimator_enabled,
         rest_noise_m=derived.rest_noise_displacement_m,
+        own=test.controller.python.own if test.controller.python is not None else None,
     )
 
 
@@ -532,9 +567,25 @@ _TIMED: Final[dict[str, Callable[[Rate, float], float]]] = {
 """Limits that a file counts in samples of 1/1024 s, and what they are at another rate."""
 
 
+def extra_channels(rig: RigFile) -> tuple[core.Channel, ...]:
+    """Return the channels of what the rig measures beside displacement and force.
+
+    Raises:
+        InputError: one has a name that the record has already.
+    """
+    taken = set(core.RECORD_DTYPE.names or ()) | {"x_true_m", "f_true_n"}
+    for i, one in enumerate(rig.sensors.extra):
+        if one.name in taken:
+            raise InputError(
+                f'found "{one.name}", which every recording has already; take another name',
+                f"sensors.extra.{i}.name",
+            )
+    return tuple(core.Channel(one.name, one.unit) for one in rig.sensors.extra)
+
+
 def law_channels(law: core.LawConfig) -> tuple[core.Channel, ...]:
     """Return the channels of what a control law reports beside alpha and beta."""
-    return tuple(core.Channel(value.name, value.unit) for value in LAWS[law.name].beside)
+    return tuple(core.Channel(value.name, value.unit) for value in law.law.beside)
 
 
 def part_channels(derived: Derived) -> tuple[core.Channel, ...]:
@@ -685,6 +736,12 @@ def rig_config(rig: RigFile, fs_hz: float = core.FS_HZ) -> core.RigConfig:
         force=force,
         load_cell=rig.rig.load_cell,
         seed=rig.rig.seed,
+        extras=tuple(
+            core.ExtraSensorConfig(
+                one.measures, one.gain, core.SensorConfig(one.noise_std, one.lsb, one.bias)
+            )
+            for one in rig.sensors.extra
+        ),
     )
 
 
@@ -714,12 +771,7 @@ def servo_config(rig: RigFile, rate: Rate) -> core.ServoConfig:
 
 def specimen_elements(rig: RigFile) -> tuple[core.ElementConfig, ...]:
     """Return the specimen's elements with their parameters in the core's order."""
-    elements = []
-    for item in rig.specimen:
-        values = item.model_dump()
-        kind = values.pop("element")
-        elements.append(core.element(kind, **{k: values[k] for k in core.ELEMENT_PARAMS[kind]}))
-    return tuple(elements)
+    return tuple(core_element(item) for item in rig.specimen)
 
 
 # ---- the reference simulation -------------------------------------------------------------------
@@ -742,8 +794,14 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
     elements = _reference_elements(setup, table_forces)
     structure = setup.derived.structure
     if structure is not None:
+        from rthyb_rt.config.own_structure import OwnStructure
+
         # The model's elements are slowed themselves, so that nothing of them is lacking.
-        whole = structure.with_lack(setup.test.test.time_scale, -1.0)
+        whole = (
+            structure
+            if isinstance(structure, OwnStructure)
+            else structure.with_lack(setup.test.test.time_scale, -1.0)
+        )
         return _rows_of_reference(*whole.reference(elements, setup.ag_mps2))
     rigid = [e for e in elements if e.kind not in _IMPLICIT]
     motion = motion_config(setup.test, setup.derived)

@@ -75,9 +75,7 @@ class Bench:
         seen = truth_channels(setup) if truth else ()
         setup = replace(setup, channels=seen + places + setup.channels)
         self.run = Run.begin(setup, "virtual", config or experiment.station_config(setup))
-        virtual: core.Rig | CoupledRig = core.Rig(rig or setup.virtual_rig)
-        if setup.group is not None:
-            virtual = CoupledRig(setup.group.virtual_rig)
+        virtual = self._plant(setup, rig, (2 if truth else 0) + len(places))
         stop_decel = experiment.stop_decel_m_per_s2(setup.rig)
         self._test = core.Virtual(self.run.station, virtual, stop_decel, truth, len(places))
         before = self.config.tare_ticks + self.config.ramp_in_ticks
@@ -85,6 +83,17 @@ class Bench:
         self._rows = np.empty(before + setup.ticks + 2 * STEP_TICKS, dtype=self._dtype)
         self._values = np.zeros((self._rows.size, len(setup.channels)))
         self._count = 0
+
+    def _plant(
+        self, setup: Setup, rig: core.RigConfig | None, extras: int
+    ) -> core.Rig | CoupledRig:
+        """Return the virtual rig; extra sensors of one axis are told from that channel on."""
+        if setup.group is not None:
+            return CoupledRig(setup.group.virtual_rig)
+        virtual = core.Rig(rig or setup.virtual_rig)
+        if setup.rig.sensors.extra:
+            virtual.tell_extras(self.run.station, extras)
+        return virtual
 
     @property
     def config(self) -> core.StationConfig:

@@ -56,7 +56,8 @@ def render(rec: Recording) -> str:
         InputError: matplotlib or jinja2 is not installed.
     """
     with extra_needed("a report"):
-        from rthyb_rt.report.figures import draw_all
+        from rthyb_rt.report import zoom
+        from rthyb_rt.report.figures import draw_all, peak_window
 
         template = environment().get_template("report.html.j2")
     summary = summarize(rec)
@@ -72,6 +73,7 @@ def render(rec: Recording) -> str:
         rows=_rest(summary),
         steps=_steps(summary),
         sheets=sheets(draw_all(rec, summary)),
+        zoom=zoom.parts(rec, summary, peak_window(summary, rec.time_s())),
         motion=_named(rec.ground_motion, _MOTION_NAMES),
         versions=_named(rec.meta | _commissioned(rec.meta), _META_NAMES),
         settings=[("Test file", rec.test_toml), ("Rig file", rec.rig_toml)],
