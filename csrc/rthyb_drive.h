@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 #include "rthyb_loop.h"
-#include "rthyb_rig.h"
+#include "rthyb_plant.h"
 
 /* cffi: begin */
 
@@ -70,7 +70,7 @@ typedef struct {
 /* An actuator controller with load cell: rig, wire and a watchdog that counts its own ticks. It
  * begins STOPPED, and not latched: nothing has gone wrong yet. */
 typedef struct {
-    rthyb_rig *rig;
+    rthyb_plant plant; /* of one axis, or one that several drives share (rthyb_drives) */
     rthyb_link *link;
     rthyb_codec codec;
     rthyb_calibration calibration; /* the controller's; the drive applies its inverse */
@@ -108,6 +108,17 @@ int rthyb_drive_schedule(rthyb_drive *drive, const rthyb_fault *faults, size_t n
 void rthyb_drive_tick(rthyb_drive *drive);
 /* Ticks until the ticker is stopped; a tick slept through does not happen. */
 void rthyb_drive_run(rthyb_drive *drive, rthyb_ticker *ticker);
+
+/* Drives of the axes of one virtual rig, in its order, by one clock: that of the first. */
+typedef struct {
+    rthyb_drive *drive[RTHYB_COUPLED_MAX];
+    int32_t count;
+} rthyb_drives;
+
+/* Each drive has been set up. 0, or RTHYB_E_PLANT: the rig that they share has other axes. */
+int rthyb_drives_check(const rthyb_drives *drives);
+void rthyb_drives_tick(rthyb_drives *drives);
+void rthyb_drives_run(rthyb_drives *drives, rthyb_ticker *ticker);
 /* cffi: end */
 
 #endif

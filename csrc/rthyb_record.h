@@ -105,11 +105,16 @@ enum rthyb_flag {
     RTHYB_F_APART = 1 << 13, /* the drives' counts are more than one sample apart */
     RTHYB_F_UNSENT_BIT =
         14, /* bits 14 to 17: the command of this axis did not leave; no flag itself */
-    RTHYB_F_CAUSE_BIT =
-        18, /* bits 18 to 20: 1 + axis, or interface, of the cause; no flag itself */
-    RTHYB_F_INTERFACE = 1 << 21, /* an interface it is */
-    RTHYB_F_REFUSED = 1 << 23,   /* the operator's command of this tick was refused */
-    RTHYB_F_COMMAND_BIT = 24 /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
+    RTHYB_F_STOPPED_BIT =
+        18, /* bits 18 to 21: the drive of this axis has stopped by itself; no flag itself */
+    RTHYB_F_REFUSED = 1 << 23, /* the operator's command of this tick was refused */
+    RTHYB_F_COMMAND_BIT = 24   /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
+};
+
+/* Of several axes, rthyb_record.cause has the cause in its lowest byte, and above it where it belongs. */
+enum rthyb_cause_place {
+    RTHYB_PLACE_BIT = 8,            /* three bits: 1 + axis or interface; 0: neither */
+    RTHYB_PLACE_INTERFACE = 1 << 11 /* it is an interface */
 };
 
 /* One axis. */
