@@ -13,10 +13,12 @@ from rthyb_rt._core import ffi, lib
 
 from rthyb_rt import config, core
 from rthyb_rt.core import CoreError, dbc, wire
+from rthyb_rt.diagnose import mapping, reading
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, extras, realtime, virtual_time
 from rthyb_rt.record import export, recording
 from rthyb_rt.record.recording import Recording
+from rthyb_rt.report import render
 from rthyb_rt.rig import identify, virtual_rig
 from rthyb_rt.rig.links import opening
 
@@ -352,3 +354,42 @@ def test_an_identification_records_them_too() -> None:
     assert [c.name for c in setup.channels] == ["table_acceleration", "lvdt_2"]
     found = identify.identify(rig_of(), identify.Sweep((1.0, 2.0, 4.0)))
     assert found.alpha == pytest.approx(17, rel=0.05)
+
+
+def test_the_report_shows_them_with_their_units(virtual: Recording) -> None:
+    page = render(virtual)
+    assert "Extra channel table_acceleration" in page
+    assert "lvdt_2, mm" in page
+
+
+def test_a_diagnosis_may_read_a_second_displacement_sensor(
+    virtual: Recording, tmp_path: Path
+) -> None:
+    recording.write(tmp_path / "recording.h5", virtual)
+    (tmp_path / "rig.toml").write_text(virtual.rig_toml)
+    model = reading.read_model(tmp_path / "rig.toml")
+    wishes = mapping.read_wishes(["x_meas=lvdt_2"])
+    case = reading.read_case(tmp_path / "recording.h5", model, wishes=wishes)
+    own = reading.read_case(tmp_path / "recording.h5", model)
+    # Steps of 1 um of the one, noise of 2 um of the other, and both begin at zero.
+    apart = case.channels["x_meas"] - own.channels["x_meas"]
+    assert np.abs(apart).max() < 15e-6
+    assert abs(np.mean(apart)) < 1e-6
+    assert any("lvdt_2" in note for note in case.notes)
+
+
+@pytest.mark.parametrize(
+    ("wish", "says"),
+    [("x_meas=lvdt_3", "it has table_acceleration, lvdt_2"),
+     ("x_cmd=lvdt_2", "x_meas, f_meas, ag may be an extra channel"),
+     ("x_meas=table_acceleration", "needs one of the kind of m")],
+)  # fmt: skip
+def test_what_a_diagnosis_cannot_read_is_told(
+    virtual: Recording, tmp_path: Path, wish: str, says: str
+) -> None:
+    recording.write(tmp_path / "recording.h5", virtual)
+    (tmp_path / "rig.toml").write_text(virtual.rig_toml)
+    model = reading.read_model(tmp_path / "rig.toml")
+    with pytest.raises(InputError) as error:
+        reading.read_case(tmp_path / "recording.h5", model, wishes=mapping.read_wishes([wish]))
+    assert says in str(error.value)
