@@ -16,6 +16,7 @@ from rthyb_rt.core import CoreError, dbc, wire
 from rthyb_rt.diagnose import mapping, reading
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, extras, realtime, virtual_time
+from rthyb_rt.live.sources import LiveSource, PastSource
 from rthyb_rt.record import export, recording
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import render
@@ -393,3 +394,29 @@ def test_what_a_diagnosis_cannot_read_is_told(
     with pytest.raises(InputError) as error:
         reading.read_case(tmp_path / "recording.h5", model, wishes=mapping.read_wishes([wish]))
     assert says in str(error.value)
+
+
+def test_the_live_view_tells_the_newest_reading_of_each(virtual: Recording) -> None:
+    told = PastSource(virtual).status()
+    found = {one["label"]: one["value"] for one in told["counters"]}
+    assert found["lvdt_2"].endswith(" mm")
+    assert float(found["lvdt_2"].split()[0].replace("\u2212", "-")) == pytest.approx(
+        virtual.channel("lvdt_2")[-1], rel=1e-3, abs=1e-3
+    )
+
+
+def test_the_live_view_of_a_running_test_tells_them_too(tmp_path: Path) -> None:
+    seen: list[dict[str, str]] = []
+    setup = experiment.prepare(test_file(), rig_of(), real_time=True)
+    ours, theirs = opening.socket_pair()
+
+    def look(session: Any) -> None:
+        source = LiveSource(session.run.ring.path, None)
+        source.poll()
+        source.look()
+        seen.append({one["label"]: one["value"] for one in source.status()["counters"]})
+        source.close()
+
+    with ours, theirs, virtual_rig.in_step(rig_of(), theirs) as drive:
+        realtime.run(setup, ours, clock="stepped", before_tick=drive.tick, zeroed=look)
+    assert seen[0]["table_acceleration"].endswith(" m/s^2")
