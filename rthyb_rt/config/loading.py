@@ -77,7 +77,9 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
         update={
             "rig": found(test.rig, "rig"),
             "ground_motion": motion.model_copy(update={"record": record}),
-            "numerical": _with_matrices(test.numerical, str(path), overrides),
+            "numerical": _with_places(
+                _with_matrices(test.numerical, str(path), overrides), Path(path).parent, overrides
+            ),
             "history": _with_steps(test.history, str(path), overrides),
         }
     )
@@ -115,6 +117,19 @@ def _with_matrices(numerical: Numerical, path: str, overrides: Mapping[str, str]
         raise InputError(str(error), f"{path}: numerical.matrices") from error
     read = given.model_copy(update={"data": data.packed()})
     return numerical.model_copy(update={"matrices": read})
+
+
+def _with_places(numerical: Numerical, folder: Path, overrides: Mapping[str, str]) -> Numerical:
+    """Return the same with the path of the user's own library or FMU beside the test file."""
+    for table in ("library", "fmu"):
+        given = getattr(numerical, table)
+        if given is not None:
+            from_override = any(key.startswith(f"numerical.{table}") for key in overrides)
+            file = str(((Path() if from_override else folder) / given.file).resolve())
+            numerical = numerical.model_copy(
+                update={table: given.model_copy(update={"file": file})}
+            )
+    return numerical
 
 
 def load_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> RigFile:

@@ -16,6 +16,7 @@ from rthyb_rt import core
 from rthyb_rt.config import matrixfile, timescale
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.config.numerical_structure import Mode, linear_and_others
+from rthyb_rt.config.own import core_element
 from rthyb_rt.config.structures import (
     Damping,
     Interface,
@@ -381,15 +382,8 @@ def _damped(structure: SparseStructure, damping: Damping) -> SparseConfig:
     return replace(part, by_mass_per_s=float(a), by_stiffness_s=float(b))
 
 
-def element_of(law: Any) -> ElementConfig:
-    """Return an element of the catalogue from its table."""
-    values = law.model_dump()
-    kind = values.pop("element")
-    return core.element(kind, **{key: values[key] for key in core.ELEMENT_PARAMS[kind]})
-
-
 def _joint(below: int, above: int, law: Any) -> Joint:
-    element = element_of(law)
+    element = core_element(law)
     return Joint(below, above, element, initial_stiffness(element))
 
 
@@ -533,7 +527,7 @@ def _storey_responses(
 def _of_file(given: MatrixFile, keys: Keys, k_e: Floats) -> _Bare:
     if given.data is None:
         raise InputError(
-            "the file was not read; load the test file from where it stands", "numerical.matrices"
+            "the file was not read; load the test file from its own folder", "numerical.matrices"
         )
     data = matrixfile.unpacked(given.data)
     n, place = data.size, {label: i for i, label in enumerate(data.labels)}
@@ -640,7 +634,9 @@ def _interfaces_of(
             raise InputError("found a storey; of matrices give dof", where)
         terms = tuple((_find(label, labels, place, f"{where}.dof"), by) for label, by in one.dof)
         if len({at for at, _ in terms}) < len(terms):
-            raise InputError("found a degree of freedom twice; each stands once", f"{where}.dof")
+            raise InputError(
+                "found a degree of freedom twice; each can occur only once", f"{where}.dof"
+            )
         found.append(terms)
     rows = np.zeros((len(found), len(labels)))
     for row, terms in zip(rows, found, strict=True):

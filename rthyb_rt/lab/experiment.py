@@ -19,8 +19,8 @@ from rthyb_rt.config import Derived, Limit, Limits, Rate, RigFile, TestFile, tim
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import testfile as test_file
 from rthyb_rt.config.limits import VelocityLimit
+from rthyb_rt.config.own import PythonClass, core_element
 from rthyb_rt.config.rigfile import TOLERANCES, Link, Sensors
-from rthyb_rt.core.laws import LAWS
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import histories
@@ -98,6 +98,7 @@ def prepare(
 
     if real_time:
         _refuse_other_rate(test)
+        _refuse_python(test, rig)
     if test.history is not None:
         return _prepare_history(test, rig, real_time)
     derived, whole = _both(lambda: config.derive(test, rig), read)
@@ -136,7 +137,7 @@ def prepare(
     except core.CoreError as error:
         # The files' own checks come first; what is left is a combination that they do not know.
         raise InputError(
-            f"{error}; look at the largest and smallest values of both files",
+            f"{error}; check the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
     return _noted(follow_reference(replace(setup, reference=expected)), real_time)
@@ -202,7 +203,7 @@ def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
         core.Rig(setup.virtual_rig)
     except core.CoreError as error:
         raise InputError(
-            f"{error}; look at the largest and smallest values of both files",
+            f"{error}; check the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
     setup = follow_reference(setup)
@@ -266,6 +267,34 @@ def _refuse_other_rate(test: TestFile) -> None:
             "for virtual time; leave the key out (or --set test.sample_rate_hz="
             f"{core.FS_HZ:g}), or run it without --realtime",
             "test.sample_rate_hz",
+        )
+
+
+def _refuse_python(test: TestFile, rig: RigFile) -> None:
+    """Refuse classes in Python, each with what takes its place.
+
+    Raises:
+        InputError: with all of them.
+    """
+    found = []
+    if test.numerical.python is not None:
+        found.append(
+            ("numerical.python", "a numerical part in a shared library, numerical.library")
+        )
+    if test.controller.python is not None:
+        found.append(("controller.python", "a control law in C, docs/extending.md"))
+    for i, one in enumerate(rig.specimen):
+        if isinstance(one, PythonClass):
+            found.append((f"specimen.{i}", "elements of the catalogue"))
+    if found:
+        raise InputError(
+            Problem(
+                where,
+                "is a class in Python, which now and then takes longer than a sampling period "
+                "(collecting garbage, waiting for its lock), so that a test in real time must not "
+                f"wait for it; it runs in virtual time; in real time take {instead}",
+            )
+            for where, instead in found
         )
 
 
@@ -342,8 +371,12 @@ def _refuse_slow(derived: Derived) -> None:
     """
     if derived.structure is None or isinstance(derived.structure.part, core.DenseConfig):
         return
+    from rthyb_rt.config.own_structure import OwnStructure, refuse_in_real_time
     from rthyb_rt.core.numerical_parts import SparsePart
 
+    if isinstance(derived.structure, OwnStructure):
+        refuse_in_real_time(derived.structure.part)
+        return
     part = derived.structure.part
     taken_s, most_s = SparsePart(part).step_time_s(), 0.5 * part.period_s
     if taken_s > most_s:
@@ -466,6 +499,7 @@ def law_config(test: TestFile, derived: Derived) -> core.LawConfig:
         settings=dict(derived.law_settings),
         adapts=derived.estimator_enabled,
         rest_noise_m=derived.rest_noise_displacement_m,
+        own=test.controller.python.own if test.controller.python is not None else None,
     )
 
 
@@ -530,7 +564,7 @@ def extra_channels(rig: RigFile) -> tuple[core.Channel, ...]:
 
 def law_channels(law: core.LawConfig) -> tuple[core.Channel, ...]:
     """Return the channels of what a control law reports beside alpha and beta."""
-    return tuple(core.Channel(value.name, value.unit) for value in LAWS[law.name].beside)
+    return tuple(core.Channel(value.name, value.unit) for value in law.law.beside)
 
 
 def part_channels(derived: Derived) -> tuple[core.Channel, ...]:
@@ -706,12 +740,7 @@ def servo_config(rig: RigFile, rate: Rate) -> core.ServoConfig:
 
 def specimen_elements(rig: RigFile) -> tuple[core.ElementConfig, ...]:
     """Return the specimen's elements with their parameters in the core's order."""
-    elements = []
-    for item in rig.specimen:
-        values = item.model_dump()
-        kind = values.pop("element")
-        elements.append(core.element(kind, **{k: values[k] for k in core.ELEMENT_PARAMS[kind]}))
-    return tuple(elements)
+    return tuple(core_element(item) for item in rig.specimen)
 
 
 # ---- the reference simulation -------------------------------------------------------------------
@@ -734,8 +763,14 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
     elements = _reference_elements(setup, table_forces)
     structure = setup.derived.structure
     if structure is not None:
+        from rthyb_rt.config.own_structure import OwnStructure
+
         # The model's elements are slowed themselves, so that nothing of them is lacking.
-        whole = structure.with_lack(setup.test.test.time_scale, -1.0)
+        whole = (
+            structure
+            if isinstance(structure, OwnStructure)
+            else structure.with_lack(setup.test.test.time_scale, -1.0)
+        )
         return _rows_of_reference(*whole.reference(elements, setup.ag_mps2))
     rigid = [e for e in elements if e.kind not in _IMPLICIT]
     motion = motion_config(setup.test, setup.derived)
