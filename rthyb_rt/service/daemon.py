@@ -350,7 +350,7 @@ class Daemon:
             assert child.stdin is not None
             child.stdin.close()
             self._launch_recorder()
-        fault = "" if self._recorder_alive() else "the recorder gives no sign of life"
+        fault = "" if self._recorder_alive() else "the recorder does not respond"
         fault = fault or (self._recorder.fault if self._recorder is not None else "")
         if fault != self._told_fault:
             log.error("recorder: %s", fault) if fault else log.info("recorder: in order again")
