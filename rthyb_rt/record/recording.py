@@ -16,6 +16,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -292,6 +293,16 @@ class Recording:
                 return values if channel.scale == 1.0 else channel.scale * values
         known = ", ".join(channel.name for channel in self.channels) or "none"
         raise InputError(f"no channel {name!r}; channels are: {known}", "recording")
+
+    def extras(self) -> tuple[Channel, ...]:
+        """Return the channels that the rig file names beside displacement and force."""
+        try:
+            sensors = tomllib.loads(self.rig_toml).get("sensors", {})
+            names = [one["name"] for one in sensors.get("extra", ())]
+        except (tomllib.TOMLDecodeError, AttributeError, KeyError, TypeError):
+            return ()
+        own = {channel.name: channel for channel in self.channels}
+        return tuple(own[name] for name in names if name in own)
 
     def running(self) -> NDArray[np.bool_]:
         """Return which rows belong to the test proper, shape (n,): RUNNING, or all if none is."""
