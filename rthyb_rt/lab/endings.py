@@ -77,15 +77,16 @@ def in_words(cause: str) -> str:
     return WORDS.get(cause, cause.replace("_", " "))
 
 
-def end_reason(state: str, cause: str, *, moved: bool = True) -> str:
+def end_reason(state: str, cause: str, *, moved: bool = True, of: str = "") -> str:
     """Return in words how a test ended: "completed", or what took it off its course.
 
     Args:
         state: the last one.
         cause: the station's.
         moved: whether anything was on its way; else nothing can have been ramped out.
+        of: what of several axes or directions the cause belongs to, in words.
     """
-    words = in_words(cause)
+    words = f"{in_words(cause)} of {of}" if of else in_words(cause)
     if state == "TRIPPED":
         return f"tripped: {words}"
     if cause == "operator":
