@@ -91,22 +91,23 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
 
 /* ---- between axes and interfaces --------------------------------------------------------------- */
 
-static int targets_of(rthyb_controller *c, const double *x_num, double *target)
+static inline int targets_of(int n, rthyb_controller *c, const double *x_num, double *target)
 {
     if (c->cfg.kinematics.size > 0)
         return rthyb_kinematics_axes(&c->kinematics, x_num, target);
-    for (int i = 0; i < c->cfg.axis_count; i++)
+    for (int i = 0; i < n; i++)
         target[i] = x_num[i];
     return RTHYB_OK;
 }
 
 /* Pose and forces of the interfaces, by the readings of the axes. */
-static int meet(rthyb_controller *c, const double *x, const double *f, double *pose, double *force)
+static inline int meet(int n, rthyb_controller *c, const double *x, const double *f, double *pose,
+                       double *force)
 {
     if (c->cfg.kinematics.size > 0)
         return rthyb_kinematics_pose(&c->kinematics, x, pose) |
                rthyb_kinematics_forces(&c->kinematics, f, force);
-    for (int j = 0; j < c->cfg.interface_count; j++) {
+    for (int j = 0; j < n; j++) {
         pose[j] = x[j];
         force[j] = f[j];
     }
@@ -115,9 +116,9 @@ static int meet(rthyb_controller *c, const double *x, const double *f, double *p
 
 /* What the readings of the axes change by where the specimen goes on as it is asked to: the forces along the
  * tangent stiffness. */
-static void ahead_of(rthyb_controller *c, double *x, double *f)
+static inline void ahead_of(int n, rthyb_controller *c, double *x, double *f)
 {
-    const int n = c->cfg.axis_count, m = c->cfg.interface_count;
+    const int m = n;
     double way[MOST], force[MOST];
     for (int i = 0; i < n; i++)
         x[i] = c->axis[i].target - c->axis[i].target1;
@@ -160,9 +161,9 @@ static int is_pair(const rthyb_axis_control *cfg, const rthyb_pair *in, int *cod
 
 /* Takes the pairs of this tick, or makes up those of all axes from their commands; 1 if they are made up. The
  * noise of two samples, run out over twenty, would be more than the motion. */
-static int gate(rthyb_controller *c, const rthyb_input *in, double *x, double *f, int *code)
+static inline int gate(int n, rthyb_controller *c, const rthyb_input *in, double *x, double *f,
+                       int *code)
 {
-    const int n = c->cfg.axis_count;
     int made_up = 0;
     for (int i = 0; i < n; i++) {
         rthyb_controller_axis *a = &c->axis[i];
@@ -176,7 +177,7 @@ static int gate(rthyb_controller *c, const rthyb_input *in, double *x, double *f
         return 0;
     double dx[MOST] = {0.0}, df[MOST] = {0.0};
     if (c->missing < c->extrapolate_until)
-        ahead_of(c, dx, df);
+        ahead_of(n, c, dx, df);
     for (int i = 0; i < n; i++) {
         const rthyb_controller_axis *a = &c->axis[i];
         x[i] = clamp(a->x_m1 + dx[i], -RTHYB_DISPLACEMENT_MAX_M, RTHYB_DISPLACEMENT_MAX_M);
@@ -187,9 +188,9 @@ static int gate(rthyb_controller *c, const rthyb_input *in, double *x, double *f
 
 /* Energy that the tracking error feeds into the structure (Mosqueda et al. 2007) and tracking
  * indicator (Mercan & Ricles 2007; falling while x_m lags), of all axes. */
-static void monitor(rthyb_controller *c, const double *x, const double *f)
+static inline void monitor(int n, rthyb_controller *c, const double *x, const double *f)
 {
-    for (int i = 0; i < c->cfg.axis_count; i++) {
+    for (int i = 0; i < n; i++) {
         const rthyb_controller_axis *a = &c->axis[i];
         const double error = x[i] - a->target, error1 = a->x_m1 - a->target1;
         c->energy_error += 0.5 * (f[i] + a->f1) * (error - error1);
@@ -217,13 +218,12 @@ double rthyb_controller_stiffness(const rthyb_controller *c, int interface)
                                       : c->interface[interface].rfc.k_n_per_m;
 }
 
-static void write_axes(const rthyb_controller *c, const rthyb_input *in, const double *x,
-                       const double *f, rthyb_record *record)
+static inline void write_axes(int n, const rthyb_controller *c, const rthyb_input *in,
+                              const double *x, const double *f, rthyb_record *record)
 {
-    for (int i = 0; i < c->cfg.axis_count; i++) {
+    for (int i = 0; i < n; i++) {
         rthyb_axis_record *r = &record->axis[i];
-        note_pair(r, in->axis[i].x_meas_m, in->axis[i].f_meas_n, in->axis[i].lost,
-                  c->cfg.axis_count);
+        note_pair(r, in->axis[i].x_meas_m, in->axis[i].f_meas_n, in->axis[i].lost, n);
         r->x_cmd_m = c->axis[i].x_cmd;
         r->x_meas_m = x[i];
         r->f_meas_n = f[i];
@@ -232,12 +232,12 @@ static void write_axes(const rthyb_controller *c, const rthyb_input *in, const d
     }
 }
 
-static void write_record(const rthyb_controller *c, const rthyb_input *in, const double *x,
-                         const double *f, uint32_t flags, int code, rthyb_record *record)
+static inline void write_record(int n, const rthyb_controller *c, const rthyb_input *in,
+                                const double *x, const double *f, uint32_t flags, int code,
+                                rthyb_record *record)
 {
-    const uint64_t n = c->tick;
-    record->tick = n;
-    record->due_ns = llrint((double)n * c->cfg.period_s * 1e9);
+    record->tick = c->tick;
+    record->due_ns = llrint((double)c->tick * c->cfg.period_s * 1e9);
     record->flags = flags;
     record->generation = c->generation;
     record->state = (uint16_t)c->state;
@@ -252,7 +252,7 @@ static void write_record(const rthyb_controller *c, const rthyb_input *in, const
     record->energy_error_j = c->energy_error;
     record->tracking_indicator_m2 = c->tracking_indicator;
     record->wake_late_ns = record->sent_late_ns = 0;
-    write_axes(c, in, x, f, record);
+    write_axes(n, c, in, x, f, record);
 }
 
 /* ---- motion ------------------------------------------------------------------------------------ */
@@ -266,65 +266,65 @@ static int answer(rthyb_controller *c, double excitation, const double *force, d
     return rthyb_numerical_answer(&c->cfg.numerical, excitation, force, x_num);
 }
 
-static int asks_velocity(const rthyb_controller *c)
+static inline int asks_velocity(int n, const rthyb_controller *c)
 {
     int asks = c->cfg.matrix_rfc.size > 0 && c->cfg.matrix_rfc.lateness_s != 0.0;
-    for (int j = 0; j < c->cfg.interface_count; j++)
+    for (int j = 0; j < n; j++)
         asks = asks || c->cfg.rfc[j].lateness_s != 0.0;
     return asks;
 }
 
 /* Velocities of the interfaces at t_n; only a force that is late is asked for them. */
-static void velocities(rthyb_controller *c, double *v)
+static inline void velocities(int n, rthyb_controller *c, double *v)
 {
     rthyb_interface at[MOST];
     memset(v, 0, MOST * sizeof *v);
-    if (!asks_velocity(c))
+    if (!asks_velocity(n, c))
         return;
     const rthyb_numerical part = part_of(c);
     rthyb_numerical_look(&part, at);
-    for (int j = 0; j < c->cfg.interface_count; j++)
+    for (int j = 0; j < n; j++)
         v[j] = at[j].v;
 }
 
-static int observe(rthyb_controller *c, const double *x, int held)
+static inline int observe(int n, rthyb_controller *c, const double *x, int held)
 {
     double sent[MOST];
     int code = RTHYB_OK;
     if (c->cfg.matrix_lead.size > 0) {
-        for (int i = 0; i < c->cfg.axis_count; i++)
+        for (int i = 0; i < n; i++)
             sent[i] = c->axis[i].x_cmd;
         return rthyb_matrix_lead_observe(&c->matrix_lead, sent, x, held);
     }
-    for (int i = 0; i < c->cfg.axis_count; i++)
+    for (int i = 0; i < n; i++)
         code |= rthyb_law_observe(&c->axis[i].law, c->axis[i].x_cmd, x[i], held);
     return code;
 }
 
 /* The forces that the equation of motion sees. */
-static int compensate(rthyb_controller *c, const double *pose, const double *f, int frozen,
-                      double *force)
+static inline int compensate(int n, rthyb_controller *c, const double *pose, const double *f,
+                             int frozen, double *force)
 {
     double v[MOST], x_num[MOST];
     int code = RTHYB_OK;
-    velocities(c, v);
+    velocities(n, c, v);
     if (c->cfg.matrix_rfc.size > 0) {
-        for (int j = 0; j < c->cfg.interface_count; j++)
+        for (int j = 0; j < n; j++)
             x_num[j] = c->interface[j].x_num;
         return rthyb_matrix_rfc_step(&c->matrix_rfc, x_num, v, pose, f, frozen, force);
     }
-    for (int j = 0; j < c->cfg.interface_count; j++) {
+    for (int j = 0; j < n; j++) {
         rthyb_controller_interface *at = &c->interface[j];
         code |= rthyb_rfc_step(&at->rfc, at->x_num, v[j], pose[j], f[j], frozen, &force[j]);
     }
     return code;
 }
 
-static int meet_and_note(rthyb_controller *c, const double *x, const double *f, double *pose,
-                         double *force)
+static inline int meet_and_note(int n, rthyb_controller *c, const double *x, const double *f,
+                                double *pose, double *force)
 {
-    const int code = meet(c, x, f, pose, force);
-    for (int j = 0; j < c->cfg.interface_count; j++) {
+    const int code = meet(n, c, x, f, pose, force);
+    for (int j = 0; j < n; j++) {
         c->interface[j].x_m = pose[j];
         c->interface[j].f = force[j];
     }
@@ -332,26 +332,26 @@ static int meet_and_note(rthyb_controller *c, const double *x, const double *f, 
 }
 
 /* The next displacements by the equation of motion, with what the laws learn, RFC and monitors. */
-static int compute_motion(rthyb_controller *c, const rthyb_input *in, const double *x,
-                          const double *f, int frozen, double *x_num)
+static inline int compute_motion(int n, rthyb_controller *c, const rthyb_input *in, const double *x,
+                                 const double *f, int frozen, double *x_num)
 {
     double pose[MOST], met[MOST], force[MOST];
-    monitor(c, x, f);
-    int code = observe(c, x, frozen || c->cfg.estimate_held);
-    code |= meet_and_note(c, x, f, pose, met);
-    code |= compensate(c, pose, met, frozen, force);
+    monitor(n, c, x, f);
+    int code = observe(n, c, x, frozen || c->cfg.estimate_held);
+    code |= meet_and_note(n, c, x, f, pose, met);
+    code |= compensate(n, c, pose, met, frozen, force);
     code |= answer(c, in->excitation, force, x_num);
     return code;
 }
 
 /* The next displacements from a path: laws and RFC see the motion and learn nothing from it. */
-static int follow_path(rthyb_controller *c, const double *x, const double *f, const double *path_m,
-                       double *x_num)
+static inline int follow_path(int n, rthyb_controller *c, const double *x, const double *f,
+                              const double *path_m, double *x_num)
 {
     double pose[MOST], met[MOST], at[MOST];
-    int code = observe(c, x, 1);
-    code |= meet_and_note(c, x, f, pose, met);
-    for (int j = 0; j < c->cfg.interface_count; j++) {
+    int code = observe(n, c, x, 1);
+    code |= meet_and_note(n, c, x, f, pose, met);
+    for (int j = 0; j < n; j++) {
         at[j] = c->interface[j].x_num;
         rthyb_rfc_follow(&c->interface[j].rfc, at[j], pose[j], met[j]);
         x_num[j] = accept(path_m[j], RTHYB_DISPLACEMENT_MAX_M, at[j], &code);
@@ -372,9 +372,9 @@ static double allowed_move(const rthyb_controller *c, int axis, const double *pa
     return most > 0.0 ? most : (double)INFINITY;
 }
 
-static int lead_all(rthyb_controller *c, const double *target, const double *path_m, double *led)
+static inline int lead_all(int n, rthyb_controller *c, const double *target, const double *path_m,
+                           double *led)
 {
-    const int n = c->cfg.axis_count;
     double least = HUGE_VAL;
     int code = RTHYB_OK;
     for (int i = 0; i < n; i++) {
@@ -389,11 +389,12 @@ static int lead_all(rthyb_controller *c, const double *target, const double *pat
 }
 
 /* x_p for the next instant. No law may bring the command out of this world. */
-static int lead(rthyb_controller *c, const double *target, const double *path_m, double *x_plc)
+static inline int lead(int n, rthyb_controller *c, const double *target, const double *path_m,
+                       double *x_plc)
 {
     double led[MOST];
-    int code = lead_all(c, target, path_m, led);
-    for (int i = 0; i < c->cfg.axis_count; i++)
+    int code = lead_all(n, c, target, path_m, led);
+    for (int i = 0; i < n; i++)
         x_plc[i] = c->cfg.lead_enabled ? accept(led[i], 1e300, c->axis[i].x_plc, &code) : target[i];
     return code;
 }
@@ -416,23 +417,23 @@ void rthyb_controller_advance(rthyb_controller *c)
 }
 
 /* What becomes of the commands; 1 where the limiter has changed one. */
-static int command(rthyb_controller *c, const double *x_plc, int blind, double *x_cmd)
+static inline int command(int n, rthyb_controller *c, const double *x_plc, int blind, double *x_cmd)
 {
     int limited = 0;
-    for (int i = 0; blind && i < c->cfg.axis_count; i++)
+    for (int i = 0; blind && i < n; i++)
         x_cmd[i] = c->axis[i].x_cmd;
     if (!blind)
-        limiter_commands(c, x_plc, x_cmd);
-    for (int i = 0; !blind && i < c->cfg.axis_count; i++)
+        limiter_commands(n, c, x_plc, x_cmd);
+    for (int i = 0; !blind && i < n; i++)
         limited |= x_cmd[i] != x_plc[i];
     return limited;
 }
 
 /* The next sample finds what this one has come to. */
-static void shift(rthyb_controller *c, const double *x, const double *f, const double *target,
-                  const double *x_plc, const double *x_cmd, int blind)
+static inline void shift(int n, rthyb_controller *c, const double *x, const double *f,
+                         const double *target, const double *x_plc, const double *x_cmd, int blind)
 {
-    for (int i = 0; i < c->cfg.axis_count; i++) {
+    for (int i = 0; i < n; i++) {
         rthyb_controller_axis *a = &c->axis[i];
         a->x_m1 = x[i];
         a->f1 = f[i];
@@ -446,37 +447,46 @@ static void shift(rthyb_controller *c, const double *x, const double *f, const d
     }
 }
 
-int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
-                            int blind, rthyb_record *record)
+/* For any number of axes; where that is one, and the compiler knows it, no loop is left. */
+static inline __attribute__((always_inline)) int sample(int n, rthyb_controller *c,
+                                                        const rthyb_input *in, const double *path_m,
+                                                        int blind, rthyb_record *record)
 {
     double x[MOST], f[MOST], x_num[MOST], target[MOST], x_plc[MOST], x_cmd[MOST];
     int code = RTHYB_OK;
-    const int made_up = gate(c, in, x, f, &code);
+    const int made_up = gate(n, c, in, x, f, &code);
     rthyb_controller_advance(c);
     c->missing = made_up ? c->missing + (c->missing < UINT32_MAX) : 0;
     const int frozen = blind || c->missing >= c->freeze_after;
     if (path_m)
-        code |= follow_path(c, x, f, path_m, x_num);
+        code |= follow_path(n, c, x, f, path_m, x_num);
     else
-        code |= compute_motion(c, in, x, f, frozen, x_num);
+        code |= compute_motion(n, c, in, x, f, frozen, x_num);
     code |= c->late_code;
     c->late_code = RTHYB_OK;
-    code |= targets_of(c, x_num, target);
-    code |= lead(c, target, path_m, x_plc);
-    if (command(c, x_plc, blind, x_cmd))
+    code |= targets_of(n, c, x_num, target);
+    code |= lead(n, c, target, path_m, x_plc);
+    if (command(n, c, x_plc, blind, x_cmd))
         code |= RTHYB_S_LIMITED;
     const uint32_t flags = (made_up ? RTHYB_F_PREDICTED : RTHYB_F_FRESH) |
                            (frozen || path_m ? RTHYB_F_FROZEN : 0u) |
                            (blind ? RTHYB_F_BLIND | RTHYB_F_NOT_SENT : 0u) |
                            (code & RTHYB_S_LIMITED ? RTHYB_F_LIMITED : 0u);
-    write_record(c, in, x, f, flags, code, record);
-    for (int j = 0; j < c->cfg.interface_count; j++) {
+    write_record(n, c, in, x, f, flags, code, record);
+    for (int j = 0; j < n; j++) {
         c->interface[j].x_num1 = c->interface[j].x_num;
         c->interface[j].x_num = x_num[j];
     }
-    shift(c, x, f, target, x_plc, x_cmd, blind);
+    shift(n, c, x, f, target, x_plc, x_cmd, blind);
     c->tick++;
     return code;
+}
+
+int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
+                            int blind, rthyb_record *record)
+{
+    return c->cfg.axis_count == 1 ? sample(1, c, in, path_m, blind, record)
+                                  : sample(c->cfg.axis_count, c, in, path_m, blind, record);
 }
 
 /* Newton's way from any pose to any other that a rig has. */
@@ -486,7 +496,7 @@ void rthyb_controller_rest(rthyb_controller *c, const double *x_m)
 {
     const int n = c->cfg.axis_count;
     double pose[MOST], none[MOST] = {0.0}, force[MOST];
-    (void)meet(c, x_m, none, pose, force);
+    (void)meet(n, c, x_m, none, pose, force);
     for (int k = 0; k < POSE_STEPS && c->cfg.kinematics.size > 0; k++)
         (void)rthyb_kinematics_pose(&c->kinematics, x_m, pose);
     for (int j = 0; j < c->cfg.interface_count; j++)

@@ -46,9 +46,15 @@ void limiter_stayed(rthyb_limiter *l)
 
 /* All of `to` come back towards `from` by one factor, until each lies within its bounds. The one that needs
  * it most ends on its bound, to the last digit. */
-static void draw_back(int n, const double *from, const double *low, const double *high, double *to)
+static inline void draw_back(int n, const double *from, const double *low, const double *high,
+                             double *to)
 {
     double kept[MOST], share[MOST], least = 1.0;
+    int inside = 1;
+    for (int i = 0; i < n; i++)
+        inside = inside && to[i] >= low[i] && to[i] <= high[i];
+    if (inside)
+        return;
     for (int i = 0; i < n; i++) {
         kept[i] = clamp(to[i], low[i], high[i]);
         share[i] = kept[i] == to[i] || to[i] == from[i]
@@ -82,9 +88,8 @@ static double position_limit(const rthyb_axis_control *cfg)
 
 /* The steps that catch up with what is wanted, no faster than they can be braked: else the commands would
  * swing about that for ever. */
-static void close_lags(const rthyb_controller *c, const double *wanted, double *step)
+static inline void close_lags(int n, const rthyb_controller *c, const double *wanted, double *step)
 {
-    const int n = c->cfg.axis_count;
     double closing[MOST], share[MOST], least = HUGE_VAL;
     for (int i = 0; i < n; i++) {
         const double a_max = c->cfg.axis[i].acceleration_limit_m_per_s2;
@@ -96,19 +101,18 @@ static void close_lags(const rthyb_controller *c, const double *wanted, double *
     }
     for (int i = 0; i < n; i++) {
         const double x_plc = c->axis[i].x_plc, x_lim = c->axis[i].limiter.x_lim;
-        if (least == HUGE_VAL)
-            step[i] = wanted[i] - x_lim;
-        else
+        if (least < HUGE_VAL)
             step[i] =
                 wanted[i] - x_plc + (share[i] == least ? closing[i] : least * (x_plc - x_lim));
     }
 }
 
 /* What an axis can brake with while it keeps pace with all others. */
-static double joint_acceleration(const rthyb_controller *c, const double *step, int axis)
+static inline double joint_acceleration(int n, const rthyb_controller *c, const double *step,
+                                        int axis)
 {
     double most = c->cfg.axis[axis].acceleration_limit_m_per_s2;
-    for (int k = 0; k < c->cfg.axis_count; k++) {
+    for (int k = 0; k < n; k++) {
         const double a_max = c->cfg.axis[k].acceleration_limit_m_per_s2;
         if (k != axis && a_max > 0.0 && step[k] != 0.0)
             most = fmin(most, a_max * fabs(step[axis]) / fabs(step[k]));
@@ -117,16 +121,16 @@ static double joint_acceleration(const rthyb_controller *c, const double *step, 
 }
 
 /* Steps that can still be braked before the position limits; `alone`: each axis by itself. */
-static void brake_in_time(const rthyb_controller *c, double *step, int alone)
+static inline void brake_in_time(int n, const rthyb_controller *c, double *step, int alone)
 {
     const double h = c->cfg.period_s, none[MOST] = {0.0};
     double low[MOST] = {0.0}, high[MOST] = {0.0};
-    for (int i = 0; i < c->cfg.axis_count; i++) {
+    for (int i = 0; i < n; i++) {
         const rthyb_axis_control *cfg = &c->cfg.axis[i];
         const double out = c->axis[i].limiter.x_lim - cfg->clamp_centre_m;
         const double room = position_limit(cfg) - copysign(out, out * step[i]);
         const double a_max =
-            alone ? cfg->acceleration_limit_m_per_s2 : joint_acceleration(c, step, i);
+            alone ? cfg->acceleration_limit_m_per_s2 : joint_acceleration(n, c, step, i);
         const int brakes = cfg->acceleration_limit_m_per_s2 > 0.0;
         high[i] = brakes ? before_the_end(room, a_max, h) : HUGE_VAL;
         low[i] = -high[i];
@@ -134,25 +138,25 @@ static void brake_in_time(const rthyb_controller *c, double *step, int alone)
             step[i] = clamp(step[i], low[i], high[i]);
     }
     if (!alone)
-        draw_back(c->cfg.axis_count, none, low, high, step);
+        draw_back(n, none, low, high, step);
 }
 
-static void limit_velocity(const rthyb_controller *c, double *step)
+static inline void limit_velocity(int n, const rthyb_controller *c, double *step)
 {
     const double none[MOST] = {0.0};
     double low[MOST] = {0.0}, high[MOST] = {0.0};
-    for (int i = 0; i < c->cfg.axis_count; i++) {
+    for (int i = 0; i < n; i++) {
         const double v_max = c->cfg.axis[i].velocity_limit_m_per_s;
         high[i] = v_max > 0.0 ? v_max * c->cfg.period_s : HUGE_VAL;
         low[i] = -high[i];
     }
-    draw_back(c->cfg.axis_count, none, low, high, step);
+    draw_back(n, none, low, high, step);
 }
 
 /* After a gap no step goes the other way at once. */
-static void keep_way(const rthyb_controller *c, double *step)
+static inline void keep_way(int n, const rthyb_controller *c, double *step)
 {
-    for (int i = 0; i < c->cfg.axis_count; i++) {
+    for (int i = 0; i < n; i++) {
         const rthyb_limiter *l = &c->axis[i].limiter;
         if (l->gap && l->step != 0.0 && c->cfg.axis[i].acceleration_limit_m_per_s2 > 0.0)
             step[i] = l->step > 0.0 ? fmax(step[i], 0.0) : fmin(step[i], 0.0);
@@ -160,10 +164,9 @@ static void keep_way(const rthyb_controller *c, double *step)
 }
 
 /* From the steps of before; one that braked for its own position limit keeps to that. */
-static void limit_acceleration(const rthyb_controller *c, double *step)
+static inline void limit_acceleration(int n, const rthyb_controller *c, double *step)
 {
     const double h = c->cfg.period_s;
-    const int n = c->cfg.axis_count;
     double from[MOST] = {0.0}, low[MOST] = {0.0}, high[MOST] = {0.0};
     for (int i = 0; i < n; i++) {
         const double a_max = c->cfg.axis[i].acceleration_limit_m_per_s2;
@@ -174,7 +177,7 @@ static void limit_acceleration(const rthyb_controller *c, double *step)
     draw_back(n, from, low, high, step);
     if (n == 1)
         return;
-    brake_in_time(c, step, 1);
+    brake_in_time(n, c, step, 1);
     for (int i = 0; i < n; i++)
         step[i] = clamp(step[i], low[i], high[i]);
 }
@@ -191,16 +194,46 @@ static void draw_bounds(const rthyb_axis_control *cfg, double h, rthyb_limiter *
     l->lower_m = fmin(centre - limit, fmax(l->lower_m, l->x_lim + fmin(braked, 0.0)));
 }
 
-/* It goes on from what it wanted itself: from a coarse wire's rounding a slow command would never get away. */
-void limiter_commands(rthyb_controller *c, const double *wanted, double *command)
+/* Whether an axis has a limit of its acceleration, and one of its velocity. */
+static inline int accelerates(int n, const rthyb_controller *c)
 {
-    const int n = c->cfg.axis_count;
+    int any = 0;
+    for (int i = 0; i < n; i++)
+        any = any || c->cfg.axis[i].acceleration_limit_m_per_s2 > 0.0;
+    return any;
+}
+
+static inline int has_velocity(int n, const rthyb_controller *c)
+{
+    int any = 0;
+    for (int i = 0; i < n; i++)
+        any = any || c->cfg.axis[i].velocity_limit_m_per_s > 0.0;
+    return any;
+}
+
+static inline void limit_steps(int n, const rthyb_controller *c, const double *wanted, double *step)
+{
+    const int brakes = accelerates(n, c);
+    for (int i = 0; i < n; i++)
+        step[i] = wanted[i] - c->axis[i].limiter.x_lim;
+    if (brakes) {
+        close_lags(n, c, wanted, step);
+        brake_in_time(n, c, step, 0);
+    }
+    if (has_velocity(n, c))
+        limit_velocity(n, c, step);
+    if (brakes) {
+        keep_way(n, c, step);
+        limit_acceleration(n, c, step);
+    }
+}
+
+/* It goes on from what it wanted itself: from a coarse wire's rounding a slow command would never get away. */
+static inline __attribute__((always_inline)) void limit_all(int n, rthyb_controller *c,
+                                                            const double *wanted, double *command)
+{
     double step[MOST] = {0.0}, from[MOST] = {0.0}, low[MOST] = {0.0}, high[MOST] = {0.0};
-    close_lags(c, wanted, step);
-    brake_in_time(c, step, 0);
-    limit_velocity(c, step);
-    keep_way(c, step);
-    limit_acceleration(c, step);
+    limit_steps(n, c, wanted, step);
     for (int i = 0; i < n; i++) {
         rthyb_limiter *l = &c->axis[i].limiter;
         draw_bounds(&c->cfg.axis[i], c->cfg.period_s, l);
@@ -210,4 +243,13 @@ void limiter_commands(rthyb_controller *c, const double *wanted, double *command
         command[i] = step[i] == wanted[i] - l->x_lim ? wanted[i] : l->x_lim + step[i];
     }
     draw_back(n, from, low, high, command);
+}
+
+/* Where there is one axis, and the compiler knows it, no loop is left. */
+void limiter_commands(int n, rthyb_controller *c, const double *wanted, double *command)
+{
+    if (n == 1)
+        limit_all(1, c, wanted, command);
+    else
+        limit_all(n, c, wanted, command);
 }
