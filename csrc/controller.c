@@ -305,7 +305,7 @@ static inline int observe(int n, rthyb_controller *c, const double *x, int held)
 static inline int compensate(int n, rthyb_controller *c, const double *pose, const double *f,
                              int frozen, double *force)
 {
-    double v[MOST], x_num[MOST];
+    double v[MOST], x_num[MOST] = {0.0};
     int code = RTHYB_OK;
     velocities(n, c, v);
     if (c->cfg.matrix_rfc.size > 0) {
@@ -335,7 +335,7 @@ static inline int meet_and_note(int n, rthyb_controller *c, const double *x, con
 static inline int compute_motion(int n, rthyb_controller *c, const rthyb_input *in, const double *x,
                                  const double *f, int frozen, double *x_num)
 {
-    double pose[MOST], met[MOST], force[MOST];
+    double pose[MOST] = {0.0}, met[MOST] = {0.0}, force[MOST] = {0.0};
     monitor(n, c, x, f);
     int code = observe(n, c, x, frozen || c->cfg.estimate_held);
     code |= meet_and_note(n, c, x, f, pose, met);
@@ -348,7 +348,7 @@ static inline int compute_motion(int n, rthyb_controller *c, const rthyb_input *
 static inline int follow_path(int n, rthyb_controller *c, const double *x, const double *f,
                               const double *path_m, double *x_num)
 {
-    double pose[MOST], met[MOST], at[MOST];
+    double pose[MOST] = {0.0}, met[MOST] = {0.0}, at[MOST] = {0.0};
     int code = observe(n, c, x, 1);
     code |= meet_and_note(n, c, x, f, pose, met);
     for (int j = 0; j < n; j++) {
@@ -392,7 +392,7 @@ static inline int lead_all(int n, rthyb_controller *c, const double *target, con
 static inline int lead(int n, rthyb_controller *c, const double *target, const double *path_m,
                        double *x_plc)
 {
-    double led[MOST];
+    double led[MOST] = {0.0};
     int code = lead_all(n, c, target, path_m, led);
     for (int i = 0; i < n; i++)
         x_plc[i] = c->cfg.lead_enabled ? accept(led[i], 1e300, c->axis[i].x_plc, &code) : target[i];
@@ -452,7 +452,8 @@ static inline __attribute__((always_inline)) int sample(int n, rthyb_controller 
                                                         const rthyb_input *in, const double *path_m,
                                                         int blind, rthyb_record *record)
 {
-    double x[MOST], f[MOST], x_num[MOST], target[MOST], x_plc[MOST], x_cmd[MOST];
+    double x[MOST] = {0.0}, f[MOST] = {0.0}, x_num[MOST] = {0.0};
+    double target[MOST] = {0.0}, x_plc[MOST] = {0.0}, x_cmd[MOST] = {0.0};
     int code = RTHYB_OK;
     const int made_up = gate(n, c, in, x, f, &code);
     rthyb_controller_advance(c);
@@ -495,7 +496,7 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
 void rthyb_controller_rest(rthyb_controller *c, const double *x_m)
 {
     const int n = c->cfg.axis_count;
-    double pose[MOST], none[MOST] = {0.0}, force[MOST];
+    double pose[MOST] = {0.0}, none[MOST] = {0.0}, force[MOST];
     (void)meet(n, c, x_m, none, pose, force);
     for (int k = 0; k < POSE_STEPS && c->cfg.kinematics.size > 0; k++)
         (void)rthyb_kinematics_pose(&c->kinematics, x_m, pose);

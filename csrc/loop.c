@@ -517,7 +517,7 @@ static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint
 
 static void execute(rthyb_loop *loop, const rthyb_tick *tick)
 {
-    arrivals found;
+    arrivals found = {.slipped = 0};
     rthyb_station_output out;
     take_load(loop, tick);
     take_parameters(loop);

@@ -575,7 +575,7 @@ static uint32_t placed_cause(const rthyb_station *s)
 static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_record *record)
 {
     const int tripped = s->state == RTHYB_TRIPPED, running = s->state == RTHYB_RUNNING;
-    double x[MOST], sent[MOST];
+    double x[MOST], sent[MOST] = {0.0};
     const double *path = course_next(s, x);
     const double indicator = s->controller.tracking_indicator;
     for (int i = 0; i < axes_of(s); i++)

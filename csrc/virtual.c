@@ -49,7 +49,7 @@ static void drive(rthyb_virtual *test, int i, const rthyb_station_output *out)
 static void note_freedoms(rthyb_virtual *test)
 {
     const rthyb_numerical part = part_of(&test->station->controller);
-    double *to = test->station->channel + (test->truth ? 2 * axes_of(test) : 0);
+    double *to = test->station->channel + (test->truth ? (ptrdiff_t)2 * axes_of(test) : 0);
     (void)rthyb_numerical_report(&part, to, (size_t)test->freedoms);
 }
 
@@ -58,8 +58,8 @@ static void note_truth(rthyb_virtual *test)
     double x[MOST], f[MOST];
     rthyb_plant_truth(&test->plant, x, f);
     for (int i = 0; i < axes_of(test); i++) {
-        test->station->channel[2 * i] = x[i];
-        test->station->channel[2 * i + 1] = f[i];
+        test->station->channel[(ptrdiff_t)2 * i] = x[i];
+        test->station->channel[(ptrdiff_t)2 * i + 1] = f[i];
     }
 }
 
