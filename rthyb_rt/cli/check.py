@@ -7,7 +7,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from rthyb_rt.cli import terminal
+from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
 
 if TYPE_CHECKING:
@@ -20,6 +20,14 @@ def check(
     ],
     rig: RigOption = None,
     settings: SetOption = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Page with stability map, Nyquist plot and predicted tracking, as HTML.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check a test without running it.
@@ -34,12 +42,19 @@ def check(
     Examples:
       rthyb check my-test.toml
       rthyb check my-test.toml --rig my-rig.toml --set numerical.period_s=0.8
+      rthyb check my-test.toml --plot check.html
     """
     from rthyb_rt.checking.examined import examine
 
     test_file, rig_file = load(test, rig, settings)
     found = examine(test_file, rig_file, rig or test_file.rig)
     _print(found, terminal.people(as_json))
+    if plot is not None:
+        from rthyb_rt.checking import page
+
+        page.write(found, plot)
+        interrupts.wrote(plot)
+        print(f"\nPage      {plot}", file=terminal.people(as_json))
     if as_json:
         terminal.print_json(found.document())
 
