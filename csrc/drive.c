@@ -1,5 +1,7 @@
 /* The other end of the wire: an actuator controller with its load cell, their watchdog, and all that
  * can go wrong with them and with the cable. */
+#include <string.h>
+
 #include "internal.h"
 #include "numeric.h"
 
@@ -228,6 +230,7 @@ static rthyb_reading measure(rthyb_drive *d)
         r.x_m = (double)NAN;
     r.count = (uint32_t)d->tick;
     r.status = d->phase == RTHYB_DRIVE_FOLLOWING ? 0u : RTHYB_DEVICE_STOPPED;
+    memcpy(r.extra, d->rig->extra, sizeof r.extra);
     return r;
 }
 

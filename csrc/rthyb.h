@@ -24,6 +24,7 @@
  * this order. */
 /* clang-format off */
 #include "rthyb_record.h"
+#include "rthyb_extra.h"
 #include "rthyb_kernels.h"
 #include "rthyb_kinematics.h"
 #include "rthyb_matrix_lead.h"

@@ -17,7 +17,7 @@ enum rthyb_loop_size {
     RTHYB_SLIP_WINDOW = 256,      /* ticks with a pair that came in time, in which */
     RTHYB_SLIP_VOTES = 192,       /* so many see another count: a slip */
     /* Link clock, by what comes in one tick: a serial line may wake for each byte. */
-    RTHYB_WAKE_UPS_MAX = 2 * RTHYB_SERIAL_FEEDBACK,
+    RTHYB_WAKE_UPS_MAX = 2 * (RTHYB_SERIAL_FEEDBACK + 4 * RTHYB_EXTRAS_MAX),
     RTHYB_LINK_DELAYS = 256,    /* what the link may delay, samples; the last one: that and more */
     RTHYB_OLD_PIECES_MAX = 4096 /* dropped before the first tick */
 };

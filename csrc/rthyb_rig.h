@@ -6,6 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "rthyb_extra.h"
 #include "rthyb_record.h"
 
 /* cffi: begin */
@@ -127,6 +128,13 @@ typedef struct {
     int32_t has_spare;
 } rthyb_noise;
 
+/* A sensor beside those of displacement and force: gain times what it measures, with its own errors. */
+typedef struct {
+    int32_t kind; /* enum rthyb_extra_kind */
+    double gain;
+    rthyb_sensor sensor;
+} rthyb_extra_sensor;
+
 enum rthyb_load_cell { RTHYB_ACTUATOR_END, RTHYB_SPECIMEN_END };
 
 typedef struct {
@@ -136,6 +144,8 @@ typedef struct {
     uint32_t element_count;
     rthyb_element elements[RTHYB_ELEMENTS_MAX];
     uint64_t seed;
+    uint32_t extra_count;
+    rthyb_extra_sensor extras[RTHYB_EXTRAS_MAX];
 } rthyb_rig_config;
 
 typedef struct {
@@ -144,6 +154,9 @@ typedef struct {
     rthyb_noise noise;
     double x_true_m, f_true_n; /* what the sensors saw without their errors */
     double ridden_kg;          /* of the specimen's own mass, which rides on the table */
+    rthyb_noise extra_noise;
+    double extra[RTHYB_EXTRAS_MAX]; /* readings of the extra sensors at the same instant */
+    double *extra_to; /* the caller's: where each sample puts them as well; NULL: nowhere */
 } rthyb_rig;
 
 int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg);

@@ -220,6 +220,9 @@ MEANINGS: dict[str, str] = {
     "RigFile.schema": "first line of the file",
     "SweepHistory.spacing": "whether equal times are equal ratios or equal steps of frequency",
     "CyclesHistory.file": "CSV file of amplitudes and cycles beside the test file, instead",
+    "ExtraSensor.signal": "CAN: the signal in the DBC file, `Signal` or `FRAME.Signal`; absent: "
+    "its name",
+    "ExtraSensor.measures": "virtual rig: what it measures at the specimen",
     "TestFile.rig": "path of a rig file (beside the test file), or name of a shipped rig",
 }
 """What a key is for, where its model does not say it in a range."""

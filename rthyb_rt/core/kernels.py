@@ -8,7 +8,7 @@ Calls over arrays run without the GIL.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ from rthyb_rt.core.library import (
     require_one_length,
     writing,
 )
+from rthyb_rt.core.rows import CHANNELS_MAX
 from rthyb_rt.core.settings import (
     ElementConfig,
     EstimatorConfig,
@@ -38,6 +39,9 @@ from rthyb_rt.core.settings import (
     struct_of,
 )
 from rthyb_rt.core.sizes import ELEMENTS_MAX, PERIOD_S
+
+if TYPE_CHECKING:
+    from rthyb_rt.core.station import Station
 
 
 class Plc:
@@ -354,6 +358,29 @@ class Rig:
             out[n] = servo.x, servo.v, servo.a
             step(self._c, command, self._x, self._f)
         return out[:, 0].copy(), out[:, 1].copy(), out[:, 2].copy()
+
+    @property
+    def extras(self) -> tuple[float, ...]:
+        """Readings of the extra sensors at the last latch, each in its unit."""
+        return tuple(self._c.extra[i] for i in range(len(self.config.extras)))
+
+    def tell_extras(self, station: Station, channel: int) -> None:
+        """Put the extra sensors' readings of every sample into a station's row.
+
+        Args:
+            station: in whose row; stays alive with this rig.
+            channel: which of the row's channels the first of them is.
+
+        Raises:
+            CoreError: the row has no room for them.
+        """
+        if not 0 <= channel <= CHANNELS_MAX - len(self.config.extras):
+            raise CoreError(
+                f"channel {channel} and {len(self.config.extras)} extra sensors; a row has "
+                f"{CHANNELS_MAX} channels"
+            )
+        self._told = station
+        self._c.extra_to = ffi.addressof(station._c.channel, channel)
 
     def reseed(self) -> None:
         """Begin the noise of the sensors anew, from the seed."""

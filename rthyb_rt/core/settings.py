@@ -41,6 +41,11 @@ _OPTIONS: Final[dict[str, dict[str, int]]] = {
 }
 
 
+ExtraKind = Literal["none", "displacement", "velocity", "acceleration", "force"]
+_EXTRA_KIND: Final = options("rthyb_extra_kind", "RTHYB_EXTRA_")
+EXTRAS_MAX: Final[int] = lib.RTHYB_EXTRAS_MAX
+
+
 @dataclass(frozen=True)
 class EstimatorConfig:
     """Settings of the delay estimator (Eqn 2.6-2.11 and its sturdier relatives).
@@ -234,6 +239,18 @@ class ElementConfig:
 
 
 @dataclass(frozen=True)
+class ExtraSensorConfig:
+    """A sensor of the virtual rig beside those of displacement and force.
+
+    It reads ``gain`` times what it measures, with the errors of ``sensor``, in the channel's unit.
+    """
+
+    kind: ExtraKind = "none"
+    gain: float = 1.0
+    sensor: SensorConfig = SensorConfig()
+
+
+@dataclass(frozen=True)
 class RigConfig:
     """A virtual rig: actuator, specimen, sensors."""
 
@@ -243,6 +260,7 @@ class RigConfig:
     force: SensorConfig = SensorConfig()
     load_cell: LoadCell = "actuator-end"
     seed: int = 0
+    extras: tuple[ExtraSensorConfig, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -414,11 +432,20 @@ def rig_struct(config: RigConfig) -> Any:
         raise CoreError(
             f"a specimen has at most {ELEMENTS_MAX} elements, got {len(config.elements)}"
         )
-    plain: Mapping[str, Any] = {k: v for k, v in mapping(config).items() if k != "elements"}
+    if len(config.extras) > EXTRAS_MAX:
+        raise CoreError(f"a rig has at most {EXTRAS_MAX} extra sensors, got {len(config.extras)}")
+    apart = ("elements", "extras")
+    plain: Mapping[str, Any] = {k: v for k, v in mapping(config).items() if k not in apart}
     struct = ffi.new("rthyb_rig_config *", dict(plain))
     struct.element_count = len(config.elements)
     for i, item in enumerate(config.elements):
         init_element(ffi.addressof(struct.elements, i), item)
+    struct.extra_count = len(config.extras)
+    for i, extra in enumerate(config.extras):
+        slot = struct.extras[i]
+        slot.kind, slot.gain = _EXTRA_KIND[extra.kind], extra.gain
+        for name, value in mapping(extra.sensor).items():
+            setattr(slot.sensor, name, value)
     return struct
 
 

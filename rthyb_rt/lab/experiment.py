@@ -126,7 +126,7 @@ def prepare(
         ag_mps2=ag,
         controller=(controller := controller_config(test, rig, derived, end_tick)),
         virtual_rig=rig_config(rig, derived.fs_hz),
-        channels=part_channels(derived) + law_channels(controller.law),
+        channels=(extra_channels(rig) + part_channels(derived) + law_channels(controller.law)),
         notes=derived.notes + (() if baseline.ok else (f"ground motion: {baseline.message}",)),
     )
     try:
@@ -192,7 +192,7 @@ def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
         ag_mps2=plan.path_m,
         controller=controller,
         virtual_rig=rig_config(rig, derived.fs_hz),
-        channels=law_channels(controller.law),
+        channels=extra_channels(rig) + law_channels(controller.law),
         notes=derived.notes,
         plan=plan,
         reference=_along(rig, plan),
@@ -421,6 +421,7 @@ def prescribed(rig: RigFile, name: str, path_m: NDArray[np.float64]) -> Setup:
             motion=core.MotionConfig("prescribed", period_s=derived.rate.period_s),
         ),
         virtual_rig=rig_config(rig, derived.fs_hz),
+        channels=extra_channels(rig),
     )
 
 
@@ -509,6 +510,22 @@ _TIMED: Final[dict[str, Callable[[Rate, float], float]]] = {
     "force_jump_n": Rate.leap,
 }
 """Limits that a file counts in samples of 1/1024 s, and what they are at another rate."""
+
+
+def extra_channels(rig: RigFile) -> tuple[core.Channel, ...]:
+    """Return the channels of what the rig measures beside displacement and force.
+
+    Raises:
+        InputError: one has a name that the record has already.
+    """
+    taken = set(core.RECORD_DTYPE.names or ()) | {"x_true_m", "f_true_n"}
+    for i, one in enumerate(rig.sensors.extra):
+        if one.name in taken:
+            raise InputError(
+                f'found "{one.name}", which every recording has already; take another name',
+                f"sensors.extra.{i}.name",
+            )
+    return tuple(core.Channel(one.name, one.unit) for one in rig.sensors.extra)
 
 
 def law_channels(law: core.LawConfig) -> tuple[core.Channel, ...]:
@@ -654,6 +671,12 @@ def rig_config(rig: RigFile, fs_hz: float = core.FS_HZ) -> core.RigConfig:
         force=force,
         load_cell=rig.rig.load_cell,
         seed=rig.rig.seed,
+        extras=tuple(
+            core.ExtraSensorConfig(
+                one.measures, one.gain, core.SensorConfig(one.noise_std, one.lsb, one.bias)
+            )
+            for one in rig.sensors.extra
+        ),
     )
 
 

@@ -64,6 +64,8 @@ class Bench:
         setup = replace(setup, channels=(TRUTH if truth else ()) + places + setup.channels)
         self.run = Run.begin(setup, "virtual", config or experiment.station_config(setup))
         virtual = core.Rig(rig or setup.virtual_rig)
+        if setup.rig.sensors.extra:
+            virtual.tell_extras(self.run.station, (2 if truth else 0) + len(places))
         stop_decel = experiment.stop_decel_m_per_s2(setup.rig)
         self._test = core.Virtual(self.run.station, virtual, stop_decel, truth, len(places))
         before = self.config.tare_ticks + self.config.ramp_in_ticks

@@ -21,7 +21,7 @@ from rthyb_rt.core import FLAGS, ticker
 from rthyb_rt.core.loop import Clock, Link, Loop
 from rthyb_rt.core.wire import Wire
 from rthyb_rt.errors import RthybError
-from rthyb_rt.lab import experiment, jitter, trips
+from rthyb_rt.lab import experiment, extras, jitter, trips
 from rthyb_rt.lab.endings import RefusedError, TimingError
 from rthyb_rt.lab.realtime.live_run import Counted, LiveRun, follows, stays_stopped
 from rthyb_rt.lab.runs import AT_REST
@@ -97,7 +97,7 @@ class Conductor:
         self._farewell = True
         self.commands_before = 0
         rig = first.setup.rig
-        self.wire = Wire(opened.codec)
+        self.wire = Wire(extras.codec_of(rig, opened.codec))
         with ExitStack() as undo:
             undo.callback(first.remove)
             owned = undo.enter_context(ExitStack())
