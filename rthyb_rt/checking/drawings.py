@@ -113,7 +113,8 @@ def tracking(setup: Setup) -> draw.Plate:
     if found is None:
         return draw.Plate("tracking", title, "", _UNKNOWN, True)
     with rc_context(draw.STYLE):
-        paper = draw.Paper("tracking", draw.HALF_WIDTH_IN, (1.0, 1.0), bottom_in=draw.room_below(3, 2))
+        below_in = draw.room_below(3, 2)
+        paper = draw.Paper("tracking", draw.HALF_WIDTH_IN, (1.0, 1.0), bottom_in=below_in)
         gain, delay = paper.axes
         gains, delays = [], []
         for (name, g), colour in zip(found.curves.items(), (draw.GREY, *_COLOURS), strict=False):

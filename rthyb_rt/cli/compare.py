@@ -52,7 +52,7 @@ def compare(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare recordings, simulations and CSV files on one page.
+    """Compare recordings side by side on one page.
 
     Shows curves, differences from the first, and a table, for two to ten of: tests of this
     program, kept runs of a campaign or sweep, the reference simulation of a test file, and CSV
