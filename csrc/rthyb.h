@@ -36,6 +36,8 @@
 #include "rthyb_coupled_rig.h"
 #include "rthyb_plant.h"
 #include "rthyb_numerical.h"
+#include "rthyb_library.h"
+#include "rthyb_own_part.h"
 #include "rthyb_controller.h"
 #include "rthyb_watch.h"
 #include "rthyb_station.h"

@@ -43,11 +43,18 @@ enum rthyb_element_kind {
     RTHYB_CHABOCHE,          /* k, fy, H, gamma 1/m, Q, rate 1/m */
     RTHYB_RC_COLUMN,         /* k, a, xy, eta, pivot, ultimate m, strength lost there, energy J,
                               * strength and stiffness lost with it, slip, its level and width */
+    RTHYB_OWN,               /* none: the user's own function */
     RTHYB_ELEMENT_KINDS
 };
 
+/* A law of the user's own, for virtual time: what it remembers is in `state`, RTHYB_ELEMENT_STATES - 1
+ * numbers that are 0 in the beginning, so that a copy of the element is an element by itself. */
+typedef double (*rthyb_own_force)(double *state, double x_m, double v_m_per_s, double a_m_per_s2,
+                                  double dt_s);
+
 typedef struct {
-    int32_t kind; /* enum rthyb_element_kind */
+    int32_t kind;        /* enum rthyb_element_kind */
+    rthyb_own_force own; /* RTHYB_OWN: set it once it is initialised */
     double params[RTHYB_ELEMENT_PARAMS];
     double state[RTHYB_ELEMENT_STATES];
     double x, v, a; /* last good motion: it stands in for a senseless one */

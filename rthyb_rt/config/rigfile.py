@@ -22,6 +22,7 @@ from rthyb_rt.config.fields import (
     Text,
 )
 from rthyb_rt.config.limits import Limits
+from rthyb_rt.config.own import PythonClass
 from rthyb_rt.config.rate import STANDARD_HZ
 from rthyb_rt.core.sizes import ELEMENTS_MAX
 
@@ -531,6 +532,12 @@ class RcColumnElement(Table):
     slip_width: Annotated[float, Range("", 0.01, 10, "the width of slip over the strength")] = 0.2
 
 
+class PythonElement(PythonClass):
+    """A class in Python, for tests in virtual time, and the arguments that it is made with."""
+
+    element: Literal["python"]
+
+
 SpecimenElement = (
     StiffnessElement
     | ViscousElement
@@ -560,6 +567,7 @@ SpecimenElement = (
     | MenegottoPintoElement
     | ChabocheElement
     | RcColumnElement
+    | PythonElement
 )
 
 
