@@ -331,7 +331,7 @@ class Trial:
         system_call: number of one that a step made; None: none.
         watched: this system can forbid calls.
         steps: so many by the clock, and as many under watch.
-        ill: some displacement was not finite, out of any sense, or not given.
+        ill: some displacement was not finite, implausible, or not given.
     """
 
     step_s: float

@@ -15,12 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import __version__, config, core, ground_motion
-from rthyb_rt.config import Derived, Limit, Limits, Rate, RigFile, TestFile, timescale
+from rthyb_rt.config import AxesRig, Derived, Limit, Limits, Rate, RigFile, TestFile, timescale
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import testfile as test_file
+from rthyb_rt.config.axes_reference import AxesReference
+from rthyb_rt.config.deriving_axes import AxesDerived
 from rthyb_rt.config.limits import VelocityLimit
 from rthyb_rt.config.own import PythonClass, core_element
 from rthyb_rt.config.rigfile import TOLERANCES, Link, Sensors
+from rthyb_rt.core.coupled_rig import CoupledRigConfig
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import histories
@@ -32,6 +35,22 @@ Progress = Callable[[int, int], None]
 
 _A = TypeVar("_A")
 _B = TypeVar("_B")
+
+
+@dataclass(frozen=True)
+class Group:
+    """What a test on a rig of several axes has beside that of its first axis.
+
+    Attributes:
+        rig, derived: the rig file, and what follows of it and of the test.
+        virtual_rig: settings of the core.
+        reference: what the reference simulation asks of interface and axes.
+    """
+
+    rig: AxesRig
+    derived: AxesDerived
+    virtual_rig: CoupledRigConfig
+    reference: AxesReference
 
 
 @dataclass(frozen=True)
@@ -49,6 +68,7 @@ class Setup:
         reference: the reference simulation as the test file wants it, shape (n,).
         channels: named values that its rows have beside the record.
         plan: of a prescribed history; None: a hybrid test.
+        group: of a rig of several axes, whose first one ``rig`` and ``derived`` are then of.
     """
 
     test: TestFile
@@ -62,6 +82,7 @@ class Setup:
     reference: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, REFERENCE_DTYPE))
     channels: tuple[core.Channel, ...] = ()
     plan: histories.Plan | None = None
+    group: Group | None = None
 
     @property
     def ticks(self) -> int:
@@ -97,21 +118,21 @@ def prepare(
         return load_motion(test) if record is None else record
 
     if real_time:
-        _refuse_other_rate(test)
+        refuse_other_rate(test)
         _refuse_python(test, rig)
     if test.history is not None:
         return _prepare_history(test, rig, real_time)
-    derived, whole = _both(lambda: config.derive(test, rig), read)
+    derived, whole = both(lambda: config.derive(test, rig), read)
     if real_time:
         _refuse_slow(derived)
     test = config.resolve(test, derived)
     baseline = ground_motion.baseline_check(whole)
-    motion = _cut_and_scale(whole, test.ground_motion)
+    motion = cut_and_scale(whole, test.ground_motion)
     lasts_s = test.test.duration_s
     if lasts_s is None:
         lasts_s = motion.duration_s + test.test.free_vibration_s
     slow = test.test.time_scale
-    _refuse_long(lasts_s, derived.fs_hz, slow)
+    refuse_long(lasts_s, derived.fs_hz, slow)
     # Sampled more densely in the structure's time, which is as dense in the laboratory's.
     ag = ground_motion.resample(
         motion, derived.fs_hz * slow, method=test.ground_motion.interpolation, duration_s=lasts_s
@@ -137,7 +158,7 @@ def prepare(
     except core.CoreError as error:
         # The files' own checks come first; what is left is a combination that they do not know.
         raise InputError(
-            f"{error}; look at the largest and smallest values of both files",
+            f"{error}; check the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
     return _noted(follow_reference(replace(setup, reference=expected)), real_time)
@@ -150,7 +171,7 @@ def _noted(setup: Setup, real_time: bool) -> Setup:
     return replace(setup, notes=notes)
 
 
-def _refuse_long(lasts_s: float, rate_hz: float, slow: float) -> None:
+def refuse_long(lasts_s: float, rate_hz: float, slow: float) -> None:
     """Refuse what a recording has no room for: a slow test of many hours.
 
     Raises:
@@ -203,7 +224,7 @@ def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
         core.Rig(setup.virtual_rig)
     except core.CoreError as error:
         raise InputError(
-            f"{error}; look at the largest and smallest values of both files",
+            f"{error}; check the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
     setup = follow_reference(setup)
@@ -259,7 +280,7 @@ def _refuse_beyond(setup: Setup) -> None:
         raise InputError(problems)
 
 
-def _refuse_other_rate(test: TestFile) -> None:
+def refuse_other_rate(test: TestFile) -> None:
     hz = test.test.sample_rate_hz
     if hz != core.FS_HZ:
         raise InputError(
@@ -312,11 +333,11 @@ def follow_reference(setup: Setup) -> Setup:
         float(np.abs(np.diff(sent_m)).max(initial=0.0)) / h,
         float(np.abs(np.diff(x_m, 2)).max(initial=0.0)) / h**2,
     )
-    derived = replace(derived, limits=_with_sensors(setup.rig, limits, setup.rate, setup.reference))
+    derived = replace(derived, limits=with_sensors(setup.rig, limits, setup.rate, setup.reference))
     return replace(setup, derived=derived, test=config.resolve(setup.test, derived))
 
 
-def _with_sensors(
+def with_sensors(
     rig: RigFile,
     limits: limits_file.Resolved,
     rate: Rate,
@@ -389,7 +410,7 @@ def _refuse_slow(derived: Derived) -> None:
         )
 
 
-def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
+def both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
     """Return what both give, or raise the faults of both at once."""
     try:
         a = first()
@@ -412,7 +433,7 @@ def load_motion(test: TestFile) -> GroundMotion:
     )
 
 
-def _cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotion) -> GroundMotion:
+def cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotion) -> GroundMotion:
     if wanted.start_s or wanted.duration_s is not None:
         motion = motion.window(wanted.start_s, wanted.duration_s)
     if wanted.pga_g is not None:
@@ -440,7 +461,7 @@ def prescribed(rig: RigFile, name: str, path_m: NDArray[np.float64]) -> Setup:
     """
     test = config.parse_test(_PRESCRIBED.format(name=name), name)
     derived = config.derive(test, rig)
-    derived = replace(derived, limits=_with_sensors(rig, derived.limits, derived.rate))
+    derived = replace(derived, limits=with_sensors(rig, derived.limits, derived.rate))
     test = config.resolve(test, derived)
     controller = controller_config(test, rig, derived, path_m.size)
     return Setup(
@@ -583,6 +604,16 @@ def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
         real: there is a link, and something behind it that may break: limits that are derived, and
             that no file states, act as they say. Else they only indicate.
     """
+    if setup.group is not None:
+        # That module is built on this one.
+        from rthyb_rt.lab import several
+
+        return several.station_config(setup, setup.group, real=real)
+    return axis_station_config(setup, real=real)
+
+
+def axis_station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
+    """Return the settings of the station of one axis; arguments as of `station_config`."""
     limits, resolved, rate = setup.test.limits, setup.derived.limits, setup.rate
     given = {cause: _watched(limits, resolved, key, real) for key, cause in WATCHES.items()}
     # Those that are derived are of the test's own samples already.
@@ -835,7 +866,7 @@ def blank(setup: Setup, clock: str) -> recording.Recording:
         clock: what the test goes by: "virtual", or a clock of `rthyb_rt.core.ticker`.
     """
     return recording.Recording(
-        samples=np.zeros(0, dtype=core.row_dtype(setup.channels)),
+        samples=np.zeros(0, dtype=core.row_dtype(setup.channels, setup.controller.axis_count)),
         channels=setup.channels,
         fs_hz=setup.derived.fs_hz,
         ag_mps2=setup.ag_mps2,
@@ -843,7 +874,9 @@ def blank(setup: Setup, clock: str) -> recording.Recording:
         # A history is its own reference: nothing else is expected of the specimen's motion.
         reference=setup.reference if setup.plan is None else None,
         test_toml=config.dump(setup.test),
-        rig_toml=config.dump(setup.rig),
+        rig_toml=config.dump(setup.rig if setup.group is None else setup.group.rig),
+        axis_names=() if setup.group is None else setup.group.rig.names,
+        interface_names=() if setup.group is None else setup.group.rig.directions,
         meta={
             **core.build_facts(),
             "rthyb_version": __version__,

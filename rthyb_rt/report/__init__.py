@@ -16,6 +16,7 @@ from rthyb_rt.analysis.summary import (
 )
 from rthyb_rt.numbers import percent, quantity
 from rthyb_rt.record.recording import Recording, replacing
+from rthyb_rt.report import several
 from rthyb_rt.report.html import environment, extra_needed, sheets
 
 _MOTION_NAMES = {"name": "Record", "source": "Source", "pga_g": "Peak, g", "scale": "Scale factor"}
@@ -43,7 +44,7 @@ def write_report(rec: Recording, path: str | Path) -> None:
         InputError: matplotlib or jinja2 is not installed.
         RthybError: the file cannot be written.
     """
-    html = render(rec)
+    html = render(rec) if len(rec.axis_names) < 2 else several.render(rec)
     with replacing(Path(path)) as temporary:
         temporary.write_text(html, encoding="utf-8")
 
