@@ -16,9 +16,9 @@
 #define RESPONSE_S 8.0         /* length of the impulse response summed by _init, */
 #define RESPONSE_MAX 32768u    /* and the most samples of it: at 4096 Hz */
 #define PRIOR_S (1.0 / 1024.0) /* how far alpha starts from the truth, beside a quarter of itself */
-#define QUIET_M 1e-6           /* no displacement channel of an actuator is quieter: an encoder's step */
-#define RIDGE_FLOOR 1e-9       /* reference^2: keeps the normal equations regular without noise */
-#define NOISE_SHARE_MAX 0.5    /* of a moment that noise compensation may take away */
+#define QUIET_M 1e-6     /* no displacement channel of an actuator is quieter: an encoder's step */
+#define RIDGE_FLOOR 1e-9 /* reference^2: keeps the normal equations regular without noise */
+#define NOISE_SHARE_MAX 0.5 /* of a moment that noise compensation may take away */
 
 typedef struct {
     double mu, phi1, phi2;
