@@ -60,6 +60,7 @@ class Search:
         moved: whether it is the simulated motion that was judged, see `freebody`.
         balance: what the balance of forces came to, where it was not believed.
         pool: the best sets while every row still counted, whatever came of them.
+        quiet: whether what a simulated motion leaves is within the displacement's data sheet.
     """
 
     problem: Problem
@@ -77,6 +78,7 @@ class Search:
     moved: bool = False
     balance: Search | None = None
     pool: list[Fit] = field(default_factory=list)
+    quiet: bool = False
 
 
 class _Fitter:
@@ -483,10 +485,10 @@ def _moved(
     before, after = plain.chi2, best.chi2
     mover.rescale(scale, plain)
     found = _decide(problem, mover, plain, (before, after, n), scale, lambda _: 1.0)
+    found.quiet = body.quiet(found.best)
     left = found.excess_after / max(found.excess_before, 1e-12)
-    return (
-        found if found.excess_after < POLICY.moved_excess or left < POLICY.moved_decisive else None
-    )
+    met = found.quiet or found.excess_after < POLICY.moved_excess or left < POLICY.moved_decisive
+    return found if met else None
 
 
 def search(
