@@ -25,7 +25,7 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 .NOTPARALLEL:
 .PHONY: help run install reproduce test test-long test-vm test-systemd test-live soak sanitize fuzz \
         fuzz-station tsan proof validate-diagnosis validate-diagnosis-short validate-policy benchmark-rths \
-        benchmark-rths-short benchmark-marths bench lint clean
+        benchmark-rths-short benchmark-marths bench lint docs man wheels test-aarch64 clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
@@ -50,6 +50,10 @@ help:
 	@echo 'make benchmark-marths  the benchmark of two actuators, into docs; ten minutes (JOBS=2)'
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
+	@echo 'make docs       the guide as a web site in build/site; broken links are errors'
+	@echo 'make man        the manual page, after a change to the help of a command'
+	@echo 'make wheels     source distribution and wheels in dist/; the one for this machine is installed and run'
+	@echo 'make test-aarch64  the C tests of the core on an emulated 64-bit ARM processor'
 	@echo 'make clean      remove .venv, build and caches; runs/ stays'
 
 run: $(READY)
@@ -117,6 +121,7 @@ bench: $(TEST_READY)
 
 lint: $(LINT_READY)
 	@echo 'ruff' && $(BIN)/ruff check --quiet . && $(BIN)/ruff format --check --quiet .
+	@echo 'codespell' && git ls-files -z | xargs -0 $(BIN)/codespell --toml pyproject.toml
 	@echo 'mypy --strict' && $(BIN)/mypy --strict --no-error-summary rthyb_rt
 	@echo 'clang-format' && $(BIN)/clang-format --dry-run -Werror $(C_FILES)
 	@echo 'compiler warnings' && mkdir -p build && { \
@@ -124,6 +129,28 @@ lint: $(LINT_READY)
 	    } >build/lint.log 2>&1 || { cat build/lint.log; exit 1; }
 	@echo 'clang-tidy' && printf '%s\n' $(C_SOURCES) \
 	    | xargs -n 1 -P 2 $(BIN)/clang-tidy -p build/lint --quiet
+
+docs: $(READY)
+	@$(BIN)/python -m pip install -qq --group docs
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict && echo 'build/site/index.html'
+
+# The page that `man rthyb` shows: after a change to the help of a command.
+man: $(READY)
+	@$(BIN)/python docs/tools/man_page.py
+
+wheels: $(READY)
+	@$(BIN)/python -m pip install -qq --group wheels
+	@$(BIN)/python release/wheels.py
+
+# Debian's qemu-user-static; root gets one that is missing.
+QEMU = command -v qemu-aarch64-static >/dev/null || $(if $(CAN_INSTALL),{ echo 'Installing qemu-user-static' \
+    && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
+    --no-install-recommends qemu-user-static >/dev/null; \
+    },{ echo 'Install qemu: sudo apt-get install qemu-user-static'; exit 1; })
+test-aarch64: $(READY)
+	@$(QEMU)
+	@$(BIN)/python -m pip install -qq --group wheels
+	@$(BIN)/python release/aarch64.py
 
 # The interpreter is not instrumented, so the sanitizer's library is loaded before it; libstdc++ must
 # follow at once, or other packages' C++ exceptions are missed. Python frees too little at its end

@@ -12,7 +12,7 @@ int axis_check(const rthyb_axis_config *cfg)
 
 int axis_is_sensible(const rthyb_axis_input *in)
 {
-    return judge(in->x_m, RTHYB_DISPLACEMENT_MAX_M) == RTHYB_OK &&
+    return !in->lost && judge(in->x_m, RTHYB_DISPLACEMENT_MAX_M) == RTHYB_OK &&
            judge(in->f_n, RTHYB_FORCE_MAX_N) == RTHYB_OK;
 }
 
@@ -43,9 +43,9 @@ int axis_is_far_off(const rthyb_axis_config *cfg, double x_m, double f_n, findin
 {
     const double most_m = cfg->tare_most_m, most_n = cfg->tare_most_n;
     if (most_n > 0.0 && fabs(f_n) > most_n)
-        *found = (finding){RTHYB_CAUSE_RIG_FORCE, f_n, most_n};
+        *found = (finding){RTHYB_CAUSE_RIG_FORCE, f_n, most_n, 0};
     else if (most_m > 0.0 && fabs(x_m) > most_m)
-        *found = (finding){RTHYB_CAUSE_RIG_POSITION, x_m, most_m};
+        *found = (finding){RTHYB_CAUSE_RIG_POSITION, x_m, most_m, 0};
     else
         return 0;
     return 1;

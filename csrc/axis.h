@@ -8,10 +8,12 @@
 /* Bits of rthyb_axis.off_scale. */
 enum axis_off { AXIS_OFF_X = 1, AXIS_OFF_F = 2 };
 
-/* A cause with what was met and what is allowed; both 0 where it has no number. */
+/* A cause with what was met and what is allowed; both 0 where it has no number. where: 0 where it belongs to no
+ * axis, 1 + i to axis i, -1 - j to interface j. */
 typedef struct {
     int cause;
     double value, limit;
+    int where;
 } finding;
 
 /* 0 or RTHYB_E_LIMIT. */

@@ -1,35 +1,142 @@
-/* One sample of the controller: gate -> law observes -> RFC -> numerical part -> law leads -> limiter. A pure
- * function of (state, input). */
+/* One sample of the controller: gate -> laws observe -> RFC -> numerical part -> laws lead -> limiter. A pure
+ * function of (state, input).
+ *
+ * Axes have commands, readings and laws; interfaces have what is asked of the specimen, its forces, and their
+ * compensation. The kinematics stands between them; without one, axis i is interface i. */
+#include <string.h>
+
 #include "internal.h"
 #include "numeric.h"
 
 #define FREEZE_AFTER_S (3.0 / 1024.0) /* of lost samples, after which alpha and k_t are held */
 #define EXTRAPOLATE_UNTIL_S                                                                        \
     (20.0 / 1024.0) /* of them, until which the measurement is extrapolated */
-#define COMMAND_MAX_M (1e2 * RTHYB_DISPLACEMENT_MAX_M)
+
+enum { MOST = RTHYB_COUPLED_MAX };
+
+/* ---- set-up ------------------------------------------------------------------------------------ */
+
+static int counts_ok(const rthyb_controller_config *cfg)
+{
+    const int32_t axes = cfg->axis_count, interfaces = cfg->interface_count;
+    const int32_t given = cfg->kinematics.size, lead = cfg->matrix_lead.size;
+    return axes >= 1 && axes <= MOST && interfaces >= 1 && interfaces <= MOST &&
+           axes == interfaces && (given == 0 || given == axes) && (lead == 0 || lead == axes) &&
+           (cfg->matrix_rfc.size == 0 || cfg->matrix_rfc.size == interfaces);
+}
+
+static int limits_ok(const rthyb_axis_control *cfg)
+{
+    return cfg->velocity_limit_m_per_s >= 0.0 && cfg->acceleration_limit_m_per_s2 >= 0.0 &&
+           cfg->x_range_m >= 0.0 && cfg->f_range_n >= 0.0 && cfg->clamp_m >= 0.0;
+}
+
+static int axes_init(rthyb_controller *c)
+{
+    int error = 0;
+    for (int i = 0; i < c->cfg.axis_count && !error; i++) {
+        rthyb_controller_axis *a = &c->axis[i];
+        memset(a, 0, offsetof(rthyb_controller_axis, law));
+        a->limiter.upper_m = COMMAND_MAX_M;
+        a->limiter.lower_m = -COMMAND_MAX_M;
+        error = rthyb_law_init(&a->law, &c->cfg.axis[i].law, c->cfg.period_s, 0.0);
+    }
+    for (int j = 0; j < c->cfg.interface_count && !error; j++) {
+        memset(&c->interface[j], 0, offsetof(rthyb_controller_interface, rfc));
+        error = rthyb_rfc_init(&c->interface[j].rfc, &c->cfg.rfc[j], 0.0, 0.0);
+    }
+    return error;
+}
+
+/* What several axes have in common. */
+static int group_init(rthyb_controller *c)
+{
+    const double none[MOST] = {0.0};
+    int error = 0;
+    if (c->cfg.kinematics.size > 0)
+        error = rthyb_kinematics_init(&c->kinematics, &c->cfg.kinematics);
+    if (!error && c->cfg.matrix_lead.size > 0)
+        error = rthyb_matrix_lead_init(&c->matrix_lead, &c->cfg.matrix_lead, none);
+    if (!error && c->cfg.matrix_rfc.size > 0)
+        error = rthyb_matrix_rfc_init(&c->matrix_rfc, &c->cfg.matrix_rfc, none, none);
+    return error;
+}
 
 int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cfg)
 {
-    if (!(cfg->period_s > 0.0 && cfg->period_s <= 1.0) || cfg->motion.period_s != cfg->period_s)
+    if (!(cfg->period_s > 0.0 && cfg->period_s <= 1.0) || cfg->motion.period_s != cfg->period_s ||
+        (cfg->matrix_lead.size > 0 && cfg->matrix_lead.period_s != cfg->period_s) ||
+        (cfg->matrix_rfc.size > 0 && cfg->matrix_rfc.period_s != cfg->period_s))
         return RTHYB_E_PERIOD;
-    if (!(cfg->velocity_limit_m_per_s >= 0.0 && cfg->acceleration_limit_m_per_s2 >= 0.0 &&
-          cfg->x_range_m >= 0.0 && cfg->f_range_n >= 0.0 && cfg->clamp_m >= 0.0))
-        return RTHYB_E_LIMIT;
-    *c = (rthyb_controller){.cfg = *cfg, .state = RTHYB_RUNNING};
-    int error = rthyb_law_init(&c->law, &cfg->law, cfg->period_s, 0.0);
+    if (!counts_ok(cfg))
+        return RTHYB_E_KINEMATICS;
+    for (int i = 0; i < cfg->axis_count; i++)
+        if (!limits_ok(&cfg->axis[i]))
+            return RTHYB_E_LIMIT;
+    memset(c, 0, offsetof(rthyb_controller, axis));
+    c->cfg = *cfg;
+    c->state = RTHYB_RUNNING;
+    int error = axes_init(c);
     if (!error)
-        error = rthyb_rfc_init(&c->rfc, &cfg->rfc, 0.0, 0.0);
+        error = group_init(c);
     const rthyb_numerical part = part_of(c);
     if (!error)
         error = rthyb_numerical_init(&part, 0.0);
-    if (!error && rthyb_numerical_interfaces(&part) != 1)
+    if (!error && rthyb_numerical_interfaces(&part) != cfg->interface_count)
         error = RTHYB_E_MOTION;
     c->freeze_after = ticks_of(FREEZE_AFTER_S, cfg->period_s);
     c->extrapolate_until = ticks_of(EXTRAPOLATE_UNTIL_S, cfg->period_s);
-    c->upper_m = COMMAND_MAX_M;
-    c->lower_m = -COMMAND_MAX_M;
     return error;
 }
+
+/* ---- between axes and interfaces --------------------------------------------------------------- */
+
+static int targets_of(rthyb_controller *c, const double *x_num, double *target)
+{
+    if (c->cfg.kinematics.size > 0)
+        return rthyb_kinematics_axes(&c->kinematics, x_num, target);
+    for (int i = 0; i < c->cfg.axis_count; i++)
+        target[i] = x_num[i];
+    return RTHYB_OK;
+}
+
+/* Pose and forces of the interfaces, by the readings of the axes. */
+static int meet(rthyb_controller *c, const double *x, const double *f, double *pose, double *force)
+{
+    if (c->cfg.kinematics.size > 0)
+        return rthyb_kinematics_pose(&c->kinematics, x, pose) |
+               rthyb_kinematics_forces(&c->kinematics, f, force);
+    for (int j = 0; j < c->cfg.interface_count; j++) {
+        pose[j] = x[j];
+        force[j] = f[j];
+    }
+    return RTHYB_OK;
+}
+
+/* What the readings of the axes change by where the specimen goes on as it is asked to: the forces along the
+ * tangent stiffness. */
+static void ahead_of(rthyb_controller *c, double *x, double *f)
+{
+    const int n = c->cfg.axis_count, m = c->cfg.interface_count;
+    double way[MOST], force[MOST];
+    for (int i = 0; i < n; i++)
+        x[i] = c->axis[i].target - c->axis[i].target1;
+    for (int j = 0; j < m; j++) {
+        way[j] = c->interface[j].x_num - c->interface[j].x_num1;
+        force[j] = c->interface[j].rfc.k_n_per_m * way[j];
+    }
+    for (int j = 0; j < m && c->cfg.matrix_rfc.size > 0; j++) {
+        force[j] = 0.0;
+        for (int k = 0; k < m; k++)
+            force[j] += c->matrix_rfc.k[j][k] * way[k];
+    }
+    if (c->cfg.kinematics.size > 0)
+        (void)rthyb_kinematics_pushes(&c->kinematics, force, f);
+    else
+        memcpy(f, force, (size_t)n * sizeof *f);
+}
+
+/* ---- readings ---------------------------------------------------------------------------------- */
 
 static int beyond_sensor(double value, double range)
 {
@@ -37,218 +144,261 @@ static int beyond_sensor(double value, double range)
     return range > 0.0 && fabs(value) >= range;
 }
 
-/* Takes the pair of this tick, or makes one up from the command. */
-static int gate(const rthyb_controller *c, const rthyb_input *in, double *x, double *f)
+/* Whether this is a pair; else why not, in *code. */
+static int is_pair(const rthyb_axis_control *cfg, const rthyb_pair *in, int *code)
 {
-    int code =
+    int own =
         judge(in->x_meas_m, RTHYB_DISPLACEMENT_MAX_M) | judge(in->f_meas_n, RTHYB_FORCE_MAX_N);
-    if (code == RTHYB_OK && (beyond_sensor(in->x_meas_m, c->cfg.x_range_m) ||
-                             beyond_sensor(in->f_meas_n, c->cfg.f_range_n)))
-        code = RTHYB_S_OUT_OF_RANGE;
+    if (own == RTHYB_OK && (beyond_sensor(in->x_meas_m, cfg->x_range_m) ||
+                            beyond_sensor(in->f_meas_n, cfg->f_range_n)))
+        own = RTHYB_S_OUT_OF_RANGE;
     if (in->lost)
-        code = in->lost & (RTHYB_S_NOT_FINITE | RTHYB_S_OUT_OF_RANGE);
-    if (code == RTHYB_OK && !in->lost) {
-        *x = in->x_meas_m;
-        *f = in->f_meas_n;
-        return code;
+        own = in->lost & (RTHYB_S_NOT_FINITE | RTHYB_S_OUT_OF_RANGE);
+    *code |= own;
+    return own == RTHYB_OK && !in->lost;
+}
+
+/* Takes the pairs of this tick, or makes up those of all axes from their commands; 1 if they are made up. The
+ * noise of two samples, run out over twenty, would be more than the motion. */
+static int gate(rthyb_controller *c, const rthyb_input *in, double *x, double *f, int *code)
+{
+    const int n = c->cfg.axis_count;
+    int made_up = 0;
+    for (int i = 0; i < n; i++) {
+        rthyb_controller_axis *a = &c->axis[i];
+        const int own = is_pair(&c->cfg.axis[i], &in->axis[i], code);
+        a->missing = own ? 0 : a->missing + (a->missing < UINT32_MAX);
+        made_up |= !own;
+        x[i] = in->axis[i].x_meas_m;
+        f[i] = in->axis[i].f_meas_n;
     }
-    /* The specimen goes on as its command does, the force along the tangent stiffness. The noise of
-     * two samples, run out over twenty, would be more than the motion. */
-    const double ahead = c->missing < c->extrapolate_until ? c->x_num - c->x_num1 : 0.0;
-    *x = clamp(c->x_m1 + ahead, -RTHYB_DISPLACEMENT_MAX_M, RTHYB_DISPLACEMENT_MAX_M);
-    *f = clamp(c->f1 + c->rfc.k_n_per_m * ahead, -RTHYB_FORCE_MAX_N, RTHYB_FORCE_MAX_N);
-    return code;
+    if (!made_up)
+        return 0;
+    double dx[MOST] = {0.0}, df[MOST] = {0.0};
+    if (c->missing < c->extrapolate_until)
+        ahead_of(c, dx, df);
+    for (int i = 0; i < n; i++) {
+        const rthyb_controller_axis *a = &c->axis[i];
+        x[i] = clamp(a->x_m1 + dx[i], -RTHYB_DISPLACEMENT_MAX_M, RTHYB_DISPLACEMENT_MAX_M);
+        f[i] = clamp(a->f1 + df[i], -RTHYB_FORCE_MAX_N, RTHYB_FORCE_MAX_N);
+    }
+    return 1;
 }
 
 /* Energy that the tracking error feeds into the structure (Mosqueda et al. 2007) and tracking
- * indicator (Mercan & Ricles 2007; falling while x_m lags). */
-static void monitor(rthyb_controller *c, double x, double f)
+ * indicator (Mercan & Ricles 2007; falling while x_m lags), of all axes. */
+static void monitor(rthyb_controller *c, const double *x, const double *f)
 {
-    const double error = x - c->x_num, error1 = c->x_m1 - c->x_num1;
-    c->energy_error += 0.5 * (f + c->f1) * (error - error1);
-    c->tracking_indicator += 0.5 * (0.5 * (x + c->x_m1) * (c->x_num - c->x_num1) -
-                                    0.5 * (c->x_num + c->x_num1) * (x - c->x_m1));
+    for (int i = 0; i < c->cfg.axis_count; i++) {
+        const rthyb_controller_axis *a = &c->axis[i];
+        const double error = x[i] - a->target, error1 = a->x_m1 - a->target1;
+        c->energy_error += 0.5 * (f[i] + a->f1) * (error - error1);
+        c->tracking_indicator += 0.5 * (0.5 * (x[i] + a->x_m1) * (a->target - a->target1) -
+                                        0.5 * (a->target + a->target1) * (x[i] - a->x_m1));
+    }
     int code = RTHYB_OK;
     c->energy_error = confine(c->energy_error, 1e300, &code);
     c->tracking_indicator = confine(c->tracking_indicator, 1e300, &code);
 }
 
-/* The step that closes a lag and can still be braked away with half the acceleration limit. */
-static double catch_up(double lag, double a_max, double h)
+/* ---- record ------------------------------------------------------------------------------------ */
+
+double rthyb_controller_lead(const rthyb_controller *c, int axis, int term)
 {
-    const double brake = 0.5 * a_max, half = 0.5 * brake * h;
-    return copysign(h * (sqrt(2.0 * brake * fabs(lag) + half * half) - half), lag);
+    if (c->cfg.matrix_lead.size > 0)
+        return c->matrix_lead.used[term][axis][axis];
+    const rthyb_law *law = &c->axis[axis].law;
+    return rthyb_law_value_at(law, term == 1 ? law->alpha_at : law->beta_at);
 }
 
-/* No faster towards a limit than can be braked before it, with some of the deceleration to spare. */
-static double before_the_end(double step, double room, double a_max, double h)
+double rthyb_controller_stiffness(const rthyb_controller *c, int interface)
 {
-    const double most = room > 0.0 ? catch_up(room, 1.6 * a_max, h) : 0.0;
-    return clamp(step, -most, most);
+    return c->cfg.matrix_rfc.size > 0 ? c->matrix_rfc.k[interface][interface]
+                                      : c->interface[interface].rfc.k_n_per_m;
 }
 
-/* How far from the clamp's centre a command may be. */
-static double position_limit(const rthyb_controller_config *cfg)
+static void write_axes(const rthyb_controller *c, const rthyb_input *in, const double *x,
+                       const double *f, rthyb_record *record)
 {
-    return cfg->clamp_m > 0.0 ? cfg->clamp_m : COMMAND_MAX_M;
-}
-
-/* The step that catches up with what is wanted, no faster than it can be braked: else the command would
- * swing about that for ever. */
-static double accelerated(const rthyb_controller *c, double wanted, double limit)
-{
-    const double h = c->cfg.period_s, a_max = c->cfg.acceleration_limit_m_per_s2;
-    const double lag = c->x_plc - c->x_lim, closing = catch_up(lag, a_max, h);
-    double step = wanted - c->x_lim;
-    if (fabs(closing) < fabs(lag))
-        step = wanted - c->x_plc + closing;
-    const double out = c->x_lim - c->cfg.clamp_centre_m;
-    step = before_the_end(step, limit - copysign(out, out * step), a_max, h);
-    if (c->gap && c->step != 0.0)
-        step = c->step > 0.0 ? fmax(step, 0.0) : fmin(step, 0.0);
-    return clamp(step, c->step - a_max * h * h, c->step + a_max * h * h);
-}
-
-/* Of a limit that was drawn in behind it, or close before it, the command comes back on its own course
- * and not at once: with an acceleration limit it may go on as far as it needs to brake, but never beyond
- * a limit that was there before. */
-static void draw_bounds(rthyb_controller *c, double limit)
-{
-    const double per_tick2 = c->cfg.acceleration_limit_m_per_s2 * c->cfg.period_s * c->cfg.period_s;
-    const double braked = per_tick2 > 0.0 ? 0.5 * c->step * fabs(c->step) / per_tick2 : 0.0;
-    const double centre = c->cfg.clamp_centre_m;
-    c->upper_m = fmax(centre + limit, fmin(c->upper_m, c->x_lim + fmax(braked, 0.0)));
-    c->lower_m = fmin(centre - limit, fmax(c->lower_m, c->x_lim + fmin(braked, 0.0)));
-}
-
-/* Acceleration, velocity, position: the last one wins.
- *
- * What holds of the commands that leave, and of nothing else: with x[k] the one that leaves as the k-th,
- * before the wire rounds it, and s[k] = x[k] - x[k-1],
- *   |x[k] - centre| <= limit,   |s[k]| <= v_max h,   |s[k] - s[k-1]| <= a_max h^2,
- *   s[k] s[k-1] >= 0 where, with an acceleration limit, a tick without a command lies between them,
- * whatever number of ticks that is: skipped ones, and those whose command found no room. So a gap is never
- * caught up at once, and never stops the command. A limit that comes into force while the command is beyond
- * it, or too fast for it, is reached by braking with a_max: until then |s| falls by a_max h^2 a command, and
- * x keeps to the old limit. (v_max or a_max of 0: no such bound, and then nothing to brake with.)
- *
- * It goes on from what it wanted itself: from a coarse wire's rounding a slow command would never get
- * away. */
-static double limit_command(rthyb_controller *c, double wanted)
-{
-    const double h = c->cfg.period_s, v_max = c->cfg.velocity_limit_m_per_s;
-    const double a_max = c->cfg.acceleration_limit_m_per_s2, limit = position_limit(&c->cfg);
-    const double whole = wanted - c->x_lim;
-    double step = a_max > 0.0 ? accelerated(c, wanted, limit) : whole;
-    if (v_max > 0.0) {
-        const double braked = a_max > 0.0 ? fabs(c->step) - a_max * h * h : 0.0;
-        const double most = fmax(v_max * h, braked);
-        step = clamp(step, -most, most);
+    for (int i = 0; i < c->cfg.axis_count; i++) {
+        rthyb_axis_record *r = &record->axis[i];
+        note_pair(r, in->axis[i].x_meas_m, in->axis[i].f_meas_n, in->axis[i].lost,
+                  c->cfg.axis_count);
+        r->x_cmd_m = c->axis[i].x_cmd;
+        r->x_meas_m = x[i];
+        r->f_meas_n = f[i];
+        r->missing = c->axis[i].missing;
+        r->echo = r->count = 0;
     }
-    const double command = step == whole ? wanted : c->x_lim + step;
-    draw_bounds(c, limit);
-    return clamp(command, c->lower_m, c->upper_m);
 }
 
-/* What leaves in this tick, unless it finds no room: then command_stayed takes it back. */
-static void note_step(rthyb_controller *c, double x_cmd, int blind)
-{
-    c->x_lim1 = c->x_lim;
-    c->step1 = c->step;
-    c->step = blind ? c->step : x_cmd - c->x_lim;
-    c->x_lim = blind ? c->x_lim : x_cmd;
-    c->gap = blind;
-}
-
-static void write_record(const rthyb_controller *c, const rthyb_input *in, double x, double f,
-                         uint32_t flags, int code, rthyb_record *record)
+static void write_record(const rthyb_controller *c, const rthyb_input *in, const double *x,
+                         const double *f, uint32_t flags, int code, rthyb_record *record)
 {
     const uint64_t n = c->tick;
     record->tick = n;
     record->due_ns = llrint((double)n * c->cfg.period_s * 1e9);
     record->flags = flags;
     record->generation = c->generation;
-    note_pair(record, in->x_meas_m, in->f_meas_n, in->lost);
     record->state = (uint16_t)c->state;
     record->code = (uint16_t)code;
     record->cause = RTHYB_CAUSE_NONE;
     record->ag_mps2 = c->cfg.motion.integrator == RTHYB_PRESCRIBED ? 0.0 : in->excitation;
-    record->x_num_m = c->x_num;
-    record->x_plc_m = c->x_plc;
-    record->axis[0].x_cmd_m = c->x_cmd;
-    record->axis[0].x_meas_m = x;
-    record->axis[0].f_meas_n = f;
-    record->alpha = rthyb_law_value_at(&c->law, c->law.alpha_at);
-    record->beta = rthyb_law_value_at(&c->law, c->law.beta_at);
-    record->k_t_n_per_m = c->rfc.k_n_per_m;
+    record->x_num_m = c->interface[0].x_num;
+    record->x_plc_m = c->axis[0].x_plc;
+    record->alpha = rthyb_controller_lead(c, 0, 1);
+    record->beta = rthyb_controller_lead(c, 0, 2);
+    record->k_t_n_per_m = rthyb_controller_stiffness(c, 0);
     record->energy_error_j = c->energy_error;
     record->tracking_indicator_m2 = c->tracking_indicator;
     record->wake_late_ns = record->sent_late_ns = 0;
-    record->axis[0].missing = c->missing;
-    record->axis[0].echo = record->axis[0].count = 0;
+    write_axes(c, in, x, f, record);
 }
+
+/* ---- motion ------------------------------------------------------------------------------------ */
 
 /* One degree of freedom leaves nothing to be done later, and takes no detour by the table of kinds. */
-static int answer(rthyb_controller *c, double excitation, double force, double *x_num)
+static int answer(rthyb_controller *c, double excitation, const double *force, double *x_num)
 {
     if (has_own_part(c))
-        return rthyb_motion_step(&c->motion, excitation, force, x_num);
+        return rthyb_motion_step(&c->motion, excitation, *force, x_num);
     c->behind = 1;
-    return rthyb_numerical_answer(&c->cfg.numerical, excitation, &force, x_num);
+    return rthyb_numerical_answer(&c->cfg.numerical, excitation, force, x_num);
 }
 
-/* Velocity of the interface at t_n; only a force that is late is asked for it. */
-static double velocity(rthyb_controller *c)
+static int asks_velocity(const rthyb_controller *c)
 {
-    if (c->cfg.rfc.lateness_s == 0.0)
-        return 0.0;
+    int asks = c->cfg.matrix_rfc.size > 0 && c->cfg.matrix_rfc.lateness_s != 0.0;
+    for (int j = 0; j < c->cfg.interface_count; j++)
+        asks = asks || c->cfg.rfc[j].lateness_s != 0.0;
+    return asks;
+}
+
+/* Velocities of the interfaces at t_n; only a force that is late is asked for them. */
+static void velocities(rthyb_controller *c, double *v)
+{
+    rthyb_interface at[MOST];
+    memset(v, 0, MOST * sizeof *v);
+    if (!asks_velocity(c))
+        return;
     const rthyb_numerical part = part_of(c);
-    rthyb_interface at;
-    rthyb_numerical_look(&part, &at);
-    return at.v;
+    rthyb_numerical_look(&part, at);
+    for (int j = 0; j < c->cfg.interface_count; j++)
+        v[j] = at[j].v;
 }
 
-/* The next displacement by the equation of motion, with what the law learns, RFC and monitors. */
-static int compute_motion(rthyb_controller *c, const rthyb_input *in, double x, double f,
-                          int frozen, double *x_num)
+static int observe(rthyb_controller *c, const double *x, int held)
 {
-    double force;
+    double sent[MOST];
+    int code = RTHYB_OK;
+    if (c->cfg.matrix_lead.size > 0) {
+        for (int i = 0; i < c->cfg.axis_count; i++)
+            sent[i] = c->axis[i].x_cmd;
+        return rthyb_matrix_lead_observe(&c->matrix_lead, sent, x, held);
+    }
+    for (int i = 0; i < c->cfg.axis_count; i++)
+        code |= rthyb_law_observe(&c->axis[i].law, c->axis[i].x_cmd, x[i], held);
+    return code;
+}
+
+/* The forces that the equation of motion sees. */
+static int compensate(rthyb_controller *c, const double *pose, const double *f, int frozen,
+                      double *force)
+{
+    double v[MOST], x_num[MOST];
+    int code = RTHYB_OK;
+    velocities(c, v);
+    if (c->cfg.matrix_rfc.size > 0) {
+        for (int j = 0; j < c->cfg.interface_count; j++)
+            x_num[j] = c->interface[j].x_num;
+        return rthyb_matrix_rfc_step(&c->matrix_rfc, x_num, v, pose, f, frozen, force);
+    }
+    for (int j = 0; j < c->cfg.interface_count; j++) {
+        rthyb_controller_interface *at = &c->interface[j];
+        code |= rthyb_rfc_step(&at->rfc, at->x_num, v[j], pose[j], f[j], frozen, &force[j]);
+    }
+    return code;
+}
+
+static int meet_and_note(rthyb_controller *c, const double *x, const double *f, double *pose,
+                         double *force)
+{
+    const int code = meet(c, x, f, pose, force);
+    for (int j = 0; j < c->cfg.interface_count; j++) {
+        c->interface[j].x_m = pose[j];
+        c->interface[j].f = force[j];
+    }
+    return code;
+}
+
+/* The next displacements by the equation of motion, with what the laws learn, RFC and monitors. */
+static int compute_motion(rthyb_controller *c, const rthyb_input *in, const double *x,
+                          const double *f, int frozen, double *x_num)
+{
+    double pose[MOST], met[MOST], force[MOST];
     monitor(c, x, f);
-    const int held = frozen || c->cfg.estimate_held;
-    int code = rthyb_law_observe(&c->law, c->x_cmd, x, held);
-    code |= rthyb_rfc_step(&c->rfc, c->x_num, velocity(c), x, f, frozen, &force);
+    int code = observe(c, x, frozen || c->cfg.estimate_held);
+    code |= meet_and_note(c, x, f, pose, met);
+    code |= compensate(c, pose, met, frozen, force);
     code |= answer(c, in->excitation, force, x_num);
     return code;
 }
 
-/* The next displacement from a path: law and RFC see the motion and learn nothing from it. */
-static int follow_path(rthyb_controller *c, double x, double f, double path_m, double *x_num)
+/* The next displacements from a path: laws and RFC see the motion and learn nothing from it. */
+static int follow_path(rthyb_controller *c, const double *x, const double *f, const double *path_m,
+                       double *x_num)
 {
-    int code = rthyb_law_observe(&c->law, c->x_cmd, x, 1);
-    rthyb_rfc_follow(&c->rfc, c->x_num, x, f);
+    double pose[MOST], met[MOST], at[MOST];
+    int code = observe(c, x, 1);
+    code |= meet_and_note(c, x, f, pose, met);
+    for (int j = 0; j < c->cfg.interface_count; j++) {
+        at[j] = c->interface[j].x_num;
+        rthyb_rfc_follow(&c->interface[j].rfc, at[j], pose[j], met[j]);
+        x_num[j] = accept(path_m[j], RTHYB_DISPLACEMENT_MAX_M, at[j], &code);
+    }
+    if (c->cfg.matrix_rfc.size > 0)
+        rthyb_matrix_rfc_follow(&c->matrix_rfc, at, pose, met);
     if (!has_own_part(c))
-        rthyb_numerical_freeze(&c->cfg.numerical, &f);
-    *x_num = accept(path_m, RTHYB_DISPLACEMENT_MAX_M, c->x_num, &code);
+        rthyb_numerical_freeze(&c->cfg.numerical, met);
     return code;
 }
 
-/* What the law has learnt may move the command by one increment limit a tick; on a path, not at all. */
-static double allowed_move(const rthyb_controller *c, const double *path_m)
+/* What a law has learnt may move the command by one increment limit a tick; on a path, not at all. */
+static double allowed_move(const rthyb_controller *c, int axis, const double *path_m)
 {
-    const double most = c->cfg.velocity_limit_m_per_s * c->cfg.period_s;
+    const double most = c->cfg.axis[axis].velocity_limit_m_per_s * c->cfg.period_s;
     if (path_m)
         return 0.0;
     return most > 0.0 ? most : (double)INFINITY;
 }
 
-/* x_p for the next instant. No law may bring the command out of this world. */
-static int lead(rthyb_controller *c, double x_num, double allowed_m, double *x_plc)
+static int lead_all(rthyb_controller *c, const double *target, const double *path_m, double *led)
 {
-    double led;
-    int code = rthyb_law_lead(&c->law, x_num, allowed_m, &led);
-    *x_plc = c->cfg.lead_enabled ? accept(led, 1e300, c->x_plc, &code) : x_num;
+    const int n = c->cfg.axis_count;
+    double least = HUGE_VAL;
+    int code = RTHYB_OK;
+    for (int i = 0; i < n; i++) {
+        const double allowed = allowed_move(c, i, path_m);
+        least = fmin(least, allowed);
+        if (c->cfg.matrix_lead.size == 0)
+            code |= rthyb_law_lead(&c->axis[i].law, target[i], allowed, &led[i]);
+    }
+    if (c->cfg.matrix_lead.size > 0)
+        code = rthyb_matrix_lead_lead(&c->matrix_lead, target, least, led);
     return code;
 }
+
+/* x_p for the next instant. No law may bring the command out of this world. */
+static int lead(rthyb_controller *c, const double *target, const double *path_m, double *x_plc)
+{
+    double led[MOST];
+    int code = lead_all(c, target, path_m, led);
+    for (int i = 0; i < c->cfg.axis_count; i++)
+        x_plc[i] = c->cfg.lead_enabled ? accept(led[i], 1e300, c->axis[i].x_plc, &code) : target[i];
+    return code;
+}
+
+/* ---- one sample -------------------------------------------------------------------------------- */
 
 int rthyb_controller_step(rthyb_controller *c, const rthyb_input *in, rthyb_record *record)
 {
@@ -265,38 +415,89 @@ void rthyb_controller_advance(rthyb_controller *c)
     c->behind = 0;
 }
 
+/* What becomes of the commands; 1 where the limiter has changed one. */
+static int command(rthyb_controller *c, const double *x_plc, int blind, double *x_cmd)
+{
+    int limited = 0;
+    for (int i = 0; blind && i < c->cfg.axis_count; i++)
+        x_cmd[i] = c->axis[i].x_cmd;
+    if (!blind)
+        limiter_commands(c, x_plc, x_cmd);
+    for (int i = 0; !blind && i < c->cfg.axis_count; i++)
+        limited |= x_cmd[i] != x_plc[i];
+    return limited;
+}
+
+/* The next sample finds what this one has come to. */
+static void shift(rthyb_controller *c, const double *x, const double *f, const double *target,
+                  const double *x_plc, const double *x_cmd, int blind)
+{
+    for (int i = 0; i < c->cfg.axis_count; i++) {
+        rthyb_controller_axis *a = &c->axis[i];
+        a->x_m1 = x[i];
+        a->f1 = f[i];
+        a->target1 = a->target;
+        a->target = target[i];
+        a->x_plc1 = a->x_plc;
+        a->x_plc = x_plc[i];
+        a->x_cmd1 = a->x_cmd;
+        limiter_note(&a->limiter, x_cmd[i], blind);
+        a->x_cmd = x_cmd[i];
+    }
+}
+
 int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
                             int blind, rthyb_record *record)
 {
-    double x, f, x_num, x_plc;
-    int code = gate(c, in, &x, &f);
-    const int made_up = in->lost || code != RTHYB_OK;
+    double x[MOST], f[MOST], x_num[MOST], target[MOST], x_plc[MOST], x_cmd[MOST];
+    int code = RTHYB_OK;
+    const int made_up = gate(c, in, x, f, &code);
     rthyb_controller_advance(c);
     c->missing = made_up ? c->missing + (c->missing < UINT32_MAX) : 0;
     const int frozen = blind || c->missing >= c->freeze_after;
     if (path_m)
-        code |= follow_path(c, x, f, *path_m, &x_num);
+        code |= follow_path(c, x, f, path_m, x_num);
     else
-        code |= compute_motion(c, in, x, f, frozen, &x_num);
+        code |= compute_motion(c, in, x, f, frozen, x_num);
     code |= c->late_code;
     c->late_code = RTHYB_OK;
-    code |= lead(c, x_num, allowed_move(c, path_m), &x_plc);
-    const double x_cmd = blind ? c->x_cmd : limit_command(c, x_plc);
-    if (x_cmd != x_plc && !blind)
+    code |= targets_of(c, x_num, target);
+    code |= lead(c, target, path_m, x_plc);
+    if (command(c, x_plc, blind, x_cmd))
         code |= RTHYB_S_LIMITED;
     const uint32_t flags = (made_up ? RTHYB_F_PREDICTED : RTHYB_F_FRESH) |
                            (frozen || path_m ? RTHYB_F_FROZEN : 0u) |
                            (blind ? RTHYB_F_BLIND | RTHYB_F_NOT_SENT : 0u) |
                            (code & RTHYB_S_LIMITED ? RTHYB_F_LIMITED : 0u);
     write_record(c, in, x, f, flags, code, record);
-    c->x_m1 = x;
-    c->f1 = f;
-    c->x_num1 = c->x_num;
-    c->x_num = x_num;
-    c->x_plc = x_plc;
-    c->x_cmd1 = c->x_cmd;
-    note_step(c, x_cmd, blind);
-    c->x_cmd = x_cmd;
+    for (int j = 0; j < c->cfg.interface_count; j++) {
+        c->interface[j].x_num1 = c->interface[j].x_num;
+        c->interface[j].x_num = x_num[j];
+    }
+    shift(c, x, f, target, x_plc, x_cmd, blind);
     c->tick++;
     return code;
+}
+
+/* Newton's way from any pose to any other that a rig has. */
+#define POSE_STEPS 8
+
+void rthyb_controller_rest(rthyb_controller *c, const double *x_m)
+{
+    const int n = c->cfg.axis_count;
+    double pose[MOST], none[MOST] = {0.0}, force[MOST];
+    (void)meet(c, x_m, none, pose, force);
+    for (int k = 0; k < POSE_STEPS && c->cfg.kinematics.size > 0; k++)
+        (void)rthyb_kinematics_pose(&c->kinematics, x_m, pose);
+    for (int j = 0; j < c->cfg.interface_count; j++)
+        c->interface[j].x_num = c->interface[j].x_num1 = pose[j];
+    for (int i = 0; i < n; i++) {
+        rthyb_controller_axis *a = &c->axis[i];
+        a->target = a->target1 = a->x_plc = a->x_plc1 = a->x_cmd = a->x_cmd1 = x_m[i];
+        limiter_rest(&a->limiter, x_m[i]);
+        if (c->cfg.matrix_lead.size == 0)
+            rthyb_law_rest(&a->law, x_m[i]);
+    }
+    if (c->cfg.matrix_lead.size > 0)
+        rthyb_matrix_lead_rest(&c->matrix_lead, x_m);
 }

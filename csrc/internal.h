@@ -4,13 +4,20 @@
 
 #include <math.h>
 
-#include "rthyb.h"
+#include "limiter.h"
 
-/* One sample. path_m: the next displacement where it does not come from the equation of motion;
- * estimator, RFC and monitors then stand still. blind: a skipped tick made up for, nothing is sent
+/* One sample. path_m: the next displacement of each interface where it does not come from the equation of
+ * motion; laws, RFC and monitors then stand still. blind: a skipped tick made up for, nothing is sent
  * and the drive still has the command of before. */
 int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
                             int blind, rthyb_record *record);
+
+/* At rest with each axis where x_m says, wherever the drives were told to be before. */
+void rthyb_controller_rest(rthyb_controller *c, const double *x_m);
+/* What the lead of an axis reports as alpha (term 1) or beta (term 2). */
+double rthyb_controller_lead(const rthyb_controller *c, int axis, int term);
+/* The tangent stiffness of an interface in its own direction. */
+double rthyb_controller_stiffness(const rthyb_controller *c, int interface);
 
 /* Whether the controller's own equation of motion computes the next displacement, and not a part of the
  * caller's. A prescribed motion has no equation, whatever the part. */
@@ -61,32 +68,45 @@ static inline double command_from_wire(const rthyb_calibration *c, double wire_m
     return (wire_m - c->cmd_offset_m) / c->cmd_gain;
 }
 
-/* The limiter goes on from the command that left last, and from the step that led to it. */
-static inline void command_stayed(rthyb_controller *c)
-{
-    c->x_lim = c->x_lim1;
-    c->step = c->step1;
-    c->gap = 1;
-}
-
-/* Tells the station which displacement the drive has for the next tick: the one on the wire, to its
+/* Tells the station which displacement the drive of an axis has for the next tick: the one on the wire, to its
  * last digit, or the one before where none has left. */
-static inline void note_command(rthyb_station *s, const rthyb_calibration *c, int sent,
+static inline void note_command(rthyb_station *s, int axis, const rthyb_calibration *c, int sent,
                                 double wire_m)
 {
-    rthyb_controller *controller = &s->controller;
-    controller->x_cmd =
-        sent ? command_from_wire(c, wire_m) - s->axis[0].tare_cmd : controller->x_cmd1;
+    rthyb_controller_axis *a = &s->controller.axis[axis];
+    a->x_cmd = sent ? command_from_wire(c, wire_m) - s->axis[axis].tare_cmd : a->x_cmd1;
     if (!sent)
-        command_stayed(controller);
+        limiter_stayed(&a->limiter);
 }
 
-/* What a record says of the pair that the station was told, or of why there was none. */
-static inline void note_pair(rthyb_record *record, double x_m, double f_n, int32_t lost)
+/* What a record says of the pair that the station was told of an axis, or of why there was none. With one axis
+ * nothing came where the row is flagged, with several the row has to say of which. */
+static inline void note_pair(rthyb_axis_record *record, double x_m, double f_n, int32_t lost,
+                             int axis_count)
 {
     const double none = lost & RTHYB_S_NOT_FINITE ? (double)NAN : 0.0;
-    record->axis[0].x_read_m = lost ? none : x_m;
-    record->axis[0].f_read_n = lost ? none : f_n;
+    record->x_read_m = lost ? (axis_count > 1 ? (double)NAN : none) : x_m;
+    record->f_read_n = lost ? none : f_n;
+}
+
+/* That the command of an axis did not leave; with several, which one. */
+#define UNSENT_FLAGS ((uint32_t)RTHYB_F_NOT_SENT | (uint32_t)15 << RTHYB_F_UNSENT_BIT)
+
+static inline uint32_t unsent_flag(int axis, int axis_count)
+{
+    return (uint32_t)RTHYB_F_NOT_SENT |
+           (axis_count > 1 ? (uint32_t)1 << (RTHYB_F_UNSENT_BIT + axis) : 0u);
+}
+
+/* Of a row of so many axes. */
+static inline size_t record_bytes(int32_t axis_count)
+{
+    return ((size_t)RTHYB_TEST_WORDS + (size_t)axis_count * RTHYB_AXIS_WORDS) * sizeof(uint64_t);
+}
+
+static inline rthyb_record *row_at(void *rows, int32_t axis_count, size_t n)
+{
+    return (rthyb_record *)(void *)((char *)rows + n * record_bytes(axis_count));
 }
 
 /* A drive that brakes by itself, one tick: the next target from the velocity of the last two; the same
@@ -99,7 +119,7 @@ static inline double braked_target(double target_m, double target1_m, double dec
 }
 
 /* 0 or RTHYB_E_LIMIT. */
-int rthyb_watches_check(const rthyb_watch watch[RTHYB_CAUSE_COUNT]);
+int rthyb_watches_check(const rthyb_watch *watch, int count);
 int rthyb_path_limits_check(double velocity_m_per_s, double acceleration_m_per_s2,
                             double brake_m_per_s2);
 
@@ -114,6 +134,12 @@ int rthyb_servo_latch(rthyb_servo *servo, double x_p_m);
 /* Moves on to t_{n+1}. Only the servo-hydraulic actuator feels the specimen. Status bits tell of a
  * computation that has run off. */
 int rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count);
+
+/* Servo-hydraulic: the command at the beginning of a sample, and what it rises by in a substep. */
+void rthyb_servo_run_up(const rthyb_servo *servo, double *start, double *rise);
+
+/* A virtual rig that has gone unstable stops at its guard instead of filling with inf. */
+int rthyb_servo_confine(rthyb_servo *servo);
 
 /* servo_valve.c: set-up of its step; one sample. */
 int rthyb_valve_init(rthyb_servo *servo);

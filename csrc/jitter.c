@@ -80,7 +80,8 @@ static void sample(rthyb_jitter *jitter, const rthyb_tick *tick)
 {
     rthyb_record record;
     rthyb_input in = {.excitation = excitation_at(jitter, tick->k)};
-    rthyb_rig_step(jitter->rig, jitter->controller->x_cmd, &in.x_meas_m, &in.f_meas_n);
+    rthyb_rig_step(jitter->rig, jitter->controller->axis[0].x_cmd, &in.axis[0].x_meas_m,
+                   &in.axis[0].f_meas_n);
     rthyb_controller_step(jitter->controller, &in, &record);
     keep(jitter, &record);
 }
@@ -89,17 +90,17 @@ static void sample(rthyb_jitter *jitter, const rthyb_tick *tick)
 static void exchange(rthyb_jitter *jitter, const rthyb_tick *tick, int socket)
 {
     rthyb_record record;
-    rthyb_input in = {.excitation = excitation_at(jitter, tick->k), .lost = RTHYB_LOST};
+    rthyb_input in = {.excitation = excitation_at(jitter, tick->k), .axis = {{.lost = RTHYB_LOST}}};
     pair newest = {0};
     while (recv(socket, &newest, sizeof newest, MSG_DONTWAIT) == (ssize_t)sizeof newest)
-        in.lost = 0;
-    in.x_meas_m = newest.x_m;
-    in.f_meas_n = newest.f_n;
+        in.axis[0].lost = 0;
+    in.axis[0].x_meas_m = newest.x_m;
+    in.axis[0].f_meas_n = newest.f_n;
     rthyb_controller_step(jitter->controller, &in, &record);
-    const double command = jitter->controller->x_cmd;
+    const double command = jitter->controller->axis[0].x_cmd;
     const ssize_t sent = send(socket, &command, sizeof command, MSG_DONTWAIT | MSG_NOSIGNAL);
     keep(jitter, &record);
-    jitter->measured.lost += in.lost ? 1u : 0u;
+    jitter->measured.lost += in.axis[0].lost ? 1u : 0u;
     jitter->measured.not_sent += sent == (ssize_t)sizeof command ? 0u : 1u;
 }
 

@@ -245,6 +245,25 @@ int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *f
     return code;
 }
 
+int rthyb_kinematics_pushes(const rthyb_kinematics *s, const double *force, double *axis_n)
+{
+    const int n = s->cfg.size;
+    double jacobian[RTHYB_COUPLED_SQUARE] = {0.0}, turned[RTHYB_COUPLED_SQUARE] = {0.0};
+    rthyb_kinematics_jacobian(s, jacobian);
+    const int scaled = s->cfg.kind == RTHYB_KINEMATICS_PINS;
+    for (int j = 0; j < n; j++) {
+        const double scale = scaled ? s->scale[j] : 1.0;
+        axis_n[j] = force[j] / scale;
+        for (int i = 0; i < n; i++)
+            turned[j * n + i] = jacobian[i * n + j] / scale;
+    }
+    if (small_solve(turned, axis_n, n, 1, scaled ? PIVOT_MIN : 0.0))
+        return RTHYB_OK;
+    for (int i = 0; i < n; i++)
+        axis_n[i] = 0.0;
+    return RTHYB_S_OUT_OF_RANGE;
+}
+
 int rthyb_kinematics_axes_run(rthyb_kinematics *s, const double *pose, double *axis_m, size_t n)
 {
     int code = RTHYB_OK;

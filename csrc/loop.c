@@ -34,8 +34,14 @@ size_t rthyb_loop_size(void)
 
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
 {
-    *loop = (rthyb_loop){.cfg = *cfg, .delay = -1};
-    int error = rthyb_calibration_check(&cfg->calibration);
+    memset(loop, 0, sizeof *loop);
+    loop->cfg = *cfg;
+    loop->axis_count = cfg->station->cfg.controller.axis_count;
+    int error = 0;
+    for (int i = 0; i < loop->axis_count; i++) {
+        loop->way[i].delay = -1;
+        error = error ? error : rthyb_calibration_check(&cfg->axis[i].calibration);
+    }
     if (!error && cfg->clock == RTHYB_CLOCK_LINK)
         error = rthyb_phase_init(&loop->phase, cfg->lead_ns);
     return error ? error : rthyb_ticker_init(&loop->ticker, cfg->clock, 0);
@@ -98,19 +104,24 @@ static void hand_over(rthyb_loop *loop, const rthyb_station *next)
     const rthyb_station *last = loop->cfg.station;
     loop->taken_over = last->seen && !next->seen;
     loop->offered = (last->seen || loop->offered) && !next->seen;
-    loop->beyond = 0;
-    if (!last->seen)
-        return;
-    loop->taken_cmd_m = last->controller.x_cmd + last->axis[0].tare_cmd;
-    loop->offered_x_m = last->axis[0].seen_x;
+    for (int i = 0; i < loop->axis_count; i++) {
+        rthyb_loop_way *way = &loop->way[i];
+        way->beyond = 0;
+        if (!last->seen)
+            continue;
+        way->taken_cmd_m = last->controller.axis[i].x_cmd + last->axis[i].tare_cmd;
+        way->offered_x_m = last->axis[i].seen_x;
+    }
 }
 
-void rthyb_loop_go_on(rthyb_loop *loop, double x_cmd_m, double x_m, uint32_t seq)
+void rthyb_loop_go_on(rthyb_loop *loop, const rthyb_last_command *last)
 {
-    loop->cfg.wire->seq = seq;
     loop->offered = 1;
-    loop->taken_cmd_m = x_cmd_m;
-    loop->offered_x_m = x_m;
+    for (int i = 0; i < loop->axis_count; i++) {
+        loop->cfg.axis[i].wire->seq = last[i].seq;
+        loop->way[i].taken_cmd_m = last[i].x_cmd_m;
+        loop->way[i].offered_x_m = last[i].x_m;
+    }
 }
 
 static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
@@ -120,7 +131,8 @@ static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
         return;
     const rthyb_load *load = &loop->load;
     const int another = load->station != loop->cfg.station;
-    const int refused = another && loop->cfg.station->state != RTHYB_IDLE;
+    const int refused = another && (loop->cfg.station->state != RTHYB_IDLE ||
+                                    load->station->cfg.controller.axis_count != loop->axis_count);
     if (!refused) {
         if (another) {
             put(&loop->load_tick, tick->k - tick->skipped);
@@ -188,104 +200,161 @@ static int is_punctual(const rthyb_loop *loop, const rthyb_tick *tick)
     return !timeless && !tick->skipped && tick->woken_ns - tick->due_ns < HALF_PERIOD_NS;
 }
 
-static void know_offset(rthyb_loop *loop, int64_t offset)
+static void know_offset(rthyb_loop_way *way, int64_t offset)
 {
-    loop->offset = loop->offset_seen = offset;
-    loop->offset_known = 1;
-    loop->votes = 0;
-    memset(loop->vote_map, 0, sizeof loop->vote_map);
+    way->offset = way->offset_seen = offset;
+    way->offset_known = 1;
+    way->votes = 0;
+    memset(way->vote_map, 0, sizeof way->vote_map);
 }
 
 /* Keeps the votes of the last RTHYB_SLIP_WINDOW ticks that had one. */
-static void vote(rthyb_loop *loop, int for_it)
+static void vote(rthyb_loop_way *way, int for_it)
 {
-    uint64_t *word = &loop->vote_map[(loop->voted / 64) % (RTHYB_SLIP_WINDOW / 64)];
-    const uint64_t bit = (uint64_t)1 << (loop->voted % 64);
-    loop->votes += for_it - ((*word & bit) != 0);
+    uint64_t *word = &way->vote_map[(way->voted / 64) % (RTHYB_SLIP_WINDOW / 64)];
+    const uint64_t bit = (uint64_t)1 << (way->voted % 64);
+    way->votes += for_it - ((*word & bit) != 0);
     *word = for_it ? *word | bit : *word & ~bit;
-    loop->voted++;
+    way->voted++;
 }
 
 /* The two clocks against each other; 1 for a slip. A lost or a late pair changes nothing. Where a
  * sample arrives as the tick is due, jitter decides on which side it falls, now here, now there: a
  * slip is one that a clear majority of the last ticks has seen. */
-static int has_slipped(rthyb_loop *loop, const rthyb_feedback *feedback, uint64_t k, uint32_t age)
+static int has_slipped(rthyb_loop *loop, rthyb_loop_way *way, const rthyb_feedback *feedback,
+                       uint64_t k, uint32_t age)
 {
     const int64_t offset = (int64_t)(feedback->samples - k);
-    if (!loop->offset_known || age >= RESYNC_AGE) {
-        know_offset(loop, offset);
+    if (!way->offset_known || age >= RESYNC_AGE) {
+        know_offset(way, offset);
     } else {
-        if (loop->votes == 0)
-            loop->offset_seen = offset;
-        vote(loop, offset != loop->offset && offset == loop->offset_seen);
+        if (way->votes == 0)
+            way->offset_seen = offset;
+        vote(way, offset != way->offset && offset == way->offset_seen);
     }
-    if (loop->votes < RTHYB_SLIP_VOTES)
+    if (way->votes < RTHYB_SLIP_VOTES)
         return 0;
-    know_offset(loop, loop->offset_seen);
+    know_offset(way, way->offset_seen);
     add(&loop->counters.slips, 1);
     return 1;
 }
 
+/* What a tick finds of one axis, */
 typedef struct {
     rthyb_feedback feedback;
-    int lost, slipped;
+    int lost;
 } arrival;
 
+/* and of all of them. */
+typedef struct {
+    arrival axis[RTHYB_COUPLED_MAX];
+    int slipped, apart;
+} arrivals;
+
 /* What came at this instant or before it. */
-static void take_in(rthyb_loop *loop, int64_t now_ns)
+static void take_in(rthyb_loop *loop, int axis, int64_t now_ns)
 {
-    const uint64_t pairs = peek(&loop->cfg.wire->counters.pairs);
-    rthyb_link_drain(loop->cfg.link, loop->cfg.wire);
-    if (peek(&loop->cfg.wire->counters.pairs) != pairs)
-        loop->arrived_ns = now_ns;
+    const rthyb_loop_axis *at = &loop->cfg.axis[axis];
+    const uint64_t pairs = peek(&at->wire->counters.pairs);
+    rthyb_link_drain(at->link, at->wire);
+    if (peek(&at->wire->counters.pairs) != pairs)
+        loop->way[axis].arrived_ns = now_ns;
+}
+
+static int is_at_rest(const rthyb_station *s)
+{
+    return s->state == RTHYB_IDLE || s->state == RTHYB_ZEROED || s->state == RTHYB_ARMED;
 }
 
 /* A drive that acts on old commands is as good as out of reach, however fresh its readings are. One that
  * hears none says so before: its own watchdog is the shorter. What is usual is what was so at rest. */
-static int is_belated(rthyb_loop *loop, const rthyb_feedback *feedback)
+static int is_belated(const rthyb_loop *loop, rthyb_loop_way *way, const rthyb_feedback *feedback)
 {
-    const int32_t state = loop->cfg.station->state;
     if (feedback->delay < 0)
         return 0;
-    if (state == RTHYB_IDLE || state == RTHYB_ZEROED || state == RTHYB_ARMED) {
-        loop->usual_delay = feedback->delay;
+    if (is_at_rest(loop->cfg.station)) {
+        way->usual_delay = feedback->delay;
         return 0;
     }
-    return feedback->delay - loop->usual_delay >= STALE_ECHO;
+    return feedback->delay - way->usual_delay >= STALE_ECHO;
 }
 
-static void take_feedback(rthyb_loop *loop, const rthyb_tick *tick, arrival *found)
+static void take_axis(rthyb_loop *loop, int axis, const rthyb_tick *tick, arrivals *all)
 {
-    const uint32_t age = loop->cfg.wire->age;
-    take_in(loop, tick->woken_ns);
-    found->lost = rthyb_wire_take(loop->cfg.wire, &found->feedback);
-    found->slipped = 0;
+    rthyb_loop_way *way = &loop->way[axis];
+    arrival *found = &all->axis[axis];
+    const uint32_t age = loop->cfg.axis[axis].wire->age;
+    take_in(loop, axis, tick->woken_ns);
+    found->lost = rthyb_wire_take(loop->cfg.axis[axis].wire, &found->feedback);
     if (found->lost)
         return;
-    put_signed(&loop->delay, found->feedback.delay);
-    if (is_belated(loop, &found->feedback)) {
+    put_signed(&way->delay, found->feedback.delay);
+    if (is_belated(loop, way, &found->feedback)) {
         add(&loop->counters.belated, 1);
         found->lost = RTHYB_LOST;
         return;
     }
     if (is_punctual(loop, tick))
-        found->slipped = has_slipped(loop, &found->feedback, tick->k, age);
+        all->slipped |= has_slipped(loop, way, &found->feedback, tick->k, age);
 }
 
-static int send_command(rthyb_loop *loop, const rthyb_station_output *out)
+/* Whether the counts of two drives have come apart by more than one sample since they were at rest: one of them
+ * has lost samples, or runs by another clock. A tick in which an axis has no pair says nothing of it. */
+static int are_apart(rthyb_loop *loop, const arrivals *all)
 {
+    int64_t least = INT64_MAX, most = INT64_MIN;
+    int whole = 1;
+    for (int i = 0; i < loop->axis_count; i++)
+        whole = whole && !all->axis[i].lost;
+    for (int i = 0; i < loop->axis_count && whole; i++) {
+        const int64_t own = (int64_t)all->axis[i].feedback.samples;
+        const int64_t first = (int64_t)all->axis[0].feedback.samples;
+        if (is_at_rest(loop->cfg.station))
+            loop->way[i].abreast = own - first;
+        const int64_t ahead = own - first - loop->way[i].abreast;
+        least = ahead < least ? ahead : least;
+        most = ahead > most ? ahead : most;
+    }
+    loop->apart = whole ? most - least > 1 : loop->apart;
+    return loop->apart;
+}
+
+static void take_feedback(rthyb_loop *loop, const rthyb_tick *tick, arrivals *all)
+{
+    all->slipped = all->apart = 0;
+    for (int i = 0; i < loop->axis_count; i++)
+        take_axis(loop, i, tick, all);
+    if (loop->axis_count > 1)
+        all->apart = are_apart(loop, all);
+}
+
+static int send_command(rthyb_loop *loop, int axis, const rthyb_station_output *out)
+{
+    const rthyb_loop_axis *at = &loop->cfg.axis[axis];
+    rthyb_loop_way *way = &loop->way[axis];
     rthyb_frame frame;
     double sent_m = 0.0;
-    const double wanted_m =
-        command_for_wire(&loop->cfg.wire->codec, &loop->cfg.calibration, &out->axis[0]);
-    const int nowhere = isnan(wanted_m) && isfinite(out->axis[0].x_cmd_m);
-    const int code = rthyb_wire_command(loop->cfg.wire, wanted_m, out->told, &frame, &sent_m);
-    loop->beyond = nowhere || (code & RTHYB_S_OUT_OF_RANGE);
-    add(&loop->counters.beyond, (uint64_t)loop->beyond);
-    const int sent = !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->cfg.link, &frame);
-    note_command(loop->cfg.station, &loop->cfg.calibration, sent, sent_m);
+    const double wanted_m = command_for_wire(&at->wire->codec, &at->calibration, &out->axis[axis]);
+    const int nowhere = isnan(wanted_m) && isfinite(out->axis[axis].x_cmd_m);
+    const int code = rthyb_wire_command(at->wire, wanted_m, out->told, &frame, &sent_m);
+    way->beyond = nowhere || (code & RTHYB_S_OUT_OF_RANGE);
+    add(&loop->counters.beyond, (uint64_t)way->beyond);
+    const int sent = !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(at->link, &frame);
+    note_command(loop->cfg.station, axis, &at->calibration, sent, sent_m);
     add(sent ? &loop->counters.sent : &loop->counters.not_sent, 1);
     return sent;
+}
+
+/* Flags of what did not leave. */
+static uint32_t send_commands(rthyb_loop *loop, const rthyb_station_output *out)
+{
+    uint32_t unsent = 0;
+    for (int i = 0; i < loop->axis_count; i++) {
+        const int sent = !out->send || send_command(loop, i, out);
+        loop->way[i].unsent = sent ? 0 : loop->way[i].unsent + 1;
+        unsent |= sent ? 0u : unsent_flag(i, loop->axis_count);
+    }
+    return unsent;
 }
 
 static int32_t short_ns(int64_t ns)
@@ -293,7 +362,7 @@ static int32_t short_ns(int64_t ns)
     return ns > INT32_MAX ? INT32_MAX : (int32_t)ns;
 }
 
-static void complete(rthyb_loop *loop, const rthyb_tick *tick, const arrival *found)
+static void complete(rthyb_loop *loop, const rthyb_tick *tick, const arrivals *found)
 {
     rthyb_record *last = &loop->records[loop->record_count - 1];
     for (uint32_t i = 0; i < loop->record_count; i++) {
@@ -302,27 +371,28 @@ static void complete(rthyb_loop *loop, const rthyb_tick *tick, const arrival *fo
         record->due_ns = rthyb_ticker_due_ns(&loop->ticker, k) - loop->ticker.t0_ns;
     }
     last->wake_late_ns = short_ns(tick->woken_ns - tick->due_ns);
-    last->axis[0].echo = (uint16_t)found->feedback.echo;
-    last->axis[0].count = (uint16_t)found->feedback.count;
+    for (int i = 0; i < loop->axis_count; i++) {
+        last->axis[i].echo = (uint16_t)found->axis[i].feedback.echo;
+        last->axis[i].count = (uint16_t)found->axis[i].feedback.count;
+    }
     last->flags |= found->slipped ? (uint32_t)RTHYB_F_SLIP : 0u;
 }
 
-static void note_sent(rthyb_loop *loop, const rthyb_tick *tick, int sent)
+static void note_sent(rthyb_loop *loop, const rthyb_tick *tick, uint32_t unsent)
 {
     rthyb_record *record = &loop->records[loop->record_count - 1];
-    const uint32_t flag = RTHYB_F_NOT_SENT;
-    record->flags = sent ? record->flags & ~flag : record->flags | flag;
-    if (!sent || loop->ticker.clock == RTHYB_CLOCK_STEPPED)
+    record->flags = (record->flags & ~UNSENT_FLAGS) | unsent;
+    if (unsent || loop->ticker.clock == RTHYB_CLOCK_STEPPED)
         return;
     const int64_t now_ns = rthyb_now_ns();
     record->sent_late_ns = short_ns(now_ns - tick->due_ns);
     rthyb_latency_record(&loop->sent, now_ns - tick->woken_ns);
 }
 
-static void follow_drive(rthyb_loop *loop, const rthyb_tick *tick, const arrival *found)
+static void follow_drive(rthyb_loop *loop, const rthyb_tick *tick, const arrivals *found)
 {
-    const int came = !found->lost && is_punctual(loop, tick) && !loop->overheard;
-    const double after_due_ns = (double)(loop->arrived_ns - tick->due_ns);
+    const int came = !found->axis[0].lost && is_punctual(loop, tick) && !loop->overheard;
+    const double after_due_ns = (double)(loop->way[0].arrived_ns - tick->due_ns);
     rthyb_phase *phase = &loop->phase;
     rthyb_ticker_trim(&loop->ticker, rthyb_phase_step(phase, came, after_due_ns));
     put_signed(&loop->arrival_error_ns, llrint(phase->error_ns));
@@ -350,36 +420,48 @@ static void publish(rthyb_loop *loop)
         return;
     /* Of what was slept through nobody knows more than its record. */
     const uint32_t last = loop->record_count - 1;
-    rthyb_ring_push_run(loop->cfg.ring, loop->records, last, NULL);
+    for (uint32_t i = 0; i < last; i++)
+        rthyb_ring_push(loop->cfg.ring, &loop->records[i], NULL);
     rthyb_ring_push(loop->cfg.ring, &loop->records[last], loop->cfg.station->channel);
 }
 
 /* Also if it was down and is back already: between two ticks, a lot can happen to a plug. And if it took
  * no command for as long as the drive's own watchdog waits: a drive that cannot say so has stopped. */
-static int is_down(rthyb_loop *loop)
+static int is_down(rthyb_loop *loop, int axis)
 {
-    const uint64_t times = peek(&loop->cfg.link->counters.times_down);
-    const int again = times != loop->downs_seen || loop->unsent >= RTHYB_DRIVE_WATCHDOG;
-    loop->downs_seen = times;
-    return again || peek(&loop->cfg.link->down) != RTHYB_LINK_UP;
+    const rthyb_link *link = loop->cfg.axis[axis].link;
+    rthyb_loop_way *way = &loop->way[axis];
+    const uint64_t times = peek(&link->counters.times_down);
+    const int again = times != way->downs_seen || way->unsent >= RTHYB_DRIVE_WATCHDOG;
+    way->downs_seen = times;
+    return again || peek(&link->down) != RTHYB_LINK_UP;
 }
 
-/* Whether the station is to go on with the command that the drive has. Until a reading is good enough for
+/* Whether the station is to go on with the commands that the drives have. Until the readings are good enough for
  * it nothing is sent: a drive that stops, or moves, meanwhile has that command no more. */
-static int takes_over(rthyb_loop *loop, const arrival *found, double x_m, int stopped)
+static int takes_over(rthyb_loop *loop, const arrivals *found, const rthyb_station_input *in)
 {
-    const int still = fabs(x_m - loop->offered_x_m) <= loop->cfg.station->cfg.axis[0].rest_spread_m;
-    const int elsewhere = !found->lost && !loop->taken_over && !still;
+    int stopped = 0, elsewhere = 0, lost = 0;
+    for (int i = 0; i < loop->axis_count; i++) {
+        const double away = in->axis[i].x_m - loop->way[i].offered_x_m;
+        const int still = fabs(away) <= loop->cfg.station->cfg.axis[i].rest_spread_m;
+        stopped |= in->axis[i].drive_stopped;
+        elsewhere |= !found->axis[i].lost && !loop->taken_over && !still;
+        lost |= found->axis[i].lost;
+    }
     loop->offered = loop->offered && !loop->cfg.station->seen && !stopped && !elsewhere;
-    return !found->lost && (loop->taken_over || loop->offered);
+    return !lost && (loop->taken_over || loop->offered);
 }
 
-static void note_delay(rthyb_loop *loop, const arrival *found)
+static void note_delays(rthyb_loop *loop, const arrivals *found)
 {
-    const int32_t delay = found->feedback.delay, most = RTHYB_LINK_DELAYS - 1;
+    const int32_t most = RTHYB_LINK_DELAYS - 1;
     const int running = loop->records[loop->record_count - 1].state == RTHYB_RUNNING;
-    if (running && !found->lost && delay >= 0)
-        add(&loop->delays[delay < most ? delay : most], 1);
+    for (int i = 0; i < loop->axis_count && running; i++) {
+        const int32_t delay = found->axis[i].feedback.delay;
+        if (!found->axis[i].lost && delay >= 0)
+            add(&loop->delays[delay < most ? delay : most], 1);
+    }
 }
 
 /* Ticks that the station has to be told of as skipped. The clock of the ticks stands still while the PC is
@@ -395,34 +477,46 @@ static uint32_t skipped_ticks(rthyb_loop *loop, const rthyb_tick *tick)
     return skipped < UINT32_MAX ? (uint32_t)skipped : UINT32_MAX;
 }
 
-static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint64_t mail,
-                                  arrival *found)
+static rthyb_axis_input gather_axis(rthyb_loop *loop, int axis, const arrival *found)
 {
-    take_feedback(loop, tick, found);
-    const int stopped = (found->feedback.status & RTHYB_DEVICE_STOPPED) != 0;
-    const int down = is_down(loop);
-    const double x_m = calibrated_x(&loop->cfg.calibration, found->feedback.x_m);
+    const rthyb_calibration *calibration = &loop->cfg.axis[axis].calibration;
+    return (rthyb_axis_input){
+        .x_m = calibrated_x(calibration, found->feedback.x_m),
+        .f_n = calibrated_f(calibration, found->feedback.f_n),
+        .x_cmd_m = loop->way[axis].taken_cmd_m,
+        .lost = found->lost,
+        .link_down = is_down(loop, axis),
+        .drive_stopped = (found->feedback.status & RTHYB_DEVICE_STOPPED) != 0,
+        .beyond = loop->way[axis].beyond,
+    };
+}
+
+static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint64_t mail,
+                                  arrivals *found)
+{
     const int waiting = mail >> COMMAND_BITS != loop->answer >> COMMAND_BITS;
+    int down = 0, stopped = 0;
+    rthyb_station_input in = {
+        .command = waiting ? (int32_t)(mail & ((1u << COMMAND_BITS) - 1u)) : RTHYB_CMD_NONE,
+    };
+    take_feedback(loop, tick, found);
+    for (int i = 0; i < loop->axis_count; i++) {
+        in.axis[i] = gather_axis(loop, i, &found->axis[i]);
+        down |= in.axis[i].link_down;
+        stopped |= in.axis[i].drive_stopped;
+    }
     add(&loop->counters.down, (uint64_t)down);
     add(&loop->counters.stopped, (uint64_t)stopped);
-    return (rthyb_station_input){
-        .axis = {{.x_m = x_m,
-                  .f_n = calibrated_f(&loop->cfg.calibration, found->feedback.f_n),
-                  .x_cmd_m = loop->taken_cmd_m}},
-        .lost = found->lost,
-        .skipped = skipped_ticks(loop, tick),
-        .command = waiting ? (int32_t)(mail & ((1u << COMMAND_BITS) - 1u)) : RTHYB_CMD_NONE,
-        .link_down = down,
-        .drive_stopped = stopped,
-        .heartbeat_late = heartbeat_late(loop, 1 + tick->skipped),
-        .beyond = loop->beyond,
-        .taken_over = takes_over(loop, found, x_m, stopped),
-    };
+    in.skipped = skipped_ticks(loop, tick);
+    in.heartbeat_late = heartbeat_late(loop, 1 + tick->skipped);
+    in.apart = found->apart;
+    in.taken_over = takes_over(loop, found, &in);
+    return in;
 }
 
 static void execute(rthyb_loop *loop, const rthyb_tick *tick)
 {
-    arrival found;
+    arrivals found;
     rthyb_station_output out;
     take_load(loop, tick);
     take_parameters(loop);
@@ -433,11 +527,10 @@ static void execute(rthyb_loop *loop, const rthyb_tick *tick)
     loop->record_count = out.records;
     loop->taken_over = 0;
     complete(loop, tick, &found);
-    note_delay(loop, &found);
-    const int sent = !out.send || send_command(loop, &out);
-    loop->unsent = sent ? 0 : loop->unsent + 1;
+    note_delays(loop, &found);
+    const uint32_t unsent = send_commands(loop, &out);
     if (out.send)
-        note_sent(loop, tick, sent);
+        note_sent(loop, tick, unsent);
     rthyb_station_advance(loop->cfg.station);
     if (loop->ticker.clock == RTHYB_CLOCK_LINK)
         follow_drive(loop, tick, &found);
@@ -454,17 +547,17 @@ void rthyb_loop_step(rthyb_loop *loop)
 
 /* ---- its thread ------------------------------------------------------------------------------- */
 
-/* Until the tick is due: takes in what comes, and notes when. A link that babbles wakes it so many
+/* Until the tick is due: takes in what comes of the first axis, whose drive the ticks follow, and notes when. A link that babbles wakes it so many
  * times and no more; what it brings after that has no stamp. */
 static void listen(rthyb_loop *loop)
 {
     loop->overheard = 0;
     const int64_t due_ns = rthyb_ticker_due_ns(&loop->ticker, loop->ticker.elapsed);
     for (int i = 0; i < RTHYB_WAKE_UPS_MAX; i++) {
-        if (!rthyb_link_wait(loop->cfg.link, due_ns - rthyb_now_ns()))
+        if (!rthyb_link_wait(loop->cfg.axis[0].link, due_ns - rthyb_now_ns()))
             return;
         add(&loop->counters.wake_ups, 1);
-        take_in(loop, rthyb_now_ns());
+        take_in(loop, 0, rthyb_now_ns());
     }
     loop->overheard = 1;
 }
@@ -477,16 +570,23 @@ static int wait_for_tick(rthyb_loop *loop, rthyb_tick *tick)
 }
 
 /* A packet that came in part goes on: its rest shall not count as damage. */
-void rthyb_loop_drop_old(rthyb_loop *loop)
+static void drop_old(rthyb_loop *loop, int axis)
 {
     rthyb_frame frame, packet;
-    const int serial = loop->cfg.wire->codec.format == RTHYB_WIRE_SERIAL;
-    for (int i = 0; i < RTHYB_OLD_PIECES_MAX && rthyb_link_receive(loop->cfg.link, &frame); i++) {
-        for (int32_t at = 0; serial && at < frame.length; at++)
-            (void)rthyb_deframer_byte(&loop->cfg.wire->deframer, frame.data[at], &packet);
+    const rthyb_loop_axis *at = &loop->cfg.axis[axis];
+    const int serial = at->wire->codec.format == RTHYB_WIRE_SERIAL;
+    for (int i = 0; i < RTHYB_OLD_PIECES_MAX && rthyb_link_receive(at->link, &frame); i++) {
+        for (int32_t k = 0; serial && k < frame.length; k++)
+            (void)rthyb_deframer_byte(&at->wire->deframer, frame.data[k], &packet);
         add(&loop->counters.old, 1);
     }
-    loop->downs_seen = peek(&loop->cfg.link->counters.times_down);
+    loop->way[axis].downs_seen = peek(&at->link->counters.times_down);
+}
+
+void rthyb_loop_drop_old(rthyb_loop *loop)
+{
+    for (int i = 0; i < loop->axis_count; i++)
+        drop_old(loop, i);
 }
 
 /* The first tick is one like all others: what it takes came just before it. */
@@ -535,34 +635,37 @@ int rthyb_loop_start(rthyb_loop *loop, int32_t priority, int32_t cpu, int32_t la
     return error;
 }
 
-static int ended_at_rest(const rthyb_station *s)
-{
-    return s->seen &&
-           (s->state == RTHYB_IDLE || s->state == RTHYB_ZEROED || s->state == RTHYB_ARMED);
-}
-
-int rthyb_loop_last(const rthyb_loop *loop, double *x_cmd_m, double *x_m, uint32_t *seq)
+int rthyb_loop_last(const rthyb_loop *loop, rthyb_last_command *last)
 {
     const rthyb_station *s = loop->cfg.station;
-    *x_cmd_m = s->controller.x_cmd + s->axis[0].tare_cmd;
-    *x_m = s->axis[0].seen_x;
-    *seq = loop->cfg.wire->seq;
-    return ended_at_rest(s);
+    for (int i = 0; i < loop->axis_count; i++)
+        last[i] = (rthyb_last_command){
+            .x_cmd_m = s->controller.axis[i].x_cmd + s->axis[i].tare_cmd,
+            .x_m = s->axis[i].seen_x,
+            .seq = loop->cfg.axis[i].wire->seq,
+        };
+    return s->seen && is_at_rest(s);
+}
+
+/* What has left once is on a value of the wire. */
+static int take_leave(const rthyb_loop *loop, int axis)
+{
+    const rthyb_station *s = loop->cfg.station;
+    const rthyb_loop_axis *at = &loop->cfg.axis[axis];
+    rthyb_frame frame;
+    double sent_m;
+    const double wire_m =
+        command_to_wire(&at->calibration, s->controller.axis[axis].x_cmd + s->axis[axis].tare_cmd);
+    const int code = rthyb_wire_command(at->wire, wire_m, RTHYB_TOLD_LEAVING, &frame, &sent_m);
+    return !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(at->link, &frame);
 }
 
 int rthyb_loop_leave(rthyb_loop *loop)
 {
-    const rthyb_station *s = loop->cfg.station;
-    if (!ended_at_rest(s))
-        return 0;
-    /* What has left once is on a value of the wire. */
-    rthyb_frame frame;
-    double sent_m;
-    const double wire_m =
-        command_to_wire(&loop->cfg.calibration, s->controller.x_cmd + s->axis[0].tare_cmd);
-    const int code =
-        rthyb_wire_command(loop->cfg.wire, wire_m, RTHYB_TOLD_LEAVING, &frame, &sent_m);
-    return !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(loop->cfg.link, &frame);
+    int sent = loop->cfg.station->seen && is_at_rest(loop->cfg.station);
+    for (int i = 0; i < loop->axis_count && sent; i++)
+        sent = take_leave(loop, i);
+    return sent;
 }
 
 int rthyb_loop_join(rthyb_loop *loop)
@@ -585,8 +688,9 @@ void rthyb_loop_look(const rthyb_loop *loop, rthyb_loop_view *view)
         .arrival_error_ns = peek_signed(&loop->arrival_error_ns),
         .trim_ppb = peek_signed(&loop->trim_ppb),
         .locked = peek(&loop->locked),
-        .delay = peek_signed(&loop->delay),
     };
+    for (int i = 0; i < RTHYB_COUPLED_MAX; i++)
+        view->delay[i] = i < loop->axis_count ? peek_signed(&loop->way[i].delay) : -1;
 }
 
 const rthyb_loop_counters *rthyb_loop_counted(const rthyb_loop *loop)

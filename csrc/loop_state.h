@@ -16,23 +16,37 @@ typedef struct {
 void rthyb_handover_write(rthyb_handover *handover, const rthyb_parameters *parameters);
 int rthyb_handover_read(rthyb_handover *handover, rthyb_parameters *parameters);
 
+/* What the tick keeps of one axis. */
+typedef struct {
+    int64_t delay;       /* as in rthyb_feedback, of the last fresh pair; for any thread */
+    int32_t usual_delay; /* the same at rest, before the test */
+    uint32_t unsent;     /* commands in a row that the link did not take */
+    int64_t arrived_ns;  /* when the newest pair did, on CLOCK_MONOTONIC */
+    uint64_t downs_seen; /* of the link's times_down */
+    int64_t offset;      /* drive's count - tick */
+    int64_t offset_seen; /* another one, and in which of the last ticks */
+    int64_t abreast;     /* the offset at rest: from there on counts may not come apart */
+    uint64_t vote_map[RTHYB_SLIP_WINDOW / 64];
+    uint64_t voted; /* ticks that had a say */
+    int32_t offset_known, votes;
+    double taken_cmd_m, offered_x_m; /* what another one told it last, and where it stood then */
+    int32_t beyond;                  /* the wire could not hold the last command */
+} rthyb_loop_way;
+
 struct rthyb_loop {
     rthyb_loop_config cfg; /* as it was given, but for what a load has put in its place */
+    int32_t axis_count;
     rthyb_ticker ticker;
-    rthyb_latency sent; /* host clock: from wake-up to the command being sent */
+    rthyb_latency sent; /* host clock: from wake-up to the commands being sent */
     rthyb_loop_counters counters;
     rthyb_record records[RTHYB_BLIND_MAX + 1]; /* of the last tick, record_count of them */
     uint32_t record_count;
-    int64_t delay;                      /* as in rthyb_feedback, of the last fresh pair */
-    int32_t usual_delay;                /* the same at rest, before the test */
-    uint32_t unsent;                    /* commands in a row that the link did not take */
-    uint64_t delays[RTHYB_LINK_DELAYS]; /* fresh pairs of RUNNING by that delay; for any thread */
+    uint64_t delays[RTHYB_LINK_DELAYS]; /* fresh pairs of RUNNING by their delay; for any thread */
     /* The same as words that any thread may read. */
     uint64_t state, cause, cause_tick;
     /* Of the link clock, to be read by any thread: error of the arrival, trim in parts per 1e9. */
     int64_t arrival_error_ns, trim_ppb;
     uint64_t locked;
-    int64_t arrived_ns; /* when the newest pair did, on CLOCK_MONOTONIC */
     rthyb_phase phase;
     rthyb_handover handover;
     uint32_t generation; /* of the last set that was published */
@@ -43,22 +57,16 @@ struct rthyb_loop {
     uint64_t loads, load_answer; /* generation of the load; what became of it: << 1 | refused */
     uint64_t load_tick; /* of the loop: where tick 0 of the station is that was taken last */
     uint64_t heartbeat, heard, silence; /* word of the other side, last seen, ticks since */
-    uint64_t downs_seen;                /* of the link's times_down */
-    int64_t offset;                     /* drive's count - tick */
-    int64_t offset_seen;                /* another one, and in which of the last ticks */
-    uint64_t vote_map[RTHYB_SLIP_WINDOW / 64];
-    uint64_t voted; /* ticks that had a say */
-    int32_t offset_known, votes;
-    int32_t taken_over; /* the station has not ticked yet, and another one's last command was: */
-    double taken_cmd_m;
-    int32_t offered; /* taken_cmd_m, to the first sound reading, as long as the drive reads: */
-    double offered_x_m;
-    int32_t beyond;    /* the wire could not hold the last command */
+    int32_t taken_over; /* the station has not ticked yet, and another one's last command was */
+    int32_t
+        offered; /* taken_cmd_m, to the first sound reading, as long as the drives read offered_x_m */
+    int32_t apart;     /* the drives' counts are, by the last tick that had them all */
     int32_t overheard; /* link clock: more came before this tick than it listens to */
     int32_t priority, cpu, latency_fd; /* of the thread, as in rthyb_thread_become_real_time */
     uint32_t privileges;               /* obtained: enum rthyb_privilege */
     rthyb_usage usage;                 /* of the thread, from the first tick to the last */
     uint64_t thread;
+    rthyb_loop_way way[RTHYB_COUPLED_MAX];
 };
 
 #endif

@@ -210,20 +210,30 @@ static void learn(rthyb_matrix_rfc *s)
         }
 }
 
-int rthyb_matrix_rfc_step(rthyb_matrix_rfc *s, const double *x_c, const double *v_c,
-                          const double *x_m, const double *f, int frozen, double *force)
+/* Newest inputs, and what x_c - x_m comes to behind its low-pass. */
+static int take_in(rthyb_matrix_rfc *s, const double *x_c, const double *x_m, const double *f,
+                   double *apart)
 {
     int code = RTHYB_OK;
-    const int n = s->cfg.size;
-    double apart[MOST] = {0.0};
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < s->cfg.size; i++) {
         s->c1[i] = accept(x_c[i], RTHYB_DISPLACEMENT_MAX_M, s->c1[i], &code);
-        s->v1[i] = accept(v_c[i], VELOCITY_MAX, s->v1[i], &code);
         s->x1[i] = accept(x_m[i], RTHYB_DISPLACEMENT_MAX_M, s->x1[i], &code);
         s->f1[i] = accept(f[i], RTHYB_FORCE_MAX_N, s->f1[i], &code);
         apart[i] = s->c1[i] - s->x1[i];
         if (s->cfg.cutoff_hz > 0.0)
             apart[i] = lowpass_step(&s->filter, s->filter_s[i], apart[i]);
+    }
+    return code;
+}
+
+int rthyb_matrix_rfc_step(rthyb_matrix_rfc *s, const double *x_c, const double *v_c,
+                          const double *x_m, const double *f, int frozen, double *force)
+{
+    const int n = s->cfg.size;
+    double apart[MOST] = {0.0};
+    int code = take_in(s, x_c, x_m, f, apart);
+    for (int i = 0; i < n; i++) {
+        s->v1[i] = accept(v_c[i], VELOCITY_MAX, s->v1[i], &code);
         apart[i] += s->cfg.lateness_s * s->v1[i];
     }
     if (!frozen && code == RTHYB_OK)
@@ -234,6 +244,13 @@ int rthyb_matrix_rfc_step(rthyb_matrix_rfc *s, const double *x_c, const double *
             force[i] += s->k[i][j] * apart[j];
     }
     return code;
+}
+
+void rthyb_matrix_rfc_follow(rthyb_matrix_rfc *s, const double *x_c, const double *x_m,
+                             const double *f)
+{
+    double apart[MOST] = {0.0};
+    (void)take_in(s, x_c, x_m, f, apart);
 }
 
 int rthyb_matrix_rfc_run(rthyb_matrix_rfc *s, const double *x_c, const double *v_c,

@@ -12,6 +12,7 @@
  * left. */
 #include <string.h>
 
+#include "factored.h"
 #include "numeric.h"
 #include "numerical.h"
 
@@ -152,14 +153,15 @@ static int config_error(config *c)
     if (!sizes_ok(c) || !integrator_ok(c))
         return RTHYB_E_MOTION;
     const size_t n = (size_t)c->size, m = (size_t)c->interfaces, r = (size_t)c->modes;
-    const int matrices_ok = symmetric_ok(&c->mass_kg, c->size) &&
-                            symmetric_ok(&c->stiffness_n_per_m, c->size) &&
-                            (!c->damped || symmetric_ok(&c->damping_n_s_per_m, c->size)) &&
-                            symmetric_ok(&c->factor, c->size);
+    const int matrices_ok =
+        symmetric_ok(&c->mass_kg, c->size) && symmetric_ok(&c->stiffness_n_per_m, c->size) &&
+        (!c->damped || symmetric_ok(&c->damping_n_s_per_m, c->size)) &&
+        symmetric_ok(&c->factor, c->size) && panels_ok(&c->factor, c->size, c->panel, c->panels);
     const int vectors_ok = numbers_ok(c->modal, n * r) && numbers_ok(c->modal_solved, n * r) &&
                            numbers_ok(c->modal_inner, r * r) && numbers_ok(c->load_kg, n) &&
-                           numbers_ok(c->k_e_n_per_m, m) && numbers_ok(c->by_force, n * m) &&
-                           numbers_ok(c->first_by_force, n * m) &&
+                           numbers_ok(c->k_e_n_per_m, m) &&
+                           (!c->k_e_between || numbers_ok(c->k_e_between, m * m)) &&
+                           numbers_ok(c->by_force, n * m) && numbers_ok(c->first_by_force, n * m) &&
                            numbers_ok(c->by_excitation, n) && numbers_ok(c->first_by_excitation, n);
     const int rest_ok = fabs(c->by_mass_per_s) <= 1e9 && fabs(c->by_stiffness_s) <= 1e9 &&
                         rows_ok(&c->interface, c->interfaces, c->size) && joints_ok(c) &&
@@ -210,29 +212,12 @@ static void add_row(const rthyb_rows *rows, int32_t row, double by, double *x)
         x[rows->at[k]] += by * rows->weight[k];
 }
 
-static void solve_factored(const rthyb_symmetric *l, int32_t n, double *restrict y)
-{
-    const int32_t *restrict start = l->start, *restrict at = l->at;
-    const double *restrict value = l->value;
-    for (int32_t j = 0; j < n; j++) {
-        const double yj = y[j];
-        for (int32_t k = start[j]; k < start[j + 1]; k++)
-            y[at[k]] -= value[k] * yj;
-    }
-    for (int32_t j = n; j-- > 0;) {
-        double sum = y[j] * l->diagonal[j];
-        for (int32_t k = start[j]; k < start[j + 1]; k++)
-            sum -= value[k] * y[at[k]];
-        y[j] = sum;
-    }
-}
-
 /* Sherman, Morrison & Woodbury: (S0 + g U U')^-1 = S0^-1 - Z (1/g + U' Z)^-1 U' S0^-1. */
 void rthyb_sparse_solve(config *cfg, double *values)
 {
     const int32_t n = cfg->size, r = cfg->modes;
     double along[RTHYB_SPARSE_MODES_MAX];
-    solve_factored(&cfg->factor, n, values);
+    factored_solve(&cfg->factor, n, cfg->panel, cfg->panels, values);
     for (int32_t j = 0; j < r; j++)
         along[j] = dot(cfg->modal + (size_t)j * (size_t)n, values, n);
     for (int32_t j = 0; j < r; j++) {
@@ -345,6 +330,8 @@ static void look_ahead(config *c, rthyb_sparse *s, vectors *all)
         const double x =
             row_sum(&c->interface, i, to_k) - of_q * row_sum(&c->interface, i, all->last);
         add_row(&c->interface, i, c->k_e_n_per_m[i] * x - af * s->force[i], q);
+        for (int32_t j = 0; c->k_e_between && j < c->interfaces; j++)
+            add_row(&c->interface, j, c->k_e_between[j * c->interfaces + i] * x, q);
     }
     add_joints(c, all, q);
     damp(c, to_c, q);

@@ -12,9 +12,9 @@
 _Static_assert(sizeof(rthyb_parameters) == RTHYB_PARAMETER_WORDS * sizeof(uint64_t),
                "a set of parameters is whole words");
 
-int rthyb_watches_check(const rthyb_watch watch[RTHYB_CAUSE_COUNT])
+int rthyb_watches_check(const rthyb_watch *watch, int count)
 {
-    for (int i = 0; i < RTHYB_CAUSE_COUNT; i++) {
+    for (int i = 0; i < count; i++) {
         if (!(watch[i].value >= 0.0 && watch[i].value <= RTHYB_FORCE_MAX_N) ||
             watch[i].reaction < RTHYB_REACT_NONE || watch[i].reaction > RTHYB_REACT_TRIP)
             return RTHYB_E_LIMIT;
@@ -31,13 +31,25 @@ int rthyb_path_limits_check(double velocity_m_per_s, double acceleration_m_per_s
     return good && brake_ok ? 0 : RTHYB_E_LIMIT;
 }
 
+static int speeds_ok(double velocity, double acceleration)
+{
+    return velocity >= 0.0 && velocity <= SPEED_MAX && acceleration >= 0.0 &&
+           acceleration <= SPEED_MAX;
+}
+
 int rthyb_parameters_check(const rthyb_parameters *p)
 {
-    const int limits_ok =
-        p->velocity_limit_m_per_s >= 0.0 && p->velocity_limit_m_per_s <= SPEED_MAX &&
-        p->acceleration_limit_m_per_s2 >= 0.0 && p->acceleration_limit_m_per_s2 <= SPEED_MAX;
-    if (!limits_ok || rthyb_watches_check(p->watch))
+    if (!speeds_ok(p->velocity_limit_m_per_s, p->acceleration_limit_m_per_s2) ||
+        rthyb_watches_check(p->watch, RTHYB_CAUSE_COUNT))
         return RTHYB_E_LIMIT;
+    for (int i = 0; i < RTHYB_COUPLED_MAX; i++) {
+        const rthyb_axis_parameters *a = &p->axis[i];
+        if (!speeds_ok(a->velocity_limit_m_per_s, a->acceleration_limit_m_per_s2) ||
+            rthyb_watches_check(a->watch, RTHYB_CAUSE_COUNT) ||
+            rthyb_watches_check(&a->interface.position, 1) ||
+            rthyb_watches_check(&a->interface.force, 1))
+            return RTHYB_E_LIMIT;
+    }
     return rthyb_path_limits_check(p->path_velocity_m_per_s, p->path_acceleration_m_per_s2,
                                    p->brake_acceleration_m_per_s2);
 }

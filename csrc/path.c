@@ -5,6 +5,8 @@
 
 #include "numeric.h"
 
+enum { MOST = RTHYB_COUPLED_MAX };
+
 #define SEARCH_STEPS 80 /* of 1.25 each: from 8 ms to longer than any test */
 
 static int64_t whole_ticks(double duration_s, double h)
@@ -37,39 +39,94 @@ static double polynomial(const rthyb_path *p, double u, int order)
     return sum;
 }
 
-/* The largest share of the limits that a polynomial path takes; up to 1 it is within them. */
-static double path_share(const rthyb_path *p, double h, double v_max, double a_max)
+/* Of each axis, where the directions move by that. */
+static void of_axes(const path_limits *limits, const double *direction, double *axis)
 {
-    const double T = (double)p->ticks * h;
+    for (int i = 0; i < limits->axes; i++) {
+        axis[i] = 0.0;
+        for (int j = 0; j < limits->directions; j++)
+            axis[i] += limits->jacobian[i * limits->directions + j] * direction[j];
+    }
+}
+
+/* Velocity (order 1) or acceleration (order 2) of each axis, that number of every direction's state. */
+static void states_of_axes(const path_limits *limits, const double state[][3], int order,
+                           double *axis)
+{
+    double direction[MOST] = {0.0};
+    for (int j = 0; j < limits->directions; j++)
+        direction[j] = state[j][order];
+    of_axes(limits, direction, axis);
+}
+
+/* The largest share of the limits that polynomial paths take; up to 1 they are within them. */
+static double path_share(const path_limits *limits, const rthyb_path *paths, const double *v_max,
+                         const double *a_max)
+{
+    const double T = (double)paths[0].ticks * limits->period_s;
     double share = 0.0;
     for (int i = 0; i <= 32; i++) {
         const double u = i / 32.0;
-        share = fmax(share, fabs(polynomial(p, u, 1)) / (v_max * T));
-        share = fmax(share, fabs(polynomial(p, u, 2)) / (a_max * T * T));
+        double v[MOST] = {0.0}, a[MOST] = {0.0}, axis_v[MOST], axis_a[MOST];
+        for (int j = 0; j < limits->directions; j++) {
+            v[j] = polynomial(&paths[j], u, 1);
+            a[j] = polynomial(&paths[j], u, 2);
+        }
+        of_axes(limits, v, axis_v);
+        of_axes(limits, a, axis_a);
+        for (int k = 0; k < limits->axes; k++) {
+            share = fmax(share, fabs(axis_v[k]) / (v_max[k] * T));
+            share = fmax(share, fabs(axis_a[k]) / (a_max[k] * T * T));
+        }
     }
     return share;
 }
 
-/* The shortest quintic, within a factor of 1.25, that keeps to the path limits; where the end states
- * themselves are beyond them, it keeps to their values. A way to a point that is near but left at speed may
- * be short of time and of room at once, and a longer one only swings the farther: then the one that exceeds
- * the limits least. */
-rthyb_path path_between(const path_limits *limits, const double from[3], const double to[3])
+static void quintics(const path_limits *limits, const double from[][3], const double to[][3],
+                     double T, rthyb_path *paths)
 {
     const double h = limits->period_s;
-    const double v = fmax(limits->velocity_m_per_s, 1.01 * fmax(fabs(from[1]), fabs(to[1])));
-    const double a = fmax(limits->acceleration_m_per_s2, 1.01 * fmax(fabs(from[2]), fabs(to[2])));
-    double T = (double)limits->least_way * h;
-    rthyb_path best = quintic(from, to, whole_ticks(T, h), h);
-    double least = path_share(&best, h, v, a);
+    for (int j = 0; j < limits->directions; j++)
+        paths[j] = quintic(from[j], to[j], whole_ticks(T, h), h);
+}
+
+/* What the axes keep to: where the end states themselves are beyond a limit, their values. */
+static void keep_to(const path_limits *limits, const double from[][3], const double to[][3],
+                    double *v_max, double *a_max)
+{
+    double begin[MOST], end[MOST];
+    states_of_axes(limits, from, 1, begin);
+    states_of_axes(limits, to, 1, end);
+    for (int k = 0; k < limits->axes; k++)
+        v_max[k] = fmax(limits->velocity_m_per_s[k], 1.01 * fmax(fabs(begin[k]), fabs(end[k])));
+    states_of_axes(limits, from, 2, begin);
+    states_of_axes(limits, to, 2, end);
+    for (int k = 0; k < limits->axes; k++)
+        a_max[k] =
+            fmax(limits->acceleration_m_per_s2[k], 1.01 * fmax(fabs(begin[k]), fabs(end[k])));
+}
+
+/* The shortest quintics, within a factor of 1.25, that keep to the path limits; where the end states
+ * themselves are beyond them, they keep to their values. A way to a point that is near but left at speed may
+ * be short of time and of room at once, and a longer one only swings the farther: then those that exceed
+ * the limits least. */
+void path_between(const path_limits *limits, const double from[][3], const double to[][3],
+                  rthyb_path *paths)
+{
+    double v_max[MOST], a_max[MOST];
+    double T = (double)limits->least_way * limits->period_s;
+    keep_to(limits, from, to, v_max, a_max);
+    quintics(limits, from, to, T, paths);
+    double least = path_share(limits, paths, v_max, a_max);
     for (int i = 0; i < SEARCH_STEPS && least > 1.0; i++) {
+        rthyb_path others[MOST];
         T *= 1.25;
-        const rthyb_path path = quintic(from, to, whole_ticks(T, h), h);
-        const double share = path_share(&path, h, v, a);
-        best = share < least ? path : best;
+        quintics(limits, from, to, T, others);
+        const double share = path_share(limits, others, v_max, a_max);
+        if (share < least)
+            memcpy(paths, others, (size_t)limits->directions * sizeof *paths);
         least = fmin(share, least);
     }
-    return best;
 }
 
 /* Displacement, velocity and acceleration on a brake: its acceleration goes over into the deceleration,
@@ -90,30 +147,82 @@ static void braked(const rthyb_path *p, double h, double now[3])
     }
 }
 
-/* Brakes from (x, v, a) to rest. A step of the acceleration would be a leap behind the phase lead: each
- * change takes `turn`, less for a motion that is over sooner: v = (b - a / 2) turn. What a has beyond the
- * limit b is cut off. */
-rthyb_path path_to_rest(const path_limits *limits, const double from[3])
+/* Accelerations that a brake begins with: what an axis has beyond its limit is cut off, in every direction
+ * alike. One direction of one axis alone ends on the limit, to the last digit. */
+static void begin_braking(const path_limits *limits, const double from[][3], double *a)
 {
-    const double h = limits->period_s, b = limits->brake_m_per_s2, v = fabs(from[1]);
-    const double a = clamp(from[1] < 0.0 ? -from[2] : from[2], -b, b);
-    const int64_t turn =
-        (int64_t)clamp(v / (b - 0.5 * a) / h, (double)limits->least_turn, (double)limits->turn);
-    const double changes = (double)turn * h, rest = (v + 0.5 * a * changes) / b - changes;
-    const int64_t steady = rest > 0.0 ? whole_ticks(rest, h) : 0;
-    const double needed = (v + 0.5 * a * changes) / (changes + (double)steady * h);
-    const double way = from[1] < 0.0 ? -1.0 : 1.0;
-    rthyb_path path = {
-        .c = {from[0], from[1], way * a, -way * needed},
-        .ticks = 2 * turn + steady,
-        .turn = turn,
-    };
-    double at_rest[3];
-    path.elapsed = path.ticks;
-    braked(&path, h, at_rest);
-    path.elapsed = 0;
-    path.end = at_rest[0];
-    return path;
+    double axis[MOST], factor = 1.0;
+    states_of_axes(limits, from, 2, axis);
+    for (int k = 0; k < limits->axes; k++)
+        if (fabs(axis[k]) > limits->brake_m_per_s2[k])
+            factor = fmin(factor, limits->brake_m_per_s2[k] / fabs(axis[k]));
+    for (int j = 0; j < limits->directions; j++)
+        a[j] = factor < 1.0 ? factor * from[j][2] : from[j][2];
+    if (limits->axes == 1 && limits->jacobian[0] == 1.0)
+        a[0] = clamp(from[0][2], -limits->brake_m_per_s2[0], limits->brake_m_per_s2[0]);
+}
+
+/* How long an axis of that velocity and acceleration brakes: ticks of a change, and of the steady part. */
+typedef struct {
+    int64_t turn, steady;
+} braking;
+
+static int64_t turn_of(const path_limits *limits, double b, double v, double a)
+{
+    const double along = v < 0.0 ? -a : a;
+    return (int64_t)clamp(fabs(v) / (b - 0.5 * along) / limits->period_s,
+                          (double)limits->least_turn, (double)limits->turn);
+}
+
+static int64_t steady_of(const path_limits *limits, double b, double v, double a, int64_t turn)
+{
+    const double along = v < 0.0 ? -a : a, changes = (double)turn * limits->period_s;
+    const double rest = (fabs(v) + 0.5 * along * changes) / b - changes;
+    return rest > 0.0 ? whole_ticks(rest, limits->period_s) : 0;
+}
+
+static braking longest(const path_limits *limits, const double from[][3], const double *a)
+{
+    double axis_v[MOST], axis_a[MOST];
+    braking most = {limits->least_turn, 0};
+    states_of_axes(limits, from, 1, axis_v);
+    of_axes(limits, a, axis_a);
+    for (int k = 0; k < limits->axes; k++) {
+        const int64_t own = turn_of(limits, limits->brake_m_per_s2[k], axis_v[k], axis_a[k]);
+        most.turn = own > most.turn ? own : most.turn;
+    }
+    for (int k = 0; k < limits->axes; k++) {
+        const int64_t own =
+            steady_of(limits, limits->brake_m_per_s2[k], axis_v[k], axis_a[k], most.turn);
+        most.steady = own > most.steady ? own : most.steady;
+    }
+    return most;
+}
+
+/* Brakes from (x, v, a) in each direction to rest. A step of the acceleration would be a leap behind the phase
+ * lead: each change takes `turn`, less for a motion that is over sooner: v = (b - a / 2) turn. */
+void path_to_rest(const path_limits *limits, const double from[][3], rthyb_path *paths)
+{
+    const double h = limits->period_s;
+    double a[MOST] = {0.0};
+    begin_braking(limits, from, a);
+    const braking brake = longest(limits, from, a);
+    const double changes = (double)brake.turn * h;
+    for (int j = 0; j < limits->directions; j++) {
+        const double needed =
+            (from[j][1] + 0.5 * a[j] * changes) / (changes + (double)brake.steady * h);
+        rthyb_path *path = &paths[j];
+        *path = (rthyb_path){
+            .c = {from[j][0], from[j][1], a[j], -needed},
+            .ticks = 2 * brake.turn + brake.steady,
+            .turn = brake.turn,
+        };
+        double at_rest[3];
+        path->elapsed = path->ticks;
+        braked(path, h, at_rest);
+        path->elapsed = 0;
+        path->end = at_rest[0];
+    }
 }
 
 rthyb_path path_ramp(double a, double b, int64_t ticks)
@@ -122,12 +231,20 @@ rthyb_path path_ramp(double a, double b, int64_t ticks)
 }
 
 /* Peak velocity pi/2 way/T and acceleration pi^2/2 way/T^2 of that wave within the limits. */
-int64_t path_ramp_ticks(const path_limits *limits, double way)
+int64_t path_ramp_ticks(const path_limits *limits, const double *way)
 {
-    const double size = fabs(way);
-    const double by_velocity = 0.5 * RTHYB_PI * size / limits->velocity_m_per_s;
-    const double by_acceleration = RTHYB_PI * sqrt(0.5 * size / limits->acceleration_m_per_s2);
-    return whole_ticks(fmax(by_velocity, by_acceleration), limits->period_s);
+    double axis[MOST];
+    int64_t most = 1;
+    of_axes(limits, way, axis);
+    for (int k = 0; k < limits->axes; k++) {
+        const double size = fabs(axis[k]);
+        const double by_velocity = 0.5 * RTHYB_PI * size / limits->velocity_m_per_s[k];
+        const double by_acceleration =
+            RTHYB_PI * sqrt(0.5 * size / limits->acceleration_m_per_s2[k]);
+        const int64_t own = whole_ticks(fmax(by_velocity, by_acceleration), limits->period_s);
+        most = own > most ? own : most;
+    }
+    return most;
 }
 
 int path_done(const rthyb_path *p)

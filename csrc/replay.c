@@ -1,15 +1,30 @@
 /* A recording through a fresh station: its rows are the inputs of a second pass, and what comes out
  * has to be the same rows again. */
+#include <string.h>
+
 #include "internal.h"
 #include "numeric.h"
 
-/* The rows of one executed tick: those of the ticks that were skipped before it, then its own. */
-static size_t group_size(const rthyb_record *rows, size_t count)
+/* No tick gives more; a longer group is none that a station has written. */
+enum { GROUP_MAX = RTHYB_BLIND_MAX + 2 };
+
+static int axes_of(const rthyb_station *station)
+{
+    return station->cfg.controller.axis_count;
+}
+
+/* The rows of one executed tick: those of the ticks that were skipped before it, then its own. At most as many
+ * as a tick can give, and one. */
+static size_t group_of(const rthyb_replay *source, int axes, size_t from, rthyb_record *group)
 {
     size_t n = 0;
-    while (n < count && rows[n].flags & RTHYB_F_BLIND)
-        n++;
-    return n < count ? n + 1 : 0;
+    while (from + n < source->count && n < GROUP_MAX) {
+        memcpy(&group[n], (const char *)source->rows + (from + n) * record_bytes(axes),
+               record_bytes(axes));
+        if (!(group[n++].flags & RTHYB_F_BLIND))
+            return n;
+    }
+    return 0;
 }
 
 static void take_parameters(rthyb_station *station, const rthyb_replay *source, uint32_t generation)
@@ -21,64 +36,87 @@ static void take_parameters(rthyb_station *station, const rthyb_replay *source, 
             (void)rthyb_station_adopt(station, &source->parameters[i]);
 }
 
-/* Why the wire had no pair. */
-static int32_t lost(const rthyb_record *row)
+/* Why the wire of an axis had no pair. Of several axes those had none of which the row has no number. */
+static int32_t lost(const rthyb_record *row, int axis, int axes)
 {
-    if (!(row->flags & RTHYB_F_LOST))
+    const rthyb_axis_record *a = &row->axis[axis];
+    if (!(row->flags & RTHYB_F_LOST) || (axes > 1 && !isnan(a->x_read_m)))
         return 0;
-    const int32_t no_number = isnan(row->axis[0].x_read_m) ? RTHYB_S_NOT_FINITE : 0;
+    const int32_t no_number = isnan(axes > 1 ? a->f_read_n : a->x_read_m) ? RTHYB_S_NOT_FINITE : 0;
     return RTHYB_LOST | no_number | (row->code & RTHYB_S_OUT_OF_RANGE);
+}
+
+/* What a row says of all axes together comes from the one that its cause names, or from the first. */
+static int whose(const rthyb_record *row)
+{
+    const int number = (int)(row->flags >> RTHYB_F_CAUSE_BIT & 7u);
+    return row->flags & RTHYB_F_INTERFACE || number == 0 ? 0 : number - 1;
 }
 
 static rthyb_station_input input_of(const rthyb_station *station, const rthyb_record *row)
 {
     const uint64_t skipped = row->tick - station->tick;
-    return (rthyb_station_input){
-        .axis = {{.x_m = row->axis[0].x_read_m,
-                  .f_n = row->axis[0].f_read_n,
-                  .x_cmd_m = row->axis[0].x_cmd_m}},
-        .lost = lost(row),
+    const int axes = axes_of(station), one = whose(row) % axes;
+    rthyb_station_input in = {
         .skipped = skipped < UINT32_MAX ? (uint32_t)skipped : UINT32_MAX,
         .command = (int32_t)(row->flags >> RTHYB_F_COMMAND_BIT),
-        .link_down = (row->flags & RTHYB_F_DOWN) != 0,
-        .drive_stopped = (row->flags & RTHYB_F_STOPPED) != 0,
         .heartbeat_late = (row->flags & RTHYB_F_SILENT) != 0,
-        .beyond = (row->flags & RTHYB_F_BEYOND) != 0,
         .taken_over = (row->flags & RTHYB_F_TAKEN_OVER) != 0,
+        .apart = axes > 1 && (row->flags & RTHYB_F_APART) != 0,
     };
+    for (int i = 0; i < axes; i++)
+        in.axis[i] = (rthyb_axis_input){
+            .x_m = row->axis[i].x_read_m,
+            .f_n = row->axis[i].f_read_n,
+            .x_cmd_m = row->axis[i].x_cmd_m,
+            .lost = lost(row, i, axes),
+        };
+    in.axis[one].link_down = (row->flags & RTHYB_F_DOWN) != 0;
+    in.axis[one].drive_stopped = (row->flags & RTHYB_F_STOPPED) != 0;
+    in.axis[one].beyond = (row->flags & RTHYB_F_BEYOND) != 0;
+    return in;
+}
+
+/* Whether the command of this axis left. */
+static int left(const rthyb_record *row, int axis, int axes)
+{
+    const uint32_t of_axis = (uint32_t)1 << (RTHYB_F_UNSENT_BIT + axis);
+    return !(row->flags & (axes > 1 ? of_axis : (uint32_t)RTHYB_F_NOT_SENT));
 }
 
 /* As the loop has sent it: rounded by the wire, or not at all. */
 static int send_again(rthyb_station *station, const rthyb_replay *source,
-                      const rthyb_station_output *out, int was_sent)
+                      const rthyb_station_output *out, int axis, int was_sent)
 {
     rthyb_frame frame;
     double sent_m = 0.0;
+    const rthyb_replay_axis *at = &source->axis[axis];
     const rthyb_setpoint setpoint = {
-        .x_m = command_for_wire(source->codec, &source->calibration, &out->axis[0]),
+        .x_m = command_for_wire(at->codec, &at->calibration, &out->axis[axis]),
         .state = (uint32_t)out->told,
     };
-    const int code = rthyb_encode_setpoint(source->codec, &setpoint, &frame, &sent_m);
+    const int code = rthyb_encode_setpoint(at->codec, &setpoint, &frame, &sent_m);
     const int sent = was_sent && !(code & RTHYB_S_NOT_FINITE);
-    note_command(station, &source->calibration, sent, sent_m);
+    note_command(station, axis, &at->calibration, sent, sent_m);
     return sent;
 }
 
 /* What the link and the clock added to a row. */
-static void copy_surroundings(const rthyb_record *from, rthyb_record *to)
+static void copy_surroundings(const rthyb_record *from, int axes, rthyb_record *to)
 {
     to->due_ns = from->due_ns;
     to->wake_late_ns = from->wake_late_ns;
     to->sent_late_ns = from->sent_late_ns;
-    to->axis[0].echo = from->axis[0].echo;
-    to->axis[0].count = from->axis[0].count;
+    for (int i = 0; i < axes; i++) {
+        to->axis[i].echo = from->axis[i].echo;
+        to->axis[i].count = from->axis[i].count;
+    }
 }
 
-static void complete(const rthyb_record *row, int sent, rthyb_record *made)
+static void complete(const rthyb_record *row, uint32_t unsent, rthyb_record *made)
 {
     made->flags |= row->flags & RTHYB_F_SLIP;
-    made->flags &= ~(uint32_t)RTHYB_F_NOT_SENT;
-    made->flags |= sent ? 0u : (uint32_t)RTHYB_F_NOT_SENT;
+    made->flags = (made->flags & ~UNSENT_FLAGS) | unsent;
 }
 
 /* One group again; returns how many rows it became. */
@@ -87,31 +125,36 @@ static size_t replay_group(rthyb_station *station, const rthyb_replay *source,
 {
     rthyb_station_output out;
     const rthyb_record *row = &rows[n - 1];
+    const int axes = axes_of(station);
+    uint32_t unsent = 0;
     take_parameters(station, source, row->generation);
     const rthyb_station_input in = input_of(station, row);
     rthyb_station_tick(station, &in, source->ag_mps2, source->ag_count, made, &out);
-    int sent = !(row->flags & RTHYB_F_NOT_SENT) && out.send;
-    if (out.send && source->codec)
-        sent = send_again(station, source, &out, sent);
+    for (int i = 0; i < axes; i++) {
+        int sent = left(row, i, axes) && out.send;
+        if (out.send && source->axis[i].codec)
+            sent = send_again(station, source, &out, i, sent);
+        unsent |= sent ? 0u : unsent_flag(i, axes);
+    }
     for (size_t i = 0; i < n && i < out.records; i++)
-        copy_surroundings(&rows[i], &made[i]);
+        copy_surroundings(&rows[i], axes, &made[i]);
     if (out.records == n)
-        complete(row, sent, &made[n - 1]);
+        complete(row, unsent, &made[n - 1]);
     return out.records;
 }
 
-size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, rthyb_record *out)
+size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, void *out)
 {
-    rthyb_record made[RTHYB_BLIND_MAX + 1] = {{0}};
+    rthyb_record rows[GROUP_MAX], made[RTHYB_BLIND_MAX + 1] = {{0}};
+    const int axes = axes_of(station);
     size_t done = 0;
     while (done < source->count) {
-        const rthyb_record *rows = source->rows + done;
-        const size_t n = group_size(rows, source->count - done);
+        const size_t n = group_of(source, axes, done, rows);
         if (n == 0 || rows[n - 1].tick < station->tick)
             return done;
         const size_t got = replay_group(station, source, rows, n, made);
         for (size_t i = 0; i < n && i < got; i++)
-            out[done + i] = made[i];
+            memcpy(row_at(out, axes, done + i), &made[i], record_bytes(axes));
         if (got != n)
             return done + (n < got ? n : got);
         done += n;

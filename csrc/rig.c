@@ -1,24 +1,7 @@
 /* The virtual rig: actuator, specimen, and two sensors with noise, bias, steps and an end to their
  * range. Seeded, so that a test can be repeated to the bit. */
 #include "internal.h"
-#include "noise.h"
-
-static double sense(rthyb_rig *rig, const rthyb_sensor *sensor, double value)
-{
-    double reading = value + sensor->bias;
-    if (sensor->noise_std > 0.0)
-        reading += sensor->noise_std * normal(&rig->noise);
-    if (sensor->lsb > 0.0)
-        reading = sensor->lsb * nearbyint(reading / sensor->lsb);
-    return sensor->range > 0.0 ? clamp(reading, -sensor->range, sensor->range) : reading;
-}
-
-static int sensor_ok(const rthyb_sensor *s, double most)
-{
-    const int lsb_ok = s->lsb == 0.0 || (s->lsb >= 1e-15 && s->lsb <= most);
-    return s->noise_std >= 0.0 && s->noise_std <= most && lsb_ok && fabs(s->bias) <= most &&
-           s->range >= 0.0 && s->range <= most;
-}
+#include "sensor.h"
 
 /* What is linear of the specimen is solved together with the actuator, exactly. */
 static void join_specimen(rthyb_rig *rig, rthyb_servo_config *servo)
@@ -91,8 +74,8 @@ int rthyb_rig_step(rthyb_rig *rig, double x_p_m, double *x_m_m, double *f_n)
     int code = rthyb_servo_latch(&rig->servo, x_p_m);
     rig->x_true_m = rig->servo.x;
     rig->f_true_n = load_cell_force(rig);
-    *x_m_m = sense(rig, &rig->cfg.displacement, rig->x_true_m);
-    *f_n = sense(rig, &rig->cfg.force, rig->f_true_n);
+    *x_m_m = sense(&rig->noise, &rig->cfg.displacement, rig->x_true_m);
+    *f_n = sense(&rig->noise, &rig->cfg.force, rig->f_true_n);
     rig->servo.sensed_m = *x_m_m;
     code |= rthyb_servo_advance(&rig->servo, rig->cfg.elements, rig->cfg.element_count);
     return code;

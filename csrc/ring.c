@@ -8,12 +8,12 @@
  *
  * Stamps alone say what a slot holds; the count in the header only tells where to look. A producer
  * killed between any two instructions leaves at most one slot with an odd stamp. */
-#include "rthyb.h"
-
 #include <math.h>
 #include <string.h>
 #include <sys/mman.h>
 #include <sys/vfs.h>
+
+#include "internal.h"
 
 #define MAGIC UINT64_C(0x676e726279687472) /* "rthybrng" where the low byte comes first */
 #define PAGE 4096u
@@ -41,19 +41,25 @@ static size_t slots_at(size_t about_bytes)
     return PAGE + (about_bytes + PAGE - 1) / PAGE * PAGE;
 }
 
-static uint32_t row_bytes(uint32_t channel_count)
+static uint32_t row_bytes(int32_t axis_count, uint32_t channel_count)
 {
-    return (uint32_t)sizeof(rthyb_record) + channel_count * (uint32_t)sizeof(double);
+    return (uint32_t)record_bytes(axis_count) + channel_count * (uint32_t)sizeof(double);
 }
 
-static uint32_t slot_bytes(uint32_t channel_count)
+static uint32_t slot_bytes(uint32_t row)
 {
-    return (uint32_t)offsetof(rthyb_ring_slot, words) + row_bytes(channel_count);
+    return (uint32_t)offsetof(rthyb_ring_slot, words) + row;
 }
 
-size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes, uint32_t channel_count)
+static size_t file_bytes(uint32_t capacity, size_t about_bytes, uint32_t row)
 {
-    return slots_at(about_bytes) + (size_t)capacity * slot_bytes(channel_count);
+    return slots_at(about_bytes) + (size_t)capacity * slot_bytes(row);
+}
+
+size_t rthyb_ring_bytes(uint32_t capacity, size_t about_bytes, int32_t axis_count,
+                        uint32_t channel_count)
+{
+    return file_bytes(capacity, about_bytes, row_bytes(axis_count, channel_count));
 }
 
 int rthyb_ring_settle(int fd, void *map, size_t bytes)
@@ -66,22 +72,24 @@ int rthyb_ring_settle(int fd, void *map, size_t bytes)
 }
 
 void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t about_bytes,
-                     uint32_t channel_count)
+                     int32_t axis_count, uint32_t channel_count)
 {
     rthyb_ring_header *header = map;
+    const uint32_t row = row_bytes(axis_count, channel_count);
     header->layout = RTHYB_RING_LAYOUT;
     header->about_at = PAGE;
     header->about_bytes = about_bytes;
     header->slots_at = slots_at(about_bytes);
-    header->file_bytes = rthyb_ring_bytes(capacity, about_bytes, channel_count);
+    header->file_bytes = file_bytes(capacity, about_bytes, row);
     header->capacity = capacity;
-    header->slot_bytes = slot_bytes(channel_count);
-    header->record_bytes = row_bytes(channel_count);
+    header->slot_bytes = slot_bytes(row);
+    header->record_bytes = row;
     *ring = (rthyb_ring){
         .header = header,
         .slots = (char *)map + header->slots_at,
         .mask = capacity - 1,
         .slot_bytes = header->slot_bytes,
+        .record_words = (uint32_t)(record_bytes(axis_count) / sizeof(uint64_t)),
         .channel_count = channel_count,
     };
     /* Last, so that nobody takes half a header for a ring. */
@@ -95,7 +103,7 @@ static void store(const rthyb_ring *ring, rthyb_ring_slot *slot, uint64_t number
 {
     const char *bytes = (const char *)record;
     __atomic_store_n(&slot->stamp, 2 * number + 1, __ATOMIC_RELAXED);
-    for (size_t i = 0; i < RTHYB_RECORD_WORDS; i++) {
+    for (size_t i = 0; i < ring->record_words; i++) {
         uint64_t word;
         memcpy(&word, bytes + i * sizeof word, sizeof word);
         __atomic_store_n(&slot->words[i], word, __ATOMIC_RELEASE);
@@ -104,7 +112,7 @@ static void store(const rthyb_ring *ring, rthyb_ring_slot *slot, uint64_t number
         const double value = channels ? channels[i] : (double)NAN;
         uint64_t word;
         memcpy(&word, &value, sizeof word);
-        __atomic_store_n(&slot->words[RTHYB_RECORD_WORDS + i], word, __ATOMIC_RELEASE);
+        __atomic_store_n(&slot->words[ring->record_words + i], word, __ATOMIC_RELEASE);
     }
     __atomic_store_n(&slot->stamp, 2 * number + 2, __ATOMIC_RELEASE);
 }
@@ -159,11 +167,12 @@ void rthyb_ring_push(rthyb_ring *ring, const rthyb_record *record, const double 
         forget_trip(ring);
 }
 
-void rthyb_ring_push_run(rthyb_ring *ring, const rthyb_record *records, size_t n,
-                         const double *channels)
+void rthyb_ring_push_run(rthyb_ring *ring, const void *rows, size_t n, const double *channels)
 {
-    for (size_t i = 0; i < n; i++)
-        rthyb_ring_push(ring, &records[i], channels ? channels + i * ring->channel_count : NULL);
+    const char *row = rows;
+    for (size_t i = 0; i < n; i++, row += ring->record_words * sizeof(uint64_t))
+        rthyb_ring_push(ring, (const rthyb_record *)(const void *)row,
+                        channels ? channels + i * ring->channel_count : NULL);
 }
 
 void rthyb_ring_close(rthyb_ring *ring)
@@ -173,13 +182,11 @@ void rthyb_ring_close(rthyb_ring *ring)
 
 /* ---- reader ----------------------------------------------------------------------------------- */
 
-/* Of a row; more than RTHYB_CHANNELS_MAX where it is none. */
-static uint32_t channels_of(const rthyb_ring_header *h)
+/* Of one axis or of several, with or without channels: which ones the description says. */
+static int is_row(uint32_t bytes)
 {
-    const uint32_t least = row_bytes(0), bytes = h->record_bytes;
-    return bytes < least || (bytes - least) % sizeof(double) != 0
-               ? UINT32_MAX
-               : (bytes - least) / (uint32_t)sizeof(double);
+    return bytes >= row_bytes(1, 0) && bytes <= row_bytes(RTHYB_COUPLED_MAX, RTHYB_CHANNELS_MAX) &&
+           bytes % sizeof(uint64_t) == 0;
 }
 
 static int sizes_agree(const rthyb_ring_header *h)
@@ -188,7 +195,7 @@ static int sizes_agree(const rthyb_ring_header *h)
         h->capacity > 0 && h->capacity <= CAPACITY_MAX && (h->capacity & (h->capacity - 1)) == 0;
     const int about_ok = h->about_at == PAGE && h->about_bytes <= CAPACITY_MAX;
     return capacity_ok && about_ok && h->slots_at == slots_at(h->about_bytes) &&
-           h->file_bytes == rthyb_ring_bytes(h->capacity, h->about_bytes, channels_of(h));
+           h->file_bytes == file_bytes(h->capacity, h->about_bytes, h->record_bytes);
 }
 
 static int refusal(const rthyb_ring_header *h, size_t bytes)
@@ -200,8 +207,7 @@ static int refusal(const rthyb_ring_header *h, size_t bytes)
         return magic == 0 ? RTHYB_RING_UNFINISHED : RTHYB_RING_FOREIGN;
     if (h->layout != RTHYB_RING_LAYOUT)
         return RTHYB_RING_OTHER_LAYOUT;
-    const uint32_t channel_count = channels_of(h);
-    if (channel_count > RTHYB_CHANNELS_MAX || h->slot_bytes != slot_bytes(channel_count))
+    if (!is_row(h->record_bytes) || h->slot_bytes != slot_bytes(h->record_bytes))
         return RTHYB_RING_OTHER_RECORD;
     if (!sizes_agree(h))
         return RTHYB_RING_DAMAGED;

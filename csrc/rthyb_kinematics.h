@@ -10,11 +10,6 @@
 
 /* cffi: begin */
 
-enum rthyb_coupled_size {
-    RTHYB_COUPLED_MAX = 4,    /* axes at one specimen */
-    RTHYB_COUPLED_SQUARE = 16 /* its square */
-};
-
 enum rthyb_kinematics_kind {
     RTHYB_KINEMATICS_MATRIX, /* axes = matrix times pose: small displacements, or axes side by side */
     RTHYB_KINEMATICS_PINS /* plane motion, exact: each axis from a base to a pin on the coupler */
@@ -65,6 +60,8 @@ int rthyb_kinematics_pose(rthyb_kinematics *s, const double *axis_m, double *pos
 /* Forces of the axes, positive where they push the way they count -> forces and moments along the
  * coordinates at the last pose found: the transposed Jacobian. */
 int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *force);
+/* The other way round: what each axis pushes with where those are the forces along the coordinates. */
+int rthyb_kinematics_pushes(const rthyb_kinematics *s, const double *force, double *axis_n);
 /* d axis / d pose at the last pose found, rows of `size`. */
 void rthyb_kinematics_jacobian(const rthyb_kinematics *s, double *jacobian);
 /* n poses, or n rows of axes, one after the other. */

@@ -1,4 +1,4 @@
-/* Control laws: what a law says of itself, and one at work (control_law.c; one file each, law_NAME.c). */
+/* Control laws: their descriptions and their execution (control_law.c; one file per law, law_NAME.c). */
 #ifndef RTHYB_PART_LAW_H
 #define RTHYB_PART_LAW_H
 
@@ -11,43 +11,44 @@
 
 enum rthyb_law_size {
     RTHYB_LAW_PARAMETERS_MAX = 32,
-    RTHYB_LAW_VALUES_MAX = 32,     /* that one law reports */
+    RTHYB_LAW_VALUES_MAX = 32,     /* reported by one law */
     RTHYB_LAW_STATE_BYTES = 16384, /* largest state of a law */
-    RTHYB_LAW_NUMBERS = 4          /* that a complaint may name */
+    RTHYB_LAW_NUMBERS = 4          /* in one complaint */
 };
 
 enum rthyb_open { RTHYB_OPEN_LOW = 1, RTHYB_OPEN_HIGH = 2 };
 
 typedef struct {
-    const char *key;  /* of a test file, below [controller] */
-    const char *unit; /* "" of a plain number */
+    const char *key;  /* in a test file, below [controller] */
+    const char *unit; /* "" for a dimensionless number */
     double low, high;
-    double standard; /* without a word in the file; NaN: it must be said there, or by the rig */
+    double standard; /* default; NaN: must be given in the test file or the rig file */
     const char *meaning;
-    int32_t open;        /* enum rthyb_open: bounds that it may come near but not take */
-    const char *rig_key; /* of a rig file, which has it when the test does not; or NULL */
-    const char *words;   /* how a summary says it, {} for the number; NULL: not at all */
+    int32_t open;        /* enum rthyb_open: bounds that are excluded from the range */
+    const char *rig_key; /* key in a rig file, used if the test file has no value; or NULL */
+    const char *words;   /* text in a summary, {} for the number; NULL: not shown */
 } rthyb_law_parameter;
 
 typedef struct {
     const char *name, *unit;
-    const char *label; /* of a figure */
-    uint64_t offset;   /* of the double in the law's state */
+    const char *label; /* in figures */
+    uint64_t offset;   /* of the double in the state of the law */
 } rthyb_law_value;
 
 typedef struct {
     const char *name;    /* controller.type */
-    const char *meaning; /* in one line */
-    const char *calmer;  /* what to do when it learns wrongly; NULL: it does not learn */
+    const char *meaning; /* one line */
+    const char *calmer;  /* advice if it adapts wrongly; NULL: it does not adapt */
     const rthyb_law_parameter *parameters;
-    const rthyb_law_value *values; /* that it reports: alpha and beta go into the record */
+    const rthyb_law_value *values; /* reported values; alpha and beta are stored in the record */
     uint32_t parameter_count, value_count;
     int32_t uses_rest_noise;
-    int32_t with_rfc; /* made to run with the restoring-force compensator; a law of others is not */
+    int32_t
+        with_rfc; /* designed for use with the restoring-force compensator; laws of other authors are not */
 } rthyb_law_description;
 
-/* What is wrong with settings that are each within their range. Text with {} for each of the numbers;
- * other settings are named in it by the last part of their keys. */
+/* Why settings that are each within their range are invalid in combination. The text has {} for each
+ * number, and refers to other settings by the last part of their keys. */
 typedef struct {
     const char *text;
     double numbers[RTHYB_LAW_NUMBERS];
@@ -56,10 +57,10 @@ typedef struct {
 typedef struct rthyb_control_law rthyb_control_law;
 
 typedef struct {
-    int32_t kind;        /* rthyb_law_find; of this program, and of no recording */
-    int32_t adapts;      /* 0: what it would learn stays as it begins */
+    int32_t kind; /* from rthyb_law_find; not stable between versions, and not used in recordings */
+    int32_t adapts;      /* 0: adapted quantities keep their initial values */
     double rest_noise_m; /* standard deviation of x_m measured at rest */
-    double parameters[RTHYB_LAW_PARAMETERS_MAX]; /* in the order of its table */
+    double parameters[RTHYB_LAW_PARAMETERS_MAX]; /* in the order of the law's table */
 } rthyb_law_config;
 
 typedef union {
@@ -70,34 +71,34 @@ typedef union {
 
 typedef struct {
     rthyb_law_config cfg;
-    int32_t alpha_at, beta_at; /* bytes from the beginning of its state; -1: it has none */
+    int32_t alpha_at, beta_at; /* byte offsets in its state; -1: not available */
     rthyb_law_state state;
 } rthyb_law;
 
-/* Of all laws in this program, whose order says nothing. */
+/* Number of laws in this program; their order has no meaning. */
 size_t rthyb_law_count(void);
 /* -1: no such law. */
 int32_t rthyb_law_find(const char *name);
 /* NULL: no such law. */
 const rthyb_law_description *rthyb_law_describe(int32_t kind);
 size_t rthyb_law_state_size(int32_t kind);
-/* What parameters that are each within their range do wrong together: -1, or the index of the one to
- * blame. */
+/* Checks parameters that are each within their range for invalid combinations. Returns -1 if there is
+ * none, or the index of the parameter to change. */
 int rthyb_law_check(int32_t kind, const double *parameters, double period_s,
                     rthyb_law_complaint *complaint);
 int rthyb_law_init(rthyb_law *law, const rthyb_law_config *cfg, double period_s, double x0_m);
 void rthyb_law_rest(rthyb_law *law, double x_m);
 int rthyb_law_observe(rthyb_law *law, double x_p_m, double x_m_m, int frozen);
-/* What has been learnt since the last call moves x_p by no more than allowed_m: 0 not at all, INFINITY
- * as far as it likes. */
+/* The adaptation since the last call changes x_p by at most allowed_m; 0 prevents any change, INFINITY
+ * allows any. */
 int rthyb_law_lead(rthyb_law *law, double x_c_m, double allowed_m, double *x_p_m);
-/* NaN for an offset of -1. */
+/* NaN if offset is -1. */
 double rthyb_law_value_at(const rthyb_law *law, int32_t offset);
-/* Room for RTHYB_LAW_VALUES_MAX. */
+/* values must have room for RTHYB_LAW_VALUES_MAX numbers. */
 void rthyb_law_report(const rthyb_law *law, double *values);
-/* The same without alpha and beta, which the record has; most of them at most. Returns how many. */
+/* The same without alpha and beta, which are in the record; at most `most` values. Returns their number. */
 uint32_t rthyb_law_report_beside(const rthyb_law *law, double *values, uint32_t most);
-/* Without learning. */
+/* Without adaptation. */
 int rthyb_law_run(rthyb_law *law, const double *x_c_m, double *x_p_m, size_t n);
 /* cffi: end */
 

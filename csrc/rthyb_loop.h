@@ -53,20 +53,31 @@ typedef struct {
     uint64_t suspended; /* times that the PC was asleep between two ticks */
 } rthyb_loop_counters;
 
+/* The way to the drive of one axis and back. */
+typedef struct {
+    rthyb_wire *wire;
+    rthyb_link *link;
+    rthyb_calibration calibration;
+} rthyb_loop_axis;
+
 /* What a loop is made of: set up by the caller, who keeps it alive and leaves all but the counters alone
  * while the thread runs. */
 typedef struct {
     rthyb_station *station;
-    rthyb_wire *wire;
-    rthyb_link *link;
-    rthyb_ring *ring;      /* NULL: no ring */
-    const double *ag_mps2; /* ground motion of the test */
+    rthyb_loop_axis axis[RTHYB_COUPLED_MAX]; /* as many as the station has */
+    rthyb_ring *ring;                        /* NULL: no ring */
+    const double *ag_mps2;                   /* ground motion of the test */
     size_t ag_count;
-    rthyb_calibration calibration;
     int32_t clock;   /* enum rthyb_clock */
     int32_t unpaced; /* stepped clock: the drive does not wait for its ticks */
-    double lead_ns;  /* link clock: the pair arrives so long before the tick */
+    double lead_ns;  /* link clock: the first axis' pair arrives so long before the tick */
 } rthyb_loop_config;
+
+/* What a drive was told last, where it stood then, both without tare, and the seq that it was told it with. */
+typedef struct {
+    double x_cmd_m, x_m;
+    uint32_t seq;
+} rthyb_last_command;
 
 /* What a loop goes on with: another test at the same link. */
 typedef struct {
@@ -84,7 +95,7 @@ typedef struct {
     int64_t arrival_error_ns;          /* link clock: after the wanted instant, smoothed; */
     int64_t trim_ppb;                  /* by how much the period is made longer; */
     uint64_t locked;                   /* whether the ticks follow the drive's samples */
-    int64_t delay;                     /* as in rthyb_feedback, of the last fresh pair */
+    int64_t delay[RTHYB_COUPLED_MAX];  /* as in rthyb_feedback, of each axis' last fresh pair */
 } rthyb_loop_view;
 
 /* The tick: link -> wire -> station -> wire -> link -> record -> ring. */
@@ -92,7 +103,7 @@ typedef struct rthyb_loop rthyb_loop;
 
 size_t rthyb_loop_size(void); /* bytes, aligned as a double is; the caller's */
 
-/* 0; RTHYB_E_PERIOD for an unknown clock, or a lead that the link clock refuses; RTHYB_E_LIMIT for the
+/* 0; RTHYB_E_PERIOD for an unknown clock, or a lead that the link clock refuses; RTHYB_E_LIMIT for a
  * calibration. */
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg);
 /* Parts that may be read while it runs; the ticker is for granting, missing and stopping as well. */
@@ -105,16 +116,15 @@ rthyb_ticker *rthyb_loop_ticker(rthyb_loop *loop);
 const rthyb_record *rthyb_loop_records(const rthyb_loop *loop, uint32_t *count);
 /* Of the thread, once it has ended: enum rthyb_privilege that it had, and what the system did to it. */
 uint32_t rthyb_loop_ended(const rthyb_loop *loop, rthyb_usage *usage);
-/* What an earlier loop at this link told the drive last, where that stood then, without tare, and the seq
- * that it was told it with: a drive that still follows takes none that is older. Holds if the first
- * sound reading, and each before it, is the same within rest_spread_m and the drive has not stopped
- * meanwhile: then the command goes on from there. Else, as without this call, it begins at the reading;
- * x_m = NaN asks for that. Before the start. */
-void rthyb_loop_go_on(rthyb_loop *loop, double x_cmd_m, double x_m, uint32_t seq);
+/* What an earlier loop at these links told the drives last, one of each axis: a drive that still follows takes
+ * no seq that is older. Holds if the first sound readings, and each before them, are the same within
+ * rest_spread_m and no drive has stopped meanwhile: then the commands go on from there. Else, as without this
+ * call, they begin at the readings; x_m = NaN asks for that. Before the start. */
+void rthyb_loop_go_on(rthyb_loop *loop, const rthyb_last_command *last);
 /* What rthyb_loop_go_on of the next one is to be given, once this one has ended; 0: nothing was ever sent, or
  * it did not end at rest. */
-int rthyb_loop_last(const rthyb_loop *loop, double *x_cmd_m, double *x_m, uint32_t *seq);
-/* Drops what waits in the link, RTHYB_OLD_PIECES_MAX pieces at most: it was sent to somebody else, or long
+int rthyb_loop_last(const rthyb_loop *loop, rthyb_last_command *last);
+/* Drops what waits in the links, RTHYB_OLD_PIECES_MAX pieces each at most: it was sent to somebody else, or long
  * ago. Stepped clock: before the first tick, on the caller's word; the others do it by themselves. */
 void rthyb_loop_drop_old(rthyb_loop *loop);
 /* One tick on the calling thread, on its word: the stepped clock. */
@@ -124,16 +134,17 @@ void rthyb_loop_step(rthyb_loop *loop);
 int rthyb_loop_start(rthyb_loop *loop, int32_t priority, int32_t cpu, int32_t latency_fd);
 /* Waits for the thread's end. */
 int rthyb_loop_join(rthyb_loop *loop);
-/* Once more the last command, with RTHYB_TOLD_LEAVING; 0 if none was sent: not at rest, nothing sent ever,
- * or the link did not take it. After the thread's end. */
+/* Once more the last commands, with RTHYB_TOLD_LEAVING; 0 if not all were sent: not at rest, nothing sent ever,
+ * or a link did not take it. After the thread's end. */
 int rthyb_loop_leave(rthyb_loop *loop);
 /* Leaves an operator's command for the next tick; one thread at a time. Returns its generation, 0
  * while the last one is not answered: only RTHYB_CMD_TRIP takes its place. */
 uint64_t rthyb_loop_command(rthyb_loop *loop, int32_t command);
 /* 0: not answered yet; 1: obeyed; 2: refused. *tick is that of the answer. */
 int rthyb_loop_answered(const rthyb_loop *loop, uint64_t generation, uint64_t *tick);
-/* Has the next tick go on with another station, ring and ground motion; ticks, wire, link and what is
- * known of the drive's clock stay. Refused unless the station that goes is in IDLE; the same station may
+/* Has the next tick go on with another station, ring and ground motion; ticks, wires, links and what is
+ * known of the drives' clocks stay. Refused unless the station that goes is in IDLE, and the other has as many
+ * axes; the same station may
  * get another ring in any state. One thread at a time, and one load. Returns its generation. */
 uint64_t rthyb_loop_load(rthyb_loop *loop, const rthyb_load *load);
 /* 0: not answered yet; 1: taken, what was there before is no longer touched; 2: refused, what was to be
@@ -148,21 +159,26 @@ int rthyb_loop_set_taken(const rthyb_loop *loop, uint32_t generation);
 /* A sign of life of the side that has the operator. */
 void rthyb_loop_beat(rthyb_loop *loop);
 
-/* What a recording is replayed from: all its rows, from the station's first tick on. */
 typedef struct {
-    const rthyb_record *rows;
+    const rthyb_codec *codec; /* that sent the commands; NULL: no wire, they left as computed */
+    rthyb_calibration calibration; /* of the commands */
+} rthyb_replay_axis;
+
+/* What a recording is replayed from: all its rows, from the station's first tick on, of as many axes as the
+ * station has. */
+typedef struct {
+    const void *rows;
     size_t count;
     const double *ag_mps2; /* as in rthyb_loop */
     size_t ag_count;
-    const rthyb_codec *codec; /* that sent the commands; NULL: no wire, they left as computed */
-    rthyb_calibration calibration;      /* of the commands */
+    rthyb_replay_axis axis[RTHYB_COUPLED_MAX];
     const rthyb_parameters *parameters; /* every set but that of generation 0 */
     size_t parameter_count;
 } rthyb_replay;
 
 /* Through a fresh station; what the clock and the link added to the rows is copied. Returns how many
  * rows came out: fewer than count where the rows do not make ticks. */
-size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, rthyb_record *out);
+size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, void *out);
 /* cffi: end */
 
 #endif

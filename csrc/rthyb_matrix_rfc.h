@@ -45,6 +45,9 @@ int rthyb_matrix_rfc_init(rthyb_matrix_rfc *s, const rthyb_matrix_rfc_config *cf
  * bits. */
 int rthyb_matrix_rfc_step(rthyb_matrix_rfc *s, const double *x_c, const double *v_c,
                           const double *x_m, const double *f, int frozen, double *force);
+/* Takes in what moves along a path, and learns nothing from it. */
+void rthyb_matrix_rfc_follow(rthyb_matrix_rfc *s, const double *x_c, const double *x_m,
+                             const double *f);
 /* n rows; k has n times size x size, row by row. */
 int rthyb_matrix_rfc_run(rthyb_matrix_rfc *s, const double *x_c, const double *v_c,
                          const double *x_m, const double *f, double *force, double *k, size_t n);

@@ -46,7 +46,7 @@ typedef struct {
 int rthyb_motion_init(rthyb_motion *motion, const rthyb_motion_config *cfg, double x0_m);
 /* m a + c v + k x + force = -m ag  at t_n  ->  x[n+1]. PRESCRIBED: excitation is x[n+1]. */
 int rthyb_motion_step(rthyb_motion *motion, double excitation, double force_n, double *x_next_m);
-/* Velocity at t_n before the step, as good as the integrator's order allows. */
+/* Velocity at t_n before the step, to the accuracy of the integrator. */
 double rthyb_motion_velocity(const rthyb_motion *motion);
 
 /* ---- dense numerical part (numerical_dense.c) ------------------------------------------------- */
@@ -61,15 +61,15 @@ enum rthyb_dense_size {
 typedef struct {
     int32_t integrator;  /* RTHYB_CR or RTHYB_RK4 */
     int32_t size;        /* n, degrees of freedom */
-    int32_t at;          /* the one that is the interface, from 0 */
-    int32_t force_delay; /* samples by which the force is used late: 0 or 1 */
+    int32_t at;          /* index of the interface, from 0 */
+    int32_t force_delay; /* samples by which the force is delayed: 0 or 1 */
     double period_s;
-    /* Numerical part alone, n x n, row after row from the first number on; symmetric. */
+    /* Numerical part only, n x n, row by row; symmetric. */
     double mass_kg[RTHYB_DENSE_SQUARE];
     double damping_n_s_per_m[RTHYB_DENSE_SQUARE];
     double stiffness_n_per_m[RTHYB_DENSE_SQUARE];
     double load_kg[RTHYB_DENSE_MAX]; /* force of a ground acceleration of -1 m/s^2 */
-    /* What is known of the specimen: CR's coefficients take it in, the equation does not. */
+    /* Known properties of the specimen: used in the coefficients of CR, but not in the equation. */
     double specimen_mass_kg, specimen_damping_n_s_per_m, k_e_n_per_m;
 } rthyb_dense_config;
 
@@ -78,17 +78,17 @@ typedef struct {
     double step[RTHYB_DENSE_STEP]; /* D of s += D s + ..., 2n x 2n */
     double by_force[RTHYB_DENSE_STATES], by_excitation[RTHYB_DENSE_STATES];
     double s[RTHYB_DENSE_STATES]; /* x, then v, at t_n */
-    double change;    /* of the interface over the next step, without force and excitation */
-    double x, x1, x2; /* of the interface, as answered */
+    double change;    /* change of the interface in the next step, without force and excitation */
+    double x, x1, x2; /* of the interface, as returned */
     double a;         /* of the interface, over the last step */
-    double force, last_force, excitation; /* of this step, as measured last, of this step */
+    double force, last_force, excitation; /* of this step, previously measured, of this step */
     int32_t ran_off;
 } rthyb_dense;
 
 int rthyb_dense_init(rthyb_dense *s, const rthyb_dense_config *cfg, double x0_m);
-/* M a + C v + K x + e force = -load ag  at t_n  ->  x[n+1] of the interface; two products. */
+/* M a + C v + K x + e force = -load ag  at t_n  ->  x[n+1] of the interface, by two products. */
 int rthyb_dense_answer(rthyb_dense *s, double excitation, double force_n, double *x_next_m);
-/* The other degrees of freedom follow; before the next answer. */
+/* Advances the other degrees of freedom; call before the next answer. */
 int rthyb_dense_advance(rthyb_dense *s);
 
 /* ---- numerical part by kind (numerical.c) ----------------------------------------------------- */
@@ -100,40 +100,41 @@ enum rthyb_numerical_kind {
     RTHYB_NUMERICAL_KINDS
 };
 
-/* Settings and state are the caller's. A state is rthyb_numerical_size(part) plain bytes without a
- * pointer, at an address fit for a double. Two parts never share one; settings are read throughout. */
+/* Settings and state belong to the caller. A state consists of rthyb_numerical_size(part) plain bytes without
+ * pointers, aligned for a double, and must not be shared by two parts. The settings must remain valid. */
 typedef struct {
     int32_t kind; /* enum rthyb_numerical_kind */
     const void *cfg;
     void *state;
 } rthyb_numerical;
 
-/* The interface at t_n: v and a as good as the integrator's order allows; x[n-1], x[n-2]. */
+/* The interface at t_n: v and a to the accuracy of the integrator; x1 = x[n-1], x2 = x[n-2]. */
 typedef struct {
     double x, v, a, x1, x2;
 } rthyb_interface;
 
-/* Bytes of a state, by kind and settings; 0 for a kind that does not exist, or senseless settings. */
+/* Size of a state in bytes; 0 for an unknown kind or implausible settings. */
 size_t rthyb_numerical_size(const rthyb_numerical *part);
-/* How many forces it takes and displacements it gives; of settings that init has accepted. */
+/* Number of interfaces (forces in, displacements out); for settings that init accepted. */
 int32_t rthyb_numerical_interfaces(const rthyb_numerical *part);
-/* At rest at x0; a sparse part where its settings say, and x0 must be 0. All others need a part that was set up. */
+/* Initialises the part at rest at x0; a sparse part starts as its settings state, and x0 must be 0. All functions
+ * below require an initialised part. */
 int rthyb_numerical_init(const rthyb_numerical *part, double x0_m);
-/* Excitation and forces at t_n -> x_c[n+1], one for every interface: all that stands between a reading
- * and its command. */
+/* Excitation and forces at t_n -> x_c[n+1], one value per interface. This is all that is computed between
+ * a reading and its command. */
 int rthyb_numerical_answer(const rthyb_numerical *part, double excitation, const double *force_n,
                            double *x_next_m);
-/* The rest of that step, once the command has left; before anything else is asked of the part. */
+/* Completes the step after the command was sent; must precede any other call for this part. */
 int rthyb_numerical_advance(const rthyb_numerical *part);
-/* Instead of answer and advance where a path has the command: the part's time stands still. */
+/* Call instead of answer and advance while a path determines the command: the time of the part does not advance. */
 void rthyb_numerical_freeze(const rthyb_numerical *part, const double *force_n);
-/* A state to its bytes and back, of the same kind and settings. */
+/* Copy a state to bytes and back; kind and settings must be the same. */
 void rthyb_numerical_save(const rthyb_numerical *part, void *bytes);
 void rthyb_numerical_restore(const rthyb_numerical *part, const void *bytes);
-/* One for every interface. */
+/* One value per interface. */
 void rthyb_numerical_look(const rthyb_numerical *part, rthyb_interface *at);
-/* Displacement of every degree of freedom, m, up to `most` of them; how many. Of a sparse part: its
- * responses, of this tick from the answer on until it advances. */
+/* Displacement of every degree of freedom in m, at most `most` of them; returns their number. For a sparse part:
+ * its responses in this tick, valid between answer and advance. */
 size_t rthyb_numerical_report(const rthyb_numerical *part, double *values, size_t most);
 /* cffi: end */
 

@@ -3,6 +3,7 @@
 #ifndef RTHYB_PART_RECORD_H
 #define RTHYB_PART_RECORD_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 /* cffi: begin */
@@ -57,12 +58,18 @@ enum rthyb_error {
 
 /* ---- one record: ring slot, HDF5 row and replay input -------------------------------------- */
 
+enum rthyb_coupled_size {
+    RTHYB_COUPLED_MAX = 4,    /* axes at one specimen */
+    RTHYB_COUPLED_SQUARE = 16 /* its square */
+};
+
 /* What stands here is declared nowhere else: Python reads names, types and places of the fields from it, and
- * from them come the rows of a recording and the slots of the ring. */
+ * from them come the rows of a recording and the slots of the ring. In words of 8 bytes; nothing is padded. */
 enum rthyb_record_size {
-    RTHYB_AXES = 1,          /* displacements that are commanded, each with its force */
     RTHYB_CHANNELS_MAX = 32, /* named values that a row may have beside its record */
-    RTHYB_RECORD_WORDS = 19  /* of 8 bytes; the record has no padding */
+    RTHYB_TEST_WORDS = 13,   /* of a record, without its axes */
+    RTHYB_AXIS_WORDS = 6,    /* of each axis */
+    RTHYB_RECORD_WORDS = RTHYB_TEST_WORDS + RTHYB_COUPLED_MAX * RTHYB_AXIS_WORDS
 };
 
 enum rthyb_state {
@@ -93,24 +100,34 @@ enum rthyb_flag {
     RTHYB_F_SILENT = 1 << 10, /* the operator's side has been silent for too long */
     RTHYB_F_BEYOND = 1 << 11, /* the wire cannot hold the command of the tick before */
     RTHYB_F_TAKEN_OVER = 1
-        << 12,                 /* no reading before this tick: the drive has x_cmd_m from others */
-    RTHYB_F_REFUSED = 1 << 23, /* the operator's command of this tick was refused */
-    RTHYB_F_COMMAND_BIT = 24   /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
+        << 12, /* no reading before this tick: the drive has x_cmd_m from others */
+    /* Of several axes alone, from here to bit 22. */
+    RTHYB_F_APART = 1 << 13, /* the drives' counts are more than one sample apart */
+    RTHYB_F_UNSENT_BIT =
+        14, /* bits 14 to 17: the command of this axis did not leave; no flag itself */
+    RTHYB_F_CAUSE_BIT =
+        18, /* bits 18 to 20: 1 + axis, or interface, of the cause; no flag itself */
+    RTHYB_F_INTERFACE = 1 << 21, /* an interface it is */
+    RTHYB_F_REFUSED = 1 << 23,   /* the operator's command of this tick was refused */
+    RTHYB_F_COMMAND_BIT = 24 /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
 };
 
 /* One axis. */
 typedef struct {
-    double x_read_m;  /* reading as the station was told it, taken or not, calibrated, before
-                       * the tare; NaN: what came was no number */
-    double f_read_n;  /* the same of the force; both 0 where nothing came */
-    double x_cmd_m;   /* x_p[n], as the drive has it */
-    double x_meas_m;  /* x_m[n], accepted or predicted, after tare */
-    double f_meas_n;  /* f[n], accepted or predicted, after tare */
-    uint32_t missing; /* samples in a row without an accepted pair, this one among them */
-    uint16_t echo;    /* low bits of the command sequence number the drive had applied */
-    uint16_t count;   /* low bits of the drive's own sample count */
+    double x_read_m; /* reading as the station was told it, taken or not, calibrated, before
+                      * the tare; NaN: what came was no number, or, with several axes, nothing */
+    double f_read_n; /* the same of the force; both 0 where nothing came */
+    double x_cmd_m;  /* x_p[n], as the drive has it */
+    double x_meas_m; /* x_m[n], accepted or predicted, after tare */
+    double f_meas_n; /* f[n], accepted or predicted, after tare */
+    uint32_t
+        missing;    /* samples in a row without an accepted pair of its own, this one among them */
+    uint16_t echo;  /* low bits of the command sequence number the drive had applied */
+    uint16_t count; /* low bits of the drive's own sample count */
 } rthyb_axis_record;
 
+/* A row of n axes is the record up to its n-th axis: rthyb_record_bytes(n) of it. What is said once, and what
+ * has a channel of its own where there are several (rthyb_station_config), is of the first. */
 typedef struct {
     uint64_t tick;        /* n, counted from the first sample of the test */
     int64_t due_ns;       /* when the tick was due, from the start of the test */
@@ -129,8 +146,11 @@ typedef struct {
     double k_t_n_per_m; /* tangent stiffness that the RFC used */
     double energy_error_j;
     double tracking_indicator_m2;
-    rthyb_axis_record axis[RTHYB_AXES];
+    rthyb_axis_record axis[RTHYB_COUPLED_MAX];
 } rthyb_record;
+
+/* Of a row of so many axes: from one to the next in an array of them. */
+size_t rthyb_record_bytes(int32_t axis_count);
 
 const char *rthyb_version(void);
 const char *rthyb_compiler(void);

@@ -5,36 +5,38 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "rthyb_rig.h"
+#include "rthyb_plant.h"
 #include "rthyb_station.h"
 
 /* cffi: begin */
 
 /* ---- tests in virtual time (virtual.c) --------------------------------------------------------- */
 
-/* Station and virtual rig, tick by tick, without clock and wire: the drive follows at once, has the
- * station's zero for its own, and stops by itself when it is told of a trip. */
+/* Station and virtual rig, tick by tick, without clock and wire: the drives follow at once, have the
+ * station's zero for their own, and stop by themselves when they are told of a trip. */
 typedef struct {
     rthyb_station *station;
-    rthyb_rig *rig;
+    rthyb_plant plant;
     const double *ag_mps2; /* ground motion of the test */
     size_t ag_count;
     double stop_decel_m_per_s2;
-    int32_t truth;              /* the first two channels are what the sensors saw, without their
-                                 * errors: rthyb_rig.x_true_m and f_true_n */
-    int32_t freedoms;           /* so many channels, behind those, say where the numerical part's
-                                 * degrees of freedom are */
-    int32_t phase;              /* enum rthyb_drive_phase; from here on the core's own */
-    double target_m, target1_m; /* what the actuator is told, and was told before */
+    int32_t truth;    /* the first two channels of each axis are what its sensors saw, without
+                       * their errors: rthyb_plant_truth */
+    int32_t freedoms; /* so many channels, behind those, say where the numerical part's
+                       * degrees of freedom are */
+    /* From here on the core's own: enum rthyb_drive_phase, what each actuator is told, and was told before. */
+    int32_t phase[RTHYB_COUPLED_MAX];
+    double target_m[RTHYB_COUPLED_MAX], target1_m[RTHYB_COUPLED_MAX];
 } rthyb_virtual;
 
 /* The members up to freedoms are the caller's; the rest becomes new. 0; RTHYB_E_LIMIT for a
- * deceleration that is not positive or too many channels, RTHYB_E_PERIOD where station and rig have not the same period. */
+ * deceleration that is not positive or too many channels, RTHYB_E_PERIOD where station and rig have not the same
+ * period, RTHYB_E_PLANT where they have not the same axes. */
 int rthyb_virtual_init(rthyb_virtual *test);
 /* Runs up to count ticks, the first one with an operator's command (RTHYB_CMD_NONE: none); each gives one
- * record, and the first channel_count of its channels. Returns how many were run: fewer where the state has
- * become another, or a tare has failed. */
-size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, rthyb_record *records,
+ * row of the station's axes, and the first channel_count of its channels. Returns how many were run: fewer where
+ * the state has become another, or a tare has failed. */
+size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, void *rows,
                          double *channels, uint32_t channel_count);
 
 /* ---- simulators of the diagnosis (simulate.c) ------------------------------------------------- */

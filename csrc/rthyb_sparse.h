@@ -57,12 +57,17 @@ typedef struct {
     rthyb_symmetric damping_n_s_per_m;    /* beside the two below */
     double by_mass_per_s, by_stiffness_s; /* Rayleigh: so much of M and K is damping */
     const double *modal;                  /* size x modes: modal damping is U U' */
-    rthyb_symmetric factor;     /* L, and on its diagonal 1 / D, of S without modal damping */
+    rthyb_symmetric factor; /* L, and on its diagonal 1 / D, of S without modal damping */
+    /* Panels of L: columns panel[i] to panel[i + 1] - 1 have the same rows below the last of them. panels + 1
+     * numbers from 0 to size; 0 panels: not known. */
+    const int32_t *panel;
+    int32_t panels;
     const double *modal_solved; /* size x modes: Z = S^-1 U, likewise */
     const double *modal_inner;  /* modes x modes: (1 / g + U' Z)^-1, g = (1 - a_f) gamma h */
     const double *load_kg;      /* size */
     rthyb_rows interface;       /* B', a row for each interface */
     const double *k_e_n_per_m;  /* interfaces */
+    const double *k_e_between;  /* interfaces x interfaces, 0 on its diagonal; NULL: none */
     const rthyb_joint *joint;
     /* q of a unit force and of a unit excitation: size for each interface, one after the other; size. The
      * first step, which has none before it, has its own. */

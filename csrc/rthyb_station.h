@@ -6,6 +6,7 @@
 #include <stdint.h>
 
 #include "rthyb_controller.h"
+#include "rthyb_watch.h"
 
 /* cffi: begin */
 
@@ -22,63 +23,26 @@ enum rthyb_command {
     RTHYB_CMD_COUNT
 };
 
-/* Why a test left its course; the first one since START (or RESET) is latched, but a fault takes the
- * place of COMPLETED and OPERATOR. */
-enum rthyb_cause {
-    RTHYB_CAUSE_NONE,
-    RTHYB_CAUSE_COMPLETED,
-    RTHYB_CAUSE_OPERATOR,
-    RTHYB_CAUSE_SIGNAL,
-    RTHYB_CAUSE_NOT_FINITE,
-    RTHYB_CAUSE_LINK_LOST,
-    RTHYB_CAUSE_LINK_DOWN,
-    RTHYB_CAUSE_DRIVE_STOPPED,
-    RTHYB_CAUSE_STALLED,
-    RTHYB_CAUSE_HEARTBEAT,
-    RTHYB_CAUSE_NOT_ARRIVED,
-    RTHYB_CAUSE_SKIPS, /* share of the last second's ticks, or more than 10 in a row */
-    RTHYB_CAUSE_SKIP_WARNING,
-    RTHYB_CAUSE_LOST_PAIRS, /* share of the last second's ticks without an accepted pair */
-    RTHYB_CAUSE_LOST_WARNING,
-    RTHYB_CAUSE_SENSOR_STUCK,
-    RTHYB_CAUSE_SENSOR_JUMP,
-    RTHYB_CAUSE_FORCE_STUCK,
-    RTHYB_CAUSE_FORCE_JUMP,
-    RTHYB_CAUSE_POSITION,
-    RTHYB_CAUSE_VELOCITY,
-    RTHYB_CAUSE_INCREMENT,
-    RTHYB_CAUSE_FORCE,
-    RTHYB_CAUSE_TRACKING,
-    RTHYB_CAUSE_INDICATOR,
-    RTHYB_CAUSE_ENERGY,
-    RTHYB_CAUSE_RIG_POSITION, /* before tare: where the drive was told to go */
-    RTHYB_CAUSE_RIG_FORCE,    /* before tare */
-    RTHYB_CAUSE_COUNT
-};
-
-enum rthyb_reaction {
-    RTHYB_REACT_NONE,
-    RTHYB_REACT_INDICATE,
-    RTHYB_REACT_HOLD,
-    RTHYB_REACT_RAMP_OUT,
-    RTHYB_REACT_TRIP
-};
-
-typedef struct {
-    double value;     /* 0 = off */
-    int32_t reaction; /* enum rthyb_reaction */
-} rthyb_watch;
-
 /* An actuator with its displacement sensor and its load cell; all before tare. */
 typedef struct {
     double x_range_m, f_range_n;     /* a reading beyond its sensor's range is not taken; 0 = off */
     double rest_spread_m;            /* ZERO refuses a displacement that moves by more */
     double tare_most_m, tare_most_n; /* and a tare beyond these; 0 = any */
+    int32_t
+        own_watches; /* 0: the station's; else these, of what belongs to an axis: stuck, jump, position
+                      * to tracking, rig position and rig force */
+    rthyb_watch watch[RTHYB_CAUSE_COUNT];
 } rthyb_axis_config;
+
+/* Of what is asked of the specimen in this direction, and of its force: m and N, or rad and N m. */
+typedef struct {
+    rthyb_watch position, force;
+} rthyb_interface_config;
 
 typedef struct {
     rthyb_controller_config controller;
-    rthyb_axis_config axis[RTHYB_AXES];
+    rthyb_axis_config axis[RTHYB_COUPLED_MAX];
+    rthyb_interface_config interface[RTHYB_COUPLED_MAX];
     /* SKIPS and what follows it; stuck: ticks, jump: m or N, shares: of 1. SKIPS with value 0 is
      * a ramp-out at 50 in 1024. */
     rthyb_watch watch[RTHYB_CAUSE_COUNT];
@@ -87,9 +51,12 @@ typedef struct {
     double brake_acceleration_m_per_s2; /* of HOLD, and where ramp-out begins; 0: as of paths */
     int32_t tare_ticks, ramp_in_ticks, armed_ticks;
     int32_t stay; /* RAMP_OUT ends where its deceleration does, and not at 0 */
-    /* Which of the row's channels are what the control law reports beside alpha and beta, and which what
-     * the numerical part does: from which one on, and how many; 0: none. */
+    /* Which of the row's channels are what the first axis' control law reports beside alpha and beta, which
+     * what the numerical part does, and which what further axes have beside the record: x_num and k_t of each
+     * interface but the first, then x_plc, alpha and beta of each axis but the first. From which one on, and
+     * how many; 0: none. */
     uint32_t law_channel, law_channel_count, part_channel, part_channel_count;
+    uint32_t axis_channel, axis_channel_count;
 } rthyb_station_config;
 
 /* Displacement over a whole number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u); u = 0 ... 1. Or a
@@ -136,6 +103,7 @@ typedef struct {
     double rest_x;       /* where the readings have been at rest, */
     uint32_t rest_ticks; /* and for how many of them */
     int32_t off_scale;   /* of this tick's reading: bit 0 displacement, bit 1 force */
+    int32_t told;        /* this tick had one */
     rthyb_overload over_f, over_rig_f;
     double told_x, told_f; /* this tick's reading, if there was one */
 } rthyb_axis;
@@ -164,30 +132,32 @@ typedef struct {
     rthyb_station_config cfg;
     rthyb_station_ticks ticks;
     rthyb_controller controller;
-    int32_t state;       /* enum rthyb_state */
-    int32_t cause;       /* enum rthyb_cause, latched */
-    uint64_t cause_tick; /* when the cause came up */
-    double cause_value;  /* what was met, in the unit of what is watched (m, N, ticks ...), */
-    double cause_limit;  /* and what was allowed; both 0 where the cause has no number */
-    uint32_t indicated;  /* bit 1 << cause: seen, not acted on */
+    int32_t state;                       /* enum rthyb_state */
+    int32_t cause;                       /* enum rthyb_cause, latched */
+    int32_t cause_axis, cause_interface; /* of which, or -1 */
+    uint64_t cause_tick;                 /* when the cause came up */
+    double cause_value; /* what was met, in the unit of what is watched (m, N, ticks ...), */
+    double cause_limit; /* and what was allowed; both 0 where the cause has no number */
+    uint32_t indicated; /* bit 1 << cause: seen, not acted on */
     int32_t interrupted;
     uint64_t tick;      /* ticks of the station */
     uint64_t in_state;  /* ticks since the state was entered */
     double nearest_m;   /* at the end of a path: how near the command has come to it, since when */
     int64_t no_nearer;  /* ticks since then */
     uint64_t test_tick; /* n of the ground motion: RUNNING ticks so far */
-    rthyb_path path;
+    rthyb_path path[RTHYB_COUPLED_MAX]; /* of each interface; they begin and end together */
     int32_t leg; /* HOLD: 0 decelerating, 1 stands, 2 resuming, 3 decelerating before it resumes;
                   * RAMP_OUT: 0 decelerating, 1 on the way; RAMP_IN: 0 on the way, 1 decelerating */
-    double resume_x, resume_v, resume_a;
+    double resume[RTHYB_COUPLED_MAX]
+                 [3];      /* displacement, velocity, acceleration of each interface */
     int32_t zeroing;       /* 0 no, 1 under way, 2 failed: the reading moved, 3: too large */
     int32_t tare_readings; /* that the tare has so far */
     int32_t tared;         /* there is one that counts: none before the first, none after a RESET */
     int32_t seen;          /* there is a reading of every axis */
     int32_t commands; /* x_cmd is the drive's by an earlier tare or station, not by a reading */
     int32_t noted;    /* bits of this tick's record, found before there is one */
-    int32_t told;     /* this tick had a reading */
-    rthyb_axis axis[RTHYB_AXES];
+    uint64_t apart;   /* ticks in a row in which the drives' counts were apart */
+    rthyb_axis axis[RTHYB_COUPLED_MAX];
     int32_t drive_stands;  /* it has stopped by itself, or nobody can reach it */
     int32_t refused_cause; /* why the last ARM, START, RESUME, RESET or tare was refused: */
     double refused_value, refused_limit; /* as with a cause; NONE: not by a watch */
@@ -203,8 +173,12 @@ typedef struct {
 
 /* Of an axis. */
 typedef struct {
-    double x_m, f_n; /* newest pair, before tare */
-    double x_cmd_m;  /* with taken_over: what the drive has */
+    double x_m, f_n;       /* newest pair, before tare */
+    double x_cmd_m;        /* with taken_over: what the drive has */
+    int32_t lost;          /* as in rthyb_pair */
+    int32_t link_down;     /* the link itself reports a failure */
+    int32_t drive_stopped; /* the drive says that it has stopped by itself */
+    int32_t beyond;        /* the wire could not hold the last command and sent the nearest */
 } rthyb_axis_input;
 
 typedef struct {
@@ -213,30 +187,27 @@ typedef struct {
 } rthyb_axis_output;
 
 typedef struct {
-    rthyb_axis_input axis[RTHYB_AXES];
-    int32_t lost;           /* as in rthyb_input */
+    rthyb_axis_input axis[RTHYB_COUPLED_MAX];
     uint32_t skipped;       /* ticks that were skipped before this one */
     int32_t command;        /* enum rthyb_command */
-    int32_t link_down;      /* the link itself reports a failure */
-    int32_t drive_stopped;  /* the drive says that it has stopped by itself */
     int32_t heartbeat_late; /* Python has been silent for a second */
-    int32_t beyond;         /* the wire could not hold the last command and sent the nearest */
-    int32_t taken_over;     /* with the first sound reading: the drive has a command already */
+    int32_t taken_over;     /* with the first sound readings: the drives have commands already */
+    int32_t apart;          /* the drives' counts are more than one sample apart */
 } rthyb_station_input;
 
 typedef struct {
-    rthyb_axis_output axis[RTHYB_AXES];
+    rthyb_axis_output axis[RTHYB_COUPLED_MAX];
     int32_t send; /* 0: silence */
     int32_t state;
-    int32_t told;    /* to the drive: the state, or RTHYB_TOLD_RESET */
+    int32_t told;    /* to the drives: the state, or RTHYB_TOLD_RESET */
     int32_t refused; /* the command was refused: not for this state, or nobody there to obey */
     uint32_t records;
 } rthyb_station_output;
 
 int rthyb_station_init(rthyb_station *station, const rthyb_station_config *cfg);
 /* One executed tick: blind steps for what was skipped, then the sample. records takes up to
- * RTHYB_BLIND_MAX + 1 of them; the last one has what the station was told as flags. ag_mps2 is the
- * ground motion of the whole test, n of it. While the link is down or the drive stopped, ZERO, ARM
+ * RTHYB_BLIND_MAX + 1 of them, whole ones; the last one has what the station was told as flags. ag_mps2 is the
+ * ground motion of the whole test, n of it. While a link is down or a drive stopped, ZERO, ARM
  * and START are refused; RESET without a fresh reading, or before they have stood still for 19.5 ms; ARM,
  * START, RESUME and RESET beyond a limit, as refused_cause says. RESET is for TRIPPED, and for IDLE where
  * the drive has stopped: the next three commands tell it so. */

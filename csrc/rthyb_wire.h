@@ -11,57 +11,57 @@
 
 enum rthyb_wire_size {
     RTHYB_FRAME_MAX = 64,       /* data of a CAN FD frame, bytes */
-    RTHYB_SERIAL_COMMAND = 12,  /* a command on the serial line, with the 0 that ends it */
-    RTHYB_SERIAL_FEEDBACK = 16, /* the same of a feedback */
-    RTHYB_PACKET_MAX = 14       /* what COBS unpacks to, with its CRC */
+    RTHYB_SERIAL_COMMAND = 12,  /* a command on the serial line, including the final 0 */
+    RTHYB_SERIAL_FEEDBACK = 16, /* the same for feedback */
+    RTHYB_PACKET_MAX = 14       /* after COBS decoding, including the CRC */
 };
 
 enum rthyb_can_id { RTHYB_ACT_CMD = 0x101, RTHYB_ACT_FB = 0x181, RTHYB_LC_FB = 0x182 };
-/* Added to a 29-bit identifier, as in SocketCAN. */
+/* Set in a 29-bit identifier, as in SocketCAN. */
 #define RTHYB_ID_EXTENDED 0x80000000
 
-/* Bits of the status byte that the drive or the load cell sends. */
+/* Bits of the status byte sent by the drive or the load cell. */
 enum rthyb_device {
-    RTHYB_DEVICE_STOPPED = 1, /* its own stop has begun or is done; latched there */
-    RTHYB_DEVICE_INVALID = 2  /* this reading is not to be used */
+    RTHYB_DEVICE_STOPPED = 1, /* its own stop has begun or is complete; latched in the drive */
+    RTHYB_DEVICE_INVALID = 2  /* this reading must not be used */
 };
 
-/* What became of a frame. Above HALF: the frame was not taken. */
+/* What was done with a frame. With a value above HALF, the frame was rejected. */
 enum rthyb_verdict {
-    RTHYB_W_PAIR = 1,         /* displacement and force of one instant are complete */
-    RTHYB_W_HALF = 2,         /* one of them; it waits for the other */
-    RTHYB_W_ID = 4,           /* not a frame for us */
+    RTHYB_W_PAIR = 1,         /* displacement and force of one instant are available */
+    RTHYB_W_HALF = 2,         /* one of them, waiting for the other */
+    RTHYB_W_ID = 4,           /* a frame with another identifier */
     RTHYB_W_LENGTH = 8,       /* too short or too long */
     RTHYB_W_CRC = 16,         /* damaged */
-    RTHYB_W_FRAMING = 32,     /* serial: not COBS */
-    RTHYB_W_NOT_FINITE = 64,  /* says that it has no number, or holds NaN or inf */
-    RTHYB_W_RANGE = 128,      /* beyond the range in the DBC */
+    RTHYB_W_FRAMING = 32,     /* serial: invalid COBS */
+    RTHYB_W_NOT_FINITE = 64,  /* marked as having no number, or contains NaN or inf */
+    RTHYB_W_RANGE = 128,      /* outside the range in the DBC file */
     RTHYB_W_INVALID = 256,    /* RTHYB_DEVICE_INVALID */
-    RTHYB_W_DUPLICATE = 512,  /* of a sample that is here already */
-    RTHYB_W_REORDERED = 1024, /* older than what is here already */
-    RTHYB_W_STUCK = 2048,     /* the drive repeats one sample again and again */
-    RTHYB_W_PACKET = 4096     /* of a deframer: a whole packet, CRC good */
+    RTHYB_W_DUPLICATE = 512,  /* belongs to a sample already received */
+    RTHYB_W_REORDERED = 1024, /* older than a sample already received */
+    RTHYB_W_STUCK = 2048,     /* the drive repeats the same sample */
+    RTHYB_W_PACKET = 4096     /* from a deframer: complete packet with valid CRC */
 };
 
 typedef struct {
     uint32_t id;    /* as in SocketCAN, flags included; serial: 0 */
-    int32_t fd;     /* to be sent as CAN FD */
+    int32_t fd;     /* send as CAN FD */
     int32_t length; /* bytes in data */
     uint8_t data[RTHYB_FRAME_MAX];
 } rthyb_frame;
 
 enum rthyb_signal_kind { RTHYB_UNSIGNED, RTHYB_SIGNED, RTHYB_FLOAT };
 
-/* Where a number stands in a frame. Its value in SI is raw * scale + offset. */
+/* Position of a number in a frame. The value in SI units is raw * scale + offset. */
 typedef struct {
     int32_t kind;   /* enum rthyb_signal_kind */
-    int32_t length; /* bits; 0: the frame does not have it */
-    int32_t start;  /* 8 byte + bit of its lowest bit; big-endian: of its highest */
+    int32_t length; /* bits; 0: not in this frame */
+    int32_t start;  /* 8 * byte + bit of the lowest bit; big-endian: of the highest bit */
     int32_t big_endian;
-    int32_t has_none; /* raw value `none` says that there is no number */
+    int32_t has_none; /* the raw value `none` means that there is no number */
     int64_t none;
     double scale, offset;
-    double low, high; /* range of the raw value, as the DBC has it */
+    double low, high; /* range of the raw value, as in the DBC file */
 } rthyb_signal;
 
 enum rthyb_field {
@@ -78,73 +78,74 @@ enum rthyb_field {
 typedef struct {
     uint32_t id;
     int32_t fd, length;
-    int32_t crc_at; /* byte with CRC-8/SAE-J1850 of the id's low byte and all others; -1: none */
+    int32_t
+        crc_at; /* byte with the CRC-8/SAE-J1850 of the low byte of the id and all other bytes; -1: none */
     rthyb_signal field[RTHYB_FIELDS];
-    uint8_t fill[RTHYB_FRAME_MAX]; /* the bits that belong to no field */
+    uint8_t fill[RTHYB_FRAME_MAX]; /* bits that belong to no field */
 } rthyb_message;
 
 enum rthyb_wire_format {
-    RTHYB_WIRE_CAN,    /* hw/rthyb.dbc, its code written by hand */
+    RTHYB_WIRE_CAN,    /* hw/rthyb.dbc, with hand-written code */
     RTHYB_WIRE_SERIAL, /* the same numbers in COBS packets */
-    RTHYB_WIRE_TABLE   /* any DBC, by table */
+    RTHYB_WIRE_TABLE   /* any DBC file, by table */
 };
 
 typedef struct {
     int32_t format; /* enum rthyb_wire_format; only TABLE needs the messages */
-    /* displacement and force with one id: one frame holds both. */
+    /* If displacement and force have the same id, one frame contains both. */
     rthyb_message command, displacement, force;
-    /* Raw state by which a table's drive is told so, beyond those of enum rthyb_state. 0: it cannot be,
-     * and is told IDLE. */
+    /* TABLE: raw state values for reset and leaving, in addition to those of enum rthyb_state. 0: the drive
+     * has no such state, and IDLE is sent. */
     uint32_t reset, leaving;
 } rthyb_codec;
 
-/* What a command says in the place of the controller's state, beside enum rthyb_state. */
+/* Values in a command in place of the controller's state, in addition to enum rthyb_state. */
 enum rthyb_told {
-    RTHYB_TOLD_RESET =
-        8, /* an operator's: a drive that stands after a stop of its own follows again */
-    RTHYB_TOLD_LEAVING =
-        9 /* the silence that follows is meant: it is no reason to ask for a reset */
+    RTHYB_TOLD_RESET = 8,  /* from the operator: a drive that stopped by itself must follow again */
+    RTHYB_TOLD_LEAVING = 9 /* commands now end intentionally: no reset will be required */
 };
 
 enum rthyb_wire_error { RTHYB_E_CODEC = 64 };
 
-/* A shorter count comes round while one half of a pair may still wait for the other. */
+/* A shorter count would wrap around while half of a pair may still be waiting for the other. */
 enum rthyb_codec_size { RTHYB_COUNT_BITS_MIN = 5 };
 
 typedef struct {
     double x_m;
-    uint32_t seq;   /* one more with every command */
+    uint32_t seq;   /* incremented with every command */
     uint32_t state; /* enum rthyb_state, or enum rthyb_told */
 } rthyb_setpoint;
 
 enum rthyb_reading_part { RTHYB_HAS_X = 1, RTHYB_HAS_F = 2 };
 
 typedef struct {
-    uint32_t has;    /* enum rthyb_reading_part */
-    uint32_t echo;   /* low bits of the seq of the command applied at the instant of this sample */
-    uint32_t count;  /* the drive's samples */
+    uint32_t has;   /* enum rthyb_reading_part */
+    uint32_t echo;  /* low bits of the seq of the command in effect at the instant of this sample */
+    uint32_t count; /* sample count of the drive */
     uint32_t status; /* enum rthyb_device */
     double x_m, f_n;
 } rthyb_reading;
 
-/* 0, or RTHYB_E_CODEC for a table that does not fit its frames. The functions below trust a codec
- * that passed. */
+/* 0, or RTHYB_E_CODEC if the table does not fit its frames. The functions below require a codec that
+ * passed this check. */
 int rthyb_codec_check(const rthyb_codec *codec);
 
-/* A command as bytes; CAN: a frame, serial: what is to be written. *sent_m is the displacement as
- * the drive will read it. RTHYB_OK; RTHYB_S_OUT_OF_RANGE for one that the frame cannot hold, sent as
- * the nearest that it can; RTHYB_S_NOT_FINITE: there is no frame, its length is 0. */
+/* Encodes a command: for CAN as a frame, for a serial line as the bytes to write. *sent_m is the displacement
+ * as the drive will decode it. Returns RTHYB_OK; RTHYB_S_OUT_OF_RANGE if the frame cannot represent the value,
+ * and contains the nearest possible one; RTHYB_S_NOT_FINITE if there is no frame (its length is 0). */
 int rthyb_encode_setpoint(const rthyb_codec *codec, const rthyb_setpoint *setpoint,
                           rthyb_frame *frame, double *sent_m);
-/* For a displacement between two bounds: itself, where what a frame rounds it to lies between them as
- * well, to a millionth of a step; else the value of the frame next to it that does. NaN: none does. */
+/* For a displacement between two bounds: returns it unchanged if the value to which a frame rounds it also
+ * lies between them, to within a millionth of a step; otherwise the nearest frame value that does. NaN: there is
+ * none. */
 double rthyb_command_within(const rthyb_codec *codec, double x_m, double low_m, double high_m);
-/* A sample of the drive as one or two frames; returns how many. 0 if a value is not finite and the
- * table has no way to say so. */
+/* Encodes a sample of the drive as one or two frames; returns their number. 0 if a value is not finite and
+ * the table cannot express that. */
 int rthyb_encode_feedback(const rthyb_codec *codec, const rthyb_reading *reading,
                           rthyb_frame frames[2]);
-/* 0, or why the frame is not taken (enum rthyb_verdict). serial: the frame is a deframer's packet.
- * After NOT_FINITE, RANGE and INVALID the reading's count is good, its values are not. */
+/* 0, or the reason why the frame is rejected (enum rthyb_verdict). For a serial line, the frame is a packet
+ * from the deframer. After NOT_FINITE, RANGE and INVALID, the count of the reading is valid but its values are
+ * not. */
 int rthyb_decode_setpoint(const rthyb_codec *codec, const rthyb_frame *frame,
                           rthyb_setpoint *setpoint);
 int rthyb_decode_feedback(const rthyb_codec *codec, const rthyb_frame *frame,
@@ -153,51 +154,51 @@ int rthyb_decode_feedback(const rthyb_codec *codec, const rthyb_frame *frame,
 /* CRC-8/SAE-J1850 and CRC-16/CCITT-FALSE. */
 uint8_t rthyb_crc8(const uint8_t *bytes, size_t n);
 uint16_t rthyb_crc16(const uint8_t *bytes, size_t n);
-/* Fewer than 254 bytes -> n + 2 bytes without a 0 but the last, which ends the packet. */
+/* Encodes fewer than 254 bytes as n + 2 bytes, of which only the last, the end of the packet, is 0. */
 size_t rthyb_cobs_encode(const uint8_t *bytes, size_t n, uint8_t *out);
 
-/* Finds packets in a stream of bytes; after damage it is in step again at the next 0. All zero is
- * its start. */
+/* Finds packets in a stream of bytes; after an error it resynchronises at the next 0. Initialise it with
+ * zeros. */
 typedef struct {
     uint8_t data[RTHYB_PACKET_MAX];
     uint8_t length;   /* bytes in data */
     uint8_t left;     /* bytes until the next code byte */
-    uint8_t begun;    /* a byte came since the last 0 */
-    uint8_t too_long; /* nothing fits any more: wait for the 0 */
+    uint8_t begun;    /* a byte was received since the last 0 */
+    uint8_t too_long; /* buffer full: waiting for the 0 */
 } rthyb_deframer;
 
-/* 0: nothing yet. RTHYB_W_PACKET: *packet has the bytes without their CRC. Else what was damaged. */
+/* 0: packet not complete. RTHYB_W_PACKET: *packet contains the bytes without the CRC. Otherwise the error. */
 int rthyb_deframer_byte(rthyb_deframer *deframer, uint8_t byte, rthyb_frame *packet);
 
 /* May be read while the wire is in use. */
 typedef struct {
     uint64_t sent;   /* commands */
-    uint64_t frames; /* frames and packets that came, good or bad */
-    uint64_t pairs;  /* taken */
+    uint64_t frames; /* frames and packets received, valid or not */
+    uint64_t pairs;  /* used */
     uint64_t other_id, bad_length, bad_crc, bad_framing, not_finite, out_of_range, invalid;
     uint64_t duplicate, reordered;
-    uint64_t stuck;      /* duplicates after many others */
-    uint64_t lone;       /* halves whose other half did not come */
-    uint64_t missed;     /* samples that the drive's count skips */
+    uint64_t stuck;      /* duplicates after many other duplicates */
+    uint64_t lone;       /* halves whose other half did not arrive */
+    uint64_t missed;     /* samples missing according to the drive's count */
     uint64_t superseded; /* pairs followed by another within one tick */
     uint64_t stale;      /* ticks without a new pair */
 } rthyb_wire_counters;
 
-/* One end of the wire, the controller's. */
+/* The controller's end of the wire. */
 typedef struct {
     rthyb_codec codec;
     rthyb_deframer deframer;
     uint32_t seq; /* of the last command */
     uint32_t echo_mask, count_mask;
-    rthyb_reading half[2]; /* displacement, force: what waits for its other half; has 0: none */
+    rthyb_reading half[2]; /* displacement, force: waiting for the other half; has = 0: none */
     uint32_t half_age[2];  /* ticks */
     rthyb_reading pair;    /* newest */
-    uint64_t samples;      /* its count, unwrapped */
-    uint32_t age;          /* ticks since it came */
-    uint32_t stopped;      /* RTHYB_DEVICE_STOPPED: last word of any frame that was intact, or 0 */
-    uint32_t repeats;      /* frames in a row that bring nothing new */
-    int32_t synced;        /* pair.count says which count comes next */
-    int32_t fresh;         /* pair came since the last take */
+    uint64_t samples;      /* its count, without wrap-around */
+    uint32_t age;          /* ticks since it arrived */
+    uint32_t stopped;      /* RTHYB_DEVICE_STOPPED or 0, from the last intact frame */
+    uint32_t repeats;      /* consecutive frames without new data */
+    int32_t synced;        /* the next count is known from pair.count */
+    int32_t fresh;         /* the pair arrived since the last take */
     int32_t refused;       /* enum rthyb_status: readings refused since the last take */
     rthyb_wire_counters counters;
 } rthyb_wire;
@@ -205,26 +206,26 @@ typedef struct {
 typedef struct {
     double x_m, f_n; /* newest pair, 0 before the first */
     uint32_t echo, count, status;
-    /* Samples between the command for this tick and the one that the drive had applied at the
-     * instant of the pair; -1: not known. */
+    /* Samples between the command for this tick and the one in effect at the instant of the pair; -1: not
+     * known. */
     int32_t delay;
-    uint32_t age; /* ticks since the pair came, 0: fresh */
+    uint32_t age; /* ticks since the pair arrived; 0: new in this tick */
     uint64_t
-        samples; /* the drive's count, unwrapped; after 20 ticks of silence only modulo 2^bits */
+        samples; /* the drive's count without wrap-around; after 20 ticks of silence only modulo 2^bits */
 } rthyb_feedback;
 
 /* 0 or RTHYB_E_CODEC. */
 int rthyb_wire_init(rthyb_wire *wire, const rthyb_codec *codec);
-/* The next command, with the next seq; as rthyb_encode_setpoint. */
+/* Encodes the next command with the next seq; see rthyb_encode_setpoint. */
 int rthyb_wire_command(rthyb_wire *wire, double x_m, int32_t state, rthyb_frame *frame,
                        double *sent_m);
-/* A CAN frame that came. Returns its enum rthyb_verdict. One with ID, LENGTH, CRC or FRAMING
- * changes nothing but its counter. */
+/* Processes a received CAN frame and returns its enum rthyb_verdict. With ID, LENGTH, CRC or FRAMING, only
+ * the corresponding counter changes. */
 int rthyb_wire_receive(rthyb_wire *wire, const rthyb_frame *frame);
-/* Bytes that came from the serial line, in pieces of any size; all verdicts together. */
+/* Processes bytes from the serial line, in pieces of any size; returns all verdicts combined. */
 int rthyb_wire_feed(rthyb_wire *wire, const uint8_t *bytes, size_t n);
-/* Once a tick, after all that came was taken in and before the command is made: the newest pair.
- * RTHYB_OK, or why there is none: for rthyb_input.lost. */
+/* Call once per tick, after processing everything received and before making the command: returns the newest
+ * pair. The result is RTHYB_OK, or the reason why there is none, for rthyb_input.lost. */
 int rthyb_wire_take(rthyb_wire *wire, rthyb_feedback *feedback);
 /* cffi: end */
 

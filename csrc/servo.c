@@ -2,6 +2,7 @@
  * x_p[n] in, move on to t_{n+1} with the command held (zoh) or run up to from the one before (foh). */
 #include <string.h>
 
+#include "hydraulic.h"
 #include "internal.h"
 #include "numeric.h"
 
@@ -175,10 +176,16 @@ double rthyb_specimen_force(rthyb_element *elements, uint32_t element_count, dou
     return force;
 }
 
-/* PI loop on the table's displacement, first-order valve, square-root load flow (natural velocity
- * feedback), oil column as spring and damper, moving mass with friction. Velocity lives between
- * the substeps (leapfrog), linear damping is implicit. The load cell at the actuator's end sees the
- * oil column's force; inertia elements of the specimen ride on the table. */
+void rthyb_servo_run_up(const rthyb_servo *s, double *start, double *rise)
+{
+    const uint32_t d = whole_delay(s);
+    const double end = sent(s, d);
+    *start = s->cfg.hold == RTHYB_FOH ? sent(s, d + 1) : end;
+    *rise = (end - *start) / s->cfg.substeps;
+}
+
+/* The load cell at the actuator's end sees the oil column's force; inertia elements of the specimen ride on
+ * the table. */
 static void advance_hydraulic(rthyb_servo *s, rthyb_element *elements, uint32_t element_count)
 {
     const rthyb_servo_config *c = &s->cfg;
@@ -188,36 +195,18 @@ static void advance_hydraulic(rthyb_servo *s, rthyb_element *elements, uint32_t 
     const double per_h = 1.0 / h, per_stall = 1.0 / c->stall_force_n;
     const double per_mass = 1.0 / (c->moving_mass_kg + damping);
     const double per_width = 1.0 / c->friction_width_m_per_s;
-    const uint32_t d = whole_delay(s);
-    const double end = sent(s, d), start = c->hold == RTHYB_FOH ? sent(s, d + 1) : end;
-    const double rise = (end - start) / c->substeps;
+    double start, rise;
+    rthyb_servo_run_up(s, &start, &rise);
     for (int i = 0; i < c->substeps; i++) {
-        const double command = start + rise * (i + 0.5);
-        const double error = command - s->x;
-        s->integral = clamp(s->integral + h * error, -1e3, 1e3);
-        const double wanted = c->kp_per_s * error + c->ki_per_s2 * s->integral;
-        s->valve += s->valve_gain * (wanted - s->valve);
-        s->valve = clamp(s->valve, -c->flow_limit_m_per_s, c->flow_limit_m_per_s);
-        const double load = copysign(per_stall, s->valve) * s->oil_force;
-        s->piston_velocity = s->valve * sqrt(clamp(1.0 - load, 0.0, 2.0));
-
-        const double spring = c->oil_stiffness_n_per_m * (s->piston - s->x);
-        const double push = spring + c->oil_damping_n_s_per_m * s->piston_velocity;
+        const double push = hydraulic_push(s, start + rise * (i + 0.5), h, per_stall);
         const double specimen = rthyb_specimen_force(elements, element_count, s->x, s->v, s->a, h);
         const double net = push - specimen - c->friction_n * smooth_sign(s->v * per_width);
-        const double before = s->half_velocity;
-        s->half_velocity = ((c->moving_mass_kg - damping) * before + h * net) * per_mass;
-        s->a = (s->half_velocity - before) * per_h;
-        s->v = s->half_velocity + 0.5 * h * s->a;
-        s->x += h * s->half_velocity;
-        s->piston += h * s->piston_velocity;
-        s->oil_force = c->oil_stiffness_n_per_m * (s->piston - s->x) +
-                       c->oil_damping_n_s_per_m * (s->piston_velocity - s->v);
+        const double half = ((c->moving_mass_kg - damping) * s->half_velocity + h * net) * per_mass;
+        hydraulic_move(s, half, h, per_h);
     }
 }
 
-/* A virtual rig that has gone unstable stops at its guard instead of filling with inf. */
-static int confine_state(rthyb_servo *s)
+int rthyb_servo_confine(rthyb_servo *s)
 {
     int code = RTHYB_OK;
     s->x = confine(s->x, 1e2 * RTHYB_DISPLACEMENT_MAX_M, &code);
@@ -244,5 +233,5 @@ int rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t el
         advance_hydraulic(servo, elements, element_count);
     else if (servo->cfg.kind == RTHYB_SERVO_VALVE)
         rthyb_valve_advance(servo, elements, element_count);
-    return confine_state(servo);
+    return rthyb_servo_confine(servo);
 }

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rthyb_rt.analysis.spectra import FrequencyResponse
     from rthyb_rt.api.checking import Check, check
     from rthyb_rt.api.comparing import Comparison, compare
     from rthyb_rt.api.diagnosing import Diagnosis, diagnose
@@ -31,6 +32,7 @@ __all__ = [
     "Check",
     "Comparison",
     "Diagnosis",
+    "FrequencyResponse",
     "Identification",
     "InputError",
     "Plot",
@@ -57,6 +59,7 @@ _HOMES = {
     "Check": "api.checking",
     "Comparison": "api.comparing",
     "Diagnosis": "api.diagnosing",
+    "FrequencyResponse": "analysis.spectra",
     "Identification": "api.identifying",
     "InputError": "errors",
     "Plot": "api.recordings",

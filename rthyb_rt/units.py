@@ -77,6 +77,8 @@ _UNITS: dict[str, tuple[str, Dimension]] = {
     "samples": ("1", _COUNT),
     "sample": ("1", _COUNT),
     "%": ("1e-2", _RATIO),
+    "rad": ("1", _RATIO),
+    "mrad": ("1e-3", _RATIO),
 }
 
 # The exponent is short so that an absurd one cannot become a gigantic fraction.

@@ -189,13 +189,18 @@ static int set_up_controller(rthyb_controller *controller, const choice *c)
     const rthyb_controller_config cfg = {
         .period_s = PERIOD_S,
         .lead_enabled = 1,
-        .law = law_of_kind(c->law, 17.0),
-        .rfc = {.enabled = 1,
-                .tangent = c->tangent,
-                .window = 51,
-                .k_e_n_per_m = K_E,
-                .end_tick = 500,
-                .rest_noise_m = 2e-6},
+        .axis_count = 1,
+        .interface_count = 1,
+        .axis = {{.law = law_of_kind(c->law, 17.0),
+                  .x_range_m = 0.1,
+                  .velocity_limit_m_per_s = 1.0,
+                  .acceleration_limit_m_per_s2 = 50.0}},
+        .rfc = {{.enabled = 1,
+                 .tangent = c->tangent,
+                 .window = 51,
+                 .k_e_n_per_m = K_E,
+                 .end_tick = 500,
+                 .rest_noise_m = 2e-6}},
         .numerical = part_of_case(c),
         .motion = {.integrator = own ? c->integrator : RTHYB_CR,
                    .period_s = PERIOD_S,
@@ -203,9 +208,6 @@ static int set_up_controller(rthyb_controller *controller, const choice *c)
                    .damping_n_s_per_m = 2121.0,
                    .k_e_n_per_m = K_E,
                    .rho_inf = 0.8},
-        .x_range_m = 0.1,
-        .velocity_limit_m_per_s = 1.0,
-        .acceleration_limit_m_per_s2 = 50.0,
     };
     return rthyb_controller_init(controller, &cfg);
 }
@@ -237,12 +239,12 @@ static int run_case(const choice *c)
         rthyb_input in = {.excitation = 0.4 * sin(20.0 * t) + 0.3 * sin(55.0 * t)};
         if (c->integrator == RTHYB_PRESCRIBED)
             in.excitation *= 0.01;
-        rthyb_rig_step(&rig, controller.x_cmd, &in.x_meas_m, &in.f_meas_n);
-        in.lost = n % 97 < 4;
+        rthyb_rig_step(&rig, controller.axis[0].x_cmd, &in.axis[0].x_meas_m, &in.axis[0].f_meas_n);
+        in.axis[0].lost = n % 97 < 4;
         if (n % 131 == 0)
-            in.x_meas_m = n % 2 ? NAN : 1e300;
+            in.axis[0].x_meas_m = n % 2 ? NAN : 1e300;
         if (n % 173 == 0)
-            in.f_meas_n = INFINITY;
+            in.axis[0].f_meas_n = INFINITY;
         rthyb_controller_step(&controller, &in, &record);
     }
     return error;

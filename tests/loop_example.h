@@ -31,17 +31,18 @@ static rthyb_station_config loop_example_station(void)
     return (rthyb_station_config){
         .controller = {.period_s = EXAMPLE_PERIOD_S,
                        .lead_enabled = 1,
-                       .law = law_example("paper", 6.0),
-                       .rfc = {.enabled = 1,
-                               .window = 51,
-                               .k_e_n_per_m = EXAMPLE_K_E,
-                               .end_tick = UINT64_MAX},
+                       .axis_count = 1,
+                       .interface_count = 1,
+                       .axis = {{.law = law_example("paper", 6.0), .velocity_limit_m_per_s = 0.5}},
+                       .rfc = {{.enabled = 1,
+                                .window = 51,
+                                .k_e_n_per_m = EXAMPLE_K_E,
+                                .end_tick = UINT64_MAX}},
                        .motion = {.period_s = EXAMPLE_PERIOD_S,
                                   .mass_kg = 4220.0,
                                   .damping_n_s_per_m = 2121.0,
                                   .k_e_n_per_m = EXAMPLE_K_E,
-                                  .rho_inf = 1.0},
-                       .velocity_limit_m_per_s = 0.5},
+                                  .rho_inf = 1.0}},
         .path_velocity_m_per_s = 0.05,
         .path_acceleration_m_per_s2 = 1.0,
         .axis = {{.rest_spread_m = 1e-4}},
@@ -85,9 +86,8 @@ static int loop_example_set_up(loop_example *e)
     e->drive.calibration = identity;
     e->drive.stop_decel_m_per_s2 = 1.0;
     e->config.station = &e->station;
-    e->config.wire = &e->wire;
-    e->config.link = &e->near;
-    e->config.calibration = identity;
+    e->config.axis[0] =
+        (rthyb_loop_axis){.wire = &e->wire, .link = &e->near, .calibration = identity};
     e->config.lead_ns = 200e3;
     e->config.ag_mps2 = e->ag_mps2;
     e->config.ag_count = EXAMPLE_TICKS;

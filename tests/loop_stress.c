@@ -77,14 +77,14 @@ static void start(pthread_t *thread, void *(*work)(void *), void *argument)
 static void set_up(bench *b, int32_t clock)
 {
     memset(b, 0, sizeof *b);
-    b->bytes = rthyb_ring_bytes(CAPACITY, 0, 0);
+    b->bytes = rthyb_ring_bytes(CAPACITY, 0, 1, 0);
     b->map = aligned_alloc(4096, (b->bytes + 4095) / 4096 * 4096);
     if (!b->map || loop_example_set_up(&b->e) || rthyb_drive_init(&b->e.drive)) {
         fprintf(stderr, "loop_stress: set-up refused\n");
         exit(2);
     }
     memset(b->map, 0, b->bytes);
-    rthyb_ring_init(&b->ring, b->map, CAPACITY, 0, 0);
+    rthyb_ring_init(&b->ring, b->map, CAPACITY, 0, 1, 0);
     b->e.config.ring = &b->ring;
     must(loop_example_init(&b->e, clock) == 0, "the loop takes its clock");
 }
@@ -199,16 +199,18 @@ static void *follow(void *argument)
 {
     reader_job *job = argument;
     rthyb_ring_reader reader;
-    rthyb_record records[BATCH];
+    rthyb_record records[BATCH]; /* room for rows of any number of axes */
     must(rthyb_ring_attach(&reader, job->b->map, job->b->bytes) == 0, "a reader finds the ring");
     for (;;) {
         const int over = is_over(job->b);
         const size_t count = rthyb_ring_read(&reader, records, BATCH);
         for (size_t i = 0; i < count; i++) {
-            job->disordered += records[i].tick < job->wanted;
-            job->disordered += records[i].generation < job->generation;
-            job->wanted = records[i].tick + 1;
-            job->generation = records[i].generation;
+            const rthyb_record *row =
+                (const void *)((const char *)records + i * rthyb_record_bytes(1));
+            job->disordered += row->tick < job->wanted;
+            job->disordered += row->generation < job->generation;
+            job->wanted = row->tick + 1;
+            job->generation = row->generation;
         }
         job->read += count;
         job->lost = reader.lost;

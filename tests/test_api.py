@@ -351,7 +351,7 @@ def test_measures_are_those_of_the_command_line(rec: rt.Recording) -> None:
     assert rec.measures["tracking_nrmse"] == found.tracking_nrmse
     assert rec.measures["fs_hz"] == 1024
     assert rec.verdict == summary.verdict(found)
-    assert rec.table[0][0] == "End of the test"
+    assert rec.table[0][0] == "Result"
     json.dumps(rec.measures)
 
 

@@ -94,9 +94,9 @@ def test_alpha_that_learns_from_noise_is_told_with_the_key_to_change() -> None:
     assert rec.samples["alpha"][0] == pytest.approx(25.2, abs=0.01)
     assert one.value < 14.0
     assert one.allowed == pytest.approx(1.87, abs=0.01)
-    (text,) = (text for text in alarms(rec) if text.startswith("Alpha left"))
+    (text,) = (text for text in alarms(rec) if text.startswith("Alpha departed"))
     assert "identified delay of 25.2 samples" in text
-    assert "it went to 13." in text
+    assert "it reached 13." in text
     assert "controller.delay_estimator.gain_per_mm2_per_sample" in text
     assert 'controller.type = "robust"' in text
 
@@ -107,7 +107,7 @@ def test_response_that_is_lost_in_the_quiet_part_is_told() -> None:
     assert one.value > 0.4
     assert one.from_s > 20.0
     assert summary.summarize(rec).response_peak_error < 0.1, "of the peak it is small"
-    assert alarms(rec)[0].startswith("The response left the reference simulation: from")
+    assert alarms(rec)[0].startswith("The response departed from the reference simulation: from")
 
 
 def test_alpha_that_learns_from_motion_alone_stays_with_the_delay() -> None:
@@ -353,10 +353,10 @@ def told_live(rec: Recording, seconds: float, folder: Path) -> list[str]:
 def test_the_live_view_says_of_a_running_test_what_goes_wrong(tmp_path: Path) -> None:
     rec = lab("paper")
     assert told_live(rec, 5.0, tmp_path) == []
-    alpha = [text for text in told_live(rec, 20.0, tmp_path) if text.startswith("Alpha left")]
+    alpha = [text for text in told_live(rec, 20.0, tmp_path) if text.startswith("Alpha departed")]
     assert len(alpha) == 1
     whole = told_live(rec, 40.0, tmp_path)
-    assert whole[0].startswith("The response left the reference simulation")
+    assert whole[0].startswith("The response departed from the reference simulation")
     assert "controller.delay_estimator.gain_per_mm2_per_sample" in whole[1]
 
 
@@ -377,7 +377,7 @@ def test_the_report_begins_with_what_must_not_be_missed() -> None:
     from rthyb_rt.report import render
 
     page = render(lab("paper"))
-    assert page.index("Alpha left the identified delay") < page.index('class="sentence"')
+    assert page.index("Alpha departed from the identified delay") < page.index('class="sentence"')
     assert '<span class="state bad">completed, see Attention</span>' in page
     good = render(example("section5-T0.5"))
     assert '<span class="state good">completed</span>' in good

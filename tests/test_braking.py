@@ -181,7 +181,7 @@ def test_station_brakes_as_check_computes_it() -> None:
         x, _, a = brake.at(lasts)
         # Row n has the displacement of before the brake's tick n.
         np.testing.assert_allclose(table.rows()["x_num_m"][1:], x[:-1], rtol=0, atol=1e-12)
-        assert table.station._c.controller.x_num == pytest.approx(x[-1], abs=1e-12)
+        assert table.station._c.controller.interface[0].x_num == pytest.approx(x[-1], abs=1e-12)
         assert np.abs(a).max() <= most * (1 + 1e-9)
 
 
@@ -289,7 +289,7 @@ class Left:
         sent, elapsed = self.bench.loop.counters()["sent"], self.bench.loop.counts.elapsed
         if sent == self.sent:
             return False
-        self.x.append(self.bench.station._c.controller.x_lim)
+        self.x.append(self.bench.station._c.controller.axis[0].limiter.x_lim)
         self.gap.append(elapsed - self.elapsed > 1)
         self.sent, self.elapsed = sent, elapsed
         return True
@@ -388,8 +388,8 @@ def test_limits_drawn_in_on_a_path_are_braked_into(where: str, narrower: str) ->
     if where == "resuming" and narrower != "position":
         table.until("RUNNING")
         assert table.station.test_tick == left
-        assert table.station._c.controller.x_num == pytest.approx(
-            table.station._c.resume_x, abs=1e-12
+        assert table.station._c.controller.interface[0].x_num == pytest.approx(
+            table.station._c.resume[0][0], abs=1e-12
         )
 
 
@@ -409,7 +409,7 @@ def test_narrower_limits_in_ramp_in_lead_to_zero_all_the_same() -> None:
             table.adopt(path_velocity_m_per_s=0.008)
         command: core.Command = "none" if n else "start"
         table.station.tick(0.004 + 1e-6 * (n % 2), 5.0 * (n % 2), command=command)
-        x.append(table.station._c.controller.x_num)
+        x.append(table.station._c.controller.interface[0].x_num)
         if table.station.state == "RUNNING":
             break
     assert table.station.state == "RUNNING"
@@ -424,7 +424,7 @@ def test_hold_during_resume_brakes_again_and_resume_leads_where_the_test_was_lef
     table = Table(prepared()).fast(0.08)
     table.step("hold")
     c = table.station._c
-    left = (c.resume_x, c.resume_v, c.resume_a, table.station.test_tick)
+    left = (c.resume[0][0], c.resume[0][1], c.resume[0][2], table.station.test_tick)
     table.steps(400)
     for _ in range(2):
         assert not table.step("resume").refused
@@ -438,10 +438,10 @@ def test_hold_during_resume_brakes_again_and_resume_leads_where_the_test_was_lef
         assert np.ptp(table.rows()["x_num_m"][-100:]) == 0.0
         assert np.abs(np.diff(table.rows()["x_num_m"][-350:], 2)).max() <= 1.72 * H * H
         assert before < len(table.sent)
-        assert left == (c.resume_x, c.resume_v, c.resume_a, table.station.test_tick)
+        assert left == (c.resume[0][0], c.resume[0][1], c.resume[0][2], table.station.test_tick)
     table.step("resume")
     table.until("RUNNING")
-    assert c.controller.x_num == pytest.approx(left[0], abs=1e-12)
+    assert c.controller.interface[0].x_num == pytest.approx(left[0], abs=1e-12)
     assert table.station.test_tick == left[3]
 
 
@@ -449,11 +449,11 @@ def test_hold_while_it_stands_changes_nothing() -> None:
     table = Table(prepared()).fast(0.08)
     table.step("hold")
     table.steps(400)
-    stands = table.station._c.controller.x_num
+    stands = table.station._c.controller.interface[0].x_num
     assert not table.step("hold").refused
     assert not table.step("resume").refused
     table.until("RUNNING")
-    assert table.station._c.controller.x_num != stands
+    assert table.station._c.controller.interface[0].x_num != stands
 
 
 # ---- any operator, any gap -----------------------------------------------------------------------

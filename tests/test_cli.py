@@ -77,7 +77,7 @@ def test_help_names_every_command_and_the_exit_codes(rthyb: Rthyb) -> None:
 def test_without_arguments_the_help_is_shown(rthyb: Rthyb) -> None:
     answer = rthyb()
     assert answer.code in (0, 2)
-    assert "Begin with" in answer.out + answer.err
+    assert "Getting started" in answer.out + answer.err
 
 
 @pytest.mark.parametrize("command", ["run", "check", "replay", "export", "report", "schema"])
@@ -196,7 +196,7 @@ def test_limit_ends_the_test_with_code_6_and_the_files_are_there(
 ) -> None:
     answer = rthyb("run", "--set", "limits.force_n=1000", "--out", "x")
     assert answer.code == 6
-    assert re.search(r"End of the test +tripped: force limit, after \d", answer.out)
+    assert re.search(r"Result +tripped: force limit, after \d", answer.out)
     assert {file.name for file in (tmp_path / "x").iterdir()} >= {"recording.h5", "report.html"}
 
 
@@ -594,7 +594,7 @@ def test_run_that_diverges_without_limits_is_not_reported_as_fine(rthyb: Rthyb) 
     settings = ("controller.type=none", "rig=delay-10-elastic", "limits={}")
     answer = rthyb("run", "--no-report", *(word for s in settings for word in ("--set", s)))
     assert answer.code == 0
-    for alarm in ("The motion ran away", "Response NRMSE", "The tracking error moved"):
+    for alarm in ("The motion ran away", "Response NRMSE", "The tracking error exchanged"):
         assert f"Attention: {alarm}" in answer.out
 
 

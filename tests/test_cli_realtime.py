@@ -103,7 +103,7 @@ def test_without_a_link_a_virtual_rig_of_its_own_is_started_and_replay_agrees(
         assert told
         assert told[1].startswith((str(lab.runtime), "/run/rthyb"))
         assert rthyb("replay", lab.folder / out).out.startswith("bit-identical")
-        for label in ("Punctuality", "Link", "End of the test"):
+        for label in ("Punctuality", "Link", "Result"):
             assert label in printed
         assert list((lab.runtime / "rthyb").glob("*")) == []
 

@@ -21,7 +21,7 @@ from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.numerical import Labels, Matrices, Numbers, Place, Square
 from rthyb_rt.config.rigfile import BoucWen, Link, RigFile
 from rthyb_rt.config.structures import Counts, Each, Names, Terms
-from rthyb_rt.config.testfile import Numerical, TestFile
+from rthyb_rt.config.testfile import AxisLaw, Numerical, TestFile
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment
 
@@ -65,6 +65,8 @@ def values_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> st.SearchStrat
         return values_of(arguments[0], arguments[1:])
     if origin is typing.Literal:
         return st.sampled_from(arguments)
+    if origin is list and arguments[0] is AxisLaw:
+        return st.lists(tables(AxisLaw), max_size=1)
     if origin is list:
         return st.lists(values_of(arguments[0]), min_size=1, max_size=4)
     if origin is dict:
@@ -133,6 +135,10 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
     if "offset_m" in data:
         data["offset_m"] = min(data["offset_m"], 1e3 * data["scale"])
         data["offset_m"] = max(data["offset_m"], -1e3 * data["scale"])
+    if data.get("type") == "matrix":
+        data["axis"] = []
+    elif "matrix" in data:
+        data["matrix"] = None
     if "alpha_min" in data:
         data["alpha_min"], data["alpha_max"] = draw(st.floats(0, 20)), draw(st.floats(40, 1000))
     if "w1" in data:

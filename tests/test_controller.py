@@ -442,7 +442,7 @@ LAWS = {
 
 def test_rows_of_another_layout_are_refused() -> None:
     c = controller(structure())
-    with pytest.raises(core.CoreError, match="RECORD_DTYPE"):
+    with pytest.raises(core.CoreError, match="record_dtype"):
         c.run_virtual(delay_rig(), np.zeros(10), np.zeros(10))
     spread = np.zeros(20, core.RECORD_DTYPE)[::2]
     with pytest.raises(core.CoreError, match="contiguous"):

@@ -580,7 +580,7 @@ def test_slow_command_is_not_frozen_by_a_coarse_wire(acceleration: float) -> Non
         for _ in range(2048):
             controller.step(x, 0.0, 5e-3)
             x = round(controller.x_cmd_m / step) * step
-            controller._c.x_cmd = x
+            controller._c.axis[0].x_cmd = x
         reached.append(x)
     assert reached[0] == pytest.approx(5e-3, abs=1e-6)
     assert reached[1] == pytest.approx(5e-3, abs=coarse)

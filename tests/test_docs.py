@@ -19,9 +19,10 @@ from rthyb_rt import cli, config, studies
 from rthyb_rt.analysis import summary
 from rthyb_rt.cli import commands
 from rthyb_rt.core import FLAGS, STATES
+from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.diagnose import catalogue, effects
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.lab import axes_rig, experiment, virtual_time
 from rthyb_rt.rig import identify
 from rthyb_rt.studies.results import Study
 
@@ -116,11 +117,11 @@ def test_safety_note_is_in_readme_and_guide() -> None:
         assert note in " ".join(read(page).lower().replace("*", "").split())
 
 
-# ---- the outline of the house -------------------------------------------------------------------
+# ---- the layout of the repository ----------------------------------------------------------------
 
 
 def outline() -> list[str]:
-    text = read(ROOT / "README.md").split("## Outline of the house")[1]
+    text = read(ROOT / "README.md").split("## Repository layout")[1]
     block = _FENCE.search(text)
     assert block is not None
     return [line.split()[0] for line in block[2].splitlines()]
@@ -151,7 +152,10 @@ def test_files_that_claim_a_schema_load_and_fit_a_rig(tmp_path: Path) -> None:
     for page, text in blocks("toml"):
         schema = tomllib.loads(text).get("schema", "")
         if schema == config.rigfile.RIG_SCHEMA:
-            rig = config.parse_rig(text, page)
+            rig = config.parse_any_rig(text, page)
+            if isinstance(rig, config.AxesRig):
+                CoupledRig(axes_rig.rig_config(rig))
+                continue
             experiment.rig_config(rig)
             if page == "own-specimen.md" and rig.link is None:
                 found = identify.identified_rig(rig, identify.identify(rig))

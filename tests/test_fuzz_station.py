@@ -101,7 +101,7 @@ BROKEN_ON_PURPOSE = {
         "force beyond its limit for .25 s in HOLD or RAMP_OUT: TRIPPED",
     ),
     "an overload may grow a little further": (
-        "station",
+        "watches",
         "#define OVERLOAD 1.5",
         "#define OVERLOAD 1.8",
         "force beyond 1.5 times its limit in HOLD or RAMP_OUT: TRIPPED",
@@ -113,9 +113,9 @@ BROKEN_ON_PURPOSE = {
         "a tare is the mean of as many readings as it has ticks",
     ),
     "after a gap the command stands": (
-        "controller",
-        "c->step = blind ? c->step : x_cmd - c->x_lim;",
-        "c->step = blind ? 0.0 : x_cmd - c->x_lim;",
+        "limiter",
+        "l->step = blind ? l->step : x_cmd - l->x_lim;",
+        "l->step = blind ? 0.0 : x_cmd - l->x_lim;",
         "no change of step beyond the acceleration limit a tick",
     ),
     "a reset trusts one reading": (
@@ -125,15 +125,15 @@ BROKEN_ON_PURPOSE = {
         "TRIPPED is left by RESET alone, at rest",
     ),
     "an acceleration a hundredth too large": (
-        "controller",
-        "const double h = c->cfg.period_s, a_max = c->cfg.acceleration_limit_m_per_s2;",
-        "const double h = c->cfg.period_s, a_max = 1.01 * c->cfg.acceleration_limit_m_per_s2;",
+        "limiter",
+        "high[i] = a_max > 0.0 ? from[i] + a_max * h * h : HUGE_VAL;",
+        "high[i] = a_max > 0.0 ? from[i] + 1.01 * a_max * h * h : HUGE_VAL;",
         "no change of step beyond the acceleration limit a tick",
     ),
     "a replay that is a little off": (
         "replay",
-        ".x_m = row->axis[0].x_read_m,",
-        ".x_m = row->axis[0].x_read_m * (1.0 + 3e-16),",
+        ".x_m = row->axis[i].x_read_m,",
+        ".x_m = row->axis[i].x_read_m * (1.0 + 3e-16),",
         "the rows replay bit for bit",
     ),
 }

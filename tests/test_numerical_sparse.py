@@ -58,7 +58,8 @@ def printed(config: SparseConfig, ag: Floats, force: Force) -> Floats:
     for row, terms in zip(b, config.interfaces, strict=True):
         for at, by in terms:
             row[at] = by
-    whole = own + b.T @ np.diag(config.k_e_n_per_m) @ b
+    between = np.array(config.k_e_between) if config.k_e_between else 0.0
+    whole = own + b.T @ (np.diag(config.k_e_n_per_m) + between) @ b
     c = config.damping_times(np.eye(n))
     step = m + gamma * h * c + beta * h * h * whole
     one = np.linalg.solve(step, m)
@@ -141,6 +142,52 @@ def test_two_actuators_at_a_storey_and_at_a_drift_are_the_printed_method() -> No
         return np.asarray([0.8 * K_E, 0.4 * K_E] * at + 50.0 * np.cos(i / 30.0))
 
     assert worst(run(config, AG, force), printed(config, AG, force)) < 1e-12
+
+
+def test_a_specimen_that_couples_two_actuators_is_the_printed_method() -> None:
+    rows = (((2, 1.0),), ((7, 1.0), (6, -1.0)))
+    coupled = np.array([[K_E, 0.4 * K_E], [0.4 * K_E, 0.5 * K_E]])
+    config = building(
+        interfaces=rows,
+        k_e_n_per_m=tuple(np.diag(coupled).tolist()),
+        k_e_between=((0.0, 0.4 * K_E), (0.4 * K_E, 0.0)),
+        rho_inf=0.8,
+        **RAYLEIGH,
+    )
+
+    def force(i: int, at: Floats) -> Floats:
+        return np.asarray(0.8 * coupled @ at + 50.0 * np.cos(i / 30.0))
+
+    found = run(config, AG, force)
+    assert worst(found, printed(config, AG, force)) < 1e-12
+    assert worst(found, run(replace(config, k_e_between=()), AG, force)) > 1e-6
+    assert np.array_equal(run(SparseConfig.of_plain(config.plain()), AG, force), found)
+
+
+@pytest.mark.parametrize(("columns", "storeys", "widest"), [((2, 2), 3, 24), ((5, 4), 6, 100)])
+def test_the_solve_by_panels_of_a_space_frame_is_scipys(
+    columns: tuple[int, int], storeys: int, widest: int
+) -> None:
+    mass, stiffness, _, corner = space_frame(columns, storeys)
+    m, k = mass.toarray(), stiffness.toarray()
+    config = building(m, k, interfaces=(((corner[0], 1.0),),), rho_inf=0.8)
+    settings, layout = config.struct()
+    panels = np.frombuffer(ffi.buffer(settings.panel, 4 * (settings.panels + 1)), np.int32)
+    assert np.diff(panels).max() >= widest, "nothing here that a panel could be"
+    w = layout.weights
+    rhs = np.random.default_rng(2).standard_normal(len(m))
+    in_step = w.beta * config.period_s**2 * config.whole_stiffness().toarray()
+    s = (1.0 - w.alpha_m) * m + (1.0 - w.alpha_f) * in_step
+    for known in (settings.panels, 0):
+        settings.panels = known
+        values = ffi.new("double[]", rhs[layout.order].tolist())
+        lib.rthyb_sparse_solve(settings, values)
+        found = np.empty(len(m))
+        found[layout.order] = list(values)
+        assert np.abs(s @ found - rhs).max() < 1e-12 * (np.abs(s) @ np.abs(found)).max()
+        assert found == pytest.approx(
+            np.linalg.solve(s, rhs), rel=1e-8, abs=1e-12 * abs(found).max()
+        )
 
 
 def test_it_is_the_method_of_chen_and_ricles_for_a_small_structure() -> None:
@@ -457,6 +504,13 @@ SENSELESS: dict[str, Callable[[Any], object]] = {
     "starts not at 0": lambda c: c.factor.start.__setitem__(0, 1),
     "place beyond": lambda c: c.stiffness_n_per_m.at.__setitem__(0, N),
     "place below the diagonal": lambda c: c.factor.at.__setitem__(5, 0),
+    "panels do not begin at 0": lambda c: c.panel.__setitem__(0, 1),
+    "panels end before the last": lambda c: c.panel.__setitem__(c.panels, N - 1),
+    "panels end beyond the last": lambda c: c.panel.__setitem__(c.panels, N + 1),
+    "a panel of nothing": lambda c: c.panel.__setitem__(1, 0),
+    "a panel too wide": lambda c: c.panel.__setitem__(1, 3),
+    "fewer than no panels": lambda c: setattr(c, "panels", -1),
+    "panels nowhere": lambda c: setattr(c, "panel", ffi.NULL),
     "factor inf": lambda c: c.factor.diagonal.__setitem__(0, np.inf),
     "load": lambda c: c.load_kg.__setitem__(0, np.nan),
     "no load": lambda c: setattr(c, "load_kg", ffi.NULL),
@@ -507,7 +561,8 @@ def _writable(settings: Any) -> None:
         ("mass_kg.diagonal", N), ("stiffness_n_per_m.value", N), ("stiffness_n_per_m.start", N + 1),
         ("stiffness_n_per_m.at", N), ("factor.start", N + 1), ("factor.at", N),
         ("factor.diagonal", N), ("load_kg", N), ("by_force", N), ("k_e_n_per_m", 1),
-        ("interface.at", 1), ("response.at", 1), ("first_x", N), ("first_v", N), ("modal", N),
+        ("interface.at", 1), ("response.at", 1), ("panel", settings.panels + 1),
+        ("first_x", N), ("first_v", N), ("modal", N),
     ):  # fmt: skip
         *above, name = path.split(".")
         owner = settings

@@ -37,12 +37,13 @@ def in_force(bench: Bench) -> core.Parameters:
         if slot.value or slot.reaction
     }
     for config in (c.cfg.controller, c.controller.cfg):
-        assert config.velocity_limit_m_per_s == c.cfg.controller.velocity_limit_m_per_s
+        limit = c.cfg.controller.axis[0].velocity_limit_m_per_s
+        assert config.axis[0].velocity_limit_m_per_s == limit
         assert config.estimate_held == c.cfg.controller.estimate_held
     return core.Parameters(
         watches,
-        c.controller.cfg.velocity_limit_m_per_s,
-        c.controller.cfg.acceleration_limit_m_per_s2,
+        c.controller.cfg.axis[0].velocity_limit_m_per_s,
+        c.controller.cfg.axis[0].acceleration_limit_m_per_s2,
         c.cfg.path_velocity_m_per_s,
         c.cfg.path_acceleration_m_per_s2,
         not c.controller.cfg.estimate_held,

@@ -14,7 +14,10 @@ import pytest
 import rthyb_rt
 
 PACKAGE = Path(rthyb_rt.__file__).parent
-ROOMS = ("core", "record", "config", "lab", "analysis", "rig", "diagnose", "report", "service")
+ROOMS = (
+    "core", "record", "config", "lab", "analysis", "checking", "rig", "diagnose", "report",
+    "service",
+)  # fmt: skip
 
 
 def _outside_typing(tree: ast.Module) -> list[ast.ImportFrom | ast.Import]:

@@ -749,7 +749,7 @@ def test_first_cause_is_kept() -> None:
 
 def slowed(bench: Bench, velocity_m_per_s: float) -> Bench:
     """Narrow the command's velocity limit behind the station's back: its path leaves it behind."""
-    bench.station._c.controller.cfg.velocity_limit_m_per_s = velocity_m_per_s
+    bench.station._c.controller.cfg.axis[0].velocity_limit_m_per_s = velocity_m_per_s
     return bench
 
 

@@ -20,6 +20,7 @@ from pydantic.fields import FieldInfo
 
 from rthyb_rt import core
 from rthyb_rt.config import (
+    axesfile,
     baselinefile,
     deriving,
     lawtables,
@@ -29,6 +30,7 @@ from rthyb_rt.config import (
     testfile,
 )
 from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
+from rthyb_rt.config.history import Amplitudes, CycleCounts
 from rthyb_rt.config.numerical import Labels, Numbers, Place, Square
 from rthyb_rt.config.structures import Counts, Each, Names, Terms
 from rthyb_rt.core.laws import LAWS, parameters
@@ -192,8 +194,32 @@ MEANINGS: dict[str, str] = {
     "Identified.frequency_hz": "frequencies of the sweep",
     "Identified.amplitude": "amplitude ratio at each",
     "Identified.delay_at_frequency_s": "delay at each",
+    "MatrixLaw.inverse": "true: behind the inverse of the identified response",
+    "MatrixLaw.coupled": "false: numbers on the diagonal alone, each axis by itself",
+    "Axis.actuator": "as in a rig of one axis",
+    "MatrixKinematics.interface": "names of the directions, the columns of the matrix",
+    "MatrixKinematics.matrix": "displacements of the axes by those of the interface: rows are axes",
+    "MatrixKinematics.rotations": "directions that are angles, in rad",
+    "PinKinematics.interface": "coordinates of the coupler in its plane; those not named stay 0",
+    "PinKinematics.pins_m": "pin of each axis at rest, from the point that the interface moves",
+    "PinKinematics.bases_m": "base of each axis",
+    "PinKinematics.directions": "instead of a base: direction to the pin, of one that is far away",
+    "PinKinematics.pulls": "axes that count their shortening as positive",
+    "JointSpecimen.stiffness": "forces by displacements along the interface, elastic",
+    "JointSpecimen.damping": "forces by velocities; absent: none",
+    "JointSpecimen.mass": "forces by accelerations; absent: none",
+    "Plant.file": ".npz or .mat with a, b and c, beside the rig file",
+    "Plant.a": "instead of the file: s' = a s + b u, time in s",
+    "Plant.b": "u are the commands of the axes, in their order, m",
+    "Plant.c": "x = c s are their displacements, m",
+    "JointIdentified.real": "a matrix a frequency, reading over command: rows are readings",
+    "JointIdentified.imaginary": "the same, its imaginary part",
+    "JointIdentified.frequency_hz": "frequencies of the sweep",
+    "JointIdentified.date": "date of the identification, text or TOML date",
     "TestFile.schema": "first line of the file",
     "RigFile.schema": "first line of the file",
+    "SweepHistory.spacing": "whether equal times are equal ratios or equal steps of frequency",
+    "CyclesHistory.file": "CSV file of amplitudes and cycles beside the test file, instead",
     "TestFile.rig": "path of a rig file (beside the test file), or name of a shipped rig",
 }
 """What a key is for, where its model does not say it in a range."""
@@ -239,7 +265,10 @@ def tables() -> dict[str, str]:
         ("baseline", baselinefile.BaselineFile),
     ):
         for key, models in _sections(file):
+            if key.startswith("controller.axis"):
+                continue  # the keys of [controller]
             parts[f"{prefix}.{key}"] = _choices(models) if len(models) > 1 else _table(models[0])
+    parts |= {f"axes.{key}": text for key, text in _of_axes().items()}
     del parts["rig.limits"]  # the test file's
     del parts["test.numerical.nonlinear.law"]  # the rig file's specimen
     parts = {name.replace(" MatrixFile", ".from-a-file"): text for name, text in parts.items()}
@@ -247,6 +276,16 @@ def tables() -> dict[str, str]:
     parts["test.limits.KEY"] = _table(limits.Limit)
     parts["samples"] = _samples()
     return parts
+
+
+def _of_axes() -> dict[str, str]:
+    """Return what a rig of several axes has beside the tables of one."""
+    own = ("axis", "kinematics", "specimen", "specimen.element", "plant", "identified")
+    found = {key: models for key, models in _sections(axesfile.AxesRig) if key in own}
+    return {
+        key: _choices(models) if len(models) > 1 else _table(models[0])
+        for key, models in found.items()
+    }
 
 
 def renewed(page: str, parts: dict[str, str]) -> str:
@@ -403,7 +442,7 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
             each = f"{_number(part.each.low)} to {_number(part.each.high)}"
             rows = "rows or diagonal" if isinstance(part, Square) else "list"
             allowed = f"{rows}, each {each}"
-        elif isinstance(part, (Labels, Place)):
+        elif isinstance(part, (Labels, Place, Amplitudes, CycleCounts)):
             allowed, meaning = part.form, part.what
         elif isinstance(part, Each):
             unit, meaning = part.one.unit, part.one.what
@@ -413,6 +452,14 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
             meaning = part.one.what
         elif isinstance(part, Terms):
             allowed, meaning = "list, label, or labels with weights", part.what
+        elif isinstance(part, axesfile.MatrixOf):
+            form = "symmetric" if part.symmetric else "square" if part.square else "equal"
+            allowed = f"{form} rows, each -{_number(part.size)} to {_number(part.size)}"
+        elif isinstance(part, axesfile.Point):
+            unit = part.one.unit
+            allowed = "table of axes, each `[x, y]`"
+        elif isinstance(part, axesfile.Different):
+            allowed = "list, different names"
         elif isinstance(part, Names):
             allowed, meaning = "list, different texts", part.what
         elif isinstance(part, Sign):
@@ -430,9 +477,9 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
         raise LookupError(f"{model.__name__}.{key}: say in MEANINGS what it is for")
     meaning += _of_laws(model, key)
     origin = typing.get_origin(info.annotation)
-    if origin is list and not allowed.startswith(("rows", "list")):
+    if origin is list and not allowed.startswith(("rows", "list")) and " rows" not in allowed:
         allowed = f"list, each {allowed}"
-    elif origin is dict:
+    elif origin is dict and not allowed.startswith("table"):
         words = [word for part in parts if isinstance(part, OneOf) for word in part.words]
         allowed = "table of " + ", ".join(f"`{word}`" for word in words)
     return f"`{key}` | {unit} | {_default(info)} | {allowed} | {meaning} |"

@@ -10,8 +10,9 @@ from typing import Any, Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.analysis import margins, measures, numerical_margins
+from rthyb_rt.analysis import hysteresis, margins, measures, numerical_margins
 from rthyb_rt.analysis.attention import Finding, Judge, Subject
+from rthyb_rt.analysis.hysteresis import Amplitude
 from rthyb_rt.config.deriving import structure_of_test
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.numerical_structure import Structure, structure_of
@@ -64,6 +65,9 @@ class Setup:
         reference_peak_n: the same of its force.
         description: the test file's.
         rig_name: name of the rig.
+        history: what was prescribed, in words; "": a hybrid test.
+        time_scale: seconds of the laboratory for one of the structure; masses, dampings and periods
+            are those of the laboratory's time.
     """
 
     controller: str | None
@@ -87,6 +91,8 @@ class Setup:
     reference_peak_n: float | None
     description: str
     rig_name: str
+    history: str = ""
+    time_scale: float = 1.0
 
 
 def setup(rec: Recording) -> Setup:
@@ -116,6 +122,8 @@ def setup(rec: Recording) -> Setup:
             damping = ratio * critical
         elif damping is not None:
             ratio = damping / critical
+    slow = _positive(_get(test, "test", "time_scale")) or 1.0
+    mass, damping, period = _times(mass, slow**2), _times(damping, slow), _times(period, slow)
     rate = Rate(rec.fs_hz)
     critical_delay = _critical_delay(test, mass, damping, k_e, rate)
     structure = structure_of_recording(test, k_e, rate)
@@ -162,6 +170,8 @@ def setup(rec: Recording) -> Setup:
         reference_peak_n=_reference_peak(rec, "f_ref_n"),
         description=_words(_get(test, "test", "description")),
         rig_name=_words(_get(rig, "rig", "name")),
+        history=_words(rec.ground_motion.get("name")) if _get(test, "history") else "",
+        time_scale=slow,
     )
 
 
@@ -191,7 +201,8 @@ def structure_of_recording(
             return structure_of_test(TestFile.model_validate(test), k_e, rate.period_s)
         if not isinstance(matrices, dict):
             return None
-        return structure_of(Matrices.model_validate(matrices), k_e, rate.period_s)
+        slow = _positive(_get(test, "test", "time_scale")) or 1.0
+        return structure_of(Matrices.model_validate(matrices), k_e, rate.period_s).slowed(slow)
     except (ValueError, InputError):
         # Another version's.
         return None
@@ -357,8 +368,9 @@ class Summary:
     """The figures of a test; fractions and SI units, nan or None where there is nothing to say.
 
     ``attention`` is what went wrong although the test may have completed, the gravest first;
-    ``ended_by`` the cause that took it off its course, None if none did. Errors, indices and flags
-    are taken over the rows of the test proper.
+    ``ended_by`` the cause that took it off its course, None if none did; ``loops`` what the cycles
+    of a prescribed history have shown, by amplitude. Errors, indices and flags are taken over the
+    rows of the test proper.
     """
 
     test_name: str
@@ -400,6 +412,7 @@ class Summary:
     ended_by: Met | None
     live: Live | None
     setup: Setup = field(repr=False)
+    loops: tuple[Amplitude, ...] = ()
 
     @property
     def ending(self) -> str:
@@ -510,7 +523,7 @@ def summarize(rec: Recording) -> Summary:
     relative = input_j = None
     if given.mass_kg is not None:
         input_j = measures.input_energy(run["ag_mps2"], x_num, given.mass_kg)
-    if given.k_e_n_per_m is not None:
+    if given.k_e_n_per_m is not None and not given.history:
         relative = measures.hsem(error_j, input_j, force, given.k_e_n_per_m)
     response: dict[str, float | None] = dict.fromkeys(("nrmse", "difference", "error", "sum"))
     pair = reference_pair(rec)
@@ -566,6 +579,7 @@ def summarize(rec: Recording) -> Summary:
         ended_by=trips.found(rec, given),
         live=how,
         setup=given,
+        loops=hysteresis.amplitudes(rec) if given.history else (),
     )
     return _bare(found) if found.never_began else found
 
@@ -665,17 +679,30 @@ def verdict(s: Summary) -> str:
         return "The recording holds no finite command: there is nothing to judge."
     if s.peak_command_m == 0.0:
         still = np.isnan(s.peak_measured_m) or s.peak_measured_m == 0.0
-        moved = "" if still else f", while {_mm(s.peak_measured_m)} were measured"
-        return f"The command stayed at zero{moved}: there is no motion to judge."
+        moved = "" if still else f", although {_mm(s.peak_measured_m)} was measured"
+        return f"The command stayed at zero{moved}: there is no motion to evaluate."
     tracking = (
         f"The specimen followed the command within {_mm(s.tracking_peak_difference_m)} "
         f"({percent(s.tracking_peak_error)})"
     )
+    if s.setup.history:
+        return f"{tracking}{_loops_in_words(s.loops)}."
     if s.response_peak_difference_m is None:
         return f"{tracking}; there is no reference simulation to compare the response with."
     return (
-        f"{tracking}; the response differs from the reference simulation by "
-        f"{_mm(s.response_peak_difference_m)} at most ({percent(s.response_peak_error)})."
+        f"{tracking}; the response differs from the reference simulation by at most "
+        f"{_mm(s.response_peak_difference_m)} ({percent(s.response_peak_error)})."
+    )
+
+
+def _loops_in_words(loops: tuple[Amplitude, ...]) -> str:
+    if not loops:
+        return ""
+    largest = max(loops, key=lambda one: one.amplitude_m)
+    return (
+        f"; at {quantity(largest.amplitude_m, 'mm', 1e3)} its secant stiffness was "
+        f"{quantity(largest.last.secant_n_per_m, 'kN/m', 1e-3)}, its equivalent damping "
+        f"{percent(largest.last.damping_ratio)}"
     )
 
 
@@ -699,18 +726,18 @@ def notices(s: Summary) -> list[Notice]:
         found.append(
             Notice(
                 "alarm",
-                f"{count(s.not_finite_rows, 'row')} with values that are not finite; "
-                "the measures leave them out.",
+                f"{count(s.not_finite_rows, 'row')} with non-finite values; "
+                "they are excluded from the results.",
             )
         )
     found += _useless(s)
     found += [Notice("alarm", attention_in_words(one, s.setup, s.attention)) for one in s.attention]
     flagged = {
-        "limited": "had the command held back by a limit: the actuator was sent less than asked",
+        "limited": "had the command reduced by a limit: the actuator was sent less than requested",
         "not_sent": "had a command that could not be sent",
-        "predicted": "had a predicted instead of a measured feedback",
-        "blind": "passed blind, without feedback and command, in a skip",
-        "frozen": "had the delay estimate and the stiffness frozen, feedback being away",
+        "predicted": "had predicted instead of measured feedback",
+        "blind": "were skipped, without feedback and command",
+        "frozen": "had the delay estimate and the stiffness frozen because feedback was missing",
     }
     for name, text in flagged.items():
         n = s.flags.get(name, 0)
@@ -726,9 +753,7 @@ def notices(s: Summary) -> list[Notice]:
     if s.alpha_at_bound > 0.01:
         share = percent(s.alpha_at_bound)
         found.append(
-            Notice(
-                "alarm", f"The delay estimate stood at one of its bounds for {share} of the test."
-            )
+            Notice("alarm", f"The delay estimate was at one of its bounds for {share} of the test.")
         )
     told = any(one.kind == "stiffness" for one in s.attention)
     if s.setup.rfc_enabled and s.k_t_at_zero > 0.01 and not told:
@@ -752,25 +777,25 @@ def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding])
     """
     beside: set[str] = {other.kind for other in all_found if other.meets(one)}
     span = f"from {one.from_s:.1f} to {one.to_s:.1f} s"
-    allowed = f"allowed is {100.0 * one.allowed:g} %"
+    allowed = f"at most {100.0 * one.allowed:g} % is allowed"
     if one.kind == "response":
         found = (
-            f"The response left the reference simulation: {span} its rms difference was "
-            f"{percent(one.value)} of the reference's, {allowed}"
+            f"The response departed from the reference simulation: {span} the rms difference was "
+            f"{percent(one.value)} of the reference, {allowed}"
         )
         return f"{found}; {_remedy_of_response(given, beside)}."
     if one.kind == "delay":
         away = abs(one.value - (given.alpha_identified or 0.0))
         found = (
-            f"Alpha left the identified delay of {number(given.alpha_identified)} samples: {span} "
-            f"it went to {number(one.value)}, an error of {number(away)} where this structure "
-            f"survives {number(one.allowed, 2)}"
+            f"Alpha departed from the identified delay of {number(given.alpha_identified)} "
+            f"samples: {span} it reached {number(one.value)}, an error of {number(away)} where "
+            f"this structure remains stable up to {number(one.allowed, 2)}"
         )
         return f"{found}; {_remedy_of_delay(given)}."
     if one.kind == "damping":
         found = (
             f"Negative damping: {span} the tracking error fed {number(one.value, 2)} times the "
-            "energy that the numerical damping took out"
+            "energy that the numerical damping removed"
         )
         return f"{found}; {_remedy_of_damping(given, beside)}."
     found = (
@@ -784,20 +809,20 @@ def _remedy_of_response(given: Setup, beside: set[str]) -> str:
     if not given.plc_enabled:
         return 'nothing compensates the delay: set controller.type = "robust"'
     if beside & {"delay", "stiffness"}:
-        return "see below what led to it"
+        return "the cause is given below"
     if not given.rfc_enabled:
-        return "set controller.rfc.enabled = true, which takes out what the phase lead leaves"
+        return "set controller.rfc.enabled = true, which corrects what the phase lead leaves"
     if not given.estimator_enabled:
-        return "set controller.alpha0 anew by rthyb identify, or let it adapt"
-    return "set controller.alpha0 anew by rthyb identify, and look at the tracking error"
+        return "update controller.alpha0 with rthyb identify, or let it adapt"
+    return "update controller.alpha0 with rthyb identify, and examine the tracking error"
 
 
 def _remedy_of_delay(given: Setup) -> str:
     if not given.estimator_enabled:
-        return "set controller.alpha0 to that delay, or identify the rig anew"
+        return "set controller.alpha0 to that delay, or identify the rig again"
     law = LAWS.get(given.controller or "")
-    less = (law.calmer if law else None) or "look at the settings of the control law"
-    return f"{less}; if the rig has changed, identify it anew"
+    less = (law.calmer if law else None) or "review the settings of the control law"
+    return f"{less}; if the rig has changed, identify it again"
 
 
 def _remedy_of_damping(given: Setup, beside: set[str]) -> str:
@@ -809,16 +834,16 @@ def _remedy_of_damping(given: Setup, beside: set[str]) -> str:
         return "set controller.rfc.enabled = true"
     if "stiffness" in beside:
         return "the missing force compensation is the cause, see below"
-    return "set controller.alpha0 anew by rthyb identify, and look at noise and friction"
+    return "update controller.alpha0 with rthyb identify, and check noise and friction"
 
 
 def _remedy_of_stiffness(given: Setup) -> str:
     if given.tangent == "mean-of-ratios":
         return (
-            'set controller.rfc.tangent = "least-squares", which bears more noise, or raise '
+            'set controller.rfc.tangent = "least-squares", which tolerates more noise, or increase '
             "controller.rfc.window_samples"
         )
-    return "raise controller.rfc.window_samples, or the motion: noise hides the stiffness"
+    return "increase controller.rfc.window_samples or the motion: noise hides the stiffness"
 
 
 def _live_notices(found: Live | None) -> list[Notice]:
@@ -829,8 +854,8 @@ def _live_notices(found: Live | None) -> list[Notice]:
         notices.append(
             Notice(
                 "alarm",
-                f"The drive's clock and this PC's slipped {count(found.slips, 'sample')}: the "
-                "delay estimate has steps that are none of the rig's.",
+                f"The clocks of the drive and this PC slipped by {count(found.slips, 'sample')}: "
+                "the delay estimate contains steps that are not caused by the rig.",
             )
         )
     if found.missed_rows:
@@ -848,13 +873,13 @@ def _useless(s: Summary) -> list[Notice]:
     peak_m = max(np.nan_to_num([s.peak_command_m, s.peak_measured_m], nan=0.0))
     if peak_m > FARTHEST_M:
         texts.append(
-            f"The motion ran away: {quantity(float(peak_m), 'm')}, farther than any laboratory's "
-            "actuator."
+            f"The motion ran away: {quantity(float(peak_m), 'm')}, farther than any laboratory "
+            "actuator can move."
         )
     if s.clamped_rows:
         texts.append(
-            f"{count(s.clamped_rows, 'sample')} of {s.samples} had a value beyond any sense, "
-            "which was held back: the motion is not that of the structure."
+            f"{count(s.clamped_rows, 'sample')} of {s.samples} had an implausible value, "
+            "which was discarded: the motion is not that of the structure."
         )
     for name, of, value in (
         ("Response", "reference simulation", s.response_nrmse),
@@ -867,23 +892,30 @@ def _useless(s: Summary) -> list[Notice]:
     input_j = s.input_energy_j
     if input_j is not None and 0.0 < input_j < s.energy_error_largest_j:
         texts.append(
-            f"The tracking error moved {quantity(s.energy_error_largest_j, 'J')}, more than the "
-            f"{quantity(input_j, 'J')} that the ground motion put in."
+            f"The tracking error exchanged {quantity(s.energy_error_largest_j, 'J')}, more than "
+            f"the {quantity(input_j, 'J')} that the ground motion supplied."
         )
     return [Notice("alarm", text) for text in texts]
 
 
 def key_figures(s: Summary) -> list[str]:
-    """Return what was tested in a few words: structure, controller, window."""
-    given = s.setup
+    """Return what was tested in a few words: structure or history, controller, window.
+
+    Period, mass and damping are those of the structure's own time.
+    """
+    given, slow = s.setup, s.setup.time_scale
     figures = [
-        ("T = ", quantity(given.period_s, "s")),
-        ("m = ", quantity(given.mass_kg, "kg", digits=4)),
-        ("c = ", quantity(given.damping_n_s_per_m, "N s/m", digits=4)),
+        ("T = ", quantity(_times(given.period_s, 1.0 / slow), "s")),
+        ("m = ", quantity(_times(given.mass_kg, slow**-2), "kg", digits=4)),
+        ("c = ", quantity(_times(given.damping_n_s_per_m, 1.0 / slow), "N s/m", digits=4)),
         ("ζ = ", percent(given.damping_ratio, 3)),
         ("k_e = ", quantity(given.k_e_n_per_m, "kN/m", 1e-3, 4)),
     ]
     found = [name + value for name, value in figures if value != "–"]
+    if given.history:
+        found.insert(0, given.history)
+    if given.time_scale != 1.0:
+        found.append(f"time scale {given.time_scale:g}")
     if given.controller is not None:
         adapts = given.gain is not None and given.estimator_enabled
         found.append(f"controller {given.controller}" + (f", {given.gain}" if adapts else ""))
@@ -911,10 +943,10 @@ def result_table(rec: Recording) -> list[Row]:
 def table(s: Summary) -> list[Row]:
     """Return the result table of a summary."""
     rows = [
-        Row("End of the test", _end(s), ""),
+        Row("Result", _end(s), ""),
         *_limit_rows(s.ended_by),
-        Row("Peak of the command", quantity(s.peak_command_m, "mm", 1e3), "max |x_num|"),
-        Row("Peak measured", quantity(s.peak_measured_m, "mm", 1e3), "max |x_meas|"),
+        Row("Peak command", quantity(s.peak_command_m, "mm", 1e3), "max |x_num|"),
+        Row("Peak displacement", quantity(s.peak_measured_m, "mm", 1e3), "max |x_meas|"),
         Row("Peak force", quantity(s.peak_force_n, "kN", 1e-3), "max |f|"),
         Row("Tracking, NRMSE", percent(s.tracking_nrmse), "rms(x_meas − x_num) / rms(x_num)"),
         Row(
@@ -924,7 +956,9 @@ def table(s: Summary) -> list[Row]:
             "max |x_meas − x_num|, of max |x_num|",
         ),
     ]
-    if s.response_nrmse is None:
+    if s.setup.history:
+        rows += _loop_rows(s.loops)
+    elif s.response_nrmse is None:
         rows.append(Row("Response", "no reference simulation", ""))
     else:
         rows += [
@@ -944,38 +978,55 @@ def table(s: Summary) -> list[Row]:
     at = "" if np.isnan(s.fei_frequency_hz) else f" at {number(s.fei_frequency_hz)} Hz"
     rows += [
         Row(
-            "Delay left",
+            "Remaining delay",
             f"{quantity(s.fei_delay_s, 'ms', 1e3)} "
             f"({quantity(s.fei_delay_s, 'samples', s.fs_hz)}){at}"
             if at
             else "–",
             "frequency evaluation index of x_meas against x_num",
         ),
-        Row("Amplitude", number(s.fei_amplitude, 4), "|FEI|; 1 is right"),
-        Row("Delay estimate at the end", _alpha(s), "alpha"),
-        Row(
-            "Energy error",
-            f"{quantity(s.energy_error_j, 'J')}"
-            + (
-                f", at most {percent(s.energy_error_relative)} of the energy in the test"
-                if s.energy_error_relative is not None
-                else ""
-            ),
-            "∫ f d(x_meas − x_num); positive feeds the structure",
-        ),
+        Row("Amplitude ratio", number(s.fei_amplitude, 4), "|FEI|; 1 is ideal"),
+        Row("Final delay estimate", _alpha(s), "alpha"),
+        *([] if s.setup.history else [_energy_row(s)]),
         Row(
             "Tracking indicator",
             quantity(s.tracking_indicator_m2, "mm²", 1e6),
-            "½ ∫ (x_meas dx_num − x_num dx_meas); negative lags",
+            "½ ∫ (x_meas dx_num − x_num dx_meas); negative: lag",
         ),
-        Row("Samples", _samples(s), "rows of the recording, and those with a flag"),
+        Row("Samples", _samples(s), "rows of the recording, and flagged rows"),
     ]
     return rows + _live_rows(s.live)
 
 
+def _energy_row(s: Summary) -> Row:
+    return Row(
+        "Energy error",
+        f"{quantity(s.energy_error_j, 'J')}"
+        + (
+            f", at most {percent(s.energy_error_relative)} of the energy in the test"
+            if s.energy_error_relative is not None
+            else ""
+        ),
+        "∫ f d(x_meas − x_num); positive adds energy",
+    )
+
+
+def _loop_rows(loops: tuple[Amplitude, ...]) -> list[Row]:
+    return [
+        Row(
+            f"Loops at {quantity(one.amplitude_m, 'mm', 1e3)}",
+            f"{quantity(one.last.secant_n_per_m, 'kN/m', 1e-3)}, "
+            f"{quantity(one.last.energy_j, 'J')} a cycle, damping "
+            f"{percent(one.last.damping_ratio)}",
+            f"secant, ∮ f dx, E / 2πkX² of the last of {count(len(one.loops), 'cycle')}",
+        )
+        for one in loops
+    ]
+
+
 def _limit_rows(met: Met | None) -> list[Row]:
     told = "" if met is None else trips.figures(met.cause, met.value, met.limit)
-    return [Row("Limit that was met", told, "first cause")] if told else []
+    return [Row("Limit reached", told, "first cause")] if told else []
 
 
 def _live_rows(found: Live | None) -> list[Row]:
@@ -995,7 +1046,7 @@ def _live_rows(found: Live | None) -> list[Row]:
     punctuality = Row(
         "Punctuality",
         f"{wake}; {count(found.skipped_ticks, 'tick')} skipped",
-        "awake after the tick was due",
+        "wake-up after the due time",
     )
     link = Row(
         "Link",

@@ -10,7 +10,7 @@ from rthyb_rt.api.files import Place, Rig, Test
 from rthyb_rt.api.tables import html_table
 
 if TYPE_CHECKING:
-    from rthyb_rt.cli.check import Examined
+    from rthyb_rt.checking.examined import Examined
 
 
 class Check:
@@ -75,7 +75,7 @@ def check(test: Test | Place, rig: Rig | Place | None = None) -> Check:
         >>> round(check("section5-T0.5").figures["period_s"], 3)
         0.5
     """
-    from rthyb_rt.cli.check import examine
+    from rthyb_rt.checking.examined import examine
 
     found = files.as_test(test)
     on = found.rig if rig is None else files.as_rig(rig)

@@ -2,60 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
-
-import numpy as np
-from numpy.typing import NDArray
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rthyb_rt.api.files import Place
-from rthyb_rt.api.recordings import Plot, Recording, as_recording, extra
+from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options
+from rthyb_rt.api.recordings import Plot, Recording, extra
 from rthyb_rt.api.tables import html_table
+from rthyb_rt.comparing import courses, page
+from rthyb_rt.comparing.overlay import Overlay
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pandas import DataFrame
 
-SIGNALS: Final = ("x_meas_m", "f_meas_n")
-"""What is compared sample by sample."""
-_MEASURES: Final = (
-    "peak_command_m", "peak_measured_m", "peak_force_n", "tracking_nrmse",
-    "response_nrmse", "energy_error_relative", "alpha_end",
-)  # fmt: skip
+_WORDS = MAP_WORDS | {r"^--map (\w+)": r"compare: columns: \1", "--map": "columns"}
 
 
 class Comparison:
-    """Recordings beside the first of them.
+    """Recordings, simulations and tables of other labs beside the first of them."""
 
-    Attributes:
-        recordings: as they were given.
-        labels: their names, each another one.
-    """
+    def __init__(self, found: Overlay) -> None:
+        self._found = found
 
-    def __init__(self, recordings: Sequence[Recording]) -> None:
-        self.recordings = tuple(recordings)
-        self.labels = _labels([rec.name or "recording" for rec in recordings])
+    @property
+    def labels(self) -> list[str]:
+        """What each is called, every one by another name."""
+        return self._found.labels
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each recording: label, ending, measures, and how it differs from the first.
+        """A row for each: label, ending, measures, and how it differs from the first.
 
-        ``x_difference_nrmse`` is rms(x - x_first) / rms(x_first) of the measured displacement over
-        the samples of the test proper that both have, ``x_difference_m`` its largest magnitude;
-        ``f_difference_nrmse`` and ``f_difference_n`` the same of the measured force.
+        ``x_difference_nrmse`` is rms(x - x_first) / rms(x_first) of the displacement over the
+        samples of the test proper that all have, ``x_difference_m`` its largest magnitude;
+        ``f_difference_nrmse`` and ``f_difference_n`` the same of the force; ``lag_s`` how far it
+        lies behind the first by the largest correlation, s. None is what is not known.
         """
-        first = self.recordings[0]
-        rows = []
-        for label, rec in zip(self.labels, self.recordings, strict=True):
-            row: dict[str, Any] = {"label": label, "ending": rec.ending}
-            row |= {name: rec.measures[name] for name in _MEASURES}
-            for name in SIGNALS:
-                nrmse, largest = _difference(_proper(first, name), _proper(rec, name))
-                letter, unit = name[0], name.rsplit("_", 1)[1]
-                row |= {f"{letter}_difference_nrmse": nrmse, f"{letter}_difference_{unit}": largest}
-            rows.append(row)
-        return rows
+        return self._found.rows
+
+    @property
+    def notes(self) -> list[str]:
+        """What was done so that they could be compared: rates, lengths, units, shifts."""
+        return list(self._found.notes)
 
     def to_pandas(self) -> DataFrame:
         """Return the rows as a table by label.
@@ -67,7 +59,7 @@ class Comparison:
         return table
 
     def plot(self) -> Plot:
-        """Draw the measured displacements over one another, and below what differs from the first.
+        """Draw the displacements over one another, and below what differs from the first.
 
         Raises:
             InputError: matplotlib is not installed.
@@ -75,10 +67,19 @@ class Comparison:
         from rthyb_rt.report.html import extra_needed
 
         with extra_needed("a figure"):
-            from rthyb_rt.report.comparison import draw_comparison
-        motions = [1e3 * _proper(rec, "x_meas_m") for rec in self.recordings]
-        plate = draw_comparison(self.labels, motions, self.recordings[0].fs_hz)
+            from rthyb_rt.comparing.figures import displacement
+        plate = displacement(self._found)
         return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
+
+    def report(self, path: Place) -> Path:
+        """Write table and all figures as one HTML file.
+
+        Raises:
+            InputError: matplotlib or jinja2 is not installed.
+            RthybError: the file cannot be written.
+        """
+        page.write(self._found, Path(path))
+        return Path(path)
 
     def __repr__(self) -> str:
         return f"<Comparison of {len(self.labels)} recordings: {', '.join(self.labels)}>"
@@ -86,9 +87,9 @@ class Comparison:
     def _repr_html_(self) -> str:
         from html import escape
 
-        names = [name for name in self.rows[0] if name != "label"]
-        rows = [[name, *(row[name] for row in self.rows)] for name in names]
-        lines = [html_table(rows, ["", *self.labels])]
+        lines = [f"<p>{escape(note)}</p>" for note in self.notes]
+        heads, rows = page.table(self._found)
+        lines.append(html_table(rows, heads))
         try:
             lines.append(self.plot()._repr_html_())
         except InputError as error:
@@ -96,15 +97,25 @@ class Comparison:
         return "".join(lines)
 
 
-def compare(*recordings: Recording | Place) -> Comparison:
-    """Set recordings beside the first of them: two tests, or a test and its simulation.
+def compare(
+    *recordings: Recording | Place,
+    columns: Mapping[str, str] | Place | None = None,
+    align: bool = False,
+) -> Comparison:
+    """Set recordings beside the first of them: tests, simulations, tables of other labs.
+
+    Lengths and rates may differ: what all have is compared, at the rate of the slowest, and
+    `Comparison.notes` says so.
 
     Args:
-        recordings: two or more, or folders or files of them, of one rate; where one is longer, the
-            samples that both have are compared.
+        recordings: two to ten, or one that is held against its own reference simulation: a
+            recording, or the path of one; of a campaign or sweep, whose kept recordings are taken;
+            of a test file, whose reference simulation is; of a CSV file of any lab.
+        columns: of CSV files by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping file.
+        align: move each so that it lies over the first, as well as its displacement allows.
 
     Raises:
-        InputError: there are fewer than two, one cannot be read, or their rates differ.
+        InputError: there is nothing to compare, one cannot be read, or a unit is not stated.
 
     Examples:
         >>> short = Test("section5-T0.5", ground_motion={"duration_s": 2})
@@ -112,53 +123,8 @@ def compare(*recordings: Recording | Place) -> Comparison:
         >>> found.rows[0]["x_difference_nrmse"]
         0.0
     """
-    if len(recordings) < 2:
-        raise InputError(
-            f"found {len(recordings)} recordings; give two or more, compare(first, second)",
-            "compare",
-        )
-    found = [as_recording(one) for one in recordings]
-    rates = [rec.fs_hz for rec in found]
-    if len(set(rates)) > 1:
-        told = ", ".join(f"{rate:g} Hz" for rate in rates)
-        raise InputError(
-            f"found recordings of {told}; samples are compared one by one, and need one rate: "
-            "run both with the same test.sample_rate_hz",
-            "compare",
-        )
-    return Comparison(found)
-
-
-def _labels(names: list[str]) -> list[str]:
-    """Return names of which none is there twice."""
-    labels: list[str] = []
-    for name in names:
-        number, label = 2, name
-        while label in labels:
-            number, label = number + 1, f"{name} ({number})"
-        labels.append(label)
-    return labels
-
-
-def _proper(rec: Recording, name: str) -> NDArray[np.float64]:
-    """Return a signal of the test proper, (n,)."""
-    return np.asarray(rec[name][rec.running], dtype=np.float64)
-
-
-def _difference(
-    first: NDArray[np.float64], other: NDArray[np.float64]
-) -> tuple[float | None, float | None]:
-    """Return rms of the difference over rms of the first, and the largest magnitude.
-
-    None where there is nothing to compare; samples that are not finite are left out.
-    """
-    count = min(first.size, other.size)
-    a, b = first[:count], other[:count]
-    good = np.isfinite(a) & np.isfinite(b)
-    a, b = a[good], b[good]
-    if not a.size:
-        return None, None
-    scale = float(np.sqrt(np.mean(a**2)))
-    gap = b - a
-    nrmse = float(np.sqrt(np.mean(gap**2))) / scale if scale > 0.0 else None
-    return nrmse, float(np.abs(gap).max())
+    given = [one.raw if isinstance(one, Recording) else Path(one) for one in recordings]
+    try:
+        return Comparison(Overlay.of(courses.read(given, map_options(columns)), align=align))
+    except InputError as error:
+        raise in_python(error, _WORDS) from None

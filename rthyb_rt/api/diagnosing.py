@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rthyb_rt.api.files import Place, Rig
-from rthyb_rt.api.messages import in_python
+from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options
 from rthyb_rt.api.recordings import Recording
 from rthyb_rt.errors import InputError, RthybError
 
@@ -23,7 +23,7 @@ Progress = Callable[[str], None]
 """Takes the name of the part that begins."""
 _WORDS = {
     "^--model$": "diagnose: model",
-    r'--map (\w+)="([^"]*)"': r'columns={"\1": "\2"}',
+    **MAP_WORDS,
     r"^--map (\w+)": r"diagnose: columns: \1",
     "--map": "columns",
 }
@@ -138,7 +138,7 @@ def diagnose(
             register.load(Path(path))
         tell = progress or (lambda part: None)
         with _as_files(recording, model, heldout) as (path, model_path, second_path):
-            wishes = mapping.read_wishes(_options(columns))
+            wishes = mapping.read_wishes(map_options(columns))
             case = reading.read_case(path, reading.read_model(model_path), wishes=wishes)
             second = None
             if second_path is not None:
@@ -156,14 +156,6 @@ def diagnose(
     except RthybError as error:
         raise in_python(error, _WORDS) from None
     return Diagnosis(found, outcome, checks, model_path)
-
-
-def _options(columns: Mapping[str, str] | Place | None) -> list[str]:
-    if columns is None:
-        return []
-    if isinstance(columns, Mapping):
-        return [f"{channel}={column}" for channel, column in columns.items()]
-    return [os.fspath(columns)]
 
 
 @contextmanager

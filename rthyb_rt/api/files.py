@@ -408,7 +408,7 @@ class Test(_Document[TestFile]):
         return hash(config.dump(self._file.model_copy(update={RIG: None})))
 
     def __repr__(self) -> str:
-        motion, part = self._file.ground_motion, self._file.numerical
+        motion, part, history = self._file.ground_motion, self._file.numerical, self._file.history
         at = f" at {motion.pga_g:.3g} g" if motion.pga_g is not None else ""
         structure = "matrices"
         if part.period_s is not None:
@@ -416,10 +416,10 @@ class Test(_Document[TestFile]):
         elif part.mass_kg is not None:
             structure = f"{part.mass_kg:g} kg"
         rig = self._rig.name if self._rig is not None else Path(self._file.rig or "no rig").stem
-        return (
-            f"<Test {self.name}: {Path(motion.record).stem}{at}, {structure}, "
-            f"controller {self._file.controller.type}, on {rig}>"
-        )
+        about = f"{Path(motion.record).stem}{at}, {structure}"
+        if history is not None:
+            about = history.title
+        return f"<Test {self.name}: {about}, controller {self._file.controller.type}, on {rig}>"
 
 
 def as_rig(given: Rig | Place) -> Rig:

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
+from typing import Final
 
 from rthyb_rt.errors import InputError, Problem, RthybError
+
+MAP_WORDS: Final = {r'--map (\w+)="([^"]*)"': r'columns={"\1": "\2"}'}
+"""How a column is named for a channel, on the command line and here."""
+
+
+def map_options(columns: Mapping[str, str] | str | os.PathLike[str] | None) -> list[str]:
+    """Return columns by channel, or the path of a mapping file, as values of ``--map``."""
+    if columns is None:
+        return []
+    if isinstance(columns, Mapping):
+        return [f"{channel}={column}" for channel, column in columns.items()]
+    return [os.fspath(columns)]
 
 
 def in_python(error: RthybError, words: Mapping[str, str]) -> RthybError:

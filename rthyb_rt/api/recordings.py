@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
+    from rthyb_rt.analysis.spectra import FrequencyResponse
     from rthyb_rt.analysis.summary import Summary
 
 TIME: Final = "t_s"
@@ -116,6 +117,18 @@ class Plots:
         """Draw measured displacement less command."""
         return self._drawn("tracking")
 
+    def synchronisation(self) -> Plot:
+        """Draw measured displacement over command: the synchronisation subspace."""
+        return self._drawn("synchronisation")
+
+    def transfer(self) -> Plot:
+        """Draw gain, delay and coherence from command to measured displacement, by frequency."""
+        return self._drawn("transfer")
+
+    def force(self) -> Plot:
+        """Draw the measured force, beside that of the reference simulation."""
+        return self._drawn("force")
+
     def response(self) -> Plot:
         """Draw measured displacement and reference simulation, and their difference."""
         return self._drawn("response")
@@ -127,6 +140,18 @@ class Plots:
     def energy(self) -> Plot:
         """Draw energy error and tracking indicator."""
         return self._drawn("energy")
+
+    def balance(self) -> Plot:
+        """Draw where the energy of the ground motion has gone."""
+        return self._drawn("balance")
+
+    def spectra(self) -> Plot:
+        """Draw the spectra of command and measured displacement."""
+        return self._drawn("spectra")
+
+    def response_spectrum(self) -> Plot:
+        """Draw response spectra of the ground, and of the floor by command and as measured."""
+        return self._drawn("response_spectrum")
 
     def delay(self) -> Plot:
         """Draw the delay estimate with its bounds."""
@@ -339,6 +364,47 @@ class Recording(Mapping[str, NDArray[Any]]):
         """The recording as the program has it; not a part of the stable interface."""
         return self._raw
 
+    def frequency_response(
+        self, given: str = "x_num_m", answer: str = "x_meas_m", *, segment_s: float | None = None
+    ) -> FrequencyResponse:
+        """Return how one signal of the test proper answers another, by Welch's averages.
+
+        Args:
+            given: the input; ``x_cmd_m`` asks of the actuator alone, without what leads it.
+            answer: the output.
+            segment_s: length of a segment, s; its inverse is the distance of two lines in Hz. None:
+                what leaves eight segments, 4 s at most.
+
+        Raises:
+            InputError: there is no such signal, the segment has less than 8 samples or is longer
+                than the test, or the input does not move.
+
+        Examples:
+            >>> rec = run(Test("section5-T0.5", ground_motion={"duration_s": 10}))
+            >>> found = rec.frequency_response("x_cmd_m")
+            >>> bool(found.delay_s[found.frequency_hz == 2.0][0] > 0.01)
+            True
+        """
+        from rthyb_rt.analysis import spectra
+
+        rows = self.running
+        count = int(np.count_nonzero(rows))
+        segment = None if segment_s is None else round(segment_s * self.fs_hz)
+        if segment is not None and not 8 <= segment <= count:
+            raise InputError(
+                f"found {segment_s:g} s; must be from {8 / self.fs_hz:.3g} s to the test's "
+                f"{count / self.fs_hz:.4g} s",
+                "frequency_response: segment_s",
+            )
+        x, y = (np.asarray(self[name][rows], dtype=np.float64) for name in (given, answer))
+        found = spectra.frequency_response(x, y, self.fs_hz, segment)
+        if found is None:
+            raise InputError(
+                f"{given} or {answer} is too short, does not move, or holds too few numbers",
+                "frequency_response",
+            )
+        return found
+
     # ---- files ----------------------------------------------------------------------------------
 
     def report(self, path: Place) -> Path:
@@ -352,6 +418,23 @@ class Recording(Mapping[str, NDArray[Any]]):
 
         write_report(self._raw, Path(path))
         return Path(path)
+
+    def report_files(self, folder: Place) -> list[Path]:
+        """Write every figure of the report as SVG and PDF, its table as LaTeX and CSV.
+
+        Args:
+            folder: of the files; older ones of the same names are replaced.
+
+        Returns:
+            The files.
+
+        Raises:
+            InputError: matplotlib is not installed.
+            RthybError: a file cannot be written.
+        """
+        from rthyb_rt.report.files import write_files
+
+        return write_files(self._raw, Path(folder))
 
     def save(self, path: Place) -> Path:
         """Write the recording as an HDF5 file, from which `open` gives it back.

@@ -7,20 +7,17 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from rthyb_rt import config
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test, plain
 from rthyb_rt.api.messages import in_python
 from rthyb_rt.api.recordings import Recording, extra, open_recording
 from rthyb_rt.api.tables import html_table
-from rthyb_rt.campaign import conducting, plan, pools
-from rthyb_rt.campaign.book import GIVEN, PLAN
+from rthyb_rt.campaign import conducting, given, plan, pools, tables
 from rthyb_rt.campaign.groups import group
 from rthyb_rt.campaign.plan import FAILED, STOPPED, Measure, Row
-from rthyb_rt.config.campaignfile import CAMPAIGN_SCHEMA, CampaignFile
+from rthyb_rt.config.campaignfile import CampaignFile
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.errors import InputError, Problem, RthybError
-from rthyb_rt.record.recording import replacing
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -77,9 +74,9 @@ class Sweep:
             measures: names of columns; none: those that the campaign's page tells.
 
         Returns:
-            What was chosen, the counts ``runs``, ``completed``, ``stopped``, ``failed``, and of
-            each measure ``NAME_median`` and ``NAME_worst``, the largest magnitude; None where no
-            run was completed.
+            What was chosen, the counts ``runs``, ``completed``, ``stopped``, ``failed``, and of the
+            magnitudes of each measure ``NAME_mean``, ``NAME_std`` (of a sample; None of a single
+            run), ``NAME_median`` and ``NAME_worst``; None where no run was completed.
 
         Raises:
             InputError: there is no such measure; says which there are.
@@ -93,16 +90,7 @@ class Sweep:
                     "statistics",
                 )
         wanted = [Measure(name, name, "", 1.0) for name in measures] or list(self._measures)
-        rows = []
-        for one in group(self.rows, self._keys, wanted):
-            row: Row = dict(one.chosen)
-            row |= {name: getattr(one, name) for name in ("runs", "completed", STOPPED, FAILED)}
-            for measure in wanted:
-                spread = one.spreads.get(measure.name)
-                row[f"{measure.name}_median"] = None if spread is None else spread.median
-                row[f"{measure.name}_worst"] = None if spread is None else spread.worst
-            rows.append(row)
-        return rows
+        return tables.statistics(group(self.rows, self._keys, wanted), wanted)
 
     def _columns(self) -> list[str]:
         return list(dict.fromkeys(name for row in self.rows for name in row))
@@ -219,7 +207,7 @@ def sweep(
     parts |= _written(base, {key: value for key, value in values.items() if value not in ({}, [])})
     folder = Path(out or Path("runs") / called).resolve()
     try:
-        planned = _planned(folder, parts)
+        planned = given.plan_of(folder, parts)
         found = conducting.conduct(
             planned, folder, jobs=jobs or pools.processors(), cluster=client,
             progress=progress or _line(called),
@@ -242,26 +230,26 @@ def _lists(over: Mapping[str, Iterable[Any]], parts: dict[str, str]) -> dict[str
             f"{_CALLED}: over",
         )
 
-    def value(key: str, given: Any) -> Any:
-        if not isinstance(given, (Rig, Test)):
-            return plain(given)
-        if not isinstance(given, Rig if key == files.RIG else Test):
+    def value(key: str, one: Any) -> Any:
+        if not isinstance(one, (Rig, Test)):
+            return plain(one)
+        if not isinstance(one, Rig if key == files.RIG else Test):
             raise InputError(
-                f"found {given!r}; a rig stands at the key rig, and a test at the key test",
+                f"found {one!r}; a rig stands at the key rig, and a test at the key test",
                 f"{_CALLED}: over.{key}",
             )
-        file = f"{given.name}.toml"
-        if parts.setdefault(file, given.to_toml()) != given.to_toml():
-            file = f"{given.name}-{len(parts)}.toml"
-            parts[file] = given.to_toml()
+        file = f"{one.name}.toml"
+        if parts.setdefault(file, one.to_toml()) != one.to_toml():
+            file = f"{one.name}-{len(parts)}.toml"
+            parts[file] = one.to_toml()
         return file
 
     lists = {}
-    for key, given in over.items():
-        single = isinstance(given, (str, bool, int, float, Rig, Test)) or not isinstance(
-            given, Iterable
+    for key, found in over.items():
+        single = isinstance(found, (str, bool, int, float, Rig, Test)) or not isinstance(
+            found, Iterable
         )
-        lists[str(key)] = [value(str(key), one) for one in ([given] if single else given)]
+        lists[str(key)] = [value(str(key), one) for one in ([found] if single else found)]
     return lists
 
 
@@ -271,16 +259,13 @@ def _written(base: Test, values: dict[str, Any]) -> dict[str, str]:
     Raises:
         InputError: with what is wrong in the values, or in the first run.
     """
-    parts = {"test.toml": base.to_toml()}
     try:
-        campaign = config.check_values(CampaignFile, values, _CALLED)
+        campaign, parts = given.texts(
+            files.file_of_test(base), files.file_of_rig(base.rig), values, _CALLED
+        )
     except InputError as error:
         raise in_python(error, _TOLD) from None
-    if files.RIG not in campaign.over:
-        parts["rig.toml"] = base.rig.to_toml()
-        values["campaign"]["rig"] = "rig.toml"
     _try_first(base, campaign)
-    parts["campaign.toml"] = config.dump_values({"schema": CAMPAIGN_SCHEMA, **values})
     return parts
 
 
@@ -301,36 +286,6 @@ def _try_first(base: Test, campaign: CampaignFile) -> None:
             Problem(p.where.replace("with_: ", f"{_CALLED}: over."), p.message)
             for p in error.problems
         ) from None
-
-
-def _planned(folder: Path, parts: Mapping[str, str]) -> plan.Plan:
-    """Write what the runs read into the folder of the sweep, and return the runs.
-
-    Raises:
-        InputError: another sweep is there, or the first run has a fault.
-        RthybError: it cannot be written.
-    """
-    given = folder / GIVEN
-    if folder.is_dir() and any(folder.iterdir()) and not given.is_dir():
-        raise InputError(
-            "is not empty and holds no sweep; choose another folder with out", str(folder)
-        )
-    for name, text in parts.items():
-        path = given / name
-        if path.exists() and path.read_text(encoding="utf-8") == text:
-            continue
-        # Before there is a plan no run has been done, and what was given may be mended.
-        if (folder / PLAN).exists():
-            raise InputError(
-                "holds a sweep of another test, rig or other values; its runs are not mixed with "
-                "new ones: choose another folder with out, or delete this one",
-                str(folder),
-            )
-        with replacing(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    path = given / "campaign.toml"
-    campaign = config.parse_campaign(config.read_text(path, "campaign"), str(path))
-    return plan.of(campaign, path)
 
 
 def _line(name: str) -> Progress:

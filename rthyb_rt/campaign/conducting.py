@@ -9,6 +9,7 @@ from typing import Any
 
 from rthyb_rt.campaign import page, pools, tables
 from rthyb_rt.campaign.book import Book
+from rthyb_rt.campaign.groups import group
 from rthyb_rt.campaign.plan import Plan, Row
 from rthyb_rt.errors import InputError
 
@@ -74,6 +75,9 @@ def conduct(
 def _written(plan: Plan, rows: list[Row], folder: Path) -> Campaign:
     paths, notes = {"table": folder / tables.CSV}, []
     tables.write_csv(rows, folder / tables.CSV)
+    groups = group(rows, list(plan.cases[0].chosen), plan.measures)
+    tables.write_csv(tables.statistics(groups, plan.measures), folder / tables.STATISTICS, ())
+    paths["statistics"] = folder / tables.STATISTICS
     if tables.write_parquet(rows, folder / tables.PARQUET):
         paths["parquet"] = folder / tables.PARQUET
     else:

@@ -14,11 +14,19 @@ from rthyb_rt.numbers import number
 
 @dataclass(frozen=True)
 class Spread:
-    """A measure over the completed runs of a group; ``worst_case`` is the number of that run."""
+    """The magnitudes of a measure over the completed runs of a group.
+
+    Attributes:
+        median, worst, mean: of them.
+        std: standard deviation of a sample; None of a single run.
+        worst_case: number of the run with the largest.
+    """
 
     median: float
     worst: float
     worst_case: int
+    mean: float
+    std: float | None
 
 
 @dataclass(frozen=True)
@@ -79,7 +87,11 @@ def _spreads(rows: Sequence[Row], measures: Sequence[Measure]) -> dict[str, Spre
         ]
         if known:
             worst, case = max(known)
-            spreads[measure.name] = Spread(statistics.median(v for v, _ in known), worst, case)
+            values = [value for value, _ in known]
+            spreads[measure.name] = Spread(
+                statistics.median(values), worst, case, statistics.fmean(values),
+                statistics.stdev(values) if len(values) > 1 else None,
+            )  # fmt: skip
     return spreads
 
 

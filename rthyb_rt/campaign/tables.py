@@ -7,29 +7,50 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from rthyb_rt.campaign.plan import Row
+from rthyb_rt.campaign.groups import Group
+from rthyb_rt.campaign.plan import FAILED, STOPPED, Measure, Row
 from rthyb_rt.record.recording import replacing
 
 CSV: Final = "table.csv"
+STATISTICS: Final = "statistics.csv"
 PARQUET: Final = "table.parquet"
 _FIRST: Final = ("case",)
 
 
-def columns(rows: Sequence[Row]) -> list[str]:
+def columns(rows: Sequence[Row], first: Sequence[str] = _FIRST) -> list[str]:
     """Return the names of all columns, in the order in which the rows bring them."""
-    names: dict[str, None] = dict.fromkeys(_FIRST)
+    names: dict[str, None] = dict.fromkeys(first)
     for row in rows:
         names.update(dict.fromkeys(row))
     return list(names)
 
 
-def write_csv(rows: Sequence[Row], path: Path) -> None:
+def statistics(groups: Sequence[Group], measures: Sequence[Measure]) -> list[Row]:
+    """Return a row for each group: what was chosen, the counts, and how its measures scatter."""
+    rows = []
+    for one in groups:
+        row: Row = dict(one.chosen)
+        row |= {name: getattr(one, name) for name in ("runs", "completed", STOPPED, FAILED)}
+        for measure in measures:
+            spread = one.spreads.get(measure.name)
+            for name in ("mean", "std", "median", "worst"):
+                row[f"{measure.name}_{name}"] = None if spread is None else getattr(spread, name)
+        rows.append(row)
+    return rows
+
+
+def write_csv(rows: Sequence[Row], path: Path, first: Sequence[str] = _FIRST) -> None:
     """Write all rows, one line each; what a run does not have is empty.
+
+    Args:
+        rows: of the table.
+        path: file to write.
+        first: columns that stand before the others.
 
     Raises:
         RthybError: the file cannot be written.
     """
-    names = columns(rows)
+    names = columns(rows, first)
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, names, restval="")
         writer.writeheader()

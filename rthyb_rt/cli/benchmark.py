@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 benchmark = typer.Typer(
     name="benchmark",
-    help="Run a benchmark of the field.",
+    help="Run a published benchmark problem.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -25,7 +25,7 @@ benchmark = typer.Typer(
 
 @benchmark.callback()
 def _benchmarks() -> None:
-    """Run a benchmark of the field with this program's own controller and virtual rig."""
+    """Run a published benchmark problem with this program's controller and virtual rig."""
 
 
 def _several(what: str, metavar: str) -> typer.models.OptionInfo:
@@ -35,16 +35,26 @@ def _several(what: str, metavar: str) -> typer.models.OptionInfo:
     return option
 
 
-MotionOption = Annotated[list[str] | None, _several("elcentro, kobe or morgan: elcentro.", "NAME")]
+MotionOption = Annotated[
+    list[str] | None, _several("elcentro, kobe or morgan. Default: elcentro.", "NAME")
+]
 PlantsOption = Annotated[
-    int, typer.Option(metavar="N", help="Perturbed plants beside the nominal one, 0 to 20.")
+    int,
+    typer.Option(
+        metavar="N", help="Number of perturbed plants in addition to the nominal one, 0 to 20."
+    ),
 ]
 WidthOption = Annotated[
-    float, typer.Option(metavar="W", help="How wide they are drawn, in the stated deviations.")
+    float,
+    typer.Option(
+        metavar="W", help="Spread of the perturbed plants, as a multiple of the stated deviations."
+    ),
 ]
 JobsOption = Annotated[
     int | None,
-    typer.Option(metavar="N", help="Processes: as many as processors.", show_default=False),
+    typer.Option(
+        metavar="N", help="Number of processes. Default: one per processor.", show_default=False
+    ),
 ]
 
 
@@ -55,30 +65,36 @@ def _check_width(width: float, most: float) -> None:
 
 @benchmark.command()
 def rths(
-    rate: Annotated[list[int] | None, _several("Sample rate, 4096 or 1024: both.", "HZ")] = None,
-    case: Annotated[list[int] | None, _several("Structure, 1 to 4: all.", "N")] = None,
+    rate: Annotated[
+        list[int] | None, _several("Sample rate, 4096 or 1024. Default: both.", "HZ")
+    ] = None,
+    case: Annotated[list[int] | None, _several("Structure, 1 to 4. Default: all.", "N")] = None,
     law: Annotated[
         list[str] | None,
-        _several("Who takes part: pi-lead (the benchmark's own), or a control law: all.", "NAME"),
+        _several("Control law, or pi-lead (the benchmark's own). Default: all.", "NAME"),
     ] = None,
     motion: MotionOption = None,
     plants: PlantsOption = 20,
     plant: Annotated[
         list[int] | None,
-        _several("A plant by its seed, 7001 to 7020, 0 the nominal one, instead.", "SEED"),
+        _several(
+            "Plant by its seed, 7001 to 7020, or 0 for the nominal one, instead of --plants.",
+            "SEED",
+        ),
     ] = None,
     width: WidthOption = 1.0,
     yielding: Annotated[
-        bool, typer.Option("--yielding", help="A specimen that yields (Bouc-Wen, 1 mm).")
+        bool, typer.Option("--yielding", help="Use a specimen that yields (Bouc-Wen, 1 mm).")
     ] = False,
     jobs: JobsOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run the benchmark of Silva et al. (2020): every control law on the same plants.
+    """Compare every control law on the benchmark of Silva et al.
 
-    Its criteria J1 to J9 as its code has them, over the whole record, then the tracking error
-    without the sensor's noise, and what of the command lies above 100 Hz; behind a stroke the worst
-    plant. Motions are scaled by .4. What the figures are is in docs/benchmark.md.
+    Silva et al. (2020). Criteria J1 to J9 as in the benchmark's code, over the whole record; then
+    the tracking error without sensor noise, and the part of the command above 100 Hz. After the
+    slash, the worst plant. Ground motions are scaled by 0.4. docs/benchmark.md explains the
+    columns.
 
     \b
     Examples:
@@ -111,7 +127,8 @@ def marths(
     law: Annotated[
         list[str] | None,
         _several(
-            "Who takes part: none, lead, lead-decoupled, rodeac, matrix, matrix-inverse: all.",
+            "Compensator: none, lead, lead-decoupled, rodeac, matrix or matrix-inverse. "
+            "Default: all.",
             "NAME",
         ),
     ] = None,
@@ -121,19 +138,19 @@ def marths(
         str,
         typer.Option(
             metavar="NAME",
-            help="newmark, as the benchmark has it, or kr-alpha, this program's own.",
+            help="newmark, as in the benchmark, or kr-alpha, as in this program.",
         ),
     ] = "newmark",
     width: WidthOption = 1.0,
     jobs: JobsOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run the multi-axial benchmark (maRTHS): two actuators that feel one another.
+    """Run the multi-axial benchmark: two coupled actuators.
 
-    Its criteria J1 to J10 as its code has them, a number for each actuator or degree of freedom;
-    then what they do not show: tracking without noise, and the response against the numerical part
-    and the force model solved as one. In brackets the worst plant. Motions are scaled by .4. What
-    the figures are is in docs/benchmark-marths.md.
+    maRTHS. Criteria J1 to J10 as in the benchmark's code, one number per actuator or degree of
+    freedom; then what they do not show: tracking without noise, and the response compared with
+    the numerical part and the force model solved as one system. The worst plant is in brackets.
+    Ground motions are scaled by 0.4. docs/benchmark-marths.md explains the columns.
 
     \b
     Examples:

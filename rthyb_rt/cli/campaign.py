@@ -21,46 +21,57 @@ SCHEMA = "rthyb-campaign-result/1"
 ENDED_EARLY = 6
 
 
+OutOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Folder of the campaign, instead of runs/NAME. One that was interrupted goes on "
+        "there.",
+        show_default=False,
+    ),
+]
+JobsOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        max=1024,
+        metavar="N",
+        help="Processes of this machine; without it as many as it has processors.",
+        show_default=False,
+    ),
+]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Dask scheduler whose workers take the runs, such as tcp://lab:8786.",
+        show_default=False,
+    ),
+]
+DryRunOption = Annotated[
+    bool, typer.Option("--dry-run", help="List the runs, and carry out none of them.")
+]
+
+
 def campaign(
     file: Annotated[
-        Path, typer.Argument(metavar="CAMPAIGN.toml", help="What is varied.", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="CAMPAIGN.toml", help="File that says what varies.", show_default=False
+        ),
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder of the campaign, instead of runs/NAME. One that was interrupted goes on "
-            "there.",
-            show_default=False,
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=1024,
-            metavar="N",
-            help="Processes of this machine; without it as many as it has processors.",
-            show_default=False,
-        ),
-    ] = None,
-    cluster: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Dask scheduler whose workers take the runs, such as tcp://lab:8786.",
-            show_default=False,
-        ),
-    ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="List the runs, and carry out none of them.")
-    ] = False,
+    out: OutOption = None,
+    jobs: JobsOption = None,
+    cluster: ClusterOption = None,
+    dry_run: DryRunOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run one test in virtual time over lists, grids, seeds, records and drawn plants.
+    """Run one test many times with varied settings.
 
-    Every run is kept as it ends: after Ctrl-C or a power failure the same command goes on where it
-    was. Table and page tell medians, worst cases, and which runs ended early and why.
+    The runs are in virtual time. Settings vary over lists, grids, seeds, ground motions and
+    randomly drawn plants. Every run is saved as soon as it ends: after Ctrl-C or a power failure,
+    the same command resumes where it stopped. The table and the page give medians, worst cases,
+    and which runs ended early and why.
 
     \b
     Examples:
@@ -69,26 +80,37 @@ def campaign(
       rthyb campaign laws.toml --jobs 8 --out laws
       rthyb campaign laws.toml --cluster tcp://lab:8786
 
-    Exit code 6 says that a limit or a trip ended a run, or that one could not be carried out.
+    The exit code is 6 if a limit or a trip ended a run, or if a run could not be carried out.
     """
     from rthyb_rt.benchmark.campaigns import read
-    from rthyb_rt.campaign import conducting, pools
 
+    refuse_both(jobs, cluster)
+    plan = read(file)
+    if dry_run:
+        print_plan(plan, terminal.people(as_json), as_json)
+        return
+    carry_out(plan, out or Path("runs") / plan.name, jobs, cluster, as_json)
+
+
+def refuse_both(jobs: int | None, cluster: str | None) -> None:
+    """Refuse processes of this machine beside those of a cluster."""
     if jobs is not None and cluster is not None:
         raise typer.BadParameter("is for this machine; leave it out with --cluster",
                                  param_hint="--jobs")  # fmt: skip
-    plan = read(file)
-    people = terminal.people(as_json)
-    if dry_run:
-        _print_plan(plan, people, as_json)
-        return
-    folder = out or Path("runs") / plan.name
+
+
+def carry_out(
+    plan: Plan, folder: Path, jobs: int | None, cluster: str | None, as_json: bool
+) -> None:
+    """Carry out the runs and print what came of them; arguments as of the command line."""
+    from rthyb_rt.campaign import conducting, pools
+
     interrupts.wrote(folder)
     with _progress(plan) as progress:
         found = conducting.conduct(
             plan, folder, jobs=jobs or pools.processors(), cluster=cluster, progress=progress
         )
-    _print_result(found, people)
+    _print_result(found, terminal.people(as_json))
     if as_json:
         terminal.print_json(_document(found))
     if any(row["ending"] != "completed" for row in found.rows):
@@ -101,7 +123,8 @@ def _progress(plan: Plan) -> Iterator[Progress]:
         yield lambda done, whole: update(done, whole, plan.name)
 
 
-def _print_plan(plan: Plan, file: IO[str], as_json: bool) -> None:
+def print_plan(plan: Plan, file: IO[str], as_json: bool) -> None:
+    """Print the runs, each as the command line that repeats it."""
     print(f"{plan.name}: {len(plan.cases)} runs", file=file)
     for case in plan.cases:
         print(f"{case.number:6}  {case.command()}", file=file)
@@ -124,7 +147,7 @@ def _print_result(found: Campaign, file: IO[str]) -> None:
         print(f"and {len(causes) - 5} more; the page has all of them", file=file)
     print(file=file)
     for name, path in found.paths.items():
-        print(f"{name.capitalize():9}{path}", file=file)
+        print(f"{name.capitalize():11}{path}", file=file)
     for note in found.notes:
         terminal.tell(f"note: {note}")
 

@@ -13,6 +13,7 @@ from rthyb_rt.cli import (
     campaign,
     check,
     commission,
+    compare,
     compare_laws,
     ctl,
     diagnose,
@@ -34,6 +35,7 @@ from rthyb_rt.cli import (
     run,
     schema,
     serve,
+    sweep,
 )
 
 app = typer.Typer(
@@ -49,6 +51,7 @@ if "_RTHYB_COMPLETE" in os.environ:
     # A shell asks for what may come next; nobody else pays for knowing that.
     typer.completion.completion_init()  # type: ignore[attr-defined]
 app.command()(run.run)
+app.command()(sweep.sweep)
 app.command()(campaign.campaign)
 app.command()(check.check)
 app.command()(identify.identify)
@@ -57,6 +60,7 @@ app.command()(commission.commission)
 app.command()(reset.reset)
 app.command()(reproduce.reproduce)
 app.add_typer(benchmark.benchmark)
+app.command()(compare.compare)
 app.command("compare-laws")(compare_laws.compare_laws)
 app.command("import-opensees")(import_opensees.import_opensees)
 app.command()(diagnose.diagnose)
@@ -93,29 +97,29 @@ def _rthyb(
         bool,
         typer.Option(
             "--version",
-            help="Say the versions of program, core and compiler.",
+            help="Show the versions of the program, its core and the compiler.",
             callback=_version,
             is_eager=True,
         ),
     ] = False,
 ) -> None:
-    """Real-time hybrid testing: half the structure is computed, half is real.
+    """Real-time hybrid testing: part of the structure is real, the rest is computed.
 
-    A test file says what is tested, a rig file on what. Without a rig in the room, `rthyb run`
-    tests on a virtual one.
+    A test file describes the test, a rig file the equipment. Without real equipment, `rthyb run`
+    uses a virtual rig.
 
     \b
-    Begin with:
-      rthyb run                          the built-in test, on a virtual shaking table
-      rthyb check my-test.toml           is the test sound, and how far is it from trouble
-      rthyb run my-test.toml             recording and report go to runs/
-      rthyb run --realtime               the same in real time, 1024 times a second
+    Getting started:
+      rthyb run                          run the built-in test on a virtual shaking table
+      rthyb check my-test.toml           check a test and show its stability margins
+      rthyb run my-test.toml             run it; recording and report go to runs/
+      rthyb run my-test.toml --realtime  run it in real time, 1024 samples per second
 
     \b
     Exit codes:
-      0  done                            6  a limit or a fault ended the test
-      2  command line not understood     7  this PC is not punctual enough
-      3  fault in a file, or at a link   8  a difference was found
-      5  refused in this state         130  interrupted (128 + n: by signal n)
-      1  anything else
+      0  success                         6  a limit or a fault ended the test
+      2  invalid command line            7  this PC does not keep time well enough
+      3  error in a file or on a link    8  a difference was found
+      4  no service is running         130  interrupted (128 + n: by signal n)
+      5  refused in this state           1  any other error
     """

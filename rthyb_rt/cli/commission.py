@@ -27,40 +27,41 @@ def commission(
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="Of link, polarity, limits, watchdog, trip, with commas; the others keep what "
-            "they have. Without it all of them.",
+            help="Steps to run, separated by commas: link, polarity, limits, watchdog, trip. "
+            "Earlier results of other steps are kept. Default: all steps.",
             show_default=False,
         ),
     ] = None,
     distance: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Of the small motions, with its sign.")
+        str, typer.Option(metavar="LENGTH", help="Distance of the small motions, with its sign.")
     ] = "1 mm",
     yes: Annotated[
-        bool, typer.Option("--yes", help="Do not ask before motions: for scripts.")
+        bool, typer.Option("--yes", help="Do not ask before each motion; for scripts.")
     ] = False,
     settings: RigSetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check link, signs, limits and the stop of a rig.
+    """Check link, signs, limits and stops of a rig.
 
-    Stand ready at the emergency stop. Before each motion you are asked. What passed goes with its
-    date to RIG.commissioned.json beside the rig file; a test in real time asks for it, until link,
-    calibration, actuator, sensors or limits change in the rig file.
+    Stand by the emergency stop. You are asked before each motion. Each passed check is saved with
+    its date in RIG.commissioned.json beside the rig file. A real-time test requires these checks,
+    and they must be repeated when the link, calibration, actuator, sensors or limits in the rig
+    file change.
 
     \b
     Steps:
-      link       feedback 1024 times a second, noise and zero at rest
-      polarity   a slow motion: displacement follows, force rises with it
+      link       feedback arrives 1024 times per second; noise and zero at rest
+      polarity   a slow motion: displacement follows it, force rises with it
       limits     each limit, lowered for one small motion, does what the rig file says
-      watchdog   without commands the drive stops by itself, until it is reset
-      trip       told TRIPPED, the drive stops at once
+      watchdog   without commands the drive stops by itself and stays stopped until reset
+      trip       on TRIPPED the drive stops at once
 
     \b
     Examples:
       rthyb commission my-rig.toml
       rthyb commission my-rig.toml --steps polarity,limits --distance "0.5 mm"
 
-    Exit code 8 says that a check has failed.
+    The exit code is 8 if a check failed.
     """
     from rthyb_rt.rig.commissioning import certificate, guide
 

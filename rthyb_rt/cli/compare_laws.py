@@ -20,22 +20,27 @@ def compare_laws(
     test: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[TEST.toml]", help="Test file; the built-in test.", show_default=False
+            metavar="[TEST.toml]", help="Test file. Default: the built-in test.", show_default=False
         ),
     ] = None,
     rig: RigOption = None,
     settings: SetOption = None,
     law: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Only this law. Can be repeated.", show_default=False),
+        typer.Option(
+            metavar="NAME",
+            help="Control law to include. Can be repeated. Default: all.",
+            show_default=False,
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run one test with every control law, in virtual time, and compare.
+    """Run one test with every control law and compare.
 
-    All else stays as the files say, the restoring-force compensator too; each law has its own
-    settings from the test file, else its defaults and what the rig file has identified. The best
-    response stands first.
+    The runs are in virtual time. Everything else stays as in the files, including the
+    restoring-force compensator. Each law uses its settings from the test file; what is missing
+    there is taken from the rig's identification or from its defaults. The table begins with the
+    best response.
 
     \b
     Examples:

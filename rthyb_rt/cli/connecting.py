@@ -12,7 +12,7 @@ from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.config import RigFile
+    from rthyb_rt.config import AxesRig, RigFile
     from rthyb_rt.core.loop import Clock
     from rthyb_rt.rig.commissioning.moving import Connection
     from rthyb_rt.rig.links.opened import Opened
@@ -99,6 +99,25 @@ def load_rig(name: str, settings: list[str] | None) -> tuple[RigFile, Path]:
         # Any value does.
         overrides[f"rig.{K_E}"] = "1"
     return config.load_rig(path, overrides), path
+
+
+def load_axes_rig(name: str, settings: list[str] | None) -> tuple[AxesRig, Path] | None:
+    """Read a rig file of several axes and say where it is; None where it is of one.
+
+    Raises:
+        InputError: with every fault of the file and the settings.
+    """
+    from rthyb_rt import config
+
+    path = config.find_rig(name)
+    if not config.has_axes(path):
+        return None
+    overrides: dict[str, str] = {}
+    for part in config.split_overrides(settings or ()):
+        overrides.update(part)
+    rig = config.load_any_rig(path, overrides)
+    assert isinstance(rig, config.AxesRig)
+    return rig, path
 
 
 def _has_stiffness(path: Path) -> bool:

@@ -28,11 +28,11 @@ ctl = typer.Typer(
     name="ctl",
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="""Drive the service of a rig, `rthyb serve`.
+    help="""Control the service of a rig, `rthyb serve`.
 
-A test goes this way: load, zero, arm, start. Hold and stop are there for everybody who may look.
+The steps of a test are load, zero, arm, start. Everybody who may look may also hold and stop.
 
-Exit code 4 says that no service answers, 5 that it refuses, and why.
+The exit code is 4 if no service answers, and 5 if it refuses; the message says why.
 
 \b
 Examples:
@@ -92,18 +92,17 @@ def _say(command: str, text: str, as_json: bool, **more: Any) -> None:
 @ctl.command()
 def status(
     socket: SocketOption = None,
-    watch: Annotated[
-        bool, typer.Option("--watch", "-w", help="Again and again, until Ctrl-C.")
-    ] = False,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Update until Ctrl-C.")] = False,
     every: Annotated[
-        float, typer.Option(metavar="S", min=0.05, max=60.0, help="Time between two looks.")
+        float,
+        typer.Option(metavar="S", min=0.05, max=60.0, help="Time between updates in seconds."),
     ] = 0.25,
     as_json: JsonOption = False,
 ) -> None:
     """Show what the rig and its test are doing.
 
-    With --watch a table that renews itself; with --json as well, or without a terminal, one line
-    a look.
+    With --watch, shows a table that is updated continuously; with --json, or if the output is not a
+    terminal, one line per update.
     """
     with _client(socket) as client:
         if not watch:
@@ -148,7 +147,7 @@ def _drive(found: dict[str, Any]) -> tuple[str, str]:
     if found["follows"]:
         return "follows", ""
     if found["drive_stopped"]:
-        return "has stopped by itself", "look why; rthyb ctl reset"
+        return "has stopped", "find out why, then: rthyb ctl reset"
     return "does not follow", ""
 
 
@@ -187,10 +186,11 @@ def rows(found: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 def _test(found: dict[str, Any], test: dict[str, Any] | None) -> tuple[str, str]:
     if test is None:
-        return "none", "load one: rthyb ctl load TEST.toml"
+        return "none", "to load one: rthyb ctl load TEST.toml"
     done = found["progress"]["ticks"] / 1024.0
     about = f"{done:.1f} of {test['duration_s']:.1f} s, {test['ground_motion']}"
-    return f"{test['name']} ({test['digest'][:12]})", f"{about}, PGA {test['pga_g']:.3g} g"
+    about += f", PGA {test['pga_g']:.3g} g" if test["pga_g"] else ""
+    return f"{test['name']} ({test['digest'][:12]})", about
 
 
 def _number(value: float | None, factor: float, unit: str) -> str:
@@ -203,11 +203,11 @@ def _command(newest: dict[str, Any]) -> str:
 
 def _recorder(found: dict[str, Any]) -> tuple[str, str]:
     if not found["wanted"]:
-        return "none", "the ring alone has the last 64 s"
+        return "none", "only the ring has the last 64 s"
     if not found["alive"]:
-        return "no sign of life", "what it misses for 64 s is lost; it is being started again"
+        return "does not respond", ("it is being restarted; data not written within 64 s are lost")
     if found["fault"]:
-        return "in trouble", found["fault"]
+        return "has a problem", found["fault"]
     free = f"{found['free_bytes'] / 1e9:.1f} GB free in {found['runs']}"
     if not found["run_id"]:
         return "ready", free
@@ -241,7 +241,7 @@ def load(
         Path | None,
         typer.Argument(
             metavar="TEST.toml",
-            help="Test file; without one the built-in test.",
+            help="Test file. Default: the built-in test.",
             show_default=False,
         ),
     ] = None,
@@ -249,10 +249,11 @@ def load(
     socket: SocketOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Send a test and its ground motion to the service, in IDLE.
+    """Send a test and its ground motion to the service.
 
-    Both are read here, with your rights; the service sees neither your files nor your home. The
-    rig is the service's, whatever rig the test names.
+    The service must be in IDLE. Both files are read here, with your permissions; the service sees
+    neither your files nor your home directory. The test runs on the rig of the service, whatever
+    rig the test file names.
     """
     from rthyb_rt import config
     from rthyb_rt.lab import experiment
@@ -297,11 +298,11 @@ def _check_size(motion: GroundMotion, record: dict[str, Any]) -> None:
 def zero(
     socket: SocketOption = None,
     no_wait: Annotated[
-        bool, typer.Option("--no-wait", help="Do not wait for the end of the tare.")
+        bool, typer.Option("--no-wait", help="Do not wait until zeroing has finished.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Zero both sensors at rest; the recording of the test begins."""
+    """Zero both sensors at rest and begin the recording."""
     with _client(socket) as client:
         client.call("Zero")
         found = {"state": "IDLE"} if no_wait else _await_zeroed(client)
@@ -324,7 +325,8 @@ def _await_zeroed(client: Client) -> dict[str, Any]:
         if found["state"] == "TRIPPED":
             cause = found["cause"].replace("_", " ")
             raise RthybError(
-                f"not zeroed: the rig is TRIPPED, cause: {cause}; look why, then rthyb ctl reset"
+                f"not zeroed: the rig is TRIPPED, cause: {cause}; find out why, then run "
+                "rthyb ctl reset"
             )
         if found["state"] != "IDLE":
             return found
@@ -339,14 +341,14 @@ def arm(
         str | None,
         typer.Option(
             metavar="HEX",
-            help="The test that is meant, as load has said; without it the one that is loaded.",
+            help="Digest of the test to arm, as printed by load. Default: the loaded test.",
             show_default=False,
         ),
     ] = None,
     socket: SocketOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Arm the test that was zeroed; only who arms can start it.
+    """Arm the zeroed test; only you can then start it.
 
     The token is kept for `rthyb ctl start`. ARMED ends by itself after limits.armed_timeout_s.
     """
@@ -370,7 +372,7 @@ def arm(
 def start(
     token: Annotated[
         str | None,
-        typer.Option(metavar="TOKEN", help="As arm has said, instead of the one it kept."),
+        typer.Option(metavar="TOKEN", help="Token printed by arm, instead of the saved one."),
     ] = None,
     socket: SocketOption = None,
     as_json: JsonOption = False,
@@ -379,12 +381,12 @@ def start(
     with _client(socket) as client:
         kept = _kept_token(place(socket)) if token is None else token
         client.call("Start", token=kept)
-    _say("start", "Started; look at it: rthyb ctl status --watch", as_json)
+    _say("start", "Started; to watch it: rthyb ctl status --watch", as_json)
 
 
 @ctl.command()
 def hold(socket: SocketOption = None, as_json: JsonOption = False) -> None:
-    """Bring the specimen to a stand; resume goes on from there."""
+    """Bring the specimen to rest; `resume` continues the test."""
     with _client(socket) as client:
         client.call("Hold")
     _say("hold", "Held", as_json)
@@ -392,7 +394,7 @@ def hold(socket: SocketOption = None, as_json: JsonOption = False) -> None:
 
 @ctl.command()
 def resume(socket: SocketOption = None, as_json: JsonOption = False) -> None:
-    """Go on with a test that is held."""
+    """Continue a test that is held."""
     with _client(socket) as client:
         client.call("Resume")
     _say("resume", "Resumed", as_json)
@@ -402,14 +404,16 @@ def resume(socket: SocketOption = None, as_json: JsonOption = False) -> None:
 def stop(
     now: Annotated[
         bool,
-        typer.Option("--now", help="Trip: the drive stops by itself, where it is. Then reset."),
+        typer.Option(
+            "--now", help="Trip: the drive stops where it is, and must be reset afterwards."
+        ),
     ] = False,
     socket: SocketOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Bring the specimen to rest at zero and end the test.
 
-    This is no emergency stop: that one is hard-wired.
+    This is not an emergency stop, which must be hard-wired.
     """
     from rthyb_rt.errors import RthybError
 
@@ -424,7 +428,7 @@ def stop(
 
 @ctl.command()
 def reset(socket: SocketOption = None, as_json: JsonOption = False) -> None:
-    """Leave TRIPPED, once its cause is gone, and have a drive follow that stopped by itself."""
+    """Leave TRIPPED, and make a stopped drive follow again."""
     with _client(socket) as client:
         client.call("Reset")
     _say("reset", "Reset", as_json)
@@ -432,10 +436,10 @@ def reset(socket: SocketOption = None, as_json: JsonOption = False) -> None:
 
 @ctl.command()
 def reload(socket: SocketOption = None, as_json: JsonOption = False) -> None:
-    """Take the rig file's limits into force.
+    """Reload the limits of the rig file.
 
-    In IDLE, ZEROED or HOLD; anything else in the file takes a restart of the service. The journal
-    says which limits have changed.
+    Possible in IDLE, ZEROED and HOLD. Any other change in the rig file takes effect when the
+    service is restarted. The journal lists the limits that changed.
     """
     with _client(socket) as client:
         generation = client.call("Reload")["generation"]

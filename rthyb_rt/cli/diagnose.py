@@ -26,7 +26,7 @@ RecordingArgument = Annotated[
     Path,
     typer.Argument(
         metavar="RECORDING",
-        help="CSV file, or folder or recording.h5 of a run.",
+        help="CSV file, folder of a run, or its recording.h5 file.",
         show_default=False,
     ),
 ]
@@ -36,7 +36,7 @@ ModelOption = Annotated[
         "--model",
         metavar="MODEL.toml",
         show_default=False,
-        help="What the lab believes: a baseline file (rthyb-baseline/1), a rig or a test file, "
+        help="Model to compare with: a baseline file (rthyb-baseline/1), a rig or test file, "
         "or the name of a shipped rig.",
     ),
 ]
@@ -46,8 +46,8 @@ MapOption = Annotated[
         "--map",
         metavar='CHANNEL="COLUMN [UNIT]"',
         show_default=False,
-        help="Which column of a CSV file is a channel, its unit, and a minus before it for "
-        "the other sign; or a mapping file. Can be repeated.",
+        help="Column of the CSV file that holds a channel, and its unit; a minus sign before "
+        "the column inverts it. Or a mapping file. Can be repeated.",
     ),
 ]
 HeldoutOption = Annotated[
@@ -55,7 +55,7 @@ HeldoutOption = Annotated[
     typer.Option(
         metavar="FILE",
         show_default=False,
-        help="A second recording, to judge the answer by.",
+        help="Second recording on which the answer is validated.",
     ),
 ]
 PredictOption = Annotated[
@@ -63,26 +63,27 @@ PredictOption = Annotated[
     typer.Option(
         metavar="FILE",
         show_default=False,
-        help="Inputs of a second recording; its force and displacement go to --out.",
+        help="Inputs of a second recording; the predicted force and displacement are written "
+        "to --out.",
     ),
 ]
 OutOption = Annotated[
     Path | None,
-    typer.Option(metavar="PRED.csv", help="Where the prediction goes.", show_default=False),
+    typer.Option(metavar="PRED.csv", help="File for the prediction.", show_default=False),
 ]
 ReportOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FOLDER",
         show_default=False,
-        help="Write report.html, diagnosis.json and augmented.toml there.",
+        help="Folder for report.html, diagnosis.json and augmented.toml.",
     ),
 ]
 SelfCheckOption = Annotated[
     bool,
     typer.Option(
         "--self-check",
-        help="Hide a known effect in this very recording and see whether it is found again.",
+        help="Add a known effect to this recording and see whether it is found.",
     ),
 ]
 EffectOption = Annotated[
@@ -91,14 +92,15 @@ EffectOption = Annotated[
         "--effect",
         metavar="FILE.py",
         show_default=False,
-        help="Python file that registers an effect of your own; more than one may be given.",
+        help="Python file that registers an effect of your own. Can be repeated.",
     ),
 ]
 WhyOption = Annotated[
     bool,
     typer.Option(
         "--why",
-        help="Say what every set of effects brought and why it lost, and what all rests on.",
+        help="Show how well every set of effects fits and why it was rejected, and what the "
+        "answer is based on.",
     ),
 ]
 
@@ -144,13 +146,13 @@ def diagnose(
     why: WhyOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what physics a model leaves out, and where.
+    """Find out what physics a model leaves out, and where.
 
-    The recording is cut at its signals: the command against the displacement gives what the
-    actuator does otherwise, the displacement against the force what the specimen does. Exit code 0
-    says that nothing is missing, 8 any other answer, 3 that the data allow none. A recording of
-    this program is then simulated again with the loop closed, with the model as given and with
-    what was found.
+    The recording is split at the recorded signals: command against measured displacement shows
+    what the actuator does differently from the model, displacement against force what the specimen
+    does. A recording of this program is also simulated again in closed loop, once with the given
+    model and once with what was found. The exit code is 0 if nothing is missing, 3 if the data do
+    not allow an answer, and 8 otherwise.
 
     \b
     Examples:

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 def effects(
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="One of them.", show_default=False)
+        str | None, typer.Argument(metavar="[NAME]", help="Name of an effect.", show_default=False)
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List what a diagnosis can name; say what one effect is.
+    """List the effects that a diagnosis can name.
 
-    Its equation, what it looks like, which experiment shows it, and what it is confused with. With
-    pictures the same is in docs/effects.md.
+    With a NAME, show the equation of that effect, what it looks like, which experiment reveals it,
+    and what it can be confused with. docs/effects.md has the same text with figures.
 
     \b
     Examples:

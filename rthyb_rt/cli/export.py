@@ -13,12 +13,18 @@ from rthyb_rt.cli.inputs import RecordingArgument
 
 def export(
     recording: RecordingArgument,
-    mat: Annotated[bool, typer.Option("--mat", help="MAT file (version 5), every field.")] = False,
+    mat: Annotated[
+        bool, typer.Option("--mat", help="Write a MAT file (version 5) with every field.")
+    ] = False,
     csv: Annotated[
-        bool, typer.Option("--csv", help="CSV: t, ag, x_num, x_cmd, x_meas, f_meas, in SI units.")
+        bool,
+        typer.Option(
+            "--csv",
+            help="Write a CSV file with t, ag, x_num, x_cmd, x_meas and f_meas, in SI units.",
+        ),
     ] = False,
     full: Annotated[
-        bool, typer.Option("--full", help="With --csv: every row and every field.")
+        bool, typer.Option("--full", help="With --csv, write every row and every field.")
     ] = False,
     out: Annotated[
         Path | None,
@@ -29,7 +35,7 @@ def export(
         ),
     ] = None,
 ) -> None:
-    """Write a recording as MAT or CSV file.
+    """Export a recording as a MAT or CSV file.
 
     \b
     Examples:

@@ -11,14 +11,16 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from rthyb_rt.cli import interrupts, quantities, terminal
-from rthyb_rt.cli.connecting import connected, load_rig
+from rthyb_rt.cli.connecting import connected, load_axes_rig, load_rig
 from rthyb_rt.cli.folders import publish, staged
 from rthyb_rt.cli.inputs import JsonOption, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
+from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.config import RigFile
-    from rthyb_rt.rig.identify import Result
+    from rthyb_rt.config import AxesRig, RigFile
+    from rthyb_rt.rig.identify import Result, Sweep
+    from rthyb_rt.rig.identify_axes import AxesResult
 
 SCHEMA = "rthyb-identify/1"
 
@@ -28,26 +30,30 @@ def identify(
         str,
         typer.Argument(
             metavar="RIG",
-            help="Rig file, or the name of a shipped rig; it need not have an elastic stiffness.",
+            help="Rig file or name of a shipped rig; it does not need an elastic stiffness.",
             show_default=False,
         ),
     ],
     amplitude: Annotated[
         str,
         typer.Option(
-            metavar="LENGTH", help="Of the slow sines, 0.01 mm to 1 m; fast ones are smaller."
+            metavar="LENGTH",
+            help="Amplitude of the slow sine waves, 0.01 mm to 1 m; fast ones are smaller.",
         ),
     ] = "2 mm",
     max_frequency: Annotated[
-        str, typer.Option(metavar="FREQUENCY", help="Of the last sine, 0.05 Hz to 100 Hz.")
+        str,
+        typer.Option(
+            metavar="FREQUENCY", help="Frequency of the last sine wave, 0.05 Hz to 100 Hz."
+        ),
     ] = "10 Hz",
     settings: RigSetOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Rig file to write, instead of runs/identify-RIG-UTC/rig.toml. "
-            "An older one is replaced.",
+            help="Rig file to write, instead of runs/identify-RIG-UTC/rig.toml. An existing "
+            "file is replaced.",
             show_default=False,
         ),
     ] = None,
@@ -55,21 +61,24 @@ def identify(
         bool,
         typer.Option(
             "--realtime",
-            help="The rig at the other end of the rig file's [link], under all its limits; "
-            "without a [link] a virtual rig in a process of its own.",
+            help="Use the rig at the other end of the rig file's [link], under all its limits; "
+            "without a [link], a virtual rig in a separate process.",
         ),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Find delay, gain, stiffness and noise of a rig.
+    """Measure delay, gain, stiffness and noise of a rig.
 
-    The rig rests, then follows sines from slow to fast without compensation. From these come the
-    delay estimate that a test starts with, the elastic stiffness that bounds the tangent
-    stiffness, and the noise at rest that the estimator must not mistake for motion.
+    The rig first rests, then follows slow to fast sine waves without compensation. This gives the
+    delay estimate with which a test starts, the elastic stiffness that bounds the tangent
+    stiffness, and the noise at rest, which the estimator must not mistake for motion.
 
-    With --realtime the actuator moves: the rig file must have passed every check of `rthyb
-    commission`, or exit code 5 says what is missing. Ctrl-C brings it back to rest, a second one
-    trips.
+    A rig of several axes is swept axis by axis while the others hold still: it gets the matrix of
+    their frequency responses, which a compensation by matrices needs, and a stiffness matrix.
+
+    With --realtime the actuator moves. The rig must have passed every check of `rthyb commission`;
+    otherwise the exit code is 5 and the message says what is missing. Ctrl-C brings the actuator
+    to rest; a second Ctrl-C trips.
 
     \b
     Examples:
@@ -79,7 +88,6 @@ def identify(
     """
     from rthyb_rt import config
     from rthyb_rt.core import FS_HZ
-    from rthyb_rt.record.recording import replacing
     from rthyb_rt.rig.identify import Sweep, identified_rig, identify_live
     from rthyb_rt.rig.identify import identify as sweep_rig
 
@@ -87,6 +95,10 @@ def identify(
         quantities.read(max_frequency, "--max-frequency", FREQUENCY),
         quantities.read(amplitude, "--amplitude", AMPLITUDE),
     )
+    several = load_axes_rig(rig, settings)
+    if several is not None:
+        _identify_axes(several[0], sweep, out, realtime=realtime, as_json=as_json)
+        return
     given, given_path = load_rig(rig, settings)
     if realtime:
         from rthyb_rt.rig.commissioning import certificate
@@ -101,17 +113,7 @@ def identify(
             result = sweep_rig(given, sweep, progress)
         else:
             result = identify_live(connection, sweep, progress)
-    text = config.dump(identified_rig(given, result))
-    if out is None:
-        target = Path("runs") / f"identify-{given.rig.name}-{started:%Y%m%dT%H%M%SZ}"
-        with staged(target) as stage:
-            (stage / "rig.toml").write_text(text, encoding="utf-8")
-            path = publish(stage, target, numbered=True) / "rig.toml"
-    else:
-        path = out
-        with replacing(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-        interrupts.wrote(path)
+    path = _written(config.dump(identified_rig(given, result)), given.rig.name, started, out)
     if realtime:
         certificate.carry(given, given_path, path)
     file = terminal.people(as_json)
@@ -122,6 +124,98 @@ def identify(
         terminal.print_json(
             {"schema": SCHEMA, "rig_name": given.rig.name, **found, "paths": {"rig": str(path)}}
         )
+
+
+def _written(text: str, name: str, started: datetime.datetime, out: Path | None) -> Path:
+    """Write a rig file where it is wanted, or into a folder of its own; return its path."""
+    from rthyb_rt.record.recording import replacing
+
+    if out is None:
+        target = Path("runs") / f"identify-{name}-{started:%Y%m%dT%H%M%SZ}"
+        with staged(target) as stage:
+            (stage / "rig.toml").write_text(text, encoding="utf-8")
+            return publish(stage, target, numbered=True) / "rig.toml"
+    with replacing(out) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    interrupts.wrote(out)
+    return out
+
+
+def _identify_axes(
+    rig: AxesRig, sweep: Sweep, out: Path | None, *, realtime: bool, as_json: bool
+) -> None:
+    from rthyb_rt import config
+    from rthyb_rt.core import FS_HZ
+    from rthyb_rt.rig import identify_axes
+
+    if realtime:
+        raise InputError(
+            f'rig "{rig.rig.name}" has several axes ({", ".join(rig.names)}), which are swept in '
+            "virtual time alone; leave --realtime out",
+            "--realtime",
+        )
+    started = datetime.datetime.now(datetime.UTC)
+    with terminal.progress("Identifying", sweep.ticks * len(rig.axis), FS_HZ) as progress:
+        result = identify_axes.identify_rig(rig, sweep, progress)
+    filled = identify_axes.identified_rig(rig, result)
+    path = _written(config.dump(filled), rig.rig.name, started, out)
+    file = terminal.people(as_json)
+    _print_axes(rig, result, file)
+    print(f"\nRig file  {path}\nNext      rthyb run TEST.toml --rig {path}", file=file)
+    if as_json:
+        assert filled.identified is not None
+        terminal.print_json(
+            {
+                "schema": SCHEMA,
+                "rig_name": rig.rig.name,
+                "axes": {
+                    name: dataclasses.asdict(own)
+                    for name, own in zip(rig.names, result.axes, strict=True)
+                },
+                "response": filled.identified.model_dump(exclude={"date"}),
+                "stiffness": result.stiffness.tolist(),
+                "paths": {"rig": str(path)},
+            }
+        )
+
+
+def _print_axes(rig: AxesRig, result: AxesResult, file: IO[str]) -> None:
+    from rthyb_rt.core import FS_HZ
+    from rthyb_rt.numbers import number, quantity
+
+    kind = f"{len(rig.axis)} axes: {', '.join(rig.names)}"
+    print(f"{rig.rig.name}: {rig.rig.description or kind}\n", file=file)
+    grid = terminal.ruled_table()
+    grid.add_column("frequency, Hz", justify="right")
+    pairs = [(row, column) for column in rig.names for row in rig.names]
+    for row, column in pairs:
+        grid.add_column(f"{row} by {column}", justify="right")
+    for f_hz, matrix in zip(
+        result.response.frequency_hz.tolist(), abs(result.response.response), strict=True
+    ):
+        grid.add_row(f"{f_hz:g}", *(f"{value:.4f}" for value in matrix.T.reshape(-1)))
+    terminal.show(grid, file)
+    print("", file=file)
+    rows = []
+    for name, own in zip(rig.names, result.axes, strict=True):
+        delay = f"{number(own.delay_s * 1e3, 4)} ms ({number(own.delay_s * FS_HZ, 4)} samples)"
+        rows += [
+            (f"α of {name}", quantity(own.alpha, "samples", digits=4), "initial delay estimate"),
+            (f"Delay of {name}", delay, f"gain {number(own.gain, 4)}, mean of the slow sines"),
+            (f"Noise of {name}", f"{quantity(own.rest_noise_m, 'µm', 1e6)}, "
+             f"{quantity(own.rest_noise_n, 'N')}", "standard deviation at rest"),
+        ]  # fmt: skip
+    for name, values in zip(rig.directions, result.stiffness.tolist(), strict=True):
+        stiffness = ", ".join(number(value, 4) for value in values)
+        rows.append(
+            (f"Stiffness of {name}", stiffness, f"by {', '.join(rig.directions)}; SI units")
+        )
+    unlike = f"{100 * result.asymmetry:.2g} %"
+    rows.append(("Asymmetry", unlike, "of the measured stiffness; written is the mean"))
+    terminal.print_table(rows, file)
+    for name, own in zip(rig.names, result.axes, strict=True):
+        for note in own.notes:
+            print(f"Note: axis {name}: {note}", file=file)
 
 
 FREQUENCY = Allowed("Hz", "Hz", 0.05, 100.0, "a frequency from 0.05 Hz to 100 Hz", "5 Hz")

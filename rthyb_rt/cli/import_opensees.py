@@ -15,18 +15,22 @@ SCHEMA = "rthyb-import-opensees/1"
 
 def import_opensees(
     model: Annotated[
-        Path, typer.Argument(metavar="MODEL.py", help="Builds the model.", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="MODEL.py", help="Python file that builds the model.", show_default=False
+        ),
     ],
     out: Annotated[
         Path | None,
-        typer.Argument(metavar="[FILE.npz]", help="Where to; beside MODEL.py if absent."),
+        typer.Argument(metavar="[FILE.npz]", help="File to write. Default: beside MODEL.py."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write an OpenSees model's matrices to an .npz file.
 
-    MODEL.py builds the model with openseespy and stops before an analysis. What is nonlinear in it
-    is written with its stiffness at rest. The file is what `file` of [numerical.matrices] reads.
+    MODEL.py builds the model with openseespy and stops before the analysis. Nonlinear elements are
+    written with their initial stiffness. The resulting file is read by the key `file` of
+    [numerical.matrices].
 
     \b
     Examples:

@@ -15,7 +15,7 @@ RigOption = Annotated[
     typer.Option(
         "--rig",
         metavar="RIG.toml",
-        help="Rig file, or the name of a shipped rig, instead of the one that the test names.",
+        help="Rig file or name of a shipped rig, instead of the one named in the test file.",
         show_default=False,
     ),
 ]
@@ -24,7 +24,7 @@ SetOption = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change one value of the test file, or of the rig file with rig. before the key. "
+        help="Override one value of the test file, or of the rig file if KEY begins with rig. "
         "Can be repeated.",
         show_default=False,
     ),
@@ -34,25 +34,25 @@ RigSetOption = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change one value of the rig file. Can be repeated.",
+        help="Override one value of the rig file. Can be repeated.",
         show_default=False,
     ),
 ]
 JsonOption = Annotated[
-    bool, typer.Option("--json", help="JSON on stdout, text for people on stderr.")
+    bool, typer.Option("--json", help="Write JSON to stdout; human-readable text goes to stderr.")
 ]
 LimitedRigArgument = Annotated[
     str,
     typer.Argument(
         metavar="RIG",
-        help="Rig file, or the name of a shipped rig, with limits on position and force.",
+        help="Rig file or name of a shipped rig; it must limit position and force.",
         show_default=False,
     ),
 ]
 RecordingArgument = Annotated[
     Path,
     typer.Argument(
-        metavar="RECORDING", help="Folder of a run, or its recording.h5.", show_default=False
+        metavar="RECORDING", help="Folder of a run, or its recording.h5 file.", show_default=False
     ),
 ]
 

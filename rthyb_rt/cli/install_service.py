@@ -23,23 +23,25 @@ def install_service(
         typer.Option(
             "--rig",
             metavar="RIG",
-            help="Rig file, or the name of a shipped rig, that becomes /etc/rthyb/rig.toml, unless "
-            "there is one.",
+            help="Rig file or name of a shipped rig to copy to /etc/rthyb/rig.toml, unless "
+            "that file exists.",
             show_default=False,
         ),
     ] = None,
     root: Annotated[
-        Path, typer.Option(metavar="DIR", help="Write below that folder, and start nothing.")
+        Path, typer.Option(metavar="DIR", help="Install below DIR and run no system command.")
     ] = Path("/"),
     uninstall: Annotated[
-        bool, typer.Option("--uninstall", help="Take the files away; rig and recordings stay.")
+        bool,
+        typer.Option("--uninstall", help="Remove the files; the rig file and the recordings stay."),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Install units, groups and rules of the service.
+    """Install the service: systemd units, groups and rules.
 
-    The service runs as user rthyb, without any capability. Who is in group rthyb may look, hold
-    and stop, who is in rthyb-operator may do everything. It is neither enabled nor started here.
+    The service runs as user rthyb without any capability. Members of group rthyb may look, hold
+    and stop; members of rthyb-operator may do everything. This command neither enables nor starts
+    the service.
 
     \b
     Examples:

@@ -25,27 +25,28 @@ LONGEST_S = 86400.0
 
 def jitter(
     seconds: Annotated[
-        float, typer.Option(metavar="N", help="Length of each of the five runs, s.")
+        float, typer.Option(metavar="N", help="Length of each of the five runs in seconds.")
     ] = 15.0,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder for page and results, instead of runs/jitter-UTC.",
+            help="Folder for the page and the results, instead of runs/jitter-UTC.",
             show_default=False,
         ),
     ] = None,
     require: Annotated[
-        bool, typer.Option("--require", help="Leave with exit code 7 if this PC is not fit.")
+        bool, typer.Option("--require", help="Exit with code 7 if this PC is not good enough.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how punctual this PC is, and say what to change.
+    """Measure how well this PC keeps time in real time.
 
-    A thread computes one sample of the built-in test a tick, at 1024 Hz, with and without exchange
-    over a link, a telemetry reader or busy Python beside it; a bare reference thread runs in the
-    same seconds. Run it as the user, and under the load, that your tests will have. The longer, the
-    rarer the disturbances that it can see.
+    A thread computes one sample of the built-in test per tick at 1024 Hz, with and without data
+    exchange over a link, a telemetry reader, or busy Python code at the same time. A bare reference
+    thread runs alongside. Run this as the user, and under the load, of your tests. The longer it
+    runs, the rarer the disturbances that it can find. It says what to change if this PC is not good
+    enough.
 
     \b
     Examples:

@@ -32,28 +32,32 @@ def jog(
     distance: Annotated[
         str,
         typer.Argument(
-            metavar="DISTANCE", help='How far, with its sign: "-0.5 mm".', show_default=False
+            metavar="DISTANCE",
+            help='Distance with its sign, such as "-0.5 mm".',
+            show_default=False,
         ),
     ],
     speed: Annotated[
-        str, typer.Option(metavar="VELOCITY", help="The fastest on the way.")
+        str, typer.Option(metavar="VELOCITY", help="Highest speed of the motion.")
     ] = "1 mm/s",
     settings: RigSetOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Move the actuator slowly by a distance.
 
-    All limits of the rig file are in force: the position's counts from where the actuator stands,
-    the force's from zero load. Ctrl-C decelerates, and it stays where it comes to rest; a second
-    one trips. Without a [link] in the rig file it is a virtual rig in a process of its own.
+    All limits of the rig file apply: the position limit counts from where the actuator stands, the
+    force limit from zero load. Ctrl-C decelerates, and the actuator stays where it comes to rest;
+    a second Ctrl-C trips. Without a [link] in the rig file, a virtual rig in a separate process is
+    moved.
 
     \b
     Examples:
       rthyb jog my-rig.toml "2 mm"
       rthyb jog my-rig.toml "-0.5 mm" --speed "0.2 mm/s"
 
-    Exit code 6 says that a limit or a trip ended it, 5 that it was refused and nothing moved, 8
-    that it moved far enough to see a wrong sign: of the displacement, or of the force (k_e < 0).
+    The exit code is 6 if a limit or a trip ended the motion, 5 if it was refused and nothing moved,
+    and 8 if it moved far enough to show that a sign is wrong: that of the displacement, or that of
+    the force (k_e < 0).
     """
     from rthyb_rt.rig.commissioning import jogging
 

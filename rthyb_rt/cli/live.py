@@ -25,20 +25,22 @@ def live(
         Path | None,
         typer.Argument(
             metavar="SOURCE",
-            help="Recording or folder of a run; ring of a test in real time, or the folder of the "
-            "rings. Without it the service, or the newest ring.",
+            help="Recording, folder of a run, ring of a real-time test, or folder of rings. "
+            "Default: the service, else the newest ring.",
             show_default=False,
         ),
     ] = None,
     port: Annotated[
         int,
-        typer.Option(metavar="N", min=0, max=65535, help="Port of 127.0.0.1; 0 takes a free one."),
+        typer.Option(
+            metavar="N", min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one."
+        ),
     ] = PORT,
     operator: Annotated[
         bool,
         typer.Option(
             "--operator",
-            help="A second address as well, whose page can also zero, arm, start, resume, reset.",
+            help="Add a second address whose page can also zero, arm, start, resume and reset.",
         ),
     ] = False,
     url_file: Annotated[
@@ -46,17 +48,19 @@ def live(
         typer.Option(
             "--url-file",
             metavar="FILE",
-            help="Write the addresses there, for its owner and its group, and print none.",
+            help="Write the addresses to FILE, readable by owner and group, instead of "
+            "printing them.",
             show_default=False,
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show a test in the browser, as it runs or as it was.
+    """Show a test in the browser, running or recorded.
 
-    The page is there for this PC alone, at an address with a random token in it; from elsewhere it
-    takes ssh -L. It reads the telemetry ring, loads nothing from outside, and has buttons for hold
-    and stop, with the rights that you have at the service. It is no emergency stop.
+    The page is available on this PC only, at an address with a random token; to view it from
+    elsewhere use ssh -L. It reads the telemetry ring, loads nothing from the internet, and has
+    buttons to hold and stop the test, with the permissions that you have at the service. It is not
+    an emergency stop.
 
     \b
     Examples:

@@ -24,18 +24,18 @@ def recorder(
             show_default=False,
         ),
     ] = None,
-    runs: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder that the recordings go to.")
-    ] = Path("runs"),
+    runs: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the recordings.")] = Path(
+        "runs"
+    ),
     parent: Annotated[
-        bool, typer.Option("--parent", help="End when stdin ends and every test is recorded.")
+        bool, typer.Option("--parent", help="Exit when stdin is closed and every test is recorded.")
     ] = False,
 ) -> None:
     """Record the tests of `rthyb serve`.
 
-    It reads the telemetry ring, writes a folder for each test and a line of it into index.jsonl.
-    Killed and started again it goes on where it was. `rthyb serve` starts one of its own; as a
-    service it is a unit of its own, which outlives the daemon.
+    Reads the telemetry ring, writes one folder per test, and adds a line for it to index.jsonl. If
+    it is killed and started again, it resumes where it stopped. `rthyb serve` normally starts its
+    own recorder; under systemd the recorder is a separate unit, which outlives the service.
 
     \b
     Examples:

@@ -25,8 +25,8 @@ def recover(
         Path | None,
         typer.Argument(
             metavar="RING",
-            help="The ring of a real-time test, ring.*; its session file stands beside it. Without "
-            "one the rings that are there are listed.",
+            help="Ring of a real-time test, ring.*, with its session file beside it. Default: "
+            "list the rings.",
             show_default=False,
         ),
     ] = None,
@@ -40,14 +40,14 @@ def recover(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a recording of what a test left in its ring.
+    """Save what is left of a killed test as a recording.
 
-    The ring lies in memory and has the last 64 s of a test, up to the last tick or the one before,
-    even if its process was killed. It is gone after a reboot. Ring and session stay as they are; a
-    test that is running does not notice.
+    The telemetry ring in memory holds the last 64 s of a test, up to the last tick or the one
+    before it, even if its process was killed. It does not survive a reboot. The ring and its
+    session file are not changed, and a running test is not disturbed.
 
-    Without an argument it lists the rings that it finds in /run/rthyb, in $XDG_RUNTIME_DIR/rthyb
-    and in the user's folder in /dev/shm: test, age, ticks, and whether a controller still writes.
+    Without an argument, lists the rings in /run/rthyb, in $XDG_RUNTIME_DIR/rthyb and in the
+    user's folder in /dev/shm: test, age, ticks, and whether a controller is still writing.
 
     \b
     Examples:

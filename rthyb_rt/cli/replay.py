@@ -14,12 +14,12 @@ DEPARTS = 8
 
 
 def replay(recording: RecordingArgument, as_json: JsonOption = False) -> None:
-    """Compute a recording again and compare bit for bit.
+    """Recompute a recording and compare it bit for bit.
 
-    The measured displacement, force and the ground motion are taken from the recording; commands,
-    estimates and states are computed anew, from the first tick in IDLE on, with every fault and
-    every command that the operator gave. Exit code 0 says bit-identical, 8 that it departs, 3 that
-    another version of the program has to replay it.
+    Measured displacement, force and ground motion are taken from the recording. Commands,
+    estimates and states are recomputed from the first tick in IDLE, including every fault and
+    every command of the operator. The exit code is 0 if the result is identical bit for bit, 8 if
+    it differs, and 3 if the recording needs another version of the program.
 
     \b
     Example:

@@ -22,20 +22,38 @@ def report(
             show_default=False,
         ),
     ] = None,
+    files: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Instead: every figure as SVG and PDF, the table as LaTeX and CSV, into a folder.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
-    """Write the report of a recording as HTML.
+    """Write the HTML report of a recording.
 
-    One file with verdict, figures, measures and settings, for the screen and for paper.
+    A single file with the verdict, figures, results and settings, for screen and print.
 
     \b
-    Example:
+    Examples:
       rthyb report runs/section5-t0.5-20260301T101500Z
+      rthyb report runs/section5-t0.5-20260301T101500Z --files paper/figures
     """
     from rthyb_rt.errors import RthybError
     from rthyb_rt.record.recording import open_run
     from rthyb_rt.report import write_report
 
+    if files is not None and out is not None:
+        raise typer.BadParameter("is for the page; leave it out with --files", param_hint="--out")
     rec = open_run(recording)
+    if files is not None:
+        from rthyb_rt.report.files import write_files
+
+        interrupts.wrote(files)
+        for path in write_files(rec, files):
+            print(path)
+        return
     folder = recording if recording.is_dir() else recording.parent
     path = out or folder / "report.html"
     if out is None and not os.access(folder, os.W_OK):

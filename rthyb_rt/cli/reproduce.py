@@ -39,14 +39,14 @@ class Section(StrEnum):
 def reproduce(
     section: Annotated[
         Section,
-        typer.Argument(metavar="SECTION", help="2.1, 4.1, 4.2, 5 or all of them."),
+        typer.Argument(metavar="SECTION", help="Section to reproduce."),
     ] = Section.ALL,
     record: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Ground motion TCU068 EW for Section 4.2; without it the package pyslammer's, "
-            "else El Centro without accepted bands.",
+            help="Ground motion TCU068 EW for Section 4.2. Default: the one in the package "
+            "pyslammer; if that is missing, El Centro without accepted bands.",
             show_default=False,
         ),
     ] = None,
@@ -54,7 +54,7 @@ def reproduce(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder for page and results, instead of runs/reproduce-UTC.",
+            help="Folder for the page and the results, instead of runs/reproduce-UTC.",
             show_default=False,
         ),
     ] = None,
@@ -63,14 +63,14 @@ def reproduce(
     """Reproduce the studies of Chen & Tsai (2012).
 
     2.1 stability of the compensator, 4.1 delay estimator, 4.2 inelastic structure, 5 shaking
-    table. Every figure is held against its accepted band and what the paper states.
+    table. Every result is compared with its accepted band and with the value in the paper.
 
     \b
     Examples:
       rthyb reproduce
       rthyb reproduce 4.2 --record TCU068-E.AT2
 
-    Exit code 8 says that a band was missed.
+    The exit code is 8 if a result lies outside its band.
     """
     from rthyb_rt import studies
     from rthyb_rt.studies import page

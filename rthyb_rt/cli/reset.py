@@ -14,17 +14,18 @@ def reset(
     settings: RigSetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Have a drive follow again that has stopped by itself.
+    """Make a drive follow commands again after it stopped.
 
-    After a trip, and where commands ceased without a farewell, a drive stands until its operator
-    resets it: look why it stopped, and at what is in its way, then reset it. Nothing moves: the
-    drive is told to stay where it stands. A rig of the service is reset by `rthyb ctl reset`.
+    After a trip, or when commands end without a proper goodbye, a drive stays stopped until its
+    operator resets it. First find out why it stopped and check that nothing is in its way, then
+    reset it. Nothing moves: the drive is told to stay where it stands. For a rig that a service
+    runs, use `rthyb ctl reset`.
 
     \b
     Example:
       rthyb reset my-rig.toml
 
-    Exit code 5 says that it stays stopped, and why.
+    The exit code is 5 if the drive stays stopped; the message says why.
     """
     from rthyb_rt.rig.commissioning import stops
 

@@ -28,7 +28,7 @@ def rig(
         str | None,
         typer.Argument(
             metavar="RIG",
-            help="Rig file, or the name of a shipped rig; without one that of the built-in test.",
+            help="Rig file or name of a shipped rig. Default: the rig of the built-in test.",
             show_default=False,
         ),
     ] = None,
@@ -43,11 +43,11 @@ def rig(
     socket: Annotated[
         Path | None,
         typer.Option(
-            metavar="PATH", help="Socket that controllers connect to.", show_default=False
+            metavar="PATH", help="Socket to which controllers connect.", show_default=False
         ),
     ] = None,
     pty: Annotated[
-        bool, typer.Option("--pty", help="Make a pseudo-terminal and say its path.")
+        bool, typer.Option("--pty", help="Create a pseudo-terminal and print its path.")
     ] = False,
     settings: RigSetOption = None,
     seed: Annotated[
@@ -56,49 +56,52 @@ def rig(
             metavar="N",
             min=0,
             max=2**32 - 1,
-            help="Seed of sensor noise and faults, instead of the rig file's.",
+            help="Seed for sensor noise and faults, instead of the rig file's.",
             show_default=False,
         ),
     ] = None,
     drift_ppm: Annotated[
-        float, typer.Option(metavar="PPM", help="How much its clock is fast, -199 to 199.")
+        float,
+        typer.Option(
+            metavar="PPM", help="Parts per million by which its clock is fast, -199 to 199."
+        ),
     ] = 0.0,
     fault: Annotated[
         list[str] | None,
         typer.Option(
             metavar="KIND@S[:S][=VALUE]",
-            help="What goes wrong, from when on, for how long. Can be repeated.",
+            help="Fault, start, duration and value, as listed above. Can be repeated.",
             show_default=False,
         ),
     ] = None,
     seconds: Annotated[
         float | None,
-        typer.Option(metavar="N", help="End after so many seconds.", show_default=False),
+        typer.Option(metavar="N", help="End after N seconds.", show_default=False),
     ] = None,
     log: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write what the drive saw and did in each of its ticks: .npy or .h5.",
+            help="Write what the drive received and did in each tick, as .npy or .h5.",
             show_default=False,
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Be the virtual rig of a rig file at a wire, in real time.
+    """Run a virtual rig at a link, in real time.
 
-    Actuator controller and load cell take commands and send displacement and force 1024 times a
-    second, with a clock and a watchdog of their own: 20 ticks without a fresh command, and they
-    stop. Without an option that names a wire, it is the rig file's [link]. Controllers may come
-    and go; Ctrl-C ends it.
+    The virtual drive takes commands and sends displacement and force 1024 times per second. It has
+    its own clock and its own watchdog: after 20 ticks without a fresh command it stops. Unless an
+    option names a link, the rig file's [link] is used. Controllers can connect and disconnect at
+    any time; Ctrl-C ends the virtual rig.
 
     \b
-    Faults, from the second S of its clock on, for S seconds or to the end, with a VALUE:
-      drop, drop-command, drop-force       lost frames; VALUE: with which probability
-      delay                                feedback held back; VALUE: ticks, up to 63
-      reorder, duplicate, corrupt          every other late, each twice, a bit of each wrong
-      stuck, jump, force, not-finite       the sensors; VALUE: m or N added
-      silence, power-cut                   deaf and dumb; gone for good, at once
+    Faults, from second S of its clock, for S seconds or to the end, with a VALUE:
+      drop, drop-command, drop-force       lost frames; VALUE: probability
+      delay                                feedback is late; VALUE: ticks, up to 63
+      reorder, duplicate, corrupt          every other frame late, each sent twice, one bit wrong
+      stuck, jump, force, not-finite       sensor faults; VALUE: m or N added
+      silence, power-cut                   no communication; no power from then on
 
     \b
     Examples:

@@ -33,7 +33,7 @@ def run(
         Path | None,
         typer.Argument(
             metavar="TEST.toml",
-            help="Test file; without one the built-in test runs (Section 5, T = 0.5 s, El Centro).",
+            help="Test file. Default: the built-in test (Section 5, T = 0.5 s, El Centro).",
             show_default=False,
         ),
     ] = None,
@@ -51,15 +51,15 @@ def run(
         bool,
         typer.Option(
             "--realtime",
-            help="In real time, over the rig file's [link]; without one, on a virtual rig in a "
-            "process of its own.",
+            help="Run in real time over the rig file's [link]; if it has none, on a virtual "
+            "rig in a separate process.",
         ),
     ] = False,
     clock: Annotated[
         Literal["host", "link", "stepped"] | None,
         typer.Option(
-            help="What real time goes by, instead of link.clock: this PC, the drive, or tick by "
-            "tick without time.",
+            help="Source of the clock, instead of link.clock: this PC, the drive, or none (one "
+            "tick after another).",
             show_default=False,
         ),
     ] = None,
@@ -67,23 +67,26 @@ def run(
         list[str] | None,
         typer.Option(
             metavar="KIND[:KEY=NUMBER,...]",
-            help="What goes wrong at the virtual rig, such as drop:p=0.02,from=5,to=8 (seconds of "
-            "the test). Can be repeated; kinds as in `rthyb rig --help`.",
+            help="Fault to simulate on the virtual rig, such as drop:p=0.02,from=5,to=8 (times "
+            "in seconds of the test). Can be repeated; for the kinds see `rthyb rig "
+            "--help`.",
             show_default=False,
         ),
     ] = None,
     no_report: Annotated[
-        bool, typer.Option("--no-report", help="Leave the HTML report out.")
+        bool, typer.Option("--no-report", help="Do not write the HTML report.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run a hybrid test and write its recording and report.
 
-    The test runs on the virtual rig that the rig file describes, as fast as the PC computes, or
-    with --realtime on what is at the other end of the rig file's link. Recording, report and the
-    settings as they were used go to a folder of their own; its test.toml runs again as it stands.
+    By default the test runs on the virtual rig that the rig file describes, as fast as the PC
+    allows. With --realtime it runs on the equipment at the other end of the rig file's link.
+    Recording, report and the complete settings are written to a new folder; the test.toml in it
+    can be run again as it is.
 
-    In real time Ctrl-C brings the specimen to rest and the recording is kept; a second one trips.
+    During a real-time test, Ctrl-C brings the specimen to rest and keeps the recording; a second
+    Ctrl-C trips.
 
     \b
     Examples:
@@ -94,8 +97,8 @@ def run(
       rthyb run my-test.toml --fault drop:p=0.02,from=5,to=8 --fault silence:from=12
       rthyb run my-test.toml --rig my-rig.toml --realtime
 
-    Exit code 6 says that a limit or a trip ended the test, 7 that this PC was not punctual enough;
-    recording and report are there all the same.
+    The exit code is 6 if a limit or a trip ended the test, and 7 if this PC did not keep time well
+    enough. Recording and report are written in both cases.
     """
     from rthyb_rt.analysis import loop_roots, summary
     from rthyb_rt.lab import experiment, keeping, virtual_time
@@ -288,6 +291,8 @@ def _print_result(setup: Setup, result: Summary, recording: Path, as_json: bool)
 
 
 def _motion(setup: Setup) -> str:
+    if setup.plan is not None:
+        return setup.motion.name
     return f"{setup.motion.name}, PGA {setup.motion.pga_g:.3g} g"
 
 

@@ -21,11 +21,11 @@ class Kind(StrEnum):
 
 
 def schema(
-    kind: Annotated[Kind, typer.Argument(help="Which kind of file.", show_default=False)],
+    kind: Annotated[Kind, typer.Argument(help="Kind of file.", show_default=False)],
 ) -> None:
     """Print the JSON schema of one kind of file.
 
-    An editor that knows it completes keys and marks faults while you write.
+    An editor that uses it completes keys and marks errors while you type.
 
     \b
     Example:

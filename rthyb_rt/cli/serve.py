@@ -24,7 +24,7 @@ def serve(
         Path | None,
         typer.Option(
             metavar="PATH",
-            help="The control socket, instead of control.sock beside the rings.",
+            help="Control socket, instead of control.sock beside the rings.",
             show_default=False,
         ),
     ] = None,
@@ -32,35 +32,38 @@ def serve(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder of the rings, in memory, instead of /run/rthyb or the user's own.",
+            help="Folder for the rings, in memory, instead of /run/rthyb or the user's own.",
             show_default=False,
         ),
     ] = None,
-    runs: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder that the recordings go to.")
-    ] = Path("runs"),
+    runs: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the recordings.")] = Path(
+        "runs"
+    ),
     recorder: Annotated[
         Literal["own", "service", "none"],
-        typer.Option(help="Who records: a process of its own, another service, or nobody."),
+        typer.Option(
+            help="What records: a process started by this service, the recorder "
+            "service, or nothing."
+        ),
     ] = "own",
     metrics: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write Prometheus' text format there, every 5 s.",
+            help="File to write in Prometheus text format every 5 s.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Run many tests on one rig, driven by `rthyb ctl`.
+    """Run the service of a rig, for many tests.
 
-    It opens the rig's link and keeps the drive where it stands, in state IDLE. Tests come through
-    the control socket, one after another, and the drive is never let go in between. Ctrl-C or
-    SIGTERM brings what moves to rest and ends it; a second one trips. SIGHUP reads the limits of
-    the rig file again.
+    Opens the rig's link and keeps the drive where it stands, in state IDLE. Tests are sent to the
+    control socket by `rthyb ctl`, one after another; between tests the drive stays under control.
+    Ctrl-C or SIGTERM brings everything to rest and ends the service; a second signal trips. SIGHUP
+    reloads the limits of the rig file.
 
-    Who may do what is decided by groups: rthyb may look, hold and stop, rthyb-operator may do
-    everything, and so may root and who has started it.
+    Permissions depend on groups: members of rthyb may look, hold and stop; members of
+    rthyb-operator, root and the user who started the service may do everything.
 
     \b
     Examples:

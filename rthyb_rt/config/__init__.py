@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rthyb_rt.config.axesfile import AxesRig
 from rthyb_rt.config.baselinefile import BaselineFile
 from rthyb_rt.config.changes import IN_PYTHON
 from rthyb_rt.config.defaults import derived_limits
@@ -12,10 +13,13 @@ from rthyb_rt.config.loading import (
     check_values,
     find_rig,
     frames_of_link,
+    has_axes,
     json_schema,
+    load_any_rig,
     load_both,
     load_rig,
     load_test,
+    parse_any_rig,
     parse_baseline,
     parse_campaign,
     parse_map,
@@ -39,6 +43,7 @@ __all__ = [
     "IN_PYTHON",
     "STANDARD",
     "STANDARD_HZ",
+    "AxesRig",
     "BaselineFile",
     "Calibration",
     "Derived",
@@ -59,11 +64,14 @@ __all__ = [
     "dump_values",
     "find_rig",
     "frames_of_link",
+    "has_axes",
     "inline",
     "json_schema",
+    "load_any_rig",
     "load_both",
     "load_rig",
     "load_test",
+    "parse_any_rig",
     "parse_baseline",
     "parse_campaign",
     "parse_map",

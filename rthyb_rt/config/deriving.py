@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rthyb_rt.config import limits as limits_file
-from rthyb_rt.config import rigsettings
+from rthyb_rt.config import rigsettings, timescale
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import (
@@ -34,6 +34,8 @@ from rthyb_rt.config.rigfile import (
 from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError, Problem
 
+Rows = Sequence[Sequence[float]]
+
 if TYPE_CHECKING:
     from rthyb_rt.config.numerical_structure import Mode, Structure
     from rthyb_rt.config.sparse_structure import SparseStructure
@@ -54,7 +56,8 @@ class Derived:
         fs_hz: sample rate.
         k_e_n_per_m: elastic stiffness of the specimen, k_e.
         stiffness_n_per_m: k_e plus the computed stiffness.
-        mass_kg, period_s: with m = k (T / 2 pi)^2 of the whole stiffness.
+        mass_kg, period_s: with m = k (T / 2 pi)^2 of the whole stiffness; with a slow time scale
+            these and the damping are those of the laboratory's time.
         damping_n_s_per_m, damping_ratio: with c = 2 zeta sqrt(k m).
         window_samples: T0 of Eqn 3.3, samples at that rate.
         law_settings: every setting of the control law, by its key; samples are of 1/1024 s.
@@ -117,25 +120,31 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         structure, (mass, period, damping, ratio) = _of_many(test, k_e, rate, problems, notes)
     elif isinstance(test.numerical.matrices, Matrices):
         structure, (mass, period, damping, ratio) = _by_matrices(
-            test.numerical.matrices, k_e, rate, problems
+            test.numerical.matrices, k_e, rate, problems, test.test.time_scale
         )
     else:
         mass, period = _mass_and_period(test.numerical, stiffness, problems)
         damping, ratio = _damping(test.numerical, stiffness, mass)
+        # In the laboratory's time, see rthyb_rt.config.timescale.
+        slow = test.test.time_scale
+        mass, period, damping = slow**2 * mass, slow * period, slow * damping
         _check_integration(test.numerical, period, ratio, rate, problems, notes)
-    _check_rate(test, rig, rate, problems)
-    settings = _law_settings(test, rig, rate, problems)
-    noise_m, noise_n = _rest_noise(test, rig, notes)
+    check_rate(test, rig, rate, problems)
+    _check_one_axis(test, rig, problems)
+    settings = law_settings(test, rig, rate, problems)
+    noise_m, noise_n = rest_noise(test, rig, notes)
     limits = limits_file.resolve(test.limits, rig.limits, rig.rig.name, noise_m, problems)
+    _note_slowness(test, rig, notes)
     _note_stiffness(rig, notes)
     _note_sensor_ranges(limits.limits, rig, notes)
     _note_friction(test, rig, mass, rate, notes)
     _note_substeps(rig, notes)
+    _note_omitted(rig, notes)
     rigsettings.note_defaults(test, rig, notes)
     controller = test.controller
-    window = _window_samples(test, period, rate, problems)
+    window = window_samples_of(test, period, rate, problems)
     by_rig_hz, by_rig_s = rigsettings.rfc_of_rig(test, rig)
-    cutoff_hz = _rfc_cutoff(test, by_rig_hz, rate, problems)
+    cutoff_hz = rfc_cutoff(test, by_rig_hz, rate, problems)
     if problems:
         raise InputError(problems)
     active = controller.type != "none"
@@ -152,7 +161,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         law_settings=settings,
         plc_enabled=active and controller.plc_enabled,
         estimator_enabled=active and controller.law.learns and controller.delay_estimator.enabled,
-        rfc_enabled=active and controller.rfc.enabled,
+        rfc_enabled=active and controller.rfc.enabled and test.history is None,
         tangent=controller.rfc.tangent or default_tangent,
         rfc_cutoff_hz=cutoff_hz,
         force_lateness_s=_given(controller.rfc.force_lateness_s, by_rig_s),
@@ -164,6 +173,17 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     )
 
 
+def _check_one_axis(test: TestFile, rig: RigFile, problems: list[Problem]) -> None:
+    """Find what only a rig of several axes can have."""
+    alone = f'rig "{rig.rig.name}" has one axis; it is for rigs with several, [[axis]]'
+    if test.controller.type == "matrix":
+        problems.append(Problem("controller.type", f'found "matrix"; {alone}'))
+    if test.controller.axis:
+        problems.append(Problem("controller.axis", f"found laws of axes by name; {alone}"))
+    if len(test.interface) > 1 and test.numerical.structure is None:
+        problems.append(Problem("interface", f"found {len(test.interface)} directions; {alone}"))
+
+
 def resolve(test: TestFile, derived: Derived) -> TestFile:
     """Return the test with every setting written out that came from the rig or from a default.
 
@@ -173,6 +193,7 @@ def resolve(test: TestFile, derived: Derived) -> TestFile:
     standard = derived.rate.pace == 1.0
     rfc = controller.rfc.model_copy(
         update={
+            "enabled": controller.rfc.enabled and test.history is None,
             "window_periods": None,
             "window_s": None if standard else derived.window_samples / derived.fs_hz,
             "window_samples": derived.window_samples if standard else None,
@@ -189,12 +210,13 @@ def _given(value: float | None, default: float) -> float:
     return default if value is None else value
 
 
-def structure_of_test(test: TestFile, k_e: float, period_s: float) -> SparseStructure:
+def structure_of_test(test: TestFile, k_e: float | Rows, period_s: float) -> SparseStructure:
     """Return the structure of a test with storeys, or with matrices from a file.
 
     Args:
         test: the test; what its file of matrices says has been read.
-        k_e: elastic stiffness of the rig's specimen, N/m.
+        k_e: elastic stiffness of the rig's specimen, N/m; of several axes its rows, in the order
+            of the interfaces.
         period_s: of a sample.
 
     Raises:
@@ -208,7 +230,8 @@ def structure_of_test(test: TestFile, k_e: float, period_s: float) -> SparseStru
         numerical.damping, numerical.nonlinear, numerical.record, test.interface,
         numerical.integrator, numerical.rho_inf,
     )  # fmt: skip
-    return sparse_structure.build(numerical.structure, keys, k_e, period_s)
+    found = sparse_structure.build(numerical.structure, keys, k_e, period_s)
+    return found.slowed(test.test.time_scale)
 
 
 def _of_many(
@@ -242,10 +265,10 @@ def _of_many(
                 f"{rate.hz:g} Hz cannot follow; check the units of masses and stiffnesses",
             )
         )
-    return structure, _oscillator(first)
+    return structure, oscillator(first)
 
 
-def _oscillator(mode: Mode) -> tuple[float, float, float, float]:
+def oscillator(mode: Mode) -> tuple[float, float, float, float]:
     """Return mass, period, damping and its ratio of a mode, as the interface feels it."""
     omega = 2 * math.pi * mode.frequency_hz
     mass = 1.0 / max(mode.at_interface**2, 1e-12)
@@ -253,13 +276,13 @@ def _oscillator(mode: Mode) -> tuple[float, float, float, float]:
 
 
 def _by_matrices(
-    given: Matrices, k_e: float, rate: Rate, problems: list[Problem]
+    given: Matrices, k_e: float, rate: Rate, problems: list[Problem], time_scale: float
 ) -> tuple[Structure, tuple[float, float, float, float]]:
     """Return the part, and mass, period, damping and its ratio of the first mode."""
     # NumPy is slow to load, and most tests have no matrices.
     from rthyb_rt.config.numerical_structure import RADIUS_SLACK, structure_of
 
-    structure = structure_of(given, k_e, rate.period_s)
+    structure = structure_of(given, k_e, rate.period_s).slowed(time_scale)
     modes = structure.modes()
     first = modes[0]
     if first.frequency_hz == 0.0:
@@ -274,7 +297,7 @@ def _by_matrices(
         )
         return structure, (1.0, 1.0, 0.0, 0.0)
     _check_stability(structure, problems, 1.0 + RADIUS_SLACK)
-    return structure, _oscillator(first)
+    return structure, oscillator(first)
 
 
 def _check_stability(structure: Structure, problems: list[Problem], most: float) -> None:
@@ -366,7 +389,7 @@ def _check_integration(
         )
 
 
-def _check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]) -> None:
+def check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]) -> None:
     """Find what cannot be had at a rate: part of a sample of a pure delay, too high a cut-off."""
     actuator = rig.actuator
     key, delay = "", 0
@@ -388,7 +411,7 @@ def _check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem
         )
 
 
-def _law_settings(
+def law_settings(
     test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]
 ) -> dict[str, float]:
     """Return every setting of the control law: the file's, else the rig's, else the default."""
@@ -423,7 +446,7 @@ def _law_settings(
     return settings
 
 
-def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Problem]) -> int:
+def window_samples_of(test: TestFile, period: float, rate: Rate, problems: list[Problem]) -> int:
     rfc = test.controller.rfc
     if rfc.window_samples is not None:
         return max(1, round(rate.samples(rfc.window_samples)))
@@ -434,6 +457,9 @@ def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Pr
         window_s = _given(rfc.window_periods, DEFAULT_WINDOW_PERIODS) * period
     samples = math.floor(window_s * rate.hz + 0.5)
     most = math.floor(MAX_WINDOW_S * rate.hz + 0.5)
+    if test.test.time_scale > 1.0:
+        # A tenth of a slow period may be minutes, and the window's noise is small long before.
+        samples = min(samples, most)
     if not 1 <= samples <= most:
         problems.append(
             Problem(
@@ -446,7 +472,7 @@ def _window_samples(test: TestFile, period: float, rate: Rate, problems: list[Pr
     return samples
 
 
-def _rfc_cutoff(test: TestFile, by_rig_hz: float, rate: Rate, problems: list[Problem]) -> float:
+def rfc_cutoff(test: TestFile, by_rig_hz: float, rate: Rate, problems: list[Problem]) -> float:
     """Return the cut-off of the low-pass on x_c - x_m, Hz; 0: none."""
     cutoff_hz = _given(test.controller.rfc.cutoff_hz, by_rig_hz)
     if not cutoff_hz < 0.5 * rate.hz:
@@ -460,7 +486,7 @@ def _rfc_cutoff(test: TestFile, by_rig_hz: float, rate: Rate, problems: list[Pro
     return cutoff_hz
 
 
-def _rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, float]:
+def rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, float]:
     """Return measured noise, or what the sensors are said to have."""
     identified, sensors = rig.identified, rig.sensors
     noise_m = identified.rest_noise_displacement_m if identified else None
@@ -500,6 +526,28 @@ def _note_stiffness(rig: RigFile, notes: list[str]) -> None:
             f"k_e = {k_e:g} N/m, but the specimen's elements begin with {total:g} N/m: check "
             "rig.elastic_stiffness_n_per_m"
         )
+
+
+def _note_slowness(test: TestFile, rig: RigFile, notes: list[str]) -> None:
+    """Say what a slow test leaves out of a specimen whose force depends on velocity."""
+    slow = test.test.time_scale
+    if slow == 1.0 or test.history is not None:
+        return
+    names = {item.element for item in rig.specimen if _is_rate_dependent(item)}
+    text = f"test.time_scale = {slow:g}: the specimen moves so many times slower than the structure"
+    if not names:
+        notes.append(f"{text}; its elements have no rate in them, so nothing is left out")
+        return
+    notes.append(
+        f"{text}, and of its {', '.join(sorted(names))} only what that velocity asks for is "
+        f"measured: a viscous force is 1/{slow:g} of the structure's, inertia 1/{slow**2:g}; "
+        "put what is known of them into the numerical part, or test faster"
+    )
+
+
+def _is_rate_dependent(item: SpecimenElement) -> bool:
+    keys = type(item).model_fields
+    return any(timescale.exponent(key) for key in keys)
 
 
 def _note_sensor_ranges(limits: limits_file.Limits, rig: RigFile, notes: list[str]) -> None:
@@ -556,6 +604,21 @@ def _note_friction(test: TestFile, rig: RigFile, mass: float, rate: Rate, notes:
                 f"step of the reference simulation, which chatters on {moving:.4g} kg and must not "
                 f"be trusted; give it a width of at least {needed:.2g} m/s{how}"
             )
+
+
+def _note_omitted(rig: RigFile, notes: list[str]) -> None:
+    """Print what a servo-hydraulic actuator has only because its file does not say it."""
+    actuator = rig.actuator
+    if not isinstance(actuator, ServoHydraulic):
+        return
+    omitted = [key for key in type(actuator).model_fields if key not in actuator.model_fields_set]
+    if not omitted:
+        return
+    values = ", ".join(f"{key} = {getattr(actuator, key):g}" for key in omitted)
+    notes.append(
+        f'rig "{rig.rig.name}" does not give {values} of its actuator: those are the figures of '
+        "shaking-table-portal-frame; write down the ones of this rig"
+    )
 
 
 def _note_substeps(rig: RigFile, notes: list[str]) -> None:

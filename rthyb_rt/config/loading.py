@@ -13,35 +13,38 @@ from typing import Any, Literal, TypeVar, get_args
 from pydantic import ValidationError
 
 from rthyb_rt.config import busload
+from rthyb_rt.config.axesfile import AxesRig, Plant
 from rthyb_rt.config.baselinefile import BASELINE_SCHEMA, BaselineFile
 from rthyb_rt.config.campaignfile import CAMPAIGN_SCHEMA, CampaignFile
 from rthyb_rt.config.changes import ON_COMMAND_LINE, Wording
-from rthyb_rt.config.fields import Table, nearest, written
+from rthyb_rt.config.fields import Choice, Table, nearest, written
+from rthyb_rt.config.history import CyclesHistory, History, RandomHistory, with_file
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
 from rthyb_rt.config.mapfile import MAP_SCHEMA, MapFile
-from rthyb_rt.config.rigfile import RIG_SCHEMA, Link, RigFile, kinds
+from rthyb_rt.config.rigfile import BUSES, RIG_SCHEMA, Link, RigFile, kinds
 from rthyb_rt.config.structures import FROM_FILE, WRITTEN_OUT, MatrixFile
 from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile
 from rthyb_rt.errors import InputError, Problem
 
-_Model = TypeVar("_Model", TestFile, RigFile, BaselineFile, MapFile, CampaignFile)
+_Model = TypeVar("_Model", TestFile, RigFile, AxesRig, BaselineFile, MapFile, CampaignFile)
 
 MAX_BYTES = 10 * 10**6
 
 _SCHEMAS: dict[type[Table], str] = {
-    TestFile: TEST_SCHEMA, RigFile: RIG_SCHEMA, BaselineFile: BASELINE_SCHEMA,
-    MapFile: MAP_SCHEMA, CampaignFile: CAMPAIGN_SCHEMA,
+    TestFile: TEST_SCHEMA, RigFile: RIG_SCHEMA, AxesRig: RIG_SCHEMA,
+    BaselineFile: BASELINE_SCHEMA, MapFile: MAP_SCHEMA, CampaignFile: CAMPAIGN_SCHEMA,
 }  # fmt: skip
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SYNTAX_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
 
 # Tables in which an override of one key replaces the others that stand for the same thing.
-_EXCLUSIVE: dict[KeyPath, type[Table]] = {
-    ("numerical",): Numerical,
-    ("ground_motion",): GroundMotion,
-    ("controller", "rfc"): Rfc,
+_EXCLUSIVE: dict[KeyPath, tuple[Choice, ...]] = {
+    ("numerical",): Numerical.choices,
+    ("ground_motion",): GroundMotion.choices,
+    ("controller", "rfc"): Rfc.choices,
+    ("history",): (*CyclesHistory.choices, *RandomHistory.choices),
 }
 
 
@@ -75,8 +78,21 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
             "rig": found(test.rig, "rig"),
             "ground_motion": motion.model_copy(update={"record": record}),
             "numerical": _with_matrices(test.numerical, str(path), overrides),
+            "history": _with_steps(test.history, str(path), overrides),
         }
     )
+
+
+def _with_steps(given: History | None, path: str, overrides: Mapping[str, str]) -> History | None:
+    """Read the CSV file of amplitudes and cycles that a history names.
+
+    Raises:
+        InputError: what is wrong with the file.
+    """
+    if not isinstance(given, CyclesHistory) or given.file is None:
+        return given
+    from_override = any(key.startswith("history") for key in overrides)
+    return with_file(given, Path() if from_override else Path(path).parent)
 
 
 def _with_matrices(numerical: Numerical, path: str, overrides: Mapping[str, str]) -> Numerical:
@@ -111,18 +127,143 @@ def load_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> Ri
     overrides = overrides or {}
     text = read_text(path, "rig")
     rig = parse_rig(text, str(path), overrides)
-    if rig.link is None or rig.link.dbc is None:
-        return rig
-    given = {_override_path(RigFile, key): key for key in overrides}
-    folder = Path() if ("link", "dbc") in given else Path(path).parent
-    link = rig.link.model_copy(update={"dbc": str((folder / rig.link.dbc).resolve())})
+    return rig.model_copy(update={"link": _with_dbc(rig.link, ("link",), text, path, overrides)})
+
+
+def load_any_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> RigFile | AxesRig:
+    """Read a rig file of one axis, or of several; arguments and errors as for `load_rig`.
+
+    In keys of overrides an axis is named: ``rig.axis.left.actuator.kp_per_s``. The file of a plant
+    is read.
+    """
+    overrides = overrides or {}
+    text = read_text(path, "rig")
+    rig = parse_any_rig(text, str(path), overrides)
+    if isinstance(rig, RigFile):
+        link = _with_dbc(rig.link, ("link",), text, path, overrides)
+        return rig.model_copy(update={"link": link})
+    axes = []
+    for i, axis in enumerate(rig.axis):
+        place: KeyPath = ("axis", i, "link")
+        link = _with_dbc(axis.link, place, text, path, overrides, f"axis.{axis.name}.link")
+        axes.append(axis.model_copy(update={"link": link}))
+    update: dict[str, Any] = {"axis": axes}
+    if rig.plant is not None and rig.plant.file is not None:
+        given = {_override_path(AxesRig, key) for key in overrides}
+        folder = Path() if ("plant", "file") in given else Path(path).parent
+        where = f"{path}:{KeyLines(text).find(('plant', 'file'))}: plant.file"
+        update["plant"] = _read_plant(rig.plant, folder, len(axes), where)
+    rig = rig.model_copy(update=update)
+    faults = shared_links(rig)
+    if faults:
+        lines = KeyLines(text)
+        raise InputError(
+            Problem(f"{path}:{lines.find(('axis', i, 'link'))}: axis.{rig.names[i]}.link", message)
+            for i, message in faults
+        )
+    return rig
+
+
+def _read_plant(plant: Plant, folder: Path, axes: int, where: str) -> Plant:
+    """Return a plant with the matrices of its file, which are checked as those of a rig file are.
+
+    Raises:
+        InputError: with the file, and what is wrong with it.
+    """
+    assert plant.file is not None
+    path = folder / plant.file
+    from rthyb_rt.config import plantfile
+
+    values = {**plantfile.read(path, where), "stroke_m": plant.stroke_m}
+    try:
+        return Plant.model_validate(values)
+    except ValidationError as error:
+        raise InputError(
+            Problem(f"{where}: {path}: {'.'.join(str(p) for p in fault['loc'])}",
+                    str(fault["ctx"]["text"]))
+            for fault in error.errors(include_url=False, include_input=False)
+        ) from None  # fmt: skip
+
+
+def shared_links(rig: AxesRig) -> list[tuple[int, str]]:
+    """Return what is wrong with links of two axes on one line: number of the axis, and why.
+
+    Several axes share a CAN bus where their frames have identifiers of their own and the bus has
+    room for all.
+    """
+    found = list[tuple[int, str]]()
+    first: dict[tuple[str, str, str], list[int]] = {}
+    for i, axis in enumerate(rig.axis):
+        if axis.link is not None:
+            link = axis.link
+            first.setdefault((link.kind, link.channel, link.interface or ""), []).append(i)
+    for (kind, channel, _), axes in first.items():
+        if len(axes) == 1:
+            continue
+        names = " and ".join(rig.names[i] for i in axes)
+        if kind not in BUSES:
+            found.append(
+                (axes[-1], f"axes {names} are both at {written(channel)}; each needs its own")
+            )
+            continue
+        complaint = _one_bus(rig, axes, names, channel)
+        if complaint:
+            found.append((axes[-1], complaint))
+    return found
+
+
+def _one_bus(rig: AxesRig, axes: list[int], names: str, channel: str) -> str | None:
+    from rthyb_rt.core import dbc, wire
+
+    links = [link for i in axes if (link := rig.axis[i].link) is not None]
+    seen: dict[int, str] = {}
+    frames: list[busload.FrameSize] = []
+    for i, link in zip(axes, links, strict=True):
+        if link.dbc is not None and importlib.util.find_spec("cantools") is None:
+            return None
+        codec = wire.can() if link.dbc is None else dbc.load(link.dbc, link.names)
+        for one in sorted({codec.command_id, *codec.feedback_ids}):
+            if one in seen:
+                return (
+                    f"axes {seen[one]} and {rig.names[i]} both have frames of identifier "
+                    f"0x{one & 0x1FFFFFFF:X} on {written(channel)}; give each a bus of its own, or "
+                    "a DBC file with identifiers of its own"
+                )
+            seen[one] = rig.names[i]
+        frames += busload.frames_of(codec)
+    bitrate = links[0].bitrate
+    if bitrate is None:
+        return (
+            f"axes {names} share {written(channel)}, and no bitrate says whether it has room; give "
+            "the same bitrate in the link of each"
+        )
+    if {(link.bitrate, link.data_bitrate) for link in links} != {(bitrate, links[0].data_bitrate)}:
+        return f"axes {names} share {written(channel)} and say different bit rates; give one"
+    return busload.bus_fault(frames, bitrate, links[0].data_bitrate)
+
+
+def _with_dbc(
+    link: Link | None, place: KeyPath, text: str, path: str | Path,
+    overrides: Mapping[str, str], name: str = "link",
+) -> Link | None:  # fmt: skip
+    """Return a link with the absolute path of its DBC file, which is read for its faults.
+
+    Raises:
+        InputError: what is wrong with it.
+    """
+    if link is None or link.dbc is None:
+        return link
+    raw = _toml(text, str(path))
+    given = {_by_name(raw, _override_path(RigFile, key)): key for key in overrides}
+    folder = Path() if (*place, "dbc") in given else Path(path).parent
+    link = link.model_copy(update={"dbc": str((folder / link.dbc).resolve())})
     fault = _dbc_fault(link)
     if fault is not None:
         key, message = fault
-        blamed = given.get(("link", key)) or given.get(("link", "dbc")) or given.get(("link",))
-        line = KeyLines(text).find(("link", key))
-        raise InputError(message, f"--set {blamed}" if blamed else f"{path}:{line}: link.{key}")
-    return rig.model_copy(update={"link": link})
+        blamed = given.get((*place, key)) or given.get((*place, "dbc")) or given.get(place)
+        line = KeyLines(text).find((*place, key))
+        raise InputError(message, f"--set {blamed}" if blamed else f"{path}:{line}: {name}.{key}")
+    return link
 
 
 def load_both(
@@ -221,8 +362,63 @@ def parse_rig(
     overrides: Mapping[str, str] | None = None,
     wording: Wording = ON_COMMAND_LINE,
 ) -> RigFile:
-    """Check the text of a rig file; arguments and errors as for `parse_test`."""
-    return _parse(RigFile, RIG_SCHEMA, text, source, overrides or {}, wording=wording)
+    """Check the text of a rig file of one axis; arguments and errors as for `parse_test`."""
+    raw = _toml(text, source)
+    if "axis" in raw:
+        names = ", ".join(_axis_names(raw)) or "several"
+        raise InputError(
+            f"found [[axis]]: this is a rig of several axes ({names}), and a rig of one is needed "
+            "here",
+            f"{source}:{KeyLines(text).find(('axis',))}",
+        )
+    return _parse(RigFile, RIG_SCHEMA, text, source, overrides or {}, raw, wording=wording)
+
+
+def parse_any_rig(
+    text: str,
+    source: str = "rig",
+    overrides: Mapping[str, str] | None = None,
+    wording: Wording = ON_COMMAND_LINE,
+) -> RigFile | AxesRig:
+    """Check the text of a rig file of one axis or of several; otherwise as for `parse_test`."""
+    raw, given = _toml(text, source), overrides or {}
+    if "axis" in raw:
+        return _parse(AxesRig, RIG_SCHEMA, text, source, given, raw, wording=wording)
+    return _parse(RigFile, RIG_SCHEMA, text, source, given, raw, wording=wording)
+
+
+def has_axes(path: str | Path) -> bool:
+    """Tell whether a rig file is of several axes; raises ``InputError`` where it is no TOML."""
+    return "axis" in _toml(read_text(path, "rig"), str(path))
+
+
+def _axis_names(raw: Mapping[str, Any]) -> list[str]:
+    tables = raw.get("axis")
+    found = [one.get("name") for one in tables if isinstance(one, dict)] if isinstance(
+        tables, list) else []  # fmt: skip
+    return [name for name in found if isinstance(name, str)]
+
+
+def _by_name(raw: Mapping[str, Any], path: KeyPath) -> KeyPath:
+    """Return a place in which an axis is named by its number instead of its name."""
+    if len(path) < 2 or path[0] != "axis" or not isinstance(path[1], str):
+        return path
+    for number, one in enumerate(tables if isinstance(tables := raw.get("axis"), list) else []):
+        if isinstance(one, dict) and one.get("name") == path[1]:
+            return ("axis", number, *path[2:])
+    return path
+
+
+def _shown(raw: Mapping[str, Any], place: KeyPath) -> str:
+    """Return a place as messages have it: an axis by its name, where it has one."""
+    parts = list(place)
+    if len(parts) > 1 and parts[0] == "axis" and isinstance(parts[1], int):
+        tables = raw.get("axis")
+        own = tables[parts[1]] if isinstance(tables, list) and parts[1] < len(tables) else None
+        name = own.get("name") if isinstance(own, dict) else None
+        if isinstance(name, str) and name:
+            parts[1] = name
+    return ".".join(str(part) for part in parts)
 
 
 def check_values(model: type[_Model], values: Mapping[str, Any], source: str) -> _Model:
@@ -333,6 +529,21 @@ def json_schema(kind: Literal["test", "rig", "baseline", "map", "campaign"]) -> 
         "campaign": CampaignFile,
     }  # fmt: skip
     schema = models[kind].model_json_schema()
+    if kind == "rig":
+        # A file with [[axis]] is of several axes; what both have is described once.
+        several = AxesRig.model_json_schema()
+        parts = {**several.pop("$defs"), **schema.pop("$defs")}
+        names = {**schema["properties"], **several["properties"]}
+        schema = {
+            "title": "Rig file",
+            "type": "object",
+            "properties": {name: {} for name in names},
+            "required": ["schema", "rig"],
+            "if": {"required": ["axis"]},
+            "then": several,
+            "else": schema,
+            "$defs": parts,
+        }
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
@@ -476,7 +687,7 @@ def _parse(
     problems: list[Problem] = []
     given: dict[KeyPath, str] = {}
     for key, value in overrides.items():
-        path = _override_path(model, key)
+        path = _by_name(raw, _override_path(model, key))
         complaint = _override(raw, path, value, set(given), wording)
         if complaint:
             problems.append(Problem(wording.place(key), complaint))
@@ -486,7 +697,7 @@ def _parse(
     new_kinds: dict[KeyPath, int | str] = {
         key[:-1]: key[-1]
         for key in given
-        if key[-1] in ("kind", "element") and key[0] in ("actuator", "specimen")
+        if key[-1] in ("kind", "element") and {"actuator", "specimen", "history"} & set(key[:3])
     }
     unfit: set[KeyPath] = set()
     placed: list[tuple[int, Problem]] = []
@@ -504,14 +715,14 @@ def _parse(
             involved: list[KeyPath] = [place[:-1] + tuple(each.split(".")) for each in names]
             culprit = _override_to_blame(place, involved, given, lines)
             if culprit:
-                inner = place[len(_override_path(model, culprit)) :]
+                inner = place[len(_by_name(raw, _override_path(model, culprit))) :]
                 name = ".".join(str(part) for part in inner)
                 problems.append(
                     Problem(wording.place(culprit), f"{name}: {message}" if name else message)
                 )
             else:
                 line = lines.find(place)
-                name = ".".join(str(part) for part in place)
+                name = _shown(raw, place)
                 where = f"{source}:{line}: {name}" if name else f"{source}:{line}"
                 placed.append((line, Problem(where, message)))
     changed: KeyPath
@@ -533,7 +744,7 @@ def _kind_message(raw: dict[str, Any], path: KeyPath, override: str, wording: Wo
     kind = values[tag]
     (model,) = (
         model
-        for model in kinds()
+        for model in (*kinds(), *get_args(History))
         if tag in model.model_fields and kind in get_args(model.model_fields[tag].annotation)
     )
     needed = {
@@ -604,7 +815,8 @@ def _toml(text: str, source: str) -> dict[str, Any]:
 def _override_path(model: type[Table], key: str) -> KeyPath:
     """Return the place a ``--set`` key means; a rig's key may have ``rig.`` before it."""
     parts: list[str | int] = [int(part) if part.isdecimal() else part for part in key.split(".")]
-    if model is RigFile and len(parts) > 1 and parts[0] == "rig" and parts[1] in model.model_fields:
+    of_rig = model in (RigFile, AxesRig)
+    if of_rig and len(parts) > 1 and parts[0] == "rig" and parts[1] in model.model_fields:
         parts = parts[1:]
     return tuple(parts)
 
@@ -641,8 +853,7 @@ def _override(
 
 def _drop_alternatives(table: dict[str, Any], path: KeyPath, given: set[KeyPath]) -> None:
     """Let a period from the command line replace the mass in the file, and the like."""
-    model = _EXCLUSIVE.get(path[:-1])
-    for choice in model.choices if model else ():
+    for choice in _EXCLUSIVE.get(path[:-1], ()):
         if path[-1] in choice.keys:
             for key in choice.keys:
                 if (*path[:-1], key) not in given:

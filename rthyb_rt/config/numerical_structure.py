@@ -68,6 +68,35 @@ class Structure:
     labels: tuple[str, ...]
     part: DenseConfig
 
+    def slowed(self, time_scale: float) -> Structure:
+        """Return it in a time that runs so much slower, see `rthyb_rt.config.timescale`.
+
+        What is known of the specimen stands in the laboratory and is not slowed: what its mass and
+        damping then lack is computed, and `with_lack` takes that out again.
+        """
+        if time_scale == 1.0:
+            return self
+        part, to_m = self.part, time_scale**2
+        slow = replace(
+            part,
+            mass_kg=_rows(to_m * np.array(part.mass_kg)),
+            damping_n_s_per_m=_rows(time_scale * np.array(part.damping_n_s_per_m)),
+            load_kg=tuple(to_m * load for load in part.load_kg),
+        )
+        return replace(self, part=slow).with_lack(time_scale, 1.0)
+
+    def with_lack(self, time_scale: float, share: float) -> Structure:
+        """Return it with so much more of what the known specimen lacks in its slowness."""
+        part = self.part
+        mass = share * (time_scale**2 - 1.0) * part.specimen_mass_kg
+        damping = share * (time_scale - 1.0) * part.specimen_damping_n_s_per_m
+        more = replace(
+            part,
+            mass_kg=_added(part.mass_kg, part.at, mass),
+            damping_n_s_per_m=_added(part.damping_n_s_per_m, part.at, damping),
+        )
+        return replace(self, part=more)
+
     def joined(self) -> tuple[Floats, Floats, Floats]:
         """Return mass, damping and stiffness with the elastic specimen in them, (n, n) each."""
         part = self.part

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rthyb_rt import core
-from rthyb_rt.config import matrixfile
+from rthyb_rt.config import matrixfile, timescale
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.config.numerical_structure import Mode, linear_and_others
 from rthyb_rt.config.structures import (
@@ -40,6 +40,7 @@ from rthyb_rt.core.sparse import (
 from rthyb_rt.errors import InputError
 
 Floats = NDArray[np.float64]
+Rows = Sequence[Sequence[float]]
 
 SHOWN_MODES: Final = 10
 GRAVITY_M_PER_S2: Final = 9.80665
@@ -57,7 +58,7 @@ class SparseStructure:
         part: the part as the core takes it.
         influence: displacements when the ground moves by 1, (n,).
         specimen_mass_kg: taken out of the masses, and standing in the laboratory.
-        interface: name of what the actuator moves.
+        interfaces: names of what the actuators move, one an interface of the part.
         heights_m: of the storeys' floors above the ground, (count,); empty: no storeys.
     """
 
@@ -65,8 +66,39 @@ class SparseStructure:
     part: SparseConfig
     influence: Floats
     specimen_mass_kg: float = 0.0
-    interface: str = "x"
+    interfaces: tuple[str, ...] = ("x",)
     heights_m: tuple[float, ...] = ()
+
+    def slowed(self, time_scale: float) -> SparseStructure:
+        """Return it in a time that runs so much slower, see `rthyb_rt.config.timescale`.
+
+        The specimen's mass stands in the laboratory and is not slowed: what it lacks is computed,
+        and `with_lack` takes that out again.
+        """
+        if time_scale == 1.0:
+            return self
+        part, to_m, to_c = self.part, time_scale**2, time_scale
+        c, modal = part.damping_n_s_per_m, part.modal
+        slow = replace(
+            part,
+            mass_kg=_times(part.mass_kg, to_m),
+            load_kg=to_m * part.load_kg,
+            damping_n_s_per_m=None if c is None else _times(c, to_c),
+            by_mass_per_s=part.by_mass_per_s / to_c,
+            by_stiffness_s=to_c * part.by_stiffness_s,
+            modal=None if modal is None else math.sqrt(to_c) * modal,
+            joints=tuple(
+                replace(joint, element=timescale.slowed(joint.element, time_scale))
+                for joint in part.joints
+            ),
+        )
+        return replace(self, part=slow).with_lack(time_scale, 1.0)
+
+    def with_lack(self, time_scale: float, share: float) -> SparseStructure:
+        """Return it with so much more of what the known specimen lacks in its slowness."""
+        mass = share * (time_scale**2 - 1.0) * self.specimen_mass_kg
+        # Rayleigh damping goes on being that of the same mass.
+        return replace(self, part=_with(self.part, mass, -self.part.by_mass_per_s * mass, 0.0))
 
     @functools.cached_property
     def joined(self) -> SparseConfig:
@@ -144,6 +176,10 @@ class SparseStructure:
         return self.reference(model, ag_mps2)[0]
 
 
+def _times(matrix: Symmetric, factor: float) -> Symmetric:
+    return replace(matrix, value=factor * matrix.value)
+
+
 def _with(part: SparseConfig, mass: float, damping: float, spring: float) -> SparseConfig:
     """Return a part with something linear at its interface; k_e is less by the spring."""
     if not (mass or damping or spring):
@@ -208,7 +244,7 @@ class _Bare:
     damping: Symmetric | None
     influence: Floats
     load: Floats
-    interface: tuple[Term, ...]
+    interfaces: tuple[tuple[Term, ...], ...]
     joints: list[Joint]
     responses: list[Response]
     specimen_mass_kg: float = 0.0
@@ -216,40 +252,45 @@ class _Bare:
 
 
 def build(
-    given: Storeys | MatrixFile, keys: Keys, k_e_n_per_m: float, period_s: float
+    given: Storeys | MatrixFile, keys: Keys, k_e_n_per_m: float | Rows, period_s: float
 ) -> SparseStructure:
     """Return the structure that a test file describes.
 
     Args:
         given: storeys, or the matrices of a file that was read.
         keys: what else there is of it.
-        k_e_n_per_m: elastic stiffness of the rig's specimen.
+        k_e_n_per_m: elastic stiffness of the rig's specimen; of several axes its rows along the
+            interfaces, in their order.
         period_s: of a sample.
 
     Raises:
         InputError: with the first that does not fit together.
     """
+    k_e = np.atleast_2d(np.asarray(k_e_n_per_m, dtype=np.float64))
     bare = (
-        _of_storeys(given, keys)
+        _of_storeys(given, keys, len(k_e))
         if isinstance(given, Storeys)
-        else _of_file(given, keys, k_e_n_per_m)
+        else _of_file(given, keys, k_e)
     )
+    _check_count(bare, keys, len(k_e))
+    between = tuple(tuple(row) for row in (k_e - np.diag(np.diag(k_e))).tolist())
     part = SparseConfig(
         bare.mass,
         bare.stiffness,
         bare.load,
-        (bare.interface,),
-        (k_e_n_per_m,),
+        bare.interfaces,
+        tuple(float(k) for k in np.diag(k_e)),
         damping_n_s_per_m=bare.damping if keys.damping is None else None,
         joints=tuple(bare.joints),
         responses=tuple(bare.responses),
         integrator=cast(SparseIntegrator, keys.integrator),
         rho_inf=keys.rho_inf,
         period_s=period_s,
+        k_e_between=between if np.any(between) else (),
     )
-    name = keys.interfaces[0].name if keys.interfaces else "x"
+    names = tuple(one.name for one in keys.interfaces) or ("x",)
     structure = SparseStructure(
-        bare.labels, part, bare.influence, bare.specimen_mass_kg, name, bare.heights_m
+        bare.labels, part, bare.influence, bare.specimen_mass_kg, names, bare.heights_m
     )
     place = "numerical.storeys" if isinstance(given, Storeys) else "numerical.matrices"
     try:
@@ -269,11 +310,24 @@ def build(
                 else "look for "
             )
             + "a missing spring, a sign, or a specimen that was taken out and is stiffer "
-            f"than the rig's k_e = {k_e_n_per_m:g} N/m",
+            "than the rig's "
+            + (f"k_e = {k_e[0, 0]:g} N/m" if len(k_e) == 1 else "specimen.stiffness"),
             place,
         ) from error
     _check_step(structure)
     return structure
+
+
+def _check_count(bare: _Bare, keys: Keys, axes: int) -> None:
+    found = len(bare.interfaces)
+    if found == axes:
+        return
+    names = ", ".join(one.name for one in keys.interfaces)
+    raise InputError(
+        f"found {found} directions{f' ({names})' if names else ''}; the rig has "
+        + ("one actuator, and moves one" if axes == 1 else f"{axes} axes, and needs as many"),
+        "interface",
+    )
 
 
 def _check_step(structure: SparseStructure) -> None:
@@ -346,10 +400,11 @@ def _drift(storey: int) -> tuple[Term, ...]:
     return ((storey - 1, 1.0),) + (((storey - 2, -1.0),) if storey > 1 else ())
 
 
-def _of_storeys(given: Storeys, keys: Keys) -> _Bare:
-    n, specimen = given.count, given.specimen[0]
+def _of_storeys(given: Storeys, keys: Keys, axes: int) -> _Bare:
+    n, specimens = given.count, _specimens(given, keys, axes)
     masses, stiffness = given.each("mass_kg"), given.each("stiffness_n_per_m")
-    stiffness[specimen - 1] = 0.0
+    for specimen in specimens:
+        stiffness[specimen - 1] = 0.0
     joints: list[Joint] = []
     in_storey: dict[int, list[int]] = {}
     for i, one in enumerate(keys.nonlinear):
@@ -361,7 +416,7 @@ def _of_storeys(given: Storeys, keys: Keys) -> _Bare:
         for storey in one.storeys:
             place = f"numerical.nonlinear.{i}.storeys"
             _check_storey(storey, n, place)
-            if storey == specimen and not one.beside:
+            if storey in specimens and not one.beside:
                 raise InputError(
                     f"found storey {storey}, which is the specimen; nothing is computed in its "
                     "place: name another, or say beside = true", place,
@@ -392,13 +447,12 @@ def _of_storeys(given: Storeys, keys: Keys) -> _Bare:
         damping=None,
         influence=np.ones(n),
         load=np.array(masses),
-        interface=_drift(specimen),
+        interfaces=tuple(_drift(specimen) for specimen in specimens),
         joints=joints,
         responses=[],
         heights_m=tuple(float(v) for v in np.cumsum(heights)),
     )
-    _check_interfaces(keys.interfaces, specimen)
-    bare.responses = _storey_responses(given, keys.record, stiffness, in_storey)
+    bare.responses = _storey_responses(given, specimens, keys.record, stiffness, in_storey)
     return bare
 
 
@@ -407,24 +461,41 @@ def _check_storey(storey: int, count: int, place: str) -> None:
         raise InputError(f"found storey {storey} of {count}; must be one of 1 to {count}", place)
 
 
-def _check_interfaces(given: Sequence[Interface], specimen: int) -> None:
-    for i, one in enumerate(given):
-        if one.storey != specimen:
+def _specimens(given: Storeys, keys: Keys, axes: int) -> list[int]:
+    """Return the storeys in the laboratory, in the order of the interfaces."""
+    if axes == 1 and len(given.specimen) > 1:
+        raise InputError(
+            f"found the storeys {given.specimen}; the rig has one actuator, and moves one",
+            "numerical.storeys.specimen",
+        )
+    if axes > 1 and not keys.interfaces:
+        raise InputError(
+            "missing; on a rig of several axes say which direction moves which storey: "
+            "[[interface]] with name and storey",
+            "interface",
+        )
+    if not keys.interfaces:
+        return given.specimen
+    for i, one in enumerate(keys.interfaces):
+        if one.storey not in given.specimen:
             found = f"storey {one.storey}" if one.storey else "a degree of freedom"
+            known = " or ".join(map(str, given.specimen))
             raise InputError(
-                f"found {found}; the actuator moves the specimen, storey {specimen}: write "
-                f"storey = {specimen}, or change numerical.storeys.specimen",
+                f"found {found}; the actuator moves the specimen, storey {known}: write "
+                f"storey = {given.specimen[0]}, or change numerical.storeys.specimen",
                 f"interface.{i}",
             )
+    return [one.storey for one in keys.interfaces if one.storey]
 
 
 def _storey_responses(
     given: Storeys,
+    specimens: Sequence[int],
     wanted: Sequence[str] | None,
     stiffness: Sequence[float],
     in_storey: Mapping[int, list[int]],
 ) -> list[Response]:
-    n, specimen = given.count, given.specimen[0]
+    n = given.count
     if wanted is None:
         few = range(1, n + 1) if n <= DEFAULT_RECORDED else ()
         wanted = [f"{what}_{s}" for what in ("drift", "shear") for s in few]
@@ -450,7 +521,7 @@ def _storey_responses(
                     "N",
                     tuple((at, by * own) for at, by in _drift(storey)) if own else (),
                     tuple((at, 1.0) for at in in_storey.get(storey, ())),
-                    ((0, 1.0),) if storey == specimen else (),
+                    ((specimens.index(storey), 1.0),) if storey in specimens else (),
                 )
             )
     return found
@@ -459,7 +530,7 @@ def _storey_responses(
 # ---- matrices -----------------------------------------------------------------------------------
 
 
-def _of_file(given: MatrixFile, keys: Keys, k_e: float) -> _Bare:
+def _of_file(given: MatrixFile, keys: Keys, k_e: Floats) -> _Bare:
     if given.data is None:
         raise InputError(
             "the file was not read; load the test file from where it stands", "numerical.matrices"
@@ -472,7 +543,7 @@ def _of_file(given: MatrixFile, keys: Keys, k_e: float) -> _Bare:
             "numerical.damping",
         )
     influence = _direction(given, data)
-    interface = _interface_of(keys.interfaces, data.labels, place)
+    interfaces = _interfaces_of(keys.interfaces, data.labels, place)
     joints, entry_joint = list[Joint](), list[int]()
     for i, one in enumerate(keys.nonlinear):
         at = f"numerical.nonlinear.{i}"
@@ -490,17 +561,23 @@ def _of_file(given: MatrixFile, keys: Keys, k_e: float) -> _Bare:
     if given.specimen is not None:
         out = given.specimen
         taken_mass = out.mass_kg
-        k = k_e if out.stiffness_n_per_m is None else out.stiffness_n_per_m
+        k = float(k_e[0, 0]) if out.stiffness_n_per_m is None else out.stiffness_n_per_m
         row = np.zeros(n)
-        for dof, by in interface:
+        if len(interfaces) > 1:
+            raise InputError(
+                "found a specimen to be taken out at several directions; there the matrices are "
+                "those of the computed part alone",
+                "numerical.matrices.specimen",
+            )
+        for dof, by in interfaces[0]:
             row[dof] = by
         mass = _less(mass, row, out.mass_kg)
         stiffness = _less(stiffness, row, k)
         damping = damping if damping is None else _less(damping, row, out.damping_n_s_per_m)
     responses = _label_responses(keys.record or (), data.labels, place, entry_joint)
     return _Bare(
-        data.labels, mass, stiffness, damping, influence, load, interface, joints, responses,
-        taken_mass,
+        data.labels, mass, stiffness, damping, influence, load, interfaces, joints,
+        responses, taken_mass,
     )  # fmt: skip
 
 
@@ -549,21 +626,32 @@ def _find(label: str, labels: Sequence[str], place: Mapping[str, int], where: st
     )
 
 
-def _interface_of(
+def _interfaces_of(
     given: Sequence[Interface], labels: Sequence[str], place: Mapping[str, int]
-) -> tuple[Term, ...]:
+) -> tuple[tuple[Term, ...], ...]:
     if not given:
         raise InputError(
             'missing; say what the actuator moves: [[interface]] with dof = "LABEL"', "interface"
         )
-    if given[0].dof is None:
-        raise InputError("found a storey; of matrices give dof", "interface.0")
-    terms = tuple(
-        (_find(label, labels, place, "interface.0.dof"), by) for label, by in given[0].dof
-    )
-    if len({at for at, _ in terms}) < len(terms):
-        raise InputError("found a degree of freedom twice; each stands once", "interface.0.dof")
-    return terms
+    found = []
+    for i, one in enumerate(given):
+        where = f"interface.{i}"
+        if one.dof is None:
+            raise InputError("found a storey; of matrices give dof", where)
+        terms = tuple((_find(label, labels, place, f"{where}.dof"), by) for label, by in one.dof)
+        if len({at for at, _ in terms}) < len(terms):
+            raise InputError("found a degree of freedom twice; each stands once", f"{where}.dof")
+        found.append(terms)
+    rows = np.zeros((len(found), len(labels)))
+    for row, terms in zip(rows, found, strict=True):
+        for at, by in terms:
+            row[at] = by
+    if np.linalg.matrix_rank(rows) < len(rows):
+        raise InputError(
+            "the directions are not independent: one of them follows from the others, and two "
+            "actuators would pull at one motion", "interface",
+        )  # fmt: skip
+    return tuple(found)
 
 
 def _label_responses(

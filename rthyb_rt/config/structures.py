@@ -24,16 +24,18 @@ from rthyb_rt.config.fields import (
     explained,
     written,
 )
+from rthyb_rt.config.limits import ForceLimit, Limit
 from rthyb_rt.config.numerical import TakenOut
 from rthyb_rt.config.rigfile import SpecimenElement
+from rthyb_rt.core.sizes import COUPLED_MAX
 
 MOST_STOREYS: Final = 500
 MOST_TERMS: Final = 16
 MOST_RECORDED: Final = 20
 """Of a row's channels, of which control law and virtual rig want some as well."""
 DAMPED_MODES: Final = 64
-INTERFACES: Final = 1
-"""What one actuator moves."""
+INTERFACES: Final = COUPLED_MAX
+"""Directions that actuators move: one on a rig of one axis, as many as axes on one of several."""
 WRITTEN_OUT: Final = "written out"
 FROM_FILE: Final = "from a file"
 """The forms of ``[numerical.matrices]``: in a fault's place they stand as no key can."""
@@ -215,7 +217,8 @@ def _weighs_on_height(p_delta: bool, height_m: float | list[float] | None) -> st
 class Storeys(Table):
     """A shear building: storeys on one another, a mass on each; the ground carries the first.
 
-    The specimen is one storey: its stiffness is the rig's, not that of ``stiffness_n_per_m``.
+    The specimen is one storey, on a rig of several axes as many: its stiffness is the rig's, not
+    that of ``stiffness_n_per_m``.
     With ``p_delta`` the weight above a storey, over its height, is a negative stiffness.
     """
 
@@ -237,7 +240,7 @@ class Storeys(Table):
     ) = None
     p_delta: StrictBool = False
     specimen: Annotated[
-        list[int], Counts(Count(1, MOST_STOREYS, "the storey in the laboratory"), 1)
+        list[int], Counts(Count(1, MOST_STOREYS, "the storey in the laboratory"), INTERFACES)
     ] = Field(default_factory=lambda: [1])
 
     def each(self, key: Literal["mass_kg", "stiffness_n_per_m", "height_m"]) -> list[float]:
@@ -341,11 +344,51 @@ class Nonlinear(Table):
     law: Annotated[SpecimenElement, Field(discriminator="element")]
 
 
+class _PlaceLimit(Limit):
+    """A limit on where a direction of the interface is, m."""
+
+    value: Annotated[float, Range("m", 1e-6, 100, "the limit")]
+
+
+class _TurnLimit(Limit):
+    """The same of a rotation."""
+
+    value: Annotated[float, Range("rad", 1e-6, 3.2, "the limit")]
+
+
+class _MomentLimit(Limit):
+    """The same of its moment."""
+
+    value: Annotated[float, Range("N m", 1e-3, 1e10, "the limit")]
+
+
+class InterfaceLimits(Table):
+    """What a direction of the interface may not exceed, beside the limits of the axes.
+
+    Of a rotation ``position_rad`` and ``moment_n_m``, of the others ``position_m`` and ``force_n``.
+    """
+
+    position_m: _PlaceLimit | None = None
+    force_n: ForceLimit | None = None
+    position_rad: _TurnLimit | None = None
+    moment_n_m: _MomentLimit | None = None
+
+    def of_kind(self, turns: bool) -> tuple[Limit | None, Limit | None]:
+        """Return the limits on position and force of a direction that turns, or does not."""
+        if turns:
+            return self.position_rad, self.moment_n_m
+        return self.position_m, self.force_n
+
+
 class Interface(Table):
-    """What of the structure the actuator moves: a storey's drift, or degrees of freedom."""
+    """What of the structure the actuators move: a storey's drift, or degrees of freedom.
+
+    One for each direction that the rig's kinematics name, by their names; of one axis any name.
+    """
 
     choices: ClassVar[tuple[Choice, ...]] = (Choice(("storey", "dof"), required=True),)
 
     name: Annotated[str, SLUG] = "x"
     storey: Annotated[int, Count(1, MOST_STOREYS, "the storey")] | None = None
     dof: Annotated[list[list[Any]], Terms("the degree of freedom")] | None = None
+    limits: InterfaceLimits = Field(default_factory=InterfaceLimits)

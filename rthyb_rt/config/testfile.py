@@ -3,12 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self
 
-from pydantic import Discriminator, Field, StrictBool, Tag
+from pydantic import (
+    ConfigDict,
+    Discriminator,
+    Field,
+    SerializerFunctionWrapHandler,
+    StrictBool,
+    Tag,
+    model_serializer,
+)
 
 from rthyb_rt.config import lawtables
-from rthyb_rt.config.fields import SLUG, SOME_TEXT, Check, Choice, Count, Range, Table, Text
+from rthyb_rt.config.fields import (
+    SLUG,
+    SOME_TEXT,
+    Check,
+    Choice,
+    Count,
+    Range,
+    Table,
+    Text,
+    written,
+)
+from rthyb_rt.config.history import History
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ
@@ -24,11 +43,17 @@ from rthyb_rt.config.structures import (
     Storeys,
 )
 from rthyb_rt.core.laws import LAWS, Law
+from rthyb_rt.core.sizes import COUPLED_MAX
+
+MATRIX: Final = "matrix"
+"""The compensation of several axes that feel one another, by matrices; no law of one axis."""
 
 if TYPE_CHECKING:
     LawName = str
+    LawNameOrMatrix = str
 else:
     LawName = Literal[tuple(LAWS)]
+    LawNameOrMatrix = Literal[(*LAWS, MATRIX)]
 
 TEST_SCHEMA = "rthyb-test/1"
 MOST_NONLINEAR = 2000
@@ -43,6 +68,7 @@ class TestInfo(Table):
 
     ``duration_s`` absent means the ground motion followed by ``free_vibration_s``. Another rate
     than 1024 Hz is for virtual time; what the files count in samples is of 1/1024 s at any rate.
+    ``time_scale`` makes a test slow: its laboratory takes so many seconds for one of the structure.
     """
 
     __test__: ClassVar[bool] = False
@@ -56,6 +82,9 @@ class TestInfo(Table):
     sample_rate_hz: Annotated[
         float, Range("Hz", LEAST_HZ, MOST_HZ, "the rate of the controller")
     ] = STANDARD_HZ
+    time_scale: Annotated[
+        float, Range("", 1, 1000, "seconds of the laboratory for one of the structure")
+    ] = 1.0
 
 
 class GroundMotion(Table):
@@ -240,18 +269,17 @@ class Rfc(Table):
     ) = None
 
 
-class _Controller(Table):
-    """The compensation: the control law with its settings, restoring force (Eqn 3.2)."""
+class _Law(Table):
+    """A control law with its settings."""
 
     type: LawName = lawtables.DEFAULT_LAW
     plc_enabled: StrictBool = True
     delay_estimator: _DelayEstimator = Field(default_factory=_DelayEstimator)
-    rfc: Rfc = Field(default_factory=Rfc)
 
     @property
     def law(self) -> Law:
-        """The control law."""
-        return LAWS[self.type]
+        """The control law; of a compensation by matrices, which has none, that without any."""
+        return LAWS[self.type] if self.type in LAWS else LAWS["none"]
 
     def setting(self, key: str) -> float | None:
         """Return what the file says of a law's parameter, else its default, else None."""
@@ -266,17 +294,79 @@ class _Controller(Table):
         cls, keys: dict[str, Any]
     ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
         """Ask the control law what its settings do wrong together."""
-        yield from lawtables.faults(keys)
+        if keys.get("type") != MATRIX:
+            yield from lawtables.faults(keys)
+
+
+class _AxisLaw(_Law):
+    """The control law of one axis, in the place of that of all."""
+
+    name: Annotated[str, SLUG]
+
+
+class MatrixLaw(Table):
+    """Compensation by matrices: gain, delay and curvature, of axes that feel one another.
+
+    Behind the inverse that is fitted to the rig's ``[identified]`` where ``inverse`` is true; else
+    they begin as what undoes that response best. What is left they learn, but for
+    ``delay_estimator.enabled = false``.
+    """
+
+    inverse: StrictBool = True
+    coupled: StrictBool = True
+    roll_off_hz: Annotated[float, Range("Hz", 1, 400, "the roll-off of the lead")] = 20.0
+    cutoff_hz: Annotated[float, Range("Hz", 0.1, 400, "the cut-off of what is learnt from")] = 10.0
+    memory_s: Annotated[float, Range("s", 0.1, 1e4, "the memory")] = 10.0
+    gate_factor: Annotated[float, Range("", 0, 1e6, "the power over that of rest")] = 10.0
+
+
+def _of_matrix(type: str, matrix: MatrixLaw | None) -> str | None:
+    if matrix is None or type == MATRIX:
+        return None
+    return f'found type = "{type}"; the table is of type = "{MATRIX}": leave it out, or say that'
+
+
+def _of_axes(type: str, axis: list[Any]) -> str | None:
+    if axis and type == MATRIX:
+        return (
+            f'found laws of axes beside type = "{MATRIX}", which compensates all of them; keep one'
+        )
+    names = [one.name for one in axis]
+    twice = [name for name in names if names.count(name) > 1]
+    return f'found axis "{twice[0]}" twice; each has one law' if twice else None
+
+
+class _Controller(_Law):
+    """The compensation: the control law with its settings, restoring force (Eqn 3.2)."""
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("matrix", ("type", "matrix"), _of_matrix),
+        Check("axis", ("type", "axis"), _of_axes),
+    )
+
+    type: LawNameOrMatrix = lawtables.DEFAULT_LAW
+    rfc: Rfc = Field(default_factory=Rfc)
+    matrix: MatrixLaw | None = None
+    axis: list[_AxisLaw] = Field(default_factory=list, max_length=COUPLED_MAX)
 
 
 if TYPE_CHECKING:
     # The laws' own tables add their keys, which are read by `setting`.
     DelayEstimator = _DelayEstimator
+    AxisLaw = _AxisLaw
     Controller = _Controller
 else:
     DelayEstimator = lawtables.extended(_DelayEstimator, "DelayEstimator", "delay_estimator")
+    AxisLaw = lawtables.extended(
+        _AxisLaw, "AxisLaw", "", sections={"delay_estimator": DelayEstimator}
+    )
+
+    class _WithAxes(_Controller):
+        __doc__ = _Controller.__doc__
+        axis: list[AxisLaw] = Field(default_factory=list, max_length=COUPLED_MAX)
+
     Controller = lawtables.extended(
-        _Controller, "Controller", "", sections={"delay_estimator": DelayEstimator}
+        _WithAxes, "Controller", "", sections={"delay_estimator": DelayEstimator}
     )
 
 
@@ -295,21 +385,98 @@ def _something_to_move(numerical: Numerical, interface: list[Interface]) -> str 
     return None
 
 
+def _interfaces_differ(interface: list[Interface]) -> str | None:
+    names = [one.name for one in interface]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            return (
+                f"interfaces {names.index(name) + 1} and {i + 1} are both called "
+                f"{written(name)}; each has a name of its own, which the rig's kinematics know"
+            )
+    return None
+
+
+_WITHOUT_STRUCTURE = ("ground_motion", "numerical", "interface", "reference")
+"""Tables of a hybrid test, which a prescribed history has not."""
+_NO_STRUCTURE = {"period_s": 1.0, "damping_ratio": 0.0}
+"""Stands where a history has no structure: what reads it finds an oscillator, and moves nothing."""
+
+
+def _numerical_or_history(schema: dict[str, Any]) -> None:
+    schema["required"].remove("numerical")
+    schema["oneOf"] = [{"required": ["numerical"]}, {"required": ["history"]}]
+
+
 class TestFile(Table):
-    """A hybrid test. ``rig`` is a path, or the name of a rig that comes with the program."""
+    """A hybrid test, or a prescribed history.
+
+    ``rig`` is a path, or the name of a rig that comes with the program. With ``history`` there is
+    no structure and no ground motion, and no control law unless one is named.
+    """
 
     checks: ClassVar[tuple[Check, ...]] = (
         Check("interface", ("numerical", "interface"), _something_to_move),
+        Check("interface", ("interface",), _interfaces_differ),
     )
 
     __test__: ClassVar[bool] = False
+    model_config = ConfigDict(json_schema_extra=_numerical_or_history)
 
     schema_: Literal["rthyb-test/1"] = Field(alias="schema")
     rig: Annotated[str, SOME_TEXT] | None = None
     test: TestInfo
+    history: Annotated[History, Field(discriminator="kind")] | None = None
     ground_motion: GroundMotion = Field(default_factory=GroundMotion)
     numerical: Numerical
     interface: list[Interface] = Field(default_factory=list, max_length=INTERFACES)
     controller: Controller = Field(default_factory=Controller)
     limits: Limits = Field(default_factory=Limits)
     reference: Reference = Field(default_factory=Reference)
+
+    @classmethod
+    def expand(cls, data: Any) -> Any:
+        """Give a history what it has instead of a structure, and no control law by default."""
+        if not isinstance(data, dict) or data.get("history") is None:
+            return data
+        controller = data.get("controller")
+        if controller is None or (isinstance(controller, dict) and "type" not in controller):
+            controller = {**(controller or {}), "type": "none"}
+        data = {**data, "controller": controller}
+        if "numerical" not in data:
+            data["numerical"] = _NO_STRUCTURE
+        return data
+
+    @classmethod
+    def further_faults(
+        cls, keys: dict[str, Any]
+    ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
+        """Name what a history cannot have beside it."""
+        if keys.get("history") is None:
+            return
+        for key in _WITHOUT_STRUCTURE:
+            if key in keys and keys[key] is not _NO_STRUCTURE:
+                yield (
+                    (key,),
+                    "found a table beside [history], which prescribes the displacement: there is "
+                    "no structure to compute; take one of the two out",
+                    (key, "history"),
+                )
+        info = keys.get("test")
+        for key in ("duration_s", "free_vibration_s"):
+            if isinstance(info, dict) and key in info:
+                yield (
+                    ("test", key),
+                    "found a length; a history says itself how long it lasts: leave the key out",
+                    (f"test.{key}",),
+                )
+
+    @model_serializer(mode="wrap")
+    def _without_structure(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out of a history what it has not, so that it reads back equal."""
+        found: dict[str, Any] = handler(self)
+        if self.history is not None:
+            for key in _WITHOUT_STRUCTURE:
+                found.pop(key, None)
+            for key in ("duration_s", "free_vibration_s"):
+                found["test"].pop(key, None)
+        return found

@@ -15,6 +15,19 @@ if TYPE_CHECKING:
         Controller,
         Sample,
     )
+    from rthyb_rt.core.group import (
+        AXIS_WATCHES,
+        CAUSES,
+        INTERFACE_WATCHES,
+        REACTIONS,
+        WATCHABLE,
+        AxisConfig,
+        InterfaceConfig,
+        Reaction,
+        Watch,
+        axis_channels,
+        names_of,
+    )
     from rthyb_rt.core.kernels import (
         Element,
         Estimator,
@@ -37,6 +50,7 @@ if TYPE_CHECKING:
         version,
     )
     from rthyb_rt.core.rows import (
+        CAUSE_BIT,
         CHANNELS_MAX,
         COMMAND_BIT,
         FLAG_NAMES,
@@ -44,10 +58,13 @@ if TYPE_CHECKING:
         RECORD_DTYPE,
         RUNNING,
         STATES,
+        UNSENT_BIT,
         Channel,
         as_records,
+        axes_in,
         check_channels,
         dtype_of,
+        record_dtype,
         row_dtype,
         rows_of,
     )
@@ -87,20 +104,17 @@ if TYPE_CHECKING:
     )
     from rthyb_rt.core.station import (
         BLIND_MAX,
-        CAUSES,
         COMMANDS,
         IDENTITY,
         LOST_TICKS,
-        REACTIONS,
-        WATCHABLE,
+        AxisParameters,
+        AxisReading,
         Calibration,
         Command,
         Parameters,
-        Reaction,
         Station,
         StationConfig,
         StationTick,
-        Watch,
         command_allowed,
         command_of,
     )
@@ -109,8 +123,10 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "AXIS_WATCHES",
     "BLIND_MAX",
     "CAUSES",
+    "CAUSE_BIT",
     "CHANNELS_MAX",
     "COMMANDS",
     "COMMAND_BIT",
@@ -122,6 +138,7 @@ __all__ = [
     "FLAG_NAMES",
     "FS_HZ",
     "IDENTITY",
+    "INTERFACE_WATCHES",
     "IWAN_SLIDERS",
     "LOST_TICKS",
     "PERIOD_S",
@@ -130,8 +147,12 @@ __all__ = [
     "RUNNING",
     "STATES",
     "STATUS",
+    "UNSENT_BIT",
     "WATCHABLE",
     "WINDOW_MAX",
+    "AxisConfig",
+    "AxisParameters",
+    "AxisReading",
     "Calibration",
     "Channel",
     "Command",
@@ -149,6 +170,7 @@ __all__ = [
     "FloatArray",
     "Hold",
     "Integrator",
+    "InterfaceConfig",
     "Law",
     "LawConfig",
     "LoadCell",
@@ -174,6 +196,8 @@ __all__ = [
     "Virtual",
     "Watch",
     "as_records",
+    "axes_in",
+    "axis_channels",
     "build_facts",
     "check_channels",
     "command_allowed",
@@ -182,7 +206,9 @@ __all__ = [
     "element",
     "element_array",
     "finite_motion",
+    "names_of",
     "plc_is_stable",
+    "record_dtype",
     "rig_struct",
     "row_dtype",
     "rows_of",
@@ -191,7 +217,17 @@ __all__ = [
     "version",
 ]
 
-_MODULES = ("sizes", "library", "rows", "settings", "kernels", "controller", "station", "virtual")
+_MODULES = (
+    "sizes",
+    "library",
+    "rows",
+    "settings",
+    "group",
+    "kernels",
+    "controller",
+    "station",
+    "virtual",
+)
 
 
 def __getattr__(name: str) -> Any:

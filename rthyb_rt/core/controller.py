@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.group import controller_mapping
 from rthyb_rt.core.kernels import Rig
-from rthyb_rt.core.library import FloatArray, RecordArray, check, doubles, reading
-from rthyb_rt.core.rows import RECORD_DTYPE, records_pointer
-from rthyb_rt.core.settings import ControllerConfig, fill_part, struct_of
+from rthyb_rt.core.library import CoreError, FloatArray, RecordArray, check, doubles, reading
+from rthyb_rt.core.rows import record_dtype, records_pointer
+from rthyb_rt.core.settings import ControllerConfig, fill_part, new_struct
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,8 @@ class Controller:
     def __init__(self, config: ControllerConfig) -> None:
         self.config = config
         self._c = ffi.new("rthyb_controller *")
-        struct = struct_of("rthyb_controller_config", replace(config, numerical=None))
+        struct = new_struct("rthyb_controller_config", controller_mapping(config), config)
+        self._dtype = record_dtype(config.axis_count)
         self._part = fill_part(struct.numerical, config.numerical)
         check(lib.rthyb_controller_init(self._c, struct))
         self._input = ffi.new("rthyb_input *")
@@ -41,19 +44,40 @@ class Controller:
         self, x_meas_m: float, f_meas_n: float, excitation: float, lost: bool = False
     ) -> Sample:
         """Run one tick; ``excitation`` is ag in m/s^2, or the next command when prescribed."""
-        i = self._input
-        i.x_meas_m, i.f_meas_n, i.excitation = x_meas_m, f_meas_n, excitation
-        i.lost = lib.RTHYB_LOST if lost else 0
+        return self.step_axes([(x_meas_m, f_meas_n)], excitation, lost)
+
+    def step_axes(
+        self, pairs: Sequence[tuple[float, float]], excitation: float, lost: bool = False
+    ) -> Sample:
+        """Run one tick with displacement and force of every axis; ``lost``: of all of them.
+
+        Raises:
+            CoreError: there are not as many pairs as axes.
+        """
+        i, lost_bits = self._input, lib.RTHYB_LOST if lost else 0
+        if len(pairs) != self.config.axis_count:
+            raise CoreError(f"{len(pairs)} pairs for {self.config.axis_count} axes")
+        i.excitation = excitation
+        for k, (x_m, f_n) in enumerate(pairs):
+            i.axis[k] = (x_m, f_n, lost_bits)
         code = lib.rthyb_controller_step(self._c, i, self._record)
-        row = np.frombuffer(bytes(ffi.buffer(self._record)), RECORD_DTYPE)[0]
+        raw = bytes(ffi.buffer(self._record))[: self._dtype.itemsize]
+        row = np.frombuffer(raw, self._dtype)[0]
         return Sample(
-            self._c.x_cmd, code, {name: row[name].item() for name in RECORD_DTYPE.names or ()}
+            self._c.axis[0].x_cmd,
+            code,
+            {name: row[name].item() for name in self._dtype.names or ()},
         )
 
     @property
     def x_cmd_m(self) -> float:
         """Command for the next sample."""
-        return float(self._c.x_cmd)
+        return float(self._c.axis[0].x_cmd)
+
+    @property
+    def commands_m(self) -> tuple[float, ...]:
+        """The same of every axis."""
+        return tuple(self._c.axis[k].x_cmd for k in range(self.config.axis_count))
 
     @property
     def tick(self) -> int:
@@ -68,6 +92,8 @@ class Controller:
         ``excitation`` is the whole test's, (n_total,). Returns how many records were written
         (fewer when a value was not finite) and the status bits seen.
         """
+        if self.config.axis_count != 1:
+            raise CoreError("a controller of several axes has no run at a virtual rig of one")
         ag = doubles(excitation)
         status = ffi.new("int32_t *")
         done = lib.rthyb_run_virtual(

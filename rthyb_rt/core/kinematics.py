@@ -6,8 +6,8 @@ axes. They are tied by a constant matrix, or by pins on a stiff coupler and base
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -73,9 +73,27 @@ class Kinematics:
         if (matrix is None) == (not pins):
             raise CoreError("kinematics are either a matrix or pins")
         settings = _of_pins(pins, coordinates) if matrix is None else _of_matrix(matrix)
+        self._given_as = {
+            "matrix": None if matrix is None else np.asarray(matrix, np.float64).tolist(),
+            "pins": [asdict(pin) for pin in pins],
+            "coordinates": list(coordinates),
+        }
         self.size: int = settings["size"]
         self._c = ffi.new("rthyb_kinematics *")
         check(lib.rthyb_kinematics_init(self._c, ffi.new("rthyb_kinematics_config *", settings)))
+
+    def plain(self) -> dict[str, Any]:
+        """Return what it was made of as plain values, for a recording: `of` takes them back."""
+        return dict(self._given_as)
+
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> Kinematics:
+        """Return the kinematics that `plain` has written down; raises ``CoreError``."""
+        pins = [
+            Pin(tuple(pin["pin_m"]), tuple(pin["base_m"]), bool(pin["far"]), bool(pin["pulls"]))
+            for pin in plain["pins"]
+        ]
+        return cls(plain["matrix"], pins=pins, coordinates=plain["coordinates"])
 
     @property
     def struct(self) -> Any:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from rthyb_rt import core
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.library import options, words
-from rthyb_rt.core.rows import RingMemory
+from rthyb_rt.core.rows import RingMemory, copy_records
 from rthyb_rt.core.ticker import PRIORITY, Counts, Latency, Ticker, privilege_names
 from rthyb_rt.core.wire import TOLD, Codec, Frame, Wire
 from rthyb_rt.errors import RthybError
@@ -166,6 +166,15 @@ class LastCommand:
     calibration: core.Calibration
 
 
+@dataclass(frozen=True, eq=False)
+class LoopAxis:
+    """The way to the drive of one axis and back: frames, link, and what is between it and us."""
+
+    wire: Wire
+    link: Link
+    calibration: core.Calibration = core.IDENTITY
+
+
 class Loop:
     """Link -> wire -> station -> wire -> link -> record -> ring, once a tick.
 
@@ -180,9 +189,11 @@ class Loop:
         lead_us: link clock: a pair arrives so long before its tick, 10 to 488.
         paced: stepped clock: False where the drive does not wait for the ticks, so that its count
             says nothing of two clocks, and no slip is looked for.
+        further: of several axes, all but the first, of which ``wire``, ``link`` and ``calibration``
+            are. Ticks of the link clock follow the first axis' drive.
 
     Raises:
-        core.CoreError: the calibration or the lead is senseless.
+        core.CoreError: a calibration or the lead is senseless, or the station has other axes.
     """
 
     def __init__(
@@ -196,8 +207,12 @@ class Loop:
         lead_us: float = 200.0,
         *,
         paced: bool = True,
+        further: Sequence[LoopAxis] = (),
     ) -> None:
-        self._calibration = calibration
+        self._ways = (LoopAxis(wire, link, calibration), *further)
+        self._axes = station.config.controller.axis_count
+        if len(self._ways) != self._axes:
+            raise core.CoreError(f"{len(self._ways)} links for {self._axes} axes")
         self._kept = (station, wire, link, ring)
         # Doubles, for the sake of their alignment.
         self._memory = ffi.new("double[]", lib.rthyb_loop_size() // ffi.sizeof("double") + 1)
@@ -205,12 +220,13 @@ class Loop:
         self._ag = ffi.from_buffer("double[]", station._ag)
         config = {
             "station": station._c,
-            "wire": wire.struct,
-            "link": link.struct,
+            "axis": [
+                (way.wire.struct, way.link.struct, way.calibration.struct()[0])
+                for way in self._ways
+            ],
             "ring": ffi.NULL if ring is None else ring.pointer,
             "ag_mps2": self._ag,
             "ag_count": station._ag.size,
-            "calibration": calibration.struct()[0],
             "clock": _CLOCKS[clock],
             "unpaced": not paced,
             "lead_ns": lead_us * 1e3,
@@ -232,26 +248,43 @@ class Loop:
         """
         lib.rthyb_loop_drop_old(self._c)
 
-    def go_on(self, last: LastCommand) -> None:
-        """Begin with what an earlier loop at this link told the drive last; before the start.
+    def go_on(self, last: LastCommand | Sequence[LastCommand]) -> None:
+        """Begin with what an earlier loop at these links told the drives last; before the start.
 
-        It holds if the drive has not stopped meanwhile and its first reading is the one of then,
-        within the station's ``rest_spread_m``. Else the command begins at the first reading.
+        It holds if no drive has stopped meanwhile and their first readings are those of then,
+        within the station's ``rest_spread_m``. Else the commands begin at the first readings.
+
+        Raises:
+            core.CoreError: it is not of as many axes.
         """
-        # Told by another calibration it is another place; the drive counts on all the same.
-        same = last.calibration == self._calibration
-        lib.rthyb_loop_go_on(self._c, last.x_cmd_m, last.x_m if same else math.nan, last.seq)
+        given = [last] if isinstance(last, LastCommand) else list(last)
+        if len(given) != self._axes:
+            raise core.CoreError(f"{len(given)} last commands for {self._axes} axes")
+        struct = ffi.new("rthyb_last_command[]", self._axes)
+        for slot, one, way in zip(struct, given, self._ways, strict=True):
+            # Told by another calibration it is another place; the drive counts on all the same.
+            same = one.calibration == way.calibration
+            slot.x_cmd_m, slot.seq = one.x_cmd_m, one.seq
+            slot.x_m = one.x_m if same else math.nan
+        lib.rthyb_loop_go_on(self._c, struct)
 
     def last_command(self) -> LastCommand | None:
-        """Return what the drive was left with, once the loop has ended.
+        """Return what the first axis' drive was left with, once the loop has ended.
 
         None: nothing was ever sent, or it did not end at rest.
         """
-        x_cmd_m, x_m = ffi.new("double *"), ffi.new("double *")
-        seq = ffi.new("uint32_t *")
-        if not lib.rthyb_loop_last(self._c, x_cmd_m, x_m, seq):
+        last = self.last_commands()
+        return last[0] if last else None
+
+    def last_commands(self) -> tuple[LastCommand, ...] | None:
+        """Return the same of every axis."""
+        struct = ffi.new("rthyb_last_command[]", self._axes)
+        if not lib.rthyb_loop_last(self._c, struct):
             return None
-        return LastCommand(x_cmd_m[0], x_m[0], seq[0], self._calibration)
+        return tuple(
+            LastCommand(one.x_cmd_m, one.x_m, one.seq, way.calibration)
+            for one, way in zip(struct, self._ways, strict=True)
+        )
 
     def step(self, skipped: int = 0) -> None:
         """Run one tick of the stepped clock, after ``skipped`` that nobody executes."""
@@ -260,9 +293,14 @@ class Loop:
         lib.rthyb_loop_step(self._c)
 
     def await_pair(self, seconds: float) -> bool:
-        """Stepped clock: wait until a pair is there for `step`; False: none came, or none can."""
-        _, wire, link, _ = self._kept
+        """Stepped clock: wait until every axis has a pair for `step`; False: one has none."""
         end = time.monotonic() + seconds
+        came = [self._await_pair(way, end) for way in self._ways]
+        return all(came)
+
+    @staticmethod
+    def _await_pair(way: LoopAxis, end: float) -> bool:
+        wire, link = way.wire, way.link
         while True:
             lib.rthyb_link_drain(link.struct, wire.struct)
             left = end - time.monotonic()
@@ -427,14 +465,18 @@ class Loop:
         """Records of the last tick, a copy; not while a thread runs."""
         count = ffi.new("uint32_t *")
         records = lib.rthyb_loop_records(self._c, count)
-        raw = ffi.buffer(records, count[0] * core.RECORD_DTYPE.itemsize)
-        return np.frombuffer(bytes(raw), core.RECORD_DTYPE)
+        return copy_records(records, count[0], self._axes)
 
     @property
     def link_delay(self) -> int | None:
-        """Samples from command to feedback that the wire takes, by the last echo."""
-        delay = int(self._look().delay)
-        return None if delay < 0 else delay
+        """Samples from command to feedback that the first wire takes, by the last echo."""
+        return self.axis_delays[0]
+
+    @property
+    def axis_delays(self) -> tuple[int | None, ...]:
+        """The same of every axis; readable at any time."""
+        delays = self._look().delay[0 : self._axes]
+        return tuple(None if delay < 0 else int(delay) for delay in delays)
 
     def link_delays(self) -> npt.NDArray[np.int64]:
         """Return how many pairs of the RUNNING state the wire delayed by n samples, (256,).

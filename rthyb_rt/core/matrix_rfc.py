@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,31 @@ class MatrixRfcConfig:
     enabled: bool = True
     period_s: float = PERIOD_S
 
+    @property
+    def size(self) -> int:
+        """How many coordinates."""
+        return len(self.rest_noise)
+
+    def struct(self) -> Any:
+        """Return the C struct; raises ``CoreError`` for shapes that do not go together."""
+        given = np.asarray(self.k_e, np.float64)
+        if not 1 <= self.size <= AXES_MAX or given.shape != (self.size, self.size):
+            raise CoreError(
+                f"1 to {AXES_MAX} coordinates with their noise and a square k_e needed, got "
+                f"{self.size} and {given.shape}"
+            )
+        settings = {
+            "size": self.size,
+            "enabled": int(self.enabled),
+            "period_s": self.period_s,
+            "memory_s": self.memory_s,
+            "cutoff_hz": self.cutoff_hz,
+            "lateness_s": self.lateness_s,
+            "k_e": given.tolist(),
+            "rest_noise": list(self.rest_noise),
+        }
+        return ffi.new("rthyb_matrix_rfc_config *", settings)
+
 
 class MatrixRfc:
     """A restoring-force compensator of several coordinates at work.
@@ -55,26 +81,10 @@ class MatrixRfc:
         x0: npt.ArrayLike | None = None,
         f0: npt.ArrayLike | None = None,
     ) -> None:
-        self.size = len(config.rest_noise)
-        given = np.asarray(config.k_e, np.float64)
-        if not 1 <= self.size <= AXES_MAX or given.shape != (self.size, self.size):
-            raise CoreError(
-                f"1 to {AXES_MAX} coordinates with their noise and a square k_e needed, got "
-                f"{self.size} and {given.shape}"
-            )
-        settings = {
-            "size": self.size,
-            "enabled": int(config.enabled),
-            "period_s": config.period_s,
-            "memory_s": config.memory_s,
-            "cutoff_hz": config.cutoff_hz,
-            "lateness_s": config.lateness_s,
-            "k_e": given.tolist(),
-            "rest_noise": list(config.rest_noise),
-        }
+        self.size = config.size
+        struct = config.struct()
         self._c = ffi.new("rthyb_matrix_rfc *")
         x, f = (self._row(np.zeros(self.size) if one is None else one) for one in (x0, f0))
-        struct = ffi.new("rthyb_matrix_rfc_config *", settings)
         check(lib.rthyb_matrix_rfc_init(self._c, struct, reading(x), reading(f)))
 
     @property

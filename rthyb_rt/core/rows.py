@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -13,15 +14,18 @@ import numpy as np
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.library import CoreError, FloatArray, RecordArray, members, words
 
+_PLACES: Final = ("command_bit", "unsent_bit", "cause_bit")
 FLAGS: Final = {
-    name: bit
-    for name, bit in words("rthyb_flag", "RTHYB_F_").items()
-    if bit != lib.RTHYB_F_COMMAND_BIT
+    name: bit for name, bit in words("rthyb_flag", "RTHYB_F_").items() if name not in _PLACES
 }
 """Bits of the field ``flags``, written into every file; bits 24 to 31 are the number of the
 operator's command of that tick, 0 for none."""
 FLAG_NAMES: Final = tuple(FLAGS)
 COMMAND_BIT: Final[int] = lib.RTHYB_F_COMMAND_BIT
+UNSENT_BIT: Final[int] = lib.RTHYB_F_UNSENT_BIT
+"""Of several axes: this bit and those above it say of which the command did not leave."""
+CAUSE_BIT: Final[int] = lib.RTHYB_F_CAUSE_BIT
+"""Of several axes: three bits from here on are 1 + the axis of the cause, or its interface."""
 STATES: Final = tuple(members("rthyb_state", "RTHYB_"))
 """Names of the values of the field ``state``, written into every file."""
 RUNNING: Final = STATES.index("RUNNING")
@@ -50,19 +54,27 @@ def _flat(ctype: Any, offset: int = 0, suffix: str = "") -> list[tuple[str, str,
     return found
 
 
-def dtype_of(struct: str) -> np.dtype[np.void]:
-    numbers = _flat(ffi.typeof(struct))
+def dtype_of(struct: str, size: int | None = None) -> np.dtype[np.void]:
+    """Return the type of a struct of the core, or of its first ``size`` bytes."""
+    size = ffi.sizeof(struct) if size is None else size
+    numbers = [one for one in _flat(ffi.typeof(struct)) if one[2] < size]
     return np.dtype(
         {
             "names": [name for name, _, _ in numbers],
             "formats": [kind for _, kind, _ in numbers],
             "offsets": [at for _, _, at in numbers],
-            "itemsize": ffi.sizeof(struct),
+            "itemsize": size,
         }
     )
 
 
-RECORD_DTYPE: Final = dtype_of("rthyb_record")
+@cache
+def record_dtype(axis_count: int = 1) -> np.dtype[np.void]:
+    """Return the type of the record of so many axes; fields of axis 1 on are "x_cmd_m.1" ..."""
+    return dtype_of("rthyb_record", int(lib.rthyb_record_bytes(axis_count)))
+
+
+RECORD_DTYPE: Final = record_dtype(1)
 CHANNELS_MAX: Final[int] = lib.RTHYB_CHANNELS_MAX
 """Named values that a row may have beside its record."""
 
@@ -105,7 +117,7 @@ def check_channels(channels: Sequence[Channel]) -> None:
         taken.add(channel.name)
 
 
-def row_dtype(channels: Sequence[Channel]) -> np.dtype[np.void]:
+def row_dtype(channels: Sequence[Channel], axis_count: int = 1) -> np.dtype[np.void]:
     """Return the type of a row of a recording, and of a ring: a record and its channels.
 
     Raises:
@@ -115,10 +127,11 @@ def row_dtype(channels: Sequence[Channel]) -> np.dtype[np.void]:
         check_channels(channels)
     except ValueError as error:
         raise CoreError(str(error)) from error
+    record = record_dtype(axis_count)
     if not channels:
-        return RECORD_DTYPE
-    fields: Mapping[str, Any] = RECORD_DTYPE.fields or {}
-    size, count = RECORD_DTYPE.itemsize, len(channels)
+        return record
+    fields: Mapping[str, Any] = record.fields or {}
+    size, count = record.itemsize, len(channels)
     return np.dtype(
         {
             "names": [*fields, *(channel.name for channel in channels)],
@@ -131,8 +144,8 @@ def row_dtype(channels: Sequence[Channel]) -> np.dtype[np.void]:
 
 def rows_of(records: RecordArray, channels: Sequence[Channel], values: FloatArray) -> RecordArray:
     """Return rows, (n,), of records, (n,), and the values of their channels, (n, count)."""
-    rows = np.zeros(records.shape, dtype=row_dtype(channels))
-    for name in RECORD_DTYPE.names or ():
+    rows = np.zeros(records.shape, dtype=row_dtype(channels, axes_in(records.dtype)))
+    for name in records.dtype.names or ():
         rows[name] = records[name]
     for k, channel in enumerate(channels):
         rows[channel.name] = values[:, k]
@@ -141,17 +154,31 @@ def rows_of(records: RecordArray, channels: Sequence[Channel], values: FloatArra
 
 def as_records(rows: RecordArray) -> RecordArray:
     """Return rows of a recording, whose fields may be more and in another order, as the core's."""
-    if rows.dtype == RECORD_DTYPE:
+    dtype = record_dtype(axes_in(rows.dtype))
+    if rows.dtype == dtype:
         return np.ascontiguousarray(rows)
-    records = np.zeros(rows.shape, dtype=RECORD_DTYPE)
-    for name in RECORD_DTYPE.names or ():
+    records = np.zeros(rows.shape, dtype=dtype)
+    for name in dtype.names or ():
         records[name] = rows[name]
     return records
 
 
-def records_pointer(array: RecordArray) -> Any:
-    if array.dtype != RECORD_DTYPE or not array.flags.c_contiguous:
-        raise CoreError("records must be a contiguous array of RECORD_DTYPE")
+def axes_in(dtype: np.dtype[Any]) -> int:
+    """Return of how many axes rows of a type are."""
+    return sum(name.partition(".")[0] == "x_cmd_m" for name in dtype.names or ()) or 1
+
+
+def copy_records(records: Any, count: int, axis_count: int) -> RecordArray:
+    """Return a copy of the first records of an array of the core, as rows of so many axes."""
+    dtype = record_dtype(axis_count)
+    size = ffi.sizeof("rthyb_record")
+    raw = np.frombuffer(bytes(ffi.buffer(records, count * size)), np.uint8).reshape(count, size)
+    return np.ascontiguousarray(raw[:, : dtype.itemsize]).view(dtype).reshape(count)
+
+
+def records_pointer(array: RecordArray, axis_count: int = 1) -> Any:
+    if array.dtype != record_dtype(axis_count) or not array.flags.c_contiguous:
+        raise CoreError(f"records must be a contiguous array of record_dtype({axis_count})")
     return ffi.cast("rthyb_record *", ffi.from_buffer(array))
 
 

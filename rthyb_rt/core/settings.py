@@ -15,6 +15,10 @@ from rthyb_rt.core.library import CoreError, check, options
 from rthyb_rt.core.sizes import DENSE_MAX, ELEMENTS_MAX, PERIOD_S
 
 if TYPE_CHECKING:
+    from rthyb_rt.core.group import AxisConfig, InterfaceConfig
+    from rthyb_rt.core.kinematics import Kinematics
+    from rthyb_rt.core.matrix_lead import MatrixLeadConfig
+    from rthyb_rt.core.matrix_rfc import MatrixRfcConfig
     from rthyb_rt.core.sparse import SparseConfig
 
 EstimatorLaw = Literal["fixed", "gradient", "robust", "rls"]
@@ -245,7 +249,11 @@ class RigConfig:
 class ControllerConfig:
     """All that one sample of the controller needs to know.
 
-    ``numerical`` takes the place of ``motion``, unless that is prescribed.
+    ``numerical`` takes the place of ``motion``, unless that is prescribed. Without ``axes`` there
+    is one, of which law, ranges and limits are; with them these are what an axis has that says
+    nothing else, and ``rfc`` likewise of ``interfaces``, as many as axes. ``kinematics`` stands
+    between them, None: axis i is interface i. ``matrix_lead`` takes the place of the laws,
+    ``matrix_rfc`` that of ``rfc``.
     """
 
     law: LawConfig
@@ -259,6 +267,21 @@ class ControllerConfig:
     acceleration_limit_m_per_s2: float = 0.0
     clamp_m: float = 0.0
     numerical: DenseConfig | SparseConfig | None = None
+    axes: tuple[AxisConfig, ...] = ()
+    interfaces: tuple[InterfaceConfig, ...] = ()
+    kinematics: Kinematics | None = None
+    matrix_lead: MatrixLeadConfig | None = None
+    matrix_rfc: MatrixRfcConfig | None = None
+
+    @property
+    def axis_count(self) -> int:
+        """How many axes."""
+        return len(self.axes) or 1
+
+    @property
+    def interface_count(self) -> int:
+        """How many directions numerical part and axes meet in."""
+        return len(self.interfaces) or 1
 
 
 ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
@@ -373,8 +396,13 @@ def fill_part(slot: Any, config: DenseConfig | SparseConfig | None) -> list[Any]
 
 
 def struct_of(ctype: str, config: Any) -> Any:
+    return new_struct(ctype, mapping(config), config)
+
+
+def new_struct(ctype: str, plain: Mapping[str, Any], config: Any) -> Any:
+    """Return a struct of plain values; ``config``: what they were said by."""
     try:
-        return ffi.new(f"{ctype} *", mapping(config))
+        return ffi.new(f"{ctype} *", plain)
     except OverflowError as error:
         raise CoreError(
             f"{type(config).__name__}: a whole number is out of range ({error})"

@@ -14,3 +14,5 @@ DELAY_MAX: Final[int] = lib.RTHYB_DELAY_MAX
 ELEMENTS_MAX: Final[int] = lib.RTHYB_ELEMENTS_MAX
 DENSE_MAX: Final[int] = lib.RTHYB_DENSE_MAX
 IWAN_SLIDERS: Final[int] = lib.RTHYB_IWAN_SLIDERS
+COUPLED_MAX: Final[int] = lib.RTHYB_COUPLED_MAX
+"""Axes at one specimen."""

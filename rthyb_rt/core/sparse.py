@@ -145,6 +145,8 @@ class SparseConfig:
         interfaces: what of the structure each actuator moves: weighted degrees of freedom. A force
             f acts on them by the same weights.
         k_e_n_per_m: elastic stiffness of the specimen at each interface.
+        k_e_between: and between them, rows of the symmetric matrix with 0 on its diagonal; empty:
+            none.
         damping_n_s_per_m: damping beside the two forms below; None: none.
         by_mass_per_s, by_stiffness_s: Rayleigh damping a M + b K, K with the initial stiffness of
             joints and specimen.
@@ -171,6 +173,7 @@ class SparseConfig:
     first_x_m: Floats | None = None
     first_v_m_per_s: Floats | None = None
     period_s: float = PERIOD_S
+    k_e_between: tuple[tuple[float, ...], ...] = ()
     _laid_out: list[tuple[Any, Layout]] = field(default_factory=list, init=False, repr=False)
 
     @property
@@ -186,7 +189,11 @@ class SparseConfig:
         rows += self.interfaces
         values += self.k_e_n_per_m
         b = _terms_matrix(rows, self.size)
-        return (self.stiffness_n_per_m.matrix() + b.T @ sparse.diags(values) @ b).tocsc()
+        whole = self.stiffness_n_per_m.matrix() + b.T @ sparse.diags(values) @ b
+        if self.k_e_between:
+            at = _terms_matrix(self.interfaces, self.size)
+            whole = whole + at.T @ sparse.csr_matrix(np.array(self.k_e_between)) @ at
+        return whole.tocsc()
 
     @staticmethod
     def _between(below: int, above: int) -> tuple[Term, ...]:
@@ -265,6 +272,7 @@ class SparseConfig:
         values |= arrays
         values["interfaces"] = tuple(_as_terms(row) for row in values["interfaces"])
         values["k_e_n_per_m"] = tuple(values["k_e_n_per_m"])
+        values["k_e_between"] = tuple(tuple(row) for row in values.get("k_e_between", ()))
         values["joints"] = tuple(
             Joint(below, above, ElementConfig(kind, tuple(params)), k)
             for below, above, kind, params, k in values["joints"]
@@ -301,6 +309,22 @@ def _terms_matrix(rows: Sequence[tuple[Term, ...]], n: int) -> Any:
     entries = [(i, at, by) for i, row in enumerate(rows) for at, by in row]
     i, at, by = (list(column) for column in zip(*entries, strict=True)) if entries else ([], [], [])
     return sparse.coo_matrix((by, (i, at)), shape=(len(rows), n)).tocsr()
+
+
+def _panels(lower: Any) -> NDArray[np.int32]:
+    """Return where runs of columns begin that have the same rows below them, and their number.
+
+    Args:
+        lower: a factor, (n, n), by columns with sorted rows.
+    """
+    start, at = lower.indptr, lower.indices
+    n = lower.shape[0]
+    begins = np.ones(n + 1, dtype=bool)
+    for j in range(n - 1):
+        rows, of_next = at[start[j] : start[j + 1]], at[start[j + 1] : start[j + 2]]
+        alike = rows.size == of_next.size + 1 and rows[0] == j + 1
+        begins[j + 1] = not (alike and np.array_equal(rows[1:], of_next))
+    return np.flatnonzero(begins).astype(np.int32)
 
 
 def factored(matrix: Any, what: str) -> Any:
@@ -456,11 +480,15 @@ class Layout:
             cfg.damped = 1
             self._symmetric(cfg.damping_n_s_per_m, config.damping_n_s_per_m.matrix())
         self._factor(cfg.factor)
+        panels = _panels(self.lower)
+        cfg.panel, cfg.panels = self._whole(panels), len(panels) - 1
         self._modes(cfg)
         self._loads(cfg)
         self._start(cfg)
         self._rows(cfg.interface, config.interfaces)
         cfg.k_e_n_per_m = self._doubles(np.array(config.k_e_n_per_m, dtype=np.float64))
+        if config.k_e_between:
+            cfg.k_e_between = self._doubles(np.array(config.k_e_between, dtype=np.float64))
         self._joints(cfg)
         self._responses(cfg)
         return cfg, self

@@ -11,16 +11,30 @@ import numpy as np
 import numpy.typing as npt
 
 from rthyb_rt._core import ffi, lib
-from rthyb_rt.core.library import (
-    CoreError,
-    RecordArray,
-    check,
-    doubles,
-    options,
-    reading,
-    words,
+from rthyb_rt.core.group import (
+    AXIS_WATCHES,
+    CAUSES,
+    GROUP,
+    AxisConfig,
+    InterfaceConfig,
+    Watch,
+    bare,
+    controller_mapping,
+    group_of,
+    group_plain,
+    station_axes,
+    station_interfaces,
+    watch_table,
 )
-from rthyb_rt.core.rows import COMMAND_BIT, RECORD_DTYPE, STATES, as_records, records_pointer
+from rthyb_rt.core.library import CoreError, RecordArray, check, doubles, reading, words
+from rthyb_rt.core.rows import (
+    COMMAND_BIT,
+    STATES,
+    as_records,
+    copy_records,
+    record_dtype,
+    records_pointer,
+)
 from rthyb_rt.core.settings import (
     ControllerConfig,
     DenseConfig,
@@ -28,7 +42,6 @@ from rthyb_rt.core.settings import (
     MotionConfig,
     RfcConfig,
     fill_part,
-    mapping,
     struct_of,
 )
 from rthyb_rt.core.sparse import SparseConfig
@@ -36,25 +49,13 @@ from rthyb_rt.core.sparse import SparseConfig
 if TYPE_CHECKING:
     from rthyb_rt.core.wire import Codec
 
-Reaction = Literal["none", "indicate", "hold", "ramp-out", "trip"]
 Command = Literal["none", "zero", "arm", "start", "hold", "resume", "stop", "reset", "trip"]
 
 # The header has the names. What the type checker knows of them stands above; a test holds the two
 # together.
-REACTIONS: Final = cast(tuple[Reaction, ...], tuple(options("rthyb_reaction", "RTHYB_REACT_")))
 COMMANDS: Final = cast(tuple[Command, ...], tuple(words("rthyb_command", "RTHYB_CMD_")))
-CAUSES: Final = tuple(words("rthyb_cause", "RTHYB_CAUSE_"))
-WATCHABLE: Final = CAUSES[CAUSES.index("skips") :]
 BLIND_MAX: Final[int] = lib.RTHYB_BLIND_MAX
 LOST_TICKS: Final[int] = lib.RTHYB_LOST_TICKS
-
-
-@dataclass(frozen=True)
-class Watch:
-    """What is done when a watched quantity goes past ``value``; 0 switches the watch off."""
-
-    value: float
-    reaction: Reaction
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,9 @@ class StationConfig:
     ``tare_most_m``, ``tare_most_n``: ZERO refuses a larger tare; 0 takes any.
     ``brake_acceleration_m_per_s2``: of HOLD, and where RAMP_OUT begins; 0: as of paths. ``stay``:
     RAMP_OUT ends where it comes to rest, and not at 0. ``law_channel``,
-    ``law_channel_count``: which of a row's channels are what the control law reports beside alpha
-    and beta; ``part_channel``, ``part_channel_count`` those of the numerical part's responses.
+    ``law_channel_count``: which of a row's channels are what the first axis' control law reports
+    beside alpha and beta; ``part_channel``, ``part_channel_count`` those of the numerical part's
+    responses, ``axis_channel``, ``axis_channel_count`` the `axis_channels`.
     """
 
     controller: ControllerConfig
@@ -88,6 +90,8 @@ class StationConfig:
     law_channel_count: int = 0
     part_channel: int = 0
     part_channel_count: int = 0
+    axis_channel: int = 0
+    axis_channel_count: int = 0
 
     @property
     def fs_hz(self) -> float:
@@ -97,13 +101,19 @@ class StationConfig:
     def plain(self) -> dict[str, Any]:
         """Return all of it as plain values, for a recording: `of` takes them back."""
         part = self.controller.numerical
-        if part is None or isinstance(part, DenseConfig):
-            return dataclasses.asdict(self)
-        bare = dataclasses.asdict(
-            replace(self, controller=replace(self.controller, numerical=None))
+        own = bare(self.controller)
+        listed = isinstance(part, SparseConfig)
+        plain = dataclasses.asdict(
+            replace(self, controller=replace(own, numerical=None) if listed else own)
         )
-        bare["controller"]["numerical"] = part.plain()
-        return bare
+        if isinstance(part, SparseConfig):
+            plain["controller"]["numerical"] = part.plain()
+        for name in GROUP:
+            plain["controller"].pop(name)
+        plain["controller"] |= group_plain(self.controller)
+        if self.controller.axis_count == 1:
+            del plain["axis_channel"], plain["axis_channel_count"]
+        return plain
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> StationConfig:
@@ -117,6 +127,7 @@ class StationConfig:
             inner: dict[str, Any] = dict(given.pop("controller"))
             if "estimator" in inner:
                 inner |= _law_of_estimator(inner)
+            inner |= group_of(inner)
             parts = {"law": LawConfig, "rfc": RfcConfig, "motion": MotionConfig}
             inner |= {name: kind(**inner[name]) for name, kind in parts.items()}
             if inner.get("numerical") is not None:
@@ -193,14 +204,38 @@ IDENTITY: Final = Calibration()
 
 
 @dataclass(frozen=True)
+class AxisReading:
+    """What a tick is told of one axis: its newest pair, before tare, or that there is none."""
+
+    x_m: float = 0.0
+    f_n: float = 0.0
+    lost: bool = False
+    link_down: bool = False
+    drive_stopped: bool = False
+    taken_over_m: float | None = None
+
+    def mapping(self) -> dict[str, Any]:
+        """Return the ``rthyb_axis_input`` of the C core."""
+        return {
+            "x_m": self.x_m,
+            "f_n": self.f_n,
+            "x_cmd_m": self.taken_over_m or 0.0,
+            "lost": lib.RTHYB_LOST if self.lost else 0,
+            "link_down": self.link_down,
+            "drive_stopped": self.drive_stopped,
+        }
+
+
+@dataclass(frozen=True)
 class StationTick:
-    """What one tick of the station came to."""
+    """What one tick of the station came to; ``x_cmd_m`` is the first of ``commands_m``."""
 
     x_cmd_m: float
     sent: bool
     state: str
     refused: bool
     records: RecordArray = field(repr=False)
+    commands_m: tuple[float, ...] = ()
 
 
 def _numerical(plain: Mapping[str, Any]) -> DenseConfig | SparseConfig:
@@ -215,13 +250,37 @@ def _numerical(plain: Mapping[str, Any]) -> DenseConfig | SparseConfig:
 
 
 @dataclass(frozen=True)
+class AxisParameters:
+    """What may be changed of one of several axes, and of the interface of that number.
+
+    ``watches`` of the axis, `AXIS_WATCHES`; ``interface_watches`` as in ``InterfaceConfig``.
+    """
+
+    watches: Mapping[str, Watch] = field(default_factory=dict)
+    velocity_limit_m_per_s: float = 0.0
+    acceleration_limit_m_per_s2: float = 0.0
+    interface_watches: Mapping[str, Watch] = field(default_factory=dict)
+
+    def mapping(self) -> dict[str, Any]:
+        """Return the ``rthyb_axis_parameters`` of the C core; raises ``CoreError``."""
+        return {
+            "own": 1,
+            "watch": watch_table(self.watches, AXIS_WATCHES),
+            "velocity_limit_m_per_s": self.velocity_limit_m_per_s,
+            "acceleration_limit_m_per_s2": self.acceleration_limit_m_per_s2,
+            "interface": station_interfaces([InterfaceConfig(watches=self.interface_watches)])[0],
+        }
+
+
+@dataclass(frozen=True)
 class Parameters:
     """What may be changed while a test runs; always a whole set.
 
     ``watches`` as in :class:`StationConfig`, and what it does not name is not watched; limits of
     the command with 0 for off; path limits are for paths that begin from then on, and narrower ones
     have the path that runs brake and begin anew; a brake of 0 is as hard as paths are. ``adapt``
-    False: what the control law has learnt stays as it is.
+    False: what the control law has learnt stays as it is. ``axes``: of each of several axes; none:
+    the set is for all of them alike, and interfaces are not watched.
     """
 
     watches: Mapping[str, Watch] = field(default_factory=dict)
@@ -231,17 +290,23 @@ class Parameters:
     path_acceleration_m_per_s2: float = 0.2
     adapt: bool = True
     brake_acceleration_m_per_s2: float = 0.0
+    axes: tuple[AxisParameters, ...] = ()
 
     @classmethod
     def of(cls, config: StationConfig) -> Parameters:
         """Return the set that a station begins with, generation 0."""
+        controller = config.controller
         return cls(
             watches=config.watches,
-            velocity_limit_m_per_s=config.controller.velocity_limit_m_per_s,
-            acceleration_limit_m_per_s2=config.controller.acceleration_limit_m_per_s2,
+            velocity_limit_m_per_s=controller.velocity_limit_m_per_s,
+            acceleration_limit_m_per_s2=controller.acceleration_limit_m_per_s2,
             path_velocity_m_per_s=config.path_velocity_m_per_s,
             path_acceleration_m_per_s2=config.path_acceleration_m_per_s2,
             brake_acceleration_m_per_s2=config.brake_acceleration_m_per_s2,
+            axes=tuple(
+                _axis_parameters(config, axis, interface)
+                for axis, interface in zip(controller.axes, controller.interfaces, strict=True)
+            ),
         )
 
     def struct(self, generation: int = 0) -> Any:
@@ -251,27 +316,36 @@ class Parameters:
             CoreError: there is nothing to watch under a name.
         """
         own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        own.pop("watches")
-        struct = ffi.new("rthyb_parameters *", own | {"generation": generation})
-        _fill_watches(struct.watch, self.watches)
-        return struct
+        own |= {"watch": watch_table(own.pop("watches")), "generation": generation}
+        own["axis"] = [axis.mapping() for axis in own.pop("axes")]
+        return ffi.new("rthyb_parameters *", own)
+
+
+def _axis_parameters(
+    config: StationConfig, axis: AxisConfig, interface: InterfaceConfig
+) -> AxisParameters:
+    limits = ("velocity_limit_m_per_s", "acceleration_limit_m_per_s2")
+    common = {name: watch for name, watch in config.watches.items() if name in AXIS_WATCHES}
+    return AxisParameters(
+        watches=common if axis.watches is None else axis.watches,
+        interface_watches=interface.watches,
+        **axis.over(config.controller, limits),
+    )
 
 
 class Station:
     """States, limits and faults around the controller; raises ``CoreError``."""
 
     def __init__(self, config: StationConfig, ag_mps2: npt.ArrayLike) -> None:
-        plain = {k: v for k, v in _mapping_of(config).items() if k != "watches"}
-        axis = {name: plain.pop(name) for name in ("rest_spread_m", "tare_most_m", "tare_most_n")}
-        ranges = {name: plain["controller"][name] for name in ("x_range_m", "f_range_n")}
-        plain["axis"] = [axis | ranges]
-        struct = ffi.new("rthyb_station_config *", plain)
+        self.config = config
+        struct = ffi.new("rthyb_station_config *", _mapping_of(config))
         self._part = fill_part(struct.controller.numerical, config.controller.numerical)
-        _fill_watches(struct.watch, config.watches)
+        self._axes, self._dtype = (count := config.controller.axis_count), record_dtype(count)
         self._c = ffi.new("rthyb_station *")
         check(lib.rthyb_station_init(self._c, struct))
         self._ag = doubles(ag_mps2)
         self._in, self._out = ffi.new("rthyb_station_input *"), ffi.new("rthyb_station_output *")
+        self._records = ffi.new("rthyb_record[]", BLIND_MAX + 1)
 
     def tick(
         self,
@@ -285,35 +359,46 @@ class Station:
         drive_stopped: bool = False,
         heartbeat_late: bool = False,
         taken_over_m: float | None = None,
+        axes: Sequence[AxisReading] = (),
+        apart: bool = False,
     ) -> StationTick:
         """Run one executed tick with the newest pair (before tare), or without one.
 
         ``taken_over_m``: with the first sound reading, the command that the drive has already.
+        ``axes`` takes the place of all that is of one axis; ``apart``: the counts of the drives
+        are more than one sample apart.
+
+        Raises:
+            CoreError: there are not as many readings as axes.
         """
-        i = self._in
-        i.taken_over = taken_over_m is not None
-        i.axis[0] = {"x_m": x_m, "f_n": f_n, "x_cmd_m": taken_over_m or 0.0}
-        i.lost = lib.RTHYB_LOST if lost else 0
-        i.skipped, i.command = skipped, COMMANDS.index(command)
-        i.link_down, i.drive_stopped, i.heartbeat_late = link_down, drive_stopped, heartbeat_late
-        records = np.zeros(BLIND_MAX + 1, dtype=RECORD_DTYPE)
+        one = AxisReading(x_m, f_n, lost, link_down, drive_stopped, taken_over_m)
+        given = tuple(axes) or (one,)
+        if len(given) != self._axes:
+            raise CoreError(f"{len(given)} readings for {self._axes} axes")
+        i, out = self._in, self._out
+        i.taken_over = any(a.taken_over_m is not None for a in given)
+        for k, a in enumerate(given):
+            i.axis[k] = a.mapping()
+        i.skipped, i.command, i.apart = skipped, COMMANDS.index(command), apart
+        i.heartbeat_late = heartbeat_late
         lib.rthyb_station_tick(
-            self._c, i, reading(self._ag), self._ag.size, records_pointer(records), self._out
+            self._c, i, reading(self._ag), self._ag.size, self._records, self._out
         )
-        out = self._out
+        commands = tuple(out.axis[k].x_cmd_m for k in range(self._axes))
         return StationTick(
-            x_cmd_m=out.axis[0].x_cmd_m,
+            x_cmd_m=commands[0],
             sent=bool(out.send),
             state=STATES[out.state],
             refused=bool(out.refused),
-            records=records[: out.records],
+            records=copy_records(self._records, out.records, self._axes),
+            commands_m=commands,
         )
 
     def replay(
         self,
         rows: RecordArray,
-        codec: Codec | None = None,
-        calibration: Calibration = IDENTITY,
+        codec: Codec | Sequence[Codec | None] | None = None,
+        calibration: Calibration | Sequence[Calibration] = IDENTITY,
         parameters: Sequence[tuple[int, Parameters]] = (),
     ) -> RecordArray:
         """Return the rows that this station, a fresh one, computes from recorded inputs.
@@ -324,33 +409,40 @@ class Station:
 
         Args:
             rows: every row from the station's first tick on, (n,).
-            codec: of the link that sent the commands; None: no wire, they left as computed.
-            calibration: of the loop.
+            codec: of the link that sent the commands; None: no wire, they left as computed. One of
+                each axis, or of all.
+            calibration: of the loop, likewise.
             parameters: every set that was published, with its generation.
 
         Returns:
             The rows, (n,); fewer where those given do not make whole ticks.
 
         Raises:
-            CoreError: the station has ticked already.
+            CoreError: the station has ticked already, or the rows are of other axes.
         """
         if self.ticks:
             raise CoreError(
                 f"only a fresh station replays; this one has {self.ticks} ticks behind it"
             )
         recorded = as_records(rows)
-        out = np.zeros(recorded.size, dtype=RECORD_DTYPE)
+        out = np.zeros(recorded.size, dtype=self._dtype)
         sets = ffi.new("rthyb_parameters[]", len(parameters))
         for slot, (generation, one) in enumerate(parameters):
             sets[slot] = one.struct(generation)[0]
         source = ffi.new("rthyb_replay *")
-        source.rows, source.count = records_pointer(recorded), recorded.size
+        source.rows, source.count = records_pointer(recorded, self._axes), recorded.size
         ag = reading(self._ag)
         source.ag_mps2, source.ag_count = ag, self._ag.size
-        source.codec = ffi.NULL if codec is None else codec.struct
-        source.calibration = calibration.struct()[0]
+        codecs = list(codec) if isinstance(codec, Sequence) else [codec] * self._axes
+        if isinstance(calibration, Calibration):
+            calibration = [calibration] * self._axes
+        for k in range(self._axes):
+            own = codecs[k]
+            source.axis[k].codec = ffi.NULL if own is None else own.struct
+            source.axis[k].calibration = calibration[k].struct()[0]
         source.parameters, source.parameter_count = sets, len(parameters)
-        return out[: lib.rthyb_station_replay(self._c, source, records_pointer(out))]
+        pointer = records_pointer(out, self._axes)
+        return out[: lib.rthyb_station_replay(self._c, source, pointer)]
 
     @property
     def state(self) -> str:
@@ -366,6 +458,16 @@ class Station:
     def cause_tick(self) -> int:
         """Tick in which that cause came up; without one it means nothing."""
         return int(self._c.cause_tick)
+
+    @property
+    def cause_axis(self) -> int | None:
+        """Which axis it belongs to; None: to none."""
+        return None if self._c.cause_axis < 0 else int(self._c.cause_axis)
+
+    @property
+    def cause_interface(self) -> int | None:
+        """Which interface it belongs to; None: to none."""
+        return None if self._c.cause_interface < 0 else int(self._c.cause_interface)
 
     @property
     def cause_value(self) -> float:
@@ -423,12 +525,21 @@ class Station:
 
     @property
     def tare(self) -> tuple[float, float]:
-        """Offsets taken off displacement (m) and force (N)."""
-        return self._c.axis[0].tare_x, self._c.axis[0].tare_f
+        """Offsets taken off displacement (m) and force (N) of the first axis."""
+        return self.tares[0]
+
+    @property
+    def tares(self) -> tuple[tuple[float, float], ...]:
+        """The same of every axis."""
+        axes = self._c.axis[0 : self._axes]
+        return tuple((axis.tare_x, axis.tare_f) for axis in axes)
 
     @property
     def command_tare_m(self) -> float:
-        """What is added to a command on its way to the drive: where that stood at the tare, m."""
+        """What is added to a command on its way to the drive: where that stood at the tare, m.
+
+        Of the first axis.
+        """
         return float(self._c.axis[0].tare_cmd)
 
 
@@ -450,15 +561,13 @@ def command_allowed(state: str, command: Command) -> bool:
     return bool(lib.rthyb_command_allowed(STATES.index(state), code))
 
 
-def _fill_watches(slots: Any, watches: Mapping[str, Watch]) -> None:
-    unknown = set(watches) - set(WATCHABLE)
-    if unknown:
-        raise CoreError(f"nothing to watch under the name {', '.join(sorted(unknown))}")
-    for name, watch in watches.items():
-        slot = slots[CAUSES.index(name)]
-        slot.value, slot.reaction = watch.value, REACTIONS.index(watch.reaction)
-
-
 def _mapping_of(config: StationConfig) -> dict[str, Any]:
     own = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
-    return own | {"controller": mapping(replace(config.controller, numerical=None))}
+    for name in ("rest_spread_m", "tare_most_m", "tare_most_n", "watches"):
+        del own[name]
+    return own | {
+        "controller": controller_mapping(config.controller),
+        "axis": station_axes(config.controller, config),
+        "interface": station_interfaces(config.controller.interfaces),
+        "watch": watch_table(config.watches),
+    }

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.coupled_rig import CoupledRig
+from rthyb_rt.core.group import plant_of
 from rthyb_rt.core.kernels import Rig
 from rthyb_rt.core.library import (
     CoreError,
@@ -21,21 +23,22 @@ class Virtual:
 
     Args:
         station: states, limits, controller, ground motion.
-        rig: what moves and measures; the drive has the station's zero for its own.
-        stop_decel_m_per_s2: how the drive brakes by itself after a trip.
-        truth: the first two channels are what the sensors saw, without their errors: m and N.
+        rig: what moves and measures; the drives have the station's zero for their own.
+        stop_decel_m_per_s2: how a drive brakes by itself after a trip.
+        truth: the first channels are what the sensors saw, without their errors: m and N of each
+            axis in turn.
         freedoms: so many channels, behind those, say where the numerical part's degrees of freedom
             are, m.
 
     Raises:
         CoreError: the deceleration is not positive, there are more degrees of freedom than a part
-            can have, or station and rig are not of one rate.
+            can have, or station and rig are not of one rate or have not the same axes.
     """
 
     def __init__(
         self,
         station: Station,
-        rig: Rig,
+        rig: Rig | CoupledRig,
         stop_decel_m_per_s2: float = 1.0,
         truth: bool = False,
         freedoms: int = 0,
@@ -43,7 +46,7 @@ class Virtual:
         self.station, self.rig = station, rig
         self._c = ffi.new("rthyb_virtual *")
         self._ag = reading(station._ag)
-        self._c.station, self._c.rig = station._c, rig._c
+        self._c.station, self._c.plant = station._c, plant_of(rig)[0]
         self._c.ag_mps2, self._c.ag_count = self._ag, station._ag.size
         self._c.stop_decel_m_per_s2, self._c.truth = stop_decel_m_per_s2, truth
         self._c.freedoms = freedoms
@@ -51,7 +54,12 @@ class Virtual:
         if error == lib.RTHYB_E_PERIOD:
             raise CoreError(
                 f"the station ticks every {station._c.cfg.controller.period_s:g} s, the virtual "
-                f"rig every {rig._c.cfg.servo.period_s:g} s; they must be the same"
+                f"rig every {lib.rthyb_plant_period_s(plant_of(rig)):g} s; they must be the same"
+            )
+        if error == lib.RTHYB_E_PLANT:
+            raise CoreError(
+                f"the station has {station.config.controller.axis_count} axes, the virtual rig "
+                f"{lib.rthyb_plant_axes(plant_of(rig))}; they must be as many"
             )
         if error:
             raise CoreError(
@@ -65,7 +73,7 @@ class Virtual:
         """Fill ``records``, one a tick, the first tick with an operator's command.
 
         Args:
-            records: takes them, (n,).
+            records: takes them, of the station's axes, (n,).
             command: of the first tick.
             channels: takes as many of each row's channels as it has columns, (n, count).
 
@@ -86,6 +94,11 @@ class Virtual:
             values = writing(channels)
         return int(
             lib.rthyb_virtual_run(
-                self._c, number, records.size, records_pointer(records), values, count
+                self._c,
+                number,
+                records.size,
+                records_pointer(records, self.station.config.controller.axis_count),
+                values,
+                count,
             )
         )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import sizes
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
-from rthyb_rt.diagnose.mapping import Source, Wish, sources
+from rthyb_rt.diagnose.mapping import EXAMPLE, Source, Wish, proposals, sources
 from rthyb_rt.diagnose.table import TIME_NAMES, Column, Table, plain, read_table
 from rthyb_rt.diagnose.units import SI, USUAL, in_si, read_unit
 from rthyb_rt.errors import InputError
@@ -80,6 +80,51 @@ def read_lab(path: Path, model: Model, wishes: Sequence[Wish], needed: bool) -> 
     stated = {k: s.unit.text for k, s in found.items() if s.unit is not None and not s.presumed}
     further = _further(table, found, labels)
     return Lab(t, channels, notes, table.lines, labels, stated, table, found, further)
+
+
+def stated(
+    path: Path, wishes: Sequence[Wish], channels: Sequence[str], needed: Sequence[str]
+) -> tuple[Floats, dict[str, Floats], list[str]]:
+    """Read a table whose units are all stated: no model is there to tell them by.
+
+    Args:
+        path: the file.
+        wishes: what the user says of the columns.
+        channels: that are read, ``t`` among them.
+        needed: those of them without which the table is of no use.
+
+    Returns:
+        Time of each row, (n,), s; the channels by name, each (n,), SI; what was made of the file.
+
+    Raises:
+        InputError: with what is missing, and how it is said.
+    """
+    where = str(path)
+    table = read_table(path)
+    found, notes = sources(table, list(wishes), where, needed=False)
+    found = {name: source for name, source in found.items() if name in channels}
+    labels = {name: _label(table.columns[source.column]) for name, source in found.items()}
+    notes = table.notes + [note for note in notes if not note.startswith("not used")]
+    problems = []
+    for name in channels:
+        if name not in found and name in needed:
+            proposal = " ".join(proposals(table, found, (name,))) or EXAMPLE
+            problems.append(f"has no column for {name}; name it, for example: {proposal}")
+    columns = {name: table.columns[source.column] for name, source in found.items()}
+    unsaid = [n for n, source in found.items() if source.unit is None and not columns[n].day]
+    if unsaid:
+        problems.append(_untold(table, found, labels, unsaid))
+    if problems:
+        raise InputError("; ".join(problems), where)
+    out: dict[str, Floats] = {}
+    for name, source in found.items():
+        _refuse_words(columns[name], name, where)
+        values = np.where(np.abs(columns[name].values) < HUGE, columns[name].values, np.nan)
+        factor = source.unit.factor if source.unit is not None else Fraction(1)
+        out[name] = in_si(values * source.sign, factor)
+        if source.unit is not None and factor != 1:
+            notes.append(f"{name}: {labels[name]!r} in {source.unit.text}, converted")
+    return out.pop("t"), out, notes
 
 
 def _further(table: Table, found: dict[str, Source], labels: dict[str, str]) -> dict[str, Floats]:

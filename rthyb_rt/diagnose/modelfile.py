@@ -150,8 +150,10 @@ def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model
         k = extra_k
     numerical_m = numerical_c = 0.0
     if test is not None:
-        numerical_m = float(test.numerical.mass_kg or 0.0)
-        numerical_c = float(test.numerical.damping_n_s_per_m or 0.0)
+        # In the laboratory's time, as all that was recorded.
+        slow = test.test.time_scale
+        numerical_m = slow**2 * float(test.numerical.mass_kg or 0.0)
+        numerical_c = slow * float(test.numerical.damping_n_s_per_m or 0.0)
     sensors = rig.sensors
     return Model(
         family="loop",

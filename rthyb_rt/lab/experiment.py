@@ -15,14 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import __version__, config, core, ground_motion
-from rthyb_rt.config import Derived, Limit, Limits, Rate, RigFile, TestFile
+from rthyb_rt.config import Derived, Limit, Limits, Rate, RigFile, TestFile, timescale
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import testfile as test_file
 from rthyb_rt.config.limits import VelocityLimit
-from rthyb_rt.config.rigfile import TOLERANCES, Link
+from rthyb_rt.config.rigfile import TOLERANCES, Link, Sensors
 from rthyb_rt.core.laws import LAWS
-from rthyb_rt.errors import InputError
+from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.lab import histories
 from rthyb_rt.record import recording
 
 REFERENCE_DTYPE = np.dtype([("x_ref_m", "<f8"), ("v_ref_mps", "<f8"), ("f_ref_n", "<f8")])
@@ -40,11 +41,14 @@ class Setup:
     Attributes:
         test, rig, derived: the files, the test with every default written out, and what follows.
         motion: the scaled record before resampling.
-        ag_mps2: ground acceleration at every tick of the test, shape (n,).
+        ag_mps2: ground acceleration at every tick of the test, shape (n,), as it is in the
+            laboratory's time: over the square of the time scale. Of a test that follows a
+            displacement: that displacement, m.
         controller, virtual_rig: settings of the core.
         notes: what the user should know and need not act on.
         reference: the reference simulation as the test file wants it, shape (n,).
         channels: named values that its rows have beside the record.
+        plan: of a prescribed history; None: a hybrid test.
     """
 
     test: TestFile
@@ -57,6 +61,7 @@ class Setup:
     notes: tuple[str, ...] = ()
     reference: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, REFERENCE_DTYPE))
     channels: tuple[core.Channel, ...] = ()
+    plan: histories.Plan | None = None
 
     @property
     def ticks(self) -> int:
@@ -93,6 +98,8 @@ def prepare(
 
     if real_time:
         _refuse_other_rate(test)
+    if test.history is not None:
+        return _prepare_history(test, rig, real_time)
     derived, whole = _both(lambda: config.derive(test, rig), read)
     if real_time:
         _refuse_slow(derived)
@@ -102,10 +109,15 @@ def prepare(
     lasts_s = test.test.duration_s
     if lasts_s is None:
         lasts_s = motion.duration_s + test.test.free_vibration_s
+    slow = test.test.time_scale
+    _refuse_long(lasts_s, derived.fs_hz, slow)
+    # Sampled more densely in the structure's time, which is as dense in the laboratory's.
     ag = ground_motion.resample(
-        motion, derived.fs_hz, method=test.ground_motion.interpolation, duration_s=lasts_s
+        motion, derived.fs_hz * slow, method=test.ground_motion.interpolation, duration_s=lasts_s
     )
-    end_tick = round(min(motion.duration_s, lasts_s) * derived.fs_hz)
+    if slow != 1.0:
+        ag /= slow**2
+    end_tick = round(min(motion.duration_s, lasts_s) * derived.fs_hz * slow)
     setup = Setup(
         test=test,
         rig=rig,
@@ -127,10 +139,123 @@ def prepare(
             f"{error}; look at the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
-    setup = follow_reference(replace(setup, reference=expected))
+    return _noted(follow_reference(replace(setup, reference=expected)), real_time)
+
+
+def _noted(setup: Setup, real_time: bool) -> Setup:
+    """Return a test with what its reference and its limits give to note."""
     derived_notes = _derived_notes(setup.derived.limits) if real_time else []
-    notes = (*setup.notes, *_range_notes(rig, expected), *derived_notes)
+    notes = (*setup.notes, *_range_notes(setup.rig, setup.reference), *derived_notes)
     return replace(setup, notes=notes)
+
+
+def _refuse_long(lasts_s: float, rate_hz: float, slow: float) -> None:
+    """Refuse what a recording has no room for: a slow test of many hours.
+
+    Raises:
+        InputError: with how it fits.
+    """
+    if slow > 1.0 and lasts_s * slow * rate_hz > histories.MOST_SAMPLES:
+        raise InputError(
+            f"found {slow:g}; {lasts_s:.6g} s of the structure are {lasts_s * slow:.6g} s in the "
+            f"laboratory, {lasts_s * slow * rate_hz:.0f} samples at {rate_hz:g} Hz; allowed are "
+            f"{histories.MOST_SAMPLES}: a time scale up to "
+            f"{histories.MOST_SAMPLES / (lasts_s * rate_hz):.3g}, a shorter test, or a lower "
+            "test.sample_rate_hz",
+            "test.time_scale",
+        )
+
+
+def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
+    """Return a test that follows a prescribed history, ready to go.
+
+    Raises:
+        InputError: with what is wrong in the files, or which limit the history goes beyond.
+    """
+    assert test.history is not None
+    derived = config.derive(test, rig)
+    plan = histories.plan(
+        test.history, derived.fs_hz, derived.limits.path_acceleration_m_per_s2,
+        test.test.time_scale,
+    )  # fmt: skip
+    title = test.history.title
+    test = config.resolve(test, derived)
+    controller = replace(
+        controller_config(test, rig, derived, plan.path_m.size),
+        motion=core.MotionConfig("prescribed", period_s=derived.rate.period_s),
+    )
+    setup = Setup(
+        test=test,
+        rig=rig,
+        derived=derived,
+        motion=GroundMotion(title, "history", derived.rate.period_s, np.zeros(1)),
+        ag_mps2=plan.path_m,
+        controller=controller,
+        virtual_rig=rig_config(rig, derived.fs_hz),
+        channels=law_channels(controller.law),
+        notes=derived.notes,
+        plan=plan,
+        reference=_along(rig, plan),
+    )
+    try:
+        core.Controller(setup.controller)
+        core.Rig(setup.virtual_rig)
+    except core.CoreError as error:
+        raise InputError(
+            f"{error}; look at the largest and smallest values of both files",
+            f'test "{test.test.name}" on rig "{rig.rig.name}"',
+        ) from error
+    setup = follow_reference(setup)
+    _refuse_beyond(setup)
+    return _noted(setup, real_time)
+
+
+def _along(rig: RigFile, plan: histories.Plan) -> NDArray[np.void]:
+    """Return what the rig file's specimen, and its table, do along a history, as a reference."""
+    h, x = 1.0 / plan.rate_hz, plan.path_m
+    v, a = np.gradient(x, h), np.zeros_like(x)
+    a[1:-1] = np.diff(x, 2) / h**2
+    elements = (*specimen_elements(rig), *table_elements(rig))
+    force = np.sum([core.Element(one).run(x, v, a, h) for one in elements], axis=0)
+    return _rows_of_reference(x, v, np.asarray(force))
+
+
+def _refuse_beyond(setup: Setup) -> None:
+    """Refuse a history that a limit would not let pass as it is: all of it is known before.
+
+    Raises:
+        InputError: with every limit that it goes beyond, and both values.
+    """
+    assert setup.plan is not None
+    plan, limits, slow = setup.plan, setup.test.limits, setup.test.test.time_scale
+    if setup.derived.plc_enabled:
+        # What leaves is what the control law makes of it.
+        law = core.Law(setup.controller.law, period_s=setup.rate.period_s)
+        plan = replace(plan, path_m=law.run(plan.path_m))
+    position, velocity = limits.command_position_m, limits.command_velocity_m_per_s
+    increment = limits.command_increment_m
+    bounds = (
+        ("command_position_m", position.value if position and position.acts else None,
+         plan.peak_m, "m"),
+        ("command_velocity_m_per_s", velocity.value if velocity and velocity.enable else None,
+         plan.peak_m_per_s, "m/s"),
+        ("command_acceleration_m_per_s2", limits.command_acceleration_m_per_s2,
+         plan.peak_m_per_s2, "m/s^2"),
+        ("command_increment_m", increment.value if increment and increment.ends else None,
+         plan.peak_m_per_s / core.FS_HZ, "m"),
+    )  # fmt: skip
+    problems = [
+        Problem(
+            "history",
+            f"found a peak of {peak:.4g} {unit}; limits.{key} = {most:g} {unit}: make the history "
+            "smaller or slower"
+            + (f" (test.time_scale is {slow:g})" if key != "command_position_m" else ""),
+        )
+        for key, most, peak, unit in bounds
+        if most is not None and peak > most
+    ]
+    if problems:
+        raise InputError(problems)
 
 
 def _refuse_other_rate(test: TestFile) -> None:
@@ -245,7 +370,9 @@ def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
 
 
 def load_motion(test: TestFile) -> GroundMotion:
-    """Read the ground motion that a test names, as it stands in its file."""
+    """Read the ground motion that a test names, as it stands in its file; a history has rest."""
+    if test.history is not None:
+        return GroundMotion(test.history.title, "history", 1.0 / core.FS_HZ, np.zeros(1))
     wanted = test.ground_motion
     return ground_motion.load(
         wanted.record, format=wanted.format, units=wanted.units, channel=wanted.channel
@@ -519,23 +646,27 @@ def stop_decel_m_per_s2(rig: RigFile) -> float:
 
 def rig_config(rig: RigFile, fs_hz: float = core.FS_HZ) -> core.RigConfig:
     """Return the virtual rig that a rig file describes, at a sample rate."""
-    displacement, force = rig.sensors.displacement, rig.sensors.force
+    displacement, force = sensor_configs(rig.sensors)
     return core.RigConfig(
-        servo=_servo_config(rig, Rate(fs_hz)),
+        servo=servo_config(rig, Rate(fs_hz)),
         elements=specimen_elements(rig),
-        displacement=core.SensorConfig(
-            displacement.noise_std_m,
-            displacement.lsb_m,
-            displacement.bias_m,
-            displacement.range_m or 0.0,
-        ),
-        force=core.SensorConfig(force.noise_std_n, force.lsb_n, force.bias_n, force.range_n or 0.0),
+        displacement=displacement,
+        force=force,
         load_cell=rig.rig.load_cell,
         seed=rig.rig.seed,
     )
 
 
-def _servo_config(rig: RigFile, rate: Rate) -> core.ServoConfig:
+def sensor_configs(sensors: Sensors) -> tuple[core.SensorConfig, core.SensorConfig]:
+    """Return what a virtual rig has of a displacement sensor and of a load cell."""
+    x, f = sensors.displacement, sensors.force
+    return (
+        core.SensorConfig(x.noise_std_m, x.lsb_m, x.bias_m, x.range_m or 0.0),
+        core.SensorConfig(f.noise_std_n, f.lsb_n, f.bias_n, f.range_n or 0.0),
+    )
+
+
+def servo_config(rig: RigFile, rate: Rate) -> core.ServoConfig:
     """Translate the actuator; whatever its kind, transport is the core's ``delay_samples``.
 
     Its substeps are those of a sample of 1/1024 s: at another rate they are as long.
@@ -566,6 +697,9 @@ def specimen_elements(rig: RigFile) -> tuple[core.ElementConfig, ...]:
 def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.void]:
     """Simulate the same structure with the specimen joined to it: no actuator, no sensor.
 
+    Of a slow test it is what the structure does in its own time, stretched to the laboratory's:
+    the specimen's elements that depend on velocity have their whole force in it.
+
     Args:
         setup: the test.
         table_forces: include what a load cell at the actuator's end also sees of the table (moving
@@ -575,8 +709,11 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
         ``x_ref_m``, ``v_ref_mps``, ``f_ref_n`` at every tick, shape (n,).
     """
     elements = _reference_elements(setup, table_forces)
-    if setup.derived.structure is not None:
-        return _rows_of_reference(*setup.derived.structure.reference(elements, setup.ag_mps2))
+    structure = setup.derived.structure
+    if structure is not None:
+        # The model's elements are slowed themselves, so that nothing of them is lacking.
+        whole = structure.with_lack(setup.test.test.time_scale, -1.0)
+        return _rows_of_reference(*whole.reference(elements, setup.ag_mps2))
     rigid = [e for e in elements if e.kind not in _IMPLICIT]
     motion = motion_config(setup.test, setup.derived)
     # As a force, mass would need the acceleration that it decides, and a damper the velocity: both
@@ -603,7 +740,8 @@ _IMPLICIT: Final = ("inertia", "viscous")
 
 
 def _reference_elements(setup: Setup, table_forces: bool | None) -> list[core.ElementConfig]:
-    elements = list(specimen_elements(setup.rig))
+    slow = setup.test.test.time_scale
+    elements = [timescale.slowed(one, slow) for one in specimen_elements(setup.rig)]
     if setup.test.reference.table_forces if table_forces is None else table_forces:
         elements += table_elements(setup.rig)
     return elements
@@ -644,7 +782,8 @@ def blank(setup: Setup, clock: str) -> recording.Recording:
         fs_hz=setup.derived.fs_hz,
         ag_mps2=setup.ag_mps2,
         ground_motion=_provenance(setup),
-        reference=setup.reference,
+        # A history is its own reference: nothing else is expected of the specimen's motion.
+        reference=setup.reference if setup.plan is None else None,
         test_toml=config.dump(setup.test),
         rig_toml=config.dump(setup.rig),
         meta={
@@ -662,6 +801,8 @@ def blank(setup: Setup, clock: str) -> recording.Recording:
 
 def _provenance(setup: Setup) -> dict[str, Any]:
     motion = setup.motion
+    if setup.plan is not None:
+        return {"name": motion.name, "source": "history of the test file", "excitation": "x, m"}
     return {
         **dict(motion.details),
         "name": motion.name,

@@ -16,7 +16,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -24,7 +24,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.core.rows import FLAGS, RUNNING, STATES, Channel
+from rthyb_rt.core.rows import FLAGS, RUNNING, STATES, Channel, axes_in
 from rthyb_rt.errors import InputError, RthybError
 
 FILE_NAME = "recording.h5"
@@ -177,6 +177,15 @@ def _converted(rows: Rows, version: int) -> Rows:
 UNITS: dict[str, str] = {name: field.unit for name, field in fields_of(VERSION).items()}
 """Unit of each field of `Recording.samples`; a recording must have all of them."""
 
+
+def units_of(axis_count: int = 1) -> dict[str, str]:
+    """Return the units of the fields of samples of so many axes: "x_cmd_m.1" is of the second."""
+    further = {
+        f"{name}.{axis}": UNITS[name] for axis in range(1, axis_count) for name in AXIS_FIELDS
+    }
+    return UNITS | further
+
+
 REFERENCE_UNITS: dict[str, str] = {"x_ref_m": "m", "v_ref_mps": "m/s", "f_ref_n": "N"}
 """Unit of each field of `Recording.reference`."""
 
@@ -223,6 +232,8 @@ class Recording:
             test_name, clock, created_utc, end_reason ("completed" or the reason), interrupted.
         version: of the record as it was written; the samples are as the present one has them.
         channels: named values that the rows have beside the fields of `UNITS`.
+        axis_names, interface_names: of several axes, and of the directions that they and the
+            numerical part meet in; empty with one.
     """
 
     samples: NDArray[np.void]
@@ -236,16 +247,38 @@ class Recording:
     meta: dict[str, Any] = field(default_factory=dict)
     version: int = VERSION
     channels: tuple[Channel, ...] = ()
+    axis_names: tuple[str, ...] = ()
+    interface_names: tuple[str, ...] = ()
 
-    def axis(self, number: int = 0) -> NDArray[np.void]:
-        """Return the fields of an axis by their names, a view, (n,).
+    @property
+    def axis_count(self) -> int:
+        """How many axes the samples are of."""
+        return axes_in(self.samples.dtype)
+
+    def axis(self, which: int | str = 0) -> NDArray[np.void]:
+        """Return the fields of an axis, a number from 0 or a name, by their names, a view, (n,).
 
         Raises:
-            InputError: there is no such axis.
+            InputError: there is no such axis; says which there are.
         """
-        if number != 0:
-            raise InputError(f"axis {number}: the recording has axis 0 alone", "recording")
-        return self.samples[list(AXIS_FIELDS)]
+        number = self.axis_names.index(which) if which in self.axis_names else which
+        if not isinstance(number, int) or not 0 <= number < self.axis_count:
+            there = ", ".join(self.axis_names) or "axis 0 alone"
+            raise InputError(f"no axis {which!r}; the recording has {there}", "recording")
+        if number == 0:
+            return self.samples[list(AXIS_FIELDS)]
+        fields: Mapping[str, Any] = self.samples.dtype.fields or {}
+        own = [fields[f"{name}.{number}"] for name in AXIS_FIELDS]
+        return self.samples.view(
+            np.dtype(
+                {
+                    "names": list(AXIS_FIELDS),
+                    "formats": [field[0] for field in own],
+                    "offsets": [field[1] for field in own],
+                    "itemsize": self.samples.dtype.itemsize,
+                }
+            )
+        )
 
     def channel(self, name: str) -> NDArray[np.float64]:
         """Return a named value of every row in its unit, (n,).
@@ -341,8 +374,14 @@ def fill(file: Any, rec: Recording, *, growing: bool = False) -> None:
         file.attrs[_CONVERTED] = rec.version
     samples = _growing(file, rec.samples.dtype) if growing else _table(file, "samples", rec.samples)
     samples.attrs["fs_hz"] = rec.fs_hz
-    samples.attrs["units"] = json.dumps(UNITS | {one.name: one.unit for one in rec.channels})
-    samples.attrs["axes"] = json.dumps([list(AXIS_FIELDS)])
+    samples.attrs["units"] = json.dumps(
+        units_of(rec.axis_count) | {one.name: one.unit for one in rec.channels}
+    )
+    further = [[f"{name}.{k}" for name in AXIS_FIELDS] for k in range(1, rec.axis_count)]
+    samples.attrs["axes"] = json.dumps([list(AXIS_FIELDS), *further])
+    if rec.axis_names:
+        samples.attrs["axis_names"] = json.dumps(rec.axis_names)
+        samples.attrs["interface_names"] = json.dumps(rec.interface_names)
     samples.attrs["channels"] = json.dumps([asdict(channel) for channel in rec.channels])
     for name, values in _names().items():
         samples.attrs[name] = json.dumps(values)
@@ -502,7 +541,14 @@ def _load(file: Any, where: str, rows: bool) -> Recording:
         ),
         meta={k: plain(v) for k, v in file.attrs.items() if k not in ("schema", _CONVERTED)},
         version=int(file.attrs.get(_CONVERTED, version)),
+        axis_names=_texts(samples_set, "axis_names"),
+        interface_names=_texts(samples_set, "interface_names"),
     )
+
+
+def _texts(samples: Any, name: str) -> tuple[str, ...]:
+    told = plain(samples.attrs.get(name))
+    return tuple(map(str, told)) if isinstance(told, list) else ()
 
 
 def _channels(samples: Any) -> tuple[Channel, ...]:

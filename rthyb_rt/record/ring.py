@@ -33,7 +33,6 @@ from rthyb_rt import __version__
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core import (
     FLAGS,
-    RECORD_DTYPE,
     RUNNING,
     STATES,
     Channel,
@@ -215,10 +214,10 @@ class Ring:
         """
         if capacity < 1 or capacity & (capacity - 1):
             raise ValueError(f"capacity must be a power of two, got {capacity}")
-        dtype = row_dtype(session.channels)
+        dtype = row_dtype(session.channels, session.axis_count)
         about = json.dumps(_description(session)).encode()
         count = len(session.channels)
-        size = int(lib.rthyb_ring_bytes(capacity, len(about), count))
+        size = int(lib.rthyb_ring_bytes(capacity, len(about), session.axis_count, count))
         with ExitStack() as undo:
             path, fd = _reserve(folder)
             undo.callback(path.unlink, missing_ok=True)
@@ -232,7 +231,7 @@ class Ring:
             start = lib.rthyb_ring_about_at()
             memory[start : start + len(about)] = about
             core = ffi.new("rthyb_ring *")
-            lib.rthyb_ring_init(core, view, capacity, len(about), count)
+            lib.rthyb_ring_init(core, view, capacity, len(about), session.axis_count, count)
             undo.callback(session_path(path).unlink, missing_ok=True)
             # Last of all: whoever finds a session finds a ring beside it.
             _write_session(path, session)
@@ -257,7 +256,7 @@ class Ring:
         For exchange threads in Python; one thread at a time.
         """
         source, values = as_records(records), ffi.NULL
-        names = (self.dtype.names or ())[len(RECORD_DTYPE.names or ()) :]
+        names = (self.dtype.names or ())[len(as_records(records[:0]).dtype.names or ()) :]
         if names and records.dtype == self.dtype:
             channels = np.stack([records[name] for name in names], axis=-1)
             values = ffi.from_buffer("double[]", np.ascontiguousarray(channels, np.float64))
@@ -290,9 +289,9 @@ class Ring:
 def _description(session: Recording) -> dict[str, Any]:
     return {
         "rthyb_version": __version__,
-        "fields": _fields(session.channels),
+        "fields": _fields(session.channels, session.axis_count),
         "channels": [asdict(channel) for channel in session.channels],
-        "record_bytes": row_dtype(session.channels).itemsize,
+        "record_bytes": row_dtype(session.channels, session.axis_count).itemsize,
         "fs_hz": session.fs_hz,
         "boot_id": _boot_id(),
         "pid": os.getpid(),
@@ -300,9 +299,9 @@ def _description(session: Recording) -> dict[str, Any]:
     }
 
 
-def _fields(channels: Sequence[Channel]) -> list[dict[str, Any]]:
-    fields: Mapping[str, Any] = row_dtype(channels).fields or {}
-    units = recording.UNITS | {channel.name: channel.unit for channel in channels}
+def _fields(channels: Sequence[Channel], axis_count: int = 1) -> list[dict[str, Any]]:
+    fields: Mapping[str, Any] = row_dtype(channels, axis_count).fields or {}
+    units = recording.units_of(axis_count) | {channel.name: channel.unit for channel in channels}
     return [
         {"name": name, "type": field[0].str, "offset": field[1], "unit": units[name]}
         for name, field in fields.items()
@@ -353,7 +352,9 @@ def _take_memory(fd: int, path: Path, size: int) -> mmap.mmap:
 
 
 def _write_session(ring: Path, session: Recording) -> None:
-    bare = replace(session, samples=np.zeros(0, dtype=row_dtype(session.channels)))
+    bare = replace(
+        session, samples=np.zeros(0, dtype=row_dtype(session.channels, session.axis_count))
+    )
     recording.write(session_path(ring), bare)
     session_path(ring).chmod(_MODE)
 
@@ -513,10 +514,16 @@ def _about(memory: mmap.mmap, path: Path, refused: int) -> tuple[dict[str, Any],
     ffi.release(header)
     with suppress(KeyError, TypeError, ValueError):
         channels = tuple(Channel(**one) for one in about.get("channels", ()))
-        dtype = row_dtype(channels)
-        if about.get("fields") == _fields(channels) and dtype.itemsize == row_bytes:
+        axis_count = _axes_of(about)
+        dtype = row_dtype(channels, axis_count)
+        if about.get("fields") == _fields(channels, axis_count) and dtype.itemsize == row_bytes:
             return about, dtype
     raise OtherVersionError(f"the ring{writer} has other fields; {_OTHER_VERSION}", str(path))
+
+
+def _axes_of(about: Mapping[str, Any]) -> int:
+    """Return of how many axes the rows of a ring are, by its description."""
+    return sum(str(field["name"]).partition(".")[0] == "x_cmd_m" for field in about["fields"]) or 1
 
 
 def _description_in(memory: mmap.mmap) -> tuple[int, dict[str, Any]]:

@@ -69,6 +69,7 @@ def render(rec: Recording) -> str:
         notes=[notice for notice in told if notice.level == "note"],
         pairs=_pairs(summary),
         rows=_rest(summary),
+        steps=_steps(summary),
         sheets=sheets(draw_all(rec, summary)),
         motion=_named(rec.ground_motion, _MOTION_NAMES),
         versions=_named(rec.meta | _commissioned(rec.meta), _META_NAMES),
@@ -91,7 +92,25 @@ def _pairs(s: Summary) -> list[tuple[str, str, str]]:
 
 def _rest(s: Summary) -> list[tuple[str, str, str]]:
     """Return the rows of the result table that the pairs do not show."""
-    return [row for row in table(s) if not row.label.startswith(("Tracking,", "Response"))]
+    told = ("Tracking,", "Response", "Loops at")
+    return [row for row in table(s) if not row.label.startswith(told)]
+
+
+def _steps(s: Summary) -> list[tuple[str, ...]]:
+    """Return what each amplitude of a prescribed history has shown."""
+    return [
+        (
+            quantity(one.amplitude_m, "mm", 1e3),
+            str(len(one.loops)),
+            quantity(one.first.upper[1], "kN", 1e-3),
+            quantity(one.first.lower[1], "kN", 1e-3),
+            quantity(one.last.secant_n_per_m, "kN/m", 1e-3),
+            quantity(one.first.energy_j, "J"),
+            quantity(one.last.energy_j, "J"),
+            percent(one.last.damping_ratio),
+        )
+        for one in s.loops
+    ]
 
 
 def _named(values: dict[str, Any], names: dict[str, str]) -> list[tuple[str, str]]:

@@ -156,10 +156,12 @@ def curve(
 def loop(
     axes: Axes, x: Floats, y: Floats, colour: str, width: float, label: str = "", *,
     x_limit: float, y_limit: float, cells: int = LOOP_CELLS,
+    dashes: tuple[float, float] | None = None,
 ) -> None:  # fmt: skip
     """Draw a curve that turns back on itself, in a frame of ``limit`` either side of zero."""
     x, y = trace(clip(x, x_limit), clip(y, y_limit), 2 * x_limit, 2 * y_limit, cells)
-    axes.plot(x, y, color=colour, linewidth=width, label=label)
+    kind: dict[str, Any] = {"dashes": dashes} if dashes else {}
+    axes.plot(x, y, color=colour, linewidth=width, label=label, **kind)
 
 
 def tiles(axes: Axes, xs: Floats, ys: Floats, kind: NDArray[np.int_], colours: list[str]) -> None:

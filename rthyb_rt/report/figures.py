@@ -20,7 +20,9 @@ from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.core.laws import law_value
 from rthyb_rt.numbers import number, quantity
 from rthyb_rt.record.recording import Recording
+from rthyb_rt.report import cyclic, frequency
 from rthyb_rt.report import drawing as draw
+from rthyb_rt.report import energy as of_energy
 from rthyb_rt.report import structure as of_structure
 from rthyb_rt.report.decimate import robust_limit
 
@@ -34,17 +36,25 @@ def draw_all(rec: Recording, summary: Summary) -> list[draw.Plate]:
     """Return the figures of a recording in the order of the report."""
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
         figures = _Figures(rec, summary)
+        history = bool(summary.setup.history)
         plates = [
             figures.displacement(),
             figures.peak(),
             figures.hysteresis(),
             figures.tracking_error(),
-            figures.response(),
+            figures.synchronisation(),
+            figures.transfer(),
+            None if history else figures.force(),
+            None if history else figures.response(),
             figures.accumulated_error(),
-            figures.energy(),
-            figures.delay(),
-            figures.stiffness(),
+            None if history else figures.energy(),
+            None if history else figures.balance(),
+            figures.spectra(),
+            None if history else figures.response_spectrum(),
+            None if history and not summary.setup.plc_enabled else figures.delay(),
+            None if history else figures.stiffness(),
         ]
+        plates += cyclic.plates(rec, summary.loops)
         structure = recorded_structure(rec)
         if structure is not None:
             plates += of_structure.plates(rec, structure)
@@ -73,7 +83,7 @@ class _Figures:
         self.x_num = samples["x_num_m"] * 1e3
         self.x_cmd = samples["x_cmd_m"] * 1e3
         self.x_meas = samples["x_meas_m"] * 1e3
-        self.force = samples["f_meas_n"] * 1e-3
+        self.force_kn = samples["f_meas_n"] * 1e-3
         self.pair = reference_pair(rec)
         # On all rows, with a gap where the reference simulation has nothing to say.
         self.x_ref = np.full(self.t.shape, np.nan)
@@ -100,12 +110,11 @@ class _Figures:
     # --- figures ------------------------------------------------------------------------------
 
     def displacement(self) -> draw.Plate:
-        paper = draw.Paper("displacement", draw.FULL_WIDTH_IN, (0.5, 1.6))
-        ground, axes = paper.axes
-        g = self.rec.samples["ag_mps2"] / 9.80665
-        draw.curve(ground, self.t, g, draw.GREY, 0.6)
-        draw.symmetric(ground, robust_limit(g), margin=1.1, ticks=2)
-        draw.head(ground, "ground acceleration, g")
+        heights = (1.6,) if self.s.setup.history else (0.5, 1.6)
+        paper = draw.Paper("displacement", draw.FULL_WIDTH_IN, heights)
+        axes = paper.axes[-1]
+        if not self.s.setup.history:
+            self._ground(paper.axes[0])
         axes.axvspan(*self.window, color="#fbf0d9", linewidth=0)
         compensated = self.s.setup.plc_enabled
         if compensated:
@@ -149,7 +158,7 @@ class _Figures:
         paper = draw.Paper("hysteresis", draw.HALF_WIDTH_IN, (1.9,), bottom_in=draw.LEGEND_IN)
         (axes,) = paper.axes
         x = np.where(self.running, self.x_meas, np.nan)
-        f = np.where(self.running, self.force, np.nan)
+        f = np.where(self.running, self.force_kn, np.nan)
         k_e = self.s.setup.k_e_n_per_m
         f_anchor = self.x_anchor * k_e * 1e-6 if self.x_anchor and k_e else None
         x_limit, f_limit = self.x_limit, robust_limit(f, anchor=f_anchor)
@@ -188,6 +197,57 @@ class _Figures:
         difference = quantity(self.s.tracking_peak_difference_m, "mm", 1e3)
         note = f"Largest difference {difference}." + _cut(error, limit) + marked
         return paper.plate("Tracking error", note)
+
+    def synchronisation(self) -> draw.Plate:
+        paper = draw.Paper("synchronisation", draw.HALF_WIDTH_IN, (2.44,), bottom_in=draw.LEGEND_IN)
+        (axes,) = paper.axes
+        x = np.where(self.running, self.x_num, np.nan)
+        y = np.where(self.running, self.x_meas, np.nan)
+        limit = self.x_limit
+        axes.plot([-limit, limit], [-limit, limit], color=draw.RED, linewidth=0.7, dashes=(5, 2))
+        draw.loop(axes, x, y, draw.BLUE, 0.5, x_limit=limit, y_limit=limit)
+        axes.set_xlim(-1.08 * limit, 1.08 * limit)
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        draw.symmetric(axes, limit)
+        draw.head(axes, "measured displacement, mm")
+        draw.x_label(axes, "command, mm")
+        note = (
+            "Measured displacement over command: on the dashed line the specimen is where it "
+            "should be; a loop is a delay, another slope an amplitude error."
+        )
+        return paper.plate("Synchronisation subspace", note)
+
+    def force(self) -> draw.Plate:
+        paper = draw.Paper("force", draw.FULL_WIDTH_IN, (1.3,))
+        (axes,) = paper.axes
+        k_e = self.s.setup.k_e_n_per_m
+        anchor = self.x_anchor * k_e * 1e-6 if self.x_anchor and k_e else None
+        shown, order, beside = [self.force_kn], None, ""
+        draw.curve(axes, self.t, self.force_kn, draw.BLUE, 1.2, "measured")
+        if self.rec.reference is not None and self.pair is not None:
+            f_ref = np.full(self.t.shape, np.nan)
+            rows = self.pair[0]
+            f_ref[rows] = self.rec.reference["f_ref_n"][: rows.size] * 1e-3
+            draw.curve(axes, self.t, f_ref, draw.BLACK, 0.5, "reference simulation")
+            shown, order, beside = [*shown, f_ref], (1, 0), " beside that of the reference"
+        draw.symmetric(axes, max(robust_limit(*shown, anchor=anchor), 1e-6))
+        draw.head(axes, "force, kN", order=order)
+        self._states(axes)
+        self._time_axis(axes)
+        peak = quantity(self.s.peak_force_n, "kN", 1e-3)
+        return paper.plate("Force of the specimen", f"Measured{beside}; largest {peak}.")
+
+    def transfer(self) -> draw.Plate:
+        return frequency.transfer(self.rec, self.s)
+
+    def spectra(self) -> draw.Plate:
+        return frequency.spectra(self.rec)
+
+    def response_spectrum(self) -> draw.Plate:
+        return frequency.response_spectrum(self.rec)
+
+    def balance(self) -> draw.Plate:
+        return of_energy.balance(self.rec, self.s)
 
     def response(self) -> draw.Plate:
         title = "Response against the reference simulation"
@@ -358,6 +418,13 @@ class _Figures:
         return paper.plate(title, note)
 
     # --- parts --------------------------------------------------------------------------------
+
+    def _ground(self, axes: Axes) -> None:
+        # What a slow test has in its laboratory is less, by the square of its time scale.
+        g = self.rec.samples["ag_mps2"] / 9.80665 * self.s.setup.time_scale**2
+        draw.curve(axes, self.t, g, draw.GREY, 0.6)
+        draw.symmetric(axes, robust_limit(g), margin=1.1, ticks=2)
+        draw.head(axes, "ground acceleration, g")
 
     def _time_axis(self, axes: Axes) -> None:
         """Give the axis of time its range and label."""

@@ -197,7 +197,7 @@ def identify(rig: RigFile, sweep: Sweep | None = None, progress: Progress | None
         RthybError: the rig does not come to rest.
     """
     sweep = sweep or Sweep()
-    _check(sweep)
+    check(sweep)
     motion, parts = _motion(sweep)
     setup = experiment.prescribed(rig, motion.name, motion.path_m)
     return _found(rig, Moved(virtual_time.run(setup, progress)), parts)
@@ -229,7 +229,7 @@ def identify_live(
         RthybError: as in `rthyb_rt.rig.commissioning.moving.carry_out`.
     """
     sweep = sweep or Sweep()
-    _check(sweep)
+    check(sweep)
     moving.check_limits(connection.rig)
     moving.check_distance(connection.rig, sweep.amplitude_m)
     motion, parts = _motion(sweep)
@@ -257,6 +257,24 @@ def _found(rig: RigFile, moved: Moved, parts: list[Part]) -> Result:
     _check_read(signals, parts)
     found = _result(rig, signals, parts, (moved.start_m, moved.start_n))
     return replace(found, left_out=int(np.count_nonzero(~signals.read)))
+
+
+def result_of(
+    rig: RigFile, command_m: Floats, x_m: Floats, f_n: Floats, parts: list[Part]
+) -> Result:
+    """Return what a sweep showed of which every row has a reading of its own.
+
+    Args:
+        rig: for messages.
+        command_m, x_m, f_n: of the sweep, (n,) each: a row's reading was latched when its command
+            was applied.
+        parts: of `command_of`.
+
+    Raises:
+        InputError: the rig did not follow.
+    """
+    read = np.ones(command_m.size, np.bool_)
+    return _result(rig, _Signals(command_m, x_m, f_n, read), parts, (0.0, 0.0))
 
 
 def _result(
@@ -314,38 +332,43 @@ def identified_rig(rig: RigFile, result: Result) -> RigFile:
     Raises:
         InputError: a figure that a rig file does not allow.
     """
-    found = Identified.model_construct(
-        alpha=max(_rounded(result.alpha), 0.0),
-        delay_s=max(_rounded(result.delay_s), 0.0),
-        gain=_rounded(result.gain),
-        rest_noise_displacement_m=_rounded(result.rest_noise_m, 3),
-        rest_noise_force_n=_rounded(result.rest_noise_n, 3),
-        date=datetime.datetime.now(datetime.UTC).date().isoformat(),
-        frequency_hz=[tone.frequency_hz for tone in result.tones],
-        amplitude=[_rounded(tone.gain) for tone in result.tones],
-        delay_at_frequency_s=[max(_rounded(tone.delay_s), 0.0) for tone in result.tones],
-        force_in_phase_n_per_m=[_rounded(tone.force_in_phase_n_per_m) for tone in result.tones],
-        force_in_quadrature_n_per_m=[
-            _rounded(tone.force_in_quadrature_n_per_m) for tone in result.tones
-        ],
-        roll_off_hz=_roll_off(result.resonance_hz),
-    )
-    info = rig.rig.model_copy(update={"elastic_stiffness_n_per_m": _rounded(result.k_e_n_per_m)})
-    filled = rig.model_copy(update={"rig": info, "identified": found})
+    info = rig.rig.model_copy(update={"elastic_stiffness_n_per_m": rounded(result.k_e_n_per_m)})
+    filled = rig.model_copy(update={"rig": info, "identified": section_of(result)})
     # Read back, so that whatever is written is a rig file.
     return parse_rig(dump(filled), "identified rig")
 
 
+def section_of(result: Result) -> Identified:
+    """Return the section ``identified`` of a rig file; what it holds has not been checked."""
+    return Identified.model_construct(
+        alpha=max(rounded(result.alpha), 0.0),
+        delay_s=max(rounded(result.delay_s), 0.0),
+        gain=rounded(result.gain),
+        rest_noise_displacement_m=rounded(result.rest_noise_m, 3),
+        rest_noise_force_n=rounded(result.rest_noise_n, 3),
+        date=datetime.datetime.now(datetime.UTC).date().isoformat(),
+        frequency_hz=[tone.frequency_hz for tone in result.tones],
+        amplitude=[rounded(tone.gain) for tone in result.tones],
+        delay_at_frequency_s=[max(rounded(tone.delay_s), 0.0) for tone in result.tones],
+        force_in_phase_n_per_m=[rounded(tone.force_in_phase_n_per_m) for tone in result.tones],
+        force_in_quadrature_n_per_m=[
+            rounded(tone.force_in_quadrature_n_per_m) for tone in result.tones
+        ],
+        roll_off_hz=_roll_off(result.resonance_hz),
+    )
+
+
 def _roll_off(resonance_hz: float | None) -> float | None:
-    return None if resonance_hz is None else _rounded(response.BELOW * resonance_hz, 3)
+    return None if resonance_hz is None else rounded(response.BELOW * resonance_hz, 3)
 
 
-def _rounded(value: float, digits: int = 4) -> float:
+def rounded(value: float, digits: int = 4) -> float:
     """As many digits as a sweep is good for; noise has fewer."""
     return float(f"{value:.{digits}g}")
 
 
-def _check(sweep: Sweep) -> None:
+def check(sweep: Sweep) -> None:
+    """Refuse a sweep that cannot be run; raises ``InputError``."""
     bad = [f for f in sweep.frequencies_hz if not 0.05 <= f <= HIGHEST_HZ]
     if bad or not sweep.frequencies_hz:
         found = ", ".join(f"{f:g} Hz" for f in bad) or "none"

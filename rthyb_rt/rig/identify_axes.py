@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import datetime
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
+from rthyb_rt.config import AxesRig, dump, parse_any_rig
+from rthyb_rt.config.axesfile import JointIdentified
 from rthyb_rt.config.matrix_response import MatrixResponse
-from rthyb_rt.rig.identify import REST_S, Sweep, command_of, phasor
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import axes_rig
+from rthyb_rt.rig.identify import (
+    LOW_FREQUENCY_HZ,
+    REST_S,
+    Part,
+    Progress,
+    Result,
+    Sweep,
+    check,
+    command_of,
+    phasor,
+    result_of,
+    rounded,
+    section_of,
+)
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +45,175 @@ def sweep_of(amplitude_m: float = 2e-3) -> Sweep:
     return Sweep(FREQUENCIES_HZ, amplitude_m)
 
 
+@dataclass(frozen=True, eq=False)
+class AxesResult:
+    """What an identification of several axes found.
+
+    Attributes:
+        response: the matrix of frequency responses, and each reading's noise at rest.
+        axes: each axis by itself, as of a rig of one, the others holding still.
+        stiffness: of the specimen along the interface, by the slow sines, symmetric, (n, n).
+        asymmetry: largest difference of two numbers that should be the same, of the largest.
+    """
+
+    response: MatrixResponse
+    axes: tuple[Result, ...]
+    stiffness: Floats
+    asymmetry: float
+
+
+SLOW_HZ: Final = LOW_FREQUENCY_HZ
+
+
+def identify_rig(
+    rig: AxesRig, sweep: Sweep | None = None, progress: Progress | None = None
+) -> AxesResult:
+    """Sweep every axis of the virtual rig in turn while the others hold still.
+
+    Args:
+        rig: the rig file.
+        sweep: of each axis; the usual one by default.
+        progress: called with (ticks done, ticks of all sweeps) after each.
+
+    Raises:
+        InputError: a sweep that cannot be run, a limit or range that it meets, an axis that does
+            not follow.
+    """
+    sweep = sweep or sweep_of()
+    check(sweep)
+    command, parts = command_of(sweep)
+    n, names = len(rig.axis), rig.names
+    virtual = axes_rig.virtual_rig(rig)
+    rest = slice(round(0.2 * core.FS_HZ), round(REST_S * core.FS_HZ))
+    moved, pushed, found = list[Floats](), list[Floats](), list[Result]()
+    for column, name in enumerate(names):
+        commands = np.zeros((command.size, n))
+        commands[:, column] = command
+        x, f = virtual.run(commands)
+        _check_within(rig, name, commands, x, f)
+        moved.append(x - x[rest].mean(axis=0))
+        pushed.append(f - f[rest].mean(axis=0))
+        own = result_of(rig.of_axis(name), command, x[:, column], f[:, column], parts)
+        found.append(own)
+        if progress is not None:
+            progress((column + 1) * command.size, n * command.size)
+    response = response_of(command, parts, moved, rest)
+    stiffness, asymmetry = _stiffness(rig, parts, moved, pushed)
+    return AxesResult(response, tuple(found), stiffness, asymmetry)
+
+
+def _check_within(rig: AxesRig, moving: str, u: Floats, x: Floats, f: Floats) -> None:
+    """Refuse a sweep in which an axis met the end of a sensor, or a limit of its own."""
+    for i, axis in enumerate(rig.axis):
+        own, sensors = rig.of_axis(axis.name).limits, axis.sensors
+        position, force = own.command_position_m, own.force_n
+        h = core.PERIOD_S
+        velocity = own.command_velocity_m_per_s
+        met = [
+            ("displacement", x[:, i], sensors.displacement.range_m, "m", "sensor's range"),
+            ("force", f[:, i], sensors.force.range_n, "N", "load cell's range"),
+            ("command", u[:, i], position.value if position else None, "m", "position limit"),
+            ("force", f[:, i], force.value if force and force.acts else None, "N", "force limit"),
+            (
+                "command's velocity", np.diff(u[:, i]) / h,
+                velocity.value if velocity and velocity.enable else None, "m/s", "velocity limit",
+            ),
+            (
+                "command's acceleration", np.diff(u[:, i], 2) / h**2,
+                own.command_acceleration_m_per_s2, "m/s^2", "acceleration limit",
+            ),
+        ]  # fmt: skip
+        for what, values, limit, unit, name in met:
+            peak = float(np.abs(values).max())
+            if limit is not None and peak >= limit:
+                raise InputError(
+                    f"the {what} of axis {axis.name} reaches {peak:.3g} {unit} while axis {moving} "
+                    f"is swept; its {name} is {limit:g} {unit}: identify with a smaller amplitude "
+                    "(--amplitude), or up to a lower frequency",
+                    "identify",
+                )
+
+
+def response_of(
+    command: Floats, parts: list[Part], moved: Sequence[Floats], rest: slice
+) -> MatrixResponse:
+    """Return the matrix of responses of sweeps of one axis after the other.
+
+    Args:
+        command: of the axis that moves, (n,).
+        parts: its sines.
+        moved: readings of each sweep, (n, axes) each.
+        rest: rows in which nothing moves.
+    """
+    axes, read = len(moved), np.ones(command.size, np.bool_)
+    found = np.zeros((len(parts), axes, axes), np.complex128)
+    noise = np.zeros(axes)
+    for column, readings in enumerate(moved):
+        noise += readings[rest].var(axis=0, ddof=1) / axes
+        for k, part in enumerate(parts):
+            told, _ = phasor(part, command, read)
+            for row in range(axes):
+                found[k, row, column] = phasor(part, readings[:, row], read)[0] / told
+    return MatrixResponse(np.array([p.frequency_hz for p in parts]), found, np.sqrt(noise))
+
+
+def _stiffness(
+    rig: AxesRig, parts: list[Part], moved: Sequence[Floats], pushed: Sequence[Floats]
+) -> tuple[Floats, float]:
+    """Return the stiffness along the interface: forces over displacements of the slow sines."""
+    axes, read = len(moved), np.ones(len(moved[0]), np.bool_)
+    slow = [part for part in parts if part.frequency_hz <= SLOW_HZ] or parts[:1]
+    by_axis = np.zeros((axes, axes))
+    for part in slow:
+        x, f = (
+            np.array([[phasor(part, run[:, i], read)[0] for run in runs] for i in range(axes)])
+            for runs in (moved, pushed)
+        )
+        by_axis += np.real(f @ np.linalg.inv(x)) / len(slow)
+    jacobian = rig.core_kinematics().jacobian()
+    along = jacobian.T @ by_axis @ jacobian
+    apart = float(np.abs(along - along.T).max() / np.abs(along).max())
+    return 0.5 * (along + along.T), apart
+
+
+def identified_rig(rig: AxesRig, result: AxesResult) -> AxesRig:
+    """Return the rig file with what was found of the axes and of all of them together.
+
+    Raises:
+        InputError: a figure that a rig file does not allow, such as a stiffness that does not hold
+            every direction.
+    """
+    axes = [
+        axis.model_copy(update={"identified": section_of(own)})
+        for axis, own in zip(rig.axis, result.axes, strict=True)
+    ]
+
+    def rows(matrix: Floats, digits: int = 5) -> list[list[float]]:
+        return [[rounded(float(v), digits) for v in row] for row in matrix]
+
+    found = JointIdentified.model_construct(
+        frequency_hz=result.response.frequency_hz.tolist(),
+        real=[rows(one.real) for one in result.response.response],
+        imaginary=[rows(one.imag) for one in result.response.response],
+        rest_noise_displacement_m=[rounded(float(v), 3) for v in result.response.rest_noise_m],
+        date=datetime.datetime.now(datetime.UTC).date().isoformat(),
+    )
+    info = rig.rig.model_copy(update={"elastic_stiffness": rows(result.stiffness)})
+    filled = rig.model_copy(update={"rig": info, "axis": axes, "identified": found})
+    again = parse_any_rig(dump(filled), "identified rig")
+    assert isinstance(again, AxesRig)
+    return again
+
+
+def response_of_rig(found: JointIdentified) -> MatrixResponse:
+    """Return the matrix of responses that a rig file holds."""
+    return MatrixResponse(
+        np.array(found.frequency_hz),
+        np.array(found.real) + 1j * np.array(found.imaginary),
+        np.array(found.rest_noise_displacement_m),
+    )
+
+
 def identify_axes(
     move: Callable[[Floats], Floats], axes: int, sweep: Sweep | None = None
 ) -> MatrixResponse:
@@ -39,17 +227,10 @@ def identify_axes(
     """
     sweep = sweep or sweep_of()
     command, parts = command_of(sweep)
-    read = np.ones(command.size, np.bool_)
     rest = slice(round(0.2 * core.FS_HZ), round(REST_S * core.FS_HZ))
-    found = np.zeros((len(parts), axes, axes), np.complex128)
-    noise = np.zeros(axes)
+    moved = []
     for column in range(axes):
         commands = np.zeros((command.size, axes))
         commands[:, column] = command
-        readings = move(commands)
-        noise += readings[rest].var(axis=0, ddof=1) / axes
-        for k, part in enumerate(parts):
-            told, _ = phasor(part, command, read)
-            for row in range(axes):
-                found[k, row, column] = phasor(part, readings[:, row], read)[0] / told
-    return MatrixResponse(np.array(sweep.frequencies_hz), found, np.sqrt(noise))
+        moved.append(move(commands))
+    return response_of(command, parts, moved, rest)

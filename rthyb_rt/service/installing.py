@@ -21,6 +21,9 @@ PLACES: Final[dict[str, str]] = {
     "rthyb.tmpfiles": "etc/tmpfiles.d/rthyb.conf",
     "70-rthyb.rules": "etc/udev/rules.d/70-rthyb.rules",
     "rthyb.bash-completion": "usr/share/bash-completion/completions/rthyb",
+    "rthyb.zsh-completion": "usr/share/zsh/vendor-completions/_rthyb",
+    "rthyb.fish-completion": "usr/share/fish/vendor_completions.d/rthyb.fish",
+    "rthyb.1": "usr/share/man/man1/rthyb.1",
 }
 """Where each file goes, below the root of the system."""
 

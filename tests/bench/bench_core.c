@@ -40,8 +40,15 @@ typedef struct {
 
 static signals sig;
 static double excitation[LONGEST_S * FS_HZ];
-static rthyb_record records[LONGEST_S * FS_HZ];
+static rthyb_record made[SAMPLES];
+static double rows[LONGEST_S * FS_HZ][RTHYB_TEST_WORDS + RTHYB_AXIS_WORDS];
 static int first_row = 1;
+
+/* Of one axis: a record up to its first axis. */
+static const rthyb_record *row(size_t i)
+{
+    return (const rthyb_record *)(const void *)rows[i];
+}
 
 static double now_ns(void)
 {
@@ -172,16 +179,18 @@ static void set_up_controller(rthyb_controller *controller, int which)
     rthyb_controller_config cfg = {
         .period_s = PERIOD_S,
         .lead_enabled = compensated,
-        .law = law_example(CONTROLLERS[which].name, 17.0),
-        .rfc = rfc_config(CONTROLLERS[which].tangent, 51),
+        .axis_count = 1,
+        .interface_count = 1,
+        .axis = {{.law = law_example(CONTROLLERS[which].name, 17.0),
+                  .x_range_m = 0.075,
+                  .f_range_n = 25e3}},
+        .rfc = {rfc_config(CONTROLLERS[which].tangent, 51)},
         .motion = motion_config(RTHYB_CENTRAL_DIFFERENCE),
-        .x_range_m = 0.075,
-        .f_range_n = 25e3,
     };
-    cfg.rfc.enabled = compensated;
-    law_set(&cfg.law, "delay_estimator.memory_s", 6.0);
+    cfg.rfc[0].enabled = compensated;
+    law_set(&cfg.axis[0].law, "delay_estimator.memory_s", 6.0);
     if (which == ALPHA_BETA)
-        law_set(&cfg.law, "beta0", 144.5);
+        law_set(&cfg.axis[0].law, "beta0", 144.5);
     must(rthyb_controller_init(controller, &cfg), "controller");
 }
 
@@ -204,22 +213,23 @@ static void record(loop *l, int which)
     int32_t status;
     set_up_controller(&l->controller, which);
     set_up_rig(&l->rig, RTHYB_SERVO_HYDRAULIC, 1, 0);
-    rthyb_run_virtual(&l->controller, &l->rig, excitation, LONGEST_S * FS_HZ, SETTLE, records,
+    rthyb_run_virtual(&l->controller, &l->rig, excitation, LONGEST_S * FS_HZ, SETTLE, rows,
                       &status);
     loop go_on = *l;
     const size_t done = rthyb_run_virtual(&go_on.controller, &go_on.rig, excitation,
-                                          LONGEST_S * FS_HZ, SAMPLES, records, &status);
+                                          LONGEST_S * FS_HZ, SAMPLES, rows, &status);
     must(done != SAMPLES, "the recorded test");
     for (size_t i = 0; i < SAMPLES; i++) {
-        const rthyb_record *r = &records[i];
-        sig.input[i] = (rthyb_input){r->axis[0].x_meas_m, r->axis[0].f_meas_n, r->ag_mps2, 0};
+        const rthyb_record *r = row(i);
+        sig.input[i] = (rthyb_input){.axis = {{r->axis[0].x_meas_m, r->axis[0].f_meas_n, 0}},
+                                     .excitation = r->ag_mps2};
     }
 }
 
 static void spread_signals(void)
 {
     for (size_t i = 0; i < SAMPLES; i++) {
-        const rthyb_record *r = &records[i];
+        const rthyb_record *r = row(i);
         sig.x_num[i] = r->x_num_m;
         sig.x_cmd[i] = r->axis[0].x_cmd_m;
         sig.x_meas[i] = r->axis[0].x_meas_m;
@@ -268,7 +278,7 @@ static void run_rig(void *kernel)
 static void run_controller(void *kernel)
 {
     for (size_t i = 0; i < SAMPLES; i++)
-        rthyb_controller_step(kernel, &sig.input[i], &records[i]);
+        rthyb_controller_step(kernel, &sig.input[i], &made[i]);
 }
 
 static void time_controllers(loop *l)
@@ -389,7 +399,7 @@ static void time_test(const char *group, const char *name, int which, enum rthyb
         set_up_rig(&l.rig, kind, kind == RTHYB_SERVO_HYDRAULIC, inelastic);
         const double start = now_ns();
         const size_t done =
-            rthyb_run_virtual(&l.controller, &l.rig, excitation, n, n, records, &status);
+            rthyb_run_virtual(&l.controller, &l.rig, excitation, n, n, rows, &status);
         if (i >= 0)
             ns[i] = now_ns() - start;
         must(done != n, name);

@@ -25,7 +25,10 @@
 
 enum { ROWS_MAX = 1 << 15, SETS_MAX = 256, LOOP_SHARE = 12, FAULTS_MAX = 8, SHOWN_MAX = 1 << 15 };
 
-static rthyb_record rows[ROWS_MAX], again[ROWS_MAX];
+static rthyb_record rows[ROWS_MAX];
+/* Of one axis: a record up to its first axis. */
+static uint64_t packed[ROWS_MAX][RTHYB_TEST_WORDS + RTHYB_AXIS_WORDS];
+static uint64_t again[ROWS_MAX][RTHYB_TEST_WORDS + RTHYB_AXIS_WORDS];
 static size_t row_count;
 static rthyb_parameters sets[SETS_MAX];
 static size_t set_count;
@@ -152,24 +155,26 @@ static const char *first_difference(const rthyb_record *a, const rthyb_record *b
 
 static void judge_replay(episode *e)
 {
-    const rthyb_replay source = {.rows = rows,
+    const rthyb_replay source = {.rows = packed,
                                  .count = row_count,
                                  .ag_mps2 = e->ag_mps2,
                                  .ag_count = e->ag_count,
-                                 .codec = e->coded ? &e->codec : NULL,
-                                 .calibration = e->calibration,
+                                 .axis = {{e->coded ? &e->codec : NULL, e->calibration}},
                                  .parameters = sets,
                                  .parameter_count = set_count};
+    for (size_t i = 0; i < row_count; i++)
+        memcpy(packed[i], &rows[i], sizeof packed[i]);
     const size_t made = rthyb_station_replay(&e->first, &source, again);
     size_t same = 0;
-    while (same < made && memcmp(&rows[same], &again[same], sizeof rows[same]) == 0)
+    while (same < made && memcmp(packed[same], again[same], sizeof packed[same]) == 0)
         same++;
+    const rthyb_record *other = (const rthyb_record *)(const void *)again[same];
     if (shown && same < row_count)
         printf("replay: %zu rows of %zu, row %zu (coded %d) departs in %s: tick %" PRIu64
                " x_cmd %.17g %.17g flags %x %x\n",
-               made, row_count, same, e->coded, first_difference(&rows[same], &again[same]),
-               rows[same].tick, rows[same].axis[0].x_cmd_m, again[same].axis[0].x_cmd_m,
-               rows[same].flags, again[same].flags);
+               made, row_count, same, e->coded, first_difference(&rows[same], other),
+               rows[same].tick, rows[same].axis[0].x_cmd_m, other->axis[0].x_cmd_m,
+               rows[same].flags, other->flags);
     must(&e->o, RULE_REPLAY, same == row_count, (double)same, (double)row_count);
 }
 
@@ -183,10 +188,11 @@ static void show(const episode *e, const event *v)
            " %d>%d cmd %d%s skip %u lost %d down %d stop %d late %d beyond %d | x %.9g f "
            "%.9g | num %.9g plc %.9g cmd %.9g -> %.9g%s | step %.3g flags %x code %x cause %d\n",
            e->o.tick, v->was, v->is, v->in.command, v->refused ? "!" : "", v->in.skipped,
-           v->in.lost, v->in.link_down, v->in.drive_stopped, v->in.heartbeat_late, v->in.beyond,
-           v->in.axis[0].x_m - s->axis[0].tare_x, v->in.axis[0].f_n - s->axis[0].tare_f, r->x_num_m,
-           r->x_plc_m, r->axis[0].x_cmd_m, v->at_drive_m, v->sent ? "" : " unsent", e->o.step_m,
-           r->flags & 0x801fff, r->code, s->cause);
+           v->in.axis[0].lost, v->in.axis[0].link_down, v->in.axis[0].drive_stopped,
+           v->in.heartbeat_late, v->in.axis[0].beyond, v->in.axis[0].x_m - s->axis[0].tare_x,
+           v->in.axis[0].f_n - s->axis[0].tare_f, r->x_num_m, r->x_plc_m, r->axis[0].x_cmd_m,
+           v->at_drive_m, v->sent ? "" : " unsent", e->o.step_m, r->flags & 0x801fff, r->code,
+           s->cause);
 }
 
 static void judge(episode *e, const event *v)
@@ -257,7 +263,7 @@ static int pass_on(episode *e, plain_drive *p, const rthyb_station_output *out, 
     const int sent = !unsent && !(code & RTHYB_S_NOT_FINITE);
     p->beyond =
         (isnan(wanted_m) && isfinite(out->axis[0].x_cmd_m)) || (code & RTHYB_S_OUT_OF_RANGE);
-    note_command(&e->station, &e->calibration, sent, wire_m);
+    note_command(&e->station, 0, &e->calibration, sent, wire_m);
     if (sent)
         drive_hears(p, &e->w, out->told, command_from_wire(&e->calibration, wire_m));
     return sent;
@@ -273,9 +279,10 @@ static void adopt(episode *e)
     sets[set_count++] = p;
     const int taken = rthyb_station_adopt(&e->station, &p);
     const rthyb_station_config *after = &e->station.cfg;
-    const int whole_set = memcmp(after->watch, p.watch, sizeof p.watch) == 0 &&
-                          after->controller.velocity_limit_m_per_s == p.velocity_limit_m_per_s &&
-                          after->path_velocity_m_per_s == p.path_velocity_m_per_s;
+    const int whole_set =
+        memcmp(after->watch, p.watch, sizeof p.watch) == 0 &&
+        after->controller.axis[0].velocity_limit_m_per_s == p.velocity_limit_m_per_s &&
+        after->path_velocity_m_per_s == p.path_velocity_m_per_s;
     must(&e->o, RULE_PARAMETERS,
          taken ? whole_set
                : memcmp(after, &before, sizeof before) == 0 && e->station.state != RTHYB_IDLE,
@@ -298,7 +305,7 @@ static void judge_refusal(episode *e, const event *v, const rthyb_station_output
                      (a->flags & mask) == (b->flags & mask) && a->x_num_m == b->x_num_m &&
                      e->twin.cause == e->station.cause && e->twin.in_state == e->station.in_state &&
                      e->twin.leg == e->station.leg && e->twin.zeroing == e->station.zeroing &&
-                     e->twin.path.ticks == e->station.path.ticks &&
+                     e->twin.path[0].ticks == e->station.path[0].ticks &&
                      e->twin.axis[0].tare_x == e->station.axis[0].tare_x;
     must(&e->o, RULE_REFUSED, same, v->in.command, v->was);
 }
@@ -315,8 +322,8 @@ static void tick_alone(episode *e, plain_drive *p)
     suffer_all(d, &e->t, &e->w.size, &e->station.cfg, &around);
     if (in->skipped)
         drive_ticks(e, p, in->skipped, &(double){0.0}, &(double){0.0});
-    in->drive_stopped = in->drive_stopped || (p->tells && !p->follows);
-    in->beyond = p->beyond;
+    in->axis[0].drive_stopped = in->axis[0].drive_stopped || (p->tells && !p->follows);
+    in->axis[0].beyond = p->beyond;
     in->taken_over = p->taken_over && !e->station.seen;
     in->axis[0].x_cmd_m = p->taken_m;
     const int was = e->station.state;
@@ -334,7 +341,7 @@ static void tick_alone(episode *e, plain_drive *p)
     if (out.refused)
         judge_refusal(e, &v, &out);
     v.sent = out.send && pass_on(e, p, &out, around.unsent);
-    v.at_drive_m = e->station.controller.x_cmd + e->station.axis[0].tare_cmd;
+    v.at_drive_m = e->station.controller.axis[0].x_cmd + e->station.axis[0].tare_cmd;
     rthyb_record *last = &made[out.records - 1];
     last->flags &= ~(uint32_t)RTHYB_F_NOT_SENT;
     last->flags |= v.sent ? 0u : (uint32_t)RTHYB_F_NOT_SENT;
@@ -349,7 +356,7 @@ static void reload(episode *e, plain_drive *p)
     judge_replay(e);
     p->taken_over = e->station.seen || p->taken_over;
     if (e->station.seen)
-        p->taken_m = e->station.controller.x_cmd + e->station.axis[0].tare_cmd;
+        p->taken_m = e->station.controller.axis[0].x_cmd + e->station.axis[0].tare_cmd;
     p->beyond = 0;
     another_test(&e->d, &e->w);
     take_test(e);
@@ -419,11 +426,9 @@ static int set_up_loop(episode *e)
                              .stop_decel_m_per_s2 = some(&e->d, 0.1, 10.0),
                              .seed = throw_bits(&e->d)};
     const rthyb_loop_config config = {.station = &e->station,
-                                      .wire = &e->wire,
-                                      .link = &e->near,
+                                      .axis = {{&e->wire, &e->near, e->calibration}},
                                       .ag_mps2 = e->ag_mps2,
                                       .ag_count = e->ag_count,
-                                      .calibration = e->calibration,
                                       .clock = RTHYB_CLOCK_STEPPED};
     return rthyb_wire_init(&e->wire, &e->codec) || rthyb_drive_init(&e->drive) ||
            rthyb_loop_init(&e->loop, &config) || open_links(e);
@@ -459,17 +464,17 @@ static event as_written(const episode *e, uint32_t skipped, int was, int wanted)
                .wanted = wanted,
                .sent = wanted && !(flags & RTHYB_F_NOT_SENT),
                .refused = (flags & RTHYB_F_REFUSED) != 0,
-               .at_drive_m = e->station.controller.x_cmd + e->station.axis[0].tare_cmd};
+               .at_drive_m = e->station.controller.axis[0].x_cmd + e->station.axis[0].tare_cmd};
     v.in.skipped = skipped;
     v.in.command = (int32_t)(flags >> RTHYB_F_COMMAND_BIT);
-    v.in.link_down = (flags & RTHYB_F_DOWN) != 0;
-    v.in.drive_stopped = (flags & RTHYB_F_STOPPED) != 0;
+    v.in.axis[0].link_down = (flags & RTHYB_F_DOWN) != 0;
+    v.in.axis[0].drive_stopped = (flags & RTHYB_F_STOPPED) != 0;
     v.in.heartbeat_late = (flags & RTHYB_F_SILENT) != 0;
-    v.in.beyond = (flags & RTHYB_F_BEYOND) != 0;
+    v.in.axis[0].beyond = (flags & RTHYB_F_BEYOND) != 0;
     v.in.axis[0].x_m = last->axis[0].x_read_m;
     v.in.axis[0].f_n = last->axis[0].f_read_n;
     if (flags & RTHYB_F_LOST)
-        v.in.lost = RTHYB_LOST | (isnan(last->axis[0].x_read_m) ? RTHYB_S_NOT_FINITE : 0);
+        v.in.axis[0].lost = RTHYB_LOST | (isnan(last->axis[0].x_read_m) ? RTHYB_S_NOT_FINITE : 0);
     return v;
 }
 

@@ -251,7 +251,8 @@ static void judge_states(observer *o, const event *e, const rthyb_station *s)
     const int obeyed = e->refused ? RTHYB_CMD_NONE : e->in.command;
     must(o, RULE_TRANSITION, reaches(e->was, e->is, obeyed, 3), e->was, e->is);
     if (e->was == RTHYB_TRIPPED && e->is != RTHYB_TRIPPED) {
-        const int by_reset = obeyed == RTHYB_CMD_RESET && e->is == RTHYB_IDLE && !e->in.lost;
+        const int by_reset =
+            obeyed == RTHYB_CMD_RESET && e->is == RTHYB_IDLE && !e->in.axis[0].lost;
         must(o, RULE_RESET,
              by_reset && o->readings >= REST_READINGS &&
                  spread_of(o) <= 2.0 * s->cfg.axis[0].rest_spread_m,
@@ -290,7 +291,7 @@ static void judge_rows(observer *o, const event *e, const rthyb_station *s)
         const rthyb_record *r = &e->rows[i];
         const int last = i == e->count - 1;
         const uint64_t due = o->station + (last ? e->in.skipped : i);
-        must(o, RULE_FINITE, is_finite(&s->controller.law, r), i, 0.0);
+        must(o, RULE_FINITE, is_finite(&s->controller.axis[0].law, r), i, 0.0);
         must(o, RULE_ROWS, r->tick == due, (double)r->tick, (double)due);
         must(o, RULE_ROWS, ((r->flags & RTHYB_F_BLIND) == 0) == last, r->flags, 0.0);
         o->running = r->state == RTHYB_RUNNING ? o->running + 1 : o->running;
@@ -304,7 +305,7 @@ static void judge_rows(observer *o, const event *e, const rthyb_station *s)
  * or nobody knows what the drive has. If that one is not sent, it is the next. */
 static int sets_anew(observer *o, const event *e)
 {
-    const int stands_by = e->is == RTHYB_IDLE && e->in.drive_stopped;
+    const int stands_by = e->is == RTHYB_IDLE && e->in.axis[0].drive_stopped;
     const int taken_over = e->rows[e->count - 1].flags & RTHYB_F_TAKEN_OVER;
     const int first = o->readings == 1 && !taken_over;
     const int reset = e->in.command == RTHYB_CMD_RESET && !e->refused;
@@ -327,15 +328,15 @@ static void note_bounds(observer *o, const rthyb_station *s, double *low_m, doub
     const double test = ending(s, RTHYB_CAUSE_POSITION), rig = ending(s, RTHYB_CAUSE_RIG_POSITION);
     *low_m = fmax(s->axis[0].tare_cmd - test, -rig);
     *high_m = fmin(s->axis[0].tare_cmd + test, rig);
-    const int brakes = o->adopted && s->cfg.controller.acceleration_limit_m_per_s2 > 0.0;
+    const int brakes = o->adopted && s->cfg.controller.axis[0].acceleration_limit_m_per_s2 > 0.0;
     o->low_m = brakes ? fmin(o->low_m, *low_m) : *low_m;
     o->high_m = brakes ? fmax(o->high_m, *high_m) : *high_m;
 }
 
 static void judge_velocity(observer *o, const rthyb_station *s, double step_m, double wire)
 {
-    const double most = s->cfg.controller.velocity_limit_m_per_s * PERIOD_S;
-    const double a = s->cfg.controller.acceleration_limit_m_per_s2;
+    const double most = s->cfg.controller.axis[0].velocity_limit_m_per_s * PERIOD_S;
+    const double a = s->cfg.controller.axis[0].acceleration_limit_m_per_s2;
     const double before = fabs(o->step_m) - (a > 0.0 ? a * PERIOD_S * PERIOD_S : 0.0);
     if (most > 0.0)
         must(o, RULE_VELOCITY,
@@ -345,7 +346,7 @@ static void judge_velocity(observer *o, const rthyb_station *s, double step_m, d
 
 static void judge_acceleration(observer *o, const rthyb_station *s, double step_m, double wire)
 {
-    const double a = s->cfg.controller.acceleration_limit_m_per_s2;
+    const double a = s->cfg.controller.axis[0].acceleration_limit_m_per_s2;
     const double most = a * PERIOD_S * PERIOD_S * (1.0 + 1e-9), change = fabs(step_m - o->step_m);
     if (!(a > 0.0))
         return;
@@ -369,8 +370,9 @@ static void judge_limits(observer *o, const event *e, const rthyb_station *s, do
     judge_velocity(o, s, step_m, wire);
     /* An acceleration limit that was drawn in may be too small to brake before the position limit, which
      * comes first; where that has itself been drawn in, it is as far out as could be braked until then. */
-    const int at_the_end = x >= s->controller.upper_m + s->axis[0].tare_cmd - wire ||
-                           x <= s->controller.lower_m + s->axis[0].tare_cmd + wire;
+    const int at_the_end =
+        x >= s->controller.axis[0].limiter.upper_m + s->axis[0].tare_cmd - wire ||
+        x <= s->controller.axis[0].limiter.lower_m + s->axis[0].tare_cmd + wire;
     if (!(o->adopted && at_the_end))
         judge_acceleration(o, s, step_m, 2.0 * wire);
 }
@@ -426,7 +428,7 @@ static int in_range(double value, double range, double most)
 static int is_sensible(const event *e, const rthyb_station *s)
 {
     const rthyb_axis_config *c = &s->cfg.axis[0];
-    return !e->in.lost && in_range(e->in.axis[0].x_m, c->x_range_m, 1e3) &&
+    return !e->in.axis[0].lost && in_range(e->in.axis[0].x_m, c->x_range_m, 1e3) &&
            in_range(e->in.axis[0].f_n, c->f_range_n, 1e12);
 }
 
@@ -484,7 +486,7 @@ static double force_taken(const observer *o, const event *e, const rthyb_station
     const double range = s->cfg.axis[0].f_range_n;
     if (cause == RTHYB_CAUSE_FORCE && !o->tared)
         return 0.0;
-    if (!e->in.lost && range > 0.0 && fabs(e->in.axis[0].f_n) >= range &&
+    if (!e->in.axis[0].lost && range > 0.0 && fabs(e->in.axis[0].f_n) >= range &&
         fabs(e->in.axis[0].f_n) <= 1e12 && fabs(e->in.axis[0].x_m) <= 1e3)
         return INFINITY;
     return fresh ? fabs(cause == RTHYB_CAUSE_FORCE ? e->in.axis[0].f_n - s->axis[0].tare_f
@@ -511,7 +513,7 @@ static void judge_force(observer *o, const event *e, const rthyb_station *s, int
     uint64_t *beyond = &o->beyond[cause == RTHYB_CAUSE_RIG_FORCE];
     const double force = force_taken(o, e, s, cause);
     const int on_the_way = on_its_way(e->was) || on_its_way(e->is);
-    const int follows = o->seen && !e->in.drive_stopped && !e->in.link_down;
+    const int follows = o->seen && !e->in.axis[0].drive_stopped && !e->in.axis[0].link_down;
     if (!(w->value > 0.0) || !(force > w->value) || e->was == RTHYB_TRIPPED) {
         *beyond = force > 0.0 ? 0 : *beyond;
         return;
@@ -551,7 +553,7 @@ static void judge_motion(observer *o, const event *e, const rthyb_station *s)
     const double error = fabs(last->axis[0].x_meas_m - last->x_num_m);
     if (tracking->reaction == RTHYB_REACT_TRIP && tracking->value > 0.0 && error > tracking->value)
         must(o, RULE_TRACKING_TRIP, e->is == RTHYB_TRIPPED, error, tracking->value);
-    const double asked = fabs(s->controller.x_plc);
+    const double asked = fabs(s->controller.axis[0].x_plc);
     if (position->reaction == RTHYB_REACT_TRIP && position->value > 0.0 && asked > position->value)
         must(o, RULE_POSITION_TRIP, e->is == RTHYB_TRIPPED, asked, position->value);
 }
@@ -599,8 +601,9 @@ static void judge_shares(observer *o, const event *e, const rthyb_station *s)
 
 static int has_no_number(const event *e)
 {
-    return (!e->in.lost && (!isfinite(e->in.axis[0].x_m) || !isfinite(e->in.axis[0].f_n))) ||
-           (e->in.lost & RTHYB_S_NOT_FINITE);
+    return (!e->in.axis[0].lost &&
+            (!isfinite(e->in.axis[0].x_m) || !isfinite(e->in.axis[0].f_n))) ||
+           (e->in.axis[0].lost & RTHYB_S_NOT_FINITE);
 }
 
 static void judge_faults(observer *o, const event *e)
@@ -611,7 +614,8 @@ static void judge_faults(observer *o, const event *e)
         must(o, RULE_NOT_FINITE, tripped, 0.0, 0.0);
     if (o->missing >= LOST_TICKS && e->is != RTHYB_IDLE)
         must(o, RULE_LINK_LOST, tripped, o->missing, LOST_TICKS);
-    if ((in->link_down || in->drive_stopped || in->beyond) && e->was != RTHYB_IDLE)
+    if ((in->axis[0].link_down || in->axis[0].drive_stopped || in->axis[0].beyond) &&
+        e->was != RTHYB_IDLE)
         must(o, RULE_SURROUNDINGS, tripped || e->is == RTHYB_IDLE, e->is, 0.0);
     if (in->skipped >= STALLED_TICKS && in->command != RTHYB_CMD_RESET)
         must(o, RULE_STALLED, tripped, in->skipped, STALLED_TICKS);

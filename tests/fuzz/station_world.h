@@ -139,31 +139,33 @@ static rthyb_law_config some_law(dice *d, const scale *s)
 static rthyb_controller_config some_controller(dice *d, const scale *s)
 {
     const double v = s->peak_m * s->omega_per_s, a = v * s->omega_per_s;
-    return (rthyb_controller_config){
-        .period_s = PERIOD_S,
-        .lead_enabled = !one_in(d, 8),
-        .law = some_law(d, s),
-        .rfc = {.enabled = !one_in(d, 4),
-                .tangent = (int32_t)below(d, 2),
-                .divisor = (int32_t)below(d, 2),
-                .window = ticks(d, 1.0, 200.0),
-                .k_e_n_per_m = s->k_e_n_per_m,
-                .end_tick = one_in(d, 4) ? below(d, 4096) : UINT64_MAX,
-                .rest_noise_m = one_in(d, 2) ? 2e-6 : 0.0},
-        .motion = {.integrator = (int32_t)below(d, RTHYB_PRESCRIBED + 1),
-                   .period_s = PERIOD_S,
-                   .mass_kg = s->mass_kg,
-                   .added_mass_kg = one_in(d, 6) ? 0.1 * s->mass_kg : 0.0,
-                   .damping_n_s_per_m = between(d, 0.0, 0.2) * s->mass_kg * s->omega_per_s,
-                   .stiffness_n_per_m = s->k_n_per_m - s->k_e_n_per_m,
-                   .k_e_n_per_m = s->k_e_n_per_m,
-                   .rho_inf = between(d, 0.0, 1.0)},
-        .x_range_m = one_in(d, 3) ? 0.0 : some(d, 0.05, 0.3),
-        .f_range_n = one_in(d, 3) ? 0.0 : s->k_e_n_per_m * s->peak_m * some(d, 1.5, 10.0),
-        .velocity_limit_m_per_s = one_in(d, 4) ? 0.0 : v * some(d, 0.3, 8.0),
-        .acceleration_limit_m_per_s2 = one_in(d, 3) ? 0.0 : a * some(d, 0.3, 8.0),
-        .estimate_held = one_in(d, 10),
-    };
+    /* One after the other, as everywhere. */
+    rthyb_controller_config c = {.period_s = PERIOD_S, .axis_count = 1, .interface_count = 1};
+    rthyb_axis_control *axis = &c.axis[0];
+    c.lead_enabled = !one_in(d, 8);
+    axis->law = some_law(d, s);
+    c.rfc[0] = (rthyb_rfc_config){.enabled = !one_in(d, 4),
+                                  .tangent = (int32_t)below(d, 2),
+                                  .divisor = (int32_t)below(d, 2),
+                                  .window = ticks(d, 1.0, 200.0),
+                                  .k_e_n_per_m = s->k_e_n_per_m,
+                                  .end_tick = one_in(d, 4) ? below(d, 4096) : UINT64_MAX,
+                                  .rest_noise_m = one_in(d, 2) ? 2e-6 : 0.0};
+    c.motion = (rthyb_motion_config){.integrator = (int32_t)below(d, RTHYB_PRESCRIBED + 1),
+                                     .period_s = PERIOD_S,
+                                     .mass_kg = s->mass_kg,
+                                     .added_mass_kg = one_in(d, 6) ? 0.1 * s->mass_kg : 0.0,
+                                     .damping_n_s_per_m =
+                                         between(d, 0.0, 0.2) * s->mass_kg * s->omega_per_s,
+                                     .stiffness_n_per_m = s->k_n_per_m - s->k_e_n_per_m,
+                                     .k_e_n_per_m = s->k_e_n_per_m,
+                                     .rho_inf = between(d, 0.0, 1.0)};
+    axis->x_range_m = one_in(d, 3) ? 0.0 : some(d, 0.05, 0.3);
+    axis->f_range_n = one_in(d, 3) ? 0.0 : s->k_e_n_per_m * s->peak_m * some(d, 1.5, 10.0);
+    axis->velocity_limit_m_per_s = one_in(d, 4) ? 0.0 : v * some(d, 0.3, 8.0);
+    axis->acceleration_limit_m_per_s2 = one_in(d, 3) ? 0.0 : a * some(d, 0.3, 8.0);
+    c.estimate_held = one_in(d, 10);
+    return c;
 }
 
 /* A limit of the size of the motion, sometimes above it, sometimes below. */
@@ -223,14 +225,14 @@ static rthyb_station_config some_station(dice *d, const scale *s)
         c.axis[0].tare_most_n = some(d, 0.1, 1.0) * s->k_e_n_per_m * s->peak_m;
     if (one_in(d, 4))
         c.axis[0].tare_most_m = some(d, 0.01, 0.1);
-    c.axis[0].x_range_m = c.controller.x_range_m;
-    c.axis[0].f_range_n = c.controller.f_range_n;
+    c.axis[0].x_range_m = c.controller.axis[0].x_range_m;
+    c.axis[0].f_range_n = c.controller.axis[0].f_range_n;
     some_watches(d, s, c.watch);
-    c.controller.rfc.period_s = PERIOD_S;
+    c.controller.rfc[0].period_s = PERIOD_S;
     if (one_in(&own, 2))
-        c.controller.rfc.cutoff_hz = some(&own, 5.0, 400.0);
+        c.controller.rfc[0].cutoff_hz = some(&own, 5.0, 400.0);
     if (one_in(&own, 2))
-        c.controller.rfc.lateness_s = between(&own, -0.002, 0.002);
+        c.controller.rfc[0].lateness_s = between(&own, -0.002, 0.002);
     c.law_channel = below(&own, RTHYB_CHANNELS_MAX);
     c.law_channel_count = below(&own, RTHYB_CHANNELS_MAX - c.law_channel + 1);
     return c;
@@ -241,8 +243,8 @@ static rthyb_parameters some_parameters(dice *d, const rthyb_station_config *now
 {
     rthyb_parameters p = {
         .adapt = !now->controller.estimate_held,
-        .velocity_limit_m_per_s = now->controller.velocity_limit_m_per_s,
-        .acceleration_limit_m_per_s2 = now->controller.acceleration_limit_m_per_s2,
+        .velocity_limit_m_per_s = now->controller.axis[0].velocity_limit_m_per_s,
+        .acceleration_limit_m_per_s2 = now->controller.axis[0].acceleration_limit_m_per_s2,
         .path_velocity_m_per_s = now->path_velocity_m_per_s,
         .path_acceleration_m_per_s2 = now->path_acceleration_m_per_s2,
     };
@@ -476,10 +478,10 @@ static void suffer(dice *d, trouble *t, const scale *s, const rthyb_station_conf
     }
     switch (t->kind) {
     case TROUBLE_LOST:
-        in->lost = RTHYB_LOST;
+        in->axis[0].lost = RTHYB_LOST;
         break;
     case TROUBLE_SPARSE:
-        in->lost = one_in(d, 19) ? 0 : RTHYB_LOST;
+        in->axis[0].lost = one_in(d, 19) ? 0 : RTHYB_LOST;
         break;
     case TROUBLE_STUCK_X:
         in->axis[0].x_m = t->seen_x;
@@ -504,7 +506,7 @@ static void suffer(dice *d, trouble *t, const scale *s, const rthyb_station_conf
             in->axis[0].f_n = copysign(c->axis[0].f_range_n, in->axis[0].f_n);
         break;
     case TROUBLE_REFUSED:
-        in->lost = RTHYB_LOST | (one_in(d, 4) ? RTHYB_S_NOT_FINITE : RTHYB_S_OUT_OF_RANGE);
+        in->axis[0].lost = RTHYB_LOST | (one_in(d, 4) ? RTHYB_S_NOT_FINITE : RTHYB_S_OUT_OF_RANGE);
         break;
     case TROUBLE_FORCE_STEP:
         in->axis[0].f_n += 6.0 * t->size * force;
@@ -516,12 +518,12 @@ static void suffer(dice *d, trouble *t, const scale *s, const rthyb_station_conf
         in->axis[0].x_m += t->size * s->peak_m * (double)t->age / 300.0;
         break;
     case TROUBLE_LINK_DOWN:
-        in->link_down = 1;
-        in->lost = RTHYB_LOST;
+        in->axis[0].link_down = 1;
+        in->axis[0].lost = RTHYB_LOST;
         around->unsent = 1;
         break;
     case TROUBLE_STOPPED:
-        in->drive_stopped = 1;
+        in->axis[0].drive_stopped = 1;
         break;
     case TROUBLE_SILENT:
         in->heartbeat_late = 1;

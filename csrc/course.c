@@ -1,0 +1,310 @@
+/* Where the commands go while the equation of motion does not say it, and how far they may go at all.
+ *
+ * Ways lie in the coordinates of the interfaces; one duration holds for all of them, and the limits that it
+ * comes from are those of the axes. */
+#include <string.h>
+
+#include "station.h"
+
+enum { MOST = RTHYB_COUPLED_MAX };
+
+/* ---- limits of paths --------------------------------------------------------------------------- */
+
+/* Of a path and of the command: the narrower one; 0 is no limit of the command. */
+static double narrower(double path, double command)
+{
+    return command > 0.0 ? fmin(path, command) : path;
+}
+
+static double path_velocity(const rthyb_station_config *c, int i)
+{
+    return narrower(c->path_velocity_m_per_s, c->controller.axis[i].velocity_limit_m_per_s);
+}
+
+static double path_acceleration(const rthyb_station_config *c, int i)
+{
+    return narrower(c->path_acceleration_m_per_s2,
+                    c->controller.axis[i].acceleration_limit_m_per_s2);
+}
+
+static double brake_acceleration(const rthyb_station_config *c, int i)
+{
+    const double own = c->brake_acceleration_m_per_s2;
+    return own > 0.0 ? narrower(own, c->controller.axis[i].acceleration_limit_m_per_s2)
+                     : path_acceleration(c, i);
+}
+
+void course_caps(const rthyb_station *s, path_caps *caps)
+{
+    for (int i = 0; i < axes_of(s); i++) {
+        caps->velocity[i] = path_velocity(&s->cfg, i);
+        caps->acceleration[i] = path_acceleration(&s->cfg, i);
+        caps->brake[i] = brake_acceleration(&s->cfg, i);
+    }
+}
+
+int course_narrows(const rthyb_station *s, const path_caps *before)
+{
+    path_caps now;
+    int narrows = 0;
+    course_caps(s, &now);
+    for (int i = 0; i < axes_of(s); i++)
+        narrows |= now.velocity[i] < before->velocity[i] ||
+                   now.acceleration[i] < before->acceleration[i] || now.brake[i] < before->brake[i];
+    return narrows;
+}
+
+static path_limits limits_of(const rthyb_station *s)
+{
+    path_limits limits = {
+        .period_s = s->cfg.controller.period_s,
+        .axes = axes_of(s),
+        .directions = interfaces_of(s),
+        .least_way = s->ticks.least_way,
+        .turn = s->ticks.turn,
+        .least_turn = s->ticks.least_turn,
+    };
+    for (int i = 0; i < limits.axes; i++) {
+        limits.velocity_m_per_s[i] = path_velocity(&s->cfg, i);
+        limits.acceleration_m_per_s2[i] = path_acceleration(&s->cfg, i);
+        limits.brake_m_per_s2[i] = brake_acceleration(&s->cfg, i);
+        limits.jacobian[i * limits.directions + i] = 1.0;
+    }
+    if (s->cfg.controller.kinematics.size > 0)
+        rthyb_kinematics_jacobian(&s->controller.kinematics, limits.jacobian);
+    return limits;
+}
+
+static void plan(rthyb_station *s, const double from[][3], const double to[][3])
+{
+    const path_limits limits = limits_of(s);
+    path_between(&limits, from, to, s->path);
+}
+
+/* At rest where the specimen is asked to be. */
+static void stand(const rthyb_station *s, double now[][3])
+{
+    for (int j = 0; j < interfaces_of(s); j++) {
+        now[j][0] = s->controller.interface[j].x_num;
+        now[j][1] = now[j][2] = 0.0;
+    }
+}
+
+/* Displacement, velocity and acceleration of what the phase lead is given. */
+static void present(rthyb_station *s, double now[][3])
+{
+    const double h = s->cfg.controller.period_s;
+    rthyb_interface at[MOST];
+    const int running = s->state == RTHYB_RUNNING;
+    stand(s, now);
+    if (running) {
+        const rthyb_numerical part = part_of(&s->controller);
+        rthyb_numerical_look(&part, at);
+    }
+    for (int j = 0; j < interfaces_of(s); j++) {
+        const double x = now[j][0];
+        if (running) {
+            now[j][2] = (x - 2.0 * at[j].x1 + at[j].x2) / (h * h);
+            now[j][1] = (x - at[j].x1) / h + 0.5 * h * now[j][2];
+        } else if (!path_done(&s->path[j])) {
+            path_along(&s->path[j], h, now[j]);
+        }
+        now[j][0] = x;
+    }
+}
+
+/* ---- ways -------------------------------------------------------------------------------------- */
+
+void course_brake_in(rthyb_station *s, int state, int leg)
+{
+    double now[MOST][3];
+    present(s, now);
+    station_enter(s, state);
+    s->leg = leg;
+    const path_limits limits = limits_of(s);
+    path_to_rest(&limits, now, s->path);
+}
+
+int course_can_hold(const rthyb_station *s)
+{
+    return s->state == RTHYB_RUNNING || (s->state == RTHYB_HOLD && s->leg >= 2);
+}
+
+/* Where RESUME leads is where the test was left, however often its way there is held. */
+void course_hold(rthyb_station *s)
+{
+    if (s->state == RTHYB_RUNNING)
+        present(s, s->resume);
+    s->interrupted = 1;
+    course_brake_in(s, RTHYB_HOLD, 0);
+}
+
+void course_resume(rthyb_station *s)
+{
+    double from[MOST][3];
+    stand(s, from);
+    plan(s, from, s->resume);
+    s->leg = 2;
+}
+
+void course_ramp_to_zero(rthyb_station *s)
+{
+    const path_limits limits = limits_of(s);
+    double way[MOST];
+    for (int j = 0; j < interfaces_of(s); j++)
+        way[j] = s->controller.interface[j].x_num;
+    const int64_t least = path_ramp_ticks(&limits, way), usual = s->cfg.ramp_in_ticks;
+    for (int j = 0; j < interfaces_of(s); j++)
+        s->path[j] = path_ramp(way[j], 0.0, least > usual ? least : usual);
+    s->leg = 0;
+}
+
+void course_begin_anew(rthyb_station *s)
+{
+    if (path_done(&s->path[0]))
+        return;
+    if (s->state == RTHYB_RAMP_IN)
+        course_brake_in(s, RTHYB_RAMP_IN, 1);
+    else if (s->state == RTHYB_HOLD)
+        course_brake_in(s, RTHYB_HOLD, s->leg >= 2 ? 3 : 0);
+    else if (s->state == RTHYB_RAMP_OUT)
+        course_brake_in(s, RTHYB_RAMP_OUT, 0);
+}
+
+const double *course_next(rthyb_station *s, double *x)
+{
+    const int on_the_way = s->state == RTHYB_RAMP_IN || s->state == RTHYB_RAMP_OUT ||
+                           (s->state == RTHYB_HOLD && s->leg != 1);
+    if (s->state == RTHYB_RUNNING)
+        return NULL;
+    for (int j = 0; j < interfaces_of(s); j++)
+        x[j] = on_the_way ? path_follow(&s->path[j], s->cfg.controller.period_s)
+                          : s->controller.interface[j].x_num;
+    return x;
+}
+
+/* ---- how far ----------------------------------------------------------------------------------- */
+
+/* Where a command may go: the test's limit about the tare, the rig's about the drive's own zero. */
+typedef struct {
+    double low, high;
+} range;
+
+static double farthest(const rthyb_station *s, int axis, int cause)
+{
+    const rthyb_watch *watch = watch_of(s, axis, cause);
+    const int ends = watch->reaction >= RTHYB_REACT_HOLD && watch->value > 0.0;
+    return ends ? watch->value : HUGE_VAL;
+}
+
+static range reach(const rthyb_station *s, int axis)
+{
+    const double own = farthest(s, axis, RTHYB_CAUSE_POSITION);
+    const double rig = farthest(s, axis, RTHYB_CAUSE_RIG_POSITION);
+    const double zero = s->axis[axis].tare_cmd;
+    return (range){fmax(-own, -rig - zero), fmin(own, rig - zero)};
+}
+
+/* Where the command ends in spite of everything: what a limit takes off its course must not have left
+ * first. It holds from START on; before the tare there is no zero that it could be counted from. */
+void course_confine(rthyb_station *s)
+{
+    for (int i = 0; i < axes_of(s); i++) {
+        rthyb_axis_control *cfg = &s->controller.cfg.axis[i];
+        const range within = reach(s, i);
+        const int counts = is_on_its_way(s->state) && within.high < HUGE_VAL;
+        /* Limits that leave nothing between them bring it to where they meet. */
+        cfg->clamp_m = counts ? fmax(0.5 * (within.high - within.low), ARRIVED_M) : 0.0;
+        cfg->clamp_centre_m = counts ? 0.5 * (within.high + within.low) : 0.0;
+    }
+}
+
+/* Not across the limit, nor further out than a command that is beyond it already. What a trip repeats has left
+ * before. */
+void course_bounds(const rthyb_station *s, int axis, rthyb_axis_output *out)
+{
+    const double x = s->controller.axis[axis].x_cmd;
+    const range within = reach(s, axis);
+    const int free = !s->commands || s->state == RTHYB_TRIPPED;
+    const double zero = s->axis[axis].tare_cmd;
+    out->low_m = free ? -HUGE_VAL : zero + fmin(within.low, x);
+    out->high_m = free ? HUGE_VAL : zero + fmax(within.high, x);
+}
+
+/* ---- where it ends ----------------------------------------------------------------------------- */
+
+/* How far a command is from where its path has ended, with what it still goes, in 1/1024 s at any rate. */
+static double away_from_end(const rthyb_station *s, int axis)
+{
+    const rthyb_controller_axis *a = &s->controller.axis[axis];
+    const range within = reach(s, axis);
+    /* What brakes in front of a limit ends at it. */
+    const double aim = fmin(fmax(a->x_plc, within.low), within.high);
+    const double off = fmax(fabs(a->limiter.x_lim - aim), fabs(a->x_plc - a->target));
+    return fmax(off, fabs(a->limiter.x_lim - a->limiter.x_lim1) * s->ticks.pace);
+}
+
+/* Whether the commands are where their path has ended, and stand: one that swings is there in passing. One
+ * that comes no nearer is given up: what keeps it away, a limit of the command or a compensator that swings,
+ * would keep the state for ever. */
+static int has_arrived(rthyb_station *s)
+{
+    double away = 0.0;
+    int last = 0;
+    for (int i = 0; i < axes_of(s); i++) {
+        const double own = away_from_end(s, i);
+        last = own > away ? i : last;
+        away = fmax(away, own);
+    }
+    if (away <= ARRIVED_M)
+        return 1;
+    if (away < s->nearest_m - ARRIVED_M) {
+        s->nearest_m = away;
+        s->no_nearer = 0;
+    } else if (++s->no_nearer >= s->ticks.arrival) {
+        station_trip(s, (finding){RTHYB_CAUSE_NOT_ARRIVED, away, ARRIVED_M, of_axis(last)});
+    }
+    return 0;
+}
+
+/* At rest nothing confines it: what a limit has kept it from is not gone to after all. */
+static void stay_there(rthyb_station *s)
+{
+    double x[MOST];
+    int kept = 0;
+    for (int i = 0; i < axes_of(s); i++) {
+        x[i] = s->controller.axis[i].limiter.x_lim;
+        kept |= fabs(x[i] - s->controller.axis[i].x_plc) > ARRIVED_M;
+    }
+    if (kept)
+        rthyb_controller_rest(&s->controller, x);
+}
+
+/* At rest the compensators and the limiter have to be through as well; until then everything is watched as on
+ * the way. */
+void course_arrive(rthyb_station *s)
+{
+    const int waits = (s->state == RTHYB_RAMP_IN && s->leg == 0) ||
+                      (s->state == RTHYB_RAMP_OUT && s->leg == 1) ||
+                      (s->state == RTHYB_RAMP_OUT && s->cfg.stay);
+    if (!path_done(&s->path[0]) || (waits && !has_arrived(s)))
+        return;
+    if (s->state == RTHYB_RAMP_IN && s->leg == 1) {
+        course_ramp_to_zero(s);
+    } else if (s->state == RTHYB_HOLD && s->leg == 3) {
+        course_resume(s);
+    } else if (s->state == RTHYB_RAMP_IN || (s->state == RTHYB_HOLD && s->leg == 2)) {
+        station_enter(s, RTHYB_RUNNING);
+    } else if (s->state == RTHYB_HOLD) {
+        s->leg = 1;
+    } else if (s->state == RTHYB_RAMP_OUT && s->leg == 0 && !s->cfg.stay) {
+        double from[MOST][3];
+        const double rest[MOST][3] = {{0.0}};
+        stand(s, from);
+        plan(s, from, rest);
+        s->leg = 1;
+    } else if (s->state == RTHYB_RAMP_OUT) {
+        stay_there(s);
+        station_enter(s, RTHYB_IDLE);
+    }
+}

@@ -1,0 +1,13 @@
+/* Solving with a factored matrix, by panels of columns that have the same rows (factored.c). */
+#ifndef RTHYB_FACTORED_H
+#define RTHYB_FACTORED_H
+
+#include "rthyb_sparse.h"
+
+/* Whether panel[0] = 0 < panel[1] < ... < panel[panels] = n are panels of l; 0 panels always are. */
+int panels_ok(const rthyb_symmetric *l, int32_t n, const int32_t *panel, int32_t panels);
+/* (L D L')^-1 y in place. Without panels column by column. */
+void factored_solve(const rthyb_symmetric *l, int32_t n, const int32_t *panel, int32_t panels,
+                    double *y);
+
+#endif

@@ -1,0 +1,213 @@
+/* Velocity, acceleration and position of the commands, of all axes together.
+ *
+ * What holds of the commands that leave of an axis, and of nothing else: with x[k] the one that leaves as the
+ * k-th, before the wire rounds it, and s[k] = x[k] - x[k-1],
+ *   |x[k] - centre| <= limit,   |s[k]| <= v_max h,   |s[k] - s[k-1]| <= a_max h^2,
+ *   s[k] s[k-1] >= 0 where, with an acceleration limit, a tick without a command lies between them,
+ * whatever number of ticks that is: skipped ones, and those whose command found no room. So a gap is never
+ * caught up at once, and never stops the command. A limit that comes into force while the command is beyond
+ * it, or too fast for it, is reached by braking with a_max: until then |s| falls by a_max h^2 a command, and
+ * x keeps to the old limit. (v_max or a_max of 0: no such bound, and then nothing to brake with.) Position
+ * wins over the others.
+ *
+ * Several axes hold one specimen: where one of them has to stay behind, all do, by one factor, so that what
+ * they do together keeps its direction. The steps of all axes are shortened by the smallest factor that one of
+ * them needs for its velocity or its position, and so are the changes of all steps for the acceleration. What
+ * is closed after a lag, and braked before a limit, is so at the pace of the axis that brakes worst. Where a
+ * direction and a limit cannot both be kept (a turn in front of a limit, a gap), it is the limit. */
+#include "limiter.h"
+
+#include "numeric.h"
+
+enum { MOST = RTHYB_COUPLED_MAX };
+
+void limiter_rest(rthyb_limiter *l, double x_m)
+{
+    l->x_lim = l->x_lim1 = x_m;
+    l->step = l->step1 = 0.0;
+    l->gap = 0;
+}
+
+void limiter_note(rthyb_limiter *l, double x_cmd, int blind)
+{
+    l->x_lim1 = l->x_lim;
+    l->step1 = l->step;
+    l->step = blind ? l->step : x_cmd - l->x_lim;
+    l->x_lim = blind ? l->x_lim : x_cmd;
+    l->gap = blind;
+}
+
+void limiter_stayed(rthyb_limiter *l)
+{
+    l->x_lim = l->x_lim1;
+    l->step = l->step1;
+    l->gap = 1;
+}
+
+/* All of `to` come back towards `from` by one factor, until each lies within its bounds. The one that needs
+ * it most ends on its bound, to the last digit. */
+static void draw_back(int n, const double *from, const double *low, const double *high, double *to)
+{
+    double kept[MOST], share[MOST], least = 1.0;
+    for (int i = 0; i < n; i++) {
+        kept[i] = clamp(to[i], low[i], high[i]);
+        share[i] = kept[i] == to[i] || to[i] == from[i]
+                       ? 1.0
+                       : clamp((kept[i] - from[i]) / (to[i] - from[i]), 0.0, 1.0);
+        least = fmin(least, share[i]);
+    }
+    for (int i = 0; i < n; i++)
+        to[i] = share[i] == least ? kept[i]
+                                  : clamp(from[i] + least * (to[i] - from[i]), low[i], high[i]);
+}
+
+/* The step that closes a lag and can still be braked away with half the acceleration limit. */
+static double catch_up(double lag, double a_max, double h)
+{
+    const double brake = 0.5 * a_max, half = 0.5 * brake * h;
+    return copysign(h * (sqrt(2.0 * brake * fabs(lag) + half * half) - half), lag);
+}
+
+/* No faster towards a limit than can be braked before it, with some of the deceleration to spare. */
+static double before_the_end(double room, double a_max, double h)
+{
+    return room > 0.0 ? catch_up(room, 1.6 * a_max, h) : 0.0;
+}
+
+/* How far from the clamp's centre a command may be. */
+static double position_limit(const rthyb_axis_control *cfg)
+{
+    return cfg->clamp_m > 0.0 ? cfg->clamp_m : COMMAND_MAX_M;
+}
+
+/* The steps that catch up with what is wanted, no faster than they can be braked: else the commands would
+ * swing about that for ever. */
+static void close_lags(const rthyb_controller *c, const double *wanted, double *step)
+{
+    const int n = c->cfg.axis_count;
+    double closing[MOST], share[MOST], least = HUGE_VAL;
+    for (int i = 0; i < n; i++) {
+        const double a_max = c->cfg.axis[i].acceleration_limit_m_per_s2;
+        const double lag = c->axis[i].x_plc - c->axis[i].limiter.x_lim;
+        closing[i] = catch_up(lag, a_max, c->cfg.period_s);
+        const int lags = a_max > 0.0 && fabs(closing[i]) < fabs(lag);
+        share[i] = lags ? closing[i] / lag : HUGE_VAL;
+        least = fmin(least, share[i]);
+    }
+    for (int i = 0; i < n; i++) {
+        const double x_plc = c->axis[i].x_plc, x_lim = c->axis[i].limiter.x_lim;
+        if (least == HUGE_VAL)
+            step[i] = wanted[i] - x_lim;
+        else
+            step[i] =
+                wanted[i] - x_plc + (share[i] == least ? closing[i] : least * (x_plc - x_lim));
+    }
+}
+
+/* What an axis can brake with while it keeps pace with all others. */
+static double joint_acceleration(const rthyb_controller *c, const double *step, int axis)
+{
+    double most = c->cfg.axis[axis].acceleration_limit_m_per_s2;
+    for (int k = 0; k < c->cfg.axis_count; k++) {
+        const double a_max = c->cfg.axis[k].acceleration_limit_m_per_s2;
+        if (k != axis && a_max > 0.0 && step[k] != 0.0)
+            most = fmin(most, a_max * fabs(step[axis]) / fabs(step[k]));
+    }
+    return most;
+}
+
+/* Steps that can still be braked before the position limits; `alone`: each axis by itself. */
+static void brake_in_time(const rthyb_controller *c, double *step, int alone)
+{
+    const double h = c->cfg.period_s, none[MOST] = {0.0};
+    double low[MOST] = {0.0}, high[MOST] = {0.0};
+    for (int i = 0; i < c->cfg.axis_count; i++) {
+        const rthyb_axis_control *cfg = &c->cfg.axis[i];
+        const double out = c->axis[i].limiter.x_lim - cfg->clamp_centre_m;
+        const double room = position_limit(cfg) - copysign(out, out * step[i]);
+        const double a_max =
+            alone ? cfg->acceleration_limit_m_per_s2 : joint_acceleration(c, step, i);
+        const int brakes = cfg->acceleration_limit_m_per_s2 > 0.0;
+        high[i] = brakes ? before_the_end(room, a_max, h) : HUGE_VAL;
+        low[i] = -high[i];
+        if (alone)
+            step[i] = clamp(step[i], low[i], high[i]);
+    }
+    if (!alone)
+        draw_back(c->cfg.axis_count, none, low, high, step);
+}
+
+static void limit_velocity(const rthyb_controller *c, double *step)
+{
+    const double none[MOST] = {0.0};
+    double low[MOST] = {0.0}, high[MOST] = {0.0};
+    for (int i = 0; i < c->cfg.axis_count; i++) {
+        const double v_max = c->cfg.axis[i].velocity_limit_m_per_s;
+        high[i] = v_max > 0.0 ? v_max * c->cfg.period_s : HUGE_VAL;
+        low[i] = -high[i];
+    }
+    draw_back(c->cfg.axis_count, none, low, high, step);
+}
+
+/* After a gap no step goes the other way at once. */
+static void keep_way(const rthyb_controller *c, double *step)
+{
+    for (int i = 0; i < c->cfg.axis_count; i++) {
+        const rthyb_limiter *l = &c->axis[i].limiter;
+        if (l->gap && l->step != 0.0 && c->cfg.axis[i].acceleration_limit_m_per_s2 > 0.0)
+            step[i] = l->step > 0.0 ? fmax(step[i], 0.0) : fmin(step[i], 0.0);
+    }
+}
+
+/* From the steps of before; one that braked for its own position limit keeps to that. */
+static void limit_acceleration(const rthyb_controller *c, double *step)
+{
+    const double h = c->cfg.period_s;
+    const int n = c->cfg.axis_count;
+    double from[MOST] = {0.0}, low[MOST] = {0.0}, high[MOST] = {0.0};
+    for (int i = 0; i < n; i++) {
+        const double a_max = c->cfg.axis[i].acceleration_limit_m_per_s2;
+        from[i] = c->axis[i].limiter.step;
+        low[i] = a_max > 0.0 ? from[i] - a_max * h * h : -HUGE_VAL;
+        high[i] = a_max > 0.0 ? from[i] + a_max * h * h : HUGE_VAL;
+    }
+    draw_back(n, from, low, high, step);
+    if (n == 1)
+        return;
+    brake_in_time(c, step, 1);
+    for (int i = 0; i < n; i++)
+        step[i] = clamp(step[i], low[i], high[i]);
+}
+
+/* Of a limit that was drawn in behind it, or close before it, the command comes back on its own course
+ * and not at once: with an acceleration limit it may go on as far as it needs to brake, but never beyond
+ * a limit that was there before. */
+static void draw_bounds(const rthyb_axis_control *cfg, double h, rthyb_limiter *l)
+{
+    const double per_tick2 = cfg->acceleration_limit_m_per_s2 * h * h;
+    const double braked = per_tick2 > 0.0 ? 0.5 * l->step * fabs(l->step) / per_tick2 : 0.0;
+    const double centre = cfg->clamp_centre_m, limit = position_limit(cfg);
+    l->upper_m = fmax(centre + limit, fmin(l->upper_m, l->x_lim + fmax(braked, 0.0)));
+    l->lower_m = fmin(centre - limit, fmax(l->lower_m, l->x_lim + fmin(braked, 0.0)));
+}
+
+/* It goes on from what it wanted itself: from a coarse wire's rounding a slow command would never get away. */
+void limiter_commands(rthyb_controller *c, const double *wanted, double *command)
+{
+    const int n = c->cfg.axis_count;
+    double step[MOST] = {0.0}, from[MOST] = {0.0}, low[MOST] = {0.0}, high[MOST] = {0.0};
+    close_lags(c, wanted, step);
+    brake_in_time(c, step, 0);
+    limit_velocity(c, step);
+    keep_way(c, step);
+    limit_acceleration(c, step);
+    for (int i = 0; i < n; i++) {
+        rthyb_limiter *l = &c->axis[i].limiter;
+        draw_bounds(&c->cfg.axis[i], c->cfg.period_s, l);
+        from[i] = l->x_lim;
+        low[i] = l->lower_m;
+        high[i] = l->upper_m;
+        command[i] = step[i] == wanted[i] - l->x_lim ? wanted[i] : l->x_lim + step[i];
+    }
+    draw_back(n, from, low, high, command);
+}

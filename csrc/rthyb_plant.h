@@ -1,0 +1,35 @@
+/* A virtual rig of any kind, of one axis or of several (plant.c). */
+#ifndef RTHYB_PART_PLANT_H
+#define RTHYB_PART_PLANT_H
+
+#include <stdint.h>
+
+#include "rthyb_coupled_rig.h"
+#include "rthyb_rig.h"
+
+/* cffi: begin */
+
+enum rthyb_plant_kind {
+    RTHYB_PLANT_RIG,         /* rthyb_rig: one axis */
+    RTHYB_PLANT_COUPLED_RIG, /* rthyb_coupled_rig */
+    RTHYB_PLANT_KINDS
+};
+
+/* What moves and measures. The state was set up by its own _init function and is the caller's. */
+typedef struct {
+    int32_t kind; /* enum rthyb_plant_kind */
+    void *state;
+} rthyb_plant;
+
+/* Axes, 1 to RTHYB_COUPLED_MAX; 0: no such kind. */
+int32_t rthyb_plant_axes(const rthyb_plant *plant);
+double rthyb_plant_period_s(const rthyb_plant *plant);
+/* Latches x_m[n] and f[n] of each axis, then applies x_p[n] and moves on to t_{n+1}. Status bits. */
+int rthyb_plant_step(const rthyb_plant *plant, const double *x_p_m, double *x_m_m, double *f_n);
+/* Begins the noise of the sensors anew, from the seed. */
+void rthyb_plant_reseed(const rthyb_plant *plant);
+/* What the sensors saw in that step, without their errors. */
+void rthyb_plant_truth(const rthyb_plant *plant, double *x_true_m, double *f_true_n);
+/* cffi: end */
+
+#endif

@@ -1,0 +1,58 @@
+/* Why a test leaves its course, and what may be watched for it (watches.c). */
+#ifndef RTHYB_PART_WATCH_H
+#define RTHYB_PART_WATCH_H
+
+#include <stdint.h>
+
+/* cffi: begin */
+
+/* Why a test left its course; the first one since START (or RESET) is latched, but a fault takes the
+ * place of COMPLETED and OPERATOR. */
+enum rthyb_cause {
+    RTHYB_CAUSE_NONE,
+    RTHYB_CAUSE_COMPLETED,
+    RTHYB_CAUSE_OPERATOR,
+    RTHYB_CAUSE_SIGNAL,
+    RTHYB_CAUSE_NOT_FINITE,
+    RTHYB_CAUSE_LINK_LOST,
+    RTHYB_CAUSE_LINK_DOWN,
+    RTHYB_CAUSE_DRIVE_STOPPED,
+    RTHYB_CAUSE_STALLED,
+    RTHYB_CAUSE_HEARTBEAT,
+    RTHYB_CAUSE_NOT_ARRIVED,
+    RTHYB_CAUSE_SKIPS, /* share of the last second's ticks, or more than 10 in a row */
+    RTHYB_CAUSE_SKIP_WARNING,
+    RTHYB_CAUSE_LOST_PAIRS, /* share of the last second's ticks without an accepted pair */
+    RTHYB_CAUSE_LOST_WARNING,
+    RTHYB_CAUSE_SENSOR_STUCK,
+    RTHYB_CAUSE_SENSOR_JUMP,
+    RTHYB_CAUSE_FORCE_STUCK,
+    RTHYB_CAUSE_FORCE_JUMP,
+    RTHYB_CAUSE_POSITION,
+    RTHYB_CAUSE_VELOCITY,
+    RTHYB_CAUSE_INCREMENT,
+    RTHYB_CAUSE_FORCE,
+    RTHYB_CAUSE_TRACKING,
+    RTHYB_CAUSE_INDICATOR,
+    RTHYB_CAUSE_ENERGY,
+    RTHYB_CAUSE_RIG_POSITION, /* before tare: where the drive was told to go */
+    RTHYB_CAUSE_RIG_FORCE,    /* before tare */
+    RTHYB_CAUSE_APART, /* two axes' drives have counted their samples apart; nothing to watch */
+    RTHYB_CAUSE_COUNT
+};
+
+enum rthyb_reaction {
+    RTHYB_REACT_NONE,
+    RTHYB_REACT_INDICATE,
+    RTHYB_REACT_HOLD,
+    RTHYB_REACT_RAMP_OUT,
+    RTHYB_REACT_TRIP
+};
+
+typedef struct {
+    double value;     /* 0 = off */
+    int32_t reaction; /* enum rthyb_reaction */
+} rthyb_watch;
+/* cffi: end */
+
+#endif

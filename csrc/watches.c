@@ -1,0 +1,334 @@
+/* What is not as it should be, and what happens then: limits, sensors, forces, shares of the last second. */
+#include "station.h"
+
+#define JUMP_TAKEN 3      /* readings in a row that make a new level, at any rate */
+#define OVERLOAD 1.5      /* times a force's limit: not even one tick */
+#define START_SPREADS 5.0 /* times rest_spread_m: how far from the command START may find x_m */
+#define SKIPS_SHARE (50.0 / 1024.0) /* of the last second, where nothing else is said */
+
+/* ---- reactions --------------------------------------------------------------------------------- */
+
+static void react(rthyb_station *s, finding found, int reaction)
+{
+    /* While ramping in there is no course yet that could be resumed. */
+    const int ends_it = (reaction == RTHYB_REACT_RAMP_OUT && is_moving(s->state)) ||
+                        (reaction == RTHYB_REACT_HOLD && s->state == RTHYB_RAMP_IN);
+    if (reaction == RTHYB_REACT_TRIP) {
+        station_trip(s, found);
+    } else if (ends_it) {
+        station_ramp_out(s, found);
+    } else if (reaction == RTHYB_REACT_HOLD && course_can_hold(s)) {
+        station_blame(s, found);
+        course_hold(s);
+    } else if (reaction != RTHYB_REACT_NONE) {
+        s->indicated |= 1u << found.cause;
+    }
+}
+
+int watch_react(rthyb_station *s, finding found, int reaction, int bit)
+{
+    react(s, found, reaction);
+    return reaction == RTHYB_REACT_TRIP ? bit | RTHYB_S_TRIP : bit;
+}
+
+static int check_by(rthyb_station *s, const rthyb_watch *watch, int cause, int where, double value,
+                    int bit)
+{
+    if (watch->reaction == RTHYB_REACT_NONE || !(watch->value > 0.0) ||
+        !(fabs(value) > watch->value))
+        return RTHYB_OK;
+    return watch_react(s, (finding){cause, value, watch->value, where}, watch->reaction, bit);
+}
+
+int watch_check(rthyb_station *s, int cause, double value, int bit)
+{
+    return check_by(s, &s->cfg.watch[cause], cause, 0, value, bit);
+}
+
+static int check_axis(rthyb_station *s, int axis, int cause, double value, int bit)
+{
+    return check_by(s, watch_of(s, axis, cause), cause, of_axis(axis), value, bit);
+}
+
+/* ---- before it moves --------------------------------------------------------------------------- */
+
+/* Whether something lies beyond a limit that takes a test off its course; *found says what. */
+static int ends_beyond(const rthyb_station *s, int axis, int cause, double value, finding *found)
+{
+    const rthyb_watch *watch = watch_of(s, axis, cause);
+    if (watch->reaction < RTHYB_REACT_HOLD || !(watch->value > 0.0) ||
+        !(fabs(value) > watch->value))
+        return 0;
+    *found = (finding){cause, value, watch->value, of_axis(axis)};
+    return 1;
+}
+
+int watch_overload(const rthyb_station *s, int axis, double f_n, finding *found)
+{
+    return (s->tared &&
+            ends_beyond(s, axis, RTHYB_CAUSE_FORCE, f_n - s->axis[axis].tare_f, found)) ||
+           ends_beyond(s, axis, RTHYB_CAUSE_RIG_FORCE, f_n, found);
+}
+
+int watch_rig_trips(const rthyb_station *s, int axis, double f_n, finding *found)
+{
+    return watch_of(s, axis, RTHYB_CAUSE_RIG_FORCE)->reaction == RTHYB_REACT_TRIP &&
+           ends_beyond(s, axis, RTHYB_CAUSE_RIG_FORCE, f_n, found);
+}
+
+/* A reading at the end of its range says nothing of what lies beyond. */
+static int axis_finds(const rthyb_station *s, int i, finding *found)
+{
+    const rthyb_axis *a = &s->axis[i];
+    const double x = a->seen_x - a->tare_x;
+    if (a->off_scale & AXIS_OFF_F) {
+        *found = (finding){RTHYB_CAUSE_FORCE, a->told_f, s->cfg.axis[i].f_range_n, of_axis(i)};
+        return 1;
+    }
+    if (a->off_scale & AXIS_OFF_X) {
+        *found = (finding){RTHYB_CAUSE_POSITION, a->told_x, s->cfg.axis[i].x_range_m, of_axis(i)};
+        return 1;
+    }
+    return watch_overload(s, i, a->seen_f, found) ||
+           ends_beyond(s, i, RTHYB_CAUSE_TRACKING, x - s->controller.axis[i].target - a->gap,
+                       found) ||
+           ends_beyond(s, i, RTHYB_CAUSE_POSITION, x, found) ||
+           ends_beyond(s, i, RTHYB_CAUSE_RIG_POSITION, x + a->tare_cmd, found);
+}
+
+int watch_finds(const rthyb_station *s, finding *found)
+{
+    for (int i = 0; i < axes_of(s); i++)
+        if (axis_finds(s, i, found))
+            return 1;
+    return 0;
+}
+
+int watch_wandered(const rthyb_station *s, finding *found)
+{
+    for (int i = 0; i < axes_of(s); i++) {
+        const rthyb_axis *a = &s->axis[i];
+        const double away = a->seen_x - a->tare_x - s->controller.axis[i].x_cmd - a->gap;
+        const double most = START_SPREADS * s->cfg.axis[i].rest_spread_m;
+        if (!(fabs(away) > most))
+            continue;
+        *found = (finding){RTHYB_CAUSE_TRACKING, away, most, of_axis(i)};
+        return 1;
+    }
+    return 0;
+}
+
+/* ---- while it moves ---------------------------------------------------------------------------- */
+
+/* Where nothing is left that a hold or a ramp-out would do: at rest, held, on the way out. */
+static int is_off_course(int state)
+{
+    return state != RTHYB_RAMP_IN && state != RTHYB_RUNNING;
+}
+
+/* A force beyond its limit. What is to hold or to ramp out has nothing left but a trip where the force stays,
+ * or grows, in spite of it. One at the end of the sensor's range may be any force. */
+static int check_force(rthyb_station *s, int i, int cause, double value, rthyb_overload *over)
+{
+    const rthyb_watch *watch = watch_of(s, i, cause);
+    const rthyb_axis *a = &s->axis[i];
+    const int off_scale = a->off_scale & AXIS_OFF_F;
+    if (watch->reaction == RTHYB_REACT_NONE || !(watch->value > 0.0))
+        return RTHYB_OK;
+    const int is_beyond = off_scale || fabs(value) > watch->value;
+    const uint64_t gone = s->tick - over->seen;
+    over->seen = s->tick;
+    axis_count_overload(over, gone < s->ticks.lost ? gone : s->ticks.lost, is_beyond,
+                        is_off_course(s->state), s->ticks.overload);
+    if (!is_beyond)
+        return RTHYB_OK;
+    const int too_much =
+        off_scale || fabs(value) > OVERLOAD * watch->value || over->ticks >= s->ticks.overload;
+    const int escalates =
+        watch->reaction >= RTHYB_REACT_HOLD && is_off_course(s->state) && too_much;
+    const finding found = off_scale
+                              ? (finding){cause, a->told_f, s->cfg.axis[i].f_range_n, of_axis(i)}
+                              : (finding){cause, value, watch->value, of_axis(i)};
+    return watch_react(s, found, escalates ? RTHYB_REACT_TRIP : watch->reaction,
+                       RTHYB_S_FORCE_LIMIT);
+}
+
+static int check_forces(rthyb_station *s, const rthyb_record *r)
+{
+    int code = RTHYB_OK;
+    for (int i = 0; i < axes_of(s); i++) {
+        rthyb_axis *a = &s->axis[i];
+        /* The reading counts though its pair was not taken: what pulls at the specimen need not be
+         * smooth. */
+        const double f = a->told ? a->told_f - a->tare_f : r->axis[i].f_meas_n;
+        if (s->tared)
+            code |= check_force(s, i, RTHYB_CAUSE_FORCE, f, &a->over_f);
+        code |= check_force(s, i, RTHYB_CAUSE_RIG_FORCE, f + a->tare_f, &a->over_rig_f);
+    }
+    return code;
+}
+
+int watch_off_scale(const rthyb_station *s)
+{
+    int bits = 0;
+    for (int i = 0; i < axes_of(s); i++)
+        bits |= s->axis[i].off_scale;
+    return bits;
+}
+
+/* A displacement at the end of its sensor's range is as one beyond the position limit. */
+static int check_off_scale(rthyb_station *s)
+{
+    int code = RTHYB_OK;
+    const int causes[] = {RTHYB_CAUSE_RIG_POSITION, RTHYB_CAUSE_POSITION};
+    for (int i = 0; i < axes_of(s); i++) {
+        const rthyb_axis *a = &s->axis[i];
+        for (int j = 0; j < 2 && a->off_scale & AXIS_OFF_X; j++) {
+            const rthyb_watch *watch = watch_of(s, i, causes[j]);
+            const finding found = {causes[j], a->told_x, s->cfg.axis[i].x_range_m, of_axis(i)};
+            if (watch->reaction != RTHYB_REACT_NONE && watch->value > 0.0)
+                code |= watch_react(s, found, watch->reaction, RTHYB_S_POSITION_LIMIT);
+        }
+    }
+    return code;
+}
+
+/* By what was asked of each axis for this tick. */
+static int check_tracking(rthyb_station *s, const rthyb_record *r, int at_rest)
+{
+    int code = RTHYB_OK;
+    for (int i = 0; i < axes_of(s); i++) {
+        const double gap = at_rest ? s->axis[i].gap : 0.0;
+        code |= check_axis(s, i, RTHYB_CAUSE_TRACKING,
+                           r->axis[i].x_meas_m - s->controller.axis[i].target1 - gap,
+                           RTHYB_S_TRACKING_LIMIT);
+    }
+    return code;
+}
+
+/* Commands leave, and nothing moves: a force, or a drive that lets go of where it was told to be. What was
+ * never zeroed has no zero to be far from. */
+void watch_at_rest(rthyb_station *s, rthyb_record *r)
+{
+    if (!s->seen || s->drive_stands || (s->controller.missing && !watch_off_scale(s)))
+        return;
+    int code = r->code | check_forces(s, r) | check_off_scale(s);
+    if (s->tared)
+        code |= check_tracking(s, r, 1);
+    r->code = (uint16_t)code;
+}
+
+static int check_commands(rthyb_station *s)
+{
+    const double h = s->cfg.controller.period_s;
+    int code = RTHYB_OK;
+    for (int i = 0; i < axes_of(s); i++) {
+        const rthyb_controller_axis *a = &s->controller.axis[i];
+        code |= check_axis(s, i, RTHYB_CAUSE_POSITION, a->x_plc, RTHYB_S_POSITION_LIMIT);
+        code |= check_axis(s, i, RTHYB_CAUSE_RIG_POSITION, a->x_plc + s->axis[i].tare_cmd,
+                           RTHYB_S_POSITION_LIMIT);
+    }
+    for (int j = 0; j < interfaces_of(s); j++)
+        code |= check_by(s, &s->cfg.interface[j].position, RTHYB_CAUSE_POSITION, -1 - j,
+                         s->controller.interface[j].x_num, RTHYB_S_POSITION_LIMIT);
+    code |= check_off_scale(s);
+    for (int i = 0; i < axes_of(s); i++) {
+        const rthyb_controller_axis *a = &s->controller.axis[i];
+        code |= check_axis(s, i, RTHYB_CAUSE_VELOCITY, (a->x_plc - a->x_plc1) / h,
+                           RTHYB_S_VELOCITY_LIMIT);
+        code |=
+            check_axis(s, i, RTHYB_CAUSE_INCREMENT, a->x_cmd - a->x_cmd1, RTHYB_S_INCREMENT_LIMIT);
+    }
+    return code;
+}
+
+void watch_moving(rthyb_station *s, rthyb_record *r, double indicator_before)
+{
+    const double h = s->cfg.controller.period_s;
+    const double slope = (r->tracking_indicator_m2 - indicator_before) / h;
+    s->indicator_slope += (slope - s->indicator_slope) * fmin(h / 0.25, 1.0);
+    int code = r->code | check_commands(s);
+    code |= check_forces(s, r);
+    for (int j = 0; j < interfaces_of(s); j++)
+        code |= check_by(s, &s->cfg.interface[j].force, RTHYB_CAUSE_FORCE, -1 - j,
+                         s->controller.interface[j].f, RTHYB_S_FORCE_LIMIT);
+    code |= check_tracking(s, r, 0);
+    code |= watch_check(s, RTHYB_CAUSE_INDICATOR, s->indicator_slope, RTHYB_S_INDICATOR_LIMIT);
+    code |= watch_check(s, RTHYB_CAUSE_ENERGY, r->energy_error_j, RTHYB_S_ENERGY_LIMIT);
+    code |= watch_check(s, RTHYB_CAUSE_LOST_WARNING, share_of(s, &s->losses), RTHYB_S_LOST_RATE);
+    code |= watch_check(s, RTHYB_CAUSE_LOST_PAIRS, share_of(s, &s->losses), RTHYB_S_LOST_RATE);
+    r->code = (uint16_t)code;
+}
+
+/* ---- sensors ----------------------------------------------------------------------------------- */
+
+/* A sensor that repeats itself while the command has moved on. */
+static void check_stuck(rthyb_station *s, int i, int cause, rthyb_stillness *still, double reading)
+{
+    const rthyb_watch *watch = watch_of(s, i, cause);
+    if (axis_is_stuck(still, reading, s->controller.axis[i].x_cmd, is_moving(s->state),
+                      watch->value, s->cfg.axis[i].rest_spread_m))
+        s->noted |= watch_react(s, (finding){cause, (double)still->ticks, watch->value, of_axis(i)},
+                                watch->reaction, RTHYB_S_SENSOR_STUCK);
+}
+
+void watch_stuck(rthyb_station *s, int axis, double x_m, double f_n)
+{
+    check_stuck(s, axis, RTHYB_CAUSE_SENSOR_STUCK, &s->axis[axis].still_x, x_m);
+    check_stuck(s, axis, RTHYB_CAUSE_FORCE_STUCK, &s->axis[axis].still_f, f_n);
+}
+
+/* 1 unless a sensor leapt. In ticks without a pair the specimen may have moved on, in each by as much as
+ * in one. Another level is believed when it stays, unless a leap is to end the test. */
+static int is_steady(rthyb_station *s, int i, int cause, rthyb_leaps *leaps, double seen,
+                     double reading)
+{
+    const rthyb_watch *watch = watch_of(s, i, cause);
+    const double most = watch->value * ((double)s->controller.missing + 1.0);
+    const double leap = reading - seen;
+    int good = 1;
+    if (s->seen && watch->value > 0.0 && fabs(leap) > most) {
+        s->noted |= watch_react(s, (finding){cause, leap, most, of_axis(i)}, watch->reaction,
+                                RTHYB_S_SENSOR_JUMP);
+        const int ends_test = watch->reaction >= RTHYB_REACT_RAMP_OUT && s->state != RTHYB_IDLE &&
+                              s->state != RTHYB_TRIPPED;
+        good = axis_count_leaps(leaps, reading, watch->value) >= JUMP_TAKEN && !ends_test;
+    }
+    if (good)
+        leaps->count = 0;
+    return good;
+}
+
+uint32_t watch_leaps(rthyb_station *s, const rthyb_station_input *in)
+{
+    uint32_t leapt = 0;
+    for (int i = 0; i < axes_of(s); i++) {
+        rthyb_axis *a = &s->axis[i];
+        finding found;
+        const double x = in->axis[i].x_m, f = in->axis[i].f_n;
+        int good = is_steady(s, i, RTHYB_CAUSE_SENSOR_JUMP, &a->leaps_x, a->seen_x, x);
+        /* A force beyond its limit is that first, however it came there. */
+        if (!watch_overload(s, i, f, &found))
+            good &= is_steady(s, i, RTHYB_CAUSE_FORCE_JUMP, &a->leaps_f, a->seen_f, f);
+        leapt |= good ? 0u : 1u << i;
+    }
+    return leapt;
+}
+
+/* ---- the clock --------------------------------------------------------------------------------- */
+
+void watch_skips(rthyb_station *s, uint32_t skipped)
+{
+    const double share = share_of(s, &s->skips), most = SKIPS_SHARE;
+    if (skipped >= s->ticks.lost) {
+        station_trip(s, (finding){RTHYB_CAUSE_STALLED, skipped, s->ticks.lost, 0});
+    } else if (skipped > s->ticks.skips) {
+        station_ramp_out(s, (finding){RTHYB_CAUSE_SKIPS, skipped, s->ticks.skips, 0});
+    } else if (is_on_its_way(s->state)) {
+        s->noted |= watch_check(s, RTHYB_CAUSE_SKIP_WARNING, share, RTHYB_S_SKIP_RATE);
+        if (s->cfg.watch[RTHYB_CAUSE_SKIPS].value > 0.0)
+            s->noted |= watch_check(s, RTHYB_CAUSE_SKIPS, share, RTHYB_S_SKIP_RATE);
+        else if (share > most)
+            station_ramp_out(s, (finding){RTHYB_CAUSE_SKIPS, share, most, 0});
+    }
+}

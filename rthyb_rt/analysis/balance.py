@@ -1,0 +1,145 @@
+"""Where the energy of a test has gone: input, kinetic, strain, damping, specimen.
+
+The equation of motion in relative coordinates, m a + c v + k x + F = -m a_g, times the velocity and
+summed up over time, with F = f + k_t (x_c - x_m) the force that it was given (Eqn 3.2), f the
+measured one:
+
+    E_input + E_fed = E_kinetic + E_damping + E_strain + E_specimen
+
+E_fed is what the tracking error has put in (`measures.fed_energy`). Uang, C.-M., Bertero, V.V.:
+"Evaluation of seismic energy in structures", Earthquake Engineering & Structural Dynamics 19 (1990)
+77-90, has the balance of a structure without an actuator in it.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.analysis import measures
+
+if TYPE_CHECKING:
+    from rthyb_rt.analysis.summary import Setup
+    from rthyb_rt.record.recording import Recording
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Energies up to each row of the test proper, (n,), J.
+
+    Attributes:
+        t_s: time of the rows, (n,), s.
+        input_j: put in by the ground motion.
+        fed_j: put in by the tracking error; negative: taken out.
+        kinetic_j, damping_j: of the computed part, in its motion and lost in its damping.
+        strain_j: stored, and given back: in the computed stiffness and in the elastic specimen.
+        specimen_j: lost in the specimen: hysteresis, friction, its own damping.
+    """
+
+    t_s: Floats
+    input_j: Floats
+    fed_j: Floats
+    kinetic_j: Floats
+    damping_j: Floats
+    strain_j: Floats
+    specimen_j: Floats
+
+    @property
+    def rest_j(self) -> Floats:
+        """What is missing to the balance: numerics, and a filter of the force compensation."""
+        kept = self.kinetic_j + self.damping_j + self.strain_j + self.specimen_j
+        return np.asarray(self.input_j + self.fed_j - kept)
+
+    @property
+    def gap(self) -> float:
+        """The largest rest as a part of the largest input and strain energy; nan without any."""
+        whole = float(np.max(self.input_j, initial=0.0) + np.max(self.strain_j, initial=0.0))
+        return float(np.max(np.abs(self.rest_j), initial=0.0)) / whole if whole else float("nan")
+
+
+def of_recording(rec: Recording, given: Setup) -> Balance | None:
+    """Return the balance of a recording; None where mass, damping or stiffness are not known.
+
+    Of a structure of many degrees of freedom a recording has the interface alone. Taken is what
+    was recorded up to the first interruption of the test proper.
+
+    Args:
+        rec: the recording.
+        given: what its files say.
+    """
+    test = _parsed(rec.test_toml)
+    numerical = test.get("numerical", {})
+    known = (given.mass_kg, given.damping_n_s_per_m, given.k_e_n_per_m)
+    if not isinstance(numerical, dict) or any(value is None for value in known):
+        return None
+    if any(key in numerical for key in ("matrices", "storeys")):
+        return None
+    rows = np.flatnonzero(rec.running())
+    if rows.size < 3:
+        return None
+    breaks = np.flatnonzero(np.diff(rows) > 1)
+    rows = rows[: breaks[0] + 1] if breaks.size else rows
+    s = rec.samples[rows]
+    signals = [
+        np.where(np.isfinite(s[name]), s[name], 0.0)
+        for name in ("x_num_m", "x_meas_m", "f_meas_n", "ag_mps2", "k_t_n_per_m")
+    ]
+    stiffness = numerical.get("stiffness_n_per_m", 0.0)
+    k = float(stiffness) if isinstance(stiffness, (int, float)) else 0.0
+    mass, damping, k_e = (float(value or 0.0) for value in known)
+    return balance(
+        rec.time_s()[rows], *signals, mass_kg=mass, damping_n_s_per_m=damping,
+        stiffness_n_per_m=k, k_e_n_per_m=k_e, fs_hz=rec.fs_hz, compensated=given.rfc_enabled,
+    )  # fmt: skip
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return {}
+
+
+def balance(
+    t_s: Floats, x_num_m: Floats, x_meas_m: Floats, f_meas_n: Floats, ag_mps2: Floats,
+    k_t_n_per_m: Floats, *, mass_kg: float, damping_n_s_per_m: float, stiffness_n_per_m: float,
+    k_e_n_per_m: float, fs_hz: float, compensated: bool = True,
+) -> Balance:  # fmt: skip
+    """Return the energies of one degree of freedom.
+
+    Args:
+        t_s: time, (n,), s.
+        x_num_m, x_meas_m: command of the integration and measured displacement, (n,), m.
+        f_meas_n: measured force, (n,), N.
+        ag_mps2: ground acceleration, (n,), m/s^2.
+        k_t_n_per_m: tangent stiffness of the force compensation, (n,), N/m.
+        mass_kg, damping_n_s_per_m, stiffness_n_per_m: of the computed part.
+        k_e_n_per_m: elastic stiffness of the specimen, N/m.
+        fs_hz: sampling rate, Hz.
+        compensated: whether the force was compensated.
+    """
+    k_t = k_t_n_per_m if compensated else np.zeros_like(k_t_n_per_m)
+    with np.errstate(over="ignore", invalid="ignore"):
+        used = f_meas_n + k_t * (x_num_m - x_meas_m)
+        v = np.gradient(x_num_m) * fs_hz
+        elastic = used * (used / (2.0 * k_e_n_per_m))
+        stored = f_meas_n * (f_meas_n / (2.0 * k_e_n_per_m))
+        taken = np.zeros_like(f_meas_n)
+        work = 0.5 * (f_meas_n[1:] + f_meas_n[:-1]) * np.diff(x_meas_m)
+        taken[1:] = np.cumsum(np.where(np.isfinite(work), work, 0.0))
+        found = {
+            "input_j": measures.input_energy(ag_mps2, x_num_m, mass_kg),
+            "fed_j": measures.fed_energy(f_meas_n, x_num_m, x_meas_m, k_t, k_e_n_per_m),
+            "kinetic_j": 0.5 * mass_kg * v * v,
+            "damping_j": measures.damping_energy(x_num_m, damping_n_s_per_m, fs_hz),
+            "strain_j": 0.5 * stiffness_n_per_m * x_num_m * x_num_m + elastic,
+            "specimen_j": taken - stored,
+        }
+        # A test begins at rest: what stands there already is not of this test.
+        return Balance(t_s, **{name: value - value[0] for name, value in found.items()})

@@ -1,0 +1,122 @@
+"""A test and its rig, checked."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from rthyb_rt.analysis import loop_roots
+from rthyb_rt.analysis.loop_roots import Verdict
+from rthyb_rt.checking import facts, remarks, tables
+from rthyb_rt.checking.figures import Figures, figures_of
+from rthyb_rt.checking.history import HistoryFigures, figures_of_history, rows_of_history
+from rthyb_rt.config import RigFile, TestFile
+from rthyb_rt.core import FS_HZ
+from rthyb_rt.lab import braking, experiment
+from rthyb_rt.lab.braking import RunOn
+from rthyb_rt.lab.experiment import Setup
+
+SCHEMA: Final = "rthyb-check/1"
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What a test came to that was checked.
+
+    Attributes:
+        setup: the test, ready to go.
+        figures: that follow from test and rig.
+        loop: roots and margins of the loop; None where the rig's response is not known.
+        runs_on: how far a HOLD, a STOP or a ramp-out goes on at most.
+        limits: those that act, and where they come from.
+        link, commissioning: of the rig; None for one without a link.
+        factors: of the rig's calibration.
+        notes, warnings: what a user should know, and what should be changed.
+    """
+
+    setup: Setup
+    figures: Figures | HistoryFigures
+    loop: Verdict | None
+    runs_on: RunOn
+    limits: list[dict[str, Any]]
+    link: dict[str, Any] | None
+    commissioning: dict[str, Any] | None
+    factors: dict[str, float]
+    notes: list[str]
+    warnings: list[str]
+
+    def document(self) -> dict[str, Any]:
+        """Return it as a JSON document."""
+        return {
+            "schema": SCHEMA,
+            "ok": True,
+            "test_name": self.setup.test.test.name,
+            "rig_name": self.setup.rig.rig.name,
+            "figures": asdict(self.figures),
+            "run_on": asdict(self.runs_on),
+            "loop": None if self.loop is None else asdict(self.loop),
+            "limits": self.limits,
+            "link": self.link,
+            "commissioning": self.commissioning,
+            "calibration": self.factors,
+            "notes": self.notes,
+            "warnings": self.warnings,
+        }
+
+    def tables(self) -> list[list[tuple[str, str, str]]]:
+        """Return its tables, those that have a row: what, how much, what it is."""
+        setup = self.setup
+        all_tables = (
+            self._first_rows(),
+            tables.link_rows(self.link),
+            tables.commissioning_rows(self.commissioning),
+            tables.calibration_rows(self.factors),
+            tables.limit_rows(setup, self.limits),
+            tables.run_on_rows(self.runs_on),
+        )
+        return [list(rows) for rows in all_tables if rows]
+
+    def _first_rows(self) -> list[tuple[str, str, str]]:
+        if isinstance(self.figures, HistoryFigures):
+            return rows_of_history(self.setup, self.figures)
+        rows = tables.rows_of_test(self.setup, self.figures)
+        return [*rows, *tables.loop_rows(self.loop)]
+
+
+def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> Examined:
+    """Check a test on a rig.
+
+    Args:
+        test_file, rig_file: the two.
+        rig: path or name of the rig, by which it is known whether it was commissioned.
+
+    Raises:
+        InputError: with what is wrong between them.
+    """
+    real_time = rig_file.link is not None and test_file.test.sample_rate_hz == FS_HZ
+    setup = experiment.prepare(test_file, rig_file, real_time=real_time)
+    figures = figures_of(setup) if setup.plan is None else figures_of_history(setup)
+    runs_on = braking.run_on(setup)
+    loop = loop_roots.judge(setup)
+    commissioning = None if rig is None else facts.commissioning_of(setup, rig)
+    notes, warnings = remarks.remarks(setup, figures)
+    warnings += remarks.run_on_warnings(setup, figures, runs_on)
+    remark = loop_roots.remark(loop)
+    if remark is not None:
+        warnings.append(remark)
+    if loop is not None and loop.unstable and facts.is_real(setup):
+        warnings.append("a test in real time will be refused: the loop is unstable")
+    if commissioning is not None and commissioning["why_not"]:
+        warnings.append(f"a test in real time will be refused: {commissioning['why_not']}")
+    return Examined(
+        setup=setup,
+        figures=figures,
+        loop=loop,
+        runs_on=runs_on,
+        limits=facts.limits_of(setup),
+        link=facts.link_of(setup),
+        commissioning=commissioning,
+        factors=facts.calibration_of(setup),
+        notes=notes,
+        warnings=warnings,
+    )

@@ -1,0 +1,101 @@
+"""What a test is given: its limits, its link, dates of commissioning, calibration."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from importlib import util
+from typing import Any
+
+from rthyb_rt import config
+from rthyb_rt.config import Limit, Link, busload
+from rthyb_rt.config.limits import unit_of
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment
+from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.rig.commissioning import certificate
+
+
+def is_real(setup: Setup) -> bool:
+    """Return whether something real is at the other end of the rig's link."""
+    return setup.rig.link is not None and not setup.rig.link.virtual
+
+
+def limits_of(setup: Setup) -> list[dict[str, Any]]:
+    """Return every limit of test and rig together: key, value, unit, action, where it is from."""
+    found = []
+    for key, source in setup.derived.limits.sources.items():
+        limit = getattr(setup.test.limits, key)
+        watched = isinstance(limit, Limit)
+        found.append(
+            {
+                "key": key,
+                "value": limit.value if watched else limit,
+                "unit": unit_of(key),
+                "action": (limit.action if limit.enable else "none") if watched else None,
+                "enable": limit.enable if watched else True,
+                "from": source,
+            }
+        )
+    return found + _derived(setup)
+
+
+def _derived(setup: Setup) -> list[dict[str, Any]]:
+    """Return the limits that no file states and a test at a link has all the same."""
+    return [
+        {
+            "key": key,
+            "value": limit.value,
+            "unit": unit_of(key),
+            "action": limit.action,
+            "enable": True,
+            "from": "derived",
+        }
+        for key, limit in setup.derived.limits.derived.items()
+    ]
+
+
+def link_of(setup: Setup) -> dict[str, Any] | None:
+    """Return the rig's link, with the share of bus or line that its frames take."""
+    link = setup.rig.link
+    if link is None:
+        return None
+    return {**link.model_dump(), "bus_load": _bus_load(link)}
+
+
+def _bus_load(link: Link) -> float | None:
+    """Return the share of the bus or line, None where bit rate or frames are not known."""
+    if link.bitrate is None:
+        return None
+    if link.kind == "serial":
+        return busload.serial_load(link.bitrate)
+    if not dbc_is_read(link):
+        return None
+    return busload.bus_load(config.frames_of_link(link), link.bitrate, link.data_bitrate)
+
+
+def dbc_is_read(link: Link) -> bool:
+    """Return whether a DBC file, if the link has one, could be read for its faults."""
+
+    return link.dbc is None or util.find_spec("cantools") is not None
+
+
+def commissioning_of(setup: Setup, name: str | None) -> dict[str, Any] | None:
+    """Return what has been checked on the rig, as its file stands; None without a link."""
+    if setup.rig.link is None:
+        return None
+    path = config.find_rig(name)
+    try:
+        return certificate.standing(setup.rig, path).as_json()
+    except InputError as error:
+        return {
+            "demanded": not setup.rig.link.virtual,
+            "commissioned": False,
+            "certificate": str(certificate.place(path)),
+            "why_not": str(error),
+            "steps": dict.fromkeys(certificate.STEPS),
+        }
+
+
+def calibration_of(setup: Setup) -> dict[str, float]:
+    """Return the factors between wire and structure by name."""
+    return asdict(experiment.calibration(setup.rig))

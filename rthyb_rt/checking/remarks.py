@@ -1,0 +1,201 @@
+"""Notes and warnings on a test that has no fault."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rthyb_rt.analysis.margins import LITTLE_MARGIN, OSCILLATES
+from rthyb_rt.checking.facts import dbc_is_read
+from rthyb_rt.checking.figures import GAIN, Figures
+from rthyb_rt.checking.history import HistoryFigures
+from rthyb_rt.config import STANDARD, STANDARD_HZ
+from rthyb_rt.lab.braking import RunOn
+from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.numbers import quantity
+
+MUCH_DAMPING: Final = 0.5
+"""As a part of critical. No structure has it; who wrote 2 meant per cent."""
+
+RUN_ON_TOLERANCE: Final = 1.005
+"""A smooth brake so near a peak that it is past it before it has begun is no run-on."""
+
+NOISE_SPAN: Final = 7
+"""Standard deviations that 1024 samples of noise span."""
+
+
+def remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[str]]:
+    """Return notes and warnings."""
+
+    notes, warnings = list(setup.notes), list[str]()
+    if "warning" in setup.motion.details:
+        notes.append(f"ground motion: {setup.motion.details['warning']}")
+    if isinstance(f, Figures):
+        _of_structure(setup, f, notes, warnings)
+    warnings += _limits_in_reach(setup, f)
+    limits = setup.test.limits
+    if not any(limit and limit.ends for limit in (limits.command_position_m, limits.force_n)):
+        warnings.append(
+            "nothing ends a test that grows: neither limits.command_position_m nor limits.force_n "
+            "is set with an action that ends it"
+        )
+    if setup.rig.link is not None:
+        if setup.rate != STANDARD:
+            notes.append(
+                f"test.sample_rate_hz = {setup.rate.hz:g} Hz is for virtual time: a test in real "
+                f"time goes at {STANDARD.hz:g} Hz, and will be refused"
+            )
+        more_notes, more_warnings = _real_time_remarks(setup, f)
+        notes, warnings = notes + more_notes, warnings + more_warnings
+    return notes, warnings
+
+
+def _of_structure(setup: Setup, f: Figures, notes: list[str], warnings: list[str]) -> None:
+    """Add what may go wrong between a structure and the rig."""
+    for found in (_divergence(setup, f), _oscillation(setup, f)):
+        if found is not None:
+            is_warning, text = found
+            (warnings if is_warning else notes).append(text)
+    if f.damping_ratio > MUCH_DAMPING:
+        warnings.append(
+            f"the damping is {f.damping_ratio:.3g} of critical; a structure has 0.01 to 0.1: 2 % "
+            'is numerical.damping_ratio = 0.02, or "2 %"'
+        )
+
+
+def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[str]]:
+    """Return notes and warnings on what only a test in real time watches."""
+    limits, noise = setup.test.limits, setup.derived.rest_noise_displacement_m
+    notes, warnings = list[str](), list[str]()
+    if setup.rig.link is not None and not dbc_is_read(setup.rig.link):
+        warnings.append(
+            "link.dbc was not read, and its frames not checked: a test in real time will be "
+            "refused; reading a DBC file needs cantools: pip install 'rthyb-rt[wire]'"
+        )
+    jump, spread = limits.sensor_jump_m, limits.rest_spread_m
+    derived = setup.derived.limits.derived
+    watched = [
+        getattr(limits, key) or derived.get(key)
+        for key in ("sensor_stuck_samples", "sensor_jump_m")
+    ]
+    if not any(limit is not None and limit.ends for limit in watched):
+        notes.append(
+            "nothing ends a test whose displacement sensor sticks or jumps: set "
+            "limits.sensor_stuck_samples and limits.sensor_jump_m"
+        )
+    # Two samples that are each off by four standard deviations.
+    step = f.reference_peak_m_per_s / setup.derived.fs_hz + 8 * noise
+    if jump is not None and jump.acts and setup.rate.leap(jump.value) < step:
+        warnings.append(
+            f"limits.sensor_jump_m = {setup.rate.leap(jump.value):g} m is below the {step:.2g} m "
+            "that displacement and noise change by from sample to sample: good readings will be "
+            "refused"
+        )
+    if spread is not None and spread < NOISE_SPAN * noise:
+        warnings.append(
+            f"limits.rest_spread_m = {spread:g} m is below the span of the noise at rest, "
+            f"{NOISE_SPAN * noise:.2g} m: zeroing will be refused"
+        )
+    return notes, warnings
+
+
+def _divergence(setup: Setup, f: Figures) -> tuple[bool, str] | None:
+    """Compare the rig's delay with what the structure survives."""
+    leads = f.critical_delay_with_lead_samples is not None
+    critical = f.critical_delay_with_lead_samples if leads else f.critical_delay_samples
+    delay = f.identified_delay_samples
+    # The estimator moves a lead that starts too short; force compensation removes the error.
+    helped = setup.derived.rfc_enabled or (leads and setup.derived.estimator_enabled)
+    if delay is None or critical is None or delay < critical:
+        return None
+    how, at = _lead_in_words(f) if leads else ("without phase lead", "at any delay")
+    found = (
+        f"{how} the structure on an elastic specimen survives a delay of {critical:.2g} samples, "
+        f"and the rig has {delay:g}"
+        if critical
+        else f"{how} the structure on an elastic specimen is unstable"
+        f" {at}, and the rig has {delay:g} samples"
+    )
+    if helped:
+        return False, f"{found}: the test rests on delay estimate and force compensation"
+    return True, f"{found}: the motion will grow; compensate the delay, or set a limit that trips"
+
+
+def _lead_in_words(f: Figures) -> tuple[str, str]:
+    """Return how the command is led, and the delay that this is made for."""
+    if f.alpha0 is not None:
+        return "with the phase lead at alpha0", "even at a delay of alpha0"
+    return "with the control law at its first settings", "even at the delay that these are made for"
+
+
+def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
+    """Judge the loop of the paper's delay estimator."""
+    g = f.estimator_loop_gain
+    if g is None or g <= LITTLE_MARGIN:
+        return None
+    gain = setup.derived.law_settings[GAIN]
+    remedy = (
+        f"lower controller.delay_estimator.gain_per_mm2_per_sample from {gain:g} to "
+        f"{LITTLE_MARGIN / g * gain:.2g} or less"
+    )
+    if g > OSCILLATES and not f.rig_is_lag:
+        return True, (
+            f"the delay estimate will oscillate on a pure delay: its loop gain is {g:.2f}, allowed "
+            f"is {OSCILLATES:.2f}; {remedy}"
+        )
+    lag = ", though a lag such as this rig's forgives more than a delay" if f.rig_is_lag else ""
+    return False, (
+        f"little margin for the delay estimate: its loop gain is {g:.2f}, advised is up to "
+        f"{LITTLE_MARGIN:g}{lag}; {remedy}"
+    )
+
+
+def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
+    """Name the limits that already the reference simulation exceeds."""
+    limits = setup.test.limits
+    pairs = [
+        ("command_position_m", limits.command_position_m, f.reference_peak_m, "m"),
+        ("force_n", limits.force_n, f.reference_peak_n, "N"),
+    ]
+    found = [
+        f"limits.{key} = {limit.value:g} {unit} is below the {peak:.3g} {unit} of the reference "
+        "simulation: the test will meet it"
+        for key, limit, peak, unit in pairs
+        if limit is not None and limit.acts and peak > limit.value
+    ]
+    velocity, increment = limits.command_velocity_m_per_s, limits.command_increment_m
+    peak_m_per_s = f.reference_peak_m_per_s
+    if velocity is not None and velocity.enable and peak_m_per_s > velocity.value:
+        found.append(
+            f"limits.command_velocity_m_per_s = {velocity.value:g} m/s is below the "
+            f"{peak_m_per_s:.3g} m/s of the reference simulation: the command will be held back"
+        )
+    peak_m = peak_m_per_s / STANDARD_HZ
+    if increment is not None and increment.acts and peak_m > increment.value:
+        found.append(
+            f"limits.command_increment_m = {increment.value:g} m is below the {peak_m:.3g} m a "
+            "sample of the reference simulation: the test will meet it"
+        )
+    return found
+
+
+def run_on_warnings(setup: Setup, f: Figures | HistoryFigures, found: RunOn) -> list[str]:
+    """Name what a HOLD, a STOP or a ramp-out runs on to that the test itself does not reach."""
+    limits = setup.test.limits
+    warnings = []
+    for key, limit, value, own, unit, factor in (
+        ("command_position_m", limits.command_position_m, found.displacement_m,
+         f.reference_peak_m, "mm", 1e3),
+        ("force_n", limits.force_n, found.force_n, f.reference_peak_n, "kN", 1e-3),
+    ):  # fmt: skip
+        beyond = limit is not None and limit.acts and value > limit.value >= own
+        if not beyond and value <= RUN_ON_TOLERANCE * own:
+            continue
+        than = f"limits.{key}" if beyond else "the test's own peak"
+        allowed = limit.value if limit is not None and beyond else own
+        warnings.append(
+            f"a HOLD, a STOP or a ramp-out runs on to {quantity(value, unit, factor)}, beyond "
+            f"{than} of {quantity(allowed, unit, factor)}: it brakes with "
+            f"{found.brake_m_per_s2:.3g} m/s^2; raise limits.brake_acceleration_m_per_s2, or leave "
+            "it out, and see that limits.command_acceleration_m_per_s2 allows it"
+        )
+    return warnings

@@ -1,0 +1,1 @@
+"""Recordings, simulations and tables of other labs beside one another."""

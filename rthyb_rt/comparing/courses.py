@@ -1,0 +1,261 @@
+"""What is compared, as displacement and force over the time of the test, whatever it comes from."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.errors import InputError
+
+if TYPE_CHECKING:
+    from rthyb_rt.diagnose.mapping import Wish
+    from rthyb_rt.record.recording import Recording
+
+Floats = NDArray[np.float64]
+
+MOST: Final = 10
+"""Curves that one figure can show."""
+MEASURES: Final = (
+    "peak_command_m", "peak_measured_m", "peak_force_n", "tracking_nrmse",
+    "response_nrmse", "energy_error_relative", "alpha_end",
+)  # fmt: skip
+"""Measures of a recording that are told of each."""
+_TABLES: Final = (".csv", ".txt", ".dat", ".tsv")
+_UNEVEN: Final = 0.5
+"""Part of a sampling period by which a row of a table may be off its place."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """A test as it is compared.
+
+    Attributes:
+        label: what it is called.
+        kind: ``recording``, ``simulation`` or ``table``.
+        fs_hz: sampling rate, Hz.
+        x_m: displacement of the specimen from the first sample of the test proper, (n,), m.
+        f_n: force of the specimen, (n,), N; None where it is not known.
+        ending: ``completed``, or what ended it; "" where nobody says.
+        measures: of `MEASURES`; None where they are not known.
+        notes: what was made of its file.
+    """
+
+    label: str
+    kind: str
+    fs_hz: float
+    x_m: Floats
+    f_n: Floats | None
+    ending: str = ""
+    measures: dict[str, float | None] = field(default_factory=lambda: dict.fromkeys(MEASURES))
+    notes: tuple[str, ...] = ()
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the test proper, s."""
+        return self.x_m.size / self.fs_hz
+
+
+def read(given: Sequence[Recording | str | Path], options: Sequence[str] = ()) -> list[Course]:
+    """Return what is given, or stands at a place, as it is compared.
+
+    Args:
+        given: each a recording, or the folder or file of one; the folder of a campaign or sweep,
+            for the recordings that it has kept; a test file, for its reference simulation; or a
+            table of another lab (CSV). A recording alone stands behind its reference simulation.
+        options: columns of the tables, as `mapping.read_wishes` takes them.
+
+    Raises:
+        InputError: one of them cannot be read, or there is nothing to compare.
+    """
+    from rthyb_rt.diagnose.mapping import read_wishes
+
+    wishes = read_wishes(options)
+    found: list[Course] = []
+    for one in given:
+        label: str | None = None
+        what: Recording | list[Course]
+        if isinstance(one, (str, Path)):
+            what, label = _at(Path(one), wishes), _place_name(Path(one))
+        else:
+            what = one
+        if isinstance(what, list):
+            found += what
+            continue
+        course = recorded(what, label)
+        found += beside_reference(what, course) if len(given) == 1 else [course]
+    return found
+
+
+def _place_name(place: Path) -> str | None:
+    """Return the name of a run's folder, by which its user knows it; None for the present one."""
+    return (place.name if place.is_dir() else place.parent.name) or None
+
+
+def beside_reference(rec: Recording, course: Course) -> list[Course]:
+    """Return a recording behind its own reference simulation.
+
+    Raises:
+        InputError: it has none.
+    """
+    reference = simulated(rec, course.label)
+    if reference is None:
+        raise InputError(
+            "has no reference simulation that it could be held against; give a second recording",
+            course.label,
+        )
+    return [reference, course]
+
+
+def _at(place: Path, wishes: Sequence[Wish]) -> Recording | list[Course]:
+    from rthyb_rt.campaign.book import PLAN
+    from rthyb_rt.record.recording import open_run
+
+    if place.is_dir() and (place / PLAN).is_file():
+        return _kept(place)
+    if place.suffix == ".toml":
+        return [simulation(place)]
+    if place.suffix.lower() in _TABLES:
+        return [table(place, wishes)]
+    return open_run(place)
+
+
+def recorded(rec: Recording, label: str | None = None) -> Course:
+    """Return a recording as it is compared."""
+    from rthyb_rt.analysis.summary import summarize
+
+    found = summarize(rec)
+    rows = rec.running()
+    measures = found.as_json()
+    return Course(
+        label or found.test_name or "recording",
+        "recording",
+        rec.fs_hz,
+        np.asarray(rec.samples["x_meas_m"][rows], np.float64),
+        np.asarray(rec.samples["f_meas_n"][rows], np.float64),
+        "completed" if found.end_reason == "completed" else found.ending or found.end_reason,
+        {name: measures[name] for name in MEASURES},
+    )
+
+
+def simulated(rec: Recording, label: str) -> Course | None:
+    """Return the reference simulation of a recording; None where it has none."""
+    if rec.reference is None or not len(rec.reference):
+        return None
+    return _reference(rec.reference, rec.fs_hz, f"{label}, reference simulation")
+
+
+def simulation(path: Path) -> Course:
+    """Return the reference simulation of a test file.
+
+    Raises:
+        InputError: with the faults of test and rig.
+    """
+    from rthyb_rt.config import load_both
+    from rthyb_rt.lab import experiment
+
+    setup = experiment.prepare(*load_both(path, None, ()))
+    return _reference(
+        setup.reference, setup.derived.fs_hz, f"{setup.test.test.name}, reference simulation"
+    )
+
+
+def _reference(rows: NDArray[np.void], fs_hz: float, label: str) -> Course:
+    x, f = (np.asarray(rows[name], np.float64) for name in ("x_ref_m", "f_ref_n"))
+    measures: dict[str, float | None] = dict.fromkeys(MEASURES)
+    measures["peak_command_m"] = measures["peak_measured_m"] = float(np.abs(x).max(initial=0.0))
+    measures["peak_force_n"] = float(np.abs(f).max(initial=0.0))
+    return Course(label, "simulation", fs_hz, x, f, "completed", measures)
+
+
+def _kept(folder: Path) -> list[Course]:
+    """Return the recordings that a campaign or sweep has kept.
+
+    Raises:
+        InputError: it has kept none, or more than can be told apart.
+    """
+    from rthyb_rt.campaign.book import ROWS
+    from rthyb_rt.record.recording import open_run
+
+    rows = []
+    if (folder / ROWS).is_file():
+        lines = (folder / ROWS).read_text(encoding="utf-8").splitlines()
+        rows = [json.loads(line) for line in lines if line.endswith("}")]
+    rows = sorted((row for row in rows if row.get("folder")), key=lambda row: int(row["case"]))
+    if not rows:
+        raise InputError(
+            'the campaign has kept no recording; run it with campaign.keep = "all" '
+            "(rthyb sweep --keep all)",
+            str(folder),
+        )
+    if len(rows) > MOST:
+        cases = ", ".join(str(row["folder"]) for row in rows[:3])
+        raise InputError(
+            f"the campaign has kept {len(rows)} recordings, and a figure shows {MOST} at most; "
+            f"give the folders of those that you want: {cases} ...",
+            str(folder),
+        )
+    return [recorded(open_run(folder / row["folder"]), _chosen(row)) for row in rows]
+
+
+def _chosen(row: dict[str, Any]) -> str:
+    """Return what tells a run from the others of its campaign."""
+    chosen = itertools.takewhile(lambda key: key not in ("drawn", "repeat"), row)
+    parts = [f"{key.rsplit('.', 1)[-1]} {row[key]}" for key in chosen if key != "case"]
+    if row.get("drawn", -1) > 0:
+        parts.append(f"plant {row['drawn']}")
+    if row.get("repeat"):
+        parts.append(f"noise {row['repeat'] + 1}")
+    return ", ".join(parts) or f"run {row['case']}"
+
+
+# ---- tables of other labs -----------------------------------------------------------------------
+
+
+def table(path: Path, wishes: Sequence[Wish]) -> Course:
+    """Return a table of another lab, in SI; no model is there to guess a unit by.
+
+    Raises:
+        InputError: it cannot be read, or a column that is needed or its unit is not named.
+    """
+    from rthyb_rt.diagnose.lab import stated
+
+    t, channels, notes = stated(path, wishes, ("t", "x_meas", "f_meas"), needed=("t", "x_meas"))
+    steps = np.diff(t)
+    if t.size < 2 or not np.all(steps > 0.0):
+        raise InputError("time does not increase from row to row; sort the rows", str(path))
+    step = float(t[-1] - t[0]) / (t.size - 1)
+    uneven = float(np.abs(t - t[0] - step * np.arange(t.size)).max()) / step
+    if uneven > _UNEVEN:
+        notes.append("rows are unevenly spaced; taken at even instants between them")
+        even = t[0] + step * np.arange(t.size)
+        channels = {name: np.interp(even, t, values) for name, values in channels.items()}
+    if t[0] != 0.0:
+        notes.append(f"time begins at {t[0]:g} s; counted from there")
+    x, f = channels["x_meas"], channels.get("f_meas")
+    measures: dict[str, float | None] = dict.fromkeys(MEASURES)
+    measures["peak_measured_m"] = _largest(x)
+    measures["peak_force_n"] = None if f is None else _largest(f)
+    told = tuple(f"{path.name}: {note}" for note in notes)
+    return Course(path.stem, "table", 1.0 / step, x, f, "", measures, told)
+
+
+def _largest(values: Floats) -> float:
+    return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+
+
+def named_apart(courses: Sequence[Course]) -> list[Course]:
+    """Return courses of which no two have one label."""
+    labels: list[str] = []
+    for course in courses:
+        number, label = 2, course.label
+        while label in labels:
+            number, label = number + 1, f"{course.label} ({number})"
+        labels.append(label)
+    return [replace(one, label=label) for one, label in zip(courses, labels, strict=True)]

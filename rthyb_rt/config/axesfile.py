@@ -1,0 +1,737 @@
+"""The rig file of several actuators at one specimen: ``[[axis]]``, ``[kinematics]``.
+
+What an axis is made of are the very tables that a rig of one axis has at the top of its file.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
+
+from pydantic import Field, GetJsonSchemaHandler
+from pydantic_core import CoreSchema
+
+from rthyb_rt.config.fields import (
+    SLUG,
+    SOME_TEXT,
+    Check,
+    Choice,
+    Count,
+    OneOf,
+    Range,
+    Reader,
+    Table,
+    Text,
+    explained,
+    nearest,
+    written,
+)
+from rthyb_rt.config.limits import Limits
+from rthyb_rt.config.rigfile import (
+    MAX_ELEMENTS,
+    Actuator,
+    Calibration,
+    Identified,
+    Link,
+    PureDelay,
+    RigFile,
+    RigInfo,
+    Sensors,
+    SpecimenElement,
+    StiffnessElement,
+)
+from rthyb_rt.core.sizes import COUPLED_MAX
+from rthyb_rt.errors import InputError
+
+if TYPE_CHECKING:
+    from rthyb_rt.core.kinematics import Kinematics as CoreKinematics
+
+AXES_MAX: Final = COUPLED_MAX
+STATES_MAX: Final = 32
+"""Of a plant of its own."""
+COMMON_LIMITS: Final[tuple[str, ...]] = (
+    "tracking_indicator_slope_m2_per_s",
+    "energy_error_j",
+    "lost_pairs_share",
+    "lost_pairs_warning_share",
+    "skipped_ticks_share",
+    "skipped_ticks_warning_share",
+    "path_velocity_m_per_s",
+    "path_acceleration_m_per_s2",
+    "brake_acceleration_m_per_s2",
+    "ramp_in_s",
+    "armed_timeout_s",
+    "tare_s",
+)
+"""Limits of all axes together: what ends a test ends it for all, and they move as one."""
+
+Rows = list[list[float]]
+
+
+def _name(what: str) -> Text:
+    return Text(
+        what,
+        r"[a-z][a-z0-9_-]{0,23}",
+        "up to 24 of a-z 0-9 _ - in quotes, the first one a letter",
+    )
+
+
+AXIS_NAME: Final = _name("the name of an axis")
+DIRECTION: Final = _name("the name of a direction")
+
+
+@dataclass(frozen=True)
+class MatrixOf(Reader):
+    """Rows of numbers, all of one length.
+
+    Attributes:
+        what: what the matrix is.
+        most: rows and columns at most.
+        square, symmetric: whether it must be.
+        size: of each number.
+    """
+
+    what: str
+    most: int = AXES_MAX
+    square: bool = True
+    symmetric: bool = False
+    size: float = 1e12
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        form = "symmetric" if self.symmetric else "square" if self.square else "of equal rows"
+        return (
+            f"{self.what} must be a list of 1 to {self.most} rows of numbers up to {self.size:g}, "
+            f"{form}: [[1, 0], [0, 1]]"
+        )
+
+    def read(self, value: object) -> Rows:
+        """Return the rows; raise the explained error otherwise."""
+        rows = value if isinstance(value, list) else []
+        if not 1 <= len(rows) <= self.most or not all(isinstance(row, list) for row in rows):
+            raise explained(f"found {written(value)}; {self.allowed()}")
+        widths = {len(row) for row in rows}
+        if len(widths) > 1 or not 1 <= max(widths) <= self.most:
+            raise explained(
+                f"found rows of {', '.join(str(len(row)) for row in rows)} numbers; "
+                f"{self.allowed()}"
+            )
+        if self.square and widths != {len(rows)}:
+            raise explained(f"found {len(rows)} rows of {max(widths)} numbers; {self.allowed()}")
+        found = [[self._number(v, i, j) for j, v in enumerate(row)] for i, row in enumerate(rows)]
+        if self.symmetric:
+            self._check_symmetric(found)
+        return found
+
+    def _number(self, value: object, i: int, j: int) -> float:
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        # NaN fails the comparison.
+        if number and abs(value) <= self.size:  # type: ignore[arg-type]
+            return float(value)  # type: ignore[arg-type]
+        raise explained(f"found {written(value)} in row {i + 1}, column {j + 1}; {self.allowed()}")
+
+    def _check_symmetric(self, rows: Rows) -> None:
+        largest = max(abs(v) for row in rows for v in row)
+        for i, row in enumerate(rows):
+            for j in range(i):
+                if abs(row[j] - rows[j][i]) > 1e-9 * largest:
+                    raise explained(
+                        f"found {row[j]:g} in row {i + 1}, column {j + 1} and {rows[j][i]:g} in "
+                        f"row {j + 1}, column {i + 1}; {self.allowed()}"
+                    )
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the rows."""
+        row = {"type": "array", "items": {"type": "number"}, "maxItems": self.most}
+        return {"type": "array", "items": row, "maxItems": self.most, "description": self.what}
+
+
+@dataclass(frozen=True)
+class Point(Reader):
+    """Two coordinates, m; texts with a unit are taken.
+
+    Attributes:
+        what: what they are of.
+        one: each of them.
+    """
+
+    what: str
+    one: Range
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return f"{self.what} must be [x, y]; {self.one.allowed()}"
+
+    def read(self, value: object) -> list[float]:
+        """Return x and y; raise the explained error otherwise."""
+        if not isinstance(value, list) or len(value) != 2:
+            raise explained(f"found {written(value)}; {self.allowed()}")
+        return [self.one.read(v) for v in value]
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the pair."""
+        return {"type": "array", "minItems": 2, "maxItems": 2, "description": self.what}
+
+
+@dataclass(frozen=True)
+class Different(Reader):
+    """A list of different names.
+
+    Attributes:
+        one: what each of them is.
+        least: so many at least.
+    """
+
+    one: Reader
+    least: int = 0
+
+    def read(self, value: object) -> list[str]:
+        """Return the names; raise the explained error otherwise."""
+        if not isinstance(value, list) or not self.least <= len(value) <= AXES_MAX:
+            raise explained(
+                f"found {written(value)}; must be a list of {self.least} to {AXES_MAX} names"
+            )
+        found = [str(self.one.read(v)) for v in value]
+        for name in found:
+            if found.count(name) > 1:
+                raise explained(f"found {written(name)} twice; every name stands once")
+        return found
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the list."""
+        return {"type": "array", "items": {"type": "string"}, "maxItems": AXES_MAX}
+
+
+# ---- one axis ------------------------------------------------------------------------------------
+
+
+def _only_its_own(limits: Limits) -> str | None:
+    common = [key for key in COMMON_LIMITS if getattr(limits, key) is not None]
+    if not common:
+        return None
+    return f"found {common[0]}, which is of all axes together: write it in [limits] of the file"
+
+
+class Axis(Table):
+    """One actuator with its sensors, limits and link; ``elastic_stiffness_n_per_m`` is not its own.
+
+    Without ``actuator`` the file must have a ``[plant]``.
+    """
+
+    checks: ClassVar[tuple[Check, ...]] = (Check("limits", ("limits",), _only_its_own),)
+
+    name: Annotated[str, AXIS_NAME]
+    actuator: Annotated[Actuator, Field(discriminator="kind")] | None = None
+    sensors: Sensors = Field(default_factory=Sensors)
+    identified: Identified | None = None
+    link: Link | None = None
+    calibration: Calibration = Field(default_factory=Calibration)
+    limits: Limits = Field(default_factory=Limits)
+
+
+# ---- kinematics ----------------------------------------------------------------------------------
+
+
+class MatrixKinematics(Table):
+    """Displacements of the axes = ``matrix`` times those of the interface: rows are axes.
+
+    ``interface`` names the columns; those of ``rotations`` are angles in rad, the others in m.
+    """
+
+    kind: Literal["matrix"]
+    interface: Annotated[list[str], Different(DIRECTION, 1)]
+    matrix: Annotated[Rows, MatrixOf("the matrix", size=1e6)]
+    rotations: Annotated[list[str], Different(DIRECTION)] = Field(default_factory=list)
+
+    def turns(self) -> list[bool]:
+        """Tell which directions are angles."""
+        return [name in self.rotations for name in self.interface]
+
+
+COORDINATES: Final = ("x", "y", "theta")
+_AT = Range("m", -1000, 1000, "a coordinate")
+
+
+class PinKinematics(Table):
+    """Axes from bases to pins of a stiff coupler, in its plane: exact however far it moves.
+
+    Points are at rest, from the one whose motion the interface is. A base in ``directions`` is so
+    far away that the axis never turns: it has the direction from base to pin instead of a place.
+    Axes in ``pulls`` count their shortening as positive.
+    """
+
+    kind: Literal["pins"]
+    interface: Annotated[list[str], Different(OneOf(COORDINATES), 1)]
+    pins_m: dict[Annotated[str, AXIS_NAME], Annotated[list[float], Point("a pin", _AT)]]
+    bases_m: dict[Annotated[str, AXIS_NAME], Annotated[list[float], Point("a base", _AT)]] = Field(
+        default_factory=dict
+    )
+    directions: dict[
+        Annotated[str, AXIS_NAME],
+        Annotated[list[float], Point("a direction", Range("", -1e6, 1e6, "a component"))],
+    ] = Field(default_factory=dict)
+    pulls: Annotated[list[str], Different(AXIS_NAME)] = Field(default_factory=list)
+
+    def turns(self) -> list[bool]:
+        """Tell which directions are angles."""
+        return [name == "theta" for name in self.interface]
+
+
+Kinematics = MatrixKinematics | PinKinematics
+
+
+def core_kinematics(given: Kinematics, axes: Sequence[str]) -> CoreKinematics:
+    """Return the kinematics of axes, in their order.
+
+    Raises:
+        CoreError: they leave a direction of the interface free.
+    """
+    from rthyb_rt.core.kinematics import Kinematics as CoreKinematics
+    from rthyb_rt.core.kinematics import Pin
+
+    if isinstance(given, MatrixKinematics):
+        return CoreKinematics(given.matrix)
+    pins = []
+    for name in axes:
+        far = name in given.directions
+        base = given.directions[name] if far else given.bases_m[name]
+        (px, py), (bx, by) = given.pins_m[name], base
+        pins.append(Pin((px, py), (bx, by), far, name in given.pulls))
+    return CoreKinematics(pins=pins, coordinates=given.interface)  # type: ignore[arg-type]
+
+
+def _kinematics_fault(axes: list[Axis], given: Kinematics) -> str | None:
+    names, n = [axis.name for axis in axes], len(axes)
+    shown = ", ".join(names)
+    if len(given.interface) != n:
+        return (
+            f"found {len(given.interface)} directions ({', '.join(given.interface)}) and {n} axes "
+            f"({shown}); there must be as many directions as axes"
+        )
+    if isinstance(given, MatrixKinematics):
+        if len(given.matrix) != n:
+            return f"found {len(given.matrix)} rows; there is one for each of {n} axes ({shown})"
+        strange = [one for one in given.rotations if one not in given.interface]
+        if strange:
+            return f"found the rotation {written(strange[0])}; it must be one of interface"
+    else:
+        fault = _pins_fault(names, given)
+        if fault:
+            return fault
+    from rthyb_rt.core.library import CoreError
+
+    try:
+        core_kinematics(given, names)
+    except CoreError:
+        return _left_free(given, names)
+    return None
+
+
+def _pins_fault(names: list[str], given: PinKinematics) -> str | None:
+    for key in ("pins_m", "bases_m", "directions", "pulls"):
+        for name in getattr(given, key):
+            if name not in names:
+                close = nearest(name, names)
+                return f"{key}: found {written(name)}{close}; the axes are {', '.join(names)}"
+    for name in names:
+        if name not in given.pins_m:
+            return f"pins_m: axis {name} is missing; every axis has a pin"
+        if (name in given.bases_m) == (name in given.directions):
+            both = "both" if name in given.bases_m else "neither"
+            return (
+                f"axis {name} has {both} of bases_m and directions; an axis has a base, or the "
+                "direction of one that is far away"
+            )
+        pin = given.pins_m[name]
+        if name in given.bases_m and _apart(pin, given.bases_m[name]) <= 1e-6:
+            return f"axis {name} has its pin in its own base, at [{pin[0]:g}, {pin[1]:g}] m"
+        if name in given.directions and _apart(given.directions[name], [0.0, 0.0]) <= 1e-6:
+            return f"directions: axis {name} has no direction; found [0, 0]"
+    return None
+
+
+def _apart(a: Sequence[float], b: Sequence[float]) -> float:
+    return float(((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2) ** 0.5)
+
+
+def _left_free(given: Kinematics, names: list[str]) -> str:
+    """Say why the axes do not hold the interface."""
+    if isinstance(given, MatrixKinematics):
+        rows = "; ".join(f"[{', '.join(f'{v:g}' for v in row)}]" for row in given.matrix)
+        return (
+            f"found the rows {rows}, of which one follows from the others: some motion of the "
+            "interface moves no axis; a singular matrix is no kinematics"
+        )
+    for i, one in enumerate(names):
+        for other in names[:i]:
+            if _apart(given.pins_m[one], given.pins_m[other]) <= 1e-6:
+                at = given.pins_m[one]
+                return (
+                    f"the pins of {other} and {one} coincide at [{at[0]:g}, {at[1]:g}] m, so that "
+                    f"the axes leave a motion along {', '.join(given.interface)} free; give each "
+                    "its own"
+                )
+    return (
+        f"the axes {', '.join(names)} leave a motion along {', '.join(given.interface)} free: no "
+        "two may lie on one line, nor all meet in one point where theta is asked for; look at "
+        "pins_m and bases_m"
+    )
+
+
+# ---- specimen ------------------------------------------------------------------------------------
+
+
+def _least_eigenvalue(rows: Rows) -> tuple[float, float]:
+    import numpy as np
+
+    values = np.linalg.eigvalsh(np.array(rows))
+    return float(values[0]), float(np.abs(values).max())
+
+
+def _holds(stiffness: Rows) -> str | None:
+    least, most = _least_eigenvalue(stiffness)
+    if least > 1e-9 * most:
+        return None
+    return (
+        f"found a matrix with an eigenvalue of {least:.3g}; the elastic stiffness must hold every "
+        "direction (positive definite): look for a sign, or a direction that nothing holds"
+    )
+
+
+def _not_negative(what: str) -> Any:
+    def test(rows: Rows | None) -> str | None:
+        if rows is None:
+            return None
+        least, most = _least_eigenvalue(rows)
+        if least >= -1e-9 * most:
+            return None
+        return (
+            f"found a matrix with an eigenvalue of {least:.3g}; {what} must not be negative in any "
+            "direction"
+        )
+
+    return test
+
+
+def _same_size(stiffness: Rows, rows: Rows | None) -> str | None:
+    if rows is None or len(rows) == len(stiffness):
+        return None
+    return f"found {len(rows)} rows; stiffness has {len(stiffness)}, and both must have as many"
+
+
+class Along(Table):
+    """An element of the catalogue along one direction of the interface."""
+
+    along: Annotated[str, DIRECTION]
+    law: Annotated[SpecimenElement, Field(discriminator="element")]
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check(
+            "law",
+            ("law",),
+            lambda law: (
+                f"found {written(law.element)}; a mass belongs into the specimen's mass"
+                if law.element in ("inertia", "second_mode")
+                else None
+            ),
+        ),
+    )
+
+
+class JointSpecimen(Table):
+    """The specimen by matrices along the interface, in SI units of its directions.
+
+    Force of a direction by displacement, velocity and acceleration of another: N/m, or N m/rad
+    where both turn; ``stiffness`` is the elastic one, which bounds the tangent stiffness.
+    """
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("stiffness", ("stiffness",), _holds),
+        Check("damping", ("stiffness", "damping"), _same_size),
+        Check("damping", ("damping",), _not_negative("damping")),
+        Check("mass", ("stiffness", "mass"), _same_size),
+        Check("mass", ("mass",), _not_negative("a mass")),
+    )
+
+    stiffness: Annotated[Rows, MatrixOf("the stiffness", symmetric=True)]
+    damping: Annotated[Rows, MatrixOf("the damping", symmetric=True)] | None = None
+    mass: Annotated[Rows, MatrixOf("the mass", symmetric=True)] | None = None
+    element: list[Along] = Field(default_factory=list, max_length=MAX_ELEMENTS)
+
+
+class Plant(Table):
+    """Actuators and specimen as one linear plant, s' = a s + b u, x = c s.
+
+    u are the commands and x the displacements of the axes, in their order, m; time in s. ``file``
+    (.npz or .mat with a, b, c) stands for the three; a file that was read is written out.
+    """
+
+    choices: ClassVar[tuple[Choice, ...]] = (Choice(("file", "a"), required=True),)
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check(
+            "a",
+            ("file", "a", "b", "c"),
+            lambda file, a, b, c: (
+                None
+                if file is not None or (b is not None and c is not None)
+                else "found a without b or c; a plant is given by all three, or by file"
+            ),
+        ),
+    )
+
+    file: Annotated[str, SOME_TEXT] | None = None
+    a: Annotated[Rows, MatrixOf("a", STATES_MAX, size=1e15)] | None = None
+    b: Annotated[Rows, MatrixOf("b", STATES_MAX, square=False, size=1e15)] | None = None
+    c: Annotated[Rows, MatrixOf("c", STATES_MAX, square=False, size=1e15)] | None = None
+    stroke_m: Annotated[float, Range("m", 1e-6, 100, "the stroke to either side")] = 100.0
+
+
+# ---- what identify found -------------------------------------------------------------------------
+
+
+def _responses_fit(
+    frequency_hz: list[float], real: list[Rows], imaginary: list[Rows]
+) -> str | None:
+    if len(real) == len(imaginary) == len(frequency_hz):
+        sizes = {len(rows) for rows in (*real, *imaginary)}
+        return None if len(sizes) == 1 else "the matrices are not of one size"
+    return (
+        f"found {len(frequency_hz)} frequencies, {len(real)} real and {len(imaginary)} imaginary "
+        "matrices; there must be one of each a frequency"
+    )
+
+
+class JointIdentified(Table):
+    """What `rthyb identify` measured of all axes: the matrix of their frequency responses.
+
+    Row: the axis that is read; column: the one that was moved. Reading over command.
+    """
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("frequency_hz", ("frequency_hz", "real", "imaginary"), _responses_fit),
+    )
+
+    frequency_hz: list[Annotated[float, Range("Hz", 1e-3, 512, "a frequency")]] = Field(
+        min_length=1
+    )
+    real: list[Annotated[Rows, MatrixOf("a response", size=1e3)]]
+    imaginary: list[Annotated[Rows, MatrixOf("a response", size=1e3)]]
+    rest_noise_displacement_m: list[Annotated[float, Range("m", 0, 0.1, "the noise at rest")]]
+    date: Annotated[str, Text("the date")] = ""
+
+    @classmethod
+    def expand(cls, data: Any) -> Any:
+        """Take a date written as a TOML date."""
+        if isinstance(data, dict) and isinstance(data.get("date"), datetime.date):
+            return {**data, "date": data["date"].isoformat()}
+        return data
+
+
+# ---- the file ------------------------------------------------------------------------------------
+
+
+class AxesInfo(Table):
+    """Conventions of a rig of several axes, as of one.
+
+    ``elastic_stiffness`` along the interface is what was measured; absent: the specimen's.
+    """
+
+    name: Annotated[str, SLUG]
+    description: Annotated[str, Text("a description")] = ""
+    elastic_stiffness: Annotated[Rows, MatrixOf("the elastic stiffness", symmetric=True)] | None = (
+        None
+    )
+    load_cell: Literal["actuator-end", "specimen"] = "actuator-end"
+    command_hold: Literal["zoh", "foh"] = "zoh"
+    command_shift_s: Annotated[
+        float, Range("s", -1, 1, "the shift between command and measured row")
+    ] = 0.0
+    seed: Annotated[int, Count(0, 2**32 - 1, "the seed of the sensor noise")] = 0
+
+
+def _names_differ(axes: list[Axis]) -> str | None:
+    names = [axis.name for axis in axes]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            return f"axes {names.index(name) + 1} and {i + 1} are both called {written(name)}"
+    return None
+
+
+def _driven(axes: list[Axis], plant: Plant | None) -> str | None:
+    for axis in axes:
+        if axis.actuator is None and plant is None:
+            return (
+                f"axis {axis.name} has no actuator; give [axis.actuator] below it, or a [plant] of "
+                "all axes"
+            )
+        if axis.actuator is not None and plant is not None:
+            return (
+                f"axis {axis.name} has an actuator, and the file a [plant], which stands for the "
+                "actuators of all axes; keep one of them"
+            )
+        if axis.actuator is not None and axis.actuator.kind == "servo-valve":
+            return (
+                f'axis {axis.name}: found kind = "servo-valve", which is solved with a specimen of '
+                'its own; among several axes take "servo-hydraulic", or a [plant]'
+            )
+    return None
+
+
+def _specimen_fits(axes: list[Axis], kinematics: Kinematics, specimen: JointSpecimen) -> str | None:
+    n = len(axes)
+    if len(specimen.stiffness) != n:
+        return (
+            f"found a stiffness of {len(specimen.stiffness)} directions; kinematics has {n}: "
+            f"{', '.join(kinematics.interface)}"
+        )
+    for i, one in enumerate(specimen.element):
+        if one.along not in kinematics.interface:
+            close = nearest(one.along, kinematics.interface)
+            return (
+                f"element {i + 1}: found along = {written(one.along)}{close}; the directions of "
+                f"the interface are {', '.join(kinematics.interface)}"
+            )
+    return None
+
+
+def _elastic_fits(rig: AxesInfo, specimen: JointSpecimen) -> str | None:
+    if rig.elastic_stiffness is None:
+        return None
+    fault = _same_size(specimen.stiffness, rig.elastic_stiffness) or _holds(rig.elastic_stiffness)
+    return None if fault is None else f"elastic_stiffness: {fault}"
+
+
+def _plant_fits(axes: list[Axis], plant: Plant | None) -> str | None:
+    if plant is None or plant.a is None or plant.b is None or plant.c is None:
+        return None
+    n, states = len(axes), len(plant.a)
+    found = (len(plant.b), len(plant.b[0]), len(plant.c), len(plant.c[0]))
+    if found == (states, n, n, states):
+        return None
+    return (
+        f"found a of {states} states, b of {found[0]} x {found[1]} and c of {found[2]} x "
+        f"{found[3]}; of {n} axes they must be {states} x {n} and {n} x {states}"
+    )
+
+
+def _one_clock(axes: list[Axis]) -> str | None:
+    linked = [axis for axis in axes if axis.link is not None]
+    if linked and len(linked) < len(axes):
+        without = next(axis.name for axis in axes if axis.link is None)
+        return f"axis {without} has no [axis.link], and {linked[0].name} has one; all or none"
+    clocks = {axis.link.clock for axis in linked if axis.link is not None}
+    if len(clocks) > 1:
+        return f"found the clocks {', '.join(sorted(clocks))}; all axes go by one"
+    if "link" in clocks:
+        return (
+            'found clock = "link"; with several axes the ticks are the host\'s: no link can be '
+            "the clock of the others"
+        )
+    return None
+
+
+def _identified_fits(axes: list[Axis], identified: JointIdentified | None) -> str | None:
+    if identified is None or len(identified.real[0]) == len(axes):
+        return None
+    return f"found matrices of {len(identified.real[0])} axes; the file has {len(axes)}"
+
+
+class AxesRig(Table):
+    """A rig of several axes: virtual, or the model of a real one."""
+
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("axis", ("axis",), _names_differ),
+        Check("axis", ("axis", "plant"), _driven),
+        Check("axis", ("axis",), _one_clock),
+        Check("kinematics", ("axis", "kinematics"), _kinematics_fault),
+        Check("specimen", ("axis", "kinematics", "specimen"), _specimen_fits),
+        Check("rig", ("rig", "specimen"), _elastic_fits),
+        Check("plant", ("axis", "plant"), _plant_fits),
+        Check("identified", ("axis", "identified"), _identified_fits),
+    )
+
+    schema_: Literal["rthyb-rig/1"] = Field(alias="schema")
+    rig: AxesInfo
+    axis: list[Axis] = Field(min_length=2, max_length=AXES_MAX)
+    kinematics: Annotated[Kinematics, Field(discriminator="kind")]
+    specimen: JointSpecimen
+    plant: Plant | None = None
+    identified: JointIdentified | None = None
+    limits: Limits = Field(default_factory=Limits)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes, in their order."""
+        return tuple(axis.name for axis in self.axis)
+
+    @property
+    def directions(self) -> tuple[str, ...]:
+        """Names of the interface's directions, in the order of the kinematics."""
+        return tuple(self.kinematics.interface)
+
+    def core_kinematics(self) -> CoreKinematics:
+        """Return the kinematics as the core has them."""
+        return core_kinematics(self.kinematics, self.names)
+
+    def of_axis(self, name: str) -> RigFile:
+        """Return one axis as a rig of its own, the others standing still.
+
+        Its specimen is what the axis feels of the whole one at rest, elastic.
+
+        Raises:
+            InputError: there is no axis of that name.
+        """
+        axis = self._axis(name)
+        at = self.names.index(name)
+        k = self.along_axes()[at][at]
+        own = {key: getattr(axis.limits, key) for key in Limits.model_fields}
+        limits = {
+            key: getattr(self.limits, key) if value is None else value for key, value in own.items()
+        }
+        keys = set(AxesInfo.model_fields) - {"name", "elastic_stiffness"}
+        info = {key: getattr(self.rig, key) for key in keys}
+        return RigFile.model_construct(
+            schema_=self.schema_,
+            rig=RigInfo.model_construct(
+                **info, name=f"{self.rig.name[:38]}.{name}", elastic_stiffness_n_per_m=k
+            ),
+            # A plant has no actuators of its own: nothing simulates this one.
+            actuator=axis.actuator or PureDelay(kind="pure-delay", delay_samples=0),
+            specimen=[StiffnessElement(element="stiffness", k_n_per_m=k)],
+            sensors=axis.sensors,
+            identified=axis.identified,
+            link=axis.link,
+            calibration=axis.calibration,
+            limits=Limits.model_construct(**limits),
+        )
+
+    def _axis(self, name: str) -> Axis:
+        for axis in self.axis:
+            if axis.name == name:
+                return axis
+        raise InputError(
+            f"found {written(name)}{nearest(name, list(self.names))}; the axes of rig "
+            f"{written(self.rig.name)} are {', '.join(self.names)}",
+            "axis",
+        )
+
+    def along_axes(self) -> Rows:
+        """Return the specimen's elastic stiffness as the axes feel it at rest, N/m, (n, n)."""
+        import numpy as np
+
+        back = np.linalg.inv(self.core_kinematics().jacobian())
+        found: Rows = (back.T @ np.array(self.k_e) @ back).tolist()
+        return found
+
+    @property
+    def k_e(self) -> Rows:
+        """The specimen's elastic stiffness along the interface, (n, n)."""
+        return self.rig.elastic_stiffness or self.specimen.stiffness

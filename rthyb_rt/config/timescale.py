@@ -1,0 +1,60 @@
+"""A slow time scale: the structure's equation of motion in the laboratory's time.
+
+With L seconds of the laboratory for one of the structure, X(L t) = x(t), and a derivative by the
+laboratory's time is 1/L of one by the structure's. So
+
+    m x'' + c x' + k x + f = -m ag(t)      becomes      L^2 m X'' + L c X' + k X + f = -L^2 m A,
+
+A(L t) = ag(t) / L^2: masses grow by L^2, dampings by L, stiffnesses stay, and the ground
+acceleration shrinks by L^2. Everything else of a test (control law, limits, margins, roots) then
+reads in the laboratory's time, which it lives in. Each integrator of the program takes the same
+step as the unstretched one with h / L, for only h c / m and h^2 k / m are in them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from rthyb_rt.core.settings import ElementConfig
+
+_EXPONENTS: Final = (
+    ("_n_s2_per_m2", 2),
+    ("_s_per_m", 1),
+    ("_m_per_s", -1),
+    ("_kg", 2),
+    ("_hz", -1),
+    ("_s", 1),
+)
+"""Powers of a second in the unit of an element's parameter, forces and lengths being kept."""
+
+
+def exponent(parameter: str) -> int:
+    """Return the power of the time scale that a parameter of an element grows by."""
+    return next((power for suffix, power in _EXPONENTS if parameter.endswith(suffix)), 0)
+
+
+def slowed(element: ElementConfig, time_scale: float) -> ElementConfig:
+    """Return an element that has the same force on a motion that takes so much longer.
+
+    Args:
+        element: of a structure or a specimen.
+        time_scale: seconds of the laboratory for one of the structure.
+    """
+    # NumPy, which the core needs, is slow to load, and most tests are not slow.
+    from rthyb_rt.core.settings import ELEMENT_PARAMS
+
+    names = ELEMENT_PARAMS[element.kind]
+    values = (
+        value * time_scale ** exponent(name)
+        for name, value in zip(names, element.params, strict=True)
+    )
+    return replace(element, params=tuple(values))
+
+
+def rate_dependent(element: ElementConfig) -> bool:
+    """Return whether an element's force depends on how fast a motion is."""
+    from rthyb_rt.core.settings import ELEMENT_PARAMS
+
+    return any(exponent(name) for name in ELEMENT_PARAMS[element.kind])

@@ -1,0 +1,230 @@
+"""A virtual rig of several axes at one specimen (``csrc/coupled_rig.c``)."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.kinematics import Kinematics
+from rthyb_rt.core.library import CoreError, FloatArray, check, doubles, reading, writing
+from rthyb_rt.core.settings import (
+    ElementConfig,
+    LoadCell,
+    SensorConfig,
+    ServoConfig,
+    init_element,
+    mapping,
+)
+from rthyb_rt.core.sizes import ELEMENTS_MAX, PERIOD_S
+
+STATES_MAX: Final = int(lib.RTHYB_PLANT_STATES)
+_HALVINGS: Final = 20
+_TERMS: Final = 18
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """Actuators and specimen as one linear plant, s' = a s + b u, x = c s, with u held.
+
+    Attributes:
+        a, b, c: (states, states), (states, axes), (axes, states); time in s, u and x in m.
+        stroke_m: how far a command goes either way, one an axis.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    stroke_m: tuple[float, ...]
+
+    def mapping(self, period_s: float) -> dict[str, Any]:
+        """Return the members of the C struct, with u held over a period, s.
+
+        Raises:
+            CoreError: shapes that do not go together, too many states, a plant that jumps with its
+                command.
+        """
+        states, axes = len(self.a), len(self.stroke_m)
+        shapes = {"a": (states, states), "b": (states, axes), "c": (axes, states)}
+        for name, shape in shapes.items():
+            if np.shape(getattr(self, name)) != shape or not 1 <= states <= STATES_MAX:
+                raise CoreError(
+                    f"{name} of a plant of {states} states (1 to {STATES_MAX}) and {axes} axes has "
+                    f"the shape {shape}, got {np.shape(getattr(self, name))}"
+                )
+        a, b, c = (np.asarray(v, np.float64) for v in (self.a, self.b, self.c))
+        step = held_step(a, b, period_s)
+        return {
+            "states": states,
+            "a": step[:states, :states].tolist(),
+            "b": step[:states, states:].tolist(),
+            "x_of": c.tolist(),
+            "v_of": (c @ a).tolist(),
+            "a_of": (c @ a @ a).tolist(),
+            "v_by": (c @ b).tolist(),
+            "a_by": (c @ a @ b).tolist(),
+            "stroke_m": list(self.stroke_m),
+        }
+
+
+def held_step(a: FloatArray, b: FloatArray, period_s: float) -> FloatArray:
+    """Return exp of [[a, b], [0, 0]] times a period: the step with the input held; square.
+
+    Raises:
+        CoreError: a number of it is not finite.
+    """
+    n, width = b.shape
+    z = np.zeros((n + width, n + width))
+    z[:n, :n], z[:n, n:] = a * period_s, b * period_s
+    if not np.isfinite(z).all():
+        raise CoreError("a number of the plant is not finite")
+    z = z * 0.5**_HALVINGS
+    # exp - 1 is what is squared up: the 1 would swallow the digits of a small part.
+    less = np.zeros_like(z)
+    for term in range(_TERMS, 0, -1):
+        less = z @ (np.eye(n + width) + less) / term
+    for _ in range(_HALVINGS):
+        less = 2.0 * less + less @ less
+    if not np.isfinite(less).all():
+        raise CoreError("the plant runs off within one sample; check the units of its matrices")
+    return np.asarray(np.eye(n + width) + less)
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledRigConfig:
+    """A virtual rig of several axes: actuators or a plant, specimen, sensors.
+
+    Attributes:
+        kinematics: of the axes; its settings are copied.
+        stiffness, damping, mass: of the specimen along the interface, symmetric, (axes, axes); in
+            N/m, N s/m and kg where a direction is in m, with moments and angles where it turns.
+        servos: one an axis, of any kind but servo-valve; none where there is a plant.
+        plant: instead of the servos.
+        elements: of the specimen, each with the number of the direction that it is in.
+        displacement, force: sensors, one an axis.
+        load_cell: where it is; a plant knows only the specimen.
+        seed: of the noise.
+        period_s: of a sample.
+    """
+
+    kinematics: Kinematics
+    stiffness: FloatArray
+    damping: FloatArray
+    mass: FloatArray
+    servos: tuple[ServoConfig, ...] = ()
+    plant: StateSpace | None = None
+    elements: tuple[tuple[int, ElementConfig], ...] = ()
+    displacement: tuple[SensorConfig, ...] = field(default_factory=tuple)
+    force: tuple[SensorConfig, ...] = field(default_factory=tuple)
+    load_cell: LoadCell = "actuator-end"
+    seed: int = 0
+    period_s: float = PERIOD_S
+
+    @property
+    def axes(self) -> int:
+        """How many."""
+        return self.kinematics.size
+
+    def struct(self) -> Any:
+        """Return the C struct; raises ``CoreError`` for shapes and counts that do not fit."""
+        n = self.axes
+        self._check_counts()
+        struct = ffi.new("rthyb_coupled_rig_config *")
+        struct.size, struct.period_s, struct.seed = n, self.period_s, self.seed
+        struct.load_cell = {"actuator-end": lib.RTHYB_ACTUATOR_END}.get(
+            self.load_cell, lib.RTHYB_SPECIMEN_END
+        )
+        struct.kinematics = self.kinematics.struct.cfg
+        for name in ("stiffness", "damping", "mass"):
+            setattr(struct, name, np.asarray(getattr(self, name), np.float64).tolist())
+        for name in ("displacement", "force"):
+            given = getattr(self, name) or (SensorConfig(),) * n
+            setattr(struct, name, [dataclasses.asdict(one) for one in given])
+        if self.plant is not None:
+            struct.plant = self.plant.mapping(self.period_s)
+        else:
+            struct.servo = [mapping(one) for one in self.servos]
+        struct.element_count = len(self.elements)
+        for i, (along, one) in enumerate(self.elements):
+            struct.along[i] = along
+            init_element(ffi.addressof(struct.elements, i), one)
+        return struct
+
+    def _check_counts(self) -> None:
+        n = self.axes
+        for name in ("stiffness", "damping", "mass"):
+            if np.shape(getattr(self, name)) != (n, n):
+                raise CoreError(
+                    f"{name} of a specimen at {n} axes has the shape {(n, n)}, got "
+                    f"{np.shape(getattr(self, name))}"
+                )
+        sensors = {len(self.displacement), len(self.force)} - {0, n}
+        driven = len(self.servos) if self.plant is None else len(self.plant.stroke_m)
+        if sensors or driven != n or (self.plant is not None and self.servos):
+            raise CoreError(
+                f"{n} axes need {n} actuators, or one plant of {n} axes instead, and a sensor of "
+                f"each kind for each or none; got {len(self.servos)} actuators, "
+                f"{len(self.displacement)} and {len(self.force)} sensors"
+            )
+        if len(self.elements) > ELEMENTS_MAX:
+            raise CoreError(
+                f"a specimen has at most {ELEMENTS_MAX} elements, got {len(self.elements)}"
+            )
+
+
+class CoupledRig:
+    """A virtual rig of several axes, at rest at 0; raises ``CoreError``."""
+
+    def __init__(self, config: CoupledRigConfig) -> None:
+        self.config, self.axes = config, config.axes
+        self._c = ffi.new("rthyb_coupled_rig *")
+        check(lib.rthyb_coupled_rig_init(self._c, config.struct()))
+
+    def step(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray, int]:
+        """Latch displacements, m, and forces, N, (axes,) each, then apply commands, (axes,).
+
+        The third is the status bits.
+        """
+        given, x, f = doubles(x_p_m), np.empty(self.axes), np.empty(self.axes)
+        if given.shape != (self.axes,):
+            raise CoreError(f"{self.axes} commands needed, got shape {given.shape}")
+        code = lib.rthyb_coupled_rig_step(self._c, reading(given), writing(x), writing(f))
+        return x, f, int(code)
+
+    def run(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return displacements, m, and forces, N, (n, axes) each, along commands, (n, axes)."""
+        given = doubles(x_p_m)
+        if given.ndim != 2 or given.shape[1] != self.axes:
+            raise CoreError(f"rows of {self.axes} commands needed, got shape {given.shape}")
+        x, f = np.empty_like(given), np.empty_like(given)
+        lib.rthyb_coupled_rig_run(
+            self._c,
+            reading(given.reshape(-1)),
+            writing(x.reshape(-1)),
+            writing(f.reshape(-1)),
+            len(given),
+        )
+        return x, f
+
+    def reseed(self) -> None:
+        """Begin the noise of the sensors anew, from the seed."""
+        lib.rthyb_coupled_rig_reseed(self._c)
+
+    @property
+    def true_m(self) -> FloatArray:
+        """Displacements at the last latch without the sensors' errors, (axes,)."""
+        return np.array(list(self._c.x_true_m[0 : self.axes]))
+
+    @property
+    def true_n(self) -> FloatArray:
+        """Forces at the last latch without the load cells' errors, (axes,)."""
+        return np.array(list(self._c.f_true_n[0 : self.axes]))
+
+    @property
+    def pose(self) -> FloatArray:
+        """Interface coordinates at the last latch, (axes,)."""
+        return np.array(list(self._c.pose[0 : self.axes]))

@@ -1,0 +1,312 @@
+"""Several axes at one specimen: what each of them says for itself, and what they have in common."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
+
+import numpy as np
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.kinematics import AXES_MAX, Kinematics
+from rthyb_rt.core.library import CoreError, options, words
+from rthyb_rt.core.matrix_lead import MatrixInverse, MatrixLeadConfig
+from rthyb_rt.core.matrix_rfc import MatrixRfcConfig
+from rthyb_rt.core.rows import Channel
+from rthyb_rt.core.settings import LawConfig, RfcConfig, mapping
+
+if TYPE_CHECKING:
+    from rthyb_rt.core.settings import ControllerConfig
+
+Reaction = Literal["none", "indicate", "hold", "ramp-out", "trip"]
+
+# The header has the names. What the type checker knows of them stands above; a test holds the two
+# together.
+REACTIONS: Final = cast(tuple[Reaction, ...], tuple(options("rthyb_reaction", "RTHYB_REACT_")))
+CAUSES: Final = tuple(words("rthyb_cause", "RTHYB_CAUSE_"))
+WATCHABLE: Final = tuple(name for name in CAUSES[CAUSES.index("skips") :] if name != "apart")
+AXIS_WATCHES: Final = tuple(
+    name
+    for name in WATCHABLE[WATCHABLE.index("sensor_stuck") :]
+    if name not in ("indicator", "energy")
+)
+"""What an axis may have limits of its own for."""
+INTERFACE_WATCHES: Final = ("position", "force")
+_CONTROL: Final = (
+    *("x_range_m", "f_range_n", "velocity_limit_m_per_s", "acceleration_limit_m_per_s2"),
+    "clamp_m",
+)
+_STATION: Final = ("rest_spread_m", "tare_most_m", "tare_most_n")
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What is done when a watched quantity goes past ``value``; 0 switches the watch off."""
+
+    value: float
+    reaction: Reaction
+
+
+@dataclass(frozen=True)
+class AxisConfig:
+    """One of several axes; None: what the controller, or the station, says for all of them.
+
+    ``watches`` by cause, `AXIS_WATCHES`, takes the place of all the station's that belong to an
+    axis. The others as in ``ControllerConfig`` and ``StationConfig``.
+    """
+
+    name: str = ""
+    law: LawConfig | None = None
+    x_range_m: float | None = None
+    f_range_n: float | None = None
+    velocity_limit_m_per_s: float | None = None
+    acceleration_limit_m_per_s2: float | None = None
+    clamp_m: float | None = None
+    rest_spread_m: float | None = None
+    tare_most_m: float | None = None
+    tare_most_n: float | None = None
+    watches: Mapping[str, Watch] | None = None
+
+    def over(self, common: Any, names: Sequence[str]) -> dict[str, float]:
+        """Return settings by name: its own, or those of ``common``."""
+        own = {name: getattr(self, name) for name in names}
+        return {k: getattr(common, k) if v is None else v for k, v in own.items()}
+
+
+@dataclass(frozen=True)
+class InterfaceConfig:
+    """One of several directions that numerical part and axes meet in.
+
+    ``rfc`` None: the controller's. ``watches``: ``position`` of what is asked for, in m or rad, and
+    ``force``, in N or N m.
+    """
+
+    name: str = ""
+    rfc: RfcConfig | None = None
+    watches: Mapping[str, Watch] = field(default_factory=dict)
+
+
+def names_of(given: Sequence[AxisConfig | InterfaceConfig]) -> tuple[str, ...]:
+    """Return the names of axes or interfaces; those without one have their number, from 1."""
+    return tuple(one.name or str(k + 1) for k, one in enumerate(given))
+
+
+def controller_mapping(config: ControllerConfig) -> dict[str, Any]:
+    """Return the ``rthyb_controller_config`` of the C core as a mapping, without numerical part.
+
+    Raises:
+        CoreError: axes, interfaces and what they have in common are not of one number.
+    """
+    axes, interfaces = config.axes or (AxisConfig(),), config.interfaces or (InterfaceConfig(),)
+    _require_counts(config, len(axes), len(interfaces))
+    plain: dict[str, Any] = {
+        "period_s": config.period_s,
+        "axis_count": len(axes),
+        "interface_count": len(interfaces),
+        "lead_enabled": config.lead_enabled,
+        "motion": mapping(config.motion),
+        "axis": [
+            axis.over(config, _CONTROL) | {"law": (axis.law or config.law).mapping()}
+            for axis in axes
+        ],
+        "rfc": [mapping(one.rfc or config.rfc) for one in interfaces],
+    }
+    if config.kinematics is not None:
+        plain["kinematics"] = config.kinematics.struct.cfg
+    if config.matrix_lead is not None:
+        plain["matrix_lead"] = config.matrix_lead.struct()[0]
+    if config.matrix_rfc is not None:
+        plain["matrix_rfc"] = config.matrix_rfc.struct()[0]
+    return plain
+
+
+def _require_counts(config: ControllerConfig, axes: int, interfaces: int) -> None:
+    parts = {
+        "interfaces": interfaces,
+        "kinematics": config.kinematics.size if config.kinematics else axes,
+        "matrix lead": config.matrix_lead.size if config.matrix_lead else axes,
+        "matrix RFC": config.matrix_rfc.size if config.matrix_rfc else axes,
+    }
+    wrong = [f"{name} for {count}" for name, count in parts.items() if count != axes]
+    if wrong or axes > AXES_MAX:
+        raise CoreError(
+            f"{axes} axes, {', '.join(wrong) or 'too many'}: there are 1 to {AXES_MAX} axes and "
+            "as many interfaces, and what they have in common is for all of them"
+        )
+    doubled = [
+        name
+        for given in (names_of(config.axes), names_of(config.interfaces))
+        for name in given
+        if given.count(name) > 1
+    ]
+    if doubled:
+        raise CoreError(f"two axes or interfaces have the name {doubled[0]!r}")
+
+
+def station_axes(config: ControllerConfig, common: Any) -> list[dict[str, Any]]:
+    """Return the ``rthyb_axis_config`` of each axis; ``common``: the ``StationConfig``.
+
+    Raises:
+        CoreError: an axis has nothing to watch under a name.
+    """
+    found = []
+    for axis in config.axes or (AxisConfig(),):
+        watches = watch_table(axis.watches or {}, AXIS_WATCHES)
+        found.append(
+            axis.over(config, ("x_range_m", "f_range_n"))
+            | axis.over(common, _STATION)
+            | {"own_watches": axis.watches is not None, "watch": watches}
+        )
+    return found
+
+
+def station_interfaces(interfaces: Sequence[InterfaceConfig]) -> list[dict[str, Any]]:
+    """Return the ``rthyb_interface_config`` of each interface.
+
+    Raises:
+        CoreError: there is nothing to watch under a name.
+    """
+    found = []
+    for one in interfaces:
+        watch_table(one.watches, INTERFACE_WATCHES)
+        found.append({name: _watch(watch) for name, watch in one.watches.items()})
+    return found
+
+
+def _watch(watch: Watch) -> tuple[float, int]:
+    return watch.value, REACTIONS.index(watch.reaction)
+
+
+def watch_table(
+    watches: Mapping[str, Watch], known: Sequence[str] = WATCHABLE
+) -> list[tuple[float, int]]:
+    """Return what is watched, by the number of its cause.
+
+    Raises:
+        CoreError: there is nothing to watch under a name.
+    """
+    unknown = set(watches) - set(known)
+    if unknown:
+        raise CoreError(f"nothing to watch under the name {', '.join(sorted(unknown))}")
+    off = (0.0, 0)
+    return [_watch(watches[name]) if name in watches else off for name in CAUSES]
+
+
+def axis_channels(config: ControllerConfig) -> tuple[Channel, ...]:
+    """Return the channels of what axes and interfaces beyond the first have beside the record.
+
+    They stand in a row together, in this order, at ``StationConfig.axis_channel``.
+    """
+    found = []
+    for j in range(1, config.interface_count):
+        found += [Channel(f"x_num_m_{j}", "m"), Channel(f"k_t_n_per_m_{j}", "N/m")]
+    for i in range(1, config.axis_count):
+        found += [
+            Channel(f"x_plc_m_{i}", "m"),
+            Channel(f"alpha_{i}", "samples"),
+            Channel(f"beta_{i}", "samples^2"),
+        ]
+    return tuple(found)
+
+
+# ---- written down, and back ----------------------------------------------------------------------
+
+GROUP: Final = ("axes", "interfaces", "kinematics", "matrix_lead", "matrix_rfc")
+
+
+def group_plain(config: ControllerConfig) -> dict[str, Any]:
+    """Return what several axes have, as plain values; nothing of a controller of one axis."""
+    plain: dict[str, Any] = {}
+    for name in ("axes", "interfaces"):
+        if getattr(config, name):
+            plain[name] = [_given(one) for one in getattr(config, name)]
+    if config.kinematics is not None:
+        plain["kinematics"] = config.kinematics.plain()
+    for name in ("matrix_lead", "matrix_rfc"):
+        if getattr(config, name) is not None:
+            plain[name] = _lists(_shallow(getattr(config, name)))
+    return plain
+
+
+def group_of(plain: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the same as settings; raises what the dataclasses do for what they do not know."""
+    found: dict[str, Any] = {}
+    if "axes" in plain:
+        found["axes"] = tuple(_axis(one) for one in plain["axes"])
+    if "interfaces" in plain:
+        found["interfaces"] = tuple(_interface(one) for one in plain["interfaces"])
+    if "kinematics" in plain:
+        found["kinematics"] = Kinematics.of(plain["kinematics"])
+    if "matrix_lead" in plain:
+        lead = dict(plain["matrix_lead"])
+        if lead.get("inverse"):
+            inverse = lead["inverse"]
+            lead["inverse"] = MatrixInverse(
+                tuple(inverse["pole_hz"]), np.array(inverse["coefficients"])
+            )
+        first = lead.get("first")
+        lead["first"] = None if first is None else np.array(first)
+        lead["rest_noise_m"] = tuple(lead["rest_noise_m"])
+        found["matrix_lead"] = MatrixLeadConfig(**lead)
+    if "matrix_rfc" in plain:
+        rfc = dict(plain["matrix_rfc"])
+        rfc |= {"k_e": np.array(rfc["k_e"]), "rest_noise": tuple(rfc["rest_noise"])}
+        found["matrix_rfc"] = MatrixRfcConfig(**rfc)
+    return found
+
+
+def bare(config: ControllerConfig) -> ControllerConfig:
+    """Return a controller's settings without what its axes have of their own."""
+    return replace(
+        config, axes=(), interfaces=(), kinematics=None, matrix_lead=None, matrix_rfc=None
+    )
+
+
+def _shallow(config: Any) -> dict[str, Any]:
+    return {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
+
+
+def _lists(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if dataclasses.is_dataclass(value):
+        value = _shallow(value)
+    if isinstance(value, dict):
+        return {name: _lists(one) for name, one in value.items()}
+    return [_lists(one) for one in value] if isinstance(value, (list, tuple)) else value
+
+
+def _given(one: AxisConfig | InterfaceConfig) -> dict[str, Any]:
+    plain = dataclasses.asdict(one)
+    return {name: value for name, value in plain.items() if value is not None}
+
+
+def _watches(plain: dict[str, Any]) -> dict[str, Any]:
+    if "watches" in plain:
+        plain["watches"] = {name: Watch(**watch) for name, watch in plain["watches"].items()}
+    return plain
+
+
+def _axis(plain: Mapping[str, Any]) -> AxisConfig:
+    given = _watches(dict(plain))
+    if "law" in given:
+        given["law"] = LawConfig(**given["law"])
+    return AxisConfig(**given)
+
+
+def _interface(plain: Mapping[str, Any]) -> InterfaceConfig:
+    given = _watches(dict(plain))
+    if "rfc" in given:
+        given["rfc"] = RfcConfig(**given["rfc"])
+    return InterfaceConfig(**given)
+
+
+def plant_of(rig: Any) -> Any:
+    """Return the ``rthyb_plant`` of a `Rig` or a `CoupledRig`; the caller keeps the rig alive."""
+    kind = ffi.typeof(rig._c).item.cname
+    number = {"rthyb_rig": lib.RTHYB_PLANT_RIG, "rthyb_coupled_rig": lib.RTHYB_PLANT_COUPLED_RIG}
+    if kind not in number:
+        raise CoreError(f"{type(rig).__name__} is no virtual rig")
+    return ffi.new("rthyb_plant *", (number[kind], rig._c))

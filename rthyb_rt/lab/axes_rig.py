@@ -1,0 +1,71 @@
+"""The virtual rig of several axes that a rig file describes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rthyb_rt import core
+from rthyb_rt.config import AxesRig, Rate
+from rthyb_rt.config.axesfile import Plant
+from rthyb_rt.config.sparse_structure import element_of
+from rthyb_rt.core.coupled_rig import CoupledRig, CoupledRigConfig, StateSpace
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment
+
+
+def rig_config(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRigConfig:
+    """Return the virtual rig of several axes at a sample rate.
+
+    Raises:
+        CoreError: kinematics that leave a direction free, which a file that was read has not.
+    """
+    rate, n = Rate(fs_hz), len(rig.axis)
+    given = rig.specimen
+    stiffness, damping, mass = (
+        np.zeros((n, n)) if rows is None else np.array(rows, dtype=np.float64)
+        for rows in (given.stiffness, given.damping, given.mass)
+    )
+    sensors = [experiment.sensor_configs(axis.sensors) for axis in rig.axis]
+    servos: tuple[core.ServoConfig, ...] = ()
+    if rig.plant is None:
+        servos = tuple(experiment.servo_config(rig.of_axis(name), rate) for name in rig.names)
+    return CoupledRigConfig(
+        rig.core_kinematics(),
+        stiffness,
+        damping,
+        mass,
+        servos,
+        None if rig.plant is None else _state_space(rig.plant, n),
+        tuple((rig.directions.index(one.along), element_of(one.law)) for one in given.element),
+        tuple(x for x, _ in sensors),
+        tuple(f for _, f in sensors),
+        rig.rig.load_cell,
+        rig.rig.seed,
+        rate.period_s,
+    )
+
+
+def _state_space(plant: Plant, axes: int) -> StateSpace:
+    if plant.a is None or plant.b is None or plant.c is None:
+        raise InputError(
+            "the file was not read; load the rig file from where it stands", "plant.file"
+        )
+    return StateSpace(
+        np.array(plant.a), np.array(plant.b), np.array(plant.c), (plant.stroke_m,) * axes
+    )
+
+
+def virtual_rig(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRig:
+    """Return the virtual rig at rest.
+
+    Raises:
+        InputError: figures that the files' own checks let through and the core does not, such as a
+            specimen too stiff for the substeps.
+    """
+    try:
+        return CoupledRig(rig_config(rig, fs_hz))
+    except core.CoreError as error:
+        raise InputError(
+            f"{error}; look at the largest and smallest values of the file, and at substeps",
+            f'rig "{rig.rig.name}"',
+        ) from error

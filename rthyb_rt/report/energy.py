@@ -1,0 +1,61 @@
+"""The figure of the energy balance."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib import rc_context
+
+from rthyb_rt.analysis import balance as of
+from rthyb_rt.analysis.summary import Summary
+from rthyb_rt.numbers import percent, quantity
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.report import drawing as draw
+from rthyb_rt.report.decimate import robust_limit
+
+TITLE = "Energy balance"
+
+
+def balance(rec: Recording, summary: Summary) -> draw.Plate:
+    """Draw where the energy of the ground motion has gone, layer on layer."""
+    found = of.of_recording(rec, summary.setup)
+    if found is None:
+        why = "Mass, damping and stiffness of the whole structure are not in the recording"
+        if summary.setup.mass_kg is not None or rec.test_toml:
+            why += "; of many degrees of freedom it has the interface alone"
+        return draw.Plate("balance", TITLE, "", f"{why}.", False)
+    with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
+        paper = draw.Paper("balance", draw.FULL_WIDTH_IN, (1.6,), bottom_in=draw.LEGEND_IN)
+        (axes,) = paper.axes
+        layers = (
+            ("damping", found.damping_j, draw.GREEN),
+            ("specimen", found.specimen_j, draw.ORANGE),
+            ("strain", found.strain_j, draw.PURPLE),
+            ("kinetic", found.kinetic_j, draw.BLUE),
+        )
+        limit = max(robust_limit(found.input_j, found.input_j + found.fed_j), 1e-9)
+        # Thinned alike, so that the layers lie on one another.
+        columns = int(60.0 * draw.FULL_WIDTH_IN)
+        rows = np.unique(
+            np.linspace(0, found.t_s.size - 1, min(found.t_s.size, columns)).astype(int)
+        )
+        foot = np.zeros(rows.size)
+        t = found.t_s[rows]
+        for label, energy, colour in layers:
+            top = foot + draw.clip(np.nan_to_num(energy[rows]), 5.0 * limit)
+            axes.fill_between(t, foot, top, facecolor=colour, alpha=0.55, linewidth=0, label=label)
+            foot = top
+        draw.curve(axes, found.t_s, found.input_j, draw.BLACK, 0.9, "input")
+        draw.curve(axes, found.t_s, found.input_j + found.fed_j, draw.RED, 0.7,
+                   "input and tracking error", (4.0, 1.5))  # fmt: skip
+        low = min(0.0, float(np.min(foot, initial=0.0)))
+        draw.set_range(axes, max(1.06 * low, -1.06 * limit), 1.12 * limit)
+        draw.head(axes, "J", below=True)
+        axes.set_xlim(*draw.span(found.t_s[0], found.t_s[-1]))
+        draw.x_label(axes, "time, s")
+        fed = quantity(float(found.fed_j[-1]), "J")
+        note = (
+            "Lost in the computed damping and in the specimen, stored as strain and motion: the "
+            f"layers fill what was put in. The tracking error has fed {fed} in the end; "
+            f"{percent(found.gap)} is left unexplained at most."
+        )
+        return paper.plate(TITLE, note)
