@@ -24,7 +24,7 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: help run install reproduce test test-long test-vm test-systemd test-live soak sanitize fuzz \
-        fuzz-station tsan proof validate-diagnosis validate-diagnosis-short validate-policy benchmark-rths \
+        fuzz-station tsan validate-realtime proof validate-diagnosis validate-diagnosis-short validate-policy benchmark-rths \
         benchmark-rths-short benchmark-marths bench lint docs man wheels test-aarch64 clean
 
 help:
@@ -40,7 +40,7 @@ help:
 	@echo 'make fuzz       a minute of libFuzzer on the decoding of frames (SECONDS=60)'
 	@echo 'make fuzz-station  ten million random ticks of station, loop and drive (TICKS=, SECONDS=, SEED=)'
 	@echo 'make tsan       ring, mailbox, parameters and counters under ThreadSanitizer'
-	@echo 'make proof      the long proofs of real time: stalls, drifting clocks, jitter; minutes'
+	@echo 'make validate-realtime  the long measurements of real time: stalls, drifting clocks, jitter; minutes'
 	@echo 'make soak       a service for five minutes, and nothing that grows (SECONDS=300)'
 	@echo 'make validate-diagnosis  the diagnosis on cases that it has not seen, into docs (COUNT=60, SEED=)'
 	@echo 'make validate-diagnosis-short  a fixed few of them, held against that page; two minutes'
@@ -122,6 +122,7 @@ bench: $(TEST_READY)
 lint: $(LINT_READY)
 	@echo 'ruff' && $(BIN)/ruff check --quiet . && $(BIN)/ruff format --check --quiet .
 	@echo 'codespell' && git ls-files -z | xargs -0 $(BIN)/codespell --toml pyproject.toml
+	@echo 'phrases' && ! git grep -n -i -F -f docs/tools/phrases.txt -- '*.md' '*.py' '*.[ch]' Makefile systemd
 	@echo 'mypy --strict' && $(BIN)/mypy --strict --no-error-summary rthyb_rt
 	@echo 'clang-format' && $(BIN)/clang-format --dry-run -Werror $(C_FILES)
 	@echo 'compiler warnings' && mkdir -p build && { \
@@ -185,8 +186,10 @@ tsan: $(READY)
 	    grep -q 'WARNING: ThreadSanitizer: data race' $(TSAN)/race.log && echo 'no data race'
 
 # Needs a quiet machine; figures go to build/proof.json.
-proof: $(TEST_READY)
+validate-realtime: $(TEST_READY)
 	@$(BIN)/python -m pytest -p no:cacheprovider -o python_files="proof_*.py" tests/proof
+# Its name until version 0.3.
+proof: validate-realtime
 
 SOAK_SECONDS = $(if $(filter command line,$(origin SECONDS)),$(SECONDS),300)
 soak: $(TEST_READY)

@@ -238,14 +238,18 @@ static int holds(const rthyb_message *m, const rthyb_signal *s)
     return s->start / 8 + beyond < m->length;
 }
 
-static int is_value(const rthyb_message *m, enum rthyb_field field)
+static int is_number(const rthyb_message *m, const rthyb_signal *s)
 {
-    const rthyb_signal *s = &m->field[field];
     const int fits = s->kind == RTHYB_FLOAT ? (s->length == 32 || s->length == 64) && !s->has_none
                                             : s->length <= EXACT_BITS;
     return holds(m, s) && fits && s->kind >= RTHYB_UNSIGNED && s->kind <= RTHYB_FLOAT &&
            isfinite(s->scale) && s->scale != 0.0 && isfinite(s->offset) &&
            least_raw(s) <= greatest_raw(s);
+}
+
+static int is_value(const rthyb_message *m, enum rthyb_field field)
+{
+    return is_number(m, &m->field[field]);
 }
 
 static int is_whole(const rthyb_message *m, enum rthyb_field field, int32_t least_bits)
@@ -281,8 +285,33 @@ static int is_told(const rthyb_codec *codec, uint32_t raw, uint32_t other)
     return raw == 0 || (fits && raw > RTHYB_TRIPPED && raw != other);
 }
 
+static int32_t feedback_length(const rthyb_codec *codec)
+{
+    return PACKET_FEEDBACK_LENGTH + 4 * (int32_t)codec->extra_count;
+}
+
+/* Each fits the frame, or the packet behind what is always in it. */
+static int are_extras(const rthyb_codec *codec)
+{
+    if (codec->extra_count > RTHYB_EXTRAS_MAX ||
+        (codec->format == RTHYB_WIRE_CAN && codec->extra_count > 0))
+        return 0;
+    const int serial = codec->format == RTHYB_WIRE_SERIAL;
+    const rthyb_message packet = {.length = serial ? feedback_length(codec) : 0};
+    for (uint32_t i = 0; i < codec->extra_count; i++) {
+        const rthyb_extra *e = &codec->extra[i];
+        const rthyb_message *m = e->in_force ? &codec->force : &codec->displacement;
+        if (!is_number(serial ? &packet : m, &e->signal) ||
+            (serial && e->signal.start < 8 * PACKET_FEEDBACK_LENGTH))
+            return 0;
+    }
+    return 1;
+}
+
 int rthyb_codec_check(const rthyb_codec *codec)
 {
+    if (!are_extras(codec))
+        return RTHYB_E_CODEC;
     if (codec->format == RTHYB_WIRE_CAN || codec->format == RTHYB_WIRE_SERIAL)
         return 0;
     const rthyb_message *c = &codec->command, *x = &codec->displacement, *f = &codec->force;
@@ -384,8 +413,29 @@ static int put_reading(uint8_t *data, const rthyb_signal *s, double value)
     return 1;
 }
 
-static int table_put_reading(const rthyb_message *m, const rthyb_reading *reading, uint32_t has,
-                             rthyb_frame *frame)
+/* The extra channels that are in a frame: both, or those of one of two. */
+static void put_extras(const rthyb_codec *codec, const rthyb_reading *reading, int x, int f,
+                       uint8_t *data)
+{
+    for (uint32_t i = 0; i < codec->extra_count; i++)
+        if (codec->extra[i].in_force ? f : x)
+            (void)put_reading(data, &codec->extra[i].signal, reading->extra[i]);
+}
+
+/* Nothing depends on them: one that is no number, or out of its range, refuses no frame. */
+static void get_extras(const rthyb_codec *codec, const uint8_t *data, int x, int f,
+                       rthyb_reading *reading)
+{
+    for (uint32_t i = 0; i < codec->extra_count; i++) {
+        double value;
+        if (codec->extra[i].in_force ? f : x)
+            reading->extra[i] =
+                get_value(data, &codec->extra[i].signal, &value) ? (double)NAN : value;
+    }
+}
+
+static int table_put_reading(const rthyb_codec *codec, const rthyb_message *m,
+                             const rthyb_reading *reading, uint32_t has, rthyb_frame *frame)
 {
     int good = 1;
     begin(m, frame);
@@ -396,6 +446,7 @@ static int table_put_reading(const rthyb_message *m, const rthyb_reading *readin
         good &= put_reading(frame->data, &m->field[RTHYB_FIELD_X], reading->x_m);
     if (has & RTHYB_HAS_F)
         good &= put_reading(frame->data, &m->field[RTHYB_FIELD_F], reading->f_n);
+    put_extras(codec, reading, has & RTHYB_HAS_X, has & RTHYB_HAS_F, frame->data);
     seal(m, frame);
     return good;
 }
@@ -407,10 +458,10 @@ static int table_put_feedback(const rthyb_codec *codec, const rthyb_reading *rea
     if (x->id == f->id) {
         rthyb_message both = *x;
         both.field[RTHYB_FIELD_F] = f->field[RTHYB_FIELD_F];
-        return table_put_reading(&both, reading, RTHYB_HAS_X | RTHYB_HAS_F, &frames[0]);
+        return table_put_reading(codec, &both, reading, RTHYB_HAS_X | RTHYB_HAS_F, &frames[0]);
     }
-    const int good = table_put_reading(x, reading, RTHYB_HAS_X, &frames[0]) &
-                     table_put_reading(f, reading, RTHYB_HAS_F, &frames[1]);
+    const int good = table_put_reading(codec, x, reading, RTHYB_HAS_X, &frames[0]) &
+                     table_put_reading(codec, f, reading, RTHYB_HAS_F, &frames[1]);
     return good ? 2 : 0;
 }
 
@@ -433,6 +484,7 @@ static int table_get_feedback(const rthyb_codec *codec, const rthyb_frame *frame
         reading->has |= RTHYB_HAS_F;
         verdict |= get_value(frame->data, &f->field[RTHYB_FIELD_F], &reading->f_n);
     }
+    get_extras(codec, frame->data, frame->id == x->id, frame->id == f->id, reading);
     return verdict;
 }
 
@@ -571,21 +623,25 @@ static int serial_put_setpoint(const rthyb_setpoint *setpoint, rthyb_frame *fram
     return code;
 }
 
-static int serial_put_feedback(const rthyb_reading *reading, rthyb_frame *frame)
+static int serial_put_feedback(const rthyb_codec *codec, const rthyb_reading *reading,
+                               rthyb_frame *frame)
 {
-    uint8_t packet[RTHYB_PACKET_MAX] = {PACKET_FEEDBACK};
+    uint8_t packet[RTHYB_PACKET_ROOM] = {PACKET_FEEDBACK};
     put_i32(packet + 1, to_wire(reading->x_m, UNIT_X_M));
     put_i32(packet + 5, to_wire(reading->f_n, UNIT_F_N));
     put_tail(packet + 9, reading);
-    serial_seal(packet, PACKET_FEEDBACK_LENGTH, frame);
+    put_extras(codec, reading, 1, 1, packet);
+    serial_seal(packet, (size_t)feedback_length(codec), frame);
     return 1;
 }
 
-static int serial_get_feedback(const rthyb_frame *frame, rthyb_reading *reading)
+static int serial_get_feedback(const rthyb_codec *codec, const rthyb_frame *frame,
+                               rthyb_reading *reading)
 {
-    const int verdict = serial_recognise(frame, PACKET_FEEDBACK, PACKET_FEEDBACK_LENGTH);
+    const int verdict = serial_recognise(frame, PACKET_FEEDBACK, feedback_length(codec));
     if (verdict)
         return verdict;
+    get_extras(codec, frame->data, 1, 1, reading);
     get_tail(frame->data + 9, reading);
     reading->has = RTHYB_HAS_X | RTHYB_HAS_F;
     return from_wire(frame->data + 1, UNIT_X_M, &reading->x_m) |
@@ -617,7 +673,7 @@ int rthyb_encode_feedback(const rthyb_codec *codec, const rthyb_reading *reading
     if (codec->format == RTHYB_WIRE_TABLE)
         return table_put_feedback(codec, reading, frames);
     if (codec->format == RTHYB_WIRE_SERIAL)
-        return serial_put_feedback(reading, frames);
+        return serial_put_feedback(codec, reading, frames);
     return can_put_feedback(reading, frames);
 }
 
@@ -642,10 +698,12 @@ int rthyb_decode_feedback(const rthyb_codec *codec, const rthyb_frame *frame,
 {
     int verdict;
     *reading = (rthyb_reading){0};
+    for (int i = 0; i < RTHYB_EXTRAS_MAX; i++)
+        reading->extra[i] = (double)NAN;
     if (codec->format == RTHYB_WIRE_TABLE)
         verdict = table_get_feedback(codec, frame, reading);
     else if (codec->format == RTHYB_WIRE_SERIAL)
-        verdict = serial_get_feedback(frame, reading);
+        verdict = serial_get_feedback(codec, frame, reading);
     else
         verdict = can_get_feedback(frame, reading);
     return reading->status & RTHYB_DEVICE_INVALID ? verdict | RTHYB_W_INVALID : verdict;

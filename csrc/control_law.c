@@ -60,8 +60,8 @@ static int32_t offset_of(const rthyb_law_description *is, const char *name)
 
 int rthyb_law_init(rthyb_law *law, const rthyb_law_config *cfg, double period_s, double x0_m)
 {
-    const rthyb_control_law *kind = rthyb_law_at(cfg->kind);
-    if (!kind)
+    const rthyb_control_law *kind = cfg->own ? cfg->own : rthyb_law_at(cfg->kind);
+    if (!kind || kind->state_size > sizeof law->state)
         return RTHYB_E_LAW;
     if (!(period_s > 0.0 && period_s <= 1.0))
         return RTHYB_E_PERIOD;
@@ -74,7 +74,7 @@ int rthyb_law_init(rthyb_law *law, const rthyb_law_config *cfg, double period_s,
             return RTHYB_E_LAW;
     }
     rthyb_law_complaint complaint;
-    if (rthyb_law_check(cfg->kind, cfg->parameters, period_s, &complaint) >= 0)
+    if (!cfg->own && rthyb_law_check(cfg->kind, cfg->parameters, period_s, &complaint) >= 0)
         return RTHYB_E_LAW;
     const rthyb_law_start start = {
         .parameters = cfg->parameters,
@@ -91,7 +91,7 @@ int rthyb_law_init(rthyb_law *law, const rthyb_law_config *cfg, double period_s,
 /* Of a law that rthyb_law_init has found: for every tick, without looking again. */
 static inline const rthyb_control_law *law_of(const rthyb_law *law)
 {
-    return __start_rthyb_laws[law->cfg.kind];
+    return law->cfg.own ? law->cfg.own : __start_rthyb_laws[law->cfg.kind];
 }
 
 void rthyb_law_rest(rthyb_law *law, double x_m)

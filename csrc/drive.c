@@ -1,5 +1,6 @@
 /* The other end of the wire: an actuator controller with its load cell, their watchdog, and all that
  * can go wrong with them and with the cable. */
+
 #include "internal.h"
 #include "numeric.h"
 
@@ -69,12 +70,14 @@ int rthyb_drive_init(rthyb_drive *drive)
         error = rthyb_calibration_check(&drive->calibration);
     if (error)
         return error;
+    if (rthyb_plant_axes(&drive->plant) == 0)
+        return RTHYB_E_PLANT;
     if (!(drive->stop_decel_m_per_s2 > 0.0) || !(fabs(drive->drift_ppm) <= DRIFT_MAX_PPM))
         return RTHYB_E_LIMIT;
     const int table = drive->codec.format == RTHYB_WIRE_TABLE;
     const int32_t bits = table ? drive->codec.command.field[RTHYB_FIELD_SEQ].length : SEQ_BITS;
     *drive = (rthyb_drive){
-        .rig = drive->rig,
+        .plant = drive->plant,
         .link = drive->link,
         .codec = drive->codec,
         .calibration = drive->calibration,
@@ -182,7 +185,7 @@ static void watch(rthyb_drive *d)
 static double brake(rthyb_drive *d)
 {
     const double next = braked_target(d->target_m, d->target1_m, d->stop_decel_m_per_s2,
-                                      d->rig->cfg.servo.period_s);
+                                      rthyb_plant_period_s(&d->plant));
     if (next == d->target_m)
         d->phase = RTHYB_DRIVE_STOPPED;
     return next;
@@ -217,17 +220,18 @@ static void to_wire(const rthyb_calibration *c, rthyb_reading *r)
     r->f_n = (r->f_n - c->f_offset_n) / c->f_gain;
 }
 
-static rthyb_reading measure(rthyb_drive *d)
+/* What the sensors of its axis have, as the drive tells it. */
+static rthyb_reading measure(rthyb_drive *d, double x_m, double f_n)
 {
     rthyb_reading r = {.has = RTHYB_HAS_X | RTHYB_HAS_F, .echo = d->seq};
-    (void)rthyb_rig_step(d->rig, d->target_m - d->origin_m, &r.x_m, &r.f_n);
-    r.x_m = stuck(d, r.x_m + d->origin_m) + fault_value(d, RTHYB_FAULT_JUMP);
-    r.f_n += fault_value(d, RTHYB_FAULT_FORCE);
+    r.x_m = stuck(d, x_m + d->origin_m) + fault_value(d, RTHYB_FAULT_JUMP);
+    r.f_n = f_n + fault_value(d, RTHYB_FAULT_FORCE);
     to_wire(&d->calibration, &r);
     if (fault(d, RTHYB_FAULT_NOT_FINITE))
         r.x_m = (double)NAN;
     r.count = (uint32_t)d->tick;
     r.status = d->phase == RTHYB_DRIVE_FOLLOWING ? 0u : RTHYB_DEVICE_STOPPED;
+    rthyb_plant_extra(&d->plant, r.extra);
     return r;
 }
 
@@ -302,22 +306,57 @@ static void note(rthyb_drive *d, const rthyb_reading *reading)
         d->log[d->tick] = d->now;
 }
 
+static void listen(rthyb_drive *d)
+{
+    take_commands(d);
+    watch(d);
+    move(d);
+}
+
+static void reply(rthyb_drive *d, double x_m, double f_n)
+{
+    const rthyb_reading reading = measure(d, x_m, f_n);
+    enqueue(d, &reading);
+    send_due(d);
+    note(d, &reading);
+    d->tick++;
+}
+
+/* All commands are there before the rig moves, and it moves once. */
+static void tick_all(rthyb_drive *const *drives, int count)
+{
+    double target[RTHYB_COUPLED_MAX] = {0.0}, x[RTHYB_COUPLED_MAX], f[RTHYB_COUPLED_MAX];
+    for (int i = 0; i < count; i++) {
+        listen(drives[i]);
+        target[i] = drives[i]->target_m - drives[i]->origin_m;
+    }
+    (void)rthyb_plant_step(&drives[0]->plant, target, x, f);
+    for (int i = 0; i < count; i++)
+        reply(drives[i], x[i], f[i]);
+}
+
 void rthyb_drive_tick(rthyb_drive *drive)
 {
-    take_commands(drive);
-    watch(drive);
-    move(drive);
-    const rthyb_reading reading = measure(drive);
-    enqueue(drive, &reading);
-    send_due(drive);
-    note(drive, &reading);
-    drive->tick++;
+    tick_all(&drive, 1);
+}
+
+int rthyb_drives_check(const rthyb_drives *drives)
+{
+    int good = drives->count >= 1 && drives->count <= RTHYB_COUPLED_MAX;
+    for (int i = 0; good && i < drives->count; i++)
+        good = drives->drive[i]->plant.state == drives->drive[0]->plant.state;
+    return good && rthyb_plant_axes(&drives->drive[0]->plant) == drives->count ? 0 : RTHYB_E_PLANT;
+}
+
+void rthyb_drives_tick(rthyb_drives *drives)
+{
+    tick_all(drives->drive, drives->count);
 }
 
 /* Whole ns of what its clock gains in a tick; the rest waits for the next. */
 static void drift(rthyb_drive *d, rthyb_ticker *ticker)
 {
-    d->gained_ns += d->drift_ppm * d->rig->cfg.servo.period_s * 1e3;
+    d->gained_ns += d->drift_ppm * rthyb_plant_period_s(&d->plant) * 1e3;
     const double whole = trunc(d->gained_ns);
     rthyb_ticker_trim(ticker, -(int64_t)whole);
     d->gained_ns -= whole;
@@ -329,5 +368,14 @@ void rthyb_drive_run(rthyb_drive *drive, rthyb_ticker *ticker)
     while (rthyb_ticker_wait(ticker, &tick)) {
         rthyb_drive_tick(drive);
         drift(drive, ticker);
+    }
+}
+
+void rthyb_drives_run(rthyb_drives *drives, rthyb_ticker *ticker)
+{
+    rthyb_tick tick;
+    while (rthyb_ticker_wait(ticker, &tick)) {
+        rthyb_drives_tick(drives);
+        drift(drives->drive[0], ticker);
     }
 }

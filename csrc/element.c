@@ -47,6 +47,7 @@ static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
     [RTHYB_MENEGOTTO_PINTO] = "+0++0+",
     [RTHYB_CHABOCHE] = "++0000",
     [RTHYB_RC_COLUMN] = "+0++0+0+000-+",
+    [RTHYB_OWN] = "",
 };
 /* clang-format on */
 
@@ -151,6 +152,16 @@ static double second_mode(const double *p, double *s, double a, double dt)
     return -p[0] * (damping * s[1] + w * w * s[0]);
 }
 
+/* A force that is none, or beyond any laboratory, is that of before. */
+static double own_force(rthyb_element *element, double x, double v, double a, double dt)
+{
+    double *last = &element->state[RTHYB_ELEMENT_STATES - 1];
+    int code = RTHYB_OK;
+    if (element->own)
+        *last = accept(element->own(element->state, x, v, a, dt), RTHYB_FORCE_MAX_N, *last, &code);
+    return *last;
+}
+
 static double law(rthyb_element *element, double x, double v, double a, double dt)
 {
     const double *p = element->params;
@@ -209,6 +220,8 @@ static double law(rthyb_element *element, double x, double v, double a, double d
         return rthyb_chaboche(p, s, x);
     case RTHYB_RC_COLUMN:
         return rthyb_rc_column(p, s, x);
+    case RTHYB_OWN:
+        return own_force(element, x, v, a, dt);
     default:
         return 0.0;
     }

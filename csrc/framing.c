@@ -51,7 +51,7 @@ size_t rthyb_cobs_encode(const uint8_t *bytes, size_t n, uint8_t *out)
 
 static void push(rthyb_deframer *d, uint8_t byte)
 {
-    if (d->length < RTHYB_PACKET_MAX)
+    if (d->length < RTHYB_PACKET_MAX + 4 * d->extras && d->length < RTHYB_PACKET_ROOM)
         d->data[d->length++] = byte;
     else
         d->too_long = 1;
@@ -81,7 +81,7 @@ int rthyb_deframer_byte(rthyb_deframer *d, uint8_t byte, rthyb_frame *packet)
 {
     if (byte == 0) {
         const int verdict = finish(d, packet);
-        *d = (rthyb_deframer){0};
+        *d = (rthyb_deframer){.extras = d->extras};
         return verdict;
     }
     if (d->left) {

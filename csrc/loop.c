@@ -286,6 +286,7 @@ static void take_axis(rthyb_loop *loop, int axis, const rthyb_tick *tick, arriva
     const uint32_t age = loop->cfg.axis[axis].wire->age;
     take_in(loop, axis, tick->woken_ns);
     found->lost = rthyb_wire_take(loop->cfg.axis[axis].wire, &found->feedback);
+    rthyb_wire_tell_extras(loop->cfg.axis[axis].wire, loop->cfg.station->channel);
     if (found->lost)
         return;
     put_signed(&way->delay, found->feedback.delay);

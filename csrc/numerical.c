@@ -10,6 +10,7 @@ static const rthyb_numerical_ops *const KINDS[RTHYB_NUMERICAL_KINDS] = {
     [RTHYB_NUMERICAL_MOTION] = &rthyb_motion_ops,
     [RTHYB_NUMERICAL_DENSE] = &rthyb_dense_ops,
     [RTHYB_NUMERICAL_SPARSE] = &rthyb_sparse_ops,
+    [RTHYB_NUMERICAL_LIBRARY] = &rthyb_library_ops,
 };
 
 const rthyb_numerical_ops *rthyb_numerical_find(int32_t kind)
@@ -25,6 +26,8 @@ size_t rthyb_numerical_size(const rthyb_numerical *part)
 
 int32_t rthyb_numerical_interfaces(const rthyb_numerical *part)
 {
+    if (part->kind == RTHYB_NUMERICAL_LIBRARY)
+        return ((const rthyb_library_config *)part->cfg)->interfaces;
     if (part->kind != RTHYB_NUMERICAL_SPARSE)
         return 1;
     return ((const rthyb_sparse_config *)part->cfg)->interfaces;
@@ -59,12 +62,18 @@ void rthyb_numerical_freeze(const rthyb_numerical *part, const double *force_n)
 
 void rthyb_numerical_save(const rthyb_numerical *part, void *bytes)
 {
-    memcpy(bytes, part->state, KINDS[part->kind]->size(part->cfg));
+    const rthyb_numerical_ops *ops = KINDS[part->kind];
+    if (ops->before_save)
+        ops->before_save(part);
+    memcpy(bytes, part->state, ops->size(part->cfg));
 }
 
 void rthyb_numerical_restore(const rthyb_numerical *part, const void *bytes)
 {
-    memcpy(part->state, bytes, KINDS[part->kind]->size(part->cfg));
+    const rthyb_numerical_ops *ops = KINDS[part->kind];
+    memcpy(part->state, bytes, ops->size(part->cfg));
+    if (ops->after_restore)
+        ops->after_restore(part);
 }
 
 void rthyb_numerical_look(const rthyb_numerical *part, rthyb_interface *at)

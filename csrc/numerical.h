@@ -20,9 +20,13 @@ typedef struct {
     void (*freeze)(const rthyb_numerical *part, const double *force_n);
     void (*look)(const rthyb_numerical *part, rthyb_interface *at); /* one for every interface */
     size_t (*report)(const rthyb_numerical *part, double *values, size_t most);
+    /* Its bytes are about to be copied, or have been put back. NULL: they are all there is */
+    void (*before_save)(const rthyb_numerical *part);
+    void (*after_restore)(const rthyb_numerical *part);
 } rthyb_numerical_ops;
 
-extern const rthyb_numerical_ops rthyb_motion_ops, rthyb_dense_ops, rthyb_sparse_ops;
+extern const rthyb_numerical_ops rthyb_motion_ops, rthyb_dense_ops, rthyb_sparse_ops,
+    rthyb_library_ops;
 
 /* NULL for a kind that does not exist. */
 const rthyb_numerical_ops *rthyb_numerical_find(int32_t kind);

@@ -9,6 +9,7 @@ typedef struct {
     int (*step)(void *state, const double *x_p_m, double *x_m_m, double *f_n);
     void (*reseed)(void *state);
     void (*truth)(const void *state, double *x_true_m, double *f_true_n);
+    void (*extra)(const void *state, double *values); /* NULL: it has no extra sensors */
 } plant_ops;
 
 /* ---- one actuator ------------------------------------------------------------------------------ */
@@ -38,6 +39,11 @@ static void rig_truth(const void *state, double *x_true_m, double *f_true_n)
 {
     *x_true_m = ((const rthyb_rig *)state)->x_true_m;
     *f_true_n = ((const rthyb_rig *)state)->f_true_n;
+}
+
+static void rig_extra(const void *state, double *values)
+{
+    memcpy(values, ((const rthyb_rig *)state)->extra, RTHYB_EXTRAS_MAX * sizeof *values);
 }
 
 /* ---- several ----------------------------------------------------------------------------------- */
@@ -70,9 +76,9 @@ static void coupled_truth(const void *state, double *x_true_m, double *f_true_n)
 }
 
 static const plant_ops KINDS[RTHYB_PLANT_KINDS] = {
-    [RTHYB_PLANT_RIG] = {rig_axes, rig_period_s, rig_step, rig_reseed, rig_truth},
+    [RTHYB_PLANT_RIG] = {rig_axes, rig_period_s, rig_step, rig_reseed, rig_truth, rig_extra},
     [RTHYB_PLANT_COUPLED_RIG] = {coupled_axes, coupled_period_s, coupled_step, coupled_reseed,
-                                 coupled_truth},
+                                 coupled_truth, NULL},
 };
 
 /* ---- whichever it is --------------------------------------------------------------------------- */
@@ -102,4 +108,11 @@ void rthyb_plant_reseed(const rthyb_plant *plant)
 void rthyb_plant_truth(const rthyb_plant *plant, double *x_true_m, double *f_true_n)
 {
     KINDS[plant->kind].truth(plant->state, x_true_m, f_true_n);
+}
+
+void rthyb_plant_extra(const rthyb_plant *plant, double *values)
+{
+    memset(values, 0, RTHYB_EXTRAS_MAX * sizeof *values);
+    if (KINDS[plant->kind].extra)
+        KINDS[plant->kind].extra(plant->state, values);
 }

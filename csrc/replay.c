@@ -49,8 +49,8 @@ static int32_t lost(const rthyb_record *row, int axis, int axes)
 /* What a row says of all axes together comes from the one that its cause names, or from the first. */
 static int whose(const rthyb_record *row)
 {
-    const int number = (int)(row->flags >> RTHYB_F_CAUSE_BIT & 7u);
-    return row->flags & RTHYB_F_INTERFACE || number == 0 ? 0 : number - 1;
+    const int number = (int)(row->cause >> RTHYB_PLACE_BIT & 7u);
+    return row->cause & RTHYB_PLACE_INTERFACE || number == 0 ? 0 : number - 1;
 }
 
 static rthyb_station_input input_of(const rthyb_station *station, const rthyb_record *row)
@@ -70,9 +70,11 @@ static rthyb_station_input input_of(const rthyb_station *station, const rthyb_re
             .f_n = row->axis[i].f_read_n,
             .x_cmd_m = row->axis[i].x_cmd_m,
             .lost = lost(row, i, axes),
+            .drive_stopped = axes > 1 && (row->flags >> (RTHYB_F_STOPPED_BIT + i) & 1u),
         };
     in.axis[one].link_down = (row->flags & RTHYB_F_DOWN) != 0;
-    in.axis[one].drive_stopped = (row->flags & RTHYB_F_STOPPED) != 0;
+    if (axes == 1)
+        in.axis[0].drive_stopped = (row->flags & RTHYB_F_STOPPED) != 0;
     in.axis[one].beyond = (row->flags & RTHYB_F_BEYOND) != 0;
     return in;
 }

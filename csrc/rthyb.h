@@ -24,6 +24,7 @@
  * this order. */
 /* clang-format off */
 #include "rthyb_record.h"
+#include "rthyb_extra.h"
 #include "rthyb_kernels.h"
 #include "rthyb_kinematics.h"
 #include "rthyb_matrix_lead.h"
@@ -35,6 +36,8 @@
 #include "rthyb_coupled_rig.h"
 #include "rthyb_plant.h"
 #include "rthyb_numerical.h"
+#include "rthyb_library.h"
+#include "rthyb_own_part.h"
 #include "rthyb_controller.h"
 #include "rthyb_watch.h"
 #include "rthyb_station.h"

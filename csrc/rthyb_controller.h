@@ -20,7 +20,7 @@ typedef struct {
     rthyb_law_config law;
     double x_range_m, f_range_n; /* a reading beyond its sensor's range is not taken; 0 = off */
     double velocity_limit_m_per_s, acceleration_limit_m_per_s2; /* 0 = off */
-    double clamp_m; /* the command never leaves clamp_centre_m +-clamp_m; 0 = off */
+    double clamp_m; /* the command stays within clamp_centre_m +-clamp_m; 0 = off */
     double clamp_centre_m;
 } rthyb_axis_control;
 
@@ -70,8 +70,8 @@ typedef struct {
 typedef struct {
     rthyb_controller_config cfg;
     rthyb_motion motion;
-    int32_t behind;    /* the numerical part has answered and has the rest of that step to do */
-    int32_t late_code; /* status bits of that rest, for the next record */
+    int32_t behind;    /* the numerical part has answered but not completed the step */
+    int32_t late_code; /* status bits from completing the step, for the next record */
     uint64_t tick;
     uint32_t freeze_after, extrapolate_until; /* lost samples in a row: 2.9 ms, 19.5 ms */
     double energy_error, tracking_indicator;  /* sums over the axes */
@@ -103,7 +103,7 @@ int rthyb_controller_init(rthyb_controller *controller, const rthyb_controller_c
  * lacks is made up for all of them. */
 int rthyb_controller_step(rthyb_controller *controller, const rthyb_input *input,
                           rthyb_record *record);
-/* What a sample has left to do once its command is known; rthyb_controller_step has done it. */
+/* Completes a sample once its command is known; rthyb_controller_step includes it. */
 void rthyb_controller_advance(rthyb_controller *controller);
 
 /* The bare controller of one axis at a virtual rig, without states or limits: for studies of the control

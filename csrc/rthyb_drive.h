@@ -1,4 +1,4 @@
-/* The drive's side of the wire: the virtual drive (drive.c) and its faults. */
+/* The drive's side of the wire: the virtual drive (drive.c) and simulated faults. */
 #ifndef RTHYB_PART_DRIVE_H
 #define RTHYB_PART_DRIVE_H
 
@@ -6,24 +6,24 @@
 #include <stdint.h>
 
 #include "rthyb_loop.h"
-#include "rthyb_rig.h"
+#include "rthyb_plant.h"
 
 /* cffi: begin */
 
-/* What may be made to go wrong at the drive's side of the wire. */
+/* Faults that can be simulated on the drive's side of the wire. */
 enum rthyb_drive_fault {
     RTHYB_FAULT_DROP,         /* a feedback is lost, with a probability of value */
     RTHYB_FAULT_DROP_COMMAND, /* the same of commands */
     RTHYB_FAULT_DROP_FORCE,   /* CAN: the second frame of a feedback is lost */
-    RTHYB_FAULT_DELAY,        /* feedback held back for value ticks */
-    RTHYB_FAULT_REORDER,      /* every other feedback comes after its successor */
+    RTHYB_FAULT_DELAY,        /* feedback delayed by value ticks */
+    RTHYB_FAULT_REORDER,      /* every other feedback arrives after the next one */
     RTHYB_FAULT_DUPLICATE,    /* each frame twice */
     RTHYB_FAULT_CORRUPT,      /* one bit of each frame is wrong */
     RTHYB_FAULT_STUCK,        /* displacement repeats its first value */
     RTHYB_FAULT_JUMP,         /* value added to the displacement */
     RTHYB_FAULT_FORCE,        /* value added to the force */
     RTHYB_FAULT_NOT_FINITE,   /* displacement is no number */
-    RTHYB_FAULT_SILENCE,      /* neither sends nor hears */
+    RTHYB_FAULT_SILENCE,      /* neither sends nor receives */
     RTHYB_FAULTS
 };
 
@@ -40,16 +40,16 @@ enum rthyb_drive_phase {
     RTHYB_DRIVE_STOPPING
 };
 
-/* What the drive saw and did in one of its ticks. */
+/* What the drive received and did in one of its ticks. */
 typedef struct {
-    double x_m;       /* newest command that came, as decoded */
-    double target_m;  /* what the actuator was told, behind the calibration */
-    double read_x_m;  /* reading that it answered with, before the wire rounds it */
+    double x_m;       /* newest command received, as decoded */
+    double target_m;  /* target of the actuator, after the calibration */
+    double read_x_m;  /* reading that was sent, before rounding on the wire */
     double read_f_n;  /* the same of the force; its count is the tick's low bits */
     uint32_t seq;     /* of that command */
     uint32_t state;   /* in that command */
-    uint32_t frames;  /* commands in this tick, whatever became of them; 0: the above are old */
-    uint32_t refused; /* of those: damaged, not finite, or no command */
+    uint32_t frames;  /* commands in this tick, valid or not; 0: the values above are old */
+    uint32_t refused; /* of those: damaged, not finite, or not a command */
     uint32_t phase;   /* enum rthyb_drive_phase, after the tick */
     uint32_t silent;  /* ticks since the last fresh sequence number */
 } rthyb_drive_entry;
@@ -70,7 +70,7 @@ typedef struct {
 /* An actuator controller with load cell: rig, wire and a watchdog that counts its own ticks. It
  * begins STOPPED, and not latched: nothing has gone wrong yet. */
 typedef struct {
-    rthyb_rig *rig;
+    rthyb_plant plant; /* of one axis, or one that several drives share (rthyb_drives) */
     rthyb_link *link;
     rthyb_codec codec;
     rthyb_calibration calibration; /* the controller's; the drive applies its inverse */
@@ -85,11 +85,11 @@ typedef struct {
     const rthyb_fault *faults; /* the caller's */
     size_t fault_count;
     int32_t phase;   /* enum rthyb_drive_phase */
-    int32_t latched; /* it has stopped by itself, and nobody has reset it */
+    int32_t latched; /* it has stopped by itself and has not been reset */
     uint32_t seq, seq_mask, silent;
     uint32_t state;             /* of the last fresh command */
     double wanted_m;            /* of the last fresh command */
-    double target_m, target1_m; /* what the actuator is told, and was told before */
+    double target_m, target1_m; /* current and previous target of the actuator */
     double stuck_m;
     int32_t stuck; /* stuck_m is in force */
     uint64_t random;
@@ -108,6 +108,17 @@ int rthyb_drive_schedule(rthyb_drive *drive, const rthyb_fault *faults, size_t n
 void rthyb_drive_tick(rthyb_drive *drive);
 /* Ticks until the ticker is stopped; a tick slept through does not happen. */
 void rthyb_drive_run(rthyb_drive *drive, rthyb_ticker *ticker);
+
+/* Drives of the axes of one virtual rig, in its order, by one clock: that of the first. */
+typedef struct {
+    rthyb_drive *drive[RTHYB_COUPLED_MAX];
+    int32_t count;
+} rthyb_drives;
+
+/* Each drive has been set up. 0, or RTHYB_E_PLANT: the rig that they share has other axes. */
+int rthyb_drives_check(const rthyb_drives *drives);
+void rthyb_drives_tick(rthyb_drives *drives);
+void rthyb_drives_run(rthyb_drives *drives, rthyb_ticker *ticker);
 /* cffi: end */
 
 #endif

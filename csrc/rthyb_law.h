@@ -54,12 +54,42 @@ typedef struct {
     double numbers[RTHYB_LAW_NUMBERS];
 } rthyb_law_complaint;
 
-typedef struct rthyb_control_law rthyb_control_law;
+/* Where a law begins. Parameters are in the order of its table, and finite. The ranges of the table are
+ * those of test files; who asks the core itself may go beyond them, so a law must not trust them with its
+ * memory. */
+typedef struct {
+    const double *parameters;
+    double period_s;
+    double x0_m;         /* command and specimen stand here */
+    double rest_noise_m; /* standard deviation of x_m measured at rest */
+} rthyb_law_start;
+
+/* State is the law's own, state_size plain bytes without a pointer in them: who copies them has all of
+ * it. None of these allocates, locks or calls the system; each is done within a bounded time. */
+typedef struct {
+    rthyb_law_description is;
+    size_t state_size;
+    /* What parameters that are each within their range do wrong together at this sampling period: -1, or
+     * the index of the one to blame. What only the rig knows may be NaN still. May be NULL. */
+    int (*check)(const double *parameters, double period_s, rthyb_law_complaint *complaint);
+    /* 0 or enum rthyb_error. The state is all zeros before. */
+    int (*init)(void *state, const rthyb_law_start *start);
+    /* Command and specimen stand at x_m now: leading x_m next gives x_m. What has been learnt stays. */
+    void (*rest)(void *state, double x_m);
+    /* The newest pair: the command that the drive had, and what was measured. frozen: take it in, but
+     * learn nothing from it. Status bits. */
+    int (*observe)(void *state, double x_p_m, double x_m_m, int frozen);
+    /* x_c -> x_p for the same instant. What has been learnt since the last call may move x_p by no more
+     * than allowed_m: 0 for not at all, INFINITY for as far as it likes. Status bits; *x_p_m is finite
+     * whatever x_c_m is. */
+    int (*lead)(void *state, double x_c_m, double allowed_m, double *x_p_m);
+} rthyb_control_law;
 
 typedef struct {
     int32_t kind; /* from rthyb_law_find; not stable between versions, and not used in recordings */
-    int32_t adapts;      /* 0: adapted quantities keep their initial values */
-    double rest_noise_m; /* standard deviation of x_m measured at rest */
+    const rthyb_control_law *own; /* the user's law in its place; NULL: by kind */
+    int32_t adapts;               /* 0: adapted quantities keep their initial values */
+    double rest_noise_m;          /* standard deviation of x_m measured at rest */
     double parameters[RTHYB_LAW_PARAMETERS_MAX]; /* in the order of the law's table */
 } rthyb_law_config;
 

@@ -94,9 +94,10 @@ int rthyb_dense_advance(rthyb_dense *s);
 /* ---- numerical part by kind (numerical.c) ----------------------------------------------------- */
 
 enum rthyb_numerical_kind {
-    RTHYB_NUMERICAL_MOTION, /* rthyb_motion_config, rthyb_motion */
-    RTHYB_NUMERICAL_DENSE,  /* rthyb_dense_config, rthyb_dense */
-    RTHYB_NUMERICAL_SPARSE, /* rthyb_sparse_config; the state begins with rthyb_sparse */
+    RTHYB_NUMERICAL_MOTION,  /* rthyb_motion_config, rthyb_motion */
+    RTHYB_NUMERICAL_DENSE,   /* rthyb_dense_config, rthyb_dense */
+    RTHYB_NUMERICAL_SPARSE,  /* rthyb_sparse_config; the state begins with rthyb_sparse */
+    RTHYB_NUMERICAL_LIBRARY, /* rthyb_library_config; the user's own (rthyb_own_part.h) */
     RTHYB_NUMERICAL_KINDS
 };
 
@@ -117,7 +118,7 @@ typedef struct {
 size_t rthyb_numerical_size(const rthyb_numerical *part);
 /* Number of interfaces (forces in, displacements out); for settings that init accepted. */
 int32_t rthyb_numerical_interfaces(const rthyb_numerical *part);
-/* Initialises the part at rest at x0; a sparse part starts as its settings state, and x0 must be 0. All functions
+/* Initialises the part at rest at x0; a sparse part starts as its settings state, a library at 0, and x0 must be 0 for both. All functions
  * below require an initialised part. */
 int rthyb_numerical_init(const rthyb_numerical *part, double x0_m);
 /* Excitation and forces at t_n -> x_c[n+1], one value per interface. This is all that is computed between

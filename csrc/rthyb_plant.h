@@ -30,6 +30,8 @@ int rthyb_plant_step(const rthyb_plant *plant, const double *x_p_m, double *x_m_
 void rthyb_plant_reseed(const rthyb_plant *plant);
 /* What the sensors saw in that step, without their errors. */
 void rthyb_plant_truth(const rthyb_plant *plant, double *x_true_m, double *f_true_n);
+/* Readings of the extra sensors in that step, RTHYB_EXTRAS_MAX of them; 0 where there is none. */
+void rthyb_plant_extra(const rthyb_plant *plant, double *values);
 /* cffi: end */
 
 #endif

@@ -1,4 +1,4 @@
-/* What one sample can say and refuse, and its record: ring slot, HDF5 row, replay input.
+/* Status of a sample, reasons for rejection, and the record of a sample: ring slot, HDF5 row, replay input.
  * Largest sizes, status bits, reasons of refusal, states and flags. */
 #ifndef RTHYB_PART_RECORD_H
 #define RTHYB_PART_RECORD_H
@@ -17,29 +17,29 @@ enum rthyb_size {
     RTHYB_ELEMENT_STATES = 16  /* history variables of one element */
 };
 
-/* What a sample was like; bits, because several may be true at once. A record has sixteen of them. */
+/* Status of a sample; bits, because several can be set at once. A record stores sixteen of them. */
 enum rthyb_status {
     RTHYB_OK = 0,
-    RTHYB_S_NOT_FINITE = 1,            /* NaN or inf came in, or would have gone out */
-    RTHYB_S_OUT_OF_RANGE = 2,          /* finite, but outside the sensor's range or any sense */
+    RTHYB_S_NOT_FINITE = 1,            /* NaN or inf was received, or would have been sent */
+    RTHYB_S_OUT_OF_RANGE = 2,          /* finite, but outside the sensor's range or implausible */
     RTHYB_S_LIMITED = 4,               /* the limiter changed the command */
-    RTHYB_S_POSITION_LIMIT = 8,        /* the command went past its position limit */
-    RTHYB_S_FORCE_LIMIT = 16,          /* the measured force went past its limit */
-    RTHYB_S_TRACKING_LIMIT = 32,       /* |x_m - x_c| went past its limit */
-    RTHYB_S_LINK_LOST = 64,            /* for 19.5 ms no accepted pair */
+    RTHYB_S_POSITION_LIMIT = 8,        /* the command exceeded its position limit */
+    RTHYB_S_FORCE_LIMIT = 16,          /* the measured force exceeded its limit */
+    RTHYB_S_TRACKING_LIMIT = 32,       /* |x_m - x_c| exceeded its limit */
+    RTHYB_S_LINK_LOST = 64,            /* no accepted pair for 19.5 ms */
     RTHYB_S_TRIP = 128,                /* one of these is set to end the test */
-    RTHYB_S_VELOCITY_LIMIT = 1 << 8,   /* the command's velocity went past its limit */
-    RTHYB_S_INCREMENT_LIMIT = 1 << 9,  /* its change from sample to sample did */
-    RTHYB_S_INDICATOR_LIMIT = 1 << 10, /* the slope of the tracking indicator did */
-    RTHYB_S_ENERGY_LIMIT = 1 << 11,    /* the energy error did */
-    RTHYB_S_SENSOR_STUCK = 1 << 12,    /* a sensor repeats itself */
-    RTHYB_S_SENSOR_JUMP = 1 << 13,     /* a reading leapt */
+    RTHYB_S_VELOCITY_LIMIT = 1 << 8,   /* the velocity of the command exceeded its limit */
+    RTHYB_S_INCREMENT_LIMIT = 1 << 9,  /* its change from sample to sample exceeded its limit */
+    RTHYB_S_INDICATOR_LIMIT = 1 << 10, /* the slope of the tracking indicator exceeded its limit */
+    RTHYB_S_ENERGY_LIMIT = 1 << 11,    /* the energy error exceeded its limit */
+    RTHYB_S_SENSOR_STUCK = 1 << 12,    /* a sensor repeats the same reading */
+    RTHYB_S_SENSOR_JUMP = 1 << 13,     /* a reading jumped */
     RTHYB_S_LOST_RATE = 1 << 14,       /* too large a share of pairs is lost */
     RTHYB_S_SKIP_RATE = 1 << 15,       /* too large a share of ticks was skipped */
-    RTHYB_LOST = 1 << 16               /* of an input only: nothing arrived */
+    RTHYB_LOST = 1 << 16               /* in an input only: nothing arrived */
 };
 
-/* What an _init function refuses. */
+/* Reasons for which an _init function rejects its settings. */
 enum rthyb_error {
     RTHYB_E_PERIOD = 1,
     RTHYB_E_WEIGHTS,
@@ -50,8 +50,8 @@ enum rthyb_error {
     RTHYB_E_SERVO,
     RTHYB_E_ELEMENT,
     RTHYB_E_SENSOR,
-    RTHYB_E_LIMIT, /* a limit, or a starting value beyond any sense */
-    RTHYB_E_LAW,   /* no such control law, or parameters that it cannot work with */
+    RTHYB_E_LIMIT, /* a limit, or an implausible initial value */
+    RTHYB_E_LAW,   /* unknown control law, or parameters that it cannot use */
     RTHYB_E_KINEMATICS,
     RTHYB_E_PLANT /* a virtual plant of several axes: its sizes, or a number that is not finite */
 };
@@ -86,30 +86,35 @@ enum rthyb_state {
 enum rthyb_flag {
     RTHYB_F_FRESH = 1,     /* a new accepted pair of displacement and force */
     RTHYB_F_PREDICTED = 2, /* x_meas_m and f_meas_n are extrapolated */
-    RTHYB_F_BLIND = 4,     /* a skipped tick, made up for later */
+    RTHYB_F_BLIND = 4,     /* a skipped tick, processed later */
     RTHYB_F_FROZEN = 8,    /* alpha and k_t held */
     RTHYB_F_LIMITED = 16,  /* the limiter changed the command */
     RTHYB_F_NOT_SENT = 32,
     /* From here on: what the station was told in this tick, in its last record alone, never in a
      * blind one. With the reading it is all that a replay needs. */
-    RTHYB_F_SLIP = 1 << 6,    /* the drive's count has slipped against the tick, 192 ticks ago */
+    RTHYB_F_SLIP = 1 << 6,    /* the drive's count slipped relative to the tick, 192 ticks ago */
     RTHYB_F_LOST = 1 << 7,    /* the wire had no new pair; PREDICTED without it: the station
                                * refused the pair that came */
     RTHYB_F_DOWN = 1 << 8,    /* the link reported a failure */
-    RTHYB_F_STOPPED = 1 << 9, /* the drive's last word is that it has stopped by itself */
+    RTHYB_F_STOPPED = 1 << 9, /* the drive last reported that it has stopped by itself */
     RTHYB_F_SILENT = 1 << 10, /* the operator's side has been silent for too long */
-    RTHYB_F_BEYOND = 1 << 11, /* the wire cannot hold the command of the tick before */
+    RTHYB_F_BEYOND = 1 << 11, /* the wire could not represent the command of the previous tick */
     RTHYB_F_TAKEN_OVER = 1
         << 12, /* no reading before this tick: the drive has x_cmd_m from others */
     /* Of several axes alone, from here to bit 22. */
     RTHYB_F_APART = 1 << 13, /* the drives' counts are more than one sample apart */
     RTHYB_F_UNSENT_BIT =
         14, /* bits 14 to 17: the command of this axis did not leave; no flag itself */
-    RTHYB_F_CAUSE_BIT =
-        18, /* bits 18 to 20: 1 + axis, or interface, of the cause; no flag itself */
-    RTHYB_F_INTERFACE = 1 << 21, /* an interface it is */
-    RTHYB_F_REFUSED = 1 << 23,   /* the operator's command of this tick was refused */
-    RTHYB_F_COMMAND_BIT = 24 /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
+    RTHYB_F_STOPPED_BIT =
+        18, /* bits 18 to 21: the drive of this axis has stopped by itself; no flag itself */
+    RTHYB_F_REFUSED = 1 << 23, /* the operator's command of this tick was refused */
+    RTHYB_F_COMMAND_BIT = 24   /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
+};
+
+/* Of several axes, rthyb_record.cause has the cause in its lowest byte, and above it where it belongs. */
+enum rthyb_cause_place {
+    RTHYB_PLACE_BIT = 8,            /* three bits: 1 + axis or interface; 0: neither */
+    RTHYB_PLACE_INTERFACE = 1 << 11 /* it is an interface */
 };
 
 /* One axis. */
@@ -141,8 +146,8 @@ typedef struct {
     double ag_mps2;       /* ground acceleration at t_n */
     double x_num_m;       /* x_c[n], command of the integration */
     double x_plc_m;       /* output of the control law */
-    double alpha;       /* what the control law reports by that name, after the update of tick n, */
-    double beta;        /* samples and samples squared; NaN: it has none */
+    double alpha; /* reported by the control law under that name, after the update of tick n, */
+    double beta;  /* in samples and samples squared; NaN: not available */
     double k_t_n_per_m; /* tangent stiffness that the RFC used */
     double energy_error_j;
     double tracking_indicator_m2;
@@ -154,7 +159,7 @@ size_t rthyb_record_bytes(int32_t axis_count);
 
 const char *rthyb_version(void);
 const char *rthyb_compiler(void);
-/* SHA-256 of the sources that the core was made of (source_hash.cmake); "" built without CMake. */
+/* SHA-256 of the sources of the core (source_hash.cmake); "" if built without CMake. */
 const char *rthyb_source_hash(void);
 /* cffi: end */
 

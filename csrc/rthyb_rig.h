@@ -6,6 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "rthyb_extra.h"
 #include "rthyb_record.h"
 
 /* cffi: begin */
@@ -42,11 +43,18 @@ enum rthyb_element_kind {
     RTHYB_CHABOCHE,          /* k, fy, H, gamma 1/m, Q, rate 1/m */
     RTHYB_RC_COLUMN,         /* k, a, xy, eta, pivot, ultimate m, strength lost there, energy J,
                               * strength and stiffness lost with it, slip, its level and width */
+    RTHYB_OWN,               /* none: the user's own function */
     RTHYB_ELEMENT_KINDS
 };
 
+/* A law of the user's own, for virtual time: what it remembers is in `state`, RTHYB_ELEMENT_STATES - 1
+ * numbers that are 0 in the beginning, so that a copy of the element is an element by itself. */
+typedef double (*rthyb_own_force)(double *state, double x_m, double v_m_per_s, double a_m_per_s2,
+                                  double dt_s);
+
 typedef struct {
-    int32_t kind; /* enum rthyb_element_kind */
+    int32_t kind;        /* enum rthyb_element_kind */
+    rthyb_own_force own; /* RTHYB_OWN: set it once it is initialised */
     double params[RTHYB_ELEMENT_PARAMS];
     double state[RTHYB_ELEMENT_STATES];
     double x, v, a; /* last good motion: it stands in for a senseless one */
@@ -127,6 +135,13 @@ typedef struct {
     int32_t has_spare;
 } rthyb_noise;
 
+/* A sensor beside those of displacement and force: gain times what it measures, with its own errors. */
+typedef struct {
+    int32_t kind; /* enum rthyb_extra_kind */
+    double gain;
+    rthyb_sensor sensor;
+} rthyb_extra_sensor;
+
 enum rthyb_load_cell { RTHYB_ACTUATOR_END, RTHYB_SPECIMEN_END };
 
 typedef struct {
@@ -136,6 +151,8 @@ typedef struct {
     uint32_t element_count;
     rthyb_element elements[RTHYB_ELEMENTS_MAX];
     uint64_t seed;
+    uint32_t extra_count;
+    rthyb_extra_sensor extras[RTHYB_EXTRAS_MAX];
 } rthyb_rig_config;
 
 typedef struct {
@@ -144,6 +161,9 @@ typedef struct {
     rthyb_noise noise;
     double x_true_m, f_true_n; /* what the sensors saw without their errors */
     double ridden_kg;          /* of the specimen's own mass, which rides on the table */
+    rthyb_noise extra_noise;
+    double extra[RTHYB_EXTRAS_MAX]; /* readings of the extra sensors at the same instant */
+    double *extra_to; /* the caller's: where each sample puts them as well; NULL: nowhere */
 } rthyb_rig;
 
 int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg);

@@ -5,15 +5,18 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "rthyb_extra.h"
 #include "rthyb_record.h"
 
 /* cffi: begin */
 
 enum rthyb_wire_size {
-    RTHYB_FRAME_MAX = 64,       /* data of a CAN FD frame, bytes */
-    RTHYB_SERIAL_COMMAND = 12,  /* a command on the serial line, including the final 0 */
-    RTHYB_SERIAL_FEEDBACK = 16, /* the same for feedback */
-    RTHYB_PACKET_MAX = 14       /* after COBS decoding, including the CRC */
+    RTHYB_FRAME_MAX = 64,      /* data of a CAN FD frame, bytes */
+    RTHYB_SERIAL_COMMAND = 12, /* a command on the serial line, including the final 0 */
+    RTHYB_SERIAL_FEEDBACK =
+        16,                /* the same for feedback without extra channels, each of which adds 4 */
+    RTHYB_PACKET_MAX = 14, /* after COBS decoding, including the CRC, without them */
+    RTHYB_PACKET_ROOM = RTHYB_PACKET_MAX + 4 * RTHYB_EXTRAS_MAX
 };
 
 enum rthyb_can_id { RTHYB_ACT_CMD = 0x101, RTHYB_ACT_FB = 0x181, RTHYB_LC_FB = 0x182 };
@@ -90,6 +93,13 @@ enum rthyb_wire_format {
     RTHYB_WIRE_TABLE   /* any DBC file, by table */
 };
 
+/* A value of an extra channel in the feedback. */
+typedef struct {
+    int32_t in_force; /* TABLE: in the force frame, else in the displacement frame */
+    rthyb_signal
+        signal; /* SERIAL: counted from the beginning of the packet, behind its status byte */
+} rthyb_extra;
+
 typedef struct {
     int32_t format; /* enum rthyb_wire_format; only TABLE needs the messages */
     /* If displacement and force have the same id, one frame contains both. */
@@ -97,6 +107,8 @@ typedef struct {
     /* TABLE: raw state values for reset and leaving, in addition to those of enum rthyb_state. 0: the drive
      * has no such state, and IDLE is sent. */
     uint32_t reset, leaving;
+    uint32_t extra_count; /* CAN: 0, its frames are full */
+    rthyb_extra extra[RTHYB_EXTRAS_MAX];
 } rthyb_codec;
 
 /* Values in a command in place of the controller's state, in addition to enum rthyb_state. */
@@ -124,6 +136,7 @@ typedef struct {
     uint32_t count; /* sample count of the drive */
     uint32_t status; /* enum rthyb_device */
     double x_m, f_n;
+    double extra[RTHYB_EXTRAS_MAX]; /* NaN: not in this frame, or no number */
 } rthyb_reading;
 
 /* 0, or RTHYB_E_CODEC if the table does not fit its frames. The functions below require a codec that
@@ -160,11 +173,12 @@ size_t rthyb_cobs_encode(const uint8_t *bytes, size_t n, uint8_t *out);
 /* Finds packets in a stream of bytes; after an error it resynchronises at the next 0. Initialise it with
  * zeros. */
 typedef struct {
-    uint8_t data[RTHYB_PACKET_MAX];
+    uint8_t data[RTHYB_PACKET_ROOM];
     uint8_t length;   /* bytes in data */
     uint8_t left;     /* bytes until the next code byte */
     uint8_t begun;    /* a byte was received since the last 0 */
-    uint8_t too_long; /* buffer full: waiting for the 0 */
+    uint8_t too_long; /* longer than any packet: waiting for the 0 */
+    uint8_t extras;   /* the caller's: extra channels in a packet */
 } rthyb_deframer;
 
 /* 0: packet not complete. RTHYB_W_PACKET: *packet contains the bytes without the CRC. Otherwise the error. */
@@ -201,6 +215,7 @@ typedef struct {
     int32_t fresh;         /* the pair arrived since the last take */
     int32_t refused;       /* enum rthyb_status: readings refused since the last take */
     rthyb_wire_counters counters;
+    uint32_t extra_channel; /* the caller's: which of a row's channels the first extra channel is */
 } rthyb_wire;
 
 typedef struct {
@@ -227,6 +242,8 @@ int rthyb_wire_feed(rthyb_wire *wire, const uint8_t *bytes, size_t n);
 /* Call once per tick, after processing everything received and before making the command: returns the newest
  * pair. The result is RTHYB_OK, or the reason why there is none, for rthyb_input.lost. */
 int rthyb_wire_take(rthyb_wire *wire, rthyb_feedback *feedback);
+/* After rthyb_wire_take: the extra channels of a pair that was new in this tick; NaN if there was none. */
+void rthyb_wire_tell_extras(const rthyb_wire *wire, double *channels);
 /* cffi: end */
 
 #endif

@@ -524,6 +524,18 @@ static int longest_missing(const rthyb_station *s)
     return of_axis(longest);
 }
 
+/* The axis that told something that is no number; 0: none did. */
+static int not_finite(const rthyb_station *s, const rthyb_input *in)
+{
+    for (int i = 0; i < axes_of(s); i++) {
+        const rthyb_pair *pair = &in->axis[i];
+        if (pair->lost & RTHYB_S_NOT_FINITE ||
+            (!pair->lost && !(isfinite(pair->x_meas_m) && isfinite(pair->f_meas_n))))
+            return of_axis(i);
+    }
+    return 0;
+}
+
 /* What further axes have beside the record that was just written. */
 static void note_channels(rthyb_station *s)
 {
@@ -548,6 +560,16 @@ static void keep_commands(rthyb_station *s, const double *sent)
 {
     for (int i = 0; i < axes_of(s); i++)
         s->controller.axis[i].x_cmd = s->controller.axis[i].limiter.x_lim = sent[i];
+}
+
+/* Of several axes a row says which one, or which interface, the cause belongs to. */
+static uint32_t placed_cause(const rthyb_station *s)
+{
+    const int interface = s->cause_interface >= 0;
+    const int number = interface ? s->cause_interface : s->cause_axis;
+    const uint32_t place = (uint32_t)(number + 1) << RTHYB_PLACE_BIT |
+                           (interface ? (uint32_t)RTHYB_PLACE_INTERFACE : 0u);
+    return (uint32_t)s->cause | (axes_of(s) == 1 ? 0u : place);
 }
 
 static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_record *record)
@@ -577,14 +599,15 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
                           longest_missing(s)},
                 RTHYB_S_LINK_LOST, record);
     if (code & RTHYB_S_NOT_FINITE)
-        trip_at(s, plain(RTHYB_CAUSE_NOT_FINITE), RTHYB_S_NOT_FINITE, record);
+        trip_at(s, (finding){.cause = RTHYB_CAUSE_NOT_FINITE, .where = not_finite(s, in)},
+                RTHYB_S_NOT_FINITE, record);
     /* An arrival moves the command to its goal: not in a tick that sends nothing. */
     if (s->state != RTHYB_TRIPPED && !blind)
         course_arrive(s);
     if (s->state == RTHYB_TRIPPED)
         keep_commands(s, sent);
     s->controller.state = s->state;
-    record->cause = (uint32_t)s->cause;
+    record->cause = placed_cause(s);
 }
 
 static rthyb_input at_tick(const rthyb_station *s, const double *ag, size_t n)
@@ -639,14 +662,13 @@ static void watch_surroundings(rthyb_station *s, const rthyb_station_input *in, 
         station_enter(s, RTHYB_ZEROED);
 }
 
-/* Of several axes a row says which one, or which interface, the cause belongs to. */
-static uint32_t cause_flags(const rthyb_station *s)
+/* Of several axes a row says which drives have stopped. */
+static uint32_t stopped_flags(const rthyb_station *s, const rthyb_station_input *in)
 {
-    const int interface = s->cause_interface >= 0;
-    const int number = interface ? s->cause_interface : s->cause_axis;
-    return axes_of(s) == 1 ? 0u
-                           : (uint32_t)(number + 1) << RTHYB_F_CAUSE_BIT |
-                                 (interface ? (uint32_t)RTHYB_F_INTERFACE : 0u);
+    uint32_t flags = 0;
+    for (int i = 0; i < axes_of(s) && axes_of(s) > 1; i++)
+        flags |= (uint32_t)(in->axis[i].drive_stopped != 0) << (RTHYB_F_STOPPED_BIT + i);
+    return flags;
 }
 
 /* What the station was told in this tick, as the record shows it. */
@@ -663,7 +685,7 @@ static uint32_t told(const rthyb_station *s, const rthyb_station_input *in, int 
            (first_beyond(s, in) ? (uint32_t)RTHYB_F_BEYOND : 0u) |
            (in->apart ? (uint32_t)RTHYB_F_APART : 0u) |
            (took_over ? (uint32_t)RTHYB_F_TAKEN_OVER : 0u) |
-           (refused ? (uint32_t)RTHYB_F_REFUSED : 0u) | cause_flags(s) |
+           (refused ? (uint32_t)RTHYB_F_REFUSED : 0u) | stopped_flags(s, in) |
            ((uint32_t)in->command & UINT8_MAX) << RTHYB_F_COMMAND_BIT;
 }
 

@@ -25,6 +25,7 @@ int rthyb_wire_init(rthyb_wire *w, const rthyb_codec *codec)
     if (error)
         return error;
     *w = (rthyb_wire){.codec = *codec, .echo_mask = mask_of(8), .count_mask = mask_of(8)};
+    w->deframer.extras = (uint8_t)codec->extra_count;
     if (codec->format == RTHYB_WIRE_TABLE) {
         const rthyb_signal *x = codec->displacement.field, *f = codec->force.field;
         const int32_t seq = codec->command.field[RTHYB_FIELD_SEQ].length;
@@ -121,6 +122,9 @@ static int join(rthyb_wire *w, const rthyb_reading *r)
     pair.has = BOTH;
     pair.f_n = w->half[1].f_n;
     pair.status |= w->half[1].status;
+    for (uint32_t i = 0; i < w->codec.extra_count; i++)
+        if (w->codec.extra[i].in_force)
+            pair.extra[i] = w->half[1].extra[i];
     w->half[0].has = w->half[1].has = 0;
     return take_pair(w, &pair);
 }
@@ -227,4 +231,13 @@ int rthyb_wire_take(rthyb_wire *w, rthyb_feedback *feedback)
     if (refused & RTHYB_S_NOT_FINITE)
         return RTHYB_LOST | RTHYB_S_NOT_FINITE;
     return fresh ? RTHYB_OK : RTHYB_LOST | refused;
+}
+
+void rthyb_wire_tell_extras(const rthyb_wire *w, double *channels)
+{
+    for (uint32_t i = 0; i < w->codec.extra_count; i++) {
+        const uint32_t at = w->extra_channel + i;
+        if (at < RTHYB_CHANNELS_MAX)
+            channels[at] = w->counters.pairs > 0 && w->age == 0 ? w->pair.extra[i] : (double)NAN;
+    }
 }

@@ -25,16 +25,24 @@ if TYPE_CHECKING:
     from rthyb_rt.api.replaying import replay
     from rthyb_rt.api.running import run
     from rthyb_rt.api.sweeping import Sweep, sweep
+    from rthyb_rt.core.own import ControlLaw, Element, NumericalPart
+    from rthyb_rt.diagnose.effects.base import Context, Effect, Param, Trial
     from rthyb_rt.errors import InputError, Problem, RthybError
     from rthyb_rt.lab.experiment import Replay
 
 __all__ = [
     "Check",
     "Comparison",
+    "Context",
+    "ControlLaw",
     "Diagnosis",
+    "Effect",
+    "Element",
     "FrequencyResponse",
     "Identification",
     "InputError",
+    "NumericalPart",
+    "Param",
     "Plot",
     "Plots",
     "Problem",
@@ -44,6 +52,7 @@ __all__ = [
     "RthybError",
     "Sweep",
     "Test",
+    "Trial",
     "__version__",
     "check",
     "compare",
@@ -58,10 +67,16 @@ __all__ = [
 _HOMES = {
     "Check": "api.checking",
     "Comparison": "api.comparing",
+    "Context": "diagnose.effects.base",
+    "ControlLaw": "core.own",
     "Diagnosis": "api.diagnosing",
+    "Effect": "diagnose.effects.base",
+    "Element": "core.own",
     "FrequencyResponse": "analysis.spectra",
     "Identification": "api.identifying",
     "InputError": "errors",
+    "NumericalPart": "core.own",
+    "Param": "diagnose.effects.base",
     "Plot": "api.recordings",
     "Plots": "api.recordings",
     "Problem": "errors",
@@ -71,6 +86,7 @@ _HOMES = {
     "RthybError": "errors",
     "Sweep": "api.sweeping",
     "Test": "api.files",
+    "Trial": "diagnose.effects.base",
     "check": "api.checking",
     "compare": "api.comparing",
     "identify": "api.identifying",

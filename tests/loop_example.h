@@ -80,7 +80,7 @@ static int loop_example_set_up(loop_example *e)
     int error = rthyb_element_init(&rig.elements[0], RTHYB_STIFFNESS, &stiffness, 1);
     error |= rthyb_rig_init(&e->rig, &rig) | rthyb_station_init(&e->station, &station);
     error |= rthyb_wire_init(&e->wire, &codec) | loop_example_links(e);
-    e->drive.rig = &e->rig;
+    e->drive.plant = (rthyb_plant){RTHYB_PLANT_RIG, &e->rig};
     e->drive.link = &e->far;
     e->drive.codec = codec;
     e->drive.calibration = identity;

@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 REFERENCE = DOCS / "api-reference.md"
 GUIDES = [path for path in sorted(DOCS.glob("api*.md")) if path != REFERENCE]
+GUIDES.append(DOCS / "own-parts.md")
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _DIGITS = re.compile(r"[-−]?\d+(?:\.\d+)?")
 
@@ -39,12 +40,16 @@ def test_code_of_the_page_runs_as_it_is_written_and_prints_what_stands_below_it(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
     names: dict[str, object] = {"__name__": "page"}
     printed = ""
     blocks = _BLOCK.findall(page.read_text(encoding="utf-8"))
     assert sum(language == "python" for language, _ in blocks) >= 3
     for language, text in blocks:
-        if language == "python":
+        file = re.match(r"# (\w+\.py)\n", text)
+        if language == "python" and file is not None:
+            (tmp_path / file[1]).write_text(text, encoding="utf-8")
+        elif language == "python":
             out = io.StringIO()
             with contextlib.redirect_stdout(out):
                 exec(compile(text, page.name, "exec"), names)

@@ -99,18 +99,18 @@ def test_an_axis_is_named_in_overrides() -> None:
     [
         # Keys of an axis, by the parsers of one axis.
         (
-            "kp_per_s = 48.0",
+            "kp_per_s = 52.0",
             "kp_per_s = -4",
             r"rig.toml:\d+: axis.lower.actuator.kp_per_s: found -4; "
             "the proportional gain must be from 0.01 to 10000 1/s",
         ),
-        ("kp_per_s = 48.0", "kp_per_s = nan", r"axis.lower.actuator.kp_per_s: found nan"),
+        ("kp_per_s = 52.0", "kp_per_s = nan", r"axis.lower.actuator.kp_per_s: found nan"),
         (
             "noise_std_m = 1.24e-5, lsb",
             "noise_std_m = '1 kg', lsb",
             'axis.upper.sensors.displacement.noise_std_m: found "1 kg"',
         ),
-        ('force_n = "9.3 kN"', "force_mn = 3", r"axis.upper.limits.force_mn: unknown key"),
+        ('force_n = "40 kN"', "force_mn = 3", r"axis.upper.limits.force_mn: unknown key"),
         (
             'kind = "servo-hydraulic"',
             'kind = "servo"',
@@ -227,7 +227,7 @@ def test_a_fault_is_told_with_its_axis_line_value_and_what_is_allowed(
 def test_a_fault_points_at_its_line() -> None:
     lines = TEXT.splitlines()
     wanted = 1 + max(i for i, line in enumerate(lines) if line.startswith("kp_per_s"))
-    (found,) = faults(changed(("kp_per_s = 48.0", "kp_per_s = -4")))
+    (found,) = faults(changed(("kp_per_s = 52.0", "kp_per_s = -4")))
     assert found.startswith(f"rig.toml:{wanted}: axis.lower.actuator.kp_per_s")
 
 

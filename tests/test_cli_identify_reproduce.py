@@ -7,10 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from command_line import Rthyb
 
+import rthyb_rt as rt
 from rthyb_rt import config, studies
+from rthyb_rt.analysis.spectra import frequency_response
+from rthyb_rt.record import recording
 from rthyb_rt.studies import inelastic
 from rthyb_rt.studies.results import Study
 
@@ -53,11 +57,50 @@ def test_identify_prints_what_it_found_and_how_to_go_on(rthyb: Rthyb, tmp_path: 
     assert answer.code == 0
     for word in ("frequency, Hz", "17.19", "α with β", "667.8 kN/m", "42.8 kg", "2.00 µm, 4.88 N"):
         assert word in answer.out
-    (name,) = files(tmp_path)
+    bode, sweep, name = sorted(files(tmp_path))
     assert name.startswith(f"runs/identify-{TABLE}-")
     assert name.endswith("/rig.toml")
+    assert (Path(bode).name, Path(sweep).name) == ("bode.svg", "recording.h5")
     assert f"rthyb run TEST.toml --rig {name}" in answer.out
     assert answer.err == ""
+
+
+def test_sweep_itself_is_kept_and_says_the_same_by_another_way(
+    rthyb: Rthyb, tmp_path: Path
+) -> None:
+    answer = rthyb("identify", "delay-10-elastic", "--out", "found.toml", "--json")
+    paths = json.loads(answer.out)["paths"]
+    assert paths == {
+        "rig": "found.toml", "sweep": "found-recording.h5", "bode": "found-bode.svg"
+    }  # fmt: skip
+    rec = recording.read(tmp_path / paths["sweep"])
+    found = frequency_response(
+        rec.samples["x_cmd_m"][rec.running()], rec.samples["x_meas_m"][rec.running()], 1024.0
+    )
+    assert found is not None
+    # Where the sines were: ten samples and a gain of 1, as the least squares of the sweep say; a
+    # segment in which a sine begins is not whole cycles, which costs a hundredth.
+    for tone in (1.0, 2.0, 4.0, 10.0):
+        line = int(np.argmin(np.abs(found.frequency_hz - tone)))
+        assert found.gain[line] == pytest.approx(1.0, abs=0.015)
+        assert found.delay_s[line] == pytest.approx(10 / 1024, rel=0.05)
+
+
+def test_bode_plot_has_the_sines_and_the_model_of_the_check() -> None:
+    found = rt.identify("first-order-5hz")
+    plot = found.plot()
+    decibels, phase, late = plot.figure.axes
+    model, sines = decibels.get_lines()
+    f = np.asarray(model.get_xdata())
+    lag = 1 / (1 + 1j * f / 5)
+    assert np.asarray(model.get_ydata()) == pytest.approx(20 * np.log10(np.abs(lag)), abs=0.1)
+    assert np.asarray(sines.get_ydata()) == pytest.approx(
+        [20 * np.log10(tone["gain"]) for tone in found.tones]
+    )
+    for line in phase.get_lines():
+        assert np.asarray(line.get_ydata()).max() < 0
+    assert late.get_ylim()[0] > 0
+    assert found.recording["x_meas_m"].size > 10 * 1024
 
 
 def test_identified_rig_runs_a_test(rthyb: Rthyb, tmp_path: Path) -> None:

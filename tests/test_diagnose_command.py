@@ -340,7 +340,7 @@ noise_std_n = 12
 
 @pytest.mark.long
 def test_a_hybrid_test_in_closed_loop_is_diagnosed_and_its_model_mended(tmp_path, monkeypatch):
-    """PLC and RFC hide the friction from the response; cut at its signals, the loop shows it."""
+    """PLC and RFC hide the friction from the response; split at its signals, the loop shows it."""
     monkeypatch.chdir(tmp_path)
     naive, true = tmp_path / "naive.toml", tmp_path / "true.toml"
     text = cases.rig(more=DAMPED_AND_MEASURED)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import json
 import re
+import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -32,7 +34,7 @@ from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import InputError
 from rthyb_rt.numbers import number, percent, quantity
 from rthyb_rt.record.recording import UNITS, Recording
-from rthyb_rt.report import render, write_report
+from rthyb_rt.report import render, write_report, zoom
 from rthyb_rt.report.decimate import envelope, robust_limit, trace
 from rthyb_rt.report.files import escaped, write_files
 
@@ -602,6 +604,47 @@ def test_how_the_station_ended_stands_in_words_and_not_as_a_dict_of_python() -> 
 def test_on_a_narrow_screen_half_figures_are_no_wider_than_beside_one_another(page: str) -> None:
     narrow = page[page.index("@media screen and (max-width: 44rem)") : page.index("@page")]
     assert re.search(r"\.two figure svg \{ max-width: 28rem; \}", narrow)
+
+
+# --- the chart of the first figure ------------------------------------------------------------
+
+
+def test_chart_that_can_be_enlarged_holds_the_signals_themselves() -> None:
+    rec = recording(3.0)
+    rec.samples["x_meas_m"][40] = np.nan
+    told = json.loads(re.search(r'id="zoom-data">(.*?)</script>', render(rec), re.S)[1])  # type: ignore[index]
+    (panel,) = [one for one in told["panels"] if one["label"] == "displacement, mm"]
+    found = {one["label"]: one["data"] for one in panel["series"]}
+    assert set(found) == {"measured", "command", "compensated command"}
+    counts = np.frombuffer(base64.b64decode(found["measured"]), "<i2")
+    values = np.where(counts == -32768, np.nan, counts * panel["scale"])
+    assert values == pytest.approx(1e3 * rec.samples["x_meas_m"], abs=panel["scale"], nan_ok=True)
+    assert told["start"] == rec.time_s()[0]
+    assert told["step"] == 1 / FS_HZ
+    # Of a long test every n-th row.
+    long = zoom.chart(recording(40.0), summarize(recording(40.0)), (0.0, np.nan))
+    assert long["step"] > 1 / FS_HZ
+    assert long["window"] is None
+    assert len(long["panels"][1]["series"][0]["data"]) * 3 / 8 <= zoom.MOST_ROWS
+
+
+def test_browser_draws_the_chart_without_a_network_and_keeps_the_drawing_for_paper(
+    tmp_path: Path,
+) -> None:
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("needs chromium")
+    write_report(recording(3.0), tmp_path / "report.html")
+    words = [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=4000",
+             f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom"]  # fmt: skip
+    done = subprocess.run(
+        [*words, f"file://{tmp_path / 'report.html'}"], capture_output=True, text=True,
+        timeout=100, check=True,
+    )  # fmt: skip
+    figure = done.stdout.split('id="figure-displacement"')[1].split("</figure>")[0]
+    assert figure.count('class="u-over"') == 2
+    assert "<svg" in figure
+    assert "zoomed" in done.stdout.split('id="figure-displacement"')[1][:40]
 
 
 # --- files for a paper ------------------------------------------------------------------------

@@ -29,10 +29,11 @@ from rthyb_rt.config import (
     rigsettings,
     testfile,
 )
-from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
+from rthyb_rt.config.fields import Count, Names, OneOf, Range, Sign, Table, Text
 from rthyb_rt.config.history import Amplitudes, CycleCounts
 from rthyb_rt.config.numerical import Labels, Numbers, Place, Square
-from rthyb_rt.config.structures import Counts, Each, Names, Terms
+from rthyb_rt.config.own import Parameters, Settings
+from rthyb_rt.config.structures import Counts, Each, Terms
 from rthyb_rt.core.laws import LAWS, parameters
 from rthyb_rt.record import recording
 
@@ -46,6 +47,11 @@ MEANINGS: dict[str, str] = {
     "GroundMotion.channel": "number, or part of the name, of one component of several",
     "GroundMotion.interpolation": "how the record is brought to the test's rate",
     "Numerical.integrator": "integrator of the equation of motion",
+    "LibraryFile.file": "the shared library, beside the test file",
+    "FmuFile.file": "the FMU, beside the test file",
+    "FmuFile.force": "input that gets the measured force",
+    "FmuFile.displacement": "output that the actuator follows",
+    "FmuFile.ground_acceleration": "input that gets the ground acceleration; absent: none",
     "Matrices.m_kg": "masses of the degrees of freedom",
     "Matrices.k_n_per_m": "stiffnesses between them",
     "Matrices.c_n_s_per_m": "dampings between them",
@@ -220,6 +226,9 @@ MEANINGS: dict[str, str] = {
     "RigFile.schema": "first line of the file",
     "SweepHistory.spacing": "whether equal times are equal ratios or equal steps of frequency",
     "CyclesHistory.file": "CSV file of amplitudes and cycles beside the test file, instead",
+    "ExtraSensor.signal": "CAN: the signal in the DBC file, `Signal` or `FRAME.Signal`; absent: "
+    "its name",
+    "ExtraSensor.measures": "virtual rig: what it measures at the specimen",
     "TestFile.rig": "path of a rig file (beside the test file), or name of a shipped rig",
 }
 """What a key is for, where its model does not say it in a range."""
@@ -462,6 +471,8 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
             allowed = "list, different names"
         elif isinstance(part, Names):
             allowed, meaning = "list, different texts", part.what
+        elif isinstance(part, (Parameters, Settings)):
+            allowed, meaning = part.form, part.what
         elif isinstance(part, Sign):
             allowed, meaning = "1, -1", part.what
         elif isinstance(part, Text):

@@ -24,8 +24,8 @@ from rthyb_rt.analysis import margins
 from rthyb_rt.analysis.linear_parts import LinearPart
 from rthyb_rt.config import response, rigsettings
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
-from rthyb_rt.core import ControllerConfig, LawConfig
-from rthyb_rt.core.laws import LAWS
+from rthyb_rt.core import ControllerConfig, DenseConfig, LawConfig
+from rthyb_rt.core.sparse import SparseConfig
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def rational(top: Floats, bottom: Floats) -> Block:
 
 def numerical(config: ControllerConfig) -> Block:
     """Return force f*[n] -> displacement of the interface at t_n."""
-    if config.numerical is None:
+    if not isinstance(config.numerical, (DenseConfig, SparseConfig)):
         top, bottom = margins.compliance(config.motion)
         whole = np.asarray(np.polyadd(bottom, config.motion.stiffness_n_per_m * top), np.float64)
         return rational(-top, whole)
@@ -201,7 +201,7 @@ def low_pass(cutoff_hz: float, h: float) -> Block:
 
 def laws(law: LawConfig, model: response.Plant, h: float, hold: str | None) -> list[Block]:
     """Return a control law as it begins, and as the rig's response leads it to be."""
-    given = dict(zip((p.key for p in LAWS[law.name].parameters), law.values(), strict=True))
+    given = dict(zip((p.key for p in law.law.parameters), law.values(), strict=True))
     table = law.name.replace("-", "_")
     if f"{table}.gain_sigma" in given:
         own = {key.partition(".")[2]: value for key, value in given.items()}

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from rthyb_rt.config import RigFile
 from rthyb_rt.core import PERIOD_S, Law, LawConfig, Motion, MotionConfig, element
-from rthyb_rt.core.laws import LAWS
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -122,7 +121,7 @@ def lead_of(law: LawConfig, period_s: float = PERIOD_S) -> Lead | SampledLead:
     Raises:
         CoreError: the law cannot work with its settings.
     """
-    given = dict(zip((p.key for p in LAWS[law.name].parameters), law.values(), strict=True))
+    given = dict(zip((p.key for p in law.law.parameters), law.values(), strict=True))
     if {"alpha0", "beta0", "w1", "w2"} <= set(given):
         pace = PERIOD_S / period_s
         return Lead(given["alpha0"] * pace, given["beta0"] * pace**2, given["w1"], given["w2"])

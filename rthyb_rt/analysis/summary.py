@@ -36,7 +36,7 @@ FARTHEST_M = 2.0
 """No laboratory's actuator goes farther: a motion beyond it has run away."""
 _MOVING = [STATES.index(name) for name in ("RAMP_IN", "RUNNING", "HOLD", "RAMP_OUT")]
 OUT_OF_RANGE = 1 << 1
-"""Bit of the field ``code``: a value was beyond any sense and was held back."""
+"""Bit of the field ``code``: a value was implausible and was discarded."""
 
 
 @dataclass(frozen=True)

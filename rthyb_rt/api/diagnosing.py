@@ -17,6 +17,7 @@ from rthyb_rt.errors import InputError, RthybError
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose import engine
+    from rthyb_rt.diagnose.effects import Effect
     from rthyb_rt.diagnose.outcome import Outcome
 
 Progress = Callable[[str], None]
@@ -39,8 +40,10 @@ class Diagnosis:
         outcome: Outcome,
         checks: list[dict[str, Any]] | None,
         model: Path,
+        own: Sequence[Effect] = (),
     ) -> None:
         self._found, self._outcome, self._checks, self._model = found, outcome, checks, model
+        self._own = own
 
     @property
     def verdict(self) -> str:
@@ -60,9 +63,10 @@ class Diagnosis:
     @property
     def text(self) -> str:
         """The answer in plain words."""
-        from rthyb_rt.diagnose import words
+        from rthyb_rt.diagnose import effects, words
 
-        return words.sentence(self._found, self._outcome.answer)
+        with effects.beside(self._own):
+            return words.sentence(self._found, self._outcome.answer)
 
     @property
     def answer(self) -> dict[str, Any]:
@@ -82,9 +86,11 @@ class Diagnosis:
             InputError: matplotlib or jinja2 is not installed.
             RthybError: a file cannot be written.
         """
+        from rthyb_rt.diagnose import effects
         from rthyb_rt.diagnose.page import write_report
 
-        return write_report(Path(folder), self._found, self._outcome, self._checks, self._model)
+        with effects.beside(self._own):
+            return write_report(Path(folder), self._found, self._outcome, self._checks, self._model)
 
     def __repr__(self) -> str:
         named = f": {', '.join(self.effects)}" if self.effects else ""
@@ -103,7 +109,7 @@ def diagnose(
     *,
     columns: Mapping[str, str] | Place | None = None,
     heldout: Recording | Place | None = None,
-    effects: Sequence[Place] = (),
+    effects: Sequence[Place | Effect] = (),
     self_check: bool = False,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -119,7 +125,7 @@ def diagnose(
             (``rthyb-baseline/1``).
         columns: of a CSV file by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping file.
         heldout: a second recording, by which the answer is judged.
-        effects: Python files that register effects of a user's own.
+        effects: effects of your own, as objects or as Python files that register them.
         self_check: hide known effects in the recording and see whether they are found again.
         progress: told the name of each part.
 
@@ -134,10 +140,12 @@ def diagnose(
     from rthyb_rt.diagnose.power import self_check as checked
 
     try:
-        for path in effects:
-            register.load(Path(path))
+        own = _own_effects(effects)
         tell = progress or (lambda part: None)
-        with _as_files(recording, model, heldout) as (path, model_path, second_path):
+        with (
+            register.beside(own),
+            _as_files(recording, model, heldout) as (path, model_path, second_path),
+        ):
             wishes = mapping.read_wishes(map_options(columns))
             case = reading.read_case(path, reading.read_model(model_path), wishes=wishes)
             second = None
@@ -155,7 +163,31 @@ def diagnose(
             checks = checked(found, tell) if self_check else None
     except RthybError as error:
         raise in_python(error, _WORDS) from None
-    return Diagnosis(found, outcome, checks, model_path)
+    return Diagnosis(found, outcome, checks, model_path, own)
+
+
+def _own_effects(given: Sequence[Any]) -> list[Effect]:
+    """Run the files among what was given, and return the effects of a user's own.
+
+    Raises:
+        InputError: a file registers none; or what was given is neither file nor effect.
+    """
+    from rthyb_rt.diagnose import effects as register
+
+    found = []
+    for one in given:
+        if isinstance(one, register.Effect):
+            found.append(one)
+        elif isinstance(one, (str, os.PathLike)):
+            register.load(Path(one))
+        else:
+            name = getattr(one, "__name__", type(one).__name__)
+            raise InputError(
+                f"found {name}; an effect is an object of a class {name}(rthyb_rt.Effect), such as "
+                f"{name}(), or the path of a Python file that registers one",
+                "diagnose: effects",
+            )
+    return found
 
 
 @contextmanager

@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Final, Generic, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, Literal, Self, TypeVar
 
 import numpy as np
 
 from rthyb_rt import config
 from rthyb_rt.config import RigFile, TestFile
 from rthyb_rt.config.fields import Table, nearest, written
+from rthyb_rt.config.own import PYTHON
 from rthyb_rt.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    from rthyb_rt.core.own import Own
 
 Place = str | os.PathLike[str]
 """A file as Python names it."""
@@ -22,7 +26,21 @@ RIG: Final = "rig"
 
 
 def plain(value: Any) -> Any:
-    """Return a value as a file holds it: NumPy's scalars and paths as Python's own."""
+    """Return a value as a file holds it: NumPy's scalars and paths as Python's own.
+
+    An object of the user's own stands for its class and settings.
+
+    Raises:
+        InputError: its class cannot be found by its name, or a file cannot hold its settings.
+    """
+    if isinstance(value, type) and hasattr(value, "_made_of_own"):
+        raise InputError(
+            f"found the class {value.__name__}; give an object of it, {value.__name__}(...), with "
+            "its settings",
+            value.__name__,
+        )
+    if hasattr(type(value), "_made_of_own"):
+        return _of_own(value)
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
@@ -34,6 +52,20 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(inner) for inner in value]
     return value
+
+
+def _of_own(made: Own) -> dict[str, Any]:
+    """Return the table that a file has in the place of an object of the user's own."""
+    from rthyb_rt.core import CoreError
+    from rthyb_rt.core.own import ControlLaw, Element, spelled
+
+    try:
+        table = spelled(made).plain()
+    except CoreError as error:
+        raise InputError(str(error), type(made).__name__) from error
+    if isinstance(made, ControlLaw):
+        return {"type": PYTHON, PYTHON: table}
+    return {"element": PYTHON, **table} if isinstance(made, Element) else {PYTHON: table}
 
 
 def flat(tables: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

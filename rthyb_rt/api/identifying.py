@@ -11,6 +11,7 @@ from pydantic_core import PydanticCustomError
 from rthyb_rt import config
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig
+from rthyb_rt.api.recordings import Plot, Recording
 from rthyb_rt.config.fields import Range
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig import identify as sweeping
@@ -38,7 +39,7 @@ class Identification:
 
         The unit stands in the name; None is what could not be told.
         """
-        found = dataclasses.asdict(self._found)
+        found = self._found.as_json()
         return {name: value for name, value in found.items() if name not in ("tones", "notes")}
 
     @property
@@ -50,6 +51,25 @@ class Identification:
     def notes(self) -> list[str]:
         """What a user should know."""
         return list(self._found.notes)
+
+    @property
+    def recording(self) -> Recording:
+        """The sweep itself, as a recording."""
+        assert self._found.recording is not None
+        return Recording(self._found.recording)
+
+    def plot(self) -> Plot:
+        """Draw gain, phase and delay by frequency: a Bode plot, with the model of the check.
+
+        Raises:
+            InputError: matplotlib is not installed.
+        """
+        from rthyb_rt.report.html import extra_needed
+
+        with extra_needed("a figure"):
+            from rthyb_rt.report.bode import bode
+        plate = bode(files.file_of_rig(self.rig), self._found.tones)
+        return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
 
     def __repr__(self) -> str:
         from rthyb_rt.numbers import quantity

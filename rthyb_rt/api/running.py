@@ -11,6 +11,7 @@ from pathlib import Path
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test
 from rthyb_rt.api.recordings import Recording
+from rthyb_rt.core.pending import OwnCodeError
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import experiment, keeping, virtual_time
 
@@ -49,6 +50,7 @@ def run(
     Raises:
         InputError: with every fault of test, rig and ground motion, or the folder is taken.
         RthybError: the test cannot be begun, or the folder cannot be written.
+        Exception: whatever a numerical part, control law or element of your own raises.
 
     Examples:
         >>> rec = run("section5-T0.5")
@@ -56,8 +58,12 @@ def run(
         True
     """
     folder = None if out is None else _free(Path(out))
-    setup = prepared(test, rig)
-    raw = virtual_time.run(setup, progress)
+    try:
+        setup = prepared(test, rig)
+        raw = virtual_time.run(setup, progress)
+    except OwnCodeError as error:
+        # What a user's class has raised is the user's: with its own type, file and line.
+        raise error.original from None
     rec = Recording(raw, folder, setup.notes)
     if folder is not None:
         with _whole(folder) as stage:

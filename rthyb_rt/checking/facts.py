@@ -59,15 +59,16 @@ def link_of(setup: Setup) -> dict[str, Any] | None:
     link = setup.rig.link
     if link is None:
         return None
-    return {**link.model_dump(), "bus_load": _bus_load(link)}
+    load = _bus_load(link, len(setup.rig.sensors.extra))
+    return {**link.model_dump(), "bus_load": load}
 
 
-def _bus_load(link: Link) -> float | None:
+def _bus_load(link: Link, extras: int) -> float | None:
     """Return the share of the bus or line, None where bit rate or frames are not known."""
     if link.bitrate is None:
         return None
     if link.kind == "serial":
-        return busload.serial_load(link.bitrate)
+        return busload.serial_load(link.bitrate, extras)
     if not dbc_is_read(link):
         return None
     return busload.bus_load(config.frames_of_link(link), link.bitrate, link.data_bitrate)

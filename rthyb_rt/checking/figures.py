@@ -125,11 +125,12 @@ class _Survival:
     def of(cls, setup: Setup, lead: Lead | SampledLead | None) -> _Survival:
         """Return them; ``lead`` is None where nothing leads the command."""
         from rthyb_rt.analysis import margins
+        from rthyb_rt.config.own_structure import OwnStructure
 
         matrices, step = setup.derived.structure, max(1, round(setup.derived.rate.pace))
         structure: margins.DelayedStructure = (
             margins.OneDegree(setup.controller.motion)
-            if matrices is None
+            if matrices is None or isinstance(matrices, OwnStructure)
             else numerical_margins.ManyDegrees(matrices)
         )
         with_lead = None if lead is None else margins.critical_delay(structure, lead)

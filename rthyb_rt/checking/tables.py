@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, Final
 
 from rthyb_rt import core
@@ -11,6 +12,7 @@ from rthyb_rt.analysis.loop_roots import MOST_GAIN, Verdict
 from rthyb_rt.checking.figures import Figures, most_delay
 from rthyb_rt.config import STANDARD_HZ
 from rthyb_rt.config.numerical import Matrices
+from rthyb_rt.config.own import FmuFile, LibraryFile
 from rthyb_rt.lab.braking import RunOn
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.numbers import number, percent, quantity
@@ -54,6 +56,10 @@ def _structure_rows(f: Figures) -> list[tuple[str, str, str]]:
 def _integrator(setup: Setup) -> str:
     numerical = setup.test.numerical
     matrices = numerical.matrices
+    if numerical.python is not None:
+        return f"its own, {numerical.python.class_}"
+    if isinstance(numerical.own, (LibraryFile, FmuFile)):
+        return f"its own, {Path(numerical.own.file).name}"
     if not isinstance(matrices, Matrices):
         return numerical.integrator
     return matrices.integrator

@@ -52,10 +52,10 @@ def compare(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare recordings, simulations and CSV files on one page.
+    """Compare recordings, simulations and CSV files.
 
-    Shows curves, differences from the first, and a table, for two to ten of: tests of this
-    program, kept runs of a campaign or sweep, the reference simulation of a test file, and CSV
+    Shows, on one page, curves, differences from the first, and a table, for two to ten of: tests of
+    this program, kept runs of a campaign or sweep, the reference simulation of a test file, and CSV
     files of other laboratories whose columns state their units. A single recording is compared
     with its own reference simulation. If rates differ, the lowest is used; if lengths differ, the
     part common to all; notes say so.

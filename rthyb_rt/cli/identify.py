@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import datetime
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
@@ -86,7 +85,6 @@ def identify(
       rthyb identify my-rig.toml --amplitude "1 mm" --out my-rig-identified.toml
       rthyb identify my-rig.toml --realtime --amplitude "0.5 mm" --out my-rig-identified.toml
     """
-    from rthyb_rt import config
     from rthyb_rt.core import FS_HZ
     from rthyb_rt.rig.identify import Sweep, identified_rig, identify_live
     from rthyb_rt.rig.identify import identify as sweep_rig
@@ -113,17 +111,58 @@ def identify(
             result = sweep_rig(given, sweep, progress)
         else:
             result = identify_live(connection, sweep, progress)
-    path = _written(config.dump(identified_rig(given, result)), given.rig.name, started, out)
+    filled = identified_rig(given, result)
+    path, paths = _kept(filled, result, started, out)
     if realtime:
         certificate.carry(given, given_path, path)
     file = terminal.people(as_json)
     _print_result(given, result, file)
-    print(f"\nRig file  {path}\nNext      rthyb run TEST.toml --rig {path}", file=file)
+    print(f"\nRig file  {path}", file=file)
+    for name, kept in paths.items():
+        print(f"{name.capitalize():10}{kept}", file=file)
+    print(f"Next      rthyb run TEST.toml --rig {path}", file=file)
     if as_json:
-        found = dataclasses.asdict(result)
+        told = {"rig": str(path)} | {name: str(kept) for name, kept in paths.items()}
         terminal.print_json(
-            {"schema": SCHEMA, "rig_name": given.rig.name, **found, "paths": {"rig": str(path)}}
+            {"schema": SCHEMA, "rig_name": given.rig.name, **result.as_json(), "paths": told}
         )
+
+
+def _kept(
+    filled: RigFile, result: Result, started: datetime.datetime, out: Path | None
+) -> tuple[Path, dict[str, Path]]:
+    """Write rig file, the sweep itself and its Bode plot; return the paths.
+
+    Without ``out`` they have a folder of their own; else sweep and plot stand beside the rig file.
+    """
+    from rthyb_rt import config
+
+    if out is not None:
+        path = _written(config.dump(filled), filled.rig.name, started, out)
+        beside = path.with_suffix("")
+        return path, _sweep_kept(filled, result, beside.parent, f"{beside.name}-")
+    target = Path("runs") / f"identify-{filled.rig.name}-{started:%Y%m%dT%H%M%SZ}"
+    with staged(target) as stage:
+        (stage / "rig.toml").write_text(config.dump(filled), encoding="utf-8")
+        paths = _sweep_kept(filled, result, stage, "")
+        folder = publish(stage, target, numbered=True)
+    return folder / "rig.toml", {name: folder / path.name for name, path in paths.items()}
+
+
+def _sweep_kept(filled: RigFile, result: Result, folder: Path, before: str) -> dict[str, Path]:
+    from rthyb_rt.record import recording
+
+    assert result.recording is not None
+    paths = {"sweep": folder / f"{before}{recording.FILE_NAME}"}
+    recording.write(paths["sweep"], result.recording)
+    try:
+        from rthyb_rt.report.bode import bode
+        from rthyb_rt.report.files import save
+    except ImportError:
+        return paths  # without matplotlib
+    paths["bode"] = folder / f"{before}bode.svg"
+    save(bode(filled, result.tones).figure, paths["bode"], "svg")
+    return paths
 
 
 def _written(text: str, name: str, started: datetime.datetime, out: Path | None) -> Path:
@@ -169,8 +208,7 @@ def _identify_axes(
                 "schema": SCHEMA,
                 "rig_name": rig.rig.name,
                 "axes": {
-                    name: dataclasses.asdict(own)
-                    for name, own in zip(rig.names, result.axes, strict=True)
+                    name: own.as_json() for name, own in zip(rig.names, result.axes, strict=True)
                 },
                 "response": filled.identified.model_dump(exclude={"date"}),
                 "stiffness": result.stiffness.tolist(),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from rthyb_rt.config import RigFile, TestFile
+    from rthyb_rt.config import AxesRig, RigFile, TestFile
 
 RigOption = Annotated[
     str | None,
@@ -68,3 +68,12 @@ def load(
     from rthyb_rt import config
 
     return config.load_both(test_path, rig, settings or ())
+
+
+def load_any(
+    test_path: Path | None, rig: str | None, settings: list[str] | None
+) -> tuple[TestFile, RigFile | AxesRig]:
+    """Read both files, the rig of one axis or of several; otherwise as `load`."""
+    from rthyb_rt import config
+
+    return config.load_any_both(test_path, rig, settings or ())

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rthyb_rt.cli import interrupts, terminal
+from rthyb_rt.cli import interrupts, run_axes, terminal
 from rthyb_rt.cli.connecting import clock_of, opened_link
 from rthyb_rt.cli.folders import publish, refuse_taken, staged
-from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
+from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -100,6 +100,7 @@ def run(
     The exit code is 6 if a limit or a trip ended the test, and 7 if this PC did not keep time well
     enough. Recording and report are written in both cases.
     """
+    from rthyb_rt import config
     from rthyb_rt.analysis import loop_roots, summary
     from rthyb_rt.lab import experiment, keeping, virtual_time
     from rthyb_rt.record import recording
@@ -114,7 +115,11 @@ def run(
     mishaps = _mishaps(fault) if fault else ()
 
     started = datetime.datetime.now(datetime.UTC)
-    test_file, rig_file = load(test, rig, settings)
+    test_file, rig_file = load_any(test, rig, settings)
+    if isinstance(rig_file, config.AxesRig):
+        refused = "--realtime" if realtime else "--fault" if mishaps else ""
+        run_axes.run(test_file, rig_file, out, refused, report=not no_report, as_json=as_json)
+        return
     setup = experiment.prepare(test_file, rig_file, real_time=realtime or bool(mishaps))
     # Whoever runs in virtual time may want to see it grow.
     remark = loop_roots.demand(setup) if realtime else loop_roots.remark_of(setup)

@@ -226,7 +226,18 @@ class Axis(Table):
     Without ``actuator`` the file must have a ``[plant]``.
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (Check("limits", ("limits",), _only_its_own),)
+    checks: ClassVar[tuple[Check, ...]] = (
+        Check("limits", ("limits",), _only_its_own),
+        Check(
+            "sensors",
+            ("sensors",),
+            lambda sensors: (
+                "found extra sensors; they are recorded on a rig of one axis alone: leave them out"
+                if sensors.extra
+                else None
+            ),
+        ),
+    )
 
     name: Annotated[str, AXIS_NAME]
     actuator: Annotated[Actuator, Field(discriminator="kind")] | None = None

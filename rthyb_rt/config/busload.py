@@ -31,6 +31,7 @@ FEEDBACK_BYTES = 16
 """Bytes of the program's own serial packets (docs/wire.md)."""
 
 BITS_PER_BYTE = 10
+EXTRA_BYTES = 4
 """Start bit, eight data bits, stop bit."""
 
 
@@ -117,25 +118,32 @@ def bus_fault(
     )
 
 
-def serial_load(baud: int) -> float:
-    """Return the share of a serial line that command and feedback take, 1024 times a second."""
-    return serial_bits_per_s() / baud
+def serial_load(baud: int, extras: int = 0) -> float:
+    """Return the share of a serial line that command and feedback take, 1024 times a second.
+
+    Args:
+        baud: of the line.
+        extras: extra channels in the feedback.
+    """
+    return serial_bits_per_s(extras) / baud
 
 
-def serial_bits_per_s() -> int:
+def serial_bits_per_s(extras: int = 0) -> int:
     """Return the bits of command and feedback in a second."""
-    return round((COMMAND_BYTES + FEEDBACK_BYTES) * BITS_PER_BYTE * STANDARD_HZ)
+    size = COMMAND_BYTES + FEEDBACK_BYTES + EXTRA_BYTES * extras
+    return round(size * BITS_PER_BYTE * STANDARD_HZ)
 
 
-def serial_fault(baud: int) -> str | None:
+def serial_fault(baud: int, extras: int = 0) -> str | None:
     """Return what is wrong with a baud rate that is too low, with one that is not."""
-    if serial_load(baud) <= MAX_SHARE:
+    if serial_load(baud, extras) <= MAX_SHARE:
         return None
-    enough = next(rate for rate in BAUD_RATES if serial_load(rate) <= MAX_SHARE)
+    enough = next(rate for rate in BAUD_RATES if serial_load(rate, extras) <= MAX_SHARE)
+    feedback = FEEDBACK_BYTES + EXTRA_BYTES * extras
     return (
-        f"found {baud} Bd: command ({COMMAND_BYTES} bytes) and feedback ({FEEDBACK_BYTES} bytes) "
-        f"at 1024 Hz need {serial_bits_per_s()} Bd, {100 * serial_load(baud):.0f} % of the line, "
-        f"and at most 80 % may be taken, so at least {enough} Bd"
+        f"found {baud} Bd: command ({COMMAND_BYTES} bytes) and feedback ({feedback} bytes) "
+        f"at 1024 Hz need {serial_bits_per_s(extras)} Bd, {100 * serial_load(baud, extras):.0f} % "
+        f"of the line, and at most 80 % may be taken, so at least {enough} Bd"
     )
 
 

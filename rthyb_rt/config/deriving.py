@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import rigsettings, timescale
 from rthyb_rt.config.numerical import Matrices
+from rthyb_rt.config.own import PythonClass
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import (
     BoucWen,
@@ -38,6 +39,7 @@ Rows = Sequence[Sequence[float]]
 
 if TYPE_CHECKING:
     from rthyb_rt.config.numerical_structure import Mode, Structure
+    from rthyb_rt.config.own_structure import OwnStructure
     from rthyb_rt.config.sparse_structure import SparseStructure
 
 DEFAULT_WINDOW_PERIODS = 0.1
@@ -69,7 +71,8 @@ class Derived:
         limits: the limits of test and rig together, with where each comes from.
         notes: what a user should know and need not act on.
         structure: the numerical part where the test gives it by matrices; mass, period and damping
-            are then those of the joined structure's first mode, as the interface sees it.
+            are then those of the joined structure's first mode, as the interface sees it. Or the
+            user's own, of which they are what the test says.
     """
 
     fs_hz: float
@@ -91,7 +94,7 @@ class Derived:
     rest_noise_force_n: float
     limits: limits_file.Resolved
     notes: tuple[str, ...] = ()
-    structure: Structure | SparseStructure | None = None
+    structure: Structure | SparseStructure | OwnStructure | None = None
 
     @property
     def rate(self) -> Rate:
@@ -115,7 +118,8 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     rate = Rate(test.test.sample_rate_hz)
     k_e = rig.rig.elastic_stiffness_n_per_m
     stiffness = k_e + test.numerical.stiffness_n_per_m
-    structure: Structure | SparseStructure | None = None
+    structure: Structure | SparseStructure | OwnStructure | None = None
+    _check_own(test, rig)
     if test.numerical.structure is not None:
         structure, (mass, period, damping, ratio) = _of_many(test, k_e, rate, problems, notes)
     elif isinstance(test.numerical.matrices, Matrices):
@@ -128,7 +132,10 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
         # In the laboratory's time, see rthyb_rt.config.timescale.
         slow = test.test.time_scale
         mass, period, damping = slow**2 * mass, slow * period, slow * damping
-        _check_integration(test.numerical, period, ratio, rate, problems, notes)
+        if test.numerical.own is None:
+            _check_integration(test.numerical, period, ratio, rate, problems, notes)
+        else:
+            structure = _of_own(test, k_e, (rate.period_s, period), problems, notes)
     check_rate(test, rig, rate, problems)
     _check_one_axis(test, rig, problems)
     settings = law_settings(test, rig, rate, problems)
@@ -208,6 +215,28 @@ def resolve(test: TestFile, derived: Derived) -> TestFile:
 
 def _given(value: float | None, default: float) -> float:
     return default if value is None else value
+
+
+def _check_own(test: TestFile, rig: RigFile) -> None:
+    """Refuse classes of the user's own that cannot be had, before anything is asked of them."""
+    if test.controller.python is None and not any(isinstance(e, PythonClass) for e in rig.specimen):
+        return
+    from rthyb_rt.config.own_deriving import check_classes
+
+    check_classes(test, rig)
+
+
+def _of_own(
+    test: TestFile,
+    k_e: float,
+    periods_s: tuple[float, float],
+    problems: list[Problem],
+    notes: list[str],
+) -> OwnStructure | None:
+    # NumPy, which it needs, is slow to load.
+    from rthyb_rt.config.own_deriving import structure_of
+
+    return structure_of(test, k_e, periods_s, problems, notes)
 
 
 def structure_of_test(test: TestFile, k_e: float | Rows, period_s: float) -> SparseStructure:

@@ -280,6 +280,40 @@ class OneOf(Reader):
 
 
 @dataclass(frozen=True)
+class Names(Reader):
+    """A list of different texts.
+
+    Attributes:
+        what: what they are.
+        most: so many at most.
+    """
+
+    what: str
+    most: int
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return f"{self.what} must be a list of up to {self.most} different texts"
+
+    def read(self, value: object) -> list[str]:
+        """Return the texts; raise the explained error otherwise."""
+        texts = isinstance(value, list) and all(isinstance(v, str) and v.strip() for v in value)
+        if isinstance(value, list) and texts and len(value) <= self.most:
+            if len(set(value)) == len(value):
+                return value
+            twice = next(v for v in value if value.count(v) > 1)
+            raise explained(f"found {written(twice)} twice; {self.allowed()}")
+        raise explained(f"found {written(value)}; {self.allowed()}")
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the list."""
+        item = {"type": "string", "minLength": 1}
+        return {"type": "array", "items": item, "maxItems": self.most, "description": self.what}
+
+
+@dataclass(frozen=True)
 class Choice:
     """Keys of a table that stand for the same thing, so that only one may be given.
 

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field, create_model
 from pydantic_core import PydanticCustomError
 
 from rthyb_rt.config.fields import Range, Table
+from rthyb_rt.config.own import PYTHON
 from rthyb_rt.config.rate import STANDARD
 from rthyb_rt.core.laws import LAWS, Law, Parameter, parameters
 
@@ -103,6 +104,8 @@ def faults(
 
     Each is the place below [controller], the complaint, and the keys beside it that have a part.
     """
+    if keys.get("type") == PYTHON:
+        return
     law = LAWS.get(str(keys.get("type", DEFAULT_LAW)), LAWS[DEFAULT_LAW])
     values = _values(law, keys)
     if values is None:

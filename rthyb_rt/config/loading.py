@@ -6,7 +6,7 @@ import importlib.util
 import re
 import stat
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
@@ -77,7 +77,9 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
         update={
             "rig": found(test.rig, "rig"),
             "ground_motion": motion.model_copy(update={"record": record}),
-            "numerical": _with_matrices(test.numerical, str(path), overrides),
+            "numerical": _with_places(
+                _with_matrices(test.numerical, str(path), overrides), Path(path).parent, overrides
+            ),
             "history": _with_steps(test.history, str(path), overrides),
         }
     )
@@ -115,6 +117,19 @@ def _with_matrices(numerical: Numerical, path: str, overrides: Mapping[str, str]
         raise InputError(str(error), f"{path}: numerical.matrices") from error
     read = given.model_copy(update={"data": data.packed()})
     return numerical.model_copy(update={"matrices": read})
+
+
+def _with_places(numerical: Numerical, folder: Path, overrides: Mapping[str, str]) -> Numerical:
+    """Return the same with the path of the user's own library or FMU beside the test file."""
+    for table in ("library", "fmu"):
+        given = getattr(numerical, table)
+        if given is not None:
+            from_override = any(key.startswith(f"numerical.{table}") for key in overrides)
+            file = str(((Path() if from_override else folder) / given.file).resolve())
+            numerical = numerical.model_copy(
+                update={table: given.model_copy(update={"file": file})}
+            )
+    return numerical
 
 
 def load_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> RigFile:
@@ -269,7 +284,7 @@ def _with_dbc(
 def load_both(
     test_path: str | Path | None, rig: str | None, settings: Iterable[str]
 ) -> tuple[TestFile, RigFile]:
-    """Read a test file and the rig file that goes with it.
+    """Read a test file and the rig file that goes with it, of one axis.
 
     Args:
         test_path: the test file; None takes the built-in test.
@@ -279,9 +294,27 @@ def load_both(
     Raises:
         InputError: with the faults of both files.
     """
+    return _load_both(test_path, rig, settings, load_rig)
+
+
+def load_any_both(
+    test_path: str | Path | None, rig: str | None, settings: Iterable[str]
+) -> tuple[TestFile, RigFile | AxesRig]:
+    """Read both files, the rig of one axis or of several; otherwise as `load_both`."""
+    return _load_both(test_path, rig, settings, load_any_rig)
+
+
+_Rig = TypeVar("_Rig", bound=RigFile | AxesRig)
+
+
+def _load_both(
+    test_path: str | Path | None, rig: str | None, settings: Iterable[str],
+    load: Callable[[Path, dict[str, str]], _Rig],
+) -> tuple[TestFile, _Rig]:  # fmt: skip
     test_settings, rig_settings = split_overrides(settings)
     problems: list[Problem] = []
-    test = rig_file = None
+    test: TestFile | None = None
+    rig_file: _Rig | None = None
     test_path = test_path or builtin_test_path()
     try:
         test = load_test(test_path, test_settings)
@@ -289,10 +322,10 @@ def load_both(
         problems += error.problems
     try:
         if rig:
-            rig_file = load_rig(find_rig(rig), rig_settings)
+            rig_file = load(find_rig(rig), rig_settings)
         # A faulty test file does not say reliably which rig it means.
         elif test is not None:
-            rig_file = load_rig(rig_of_test(test, test_path, test_settings), rig_settings)
+            rig_file = load(rig_of_test(test, test_path, test_settings), rig_settings)
     except InputError as error:
         problems += error.problems
     if test is None or rig_file is None:

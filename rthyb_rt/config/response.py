@@ -170,9 +170,9 @@ def fitted(rig: RigFile, rate: Rate, roll_off_hz: float) -> Inverse:
     if inverse.worst > LARGEST_ERROR or inverse.b[0] <= -1.0:
         raise InputError(
             f"no inverse of order {ORDER} fits the response: at {inverse.worst_hz:g} Hz it is off "
-            f"by {100 * inverse.worst:.0f} %, {100 * LARGEST_ERROR:g} % are allowed; look at the "
-            "table of rthyb identify for a frequency that stands out, and sweep again with another "
-            "--amplitude, or take the law gain-alpha-beta",
+            f"by {100 * inverse.worst:.0f} %, at most {100 * LARGEST_ERROR:g} % is allowed; check "
+            "the table of rthyb identify for a frequency that stands out, and sweep again with "
+            "another --amplitude, or take the law gain-alpha-beta",
             where,
         )
     return inverse
@@ -308,6 +308,18 @@ class Plant:
     mass_kg: float
     swept_hz: float
     error: float
+
+    def response(self, f_hz: Floats, period_s: float, hold: str | None) -> Complexes:
+        """Return x_m over the samples of a command, (k,) complex.
+
+        Args:
+            f_hz: frequencies, (k,), Hz.
+            period_s: of the samples, s.
+            hold: how the drive joins them, from `hold_of`.
+        """
+        s = 2j * np.pi * f_hz
+        g = np.exp(-s * self.delay_s) / np.polyval(self.p[::-1], s)
+        return np.asarray(g if hold is None else g * _hold(f_hz, period_s, hold))
 
 
 MOST_ERROR: Final = 0.25

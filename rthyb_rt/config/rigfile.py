@@ -22,11 +22,14 @@ from rthyb_rt.config.fields import (
     Text,
 )
 from rthyb_rt.config.limits import Limits
+from rthyb_rt.config.own import PythonClass
 from rthyb_rt.config.rate import STANDARD_HZ
 from rthyb_rt.core.sizes import ELEMENTS_MAX
 
 RIG_SCHEMA = "rthyb-rig/1"
 MAX_SUBSTEPS = 1024
+EXTRAS_MAX = 8
+"""Extra channels of one rig: RTHYB_EXTRAS_MAX of the core."""
 MAX_ELEMENTS = ELEMENTS_MAX
 """What the core keeps for one specimen."""
 
@@ -529,6 +532,12 @@ class RcColumnElement(Table):
     slip_width: Annotated[float, Range("", 0.01, 10, "the width of slip over the strength")] = 0.2
 
 
+class PythonElement(PythonClass):
+    """A class in Python, for tests in virtual time, and the arguments that it is made with."""
+
+    element: Literal["python"]
+
+
 SpecimenElement = (
     StiffnessElement
     | ViscousElement
@@ -558,6 +567,7 @@ SpecimenElement = (
     | MenegottoPintoElement
     | ChabocheElement
     | RcColumnElement
+    | PythonElement
 )
 
 
@@ -579,11 +589,49 @@ class ForceSensor(Table):
     range_n: Annotated[float, Range("N", 1e-3, 1e10, "the range to either side")] | None = None
 
 
+class ExtraSensor(Table):
+    """A channel beside displacement and force: recorded by its name, used by nothing else.
+
+    ``scale`` and ``offset`` lead from the wire to the value; at the end of a serial packet the wire
+    counts in steps of ``wire_step``. ``measures``, ``gain`` and the errors are of the virtual rig.
+    """
+
+    name: Annotated[
+        str,
+        Text(
+            "the name of the channel",
+            r"[a-z][a-z0-9_]{0,31}",
+            "up to 32 of a-z 0-9 _ in quotes, the first one a letter",
+        ),
+    ]
+    unit: Annotated[str, Text("its unit", r"\S{0,16}", "up to 16 characters without blanks")]
+    scale: Annotated[float, Range("", -1e12, 1e12, "what the wire's number is multiplied by")] = 1.0
+    offset: Annotated[float, Range("", -1e12, 1e12, "the value where the wire says 0")] = 0.0
+    signal: Annotated[str, SOME_TEXT] | None = None
+    wire_step: Annotated[float, Range("", 1e-15, 1e6, "the step of 32 bits of its own")] = 1e-6
+    measures: Literal["none", "displacement", "velocity", "acceleration", "force"] = "none"
+    gain: Annotated[
+        float, Range("", -1e12, 1e12, "what it reads of 1 m, m/s, m/s^2 or N of that")
+    ] = 1.0
+    noise_std: Annotated[float, Range("", 0, 1e12, "the noise, in its unit")] = 0.0
+    lsb: Annotated[float, Range("", 0, 1e12, "the resolution, in its unit")] = 0.0
+    bias: Annotated[float, Range("", -1e12, 1e12, "its error at rest, in its unit")] = 0.0
+
+
+def _different_names(extra: list[ExtraSensor]) -> str | None:
+    names = [one.name for one in extra]
+    twice = [name for name in names if names.count(name) > 1]
+    return f'found the name "{twice[0]}" twice; each channel has its own' if twice else None
+
+
 class Sensors(Table):
     """What the controller sees of the specimen."""
 
+    checks: ClassVar[tuple[Check, ...]] = (Check("extra", ("extra",), _different_names),)
+
     displacement: DisplacementSensor = Field(default_factory=DisplacementSensor)
     force: ForceSensor = Field(default_factory=ForceSensor)
+    extra: list[ExtraSensor] = Field(default_factory=list, max_length=EXTRAS_MAX)
 
 
 def _one_row_a_frequency(
@@ -882,11 +930,27 @@ def kinds() -> Iterator[type[Table]]:
         yield from union.__args__
 
 
+def _extras_arrive(sensors: Sensors, link: Link | None) -> str | None:
+    """Name an extra channel that the link has no place for."""
+    if link is None or not sensors.extra or link.kind == "socket":
+        return None
+    if link.kind == "serial":
+        return busload.serial_fault(link.bitrate or DEFAULT_BAUD, len(sensors.extra))
+    if link.dbc is None:
+        return (
+            f"found {len(sensors.extra)} extra channels; the frames of hw/rthyb.dbc are full: give "
+            "link.dbc, a DBC file of the drive with their signals in the feedback frames, or take "
+            "them out"
+        )
+    return None
+
+
 class RigFile(Table):
     """A rig: virtual, or the model of a real one."""
 
     checks: ClassVar[tuple[Check, ...]] = (
         Check("specimen", ("actuator", "specimen"), _valve_moves_a_mass),
+        Check("sensors", ("sensors", "link"), _extras_arrive),
     )
 
     schema_: Literal["rthyb-rig/1"] = Field(alias="schema")

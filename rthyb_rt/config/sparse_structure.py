@@ -16,6 +16,7 @@ from rthyb_rt import core
 from rthyb_rt.config import matrixfile, timescale
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.config.numerical_structure import Mode, linear_and_others
+from rthyb_rt.config.own import core_element
 from rthyb_rt.config.structures import (
     Damping,
     Interface,
@@ -178,6 +179,83 @@ class SparseStructure:
 
 def _times(matrix: Symmetric, factor: float) -> Symmetric:
     return replace(matrix, value=factor * matrix.value)
+
+
+@dataclass(frozen=True, eq=False)
+class JointModel:
+    """A specimen along several interfaces: matrices, (m, m), and elements with their interface."""
+
+    stiffness: Floats
+    damping: Floats
+    mass: Floats
+    elements: tuple[tuple[int, ElementConfig], ...] = ()
+
+
+def joint_reference(
+    structure: SparseStructure, model: JointModel, ag_mps2: ArrayLike
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Simulate a structure of several interfaces with a model of the specimen joined to it.
+
+    Args:
+        structure: the numerical part.
+        model: what is linear of it goes into the matrices, so that nothing of it is late; its
+            elements take the displacement of the sample, and velocity by differences.
+        ag_mps2: ground acceleration at every sample, (n,).
+
+    Returns:
+        Displacement, velocity and the model's force along the interfaces, (n, m) each; the
+        responses by name, (n, responses), with the model's force in those that have the specimen's.
+    """
+    part, ag = structure.part, np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
+    rows, m = part.interface_rows(), len(part.interfaces)
+
+    def more(matrix: Symmetric, added: Floats) -> Symmetric:
+        whole = rows.T @ added @ rows
+        return Symmetric.of(matrix.matrix() + whole)
+
+    own = part.damping_n_s_per_m or Symmetric.zero(part.size)
+    joined = replace(
+        part,
+        mass_kg=more(part.mass_kg, model.mass),
+        stiffness_n_per_m=more(part.stiffness_n_per_m, model.stiffness),
+        damping_n_s_per_m=more(own, model.damping),
+        k_e_n_per_m=(0.0,) * m,
+        k_e_between=(),
+    )
+    if part.by_stiffness_s:
+        # Rayleigh damping was that of the stiffness with k_e in it.
+        k_e = np.diag(part.k_e_n_per_m) + (np.array(part.k_e_between) if part.k_e_between else 0.0)
+        less = part.by_stiffness_s * (k_e - model.stiffness)
+        damped = joined.damping_n_s_per_m
+        assert damped is not None
+        joined = replace(joined, damping_n_s_per_m=more(damped, less))
+    elements = [(along, core.Element(one)) for along, one in model.elements]
+    return _run_joint(SparsePart(joined), model, elements, ag, m)
+
+
+def _run_joint(
+    part: SparsePart, model: JointModel, elements: Sequence[tuple[int, Any]], ag: Floats, m: int
+) -> tuple[Floats, Floats, Floats, Floats]:
+    h, n = part.config.period_s, ag.size
+    x, extra = np.zeros((n, m)), np.zeros((n, m))
+    told = np.zeros((n, len(part.config.responses)))
+    at, before = np.zeros(m), np.zeros(m)
+    for i, excitation in enumerate(ag.tolist()):
+        x[i] = at
+        for along, one in elements:
+            velocity = float(at[along] - before[along]) / h
+            extra[i, along] += one.force(float(at[along]), velocity, 0.0, h)
+        before = at
+        at, _ = part.answer_all(excitation, extra[i].tolist())
+        told[i] = part.responses()
+        part.advance()
+    v = np.asarray(np.gradient(x, h, axis=0)) if n > 1 else np.zeros_like(x)
+    a = np.asarray(np.gradient(v, h, axis=0)) if n > 1 else np.zeros_like(x)
+    linear = x @ model.stiffness + v @ model.damping + a @ model.mass
+    for column, one in enumerate(part.config.responses):
+        for interface, by in one.interfaces:
+            told[:, column] += by * linear[:, interface]
+    return x, v, linear + extra, told
 
 
 def _with(part: SparseConfig, mass: float, damping: float, spring: float) -> SparseConfig:
@@ -381,15 +459,8 @@ def _damped(structure: SparseStructure, damping: Damping) -> SparseConfig:
     return replace(part, by_mass_per_s=float(a), by_stiffness_s=float(b))
 
 
-def element_of(law: Any) -> ElementConfig:
-    """Return an element of the catalogue from its table."""
-    values = law.model_dump()
-    kind = values.pop("element")
-    return core.element(kind, **{key: values[key] for key in core.ELEMENT_PARAMS[kind]})
-
-
 def _joint(below: int, above: int, law: Any) -> Joint:
-    element = element_of(law)
+    element = core_element(law)
     return Joint(below, above, element, initial_stiffness(element))
 
 
@@ -533,7 +604,7 @@ def _storey_responses(
 def _of_file(given: MatrixFile, keys: Keys, k_e: Floats) -> _Bare:
     if given.data is None:
         raise InputError(
-            "the file was not read; load the test file from where it stands", "numerical.matrices"
+            "the file was not read; load the test file from its own folder", "numerical.matrices"
         )
     data = matrixfile.unpacked(given.data)
     n, place = data.size, {label: i for i, label in enumerate(data.labels)}
@@ -640,7 +711,9 @@ def _interfaces_of(
             raise InputError("found a storey; of matrices give dof", where)
         terms = tuple((_find(label, labels, place, f"{where}.dof"), by) for label, by in one.dof)
         if len({at for at, _ in terms}) < len(terms):
-            raise InputError("found a degree of freedom twice; each stands once", f"{where}.dof")
+            raise InputError(
+                "found a degree of freedom twice; each can occur only once", f"{where}.dof"
+            )
         found.append(terms)
     rows = np.zeros((len(found), len(labels)))
     for row, terms in zip(rows, found, strict=True):

@@ -162,34 +162,6 @@ class Terms(Reader):
         }
 
 
-@dataclass(frozen=True)
-class Names(Reader):
-    """A list of different texts."""
-
-    what: str
-
-    def allowed(self) -> str:
-        """Return what is allowed, in words."""
-        return f"{self.what} must be a list of up to {MOST_RECORDED} different texts"
-
-    def read(self, value: object) -> list[str]:
-        """Return the texts; raise the explained error otherwise."""
-        texts = isinstance(value, list) and all(isinstance(v, str) and v.strip() for v in value)
-        if isinstance(value, list) and texts and len(value) <= MOST_RECORDED:
-            if len(set(value)) == len(value):
-                return value
-            twice = next(v for v in value if value.count(v) > 1)
-            raise explained(f"found {written(twice)} twice; {self.allowed()}")
-        raise explained(f"found {written(value)}; {self.allowed()}")
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        """Describe the list."""
-        item = {"type": "string", "minLength": 1}
-        return {"type": "array", "items": item, "maxItems": MOST_RECORDED, "description": self.what}
-
-
 def _one_each(what: str) -> Any:
     def test(count: int, values: float | list[float] | None) -> str | None:
         if not isinstance(values, list) or len(values) == count:

@@ -22,6 +22,7 @@ from rthyb_rt.config.fields import (
     Check,
     Choice,
     Count,
+    Names,
     Range,
     Table,
     Text,
@@ -30,15 +31,16 @@ from rthyb_rt.config.fields import (
 from rthyb_rt.config.history import History
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.numerical import Matrices
+from rthyb_rt.config.own import PYTHON, FmuFile, LibraryFile, PythonClass
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ
 from rthyb_rt.config.structures import (
     FROM_FILE,
     INTERFACES,
+    MOST_RECORDED,
     WRITTEN_OUT,
     Damping,
     Interface,
     MatrixFile,
-    Names,
     Nonlinear,
     Storeys,
 )
@@ -53,7 +55,7 @@ if TYPE_CHECKING:
     LawNameOrMatrix = str
 else:
     LawName = Literal[tuple(LAWS)]
-    LawNameOrMatrix = Literal[(*LAWS, MATRIX)]
+    LawNameOrMatrix = Literal[(*LAWS, MATRIX, PYTHON)]
 
 TEST_SCHEMA = "rthyb-test/1"
 MOST_NONLINEAR = 2000
@@ -169,15 +171,25 @@ def _storeys_damped(storeys: Storeys | None, damping: Damping | None) -> str | N
     return "missing; storeys need it: damping = { ratio = 0.02, modes = [1, 2] }"
 
 
+def _has_its_own(
+    library: LibraryFile | None, fmu: FmuFile | None, python: PythonClass | None, integrator: str
+) -> str | None:
+    if (library or fmu or python) is None or integrator == "central-difference":
+        return None
+    return f'found "{integrator}"; a library, an FMU or a class in Python integrates by itself'
+
+
 class Numerical(Table):
     """The computed part: mass or period, damping or damping ratio, stiffness beside the specimen.
 
     ``rho_inf`` is read by the integrator ``kr-alpha`` alone. ``matrices`` or ``storeys`` stand for
     all of it; with storeys, or matrices from a file, the integrator is ``kr-alpha`` with 0.8
-    where the file says nothing.
+    where the file says nothing. With ``library``, ``fmu`` or ``python``, which compute, mass or
+    period and damping describe what they come to with the specimen, for windows and margins.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (
+        Choice(("library", "fmu", "python", "matrices", "storeys"), required=False),
         Choice(("mass_kg", "period_s", "matrices", "storeys"), required=True),
         Choice(("damping_n_s_per_m", "damping_ratio", "matrices", "storeys"), required=True),
     )
@@ -188,6 +200,7 @@ class Numerical(Table):
         Check("damping", ("matrices", "storeys", "damping"), _for_structures("damping")),
         Check("nonlinear", ("matrices", "storeys", "nonlinear"), _for_structures("an element")),
         Check("record", ("matrices", "storeys", "record"), _for_structures("what is recorded")),
+        Check("integrator", ("library", "fmu", "python", "integrator"), _has_its_own),
     )
 
     mass_kg: Annotated[float, Range("kg", 1e-3, 1e9, "the mass")] | None = None
@@ -213,7 +226,10 @@ class Numerical(Table):
     storeys: Storeys | None = None
     damping: Damping | None = None
     nonlinear: list[Nonlinear] = Field(default_factory=list, max_length=MOST_NONLINEAR)
-    record: Annotated[list[str], Names("what is recorded by name")] | None = None
+    record: Annotated[list[str], Names("what is recorded by name", MOST_RECORDED)] | None = None
+    library: LibraryFile | None = None
+    fmu: FmuFile | None = None
+    python: PythonClass | None = None
 
     @classmethod
     def expand(cls, data: Any) -> Any:
@@ -224,6 +240,11 @@ class Numerical(Table):
         if data.get("storeys") is None and not (matrices and _form(matrices) == FROM_FILE):
             return data
         return {"integrator": "kr-alpha", "rho_inf": 0.8, **data}
+
+    @property
+    def own(self) -> LibraryFile | FmuFile | PythonClass | None:
+        """What computes in the place of the equation of motion, where it is the user's own."""
+        return self.library or self.fmu or self.python
 
     @property
     def structure(self) -> Storeys | MatrixFile | None:
@@ -336,18 +357,44 @@ def _of_axes(type: str, axis: list[Any]) -> str | None:
     return f'found axis "{twice[0]}" twice; each has one law' if twice else None
 
 
+def _by_its_class(type: str, python: PythonClass | None) -> str | None:
+    if type == PYTHON and python is None:
+        return 'missing; type = "python" needs it: python = { class = "my_laws:Slope" }'
+    if type != PYTHON and python is not None:
+        return f'found a class, and type = "{type}"; write type = "python", or leave it out'
+    return None
+
+
 class _Controller(_Law):
-    """The compensation: the control law with its settings, restoring force (Eqn 3.2)."""
+    """The compensation: the control law with its settings, restoring force (Eqn 3.2).
+
+    ``python`` is the law of the type "python".
+    """
 
     checks: ClassVar[tuple[Check, ...]] = (
         Check("matrix", ("type", "matrix"), _of_matrix),
         Check("axis", ("type", "axis"), _of_axes),
+        Check("python", ("type", "python"), _by_its_class),
     )
 
     type: LawNameOrMatrix = lawtables.DEFAULT_LAW
     rfc: Rfc = Field(default_factory=Rfc)
     matrix: MatrixLaw | None = None
     axis: list[_AxisLaw] = Field(default_factory=list, max_length=COUPLED_MAX)
+    python: PythonClass | None = None
+
+    @property
+    def law(self) -> Law:
+        """The control law; of a compensation by matrices, which has none, that without any.
+
+        Raises:
+            CoreError: it is a class in Python that cannot be imported.
+        """
+        if self.python is None:
+            return super().law
+        from rthyb_rt.core.own import law_of
+
+        return law_of(self.python.own)
 
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.group import controller_mapping
 from rthyb_rt.core.kernels import Rig
 from rthyb_rt.core.library import CoreError, FloatArray, RecordArray, check, doubles, reading
+from rthyb_rt.core.pending import raise_pending
 from rthyb_rt.core.rows import record_dtype, records_pointer
 from rthyb_rt.core.settings import ControllerConfig, fill_part, new_struct
 
@@ -61,6 +62,7 @@ class Controller:
         for k, (x_m, f_n) in enumerate(pairs):
             i.axis[k] = (x_m, f_n, lost_bits)
         code = lib.rthyb_controller_step(self._c, i, self._record)
+        raise_pending()
         raw = bytes(ffi.buffer(self._record))[: self._dtype.itemsize]
         row = np.frombuffer(raw, self._dtype)[0]
         return Sample(
@@ -99,4 +101,5 @@ class Controller:
         done = lib.rthyb_run_virtual(
             self._c, rig._c, reading(ag), ag.size, records.size, records_pointer(records), status
         )
+        raise_pending()
         return int(done), int(status[0])

@@ -91,6 +91,47 @@ def load(
     return _Reader(Path(path), names or {}, reset_state).codec()
 
 
+def extra(path: str | Path, codec: Codec, name: str) -> tuple[Any, bool]:
+    """Return where an extra channel is in the frames of a DBC file.
+
+    Args:
+        path: the DBC file.
+        codec: that `load` has made of it.
+        name: the signal, as ``Signal`` or ``FRAME.Signal``.
+
+    Returns:
+        Its ``rthyb_signal``, in the unit of the file, and whether it is in the force frame.
+
+    Raises:
+        InputError: there is no such signal in a feedback frame, or it is of no use.
+    """
+    reader = _Reader(Path(path), {}, None)
+    frame, _, wanted = name.rpartition(".")
+    ids = {int(codec.struct.displacement.id): False, int(codec.struct.force.id): True}
+    found = [
+        (signal, ids[number])
+        for message in _parse(Path(path)).messages
+        if (number := message.frame_id | (ID_EXTENDED if message.is_extended_frame else 0)) in ids
+        and frame in ("", message.name)
+        for signal in message.signals
+        if signal.name == wanted
+    ]
+    if len(found) != 1:
+        what = "is in both feedback frames; give FRAME.Signal"
+        if not found:
+            what = (
+                "no signal of this name in the frames of displacement and force, which alone are "
+                "read"
+            )
+        raise InputError(what, f"{Path(path).name}: {name}")
+    signal, in_force = found[0]
+    place = ffi.new("rthyb_signal *")
+    reader.fill_number(place, signal, 1.0, f"{Path(path).name}: {name}")
+    if reader.problems:
+        raise InputError(reader.problems)
+    return place, in_force
+
+
 class _Reader:
     def __init__(self, path: Path, names: Mapping[str, str], reset_state: int | None) -> None:
         self.path = path
@@ -253,7 +294,10 @@ class _Reader:
         _fill_place(c, signal)
 
     def fill_value(self, c: Any, signal: Signal, role: Role, where: str) -> None:
-        factor = self.unit_factor(signal, role, where)
+        self.fill_number(c, signal, self.unit_factor(signal, role, where), where)
+
+    def fill_number(self, c: Any, signal: Signal, factor: float, where: str) -> None:
+        """Give a number its place, range and scale, factor times that of the file."""
         bits = (32, 64) if signal.is_float else range(1, EXACT_BITS + 1)
         if signal.length not in bits:
             allowed = "32 or 64 as a float" if signal.is_float else f"1 to {EXACT_BITS}"

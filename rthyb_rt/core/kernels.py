@@ -8,13 +8,12 @@ Calls over arrays run without the GIL.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from rthyb_rt._core import ffi, lib
-from rthyb_rt.core.laws import LAWS
 from rthyb_rt.core.library import (
     CoreError,
     FloatArray,
@@ -26,6 +25,8 @@ from rthyb_rt.core.library import (
     require_one_length,
     writing,
 )
+from rthyb_rt.core.pending import raise_pending
+from rthyb_rt.core.rows import CHANNELS_MAX
 from rthyb_rt.core.settings import (
     ElementConfig,
     EstimatorConfig,
@@ -38,6 +39,9 @@ from rthyb_rt.core.settings import (
     struct_of,
 )
 from rthyb_rt.core.sizes import ELEMENTS_MAX, PERIOD_S
+
+if TYPE_CHECKING:
+    from rthyb_rt.core.station import Station
 
 
 class Plc:
@@ -134,10 +138,13 @@ class Law:
     def rest(self, x_m: float) -> None:
         """Stand still at a place; what has been learnt stays."""
         lib.rthyb_law_rest(self._c, x_m)
+        raise_pending()
 
     def observe(self, x_p_m: float, x_m_m: float, frozen: bool = False) -> int:
         """Take the newest pair in; return the status bits."""
-        return int(lib.rthyb_law_observe(self._c, x_p_m, x_m_m, frozen))
+        code = int(lib.rthyb_law_observe(self._c, x_p_m, x_m_m, frozen))
+        raise_pending()
+        return code
 
     def lead(self, x_c_m: float, allowed_m: float = float("inf")) -> tuple[float, int]:
         """Return x_p for the same instant, and the status bits.
@@ -145,6 +152,7 @@ class Law:
         ``allowed_m``: as far as what was learnt since the last call may move the command.
         """
         code = lib.rthyb_law_lead(self._c, x_c_m, allowed_m, self._out)
+        raise_pending()
         return self._out[0], code
 
     def run(self, x_c_m: npt.ArrayLike) -> FloatArray:
@@ -152,6 +160,7 @@ class Law:
         x = doubles(x_c_m)
         out = np.empty_like(x)
         lib.rthyb_law_run(self._c, reading(x), writing(out), x.size)
+        raise_pending()
         return out
 
     def follow(
@@ -164,7 +173,7 @@ class Law:
         c, p, m = doubles(x_c_m), doubles(x_p_m), doubles(x_m_m)
         require_one_length(c, p, m)
         led = np.empty_like(c)
-        names = [value.name for value in LAWS[self.config.name].values]
+        names = [value.name for value in self.config.law.values]
         values = np.empty((c.size, len(names)))
         for n in range(c.size):
             self.observe(p[n], m[n])
@@ -175,17 +184,17 @@ class Law:
     def report(self) -> dict[str, float]:
         """Return what the law reports, by name."""
         lib.rthyb_law_report(self._c, self._values)
-        names = LAWS[self.config.name].values
+        names = self.config.law.values
         return {value.name: float(self._values[i]) for i, value in enumerate(names)}
 
     def save(self) -> bytes:
         """Return the law's state, all of it."""
-        size = LAWS[self.config.name].state_bytes
+        size = self.config.law.state_bytes
         return bytes(ffi.buffer(self._c.state.bytes, size))
 
     def restore(self, state: bytes) -> None:
         """Go on from a state that a law of the same settings has saved."""
-        ffi.memmove(self._c.state.bytes, state, LAWS[self.config.name].state_bytes)
+        ffi.memmove(self._c.state.bytes, state, self.config.law.state_bytes)
 
 
 class Rfc:
@@ -268,6 +277,7 @@ class Motion:
         lib.rthyb_run_reference(
             self._c, array, len(elements), reading(ag), ag.size, writing(x), writing(v), writing(f)
         )
+        raise_pending()
         return x, v, f
 
 
@@ -301,7 +311,9 @@ class Element:
 
     def force(self, x_m: float, v_m_per_s: float, a_m_per_s2: float, dt_s: float) -> float:
         """Return the resisting force, N, at one instant, and move the history on."""
-        return float(lib.rthyb_element_force(self._c, x_m, v_m_per_s, a_m_per_s2, dt_s))
+        force = float(lib.rthyb_element_force(self._c, x_m, v_m_per_s, a_m_per_s2, dt_s))
+        raise_pending()
+        return force
 
     def run(
         self,
@@ -317,6 +329,7 @@ class Element:
         lib.rthyb_element_run(
             self._c, reading(x), reading(v), reading(a), dt_s, writing(out), x.size
         )
+        raise_pending()
         return out
 
     def state(self) -> tuple[float, ...]:
@@ -336,6 +349,7 @@ class Rig:
     def step(self, x_p_m: float) -> tuple[float, float, int]:
         """Latch displacement and force, then apply the command; return both and status bits."""
         code = lib.rthyb_rig_step(self._c, x_p_m, self._x, self._f)
+        raise_pending()
         return self._x[0], self._f[0], code
 
     def run(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -343,6 +357,7 @@ class Rig:
         p = doubles(x_p_m)
         x, f = np.empty_like(p), np.empty_like(p)
         lib.rthyb_rig_run(self._c, reading(p), writing(x), writing(f), p.size)
+        raise_pending()
         return x, f
 
     def motion(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -354,6 +369,29 @@ class Rig:
             out[n] = servo.x, servo.v, servo.a
             step(self._c, command, self._x, self._f)
         return out[:, 0].copy(), out[:, 1].copy(), out[:, 2].copy()
+
+    @property
+    def extras(self) -> tuple[float, ...]:
+        """Readings of the extra sensors at the last latch, each in its unit."""
+        return tuple(self._c.extra[i] for i in range(len(self.config.extras)))
+
+    def tell_extras(self, station: Station, channel: int) -> None:
+        """Put the extra sensors' readings of every sample into a station's row.
+
+        Args:
+            station: in whose row; stays alive with this rig.
+            channel: which of the row's channels the first of them is.
+
+        Raises:
+            CoreError: the row has no room for them.
+        """
+        if not 0 <= channel <= CHANNELS_MAX - len(self.config.extras):
+            raise CoreError(
+                f"channel {channel} and {len(self.config.extras)} extra sensors; a row has "
+                f"{CHANNELS_MAX} channels"
+            )
+        self._told = station
+        self._c.extra_to = ffi.addressof(station._c.channel, channel)
 
     def reseed(self) -> None:
         """Begin the noise of the sensors anew, from the seed."""

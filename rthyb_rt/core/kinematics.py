@@ -103,7 +103,7 @@ class Kinematics:
     def axes(self, pose: npt.ArrayLike) -> tuple[FloatArray, int]:
         """Return axis displacements, m, of the shape of ``pose``, (size,) or (n, size).
 
-        The second is the status bits: a value that is no number or beyond any sense is replaced by
+        The second is the status bits: a value that is not a number or implausible is replaced by
         the last good one.
         """
         return self._run(lib.rthyb_kinematics_axes_run, pose)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.pending import raise_pending
 from rthyb_rt.core.sizes import WINDOW_MAX
 from rthyb_rt.errors import RthybError
 
@@ -94,6 +95,7 @@ def text_of(c_string: Any) -> str:
 
 
 def check(error: int) -> None:
+    raise_pending()
     if error:
         raise CoreError(_REFUSED.get(error, f"the core refused its settings ({error})"))
 

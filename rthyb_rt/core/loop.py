@@ -20,6 +20,8 @@ import numpy.typing as npt
 
 from rthyb_rt import core
 from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.coupled_rig import CoupledRig
+from rthyb_rt.core.group import plant_of
 from rthyb_rt.core.library import options, words
 from rthyb_rt.core.rows import RingMemory, copy_records
 from rthyb_rt.core.ticker import PRIORITY, Counts, Latency, Ticker, privilege_names
@@ -546,7 +548,7 @@ class Drive:
     """Actuator controller and load cell at the other end of the wire, with a watchdog of their own.
 
     Args:
-        rig: what moves and measures.
+        rig: what moves and measures, of one axis, or of several of which `Drives` move it.
         codec: the frames.
         link: their other end.
         origin_m: where the rig's zero lies, behind the calibration.
@@ -563,7 +565,7 @@ class Drive:
 
     def __init__(
         self,
-        rig: core.Rig,
+        rig: core.Rig | CoupledRig,
         codec: Codec,
         link: Link,
         *,
@@ -577,7 +579,8 @@ class Drive:
         self._c = ffi.new("rthyb_drive *")
         self._kept = (rig, codec, link)
         self._log: npt.NDArray[np.void] = np.zeros(log_ticks, LOG_DTYPE)
-        self._c.rig, self._c.link, self._c.codec = rig._c, link.struct, codec.struct[0]
+        self._c.plant, self._c.link, self._c.codec = plant_of(rig)[0], link.struct, codec.struct[0]
+        self.rig = rig
         self._c.origin_m, self._c.stop_decel_m_per_s2 = origin_m, stop_decel_m_per_s2
         self._c.calibration = calibration.struct()[0]
         self._c.log = ffi.cast("rthyb_drive_entry *", ffi.from_buffer(self._log))
@@ -603,12 +606,23 @@ class Drive:
         self._faults = table
 
     def tick(self) -> None:
-        """Run one sample: take commands in, latch, apply, answer."""
+        """Run one sample: take commands in, latch, apply, answer.
+
+        Raises:
+            core.CoreError: it is one of several of its rig.
+        """
+        self._require_alone()
         lib.rthyb_drive_tick(self._c)
 
     def run(self, ticker: Ticker) -> None:
-        """Tick until the ticker is stopped from another thread."""
+        """Tick until the ticker is stopped from another thread; raises as `tick` does."""
+        self._require_alone()
         lib.rthyb_drive_run(self._c, ticker._c)
+
+    def _require_alone(self) -> None:
+        axes = int(lib.rthyb_plant_axes(ffi.addressof(self._c, "plant")))
+        if axes != 1:
+            raise core.CoreError(f"one drive alone does not move a rig of {axes} axes; use Drives")
 
     @property
     def ticks(self) -> int:
@@ -635,6 +649,36 @@ class Drive:
     def log(self) -> npt.NDArray[np.void]:
         """What it saw and did, `LOG_DTYPE`, (ticks,): row n is its tick n."""
         return self._log[: self.ticks].copy()
+
+
+class Drives:
+    """The drives of all axes of one virtual rig, in its order, by the clock of the first.
+
+    Args:
+        drives: one an axis, each made with that rig.
+
+    Raises:
+        core.CoreError: the rig has other axes, or they have not the same one.
+    """
+
+    def __init__(self, drives: Sequence[Drive]) -> None:
+        self.drives = tuple(drives)
+        self._c = ffi.new("rthyb_drives *", {"count": len(self.drives)})
+        for k, drive in enumerate(self.drives[: lib.RTHYB_COUPLED_MAX]):
+            self._c.drive[k] = drive._c
+        if lib.rthyb_drives_check(self._c):
+            raise core.CoreError(
+                f"{len(self.drives)} drives do not move this virtual rig: there is one for each of "
+                "its axes, made with it"
+            )
+
+    def tick(self) -> None:
+        """Run one sample of all of them: take all commands in, latch, apply, answer."""
+        lib.rthyb_drives_tick(self._c)
+
+    def run(self, ticker: Ticker) -> None:
+        """Tick until the ticker is stopped from another thread."""
+        lib.rthyb_drives_run(self._c, ticker._c)
 
 
 def _by_name(struct: Any) -> dict[str, int]:

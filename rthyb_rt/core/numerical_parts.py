@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,8 +12,12 @@ import numpy.typing as npt
 from rthyb_rt import core
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core import CoreError, DenseConfig, ElementConfig, FloatArray
+from rthyb_rt.core.pending import raise_pending
 from rthyb_rt.core.settings import fill_part
 from rthyb_rt.core.sparse import SparseConfig
+
+if TYPE_CHECKING:
+    from rthyb_rt.core.own_parts import OwnPartConfig
 
 
 class Part:
@@ -26,10 +30,14 @@ class Part:
 
     refused = "the numerical part was refused: every number must be finite and sensible"
 
-    def __init__(self, config: DenseConfig | SparseConfig, x0_m: float = 0.0) -> None:
+    def __init__(
+        self, config: DenseConfig | SparseConfig | OwnPartConfig, x0_m: float = 0.0
+    ) -> None:
         self._c = ffi.new("rthyb_numerical *")
         self._kept = fill_part(self._c, config)
-        if lib.rthyb_numerical_init(self._c, x0_m):
+        refused = lib.rthyb_numerical_init(self._c, x0_m)
+        raise_pending()
+        if refused:
             raise CoreError(self.refused)
         self._period_s = config.period_s
         self._interfaces = int(lib.rthyb_numerical_interfaces(self._c))
@@ -46,11 +54,14 @@ class Part:
         for i, force in enumerate(force_n):
             self._forces[i] = force
         code = lib.rthyb_numerical_answer(self._c, ag_mps2, self._forces, self._out)
+        raise_pending()
         return np.array(list(self._out)), int(code)
 
     def advance(self) -> int:
         """Do the rest of the step that was answered; return the status bits."""
-        return int(lib.rthyb_numerical_advance(self._c))
+        code = int(lib.rthyb_numerical_advance(self._c))
+        raise_pending()
+        return code
 
     def step(self, ag_mps2: float, force_n: float) -> tuple[float, int]:
         """Do both."""
@@ -67,6 +78,7 @@ class Part:
         """Let a tick pass in which the interface follows a path, with this force."""
         self._forces[0] = force_n
         lib.rthyb_numerical_freeze(self._c, self._forces)
+        raise_pending()
 
     @property
     def state_bytes(self) -> int:
@@ -89,7 +101,9 @@ class Part:
         """Return what the part reports, up to so many values."""
         values = np.zeros(most)
         out = ffi.from_buffer("double[]", values, require_writable=True)
-        return values[: lib.rthyb_numerical_report(self._c, out, most)]
+        count = lib.rthyb_numerical_report(self._c, out, most)
+        raise_pending()
+        return values[:count]
 
     def joined(
         self, elements: Sequence[ElementConfig], ag_mps2: npt.ArrayLike, reports: int
@@ -123,6 +137,7 @@ class Part:
         lib.rthyb_numerical_reference(
             self._c, array, len(elements), samples, ag.size, period_s, *out, reports
         )
+        raise_pending()
         return x, v, f, everywhere
 
 

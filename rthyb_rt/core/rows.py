@@ -14,7 +14,7 @@ import numpy as np
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.library import CoreError, FloatArray, RecordArray, members, words
 
-_PLACES: Final = ("command_bit", "unsent_bit", "cause_bit")
+_PLACES: Final = ("command_bit", "unsent_bit", "stopped_bit")
 FLAGS: Final = {
     name: bit for name, bit in words("rthyb_flag", "RTHYB_F_").items() if name not in _PLACES
 }
@@ -24,8 +24,18 @@ FLAG_NAMES: Final = tuple(FLAGS)
 COMMAND_BIT: Final[int] = lib.RTHYB_F_COMMAND_BIT
 UNSENT_BIT: Final[int] = lib.RTHYB_F_UNSENT_BIT
 """Of several axes: this bit and those above it say of which the command did not leave."""
-CAUSE_BIT: Final[int] = lib.RTHYB_F_CAUSE_BIT
-"""Of several axes: three bits from here on are 1 + the axis of the cause, or its interface."""
+STOPPED_BIT: Final[int] = lib.RTHYB_F_STOPPED_BIT
+"""Of several axes: this bit and those above it say of which the drive has stopped by itself."""
+
+
+def placed_cause(cause: int) -> tuple[int, int | None, int | None]:
+    """Return the number of a row's ``cause``, its axis and its interface direction."""
+    number = cause >> lib.RTHYB_PLACE_BIT & 7
+    place = number - 1 if number else None
+    interface = bool(cause & lib.RTHYB_PLACE_INTERFACE)
+    return cause & 255, None if interface else place, place if interface else None
+
+
 STATES: Final = tuple(members("rthyb_state", "RTHYB_"))
 """Names of the values of the field ``state``, written into every file."""
 RUNNING: Final = STATES.index("RUNNING")

@@ -17,8 +17,11 @@ from rthyb_rt.core.sizes import DENSE_MAX, ELEMENTS_MAX, PERIOD_S
 if TYPE_CHECKING:
     from rthyb_rt.core.group import AxisConfig, InterfaceConfig
     from rthyb_rt.core.kinematics import Kinematics
+    from rthyb_rt.core.laws import Law
     from rthyb_rt.core.matrix_lead import MatrixLeadConfig
     from rthyb_rt.core.matrix_rfc import MatrixRfcConfig
+    from rthyb_rt.core.own import OwnClass
+    from rthyb_rt.core.own_parts import OwnPartConfig
     from rthyb_rt.core.sparse import SparseConfig
 
 EstimatorLaw = Literal["fixed", "gradient", "robust", "rls"]
@@ -39,6 +42,11 @@ _OPTIONS: Final[dict[str, dict[str, int]]] = {
     "hold": options("rthyb_hold", "RTHYB_"),
     "load_cell": {"actuator-end": lib.RTHYB_ACTUATOR_END, "specimen": lib.RTHYB_SPECIMEN_END},
 }
+
+
+ExtraKind = Literal["none", "displacement", "velocity", "acceleration", "force"]
+_EXTRA_KIND: Final = options("rthyb_extra_kind", "RTHYB_EXTRA_")
+EXTRAS_MAX: Final[int] = lib.RTHYB_EXTRAS_MAX
 
 
 @dataclass(frozen=True)
@@ -69,13 +77,31 @@ class LawConfig:
     """A control law by its name, with the settings that are not its table's defaults.
 
     ``settings`` is by the keys of `rthyb_rt.core.laws`; ``adapts`` False: what it would learn stays
-    as it begins. ``rest_noise_m``: standard deviation of x_m at rest.
+    as it begins. ``rest_noise_m``: standard deviation of x_m at rest. ``own``: a class in Python
+    instead, of which the name is "python".
     """
 
     name: str = "none"
     settings: Mapping[str, float] = field(default_factory=dict)
     adapts: bool = True
     rest_noise_m: float = 0.0
+    own: OwnClass | None = None
+
+    @property
+    def law(self) -> Law:
+        """What the law says of itself.
+
+        Raises:
+            CoreError: there is no such law.
+        """
+        if self.own is not None:
+            from rthyb_rt.core.own import law_of
+
+            return law_of(self.own)
+        law = LAWS.get(self.name)
+        if law is None:
+            raise CoreError(f"control law {self.name!r}: unknown; there are {', '.join(LAWS)}")
+        return law
 
     def values(self) -> list[float]:
         """Return all settings in the core's order.
@@ -83,22 +109,20 @@ class LawConfig:
         Raises:
             CoreError: there is no such law or setting, or one without a default is missing.
         """
-        law = LAWS.get(self.name)
-        if law is None:
-            raise CoreError(f"control law {self.name!r}: unknown; there are {', '.join(LAWS)}")
         try:
-            return law.ordered(self.settings)
+            return self.law.ordered(self.settings)
         except ValueError as error:
             raise CoreError(str(error)) from None
 
     def mapping(self) -> dict[str, Any]:
         """Return the ``rthyb_law_config`` of the C core as a mapping; raises ``CoreError``."""
-        return {
-            "parameters": self.values(),
-            "kind": LAWS[self.name].kind,
-            "adapts": self.adapts,
-            "rest_noise_m": self.rest_noise_m,
-        }
+        plain = {"parameters": self.values(), "kind": self.law.kind, "adapts": self.adapts,
+                 "rest_noise_m": self.rest_noise_m}  # fmt: skip
+        if self.own is not None:
+            from rthyb_rt.core.own import control_law
+
+            plain["own"] = control_law(self.own)
+        return plain
 
 
 @dataclass(frozen=True)
@@ -227,10 +251,26 @@ class SensorConfig:
 
 @dataclass(frozen=True)
 class ElementConfig:
-    """One element of the catalogue: its kind and its parameters in the core's order."""
+    """One element of the catalogue: its kind and its parameters in the core's order.
+
+    ``own``: a class in Python instead, of the kind "python".
+    """
 
     kind: str
     params: tuple[float, ...]
+    own: OwnClass | None = None
+
+
+@dataclass(frozen=True)
+class ExtraSensorConfig:
+    """A sensor of the virtual rig beside those of displacement and force.
+
+    It reads ``gain`` times what it measures, with the errors of ``sensor``, in the channel's unit.
+    """
+
+    kind: ExtraKind = "none"
+    gain: float = 1.0
+    sensor: SensorConfig = SensorConfig()
 
 
 @dataclass(frozen=True)
@@ -243,6 +283,7 @@ class RigConfig:
     force: SensorConfig = SensorConfig()
     load_cell: LoadCell = "actuator-end"
     seed: int = 0
+    extras: tuple[ExtraSensorConfig, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -266,7 +307,7 @@ class ControllerConfig:
     velocity_limit_m_per_s: float = 0.0
     acceleration_limit_m_per_s2: float = 0.0
     clamp_m: float = 0.0
-    numerical: DenseConfig | SparseConfig | None = None
+    numerical: DenseConfig | SparseConfig | OwnPartConfig | None = None
     axes: tuple[AxisConfig, ...] = ()
     interfaces: tuple[InterfaceConfig, ...] = ()
     kinematics: Kinematics | None = None
@@ -378,7 +419,7 @@ def mapping(config: Any) -> dict[str, Any]:
     return {name: _value(name, value) for name, value in given.items() if value is not None}
 
 
-def fill_part(slot: Any, config: DenseConfig | SparseConfig | None) -> list[Any]:
+def fill_part(slot: Any, config: DenseConfig | SparseConfig | OwnPartConfig | None) -> list[Any]:
     """Have a controller compute with a numerical part of its own; return what must stay alive."""
     if config is None:
         return []
@@ -387,7 +428,8 @@ def fill_part(slot: Any, config: DenseConfig | SparseConfig | None) -> list[Any]
         slot.kind = lib.RTHYB_NUMERICAL_DENSE
     else:
         settings, *kept = config.struct()
-        slot.kind = lib.RTHYB_NUMERICAL_SPARSE
+        own = config.kind != "sparse"
+        slot.kind = lib.RTHYB_NUMERICAL_LIBRARY if own else lib.RTHYB_NUMERICAL_SPARSE
     slot.cfg = settings
     part = slot if ffi.typeof(slot).kind == "pointer" else ffi.addressof(slot)
     state = ffi.new("double[]", lib.rthyb_numerical_size(part) // 8 + 1)
@@ -414,15 +456,28 @@ def rig_struct(config: RigConfig) -> Any:
         raise CoreError(
             f"a specimen has at most {ELEMENTS_MAX} elements, got {len(config.elements)}"
         )
-    plain: Mapping[str, Any] = {k: v for k, v in mapping(config).items() if k != "elements"}
+    if len(config.extras) > EXTRAS_MAX:
+        raise CoreError(f"a rig has at most {EXTRAS_MAX} extra sensors, got {len(config.extras)}")
+    apart = ("elements", "extras")
+    plain: Mapping[str, Any] = {k: v for k, v in mapping(config).items() if k not in apart}
     struct = ffi.new("rthyb_rig_config *", dict(plain))
     struct.element_count = len(config.elements)
     for i, item in enumerate(config.elements):
         init_element(ffi.addressof(struct.elements, i), item)
+    struct.extra_count = len(config.extras)
+    for i, extra in enumerate(config.extras):
+        slot = struct.extras[i]
+        slot.kind, slot.gain = _EXTRA_KIND[extra.kind], extra.gain
+        for name, value in mapping(extra.sensor).items():
+            setattr(slot.sensor, name, value)
     return struct
 
 
 def init_element(slot: Any, config: ElementConfig) -> None:
-    kind = _ELEMENT_KIND.get(config.kind, -1)
+    kind = _ELEMENT_KIND.get(config.kind, -1) if config.own is None else lib.RTHYB_OWN
     target = slot if ffi.typeof(slot).kind == "pointer" else ffi.addressof(slot)
     check(lib.rthyb_element_init(target, kind, list(config.params), len(config.params)))
+    if config.own is not None:
+        from rthyb_rt.core.own import own_force
+
+        target.own = own_force(config.own)

@@ -12,7 +12,7 @@ import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,6 +174,7 @@ class SparseConfig:
     first_v_m_per_s: Floats | None = None
     period_s: float = PERIOD_S
     k_e_between: tuple[tuple[float, ...], ...] = ()
+    kind: ClassVar[str] = "sparse"
     _laid_out: list[tuple[Any, Layout]] = field(default_factory=list, init=False, repr=False)
 
     @property

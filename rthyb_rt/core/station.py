@@ -27,6 +27,7 @@ from rthyb_rt.core.group import (
     watch_table,
 )
 from rthyb_rt.core.library import CoreError, RecordArray, check, doubles, reading, words
+from rthyb_rt.core.pending import raise_pending
 from rthyb_rt.core.rows import (
     COMMAND_BIT,
     STATES,
@@ -47,6 +48,8 @@ from rthyb_rt.core.settings import (
 from rthyb_rt.core.sparse import SparseConfig
 
 if TYPE_CHECKING:
+    from rthyb_rt.core.own import OwnClass
+    from rthyb_rt.core.own_parts import OwnPartConfig
     from rthyb_rt.core.wire import Codec
 
 Command = Literal["none", "zero", "arm", "start", "hold", "resume", "stop", "reset", "trip"]
@@ -100,14 +103,16 @@ class StationConfig:
 
     def plain(self) -> dict[str, Any]:
         """Return all of it as plain values, for a recording: `of` takes them back."""
-        part = self.controller.numerical
+        part, law = self.controller.numerical, self.controller.law.own
         own = bare(self.controller)
-        listed = isinstance(part, SparseConfig)
-        plain = dataclasses.asdict(
-            replace(self, controller=replace(own, numerical=None) if listed else own)
-        )
-        if isinstance(part, SparseConfig):
-            plain["controller"]["numerical"] = part.plain()
+        plain = dataclasses.asdict(replace(self, controller=replace(own, numerical=None)))
+        if part is not None:
+            plain["controller"]["numerical"] = (
+                dataclasses.asdict(part) if isinstance(part, DenseConfig) else part.plain()
+            )
+        plain["controller"]["law"].pop("own")
+        if law is not None:
+            plain["controller"]["law"]["own"] = law.plain()
         for name in GROUP:
             plain["controller"].pop(name)
         plain["controller"] |= group_plain(self.controller)
@@ -127,6 +132,8 @@ class StationConfig:
             inner: dict[str, Any] = dict(given.pop("controller"))
             if "estimator" in inner:
                 inner |= _law_of_estimator(inner)
+            if inner["law"].get("own") is not None:
+                inner["law"] = inner["law"] | {"own": _own_class(inner["law"]["own"])}
             inner |= group_of(inner)
             parts = {"law": LawConfig, "rfc": RfcConfig, "motion": MotionConfig}
             inner |= {name: kind(**inner[name]) for name, kind in parts.items()}
@@ -238,10 +245,20 @@ class StationTick:
     commands_m: tuple[float, ...] = ()
 
 
-def _numerical(plain: Mapping[str, Any]) -> DenseConfig | SparseConfig:
+def _own_class(plain: Mapping[str, Any]) -> OwnClass:
+    from rthyb_rt.core.own import OwnClass
+
+    return OwnClass.of_plain(plain)
+
+
+def _numerical(plain: Mapping[str, Any]) -> DenseConfig | SparseConfig | OwnPartConfig:
     """Return a part's settings from plain values, lists for tuples."""
     if plain.get("kind") == "sparse":
         return SparseConfig.of_plain(plain)
+    if "kind" in plain:
+        from rthyb_rt.core.own_parts import of_plain
+
+        return of_plain(plain)
 
     def frozen(value: Any) -> Any:
         return tuple(frozen(v) for v in value) if isinstance(value, (list, tuple)) else value
@@ -384,6 +401,7 @@ class Station:
         lib.rthyb_station_tick(
             self._c, i, reading(self._ag), self._ag.size, self._records, self._out
         )
+        raise_pending()
         commands = tuple(out.axis[k].x_cmd_m for k in range(self._axes))
         return StationTick(
             x_cmd_m=commands[0],
@@ -442,7 +460,9 @@ class Station:
             source.axis[k].calibration = calibration[k].struct()[0]
         source.parameters, source.parameter_count = sets, len(parameters)
         pointer = records_pointer(out, self._axes)
-        return out[: lib.rthyb_station_replay(self._c, source, pointer)]
+        count = lib.rthyb_station_replay(self._c, source, pointer)
+        raise_pending()
+        return out[:count]
 
     @property
     def state(self) -> str:

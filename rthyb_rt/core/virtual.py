@@ -13,6 +13,7 @@ from rthyb_rt.core.library import (
     reading,
     writing,
 )
+from rthyb_rt.core.pending import raise_pending
 from rthyb_rt.core.rows import CHANNELS_MAX, records_pointer
 from rthyb_rt.core.sizes import DENSE_MAX
 from rthyb_rt.core.station import COMMANDS, Command, Station
@@ -82,6 +83,7 @@ class Virtual:
 
         Raises:
             CoreError: ``channels`` has other rows than ``records``, or too many columns.
+            OwnCodeError: code of the user's own has raised an error.
         """
         number, values, count = COMMANDS.index(command), ffi.NULL, 0
         if channels is not None:
@@ -92,7 +94,7 @@ class Virtual:
                     f"{CHANNELS_MAX} columns at most"
                 )
             values = writing(channels)
-        return int(
+        done = int(
             lib.rthyb_virtual_run(
                 self._c,
                 number,
@@ -102,3 +104,5 @@ class Virtual:
                 count,
             )
         )
+        raise_pending()
+        return done

@@ -7,7 +7,7 @@ C calls the same functions on the struct of `Wire`, a link in Python calls the m
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -33,6 +33,13 @@ TOLD: Final[dict[int, str]] = {lib.RTHYB_TOLD_RESET: "RESET", lib.RTHYB_TOLD_LEA
 LOST: Final[int] = lib.RTHYB_LOST
 _NOT_FINITE: Final[int] = lib.RTHYB_S_NOT_FINITE
 _WORD: Final = 0xFFFF_FFFF
+
+EXTRAS_MAX: Final[int] = lib.RTHYB_EXTRAS_MAX
+_WITHOUT_EXTRAS: Final[int] = ffi.offsetof("rthyb_codec", "extra_count")
+_OWN_LENGTH: Final = 8
+_SERIAL_EXTRAS_AT: Final = 8 * 12
+_NO_NUMBER: Final = -(2**31)
+_MOST: Final = float(2**31 - 1)
 
 VERDICTS: Final = words("rthyb_verdict", "RTHYB_W_")
 
@@ -72,6 +79,25 @@ class Reading:
     echo: int = 0
     count: int = 0
     status: int = 0
+    extra: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Extra:
+    """An extra channel on the wire.
+
+    Attributes:
+        scale, offset: value = scale * wire + offset.
+        step: of the wire where it has 32 bits of its own.
+        signal: its place in the frame of a DBC file (``rthyb_signal``); None: one of its own.
+        in_force: that is the force frame, not the displacement frame.
+    """
+
+    scale: float = 1.0
+    offset: float = 0.0
+    step: float = 1e-6
+    signal: Any = None
+    in_force: bool = False
 
 
 @dataclass(frozen=True)
@@ -117,6 +143,32 @@ def cobs_encode(data: bytes) -> bytes:
     return bytes(ffi.buffer(out, lib.rthyb_cobs_encode(data, len(data), out)))
 
 
+def _spell_out(struct: Any, extras: int) -> None:
+    """Make the table of the program's own frames, with room behind the force for extra channels."""
+    needed = _OWN_LENGTH + 4 * extras
+    length = next(n for n in (12, 16, 20, 24, 32, 48, 64) if n >= needed)
+    struct.format = lib.RTHYB_WIRE_TABLE
+    struct.reset, struct.leaving = lib.RTHYB_TOLD_RESET, lib.RTHYB_TOLD_LEAVING
+    for message, number, size, value, step in (
+        (struct.command, ACT_CMD, _OWN_LENGTH, lib.RTHYB_FIELD_X, 1e-9),
+        (struct.displacement, ACT_FB, _OWN_LENGTH, lib.RTHYB_FIELD_X, 1e-9),
+        (struct.force, LC_FB, length, lib.RTHYB_FIELD_F, 1e-3),
+    ):
+        message.id, message.length, message.fd, message.crc_at = number, size, size > 8, 7
+        message.field[value] = ffi.new(
+            "rthyb_signal *",
+            {"kind": lib.RTHYB_SIGNED, "length": 32, "has_none": 1, "none": _NO_NUMBER,
+             "scale": step, "low": -_MOST, "high": _MOST},
+        )[0]  # fmt: skip
+        whole = [(lib.RTHYB_FIELD_ECHO, 32, 8), (lib.RTHYB_FIELD_COUNT, 40, 8),
+                 (lib.RTHYB_FIELD_STATUS, 48, 8)]  # fmt: skip
+        if number == ACT_CMD:
+            whole = [(lib.RTHYB_FIELD_SEQ, 32, 16), (lib.RTHYB_FIELD_STATE, 48, 8)]
+        for field, start, bits in whole:
+            place = message.field[field]
+            place.kind, place.start, place.length, place.scale = lib.RTHYB_UNSIGNED, start, bits, 1
+
+
 class Codec:
     """Numbers to frames and back: `CAN` (``hw/rthyb.dbc``), `SERIAL`, or a DBC's table.
 
@@ -140,7 +192,8 @@ class Codec:
     def of(cls, table: bytes) -> Codec:
         """Return the codec that `table` is of; raises ``CoreError`` if it is of none."""
         struct = ffi.new("rthyb_codec *")
-        if len(table) != ffi.sizeof(struct[0]):
+        # Without extra channels, as recordings of before have it, it is the beginning of this one.
+        if len(table) not in (ffi.sizeof(struct[0]), _WITHOUT_EXTRAS):
             raise CoreError("the table of signals is not one of this version")
         ffi.memmove(struct, table, len(table))
         return cls(struct)
@@ -189,6 +242,43 @@ class Codec:
     def _by_table(self) -> bool:
         return bool(self.struct.format == lib.RTHYB_WIRE_TABLE)
 
+    def with_extras(self, extras: Sequence[Extra]) -> Codec:
+        """Return the codec with extra channels, in their order.
+
+        A serial packet has them behind its status byte, 32 bits each; `Extra.signal` says where
+        they are in the frames of a DBC file. The frames of ``hw/rthyb.dbc`` are full: on a link
+        without a bus they get a table whose force frame is longer.
+
+        Raises:
+            CoreError: there are more than `EXTRAS_MAX`, or one does not fit its frame.
+        """
+        if len(extras) > EXTRAS_MAX:
+            raise CoreError(f"at most {EXTRAS_MAX} extra channels, got {len(extras)}")
+        if not extras:
+            return self
+        struct = ffi.new("rthyb_codec *")
+        ffi.memmove(struct, self.struct, ffi.sizeof(struct[0]))
+        at = _SERIAL_EXTRAS_AT
+        if struct.format == lib.RTHYB_WIRE_CAN:
+            _spell_out(struct, len(extras))
+            at = 8 * _OWN_LENGTH
+        struct.extra_count = len(extras)
+        for i, one in enumerate(extras):
+            slot = struct.extra[i]
+            slot.in_force = one.in_force or struct.format != self.struct.format
+            signal = {
+                "kind": lib.RTHYB_SIGNED, "length": 32, "start": at + 32 * i, "scale": one.step,
+                "has_none": 1, "none": _NO_NUMBER, "low": -_MOST, "high": _MOST,
+            }  # fmt: skip
+            if one.signal is not None:
+                ffi.memmove(ffi.addressof(slot, "signal"), one.signal, ffi.sizeof("rthyb_signal"))
+            else:
+                slot.signal = ffi.new("rthyb_signal *", signal)[0]
+            # What the wire says, calibrated: the drive's end has the same table, and takes it back.
+            slot.signal.offset = one.scale * slot.signal.offset + one.offset
+            slot.signal.scale *= one.scale
+        return Codec(struct)
+
     def encode_setpoint(self, setpoint: Setpoint) -> tuple[Frame, float]:
         """Return a command's frame and the displacement as the drive will read it, m.
 
@@ -213,6 +303,8 @@ class Codec:
         c.has = lib.RTHYB_HAS_X | lib.RTHYB_HAS_F
         c.x_m, c.f_n = reading.x_m, reading.f_n
         c.echo, c.count, c.status = reading.echo & _WORD, reading.count & _WORD, reading.status
+        for i, value in enumerate(reading.extra):
+            c.extra[i] = value
         n = lib.rthyb_encode_feedback(self.struct, c, self._frames)
         if n == 0:
             raise CoreError("the DBC has no value for a reading that is not finite")
@@ -230,7 +322,8 @@ class Codec:
         verdict = lib.rthyb_decode_feedback(self.struct, _fill(self._frames, frame), c)
         x_m = c.x_m if c.has & lib.RTHYB_HAS_X else None
         f_n = c.f_n if c.has & lib.RTHYB_HAS_F else None
-        return verdict, Reading(x_m, f_n, c.echo, c.count, c.status)
+        extra = tuple(c.extra[i] for i in range(self.struct.extra_count))
+        return verdict, Reading(x_m, f_n, c.echo, c.count, c.status, extra)
 
 
 def can() -> Codec:
@@ -244,10 +337,14 @@ def serial() -> Codec:
 
 
 class Deframer:
-    """Finds packets in the bytes of a serial line: the drive's side, and listeners."""
+    """Finds packets in the bytes of a serial line: the drive's side, and listeners.
 
-    def __init__(self) -> None:
-        self._c = ffi.new("rthyb_deframer *")
+    Args:
+        extras: extra channels in a packet of feedback.
+    """
+
+    def __init__(self, extras: int = 0) -> None:
+        self._c = ffi.new("rthyb_deframer *", {"extras": extras})
         self._packet = ffi.new("rthyb_frame *")
 
     def feed(self, data: bytes) -> Iterator[tuple[int, Frame]]:

@@ -123,6 +123,12 @@ def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model
     bouc_wen = None
     extra: list[core.ElementConfig] = []
     for item in (*specimen_elements(rig), *table_elements(rig)):
+        if item.own is not None:
+            raise InputError(
+                f"the element {item.own.name} is a class in Python, which a diagnosis cannot "
+                "refit; describe the specimen by elements of the catalogue (rthyb effects)",
+                "specimen",
+            )
         p = dict(zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True))
         if item.kind == "stiffness":
             k += p["k_n_per_m"]

@@ -7,7 +7,7 @@ import numpy as np
 from rthyb_rt import core
 from rthyb_rt.config import AxesRig, Rate
 from rthyb_rt.config.axesfile import Plant
-from rthyb_rt.config.sparse_structure import element_of
+from rthyb_rt.config.own import core_element
 from rthyb_rt.core.coupled_rig import CoupledRig, CoupledRigConfig, StateSpace
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment
@@ -36,7 +36,7 @@ def rig_config(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRigConfig:
         mass,
         servos,
         None if rig.plant is None else _state_space(rig.plant, n),
-        tuple((rig.directions.index(one.along), element_of(one.law)) for one in given.element),
+        tuple((rig.directions.index(one.along), core_element(one.law)) for one in given.element),
         tuple(x for x, _ in sensors),
         tuple(f for _, f in sensors),
         rig.rig.load_cell,
@@ -66,6 +66,6 @@ def virtual_rig(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRig:
         return CoupledRig(rig_config(rig, fs_hz))
     except core.CoreError as error:
         raise InputError(
-            f"{error}; look at the largest and smallest values of the file, and at substeps",
+            f"{error}; check the largest and smallest values of the file, and substeps",
             f'rig "{rig.rig.name}"',
         ) from error

@@ -15,12 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import __version__, config, core, ground_motion
-from rthyb_rt.config import Derived, Limit, Limits, Rate, RigFile, TestFile, timescale
+from rthyb_rt.config import AxesRig, Derived, Limit, Limits, Rate, RigFile, TestFile, timescale
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import testfile as test_file
+from rthyb_rt.config.axes_reference import AxesReference
+from rthyb_rt.config.deriving_axes import AxesDerived
 from rthyb_rt.config.limits import VelocityLimit
+from rthyb_rt.config.own import PythonClass, core_element
 from rthyb_rt.config.rigfile import TOLERANCES, Link, Sensors
-from rthyb_rt.core.laws import LAWS
+from rthyb_rt.core.coupled_rig import CoupledRigConfig
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import histories
@@ -32,6 +35,22 @@ Progress = Callable[[int, int], None]
 
 _A = TypeVar("_A")
 _B = TypeVar("_B")
+
+
+@dataclass(frozen=True)
+class Group:
+    """What a test on a rig of several axes has beside that of its first axis.
+
+    Attributes:
+        rig, derived: the rig file, and what follows of it and of the test.
+        virtual_rig: settings of the core.
+        reference: what the reference simulation asks of interface and axes.
+    """
+
+    rig: AxesRig
+    derived: AxesDerived
+    virtual_rig: CoupledRigConfig
+    reference: AxesReference
 
 
 @dataclass(frozen=True)
@@ -49,6 +68,7 @@ class Setup:
         reference: the reference simulation as the test file wants it, shape (n,).
         channels: named values that its rows have beside the record.
         plan: of a prescribed history; None: a hybrid test.
+        group: of a rig of several axes, whose first one ``rig`` and ``derived`` are then of.
     """
 
     test: TestFile
@@ -62,6 +82,7 @@ class Setup:
     reference: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, REFERENCE_DTYPE))
     channels: tuple[core.Channel, ...] = ()
     plan: histories.Plan | None = None
+    group: Group | None = None
 
     @property
     def ticks(self) -> int:
@@ -97,20 +118,21 @@ def prepare(
         return load_motion(test) if record is None else record
 
     if real_time:
-        _refuse_other_rate(test)
+        refuse_other_rate(test)
+        _refuse_python(test, rig)
     if test.history is not None:
         return _prepare_history(test, rig, real_time)
-    derived, whole = _both(lambda: config.derive(test, rig), read)
+    derived, whole = both(lambda: config.derive(test, rig), read)
     if real_time:
         _refuse_slow(derived)
     test = config.resolve(test, derived)
     baseline = ground_motion.baseline_check(whole)
-    motion = _cut_and_scale(whole, test.ground_motion)
+    motion = cut_and_scale(whole, test.ground_motion)
     lasts_s = test.test.duration_s
     if lasts_s is None:
         lasts_s = motion.duration_s + test.test.free_vibration_s
     slow = test.test.time_scale
-    _refuse_long(lasts_s, derived.fs_hz, slow)
+    refuse_long(lasts_s, derived.fs_hz, slow)
     # Sampled more densely in the structure's time, which is as dense in the laboratory's.
     ag = ground_motion.resample(
         motion, derived.fs_hz * slow, method=test.ground_motion.interpolation, duration_s=lasts_s
@@ -126,7 +148,7 @@ def prepare(
         ag_mps2=ag,
         controller=(controller := controller_config(test, rig, derived, end_tick)),
         virtual_rig=rig_config(rig, derived.fs_hz),
-        channels=part_channels(derived) + law_channels(controller.law),
+        channels=(extra_channels(rig) + part_channels(derived) + law_channels(controller.law)),
         notes=derived.notes + (() if baseline.ok else (f"ground motion: {baseline.message}",)),
     )
     try:
@@ -136,7 +158,7 @@ def prepare(
     except core.CoreError as error:
         # The files' own checks come first; what is left is a combination that they do not know.
         raise InputError(
-            f"{error}; look at the largest and smallest values of both files",
+            f"{error}; check the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
     return _noted(follow_reference(replace(setup, reference=expected)), real_time)
@@ -149,7 +171,7 @@ def _noted(setup: Setup, real_time: bool) -> Setup:
     return replace(setup, notes=notes)
 
 
-def _refuse_long(lasts_s: float, rate_hz: float, slow: float) -> None:
+def refuse_long(lasts_s: float, rate_hz: float, slow: float) -> None:
     """Refuse what a recording has no room for: a slow test of many hours.
 
     Raises:
@@ -192,7 +214,7 @@ def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
         ag_mps2=plan.path_m,
         controller=controller,
         virtual_rig=rig_config(rig, derived.fs_hz),
-        channels=law_channels(controller.law),
+        channels=extra_channels(rig) + law_channels(controller.law),
         notes=derived.notes,
         plan=plan,
         reference=_along(rig, plan),
@@ -202,7 +224,7 @@ def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
         core.Rig(setup.virtual_rig)
     except core.CoreError as error:
         raise InputError(
-            f"{error}; look at the largest and smallest values of both files",
+            f"{error}; check the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
     setup = follow_reference(setup)
@@ -258,7 +280,7 @@ def _refuse_beyond(setup: Setup) -> None:
         raise InputError(problems)
 
 
-def _refuse_other_rate(test: TestFile) -> None:
+def refuse_other_rate(test: TestFile) -> None:
     hz = test.test.sample_rate_hz
     if hz != core.FS_HZ:
         raise InputError(
@@ -266,6 +288,34 @@ def _refuse_other_rate(test: TestFile) -> None:
             "for virtual time; leave the key out (or --set test.sample_rate_hz="
             f"{core.FS_HZ:g}), or run it without --realtime",
             "test.sample_rate_hz",
+        )
+
+
+def _refuse_python(test: TestFile, rig: RigFile) -> None:
+    """Refuse classes in Python, each with what takes its place.
+
+    Raises:
+        InputError: with all of them.
+    """
+    found = []
+    if test.numerical.python is not None:
+        found.append(
+            ("numerical.python", "a numerical part in a shared library, numerical.library")
+        )
+    if test.controller.python is not None:
+        found.append(("controller.python", "a control law in C, docs/extending.md"))
+    for i, one in enumerate(rig.specimen):
+        if isinstance(one, PythonClass):
+            found.append((f"specimen.{i}", "elements of the catalogue"))
+    if found:
+        raise InputError(
+            Problem(
+                where,
+                "is a class in Python, which now and then takes longer than a sampling period "
+                "(collecting garbage, waiting for its lock), so that a test in real time must not "
+                f"wait for it; it runs in virtual time; in real time take {instead}",
+            )
+            for where, instead in found
         )
 
 
@@ -283,11 +333,11 @@ def follow_reference(setup: Setup) -> Setup:
         float(np.abs(np.diff(sent_m)).max(initial=0.0)) / h,
         float(np.abs(np.diff(x_m, 2)).max(initial=0.0)) / h**2,
     )
-    derived = replace(derived, limits=_with_sensors(setup.rig, limits, setup.rate, setup.reference))
+    derived = replace(derived, limits=with_sensors(setup.rig, limits, setup.rate, setup.reference))
     return replace(setup, derived=derived, test=config.resolve(setup.test, derived))
 
 
-def _with_sensors(
+def with_sensors(
     rig: RigFile,
     limits: limits_file.Resolved,
     rate: Rate,
@@ -342,8 +392,12 @@ def _refuse_slow(derived: Derived) -> None:
     """
     if derived.structure is None or isinstance(derived.structure.part, core.DenseConfig):
         return
+    from rthyb_rt.config.own_structure import OwnStructure, refuse_in_real_time
     from rthyb_rt.core.numerical_parts import SparsePart
 
+    if isinstance(derived.structure, OwnStructure):
+        refuse_in_real_time(derived.structure.part)
+        return
     part = derived.structure.part
     taken_s, most_s = SparsePart(part).step_time_s(), 0.5 * part.period_s
     if taken_s > most_s:
@@ -356,7 +410,7 @@ def _refuse_slow(derived: Derived) -> None:
         )
 
 
-def _both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
+def both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
     """Return what both give, or raise the faults of both at once."""
     try:
         a = first()
@@ -379,7 +433,7 @@ def load_motion(test: TestFile) -> GroundMotion:
     )
 
 
-def _cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotion) -> GroundMotion:
+def cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotion) -> GroundMotion:
     if wanted.start_s or wanted.duration_s is not None:
         motion = motion.window(wanted.start_s, wanted.duration_s)
     if wanted.pga_g is not None:
@@ -407,7 +461,7 @@ def prescribed(rig: RigFile, name: str, path_m: NDArray[np.float64]) -> Setup:
     """
     test = config.parse_test(_PRESCRIBED.format(name=name), name)
     derived = config.derive(test, rig)
-    derived = replace(derived, limits=_with_sensors(rig, derived.limits, derived.rate))
+    derived = replace(derived, limits=with_sensors(rig, derived.limits, derived.rate))
     test = config.resolve(test, derived)
     controller = controller_config(test, rig, derived, path_m.size)
     return Setup(
@@ -421,6 +475,7 @@ def prescribed(rig: RigFile, name: str, path_m: NDArray[np.float64]) -> Setup:
             motion=core.MotionConfig("prescribed", period_s=derived.rate.period_s),
         ),
         virtual_rig=rig_config(rig, derived.fs_hz),
+        channels=extra_channels(rig),
     )
 
 
@@ -465,6 +520,7 @@ def law_config(test: TestFile, derived: Derived) -> core.LawConfig:
         settings=dict(derived.law_settings),
         adapts=derived.estimator_enabled,
         rest_noise_m=derived.rest_noise_displacement_m,
+        own=test.controller.python.own if test.controller.python is not None else None,
     )
 
 
@@ -511,9 +567,25 @@ _TIMED: Final[dict[str, Callable[[Rate, float], float]]] = {
 """Limits that a file counts in samples of 1/1024 s, and what they are at another rate."""
 
 
+def extra_channels(rig: RigFile) -> tuple[core.Channel, ...]:
+    """Return the channels of what the rig measures beside displacement and force.
+
+    Raises:
+        InputError: one has a name that the record has already.
+    """
+    taken = set(core.RECORD_DTYPE.names or ()) | {"x_true_m", "f_true_n"}
+    for i, one in enumerate(rig.sensors.extra):
+        if one.name in taken:
+            raise InputError(
+                f'found "{one.name}", which every recording has already; take another name',
+                f"sensors.extra.{i}.name",
+            )
+    return tuple(core.Channel(one.name, one.unit) for one in rig.sensors.extra)
+
+
 def law_channels(law: core.LawConfig) -> tuple[core.Channel, ...]:
     """Return the channels of what a control law reports beside alpha and beta."""
-    return tuple(core.Channel(value.name, value.unit) for value in LAWS[law.name].beside)
+    return tuple(core.Channel(value.name, value.unit) for value in law.law.beside)
 
 
 def part_channels(derived: Derived) -> tuple[core.Channel, ...]:
@@ -532,6 +604,16 @@ def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
         real: there is a link, and something behind it that may break: limits that are derived, and
             that no file states, act as they say. Else they only indicate.
     """
+    if setup.group is not None:
+        # That module is built on this one.
+        from rthyb_rt.lab import several
+
+        return several.station_config(setup, setup.group, real=real)
+    return axis_station_config(setup, real=real)
+
+
+def axis_station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
+    """Return the settings of the station of one axis; arguments as of `station_config`."""
     limits, resolved, rate = setup.test.limits, setup.derived.limits, setup.rate
     given = {cause: _watched(limits, resolved, key, real) for key, cause in WATCHES.items()}
     # Those that are derived are of the test's own samples already.
@@ -654,6 +736,12 @@ def rig_config(rig: RigFile, fs_hz: float = core.FS_HZ) -> core.RigConfig:
         force=force,
         load_cell=rig.rig.load_cell,
         seed=rig.rig.seed,
+        extras=tuple(
+            core.ExtraSensorConfig(
+                one.measures, one.gain, core.SensorConfig(one.noise_std, one.lsb, one.bias)
+            )
+            for one in rig.sensors.extra
+        ),
     )
 
 
@@ -683,12 +771,7 @@ def servo_config(rig: RigFile, rate: Rate) -> core.ServoConfig:
 
 def specimen_elements(rig: RigFile) -> tuple[core.ElementConfig, ...]:
     """Return the specimen's elements with their parameters in the core's order."""
-    elements = []
-    for item in rig.specimen:
-        values = item.model_dump()
-        kind = values.pop("element")
-        elements.append(core.element(kind, **{k: values[k] for k in core.ELEMENT_PARAMS[kind]}))
-    return tuple(elements)
+    return tuple(core_element(item) for item in rig.specimen)
 
 
 # ---- the reference simulation -------------------------------------------------------------------
@@ -711,8 +794,14 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
     elements = _reference_elements(setup, table_forces)
     structure = setup.derived.structure
     if structure is not None:
+        from rthyb_rt.config.own_structure import OwnStructure
+
         # The model's elements are slowed themselves, so that nothing of them is lacking.
-        whole = structure.with_lack(setup.test.test.time_scale, -1.0)
+        whole = (
+            structure
+            if isinstance(structure, OwnStructure)
+            else structure.with_lack(setup.test.test.time_scale, -1.0)
+        )
         return _rows_of_reference(*whole.reference(elements, setup.ag_mps2))
     rigid = [e for e in elements if e.kind not in _IMPLICIT]
     motion = motion_config(setup.test, setup.derived)
@@ -777,7 +866,7 @@ def blank(setup: Setup, clock: str) -> recording.Recording:
         clock: what the test goes by: "virtual", or a clock of `rthyb_rt.core.ticker`.
     """
     return recording.Recording(
-        samples=np.zeros(0, dtype=core.row_dtype(setup.channels)),
+        samples=np.zeros(0, dtype=core.row_dtype(setup.channels, setup.controller.axis_count)),
         channels=setup.channels,
         fs_hz=setup.derived.fs_hz,
         ag_mps2=setup.ag_mps2,
@@ -785,7 +874,9 @@ def blank(setup: Setup, clock: str) -> recording.Recording:
         # A history is its own reference: nothing else is expected of the specimen's motion.
         reference=setup.reference if setup.plan is None else None,
         test_toml=config.dump(setup.test),
-        rig_toml=config.dump(setup.rig),
+        rig_toml=config.dump(setup.rig if setup.group is None else setup.group.rig),
+        axis_names=() if setup.group is None else setup.group.rig.names,
+        interface_names=() if setup.group is None else setup.group.rig.directions,
         meta={
             **core.build_facts(),
             "rthyb_version": __version__,

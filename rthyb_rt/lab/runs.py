@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Self
 
@@ -22,6 +22,15 @@ AT_REST: Final = ("IDLE", "ZEROED", "ARMED", "TRIPPED")
 
 _IDLE, _ZEROED, _HOLD, _TRIPPED = map(STATES.index, ("IDLE", "ZEROED", "HOLD", "TRIPPED"))
 _MOVING: Final = [STATES.index(name) for name in STATES if name not in AT_REST]
+
+
+def _of_further(tares: Sequence[tuple[float, float]]) -> dict[str, float]:
+    """Return the tares of axes 1 on, under the names of the first with their number."""
+    found = dict[str, float]()
+    for axis, (x_m, f_n) in enumerate(tares):
+        if axis:
+            found |= {f"displacement_m.{axis}": x_m, f"force_n.{axis}": f_n}
+    return found
 
 
 @dataclass(kw_only=True)
@@ -132,6 +141,7 @@ class Run:
     def known(self) -> Recording:
         """Return the recording without its rows, with what tare and commands have become."""
         x_m, f_n = self.station.tare
+        further = self.station.tares if self.config.controller.axis_count > 1 else ()
         replay = dataclasses.replace(
             self.bare.replay,
             parameters=list(self.parameters),
@@ -140,9 +150,20 @@ class Run:
                 "displacement_m": x_m,
                 "force_n": f_n,
                 "command_m": self.station.command_tare_m,
+                **_of_further(further),
             },
         )
         return dataclasses.replace(self.bare, replay=replay, meta=dict(self.bare.meta))
+
+    def _whose(self) -> str:
+        """Return which of several axes, or directions, the station's cause belongs to."""
+        axis, interface = self.station.cause_axis, self.station.cause_interface
+        names, directions = self.bare.axis_names, self.bare.interface_names
+        if axis is not None and axis < len(names):
+            return f"axis {names[axis]}"
+        if interface is not None and interface < len(directions):
+            return f"direction {directions[interface]}"
+        return ""
 
     def ending(self, state: str) -> dict[str, Any]:
         """Return what ``meta`` of the recording says of the end.
@@ -153,7 +174,7 @@ class Run:
         state = "TRIPPED" if self.tripped_rows else state
         cause, value, limit = self.caused or self.causing
         return {
-            "end_reason": end_reason(state, cause, moved=self.moved),
+            "end_reason": end_reason(state, cause, moved=self.moved, of=self._whose()),
             "interrupted": self.held,
             "station": {
                 "state": state,

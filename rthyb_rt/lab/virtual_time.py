@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import core
 from rthyb_rt.core import FLAGS, Channel
+from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.errors import RthybError
 from rthyb_rt.lab import experiment
 from rthyb_rt.lab.endings import RefusedError
@@ -33,6 +34,16 @@ def freedom_channels(setup: Setup) -> tuple[Channel, ...]:
     structure = setup.derived.structure
     count = 1 if structure is None else len(structure.labels)
     return tuple(Channel(f"x_part_{number + 1}_m", "m") for number in range(count))
+
+
+def truth_channels(setup: Setup) -> tuple[Channel, ...]:
+    """Return the channels of what the sensors saw: `TRUTH`, of each further axis by its number."""
+    further = [
+        Channel(f"{one.name}_{axis}", one.unit)
+        for axis in range(1, setup.controller.axis_count)
+        for one in TRUTH
+    ]
+    return (*TRUTH, *further)
 
 
 class Bench:
@@ -61,15 +72,28 @@ class Bench:
     ) -> None:
         places = freedom_channels(setup) if freedoms else ()
         # The core has what it adds itself before everything else.
-        setup = replace(setup, channels=(TRUTH if truth else ()) + places + setup.channels)
+        seen = truth_channels(setup) if truth else ()
+        setup = replace(setup, channels=seen + places + setup.channels)
         self.run = Run.begin(setup, "virtual", config or experiment.station_config(setup))
-        virtual = core.Rig(rig or setup.virtual_rig)
+        virtual = self._plant(setup, rig, (2 if truth else 0) + len(places))
         stop_decel = experiment.stop_decel_m_per_s2(setup.rig)
         self._test = core.Virtual(self.run.station, virtual, stop_decel, truth, len(places))
         before = self.config.tare_ticks + self.config.ramp_in_ticks
-        self._rows = np.empty(before + setup.ticks + 2 * STEP_TICKS, dtype=core.RECORD_DTYPE)
+        self._dtype = core.record_dtype(setup.controller.axis_count)
+        self._rows = np.empty(before + setup.ticks + 2 * STEP_TICKS, dtype=self._dtype)
         self._values = np.zeros((self._rows.size, len(setup.channels)))
         self._count = 0
+
+    def _plant(
+        self, setup: Setup, rig: core.RigConfig | None, extras: int
+    ) -> core.Rig | CoupledRig:
+        """Return the virtual rig; extra sensors of one axis are told from that channel on."""
+        if setup.group is not None:
+            return CoupledRig(setup.group.virtual_rig)
+        virtual = core.Rig(rig or setup.virtual_rig)
+        if setup.rig.sensors.extra:
+            virtual.tell_extras(self.run.station, extras)
+        return virtual
 
     @property
     def config(self) -> core.StationConfig:
@@ -137,7 +161,7 @@ class Bench:
     def _tick(self, ticks: int, command: core.Command) -> None:
         end = self._count + ticks
         if end > self._rows.size:
-            longer = np.empty(end + self._rows.size, dtype=core.RECORD_DTYPE)
+            longer = np.empty(end + self._rows.size, dtype=self._dtype)
             longer[: self._count] = self.rows
             self._rows = longer
             more = np.zeros((longer.size - len(self._values), self._values.shape[1]))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 LOOPBACK: Final = "127.0.0.1"
 _CONNECTIONS: Final = 64
 _WAITING: Final = 32
-"""Of these, how many may be without a request; of one more the oldest is hung up on."""
+"""How many of these may be without a request; if there is one more, the oldest is closed."""
 _REQUEST_S: Final = 5.0
 """For a request to come, from its connection's beginning or the answer before."""
 

@@ -16,6 +16,7 @@ from rthyb_rt.analysis.summary import (
 )
 from rthyb_rt.numbers import percent, quantity
 from rthyb_rt.record.recording import Recording, replacing
+from rthyb_rt.report import several
 from rthyb_rt.report.html import environment, extra_needed, sheets
 
 _MOTION_NAMES = {"name": "Record", "source": "Source", "pga_g": "Peak, g", "scale": "Scale factor"}
@@ -43,7 +44,7 @@ def write_report(rec: Recording, path: str | Path) -> None:
         InputError: matplotlib or jinja2 is not installed.
         RthybError: the file cannot be written.
     """
-    html = render(rec)
+    html = render(rec) if len(rec.axis_names) < 2 else several.render(rec)
     with replacing(Path(path)) as temporary:
         temporary.write_text(html, encoding="utf-8")
 
@@ -55,7 +56,8 @@ def render(rec: Recording) -> str:
         InputError: matplotlib or jinja2 is not installed.
     """
     with extra_needed("a report"):
-        from rthyb_rt.report.figures import draw_all
+        from rthyb_rt.report import zoom
+        from rthyb_rt.report.figures import draw_all, peak_window
 
         template = environment().get_template("report.html.j2")
     summary = summarize(rec)
@@ -71,6 +73,7 @@ def render(rec: Recording) -> str:
         rows=_rest(summary),
         steps=_steps(summary),
         sheets=sheets(draw_all(rec, summary)),
+        zoom=zoom.parts(rec, summary, peak_window(summary, rec.time_s())),
         motion=_named(rec.ground_motion, _MOTION_NAMES),
         versions=_named(rec.meta | _commissioned(rec.meta), _META_NAMES),
         settings=[("Test file", rec.test_toml), ("Rig file", rec.rig_toml)],

@@ -72,6 +72,18 @@ _METHODS = {"tracking": "tracking_error", "accumulated": "accumulated_error"}
 """Figures whose key is shorter than what draws them."""
 
 
+def peak_window(summary: Summary, t: Floats) -> tuple[float, float]:
+    """Return one and a half periods around the peak of the command, inside the recording, s."""
+    period = summary.setup.period_s
+    if period is None:
+        f_eq = summary.fei_frequency_hz
+        period = 1.0 / f_eq if np.isfinite(f_eq) and f_eq > 0.0 else 0.5
+    centre = summary.peak_command_time_s
+    first, last = (t[0], t[-1]) if t.size else (0.0, 0.0)
+    start = max(centre - 0.75 * period, first)
+    return start, min(start + 1.5 * period, last)
+
+
 class _Figures:
     """The signals of one recording in the units of the figures."""
 
@@ -94,18 +106,7 @@ class _Figures:
         self.x_limit = max(
             robust_limit(self.x_num, self.x_meas, self.x_ref, anchor=self.x_anchor), 1e-3
         )
-        self.window = self._peak_window()
-
-    def _peak_window(self) -> tuple[float, float]:
-        """One and a half periods around the peak of the command, inside the recording."""
-        period = self.s.setup.period_s
-        if period is None:
-            f_eq = self.s.fei_frequency_hz
-            period = 1.0 / f_eq if np.isfinite(f_eq) and f_eq > 0.0 else 0.5
-        centre = self.s.peak_command_time_s
-        first, last = (self.t[0], self.t[-1]) if self.t.size else (0.0, 0.0)
-        start = max(centre - 0.75 * period, first)
-        return start, min(start + 1.5 * period, last)
+        self.window = peak_window(summary, self.t)
 
     # --- figures ------------------------------------------------------------------------------
 

@@ -15,7 +15,8 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from rthyb_rt.core import FLAGS, RUNNING
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.lab.realtime import Operator
+from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig.commissioning import moving, polarity
 from rthyb_rt.rig.commissioning.moving import Connection, Moved
 
@@ -142,6 +144,7 @@ class Result:
         link_delay_samples: what the link has of the delay, by the drive's echo; None where that is
             not known, or where there is no link.
         left_out: rows of the sweep without a reading of their own.
+        recording: the sweep itself; of one axis among several, None.
     """
 
     tones: tuple[Tone, ...]
@@ -160,6 +163,13 @@ class Result:
     resonance_hz: float | None = None
     link_delay_samples: float | None = None
     left_out: int = 0
+    recording: Recording | None = field(default=None, repr=False, compare=False)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all but the sweep itself as a JSON document has it."""
+        found = asdict(replace(self, recording=None))
+        del found["recording"]
+        return found
 
 
 Progress = Callable[[int, int], None]
@@ -256,7 +266,8 @@ def _found(rig: RigFile, moved: Moved, parts: list[Part]) -> Result:
     )
     _check_read(signals, parts)
     found = _result(rig, signals, parts, (moved.start_m, moved.start_n))
-    return replace(found, left_out=int(np.count_nonzero(~signals.read)))
+    left_out = int(np.count_nonzero(~signals.read))
+    return replace(found, left_out=left_out, recording=moved.recording)
 
 
 def result_of(

@@ -205,15 +205,6 @@ def identified_rig(rig: AxesRig, result: AxesResult) -> AxesRig:
     return again
 
 
-def response_of_rig(found: JointIdentified) -> MatrixResponse:
-    """Return the matrix of responses that a rig file holds."""
-    return MatrixResponse(
-        np.array(found.frequency_hz),
-        np.array(found.real) + 1j * np.array(found.imaginary),
-        np.array(found.rest_noise_displacement_m),
-    )
-
-
 def identify_axes(
     move: Callable[[Floats], Floats], axes: int, sweep: Sweep | None = None
 ) -> MatrixResponse:

@@ -418,7 +418,7 @@ static void some_faults(episode *e, uint64_t length)
 
 static int set_up_loop(episode *e)
 {
-    e->drive = (rthyb_drive){.rig = &e->rig,
+    e->drive = (rthyb_drive){.plant = {RTHYB_PLANT_RIG, &e->rig},
                              .link = &e->far,
                              .codec = e->codec,
                              .calibration = e->calibration,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from rthyb_rt.diagnose.effects import friction, hysteretic, inertial, sensor, springs
@@ -65,6 +66,24 @@ def load(path: Path) -> list[str]:
     return added
 
 
+@contextmanager
+def beside(own: Sequence[Effect]) -> Iterator[None]:
+    """Have effects of a user's own in the catalogue for the time of the block.
+
+    Raises:
+        InputError: one lacks what the search needs of it; with what.
+    """
+    before = dict(_REGISTER)
+    try:
+        for effect in own:
+            _check(effect, type(effect).__name__)
+            register(effect)
+        yield
+    finally:
+        _REGISTER.clear()
+        _REGISTER.update(before)
+
+
 def _line_of(error: BaseException, path: Path) -> str:
     if isinstance(error, SyntaxError):
         return f":{error.lineno}"
@@ -114,6 +133,7 @@ __all__ = [
     "Effect",
     "Param",
     "Trial",
+    "beside",
     "catalogue",
     "having",
     "load",

@@ -79,7 +79,7 @@ def _without_gap(attempt: Callable[[], Stop]) -> Stop:
 
 
 def watchdog(connection: Connection) -> Stop:
-    """Fall silent, without a farewell, and see the drive stop by itself; then connect again.
+    """Stop sending without notice, see the drive stop by itself, then connect again.
 
     Raises:
         InputError: no feedback comes.

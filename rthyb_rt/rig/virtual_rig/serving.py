@@ -19,7 +19,7 @@ from rthyb_rt import core
 from rthyb_rt.config import RigFile
 from rthyb_rt.core import loop, ticker, wire
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import experiment
+from rthyb_rt.lab import experiment, extras
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.rig.links.opened import Opened
 from rthyb_rt.rig.virtual_rig.lines import Line
@@ -110,7 +110,7 @@ def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: Plan) -> lo
     seed = rig.rig.seed if plan.seed is None else plan.seed
     drive = loop.Drive(
         core.Rig(dataclasses.replace(experiment.rig_config(rig), seed=seed)),
-        codec,
+        extras.codec_of(rig, codec),
         link,
         stop_decel_m_per_s2=experiment.stop_decel_m_per_s2(rig),
         log_ticks=plan.log_ticks,

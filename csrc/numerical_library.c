@@ -1,0 +1,160 @@
+/* A numerical part that is the user's own: what comes from it is believed only as far as it is sensible. */
+#include <string.h>
+
+#include "numeric.h"
+#include "numerical.h"
+
+#define EXCITATION_MAX 1e4
+#define RESPONSE_MAX 1e300
+
+typedef const rthyb_library_config config;
+
+typedef struct {
+    double x[RTHYB_INTERFACES_MAX], x1[RTHYB_INTERFACES_MAX], x2[RTHYB_INTERFACES_MAX];
+    double force[RTHYB_INTERFACES_MAX];
+    double excitation;
+    int64_t refused; /* what its init returned */
+} library_state;
+
+static void *state_of(const rthyb_numerical *part)
+{
+    config *c = part->cfg;
+    return c->instance ? c->instance : (void *)((library_state *)part->state + 1);
+}
+
+static size_t size(const void *cfg)
+{
+    config *c = cfg;
+    if (c->interfaces < 1 || c->interfaces > RTHYB_INTERFACES_MAX || c->responses < 0 ||
+        c->responses > RTHYB_RESPONSES_MAX || c->state_bytes < 0 ||
+        c->state_bytes > RTHYB_LIBRARY_STATE_MAX)
+        return 0;
+    return sizeof(library_state) + (c->instance ? 0 : (size_t)c->state_bytes);
+}
+
+static int init(const rthyb_numerical *part, double x0_m)
+{
+    config *c = part->cfg;
+    const size_t bytes = size(c);
+    if (!bytes || !c->calls.init || !c->calls.answer)
+        return RTHYB_E_MOTION;
+    if (!(c->setup.period_s > 0.0 && c->setup.period_s <= 1.0))
+        return RTHYB_E_PERIOD;
+    if (x0_m != 0.0)
+        return RTHYB_E_LIMIT;
+    memset(part->state, 0, bytes);
+    library_state *s = part->state;
+    s->refused = c->calls.init(state_of(part), &c->setup);
+    return s->refused ? RTHYB_E_MOTION : 0;
+}
+
+int32_t rthyb_library_refusal(const rthyb_numerical *part)
+{
+    return (int32_t)((const library_state *)part->state)->refused;
+}
+
+/* What was not written, or is no number, leaves the interface where it is; what runs off stops at the edge. */
+static double taken(double next, double before, int *code)
+{
+    if (isnan(next)) {
+        *code |= RTHYB_S_NOT_FINITE;
+        return before;
+    }
+    return confine(next, RTHYB_DISPLACEMENT_MAX_M, code);
+}
+
+static int answer(const rthyb_numerical *part, double excitation, const double *force_n,
+                  double *x_next_m)
+{
+    config *c = part->cfg;
+    library_state *s = part->state;
+    double next[RTHYB_INTERFACES_MAX];
+    int code = RTHYB_OK;
+    s->excitation = accept(excitation, EXCITATION_MAX, s->excitation, &code);
+    for (int i = 0; i < c->interfaces; i++) {
+        s->force[i] = accept(force_n[i], RTHYB_FORCE_MAX_N, s->force[i], &code);
+        next[i] = (double)NAN;
+    }
+    const int refused = c->calls.answer(state_of(part), s->excitation, s->force, next) != 0;
+    for (int i = 0; i < c->interfaces; i++) {
+        s->x2[i] = s->x1[i];
+        s->x1[i] = s->x[i];
+        s->x[i] = refused ? s->x[i] : taken(next[i], s->x[i], &code);
+        x_next_m[i] = s->x[i];
+    }
+    return code | (refused ? RTHYB_S_OUT_OF_RANGE : RTHYB_OK);
+}
+
+static int advance(const rthyb_numerical *part)
+{
+    config *c = part->cfg;
+    const int refused = c->calls.advance && c->calls.advance(state_of(part)) != 0;
+    return refused ? RTHYB_S_OUT_OF_RANGE : RTHYB_OK;
+}
+
+static void freeze(const rthyb_numerical *part, const double *force_n)
+{
+    config *c = part->cfg;
+    library_state *s = part->state;
+    int code = RTHYB_OK;
+    for (int i = 0; i < c->interfaces; i++)
+        s->force[i] = accept(force_n[i], RTHYB_FORCE_MAX_N, s->force[i], &code);
+    if (c->calls.freeze)
+        c->calls.freeze(state_of(part), s->force);
+}
+
+/* Of a part that says nothing but where it is. */
+static void look(const rthyb_numerical *part, rthyb_interface *at)
+{
+    config *c = part->cfg;
+    const library_state *s = part->state;
+    const double h = c->setup.period_s;
+    for (int i = 0; i < c->interfaces; i++)
+        at[i] = (rthyb_interface){
+            .x = s->x[i],
+            .v = (3.0 * s->x[i] - 4.0 * s->x1[i] + s->x2[i]) / (2.0 * h),
+            .a = (s->x[i] - 2.0 * s->x1[i] + s->x2[i]) / (h * h),
+            .x1 = s->x1[i],
+            .x2 = s->x2[i],
+        };
+}
+
+static size_t report(const rthyb_numerical *part, double *values, size_t most)
+{
+    config *c = part->cfg;
+    double all[RTHYB_RESPONSES_MAX] = {0.0};
+    int code = RTHYB_OK;
+    if (!c->calls.report || c->responses == 0)
+        return 0;
+    c->calls.report(state_of(part), all);
+    const size_t count = (size_t)c->responses < most ? (size_t)c->responses : most;
+    for (size_t i = 0; i < count; i++)
+        values[i] = accept(all[i], RESPONSE_MAX, 0.0, &code);
+    return count;
+}
+
+static void leave(const rthyb_numerical *part)
+{
+    config *c = part->cfg;
+    if (c->calls.save)
+        c->calls.save(state_of(part));
+}
+
+static void come_back(const rthyb_numerical *part)
+{
+    config *c = part->cfg;
+    if (c->calls.restore)
+        c->calls.restore(state_of(part));
+}
+
+const rthyb_numerical_ops rthyb_library_ops = {
+    .size = size,
+    .init = init,
+    .answer = answer,
+    .advance = advance,
+    .freeze = freeze,
+    .look = look,
+    .report = report,
+    .before_save = leave,
+    .after_restore = come_back,
+};

@@ -1,0 +1,113 @@
+/* Numerical parts that are the user's own: a shared library (rthyb_library.h), an FMU for co-simulation,
+ * a class in Python. numerical_library.c runs all three, numerical_fmu.c speaks to an FMU, and
+ * library_trial.c tries a part out in a process of its own. */
+#ifndef RTHYB_PART_OWN_PART_H
+#define RTHYB_PART_OWN_PART_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "rthyb_library.h"
+#include "rthyb_numerical.h"
+
+/* cffi: begin */
+
+/* The functions of a library by their last names; NULL for what it leaves out. */
+typedef struct {
+    int32_t (*init)(void *state, const rthyb_part_setup *setup);
+    int32_t (*answer)(void *state, double ag_mps2, const double *force_n, double *x_next_m);
+    int32_t (*advance)(void *state);
+    void (*freeze)(void *state, const double *force_n);
+    void (*report)(const void *state, double *values);
+    void (*save)(void *state);
+    void (*restore)(void *state);
+} rthyb_part_calls;
+
+/* Settings of RTHYB_NUMERICAL_LIBRARY. */
+typedef struct {
+    rthyb_part_calls calls;
+    rthyb_part_setup setup;
+    void *
+        instance; /* goes in the place of the state to all calls: its own is somewhere else; or NULL */
+    int64_t state_bytes; /* without an instance */
+    int32_t interfaces, responses;
+} rthyb_library_config;
+
+/* What the part's own init returned, of a part that rthyb_numerical_init refused. */
+int32_t rthyb_library_refusal(const rthyb_numerical *part);
+
+enum rthyb_library_size { RTHYB_LIBRARY_STATE_MAX = 1 << 30 };
+
+/* ---- an FMU (numerical_fmu.c) ------------------------------------------------------------------ */
+
+enum rthyb_fmu_size {
+    RTHYB_FMU_PARAMETERS_MAX = 256,
+    RTHYB_FMU_RESPONSES_MAX = 32,
+    RTHYB_FMU_INTERFACES_MAX = 8,
+    RTHYB_FMU_TEXT = 256
+};
+
+/* Addresses of an FMU's functions; names as in the standard, without their prefix. */
+typedef void (*rthyb_any_function)(void);
+typedef struct {
+    rthyb_any_function instantiate, free_instance, enter_initialization, exit_initialization;
+    rthyb_any_function setup_experiment; /* FMI 2 alone */
+    rthyb_any_function set, get, do_step, terminate;
+} rthyb_fmu_functions;
+
+typedef struct {
+    int32_t fmi; /* 2 or 3 */
+    rthyb_fmu_functions call;
+    const char *name, *token, *resources; /* token: the guid of FMI 2 */
+    int32_t interfaces, responses, parameters;
+    uint32_t ground_acceleration; /* value references */
+    int32_t has_ground_acceleration;
+    uint32_t force[RTHYB_FMU_INTERFACES_MAX], displacement[RTHYB_FMU_INTERFACES_MAX];
+    uint32_t response[RTHYB_FMU_RESPONSES_MAX], parameter[RTHYB_FMU_PARAMETERS_MAX];
+    /* from here on its own */
+    void *instance, *callbacks[5];
+    double period_s;
+    int64_t step;
+    char said[RTHYB_FMU_TEXT]; /* its last complaint */
+} rthyb_fmu;
+
+/* The calls of a part whose instance, `of`, is a rthyb_fmu. Parameters of the setup are set before it begins. */
+int32_t rthyb_fmu_init(void *of, const rthyb_part_setup *setup);
+int32_t rthyb_fmu_answer(void *of, double ag_mps2, const double *force_n, double *x_next_m);
+void rthyb_fmu_report(const void *of, double *values);
+/* Ends it and frees what it has; may be called again. */
+void rthyb_fmu_close(rthyb_fmu *fmu);
+
+/* ---- a trial (library_trial.c) ----------------------------------------------------------------- */
+
+enum rthyb_trial_end {
+    RTHYB_TRIAL_NOT_TRIED, /* this system gives no second process */
+    RTHYB_TRIAL_DONE,
+    RTHYB_TRIAL_REFUSED, /* number: what init returned */
+    RTHYB_TRIAL_CRASHED, /* number: the signal */
+    RTHYB_TRIAL_ENDED,   /* number: the status that it ended the process with */
+    RTHYB_TRIAL_STUCK,   /* not done in time */
+    RTHYB_TRIAL_CALLED   /* number: of the system call that a step made */
+};
+
+enum rthyb_trial_stage { RTHYB_TRIAL_IN_INIT, RTHYB_TRIAL_IN_STEPS, RTHYB_TRIAL_WATCHED };
+
+typedef struct {
+    int32_t ended; /* enum rthyb_trial_end */
+    int32_t stage; /* enum rthyb_trial_stage: how far it came */
+    int32_t number;
+    int32_t watched;      /* this system can forbid calls */
+    int32_t status;       /* status bits of all steps */
+    uint32_t steps;       /* that were done */
+    uint64_t allocations; /* calls of the allocator in the watched steps */
+    double step_s, worst_s,
+        answer_s; /* median and largest time of a step; median of its answer alone */
+} rthyb_trial;
+
+/* Runs a part at an elastic specimen of k_e, in a child process, `steps` times for the clock and as often
+ * under watch; ends it after `most_s`. The part itself is not touched. steps up to 4096. */
+void rthyb_part_try(const rthyb_numerical *part, double period_s, double k_e_n_per_m,
+                    uint32_t steps, double most_s, rthyb_trial *result);
+/* cffi: end */
+
+#endif

@@ -1,0 +1,280 @@
+"""What a test on a rig of several axes came to: each axis, each direction of the interface."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import config
+from rthyb_rt.analysis import measures
+from rthyb_rt.analysis.summary import Row
+from rthyb_rt.config import AxesRig
+from rthyb_rt.config.axes_reference import AxesReference, reference_of
+from rthyb_rt.config.deriving_axes import derive_axes
+from rthyb_rt.config.testfile import MATRIX
+from rthyb_rt.core import FLAGS, STATES
+from rthyb_rt.errors import InputError
+from rthyb_rt.numbers import number, percent, quantity
+from rthyb_rt.record.recording import Recording
+
+Floats = NDArray[np.float64]
+
+NOT_COMPUTED: Final = (
+    "critical delay, margins of the delay estimator and energy of the tracking error are those of "
+    "one axis, and are not computed for several"
+)
+
+
+@dataclass(frozen=True)
+class OfAxis:
+    """One axis over the rows of the test proper.
+
+    Attributes:
+        name: of the axis.
+        tracking_nrmse: rms(x_meas - where the numerical part wants the axis) / rms of that.
+        tracking_peak_m: largest of that difference.
+        peak_command_m, peak_measured_m, peak_force_n: largest sizes.
+        delay_samples: what its control law reports last; None: a law without, or matrices.
+    """
+
+    name: str
+    tracking_nrmse: float
+    tracking_peak_m: float
+    peak_command_m: float
+    peak_measured_m: float
+    peak_force_n: float
+    delay_samples: float | None
+
+
+@dataclass(frozen=True)
+class OfDirection:
+    """One direction of the interface, m or rad.
+
+    Attributes:
+        name, turns: of it.
+        peak: of what the numerical part asked for.
+        tracking_nrmse: rms(measured - asked for) / rms(asked for).
+        response_nrmse: rms(measured - reference) / rms(reference).
+        response_peak: largest of that difference.
+        reference_peak: of the reference.
+    """
+
+    name: str
+    turns: bool
+    peak: float
+    tracking_nrmse: float
+    response_nrmse: float
+    response_peak: float
+    reference_peak: float
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """Rows of the test proper, n of them.
+
+    Attributes:
+        time_s: (n,).
+        wanted_m, command_m, measured_m, force_n: of the axes, (n, axes) each.
+        x_num, x_meas: along the interface, (n, axes) each.
+        reference: of the same rows.
+    """
+
+    time_s: Floats
+    wanted_m: Floats
+    command_m: Floats
+    measured_m: Floats
+    force_n: Floats
+    x_num: Floats
+    x_meas: Floats
+    reference: AxesReference
+
+
+@dataclass(frozen=True, eq=False)
+class AxesSummary:
+    """What a test came to.
+
+    Attributes:
+        test_name, description, rig_name, controller: of the files.
+        end_reason, final_state: as recorded.
+        rows, lost: of the test proper; of them without a pair on some axis.
+        fs_hz: sample rate.
+        axes, directions: each.
+        signals: behind them.
+    """
+
+    test_name: str
+    description: str
+    rig_name: str
+    controller: str
+    end_reason: str
+    final_state: str
+    rows: int
+    lost: int
+    fs_hz: float
+    axes: tuple[OfAxis, ...]
+    directions: tuple[OfDirection, ...]
+    signals: Signals
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures as plain values."""
+        return {
+            "axes": {one.name: asdict(one) for one in self.axes},
+            "directions": {one.name: asdict(one) for one in self.directions},
+            "rows": self.rows,
+            "lost": self.lost,
+            "fs_hz": self.fs_hz,
+            "not_computed": NOT_COMPUTED,
+        }
+
+
+def summarize(rec: Recording) -> AxesSummary:
+    """Return what a recording of several axes shows.
+
+    Raises:
+        InputError: it is of one axis, its files are another version's, or the test never ran.
+    """
+    rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
+    if not isinstance(rig, AxesRig):
+        raise InputError("found a rig of one axis", "recording: rig")
+    test = config.parse_test(rec.test_toml, "recording: test")
+    signals = _signals(rec, rig, test)
+    samples = rec.samples[rec.running()]
+    by_law = test.controller.type != MATRIX
+    axes = tuple(_of_axis(rec, signals, i, name, by_law) for i, name in enumerate(rig.names))
+    directions = tuple(
+        _of_direction(signals, j, name, turns)
+        for j, (name, turns) in enumerate(zip(rig.directions, rig.kinematics.turns(), strict=True))
+    )
+    states = rec.samples["state"]
+    return AxesSummary(
+        test.test.name,
+        test.test.description,
+        rig.rig.name,
+        test.controller.type,
+        str(rec.meta.get("end_reason", "unknown")),
+        STATES[int(states[-1])] if states.size else "IDLE",
+        samples.size,
+        int(np.count_nonzero(samples["flags"] & FLAGS["lost"])),
+        rec.fs_hz,
+        axes,
+        directions,
+        signals,
+    )
+
+
+def _signals(rec: Recording, rig: AxesRig, test: config.TestFile) -> Signals:
+    running = rec.running()
+    n = int(np.count_nonzero(running))
+    if n == 0:
+        raise InputError(
+            f"the test never ran ({rec.meta.get('end_reason', 'unknown')}); there is nothing to "
+            "measure",
+            "recording",
+        )
+    structure = derive_axes(test, rig).structure
+    whole = reference_of(test, rig, structure, rec.ag_mps2)
+    parts = {key: getattr(whole, key)[:n] for key in AxesReference.__dataclass_fields__}
+    samples = rec.samples[running]
+    x_num = np.column_stack(
+        [samples["x_num_m"], *(samples[f"x_num_m_{j}"] for j in range(1, len(rig.axis)))]
+    )
+    columns = {
+        key: np.column_stack([rec.axis(i)[key][running] for i in range(len(rig.axis))])
+        for key in ("x_cmd_m", "x_meas_m", "f_meas_n")
+    }
+    tie = rig.core_kinematics()
+    wanted, _ = tie.axes(x_num)
+    pose, _ = rig.core_kinematics().pose(columns["x_meas_m"])
+    return Signals(
+        np.arange(n) / rec.fs_hz,
+        wanted,
+        columns["x_cmd_m"],
+        columns["x_meas_m"],
+        columns["f_meas_n"],
+        x_num,
+        pose,
+        AxesReference(**parts),
+    )
+
+
+def _of_axis(rec: Recording, signals: Signals, i: int, name: str, by_law: bool) -> OfAxis:
+    wanted, measured = signals.wanted_m[:, i], signals.measured_m[:, i]
+    running = rec.running()
+    alpha = rec.samples["alpha"] if i == 0 else rec.samples[f"alpha_{i}"]
+    last = float(alpha[running][-1])
+    return OfAxis(
+        name,
+        measures.tracking_nrmse(wanted, measured),
+        float(np.abs(measured - wanted).max()),
+        float(np.abs(signals.command_m[:, i]).max()),
+        float(np.abs(measured).max()),
+        float(np.abs(signals.force_n[:, i]).max()),
+        last if by_law and np.isfinite(last) else None,
+    )
+
+
+def _of_direction(signals: Signals, j: int, name: str, turns: bool) -> OfDirection:
+    asked, measured, reference = (
+        signals.x_num[:, j], signals.x_meas[:, j], signals.reference.x[:, j],
+    )  # fmt: skip
+    return OfDirection(
+        name,
+        turns,
+        float(np.abs(asked).max()),
+        measures.tracking_nrmse(asked, measured),
+        measures.tracking_nrmse(reference, measured),
+        float(np.abs(measured - reference).max()),
+        float(np.abs(reference).max()),
+    )
+
+
+def size_of(value: float, turns: bool) -> str:
+    """Return a displacement or a rotation in words."""
+    return quantity(value, "mrad" if turns else "mm", 1e3)
+
+
+def table(s: AxesSummary) -> list[Row]:
+    """Return the result in rows: label, value, what it is."""
+    rows = [
+        Row("Rows of the test", f"{s.rows} ({number(s.rows / s.fs_hz, 4)} s)", f"{s.lost} lost")
+    ]
+    for one in s.directions:
+        rows += [
+            Row(f"{one.name}: peak", size_of(one.peak, one.turns), "of what was asked for"),
+            Row(f"{one.name}: tracking, NRMSE", percent(one.tracking_nrmse),
+                "rms(measured − asked for) / rms(asked for)"),
+            Row(f"{one.name}: response, NRMSE", percent(one.response_nrmse),
+                "rms(measured − reference) / rms(reference)"),
+            Row(f"{one.name}: largest difference", size_of(one.response_peak, one.turns),
+                f"of a reference of {size_of(one.reference_peak, one.turns)}"),
+        ]  # fmt: skip
+    for axis in s.axes:
+        rows += [
+            Row(f"Axis {axis.name}: tracking, NRMSE", percent(axis.tracking_nrmse),
+                "rms(x_meas − wanted) / rms(wanted)"),
+            Row(f"Axis {axis.name}: peak of the command", quantity(axis.peak_command_m, "mm", 1e3),
+                f"measured {quantity(axis.peak_measured_m, 'mm', 1e3)}"),
+            Row(f"Axis {axis.name}: peak of the force", quantity(axis.peak_force_n, "kN", 1e-3),
+                "at its load cell"),
+        ]  # fmt: skip
+        if axis.delay_samples is not None:
+            delay = axis.delay_samples
+            rows.append(
+                Row(f"Axis {axis.name}: delay estimate", quantity(delay, "samples", digits=4),
+                    f"at the end, {number(delay / s.fs_hz * 1e3, 3)} ms")
+            )  # fmt: skip
+    return rows
+
+
+def verdict(s: AxesSummary) -> str:
+    """Return in a sentence how the test ended and how near it came to its reference."""
+    worst = max(s.directions, key=lambda one: one.response_nrmse)
+    if s.end_reason != "completed":
+        return f"The test did not come to its end: {s.end_reason}."
+    return (
+        "The test was completed; the measured response departs from the reference simulation by at "
+        f"most {percent(worst.response_nrmse)} (NRMSE, direction {worst.name})."
+    )

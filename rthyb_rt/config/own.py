@@ -1,0 +1,152 @@
+"""What is the user's own in test and rig files: a shared library, an FMU, a class in Python."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
+
+from pydantic import Field, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError
+
+from rthyb_rt.config.fields import SOME_TEXT, Names, Range, Reader, Table, Text, explained, written
+
+if TYPE_CHECKING:
+    from rthyb_rt.core import ElementConfig
+    from rthyb_rt.core.own import OwnClass
+
+PYTHON: Final = "python"
+"""What a control law, or an element, of a class in Python is called in a file."""
+MOST_SETTINGS: Final = 256
+_NAME: Final = re.compile(r"[A-Za-z_][\w.\[\],]{0,127}")
+_CLASS: Final = Text(
+    "the class",
+    r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*",
+    'the name of a module and of a class in it, "my_parts:Oscillator"',
+)
+
+
+@dataclass(frozen=True)
+class Parameters(Reader):
+    """Numbers by name, of a library or an FMU, in the order of the file."""
+
+    what: str = "the parameters"
+    form: ClassVar[str] = "table of names and numbers"
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return (
+            f"{self.what} must be a table of up to {MOST_SETTINGS} names and numbers, "
+            "{ mass_kg = 4220 }"
+        )
+
+    def read(self, value: object) -> dict[str, float]:
+        """Return the numbers; raise the explained error otherwise."""
+        if not isinstance(value, dict) or len(value) > MOST_SETTINGS:
+            raise explained(f"found {written(value)}; {self.allowed()}")
+        found = {}
+        for name, number in value.items():
+            if not isinstance(name, str) or not _NAME.fullmatch(name):
+                raise explained(f"found the name {written(name)}; {self.allowed()}")
+            try:
+                found[name] = Range("", -1e18, 1e18, name).read(number)
+            except PydanticCustomError as error:
+                raise explained(str((error.context or {})["text"])) from None
+        return found
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the table."""
+        return {
+            "type": "object",
+            "additionalProperties": {"type": "number"},
+            "description": self.what,
+        }
+
+
+@dataclass(frozen=True)
+class Settings(Reader):
+    """Arguments that a class is made with: numbers, texts, true, false, or lists of these."""
+
+    what: str = "the settings"
+    form: ClassVar[str] = "table of arguments"
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return (
+            f"{self.what} must be a table of up to {MOST_SETTINGS} arguments of the class, each a "
+            "number, a text, true, false, or a list of these"
+        )
+
+    def read(self, value: object) -> dict[str, Any]:
+        """Return the arguments; raise the explained error otherwise."""
+        if not isinstance(value, dict) or len(value) > MOST_SETTINGS:
+            raise explained(f"found {written(value)}; {self.allowed()}")
+        for name, given in value.items():
+            items = given if isinstance(given, list) else [given]
+            plain = all(isinstance(item, (bool, int, float, str)) for item in items)
+            if not isinstance(name, str) or not name.isidentifier() or not plain:
+                raise explained(f"found {written(name)} = {written(given)}; {self.allowed()}")
+        return dict(value)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the table."""
+        one = {"type": ["number", "string", "boolean"]}
+        either = {"anyOf": [one, {"type": "array", "items": one}]}
+        return {"type": "object", "additionalProperties": either, "description": self.what}
+
+
+class LibraryFile(Table):
+    """A numerical part in a shared library of the user's own (``rthyb_library.h``).
+
+    ``parameters`` are those that the library asks for, each by its name.
+    """
+
+    file: Annotated[str, SOME_TEXT]
+    parameters: Annotated[dict[str, float], Parameters()] = Field(default_factory=dict)
+
+
+class FmuFile(Table):
+    """A numerical part in an FMU for co-simulation, FMI 2 or 3, by the names of its variables.
+
+    ``force`` and ``ground_acceleration`` are inputs, ``displacement`` is an output, and
+    ``record`` names more variables that are recorded. ``parameters`` are start values.
+    """
+
+    file: Annotated[str, SOME_TEXT]
+    force: Annotated[str, SOME_TEXT]
+    displacement: Annotated[str, SOME_TEXT]
+    ground_acceleration: Annotated[str, SOME_TEXT] | None = None
+    parameters: Annotated[dict[str, float], Parameters()] = Field(default_factory=dict)
+    record: Annotated[list[str], Names("what is recorded by name", 20)] = Field(
+        default_factory=list
+    )
+
+
+class PythonClass(Table):
+    """A class in Python, for tests in virtual time, and the arguments that it is made with."""
+
+    class_: Annotated[str, _CLASS] = Field(alias="class")
+    settings: Annotated[dict[str, Any], Settings()] = Field(default_factory=dict)
+
+    @property
+    def own(self) -> OwnClass:
+        """The class as the core has it."""
+        # NumPy, which it needs, is slow to load.
+        from rthyb_rt.core.own import OwnClass
+
+        return OwnClass.of_plain({"class": self.class_, "settings": self.settings})
+
+
+def core_element(item: Table) -> ElementConfig:
+    """Return a table ``[[specimen]]``, or the law between storeys, as the core has it."""
+    from rthyb_rt import core
+
+    if isinstance(item, PythonClass):
+        return core.ElementConfig(PYTHON, (), item.own)
+    values = item.model_dump()
+    kind = values.pop("element")
+    return core.element(kind, **{key: values[key] for key in core.ELEMENT_PARAMS[kind]})

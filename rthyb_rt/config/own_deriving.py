@@ -1,0 +1,79 @@
+"""The user's own of a test on a rig: found, tried out, and held against what is said of it."""
+
+from __future__ import annotations
+
+from rthyb_rt.config.own import PythonClass
+from rthyb_rt.config.own_structure import OwnStructure, build, period_note
+from rthyb_rt.config.rigfile import RigFile
+from rthyb_rt.config.testfile import TestFile
+from rthyb_rt.core import CoreError, own
+from rthyb_rt.errors import InputError, Problem
+
+
+def check_classes(test: TestFile, rig: RigFile) -> None:
+    """Import the classes of the user's own, before anything is asked of them.
+
+    Raises:
+        InputError: with all that cannot be had.
+    """
+    classes = [("controller.python", test.controller.python, "ControlLaw")]
+    for i, one in enumerate(rig.specimen):
+        if isinstance(one, PythonClass):
+            classes.append((f"specimen.{i}", one, "Element"))
+            if test.test.time_scale != 1.0:
+                raise InputError(
+                    f"found {test.test.time_scale:g}, and {one.class_} is a class in Python, of "
+                    "which is not known how it goes with a slow time; leave one of the two out",
+                    "test.time_scale",
+                )
+    problems = []
+    for place, given, kind in classes:
+        try:
+            if given is not None:
+                given.own.made(getattr(own, kind))
+        except CoreError as error:
+            problems.append(Problem(f"{place}.class", str(error)))
+    if problems:
+        raise InputError(problems)
+
+
+def structure_of(
+    test: TestFile,
+    k_e_n_per_m: float,
+    periods_s: tuple[float, float],
+    problems: list[Problem],
+    notes: list[str],
+) -> OwnStructure | None:
+    """Return a numerical part of the user's own.
+
+    Args:
+        test: the test.
+        k_e_n_per_m: elastic stiffness of the rig's specimen.
+        periods_s: of a sample; of the whole structure, as the test has it.
+        problems, notes: take what is found.
+
+    Raises:
+        OwnCodeError: a class in Python has raised an error.
+    """
+    step_s, stated_s = periods_s
+    given = test.numerical.own
+    assert given is not None
+    if test.test.time_scale != 1.0:
+        problems.append(
+            Problem(
+                "test.time_scale",
+                f"found {test.test.time_scale:g}; a numerical part of your own keeps its own time: "
+                "leave the key out, and stretch the part itself, masses by the square of the "
+                "scale, dampings by the scale",
+            )
+        )
+        return None
+    try:
+        structure = build(given, k_e_n_per_m, step_s)
+    except InputError as error:
+        problems += error.problems
+        return None
+    if 0.01 <= stated_s <= 100:
+        note = period_note(structure, stated_s)
+        notes += [] if note is None else [note]
+    return structure

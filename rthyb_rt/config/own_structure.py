@@ -1,0 +1,203 @@
+"""A numerical part of the user's own with its specimen: what the test file's keys come to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rthyb_rt import core
+from rthyb_rt.config.numerical_structure import Mode
+from rthyb_rt.config.own import FmuFile, LibraryFile, PythonClass
+from rthyb_rt.core import CoreError, ElementConfig
+from rthyb_rt.core.numerical_parts import Part
+from rthyb_rt.core.own import PythonPartConfig
+from rthyb_rt.core.own_fmu import FmuConfig
+from rthyb_rt.core.own_library import FEW_STEPS, LibraryConfig, tried
+from rthyb_rt.core.own_parts import OwnPartConfig
+from rthyb_rt.errors import InputError
+
+Floats = NDArray[np.float64]
+
+PERIODS: Final = 24
+"""Of free vibration after a pulse, by which the period that a file states is held."""
+MOST_TICKS: Final = 20_000
+FAR: Final = 0.25
+"""A period that is off by this part of the one stated deserves a note: window and margins follow
+the stated one, and change as it does."""
+
+
+@dataclass(frozen=True)
+class OwnStructure:
+    """A numerical part of the user's own.
+
+    Attributes:
+        part: the part as the core takes it.
+        labels: of what it reports.
+    """
+
+    part: OwnPartConfig
+    labels: tuple[str, ...] = ()
+
+    def modes(self) -> tuple[Mode, ...]:
+        """Return none: what the part is made of it alone knows."""
+        return ()
+
+    def reference(
+        self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
+    ) -> tuple[Floats, Floats, Floats]:
+        """Simulate the part with a model of the specimen joined to it, at the interface."""
+        return self.whole_reference(elements, ag_mps2)[:3]
+
+    def whole_reference(
+        self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Simulate the part with a model of the specimen joined to it, all of it as a force.
+
+        Args:
+            elements: the model.
+            ag_mps2: ground acceleration at every sample, (n,).
+
+        Returns:
+            At the interface displacement, velocity and force, (n,) each; what the part reports,
+            (n, responses).
+        """
+        ag = np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
+        return Part(self.part).joined(elements, ag, len(self.part.responses))
+
+    def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
+        """Return how the interface moves with a specimen that does not yield, (n,)."""
+        model = [core.element("stiffness", k_n_per_m=self.part.k_e_n_per_m)]
+        return self.reference(model, ag_mps2)[0]
+
+
+def place_of(given: LibraryFile | FmuFile | PythonClass) -> str:
+    """Return the table of a test file that describes a part."""
+    kinds = {LibraryFile: "library", FmuFile: "fmu", PythonClass: "python"}
+    return f"numerical.{kinds[type(given)]}"
+
+
+def build(
+    given: LibraryFile | FmuFile | PythonClass, k_e_n_per_m: float, period_s: float
+) -> OwnStructure:
+    """Return the part that a test file names, loaded and tried out.
+
+    Args:
+        given: its table.
+        k_e_n_per_m: elastic stiffness of the rig's specimen.
+        period_s: of a sample.
+
+    Raises:
+        InputError: it cannot be had, refuses its settings, crashes, or does not come back.
+        OwnCodeError: a class in Python has raised an error.
+    """
+    place = place_of(given)
+    try:
+        part = _config(given, k_e_n_per_m, period_s)
+        names = tuple(one.name for one in part.responses)
+    except CoreError as error:
+        raise InputError(str(error), f"{place}.{_key(given)}") from error
+    try:
+        if not isinstance(part, PythonPartConfig):
+            tried(part, FEW_STEPS)
+        Part(part)
+    except CoreError as error:
+        raise InputError(str(error), place) from error
+    return OwnStructure(part, names)
+
+
+def _key(given: LibraryFile | FmuFile | PythonClass) -> str:
+    return "class" if isinstance(given, PythonClass) else "file"
+
+
+def _config(
+    given: LibraryFile | FmuFile | PythonClass, k_e_n_per_m: float, period_s: float
+) -> OwnPartConfig:
+    if isinstance(given, PythonClass):
+        return PythonPartConfig(given.own, k_e_n_per_m, period_s)
+    path = str(Path(given.file).resolve())
+    parameters = tuple(given.parameters.items())
+    if isinstance(given, LibraryFile):
+        return LibraryConfig(path, k_e_n_per_m, parameters, period_s)
+    return FmuConfig(
+        path, k_e_n_per_m, given.force, given.displacement, given.ground_acceleration, parameters,
+        tuple(given.record), period_s,
+    )  # fmt: skip
+
+
+def refuse_in_real_time(part: OwnPartConfig) -> None:
+    """Refuse a part that does what a tick has no time for.
+
+    Raises:
+        InputError: with what it does on this computer.
+    """
+    assert not isinstance(part, PythonPartConfig)
+    try:
+        found = tried(part)
+    except CoreError as error:
+        raise InputError(str(error), f"numerical.{part.kind}") from error
+    most_s, name = 0.5 * part.period_s, Path(part.path).name
+    reasons = []
+    if found.step_s > most_s:
+        reasons.append(
+            f"takes {found.step_s * 1e6:.0f} us a step on this computer (median of {found.steps}); "
+            f"allowed in real time are {most_s * 1e6:.0f} us, half of the sampling period"
+        )
+    if found.allocations:
+        reasons.append(
+            f"allocates or frees memory while it steps, {found.allocations} times in {found.steps} "
+            "steps; whatever it needs must be in its state, or be allocated by init"
+        )
+    if found.system_call is not None:
+        reasons.append(
+            f"calls the system while it steps (system call {found.system_call}); in a step it may "
+            "neither open or print nor wait, nor ask for memory or a lock"
+        )
+    if reasons:
+        raise InputError(
+            f"{name} {'; and it '.join(reasons)}; in virtual time it runs as it is",
+            f"numerical.{part.kind}",
+        )
+
+
+def period_note(structure: OwnStructure, stated_s: float) -> str | None:
+    """Hold the period that a file states against the part's own on an elastic specimen.
+
+    Args:
+        structure: the part.
+        stated_s: period of the whole structure.
+
+    Returns:
+        What a user should know, or None.
+
+    Raises:
+        OwnCodeError: a class in Python has raised an error.
+    """
+    h = structure.part.period_s
+    ticks = int(min(MOST_TICKS, max(64, round(PERIODS * stated_s / h))))
+    pulse = np.zeros(ticks)
+    pulse[: max(1, round(0.25 * stated_s / h))] = 1.0
+    x = structure.elastic_displacement_m(pulse)
+    fourth = ticks // 4
+    if np.abs(x[-fourth:]).max() > 2.0 * np.abs(x[:fourth]).max() > 0.0:
+        return (
+            "on an elastic specimen of the rig's k_e the numerical part grows by itself after a "
+            "pulse of the ground: look for a sign, or for a step that is too long for it"
+        )
+    free = x[fourth // 2 :]
+    spectrum = np.abs(np.fft.rfft((free - free.mean()) * np.hanning(free.size), 8 * free.size))
+    at = int(np.argmax(spectrum))
+    if at == 0 or not spectrum[at] > 0.0:
+        return None
+    found_s = 8 * free.size * h / at
+    if abs(found_s / stated_s - 1.0) <= FAR:
+        return None
+    return (
+        f"numerical gives the whole structure a period of {stated_s:.3g} s, and on an elastic "
+        f"specimen the part swings with {found_s:.3g} s: window, limits and margins are those of "
+        "the first; correct period_s or mass_kg, or the part"
+    )

@@ -1,0 +1,510 @@
+"""Numerical parts, control laws and specimen elements in Python, for tests in virtual time.
+
+Each is a class with the functions that one in C has. What a file or a recording says of it is its
+name, ``module:Class``, and its settings, the arguments that it is made with: so it is found again
+in other processes. What one of them raises is kept until C has come back, and raised then.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import inspect
+import itertools
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final, Self, TypeVar
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.laws import Law, Value
+from rthyb_rt.core.library import CoreError
+from rthyb_rt.core.own_library import RESPONSES_MAX, Recorded, fill_setup
+from rthyb_rt.core.pending import OwnCodeError, guarded
+from rthyb_rt.core.sizes import PERIOD_S
+
+_Plain = bool | int | float | str
+Setting = _Plain | tuple[_Plain, ...]
+Settings = tuple[tuple[str, Setting], ...]
+
+ELEMENT_STATES: Final[int] = lib.RTHYB_ELEMENT_STATES - 1
+"""Numbers that an element of the user's own may remember."""
+LAW_VALUES_MAX: Final[int] = lib.RTHYB_LAW_VALUES_MAX
+
+
+class Own:
+    """What numerical parts, control laws and elements in Python have in common."""
+
+    what: ClassVar[str] = "a class"
+    _made_of_own: ClassVar[bool] = True
+    _given: dict[str, Any]
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        """Note what it is made with, by which it is made again in another process."""
+        made = super().__new__(cls)
+        if cls.__init__ is object.__init__ and (args or kwargs):
+            raise TypeError(f"{cls.__name__}() takes no arguments")
+        given = inspect.signature(cls.__init__).bind(made, *args, **kwargs).arguments
+        own = dict(itertools.islice(given.items(), 1, None))
+        names = inspect.signature(cls.__init__).parameters
+        for name, parameter in names.items():
+            if parameter.kind is parameter.VAR_KEYWORD:
+                own |= own.pop(name, {})
+        object.__setattr__(made, "_given", own)
+        return made
+
+
+class NumericalPart(Own):
+    """A numerical part in Python: a class with ``answer``, and whatever else it needs.
+
+    It is at rest at 0 in the beginning. SI units.
+
+    Attributes:
+        responses: what `report` gives, unit by name: channels of the recording.
+
+    Examples:
+        >>> class Oscillator(NumericalPart):
+        ...     def __init__(self, mass_kg: float) -> None:
+        ...         self.mass_kg = mass_kg
+        ...
+        ...     def begin(self, period_s: float, k_e_n_per_m: float) -> None:
+        ...         self.h, self.x, self.x1 = period_s, 0.0, 0.0
+        ...
+        ...     def answer(self, ag_mps2: float, force_n: float) -> float:
+        ...         acceleration = -ag_mps2 - force_n / self.mass_kg
+        ...         self.x, self.x1 = 2 * self.x - self.x1 + self.h**2 * acceleration, self.x
+        ...         return self.x
+    """
+
+    what: ClassVar[str] = "a numerical part"
+    responses: ClassVar[Mapping[str, str]] = {}
+
+    def begin(self, period_s: float, k_e_n_per_m: float) -> None:
+        """Begin at rest at 0: period of a sample, elastic stiffness of the specimen."""
+
+    def answer(self, ag_mps2: float, force_n: float) -> float:
+        """Return the displacement of t[n+1], m, from ground acceleration and force of t[n]."""
+        raise NotImplementedError(f"{type(self).__name__} has no answer(ag_mps2, force_n)")
+
+    def advance(self) -> None:
+        """Do the rest of the step, once the command has left."""
+
+    def freeze(self, force_n: float) -> None:
+        """Let a tick pass in which a ramp or a hold moves the actuator: time stands still."""
+
+    def report(self) -> Sequence[float]:
+        """Return the values of ``responses``, between answer and advance."""
+        return ()
+
+
+class ControlLaw(Own):
+    """A control law in Python: a class with ``lead``, and whatever else it needs. SI units.
+
+    Attributes:
+        values: what it reports at every sample, unit by name, each an attribute of that name;
+            ``alpha`` and ``beta``, in samples and samples squared, have their places in every
+            recording, the others are channels.
+        uses_rest_noise: it must know the noise at rest.
+
+    Examples:
+        >>> class Slope(ControlLaw):
+        ...     def __init__(self, delay_s: float) -> None:
+        ...         self.delay_s = delay_s
+        ...
+        ...     def begin(self, period_s: float, x0_m: float, rest_noise_m: float) -> None:
+        ...         self.h, self.x1 = period_s, x0_m
+        ...
+        ...     def lead(self, x_c_m: float, allowed_m: float) -> float:
+        ...         slope, self.x1 = (x_c_m - self.x1) / self.h, x_c_m
+        ...         return x_c_m + self.delay_s * slope
+    """
+
+    what: ClassVar[str] = "a control law"
+    values: ClassVar[Mapping[str, str]] = {}
+    uses_rest_noise: ClassVar[bool] = False
+
+    def begin(self, period_s: float, x0_m: float, rest_noise_m: float) -> None:
+        """Begin where command and specimen stand: period of a sample, place, noise at rest."""
+
+    def rest(self, x_m: float) -> None:
+        """Stand at a place: what has been learnt stays, leading that place gives it back."""
+
+    def observe(self, x_p_m: float, x_m_m: float, frozen: bool) -> None:
+        """Take in the command that the drive had and the reading; frozen: learn nothing."""
+
+    def lead(self, x_c_m: float, allowed_m: float) -> float:
+        """Return x_p for x_c, m; what was learnt since the last call moves it by no more."""
+        raise NotImplementedError(f"{type(self).__name__} has no lead(x_c_m, allowed_m)")
+
+
+class Element(Own):
+    """A specimen element in Python: a class with ``force``. SI units.
+
+    Examples:
+        >>> class Hardening(Element):
+        ...     def __init__(self, k_n_per_m: float, k3_n_per_m3: float) -> None:
+        ...         self.k, self.k3 = k_n_per_m, k3_n_per_m3
+        ...
+        ...     def force(self, x_m, v_m_per_s, a_m_per_s2, dt_s, state):
+        ...         return self.k * x_m + self.k3 * x_m**3
+    """
+
+    what: ClassVar[str] = "a specimen element"
+
+    def force(
+        self, x_m: float, v_m_per_s: float, a_m_per_s2: float, dt_s: float, state: Any
+    ) -> float:
+        """Return the force that resists the motion, N.
+
+        Args:
+            x_m, v_m_per_s, a_m_per_s2: motion of the specimen.
+            dt_s: time since the last call; 0: the same moment again.
+            state: 15 numbers, 0 in the beginning, that are yours to change: what the element
+                remembers must be there, since one object serves every specimen that it is part of.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no force(...)")
+
+
+# ---- by name ------------------------------------------------------------------------------------
+
+_Kind = TypeVar("_Kind", bound=Own)
+
+
+@dataclass(frozen=True)
+class OwnClass:
+    """A class of the user's own with the arguments that it is made with.
+
+    ``name`` is ``module:Class``.
+    """
+
+    name: str
+    settings: Settings = ()
+
+    def found(self, kind: type[_Kind]) -> type[_Kind]:
+        """Return the class.
+
+        Raises:
+            CoreError: it cannot be imported, or is no such thing.
+        """
+        module_name, _, inner = self.name.partition(":")
+        try:
+            module = sys.modules.get(module_name) or importlib.import_module(module_name)
+        except ImportError as error:
+            raise CoreError(
+                f'"{self.name}" cannot be imported ({error}); the module must be found by Python: '
+                "start in its folder, or name that in PYTHONPATH"
+            ) from error
+        except Exception as error:  # whatever a user's module may raise
+            raise OwnCodeError(error, f'importing "{module_name}"') from error
+        place: Any = module
+        for part in inner.split("."):
+            place = getattr(place, part, None)
+        if place is None:
+            hint = (
+                "; other processes do not have what was typed in a notebook or a shell: write it "
+                "into a file, my_parts.py, and import it"
+                if module_name == "__main__"
+                else ""
+            )
+            raise CoreError(f'"{self.name}": {module_name} has no {inner}{hint}')
+        if not (isinstance(place, type) and issubclass(place, kind)):
+            raise CoreError(
+                f'"{self.name}" is no {kind.__name__}; {kind.what} is a class '
+                f"{inner}(rthyb_rt.{kind.__name__})"
+            )
+        return place
+
+    def made(self, kind: type[_Kind]) -> _Kind:
+        """Return a new object of it.
+
+        Raises:
+            CoreError: it cannot be imported, or is no such thing.
+            OwnCodeError: it raised an error.
+        """
+        own, given = self.found(kind), {name: _listed(value) for name, value in self.settings}
+        try:
+            return own(**given)
+        except Exception as error:  # whatever a user's class may raise
+            raise OwnCodeError(error, f"making {self.name}") from error
+
+    def plain(self) -> dict[str, Any]:
+        """Return name and settings as a file has them."""
+        settings = {name: _listed(value) for name, value in self.settings}
+        return {"class": self.name, "settings": settings}
+
+    @classmethod
+    def of_plain(cls, plain: Mapping[str, Any]) -> OwnClass:
+        """Return what `plain` has written down."""
+        settings = dict(plain.get("settings") or {})
+        return cls(plain["class"], tuple((name, _frozen(v)) for name, v in settings.items()))
+
+
+def _listed(value: Any) -> Any:
+    return [_listed(v) for v in value] if isinstance(value, tuple) else value
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(v) for v in value) if isinstance(value, (list, tuple)) else value
+
+
+def spelled(made: Own) -> OwnClass:
+    """Return name and settings of an object, by which it is made again.
+
+    Raises:
+        CoreError: its class is inside a function, or was made with what no file can hold.
+    """
+    kind = type(made)
+    if "<" in kind.__qualname__:
+        raise CoreError(
+            f"{kind.__qualname__} is defined inside a function, where nothing else finds it; "
+            "define the class at the top of its module"
+        )
+    settings = []
+    for name, value in made._given.items():
+        value = value.item() if hasattr(value, "item") else value
+        inner = value if isinstance(value, (list, tuple)) else [value]
+        if not all(isinstance(v, (bool, int, float, str)) for v in inner):
+            raise CoreError(
+                f"{kind.__qualname__} was made with {name} = {value!r}; a setting must be a "
+                "number, a text, true or false, or a list of these, so that a file can hold it"
+            )
+        settings.append((name, _frozen(value)))
+    return OwnClass(f"{kind.__module__}:{kind.__qualname__}", tuple(settings))
+
+
+# ---- a numerical part ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PythonPartConfig:
+    """Settings of a numerical part that is a class in Python."""
+
+    own: OwnClass
+    k_e_n_per_m: float
+    period_s: float = PERIOD_S
+
+    kind: ClassVar[str] = "python"
+    what: ClassVar[str] = "the numerical part"
+
+    @property
+    def responses(self) -> tuple[Recorded, ...]:
+        """What is recorded of it.
+
+        Raises:
+            CoreError: it cannot be imported.
+        """
+        kind = self.own.found(NumericalPart)
+        return tuple(Recorded(name, unit) for name, unit in kind.responses.items())
+
+    def struct(self) -> list[Any]:
+        """Return the ``rthyb_library_config`` of the C core, and what must live as long.
+
+        Raises:
+            CoreError: it cannot be imported, or names too many responses.
+        """
+        names, cfg = self.responses, ffi.new("rthyb_library_config *")
+        if len(names) > RESPONSES_MAX:
+            raise CoreError(f"{self.own.name} has {len(names)} responses; up to {RESPONSES_MAX}")
+        self.own.made(NumericalPart)
+        kept = fill_setup(cfg.setup, [], self.k_e_n_per_m, self.period_s)
+        calls = _part_calls(self, [one.name for one in names])
+        for name, call in calls.items():
+            setattr(cfg.calls, name, call)
+        cfg.interfaces, cfg.responses = 1, len(names)
+        return [cfg, kept, calls]
+
+    def plain(self) -> dict[str, Any]:
+        """Return all of it as plain values, for a recording: `of_plain` takes them back."""
+        own = self.own.plain()
+        return {"kind": self.kind, **own, "k_e_n_per_m": self.k_e_n_per_m,
+                "period_s": self.period_s}  # fmt: skip
+
+    @classmethod
+    def of_plain(cls, plain: Mapping[str, Any]) -> PythonPartConfig:
+        """Return the settings that `plain` has written down; raises ``KeyError`` and its like."""
+        return cls(OwnClass.of_plain(plain), plain["k_e_n_per_m"], plain["period_s"])
+
+
+_PART_CALLS: Final = dict(ffi.typeof("rthyb_part_calls").fields)
+
+
+def _part_calls(config: PythonPartConfig, names: Sequence[str]) -> dict[str, Any]:
+    """Return the functions that C calls; each ``init`` begins with a new object."""
+    at: dict[str, NumericalPart] = {}
+
+    def init(_state: Any, _setup: Any) -> int:
+        part = config.own.made(NumericalPart)
+        part.begin(config.period_s, config.k_e_n_per_m)
+        at["part"] = part
+        return 0
+
+    def answer(_state: Any, ag_mps2: float, force_n: Any, x_next_m: Any) -> int:
+        x_next_m[0] = at["part"].answer(ag_mps2, force_n[0])
+        return 0
+
+    def advance(_state: Any) -> int:
+        at["part"].advance()
+        return 0
+
+    def freeze(_state: Any, force_n: Any) -> None:
+        at["part"].freeze(force_n[0])
+
+    def report(_state: Any, values: Any) -> None:
+        told = list(at["part"].report())
+        if len(told) != len(names):
+            raise ValueError(f"report() gives {len(told)} values for {', '.join(names)}")
+        values[0 : len(told)] = told
+
+    kind = config.own.found(NumericalPart)
+    functions: dict[str, Callable[..., Any]] = {"init": init, "answer": answer}
+    if kind.advance is not NumericalPart.advance:
+        functions["advance"] = advance
+    if kind.freeze is not NumericalPart.freeze:
+        functions["freeze"] = freeze
+    if names:
+        functions["report"] = report
+    made = {}
+    for name, does in functions.items():
+        failed = 1 if name in ("init", "answer", "advance") else None
+        safe = guarded(does, f"{name} of {config.own.name}", failed)
+        made[name] = ffi.callback(_PART_CALLS[name].type, safe)
+    return made
+
+
+# ---- a control law ------------------------------------------------------------------------------
+
+
+def law_of(own: OwnClass) -> Law:
+    """Return what a control law of the user's own says of itself, as those of the core do.
+
+    Raises:
+        CoreError: it cannot be imported, or reports too much.
+    """
+    kind = own.found(ControlLaw)
+    if len(kind.values) > LAW_VALUES_MAX:
+        raise CoreError(f"{own.name} reports {len(kind.values)} values; up to {LAW_VALUES_MAX}")
+    learns = kind.observe is not ControlLaw.observe
+    return Law(
+        name="python",
+        meaning=own.name,
+        calmer=f"change the settings of {own.name}" if learns else None,
+        parameters=(),
+        values=tuple(Value(name, unit, name) for name, unit in kind.values.items()),
+        uses_rest_noise=kind.uses_rest_noise,
+        with_rfc=True,
+        kind=-1,
+        state_bytes=8 * (1 + len(kind.values)),
+    )
+
+
+_LAW_CALLS: Final = dict(ffi.typeof("rthyb_control_law").fields)
+
+
+def control_law(own: OwnClass) -> Any:
+    """Return the ``rthyb_control_law`` of the C core, which lives as long as the program.
+
+    Raises:
+        CoreError: it cannot be imported, or reports too much.
+        OwnCodeError: it raises an error when it is made.
+    """
+    own.made(ControlLaw)
+    kind: Any = own.found(ControlLaw)
+    return _control_law(own, kind)[0]
+
+
+@functools.cache
+def _control_law(own: OwnClass, kind: Any) -> tuple[Any, ...]:
+    """Of a class; one that was defined anew under its name is another."""
+    law, struct = law_of(own), ffi.new("rthyb_control_law *")
+    texts = [ffi.new("char[]", text.encode()) for v in law.values for text in (v.name, v.unit)]
+    names = [value.name for value in law.values]
+    values = ffi.new("rthyb_law_value[]", max(len(names), 1))
+    for i in range(len(names)):
+        values[i].name = values[i].label = texts[2 * i]
+        values[i].unit, values[i].offset = texts[2 * i + 1], 8 * (1 + i)
+    name = ffi.new("char[]", own.name.encode())
+    about = getattr(struct, "is")
+    about.name, about.meaning, about.values, about.value_count = name, name, values, len(names)
+    struct.state_size = law.state_bytes
+    calls = _law_calls(own, names)
+    for one, call in calls.items():
+        setattr(struct, one, call)
+    return struct, values, texts, name, calls
+
+
+def _law_calls(own: OwnClass, names: Sequence[str]) -> dict[str, Any]:
+    """Return the functions that C calls; each ``init`` begins with a new object.
+
+    The state in C is the object's number, then what it reports.
+    """
+    at: dict[float, ControlLaw] = {}
+    numbers = itertools.count(1)
+
+    def told(state: Any, law: ControlLaw) -> int:
+        for i, name in enumerate(names):
+            state[1 + i] = getattr(law, name)
+        return 0
+
+    def init(state: Any, start: Any) -> int:
+        law, number = own.made(ControlLaw), float(next(numbers))
+        law.begin(start.period_s, start.x0_m, start.rest_noise_m)
+        place = ffi.cast("double *", state)
+        place[0], at[number] = number, law
+        # Those that nobody asks any more are the oldest.
+        at.pop(number - 64.0, None)
+        return told(place, law)
+
+    def rest(state: Any, x_m: float) -> None:
+        at[ffi.cast("double *", state)[0]].rest(x_m)
+
+    def observe(state: Any, x_p_m: float, x_m_m: float, frozen: int) -> int:
+        place = ffi.cast("double *", state)
+        law = at[place[0]]
+        law.observe(x_p_m, x_m_m, bool(frozen))
+        return told(place, law)
+
+    def lead(state: Any, x_c_m: float, allowed_m: float, x_p_m: Any) -> int:
+        place = ffi.cast("double *", state)
+        law = at[place[0]]
+        x_p_m[0] = x_c_m
+        x_p_m[0] = law.lead(x_c_m, allowed_m)
+        return told(place, law)
+
+    functions: dict[str, Callable[..., Any]] = {
+        "init": init,
+        "rest": rest,
+        "observe": observe,
+        "lead": lead,
+    }
+    failed = {"init": lib.RTHYB_E_LAW, "observe": 0, "lead": 0}
+    return {
+        name: ffi.callback(
+            _LAW_CALLS[name].type, guarded(does, f"{name} of {own.name}", failed.get(name))
+        )
+        for name, does in functions.items()
+    }
+
+
+# ---- a specimen element -------------------------------------------------------------------------
+
+
+def own_force(own: OwnClass) -> Any:
+    """Return the ``rthyb_own_force`` of an element, which lives as long as the program.
+
+    Raises:
+        CoreError: it cannot be imported.
+        OwnCodeError: it raises an error when it is made.
+    """
+    kind: Any = own.found(Element)
+    return _own_force(own, kind)
+
+
+@functools.cache
+def _own_force(own: OwnClass, kind: Any) -> Any:
+    element, room = own.made(Element), 8 * ELEMENT_STATES
+
+    def force(state: Any, x: float, v: float, a: float, dt: float) -> float:
+        numbers = memoryview(ffi.buffer(state, room)).cast("B").cast("d")
+        return element.force(x, v, a, dt, numbers)
+
+    return ffi.callback("rthyb_own_force", guarded(force, f"force of {own.name}", 0.0))

@@ -1,0 +1,396 @@
+"""A numerical part of the user's own in a shared library (``csrc/rthyb_library.h``), and its trial.
+
+What a library says of itself is asked for when it is loaded; what it may not do in real time is
+found out by a trial in a process of its own, so that a fault in it does not end this one.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import re
+import signal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.library import CoreError
+from rthyb_rt.core.settings import fill_part
+from rthyb_rt.core.sizes import PERIOD_S
+
+LIBRARY_VERSION: Final[int] = lib.RTHYB_LIBRARY_VERSION
+RESPONSES_MAX: Final[int] = lib.RTHYB_RESPONSES_MAX
+PREFIX: Final = "rthyb_part_"
+REQUIRED: Final = ("version", "interfaces", "state_bytes", "init", "answer")
+OPTIONAL: Final = ("names", "advance", "freeze", "report", "save", "restore")
+_CALLS: Final = ("init", "answer", "advance", "freeze", "report", "save", "restore")
+_NAME: Final = re.compile(r"[A-Za-z]\w{0,63}")
+_RESPONSE: Final = re.compile(r"([a-z]\w{0,31})(?:\[([^\[\]\s]{1,16})\])?")
+
+Values = tuple[tuple[str, float], ...]
+"""Names with their numbers, in the order of the file."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a part reports: a channel of the recording."""
+
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Library:
+    """A library that was loaded.
+
+    Attributes:
+        path: where it is.
+        sha256: of the file.
+        functions: addresses by the functions' last names.
+        interfaces: forces that it takes and displacements that it gives.
+        parameters: names of what it can be told, in its own order.
+        responses: what it reports.
+    """
+
+    path: str
+    sha256: str
+    functions: Mapping[str, int]
+    interfaces: int
+    parameters: tuple[str, ...]
+    responses: tuple[Recorded, ...]
+
+    def call(self, name: str, ctype: str) -> Any:
+        """Return a function as C's pointer to it; NULL where the library leaves it out."""
+        return ffi.cast(ctype, self.functions.get(name, 0))
+
+
+def hash_of(path: Path) -> str:
+    """Return the SHA-256 of a file.
+
+    Raises:
+        CoreError: it cannot be read.
+    """
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise CoreError(f"{path} cannot be read ({error.strerror or error})") from error
+
+
+def opened(path: Path) -> ctypes.CDLL:
+    """Load a shared library.
+
+    Raises:
+        CoreError: it is none for this machine, or needs what is not here.
+    """
+    if not path.is_file():
+        raise CoreError(f"there is no file {path}; build it first, or correct the path")
+    try:
+        return ctypes.CDLL(str(path.resolve()))
+    except OSError as error:
+        raise CoreError(
+            f"{path} cannot be loaded ({str(error).removeprefix(str(path.resolve()) + ': ')}); a "
+            "shared library for this machine is needed, with all that it links to: "
+            "cc -O2 -shared -fPIC"
+        ) from error
+
+
+def address(library: ctypes.CDLL, name: str) -> int:
+    """Return the address of a function, 0 where there is none of that name."""
+    try:
+        return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
+    except AttributeError:
+        return 0
+
+
+_LOADED: dict[str, Library] = {}
+
+
+def load(path: str) -> Library:
+    """Load a library that has a numerical part in it; again, and it is the one of before.
+
+    Raises:
+        CoreError: with what it lacks, and what it must have.
+    """
+    place = Path(path).resolve()
+    known = _LOADED.get(str(place))
+    sha256 = hash_of(place) if place.is_file() else ""
+    if known is not None and known.sha256 == sha256:
+        return known
+    if known is not None:
+        raise CoreError(
+            f"{place} has been built again since this process loaded it, which cannot load another "
+            "of that name: give the new one another name, or begin a new process"
+        )
+    library = opened(place)
+    functions = {name: address(library, PREFIX + name) for name in (*REQUIRED, *OPTIONAL)}
+    _check_functions(library, place, functions)
+    found = {name: at for name, at in functions.items() if at}
+    version = ffi.cast("int32_t(*)(void)", found["version"])()
+    if version != LIBRARY_VERSION:
+        raise CoreError(
+            f"{place} is made for version {version} of the interface, and this program has version "
+            f"{LIBRARY_VERSION}: build it again with the rthyb_library.h of this program"
+        )
+    interfaces = ffi.cast("int32_t(*)(void)", found["interfaces"])()
+    if not 1 <= interfaces <= lib.RTHYB_INTERFACES_MAX:
+        raise CoreError(
+            f"{place}: {PREFIX}interfaces returns {interfaces}; it must be from 1 to "
+            f"{lib.RTHYB_INTERFACES_MAX}"
+        )
+    parameters, responses = _names(place, found)
+    loaded = Library(str(place), sha256, found, interfaces, parameters, responses)
+    _LOADED[str(place)] = loaded
+    return loaded
+
+
+def _check_functions(library: ctypes.CDLL, path: Path, functions: Mapping[str, int]) -> None:
+    lacking = [PREFIX + name for name in REQUIRED if not functions[name]]
+    if not lacking:
+        return
+    mangled = [f"{name}_" for name in lacking if address(library, f"{name}_")]
+    hint = (
+        f" ({mangled[0]} is there: in Fortran the function needs bind(C, name = "
+        f'"{mangled[0][:-1]}"))'
+        if mangled
+        else ""
+    )
+    raise CoreError(
+        f"{path} has no function {', '.join(lacking)}{hint}; a numerical part exports "
+        f"{', '.join(PREFIX + name for name in REQUIRED)}, as rthyb_library.h declares them"
+    )
+
+
+def _names(path: Path, found: Mapping[str, int]) -> tuple[tuple[str, ...], tuple[Recorded, ...]]:
+    """Return what a library calls its parameters and its responses."""
+    if "names" not in found:
+        return (), ()
+    ask = ffi.cast("void(*)(int32_t, char *)", found["names"])
+
+    def words(of: int) -> list[str]:
+        room = ffi.new("char[]", lib.RTHYB_PART_NAMES_ROOM)
+        ask(of, room)
+        return bytes(ffi.string(room, lib.RTHYB_PART_NAMES_ROOM)).decode(errors="replace").split()
+
+    parameters, said = words(lib.RTHYB_PART_PARAMETERS), words(lib.RTHYB_PART_RESPONSES)
+    responses = []
+    for word in said:
+        match = _RESPONSE.fullmatch(word)
+        if match is None:
+            raise CoreError(
+                f'{path}: {PREFIX}names gives "{word}" as a response; it must be a name of up to '
+                '32 small letters, digits and underscores with its unit, such as "roof[m]"'
+            )
+        responses.append(Recorded(match[1], match[2] or ""))
+    bad = [word for word in parameters if not _NAME.fullmatch(word)]
+    names = [*parameters, *(one.name for one in responses)]
+    if bad or len(set(parameters)) < len(parameters) or len(responses) > RESPONSES_MAX:
+        raise CoreError(
+            f"{path}: {PREFIX}names gives {' '.join(names)}; it must give different names of "
+            f"letters, digits and underscores, and up to {RESPONSES_MAX} responses"
+        )
+    if responses and "report" not in found:
+        raise CoreError(
+            f"{path} names responses but has no {PREFIX}report, which gives their values"
+        )
+    return tuple(parameters), tuple(responses)
+
+
+@dataclass(frozen=True)
+class LibraryConfig:
+    """Settings of a numerical part in a shared library.
+
+    ``parameters`` by name, all that the library asks for; ``sha256`` of the file that is meant, ""
+    for whatever is there.
+    """
+
+    path: str
+    k_e_n_per_m: float
+    parameters: Values = ()
+    period_s: float = PERIOD_S
+    sha256: str = ""
+
+    kind: ClassVar[str] = "library"
+    what: ClassVar[str] = "the library"
+
+    @functools.cached_property
+    def library(self) -> Library:
+        """The library.
+
+        Raises:
+            CoreError: it cannot be had, or is another than the one that is meant.
+        """
+        found = load(self.path)
+        if self.sha256 and found.sha256 != self.sha256:
+            raise CoreError(
+                f"{self.path} is not the library that was meant: its SHA-256 begins with "
+                f"{found.sha256[:12]}, and {self.sha256[:12]} was recorded; put that one in its "
+                "place"
+            )
+        return found
+
+    @property
+    def responses(self) -> tuple[Recorded, ...]:
+        """What is recorded of it."""
+        return self.library.responses
+
+    def values(self) -> list[float]:
+        """Return its parameters in its own order.
+
+        Raises:
+            CoreError: one is missing, or there is none of that name.
+        """
+        given, names = dict(self.parameters), self.library.parameters
+        return ordered(given, names, Path(self.path).name)
+
+    def struct(self) -> list[Any]:
+        """Return the ``rthyb_library_config`` of the C core, and what must live as long.
+
+        Raises:
+            CoreError: the library cannot be had, or a parameter is missing.
+        """
+        library, cfg = self.library, ffi.new("rthyb_library_config *")
+        kept = fill_setup(cfg.setup, self.values(), self.k_e_n_per_m, self.period_s)
+        for name in _CALLS:
+            ctype = ffi.typeof("rthyb_part_calls").fields
+            setattr(cfg.calls, name, library.call(name, dict(ctype)[name].type))
+        size = library.call("state_bytes", "int64_t(*)(const rthyb_part_setup *)")
+        cfg.state_bytes = size(ffi.addressof(cfg, "setup"))
+        if not 0 <= cfg.state_bytes <= lib.RTHYB_LIBRARY_STATE_MAX:
+            raise CoreError(
+                f"{self.path}: {PREFIX}state_bytes returns {cfg.state_bytes}; it must be from 0 to "
+                f"{lib.RTHYB_LIBRARY_STATE_MAX}"
+            )
+        cfg.interfaces, cfg.responses = library.interfaces, len(library.responses)
+        return [cfg, kept]
+
+    def plain(self) -> dict[str, Any]:
+        """Return all of it as plain values, for a recording: `of_plain` takes them back."""
+        return {
+            "kind": self.kind, "path": self.path, "k_e_n_per_m": self.k_e_n_per_m,
+            "parameters": dict(self.parameters), "period_s": self.period_s,
+            "sha256": self.library.sha256,
+        }  # fmt: skip
+
+    @classmethod
+    def of_plain(cls, plain: Mapping[str, Any]) -> LibraryConfig:
+        """Return the settings that `plain` has written down; raises ``KeyError`` and its like."""
+        given = {key: value for key, value in plain.items() if key != "kind"}
+        return cls(**given | {"parameters": tuple(dict(given["parameters"]).items())})
+
+
+def ordered(given: Mapping[str, float], names: tuple[str, ...], of: str) -> list[float]:
+    """Return parameters in their own order.
+
+    Raises:
+        CoreError: one is missing, or there is none of that name.
+    """
+    unknown = [name for name in given if name not in names]
+    takes = f"it takes {', '.join(names)}" if names else "it takes none"
+    if unknown:
+        raise CoreError(f"{of} has no parameter {', '.join(unknown)}; {takes}")
+    lacking = [name for name in names if name not in given]
+    if lacking:
+        raise CoreError(f"the parameter {', '.join(lacking)} of {of} is missing; {takes}")
+    return [float(given[name]) for name in names]
+
+
+def fill_setup(setup: Any, values: list[float], k_e_n_per_m: float, period_s: float) -> list[Any]:
+    """Fill a ``rthyb_part_setup``; return what must live as long."""
+    kept = [ffi.new("double[]", values or [0.0])]
+    kept.append(ffi.new("double[]", [k_e_n_per_m] * lib.RTHYB_INTERFACES_MAX))
+    setup.period_s, setup.parameter, setup.k_e_n_per_m = period_s, *kept
+    return kept
+
+
+# ---- the trial ----------------------------------------------------------------------------------
+
+TRIAL_S: Final = 20.0
+"""What a trial may take."""
+TRIAL_STEPS: Final = 512
+"""By the clock, and as many under watch, of a trial for real time."""
+FEW_STEPS: Final = 16
+"""The same where only a crash and a step without an end matter."""
+_STAGES: Final = {
+    lib.RTHYB_TRIAL_IN_INIT: "while it was set up",
+    lib.RTHYB_TRIAL_IN_STEPS: "in a step",
+    lib.RTHYB_TRIAL_WATCHED: "in a step",
+}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a trial of a part has found; times on this computer, s.
+
+    Attributes:
+        step_s, worst_s: median and largest time of a step.
+        answer_s: median time between force and displacement.
+        allocations: calls of the allocator in the watched steps.
+        system_call: number of one that a step made; None: none.
+        watched: this system can forbid calls.
+        steps: so many by the clock, and as many under watch.
+        ill: some displacement was not finite, implausible, or not given.
+    """
+
+    step_s: float
+    worst_s: float
+    answer_s: float
+    allocations: int
+    system_call: int | None
+    watched: bool
+    steps: int
+    ill: bool
+
+
+def _try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_STEPS) -> Trial:
+    """Try a ``rthyb_numerical`` out; arguments and errors as for `tried`."""
+    found = ffi.new("rthyb_trial *")
+    lib.rthyb_part_try(part, period_s, k_e_n_per_m, steps, TRIAL_S, found)
+    where = _STAGES.get(found.stage, "")
+    if found.ended == lib.RTHYB_TRIAL_NOT_TRIED:
+        raise CoreError("could not be tried out: this system gives no second process")
+    if found.ended == lib.RTHYB_TRIAL_REFUSED:
+        raise CoreError(f"refuses its settings (its init returned {found.number})")
+    if found.ended == lib.RTHYB_TRIAL_CRASHED:
+        name = signal.Signals(found.number).name
+        raise CoreError(
+            f"crashes {where} ({name}, {signal.strsignal(found.number)}); it was tried out in a "
+            "process of its own: look at it there with a debugger"
+        )
+    if found.ended == lib.RTHYB_TRIAL_ENDED:
+        raise CoreError(f"ends the process {where} (exit status {found.number})")
+    if found.ended == lib.RTHYB_TRIAL_STUCK:
+        raise CoreError(
+            f"did not come back from {2 * steps} steps within {TRIAL_S:g} s {where}: look for a "
+            "loop without a bound"
+        )
+    called = found.ended == lib.RTHYB_TRIAL_CALLED
+    return Trial(
+        found.step_s, found.worst_s, found.answer_s, int(found.allocations),
+        int(found.number) if called else None, bool(found.watched) or called, int(found.steps),
+        bool(found.status),
+    )  # fmt: skip
+
+
+def tried(part: Any, steps: int = TRIAL_STEPS) -> Trial:
+    """Try a part out at an elastic specimen, in a process of its own.
+
+    Args:
+        part: its settings, of a library or an FMU.
+        steps: by the clock, and as many under watch.
+
+    Raises:
+        CoreError: it refuses its settings, crashes, or does not come back; or it cannot be had.
+    """
+    slot = ffi.new("rthyb_numerical *")
+    kept = fill_part(slot, part)
+    try:
+        return _try_out(slot, part.k_e_n_per_m, part.period_s, steps)
+    except CoreError as error:
+        said = part.complaint() if "refuses" in str(error) and part.kind == "fmu" else ""
+        said = f': it says "{said}"' if said else ""
+        raise CoreError(f"{Path(part.path).name} {error}{said}") from error
+    finally:
+        kept.clear()

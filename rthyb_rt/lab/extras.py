@@ -1,0 +1,34 @@
+"""The extra channels of a rig in the frames of its link."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rthyb_rt.config import RigFile
+from rthyb_rt.core import dbc
+from rthyb_rt.core.wire import Codec, Extra
+from rthyb_rt.errors import InputError
+
+
+def codec_of(rig: RigFile, codec: Codec) -> Codec:
+    """Return the codec of a rig's link with the rig's extra channels.
+
+    Both ends of the link have it: what measures, and what records.
+
+    Args:
+        rig: whose extra channels.
+        codec: of its link as it was opened.
+
+    Raises:
+        InputError: a channel has no place in the frames of the rig's DBC file.
+    """
+    extras = []
+    for i, one in enumerate(rig.sensors.extra):
+        signal, in_force = None, False
+        if rig.link is not None and rig.link.dbc is not None:
+            try:
+                signal, in_force = dbc.extra(Path(rig.link.dbc), codec, one.signal or one.name)
+            except InputError as error:
+                raise InputError(str(error), f"sensors.extra.{i}.signal") from None
+        extras.append(Extra(one.scale, one.offset, one.wire_step, signal, in_force))
+    return codec.with_extras(extras)

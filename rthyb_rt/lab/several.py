@@ -1,0 +1,308 @@
+"""A test on a rig of several axes, from its files to the core's settings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt import core, ground_motion
+from rthyb_rt.config import AxesRig, Derived, Limit, TestFile, matrix_response
+from rthyb_rt.config import limits as limits_file
+from rthyb_rt.config.axes_reference import reference_of
+from rthyb_rt.config.deriving_axes import (
+    AxesDerived,
+    derive_axes,
+    in_order,
+    of_axis,
+    resolve_axes,
+)
+from rthyb_rt.config.testfile import MATRIX, MatrixLaw
+from rthyb_rt.core.coupled_rig import CoupledRig
+from rthyb_rt.core.group import AXIS_WATCHES, AxisConfig, InterfaceConfig, axis_channels
+from rthyb_rt.core.matrix_lead import MatrixLeadConfig
+from rthyb_rt.core.matrix_rfc import MatrixRfcConfig
+from rthyb_rt.errors import InputError
+from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.lab import axes_rig, experiment
+from rthyb_rt.lab.experiment import Group, Setup
+
+Floats = NDArray[np.float64]
+
+NEVER: Final = 1e6
+"""Times the noise at rest: what does not move so much teaches a lead nothing."""
+
+
+def prepare(test: TestFile, rig: AxesRig, *, record: GroundMotion | None = None) -> Setup:
+    """Read the ground motion and work out every setting of the core, for virtual time.
+
+    Args:
+        test, rig: the two files.
+        record: the ground motion as it was read already, not cut, not scaled; None reads it.
+
+    Raises:
+        InputError: with what is wrong in the files, the record, or between them.
+    """
+    _refuse_what_is_of_one(test)
+
+    def read() -> GroundMotion:
+        return experiment.load_motion(test) if record is None else record
+
+    derived, whole = experiment.both(lambda: derive_axes(test, rig), read)
+    baseline = ground_motion.baseline_check(whole)
+    motion = experiment.cut_and_scale(whole, test.ground_motion)
+    lasts_s = test.test.duration_s
+    if lasts_s is None:
+        lasts_s = motion.duration_s + test.test.free_vibration_s
+    ag = ground_motion.resample(
+        motion, derived.fs_hz, method=test.ground_motion.interpolation, duration_s=lasts_s
+    )
+    end_tick = round(min(motion.duration_s, lasts_s) * derived.fs_hz)
+    ordered = in_order(test, rig)
+    expected = reference_of(test, rig, derived.structure, ag)
+    x, v, force = expected.x, expected.v, expected.force
+    derived = _following(rig, derived, expected.axis_m, expected.axis_n)
+    group = Group(rig, derived, axes_rig.rig_config(rig, derived.fs_hz), expected)
+    resolved = resolve_axes(ordered, rig, derived)
+    reference = np.zeros(ag.size, experiment.REFERENCE_DTYPE)
+    reference["x_ref_m"], reference["v_ref_mps"] = x[:, 0], v[:, 0]
+    reference["f_ref_n"] = force[:, 0]
+    controller = controller_config(ordered, rig, derived, end_tick)
+    first = replace(derived.axis[0], structure=derived.structure)
+    told = () if baseline.ok else (f"ground motion: {baseline.message}",)
+    setup = Setup(
+        test=resolved,
+        rig=rig.of_axis(rig.names[0]),
+        derived=first,
+        motion=motion,
+        ag_mps2=ag,
+        controller=controller,
+        virtual_rig=experiment.rig_config(rig.of_axis(rig.names[0]), derived.fs_hz),
+        notes=(*derived.notes, *told, *_range_notes(group)),
+        reference=reference,
+        channels=experiment.part_channels(first) + axis_channels(controller),
+        group=group,
+    )
+    try:
+        core.Controller(setup.controller)
+        CoupledRig(group.virtual_rig)
+    except core.CoreError as error:
+        raise InputError(
+            f"{error}; look at the largest and smallest values of both files",
+            f'test "{test.test.name}" on rig "{rig.rig.name}"',
+        ) from error
+    return setup
+
+
+def _refuse_what_is_of_one(test: TestFile) -> None:
+    if test.history is not None:
+        raise InputError(
+            "found a history, which prescribes one displacement; a rig of several axes takes "
+            "hybrid tests",
+            "history",
+        )
+    if test.test.time_scale != 1.0:
+        raise InputError(
+            f"found {test.test.time_scale:g}; a test on a rig of several axes goes at 1",
+            "test.time_scale",
+        )
+
+
+def _following(rig: AxesRig, derived: AxesDerived, axis_m: Floats, pushed: Floats) -> AxesDerived:
+    """Fill in the limits that follow from what the reference asks of each axis.
+
+    HOLD and ramp-out brake all axes alike, as hard as the one that needs it most.
+    """
+    rate, found = derived.rate, list[Derived]()
+    for i, own in enumerate(derived.axis):
+        view = rig.of_axis(rig.names[i])
+        limits = limits_file.with_reference(
+            own.limits,
+            float(np.abs(np.diff(axis_m[:, i])).max(initial=0.0)) / rate.period_s,
+            float(np.abs(np.diff(axis_m[:, i], 2)).max(initial=0.0)) / rate.period_s**2,
+        )
+        expected = np.zeros(len(axis_m), experiment.REFERENCE_DTYPE)
+        expected["x_ref_m"], expected["f_ref_n"] = axis_m[:, i], pushed[:, i]
+        expected["v_ref_mps"] = np.gradient(axis_m[:, i], rate.period_s)
+        found.append(replace(own, limits=experiment.with_sensors(view, limits, rate, expected)))
+    hardest = max(
+        (own.limits for own in found), key=lambda one: one.brake_acceleration_m_per_s2 or 0.0
+    )
+    brake = hardest.brake_acceleration_m_per_s2
+    found[0] = replace(found[0], limits=replace(found[0].limits, brake_acceleration_m_per_s2=brake))
+    return replace(derived, axis=tuple(found))
+
+
+def _range_notes(group: Group) -> list[str]:
+    """Name the sensors that the reference already drives to their stop."""
+    notes = []
+    for i, axis in enumerate(group.rig.axis):
+        for what, values, reach, unit, factor in (
+            ("displacement.range_m", group.reference.axis_m[:, i],
+             axis.sensors.displacement.range_m, "mm", 1e3),
+            ("force.range_n", group.reference.axis_n[:, i], axis.sensors.force.range_n, "kN", 1e-3),
+        ):  # fmt: skip
+            peak = float(np.abs(values).max())
+            if reach is not None and peak >= reach:
+                notes.append(
+                    f"axis {axis.name}: sensors.{what} = {reach * factor:g} {unit} is less than "
+                    f"the peak of {peak * factor:.3g} {unit} that the reference simulation brings"
+                )
+    return notes
+
+
+# ---- from the files' terms to the core's ---------------------------------------------------------
+
+
+def controller_config(
+    test: TestFile, rig: AxesRig, derived: AxesDerived, end_tick: int
+) -> core.ControllerConfig:
+    """Return the core's settings; ``end_tick`` as of `experiment.controller_config`."""
+    first = derived.structure.first()
+    views = [
+        experiment.controller_config(
+            of_axis(test, name, first).model_copy(update={"limits": own.limits.limits}),
+            rig.of_axis(name), own, end_tick,
+        )
+        for name, own in zip(rig.names, derived.axis, strict=True)
+    ]  # fmt: skip
+    by_matrix = test.controller.type == MATRIX
+    axes = tuple(
+        AxisConfig(
+            name,
+            view.law if own.plc_enabled and not by_matrix else core.LawConfig(),
+            view.x_range_m,
+            view.f_range_n,
+            view.velocity_limit_m_per_s,
+            view.acceleration_limit_m_per_s2,
+        )
+        for name, own, view in zip(rig.names, derived.axis, views, strict=True)
+    )
+    k_e = np.array(derived.k_e)
+    return replace(
+        views[0],
+        law=core.LawConfig(),
+        lead_enabled=by_matrix or any(own.plc_enabled for own in derived.axis),
+        rfc=replace(views[0].rfc, k_e_n_per_m=float(k_e[0, 0])),
+        motion=core.MotionConfig("kr-alpha", mass_kg=1.0, period_s=derived.rate.period_s),
+        numerical=derived.structure.part,
+        axes=axes,
+        interfaces=tuple(_interfaces(test, rig, views[0].rfc, k_e)),
+        kinematics=rig.core_kinematics(),
+        matrix_lead=_matrix_lead(test, rig, derived) if by_matrix else None,
+        matrix_rfc=_matrix_rfc(test, rig, derived, k_e),
+    )
+
+
+def _interfaces(
+    test: TestFile, rig: AxesRig, rfc: core.RfcConfig, k_e: Floats
+) -> list[InterfaceConfig]:
+    found = []
+    for j, (one, turns) in enumerate(zip(test.interface, rig.kinematics.turns(), strict=True)):
+        limits = zip(("position", "force"), one.limits.of_kind(turns), strict=True)
+        watches = {
+            cause: core.Watch(float(limit.value), limit.action)
+            for cause, limit in limits
+            if limit is not None and limit.acts
+        }
+        own = replace(rfc, k_e_n_per_m=float(k_e[j, j]))
+        found.append(InterfaceConfig(one.name, own, watches))
+    return found
+
+
+def _matrix_rfc(test: TestFile, rig: AxesRig, derived: AxesDerived, k_e: Floats) -> MatrixRfcConfig:
+    """Return the force compensation: directions that one specimen couples share a matrix."""
+    own = derived.axis[0]
+    enabled = test.controller.rfc.enabled and test.controller.type != "none"
+    noise_m = np.array([axis.rest_noise_displacement_m for axis in derived.axis])
+    back = np.linalg.inv(rig.core_kinematics().jacobian())
+    return MatrixRfcConfig(
+        k_e,
+        tuple(float(v) for v in np.sqrt(back**2 @ noise_m**2)),
+        memory_s=max(own.window_samples, 2) * derived.rate.period_s,
+        cutoff_hz=own.rfc_cutoff_hz,
+        lateness_s=own.force_lateness_s,
+        enabled=enabled,
+        period_s=derived.rate.period_s,
+    )
+
+
+def _matrix_lead(test: TestFile, rig: AxesRig, derived: AxesDerived) -> MatrixLeadConfig:
+    """Return the lead of all axes by what identification has found of them.
+
+    Raises:
+        InputError: no inverse fits.
+    """
+    from rthyb_rt.config.axes_response import response_of_rig
+
+    assert rig.identified is not None
+    found, h = response_of_rig(rig.identified), derived.rate.period_s
+    given = test.controller.matrix or MatrixLaw()
+    inverse = matrix_response.fit(found, h).inverse if given.inverse else None
+    first = None
+    if not given.inverse:
+        first = matrix_response.fitted_terms(found, h, given.roll_off_hz, coupled=given.coupled)
+    learns = test.controller.delay_estimator.enabled and test.controller.plc_enabled
+    return MatrixLeadConfig(
+        tuple(axis.rest_noise_displacement_m for axis in derived.axis),
+        inverse,
+        coupled=given.coupled,
+        roll_off_hz=given.roll_off_hz,
+        cutoff_hz=given.cutoff_hz,
+        gate_factor=given.gate_factor if learns else NEVER,
+        memory_s=given.memory_s,
+        first=first,
+        period_s=h,
+    )
+
+
+def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.StationConfig:
+    """Return the settings of the station: what `experiment.station_config` has, for every axis."""
+    names, rig = group.rig.names, group.rig
+    views = [
+        experiment.axis_station_config(
+            replace(
+                setup,
+                test=setup.test.model_copy(update={"limits": own.limits.limits}),
+                rig=rig.of_axis(name),
+                derived=own,
+                channels=(),
+                group=None,
+            ),
+            real=real,
+        )
+        for name, own in zip(names, group.derived.axis, strict=True)
+    ]
+    axes = tuple(
+        replace(
+            axis,
+            velocity_limit_m_per_s=_velocity(own, axis, real),
+            rest_spread_m=view.rest_spread_m,
+            tare_most_m=view.tare_most_m,
+            tare_most_n=view.tare_most_n,
+            watches={cause: w for cause, w in view.watches.items() if cause in AXIS_WATCHES},
+        )
+        for axis, own, view in zip(setup.controller.axes, group.derived.axis, views, strict=True)
+    )
+    common = {cause: w for cause, w in views[0].watches.items() if cause not in AXIS_WATCHES}
+    part, own = experiment.part_channels(setup.derived), axis_channels(setup.controller)
+    return replace(
+        views[0],
+        controller=replace(setup.controller, axes=axes),
+        watches=common,
+        path_velocity_m_per_s=min(view.path_velocity_m_per_s for view in views),
+        path_acceleration_m_per_s2=min(view.path_acceleration_m_per_s2 for view in views),
+        law_channel=0,
+        law_channel_count=0,
+        part_channel=setup.channels.index(part[0]) if part else 0,
+        part_channel_count=len(part),
+        axis_channel=setup.channels.index(own[0]) if own else 0,
+        axis_channel_count=len(own),
+    )
+
+
+def _velocity(own: Derived, axis: AxisConfig, real: bool) -> float | None:
+    derived: Limit | None = own.limits.derived.get("command_velocity_m_per_s")
+    return float(derived.value) if derived is not None and real else axis.velocity_limit_m_per_s

@@ -1,0 +1,157 @@
+"""The report of a test on a rig of several axes: figures of each axis and direction by name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.analysis import several
+from rthyb_rt.analysis.several import NOT_COMPUTED, AxesSummary, OfDirection
+from rthyb_rt.numbers import percent
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.report.html import environment, extra_needed, sheets
+
+if TYPE_CHECKING:
+    from rthyb_rt.report.drawing import Plate
+
+Floats = NDArray[np.float64]
+
+
+def render(rec: Recording) -> str:
+    """Return the report of a recording of several axes as HTML.
+
+    Raises:
+        InputError: matplotlib or jinja2 is not installed, or the test never ran.
+    """
+    summary = several.summarize(rec)
+    with extra_needed("a report"):
+        plates = draw_all(summary)
+        engine = environment()
+    return engine.get_template("several.html.j2").render(
+        s=summary,
+        title=summary.test_name or "Hybrid test",
+        verdict=several.verdict(summary),
+        rows=several.table(summary),
+        not_computed=NOT_COMPUTED,
+        figures_of=sheets(plates),
+        settings=[("Test file", rec.test_toml), ("Rig file", rec.rig_toml)],
+        versions=", ".join(
+            str(rec.meta[key]) for key in ("rthyb_version", "created_utc") if key in rec.meta
+        ),
+    )
+
+
+def draw_all(s: AxesSummary) -> list[Plate]:
+    """Return displacement and hysteresis of every direction, tracking and force of every axis."""
+    from matplotlib import rc_context
+
+    from rthyb_rt.report import drawing as draw
+
+    plates = []
+    with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
+        for j, one in enumerate(s.directions):
+            plates += [_displacement(s, j, one), _error(s, j, one)]
+        for i, axis in enumerate(s.axes):
+            plates += [_command(s, i), _tracking(s, i), _loop(s, i)]
+            plates[-2] = _titled(plates[-2], axis.tracking_nrmse)
+    return plates
+
+
+def _titled(plate: Plate, nrmse: float) -> Plate:
+    from dataclasses import replace
+
+    return replace(plate, note=f"{plate.note} NRMSE {percent(nrmse)}.")
+
+
+def _displacement(s: AxesSummary, j: int, one: OfDirection) -> Plate:
+    from rthyb_rt.report import drawing as draw
+
+    paper = draw.Paper(f"direction-{j}", draw.FULL_WIDTH_IN, (1.6,))
+    (axes,) = paper.axes
+    t, unit = s.signals.time_s, "mrad" if one.turns else "mm"
+    reference, measured = s.signals.reference.x[:, j] * 1e3, s.signals.x_meas[:, j] * 1e3
+    draw.curve(axes, t, reference, draw.GREY, 1.6, "reference")
+    draw.curve(axes, t, measured, draw.BLUE, 0.8, "measured")
+    limit = max(draw.largest(reference), draw.largest(measured), 1e-3)
+    draw.symmetric(axes, limit)
+    axes.set_xlim(*draw.span(0.0, float(t[-1])))
+    draw.head(axes, f"{one.name}, {unit}")
+    draw.x_label(axes, "time, s")
+    return paper.plate(
+        f"Direction {one.name}",
+        f"Measured along the interface, and the reference simulation: they differ by at most "
+        f"{several.size_of(one.response_peak, one.turns)}.",
+    )
+
+
+def _error(s: AxesSummary, j: int, one: OfDirection) -> Plate:
+    from rthyb_rt.report import drawing as draw
+
+    paper = draw.Paper(f"difference-{j}", draw.FULL_WIDTH_IN, (1.0,))
+    (axes,) = paper.axes
+    t = s.signals.time_s
+    apart = (s.signals.x_meas[:, j] - s.signals.reference.x[:, j]) * 1e3
+    draw.curve(axes, t, apart, draw.RED, 0.7, "measured − reference")
+    draw.symmetric(axes, max(draw.largest(apart), 1e-6))
+    axes.set_xlim(*draw.span(0.0, float(t[-1])))
+    draw.head(axes, f"difference of {one.name}, {'mrad' if one.turns else 'mm'}")
+    draw.x_label(axes, "time, s")
+    return paper.plate(
+        f"Difference of {one.name}", f"NRMSE {percent(one.response_nrmse)} of the reference."
+    )
+
+
+def _command(s: AxesSummary, i: int) -> Plate:
+    from rthyb_rt.report import drawing as draw
+
+    name = s.axes[i].name
+    paper = draw.Paper(f"axis-{i}", draw.FULL_WIDTH_IN, (1.6,))
+    (axes,) = paper.axes
+    t = s.signals.time_s
+    command, measured = s.signals.command_m[:, i] * 1e3, s.signals.measured_m[:, i] * 1e3
+    draw.curve(axes, t, command, draw.ORANGE, 0.8, "command")
+    draw.curve(axes, t, measured, draw.BLUE, 0.8, "measured")
+    draw.symmetric(axes, max(draw.largest(command), draw.largest(measured), 1e-3))
+    axes.set_xlim(*draw.span(0.0, float(t[-1])))
+    draw.head(axes, f"axis {name}, mm")
+    draw.x_label(axes, "time, s")
+    return paper.plate(f"Axis {name}", "The command as it was sent, and the measured displacement.")
+
+
+def _tracking(s: AxesSummary, i: int) -> Plate:
+    from rthyb_rt.report import drawing as draw
+
+    name = s.axes[i].name
+    paper = draw.Paper(f"tracking-{i}", draw.HALF_WIDTH_IN, (1.9,))
+    (axes,) = paper.axes
+    wanted, measured = s.signals.wanted_m[:, i] * 1e3, s.signals.measured_m[:, i] * 1e3
+    limit = max(draw.largest(wanted), draw.largest(measured), 1e-3)
+    draw.loop(axes, wanted, measured, draw.BLUE, 0.6, x_limit=limit, y_limit=limit)
+    draw.symmetric(axes, limit)
+    axes.set_xlim(-1.06 * limit, 1.06 * limit)
+    draw.head(axes, "measured, mm")
+    draw.x_label(axes, "wanted, mm")
+    return paper.plate(
+        f"Tracking of axis {name}", "Measured over what the numerical part wants of the axis."
+    )
+
+
+def _loop(s: AxesSummary, i: int) -> Plate:
+    from rthyb_rt.report import drawing as draw
+
+    name = s.axes[i].name
+    paper = draw.Paper(f"force-{i}", draw.HALF_WIDTH_IN, (1.9,))
+    (axes,) = paper.axes
+    x, f = s.signals.measured_m[:, i] * 1e3, s.signals.force_n[:, i] * 1e-3
+    limit, most = max(draw.largest(x), 1e-3), max(draw.largest(f), 1e-6)
+    draw.loop(axes, x, f, draw.BLUE, 0.6, x_limit=limit, y_limit=most)
+    draw.symmetric(axes, most)
+    axes.set_xlim(-1.06 * limit, 1.06 * limit)
+    draw.head(axes, "force, kN")
+    draw.x_label(axes, "displacement, mm")
+    return paper.plate(
+        f"Force on axis {name}",
+        "Not a line where the other axes move as well: each feels what the others do.",
+    )

@@ -1,0 +1,89 @@
+"""The first figure as a chart that can be enlarged in the browser, by uPlot, without a network.
+
+The drawing stays in the page for paper and for browsers without scripts; on the screen the chart
+takes its place.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.analysis.summary import Summary
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.report import drawing as draw
+from rthyb_rt.report.decimate import robust_limit
+
+Floats = NDArray[np.float64]
+
+KEY: Final = "displacement"
+"""Of the figure that the chart stands for."""
+MOST_ROWS: Final = 16384
+"""Rows of the chart: 40 s at 341 Hz, in a fifth of a megabyte."""
+_GAP: Final = -32768
+_HERE: Final = Path(__file__).parent
+_UPLOT: Final = _HERE.parent / "live" / "static"
+"""The live view's copy, with its licence beside it."""
+
+
+def parts(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> dict[str, str] | None:
+    """Return style, script and data of the chart; None for a test that is too short for one."""
+    if len(rec.samples) < 16:
+        return None
+    script = "\n".join(
+        path.read_text(encoding="utf-8")
+        for path in (_UPLOT / "uPlot.iife.min.js", _HERE / "zoom.js")
+    )
+    return {
+        "style": (_UPLOT / "uPlot.min.css").read_text(encoding="utf-8"),
+        "script": script,
+        # "</" would end the element.
+        "data": json.dumps(chart(rec, summary, window_s), allow_nan=False).replace("</", r"<\/"),
+    }
+
+
+def chart(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> dict[str, Any]:
+    """Return the signals of the chart: 16 bits a value, scaled, of every n-th row.
+
+    Args:
+        rec: the recording.
+        summary: its figures.
+        window_s: what the next figure shows, s; shaded.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        every = math.ceil(len(rec.samples) / MOST_ROWS)
+        samples = rec.samples[::every]
+        ground = _panel("ground acceleration, g", [(samples["ag_mps2"] / 9.80665, draw.GREY, 1.0,
+                                                    "ground")])  # fmt: skip
+        # What was wanted is a fine line on a broader one of what came, as in the drawing.
+        signals = [
+            (samples["x_meas_m"] * 1e3, draw.BLUE, 2.5, "measured"),
+            (samples["x_num_m"] * 1e3, draw.BLACK, 1.0, "command"),
+        ]
+        if summary.setup.plc_enabled:
+            signals.insert(0, (samples["x_cmd_m"] * 1e3, draw.ORANGE, 1.5, "compensated command"))
+        moved = _panel("displacement, mm", signals)
+    return {
+        "start": float(rec.time_s()[0]),
+        "step": every / rec.fs_hz,
+        "window": list(window_s) if all(map(math.isfinite, window_s)) else None,
+        "panels": [{**ground, "height": 90}, {**moved, "height": 300}],
+    }
+
+
+def _panel(label: str, signals: list[tuple[Floats, str, float, str]]) -> dict[str, Any]:
+    limit = 1.5 * max(robust_limit(*(values for values, *_ in signals)), 1e-12)
+    series = []
+    for values, colour, width, name in signals:
+        known = np.isfinite(values)
+        counts = np.rint(np.clip(np.where(known, values, 0.0) / limit, -1.0, 1.0) * 32767.0)
+        packed = np.where(known, counts, _GAP).astype("<i2").tobytes()
+        data = base64.b64encode(packed).decode("ascii")
+        series.append({"label": name, "colour": colour, "width": width, "data": data})
+    return {"label": label, "scale": limit / 32767.0, "series": series}

@@ -1,0 +1,105 @@
+"""Numerical part, control law and specimen elements in Python as a user would write them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import rthyb_rt as rt
+
+
+class Oscillator(rt.NumericalPart):
+    """m x'' + c x' + force = -m ag by the central difference, as csrc/motion.c has it."""
+
+    responses: ClassVar[dict[str, str]] = {"velocity": "m/s"}
+
+    def __init__(self, mass_kg: float, damping_n_s_per_m: float = 0.0) -> None:
+        self.m, self.c = mass_kg, damping_n_s_per_m
+
+    def begin(self, period_s: float, k_e_n_per_m: float) -> None:
+        self.h, self.x, self.x1 = period_s, 0.0, 0.0
+
+    def answer(self, ag_mps2: float, force_n: float) -> float:
+        half, net = 0.5 * self.h * self.c, -self.m * ag_mps2 - force_n
+        step = (self.m - half) * (self.x - self.x1) + self.h * self.h * net
+        self.x, self.x1 = self.x + step * (1.0 / (self.m + half)), self.x
+        return self.x
+
+    def report(self) -> list[float]:
+        return [(self.x - self.x1) / self.h]
+
+
+class Failing(Oscillator):
+    """Divides by nothing after a while."""
+
+    def __init__(self, mass_kg: float, after: int = 500) -> None:
+        super().__init__(mass_kg)
+        self.after = after
+
+    def answer(self, ag_mps2: float, force_n: float) -> float:
+        self.after -= 1
+        return super().answer(ag_mps2, force_n) / (1 if self.after else 0)
+
+
+class Silly(Oscillator):
+    """Gives what no displacement is."""
+
+    def __init__(self, mass_kg: float, what: str) -> None:
+        super().__init__(mass_kg)
+        self.what_it_gives = float(what)
+
+    def answer(self, ag_mps2: float, force_n: float) -> float:
+        super().answer(ag_mps2, force_n)
+        return self.what_it_gives
+
+
+class Inverse(rt.ControlLaw):
+    """The inverse of a lag of first order, as csrc/law_chen_ricles.c has it."""
+
+    values: ClassVar[dict[str, str]] = {"alpha": "samples", "beta": "samples²", "effort": "m"}
+
+    def __init__(self, delay_s: float, fails_at: int = 0) -> None:
+        self.delay_s, self.fails_at = delay_s, fails_at
+
+    def begin(self, period_s: float, x0_m: float, rest_noise_m: float) -> None:
+        self.alpha, self.beta, self.effort, self.x1 = self.delay_s / period_s, 0.0, 0.0, x0_m
+
+    def rest(self, x_m: float) -> None:
+        self.x1 = x_m
+
+    def lead(self, x_c_m: float, allowed_m: float) -> float:
+        self.fails_at -= 1
+        if self.fails_at == 0:
+            raise RuntimeError("the law has had enough")
+        self.effort = self.alpha * (x_c_m - self.x1)
+        self.x1 = x_c_m
+        return x_c_m + self.effort
+
+
+class Spring(rt.Element):
+    """f = k x; counts its calls in its state."""
+
+    def __init__(self, k_n_per_m: float) -> None:
+        self.k = k_n_per_m
+
+    def force(
+        self, x_m: float, v_m_per_s: float, a_m_per_s2: float, dt_s: float, state: Any
+    ) -> float:
+        state[0] += 1.0
+        return self.k * x_m
+
+
+class Maxwell(rt.Element):
+    """Spring and dashpot in series, as csrc/element.c has it: what it remembers is in its state."""
+
+    def __init__(self, km_n_per_m: float, tau_s: float) -> None:
+        self.k, self.tau = km_n_per_m, tau_s
+
+    def force(
+        self, x_m: float, v_m_per_s: float, a_m_per_s2: float, dt_s: float, state: Any
+    ) -> float:
+        ratio = dt_s / self.tau
+        gain = -math.expm1(-ratio) / ratio if ratio > 1e-9 else 1.0
+        state[1] = state[1] * math.exp(-ratio) + self.k * gain * (x_m - state[0])
+        state[0] = x_m
+        return float(state[1])

@@ -1,0 +1,313 @@
+"""Numerical parts, control laws and elements in Python: the same equations as those in C, and the
+same numbers; what they do wrong is told with their own file and line."""
+
+from __future__ import annotations
+
+import traceback
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import own_parts
+import pytest
+
+import rthyb_rt as rt
+from rthyb_rt import core
+from rthyb_rt.core import own
+from rthyb_rt.core.numerical_parts import Part
+from rthyb_rt.lab import experiment
+
+SHORT = rt.Test("section5-T0.5", ground_motion={"duration_s": 3}, test={"free_vibration_s": 0.5})
+HERE = Path(own_parts.__file__).name
+
+
+@pytest.fixture(scope="module")
+def plain() -> rt.Recording:
+    return rt.run(SHORT)
+
+
+def same_numbers(one: rt.Recording, other: rt.Recording, *names: str) -> None:
+    for name in names or ("x_num_m", "x_meas_m", "f_meas_n", "x_cmd_m", "k_t_n_per_m"):
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+def test_a_numerical_part_gives_what_the_one_in_c_gives(plain: rt.Recording) -> None:
+    figures = rt.check(SHORT).figures
+    part = own_parts.Oscillator(figures["mass_kg"], figures["damping_n_s_per_m"])
+    rec = rt.run(SHORT.with_(numerical=part))
+    same_numbers(plain, rec)
+    velocity = np.diff(rec["x_num_m"]) * 1024.0
+    np.testing.assert_allclose(rec["velocity"][:-1][rec.running[1:]], velocity[rec.running[1:]])
+    assert rt.replay(rec).identical
+
+
+def test_a_control_law_gives_what_the_one_in_c_gives() -> None:
+    written = SHORT.with_(controller={"type": "chen-ricles", "chen_ricles": {"delay_s": 0.014}})
+    in_c = rt.run(written)
+    rec = rt.run(SHORT.with_(controller=own_parts.Inverse(0.014)))
+    same_numbers(in_c, rec)
+    same_numbers(in_c, rec, "alpha", "beta")
+    led = rec["x_plc_m"] - rec["x_num_m"]  # of the next instant, where the row is of this one
+    np.testing.assert_allclose(rec["effort"][:-1], led[1:], atol=1e-12)
+    assert rt.replay(rec).identical
+
+
+@pytest.mark.parametrize("rig", ["shaking-table-portal-frame", "delay-10-elastic"])
+def test_elements_give_what_those_of_the_catalogue_give(rig: str) -> None:
+    base = SHORT.with_(rig=rig)
+    k = base.rig["rig.elastic_stiffness_n_per_m"]
+    given = [
+        {"element": "stiffness", "k_n_per_m": k},
+        {"element": "maxwell", "km_n_per_m": 0.2 * k, "tau_s": 0.05},
+    ]
+    own_ones = [own_parts.Spring(k), own_parts.Maxwell(0.2 * k, 0.05)]
+    in_c = rt.run(base.with_(rig={"specimen": given}))
+    rec = rt.run(base.with_(rig={"specimen": own_ones}))
+    same_numbers(in_c, rec)
+    same_numbers(in_c, rec, "x_ref_m", "f_ref_n")
+
+
+def test_a_copy_of_an_element_goes_on_by_itself() -> None:
+    config = core.ElementConfig("python", (), own.spelled(own_parts.Maxwell(1e5, 0.1)))
+    one, other, kept = core.Element(config), core.Element(config), core.Element(config)
+    x = 1e-3 * np.sin(np.arange(300) / 20.0)
+    whole = kept.run(x)
+    np.testing.assert_array_equal(one.run(x[:150]), whole[:150])
+    other.run(-x[:150])
+    np.testing.assert_array_equal(one.run(x[150:]), whole[150:])
+
+
+# ---- files and other processes ------------------------------------------------------------------
+
+
+def test_a_test_with_classes_of_ones_own_is_written_as_toml_and_reads_back_equal() -> None:
+    test = SHORT.with_(
+        controller=own_parts.Inverse(0.01), numerical=own_parts.Oscillator(4220.0),
+        rig={"specimen": [own_parts.Spring(6e5)]},
+    )  # fmt: skip
+    text = test.to_toml()
+    assert 'class = "own_parts:Oscillator"' in text
+    assert rt.Test.from_toml(text, test.rig) == test
+    assert rt.Rig.from_toml(test.rig.to_toml()) == test.rig
+
+
+def test_a_sweep_over_settings_of_a_law_runs_in_processes_of_their_own(tmp_path: Path) -> None:
+    test = SHORT.with_(controller=own_parts.Inverse(0.01))
+    found = rt.sweep(
+        test, {"controller.python.settings.delay_s": [0.0, 0.014]}, out=tmp_path / "s", jobs=2
+    )
+    assert [row["ending"] for row in found.rows] == ["completed", "completed"]
+    errors = [row["tracking_nrmse"] for row in found.rows]
+    alone = rt.run(test.with_({"controller.python.settings.delay_s": 0.014}))
+    assert errors[1] == alone.measures["tracking_nrmse"]
+    assert errors[0] > 1.5 * errors[1]
+
+
+def test_a_run_of_a_sweep_whose_law_fails_is_a_row_that_names_file_and_line(tmp_path: Path) -> None:
+    test = SHORT.with_(controller=own_parts.Inverse(0.01))
+    key = "controller.python.settings.fails_at"
+    found = rt.sweep(test, {key: [0, 5000]}, out=tmp_path / "s", jobs=1)
+    assert [row["ending"] for row in found.rows] == ["completed", "failed"]
+    assert f"{HERE}:" in str(found.rows[1]["cause"])
+    assert "the law has had enough" in str(found.rows[1]["cause"])
+
+
+# ---- what goes wrong ----------------------------------------------------------------------------
+
+
+def test_an_error_in_a_part_comes_out_as_it_was_raised_with_its_own_line() -> None:
+    with pytest.raises(ZeroDivisionError) as caught:
+        rt.run(SHORT.with_(numerical=own_parts.Failing(4220.0)))
+    last = traceback.extract_tb(caught.value.__traceback__)[-1]
+    assert Path(last.filename).name == HERE
+    assert last.line is not None
+    assert "super().answer(ag_mps2, force_n) / (1" in last.line
+
+
+def test_after_an_error_the_next_test_runs_as_if_nothing_had_been(plain: rt.Recording) -> None:
+    with pytest.raises(ZeroDivisionError):
+        rt.run(SHORT.with_(numerical=own_parts.Failing(4220.0)))
+    same_numbers(plain, rt.run(SHORT))
+
+
+def test_an_error_in_a_law_is_told_with_file_line_and_what_was_asked_of_it() -> None:
+    with pytest.raises(rt.RthybError) as caught:
+        core.Law(core.LawConfig("python", own=own.spelled(own_parts.Inverse(0.0, 3)))).run(
+            [0.0] * 9
+        )
+    text = str(caught.value)
+    assert f"{HERE}:" in text
+    assert "in lead: RuntimeError: the law has had enough (lead of own_parts:Inverse)" in text
+
+
+@pytest.mark.parametrize("what", ["nan", "inf", "-inf", "1e300"])
+def test_senseless_displacements_of_a_part_never_leave_it(what: str) -> None:
+    config = own.PythonPartConfig(own.spelled(own_parts.Silly(4220.0, what)), 666_400.0)
+    part = Part(config)
+    for force in (0.0, float("nan"), float("inf"), 1e300):
+        x, code = part.step(0.1, force)
+        assert abs(x) <= 1e3
+        assert code != 0
+
+
+@pytest.mark.parametrize("what", ["nan", "inf", "1e300"])
+def test_senseless_forces_of_an_element_are_those_of_before(what: str) -> None:
+    element = core.Element(core.ElementConfig("python", (), own.spelled(Jumpy(what))))
+    assert element.force(1e-3, 0.0, 0.0, 0.0) == 7.0
+    assert element.force(2e-3, 0.0, 0.0, 0.0) == 7.0
+
+
+class Jumpy(rt.Element):
+    """Gives 7 N once, then nothing of use."""
+
+    def __init__(self, what: str) -> None:
+        self.what_it_gives = float(what)
+
+    def force(self, x_m: float, v: float, a: float, dt_s: float, state: Any) -> float:
+        state[0] += 1
+        return 7.0 if state[0] == 1 else self.what_it_gives
+
+
+def test_in_real_time_classes_in_python_are_refused_with_what_takes_their_place() -> None:
+    test = SHORT.with_(
+        controller=own_parts.Inverse(0.01), numerical=own_parts.Oscillator(4220.0),
+        rig={"specimen": [own_parts.Spring(6e5)]},
+    )  # fmt: skip
+    from rthyb_rt.api import files
+
+    with pytest.raises(rt.InputError) as caught:
+        experiment.prepare(files.file_of_test(test), files.file_of_rig(test.rig), real_time=True)
+    places = {problem.where: problem.message for problem in caught.value.problems}
+    assert set(places) == {"numerical.python", "controller.python", "specimen.0"}
+    assert "numerical.library" in places["numerical.python"]
+    assert "collecting garbage" in places["controller.python"]
+
+
+def told(change: dict[str, Any]) -> str:
+    with pytest.raises(rt.InputError) as caught:
+        rt.run(SHORT.with_(change))
+    return str(caught.value)
+
+
+def test_a_class_that_is_not_there_is_refused_with_its_place() -> None:
+    name = "controller.python.class"
+    found = told({"controller.type": "python", "controller.python": {"class": "own_parts:Nobody"}})
+    assert found.startswith(f'{name}: "own_parts:Nobody": own_parts has no Nobody')
+    found = told({"controller.type": "python", "controller.python": {"class": "no_such:Law"}})
+    assert "cannot be imported (No module named 'no_such')" in found
+    found = told({"controller.type": "python", "controller.python": {"class": "own_parts:Spring"}})
+    assert '"own_parts:Spring" is no ControlLaw' in found
+    found = told({"controller.type": "python", "controller.python": {"class": "my laws"}})
+    assert 'the class must be the name of a module and of a class in it, "my_parts:Osc' in found
+    found = told({"controller.type": "python"})
+    assert 'type = "python" needs it' in found
+    found = told(
+        {"numerical.integrator": "cr", "numerical.python": {"class": "own_parts:Oscillator"}}
+    )
+    assert "integrates by itself" in found
+
+
+def test_settings_that_the_class_does_not_take_are_told_by_python() -> None:
+    wrong = {"class": "own_parts:Oscillator", "settings": {"mass": 3.0}}
+    with pytest.raises(TypeError, match=r"argument.*mass"):
+        rt.run(SHORT.with_({"numerical.python": wrong}))
+
+
+def test_what_no_file_can_hold_is_refused_where_it_is_given() -> None:
+    class Inner(rt.ControlLaw):
+        """Nothing else finds it."""
+
+    with pytest.raises(rt.InputError, match="define the class at the top of its module"):
+        SHORT.with_(controller=Inner())
+    with pytest.raises(rt.InputError, match=r"give an object of it, Spring\(\.\.\.\)"):
+        SHORT.with_(rig={"specimen": [own_parts.Spring]})
+    with pytest.raises(rt.InputError, match="a setting must be a number"):
+        SHORT.with_(controller=own_parts.Inverse(object()))  # type: ignore[arg-type]
+
+
+def test_a_period_that_is_not_the_parts_own_is_noted() -> None:
+    part = own_parts.Oscillator(4.0 * SHORT["numerical.mass_kg"])
+    notes = rt.check(SHORT.with_(numerical=part)).notes
+    assert any("the part swings with 1 s" in note for note in notes)
+
+
+def test_a_diagnosis_refuses_a_model_with_a_class_in_python() -> None:
+    rec = rt.run(SHORT)
+    model = SHORT.rig.with_(specimen=[own_parts.Spring(6e5)])
+    with pytest.raises(rt.InputError, match="own_parts:Spring is a class in Python"):
+        rt.diagnose(rec, model)
+
+
+# ---- an effect for the diagnosis ----------------------------------------------------------------
+
+
+class Magnet(rt.Effect):
+    """A magnet at a place pulls the specimen to it."""
+
+    name = "magnet"
+    params = (rt.Param("pull_N", "N", 0.0, 1e6), rt.Param("at_m", "m", -1.0, 1.0))
+    equation = "f = pull exp(-((x - at) / 0.3 mm)^2)"
+    fingerprint = "a force at one displacement only"
+    signs = "+"
+
+    def trials(self, ctx: rt.Context) -> list[rt.Trial]:
+        return [rt.Trial((float(x),)) for x in np.linspace(0.1, 0.9, 17) * ctx.x_range]
+
+    def columns(self, ctx: rt.Context, trial: rt.Trial) -> list[Any]:
+        return [np.exp(-(((ctx.x - trial.theta[0]) / 3e-4) ** 2))]
+
+    def report(self, ctx: rt.Context, trial: rt.Trial, beta: Any) -> dict[str, float]:
+        return {"pull_N": float(beta[0]), "at_m": trial.theta[0]}
+
+
+class Broken(Magnet):
+    """Looks for something that is not there."""
+
+    def columns(self, ctx: rt.Context, trial: rt.Trial) -> list[Any]:
+        return [ctx.other["no such channel"]]
+
+
+class Bump(rt.Element):
+    """The force of that magnet."""
+
+    def force(self, x_m: float, v: float, a: float, dt_s: float, state: Any) -> float:
+        return float(900.0 * np.exp(-(((x_m - 3e-3) / 3e-4) ** 2)))
+
+
+@pytest.fixture(scope="module")
+def pulled() -> rt.Recording:
+    test = rt.Test("section5-T0.5")
+    return rt.run(test.with_(rig={"specimen": [*test.rig["specimen"], Bump()]}))
+
+
+def test_an_effect_of_ones_own_is_found_and_leaves_the_catalogue_as_it_was(
+    pulled: rt.Recording, tmp_path: Path
+) -> None:
+    from rthyb_rt.diagnose import effects
+
+    before = effects.catalogue()
+    found = rt.diagnose(pulled, SHORT.rig, effects=[Magnet()])
+    assert (found.verdict, found.effects) == ("explained", ["magnet"])
+    assert found.answer["candidates"][0]["params"]["pull_N"] == pytest.approx(900.0, rel=0.02)
+    assert "magnet" in found.text
+    assert found.report(tmp_path / "told")
+    assert effects.catalogue() == before
+
+
+def test_an_error_in_an_effect_names_its_line(pulled: rt.Recording) -> None:
+    with pytest.raises(KeyError) as caught:
+        rt.diagnose(pulled, SHORT.rig, effects=[Broken()])
+    lines = [frame.line for frame in traceback.extract_tb(caught.value.__traceback__)]
+    assert 'return [ctx.other["no such channel"]]' in lines
+
+
+def test_an_effect_that_is_none_or_lacks_something_is_refused(pulled: rt.Recording) -> None:
+    class Nameless(Magnet):
+        """Has everything but a name."""
+
+        name = ""
+
+    with pytest.raises(rt.InputError, match="effect 'Nameless' lacks name"):
+        rt.diagnose(pulled, SHORT.rig, effects=[Nameless()])
+    with pytest.raises(rt.InputError, match=r"such as Magnet\(\)"):
+        rt.diagnose(pulled, SHORT.rig, effects=[Magnet])  # type: ignore[list-item]
