@@ -446,7 +446,7 @@ static int table_put_reading(const rthyb_codec *codec, const rthyb_message *m,
         good &= put_reading(frame->data, &m->field[RTHYB_FIELD_X], reading->x_m);
     if (has & RTHYB_HAS_F)
         good &= put_reading(frame->data, &m->field[RTHYB_FIELD_F], reading->f_n);
-    put_extras(codec, reading, has & RTHYB_HAS_X, has & RTHYB_HAS_F, frame->data);
+    put_extras(codec, reading, (has & RTHYB_HAS_X) != 0, (has & RTHYB_HAS_F) != 0, frame->data);
     seal(m, frame);
     return good;
 }

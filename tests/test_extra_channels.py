@@ -13,10 +13,13 @@ from rthyb_rt._core import ffi, lib
 
 from rthyb_rt import config, core
 from rthyb_rt.core import CoreError, dbc, wire
+from rthyb_rt.diagnose import mapping, reading
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, extras, realtime, virtual_time
+from rthyb_rt.live.sources import LiveSource, PastSource
 from rthyb_rt.record import export, recording
 from rthyb_rt.record.recording import Recording
+from rthyb_rt.report import render
 from rthyb_rt.rig import identify, virtual_rig
 from rthyb_rt.rig.links import opening
 
@@ -352,3 +355,68 @@ def test_an_identification_records_them_too() -> None:
     assert [c.name for c in setup.channels] == ["table_acceleration", "lvdt_2"]
     found = identify.identify(rig_of(), identify.Sweep((1.0, 2.0, 4.0)))
     assert found.alpha == pytest.approx(17, rel=0.05)
+
+
+def test_the_report_shows_them_with_their_units(virtual: Recording) -> None:
+    page = render(virtual)
+    assert "Extra channel table_acceleration" in page
+    assert "lvdt_2, mm" in page
+
+
+def test_a_diagnosis_may_read_a_second_displacement_sensor(
+    virtual: Recording, tmp_path: Path
+) -> None:
+    recording.write(tmp_path / "recording.h5", virtual)
+    (tmp_path / "rig.toml").write_text(virtual.rig_toml)
+    model = reading.read_model(tmp_path / "rig.toml")
+    wishes = mapping.read_wishes(["x_meas=lvdt_2"])
+    case = reading.read_case(tmp_path / "recording.h5", model, wishes=wishes)
+    own = reading.read_case(tmp_path / "recording.h5", model)
+    # Steps of 1 um of the one, noise of 2 um of the other, and both begin at zero.
+    apart = case.channels["x_meas"] - own.channels["x_meas"]
+    assert np.abs(apart).max() < 15e-6
+    assert abs(np.mean(apart)) < 1e-6
+    assert any("lvdt_2" in note for note in case.notes)
+
+
+@pytest.mark.parametrize(
+    ("wish", "says"),
+    [("x_meas=lvdt_3", "it has table_acceleration, lvdt_2"),
+     ("x_cmd=lvdt_2", "x_meas, f_meas, ag may be an extra channel"),
+     ("x_meas=table_acceleration", "needs one of the kind of m")],
+)  # fmt: skip
+def test_what_a_diagnosis_cannot_read_is_told(
+    virtual: Recording, tmp_path: Path, wish: str, says: str
+) -> None:
+    recording.write(tmp_path / "recording.h5", virtual)
+    (tmp_path / "rig.toml").write_text(virtual.rig_toml)
+    model = reading.read_model(tmp_path / "rig.toml")
+    with pytest.raises(InputError) as error:
+        reading.read_case(tmp_path / "recording.h5", model, wishes=mapping.read_wishes([wish]))
+    assert says in str(error.value)
+
+
+def test_the_live_view_tells_the_newest_reading_of_each(virtual: Recording) -> None:
+    told = PastSource(virtual).status()
+    found = {one["label"]: one["value"] for one in told["counters"]}
+    assert found["lvdt_2"].endswith(" mm")
+    assert float(found["lvdt_2"].split()[0].replace("\u2212", "-")) == pytest.approx(
+        virtual.channel("lvdt_2")[-1], rel=1e-3, abs=1e-3
+    )
+
+
+def test_the_live_view_of_a_running_test_tells_them_too(tmp_path: Path) -> None:
+    seen: list[dict[str, str]] = []
+    setup = experiment.prepare(test_file(), rig_of(), real_time=True)
+    ours, theirs = opening.socket_pair()
+
+    def look(session: Any) -> None:
+        source = LiveSource(session.run.ring.path, None)
+        source.poll()
+        source.look()
+        seen.append({one["label"]: one["value"] for one in source.status()["counters"]})
+        source.close()
+
+    with ours, theirs, virtual_rig.in_step(rig_of(), theirs) as drive:
+        realtime.run(setup, ours, clock="stepped", before_tick=drive.tick, zeroed=look)
+    assert seen[0]["table_acceleration"].endswith(" m/s^2")

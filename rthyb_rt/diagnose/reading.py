@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt import units
 from rthyb_rt.diagnose import sizes
 from rthyb_rt.diagnose.case import CHANNELS, NO_READING, Case, Floats, Model
 from rthyb_rt.diagnose.estimate import filled, filled_if_short, white_noise
@@ -51,10 +52,11 @@ def read_case(
         InputError: the file cannot be read, or no honest answer can come from it.
     """
     where = str(recording)
-    own = _run(recording, wishes if beside is None else ())
+    own = _run(recording)
     lab = None
     if own is not None:
         t, channels, notes = _own(own)
+        _take_extras(own, wishes if beside is None else (), channels, notes)
         model = at_rate(model, own.fs_hz)
     else:
         lab = read_lab(recording, model, wishes, needed=beside is None and judged)
@@ -93,15 +95,67 @@ def read_case(
     return case
 
 
-def _run(path: Path, wishes: Sequence[Wish]) -> Recording | None:
+def _run(path: Path) -> Recording | None:
     """Return a recording of this program; None where the file is a lab's."""
     if not path.is_dir() and path.suffix not in (".h5", ".hdf5"):
         return None
     from rthyb_rt.record.recording import open_run
 
-    if wishes:
-        raise InputError("is a recording of this program, whose columns are known", "--map")
     return open_run(path)
+
+
+_EXTRA_OF = {"x_meas": "m", "f_meas": "N", "ag": "m/s^2"}
+"""What an extra channel of a rig may be read as, and the unit that it then needs."""
+
+
+def _take_extras(
+    rec: Recording, wishes: Sequence[Wish], channels: dict[str, Floats], notes: list[str]
+) -> None:
+    """Read extra channels of the rig in the place of the test's own sensors.
+
+    Raises:
+        InputError: there is no such channel, it has another kind of unit, or it is meant for
+            something that the controller has computed.
+    """
+    extras = {channel.name: channel for channel in rec.extras()}
+    mask = rec.running()
+    for wish in wishes:
+        text = wish.text.strip()
+        name = text.lstrip("-").strip()
+        if wish.channel not in _EXTRA_OF or name not in extras:
+            known = ", ".join(extras) or "none"
+            raise InputError(
+                f"found {wish.channel}={wish.text}; in a recording of this program the columns are "
+                f"known: {', '.join(_EXTRA_OF)} may be an extra channel of the rig, and it has "
+                f"{known}",
+                wish.where,
+            )
+        channel, unit = extras[name], wish.unit or extras[name].unit
+        try:
+            factor = float(units.convert(f"1 {unit}", _EXTRA_OF[wish.channel]))
+        except units.UnitError as error:
+            raise InputError(
+                f"found the unit {unit!r} of {name} ({error}); {wish.channel} needs one of the "
+                f"kind of {_EXTRA_OF[wish.channel]}",
+                wish.where,
+            ) from None
+        sign = -1.0 if text.startswith("-") or wish.sign < 0 else 1.0
+        values = sign * factor * rec.channel(channel.name)
+        if wish.channel != "ag":
+            values = values - _at_rest(rec, values)
+        channels[wish.channel] = values[mask]
+        notes.append(f"{wish.channel} is the extra channel {name} of the rig, not its own sensor")
+
+
+def _at_rest(rec: Recording, values: Floats) -> float:
+    """Return what a sensor read before anything moved; 0: not known. The test's own are tared."""
+    from rthyb_rt.core import STATES
+
+    before = int(np.argmax(rec.running()))
+    still = np.isin(rec.samples["state"][:before], [STATES.index(n) for n in ("ZEROED", "ARMED")])
+    own = values[:before][still]
+    own = own[np.isfinite(own)]
+    return float(own.mean()) if own.size else 0.0
 
 
 def _own(rec: Recording) -> tuple[Floats, dict[str, Floats], list[str]]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rthyb_rt import core, numbers
 from rthyb_rt.analysis import summary
 from rthyb_rt.analysis.attention import WINDOW_S, Judge, Subject
-from rthyb_rt.core import RUNNING, STATES
+from rthyb_rt.core import RUNNING, STATES, Channel
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import realtime, trips
 from rthyb_rt.lab.endings import in_words
@@ -141,12 +141,14 @@ class _Session:
         setup: what its files say.
         subject: the same, for the judge.
         x_ref_m: the reference simulation, empty without one, shape (n,).
+        extras: what the rig measures beside displacement and force.
     """
 
     identity: _Identity
     setup: summary.Setup
     subject: Subject
     x_ref_m: NDArray[np.float64]
+    extras: tuple[Channel, ...] = ()
 
     @classmethod
     def of(cls, rec: Recording, identity: _Identity) -> _Session:
@@ -154,7 +156,7 @@ class _Session:
         setup = summary.setup(rec)
         none = np.zeros(0)
         x_ref_m = none if rec.reference is None else rec.reference["x_ref_m"]
-        return cls(identity, setup, summary.subject(setup, rec.fs_hz), x_ref_m)
+        return cls(identity, setup, summary.subject(setup, rec.fs_hz), x_ref_m, rec.extras())
 
 
 class LiveSource:
@@ -187,6 +189,7 @@ class LiveSource:
         self._service: dict[str, Any] | None = None
         self._cause: tuple[_Identity | None, str] = (None, "")
         self._session: _Session | None = None
+        self._newest: NDArray[np.void] | None = None
         self._judge: Judge | None = None
         self._whole, self._judged = False, 0
         self._attended: tuple[float, list[str]] = (-WINDOW_S, [])
@@ -254,6 +257,7 @@ class LiveSource:
             return
         while (rows := reader.read(_CHUNK).samples).size:
             self._came_s = time.monotonic()
+            self._newest = rows[-1:].copy()
             if self._at_rest:
                 # A trip stays on the screen until somebody resets it.
                 rows = rows[rows["state"] != _TRIPPED]
@@ -381,9 +385,16 @@ class LiveSource:
             "still_s": still_s,
             "role": "" if self.socket is None else _role(self.socket),
             "attention": self._attention(),
-            "counters": [*_counters(self._tally), *told["counters"]],
+            "counters": [*_counters(self._tally), *told["counters"], *self._extras()],
             "wake": _wake(self._tally),
         }
+
+    def _extras(self) -> list[dict[str, Any]]:
+        """Return the newest readings of the rig's extra channels."""
+        session = self._session
+        if session is None or self._newest is None or session.identity != self._held:
+            return []
+        return _readings(session.extras, self._newest)
 
     def _attention(self) -> list[str]:
         """Return what is wrong with the test so far, in sentences."""
@@ -505,6 +516,16 @@ def _counter(label: str, value: object, alarm: bool = False) -> dict[str, Any]:
     return {"label": label, "value": str(value), "alarm": alarm}
 
 
+def _readings(extras: Iterable[Channel], row: NDArray[np.void]) -> list[dict[str, Any]]:
+    """Return extra channels of one row, (1,), by name and in their unit."""
+    found = []
+    for one in extras:
+        if one.name in (row.dtype.names or ()):
+            value = numbers.number(one.scale * float(row[one.name][0]), 4)
+            found.append(_counter(one.name, f"{value} {one.unit}".strip()))
+    return found
+
+
 def _counters(tally: Tally) -> Iterable[dict[str, Any]]:
     yield _counter("Ticks", tally.rows)
     yield _counter("Skipped", tally.skipped, tally.skipped > 0)
@@ -615,7 +636,10 @@ class PastSource:
             "ended": True,
             "end_reason": str(meta.get("end_reason", "")),
             "created_utc": str(meta.get("created_utc", "")),
-            "counters": list(_counters(self._tally)),
+            "counters": [
+                *_counters(self._tally),
+                *_readings(self._rec.extras(), self._rec.samples[-1:]),
+            ],
         }
         return told | {
             "mode": "past",

@@ -5,6 +5,7 @@ Layout of the file (schema ``rthyb-recording/3``)::
     /samples              one row a sample, the core's record and its channels as a compound; attrs
                           fs_hz, units, axes, channels
     /ground_motion/ag_mps2   the ground motion as the controller had it; attrs name, source, ...
+                          of a prescribed history (attr excitation) the displacement, m
     /reference            reference simulation, x_ref_m, v_ref_mps, f_ref_n (optional)
     /config/test_toml, /config/rig_toml     the resolved files as text
     /replay/...           what a bit-identical replay needs besides
@@ -16,6 +17,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -292,6 +294,16 @@ class Recording:
                 return values if channel.scale == 1.0 else channel.scale * values
         known = ", ".join(channel.name for channel in self.channels) or "none"
         raise InputError(f"no channel {name!r}; channels are: {known}", "recording")
+
+    def extras(self) -> tuple[Channel, ...]:
+        """Return the channels that the rig file names beside displacement and force."""
+        try:
+            sensors = tomllib.loads(self.rig_toml).get("sensors", {})
+            names = [one["name"] for one in sensors.get("extra", ())]
+        except (tomllib.TOMLDecodeError, AttributeError, KeyError, TypeError):
+            return ()
+        own = {channel.name: channel for channel in self.channels}
+        return tuple(own[name] for name in names if name in own)
 
     def running(self) -> NDArray[np.bool_]:
         """Return which rows belong to the test proper, shape (n,): RUNNING, or all if none is."""

@@ -1,0 +1,35 @@
+"""The figures of what a rig measures beside displacement and force."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rthyb_rt.numbers import number
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.report import drawing as draw
+from rthyb_rt.report.decimate import robust_limit
+
+
+def plates(rec: Recording) -> list[draw.Plate]:
+    """Return a figure of each extra channel over time."""
+    found = []
+    t, running = rec.time_s(), rec.running()
+    for channel in rec.extras():
+        values = rec.channel(channel.name)
+        paper = draw.Paper(f"extra-{channel.name}", draw.FULL_WIDTH_IN, (1.0,))
+        (axes,) = paper.axes
+        draw.curve(axes, t, values, draw.GREEN, 0.8)
+        draw.symmetric(axes, max(robust_limit(values), 1e-12))
+        draw.head(axes, f"{channel.name}, {channel.unit}" if channel.unit else channel.name)
+        if t.size:
+            axes.set_xlim(*draw.span(t[0], t[-1] + 1.0 / rec.fs_hz))
+        draw.x_label(axes, "time, s")
+        own = values[running & np.isfinite(values)]
+        note = "No reading in the test."
+        if own.size:
+            note = (
+                f"From {number(float(own.min()))} to {number(float(own.max()))} {channel.unit} in "
+                "the test, as measured: no offset was taken off."
+            )
+        found.append(paper.plate(f"Extra channel {channel.name}", note))
+    return found
