@@ -264,3 +264,14 @@ def test_two_runs_are_the_same_bit_by_bit() -> None:
     third = virtual_time.run(several.prepare(config.parse_test(SHORT, "test.toml"), seeded))
     assert third.samples.tobytes() != one.samples.tobytes()
     assert replace(one, samples=one.samples[:3]).axis("right").size == 3
+
+
+def test_rthyb_check_shows_axes_and_directions_and_what_it_does_not_compute(rthyb: Rthyb) -> None:
+    done = rthyb("check", str(ROOT / "examples" / "two-actuator-frame.toml"), "--json")
+    assert done.code == 0, done.err
+    told = done.json
+    assert set(told["axes"]) == {"upper", "lower"}  # type: ignore[call-overload]
+    assert set(told["directions"]) == {"x", "theta"}  # type: ignore[call-overload]
+    assert told["modes_hz"][0] == pytest.approx(2.30, abs=0.02)  # type: ignore[index]
+    assert any("are computed for one axis alone" in note for note in told["notes"])  # type: ignore[attr-defined]
+    assert "Direction theta" in done.err

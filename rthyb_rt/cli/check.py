@@ -7,10 +7,12 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from rthyb_rt.cli import terminal
-from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
+from rthyb_rt.cli import interrupts, terminal
+from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
+from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
+    from rthyb_rt.checking.axes import ExaminedAxes
     from rthyb_rt.checking.examined import Examined
 
 
@@ -20,6 +22,14 @@ def check(
     ],
     rig: RigOption = None,
     settings: SetOption = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Page with stability map, Nyquist plot and predicted tracking, as HTML.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check a test without running it.
@@ -34,12 +44,29 @@ def check(
     Examples:
       rthyb check my-test.toml
       rthyb check my-test.toml --rig my-rig.toml --set numerical.period_s=0.8
+      rthyb check my-test.toml --plot check.html
     """
+    from rthyb_rt.checking.axes import examine_axes
     from rthyb_rt.checking.examined import examine
+    from rthyb_rt.config import AxesRig
 
-    test_file, rig_file = load(test, rig, settings)
+    test_file, rig_file = load_any(test, rig, settings)
+    if isinstance(rig_file, AxesRig):
+        if plot is not None:
+            raise InputError("the figures are of a rig with one axis; leave it out", "--plot")
+        axes = examine_axes(test_file, rig_file)
+        _print_axes(axes, terminal.people(as_json))
+        if as_json:
+            terminal.print_json(axes.document())
+        return
     found = examine(test_file, rig_file, rig or test_file.rig)
     _print(found, terminal.people(as_json))
+    if plot is not None:
+        from rthyb_rt.checking import page
+
+        page.write(found, plot)
+        interrupts.wrote(plot)
+        print(f"\nPage      {plot}", file=terminal.people(as_json))
     if as_json:
         terminal.print_json(found.document())
 
@@ -55,3 +82,13 @@ def _print(found: Examined, file: IO[str]) -> None:
     remarks += [f"Note: {text}" for text in found.notes]
     if remarks:
         print("", *remarks, sep="\n", file=file)
+
+
+def _print_axes(found: ExaminedAxes, file: IO[str]) -> None:
+    setup, group = found.setup, found.group
+    print(f"{setup.test.test.name} on {group.rig.rig.name}: no errors found\n", file=file)
+    for number, rows in enumerate(found.tables()):
+        if number:
+            print("", file=file)
+        terminal.print_table(rows, file)
+    print("", *(f"Note: {text}" for text in found.notes), sep="\n", file=file)

@@ -83,7 +83,7 @@ def to_mat(rec: Recording, path: str | Path) -> None:
         "units": UNITS | {"t_s": "s"} | {one.name: one.unit for one in rec.channels},
         "flag_bits": FLAGS,
         "state_names": np.array(STATES, dtype=object),
-        "ground_motion": {"ag_mps2": rec.ag_mps2} | _without_none(rec.ground_motion),
+        "ground_motion": {_excitation(rec): rec.ag_mps2} | _without_none(rec.ground_motion),
         "meta": _without_none(rec.meta),
     }
     with replacing(Path(path)) as temporary, temporary.open("wb") as file:
@@ -94,6 +94,11 @@ def _values(rec: Recording, name: str) -> NDArray[Any]:
     """Return a field of the samples, a channel in its unit, (n,)."""
     is_channel = any(channel.name == name for channel in rec.channels)
     return rec.channel(name) if is_channel else np.asarray(rec.samples[name])
+
+
+def _excitation(rec: Recording) -> str:
+    """Return what the row that a test was driven by is: a prescribed history is a displacement."""
+    return "history_m" if "excitation" in rec.ground_motion else "ag_mps2"
 
 
 def _without_none(values: dict[str, Any]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ Layout of the file (schema ``rthyb-recording/3``)::
     /samples              one row a sample, the core's record and its channels as a compound; attrs
                           fs_hz, units, axes, channels
     /ground_motion/ag_mps2   the ground motion as the controller had it; attrs name, source, ...
+                          of a prescribed history (attr excitation) the displacement, m
     /reference            reference simulation, x_ref_m, v_ref_mps, f_ref_n (optional)
     /config/test_toml, /config/rig_toml     the resolved files as text
     /replay/...           what a bit-identical replay needs besides

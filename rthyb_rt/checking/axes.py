@@ -1,0 +1,136 @@
+"""A test on a rig of several axes, examined without running it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from rthyb_rt.config import AxesRig, TestFile
+from rthyb_rt.config.deriving_axes import law_of_axis
+from rthyb_rt.config.testfile import MATRIX
+from rthyb_rt.lab import several
+from rthyb_rt.lab.experiment import Group, Setup
+from rthyb_rt.numbers import number, percent, quantity
+
+Rows = list[tuple[str, str, str]]
+
+SCHEMA: Final = "rthyb-check/1"
+MODES: Final = 5
+NOT_COMPUTED: Final = (
+    "critical delay, roots and margins of the whole loop, and the margin of the delay estimator "
+    "are computed for one axis alone"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ExaminedAxes:
+    """What `rthyb check` says of a test on several axes."""
+
+    setup: Setup
+    group: Group
+    notes: tuple[str, ...]
+
+    def tables(self) -> list[Rows]:
+        """Return structure, each axis and each direction in rows: what, how much, of what."""
+        return [self._structure(), *(self._axis(i) for i in range(len(self.group.rig.axis))),
+                self._directions()]  # fmt: skip
+
+    def _structure(self) -> Rows:
+        structure = self.group.derived.structure
+        labels = f"{len(structure.labels)} degrees of freedom"
+        rows: Rows = [("Rate", quantity(self.setup.derived.fs_hz, "Hz"), labels)]
+        for i, mode in enumerate(structure.modes()[:MODES]):
+            damping = f"damping {percent(mode.damping_ratio)} of critical"
+            rows.append((f"Mode {i + 1}", quantity(mode.frequency_hz, "Hz", digits=4), damping))
+        return rows
+
+    def _axis(self, i: int) -> Rows:
+        rig, own = self.group.rig, self.group.derived.axis[i]
+        name, limits = rig.names[i], own.limits.limits
+        peak_m, peak_n = (
+            float(np.abs(values[:, i]).max())
+            for values in (self.group.reference.axis_m, self.group.reference.axis_n)
+        )
+        by_matrix = self.setup.test.controller.type == MATRIX
+        law = MATRIX if by_matrix else law_of_axis(self.setup.test, name).type
+        position, force = limits.command_position_m, limits.force_n
+        rows: Rows = [
+            (f"Axis {name}", law, f"feels {quantity(own.k_e_n_per_m, 'kN/m', 1e-3, 4)} with the "
+             "others at rest"),
+            ("  Displacement", quantity(peak_m, "mm", 1e3),
+             _of_limit(position.value * 1e3 if position else None, "mm")),
+            ("  Force", quantity(peak_n, "kN", 1e-3),
+             _of_limit(force.value * 1e-3 if force else None, "kN")),
+            ("  Noise at rest", quantity(own.rest_noise_displacement_m, "µm", 1e6),
+             quantity(own.rest_noise_force_n, "N")),
+        ]  # fmt: skip
+        link = rig.axis[i].link
+        if link is not None:
+            rows.append(("  Link", link.kind, link.channel))
+        return rows
+
+    def _directions(self) -> Rows:
+        rig, test = self.group.rig, self.setup.test
+        rows: Rows = []
+        for j, (one, turns) in enumerate(zip(test.interface, rig.kinematics.turns(), strict=True)):
+            reference = self.group.reference
+            unit, moment = ("mrad", "kN m") if turns else ("mm", "kN")
+            position, force = one.limits.of_kind(turns)
+            rows += [
+                (f"Direction {one.name}",
+                 quantity(float(np.abs(reference.x[:, j]).max()), unit, 1e3),
+                 _of_limit(position.value * 1e3 if position else None, unit)),
+                ("  moment" if turns else "  force",
+                 quantity(float(np.abs(reference.force[:, j]).max()), moment, 1e-3),
+                 _of_limit(force.value * 1e-3 if force else None, moment)),
+            ]  # fmt: skip
+        return rows
+
+    def document(self) -> dict[str, Any]:
+        """Return the same as plain values."""
+        group = self.group
+        return {
+            "schema": SCHEMA,
+            "test_name": self.setup.test.test.name,
+            "rig_name": group.rig.rig.name,
+            "modes_hz": [mode.frequency_hz for mode in group.derived.structure.modes()],
+            "axes": {
+                name: {
+                    "law_settings": dict(own.law_settings),
+                    "elastic_stiffness_n_per_m": own.k_e_n_per_m,
+                    "reference_peak_m": float(np.abs(group.reference.axis_m[:, i]).max()),
+                    "reference_peak_n": float(np.abs(group.reference.axis_n[:, i]).max()),
+                }
+                for i, (name, own) in enumerate(
+                    zip(group.rig.names, group.derived.axis, strict=True)
+                )
+            },
+            "directions": {
+                name: {
+                    "reference_peak": float(np.abs(group.reference.x[:, j]).max()),
+                    "reference_force_peak": float(np.abs(group.reference.force[:, j]).max()),
+                }
+                for j, name in enumerate(group.rig.directions)
+            },
+            "notes": list(self.notes),
+        }
+
+
+def _of_limit(limit: float | None, unit: str) -> str:
+    """Return in words what a peak of the reference is to be compared with."""
+    if limit is None:
+        return "peak of the reference; no limit"
+    return f"peak of the reference; limit {number(limit, 4)} {unit}"
+
+
+def examine_axes(test: TestFile, rig: AxesRig) -> ExaminedAxes:
+    """Examine a test on a rig of several axes.
+
+    Raises:
+        InputError: with what is wrong in the files, or between them.
+    """
+    setup = several.prepare(test, rig)
+    assert setup.group is not None
+    return ExaminedAxes(setup, setup.group, (*setup.notes, NOT_COMPUTED))
