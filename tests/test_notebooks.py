@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -98,3 +99,19 @@ def test_diagnosis_of_a_csv_names_the_friction_and_the_column_that_is_not_there(
     assert "<svg" in shown[3]
     assert "compared at" not in shown[3]  # one rate, though its times are rounded
     assert "did you mean 'LVDT 1'?" in shown[4]
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
+def test_a_control_law_of_ones_own_learns_the_delay_and_its_error_names_its_line(
+    tmp_path: Path,
+) -> None:
+    (notebook,) = [path for path in NOTEBOOKS if path.stem == "own-control-law"]
+    book = executed(notebook, tmp_path)
+    shown = [text_of(cell) for cell in book.cells if cell.cell_type == "code"]
+    assert "alpha from 8.2 to 17.2 samples" in shown[2]
+    assert "<svg" in shown[3]
+    assert 'class = "__main__:Slope"' in shown[5]
+    errors = dict(re.findall(r"rate +(\d+) per s: tracking ([\d.]+) %", shown[5]))
+    assert float(errors["0"]) > 5.0 * float(errors["5"])
+    assert "ZeroDivisionError in: return super().lead" in shown[6]
+    assert shown[-1].strip() == "True"
