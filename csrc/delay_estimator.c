@@ -16,8 +16,9 @@
 #define RESPONSE_S 8.0         /* length of the impulse response summed by _init, */
 #define RESPONSE_MAX 32768u    /* and the most samples of it: at 4096 Hz */
 #define PRIOR_S (1.0 / 1024.0) /* how far alpha starts from the truth, beside a quarter of itself */
-#define RIDGE_FLOOR 1e-9       /* reference^2: keeps the normal equations regular without noise */
-#define NOISE_SHARE_MAX 0.5    /* of a moment that noise compensation may take away */
+#define QUIET_M 1e-6     /* no displacement channel of an actuator is quieter: an encoder's step */
+#define RIDGE_FLOOR 1e-9 /* reference^2: keeps the normal equations regular without noise */
+#define NOISE_SHARE_MAX 0.5 /* of a moment that noise compensation may take away */
 
 typedef struct {
     double mu, phi1, phi2;
@@ -75,9 +76,14 @@ static regressor form_regressor(rthyb_estimator *est, double p, double m)
     return g;
 }
 
-/* What white noise of rest_noise_m on x_m alone puts into the products of mu, phi1, phi2. */
+/* What white noise of rest_noise_m on x_m alone puts into the products of mu, phi1, phi2.
+ *
+ * The weight of the starting values follows from that noise. A rig that states none, or less than any has,
+ * gets QUIET_M for it: else the first nanometres of a motion, in which the actuator is still at rest and the
+ * model not true yet, would outweigh them, and the estimate would leap between its bounds. */
 static void noise_moments(rthyb_estimator *est)
 {
+    const double noise_m = fmax(est->cfg.rest_noise_m, QUIET_M);
     rthyb_estimator probe = *est;
     prime(&probe, 0.0, 0.0);
     probe.level_weight = fmin(est->cfg.period_s / OFFSET_TIME_S, 1.0);
@@ -85,7 +91,7 @@ static void noise_moments(rthyb_estimator *est)
     const uint32_t wanted = ticks_of(RESPONSE_S, est->cfg.period_s);
     const uint32_t samples = wanted < RESPONSE_MAX ? wanted : RESPONSE_MAX;
     for (uint32_t i = 0; i < samples; i++) {
-        const double impulse = i == 0 ? est->cfg.rest_noise_m : 0.0;
+        const double impulse = i == 0 ? noise_m : 0.0;
         const double h = filter_step(&probe, probe.filter_m, &probe.level_m, impulse);
         const regressor g = form_regressor(&probe, 0.0, h);
         const double e = g.mu - est->cfg.alpha0 * g.phi1 - est->cfg.beta0 * g.phi2;
@@ -96,6 +102,12 @@ static void noise_moments(rthyb_estimator *est)
         est->noise1 += g.phi1 * g.mu;
         est->noise2 += g.phi2 * g.mu;
     }
+    const double share = est->cfg.rest_noise_m < noise_m ? est->cfg.rest_noise_m / noise_m : 1.0;
+    est->noise11 *= share * share;
+    est->noise12 *= share * share;
+    est->noise22 *= share * share;
+    est->noise1 *= share * share;
+    est->noise2 *= share * share;
     est->gate_power = est->cfg.gate_factor * est->noise11;
     /* The starting values count as much as measurements that put alpha within 1 ms + alpha0/4 and
      * beta within the square of that. Filtered noise repeats itself over half a period of the

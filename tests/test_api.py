@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -429,3 +430,37 @@ def test_running_from_python_costs_what_the_command_costs(tmp_path: Path) -> Non
     ratio = min(times["python"]) / min(times["command"])
     print(f"rt.run over rthyb run: {ratio:.3f} of the processor time")
     assert ratio <= 1.05
+
+
+WITHOUT_A_PATH = {
+    "open": lambda none, rec, rig: rt.open(none),
+    "replay": lambda none, rec, rig: rt.replay(none),
+    "save": lambda none, rec, rig: rig.save(none),
+    "save of a recording": lambda none, rec, rig: rec.save(none),
+    "export": lambda none, rec, rig: rec.export(none),
+    "report": lambda none, rec, rig: rec.report(none),
+    "report_files": lambda none, rec, rig: rec.report_files(none),
+    "plot.save": lambda none, rec, rig: rec.plot.response().save(none),
+    "compare": lambda none, rec, rig: rt.compare(rec, none),
+    "diagnose": lambda none, rec, rig: rt.diagnose(none, rig),
+    "diagnose: model": lambda none, rec, rig: rt.diagnose(rec, none),
+    "Test": lambda none, rec, rig: rt.run(5 if none is None else none),
+    "run": lambda none, rec, rig: rt.run(HALF_A_SECOND, out=5 if none is None else none),
+    "sweep": lambda none, rec, rig: rt.sweep(HALF_A_SECOND, out=5 if none is None else none),
+}
+HALF_A_SECOND = rt.Test(
+    "section5-T0.5", ground_motion={"duration_s": 0.5}, test={"free_vibration_s": 0.1}
+)
+
+
+@pytest.mark.parametrize("call", WITHOUT_A_PATH)
+@pytest.mark.parametrize("none", [None, 3.5, ["a"]], ids=["None", "number", "list"])
+def test_what_is_no_path_is_refused_with_what_was_found_and_what_to_give(
+    call: str, none: Any
+) -> None:
+    with pytest.raises(rt.InputError) as caught:
+        WITHOUT_A_PATH[call](none, rt.run(HALF_A_SECOND), rt.Rig("delay-10-elastic"))
+    (problem,) = caught.value.problems
+    assert problem.message.startswith("found ")
+    assert "path" in problem.message
+    assert problem.where.startswith(call.split()[0].split(":")[0])

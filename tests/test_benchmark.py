@@ -331,7 +331,7 @@ def test_the_command_prints_a_line_a_law_and_everything_as_json(rthyb: Rthyb) ->
         (("--plants", "21"), "must be 0 to 20 perturbed plants"),
         (("--plants", "-1"), "must be 0 to 20 perturbed plants"),
         (("--jobs", "0"), "must be at least 1 process"),
-        (("--width", "nan"), "must be 0 to 10"),
+        (("--width", "nan"), "must be above 0, up to 10"),
     ],
 )
 def test_what_is_not_there_is_named_with_what_is(

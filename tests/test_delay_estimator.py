@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import scipy.signal
 from kernels import FS_HZ, Floats, H, smooth_motion, time_s
 
+import rthyb_rt as rt
 from rthyb_rt import core
 
 Plant = Callable[[complex], complex]
@@ -258,8 +260,9 @@ def test_recursive_least_squares_equals_the_batch_solution_of_numpy(
     share = np.minimum(np.diag(spurious), [np.inf, *(0.5 * np.diag(moments)[1:])])
     moments -= spurious + np.diag(share - np.diag(spurious))
     # The start weighs like measurements that put alpha within 1 + alpha0/4; the filtered noise of
-    # half a period of the cut-off counts once.
-    residual = noise[0] - alpha0 * noise[1] - beta0 * noise[2]
+    # half a period of the cut-off counts once. No sensor is taken for quieter than 1 um there.
+    quiet = np.array(regressors(np.zeros(8192), unit_noise(max(std, 1e-6))))
+    residual = quiet[0] - alpha0 * quiet[1] - beta0 * quiet[2]
     spread = 1.0 + 0.25 * alpha0
     ridge = 0.5 * FS_HZ / 25.0 * np.sum(residual**2) / np.array([spread**2, spread**4])
     ridge = np.maximum(ridge, [1e-9, 1e-12])
@@ -412,3 +415,13 @@ def test_weights_that_the_compensator_refuses_are_refused_here_too(
 ) -> None:
     with pytest.raises(core.CoreError, match="W1, W2"):
         estimator(law, *weights, gain=0.01)
+
+
+def test_on_a_rig_that_states_no_noise_the_first_nanometres_do_not_move_the_estimate() -> None:
+    """Within three standard deviations of the prior, 1 sample and a quarter of the delay."""
+    path = Path(__file__).resolve().parents[1] / "examples" / "ten-storeys.toml"
+    rec = rt.run(rt.Test(path))
+    alpha = rec["alpha"][rec.running]
+    assert rec.rig["sensors.displacement.noise_std_m"] == 0.0
+    assert np.abs(alpha - 10.0).max() < 3.0 * (1.0 + 0.25 * 10.0)
+    assert np.ptp(alpha) > 0.1

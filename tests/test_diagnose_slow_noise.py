@@ -68,6 +68,18 @@ def test_slow_noise_of_a_load_cell_is_neither_an_offset_nor_a_drift(tmp_path, se
 
 
 @pytest.mark.long
+def test_drift_beside_much_dry_friction_in_pink_noise_is_no_form_of_the_friction(tmp_path):
+    """It explains a part in two thousand of what the friction does, and earns its price."""
+    columns = recorded(
+        np.random.default_rng(1), lambda t, x, v: 60.0 * np.tanh(v / 1e-3) + 3.0 * t, pink()
+    )
+    d = written(tmp_path, columns, DRIVE)
+    assert (d.verdict, sorted(d.effects)) == ("explained", ["coulomb", "drift"])
+    params = {c.name: c.params for c in d.candidates}
+    assert params["drift"]["rate_N_s"] == pytest.approx(3.0, rel=0.1)
+
+
+@pytest.mark.long
 def test_hum_that_sets_in_amid_pink_noise_is_hum(tmp_path):
     """Its beginning was believed to be noise, and what rings at 50 Hz a mass on a spring."""
     columns = recorded(

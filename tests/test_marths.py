@@ -290,9 +290,16 @@ def test_unknown_names_are_refused() -> None:
 
 
 def test_a_width_beyond_any_plant_is_refused(rthyb: Rthyb) -> None:
-    done = rthyb("benchmark", "marths", "--width", "4")
+    for width in ("4", "-1", "nan"):
+        done = rthyb("benchmark", "marths", "--width", width)
+        assert done.code != 0
+        assert "must be above 0, up to 3" in done.err
+
+
+def test_a_width_without_any_spread_is_refused_with_what_it_would_do(rthyb: Rthyb) -> None:
+    done = rthyb("benchmark", "marths", "--width", "0")
     assert done.code != 0
-    assert "must be 0 to 3" in done.err
+    assert "would draw the nominal" in " ".join(done.err.split())
 
 
 def test_worst_plants_stand_behind_the_mean() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -83,3 +84,34 @@ def test_stability_map_shows_every_run_and_no_run_below_the_critical_delay_was_e
     count, beyond = shown[-1].split()
     assert int(count) >= 10
     assert beyond == "True"
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
+def test_diagnosis_of_a_csv_names_the_friction_and_the_column_that_is_not_there(
+    tmp_path: Path,
+) -> None:
+    (notebook,) = [path for path in NOTEBOOKS if path.stem == "diagnosis"]
+    book = executed(notebook, tmp_path)
+    shown = [text_of(cell) for cell in book.cells if cell.cell_type == "code"]
+    assert shown[0].strip().startswith("Time [ms],Accel [m/s^2],Target [mm]")
+    assert shown[2].strip() == "explained ['coulomb']"
+    assert "'LVDT 1' in mm, converted" in shown[3].replace("&#x27;", "'")
+    assert "<svg" in shown[3]
+    assert "compared at" not in shown[3]  # one rate, though its times are rounded
+    assert "did you mean 'LVDT 1'?" in shown[4]
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
+def test_a_control_law_of_ones_own_learns_the_delay_and_its_error_names_its_line(
+    tmp_path: Path,
+) -> None:
+    (notebook,) = [path for path in NOTEBOOKS if path.stem == "own-control-law"]
+    book = executed(notebook, tmp_path)
+    shown = [text_of(cell) for cell in book.cells if cell.cell_type == "code"]
+    assert "alpha from 8.2 to 17.2 samples" in shown[2]
+    assert "<svg" in shown[3]
+    assert 'class = "__main__:Slope"' in shown[5]
+    errors = dict(re.findall(r"rate +(\d+) per s: tracking ([\d.]+) %", shown[5]))
+    assert float(errors["0"]) > 5.0 * float(errors["5"])
+    assert "ZeroDivisionError in: return super().lead" in shown[6]
+    assert shown[-1].strip() == "True"

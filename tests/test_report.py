@@ -379,7 +379,7 @@ def test_settings_cannot_break_out_of_the_page() -> None:
 
 def test_identified_delay_is_drawn_and_far_bounds_are_named(page: str) -> None:
     assert "identified 17" in page
-    assert "Outside the picture: bounds 0 and 60." in page
+    assert "Outside the figure: bounds 0 and 60." in page
 
 
 def test_bound_that_is_reached_is_drawn() -> None:
@@ -499,7 +499,7 @@ def test_diverged_test_keeps_its_readable_part() -> None:
     assert rec.reference is not None
     limit = robust_limit(rec.samples["x_num_m"], rec.samples["x_meas_m"], anchor=clean)
     assert 0.5 * clean < limit < 5.0 * clean
-    assert "The axis is cut: the largest value is" in render(rec)
+    assert "The axis is truncated: the largest value is" in render(rec)
 
 
 # --- fewer points -----------------------------------------------------------------------------

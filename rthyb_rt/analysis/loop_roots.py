@@ -299,16 +299,16 @@ class Loop:
             low, high = (middle, high) if self.stable(middle) else (low, middle)
         return low
 
+    def opened(self, z: Complexes) -> Complexes:
+        """Return L of 1 + L = 0, the loop opened at the rig, at z (k,)."""
+        moved = self.part.response(z)[:, 0]
+        inner = self.beside.response(z)[:, 0]
+        return np.asarray(-moved * self.by_rig.response(z)[:, 0] / (1.0 - moved * inner))
+
     def delay_margin(self) -> float:
         """Return what the rig may be later, samples; inf: any delay."""
-
-        def loop(z: Complexes) -> Complexes:
-            moved = self.part.response(z)[:, 0]
-            inner = self.beside.response(z)[:, 0]
-            return np.asarray(-moved * self.by_rig.response(z)[:, 0] / (1.0 - moved * inner))
-
         peaks = np.abs(np.angle(np.concatenate([self.roots(), self.roots(0.0)])))
-        return margins.first_crossing(loop, peaks, 0)
+        return margins.first_crossing(self.opened, peaks, 0)
 
 
 def loop_of(config: ControllerConfig, model: response.Plant, law: Block, hold: str | None) -> Loop:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test
+from rthyb_rt.api.recordings import Plot
 from rthyb_rt.api.tables import html_table
 
 if TYPE_CHECKING:
@@ -44,6 +46,33 @@ class Check:
     def table(self) -> list[tuple[str, str, str]]:
         """The tables of the command line below one another: what, how much, what it is."""
         return [row for rows in self._found.tables() for row in rows]
+
+    def plots(self) -> dict[str, Plot]:
+        """Draw ``stability``, ``nyquist`` and ``tracking``: delays, loop, what is to be expected.
+
+        Raises:
+            InputError: matplotlib is not installed.
+        """
+        from rthyb_rt.report.html import extra_needed
+
+        with extra_needed("a figure"):
+            from rthyb_rt.checking.drawings import plates
+        return {
+            one.key: Plot(one.key, one.title, one.note, one.svg, one.figure)
+            for one in plates(self._found.setup)
+        }
+
+    def report(self, path: Place) -> Path:
+        """Write tables, remarks and figures as one HTML file.
+
+        Raises:
+            InputError: matplotlib or jinja2 is not installed.
+            RthybError: the file cannot be written.
+        """
+        from rthyb_rt.checking import page
+
+        page.write(self._found, Path(path))
+        return Path(path)
 
     def __repr__(self) -> str:
         setup = self._found.setup

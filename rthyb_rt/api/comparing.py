@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rthyb_rt.api.files import Place
+from rthyb_rt.api.files import Place, path_of
 from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options
 from rthyb_rt.api.recordings import Plot, Recording, extra
 from rthyb_rt.api.tables import html_table
@@ -78,8 +78,9 @@ class Comparison:
             InputError: matplotlib or jinja2 is not installed.
             RthybError: the file cannot be written.
         """
-        page.write(self._found, Path(path))
-        return Path(path)
+        target = path_of(path, "report", "the page to write, comparison.html")
+        page.write(self._found, target)
+        return target
 
     def __repr__(self) -> str:
         return f"<Comparison of {len(self.labels)} recordings: {', '.join(self.labels)}>"
@@ -123,7 +124,12 @@ def compare(
         >>> found.rows[0]["x_difference_nrmse"]
         0.0
     """
-    given = [one.raw if isinstance(one, Recording) else Path(one) for one in recordings]
+    given = [
+        one.raw
+        if isinstance(one, Recording)
+        else path_of(one, "compare", "the folder of a run, or of a recording")
+        for one in recordings
+    ]
     try:
         return Comparison(Overlay.of(courses.read(given, map_options(columns)), align=align))
     except InputError as error:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rthyb_rt.api.files import Place, Rig
+from rthyb_rt.api.files import Place, Rig, path_of
 from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options
 from rthyb_rt.api.recordings import Recording
 from rthyb_rt.errors import InputError, RthybError
@@ -90,7 +90,8 @@ class Diagnosis:
         from rthyb_rt.diagnose.page import write_report
 
         with effects.beside(self._own):
-            return write_report(Path(folder), self._found, self._outcome, self._checks, self._model)
+            target = path_of(folder, "report", "the folder to write to")
+            return write_report(target, self._found, self._outcome, self._checks, self._model)
 
     def __repr__(self) -> str:
         named = f": {', '.join(self.effects)}" if self.effects else ""
@@ -201,7 +202,7 @@ def _as_files(
 
         def recorded(given: Recording | Place, name: str) -> Path:
             if not isinstance(given, Recording):
-                return Path(given)
+                return path_of(given, f"diagnose: {name}", "a run's folder or a recording")
             if given.path is not None and given.path.exists():
                 return given.path
             return given.save(Path(folder) / name / (given.name or name) / "recording.h5")
@@ -209,7 +210,8 @@ def _as_files(
         if isinstance(model, Rig):
             model_path = model.save(Path(folder) / f"{model.name}.toml")
         else:
-            model_path = find_model(os.fspath(model))
+            what = "a rig, test or baseline file, or the name of a shipped one"
+            model_path = find_model(str(path_of(model, "diagnose: model", what)))
         yield (
             recorded(recording, "recording"),
             model_path,

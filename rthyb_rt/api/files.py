@@ -25,6 +25,24 @@ _File = TypeVar("_File", TestFile, RigFile)
 RIG: Final = "rig"
 
 
+def path_of(given: object, where: str, what: str) -> Path:
+    """Return a path that was given.
+
+    Args:
+        given: what should be one.
+        where: the function, or the argument of it.
+        what: what the path is of, "the folder of a run".
+
+    Raises:
+        InputError: it is none.
+    """
+    if isinstance(given, (str, os.PathLike)) and os.fspath(given) not in ("", b""):
+        path = os.fspath(given)
+        if isinstance(path, str):
+            return Path(path)
+    raise InputError(f"found {written(given)}; give the path of {what}, a text or a Path", where)
+
+
 def plain(value: Any) -> Any:
     """Return a value as a file holds it: NumPy's scalars and paths as Python's own.
 
@@ -148,13 +166,15 @@ class _Document(Generic[_File]):
         """Write `to_toml` to a file, whole or not at all; an older one is replaced.
 
         Raises:
-            RthybError: it cannot be written.
+            InputError: it is no path.
+        RthybError: it cannot be written.
         """
         from rthyb_rt.record.recording import replacing
 
-        with replacing(Path(path)) as temporary:
+        target = path_of(path, "save", f"the {self._kind} file to write, {self._kind}.toml")
+        with replacing(target) as temporary:
             temporary.write_text(self.to_toml(), encoding="utf-8")
-        return Path(path)
+        return target
 
     def __eq__(self, other: object) -> bool:
         """Tell whether both stand for the same file, wherever they come from."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.api.files import Place, Rig, Test
+from rthyb_rt.api.files import Place, Rig, Test, path_of
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.errors import InputError
@@ -54,7 +54,7 @@ class Plot:
             InputError: there is nothing to draw, or no such format.
             RthybError: the file cannot be written.
         """
-        path = Path(path)
+        path = path_of(path, "plot.save", "the file to write, plot.svg")
         if self.figure is None:
             raise InputError(f"there is no figure to save: {self.note}", f"plot.{self.key}")
         from matplotlib.backend_bases import FigureCanvasBase
@@ -416,8 +416,9 @@ class Recording(Mapping[str, NDArray[Any]]):
         """
         from rthyb_rt.report import write_report
 
-        write_report(self._raw, Path(path))
-        return Path(path)
+        target = path_of(path, "report", "the page to write, report.html")
+        write_report(self._raw, target)
+        return target
 
     def report_files(self, folder: Place) -> list[Path]:
         """Write every figure of the report as SVG and PDF, its table as LaTeX and CSV.
@@ -434,7 +435,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         """
         from rthyb_rt.report.files import write_files
 
-        return write_files(self._raw, Path(folder))
+        return write_files(self._raw, path_of(folder, "report_files", "the folder to write to"))
 
     def save(self, path: Place) -> Path:
         """Write the recording as an HDF5 file, from which `open` gives it back.
@@ -442,8 +443,9 @@ class Recording(Mapping[str, NDArray[Any]]):
         Raises:
             RthybError: the file cannot be written.
         """
-        files.write(Path(path), self._raw)
-        return Path(path)
+        target = path_of(path, "save", "the file to write, recording.h5")
+        files.write(target, self._raw)
+        return target
 
     def export(self, path: Place, *, whole: bool = False) -> Path:
         """Write the signals for other programs, by the file's ending: ``.csv`` or ``.mat``.
@@ -459,7 +461,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         """
         from rthyb_rt.record import export
 
-        path = Path(path)
+        path = path_of(path, "export", "the file to write, signals.csv")
         if path.suffix not in _SUFFIXES:
             raise InputError(
                 f"found the ending {written(path.suffix)}; must be one of {', '.join(_SUFFIXES)}",
@@ -524,10 +526,15 @@ def open_recording(path: Place) -> Recording:
     Raises:
         InputError: there is none, or it cannot be read; says why.
     """
-    found = Path(path)
+    found = path_of(path, "open", "the folder of a run, or of its recording.h5")
     return Recording(files.open_run(found), found)
 
 
-def as_recording(given: Recording | Place) -> Recording:
-    """Return a recording that was given as one, or by its path; errors as for `open_recording`."""
-    return given if isinstance(given, Recording) else open_recording(given)
+def as_recording(given: Recording | Place, where: str = "open") -> Recording:
+    """Return a recording that was given as one, or by its path; errors as for `open_recording`.
+
+    ``where`` is the function that it was given to.
+    """
+    if isinstance(given, Recording):
+        return given
+    return open_recording(path_of(given, where, "the folder of a run, or of its recording.h5"))

@@ -22,4 +22,4 @@ def replay(recording: Recording | Place) -> Replay:
     """
     from rthyb_rt.lab import realtime
 
-    return realtime.replay(as_recording(recording).raw)
+    return realtime.replay(as_recording(recording, "replay").raw)

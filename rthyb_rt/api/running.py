@@ -57,7 +57,7 @@ def run(
         >>> rec.completed
         True
     """
-    folder = None if out is None else _free(Path(out))
+    folder = None if out is None else _free(files.path_of(out, "run: out", "a new folder"))
     try:
         setup = prepared(test, rig)
         raw = virtual_time.run(setup, progress)

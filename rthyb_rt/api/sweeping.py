@@ -205,7 +205,8 @@ def sweep(
         "draws": plain(draws or {}),
     }
     parts |= _written(base, {key: value for key, value in values.items() if value not in ({}, [])})
-    folder = Path(out or Path("runs") / called).resolve()
+    where = Path("runs") / called if out is None else out
+    folder = files.path_of(where, f"{_CALLED}: out", "the folder of the sweep").resolve()
     try:
         planned = given.plan_of(folder, parts)
         found = conducting.conduct(

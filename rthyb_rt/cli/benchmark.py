@@ -59,8 +59,12 @@ JobsOption = Annotated[
 
 
 def _check_width(width: float, most: float) -> None:
-    if not 0.0 <= width <= most:
-        raise typer.BadParameter(f"found {width:g}; must be 0 to {most:g}", param_hint="--width")
+    if not 0.0 < width <= most:
+        raise typer.BadParameter(
+            f"found {width:g}; must be above 0, up to {most:g}: a width of 0 would draw the "
+            "nominal plant again and again",
+            param_hint="--width",
+        )
 
 
 @benchmark.command()

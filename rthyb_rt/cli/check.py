@@ -7,8 +7,9 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from rthyb_rt.cli import terminal
+from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
+from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.checking.axes import ExaminedAxes
@@ -21,6 +22,14 @@ def check(
     ],
     rig: RigOption = None,
     settings: SetOption = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Page with stability map, Nyquist plot and predicted tracking, as HTML.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check a test without running it.
@@ -35,6 +44,7 @@ def check(
     Examples:
       rthyb check my-test.toml
       rthyb check my-test.toml --rig my-rig.toml --set numerical.period_s=0.8
+      rthyb check my-test.toml --plot check.html
     """
     from rthyb_rt.checking.axes import examine_axes
     from rthyb_rt.checking.examined import examine
@@ -42,6 +52,8 @@ def check(
 
     test_file, rig_file = load_any(test, rig, settings)
     if isinstance(rig_file, AxesRig):
+        if plot is not None:
+            raise InputError("the figures are of a rig with one axis; leave it out", "--plot")
         axes = examine_axes(test_file, rig_file)
         _print_axes(axes, terminal.people(as_json))
         if as_json:
@@ -49,6 +61,12 @@ def check(
         return
     found = examine(test_file, rig_file, rig or test_file.rig)
     _print(found, terminal.people(as_json))
+    if plot is not None:
+        from rthyb_rt.checking import page
+
+        page.write(found, plot)
+        interrupts.wrote(plot)
+        print(f"\nPage      {plot}", file=terminal.people(as_json))
     if as_json:
         terminal.print_json(found.document())
 

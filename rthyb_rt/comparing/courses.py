@@ -30,6 +30,8 @@ MEASURES: Final = (
 _TABLES: Final = (".csv", ".txt", ".dat", ".tsv")
 _UNEVEN: Final = 0.5
 """Part of a sampling period by which a row of a table may be off its place."""
+_PRINTED: Final = 1e-6
+"""Part of a rate that the rounding of printed times may be off over a test."""
 
 
 @dataclass(frozen=True)
@@ -243,7 +245,13 @@ def table(path: Path, wishes: Sequence[Wish]) -> Course:
     measures["peak_measured_m"] = _largest(x)
     measures["peak_force_n"] = None if f is None else _largest(f)
     told = tuple(f"{path.name}: {note}" for note in notes)
-    return Course(path.stem, "table", 1.0 / step, x, f, "", measures, told)
+    return Course(path.stem, "table", _rate(step), x, f, "", measures, told)
+
+
+def _rate(step_s: float) -> float:
+    """Return the rate of rows, in whole hertz where only the rounding of times is between."""
+    rate = 1.0 / step_s
+    return float(round(rate)) if abs(rate - round(rate)) < _PRINTED * rate else rate
 
 
 def _largest(values: Floats) -> float:

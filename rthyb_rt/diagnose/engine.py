@@ -213,7 +213,7 @@ def displacement(case: Case) -> Displacement | None:
     known = known and task.own is None
     known = known or left < _allowed(case, len(best.effects) or 1)
     # As of the force: noise has any colour, and only its white part is measured.
-    quiet = bool(case.model.x_std) and _mere_noise(
+    quiet = bool(case.model.x_std) and noise.mere(
         task.left(best)[task.rows],
         best.residual,
         (case.model.x_std or 0.0) * (1.0 + (task.own.scatter if task.own is not None else 0.0)),
@@ -502,7 +502,7 @@ def _felt(case: Case, search: force.Search, ctx: Context) -> bool:
 
 def _force_known(case: Case, search: force.Search) -> bool:
     """Return whether what was found leaves no more than the form of a law."""
-    if search.moved and search.excess_after < POLICY.excess_as_noise:
+    if search.moved and (search.quiet or search.excess_after < POLICY.excess_as_noise):
         # What is moved as it was measured, by what is named or by nothing, has the force for it.
         return True
     if search.moved and search.best.members:
@@ -550,30 +550,10 @@ def _by_the_sheet(case: Case, search: force.Search) -> bool:
         count = found.share * white.size
         # Three standard deviations of the power of so few rows.
         most = 1.0 + POLICY.excess_as_noise + 3.0 * np.sqrt(2.0 / count)
-        return float(white @ white) < most * count and _steady(white, case.fs_hz)
-    return "f_meas" in case.channels and _mere_noise(
+        return float(white @ white) < most * count and noise.steady(white, case.fs_hz)
+    return "f_meas" in case.channels and noise.mere(
         rest[found.rows], found.whiten(rest)[found.rows], sheet * (1.0 + found.scatter), case.fs_hz
     )
-
-
-def _mere_noise(rest: Floats, white: Floats, sheet: float, fs_hz: float) -> bool:
-    """Return whether what is left of a channel is within its data sheet, and in no bursts.
-
-    As it is, (n,), and as it would be were its noise white, (n,): slow noise swells by itself, and
-    the rms of one recording scatters about what a sheet states.
-    """
-    return _rms(rest) < POLICY.sheet_factor * sheet and _steady(white, fs_hz)
-
-
-def _steady(white: Floats, fs_hz: float) -> bool:
-    """Return whether noise that is made white, (n,), comes in no bursts of a second."""
-    count = max(int(white.size / max(fs_hz, 1.0)), 1)
-    loudest = max(_rms(part) for part in np.array_split(white, count))
-    return loudest < POLICY.noise_burst * _rms(white)
-
-
-def _rms(signal: Floats) -> float:
-    return float(np.sqrt(np.mean(signal**2)))
 
 
 def _left_by(search: force.Search, fit: Fit) -> Floats:

@@ -9,7 +9,7 @@ through the specimen's impedance, gives the noise of the force residual, which n
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -214,10 +214,10 @@ def _smooth_spectrum(power: Floats, width: int) -> Floats:
     return np.convolve(np.pad(power, width, mode="reflect"), kernel, mode="valid")
 
 
-def _above_noise(spectrum: Complex, rows: int, sigma: float) -> Floats:
-    """Return the power of a signal where it stands out of white noise, else 0."""
+def _above_noise(spectrum: Complex, rows: int, noise_power: Floats | float) -> Floats:
+    """Return the power of a signal where it stands out of its noise, else 0."""
     power = _smooth_spectrum(np.abs(spectrum) ** 2 / rows, 12)
-    return np.where(power > 3.5 * sigma**2, power - sigma**2, 0.0)
+    return np.where(power > 3.5 * noise_power, power - noise_power, 0.0)
 
 
 def _envelope(power: Floats, omega: Floats) -> Floats:
@@ -277,36 +277,55 @@ class _Knowledge:
     seen: Floats
 
 
+@dataclass(frozen=True)
+class Sensor:
+    """A channel of a motion, (n,); its noise: standard deviation, were it white, and colour."""
+
+    signal: Floats
+    sigma: float
+    colour: noise.Colour | None = None
+
+    def power(self, omega: Floats) -> Floats:
+        """Return the power of its noise at frequencies in rad/s, in its unit squared a row."""
+        level = np.ones(omega.size) if self.colour is None else self.colour.at(omega / (2 * np.pi))
+        return self.sigma**2 * level
+
+
 def smoothed(
-    case: Case, accelerations: list[tuple[Floats, float]]
+    case: Case, accelerations: list[Sensor], colour: noise.Colour | None = None
 ) -> tuple[Motion, _Knowledge, _Spectral]:
-    """Join displacement and accelerations (each with its noise) into one motion.
+    """Join displacement and accelerations, each with its noise, into one motion.
+
+    Args:
+        case: the recording.
+        accelerations: of the specimen.
+        colour: of the displacement's noise.
 
     Returns the motion, how well it is known at each frequency, and the frequencies.
     """
     x_meas = case.channels["x_meas"]
-    sigma_x = noise_of(x_meas, case.model.x_std)
-    x = filled(x_meas)
-    s = _Spectral.of(x.size, case.fs_hz)
-    rows = x.size + 2 * s.pad
+    place = Sensor(filled(x_meas), noise_of(x_meas, case.model.x_std), colour)
+    s = _Spectral.of(place.signal.size, case.fs_hz)
+    rows = place.signal.size + 2 * s.pad
     # A straight line between the ends carries no frequency: it goes round the transform.
-    spectrum = s.forward(x, odd=True)
+    spectrum = s.forward(place.signal, odd=True)
     w2 = s.omega**2
-    information = np.full(s.omega.size, 1.0 / sigma_x**2)
-    joined = spectrum / sigma_x**2
-    prior = _above_noise(spectrum, rows, sigma_x)
+    own = place.power(s.omega)
+    information = 1.0 / own
+    joined = spectrum / own
+    prior = _above_noise(spectrum, rows, own)
     band = s.omega > 2 * np.pi * 0.2
     safe = np.where(band, w2, 1.0)
-    for signal, sigma in accelerations:
-        other = s.forward(filled(signal), odd=True)
-        prior = np.maximum(prior, np.where(band, _above_noise(other, rows, sigma) / safe**2, 0.0))
-        joined = joined + np.where(band, -w2 * other / sigma**2, 0.0)
-        information += np.where(band, w2**2 / sigma**2, 0.0)
+    for sensor in accelerations:
+        other, level = s.forward(filled(sensor.signal), odd=True), sensor.power(s.omega)
+        prior = np.maximum(prior, np.where(band, _above_noise(other, rows, level) / safe**2, 0.0))
+        joined = joined + np.where(band, -w2 * other / level, 0.0)
+        information = information + np.where(band, w2**2 / level, 0.0)
     # Where anything at all was seen to move, for those who weigh residuals by it.
     seen = np.maximum.accumulate(prior[::-1])[::-1]
     seen = seen / (seen + 4.0 / information)
     prior = _envelope(prior, s.omega)
-    variance = 1.0 / (information + 1.0 / np.maximum(prior, 1e-12 * sigma_x**2))
+    variance = 1.0 / (information + 1.0 / np.maximum(prior, 1e-12 * place.sigma**2))
     best = joined * variance
     x_hat = s.back(best)
     v_hat = s.back(1j * s.omega * best)
@@ -349,7 +368,7 @@ def band_of(signal: Floats, fs_hz: float, sigma: float) -> Denoiser:
     """Return the filter (Wiener's) that takes white noise off a signal of shape (n,)."""
     s = _Spectral.of(signal.size, fs_hz)
     spectrum = s.forward(signal, odd=True)
-    power = _envelope(_above_noise(spectrum, signal.size + 2 * s.pad, sigma), s.omega)
+    power = _envelope(_above_noise(spectrum, signal.size + 2 * s.pad, sigma**2), s.omega)
     gain = power / (power + sigma**2)
     return lambda other: s.back(gain * s.forward(other, odd=True))
 
@@ -587,6 +606,25 @@ def along(case: Case, motion: Motion, exact_from: int) -> Estimate | None:
     return Estimate(motion, filled(f_meas), rows, lambda y: y / sigma, sigma, True)
 
 
+def _in_colour_each(
+    case: Case, accelerations: list[Sensor]
+) -> tuple[list[Sensor], noise.Colour | None]:
+    """Return the accelerations, and the displacement's colour, each with that of its noise."""
+    from rthyb_rt.diagnose.moving import sensor_colour
+
+    x_meas, model = case.channels["x_meas"], case.model
+    forces = ("f_in",) if model.family == "forced" else ("f_meas", "x_cmd")
+    beside = [filled(case.channels[n]) for n in forces if n in case.channels]
+    x, sigma = filled(x_meas), noise_of(x_meas, model.x_std)
+    felt = [a.signal for a in accelerations]
+    colour = sensor_colour(x, [*felt, *beside], case.fs_hz, sigma, model.x_std)
+    heard = [
+        replace(a, colour=sensor_colour(a.signal, [x, *beside], case.fs_hz, a.sigma, model.a_std))
+        for a in accelerations
+    ]
+    return heard, colour
+
+
 def from_sensors(case: Case) -> Estimate | None:
     """Return the estimate from displacement, accelerometer and load cell; None without a force."""
     model, channels = case.model, case.channels
@@ -595,14 +633,15 @@ def from_sensors(case: Case) -> Estimate | None:
         return None
     if quasi_static(case):
         return _static(case)
-    accelerations: list[tuple[Floats, float]] = []
+    accelerations: list[Sensor] = []
     ground = model.family == "ground"
     if a_meas is not None:
         # On moving ground an accelerometer feels the ground as well.
         parts = [filled(a_meas), -filled(ag)] if ground and ag is not None else [filled(a_meas)]
         sigma = noise_of(a_meas, model.a_std)
-        accelerations.append((aligned(case, parts, sigma), sigma))
-    motion, known, s = smoothed(case, accelerations)
+        accelerations.append(Sensor(aligned(case, parts, sigma), sigma))
+    accelerations, colour = _in_colour_each(case, accelerations)
+    motion, known, s = smoothed(case, accelerations, colour)
     mass = model.moving_mass
     rows = case.rows & away_from_gaps(channels["x_meas"], case.fs_hz, 0.1, 0.1, bridged=True)
     for name in ("a_meas", "ag"):

@@ -11,6 +11,7 @@ import numpy as np
 from rthyb_rt.diagnose import decay, modulation, noise, onset, redundant
 from rthyb_rt.diagnose.effects import catalogue, having, of_number
 from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
+from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.policy import POLICY, of_size
 from rthyb_rt.diagnose.select import (
@@ -60,6 +61,7 @@ class Search:
         moved: whether it is the simulated motion that was judged, see `freebody`.
         balance: what the balance of forces came to, where it was not believed.
         pool: the best sets while every row still counted, whatever came of them.
+        quiet: whether what a simulated motion leaves is within the displacement's data sheet.
     """
 
     problem: Problem
@@ -77,6 +79,7 @@ class Search:
     moved: bool = False
     balance: Search | None = None
     pool: list[Fit] = field(default_factory=list)
+    quiet: bool = False
 
 
 class _Fitter:
@@ -483,10 +486,10 @@ def _moved(
     before, after = plain.chi2, best.chi2
     mover.rescale(scale, plain)
     found = _decide(problem, mover, plain, (before, after, n), scale, lambda _: 1.0)
+    found.quiet = body.quiet(found.best)
     left = found.excess_after / max(found.excess_before, 1e-12)
-    return (
-        found if found.excess_after < POLICY.moved_excess or left < POLICY.moved_decisive else None
-    )
+    met = found.quiet or found.excess_after < POLICY.moved_excess or left < POLICY.moved_decisive
+    return found if met else None
 
 
 def search(
@@ -780,7 +783,7 @@ def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
         )
         explained = decay.explained(fitter.problem, fitter.fit, fit, member, null)
         small = rest and own < least * explained and not stated
-        if not small or _completes(fitter, fit, without):
+        if not small or _completes(fitter, fit, without) or _of_no_form(fitter, fit, i):
             continue
         # Unless a time offset beyond what is normal would have to stand in for it. Beside a naive
         # model that says nothing: there an offset takes up what the form of a law leaves.
@@ -790,6 +793,38 @@ def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
         if naive or _strained(fitter.problem, fit) or not _strained(fitter.problem, without):
             return False
     return True
+
+
+def _of_no_form(fitter: _Fitter, fit: Fit, which: int) -> bool:
+    """Return whether an effect of the load cell is no form of the laws beside it.
+
+    Where nothing but noise is left, and it earns its price still with each of those laws free to be
+    itself times any smooth function of displacement and of velocity: no law follows what a load
+    cell does by itself.
+    """
+    problem, effect = fitter.problem, fit.members[which].effect
+    at_noise = fit.chi2 - fitter.rows < POLICY.excess_as_noise * fitter.rows
+    if not effect.sensor or effect.carries or isinstance(fitter, _Mover):
+        return False
+    if not at_noise or problem.case.model.k_tol is None:
+        return False
+    ctx, own = problem.ctx, problem.columns(fit.members[which])
+    over = [(ctx.x, ctx.x_range), (ctx.v, ctx.v_range)]
+    near = [problem.base]
+    for i, member in enumerate(fit.members):
+        if i != which:
+            near.append(problem.columns(member))
+            forms = [] if member.effect.sensor else neighbours(contribution(problem, fit, i), over)
+            near += [problem.seen(column)[:, None] for column in forms]
+    design = np.column_stack(near)
+    design /= np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-300)
+    both = np.column_stack([problem.y, own])
+    y, *mine = (both - design @ np.linalg.lstsq(design, both, rcond=1e-9)[0]).T
+    alone = np.column_stack(mine)
+    left = y - alone @ np.linalg.lstsq(alone, y, rcond=None)[0]
+    count = effect.settings(ctx, fit.members[which].trial)[1]
+    wanted = POLICY.several_price * price(problem, effect, count)
+    return float(y @ y - left @ left) > wanted
 
 
 def _before_a_dashpot(fitter: _Fitter, fit: Fit, member: int, null: Fit) -> bool:

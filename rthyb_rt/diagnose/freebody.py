@@ -17,7 +17,7 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import Motion, SimulationError
-from rthyb_rt.diagnose import estimate
+from rthyb_rt.diagnose import estimate, noise
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects import having, of_number
 from rthyb_rt.diagnose.effects.base import Context
@@ -139,6 +139,24 @@ class Body:
         return not any(m.name in slow or not m.effect.sensor for m, _ in rest) and not any(
             n in slow for n in fit.names
         )
+
+    def quiet(self, fit: Fit) -> bool:
+        """Return whether what a set's motion leaves is within the data sheet, and in no bursts.
+
+        As of the force: noise has any colour, and its measured level is that of its white part.
+        """
+        sheet, x = self.case.model.x_std, np.zeros(self.x.size)
+        if not sheet or self.case.model.k_tol is None or self.whole_rig:
+            return False
+        rows = np.zeros(x.size, dtype=np.bool_)
+        rows[self.rows] = True
+        x[self.rows] = fit.residual * self.sigma
+        if not rows.all():
+            x = np.interp(np.arange(x.size), self.rows, x[self.rows])
+        own = estimate.likelihood(x, rows, self.ctx.v, self.case.fs_hz, self.sigma, sheet)[1]
+        white = fit.residual if own is None else own.whiten(x)[rows]
+        wider = sheet * (1.0 + (own.scatter if own is not None else 0.0))
+        return noise.mere(x[rows], white, wider, self.case.fs_hz)
 
     def _ends(self, first: Augmented, place: tuple[str, int, int]) -> tuple[float, float]:
         """Return the range of a parameter: of a shape, that of its effect, as logarithms."""

@@ -140,6 +140,28 @@ def colour_of(
     return _held(found, f_hz, sheet)
 
 
+def colour_above(
+    f_hz: Floats, power: Floats, spectra: int, from_hz: float, lines: Floats, sheet: float
+) -> Colour | None:
+    """Return the colour of noise that is seen from a frequency on; None where it is white.
+
+    Args:
+        f_hz, power: lines from there on and the power of each over that of white noise, (m,).
+        spectra: how many that power is the mean of.
+        from_hz: that frequency.
+        lines: all lines that there are, Hz.
+        sheet: what the data sheet states, over the standard deviation of the white noise.
+    """
+    near = f_hz < POLICY.noise_near * from_hz
+    if near.sum() < 3:
+        near[:3] = True
+    red = _fitted_red(f_hz[near], power[near])
+    levels = _levels(f_hz, power, 0.5 / spectra)
+    found = Colour(*levels, red, from_hz, 0.5 * float(f_hz[0]))
+    # How small it is has been measured, and slower noise than was seen is the sheet's as well.
+    return _held(found, lines, sheet, least=0.0) if _better(found, f_hz, power) else None
+
+
 def red_of(lines: Lines, power: Floats | None, sheet: float | None) -> Colour | None:
     """Return a floor and what rises from it towards slow motion, read within the motion's band too.
 
@@ -159,15 +181,17 @@ def red_of(lines: Lines, power: Floats | None, sheet: float | None) -> Colour | 
     return _held(found, lines.f_hz, sheet) if red[1] > 0.0 and _better(found, f_hz, inner) else None
 
 
-def _held(found: Colour, f_hz: Floats, sheet: float) -> Colour:
+def _held(found: Colour, f_hz: Floats, sheet: float, least: float | None = None) -> Colour:
     """Return a colour as large as the data sheet allows, over the lines that were seen.
 
-    Slower noise stands in the mean of the recording, which is a nuisance.
+    Slower noise stands in the mean of the recording, which is a nuisance. ``least`` takes the place
+    of what the sheet allows at least.
     """
     seen, red = f_hz >= 2.0 * found.least_hz, found.red
     total = float(np.sum(found.at(f_hz[seen]))) / f_hz.size
     factor = POLICY.sheet_factor
-    held = float(np.clip(total, (sheet / factor) ** 2, (sheet * factor) ** 2)) / total
+    low = sheet / factor if least is None else least
+    held = float(np.clip(total, low**2, (sheet * factor) ** 2)) / total
     return replace(found, power=held * found.power, red=(held * red[0], held * red[1], red[2]))
 
 
@@ -180,8 +204,11 @@ def _faded(rows: NDArray[np.bool_], fs_hz: float) -> Floats:
     return np.convolve(inner, window / window.sum(), mode="same")
 
 
-def _levels(f_hz: Floats, power: Floats) -> tuple[Floats, Floats]:
-    """Return the levels of a spectrum, of `OCTAVE` each where there are lines enough."""
+def _levels(f_hz: Floats, power: Floats, below: float = EULER) -> tuple[Floats, Floats]:
+    """Return the levels of a spectrum, of `OCTAVE` each where there are lines enough.
+
+    ``below`` says by how much the mean of a line's logarithm lies below that of its mean.
+    """
     cuts = [0]
     for i in range(1, f_hz.size):
         if f_hz[i] > f_hz[cuts[-1]] * 2.0**OCTAVE and i - cuts[-1] >= LINES:
@@ -191,7 +218,7 @@ def _levels(f_hz: Floats, power: Floats) -> tuple[Floats, Floats]:
     parts = [slice(a, b) for a, b in zip(cuts, [*cuts[1:], f_hz.size], strict=True)]
     middles = np.array([float(np.exp(np.mean(np.log(f_hz[p])))) for p in parts])
     # By the logarithm: a line, such as hum, does not count as noise.
-    logs = np.array([float(np.mean(np.log(power[p] + 1e-300))) + EULER for p in parts])
+    logs = np.array([float(np.mean(np.log(power[p] + 1e-300))) + below for p in parts])
     return middles, np.exp(logs)
 
 
@@ -252,3 +279,23 @@ def _better(found: Colour, f_hz: Floats, power: Floats) -> bool:
     level, white = found.at(f_hz), float(np.mean(power))
     gain = np.sum(np.log(white) + power / white) - np.sum(np.log(level) + power / level)
     return bool(2.0 * gain > found.count * np.log(f_hz.size))
+
+
+def mere(rest: Floats, white: Floats, sheet: float, fs_hz: float) -> bool:
+    """Return whether what is left of a channel is within its data sheet, and in no bursts.
+
+    As it is, (n,), and as it would be were its noise white, (n,): slow noise swells by itself, and
+    the rms of one recording scatters about what a sheet states.
+    """
+    return _rms(rest) < POLICY.sheet_factor * sheet and steady(white, fs_hz)
+
+
+def steady(white: Floats, fs_hz: float) -> bool:
+    """Return whether noise that is made white, (n,), comes in no bursts of a second."""
+    count = max(int(white.size / max(fs_hz, 1.0)), 1)
+    loudest = max(_rms(part) for part in np.array_split(white, count))
+    return loudest < POLICY.noise_burst * _rms(white)
+
+
+def _rms(signal: Floats) -> float:
+    return float(np.sqrt(np.mean(signal**2)))

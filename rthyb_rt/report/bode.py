@@ -46,7 +46,7 @@ def bode(rig: RigFile, tones: Sequence[Tone]) -> draw.Plate:
         decibels, phase, late = paper.axes
         fitted = response.plant(rig) if f.size > 1 else None
         fine = np.geomspace(f[0], f[-1], 400)
-        note = "Points: the sines of the sweep, fitted by least squares."
+        note = "Points: sine waves of the sweep, fitted by least squares."
         if fitted is not None:
             g = fitted.response(fine, STANDARD.period_s, response.hold_of(rig))
             angle = np.unwrap(np.angle(g))

@@ -82,7 +82,7 @@ def backbone(amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
     draw.symmetric(axes, max(_largest(f), _largest(last[:, 1] * 1e-3)), margin=1.08)
     draw.head(axes, "force at the peaks, kN", below=True)
     draw.x_label(axes, "displacement, mm")
-    return paper.plate("Backbone", "Peaks of the first cycle of each amplitude, and of the last.")
+    return paper.plate("Backbone", "Peaks of the first and the last cycle of each amplitude.")
 
 
 def over_amplitude(amplitudes: tuple[Amplitude, ...]) -> draw.Plate:

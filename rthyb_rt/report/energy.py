@@ -21,7 +21,7 @@ def balance(rec: Recording, summary: Summary) -> draw.Plate:
     if found is None:
         why = "Mass, damping and stiffness of the whole structure are not in the recording"
         if summary.setup.mass_kg is not None or rec.test_toml:
-            why += "; of many degrees of freedom it has the interface alone"
+            why += "; for many degrees of freedom it contains only the interface"
         return draw.Plate("balance", TITLE, "", f"{why}.", False)
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
         paper = draw.Paper("balance", draw.FULL_WIDTH_IN, (1.6,), bottom_in=draw.LEGEND_IN)

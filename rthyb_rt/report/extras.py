@@ -25,7 +25,7 @@ def plates(rec: Recording) -> list[draw.Plate]:
             axes.set_xlim(*draw.span(t[0], t[-1] + 1.0 / rec.fs_hz))
         draw.x_label(axes, "time, s")
         own = values[running & np.isfinite(values)]
-        note = "No reading in the test."
+        note = "No reading during the test."
         if own.size:
             note = (
                 f"From {number(float(own.min()))} to {number(float(own.max()))} {channel.unit} in "

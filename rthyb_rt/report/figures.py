@@ -215,7 +215,7 @@ class _Figures:
         draw.x_label(axes, "command, mm")
         note = (
             "Measured displacement over command: on the dashed line the specimen is where it "
-            "should be; a loop is a delay, another slope an amplitude error."
+            "should be; a loop indicates a delay, a different slope an amplitude error."
         )
         return paper.plate("Synchronisation subspace", note)
 
@@ -231,7 +231,7 @@ class _Figures:
             rows = self.pair[0]
             f_ref[rows] = self.rec.reference["f_ref_n"][: rows.size] * 1e-3
             draw.curve(axes, self.t, f_ref, draw.BLACK, 0.5, "reference simulation")
-            shown, order, beside = [*shown, f_ref], (1, 0), " beside that of the reference"
+            shown, order, beside = [*shown, f_ref], (1, 0), " and that of the reference"
         draw.symmetric(axes, max(robust_limit(*shown, anchor=anchor), 1e-6))
         draw.head(axes, "force, kN", order=order)
         self._states(axes)
@@ -315,7 +315,7 @@ class _Figures:
         other.grid(visible=False)
         draw.head(axes, "J", right="mm²", below=True)
         self._time_axis(axes)
-        note = "Energy error rising, indicator falling: the specimen lags and is fed energy."
+        note = "Rising energy error, falling indicator: the specimen lags and energy is added."
         return paper.plate("Energy error and tracking indicator", note)
 
     def delay(self) -> draw.Plate:
@@ -369,7 +369,7 @@ class _Figures:
         note = f"At the end {_alpha_words(self.s.alpha_end, self.rec.fs_hz)}."
         far = [f"{b:g}" for b in bounds if b not in near]
         if far:
-            note += f" Outside the picture: bound{'s' if len(far) > 1 else ''} {' and '.join(far)}."
+            note += f" Outside the figure: bound{'s' if len(far) > 1 else ''} {' and '.join(far)}."
         return paper.plate(title, note)
 
     def _reported(self, name: str) -> str:
@@ -416,7 +416,7 @@ class _Figures:
         draw.head(axes, "tangent stiffness at the peak, kN/m")
         draw.x_label(axes, "time, s")
         axes.set_xlim(*draw.span(*self.window))
-        note += ". Above, where it stood in each second; below, in the window of the peak."
+        note += ". Top: its value in each second; bottom: in the window around the peak."
         return paper.plate(title, note)
 
     # --- parts --------------------------------------------------------------------------------
@@ -495,4 +495,4 @@ def _alpha_words(alpha: float, fs_hz: float) -> str:
 
 
 def _cut(y: Floats, limit: float) -> str:
-    return " The axis is cut." if draw.largest(y) > 1.5 * limit else ""
+    return " The axis is truncated." if draw.largest(y) > 1.5 * limit else ""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_TOO_LITTLE = "The test is too short, or moves too little, for a spectrum."
+_TOO_LITTLE = "The test is too short, or the motion too small, for a spectrum."
 _G = 9.80665
 
 

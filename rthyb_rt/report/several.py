@@ -134,7 +134,8 @@ def _tracking(s: AxesSummary, i: int) -> Plate:
     draw.head(axes, "measured, mm")
     draw.x_label(axes, "wanted, mm")
     return paper.plate(
-        f"Tracking of axis {name}", "Measured over what the numerical part wants of the axis."
+        f"Tracking of axis {name}",
+        "Measured displacement over the command of the numerical part for this axis.",
     )
 
 
@@ -153,5 +154,5 @@ def _loop(s: AxesSummary, i: int) -> Plate:
     draw.x_label(axes, "displacement, mm")
     return paper.plate(
         f"Force on axis {name}",
-        "Not a line where the other axes move as well: each feels what the others do.",
+        "Not a single line if the other axes move as well, because they are coupled.",
     )

@@ -126,7 +126,7 @@ def curves(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
             axes.set_xlim(*draw.span(t[0], t[-1] + 1.0 / rec.fs_hz))
         draw.x_label(axes, "time, s")
         others = len(own) - len(most)
-        note = "What was recorded of the structure by name"
+        note = "Recorded quantities of the structure"
         note += f"; {others} more in the recording moved less." if others else "."
         found.append(paper.plate(f"Recorded {_WORDS[unit]}", note))
     return found

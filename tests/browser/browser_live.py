@@ -316,7 +316,7 @@ def test_view_that_hangs_is_told_though_its_socket_is_open(
         assert page.text_content("#state") == "IDLE"
         made.signal(signal.SIGSTOP)
         await_text(page, "#state", "NO CONNECTION")
-        await_text(page, "#cause", "Nothing has come for ")
+        await_text(page, "#cause", "No data for ")
         assert page.get_attribute("#stop", "aria-disabled") == "true"
         made.signal(signal.SIGCONT)
         await_text(page, "#state", "IDLE")

@@ -351,13 +351,17 @@ def _loop(code, par, table, back, kinds, ps, onsets, core, ag, dt, sub, c, added
             k = min(int(where), j - 1)
             v0 = fine[1, k] + (where - k) * (fine[1, k + 1] - fine[1, k])
             a0 = fine[2, k] + (where - k) * (fine[2, k + 1] - fine[2, k])
+            jerk = (fine[2, k + 1] - fine[2, k]) / h
             where = max(where - back[1] * abs(v0) / h, 0.0)
             k = min(int(where), j - 1)
             w = where - k
             lag[0, j] = hermite(fine[0, k], fine[1, k], fine[0, k + 1], fine[1, k + 1], w, h)
-            pace = 1.0 - back[1] * np.sign(v0) * a0  # time runs unevenly behind such a delay
-            for row in (1, 2):
-                lag[row, j] = (fine[row, k] + w * (fine[row, k + 1] - fine[row, k])) * pace**row
+            # Time runs unevenly behind such a delay: by the chain rule, its second term included.
+            pace = 1.0 - back[1] * np.sign(v0) * a0
+            bend = -back[1] * np.sign(v0) * jerk
+            vb = fine[1, k] + w * (fine[1, k + 1] - fine[1, k])
+            ab = fine[2, k] + w * (fine[2, k + 1] - fine[2, k])
+            lag[1, j], lag[2, j] = vb * pace, ab * pace**2 + vb * bend
             total = core[0] * lag[0, j] + core[1] * lag[1, j] + core[2] * lag[2, j]
             for m in range(kinds.size):
                 f = laws.advance(

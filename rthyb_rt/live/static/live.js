@@ -36,7 +36,7 @@ function build() {
       { channel: CHANNEL.sent, label: "compensated", ink: INK.red, width: 1.6, dash: [7, 4], digits: 3 },
       { channel: CHANNEL.command, label: "command", ink: INK.black, width: 1.2, digits: 3 },
     ], symmetric(0.05), on),
-    new TimeChart($("tracking"), "Tracking error", "mm, measured less command", one(CHANNEL.tracking, INK.red, 4), symmetric(0.02), on),
+    new TimeChart($("tracking"), "Tracking error", "mm, measured minus command", one(CHANNEL.tracking, INK.red, 4), symmetric(0.02), on),
     new TimeChart($("force"), "Force", "kN, measured", one(CHANNEL.force, INK.blue, 3), symmetric(0.1), on),
     new TimeChart($("alpha"), "Delay α", "samples", one(CHANNEL.alpha, INK.green, 2), free(0.5), on),
     new TimeChart($("stiffness"), "Tangent stiffness", "kN/mm", one(CHANNEL.stiffness, INK.purple, 3), free(0.01), on),
@@ -105,8 +105,8 @@ function tell() {
   if (!hello) return;
   const of = (number) => (number === NO_STATE ? "" : hello.states[number] || "");
   let state = of(shownState), cause = "", words = "";
-  if (!connected) { state = "none"; words = "NO CONNECTION"; cause = "What is drawn is old. rthyb live has ended, or the way to it."; }
-  else if (deaf()) { state = "none"; words = "NO CONNECTION"; cause = `Nothing has come for ${ago(performance.now() - heard)}. What is drawn is old.`; }
+  if (!connected) { state = "none"; words = "NO CONNECTION"; cause = "The curves are out of date. rthyb live has ended, or the connection was lost."; }
+  else if (deaf()) { state = "none"; words = "NO CONNECTION"; cause = `No data for ${ago(performance.now() - heard)}. The curves are out of date.`; }
   else if (status && !status.reachable) { state = "none"; words = "NO SERVICE"; cause = status.trouble || "rthyb serve does not answer."; }
   else if (status) {
     // Whoever looks back must still see what is now.
@@ -220,9 +220,9 @@ function enable() {
 }
 
 function why(command, may) {
-  if (!connected || deaf() || !status || !status.reachable) return "There is no service to tell.";
-  if (status.role === "none") return "The user of this live view is in no group that may do this.";
-  if (!may) return "Takes the operator's address of this page.";
+  if (!connected || deaf() || !status || !status.reachable) return "There is no service to send this to.";
+  if (status.role === "none") return "The user of this live view is not in a group that may do this.";
+  if (!may) return "Use the operator's address of this page.";
   return `Not in ${status.state}.`;
 }
 

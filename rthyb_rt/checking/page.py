@@ -1,0 +1,42 @@
+"""A check as one page that needs nothing else: figures, remarks, tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rthyb_rt.record.recording import replacing
+from rthyb_rt.report.html import environment, extra_needed, sheets
+
+if TYPE_CHECKING:
+    from rthyb_rt.checking.examined import Examined
+
+_HERE = Path(__file__).parent
+
+
+def write(found: Examined, path: Path) -> None:
+    """Write the page.
+
+    Raises:
+        InputError: matplotlib or jinja2 is not installed.
+        RthybError: the file cannot be written.
+    """
+    html = render(found)
+    with replacing(path) as temporary:
+        temporary.write_text(html, encoding="utf-8")
+
+
+def render(found: Examined) -> str:
+    """Return the page as HTML; errors as for `write`."""
+    with extra_needed("a figure of a check"):
+        from rthyb_rt.checking.drawings import plates
+
+        template = environment(_HERE).get_template("check.html.j2")
+    return template.render(
+        test=found.setup.test.test.name,
+        rig=found.setup.rig.rig.name,
+        warnings=found.warnings,
+        notes=found.notes,
+        tables=found.tables(),
+        sheets=sheets(plates(found.setup)),
+    )

@@ -1,0 +1,94 @@
+"""Of what colour the noise of a motion's sensors is, read where they do not see it move.
+
+A data sheet states how large a sensor's noise is, and its white floor shows at the top of the band;
+slow noise may be a hundred times that. A motion, and the force that goes with it, is in all of the
+channels at once, and noise is in one of them: where one is coherent with no other, what it shows is
+its noise (multiple coherence; Bendat and Piersol, Random Data, ch. 7 and 9). Below, where it moves,
+the noise goes on as it came.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.diagnose import noise
+from rthyb_rt.diagnose.case import Floats
+from rthyb_rt.diagnose.policy import POLICY
+
+PARTS = 6
+"""Parts of a recording, at least, whose spectra are averaged; they overlap by half."""
+PART_S = 2.0
+"""Longest part: its lines are half a hertz apart then."""
+OVERLAP = 0.9
+"""Independent spectra that each of the parts brings."""
+SHARED = 0.2
+"""Part of a line's power that may be motion where it counts as noise: it adds a quarter."""
+NEIGHBOURS = 3
+"""Lines to either side that what a line shares is averaged with: one alone may do so by chance."""
+KERNEL = np.full(2 * NEIGHBOURS + 1, 1.0 / (2 * NEIGHBOURS + 1))
+Spectra = NDArray[np.complex128]
+
+
+def sensor_colour(
+    channel: Floats, others: Sequence[Floats], fs_hz: float, sigma: float, sheet: float | None
+) -> noise.Colour | None:
+    """Return the colour of a channel's noise; None where it is white or cannot be told.
+
+    Args:
+        channel: without gaps, (n,).
+        others: channels that show the same motion, or its force, of any unit, each (n,).
+        fs_hz: rows per second.
+        sigma: standard deviation of the noise were it white, in the channel's unit.
+        sheet: the same as the data sheet states it; None: nothing bounds the noise.
+    """
+    size = int(min(channel.size / PARTS, PART_S * fs_hz))
+    if not others or size < 16 * noise.LINES or not sheet:
+        return None
+    own = _spectra(channel / sigma, size)
+    power, shared = _apart(own, np.array([_spectra(other, size) for other in others]))
+    f_hz = np.asarray(np.fft.rfftfreq(size, 1.0 / fs_hz), dtype=np.float64)
+    # Beside the last lines that are motion more than noise, from where there is little of it.
+    wide = np.convolve(np.pad(shared, NEIGHBOURS, mode="edge"), KERNEL, mode="valid")
+    moving = np.flatnonzero(wide[:-1] > 0.5)
+    last = int(moving[-1]) + 1 if moving.size else 1
+    first = last + int(np.argmax(wide[last:] < SHARED))
+    from_hz = float(f_hz[first])
+    if from_hz > POLICY.noise_room * fs_hz:
+        return None
+    seen = slice(first, -1)
+    return noise.colour_above(f_hz[seen], power[seen], len(own), from_hz, f_hz, sheet / sigma)
+
+
+def _spectra(signal: Floats, size: int) -> Spectra:
+    """Return the spectra of the parts of a signal, each less its straight line, (parts, lines)."""
+    starts = np.arange(0, signal.size - size + 1, size // 2)
+    at = np.linspace(-1.0, 1.0, size)
+    parts = signal[starts[:, None] + np.arange(size)]
+    parts = parts - parts.mean(axis=1)[:, None] - np.outer(parts @ at / float(at @ at), at)
+    # Beside a motion a hundred million times the noise Hann's own window shows what is not there.
+    window = np.hanning(size) ** 2
+    return np.asarray(np.fft.rfft(parts * window, axis=1) / np.sqrt(np.sum(window**2)))
+
+
+def _apart(own: Spectra, others: Spectra) -> tuple[Floats, Floats]:
+    """Return what a channel has for itself at each line, and what part it shares, each (lines,).
+
+    Args:
+        own: of it, (parts, lines).
+        others: of the others, (channels, parts, lines).
+    """
+    whole = np.mean(np.abs(own) ** 2, axis=0)
+    size = np.sqrt(np.mean(np.abs(others) ** 2, axis=1, keepdims=True))
+    scaled = others / np.maximum(size, 1e-300)
+    between = np.einsum("ipl,jpl->lij", np.conj(scaled), scaled) / own.shape[0]
+    between[:, np.arange(len(others)), np.arange(len(others))] += 1e-9
+    along = np.einsum("ipl,pl->li", np.conj(scaled), own) / own.shape[0]
+    taken = np.linalg.solve(between, along[:, :, None])[:, :, 0]
+    rest = whole - np.real(np.sum(np.conj(along) * taken, axis=1))
+    # Of so few spectra each of the others takes one by chance.
+    free = OVERLAP * own.shape[0]
+    rest = np.maximum(rest, 0.0) * free / max(free - len(others), 1.0)
+    return rest, np.maximum(1.0 - rest / np.maximum(whole, 1e-300), 0.0)
