@@ -20,7 +20,7 @@ from rthyb_rt.config.axes_reference import joint_model, reference_of
 from rthyb_rt.config.deriving_axes import derive_axes
 from rthyb_rt.core import RUNNING
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import several, virtual_time
+from rthyb_rt.lab import realtime, several, virtual_time
 from rthyb_rt.record import recording
 from rthyb_rt.record.recording import Recording
 
@@ -111,6 +111,17 @@ def test_the_recording_reads_back_with_its_axes(tmp_path: Path) -> None:
     for name in rec.axis_names:
         assert np.array_equal(again.axis(name)["x_meas_m"], rec.axis(name)["x_meas_m"])
     assert measured.summarize(again).as_json() == measured.summarize(rec).as_json()
+
+
+def test_a_recording_of_two_axes_is_replayed_bit_by_bit() -> None:
+    rec = conducted()
+    again = realtime.replay(rec)
+    assert again.identical
+    assert again.rows == rec.samples.size
+    # And a bit that was changed on the second axis is found.
+    rec.samples["x_cmd_m.1"][rec.samples.size // 2] += 1e-12
+    changed = realtime.replay(rec)
+    assert (changed.identical, changed.field) == (False, "x_cmd_m.1")
 
 
 def test_sensors_of_each_axis_are_its_own() -> None:

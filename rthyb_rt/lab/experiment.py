@@ -948,10 +948,12 @@ def compare(rec: recording.Recording, again: core.RecordArray) -> Replay:
     first_field: str | None = None
     largest: dict[str, float] = {}
     # What its version did not record yet was derived from the rest.
-    for name in recording.fields_of(rec.version):
+    further = [name for name in samples.dtype.names or () if "." in name]
+    for name in (*recording.fields_of(rec.version), *further):
         recorded, computed = samples[name], again[name]
         # Bits, not values: -0.0 is not 0.0 here, and a NaN equals itself.
-        differs = np.nonzero(recorded.view(_bits(name)) != computed.view(_bits(name)))[0]
+        bits = _bits(name)
+        differs = np.nonzero(recorded.view(bits) != computed.view(bits))[0]
         if not differs.size:
             continue
         with np.errstate(invalid="ignore", over="ignore"):
@@ -971,4 +973,4 @@ def compare(rec: recording.Recording, again: core.RecordArray) -> Replay:
 
 
 def _bits(name: str) -> str:
-    return f"u{core.RECORD_DTYPE[name].itemsize}"
+    return f"u{core.RECORD_DTYPE[name.partition('.')[0]].itemsize}"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import config, core
-from rthyb_rt.config import RigFile, TestFile
+from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.core import FLAGS
 from rthyb_rt.core.wire import Codec
 from rthyb_rt.errors import InputError
@@ -64,12 +64,15 @@ def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
             "recording",
         )
     test = config.parse_test(rec.test_toml, "recording: test")
-    rig = config.parse_rig(rec.rig_toml, "recording: rig")
+    rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
+    views = [rig.of_axis(name) for name in rig.names] if isinstance(rig, AxesRig) else [rig]
     first, *later = rec.replay.parameters
-    station = core.Station(_settings(rec, test, rig, first["values"]), rec.ag_mps2)
+    station = core.Station(_settings(rec, test, views[0], first["values"]), rec.ag_mps2)
     published = [(int(one["generation"]), _parameters(one["values"])) for one in later]
     codec = Codec.of(rec.replay.codec) if rec.replay.codec else None
-    rows = station.replay(rec.samples, codec, experiment.calibration(rig), published)
+    calibrations = [experiment.calibration(view) for view in views]
+    # One codec is for all axes.
+    rows = station.replay(rec.samples, codec, calibrations, published)
     return rows, rec, station
 
 
@@ -101,7 +104,7 @@ def _parameters(values: dict[str, Any]) -> core.Parameters:
 
 def _padded(rows: NDArray[np.void], count: int) -> NDArray[np.void]:
     """Return so many rows; those that did not come again are like no other."""
-    full = np.zeros(count, dtype=core.RECORD_DTYPE)
+    full = np.zeros(count, dtype=core.record_dtype(core.axes_in(rows.dtype)))
     full["tick"] = np.iinfo(np.uint64).max
     full[: rows.size] = rows
     return full
