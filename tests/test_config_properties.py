@@ -15,12 +15,12 @@ from pydantic import ValidationError
 
 from rthyb_rt import config, units
 from rthyb_rt.config import lawtables
-from rthyb_rt.config.fields import Count, OneOf, Range, Sign, Table, Text
+from rthyb_rt.config.fields import Count, Names, OneOf, Range, Sign, Table, Text
 from rthyb_rt.config.limits import WATCHED, Limits, resolve
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.numerical import Labels, Matrices, Numbers, Place, Square
 from rthyb_rt.config.rigfile import BoucWen, Link, RigFile
-from rthyb_rt.config.structures import Counts, Each, Names, Terms
+from rthyb_rt.config.structures import Counts, Each, Terms
 from rthyb_rt.config.testfile import AxisLaw, Numerical, TestFile
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment

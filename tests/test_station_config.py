@@ -14,7 +14,8 @@ from command_line import Rthyb
 
 from rthyb_rt import config, core
 from rthyb_rt.config.limits import WATCHED
-from rthyb_rt.core.station import Command, Reaction
+from rthyb_rt.core.group import Reaction
+from rthyb_rt.core.station import Command
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, realtime, virtual_time
 

@@ -37,6 +37,7 @@ _FIRST_KEYS: Final[dict[str, tuple[str, ...]]] = {
         *("path_velocity_m_per_s", "path_acceleration_m_per_s2", "ramp_in_s", "armed_timeout_s"),
         *("tare_s", "rest_spread_m"),
     ),
+    "sensors": ("displacement", "force"),
 }
 """Keys without a value that have been in the hash from the first version on."""
 _MAX_BYTES: Final = 10**6
@@ -133,7 +134,7 @@ def rig_hash(rig: RigFile) -> str:
     for table, first in _FIRST_KEYS.items():
         given = content[table] or {}
         # A key of later versions that the file does not set makes no other rig of it.
-        for key in [key for key in given if key not in first and given[key] is None]:
+        for key in [key for key in given if key not in first and given[key] in (None, [], ())]:
             del given[key]
     if rig.link is not None and rig.link.dbc is not None:
         content["link"]["dbc"] = _digest(Path(rig.link.dbc))
