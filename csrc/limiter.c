@@ -228,6 +228,22 @@ static inline void limit_steps(int n, const rthyb_controller *c, const double *w
     }
 }
 
+/* An axis that its own position limit stops at once holds the others on the straight way, but no faster than each
+ * of them brakes: one that is nowhere near a limit does not leap. */
+static inline void spare_the_others(int n, const rthyb_controller *c, const double *low,
+                                    const double *high, double *command)
+{
+    const double h = c->cfg.period_s;
+    for (int i = 0; i < n; i++) {
+        const rthyb_limiter *l = &c->axis[i].limiter;
+        const double most = c->cfg.axis[i].acceleration_limit_m_per_s2 * h * h;
+        const double step = command[i] - l->x_lim;
+        const double kept = most > 0.0 ? clamp(step, l->step - most, l->step + most) : step;
+        if (kept != step)
+            command[i] = clamp(l->x_lim + kept, low[i], high[i]);
+    }
+}
+
 /* It goes on from what it wanted itself: from a coarse wire's rounding a slow command would never get away. */
 static inline __attribute__((always_inline)) void limit_all(int n, rthyb_controller *c,
                                                             const double *wanted, double *command)
@@ -243,6 +259,8 @@ static inline __attribute__((always_inline)) void limit_all(int n, rthyb_control
         command[i] = step[i] == wanted[i] - l->x_lim ? wanted[i] : l->x_lim + step[i];
     }
     draw_back(n, from, low, high, command);
+    if (n > 1)
+        spare_the_others(n, c, low, high, command);
 }
 
 /* Where there is one axis, and the compiler knows it, no loop is left. */

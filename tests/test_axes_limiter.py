@@ -116,6 +116,53 @@ def test_an_axis_that_stays_behind_holds_the_others_on_the_straight_way() -> Non
     assert abs(steps[1]) < 0.5 * H
 
 
+@settings(max_examples=150, deadline=None)
+@given(
+    velocity=st.tuples(LIMIT, LIMIT),
+    acceleration=st.tuples(st.one_of(st.just(0.0), st.floats(0.5, 20.0)), st.floats(0.5, 20.0)),
+    clamp=st.tuples(CLAMP, CLAMP),
+    forces=FORCES,
+)
+def test_an_axis_at_its_position_limit_makes_no_other_axis_leap(
+    velocity: tuple[float, float],
+    acceleration: tuple[float, float],
+    clamp: tuple[float, float],
+    forces: list[tuple[float, float]],
+) -> None:
+    lab = Pushed(
+        tuple(
+            AxisConfig(name, velocity_limit_m_per_s=v, acceleration_limit_m_per_s2=a, clamp_m=c)
+            for name, v, a, c in zip(NAMES, velocity, acceleration, clamp, strict=True)
+        )
+    )
+    for force in forces:
+        lab.push(force)
+    changes = np.diff(np.concatenate([np.zeros((1, 2)), lab.steps()]), axis=0)
+    for axis in (0, 1):
+        sent = abs(np.array(lab.sent[1:])[:, axis])
+        within = sent < clamp[axis] * (1 - 1e-9) if clamp[axis] else np.full(len(sent), True)
+        if clamp[axis]:
+            assert sent.max() <= clamp[axis] * (1 + 1e-12)
+        if acceleration[axis]:
+            most = acceleration[axis] * H * H
+            assert (abs(changes[within, axis]) <= most * (1 + 1e-9) + 1e-15).all()
+
+
+def test_a_limit_met_at_once_stops_the_other_axis_as_fast_as_it_brakes() -> None:
+    """One axis, free to brake at once, runs into its clamp; the other is far from its own."""
+    axes = (
+        AxisConfig("left", clamp_m=1e-4),
+        AxisConfig("right", acceleration_limit_m_per_s2=1.0, clamp_m=0.1),
+    )
+    lab = Pushed(axes)
+    for _ in range(200):
+        lab.push((-3e4, -1e4))
+    assert max(abs(sent[0]) for sent in lab.sent) == pytest.approx(1e-4)
+    right = np.diff(lab.steps()[:, 1])
+    assert abs(right).max() <= 1.0 * H * H * (1 + 1e-9)
+    assert abs(lab.sent[-1][1]) < 0.1
+
+
 # ---- matrices ------------------------------------------------------------------------------------
 
 COUPLED = np.array([[0.9, 0.12], [0.15, 0.93]])
