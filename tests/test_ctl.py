@@ -75,7 +75,7 @@ def test_operator_runs_a_test_and_is_told_what_comes_next(
     rthyb: Rthyb, place: Path, daemon: Daemon
 ) -> None:
     assert rthyb("ctl", "status").out.splitlines()[3].split() == [
-        *("Test", "none", "load", "one:", "rthyb", "ctl", "load", "TEST.toml"),
+        *("Test", "none", "to", "load", "one:", "rthyb", "ctl", "load", "TEST.toml"),
     ]
     loaded = rthyb("ctl", "load", *SHORT)
     assert re.fullmatch(r"Loaded section5-t0.5, \w{12}; next: rthyb ctl zero\n", loaded.out)
@@ -230,7 +230,7 @@ def test_nothing_is_armed_that_would_not_be_recorded(rthyb: Rthyb, place: Path) 
         assert rthyb("ctl", "zero").code == 0
         answer = rthyb("ctl", "arm")
         assert answer.code == 5
-        assert "the recorder does not respond" in answer.err
+        assert "gives no sign of life" in answer.err
         assert "no sign of life" in rthyb("ctl", "status").out
 
 

@@ -516,7 +516,7 @@ def test_install_service_says_what_it_wrote_and_what_comes_next(
     assert f"ExecStart={installing.program()} serve" in (
         root / installing.PLACES["rthyb.service"]
     ).read_text(encoding="utf-8")
-    assert rthyb("install-service", "--root", root, "--uninstall").out.count("Removed") == 8
+    assert rthyb("install-service", "--root", root, "--uninstall").out.count("Removed") == 11
 
 
 def test_rig_that_was_commissioned_is_so_for_the_service_too(

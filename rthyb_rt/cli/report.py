@@ -58,7 +58,9 @@ def report(
     path = out or folder / "report.html"
     if out is None and not os.access(folder, os.W_OK):
         # The recordings of a service: its group reads them, and nobody else writes there.
-        raise RthybError(f"{folder}: is not writable; choose another place with --out report.html")
+        raise RthybError(
+            f"{folder}: you may not write there; say where the report goes with --out report.html"
+        )
     write_report(rec, path)
     interrupts.wrote(path)
     print(path)

@@ -498,7 +498,7 @@ def read(path: str | Path, *, rows: bool = True) -> Recording:
         found = "is a folder" if path.is_dir() else found
         raise InputError(f"{found}; give the {FILE_NAME} of a run", str(path))
     if not os.access(path, os.R_OK):
-        raise InputError("is not readable; check its permissions", str(path))
+        raise InputError("may not be read; check its permissions", str(path))
     try:
         with h5py.File(path, "r") as file:
             return _load(file, str(path), rows)
@@ -516,7 +516,7 @@ def _why_unreadable(path: Path, error: Exception) -> str:
     if signature != b"\x89HDF\r\n\x1a\n":
         return "not an HDF5 file, so no recording; give the recording.h5 of a run"
     if "truncated" in str(error):
-        return "the file is truncated; the copy or the disk is faulty, copy it again"
+        return "the file ends too early; the copy or the disk is at fault, copy it again"
     detail = str(error).strip("'\"").splitlines()[0] if str(error) else type(error).__name__
     return f"the file is damaged ({detail}); copy it again or take another run"
 

@@ -517,7 +517,7 @@ class Engine(Conductor):
             StateError: it is not.
         """
         if self.state not in RELOAD_IN:
-            why = "limits can be changed only at rest or in HOLD"
+            why = "limits change at rest or in HOLD, where nobody is surprised"
             raise StateError("reload", why, self.state)
 
     def know(self, facts: Mapping[str, Any]) -> None:
