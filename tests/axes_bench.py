@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 from kernels import Floats
+from station_courses import Courses
 
 from rthyb_rt import core
 from rthyb_rt.core import AxisConfig, AxisReading, InterfaceConfig
@@ -88,7 +89,7 @@ def watched(axis: int, name: str, value: float, reaction: core.Reaction) -> dict
 
 
 @dataclass
-class Bench:
+class Bench(Courses):
     """Two axes whose sensors are offset from zero, and a log of what their drives saw."""
 
     settings: core.StationConfig = field(default_factory=config)
@@ -125,28 +126,6 @@ class Bench:
             self.sent.append(tick.commands_m)
             self.at_drive = tick.commands_m
         return tick
-
-    def until(self, state: str, most: int = 20000) -> int:
-        for n in range(most):
-            if self.station.state == state:
-                return n
-            self.step()
-        raise AssertionError(f"never reached {state}, stayed in {self.station.state}")
-
-    def running(self, ticks: int = 300) -> Bench:
-        self.step()
-        self.step("zero")
-        self.until("ZEROED")
-        self.step("arm")
-        self.step("start")
-        self.until("RUNNING")
-        for _ in range(ticks):
-            self.step()
-        assert self.station.state == "RUNNING"
-        return self
-
-    def rows(self) -> np.ndarray:
-        return np.concatenate(self.records)
 
     def commands(self, since: int = 0) -> Floats:
         """What the drives were told, without tare, (n, axes)."""

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from station_courses import Courses
 
 from rthyb_rt import core
 
@@ -47,7 +48,7 @@ def config(**changes: Any) -> core.StationConfig:
 
 
 @dataclass
-class Bench:
+class Bench(Courses):
     """A station joined to a rig that is offset from zero, and a log of what the drive saw."""
 
     seconds: float = 2.0
@@ -73,28 +74,6 @@ class Bench:
             self.sent.append((tick.x_cmd_m, tick.state))
             self.at_drive = tick.x_cmd_m
         return tick
-
-    def until(self, state: str, most: int = 20000) -> int:
-        for n in range(most):
-            if self.station.state == state:
-                return n
-            self.step()
-        raise AssertionError(f"never reached {state}, stayed in {self.station.state}")
-
-    def running(self, ticks: int = 300) -> Bench:
-        self.step()
-        self.step("zero")
-        self.until("ZEROED")
-        self.step("arm")
-        self.step("start")
-        self.until("RUNNING")
-        for _ in range(ticks):
-            self.step()
-        assert self.station.state == "RUNNING"
-        return self
-
-    def rows(self) -> np.ndarray:
-        return np.concatenate(self.records)
 
     def last_flags(self) -> int:
         return int(self.records[-1]["flags"][-1])

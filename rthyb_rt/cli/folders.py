@@ -10,11 +10,15 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
-from rthyb_rt.cli import interrupts
-from rthyb_rt.errors import RthybError
+from rthyb_rt.cli import interrupts, terminal
+from rthyb_rt.errors import InputError, RthybError
+
+if TYPE_CHECKING:
+    from rthyb_rt.record.recording import Recording
 
 _TAKEN = (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR)
 _STAGE = re.compile(r"\..+\.(\d{1,9})\.part", re.DOTALL)
@@ -130,3 +134,16 @@ def publish(stage: Path, target: Path, *, numbered: bool) -> Path:
             if not numbered or error.errno not in _TAKEN:
                 raise
         number += 1
+
+
+def report_beside(rec: Recording, folder: Path) -> Path | None:
+    """Write the report of a run beside its recording, or say which packages it needs."""
+    from rthyb_rt.report import write_report
+
+    path = folder / "report.html"
+    try:
+        write_report(rec, path)
+    except InputError as error:
+        terminal.tell(f"no report written: {error}, then: rthyb report {folder}")
+        return None
+    return path

@@ -11,7 +11,7 @@ import typer
 
 from rthyb_rt.cli import interrupts, run_axes, terminal
 from rthyb_rt.cli.connecting import clock_of, opened_link
-from rthyb_rt.cli.folders import publish, refuse_taken, staged
+from rthyb_rt.cli.folders import publish, refuse_taken, report_beside, staged
 from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
 from rthyb_rt.errors import InputError
 
@@ -149,7 +149,7 @@ def run(
     file = terminal.people(as_json)
     _print_result(setup, result, folder / recording.FILE_NAME, as_json)
     file.flush()
-    report = None if no_report else _write_report(rec, folder)
+    report = None if no_report else report_beside(rec, folder)
     if report is not None:
         print(f"Report     {report}", file=file)
     if as_json:
@@ -259,19 +259,6 @@ def _tell_ring(session: Session) -> None:
 
 def _tell_tare(session: Session) -> None:
     terminal.tell(f"zeroed: {session.tare_in_words()}")
-
-
-def _write_report(rec: Recording, folder: Path) -> Path | None:
-    """Write the report; without the packages that it needs, say so and go on."""
-    from rthyb_rt.report import write_report
-
-    path = folder / "report.html"
-    try:
-        write_report(rec, path)
-    except InputError as error:
-        terminal.tell(f"no report written: {error}, then: rthyb report {folder}")
-        return None
-    return path
 
 
 # ---- the result ---------------------------------------------------------------------------------

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 import typer
 
 from rthyb_rt.cli import interrupts, terminal
-from rthyb_rt.cli.folders import publish, refuse_taken, staged
+from rthyb_rt.cli.folders import publish, refuse_taken, report_beside, staged
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.analysis.several import AxesSummary
     from rthyb_rt.config import AxesRig, TestFile
-    from rthyb_rt.record.recording import Recording
 
 SCHEMA: Final = "rthyb-run/1"
 LIMIT_TRIP: Final = 6
@@ -64,26 +63,13 @@ def run(
     print(f"\n{measured.verdict(result)}", file=file)
     print(f"Note: not computed: {measured.NOT_COMPUTED}", file=file)
     print(f"\nRecording  {folder / 'recording.h5'}", file=file)
-    page = _write_report(rec, folder) if report else None
+    page = report_beside(rec, folder) if report else None
     if page is not None:
         print(f"Report     {page}", file=file)
     if as_json:
         terminal.print_json(_document(result, folder, page))
     if result.end_reason != "completed":
         raise typer.Exit(LIMIT_TRIP)
-
-
-def _write_report(rec: Recording, folder: Path) -> Path | None:
-    """Write the report; without the packages that it needs, say so and go on."""
-    from rthyb_rt.report import write_report
-
-    path = folder / "report.html"
-    try:
-        write_report(rec, path)
-    except InputError as error:
-        terminal.tell(f"no report written: {error}, then: rthyb report {folder}")
-        return None
-    return path
 
 
 def _document(result: AxesSummary, folder: Path, report: Path | None) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -14,6 +15,34 @@ from rthyb_rt.core.library import CoreError, FloatArray, check, doubles, reading
 from rthyb_rt.core.sizes import PERIOD_S
 
 STATES_MAX: Final = int(lib.RTHYB_PLANT_STATES)
+
+
+def run_rows(
+    run: Callable[..., object], state: Any, x_p_m: npt.ArrayLike, axes: int, forces: int
+) -> tuple[FloatArray, FloatArray]:
+    """Run a virtual rig of several axes along commands, (n, axes).
+
+    Args:
+        run: the core's function of (state, commands, readings, forces, n).
+
+    Returns:
+        Readings, (n, axes), and forces, (n, forces).
+
+    Raises:
+        CoreError: the commands have another shape.
+    """
+    given = doubles(x_p_m)
+    if given.ndim != 2 or given.shape[1] != axes:
+        raise CoreError(f"rows of {axes} commands needed, got shape {given.shape}")
+    x, f = np.empty_like(given), np.empty((len(given), forces))
+    run(
+        state,
+        reading(given.reshape(-1)),
+        writing(x.reshape(-1)),
+        writing(f.reshape(-1)),
+        len(given),
+    )
+    return x, f
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,18 +135,7 @@ class CoupledPlant:
 
     def run(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return readings, (n, axes), and forces, (n, forces), along commands, (n, axes)."""
-        given = doubles(x_p_m)
-        if given.ndim != 2 or given.shape[1] != self.axes:
-            raise CoreError(f"rows of {self.axes} commands needed, got shape {given.shape}")
-        x, f = np.empty_like(given), np.empty((len(given), self.forces))
-        lib.rthyb_coupled_plant_run(
-            self._c,
-            reading(given.reshape(-1)),
-            writing(x.reshape(-1)),
-            writing(f.reshape(-1)),
-            len(given),
-        )
-        return x, f
+        return run_rows(lib.rthyb_coupled_plant_run, self._c, x_p_m, self.axes, self.forces)
 
     @property
     def true_m(self) -> FloatArray:

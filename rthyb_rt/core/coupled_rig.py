@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rthyb_rt._core import ffi, lib
+from rthyb_rt.core.coupled_plant import run_rows
 from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.core.library import CoreError, FloatArray, check, doubles, reading, writing
 from rthyb_rt.core.settings import (
@@ -197,18 +198,7 @@ class CoupledRig:
 
     def run(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return displacements, m, and forces, N, (n, axes) each, along commands, (n, axes)."""
-        given = doubles(x_p_m)
-        if given.ndim != 2 or given.shape[1] != self.axes:
-            raise CoreError(f"rows of {self.axes} commands needed, got shape {given.shape}")
-        x, f = np.empty_like(given), np.empty_like(given)
-        lib.rthyb_coupled_rig_run(
-            self._c,
-            reading(given.reshape(-1)),
-            writing(x.reshape(-1)),
-            writing(f.reshape(-1)),
-            len(given),
-        )
-        return x, f
+        return run_rows(lib.rthyb_coupled_rig_run, self._c, x_p_m, self.axes, self.axes)
 
     def reseed(self) -> None:
         """Begin the noise of the sensors anew, from the seed."""

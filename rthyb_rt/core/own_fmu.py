@@ -20,7 +20,15 @@ from xml.etree import ElementTree
 
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.library import CoreError
-from rthyb_rt.core.own_library import Recorded, Values, address, fill_setup, hash_of, opened
+from rthyb_rt.core.own_library import (
+    Recorded,
+    Values,
+    address,
+    check_meant,
+    fill_setup,
+    hash_of,
+    opened,
+)
 from rthyb_rt.core.sizes import PERIOD_S
 
 _REALS: Final = ("Float64", "Real")
@@ -215,11 +223,7 @@ class FmuConfig:
         if not Path(self.path).is_file():
             raise CoreError(f"there is no file {self.path}; export it first, or correct the path")
         sha256 = hash_of(Path(self.path))
-        if self.sha256 and sha256 != self.sha256:
-            raise CoreError(
-                f"{self.path} is not the FMU that was meant: its SHA-256 begins with "
-                f"{sha256[:12]}, and {self.sha256[:12]} was recorded; put that one in its place"
-            )
+        check_meant(self.path, sha256, self.sha256, self.what)
         return unpacked(self.path, sha256)
 
     @property

@@ -79,6 +79,19 @@ def hash_of(path: Path) -> str:
         raise CoreError(f"{path} cannot be read ({error.strerror or error})") from error
 
 
+def check_meant(path: str, found: str, meant: str, what: str) -> None:
+    """Compare the SHA-256 of a file with that of the one that is meant; "" for whatever is there.
+
+    Raises:
+        CoreError: it is another file.
+    """
+    if meant and found != meant:
+        raise CoreError(
+            f"{path} is not {what} that was meant: its SHA-256 begins with {found[:12]}, and "
+            f"{meant[:12]} was recorded; put that one in its place"
+        )
+
+
 def opened(path: Path) -> ctypes.CDLL:
     """Load a shared library.
 
@@ -223,12 +236,7 @@ class LibraryConfig:
             CoreError: it cannot be had, or is another than the one that is meant.
         """
         found = load(self.path)
-        if self.sha256 and found.sha256 != self.sha256:
-            raise CoreError(
-                f"{self.path} is not the library that was meant: its SHA-256 begins with "
-                f"{found.sha256[:12]}, and {self.sha256[:12]} was recorded; put that one in its "
-                "place"
-            )
+        check_meant(self.path, found.sha256, self.sha256, self.what)
         return found
 
     @property
