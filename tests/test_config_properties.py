@@ -19,9 +19,10 @@ from rthyb_rt.config.fields import Count, Names, OneOf, Range, Sign, Table, Text
 from rthyb_rt.config.limits import WATCHED, Limits, resolve
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.numerical import Labels, Matrices, Numbers, Place, Square
-from rthyb_rt.config.rigfile import BoucWen, Link, RigFile
+from rthyb_rt.config.own import Settings
+from rthyb_rt.config.rigfile import BoucWen, Link, RigFile, Sensors
 from rthyb_rt.config.structures import Counts, Each, Terms
-from rthyb_rt.config.testfile import AxisLaw, Numerical, TestFile
+from rthyb_rt.config.testfile import AxisLaw, Controller, Numerical, TestFile
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment
 
@@ -49,7 +50,15 @@ def values_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> st.SearchStrat
         if isinstance(limits, Text):
             if limits.pattern == r"[\s\S]*":
                 return texts
+            if ":" in limits.pattern:
+                return st.from_regex(
+                    r"\A[a-z][a-z0-9_]{0,9}:[A-Z][A-Za-z0-9]{0,9}\Z"
+                )  # a class of a module
             return st.from_regex(r"\A[a-z0-9][a-z0-9._-]{0,20}\Z")
+        if isinstance(limits, Settings):
+            return st.dictionaries(
+                st.from_regex(r"\A[a-z][a-z0-9_]{0,9}\Z"), st.floats(-1e9, 1e9), max_size=3
+            )
         if isinstance(limits, Each):
             return values_of(float, (limits.one,))
         if isinstance(limits, Counts):
@@ -77,13 +86,16 @@ def values_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> st.SearchStrat
         return st.none()
     if annotation is bool:
         return st.booleans()
-    if annotation in (str, float):
-        return st.none()  # of a law's own class: its tests are elsewhere
     assert issubclass(annotation, Table)
     return tables(annotation)
 
 
-ELSEWHERE = ("library", "fmu", "python", "history", "extra")
+ELSEWHERE: dict[type[Table], tuple[str, ...]] = {
+    Numerical: ("library", "fmu", "python"),
+    TestFile: ("history",),
+    Sensors: ("extra",),
+    Controller: ("python",),
+}
 """Tables with files, classes and cross-checks of their own, in test files of their own."""
 
 
@@ -93,14 +105,12 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
     data = {
         (info.alias or name): draw(values_of(info.annotation, tuple(info.metadata)))
         for name, info in model.model_fields.items()
-        if name not in ELSEWHERE
+        if name not in ELSEWHERE.get(model, ())
     }
-    if data.get("type") == "python":
-        data["type"] = "paper"
     for choice in model.choices:
-        kept = draw(st.sampled_from([key for key in choice.keys if key not in ELSEWHERE]))
+        kept = draw(st.sampled_from(choice.keys))
         for key in choice.keys:
-            if key != kept and key not in ELSEWHERE:
+            if key != kept:
                 data[key] = None
         if choice.required and data[kept] is None:
             data[kept] = 1.0
@@ -144,6 +154,8 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
     if "offset_m" in data:
         data["offset_m"] = min(data["offset_m"], 1e3 * data["scale"])
         data["offset_m"] = max(data["offset_m"], -1e3 * data["scale"])
+    if data.get("type") == "python":  # needs a class that is there
+        data["type"] = "paper"
     if data.get("type") == "matrix":
         data["axis"] = []
     elif "matrix" in data:
