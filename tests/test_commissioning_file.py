@@ -181,7 +181,9 @@ def demanded(path: Path) -> dict[str, Any]:
 
 def test_rig_that_was_never_commissioned_is_refused(tmp_path: Path) -> None:
     path = rig_file(tmp_path)
-    with pytest.raises(RefusedError, match="has not been commissioned: nobody has seen") as caught:
+    with pytest.raises(
+        RefusedError, match="has not been commissioned: it has not been verified"
+    ) as caught:
         demanded(path)
     assert caught.value.exit_code == 5
     assert f"`rthyb commission {path}`" in str(caught.value)

@@ -230,7 +230,7 @@ def test_nothing_is_armed_that_would_not_be_recorded(rthyb: Rthyb, place: Path) 
         assert rthyb("ctl", "zero").code == 0
         answer = rthyb("ctl", "arm")
         assert answer.code == 5
-        assert "gives no sign of life" in answer.err
+        assert "the recorder does not respond" in answer.err
         assert "does not respond" in rthyb("ctl", "status").out
 
 

@@ -498,7 +498,7 @@ def read(path: str | Path, *, rows: bool = True) -> Recording:
         found = "is a folder" if path.is_dir() else found
         raise InputError(f"{found}; give the {FILE_NAME} of a run", str(path))
     if not os.access(path, os.R_OK):
-        raise InputError("may not be read; check its permissions", str(path))
+        raise InputError("is not readable; check its permissions", str(path))
     try:
         with h5py.File(path, "r") as file:
             return _load(file, str(path), rows)

@@ -374,7 +374,7 @@ class Daemon:
             return
         state = self.engine.state
         if not self._recorder_alive() or self._recorder is None:
-            why = "the recorder gives no sign of life: look at systemctl status rthyb-recorder"
+            why = "the recorder does not respond: check systemctl status rthyb-recorder"
             raise StateError("arm", why, state)
         found = self._recorder
         if found.fault and found.hinders:

@@ -342,7 +342,7 @@ class Conductor:
     def _not_released(self) -> str:
         if self.opened.codec.has_reset:
             return "the drive was told, and stays stopped; its panel says why"
-        return "its frames have no word for a reset (link.reset_state): release it at its own panel"
+        return "its frames have no reset command (link.reset_state): release it at its own panel"
 
     def _answered(self, name: core.Command) -> tuple[bool, int]:
         generation = self._wait_for(lambda: self.loop.command(name))

@@ -365,6 +365,7 @@ def _why_not(rig_path: Path, holds: Certificate | None, older: Certificate | Non
             f"commissioned on {older.date[:10]}; {remedy}"
         )
     return (
-        "this rig has not been commissioned: nobody has seen yet that its actuator goes the right "
-        f"way; {remedy}, or say link.virtual = true if a virtual rig is at the other end"
+        "this rig has not been commissioned: it has not been verified that its actuator moves in "
+        f"the right direction; {remedy}, or set link.virtual = true if a virtual rig is at the "
+        "other end"
     )

@@ -35,7 +35,7 @@ FRESH_SHARE: Final = 0.98
 """Of the ticks: less feedback than this is no feedback 1024 times a second."""
 RATE_TOLERANCE: Final = 0.01
 
-_PANEL: Final = "release the drive at its own panel, for its frames have no word for a reset"
+_PANEL: Final = "release the drive at its own panel, because its frames have no reset command"
 
 
 @dataclass(frozen=True)
