@@ -46,7 +46,7 @@ help:
 	@echo 'make validate-diagnosis-short  a fixed few of them, held against that page; two minutes'
 	@echo 'make validate-policy  each threshold of the diagnosis moved, into docs; minutes a case (COUNT=10)'
 	@echo 'make benchmark-rths  every control law on the benchmark of the field, into docs; half an hour (JOBS=2)'
-	@echo 'make benchmark-rths-short  the goals of the law inverse on it, held; two minutes'
+	@echo 'make benchmark-rths-short  the goals of the law inverse on it, held; three minutes'
 	@echo 'make benchmark-marths  the benchmark of two actuators, into docs; ten minutes (JOBS=2)'
 	@echo 'make bench      computing times beside the facts of this machine'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
@@ -219,7 +219,7 @@ JOBS := 2
 benchmark-rths: $(READY)
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/tools/benchmark_page.py --jobs $(JOBS)
 
-# The goals of the law inverse, held: all plants, both rates, two minutes of computing time.
+# The goals of the law inverse, held: all plants, both rates, three minutes of computing time.
 benchmark-rths-short: $(READY)
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/bench/benchmark_limits.py --jobs $(WORKERS)
 

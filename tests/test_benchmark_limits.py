@@ -18,8 +18,13 @@ def outcomes(rate_hz: int, case: int, *figures: dict[str, float]) -> list[Outcom
     ]
 
 
-def missed(usual: list[Outcome], wide: list[Outcome] | None = None) -> list[str]:
-    return [goal.what for goal in limits.goals(usual, wide or []) if not goal.met]
+def missed(
+    usual: list[Outcome],
+    wide: list[Outcome] | None = None,
+    yielding: list[Outcome] | None = None,
+) -> list[str]:
+    found = limits.goals(usual, wide or [], yielding or [])
+    return [goal.what for goal in found if not goal.met]
 
 
 @pytest.mark.parametrize(("rate_hz", "case"), list(limits.GOALS))
@@ -37,6 +42,15 @@ def test_each_goal_is_missed_by_a_mean_just_above_it_and_met_just_below(
 def test_one_plant_that_is_worse_than_the_others_is_told() -> None:
     usual = outcomes(4096, 1, GOOD, GOOD | {"J4": 0.32})
     assert missed(usual) == ["4096 Hz, case 1: J4, worst less mean"]
+
+
+@pytest.mark.parametrize("rate_hz", list(limits.YIELDING))
+def test_a_specimen_that_yields_has_a_goal_of_its_own(rate_hz: int) -> None:
+    most = limits.YIELDING[rate_hz]["J4"]
+    assert missed([], yielding=outcomes(rate_hz, 1, GOOD | {"J4": 0.999 * most})) == []
+    assert missed([], yielding=outcomes(rate_hz, 1, GOOD | {"J4": 1.001 * most})) == [
+        f"{rate_hz} Hz, case 1, yielding: J4"
+    ]
 
 
 def test_an_unstable_run_is_told_and_one_beyond_the_rig_is_none() -> None:

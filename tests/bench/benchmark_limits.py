@@ -2,7 +2,7 @@
 
 All 21 plants, both rates: El Centro in cases 1 and 4 against the figures that were set before the
 law was written, every case and motion for runs that are unstable, plants drawn three times as
-wide. Two minutes of computing time. Exit code 1 where a goal is missed.
+wide, a specimen that yields. Three minutes of computing time. Exit code 1 where a goal is missed.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ EVERYWHERE = {"J6": 0.20, "J8": 0.15, "true": 0.15, "high": 2.0}
 """The same at both rates and in both cases; ``high`` in um."""
 WORST = {"J2": 0.1, "J4": 0.1}
 """Points by which the worst plant may lie above the mean."""
+YIELDING = {4096: {"J4": 3.6}, 1024: {"J4": 2.65}}
+"""The same of a specimen that yields, case 1, by rate."""
 WIDE_WORST = 1.05
 """Times the mean: most that the tracking error may be on the worst of the plants drawn three times
 as wide. J2 is over the plant's own motion, which in case 4 is 8.6 % less than the mean on one of
@@ -52,12 +54,15 @@ class Goal:
         return self.found <= self.most
 
 
-def goals(usual: Sequence[Outcome], wide: Sequence[Outcome]) -> list[Goal]:
+def goals(
+    usual: Sequence[Outcome], wide: Sequence[Outcome], yielding: Sequence[Outcome]
+) -> list[Goal]:
     """Return every goal with what was found.
 
     Args:
         usual: plants as the benchmark draws them; all cases and motions.
         wide: plants drawn three times as wide.
+        yielding: plants whose specimen yields.
     """
     found: list[Goal] = []
     lines = table.lines(usual)
@@ -65,8 +70,15 @@ def goals(usual: Sequence[Outcome], wide: Sequence[Outcome]) -> list[Goal]:
         if line.motion == "elcentro" and (line.rate_hz, line.case) in GOALS:
             found += _of_line(line)
     found += _of_wide(wide)
-    unstable = sum(line.unstable for line in (*lines, *table.lines(wide)))
-    found.append(Goal(f"unstable of {len(usual) + len(wide)} runs", unstable, 0))
+    bent = table.lines(yielding)
+    for line in bent:
+        found += [
+            Goal(f"{line.rate_hz} Hz, case {line.case}, yielding: {key}", line.mean[key], most)
+            for key, most in YIELDING[line.rate_hz].items()
+        ]
+    unstable = sum(line.unstable for line in (*lines, *table.lines(wide), *bent))
+    count = len(usual) + len(wide) + len(yielding)
+    found.append(Goal(f"unstable of {count} runs", unstable, 0))
     return found
 
 
@@ -98,7 +110,8 @@ def main() -> int:
     rates, seeds = list(cases.RATES), runs.seeds_of(20)
     usual = runs.planned([LAW], rates, list(cases.CASES), list(cases.MOTIONS), seeds)
     wide = runs.planned([LAW], rates, [1, 4], ["elcentro"], seeds, width=3.0)
-    found = goals(runs.measured(usual, jobs), runs.measured(wide, jobs))
+    yielding = runs.planned([LAW], rates, [1], ["elcentro"], seeds, yielding=True)
+    found = goals(*(runs.measured(some, jobs) for some in (usual, wide, yielding)))
     for goal in found:
         verdict = "" if goal.met else "   MISSED"
         print(f"{goal.what:52} {goal.found:8.3f}  at most {goal.most:g}{verdict}")
