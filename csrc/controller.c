@@ -76,6 +76,7 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
     memset(c, 0, offsetof(rthyb_controller, axis));
     c->cfg = *cfg;
     c->state = RTHYB_RUNNING;
+    c->posed = 1;
     int error = axes_init(c);
     if (!error)
         error = group_init(c);
@@ -91,22 +92,33 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
 
 /* ---- between axes and interfaces --------------------------------------------------------------- */
 
+/* Without a pose the axes stand where each of them is: no pose of any kind leads there. */
 static inline int targets_of(int n, rthyb_controller *c, const double *x_num, double *target)
 {
-    if (c->cfg.kinematics.size > 0)
+    if (c->cfg.kinematics.size > 0 && c->posed)
         return rthyb_kinematics_axes(&c->kinematics, x_num, target);
     for (int i = 0; i < n; i++)
-        target[i] = x_num[i];
+        target[i] = c->cfg.kinematics.size > 0 ? c->axis[i].target : x_num[i];
     return RTHYB_OK;
+}
+
+/* Whether the axes' displacements are none that the specimen can have; asked from ZERO on, while there is a pose
+ * to go on from. */
+static inline int is_no_pose(rthyb_controller *c, const double *x)
+{
+    double pose[MOST];
+    return c->cfg.kinematics.size > 0 && c->posed && c->state != RTHYB_IDLE &&
+           rthyb_kinematics_pose(&c->kinematics, x, pose) != RTHYB_OK;
 }
 
 /* Pose and forces of the interfaces, by the readings of the axes. */
 static inline int meet(int n, rthyb_controller *c, const double *x, const double *f, double *pose,
                        double *force)
 {
-    if (c->cfg.kinematics.size > 0)
-        return rthyb_kinematics_pose(&c->kinematics, x, pose) |
-               rthyb_kinematics_forces(&c->kinematics, f, force);
+    if (c->cfg.kinematics.size > 0) {
+        const int code = c->posed ? rthyb_kinematics_pose(&c->kinematics, x, pose) : RTHYB_OK;
+        return code | rthyb_kinematics_forces(&c->kinematics, f, force);
+    }
     for (int j = 0; j < n; j++) {
         pose[j] = x[j];
         force[j] = f[j];
@@ -159,8 +171,9 @@ static int is_pair(const rthyb_axis_control *cfg, const rthyb_pair *in, int *cod
     return own == RTHYB_OK && !in->lost;
 }
 
-/* Takes the pairs of this tick, or makes up those of all axes from their commands; 1 if they are made up. The
- * noise of two samples, run out over twenty, would be more than the motion. */
+/* Takes the pairs of this tick, or makes up those of all axes from their commands; 1 if they are made up. Pairs
+ * that are sound each by itself and no pose together are as good as none. The noise of two samples, run out over
+ * twenty, would be more than the motion. */
 static inline int gate(int n, rthyb_controller *c, const rthyb_input *in, double *x, double *f,
                        int *code)
 {
@@ -173,8 +186,9 @@ static inline int gate(int n, rthyb_controller *c, const rthyb_input *in, double
         x[i] = in->axis[i].x_meas_m;
         f[i] = in->axis[i].f_meas_n;
     }
-    if (!made_up)
+    if (!made_up && !is_no_pose(c, x))
         return 0;
+    *code |= made_up ? RTHYB_OK : RTHYB_S_OUT_OF_RANGE;
     double dx[MOST] = {0.0}, df[MOST] = {0.0};
     if (c->missing < c->extrapolate_until)
         ahead_of(n, c, dx, df);
@@ -490,16 +504,22 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
                                   : sample(c->cfg.axis_count, c, in, path_m, blind, record);
 }
 
-/* Newton's way from any pose to any other that a rig has. */
-#define POSE_STEPS 8
+int rthyb_controller_has_pose(const rthyb_controller *c, const double *x_m)
+{
+    rthyb_kinematics trial = c->kinematics;
+    double pose[MOST];
+    return c->cfg.kinematics.size == 0 || rthyb_kinematics_find(&trial, x_m, pose) == RTHYB_OK;
+}
 
 void rthyb_controller_rest(rthyb_controller *c, const double *x_m)
 {
     const int n = c->cfg.axis_count;
-    double pose[MOST] = {0.0}, none[MOST] = {0.0}, force[MOST];
-    (void)meet(n, c, x_m, none, pose, force);
-    for (int k = 0; k < POSE_STEPS && c->cfg.kinematics.size > 0; k++)
-        (void)rthyb_kinematics_pose(&c->kinematics, x_m, pose);
+    double pose[MOST] = {0.0};
+    c->posed = 1;
+    if (c->cfg.kinematics.size > 0)
+        c->posed = rthyb_kinematics_find(&c->kinematics, x_m, pose) == RTHYB_OK;
+    else
+        memcpy(pose, x_m, (size_t)n * sizeof *pose);
     for (int j = 0; j < c->cfg.interface_count; j++)
         c->interface[j].x_num = c->interface[j].x_num1 = pose[j];
     for (int i = 0; i < n; i++) {

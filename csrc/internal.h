@@ -12,8 +12,11 @@
 int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
                             int blind, rthyb_record *record);
 
-/* At rest with each axis where x_m says, wherever the drives were told to be before. */
+/* At rest with each axis where x_m says, wherever the drives were told to be before; also where these are no
+ * pose of the specimen. */
 void rthyb_controller_rest(rthyb_controller *c, const double *x_m);
+/* Whether the specimen has a pose with its axes there. */
+int rthyb_controller_has_pose(const rthyb_controller *c, const double *x_m);
 /* What the lead of an axis reports as alpha (term 1) or beta (term 2). */
 double rthyb_controller_lead(const rthyb_controller *c, int axis, int term);
 /* The tangent stiffness of an interface in its own direction. */

@@ -14,6 +14,11 @@
 /* Of the Jacobian, its columns in lengths of the coupler: a twentieth of a degree between two axes. */
 #define PIVOT_MIN 1e-3
 #define NEWTON_STEPS 2
+/* What two steps may leave of the way. With e1 = C e0^2 they leave (C e0)^3 of it: less is left wherever
+ * C e0 < .2, and from there Newton converges. */
+#define CONVERGES 1e-2
+#define FOUND_M 1e-9    /* above the rounding of bases 1e6 m away, below any sensor */
+#define SEARCH_STEPS 16 /* from any pose to any other that a rig has */
 
 enum { MOST = RTHYB_COUPLED_MAX };
 
@@ -189,29 +194,82 @@ int rthyb_kinematics_axes(rthyb_kinematics *s, const double *pose, double *axis_
     return code;
 }
 
-/* Two steps of Newton; the last pose stays where they lead to nothing. */
-static int pose_by_newton(rthyb_kinematics *s)
+/* What the axes are away from where a pose has them; and the Jacobian there, if asked for. */
+static double left_at(const rthyb_kinematics *s, const double *pose, double *jacobian, double *left)
 {
     const int n = s->cfg.size;
-    double pose[MOST];
-    for (int j = 0; j < n; j++)
-        pose[j] = s->pose[j];
-    for (int step = 0; step < NEWTON_STEPS; step++) {
-        const plane at = plane_of(s, pose);
-        double jacobian[RTHYB_COUPLED_SQUARE] = {0.0}, left[MOST] = {0.0};
-        for (int i = 0; i < n; i++)
-            left[i] = s->axis_m[i] - reach(s, &at, i, jacobian + (ptrdiff_t)i * n);
+    const plane at = plane_of(s, pose);
+    double most = 0.0;
+    for (int i = 0; i < n; i++) {
+        left[i] = s->axis_m[i] - reach(s, &at, i, jacobian ? jacobian + (ptrdiff_t)i * n : NULL);
+        most = fmax(most, fabs(left[i]));
+    }
+    return most;
+}
+
+/* So many steps of Newton; what is left of the axes' way before and after them. 0 where they lead to nothing. */
+static int go_by_newton(const rthyb_kinematics *s, int steps, double *pose, double *before,
+                        double *after)
+{
+    const int n = s->cfg.size;
+    double left[MOST] = {0.0};
+    *before = -1.0;
+    for (int step = 0; step < steps; step++) {
+        double jacobian[RTHYB_COUPLED_SQUARE] = {0.0};
+        const double most = left_at(s, pose, jacobian, left);
+        *before = step == 0 ? most : *before;
         if (!solves(s, jacobian, left))
-            return RTHYB_S_OUT_OF_RANGE;
+            return 0;
         for (int j = 0; j < n; j++)
             pose[j] += left[j];
     }
     for (int j = 0; j < n; j++)
         if (judge(pose[j], limit_of(s, j)) != RTHYB_OK)
-            return RTHYB_S_OUT_OF_RANGE;
+            return 0;
+    *after = left_at(s, pose, NULL, left);
+    return 1;
+}
+
+/* Two steps of Newton; the last pose stays where they lead to nothing, or take less than CONVERGES of the way. */
+static int pose_by_newton(rthyb_kinematics *s)
+{
+    const int n = s->cfg.size;
+    double pose[MOST] = {0.0}, before = 0.0, after = 0.0;
+    for (int j = 0; j < n; j++)
+        pose[j] = s->pose[j];
+    if (!go_by_newton(s, NEWTON_STEPS, pose, &before, &after) ||
+        !(after <= fmax(CONVERGES * before, FOUND_M)))
+        return RTHYB_S_OUT_OF_RANGE;
     for (int j = 0; j < n; j++)
         s->pose[j] = pose[j];
     return RTHYB_OK;
+}
+
+static int search(rthyb_kinematics *s, double *pose)
+{
+    double before = 0.0, after = 0.0;
+    return go_by_newton(s, SEARCH_STEPS, pose, &before, &after) && after <= FOUND_M;
+}
+
+int rthyb_kinematics_find(rthyb_kinematics *s, const double *axis_m, double *pose)
+{
+    const int n = s->cfg.size;
+    double at[MOST] = {0.0};
+    if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX)
+        return rthyb_kinematics_pose(s, axis_m, pose);
+    int code = RTHYB_OK;
+    for (int i = 0; i < n; i++)
+        s->axis_m[i] = accept(axis_m[i], RTHYB_DISPLACEMENT_MAX_M, s->axis_m[i], &code);
+    for (int j = 0; j < n; j++)
+        at[j] = s->pose[j];
+    if (code == RTHYB_OK && !search(s, at)) {
+        for (int j = 0; j < n; j++)
+            at[j] = 0.0;
+        code = search(s, at) ? RTHYB_OK : RTHYB_S_OUT_OF_RANGE;
+    }
+    for (int j = 0; j < n; j++)
+        pose[j] = s->pose[j] = code == RTHYB_OK ? at[j] : 0.0;
+    return code;
 }
 
 int rthyb_kinematics_pose(rthyb_kinematics *s, const double *axis_m, double *pose)

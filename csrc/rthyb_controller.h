@@ -78,6 +78,7 @@ typedef struct {
     uint32_t missing; /* samples in a row in which not every axis had an accepted pair */
     uint32_t generation;
     int32_t state;
+    int32_t posed; /* 0: at rest where the specimen has no pose; each axis stays where it is */
     /* From here on only what is counted, or set up, is ever touched. */
     rthyb_controller_axis axis[RTHYB_COUPLED_MAX];
     rthyb_controller_interface interface[RTHYB_COUPLED_MAX];

@@ -55,8 +55,12 @@ typedef struct {
 int rthyb_kinematics_init(rthyb_kinematics *s, const rthyb_kinematics_config *cfg);
 /* Pose -> displacement of each axis. Status bits. */
 int rthyb_kinematics_axes(rthyb_kinematics *s, const double *pose, double *axis_m);
-/* Displacement of each axis -> pose, by two steps of Newton from the last one found. */
+/* Displacement of each axis -> pose, by two steps of Newton from the last one found, which stays, with
+ * RTHYB_S_OUT_OF_RANGE, where they do not converge. */
 int rthyb_kinematics_pose(rthyb_kinematics *s, const double *axis_m, double *pose);
+/* The same from anywhere, for what begins: from the last pose, else from that at rest, until the axes are where
+ * they are said to be. RTHYB_S_OUT_OF_RANGE where no pose is found: then it is that at rest. */
+int rthyb_kinematics_find(rthyb_kinematics *s, const double *axis_m, double *pose);
 /* Forces of the axes, positive where they push the way they count -> forces and moments along the
  * coordinates at the last pose found: the transposed Jacobian. */
 int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *force);

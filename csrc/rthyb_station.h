@@ -155,7 +155,7 @@ typedef struct {
     double resume[RTHYB_COUPLED_MAX]
                  [3]; /* displacement, velocity, acceleration of each interface */
     int32_t
-        zeroing; /* 0 no, 1 in progress, 2 failed: reading not at rest, 3 failed: tare too large */
+        zeroing; /* 0 no, 1 in progress; failed: 2 reading not at rest, 3 tare too large, 4 no pose */
     int32_t tare_readings; /* readings in the tare so far */
     int32_t tared;         /* there is a valid tare: not before the first, nor after a RESET */
     int32_t seen;          /* every axis has had a reading */
@@ -166,8 +166,9 @@ typedef struct {
     int32_t drive_stands;  /* the drive has stopped by itself, or cannot be reached */
     int32_t refused_cause; /* reason why the last ARM, START, RESUME, RESET or tare was refused, */
     double refused_value,
-        refused_limit;      /* with the values as for a cause; NONE: not because of a limit */
-    double indicator_slope; /* of the tracking indicator, mean of 0.25 s, m^2/s */
+        refused_limit; /* with the values as for a cause; NONE: not because of a limit */
+    int32_t refused_axis, refused_interface; /* of which, or -1 */
+    double indicator_slope;                  /* of the tracking indicator, mean of 0.25 s, m^2/s */
     rthyb_recent skips, losses;
     uint64_t skipped;     /* total */
     int32_t trip_frames;  /* trip frames still to be sent */

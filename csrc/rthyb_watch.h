@@ -37,7 +37,8 @@ enum rthyb_cause {
     RTHYB_CAUSE_ENERGY,
     RTHYB_CAUSE_RIG_POSITION, /* before tare: where the drive was told to go */
     RTHYB_CAUSE_RIG_FORCE,    /* before tare */
-    RTHYB_CAUSE_APART, /* two axes' drives have counted their samples apart; nothing to watch */
+    RTHYB_CAUSE_APART,   /* two axes' drives have counted their samples apart; nothing to watch */
+    RTHYB_CAUSE_NO_POSE, /* the specimen has no pose with its axes there; nothing to watch */
     RTHYB_CAUSE_COUNT
 };
 

@@ -102,6 +102,7 @@ int rthyb_station_init(rthyb_station *s, const rthyb_station_config *cfg)
     s->cfg = *cfg;
     s->state = RTHYB_IDLE;
     s->cause_axis = s->cause_interface = -1;
+    s->refused_axis = s->refused_interface = -1;
     error = fresh_controller(s);
     if (error)
         return error;
@@ -275,6 +276,8 @@ static int refuse(rthyb_station *s, finding found)
     s->refused_cause = found.cause;
     s->refused_value = found.value;
     s->refused_limit = found.limit;
+    s->refused_axis = found.where > 0 ? found.where - 1 : -1;
+    s->refused_interface = found.where < 0 ? -1 - found.where : -1;
     return 0;
 }
 
@@ -340,10 +343,20 @@ static int needs_drive(int command)
     return command == RTHYB_CMD_ZERO || command == RTHYB_CMD_ARM || command == RTHYB_CMD_START;
 }
 
+/* A path leads from where the specimen is, and nowhere from displacements that are none of it. */
+static int has_no_pose(const rthyb_station *s, finding *found)
+{
+    double read[MOST];
+    for (int i = 0; i < axes_of(s); i++)
+        read[i] = s->axis[i].seen_x - s->axis[i].tare_x;
+    *found = plain(RTHYB_CAUSE_NO_POSE);
+    return !s->controller.posed || !rthyb_controller_has_pose(&s->controller, read);
+}
+
 static int arm(rthyb_station *s)
 {
     finding found;
-    if (watch_finds(s, &found))
+    if (watch_finds(s, &found) || has_no_pose(s, &found))
         return refuse(s, found);
     station_enter(s, RTHYB_ARMED);
     return 1;
@@ -352,7 +365,7 @@ static int arm(rthyb_station *s)
 static int start(rthyb_station *s)
 {
     finding found;
-    if (watch_finds(s, &found) || watch_wandered(s, &found))
+    if (watch_finds(s, &found) || watch_wandered(s, &found) || has_no_pose(s, &found))
         return refuse(s, found);
     if (!s->seen || s->controller.missing)
         return 0;
@@ -450,6 +463,30 @@ static void note_tick(rthyb_station *s, int was_skipped)
     s->in_state++;
 }
 
+/* What a tare of these sums would leave of a command: 0 where the drive is known to be where it was told. */
+static double left_of_command(const rthyb_station *s, int axis)
+{
+    const rthyb_axis *a = &s->axis[axis];
+    const double x_cmd_m = s->controller.axis[axis].x_cmd + a->tare_cmd;
+    return s->commands ? 0.0 : x_cmd_m - a->sum_x / s->cfg.tare_ticks;
+}
+
+static int tare_is_refused(const rthyb_station *s, finding *found)
+{
+    const double ticks = s->cfg.tare_ticks;
+    double x[MOST];
+    for (int i = 0; i < axes_of(s); i++) {
+        const rthyb_axis *a = &s->axis[i];
+        x[i] = left_of_command(s, i);
+        if (axis_is_far_off(&s->cfg.axis[i], a->sum_x / ticks, a->sum_f / ticks, found)) {
+            found->where = of_axis(i);
+            return 1;
+        }
+    }
+    *found = plain(RTHYB_CAUSE_NO_POSE);
+    return !rthyb_controller_has_pose(&s->controller, x);
+}
+
 /* Mean of tare_ticks readings, of all axes over the same ticks, unless they move; a tick without one is none
  * of them. */
 static void take_tare(rthyb_station *s, const rthyb_station_input *in)
@@ -465,14 +502,11 @@ static void take_tare(rthyb_station *s, const rthyb_station_input *in)
     if (++s->tare_readings < s->cfg.tare_ticks)
         return;
     (void)refuse(s, plain(RTHYB_CAUSE_NONE));
-    for (int i = 0; i < axes_of(s); i++) {
-        const rthyb_axis *a = &s->axis[i];
-        finding found;
-        if (axis_is_far_off(&cfg[i], a->sum_x / ticks, a->sum_f / ticks, &found)) {
-            (void)refuse(s, found);
-            s->zeroing = 3;
-            return;
-        }
+    finding found;
+    if (tare_is_refused(s, &found)) {
+        (void)refuse(s, found);
+        s->zeroing = found.cause == RTHYB_CAUSE_NO_POSE ? 4 : 3;
+        return;
     }
     for (int i = 0; i < axes_of(s); i++) {
         rthyb_axis *a = &s->axis[i];
@@ -522,6 +556,16 @@ static int longest_missing(const rthyb_station *s)
         if (s->controller.axis[i].missing > s->controller.axis[longest].missing)
             longest = i;
     return of_axis(longest);
+}
+
+/* Why no pair was taken for so long: one axis has none, or what all of them have is no pose. */
+static finding not_taken(const rthyb_station *s)
+{
+    const int axis = longest_missing(s);
+    const int cause =
+        s->controller.axis[axis - 1].missing ? RTHYB_CAUSE_LINK_LOST : RTHYB_CAUSE_NO_POSE;
+    return (finding){cause, s->controller.missing, s->ticks.lost,
+                     cause == RTHYB_CAUSE_LINK_LOST ? axis : 0};
 }
 
 /* The axis that told something that is no number; 0: none did. */
@@ -594,10 +638,7 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
         watch_at_rest(s, record);
     record->tick = s->tick;
     if (!blind && s->controller.missing >= s->ticks.lost && s->state != RTHYB_IDLE)
-        trip_at(s,
-                (finding){RTHYB_CAUSE_LINK_LOST, s->controller.missing, s->ticks.lost,
-                          longest_missing(s)},
-                RTHYB_S_LINK_LOST, record);
+        trip_at(s, not_taken(s), RTHYB_S_LINK_LOST, record);
     if (code & RTHYB_S_NOT_FINITE)
         trip_at(s, (finding){.cause = RTHYB_CAUSE_NOT_FINITE, .where = not_finite(s, in)},
                 RTHYB_S_NOT_FINITE, record);

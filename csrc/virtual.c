@@ -115,7 +115,7 @@ size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, voi
         if (channel_count > 0)
             memcpy(channels + done * channel_count, station->channel,
                    channel_count * sizeof *channels);
-        told = station->state != state || (station->zeroing == 2 && zeroing != 2);
+        told = station->state != state || (station->zeroing > 1 && zeroing <= 1);
         done++;
     }
     return done;

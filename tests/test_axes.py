@@ -13,6 +13,7 @@ from axes_bench import (
     DELAY,
     FLAGS,
     NAMES,
+    OFFSET_M,
     SIDES,
     SPECIMEN,
     Bench,
@@ -29,7 +30,14 @@ from axes_bench import (
 from kernels import Floats
 
 from rthyb_rt import core
-from rthyb_rt.core import AxisConfig, AxisParameters, InterfaceConfig, Parameters, Watch
+from rthyb_rt.core import (
+    AxisConfig,
+    AxisParameters,
+    AxisReading,
+    InterfaceConfig,
+    Parameters,
+    Watch,
+)
 from rthyb_rt.core.coupled_rig import CoupledRig, CoupledRigConfig
 from rthyb_rt.core.kinematics import Kinematics, Pin
 from rthyb_rt.core.matrix_lead import MatrixLeadConfig
@@ -542,3 +550,93 @@ def test_counts_that_do_not_go_together_are_refused() -> None:
     station = core.Station(config(), shaking(1.0))
     with pytest.raises(core.CoreError, match="the station has 2 axes, the virtual rig 1"):
         core.Virtual(station, one)
+
+
+# ---- where the sensors have no pose --------------------------------------------------------------
+
+WIDE = 0.4
+"""m: a sensor's zero is anywhere. Two pins 0.254 m apart have no pose with 0.8 m between them."""
+
+
+def coupler() -> Kinematics:
+    pins = (Pin((0.267, 0.127), (1.6, 0.127)), Pin((0.267, -0.127), (1.6, -0.127)))
+    return Kinematics(pins=pins, coordinates=("x", "theta"))
+
+
+def pinned(**changes: Any) -> core.StationConfig:
+    return config({"kinematics": coupler()}, **changes)
+
+
+def test_before_zero_the_axes_stay_where_they_are_though_that_is_no_pose() -> None:
+    station = core.Station(pinned(), shaking(1.0))
+    raw = [AxisReading(WIDE, 45.0), AxisReading(-WIDE, -20.0)]
+    for _ in range(40):
+        tick = station.tick(axes=raw)
+        assert tick.commands_m == (WIDE, -WIDE)
+        assert station.state == "IDLE"
+    station.tick(command="zero", axes=raw)
+    for _ in range(70):
+        assert station.tick(axes=raw).commands_m == pytest.approx((WIDE, -WIDE), abs=1e-12)
+    assert station.state == "ZEROED"
+    station.tick(command="arm", axes=raw)
+    station.tick(command="start", axes=raw)
+    for _ in range(50):
+        assert station.tick(axes=raw).commands_m == pytest.approx((WIDE, -WIDE), abs=1e-9)
+    assert station.state == "RAMP_IN"
+
+
+def test_zero_is_refused_where_what_it_leaves_is_no_pose() -> None:
+    """The drives stay where they were told first, and the readings wander off before ZERO."""
+    station = core.Station(pinned(), shaking(1.0))
+    station.tick(axes=[AxisReading(0.0), AxisReading(0.0)])
+    away = [AxisReading(WIDE), AxisReading(-WIDE)]
+    for _ in range(5):
+        station.tick(axes=away)
+    station.tick(command="zero", axes=away)
+    for _ in range(80):
+        station.tick(axes=away)
+    assert station.state == "IDLE"
+    assert station.zeroing_failed
+    assert not station.tare_too_large
+    assert station.refusal == ("no_pose", 0.0, 0.0)
+    assert station.tares == ((0.0, 0.0), (0.0, 0.0))
+
+
+@pytest.mark.parametrize("command", ["arm", "start"])
+def test_nothing_begins_where_the_readings_have_become_no_pose(command: core.Command) -> None:
+    settings = pinned()
+    axes = tuple(replace(axis, rest_spread_m=1.0) for axis in settings.controller.axes)
+    settings = replace(settings, controller=replace(settings.controller, axes=axes))
+    station = core.Station(settings, shaking(1.0))
+    here, away = [AxisReading(), AxisReading()], [AxisReading(WIDE), AxisReading(-WIDE)]
+    station.tick(command="none", axes=here)
+    station.tick(command="zero", axes=here)
+    while station.state != "ZEROED":
+        station.tick(axes=here)
+    if command == "start":
+        station.tick(command="arm", axes=here)
+    station.tick(axes=away)
+    assert station.tick(command=command, axes=away).refused
+    assert station.refusal[0] == "no_pose"
+    for _ in range(3):  # what is missing now is back
+        station.tick(axes=here)
+    assert not station.tick(command=command, axes=here).refused
+
+
+def test_readings_that_become_no_pose_during_a_test_are_not_taken_and_then_trip() -> None:
+    bench = Bench(pinned(), plant=rig(coupler())).running(200)
+    away = {0: {"x_m": OFFSET_M[0] + WIDE}, 1: {"x_m": OFFSET_M[1] - WIDE}}
+    bench.step(faults=away)
+    row = bench.records[-1][-1:]
+    assert row["flags"][0] & FLAGS["predicted"]
+    assert abs(columns(row, "x_meas_m")).max() < 0.02
+    bench.step()
+    assert bench.records[-1]["flags"][-1] & FLAGS["fresh"]
+    for _ in range(20):
+        assert bench.station.state == "RUNNING"
+        bench.step(faults=away)
+    assert bench.station.state == "TRIPPED"
+    assert (bench.station.cause, bench.station.cause_axis) == ("no_pose", None)
+    assert abs(np.diff(bench.commands(), axis=0)).max() < 1e-3
+    again = core.Station(bench.settings, shaking(2.0)).replay(bench.rows())
+    assert again.tobytes() == bench.rows().tobytes()

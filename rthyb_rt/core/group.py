@@ -26,7 +26,7 @@ Reaction = Literal["none", "indicate", "hold", "ramp-out", "trip"]
 # together.
 REACTIONS: Final = cast(tuple[Reaction, ...], tuple(options("rthyb_reaction", "RTHYB_REACT_")))
 CAUSES: Final = tuple(words("rthyb_cause", "RTHYB_CAUSE_"))
-WATCHABLE: Final = tuple(name for name in CAUSES[CAUSES.index("skips") :] if name != "apart")
+WATCHABLE: Final = CAUSES[CAUSES.index("skips") : CAUSES.index("apart")]
 AXIS_WATCHES: Final = tuple(
     name
     for name in WATCHABLE[WATCHABLE.index("sensor_stuck") :]

@@ -509,6 +509,16 @@ class Station:
         return CAUSES[int(c.refused_cause)], float(c.refused_value), float(c.refused_limit)
 
     @property
+    def refusal_axis(self) -> int | None:
+        """Which axis that belongs to; None: to none."""
+        return None if self._c.refused_axis < 0 else int(self._c.refused_axis)
+
+    @property
+    def refusal_interface(self) -> int | None:
+        """Which interface that belongs to; None: to none."""
+        return None if self._c.refused_interface < 0 else int(self._c.refused_interface)
+
+    @property
     def indicated(self) -> list[str]:
         """Causes that were seen and only indicated."""
         return [name for bit, name in enumerate(CAUSES) if self._c.indicated >> bit & 1]
@@ -520,8 +530,8 @@ class Station:
 
     @property
     def zeroing_failed(self) -> bool:
-        """Whether the last tare was refused: the reading moved, or `tare_too_large`."""
-        return int(self._c.zeroing) in (2, 3)
+        """Whether the last tare was refused: a reading moved, `tare_too_large`, or no pose."""
+        return int(self._c.zeroing) in (2, 3, 4)
 
     @property
     def tare_too_large(self) -> bool:

@@ -22,7 +22,7 @@ from rthyb_rt.core.loop import Clock, Link, Loop
 from rthyb_rt.core.wire import Wire
 from rthyb_rt.errors import RthybError
 from rthyb_rt.lab import experiment, extras, jitter, trips
-from rthyb_rt.lab.endings import RefusedError, TimingError
+from rthyb_rt.lab.endings import REMEDIES, WORDS, RefusedError, TimingError
 from rthyb_rt.lab.realtime.live_run import Counted, LiveRun, follows, stays_stopped
 from rthyb_rt.lab.runs import AT_REST
 
@@ -397,6 +397,8 @@ class Conductor:
         run = self.run
         if not self.zeroing_failed:
             return f"the feedback stopped while it was zeroed; {self.no_feedback()}"
+        if run.station.refusal[0] == "no_pose":
+            return f"{WORDS['no_pose']}. {REMEDIES['no_pose']}"
         if run.station.tare_too_large:
             cause, value, limit = run.station.refusal
             share = run.setup.derived.limits.tare_share_most
