@@ -13,11 +13,52 @@ import pytest
 import rthyb_rt.diagnose
 from rthyb_rt.diagnose.policy import POLICY, entries, of_size
 
-SOURCES = [
-    path.read_text()
-    for path in Path(rthyb_rt.diagnose.__file__).parent.rglob("*.py")
+FOLDER = Path(rthyb_rt.diagnose.__file__).parent
+FILES = {
+    path.relative_to(FOLDER).as_posix(): path.read_text()
+    for path in FOLDER.rglob("*.py")
     if path.name != "policy.py"
-]
+}
+SOURCES = list(FILES.values())
+
+INLINE = {
+    "actuation.py late_zero": "rows that a mean is taken of",
+    "actuation.py least": "where a fit ends",
+    "engine.py _force_found": "length of a list",
+    "estimate.py _legs": "rows that a line is taken of",
+    "estimate.py filled": "rows that a cubic takes",
+    "estimate.py of": "rows to either side of a transform",
+    "estimate.py step_of": "half way between one step and two",
+    "estimate.py white_noise": "rows that a median is taken of",
+    "freebody.py _least": "where a fit ends",
+    "lateness.py settled": "where a fit ends",
+    "mapping.py _missing": "length of a list",
+    "moving.py sensor_colour": "lines that a level is taken of",
+    "noise.py __init__": "rows that a spectrum is taken of",
+    "noise.py _faded": "half a row: whether there is one",
+    "noise.py colour_of": "lines that a level is taken of",
+    "noise.py power": "rows that a spectrum is taken of",
+    "noise.py red_of": "lines that a level is taken of",
+    "predict.py _descended": "where a fit ends",
+    "predict.py continues": "half a row: which one it is",
+    "predict.py moved_by": "where an iteration ends",
+    "predict.py nrmse": "rows that an error is taken of",
+    "predict.py start_of": "rows that a start is taken of",
+    "reading.py _filled_in": "rows that a cubic takes",
+    "reading.py _means_nothing": "an exponent",
+    "select.py inflation": "rows that a correlation is taken of",
+    "select.py refine": "where a fit ends",
+    "sizes.py _far": "a base of logarithms",
+    "table.py _is_units": "length of a unit",
+    "table.py _parted": "length of a list",
+    "why.py _percent": "digits of a number",
+    "why.py count": "digits of a number",
+    "words.py _plain": "digits of a number",
+    "words.py _when": "length of a list",
+    "words.py sentence": "digits of a number",
+}
+"""Comparisons with a number of their own outside the table, by function, and why none of them
+decides what is said."""
 
 
 def test_the_table_cannot_be_written_to() -> None:
@@ -35,7 +76,7 @@ def test_each_threshold_says_what_it_is() -> None:
 
 
 def test_each_threshold_is_read() -> None:
-    read = {name for text in SOURCES for name in re.findall(r"\bPOLICY\.(\w+)", text)}
+    read = {name for text in SOURCES for name in re.findall(r"\b(?:POLICY|policy)\.(\w+)", text)}
     assert read == set(entries())
 
 
@@ -64,3 +105,32 @@ def _reads(node: ast.AST) -> bool:
 def test_a_set_of_more_effects_has_the_last_value() -> None:
     values = (0.05, 0.015, 0.008)
     assert [of_size(values, size) for size in (1, 2, 3, 4)] == [0.05, 0.015, 0.008, 0.008]
+
+
+def test_no_threshold_stands_outside_the_table() -> None:
+    """Numbers in comparisons but for small counts, guards of a division, and what is listed.
+
+    What makes a law stands with the law: effects/.
+    """
+    found = {
+        f"{name} {function}"
+        for name, text in FILES.items()
+        if not name.startswith("effects/")
+        for function in _comparing(ast.parse(text))
+    }
+    assert found == set(INLINE)
+
+
+def _comparing(tree: ast.AST, function: str = "") -> Iterator[str]:
+    """Give the function of each comparison with a number of its own."""
+    for node in ast.iter_child_nodes(tree):
+        inner = node.name if isinstance(node, ast.FunctionDef) else function
+        if isinstance(node, ast.Compare) and any(map(_telling, ast.walk(node))):
+            yield function
+        yield from _comparing(node, inner)
+
+
+def _telling(node: ast.AST) -> bool:
+    if not isinstance(node, ast.Constant) or not isinstance(node.value, (int, float)):
+        return False
+    return node.value not in (0, 1, 2, 3) and 1e-9 < node.value < 1e300

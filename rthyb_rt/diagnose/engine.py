@@ -14,6 +14,7 @@ from rthyb_rt.diagnose import (
     decay,
     effects,
     estimate,
+    evidence,
     force,
     freebody,
     lateness,
@@ -36,7 +37,6 @@ from rthyb_rt.diagnose.select import (
     Member,
     Problem,
     leaning,
-    price,
     refine,
 )
 from rthyb_rt.errors import InputError
@@ -326,7 +326,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     disp = displacement(case)
     found = motion_of(case, disp)
     search = ctx = None
-    if found is not None and found.rows.sum() >= 50:
+    if found is not None and found.rows.sum() >= POLICY.least_rows_force:
         progress("force laws")
         ctx = context_of(case, found)
         problem = Problem(case, ctx, found, effects.catalogue().values())
@@ -369,7 +369,8 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     elif "f_meas" in case.channels or case.model.family in ("ground", "forced"):
         raise InputError(
             "gaps, clipped and stray readings leave no stretch in which the force could be judged "
-            "(fewer than 50 rows); record again, or diagnose the parts between the gaps",
+            f"(fewer than {POLICY.least_rows_force} rows); record again, or diagnose the parts "
+            "between the gaps",
             case.name,
         )
     progress("verdict")
@@ -399,7 +400,8 @@ def _in_its_noise(
     problem = search.problem
     sets = {id(f): f for f in (search.null, *search.fits[: noise.TRIED], *search.pool)}
     tried = [
-        (_left_by(search, fit), found.motion.v, force.cost(problem, fit)) for fit in sets.values()
+        (_left_by(search, fit), found.motion.v, evidence.cost(problem, fit))
+        for fit in sets.values()
     ]
     own = estimate.likeliest(tried, found.rows, case.fs_hz, sigma, sheet, blur)
     if own is None:
@@ -461,7 +463,7 @@ def _along_its_motion(
         for _ in range(PASSES):
             motion = freebody.Body(case, ctx).motion(among.problem, begun)
             found = estimate.along(case, motion, 0) if motion is not None else None
-            if found is None or found.rows.sum() < 50:
+            if found is None or found.rows.sum() < POLICY.least_rows_force:
                 break
             now = context_of(case, found)
             along = Problem(case, now, found, effects.catalogue().values())
@@ -561,7 +563,7 @@ def _left_by(search: force.Search, fit: Fit) -> Floats:
     problem = search.problem
     rest = problem.estimate.force - problem.ctx.total - leaning(problem, fit)
     for i in range(len(fit.members)):
-        rest = rest - force.contribution(problem, fit, i)
+        rest = rest - evidence.contribution(problem, fit, i)
     return np.asarray(rest)
 
 
@@ -684,7 +686,7 @@ def _by_rounding(case: Case, search: force.Search, quantised: Found) -> force.Se
 
 def _alike(search: force.Search, fit: Fit, best: Fit) -> bool:
     """Return whether a set fits as well as the best with no more parameters."""
-    more = force.count(search.problem, fit) > force.count(search.problem, best)
+    more = evidence.count(search.problem, fit) > evidence.count(search.problem, best)
     return not more and fit.chi2 - best.chi2 < POLICY.same_evidence
 
 
@@ -796,7 +798,7 @@ def _by_chance(search: force.Search, ctx: Context) -> bool:
         for k, (low, high) in ends.items()
         if high > low and gone[k] == 0.0
     ]
-    return bool(sizes) and max(sizes) ** 2 < force.cost(problem, fit)
+    return bool(sizes) and max(sizes) ** 2 < evidence.cost(problem, fit)
 
 
 def _located(
@@ -961,7 +963,7 @@ def _errors(
         fit = search.best if search.best.members and verdict != "unknown" else search.null
         model = problem.ctx.total + leaning(problem, fit)
         for i in range(len(fit.members)):
-            model += force.contribution(problem, fit, i)
+            model += evidence.contribution(problem, fit, i)
         out["nrmse_before_force"] = float(np.std(before)) / spread
         out["nrmse_after_force"] = float(np.std((found.force - model)[rows])) / spread
     main = (
@@ -989,13 +991,7 @@ def _force_found(search: force.Search, ctx: Context, motions: Sequence[Motion]) 
     out: list[Found] = []
     equal = {f.names for f in search.equal}
     fits = [search.best, *search.equal, *[f for f in search.rivals if f.names not in equal]]
-    scores = np.array(
-        [
-            f.chi2
-            + sum(price(problem, m.effect, m.effect.settings(ctx, m.trial)[1]) for m in f.members)
-            for f in fits
-        ]
-    )
+    scores = np.array([f.chi2 + evidence.cost(problem, f) for f in fits])
     weights = np.exp(-0.5 * np.clip(scores - scores.min(), 0, 700))
     weights /= weights.sum()
     seen: set[str] = set()
@@ -1015,7 +1011,7 @@ def _force_found(search: force.Search, ctx: Context, motions: Sequence[Motion]) 
                         {k: v for k, v in params.items() if k in wanted},
                         {k: v for k, v in ci.items() if k in wanted},
                         -2.0 * 0.5 * (search.null.chi2 - fit.chi2),
-                        force.contribution(problem, fit, i) if number == 0 else None,
+                        evidence.contribution(problem, fit, i) if number == 0 else None,
                         f"{m.trial.variant} {m.trial.theta}".strip(),
                         form,
                         float(ctx.t[0]) + m.trial.theta[-1] if m.effect.late else None,

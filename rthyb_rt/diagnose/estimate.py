@@ -33,10 +33,6 @@ EDGE_S = 0.5
 """At either end of a recording the smoother has half its data; such rows are not judged."""
 MOVING_EDGE_S = 1.5
 """The same where a recording begins or ends in full motion."""
-STRAIGHT = 0.3
-"""Part of a quasi-static recording in straight strokes from which it is one of ramps."""
-APART = 4.0
-"""Standard deviations of noise by which two displacements differ that are not one: six in 1e5."""
 TURN_ROWS = 20
 """Rows at either end of a quasi-static recording in which a turn would not be seen."""
 
@@ -78,7 +74,9 @@ def step_of(f_meas: Floats | None, f_std: float | None) -> float:
     at = values / lsb
     mean = np.mean(np.exp(2j * np.pi * at))
     away = np.abs(np.exp(2j * np.pi * at) - mean / (abs(mean) or 1.0))
-    return lsb if lsb >= f_std and np.mean(away < 0.15) >= POLICY.coarse_on_grid else 0.0
+    return (
+        lsb if lsb >= f_std and np.mean(away < POLICY.coarse_near) >= POLICY.coarse_on_grid else 0.0
+    )
 
 
 def force_noise(f_meas: Floats | None, f_std: float | None) -> float:
@@ -217,7 +215,7 @@ def _smooth_spectrum(power: Floats, width: int) -> Floats:
 def _above_noise(spectrum: Complex, rows: int, noise_power: Floats | float) -> Floats:
     """Return the power of a signal where it stands out of its noise, else 0."""
     power = _smooth_spectrum(np.abs(spectrum) ** 2 / rows, 12)
-    return np.where(power > 3.5 * noise_power, power - noise_power, 0.0)
+    return np.where(power > POLICY.motion_clear * noise_power, power - noise_power, 0.0)
 
 
 def _envelope(power: Floats, omega: Floats) -> Floats:
@@ -314,7 +312,7 @@ def smoothed(
     information = 1.0 / own
     joined = spectrum / own
     prior = _above_noise(spectrum, rows, own)
-    band = s.omega > 2 * np.pi * 0.2
+    band = s.omega > 2 * np.pi * POLICY.accelerometer_from_hz
     safe = np.where(band, w2, 1.0)
     for sensor in accelerations:
         other, level = s.forward(filled(sensor.signal), odd=True), sensor.power(s.omega)
@@ -346,7 +344,8 @@ def aligned(case: Case, parts: list[Floats], sigma: float) -> Floats:
     wanted = -(w**2) * s.forward(x, odd=True)
     spectra = [s.forward(part, odd=True) for part in parts]
     gap = np.sum(spectra, axis=0) - wanted
-    weight = np.where(w > 2 * np.pi * 0.3, 1.0 / np.sqrt(sigma**2 + w**4 * sigma_x**2), 0.0)
+    seen = w > 2 * np.pi * POLICY.motion_from_hz
+    weight = np.where(seen, 1.0 / np.sqrt(sigma**2 + w**4 * sigma_x**2), 0.0)
     columns = np.column_stack([-1j * w * c * weight for c in spectra])
     gap = gap * weight
     matrix = np.concatenate((columns.real, columns.imag))
@@ -682,7 +681,8 @@ def from_sensors(case: Case) -> Estimate | None:
 def quasi_static(case: Case) -> bool:
     """Return whether time is nominal: no rate in the model and rows too far apart to have one."""
     m = case.model
-    return m.family == "drive" and m.c == 0 and m.moving_mass == 0 and m.fs_hz <= 50
+    rateless = m.family == "drive" and m.c == 0 and m.moving_mass == 0
+    return rateless and m.fs_hz <= POLICY.static_hz
 
 
 def _rate(x: Floats, fs_hz: float, span: int = 34) -> Floats:
@@ -717,10 +717,9 @@ def _legs(x: Floats, v: Floats, fs_hz: float) -> tuple[Floats, NDArray[np.bool_]
         rest = part - part.mean() - slope * at
         # Straight: no more than its noise, neither on the whole nor bent over a third of it.
         thirds = [float(np.mean(p)) for p in np.array_split(rest, 3)]
-        if np.std(rest) < 1.25 * sigma and max(map(abs, thirds)) < 4.0 * sigma * np.sqrt(
-            3.0 / part.size
-        ):
-            rests = abs(slope) < 5.0 * sigma / np.sqrt(at @ at)
+        bent = POLICY.stroke_bent * sigma * np.sqrt(3.0 / part.size)
+        if np.std(rest) < POLICY.stroke_straight * sigma and max(map(abs, thirds)) < bent:
+            rests = abs(slope) < POLICY.stroke_rests * sigma / np.sqrt(at @ at)
             out[first:last] = 0.0 if rests else slope * fs_hz
             straight[first:last] = True
     return out, straight
@@ -734,7 +733,7 @@ def _plainly_moving(x: Floats, v: Floats, sigma: float) -> NDArray[np.bool_]:
     """
     across = np.zeros(x.size)
     across[1:-1] = x[2:] - x[:-2]
-    apart = np.abs(across) > APART * np.sqrt(2.0) * sigma
+    apart = np.abs(across) > POLICY.static_apart * np.sqrt(2.0) * sigma
     return np.asarray(apart & (np.sign(across) == np.sign(v)))
 
 
@@ -745,9 +744,10 @@ def _static(case: Case) -> Estimate | None:
     x = filled(case.channels["x_meas"])
     v = np.gradient(x) * case.fs_hz
     sure = np.ones(x.size, dtype=np.bool_)
-    if (case.model.x_std or 0.0) * case.fs_hz > 0.02 * float(np.median(np.abs(v))):
+    unsure = (case.model.x_std or 0.0) * case.fs_hz
+    if unsure > POLICY.static_rate_noise * float(np.median(np.abs(v))):
         v, straight = _legs(x, _rate(x, case.fs_hz), case.fs_hz)
-        bent = bool(np.mean(straight) < STRAIGHT)
+        bent = bool(np.mean(straight) < POLICY.static_straight)
         if bent:
             # A slow sweep or random motion bends within any span that averages its noise.
             v = smoothed(case, [])[0].v
@@ -761,7 +761,7 @@ def _static(case: Case) -> Estimate | None:
     sigma = case.model.f_std or noise_of(f_meas, None)
     sigma = float(np.hypot(sigma, abs(case.model.k) * (case.model.x_std or 0.0)))
     rows = case.rows & np.isfinite(f_meas) & np.isfinite(case.channels["x_meas"])
-    if (rows & sure).sum() > 0.5 * rows.sum():
+    if (rows & sure).sum() > POLICY.static_rows * rows.sum():
         rows = rows & sure
     return Estimate(
         Motion(x, v, np.zeros_like(x)), filled(f_meas), rows, lambda y: y / sigma, sigma, False

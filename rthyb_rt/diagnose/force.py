@@ -5,31 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
 from rthyb_rt.diagnose import decay, modulation, noise, onset, redundant
+from rthyb_rt.diagnose.decide import Ruling
 from rthyb_rt.diagnose.effects import catalogue, having, of_number
-from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
-from rthyb_rt.diagnose.form import neighbours
+from rthyb_rt.diagnose.effects.base import Floats, Trial
+from rthyb_rt.diagnose.evidence import Gathered, bent, cost, held_out_gain
 from rthyb_rt.diagnose.freebody import Body
-from rthyb_rt.diagnose.policy import POLICY, of_size
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
     Dictionary,
     Fit,
     Member,
     Problem,
     Solved,
-    columns_of,
     compatible,
     inflation,
-    price,
     refine,
     solve,
 )
 
-FOLD_S = 0.25
-FOLDS = 4
 POOL = 6
 """Sets, and single effects, whose motion is simulated."""
 LEADING = 3
@@ -38,6 +36,8 @@ SETTLED = 0.01
 """Part of a misfit by which one more fit of a motion has to better it."""
 PARTS = 150
 """Simulations that are left for the parts of the best sets: three fits of a set of two."""
+RIVALS = 6
+"""Sets that are kept to be shown beside the one that is named."""
 AGAIN = 3
 """Times that such a fit is begun again at most."""
 NUMBERS = ("k", "c", "moving_mass")
@@ -62,6 +62,7 @@ class Search:
         balance: what the balance of forces came to, where it was not believed.
         pool: the best sets while every row still counted, whatever came of them.
         quiet: whether what a simulated motion leaves is within the displacement's data sheet.
+        ledger: what each rule of `decide` has done.
     """
 
     problem: Problem
@@ -80,6 +81,7 @@ class Search:
     balance: Search | None = None
     pool: list[Fit] = field(default_factory=list)
     quiet: bool = False
+    ledger: tuple[Ruling, ...] = ()
 
 
 class _Fitter:
@@ -92,7 +94,7 @@ class _Fitter:
         self.stated = {n.name for n in problem.nuisances if n.sigma is not None}
         self.exact = problem.estimate.exact
         self.rows = problem.y.size * problem.estimate.share
-        self.open = POLICY.form_seen
+        self.judged: Literal["force", "motion", "rig"] = "force"
         self.testimony: Callable[[Fit], float] = lambda _: 0.0
 
     def fit(self, members: Iterable[Member]) -> Fit | None:
@@ -201,27 +203,6 @@ class _Fitter:
         return fit.chi2 + self.price(fit)
 
 
-def bent(problem: Problem, fit: Fit) -> set[str]:
-    """Return the effects in whose place a fit bends a stated number out of its tolerance."""
-    return {
-        n.effect
-        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
-        if n.effect and n.sigma is not None and abs(float(b)) > POLICY.bent_number * n.sigma
-    }
-
-
-def count(problem: Problem, fit: Fit) -> int:
-    """Return how many parameters a set has."""
-    return sum(m.effect.settings(problem.ctx, m.trial)[1] for m in fit.members)
-
-
-def cost(problem: Problem, fit: Fit) -> float:
-    """Return what a set has to earn."""
-    return sum(
-        price(problem, m.effect, m.effect.settings(problem.ctx, m.trial)[1]) for m in fit.members
-    )
-
-
 class _Mover(_Fitter):
     """Refines sets by the motion that they simulate."""
 
@@ -232,7 +213,7 @@ class _Mover(_Fitter):
         self.scale = 1.0
         # A simulated motion is no estimate; but two good simulators differ by a little.
         self.exact, self.rows = True, float(body.rows.size)
-        self.open = POLICY.form_of_rig if body.whole_rig else POLICY.form_moved
+        self.judged = "rig" if body.whole_rig else "motion"
 
     def move(self, fit: Fit) -> Fit | None:
         """Refine a set that was found in the balance of forces; the better of its shapes stays.
@@ -410,19 +391,9 @@ def _plainer_friction() -> dict[str, str]:
     return {n: e.plainer for n, e in catalogue().items() if e.dry and e.plainer}
 
 
-def _relaxing() -> dict[str, str]:
-    """Return the laws that relax, each with what it is where that is over at once."""
-    return {n: e.plainer for n, e in catalogue().items() if e.relaxes}
-
-
 def _slow_as() -> dict[str, str]:
     """Return the effects that a slow motion does not tell from a plainer one, each with that."""
     return {n: e.slow_as for n, e in catalogue().items() if e.slow_as}
-
-
-def _also() -> dict[str, str]:
-    """Return the laws that are another one by name beside a spring of free stiffness, with it."""
-    return {e.also: n for n, e in catalogue().items() if e.also}
 
 
 def _seen_only(members: Iterable[Member]) -> bool:
@@ -612,7 +583,7 @@ def _sweep(
     pairs = _promising(dictionary, dictionary.pairs(), null)
     # A pair has to do better than its better half before its shapes are worth fitting.
     if len(singles):
-        pairs = pairs.where(pairs.chi2 < best - 4.0)
+        pairs = pairs.where(pairs.chi2 < best - POLICY.promising_pair)
     leading = dictionary.best(pairs, 12)
     for group in members(leading[:10]):
         fitter.fit(group)
@@ -760,126 +731,6 @@ def _promising(dictionary: Dictionary, found: Solved, null: float) -> Solved:
     return found.where(null - found.chi2 > POLICY.promising_price * costs)
 
 
-def _needed(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
-    """Return whether no effect of a set can be left out."""
-    for i, member in enumerate(fit.members):
-        rest = [m for j, m in enumerate(fit.members) if j != i]
-        names = tuple(sorted(n for m in rest for n in m.effect.names))
-        without = fitter.by_names.get(names) if rest else null
-        if without is None and rest:
-            without = fitter.fit(rest)
-        if without is None:
-            continue
-        own = without.chi2 - fit.chi2
-        n = member.effect.settings(fitter.problem.ctx, member.trial)[1]
-        cost = price(fitter.problem, member.effect, n)
-        if own < cost * (POLICY.several_price if rest else 1.0):
-            return False
-        # What moves a stated number is seen against its tolerance, not in the residual.
-        least = _share_needed(fitter, len(fit.names))
-        stated = not member.effect.late and (
-            member.name in bent(fitter.problem, without)
-            or (member.name in fitter.stated and not isinstance(fitter, _Mover))
-        )
-        explained = decay.explained(fitter.problem, fitter.fit, fit, member, null)
-        small = rest and own < least * explained and not stated
-        if not small or _completes(fitter, fit, without) or _of_no_form(fitter, fit, i):
-            continue
-        # Unless a time offset beyond what is normal would have to stand in for it. Beside a naive
-        # model that says nothing: there an offset takes up what the form of a law leaves.
-        if _before_a_dashpot(fitter, fit, i, null):
-            continue
-        naive = fitter.problem.case.model.k_tol is None
-        if naive or _strained(fitter.problem, fit) or not _strained(fitter.problem, without):
-            return False
-    return True
-
-
-def _of_no_form(fitter: _Fitter, fit: Fit, which: int) -> bool:
-    """Return whether an effect of the load cell is no form of the laws beside it.
-
-    Where nothing but noise is left, and it earns its price still with each of those laws free to be
-    itself times any smooth function of displacement and of velocity: no law follows what a load
-    cell does by itself.
-    """
-    problem, effect = fitter.problem, fit.members[which].effect
-    at_noise = fit.chi2 - fitter.rows < POLICY.excess_as_noise * fitter.rows
-    if not effect.sensor or effect.carries or isinstance(fitter, _Mover):
-        return False
-    if not at_noise or problem.case.model.k_tol is None:
-        return False
-    ctx, own = problem.ctx, problem.columns(fit.members[which])
-    over = [(ctx.x, ctx.x_range), (ctx.v, ctx.v_range)]
-    near = [problem.base]
-    for i, member in enumerate(fit.members):
-        if i != which:
-            near.append(problem.columns(member))
-            forms = [] if member.effect.sensor else neighbours(contribution(problem, fit, i), over)
-            near += [problem.seen(column)[:, None] for column in forms]
-    design = np.column_stack(near)
-    design /= np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-300)
-    both = np.column_stack([problem.y, own])
-    y, *mine = (both - design @ np.linalg.lstsq(design, both, rcond=1e-9)[0]).T
-    alone = np.column_stack(mine)
-    left = y - alone @ np.linalg.lstsq(alone, y, rcond=None)[0]
-    count = effect.settings(ctx, fit.members[which].trial)[1]
-    wanted = POLICY.several_price * price(problem, effect, count)
-    return float(y @ y - left @ left) > wanted
-
-
-def _before_a_dashpot(fitter: _Fitter, fit: Fit, member: int, null: Fit) -> bool:
-    """Return whether an effect does better than a dashpot in its place that would be named.
-
-    The dashpot moves a stated number and is excused from the share; what it only looks like is
-    not to lose to it by that.
-    """
-    dashpot = _slow_as().get(fit.members[member].name)
-    if dashpot is None:
-        return False
-    rest = [m for j, m in enumerate(fit.members) if j != member]
-    names = tuple(sorted([dashpot, *(n for m in rest for n in m.effect.names)]))
-    other = fitter.by_names.get(names)
-    if other is None or fitter.score(fit) + POLICY.same_evidence > fitter.score(other):
-        return False
-    return _needed(fitter, other, null)
-
-
-def _earns(fitter: _Fitter, fit: Fit, null: Fit) -> bool:
-    """Return whether a set is worth its price; of several there are many to choose from."""
-    return null.chi2 - fit.chi2 > fitter.price(fit) * (
-        POLICY.several_price if len(fit.members) > 1 else 1.0
-    )
-
-
-def _strained(problem: Problem, fit: Fit) -> bool:
-    """Return whether a fit needs a time offset between the channels beyond its tolerance."""
-    return any(
-        n.name == "skew"
-        and n.sigma is not None
-        and abs(float(b)) > POLICY.strained_offset * n.sigma
-        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
-    )
-
-
-def _completes(fitter: _Fitter, fit: Fit, without: Fit) -> bool:
-    """Return whether nothing but noise is left with an effect where without it there is more.
-
-    What one law leaves of another's form is not all taken up by a third.
-    """
-    # Sliders in a row are a form of one slider, with as many as one likes.
-    sliders = having(lambda e: e.slides)
-    more = sliders.issubset(fit.names) and not sliders.issubset(without.names)
-    return fitter.exact and not more and _ends_at_noise(fitter, fit, without)
-
-
-def _ends_at_noise(fitter: _Fitter, fit: Fit, other: Fit) -> bool:
-    """Return whether a fit leaves little beyond the noise where another one leaves more."""
-    n = fitter.rows
-    return other.chi2 - n > fitter.open * n and fit.chi2 - n < POLICY.noise_reached * (
-        other.chi2 - n
-    )
-
-
 def _decide(
     problem: Problem,
     fitter: _Fitter,
@@ -889,32 +740,9 @@ def _decide(
     held_out: Callable[[Fit], float],
 ) -> Search:
     n = plain[2]
-    fits = sorted(fitter.by_names.values(), key=fitter.score)
-    fits = [f for f in fits if _needed(fitter, f, null)]
-    fits = [f for f in fits if _goes_on(fitter, f)]
-    fits = _worth_their_size(fitter, fits, null)
-    fits = _one_of_a_kind(fitter, fits, null)
-    fits = _plainest(fitter, fits, null)
-    fits = _simplest_first(fitter, fits, null)
-    best = null
-    if fits and _earns(fitter, fits[0], null) and _size(problem, fits[0]) > POLICY.least_force:
-        best = fits[0]
-    held = held_out(best) if best.members else 0.0
-    if best.members and held < POLICY.held_out_share:
-        best = null
-    equal = []
-    if best.members:
-        own = count(problem, best)
-        for fit in fits:
-            extra = max(0, count(problem, fit) - own)
-            worse = fit.chi2 - best.chi2 + POLICY.dearer_rival * POLICY.same_evidence * extra
-            if (
-                fit.names != best.names
-                and worse < POLICY.same_evidence
-                and held_out(fit) > POLICY.held_out_share
-            ):
-                equal.append(fit)
-        equal += [f for f in _twins(fitter, best, fits) if held_out(f) > POLICY.held_out_share]
+    evidence = Gathered(fitter, null, held_out)
+    choice = evidence.choose()
+    best, fits = evidence.fit(choice.best), [evidence.fit(h) for h in choice.ranked]
     # The residual of a motion is that of its rows, the balance's is scaled like its problem.
     moved = isinstance(fitter, _Mover)
     rest = float(best.residual @ best.residual) * (1.0 if moved else scale)
@@ -924,227 +752,17 @@ def _decide(
         null,
         fits,
         best,
-        equal,
+        [evidence.fit(h) for h in choice.equal],
         plain[0] / n - 1.0,
         after / n - 1.0,
         null.chi2 - fitter.score(best) if best.members else 0.0,
-        held,
+        choice.held,
         scale,
-        [f for f in fits if f is not best][:6],
+        [f for f in fits if f is not best][:RIVALS],
         _forms(fitter, best, null),
         moved,
+        ledger=choice.ledger,
     )
-
-
-def _blurred(fitter: _Fitter) -> float:
-    """Return by how much more a share has to be where the motion is estimated."""
-    return 1.0 if fitter.exact else POLICY.estimated_motion
-
-
-def _share_needed(fitter: _Fitter, size: int) -> float:
-    """Return the part of what a set of so many effects explains that each has to explain alone."""
-    return of_size(POLICY.needed_share, size) * _blurred(fitter)
-
-
-def _worth_their_size(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
-    """Leave out sets beside a naive model that do little better than the best of fewer laws.
-
-    Its misfit is one of form, and two laws in a bad form leave to a third what another pair does.
-    """
-    problem = fitter.problem
-    if problem.case.model.k_tol is not None:
-        return fits
-    out = []
-    for fit in fits:
-        size = len(fit.members)
-        smaller = min((f.chi2 for f in fits if len(f.members) < size), default=np.inf)
-        least = _share_needed(fitter, size)
-        # What the last of them is to explain; of a decay the damping, see there.
-        whole = min(decay.explained(problem, fitter.fit, fit, m, null) for m in fit.members)
-        if smaller - fit.chi2 >= least * whole:
-            out.append(fit)
-    return out
-
-
-def _goes_on(fitter: _Fitter, fit: Fit) -> bool:
-    """Return whether a drift beside a naive model goes on within the halves of the recording.
-
-    What the forms of the other laws leave differs between early and late by chance of what was
-    moved when, and a constant has a slope as well where it is taken to begin at nothing. A wander
-    is there within each half, whatever level it has there, if the half can show it at all.
-    """
-    problem = fitter.problem
-    wanders, zeros = having(lambda e: e.wanders), having(lambda e: e.zero)
-    if wanders.isdisjoint(fit.names) or problem.case.model.k_tol is not None:
-        return True
-    member = next(m for m in fit.members if m.name in wanders)
-    rest = [problem.columns(m) for m in fit.members if m is not member]
-    level = [] if zeros & set(fit.names) else [problem.seen(np.ones(problem.ctx.t.size))]
-    design = np.column_stack([problem.columns(member), *rest, problem.base, *level])
-    size = np.sqrt(np.mean(design**2, axis=0))
-    size[size == 0.0] = 1.0
-    design /= size
-    rates, widths = [], []
-    middle = problem.y.size // 2
-    for part in (slice(None, middle), slice(middle, None)):
-        d, y = design[part], problem.y[part]
-        inverse = np.linalg.pinv(d.T @ d, hermitian=True)
-        beta = inverse @ (d.T @ y)
-        rates.append(float(beta[0]))
-        widths.append(float(inverse[0, 0]) * inflation(y - d @ beta))
-    weights = 1.0 / np.maximum(np.array(widths), 1e-300)
-    within = float(np.sum(weights * np.array(rates)) / np.sum(weights))
-    whole = float(fit.betas[fit.members.index(member)][0]) * float(size[0])
-    unsure = float(np.sum(weights)) ** -0.5 > POLICY.drift_unsure * abs(whole)
-    return unsure or within / whole > POLICY.drift_in_halves
-
-
-def _twins(fitter: _Fitter, best: Fit, fits: list[Fit]) -> list[Fit]:
-    """Return single effects that do the same as a single best one and were refused for their price.
-
-    To move a stated number is cheap, but where the recording shows no difference at all, being the
-    cheaper one is no evidence.
-    """
-    if len(best.members) != 1 or best.members[0].name not in fitter.stated:
-        return []
-    if best.members[0].effect.late:
-        return []
-    own, known = count(fitter.problem, best), {f.names for f in fits}
-    return [
-        f
-        for f in fitter.by_names.values()
-        if len(f.members) == 1
-        and f.names not in known
-        and count(fitter.problem, f) <= own
-        and f.chi2 - best.chi2 < POLICY.twin_evidence
-    ]
-
-
-def _yields(fitter: _Fitter, fit: Fit) -> bool:
-    """Return whether bristles hold by as much as the spring beside them is softer."""
-    ctx = fitter.problem.ctx
-    held = lost = 0.0
-    for m, b in zip(fit.members, fit.betas, strict=True):
-        own = m.effect.holds_n_per_m(ctx, m.trial, b)
-        if own > 0.0:
-            held = own
-        elif m.name == of_number("k"):
-            lost = -float(b[0]) * ctx.model.k
-    reach = POLICY.bristles_as_lost * held + POLICY.bristles_as_lost_tolerance * (
-        ctx.model.k_tol or 0.0
-    ) * abs(ctx.model.k)
-    return held > 0.0 and abs(held - lost) < reach
-
-
-def _one_of_a_kind(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
-    """Leave out bristle friction with another stiffness where it is yielding by another name.
-
-    k (alpha x + (1 - alpha) z) is a weaker spring and a slider on a spring: the same force. So is
-    yielding beside a spring that is wrong as well; there the better one of the two stays. Of a
-    model whose stiffness is free another one stands beside every set.
-    """
-    free = fitter.problem.frees("k")
-    if free:
-        fits = _with_yielding(fitter, fits, null)
-    out = list(fits)
-    by_name = {f.names: f for f in fits}
-    stiffness = of_number("k")
-    for fit in fits:
-        bristles = next((n for n in _also() if n in fit.names), "")
-        if bristles and (free or stiffness in fit.names):
-            yielding = _also()[bristles]
-            rest = [n for n in fit.names if n not in (bristles, stiffness)]
-            twin = by_name.get(tuple(sorted([*rest, yielding])))
-            other = by_name.get(tuple(sorted([*rest, yielding, stiffness])))
-            margin = (
-                max(POLICY.yielding_gain, POLICY.form_alone * (null.chi2 - fit.chi2))
-                if _yields(fitter, fit)
-                else POLICY.yielding_gain
-            )
-            alike = twin is not None and fitter.score(twin) < fitter.score(fit) + margin
-            if alike or (other is not None and fitter.score(other) < fitter.score(fit)):
-                out.remove(fit)
-    return out
-
-
-def _with_yielding(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
-    """Return the sets with those that have yielding in the place of the best ones' bristles."""
-    by_name = {e.name: e for e in fitter.problem.effects}
-    names = {f.names for f in fits}
-    found = []
-    for fit in fits[:LEADING]:
-        bristles = next((n for n in _also() if n in fit.names), "")
-        yielding = by_name.get(_also().get(bristles, ""))
-        if yielding is None or yielding.name in fit.names:
-            continue
-        twin = [
-            Member(yielding, yielding.like(m.trial)) if m.name == bristles else m
-            for m in fit.members
-        ]
-        if tuple(sorted(n for m in twin for n in m.effect.names)) not in names:
-            yielded = fitter.fit(twin)
-            if yielded is not None and _needed(fitter, yielded, null):
-                found.append(yielded)
-    return sorted([*fits, *found], key=fitter.score)
-
-
-def _plainest(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
-    """Leave out richer friction that does no better than dry friction in its place.
-
-    Both go over into it; what they gain then is the form of the jump. So does relaxation that is
-    over at once: it is a dashpot.
-    """
-    share = POLICY.richer_friction_share * _blurred(fitter)
-    friction, relaxing = _plainer_friction(), _relaxing()
-    out = []
-    for fit in fits:
-        richer = {n for n in fit.names if n in friction}
-        plain = None
-        if len(richer) == 1 and not {friction[n] for n in richer} & set(fit.names):
-            names = [friction.get(n, n) for n in fit.names]
-            plain = next((f for f in fits if f.names == tuple(sorted(names))), None)
-        gain = plain.chi2 - fit.chi2 if plain is not None else np.inf
-        if plain is None and _quick(fitter.problem.ctx, fit):
-            names = [relaxing.get(n, n) for n in fit.names]
-            plain = next((f for f in fits if f.names == tuple(sorted(names))), None)
-            gain = plain.chi2 - fit.chi2 if plain is not None else np.inf
-        if gain > fitter.price(fit) - (fitter.price(plain) if plain else 0.0) + max(
-            POLICY.richer_friction_gain, share * (null.chi2 - fit.chi2)
-        ):
-            out.append(fit)
-    return out
-
-
-def _quick(ctx: Context, fit: Fit) -> bool:
-    """Return whether a set holds a relaxation that the motion is too slow to show."""
-    relaxing = _relaxing()
-    times = [m.trial.theta[0] for m in fit.members if m.name in relaxing]
-    omega = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
-    alone = set(relaxing.values()).isdisjoint(fit.names)
-    return bool(times) and alone and max(times) * omega < POLICY.quick_relaxation
-
-
-def _simplest_first(fitter: _Fitter, fits: list[Fit], null: Fit) -> list[Fit]:
-    """Put first the set of fewest parameters among those that differ by the form of a law only."""
-    if not fits:
-        return fits
-    problem, best = fitter.problem, fits[0]
-    form = POLICY.form_alone * (null.chi2 - best.chi2)
-    # One that begins in mid-record has been chosen among as many moments, whatever its law.
-    late = any(m.effect.late for m in best.members)
-    simple = [
-        f
-        for f in fits
-        if len(f.names) == len(best.names)
-        and count(problem, f) < count(problem, best)
-        and (late or (len(best.names) > 1 and set(f.names) & set(best.names)))
-        and fitter.score(f) - fitter.score(best) < form
-        and not _ends_at_noise(fitter, best, f)
-    ]
-    if not simple:
-        return fits
-    first = min(simple, key=fitter.score)
-    return [first, *[f for f in fits if f is not first]]
 
 
 def _forms(fitter: _Fitter, best: Fit, null: Fit) -> list[Fit]:
@@ -1163,68 +781,3 @@ def _forms(fitter: _Fitter, best: Fit, null: Fit) -> list[Fit]:
         for f in others
         if f is not None and f is not best and f.names == best.names and f.chi2 - best.chi2 < reach
     ]
-
-
-def contribution(problem: Problem, fit: Fit, member: int) -> Floats:
-    """Return the force of one effect of a fit along the recording, (n,), N."""
-    cells = [m for m in fit.members if m.effect.carries and m is not fit.members[member]]
-    columns = columns_of(problem.ctx, [fit.members[member], *cells])[0]
-    parts = [b * c for b, c in zip(fit.betas[member], columns, strict=True)]
-    return np.asarray(np.sum(parts, axis=0))
-
-
-def _size(problem: Problem, fit: Fit) -> float:
-    total = sum(contribution(problem, fit, i) for i in range(len(fit.members)))
-    rows = problem.rows
-    force = problem.estimate.force[rows]
-    return float(np.std(np.asarray(total)[rows]) + abs(np.mean(np.asarray(total)[rows]))) / max(
-        float(np.sqrt(np.mean(force**2))), 1e-300
-    )
-
-
-def held_out_gain(problem: Problem, fit: Fit) -> float:
-    """Return how much of a set's gain is there on blocks that it was not fitted to.
-
-    Blocks of a quarter of a second go round the folds, so that what happens once is in all of them.
-    """
-    blocks = problem.blocks(fit.members)
-    design = np.column_stack([*blocks, problem.base])
-    width = sum(b.shape[1] for b in blocks)
-    scale = np.sqrt(np.mean(design**2, axis=0))
-    scale[scale == 0] = 1.0
-    design = design / scale
-    ridge = np.zeros(design.shape[1])
-    pin = np.zeros(design.shape[1])
-    j = 0
-    for m in fit.members:
-        (_, pinned), _ = m.effect.settings(problem.ctx, m.trial)
-        for sigma in pinned:
-            if sigma is not None:
-                ridge[j] = 1.0 / (sigma * scale[j]) ** 2
-                pin[j] = 1.0 / (sigma**2 * scale[j])
-            j += 1
-    for nuisance in problem.nuisances:
-        if nuisance.sigma is not None:
-            ridge[j] = 1.0 / (nuisance.sigma * scale[j]) ** 2
-        j += 1
-    block = (problem.rows / max(FOLD_S * problem.case.fs_hz, 4.0)).astype(int)
-    before = after = 0.0
-    y = problem.y
-    for fold in range(FOLDS):
-        out = block % FOLDS == fold
-        for use in (True, False):
-            part = slice(0 if use else width, None)
-            d = design[:, part]
-            gram = d[~out].T @ d[~out] + np.diag(ridge[part] + 1e-9 * y.size)
-            right = d[~out].T @ y[~out] + pin[part]
-            beta = np.linalg.solve(gram, right) if gram.size else np.zeros(0)
-            rest = y[out] - d[out] @ beta
-            # The prior counts as well: moving a stated number costs what it costs.
-            prior = float(np.sum(np.where(pin[part] > 0, 0.0, ridge[part] * beta**2))) / FOLDS
-            if use:
-                after += float(rest @ rest) + prior
-            else:
-                before += float(rest @ rest) + prior
-    whole = solve(problem, [], [])
-    gain = (whole.chi2 if whole else before) - fit.chi2
-    return (before - after) / gain if gain > 0 else 0.0

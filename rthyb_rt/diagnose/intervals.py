@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from rthyb_rt.core.diagnosis_models import Motion
-from rthyb_rt.diagnose import effects, force
+from rthyb_rt.diagnose import effects, evidence, force
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.form import neighbours, of_form
@@ -67,7 +67,7 @@ class Sure:
         for i, member in enumerate(best.members):
             if member.effect.sensor:
                 continue
-            own = force.contribution(problem, best, i)
+            own = evidence.contribution(problem, best, i)
             near = np.column_stack([problem.seen(n) for n in neighbours(own, over)])
             out += of_form(slopes, best.residual, inverse, near)
         return out
@@ -116,7 +116,7 @@ class Sure:
         exact = search.problem.estimate.exact
         least = POLICY.interval_simulated if exact else POLICY.interval_estimated
         # What bends a stated number in the place of its effect says nothing of how large that is.
-        stands = [f for f in search.forms if name not in force.bent(search.problem, f)]
+        stands = [f for f in search.forms if name not in evidence.bent(search.problem, f)]
         for fit in stands:
             for i, m in enumerate(fit.members):
                 if m.name == name:
@@ -156,7 +156,7 @@ def of_the_spring_there_is(
             for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True)
             if nuisance.number == "k"
         )
-    if key not in params or not stiffer > -0.9:
+    if key not in params or not stiffer > -POLICY.spring_gone:
         return
 
     # Stiffness times gap is what is seen beyond it.

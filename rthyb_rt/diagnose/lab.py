@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rthyb_rt.diagnose import sizes
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
 from rthyb_rt.diagnose.mapping import EXAMPLE, Source, Wish, proposals, sources
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.table import TIME_NAMES, Column, Table, plain, read_table
 from rthyb_rt.diagnose.units import SI, USUAL, in_si, read_unit
 from rthyb_rt.errors import InputError
@@ -22,8 +23,6 @@ STAMP_S = 1e8
 """Seconds from which on a time is one of the calendar: no clock of a lab runs for three years."""
 HUGE = 1e30
 """What no reading of any unit comes near to; squares of larger ones overflow."""
-SAME_RATE = 0.02
-"""Part by which the rows' distance may miss the model's sampling period."""
 _TIME_UNITS = ("s", "ms", "us", "ns")
 
 
@@ -152,7 +151,7 @@ def time_unit(ratio: float) -> str | None:
     for unit in _TIME_UNITS:
         found = read_unit(unit)
         assert found is not None
-        if abs(ratio * float(found.factor) - 1.0) < SAME_RATE:
+        if abs(ratio * float(found.factor) - 1.0) < POLICY.rate_off:
             return unit
     return None
 
@@ -240,13 +239,18 @@ def _counting(
         if steps.size < 2 or not np.isfinite(steps).all() or not np.all(steps > 0.0):
             continue
         unit = time_unit(float(np.median(steps)) * model.fs_hz)
-        if unit is not None and np.mean(np.abs(steps / np.median(steps) - 1.0) < 0.1) > 0.9:
+        if unit is not None and _even(steps):
             labels["t"] = _label(column)
             notes.append(
                 f"column {column.header!r} counts up as fs_hz says: taken for t, in {unit}"
             )
             return Source(j, read_unit(unit))
     return None
+
+
+def _even(steps: Floats) -> bool:
+    off = np.abs(steps / np.median(steps) - 1.0)
+    return bool(np.mean(off < POLICY.time_even) > POLICY.time_rows)
 
 
 # ---- channels -----------------------------------------------------------------------------------

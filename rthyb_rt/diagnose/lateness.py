@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rthyb_rt.core.diagnosis_models import Motion
-from rthyb_rt.diagnose import effects, force
+from rthyb_rt.diagnose import effects, evidence, force
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorFit
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import Estimate
@@ -88,7 +88,7 @@ def _refitted(search: force.Search, problem: Problem) -> force.Search | None:
     if best is None or null is None or best.chi2 > search.best.chi2:
         return None
     several = POLICY.several_price if len(best.members) > 1 else 1.0
-    if null.chi2 - best.chi2 < several * force.cost(problem, best):
+    if null.chi2 - best.chi2 < several * evidence.cost(problem, best):
         rows = problem.y.size * problem.estimate.share
         left = search.scale * null.chi2 / rows - 1.0
         return replace(

@@ -11,13 +11,11 @@ import numpy as np
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import ActuatorModel
 from rthyb_rt.diagnose.case import BoucWen, Model
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.config import BaselineFile
-
-RIG_K_TOL, RIG_C_TOL = 0.02, 0.2
-"""What a rig file's numbers are taken to be good for; it does not say."""
 
 
 def find_model(name_or_path: str) -> Path:
@@ -167,8 +165,8 @@ def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model
         k=k,
         c=c,
         moving_mass=mass,
-        k_tol=RIG_K_TOL,
-        c_tol=RIG_C_TOL,
+        k_tol=POLICY.model_k_tol,
+        c_tol=POLICY.model_c_tol,
         bouc_wen=bouc_wen,
         actuator=_rig_actuator(rig, fs_hz),
         mass=numerical_m,

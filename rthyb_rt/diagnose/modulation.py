@@ -184,7 +184,7 @@ def channels(further: dict[str, Floats]) -> list[Channel]:
     out = []
     for name, values in further.items():
         good = values[np.isfinite(values)]
-        if good.size > 0.5 * values.size and np.std(good) > 0.0:
+        if good.size > POLICY.numbers_least * values.size and np.std(good) > 0.0:
             out.append(Channel(name, float(np.mean(good)), float(np.std(good))))
     return out[: POLICY.modulation_channels]
 

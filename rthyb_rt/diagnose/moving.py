@@ -18,17 +18,6 @@ from rthyb_rt.diagnose import noise
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.policy import POLICY
 
-PARTS = 6
-"""Parts of a recording, at least, whose spectra are averaged; they overlap by half."""
-PART_S = 2.0
-"""Longest part: its lines are half a hertz apart then."""
-OVERLAP = 0.9
-"""Independent spectra that each of the parts brings."""
-SHARED = 0.2
-"""Part of a line's power that may be motion where it counts as noise: it adds a quarter."""
-NEIGHBOURS = 3
-"""Lines to either side that what a line shares is averaged with: one alone may do so by chance."""
-KERNEL = np.full(2 * NEIGHBOURS + 1, 1.0 / (2 * NEIGHBOURS + 1))
 Spectra = NDArray[np.complex128]
 
 
@@ -44,17 +33,19 @@ def sensor_colour(
         sigma: standard deviation of the noise were it white, in the channel's unit.
         sheet: the same as the data sheet states it; None: nothing bounds the noise.
     """
-    size = int(min(channel.size / PARTS, PART_S * fs_hz))
+    size = int(min(channel.size / POLICY.noise_spectra, POLICY.noise_part_s * fs_hz))
     if not others or size < 16 * noise.LINES or not sheet:
         return None
     own = _spectra(channel / sigma, size)
     power, shared = _apart(own, np.array([_spectra(other, size) for other in others]))
     f_hz = np.asarray(np.fft.rfftfreq(size, 1.0 / fs_hz), dtype=np.float64)
     # Beside the last lines that are motion more than noise, from where there is little of it.
-    wide = np.convolve(np.pad(shared, NEIGHBOURS, mode="edge"), KERNEL, mode="valid")
-    moving = np.flatnonzero(wide[:-1] > 0.5)
+    reach = POLICY.noise_neighbours
+    kernel = np.full(2 * reach + 1, 1.0 / (2 * reach + 1))
+    wide = np.convolve(np.pad(shared, reach, mode="edge"), kernel, mode="valid")
+    moving = np.flatnonzero(wide[:-1] > POLICY.noise_moves)
     last = int(moving[-1]) + 1 if moving.size else 1
-    first = last + int(np.argmax(wide[last:] < SHARED))
+    first = last + int(np.argmax(wide[last:] < POLICY.noise_shared))
     from_hz = float(f_hz[first])
     if from_hz > POLICY.noise_room * fs_hz:
         return None
@@ -89,6 +80,6 @@ def _apart(own: Spectra, others: Spectra) -> tuple[Floats, Floats]:
     taken = np.linalg.solve(between, along[:, :, None])[:, :, 0]
     rest = whole - np.real(np.sum(np.conj(along) * taken, axis=1))
     # Of so few spectra each of the others takes one by chance.
-    free = OVERLAP * own.shape[0]
+    free = POLICY.noise_independent * own.shape[0]
     rest = np.maximum(rest, 0.0) * free / max(free - len(others), 1.0)
     return rest, np.maximum(1.0 - rest / np.maximum(whole, 1e-300), 0.0)

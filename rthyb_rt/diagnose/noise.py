@@ -77,7 +77,7 @@ class Lines:
 
     def __init__(self, rows: NDArray[np.bool_], fs_hz: float) -> None:
         """Take in which rows count, (n,), and how many there are a second."""
-        self.fs_hz, self.enough = fs_hz, bool(rows.mean() >= 0.5 and rows.size >= 256)
+        self.fs_hz, self.enough = fs_hz, bool(rows.mean() >= POLICY.noise_rows and rows.size >= 256)
         self.f_hz = np.asarray(np.fft.rfftfreq(rows.size, 1.0 / fs_hz), dtype=np.float64)
         self.taper = _faded(rows, fs_hz) if self.enough else np.zeros(rows.size)
         self.scale = float(np.sum(self.taper**2))

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import __version__
-from rthyb_rt.diagnose import force as forces
-from rthyb_rt.diagnose import why
+from rthyb_rt.diagnose import evidence, why
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.engine import Diagnosis
 from rthyb_rt.diagnose.estimate import filled
@@ -316,7 +315,7 @@ def _signals(d: Diagnosis) -> _Signals | None:
     fit = search.best if search.best.members and d.verdict != "unknown" else search.null
     after = problem.ctx.total + leaning(problem, fit)
     for i in range(len(fit.members)):
-        after += forces.contribution(problem, fit, i)
+        after += evidence.contribution(problem, fit, i)
     return _Signals(found.force, problem.ctx.total, after, found.rows, "N", "force", label)
 
 

@@ -93,6 +93,11 @@ class Policy:
         0.5, "times its price", "numerics",
         "The same of an effect beside a set that is refined already.",
     )  # fmt: skip
+    promising_pair: float = _entry(
+        4.0, "chi-squared", "numerics",
+        "By what a pair, in the shapes that are tried first, has to be better than the best "
+        "single effect.",
+    )  # fmt: skip
     search_ends: float = _entry(
         1.03, "chi-squared a row", "numerics",
         "What the best set leaves from which on triples, and other laws of friction, are tried.",
@@ -373,6 +378,43 @@ class Policy:
         6.0, "times", "physics", "Times its level that the power of a line of noise has.",
         "one in 400 has more",
     )  # fmt: skip
+    noise_spectra: int = _entry(
+        6, "parts", "numerics",
+        "Parts of a recording, at least, whose spectra tell a sensor's noise from what the "
+        "others show too.",
+        "overlapping by half they are eleven: one other channel takes a tenth of a line by "
+        "chance",
+    )  # fmt: skip
+    noise_part_s: float = _entry(
+        2.0, "s", "numerics", "Longest of those parts.", "lines half a hertz apart",
+    )  # fmt: skip
+    noise_independent: float = _entry(
+        0.9, "spectra", "judgement", "Independent spectra that each of those parts brings.",
+        "0.997 of white noise by the formula of parts that overlap by half under this window "
+        "(Welch 1967); less where noise has a colour",
+    )  # fmt: skip
+    noise_shared: float = _entry(
+        0.2, "part of a line's power", "judgement",
+        "What the others may show of a line that counts as noise.",
+        "it adds a quarter to the noise",
+    )  # fmt: skip
+    noise_moves: float = _entry(
+        0.5, "part of a line's power", "physics",
+        "What they show of a line from which it is motion more than noise.",
+    )  # fmt: skip
+    noise_neighbours: int = _entry(
+        3, "lines", "numerics", "Lines to either side that this is averaged with.",
+        "one alone may be shared by chance",
+    )  # fmt: skip
+    noise_rows: float = _entry(
+        0.5, "part of the rows", "judgement",
+        "Rows that have to count for the colour of noise to be told from them.",
+    )  # fmt: skip
+    hangs_together: float = _entry(
+        0.05, "correlation", "numerics",
+        "Correlation of a residual from which on later rows are taken not to hang together with "
+        "it.",
+    )  # fmt: skip
     force_accuracy: float = _entry(
         0.004, "part of the force", "judgement", "What a body's free motion tells of it at best.",
     )  # fmt: skip
@@ -407,6 +449,10 @@ class Policy:
     )  # fmt: skip
     coarse_on_grid: float = _entry(
         0.98, "part of the readings", "judgement", "How many have to lie on one grid.",
+    )  # fmt: skip
+    coarse_near: float = _entry(
+        0.15, "parts of a turn of 2 pi", "judgement",
+        "How far off its grid a reading may lie, and be on it.",
     )  # fmt: skip
     rounded_rows: float = _entry(
         0.02, "part of the rows", "judgement",
@@ -449,6 +495,50 @@ class Policy:
     start_at_rest: float = _entry(
         0.02, "part of the largest displacement", "judgement",
         "What a body at rest moves at most in a tenth of a second.",
+    )  # fmt: skip
+    motion_from_hz: float = _entry(
+        0.3, "Hz", "numerics",
+        "Frequency below which displacement is not held against accelerations.",
+        "a window over the recording and a wandering zero stand in for motion there",
+    )  # fmt: skip
+    accelerometer_from_hz: float = _entry(
+        0.2, "Hz", "numerics", "Frequency above which an accelerometer tells of the displacement.",
+    )  # fmt: skip
+    motion_clear: float = _entry(
+        3.5, "times the noise's power", "judgement",
+        "From which on a line of a smoothed spectrum is motion.",
+    )  # fmt: skip
+    static_hz: float = _entry(
+        50.0, "Hz", "judgement",
+        "Rows a second up to which a model without rates may belong to a quasi-static test.",
+    )  # fmt: skip
+    static_rate_noise: float = _entry(
+        0.02, "part of the median rate", "judgement",
+        "Noise of such a test's rate from which rows around turns are not judged.",
+    )  # fmt: skip
+    static_straight: float = _entry(
+        0.3, "part of the rows", "judgement",
+        "Straight strokes from which such a test is one of ramps.",
+    )  # fmt: skip
+    static_rows: float = _entry(
+        0.5, "part of the rows", "judgement",
+        "Rows that have to be left for those around turns to be left out.",
+    )  # fmt: skip
+    static_apart: float = _entry(
+        4.0, "standard deviations", "physics",
+        "By which two displacements differ that are not one.",
+        "six in a hundred thousand by chance",
+    )  # fmt: skip
+    stroke_straight: float = _entry(
+        1.25, "times its noise", "judgement", "What a straight stroke may be off its line, rms.",
+    )  # fmt: skip
+    stroke_bent: float = _entry(
+        4.0, "standard deviations", "physics", "How far the mean of a third of it may be off.",
+        "six in a hundred thousand by chance",
+    )  # fmt: skip
+    stroke_rests: float = _entry(
+        5.0, "standard deviations", "physics", "Slope of a stroke below which it rests.",
+        "one in two million by chance",
     )  # fmt: skip
     command_at_rest: float = _entry(
         1e-3, "part of the largest command", "judgement",
@@ -528,6 +618,10 @@ class Policy:
         "Least part of a model's spring that does nothing within a gap; less is a stop beside a "
         "softer spring.",
         "half way between a spring that is there and one that is not",
+    )  # fmt: skip
+    spring_gone: float = _entry(
+        0.9, "part of the stated stiffness", "judgement",
+        "Loss of it beyond which nothing is told as a part of the spring there is.",
     )  # fmt: skip
     seen_wear: float = _entry(
         0.1, "part", "judgement",
@@ -616,17 +710,53 @@ class Policy:
     least_rows: int = _entry(
         100, "rows", "judgement", "Rows of a recording, and of the actuator's, to be judged.",
     )  # fmt: skip
+    least_rows_force: int = _entry(
+        50, "rows", "judgement", "The same of the force.",
+    )  # fmt: skip
+    model_k_tol: float = _entry(
+        0.02, "part", "judgement",
+        "Standard deviation of the stiffness in a rig file that a model is made of; it says "
+        "none.",
+    )  # fmt: skip
+    model_c_tol: float = _entry(
+        0.2, "part", "judgement", "The same of its damping.",
+    )  # fmt: skip
     rate_off: float = _entry(
         0.02, "part", "judgement", "How far the rows' distance may be off `fs_hz`.",
     )  # fmt: skip
     uneven_rows: float = _entry(
         5.0, "rows", "judgement", "How far a row may lie off an even distance.",
     )  # fmt: skip
+    jitter_told: float = _entry(
+        0.5, "rows", "physics", "From which on that is told.",
+        "a row is then nearer to its neighbour's place",
+    )  # fmt: skip
+    row_missing: float = _entry(
+        1.5, "rows", "physics", "Distance of two rows from which one is missing between.",
+        "half way between one and two",
+    )  # fmt: skip
+    time_even: float = _entry(
+        0.1, "part", "judgement",
+        "How far steps of a column may be off their median for it to count time.",
+    )  # fmt: skip
+    time_rows: float = _entry(
+        0.9, "part of the rows", "judgement", "Steps that have to be as even.",
+    )  # fmt: skip
     numbers_least: float = _entry(
         0.5, "part of the rows", "judgement", "Rows with a number that a channel needs.",
     )  # fmt: skip
     clipped_rows: float = _entry(
         0.2, "part of the rows", "judgement", "Rows at a sensor's end from which it is refused.",
+    )  # fmt: skip
+    stop_beyond: float = _entry(
+        0.5, "standard deviations", "judgement",
+        "How far from its median a channel's largest reading may be a stop.",
+    )  # fmt: skip
+    stop_rows: int = _entry(
+        6, "rows", "judgement", "Rows in a row at such a reading from which it is one.",
+    )  # fmt: skip
+    stop_longer: float = _entry(
+        4.0, "times", "judgement", "Times as long as the channel stays on any other reading.",
     )  # fmt: skip
     stray_reading: float = _entry(
         10.0, "ranges of the channel", "judgement",
@@ -658,8 +788,57 @@ class Policy:
     shape_clearly: float = _entry(
         0.9, "correlation", "judgement", "From which on it has that shape and no other.",
     )  # fmt: skip
+    shape_simulated: float = _entry(
+        0.95, "correlation", "judgement",
+        "From which on a channel has the shape of one that is simulated.",
+    )  # fmt: skip
+    shape_balanced: float = _entry(
+        0.8, "correlation", "judgement",
+        "The same of a balance of forces: compensators and models are not quite right.",
+    )  # fmt: skip
+    balance_cell: float = _entry(
+        0.05, "part of its parts", "judgement",
+        "What has to be left of a balance with a load cell for it to tell a size.",
+    )  # fmt: skip
+    balance_model: float = _entry(
+        0.3, "part of its parts", "judgement",
+        "The same of one with the model's forces: at resonance they cancel.",
+    )  # fmt: skip
+    energy_gained: float = _entry(
+        0.5, "part of the largest", "judgement",
+        "What a body has to gain of its energy for the push's work to be held against it.",
+    )  # fmt: skip
+    spring_rules: float = _entry(
+        0.3, "part of the stiffness", "judgement",
+        "Inertia per displacement up to which a force goes with the spring.",
+    )  # fmt: skip
+    motion_lines: float = _entry(
+        30.0, "times the median", "judgement",
+        "Amplitude of a line from which it is motion, in a spectrum that is compared in size.",
+    )  # fmt: skip
+    motion_lines_least: float = _entry(
+        0.001, "part of the largest", "judgement",
+        "The same, of the largest line: derivatives lift what noise is left.",
+    )  # fmt: skip
+    fy_explains: float = _entry(
+        0.2, "part of the misfit", "judgement",
+        "What a force in the other direction has to explain of f_meas for its size to be told "
+        "so.",
+    )  # fmt: skip
+    fy_larger: float = _entry(
+        10.0, "times f_meas", "judgement",
+        "Size of such a force from which its noise is looked at.",
+    )  # fmt: skip
     unit_near: float = _entry(
         0.12, "part", "judgement", "How far a ratio may miss a factor of units, and be one.",
+    )  # fmt: skip
+    unit_near_1000: float = _entry(
+        3.0, "times", "judgement",
+        "How far a ratio may miss a power of 1000 for a channel of a like shape.",
+    )  # fmt: skip
+    unit_guessed: float = _entry(
+        4.0, "times", "judgement",
+        "How far a column may miss a unit's usual size for that unit to be proposed.",
     )  # fmt: skip
     unit_sure: float = _entry(
         1.33, "times", "physics", "How far a column of unstated unit may miss its size.",

@@ -8,11 +8,12 @@ from typing import TypeVar
 
 import numpy as np
 
+from rthyb_rt.diagnose import evidence
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import Diagnosis, Displacement
 from rthyb_rt.diagnose.intervals import intervals
-from rthyb_rt.diagnose.select import Fit, price
+from rthyb_rt.diagnose.select import Fit
 from rthyb_rt.diagnose.words import called, interval_text, value_text
 
 _AnyFit = TypeVar("_AnyFit", Fit, ActuatorFit)
@@ -114,11 +115,7 @@ def _force(d: Diagnosis, search: forces.Search) -> list[Row]:
     equal = {f.names for f in search.equal}
     rivals = [f for f in search.rivals if f.names not in equal]
     fits = _distinct([search.best, *search.equal, *rivals])
-    scores = [
-        f.chi2
-        + sum(price(problem, m.effect, m.effect.settings(ctx, m.trial)[1]) for m in f.members)
-        for f in fits
-    ]
+    scores = [f.chi2 + evidence.cost(problem, f) for f in fits]
     rows = []
     for i, (fit, score, weight) in enumerate(zip(fits, scores, _weights(scores), strict=True)):
         params, several = [], len(fit.names) > 1
@@ -129,7 +126,7 @@ def _force(d: Diagnosis, search: forces.Search) -> list[Row]:
                 # Of the set that is named as the answer has them: its intervals are wider.
                 shown = (own.params, own.ci95) if own else (values, ci)
                 params.append(_text(name, *shown, several))
-        held = float("nan") if search.moved else forces.held_out_gain(problem, fit)
+        held = float("nan") if search.moved else evidence.held_out_gain(problem, fit)
         rows.append(
             Row(_mark(i, len(search.equal)), _words(fit.names), params, weight,
                 score - search.null.chi2, held)

@@ -208,11 +208,11 @@ def _uniform(
         )
     notes: list[str] = []
     # Gaps alone are counted: a printed time is rounded, a clock a little off.
-    jumps = np.where(steps > 1.5 * dt, np.round(steps / dt).astype(np.int64), 1)
+    jumps = np.where(steps > POLICY.row_missing * dt, np.round(steps / dt).astype(np.int64), 1)
     index = np.concatenate(([0], np.cumsum(jumps)))
     dt = float(t[-1] - t[0]) / float(index[-1])
     jitter = float(np.max(np.abs((t - t[0]) / dt - index)))
-    if jitter > 0.5:
+    if jitter > POLICY.jitter_told:
         notes.append(f"rows jitter by up to {jitter:.2f} of their distance; taken as uniform")
     if jitter > POLICY.uneven_rows:
         raise InputError(
@@ -396,13 +396,14 @@ def _at_the_stops(values: Floats) -> NDArray[np.bool_]:
     spread = float(np.nanstd(values))
     for end in (np.nanmax(values), np.nanmin(values)):
         # What is left at rest, or one level of a coarse converter, is no stop.
-        if abs(end - np.nanmedian(values)) < 0.5 * spread:
+        if abs(end - np.nanmedian(values)) < POLICY.stop_beyond * spread:
             continue
         at = good & (values == end)
         longest = _longest_run(at)
         inside = good & (values < np.nanmax(values)) & (values > np.nanmin(values))
         repeats = np.concatenate(([False], (np.diff(values) == 0))) & inside
-        if longest >= 6 and longest > 4 * (_longest_run(repeats) + 1):
+        elsewhere = _longest_run(repeats) + 1
+        if longest >= POLICY.stop_rows and longest > POLICY.stop_longer * elsewhere:
             out |= at
     return out
 

@@ -79,8 +79,6 @@ def cell_error(ctx: Context, fit: Fit) -> Floats:
     return out
 
 
-LOWEST_HZ = 0.3
-"""Frequency below which a window over the recording and a wandering zero stand in for motion."""
 LINES = 8
 """Frequencies that have to stand out for gain and time to be told from them."""
 
@@ -104,9 +102,8 @@ def disagreement(case: Case) -> str:
     )
     weight = 1.0 / (noise * np.sqrt(np.sum(window**2)))
     # Noise in what is compared with would bend gain and time towards zero.
-    weight[(w < 2.0 * np.pi * LOWEST_HZ) | (np.abs(made) * weight < POLICY.accelerometer_clear)] = (
-        0.0
-    )
+    slow = w < 2.0 * np.pi * POLICY.motion_from_hz
+    weight[slow | (np.abs(made) * weight < POLICY.accelerometer_clear)] = 0.0
     if np.count_nonzero(weight) < LINES:
         return ""
     design = np.column_stack([made * weight, -1j * w * made * weight])

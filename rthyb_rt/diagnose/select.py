@@ -998,6 +998,7 @@ def inflation(residual: Floats) -> float:
     if variance <= 0:
         return 1.0
     rho = correlation / variance
-    cut = int(np.argmax(rho < 0.05)) if (rho < 0.05).any() else rho.size
+    alone = rho < POLICY.hangs_together
+    cut = int(np.argmax(alone)) if alone.any() else rho.size
     tau = 1.0 + 2.0 * float(np.sum(rho[1:cut]))
     return max(1.0, float(np.mean(residual**2)) * max(tau, 1.0))

@@ -111,9 +111,14 @@ def _far(r: Relation) -> bool:
     size = abs(r.ratio)
     if r.bound:
         return size > POLICY.wrong_unit
-    near = abs(math.log(size, 1000.0) - round(math.log(size, 1000.0))) < math.log(3.0, 1000.0)
+    power = math.log(size, 1000.0)
+    near = abs(power - round(power)) < math.log(POLICY.unit_near_1000, 1000.0)
     alike = r.alike > (POLICY.shape_alike if near else POLICY.shape_clearly)
     return alike and not 1.0 / POLICY.wrong_unit <= size <= POLICY.wrong_unit
+
+
+def _clear(r: Relation) -> bool:
+    return r.alike > POLICY.shape_clearly and r.ratio != 0.0
 
 
 def likely(channel: str, ratio: float) -> str:
@@ -121,7 +126,7 @@ def likely(channel: str, ratio: float) -> str:
     units = USUAL[CHANNELS[channel]]
     off = [abs(math.log(ratio * _factor(unit))) for unit in units]
     best = units[int(np.argmin(off))]
-    return best if min(off) < math.log(4.0) else ""
+    return best if min(off) < math.log(POLICY.unit_guessed) else ""
 
 
 def _factor(unit: str) -> float:
@@ -180,11 +185,11 @@ def _opposed(r: Relation, channels: Channels, model: Model) -> bool:
     if r.channel != "f_meas" or not model.k or "x_meas" not in channels:
         return False
     x, f = filled(channels["x_meas"]), filled(channels["f_meas"])
-    if np.corrcoef(f, model.spring(x))[0, 1] > -0.95:
+    if np.corrcoef(f, model.spring(x))[0, 1] > -POLICY.shape_simulated:
         return False
     speed, k = float(np.std(np.diff(x))) * model.fs_hz, max(abs(model.k), 1e-300)
     omega = speed / (float(np.std(x)) or 1.0)
-    return (model.moving_mass + model.mass) * omega**2 < 0.3 * k
+    return (model.moving_mass + model.mass) * omega**2 < POLICY.spring_rules * k
 
 
 def check_against(first: Channels, second: Channels, where: str, labels: dict[str, str]) -> None:
@@ -230,7 +235,7 @@ def guess(
     for r in relations({**known, channel: values}, model):
         if r.channel != channel and channel in r.of and len(r.of) == 1 and not r.bound:
             r = Relation(channel, 1.0 / r.ratio if r.ratio else 0.0, r.alike, (r.channel,))
-        if r.channel == channel and not r.bound and r.alike > 0.9 and r.ratio != 0.0:
+        if r.channel == channel and not r.bound and _clear(r):
             fitting = [
                 unit
                 for unit in USUAL[CHANNELS[channel]]
@@ -319,7 +324,7 @@ def _accelerations(c: Channels, model: Model) -> Iterator[Relation]:
             needed = -(inner + _spectrum(filled(c["f_meas"]))) / model.mass
             r = band.held("ag", filled(c["ag"]), needed, ("x_num", "f_meas"), exact=True)
             # Forces that a compensator has changed balance less well: the shape must agree.
-            if r.alike > 0.8:
+            if r.alike > POLICY.shape_balanced:
                 yield r
 
 
@@ -347,10 +352,10 @@ def _inputs(c: Channels, model: Model) -> Iterator[Relation]:
     most = sum(sizes)
     balance = np.sum(parts, axis=0)
     # At resonance the parts cancel, and what is left is the model's error, or the sensors'.
-    least = 0.05 if "f_meas" in c and mass else 0.3
+    least = POLICY.balance_cell if "f_meas" in c and mass else POLICY.balance_model
     if np.linalg.norm(balance[band.rows]) > least * most > 0.0:
         r = band.held(name, push, balance, ("x_meas",), exact=True)
-        if r.alike > 0.8:
+        if r.alike > POLICY.shape_balanced:
             yield r
     found = float(np.linalg.norm(_spectrum(push)))
     yield Relation(name, found / most if most > 0.0 else 0.0, 1.0, ("x_meas",), bound=True)
@@ -369,7 +374,7 @@ def _energy(name: str, push: Floats, x: Floats, model: Model, mass: float) -> It
     last = int(np.argmax(energy))
     gain = float(energy[last] - np.max(energy[: max(2, energy.size // 50)]))
     # Of a body that was let go, or is held in a steady state, nothing is gained.
-    if gain > 0.5 * float(energy[last]) > 0.0:
+    if gain > POLICY.energy_gained * float(energy[last]) > 0.0:
         work = float(np.sum(np.abs(push[inner][:last] * v[:last]))) / model.fs_hz
         yield Relation(name, min(work / gain, 1.0), 1.0, ("x_meas",), than=_GAINED)
 
@@ -388,7 +393,9 @@ def _simulated(name: str, push: Floats, mass: float, x_meas: Floats, model: Mode
         x = bare.moved_by(push, mass, t, {}).x
     except (SimulationError, core.CoreError):
         return nothing
-    if np.std(x) == 0 or np.std(x_meas) == 0 or np.corrcoef(x, x_meas)[0, 1] < 0.95:
+    if np.std(x) == 0 or np.std(x_meas) == 0:
+        return nothing
+    if np.corrcoef(x, x_meas)[0, 1] < POLICY.shape_simulated:
         return nothing
     slope = max(_slope(x_meas, x), 1e-12)
     return Relation(name, 1.0 / slope, 1.0, ("x_meas",), exact=True)
@@ -415,7 +422,7 @@ def _orthogonal(c: Channels, model: Model) -> Iterator[Relation]:
         )
         left = f - columns[:, :3] @ part
         gained = 1.0 - float(np.sum((f - columns @ whole) ** 2)) / max(float(left @ left), 1e-300)
-        if gained > 0.2 and whole[3] != 0.0:
+        if gained > POLICY.fy_explains and whole[3] != 0.0:
             ratio = 1.0 / abs(float(whole[3]))
             yield Relation(
                 "fy_meas", min(ratio, 1.0), 1.0, ("f_meas",), bound=ratio > 1.0 / POLICY.wrong_unit
@@ -449,7 +456,7 @@ def _noises(c: Channels, model: Model, told: set[str]) -> Iterator[Relation]:
             alone or ratio < 1.0 / POLICY.wrong_unit
         ) and 1.0 / POLICY.wrong_unit**2 < noise < 1.0 / POLICY.wrong_unit:
             yield Relation("fy_meas", noise if alone else ratio, 1.0, (), than=than)
-        if alone or ratio > 10.0:
+        if alone or ratio > POLICY.fy_larger:
             yield Relation("fy_meas", noise, 1.0, (), bound=True, than=than)
 
 
@@ -469,9 +476,10 @@ class _Band:
         self.x = _spectrum(x)
         self.omega = 2.0 * np.pi * np.fft.rfftfreq(x.size, 1.0 / fs_hz)
         size = np.abs(self.x)
-        self.rows: NDArray[np.bool_] = (size > 30.0 * np.median(size)) & (self.omega > 0.0)
+        self.rows: NDArray[np.bool_] = size > POLICY.motion_lines * np.median(size)
+        self.rows &= self.omega > 0.0
         # Derivatives lift what is left of the noise: frequencies of the motion alone count.
-        self.rows &= size > 1e-3 * np.max(size, initial=0.0)
+        self.rows &= size > POLICY.motion_lines_least * np.max(size, initial=0.0)
         self.whole = bool(self.rows.sum() >= 2)
 
     def held(
@@ -490,7 +498,9 @@ class _Band:
         if norms == 0.0:
             return Relation(name, 1.0, 0.0, of)
         alike = float(abs(joint)) / norms
-        return Relation(name, float(joint.real) / power, alike, of, exact=exact and alike > 0.9)
+        return Relation(
+            name, float(joint.real) / power, alike, of, exact=exact and alike > POLICY.shape_clearly
+        )
 
 
 def _spectrum(values: Floats) -> NDArray[np.complex128]:

@@ -13,12 +13,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rthyb_rt.diagnose import effects, redundant
+from rthyb_rt.diagnose import effects, evidence, redundant
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import Diagnosis, Displacement
 from rthyb_rt.diagnose.policy import POLICY, of_size
-from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Problem, Solved, price
+from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Solved
 from rthyb_rt.diagnose.words import called, quantity, value_text
 
 Fate = Literal["named", "as good", "lost", "refused"]
@@ -162,12 +162,6 @@ def _words(names: Sequence[str]) -> str:
 # ---- the force ----------------------------------------------------------------------------------
 
 
-def price_of(problem: Problem, fit: Fit) -> float:
-    """Return what a set on the force has to earn."""
-    ctx = problem.ctx
-    return sum(price(problem, m.effect, m.effect.settings(ctx, m.trial)[1]) for m in fit.members)
-
-
 def _left(search: forces.Search, fit: Fit) -> float:
     """Return which part of the misfit beyond noise a set leaves."""
     n = search.problem.y.size * search.problem.estimate.share
@@ -191,7 +185,7 @@ def _force(d: Diagnosis, search: forces.Search) -> list[Decision]:
         fate: Fate = "as good" if fit.names in equal else "lost"
         if fit is best and believed:
             fate = "as good" if equal else "named"
-        own = price_of(problem, fit)
+        own = evidence.cost(problem, fit)
         why = _why_force(search, fit, fate, own)
         if fit is best and not believed:
             why = f"the best there is, but not named; see the verdict above ({why})"
@@ -229,9 +223,9 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
         return f"brings {count(gain)}, {count(gain - own)} beyond its price{held}"
     if not best.members:
         return _not_enough(search, fit, gain, own)
-    named = (best.chi2, price_of(problem, best), best.names)
+    named = (best.chi2, evidence.cost(problem, best), best.names)
     if fate == "as good":
-        more = forces.count(problem, fit) - forces.count(problem, best)
+        more = evidence.count(problem, fit) - evidence.count(problem, best)
         return (
             f"{_apart(fit.chi2 - best.chi2)} in chi-squared with {_parameters(more)}; "
             f"{POLICY.same_evidence:g} would part them"
@@ -244,31 +238,20 @@ def _not_enough(search: forces.Search, fit: Fit, gain: float, own: float) -> str
     needs = own * (POLICY.several_price if len(fit.members) > 1 else 1.0)
     if gain <= needs:
         return f"brings {_gain(gain)}, where it had to bring {count(needs)}"
-    size = _size(search, fit)
+    size = evidence.size(search.problem, fit)
     if size <= POLICY.least_force:
         return (
             f"brings {count(gain)}, but is {_percent(size)} of the force; less than "
             f"{_percent(POLICY.least_force)} is no finding"
         )
     if not search.moved:
-        held = forces.held_out_gain(search.problem, fit)
+        held = evidence.held_out_gain(search.problem, fit)
         if held < POLICY.held_out_share:
             return (
                 f"brings {count(gain)}, of which {_percent(max(held, 0.0))} holds on rows left "
                 f"out; {_percent(POLICY.held_out_share)} has to"
             )
     return f"brings {count(gain)}; the set before it was refused, and none behind it is looked at"
-
-
-def _size(search: forces.Search, fit: Fit) -> float:
-    """Return the size of a set as a part of the force."""
-    problem = search.problem
-    total = sum(
-        (forces.contribution(problem, fit, i) for i in range(len(fit.members))),
-        start=np.zeros(problem.ctx.t.size),
-    )[problem.rows]
-    whole = float(np.sqrt(np.mean(problem.estimate.force[problem.rows] ** 2))) or 1.0
-    return float(np.std(total) + abs(np.mean(total))) / whole
 
 
 def _against(

@@ -1,0 +1,295 @@
+"""What is known of sets of effects before one is named: the evidence that `decide` weighs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from rthyb_rt.diagnose.decide import Choice, Drift, Evidence, Hypothesis, Laws, Need, Part, Setting
+from rthyb_rt.diagnose.decide import gathered as decided
+from rthyb_rt.diagnose.effects import catalogue
+from rthyb_rt.diagnose.effects.base import Floats
+from rthyb_rt.diagnose.form import neighbours
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.select import Fit, Member, Problem, columns_of, inflation, price, solve
+
+FOLD_S = 0.25
+FOLDS = 4
+
+
+class Fitter(Protocol):
+    """What refines sets: in the balance of forces, or by the motion that they simulate.
+
+    Attributes:
+        stated: names of what moves a stated number within its tolerance.
+        exact: whether the motion is known without the noise of an estimate.
+        rows: independent rows that are judged.
+        judged: what they are rows of, see `decide.Setting`.
+    """
+
+    problem: Problem
+    by_names: dict[tuple[str, ...], Fit]
+    stated: set[str]
+    exact: bool
+    rows: float
+    judged: Literal["force", "motion", "rig"]
+
+    def fit(self, members: Iterable[Member]) -> Fit | None:
+        """Refine a set; None where it makes no physical law."""
+
+
+class Gathered:
+    """The sets that a search has refined, as evidence."""
+
+    def __init__(self, fitter: Fitter, null: Fit, held_out: Callable[[Fit], float]) -> None:
+        """Take what refines sets, nothing but nuisance, and what of a gain holds on other rows."""
+        self.fitter, self.held_out = fitter, held_out
+        self.problem = fitter.problem
+        self.laws = Laws.of(catalogue())
+        self._made: dict[int, Hypothesis] = {}
+        self._fits: dict[Hypothesis, Fit] = {}
+        self.first = dict(fitter.by_names)
+        self.null = self.of(null)
+
+    def choose(self) -> Choice:
+        """Return what is decided."""
+        sets = tuple(self.of(f) for f in self.first.values())
+        evidence = Evidence(self._setting(), self.null, sets)
+        return decided(evidence, POLICY, self._answer, self._beside)
+
+    def fit(self, known: Hypothesis) -> Fit:
+        """Return the fit of which something is known."""
+        return self._fits[known]
+
+    def of(self, fit: Fit) -> Hypothesis:
+        """Return what is known of a fit at once."""
+        made = self._made.get(id(fit))
+        if made is None:
+            made = self._made[id(fit)] = self._read(fit)
+            self._fits.setdefault(made, fit)
+        return made
+
+    def _read(self, fit: Fit) -> Hypothesis:
+        problem, laws = self.problem, self.laws
+        ctx, held, lost, times = problem.ctx, 0.0, 0.0, [0.0]
+        for m, b in zip(fit.members, fit.betas, strict=True):
+            own = m.effect.holds_n_per_m(ctx, m.trial, b)
+            if own > 0.0:
+                held = own
+            elif m.name == laws.stiffness:
+                lost = -float(b[0]) * ctx.model.k
+            if m.name in laws.relaxing:
+                times.append(m.trial.theta[0])
+        omega = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
+        return Hypothesis(
+            tuple(self._part(m) for m in fit.members),
+            fit.chi2,
+            frozenset(bent(problem, fit)),
+            strained(problem, fit),
+            held,
+            lost,
+            max(times) * omega,
+        )
+
+    def _part(self, member: Member) -> Part:
+        effect = member.effect
+        own = effect.settings(self.problem.ctx, member.trial)[1]
+        return Part(
+            member.name,
+            effect.names,
+            price(self.problem, effect, own),
+            own,
+            effect.late,
+            member.name in self.fitter.stated and not effect.late,
+            effect.sensor,
+            effect.carries,
+            effect.dissipates,
+        )
+
+    def _setting(self) -> Setting:
+        problem, model = self.problem, self.problem.case.model
+        naive = model.k_tol is None
+        return Setting(
+            self.laws,
+            self.fitter.rows,
+            self.fitter.judged,
+            naive,
+            self.fitter.exact,
+            problem.decays and naive,
+            problem.frees("k"),
+            (model.k_tol or 0.0) * abs(model.k),
+        )
+
+    def _beside(self) -> list[Hypothesis]:
+        """Return the sets that were refined, or refined better, since the evidence was taken."""
+        return [self.of(f) for n, f in self.fitter.by_names.items() if self.first.get(n) is not f]
+
+    def _answer(self, need: Need) -> Any:
+        fit, problem = self.fit(need.of), self.problem
+        if need.what == "part":
+            return self._refined([fit.members[i] for i in need.which])
+        if need.what == "yielding":
+            twin = self._yielding(fit)
+            return None if twin is None else self._refined(twin)
+        if need.what == "beyond forms":
+            return beyond_forms(problem, fit, need.which[0])
+        if need.what == "drift":
+            return drift(problem, fit, self.laws)
+        return size(problem, fit) if need.what == "size" else self.held_out(fit)
+
+    def _refined(self, members: list[Member]) -> Hypothesis | None:
+        found = self.fitter.fit(members)
+        return None if found is None else self.of(found)
+
+    def _yielding(self, fit: Fit) -> list[Member] | None:
+        """Return a set with yielding in the place of its bristles."""
+        bristles = next(n for n in self.laws.also if n in fit.names)
+        name = self.laws.also[bristles]
+        yielding = next((e for e in self.problem.effects if e.name == name), None)
+        if yielding is None:
+            return None
+        return [
+            Member(yielding, yielding.like(m.trial)) if m.name == bristles else m
+            for m in fit.members
+        ]
+
+
+def count(problem: Problem, fit: Fit) -> int:
+    """Return how many parameters a set has."""
+    return sum(m.effect.settings(problem.ctx, m.trial)[1] for m in fit.members)
+
+
+def cost(problem: Problem, fit: Fit) -> float:
+    """Return what a set has to earn."""
+    return sum(
+        price(problem, m.effect, m.effect.settings(problem.ctx, m.trial)[1]) for m in fit.members
+    )
+
+
+def bent(problem: Problem, fit: Fit) -> set[str]:
+    """Return the effects in whose place a fit bends a stated number out of its tolerance."""
+    return {
+        n.effect
+        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
+        if n.effect and n.sigma is not None and abs(float(b)) > POLICY.bent_number * n.sigma
+    }
+
+
+def strained(problem: Problem, fit: Fit) -> bool:
+    """Return whether a fit needs a time offset between the channels beyond its tolerance."""
+    return any(
+        n.name == "skew"
+        and n.sigma is not None
+        and abs(float(b)) > POLICY.strained_offset * n.sigma
+        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
+    )
+
+
+def contribution(problem: Problem, fit: Fit, member: int) -> Floats:
+    """Return the force of one effect of a fit along the recording, (n,), N."""
+    cells = [m for m in fit.members if m.effect.carries and m is not fit.members[member]]
+    columns = columns_of(problem.ctx, [fit.members[member], *cells])[0]
+    parts = [b * c for b, c in zip(fit.betas[member], columns, strict=True)]
+    return np.asarray(np.sum(parts, axis=0))
+
+
+def size(problem: Problem, fit: Fit) -> float:
+    """Return the size of a set as a part of the recorded force."""
+    total = sum(contribution(problem, fit, i) for i in range(len(fit.members)))
+    rows = problem.rows
+    force = problem.estimate.force[rows]
+    return float(np.std(np.asarray(total)[rows]) + abs(np.mean(np.asarray(total)[rows]))) / max(
+        float(np.sqrt(np.mean(force**2))), 1e-300
+    )
+
+
+def beyond_forms(problem: Problem, fit: Fit, which: int) -> float:
+    """Return what an effect of the load cell earns beside the others in any smooth form of them."""
+    ctx, own = problem.ctx, problem.columns(fit.members[which])
+    over = [(ctx.x, ctx.x_range), (ctx.v, ctx.v_range)]
+    near = [problem.base]
+    for i, member in enumerate(fit.members):
+        if i != which:
+            near.append(problem.columns(member))
+            forms = [] if member.effect.sensor else neighbours(contribution(problem, fit, i), over)
+            near += [problem.seen(column)[:, None] for column in forms]
+    design = np.column_stack(near)
+    design /= np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-300)
+    both = np.column_stack([problem.y, own])
+    y, *mine = (both - design @ np.linalg.lstsq(design, both, rcond=1e-9)[0]).T
+    alone = np.column_stack(mine)
+    left = y - alone @ np.linalg.lstsq(alone, y, rcond=None)[0]
+    return float(y @ y - left @ left)
+
+
+def drift(problem: Problem, fit: Fit, laws: Laws) -> Drift:
+    """Return the drift of a set as the halves of the recording show it."""
+    member = next(m for m in fit.members if m.name in laws.wanders)
+    rest = [problem.columns(m) for m in fit.members if m is not member]
+    level = [] if laws.zeros & set(fit.names) else [problem.seen(np.ones(problem.ctx.t.size))]
+    design = np.column_stack([problem.columns(member), *rest, problem.base, *level])
+    size = np.sqrt(np.mean(design**2, axis=0))
+    size[size == 0.0] = 1.0
+    design /= size
+    rates, widths = [], []
+    middle = problem.y.size // 2
+    for part in (slice(None, middle), slice(middle, None)):
+        d, y = design[part], problem.y[part]
+        inverse = np.linalg.pinv(d.T @ d, hermitian=True)
+        beta = inverse @ (d.T @ y)
+        rates.append(float(beta[0]))
+        widths.append(float(inverse[0, 0]) * inflation(y - d @ beta))
+    weights = 1.0 / np.maximum(np.array(widths), 1e-300)
+    within = float(np.sum(weights * np.array(rates)) / np.sum(weights))
+    whole = float(fit.betas[fit.members.index(member)][0]) * float(size[0])
+    return Drift(whole, within, float(np.sum(weights)) ** -0.5)
+
+
+def held_out_gain(problem: Problem, fit: Fit) -> float:
+    """Return how much of a set's gain is there on blocks that it was not fitted to.
+
+    Blocks of a quarter of a second go round the folds, so that what happens once is in all of them.
+    """
+    blocks = problem.blocks(fit.members)
+    design = np.column_stack([*blocks, problem.base])
+    width = sum(b.shape[1] for b in blocks)
+    scale = np.sqrt(np.mean(design**2, axis=0))
+    scale[scale == 0] = 1.0
+    design = design / scale
+    ridge = np.zeros(design.shape[1])
+    pin = np.zeros(design.shape[1])
+    j = 0
+    for m in fit.members:
+        (_, pinned), _ = m.effect.settings(problem.ctx, m.trial)
+        for sigma in pinned:
+            if sigma is not None:
+                ridge[j] = 1.0 / (sigma * scale[j]) ** 2
+                pin[j] = 1.0 / (sigma**2 * scale[j])
+            j += 1
+    for nuisance in problem.nuisances:
+        if nuisance.sigma is not None:
+            ridge[j] = 1.0 / (nuisance.sigma * scale[j]) ** 2
+        j += 1
+    block = (problem.rows / max(FOLD_S * problem.case.fs_hz, 4.0)).astype(int)
+    before = after = 0.0
+    y = problem.y
+    for fold in range(FOLDS):
+        out = block % FOLDS == fold
+        for use in (True, False):
+            part = slice(0 if use else width, None)
+            d = design[:, part]
+            gram = d[~out].T @ d[~out] + np.diag(ridge[part] + 1e-9 * y.size)
+            right = d[~out].T @ y[~out] + pin[part]
+            beta = np.linalg.solve(gram, right) if gram.size else np.zeros(0)
+            rest = y[out] - d[out] @ beta
+            # The prior counts as well: moving a stated number costs what it costs.
+            prior = float(np.sum(np.where(pin[part] > 0, 0.0, ridge[part] * beta**2))) / FOLDS
+            if use:
+                after += float(rest @ rest) + prior
+            else:
+                before += float(rest @ rest) + prior
+    whole = solve(problem, [], [])
+    gain = (whole.chi2 if whole else before) - fit.chi2
+    return (before - after) / gain if gain > 0 else 0.0

@@ -1,0 +1,361 @@
+"""Which set is named: every rule by evidence made by hand, and what holds for any evidence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import hypothesis
+import hypothesis.strategies as st
+import pytest
+
+from rthyb_rt.diagnose import effects
+from rthyb_rt.diagnose.decide import (
+    ALIKE,
+    NAMING,
+    RANKING,
+    Choice,
+    Drift,
+    Evidence,
+    Hypothesis,
+    Laws,
+    Need,
+    Part,
+    Setting,
+    choose,
+    gathered,
+)
+from rthyb_rt.diagnose.policy import POLICY
+
+LAWS = Laws.of(effects.catalogue())
+ROWS = 1000.0
+STATED = {"stiffness", "viscous", "bias"}
+
+
+def part(name: str, price: float = 20.0, count: int = 1, **more: Any) -> Part:
+    law = effects.catalogue()[name]
+    declared = {"sensor": law.sensor, "carries": law.carries, "dissipates": law.dissipates}
+    return Part(name, law.names, price, count, stated=name in STATED, **{**declared, **more})
+
+
+def of(*parts: Part | str, chi2: float, **more: Any) -> Hypothesis:
+    return Hypothesis(tuple(part(p) if isinstance(p, str) else p for p in parts), chi2, **more)
+
+
+def evidence(*sets: Hypothesis, null: float = 20_000.0, **setting: Any) -> Evidence:
+    return Evidence(Setting(LAWS, ROWS, **setting), of(chi2=null), sets)
+
+
+ANSWERS = {"held_out": 0.9, "size": 0.5}
+
+
+def decided(
+    seen: Evidence, less: tuple[str, ...] = (), policy: Any = POLICY, **answers: Any
+) -> Choice:
+    """What is named where each need has the same answer for all sets."""
+    given = {**ANSWERS, **answers}
+    known: dict[Need, Any] = {}
+    while isinstance(done := choose(replace(seen, known=known), policy, less), Need):
+        known[done] = given[done.what.replace(" ", "_")]
+    return done
+
+
+def fired(choice: Choice) -> set[str]:
+    return {r.rule for r in choice.ledger}
+
+
+# ---- each rule ---------------------------------------------------------------------------------
+
+
+def not_needed() -> Evidence:
+    """A second effect earns its price, and not that of one picked beside another."""
+    return evidence(
+        of("coulomb", chi2=1022.0), of("cubic", chi2=15_000.0), of("coulomb", "cubic", chi2=1000.0)
+    )
+
+
+def a_form() -> Evidence:
+    """A second effect takes up a three-hundredth of the whole, far above the noise."""
+    return evidence(
+        of("coulomb", chi2=1160.0), of("cubic", chi2=15_000.0), of("coulomb", "cubic", chi2=1100.0)
+    )
+
+
+def a_drift() -> Evidence:
+    """Of a naive model: a drift that is not there within the halves."""
+    return evidence(of("drift", chi2=1000.0), of("coulomb", chi2=1300.0), naive=True)
+
+
+def more_laws() -> Evidence:
+    """Of a naive model: two laws of which another one does nearly as well alone."""
+    return evidence(
+        of("hysteresis", chi2=1150.0), of("gap", chi2=8000.0), of("cubic", chi2=9000.0),
+        of("cubic", "gap", chi2=1100.0), naive=True,
+    )  # fmt: skip
+
+
+def bristles() -> Evidence:
+    """Bristles beside a spring that lacks as much as they hold: a spring that yields."""
+    return evidence(
+        of("hysteresis", chi2=1040.0), of("lugre", chi2=9000.0), of("stiffness", chi2=9000.0),
+        of("lugre", "stiffness", chi2=1000.0, held_n_per_m=1e5, lost_n_per_m=1e5),
+    )  # fmt: skip
+
+
+def a_peak() -> Evidence:
+    """Friction with a peak that brings less than the form of a step may."""
+    return evidence(of("coulomb", chi2=1020.0), of(part("stribeck", 25.0, 3), chi2=1000.0))
+
+
+def quick() -> Evidence:
+    """Relaxation that is over long before the motion turns."""
+    return evidence(
+        of("viscous", chi2=1020.0), of(part("maxwell", 25.0, 2), chi2=1000.0, relaxes_rad=0.01)
+    )
+
+
+def a_form_of_one() -> Evidence:
+    """Two pairs with one law in common, of which one has a parameter more and wins by its form."""
+    fewer, more = part("cubic"), part("gap", 20.0, 2)
+    return evidence(
+        of("coulomb", chi2=9000.0), of(fewer, chi2=9000.0), of(more, chi2=9000.0),
+        of("coulomb", fewer, chi2=1120.0), of("coulomb", more, chi2=1100.0),
+    )  # fmt: skip
+
+
+RULES: dict[str, tuple[Evidence, dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
+    "needed": (not_needed(), {}, ("coulomb",), ("coulomb", "cubic")),
+    "drift goes on": (a_drift(), {"drift": Drift(1.0, 0.1, 0.05)}, ("coulomb",), ("drift",)),
+    "more laws": (more_laws(), {}, ("hysteresis",), ("cubic", "gap")),
+    "yielding": (bristles(), {}, ("hysteresis",), ("lugre", "stiffness")),
+    "plainest": (a_peak(), {}, ("coulomb",), ("stribeck",)),
+    "simplest first": (a_form_of_one(), {}, ("coulomb", "cubic"), ("coulomb", "gap")),
+    "earns": (evidence(of("cubic", chi2=19_990.0), null=20_000.0), {}, (), ("cubic",)),
+    "size": (evidence(of("cubic", chi2=1000.0)), {"size": 1e-4}, (), ("cubic",)),
+    "held out": (evidence(of("cubic", chi2=1000.0)), {"held_out": 0.1}, (), ("cubic",)),
+}
+"""Of each rule evidence, what is answered when it is asked for, and what is named with and without
+the rule."""
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_each_rule_changes_what_is_named(rule: str) -> None:
+    seen, answers, named, without = RULES[rule]
+    gone = (rule, "needed") if rule == "earns" else (rule,)
+    kept = ("needed",) if rule == "earns" else ()
+    choice = decided(seen, kept, **answers)
+    assert choice.best.names == named
+    assert rule in fired(choice)
+    assert decided(seen, gone, **answers).best.names == without
+
+
+def test_every_rule_has_its_evidence() -> None:
+    assert set(RULES) == {*RANKING, *NAMING}
+    assert set(ALIKE) == {"alike", "twins"}
+
+
+def test_relaxation_that_is_over_at_once_is_a_dashpot() -> None:
+    assert decided(quick()).best.names == ("viscous",)
+    assert decided(quick(), ("plainest",)).best.names == ("maxwell",)
+    slow = evidence(*(replace(h, relaxes_rad=1.0) if h.relaxes_rad else h for h in quick().sets))
+    assert decided(slow).best.names == ("maxwell",)
+
+
+def test_sets_that_differ_by_less_than_evidence_tells_are_both_named() -> None:
+    seen = evidence(of("cubic", chi2=1000.0), of("gap", chi2=1005.0), of("stopper", chi2=1020.0))
+    assert [h.names for h in decided(seen).equal] == [("gap",)]
+    assert decided(seen, ("alike",)).equal == ()
+    dearer = evidence(of("cubic", chi2=1000.0), of(part("gap", 20.0, 2), chi2=1005.0))
+    assert decided(dearer).equal == ()
+
+
+def test_a_cheaper_name_for_the_same_thing_is_no_evidence() -> None:
+    """Moving the stated damping costs less than an effect; the other one was not worth its price.
+
+    With a chi-squared that no recording tells apart both are named.
+    """
+    cheap, dear = of(part("viscous", 13.0), chi2=19_980.0), of("quad_damping", chi2=19_981.0)
+    seen = evidence(cheap, dear)
+    assert [h.names for h in decided(seen).equal] == [("quad_damping",)]
+    assert decided(seen, ("twins",)).equal == ()
+    late = replace(cheap, parts=(replace(cheap.parts[0], late=True, stated=False),))
+    assert decided(evidence(late, dear)).equal == ()
+
+
+# ---- what excuses an effect that explains little ------------------------------------------------
+
+
+def test_a_form_of_the_other_law_is_refused_and_says_by_how_much() -> None:
+    choice = decided(a_form())
+    assert choice.best.names == ("coulomb",)
+    ruling = next(r for r in choice.ledger if r.rule == "share")
+    assert (ruling.names, ruling.part) == (("coulomb", "cubic"), "cubic")
+    assert ruling.found == 60.0
+    assert ruling.wanted == pytest.approx(POLICY.needed_share[1] * (20_000.0 - 1100.0))
+
+
+def test_an_effect_that_ends_at_the_noise_is_no_form() -> None:
+    at_noise = evidence(*(replace(h, chi2=h.chi2 - 100.0) for h in a_form().sets))
+    assert decided(at_noise).best.names == ("coulomb", "cubic")
+    blurred = replace(at_noise, setting=replace(at_noise.setting, exact=False))
+    assert decided(blurred).best.names == ("coulomb",)
+
+
+def test_a_stated_number_is_seen_against_its_tolerance() -> None:
+    seen = evidence(
+        of("coulomb", chi2=1160.0), of("viscous", chi2=15_000.0),
+        of("coulomb", "viscous", chi2=1100.0),
+    )  # fmt: skip
+    assert decided(seen).best.names == ("coulomb", "viscous")
+    moved = replace(seen, setting=replace(seen.setting, judged="motion"))
+    assert decided(moved).best.names == ("coulomb",)
+    bent = of("coulomb", chi2=1160.0, bent=frozenset({"viscous"}))
+    assert decided(replace(moved, sets=(bent, *moved.sets[1:]))).best.names == (
+        "coulomb",
+        "viscous",
+    )
+
+
+def test_without_it_a_time_offset_would_have_to_stand_in() -> None:
+    strained = of("coulomb", chi2=1160.0, strained=True)
+    seen = replace(a_form(), sets=(strained, *a_form().sets[1:]))
+    assert decided(seen).best.names == ("coulomb", "cubic")
+    naive = replace(seen, setting=replace(seen.setting, naive=True))
+    assert decided(naive).best.names == ("coulomb",)
+
+
+def test_what_a_load_cell_does_by_itself_follows_no_law() -> None:
+    """At the noise, it counts what an effect brings beside all smooth forms of the other law.
+
+    Along an estimated motion, where to end at the noise alone is no excuse.
+    """
+    seen = evidence(
+        of("coulomb", chi2=1100.0), of("hum", chi2=15_000.0), of("coulomb", "hum", chi2=1050.0),
+        exact=False,
+    )  # fmt: skip
+    assert decided(seen, beyond_forms=30.0).best.names == ("coulomb", "hum")
+    assert decided(seen, beyond_forms=20.0).best.names == ("coulomb",)
+
+
+def test_what_looks_like_a_dashpot_does_not_lose_to_one_by_its_excuse() -> None:
+    name, dashpot = next(iter(LAWS.slow_as.items()))
+    alone = of("coulomb", chi2=1160.0)
+    seen = evidence(
+        alone, of(name, chi2=15_000.0), of(dashpot, chi2=15_000.0),
+        of("coulomb", name, chi2=1100.0), of("coulomb", dashpot, chi2=1130.0),
+    )  # fmt: skip
+    assert set(decided(seen).best.names) == {"coulomb", name}
+    without = evidence(*(h for h in seen.sets if dashpot not in h.names))
+    assert decided(without).best is alone
+
+
+def test_damping_of_a_free_decay_is_measured_against_damping() -> None:
+    """The spring is nearly all of the force; of a thousandth each part of the damping matters."""
+    spring = of("cubic", chi2=1500.0)
+    seen = evidence(
+        spring, of("coulomb", chi2=19_000.0), of("cubic", "coulomb", chi2=1450.0), naive=True,
+        exact=False,
+    )  # fmt: skip
+    assert decided(seen).best is spring
+    swings = replace(seen, setting=replace(seen.setting, swings=True))
+    assert decided(swings, part=spring).best.names == ("coulomb", "cubic")
+
+
+# ---- what is asked for -------------------------------------------------------------------------
+
+
+def test_what_is_not_known_is_asked_for_and_nothing_else() -> None:
+    pair = of("coulomb", "cubic", chi2=1000.0)
+    need = choose(evidence(pair), POLICY)
+    assert need == Need("part", pair, (1,))
+    asked: list[Need] = []
+
+    def answer(need: Need) -> Any:
+        asked.append(need)
+        return {"part": of("gap", chi2=5000.0)}.get(need.what, 0.5)
+
+    assert gathered(evidence(pair), POLICY, answer).best is pair
+    assert [n.what for n in asked] == ["part", "part", "size", "held out"]
+
+
+def test_a_model_of_free_stiffness_is_asked_for_yielding_in_the_place_of_bristles() -> None:
+    seen = evidence(of("lugre", chi2=1000.0), k_free=True)
+    yielding = of("hysteresis", chi2=1010.0)
+    assert decided(seen, yielding=yielding).best is yielding
+    assert decided(seen, yielding=None).best.names == ("lugre",)
+
+
+def test_set_that_is_no_physical_law_without_one_effect_needs_that() -> None:
+    pair = of("coulomb", "cubic", chi2=1000.0)
+    assert decided(evidence(pair), part=None).best is pair
+
+
+# ---- any evidence ------------------------------------------------------------------------------
+
+NAMES = ("coulomb", "stribeck", "viscous", "cubic", "gap", "hysteresis", "lugre", "stiffness",
+         "drift", "hum", "maxwell")  # fmt: skip
+
+
+@st.composite
+def any_evidence(draw: st.DrawFn) -> Evidence:
+    """Some singles and every part of some larger sets: more effects never fit worse."""
+    null = draw(st.floats(1000.0, 1e6))
+    gains = {n: draw(st.floats(0.0, null - 900.0)) for n in NAMES}
+    groups = draw(st.lists(st.lists(st.sampled_from(NAMES), min_size=1, max_size=3, unique=True),
+                           min_size=1, max_size=6))  # fmt: skip
+    wanted = {tuple(sorted(g)) for g in groups}
+    wanted |= {(n,) for g in groups for n in g}
+    wanted |= {tuple(sorted({*g} - {n})) for g in groups for n in g if len(g) > 1}
+    counts = {n: draw(st.integers(1, 3)) for n in NAMES}
+    sets = [
+        Hypothesis(
+            tuple(part(n, 12.0 + 7.0 * counts[n], counts[n]) for n in names),
+            null - min(max(gains[n] for n in names) * draw(st.floats(1.0, 1.2)), null - 800.0),
+            strained=draw(st.booleans()),
+        )
+        for names in sorted(wanted)
+    ]
+    setting = Setting(LAWS, ROWS, naive=draw(st.booleans()), exact=draw(st.booleans()),
+                      k_free=draw(st.booleans()))  # fmt: skip
+    return Evidence(setting, of(chi2=null), tuple(sets))
+
+
+FREE = {"part": None, "yielding": None, "drift": Drift(1.0, 0.9, 0.01), "beyond_forms": 50.0}
+
+
+@hypothesis.given(any_evidence(), st.randoms())
+def test_neither_order_nor_repetition_matters(seen: Evidence, random: Any) -> None:
+    first = decided(seen, **FREE)
+    shuffled = list(seen.sets)
+    random.shuffle(shuffled)
+    again = decided(replace(seen, sets=tuple(shuffled)), **FREE)
+    assert (again.best, again.ranked, again.equal) == (first.best, first.ranked, first.equal)
+    assert decided(seen, **FREE) == first
+
+
+@hypothesis.given(any_evidence(), st.floats(0.0, 500.0))
+def test_a_set_that_fits_better_is_never_nothing(seen: Evidence, better: float) -> None:
+    """What is named and then fits better still: something is named."""
+    first = decided(seen, **FREE)
+    hypothesis.assume(first.best.parts)
+    sets = tuple(
+        replace(h, chi2=h.chi2 - better) if h.names == first.best.names else h for h in seen.sets
+    )
+    assert decided(replace(seen, sets=sets), **FREE).best.parts
+
+
+@hypothesis.given(any_evidence())
+def test_what_is_named_earns_its_price(seen: Evidence) -> None:
+    choice = decided(seen, **FREE)
+    if choice.best.parts:
+        assert seen.null.chi2 - choice.best.chi2 > choice.best.price
+        assert choice.best is choice.ranked[0]
+    refused = {r.names for r in choice.ledger if r.rule in ("needed", "share")}
+    ranked = {h.names for h in choice.ranked}
+    assert not refused & ranked
+    assert not {h.names for h in choice.equal} - {h.names for h in seen.sets}
+
+
+@hypothesis.given(any_evidence(), st.sampled_from([0.0, float("nan"), -float("inf")]))
+def test_what_holds_on_no_other_rows_is_not_named(seen: Evidence, held: float) -> None:
+    assert not decided(seen, **FREE, held_out=held).best.parts
