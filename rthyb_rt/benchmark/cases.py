@@ -95,9 +95,10 @@ def entrant(name: str) -> Entrant:
     ``pi-lead`` is the benchmark's: 2 + 95/s in the drive, 50.8 (s + 168.6) / (s + 8570) before it,
     of which the gain at rest, .9994, is taken as 1. ``ats`` begins with the coefficients that the
     rig's sweep gives, and ``third-order`` has them: with those of the set-up file of ``ats``,
-    a2 = a1^2 / 2, the loop is unstable at 67 Hz until it has learnt. ``inverse`` learns by `QUICK`. ``amb`` begins with its
-    published coefficients, those of the actuator without the specimen. With `WITH_FORCE` behind its
-    name a law of others has the restoring-force compensator as well.
+    a2 = a1^2 / 2, the loop is unstable at 67 Hz until it has learnt. ``amb`` begins with its
+    published coefficients, those of the actuator without the specimen. ``inverse`` learns by
+    `QUICK`. With `WITH_FORCE` behind its name a law of others has the restoring-force compensator
+    as well.
 
     Raises:
         InputError: there is none of that name.
