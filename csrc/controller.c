@@ -131,7 +131,7 @@ static inline int meet(int n, rthyb_controller *c, const double *x, const double
 static inline void ahead_of(int n, rthyb_controller *c, double *x, double *f)
 {
     const int m = n;
-    double way[MOST], force[MOST];
+    double way[MOST], force[MOST] = {0.0};
     for (int i = 0; i < n; i++)
         x[i] = c->axis[i].target - c->axis[i].target1;
     for (int j = 0; j < m; j++) {

@@ -52,10 +52,10 @@ REMEDIES: Final[dict[str, str]] = {
     "cable, plugs and the load of the bus.",
     "skips": "This PC was late too often: `rthyb jitter` says what to change.",
     "stalled": "This PC stood still for 20 ticks: `rthyb jitter` says what to change.",
-    "apart": "One drive lost samples, or runs on another clock: look at the link of each drive and at "
-    "what synchronizes them.",
-    "no_pose": "No position of the specimen has its axes where the sensors say: look at signs, scales "
-    "and zeros of the displacement sensors, and at pins and bases in the rig file.",
+    "apart": "One drive lost samples, or runs on another clock: look at the link of each drive and "
+    "at what synchronizes them.",
+    "no_pose": "No position of the specimen has its axes where the sensors say: look at signs, "
+    "scales and zeros of the displacement sensors, and at pins and bases in the rig file.",
     "heartbeat": "Something kept the program from working for a second, such as a full disk, a "
     "suspended process or a debugger.",
 }
