@@ -709,7 +709,7 @@ def test_recording_that_one_may_only_read_asks_where_its_report_goes(
     monkeypatch.setattr(os, "access", may)
     answer = rthyb("report", recorded)
     assert answer.code == 1
-    assert "you may not write there; say where the report goes with --out" in answer.err
+    assert "is not writable; choose another place, such as --out" in answer.err
 
 
 def test_report_is_written_for_an_older_recording(

@@ -466,7 +466,7 @@ def test_every_limit_is_provoked_and_does_what_the_rig_file_says() -> None:
     assert set(found) == {key.removeprefix("limits.") for key in EVERY_LIMIT}
     stuck = found.pop("sensor_stuck_samples")
     assert (stuck.value, stuck.fault) == (None, "")
-    assert "stands still" in stuck.reason
+    assert "sensor that freezes" in stuck.reason
     for check in found.values():
         assert check.fault == "", check
         assert check.reason == ""
@@ -576,7 +576,10 @@ def test_drive_that_follows_again_by_itself_after_its_stop_fails() -> None:
         there.tell = lambda: released_by_any_command(there)
         found = guide.commission(attended(there), guide.Plan(("watchdog",))).steps["watchdog"]
     assert found.passed is False
-    assert "followed again as soon as commands came, though nobody had reset it" in found.faults[0]
+    assert (
+        "followed again as soon as it received commands, although nobody had reset it"
+        in found.faults[0]
+    )
 
 
 def test_jog_at_a_drive_that_stopped_by_itself_is_refused_until_it_is_reset() -> None:
@@ -619,7 +622,7 @@ def test_stop_of_a_drive_without_status_is_what_the_operator_saw(
         there.tell = lambda: setattr(there.drive._c, "latched", 0)
         made = guide.commission(attended(there), plan)
     assert len(asked) == 2
-    assert "its panel say that it stays stopped" in asked[0]
+    assert "its panel show that it stays stopped" in asked[0]
     for name in ("watchdog", "trip"):
         assert made.steps[name].passed is seen
         assert told in " ".join(made.steps[name].faults)

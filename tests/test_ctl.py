@@ -344,7 +344,7 @@ def test_rig_file_is_not_even_read_while_a_test_moves(rthyb: Rthyb, place: Path)
         await_state(place, "RUNNING")
         answer = rthyb("ctl", "reload")
         assert answer.code == 5
-        assert "limits change at rest or in HOLD" in answer.err
+        assert "limits can be changed only at rest or in HOLD" in answer.err
         assert not looked
         assert rthyb("ctl", "stop").code == 0
         await_state(place, "IDLE")
@@ -407,7 +407,7 @@ def test_digest_of_less_than_eight_digits_names_no_test(
     assert rthyb("ctl", "zero").code == 0
     answer = rthyb("ctl", "arm", "--digest", digest)
     assert answer.code == 2
-    assert "8 digits or more" in re.sub(r"\s+", " ", answer.err)
+    assert "at least the first 8 digits" in re.sub(r"\s+", " ", answer.err)
     assert rthyb("ctl", "arm").code == 0
     assert rthyb("ctl", "start", "--token", "").code == 5
     assert status(place)["state"] == "ARMED"

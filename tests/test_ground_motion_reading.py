@@ -460,7 +460,7 @@ def test_very_small_pga_is_read_with_a_warning(written: Callable[..., Path]) -> 
 
 
 def test_unknown_unit_is_asked_for_and_contradiction_refused() -> None:
-    assert "does not say the unit" in refusal(SAMPLES / "blanks_no_unit.txt")
+    assert "does not state the unit" in refusal(SAMPLES / "blanks_no_unit.txt")
     assert "'parsec' is not a unit" in refusal(SAMPLES / "comma.csv", units="parsec")
     assert "the file says g" in refusal(SAMPLES / "comma.csv", units="m/s2")
     assert "the file says g" in refusal(SAMPLES / "named_header.at2", units="gal")

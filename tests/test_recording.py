@@ -244,7 +244,7 @@ def test_truncated_recording_is_refused(path: Path, part: float) -> None:
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * part)])
     message = refusal(path)
-    assert "the file ends too early" in message or "the file is damaged" in message
+    assert "the file is truncated" in message or "the file is damaged" in message
 
 
 def test_flipped_bits_in_the_samples_are_found(path: Path) -> None:

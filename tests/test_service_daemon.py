@@ -472,7 +472,7 @@ def test_log_that_nobody_takes_holds_up_nobody_and_says_what_was_lost() -> None:
     lines = heard.decode().splitlines()
     kept = [int(text.split()[0]) for text in lines[:-1]]
     assert kept == sorted(kept)
-    assert lines[-1].endswith("lines were lost: nobody took them")
+    assert lines[-1].endswith("lines were lost because nothing read them")
     assert int(lines[-1].split()[0]) + len(kept) == 2000
 
 

@@ -305,7 +305,9 @@ def test_drive_of_a_service_that_was_killed_stays_stopped_until_an_operator_rese
         assert (drive.log["phase"][began:] == loop.PHASES.index("stopped")).all()
         assert made.engine.stays_stopped()
         assert "reset" in made.engine.allowed
-        with pytest.raises(StateError, match="follows nobody until an operator resets it"):
+        with pytest.raises(
+            StateError, match="will not follow commands until an operator resets it"
+        ):
             made.engine.zero()
         made.engine.command("reset")
         assert drive.phase == "following"
@@ -337,7 +339,7 @@ def test_drive_that_does_not_hear_a_reset_is_named(rings: Path) -> None:
             drive.tick()
         made = begin()
         drive.schedule([loop.Fault("drop-command", 0, 2**40)])
-        with pytest.raises(StateError, match="the drive was told, and stays stopped"):
+        with pytest.raises(StateError, match="the drive was sent a reset but stays stopped"):
             made.engine.command("reset")
         drive.schedule([])
         made.engine.command("reset")

@@ -973,7 +973,7 @@ def test_fault_of_the_disk_is_told_and_stands_against_the_next_test(
         monkeypatch.setattr(recorders, "_RETRY_S", 0.0)
         turns(working)
         status = working.status()
-        assert "the disk has reported a fault (Input/output error)" in status.fault
+        assert "the disk has reported an error (Input/output error)" in status.fault
         assert "restart the recorder" in status.fault
         assert status.hinders
         if not at_the_end:

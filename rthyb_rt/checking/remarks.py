@@ -142,7 +142,9 @@ def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
             f"the delay estimate will oscillate on a pure delay: its loop gain is {g:.2f}, allowed "
             f"is {OSCILLATES:.2f}; {remedy}"
         )
-    lag = ", though a lag such as this rig's forgives more than a delay" if f.rig_is_lag else ""
+    lag = (
+        ", although a lag such as this rig's is less critical than a delay" if f.rig_is_lag else ""
+    )
     return False, (
         f"little margin for the delay estimate: its loop gain is {g:.2f}, advised is up to "
         f"{LITTLE_MARGIN:g}{lag}; {remedy}"
@@ -167,7 +169,7 @@ def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
     if velocity is not None and velocity.enable and peak_m_per_s > velocity.value:
         found.append(
             f"limits.command_velocity_m_per_s = {velocity.value:g} m/s is below the "
-            f"{peak_m_per_s:.3g} m/s of the reference simulation: the command will be held back"
+            f"{peak_m_per_s:.3g} m/s of the reference simulation: the command will be limited"
         )
     peak_m = peak_m_per_s / STANDARD_HZ
     if increment is not None and increment.acts and peak_m > increment.value:

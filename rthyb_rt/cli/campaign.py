@@ -25,8 +25,7 @@ OutOption = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="Folder of the campaign, instead of runs/NAME. One that was interrupted goes on "
-        "there.",
+        help="Folder of the campaign, instead of runs/NAME. An interrupted campaign resumes there.",
         show_default=False,
     ),
 ]
@@ -44,12 +43,13 @@ ClusterOption = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Dask scheduler whose workers take the runs, such as tcp://lab:8786.",
+        help="Address of a Dask scheduler whose workers carry out the runs, such as "
+        "tcp://lab:8786.",
         show_default=False,
     ),
 ]
 DryRunOption = Annotated[
-    bool, typer.Option("--dry-run", help="List the runs, and carry out none of them.")
+    bool, typer.Option("--dry-run", help="List the runs without carrying them out.")
 ]
 
 

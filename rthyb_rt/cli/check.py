@@ -73,7 +73,7 @@ def check(
 
 def _print(found: Examined, file: IO[str]) -> None:
     setup = found.setup
-    print(f"{setup.test.test.name} on {setup.rig.rig.name}: no fault found\n", file=file)
+    print(f"{setup.test.test.name} on {setup.rig.rig.name}: no errors found\n", file=file)
     for number, rows in enumerate(found.tables()):
         if number:
             print("", file=file)

@@ -331,7 +331,7 @@ def _await_zeroed(client: Client) -> dict[str, Any]:
         if found["state"] != "IDLE":
             return found
         if not found["run_id"]:
-            raise RthybError(f"not zeroed: {found['not_zeroed'] or 'somebody else has stopped it'}")
+            raise RthybError(f"not zeroed: {found['not_zeroed'] or 'another user has stopped it'}")
         time.sleep(0.05)
 
 
@@ -354,7 +354,7 @@ def arm(
     """
     if digest is not None and not re.fullmatch("[0-9a-f]{8,64}", digest):
         raise typer.BadParameter(
-            f"found {digest!r}, wanted are the first 8 digits or more, as load has said",
+            f"found {digest!r}, expected at least the first 8 digits of the one printed by load",
             param_hint="--digest",
         )
     with _client(socket) as client:

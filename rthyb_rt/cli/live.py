@@ -117,7 +117,7 @@ def _tell(server: LiveServer, url_file: Path | None, as_json: bool) -> None:
         print(f"Live view  {server.url}")
         if server.operator_url is not None:
             print(f"Operator   {server.operator_url}")
-        print("Ctrl-C ends it; the test goes on.", flush=True)
+        print("Ctrl-C ends the view; the test continues.", flush=True)
     if as_json:
         import sys
 

@@ -59,7 +59,7 @@ def report(
     if out is None and not os.access(folder, os.W_OK):
         # The recordings of a service: its group reads them, and nobody else writes there.
         raise RthybError(
-            f"{folder}: you may not write there; say where the report goes with --out report.html"
+            f"{folder}: is not writable; choose another place, such as --out report.html"
         )
     write_report(rec, path)
     interrupts.wrote(path)

@@ -126,7 +126,7 @@ def read(given: MatrixFile, folder: Path) -> MatrixData:
 def _check_there(path: Path) -> None:
     if not path.is_file():
         raise InputError(
-            "no such file; it is looked for beside the test file, or give its whole path", str(path)
+            "no such file; a relative path starts at the folder of the test file", str(path)
         )
     size = path.stat().st_size
     if size > MAX_BYTES:
@@ -139,7 +139,8 @@ def _npz(path: Path) -> dict[str, Any]:
             whole = zipfile.is_zipfile(file)
         if not whole:  # NumPy would advise to load it with pickle, which runs what is in it
             raise InputError(
-                "cannot be read as .npz: it is none, or not a whole one; numpy.savez writes it",
+                "cannot be read as .npz: not an .npz file, or incomplete; write it with "
+                "numpy.savez",
                 str(path),
             )
         with np.load(path, allow_pickle=False) as stored:
@@ -240,8 +241,8 @@ def check_arrays(
         there = ", ".join(sorted(arrays)) or "nothing"
         near = nearest(missing[0], list(arrays))
         raise InputError(
-            f"has no {' and no '.join(missing)}{near}; needed are M (masses, kg) and K "
-            f"(stiffnesses, N/m), square and of one size; found: {there}",
+            f"has no {' and no '.join(missing)}{near}; it must have M (masses, kg) and K "
+            f"(stiffnesses, N/m), square and of equal size; found: {there}",
             where,
         )
     n = found["M"].size
@@ -249,7 +250,7 @@ def check_arrays(
         if one.size != n:
             raise InputError(f"{name} has {one.size} rows and M {n}; all must have one size", where)
     if not 1 <= n <= SPARSE_MAX:
-        raise InputError(f"found {n} degrees of freedom; allowed are 1 to {SPARSE_MAX}", where)
+        raise InputError(f"found {n} degrees of freedom; must be 1 to {SPARSE_MAX}", where)
     labels = _labels(arrays.get("labels"), n, where)
     _check_masses(found["M"], labels, where)
     influence = _influence(arrays, n, where)
@@ -333,7 +334,9 @@ def _check_masses(mass: Symmetric, labels: tuple[str, ...], where: str) -> None:
             f"{where}: M",
         )
     if not np.any(diagonal > 0.0):
-        raise InputError("found no mass at all; something must move", f"{where}: M")
+        raise InputError(
+            "found no mass; at least one degree of freedom must have one", f"{where}: M"
+        )
 
 
 def _labels(given: Any, n: int, where: str) -> tuple[str, ...]:

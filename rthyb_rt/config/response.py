@@ -170,9 +170,9 @@ def fitted(rig: RigFile, rate: Rate, roll_off_hz: float) -> Inverse:
     if inverse.worst > LARGEST_ERROR or inverse.b[0] <= -1.0:
         raise InputError(
             f"no inverse of order {ORDER} fits the response: at {inverse.worst_hz:g} Hz it is off "
-            f"by {100 * inverse.worst:.0f} %, {100 * LARGEST_ERROR:g} % are allowed; look at the "
-            "table of rthyb identify for a frequency that stands out, and sweep again with another "
-            "--amplitude, or take the law gain-alpha-beta",
+            f"by {100 * inverse.worst:.0f} %, at most {100 * LARGEST_ERROR:g} % is allowed; check "
+            "the table of rthyb identify for a frequency that stands out, and sweep again with "
+            "another --amplitude, or take the law gain-alpha-beta",
             where,
         )
     return inverse

@@ -604,7 +604,7 @@ def _storey_responses(
 def _of_file(given: MatrixFile, keys: Keys, k_e: Floats) -> _Bare:
     if given.data is None:
         raise InputError(
-            "the file was not read; load the test file from where it stands", "numerical.matrices"
+            "the file was not read; load the test file from its own folder", "numerical.matrices"
         )
     data = matrixfile.unpacked(given.data)
     n, place = data.size, {label: i for i, label in enumerate(data.labels)}
@@ -711,7 +711,9 @@ def _interfaces_of(
             raise InputError("found a storey; of matrices give dof", where)
         terms = tuple((_find(label, labels, place, f"{where}.dof"), by) for label, by in one.dof)
         if len({at for at, _ in terms}) < len(terms):
-            raise InputError("found a degree of freedom twice; each stands once", f"{where}.dof")
+            raise InputError(
+                "found a degree of freedom twice; each can occur only once", f"{where}.dof"
+            )
         found.append(terms)
     rows = np.zeros((len(found), len(labels)))
     for row, terms in zip(rows, found, strict=True):

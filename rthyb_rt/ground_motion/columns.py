@@ -69,8 +69,8 @@ def read_columns(text: Text, units: str | None, channel: int | str | None) -> Sa
     unit = header_unit or units
     if unit is None:
         raise text.error(
-            "does not say the unit of acceleration; write it in the header (time_s,acc_g) or give"
-            " `units` (g, m/s2, cm/s2, gal, ...)"
+            "does not state the unit of acceleration; write it in the header (time_s,acc_g) or "
+            "give `units` (g, m/s2, cm/s2, gal, ...)"
         )
     in_milliseconds = any(_MILLISECONDS.search(line) for line in table.headers)
     times = table.values[:, time_column] * (1e-3 if in_milliseconds else 1.0)

@@ -66,6 +66,6 @@ def virtual_rig(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRig:
         return CoupledRig(rig_config(rig, fs_hz))
     except core.CoreError as error:
         raise InputError(
-            f"{error}; look at the largest and smallest values of the file, and at substeps",
+            f"{error}; check the largest and smallest values of the file, and its substeps",
             f'rig "{rig.rig.name}"',
         ) from error

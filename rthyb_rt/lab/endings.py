@@ -26,38 +26,38 @@ WORDS: Final[dict[str, str]] = {
     "skips": "too many skipped ticks",
     "stalled": "this PC stalled",
     "heartbeat": "the program was silent for a second",
-    "not_arrived": "for 10 s the command came no nearer to the end of its path; look at "
-    "its velocity and acceleration limits, and at the compensator",
+    "not_arrived": "the command came no closer to the end of its path for 10 s; check its "
+    "velocity and acceleration limits, and the compensator",
     "apart": "the drives' sample counts came apart",
     "no_pose": "the displacements of the axes fit no position of the specimen",
 }
 _STOPPED: Final = "has stopped by itself, and may have to be released at its panel."
 REMEDIES: Final[dict[str, str]] = {
-    "link_lost": "No usable pair of displacement and force came for 20 ticks: look at cable, power "
-    f"and display of the drive; it {_STOPPED}",
-    "link_down": "The link itself went away: look at cable, adapter and interface, and release "
-    "the drive at its panel if it has to be.",
-    "drive_stopped": "The drive said that it had stopped by itself: its panel says why.",
-    "not_finite": "A value that is no number came from the drive or was computed: look at the "
-    "sensors first, then at the limits and the controller of the test.",
-    "sensor_stuck": "The displacement stood still while the command moved: look at the sensor and "
-    "its plug.",
-    "sensor_jump": "The displacement jumped farther than anything can move: look at the sensor and "
-    "its plug.",
-    "force_stuck": "The force stood still while the command moved: look at the load cell and its "
-    "plug.",
-    "force_jump": "The force jumped farther than the motion can change it: look at the load cell "
-    "and its plug.",
-    "lost_pairs": "Too many pairs of displacement and force were lost within a second: look at "
-    "cable, plugs and the load of the bus.",
+    "link_lost": "No usable pair of displacement and force arrived for 20 ticks: check the cable, "
+    f"and the power and display of the drive; it {_STOPPED}",
+    "link_down": "The link itself was lost: check cable, adapter and interface, and release "
+    "the drive at its panel if necessary.",
+    "drive_stopped": "The drive reported that it had stopped by itself; its panel shows why.",
+    "not_finite": "A value that is not a number was received from the drive or computed: check "
+    "the sensors first, then the limits and the controller of the test.",
+    "sensor_stuck": "The displacement did not change while the command moved: check the sensor "
+    "and its connector.",
+    "sensor_jump": "The displacement jumped farther than anything can move: check the sensor "
+    "and its connector.",
+    "force_stuck": "The force did not change while the command moved: check the load cell and "
+    "its connector.",
+    "force_jump": "The force jumped farther than the motion can change it: check the load cell "
+    "and its connector.",
+    "lost_pairs": "Too many pairs of displacement and force were lost within a second: check "
+    "cable, connectors and bus load.",
     "skips": "This PC was late too often: `rthyb jitter` says what to change.",
     "stalled": "This PC stood still for 20 ticks: `rthyb jitter` says what to change.",
-    "apart": "One drive lost samples, or runs on another clock: look at the link of each drive and "
-    "at what synchronizes them.",
-    "no_pose": "No position of the specimen has its axes where the sensors say: look at signs, "
-    "scales and zeros of the displacement sensors, and at pins and bases in the rig file.",
-    "heartbeat": "Something kept the program from working for a second, such as a full disk, a "
-    "suspended process or a debugger.",
+    "apart": "One drive lost samples, or runs on another clock: check the link of each drive and "
+    "what synchronizes them.",
+    "no_pose": "The displacements measured on the axes fit no position of the specimen: check "
+    "signs, scales and zeros of the displacement sensors, and pins and bases in the rig file.",
+    "heartbeat": "Something blocked the program for a second, such as a full disk, a suspended "
+    "process or a debugger.",
 }
 """What to do about an end that lies neither in the test nor in a limit of its motion."""
 TIMING_CAUSES: Final = ("skips", "stalled", "heartbeat")
@@ -126,11 +126,11 @@ def _unusable(samples: NDArray[np.void]) -> str:
     if 2 * np.count_nonzero(beyond | leapt) < _LOST_TICKS:
         return ""
     if np.count_nonzero(leapt) > np.count_nonzero(beyond):
-        why = "the displacement leapt farther than anything can move; look at its sensor"
+        why = "the displacement jumped farther than anything can move; check its sensor"
     else:
         why = (
-            "a sensor stood at the end of its range, or the drive called a reading invalid; look "
-            "at the sensors of displacement and force"
+            "a sensor was at the end of its range, or the drive marked a reading as invalid; "
+            "check the sensors of displacement and force"
         )
     return (
         f"Readings came, but for {_LOST_TICKS} ticks no usable pair{_as_it_came(last[whole])}: "

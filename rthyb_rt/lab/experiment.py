@@ -158,7 +158,7 @@ def prepare(
     except core.CoreError as error:
         # The files' own checks come first; what is left is a combination that they do not know.
         raise InputError(
-            f"{error}; look at the largest and smallest values of both files",
+            f"{error}; check the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
     return _noted(follow_reference(replace(setup, reference=expected)), real_time)
@@ -224,7 +224,7 @@ def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
         core.Rig(setup.virtual_rig)
     except core.CoreError as error:
         raise InputError(
-            f"{error}; look at the largest and smallest values of both files",
+            f"{error}; check the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
     setup = follow_reference(setup)

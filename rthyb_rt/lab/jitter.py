@@ -417,7 +417,7 @@ def _faults(results: Sequence[Result]) -> Iterator[str]:
     if worst.late_ns > FIT_SHARE * PERIOD_NS:
         yield (
             f"{FIT_PERCENT} % of the commands were sent only within {worst.late_ns / 1e3:.0f} µs "
-            f"(wanted are {FIT_SHARE * PERIOD_NS / 1e3:.0f} µs)"
+            f"(required: {FIT_SHARE * PERIOD_NS / 1e3:.0f} µs)"
         )
     had = privileges_of_all(results)
     if "fifo" not in had:

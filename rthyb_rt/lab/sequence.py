@@ -144,7 +144,9 @@ class Sequence:
             if self._hold_s == math.inf:
                 cause, value, limit = self._test.causing
                 words = trips.figures(cause, value, limit) or in_words(cause)
-                self.warn(f"held: {words}; the specimen stands until Ctrl-C brings it back to zero")
+                self.warn(
+                    f"held: {words}; the specimen stays in place until Ctrl-C returns it to zero"
+                )
         if self._test.now_s >= self._hold_ends_s and not self._operator.stops:
             self._operator.stop()
 

@@ -516,7 +516,7 @@ def _why_unreadable(path: Path, error: Exception) -> str:
     if signature != b"\x89HDF\r\n\x1a\n":
         return "not an HDF5 file, so no recording; give the recording.h5 of a run"
     if "truncated" in str(error):
-        return "the file ends too early; the copy or the disk is at fault, copy it again"
+        return "the file is truncated; the copy or the disk is faulty, copy it again"
     detail = str(error).strip("'\"").splitlines()[0] if str(error) else type(error).__name__
     return f"the file is damaged ({detail}); copy it again or take another run"
 

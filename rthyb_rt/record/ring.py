@@ -66,7 +66,7 @@ _REFUSED: Final[dict[int, str]] = {
     lib.RTHYB_RING_FOREIGN: "not a telemetry ring; give a file ring.* of a real-time test",
     lib.RTHYB_RING_UNFINISHED: "the ring was not set up to its end, so no tick was ever recorded",
     lib.RTHYB_RING_OTHER_RECORD: f"the records are of another size; {_OTHER_VERSION}",
-    lib.RTHYB_RING_TRUNCATED: "the file ends too early; the copy is at fault, copy it again",
+    lib.RTHYB_RING_TRUNCATED: "the file is truncated; copy it again",
     lib.RTHYB_RING_DAMAGED: "the header is damaged: its sizes contradict one another; copy the "
     "ring again",
 }
@@ -481,7 +481,7 @@ def _open(path: Path) -> int:
         raise InputError(f"is a folder; give a ring in it (ring.*){hint}", str(path))
     if not path.is_file():
         raise InputError(
-            "no such file; a ring is gone after a reboot; rthyb recover lists those that are there",
+            "no such file; rings do not survive a reboot; rthyb recover lists those that exist",
             str(path),
         )
     try:

@@ -278,7 +278,7 @@ async def _guarded(name: str, work: Awaitable[dict[str, Any]]) -> dict[str, Any]
         raise
     except Exception as error:
         log.exception("%s failed", name)
-        reason = f"a fault of the program: {type(error).__name__}; the journal has more"
+        reason = f"internal error: {type(error).__name__}; details are in the journal"
         raise ReplyError(f"{INTERFACE}.Failed", reason=reason) from error
 
 

@@ -260,7 +260,7 @@ class Daemon:
         elif self.engine.loaded is not None:
             words += f", {self.engine.loaded.setup.test.test.name} loaded"
         if self.engine.state == "IDLE" and self.engine.stays_stopped():
-            words += "; the drive has stopped by itself: look why, then rthyb ctl reset"
+            words += "; the drive has stopped by itself: find out why, then run rthyb ctl reset"
         if self._told_fault:
             words += f"; {self._told_fault}"
         return f"STATUS={words}"
@@ -280,10 +280,10 @@ class Daemon:
         """Ramp out and end; at the second time trip. From the thread that works."""
         self._stops += 1
         if not self.engine.moving:
-            log.info("told to end, in %s", self.engine.state)
+            log.info("asked to end, in state %s", self.engine.state)
             return
         self._was_moving = True
-        log.warning("told to end: %s", "ramping out" if self._stops == 1 else "tripping")
+        log.warning("asked to end: %s", "ramping out" if self._stops == 1 else "tripping")
         systemd.notify("STOPPING=1", "STATUS=ramping out")
         name: core.Command = "stop" if self._stops == 1 else "trip"
         with contextlib.suppress(StateError):
@@ -380,7 +380,7 @@ class Daemon:
         if found.fault and found.hinders:
             raise StateError("arm", f"recorder: {found.fault}", state)
         if found.run_id != self.engine.run_id:
-            why = found.fault or "look at its journal"
+            why = found.fault or "check its journal"
             raise StateError("arm", f"the recorder has not begun with this test: {why}", state)
         needed = disk.needed_bytes(setup.ticks, setup.channels)
         if found.free_bytes < needed:

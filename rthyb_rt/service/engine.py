@@ -517,7 +517,7 @@ class Engine(Conductor):
             StateError: it is not.
         """
         if self.state not in RELOAD_IN:
-            why = "limits change at rest or in HOLD, where nobody is surprised"
+            why = "limits can be changed only at rest or in HOLD"
             raise StateError("reload", why, self.state)
 
     def know(self, facts: Mapping[str, Any]) -> None:

@@ -394,6 +394,6 @@ def _fsync(fd: int, folder: Path) -> None:
         if error.errno in disk.FULL:
             raise NoRoomError(f"{folder}: the disk is full") from error
         raise DiskFaultError(
-            f"{folder}: the disk has reported a fault ({error.strerror}): rows may be missing "
-            "there; look at dmesg, and restart the recorder"
+            f"{folder}: the disk has reported an error ({error.strerror}): rows may be missing "
+            "there; check dmesg, and restart the recorder"
         ) from error

@@ -9,7 +9,7 @@ _HELP: dict[str, tuple[str, str]] = {
     "rthyb_up": ("gauge", "1 while the service answers"),
     "rthyb_state": ("gauge", "1 for the present state"),
     "rthyb_ticks_total": ("counter", "Ticks since the service began"),
-    "rthyb_ticks_skipped_total": ("counter", "Ticks that nobody executed"),
+    "rthyb_ticks_skipped_total": ("counter", "Ticks that were not executed"),
     "rthyb_wake_late_seconds": ("gauge", "Wake-up latency of the tick thread"),
     "rthyb_displacement_metres": ("gauge", "Measured displacement of the last tick, after tare"),
     "rthyb_force_newtons": ("gauge", "Measured force of the last tick, after tare"),

@@ -341,7 +341,7 @@ class Conductor:
 
     def _not_released(self) -> str:
         if self.opened.codec.has_reset:
-            return "the drive was told, and stays stopped; its panel says why"
+            return "the drive was sent a reset but stays stopped; its panel shows why"
         return "its frames have no reset command (link.reset_state): release it at its own panel"
 
     def _answered(self, name: core.Command) -> tuple[bool, int]:
@@ -355,15 +355,15 @@ class Conductor:
     def _why_refused(self, name: str, state: str) -> str:
         if told := trips.figures(*self.run.station.refusal):
             if name in ("resume", "reset"):
-                return f"{told}; relieve the specimen first, or look at the load cell"
+                return f"{told}; unload the specimen first, or check the load cell"
             return f"{told}; bring the specimen back within it, or relieve it, and zero again"
         if name == "resume":
-            return "the specimen has not come to a stand yet; try again"
+            return "the specimen is not at rest yet; try again"
         if name == "reset" and state == "IDLE" and not self.stays_stopped():
-            return "the drive has not stopped by itself, and there is nothing to reset"
+            return "the drive has not stopped, so there is nothing to reset"
         if name == "reset":
-            return "the specimen does not stand still, or its readings are missing"
-        return "the drive does not answer in every tick, or has stopped by itself"
+            return "the specimen is not at rest, or its readings are missing"
+        return "the drive does not answer in every tick, or has stopped"
 
     def set_parameters(self, parameters: core.Parameters) -> int:
         """Publish a set of parameters, wait until a tick has it, and keep it for the recording.
@@ -408,14 +408,14 @@ class Conductor:
             return (
                 f"the tare of the {name} would be {value * factor:.3g} {unit}, allowed is "
                 f"{limit * factor:.3g} {unit}, {100 * share:g} % of the rig's limit "
-                f"(limits.tare_share_most); bring the specimen to rest without load, or look at "
+                f"(limits.tare_share_most); bring the specimen to rest without load, or check "
                 f"the sensor and its calibration.{name}"
             )
         return (
             f"the rig is not at rest: the displacement moved by {run.spread_m() * 1e3:.3g} mm "
             f"during the tare of {run.config.tare_ticks / core.FS_HZ:g} s, allowed is "
             f"{run.config.rest_spread_m * 1e3:.3g} mm (limits.rest_spread_m); let it come to rest, "
-            "or look at its sensor"
+            "or check its sensor"
         )
 
     @property
@@ -504,13 +504,14 @@ def _no_more(recent: NDArray[np.uint32]) -> str:
     """Return in words why pairs that came do not count any more."""
     if (recent & FLAGS["stopped"]).any():
         return (
-            "the drive reports that it has stopped, and follows nobody until an operator resets "
-            "it; look why it stopped, then `rthyb reset RIG` (a service: `rthyb ctl reset`)"
+            "the drive reports that it has stopped, and will not follow commands until an "
+            "operator resets it; find out why it stopped, then run `rthyb reset RIG` (for a "
+            "service: `rthyb ctl reset`)"
         )
     if (recent & FLAGS["fresh"]).any():
         return (
-            "the feedback was interrupted, or leapt, a moment ago; try again, and if it comes "
-            "back, look at the sensors and their cables"
+            "the feedback was interrupted or jumped a moment ago; try again, and if it happens "
+            "again, check the sensors and their cables"
         )
     return (
         "the drive has gone silent: no pair of displacement and force comes any more; is it "

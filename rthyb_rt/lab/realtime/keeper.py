@@ -74,8 +74,8 @@ class Keeper:
         """
         if self._failure is not None:
             raise RthybError(
-                f"the recorder failed: {self._failure!r}; the drive is being stopped; look at this "
-                "PC's memory and at what else it runs"
+                f"the recorder failed: {self._failure!r}; the drive is being stopped; check this "
+                "PC's memory and what else is running"
             ) from self._failure
         now_s = time.monotonic()
         passed_s, self._looked_s = now_s - self._looked_s, now_s
@@ -88,8 +88,8 @@ class Keeper:
         self._silent_s += min(passed_s, LOOK_MOST_S)
         if self._silent_s > LOOK_MOST_S + SURE_S:
             raise TimingError(
-                f"no record for {silent_s:.0f} s: the tick thread stands still; the drive's own "
-                "watchdog stops it; look what else takes this PC's processors, and at `rthyb "
+                f"no record for {silent_s:.0f} s: the tick thread has stopped; the drive's own "
+                "watchdog stops it; check what else uses this PC's processors, and run `rthyb "
                 "jitter`"
             )
 

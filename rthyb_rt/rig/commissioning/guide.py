@@ -142,8 +142,8 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
     if abs(figures["jump_m"]) > spread_m:
         faults.append(
             f"the displacement went from {figures['displacement_m'] - figures['jump_m']:.4g} m to "
-            f"{figures['displacement_m']:.4g} m as commands began, though it was told to stay: "
-            "displacement and command disagree; check both in [calibration], offset_m first"
+            f"{figures['displacement_m']:.4g} m as commands began, although it was commanded to "
+            "stay: displacement and command disagree; check both in [calibration], offset_m first"
         )
     rate = figures["rate_hz"]
     if rate is not None and abs(rate / core.FS_HZ - 1.0) > RATE_TOLERANCE:
@@ -211,8 +211,9 @@ def _polarity(connection: Connection, plan: Plan) -> Step | None:
 def _limits(connection: Connection, plan: Plan) -> Step | None:
     if connection.rig.limits.command_velocity_m_per_s is None:
         plan.tell(
-            "limits.command_velocity_m_per_s is missing in the rig file: each test will be held to "
-            "a velocity that follows from its own reference; better say what this rig may do"
+            "limits.command_velocity_m_per_s is missing in the rig file: each test will be "
+            "limited to a velocity derived from its own reference simulation; it is better to "
+            "state a limit for this rig"
         )
     checks = limits.check_all(connection, plan.distance_m, plan.allowed)
     if all(check.reason == "not allowed" for check in checks):
@@ -244,14 +245,14 @@ def _watchdog(connection: Connection, plan: Plan) -> Step | None:
         return _witnessed(
             plan,
             "watchdog",
-            "The commands ceased, and came again. Did the drive stop by itself, and does its panel "
-            "say that it stays stopped until it is released there?",
+            "The commands stopped and resumed. Did the drive stop by itself, and does its "
+            "panel show that it stays stopped until it is released there?",
         )
     faults = []
     if not stop.stopped:
         faults.append(
-            "the drive did not say that it stopped, though no command came any more: its watchdog "
-            "does not work, and nothing would stop it if this PC failed; do not use it"
+            "the drive did not report a stop although it received no more commands: its "
+            "watchdog does not work, and nothing would stop it if this PC failed; do not use it"
         )
     else:
         faults += _late(stop, WATCHDOG_TICKS, "its last command")
@@ -268,12 +269,12 @@ def _follows_again(stop: stops.Stop) -> list[str]:
         return ["the drive no longer said that it had stopped when commands came again"]
     if stop.stays is False:
         return [
-            "the drive followed again as soon as commands came, though nobody had reset it: after "
-            "a crash of this PC it would take up whatever comes; let it wait for its reset, or for "
-            "a release at its own panel"
+            "the drive followed again as soon as it received commands, although nobody had "
+            "reset it: after a crash of this PC it would follow anything; configure it to wait "
+            "for its reset, or for a release at its own panel"
         ]
     if stop.released is False:
-        return ["the drive stayed stopped when it was reset: look at what its state means to it"]
+        return ["the drive stayed stopped when it was reset: check what the state means to it"]
     return []
 
 
@@ -283,10 +284,10 @@ def _trip(connection: Connection, plan: Plan) -> Step | None:
     stop = stops.trip(connection)
     codec = connection.opened.codec
     if not codec.has_status:
-        return _witnessed(plan, "trip", "The drive was told TRIPPED. Did it stop at once?")
+        return _witnessed(plan, "trip", "The drive was sent TRIPPED. Did it stop at once?")
     faults = []
     if not stop.stopped:
-        faults.append("the drive did not say that it stopped when it was told TRIPPED")
+        faults.append("the drive did not report a stop when it was sent TRIPPED")
     else:
         faults += _late(stop, stops.TRIP_TICKS, "the command that said TRIPPED")
     if codec.has_reset:
@@ -300,7 +301,7 @@ def _late(stop: stops.Stop, allowed: int, since: str) -> list[str]:
     if stop.ticks is None and not stop.gap:
         return []
     if stop.gap or stop.ticks is None:
-        return [f"frames were lost around the stop, {ATTEMPTS} times: look at the wire"]
+        return [f"frames were lost around the stop, {ATTEMPTS} times: check the wiring"]
     if stop.ticks <= allowed:
         return []
     return [f"the drive stopped {stop.ticks} of its samples after {since}; {allowed} are allowed"]
@@ -314,8 +315,8 @@ def _witnessed(plan: Plan, name: str, question: str) -> Step:
         True: (),
         False: ("by the operator's word it did not; do not use it",),
         None: (
-            "the drive's frames have no status, so that its stop cannot be seen here, and nobody "
-            "was asked: make this check in a terminal, without --yes",
+            "the drive's frames have no status, so that its stop cannot be detected here, and "
+            "nobody was asked: make this check in a terminal, without --yes",
         ),
     }[seen]
     return Step(name, seen, now(), {} if seen is None else {"seen_by": "operator"}, faults)

@@ -33,9 +33,9 @@ ACCELERATION: Final = "command_acceleration_m_per_s2"
 STUCK: Final = "sensor_stuck_samples"
 
 _NOT_PROVOKED: Final = {
-    STUCK: "needs a sensor that stands still while the actuator moves; pull its plug in a jog, "
-    "with nobody near",
-    "force_stuck_samples": "needs a load cell that stands still while the actuator moves",
+    STUCK: "needs a sensor that freezes while the actuator moves; unplug it during a jog, with "
+    "nobody near",
+    "force_stuck_samples": "needs a load cell that freezes while the actuator moves",
     "force_jump_n": "needs a load cell that jumps",
     "lost_pairs_share": "needs a link that loses pairs",
     "lost_pairs_warning_share": "needs a link that loses pairs",

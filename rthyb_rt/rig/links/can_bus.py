@@ -152,7 +152,7 @@ def _wrong(
     if interface.state == "BUS_OFF":
         yield "the controller is off the bus (bus-off): check cable, termination and bit rates"
     if interface.listen_only:
-        yield "listen-only is on, so that no command would leave"
+        yield "listen-only is on, so that no command would be sent"
     if fd and interface.mtu < CANFD_MTU:
         yield f"CAN FD is off (its frames have {interface.mtu} bytes, {CANFD_MTU} are needed)"
 

@@ -127,7 +127,7 @@ def _not_opened(path: str, number: object, why: str | None) -> str:
         return f"is not a serial line; {_lines_here()}"
     if number in (errno.ENXIO, errno.ENODEV, errno.EIO):
         return f"there is no hardware behind it ({why}): is the adapter plugged in?"
-    return f"cannot be opened: {why}; try again, and if it stays so look at `dmesg` and the adapter"
+    return f"cannot be opened: {why}; try again; if that fails, check `dmesg` and the adapter"
 
 
 def _lines_here() -> str:

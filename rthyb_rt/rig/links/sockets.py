@@ -32,7 +32,7 @@ def connect_socket(path: str | Path, codec: Codec | None = None) -> Opened:
     """Connect to a virtual drive that listens at a path: the controller's side.
 
     Raises:
-        InputError: nobody listens there, another controller has it, no permission.
+        InputError: no program is listening there, another controller has it, no permission.
     """
     where = str(path)
     with Owned() as owned:
