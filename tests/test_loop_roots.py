@@ -214,7 +214,7 @@ def test_weights_of_the_paper_are_unstable_on_the_benchmarks_actuator(
     text = loop_roots.remark(verdict)
     assert text is not None
     assert "unstable" in text
-    assert "leave controller.w1 and w2 out" in text
+    assert "remove controller.w1 and w2" in text
 
 
 @pytest.mark.parametrize("rate", [1024, 4096])
@@ -317,8 +317,8 @@ def test_little_to_spare_is_said_in_figures() -> None:
     assert verdict.thin
     text = loop_roots.remark(verdict)
     assert text is not None
-    assert "1.1 times the rig's answer (1.25 are advised)" in text
-    assert "0.586 ms of more delay (0.98 ms are advised)" in text
+    assert "1.1 times the rig's gain (1.25 are advised)" in text
+    assert "0.586 ms of additional delay (0.98 ms are advised)" in text
     assert not Verdict(0.9999, 3.6, 2.0, math.inf, 80.0).thin
     assert loop_roots.remark(Verdict(0.9999, 3.6, 2.0, math.inf, 80.0)) is None
 

@@ -379,10 +379,10 @@ def judge(setup: Setup) -> Verdict | None:
     return max(found, key=lambda v: (v.unstable, -v.gain_margin, -v.delay_margin_samples))
 
 
-_SLOW: Final = "compensate the delay, or give the structure more damping"
+_SLOW: Final = "compensate the delay, or increase the damping of the structure"
 _FAST: Final = (
-    "the lead drives a resonance of actuator and specimen: leave controller.w1 and w2 out on a rig "
-    "that was identified to 80 Hz, lower controller.rfc.cutoff_hz, or take the control law inverse"
+    "the lead drives a resonance of actuator and specimen: remove controller.w1 and w2 if the rig "
+    "was identified up to 80 Hz, lower controller.rfc.cutoff_hz, or use the control law inverse"
 )
 
 
@@ -394,9 +394,9 @@ def remark(found: Verdict | None) -> str | None:
     if found.thin:
         per_ms = 1e3 / STANDARD_HZ
         return (
-            "the whole loop is stable with little to spare: it bears "
-            f"{found.gain_margin:.3g} times the rig's answer ({THIN_GAIN:g} are advised) and "
-            f"{found.delay_margin_samples * per_ms:.3g} ms of more delay "
+            "the whole loop is stable, but with little margin: it tolerates "
+            f"{found.gain_margin:.3g} times the rig's gain ({THIN_GAIN:g} are advised) and "
+            f"{found.delay_margin_samples * per_ms:.3g} ms of additional delay "
             f"({THIN_DELAY_SAMPLES * per_ms:.2g} ms are advised); {known}"
         )
     remedy = _SLOW if found.frequency_hz <= response.SLOW_HZ else _FAST

@@ -159,8 +159,8 @@ def loop_rows(loop: Verdict | None) -> list[tuple[str, str, str]]:
         late = quantity(loop.delay_margin_samples / STANDARD_HZ, "ms", 1e3)
     return [
         ("Largest root", root, what),
-        ("Gain margin", more, "what the rig's answer may be multiplied by"),
-        ("Delay margin", late, "what the rig may be later"),
+        ("Gain margin", more, "factor by which the rig's gain may increase"),
+        ("Delay margin", late, "additional delay the rig may have"),
     ]
 
 
