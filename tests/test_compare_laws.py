@@ -67,7 +67,7 @@ def test_a_law_that_refuses_the_test_says_why_and_the_others_run(tmp_path: Path)
     ("settings", "names", "words"),
     [
         ((), ["atz"], "must be one of"),
-        (("controller.type=ats",), [], "is what is compared; say which laws with --law"),
+        (("controller.type=ats",), [], "is what the comparison varies; choose the laws with --law"),
         (("test.duration_s=-1",), [], "duration_s"),
     ],
 )

@@ -47,7 +47,9 @@ def compare(
         if name not in LAWS:
             raise InputError(f"found {name!r}; must be one of {', '.join(LAWS)}", "--law")
     if any(setting.partition("=")[0].strip() == TYPE for setting in settings):
-        raise InputError(f"{TYPE} is what is compared; say which laws with --law", "--set")
+        raise InputError(
+            f"{TYPE} is what the comparison varies; choose the laws with --law", "--set"
+        )
     experiment.prepare(*config.load_both(test, rig, settings))
     wanted = list(dict.fromkeys(names)) or list(LAWS)
     rows = []

@@ -109,7 +109,7 @@ def beside_reference(rec: Recording, course: Course) -> list[Course]:
     reference = simulated(rec, course.label)
     if reference is None:
         raise InputError(
-            "has no reference simulation that it could be held against; give a second recording",
+            "has no reference simulation to compare with; give a second recording",
             course.label,
         )
     return [reference, course]
@@ -192,15 +192,15 @@ def _kept(folder: Path) -> list[Course]:
     rows = sorted((row for row in rows if row.get("folder")), key=lambda row: int(row["case"]))
     if not rows:
         raise InputError(
-            'the campaign has kept no recording; run it with campaign.keep = "all" '
-            "(rthyb sweep --keep all)",
+            'the campaign kept no recordings; run it with campaign.keep = "all" (rthyb sweep '
+            "--keep all)",
             str(folder),
         )
     if len(rows) > MOST:
         cases = ", ".join(str(row["folder"]) for row in rows[:3])
         raise InputError(
-            f"the campaign has kept {len(rows)} recordings, and a figure shows {MOST} at most; "
-            f"give the folders of those that you want: {cases} ...",
+            f"the campaign kept {len(rows)} recordings, but a figure shows at most {MOST}; give "
+            f"the folders of the ones you want: {cases} ...",
             str(folder),
         )
     return [recorded(open_run(folder / row["folder"]), _chosen(row)) for row in rows]
@@ -235,11 +235,11 @@ def table(path: Path, wishes: Sequence[Wish]) -> Course:
     step = float(t[-1] - t[0]) / (t.size - 1)
     uneven = float(np.abs(t - t[0] - step * np.arange(t.size)).max()) / step
     if uneven > _UNEVEN:
-        notes.append("rows are unevenly spaced; taken at even instants between them")
+        notes.append("rows are unevenly spaced; they were interpolated to a uniform rate")
         even = t[0] + step * np.arange(t.size)
         channels = {name: np.interp(even, t, values) for name, values in channels.items()}
     if t[0] != 0.0:
-        notes.append(f"time begins at {t[0]:g} s; counted from there")
+        notes.append(f"time begins at {t[0]:g} s; it is counted from there")
     x, f = channels["x_meas"], channels.get("f_meas")
     measures: dict[str, float | None] = dict.fromkeys(MEASURES)
     measures["peak_measured_m"] = _largest(x)

@@ -72,7 +72,8 @@ def _beside(
         draw.symmetric(below, limit, ticks=3)
         draw.head(axes, f"{what}, {unit}")
         below.annotate(
-            f"less the first, {unit}", (0.0, 1.0), xycoords=("figure points", "axes fraction"),
+            f"difference from the first, {unit}", (0.0, 1.0),
+            xycoords=("figure points", "axes fraction"),
             xytext=(0, 5), textcoords="offset points", ha="left", va="bottom", color=draw.BLACK,
         )  # fmt: skip
         last = max(y.size for y in signals) / overlay.fs_hz
@@ -80,9 +81,9 @@ def _beside(
         draw.x_label(below, "time from the first sample of the test, s")
         draw.legend_below(below, columns)
         largest = max(draw.largest(gap) for gap in gaps)
-        cut = " The axis is cut." if largest > 1.5 * limit else ""
+        cut = " The axis is truncated." if largest > 1.5 * limit else ""
         note = f"Largest difference from the first {quantity(largest, unit)}.{cut}"
-        return paper.plate(f"{what.capitalize()} beside the first", note)
+        return paper.plate(f"{what.capitalize()} compared with the first", note)
 
 
 def peak(overlay: Overlay) -> draw.Plate:
