@@ -172,7 +172,7 @@ def compliance(motion: MotionConfig) -> tuple[Floats, Floats]:
         inner = _times([1.0 - a3, a3] if rho < 1.0 else [0.5], one_less)
         top = h * h / m * _times([a2, a1 - a2], weight)
         return top, _times(one_less, np.polyadd(inner, c * h * a1 / m * weight))
-    raise ValueError(f"no equation of motion in {motion.integrator!r}")
+    raise ValueError(f"no equation of motion is known for {motion.integrator!r}")
 
 
 def _times(*factors: ArrayLike) -> Floats:

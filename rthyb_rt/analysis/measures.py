@@ -27,7 +27,9 @@ def _same_shape(*signals: ArrayLike) -> tuple[Floats, ...]:
     shapes = {array.shape for array in arrays}
     if len(shapes) != 1 or arrays[0].ndim != 1:
         found = ", ".join(str(array.shape) for array in arrays)
-        raise ValueError(f"signals must be one-dimensional and equally long, found shapes {found}")
+        raise ValueError(
+            f"signals must be one-dimensional and of equal length; found shapes {found}"
+        )
     return arrays
 
 

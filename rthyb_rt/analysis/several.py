@@ -23,8 +23,8 @@ from rthyb_rt.record.recording import Recording
 Floats = NDArray[np.float64]
 
 NOT_COMPUTED: Final = (
-    "critical delay, margins of the delay estimator and energy of the tracking error are those of "
-    "one axis, and are not computed for several"
+    "critical delay, margins of the delay estimator and energy of the tracking error are defined "
+    "for one axis only, and are not computed for several"
 )
 
 
@@ -243,9 +243,9 @@ def table(s: AxesSummary) -> list[Row]:
     ]
     for one in s.directions:
         rows += [
-            Row(f"{one.name}: peak", size_of(one.peak, one.turns), "of what was asked for"),
+            Row(f"{one.name}: peak", size_of(one.peak, one.turns), "of the command"),
             Row(f"{one.name}: tracking, NRMSE", percent(one.tracking_nrmse),
-                "rms(measured − asked for) / rms(asked for)"),
+                "rms(measured − command) / rms(command)"),
             Row(f"{one.name}: response, NRMSE", percent(one.response_nrmse),
                 "rms(measured − reference) / rms(reference)"),
             Row(f"{one.name}: largest difference", size_of(one.response_peak, one.turns),
@@ -254,8 +254,9 @@ def table(s: AxesSummary) -> list[Row]:
     for axis in s.axes:
         rows += [
             Row(f"Axis {axis.name}: tracking, NRMSE", percent(axis.tracking_nrmse),
-                "rms(x_meas − wanted) / rms(wanted)"),
-            Row(f"Axis {axis.name}: peak of the command", quantity(axis.peak_command_m, "mm", 1e3),
+                "rms(x_meas − command) / rms(command)"),
+            Row(f"Axis {axis.name}: peak, compensated command",
+                quantity(axis.peak_command_m, "mm", 1e3),
                 f"measured {quantity(axis.peak_measured_m, 'mm', 1e3)}"),
             Row(f"Axis {axis.name}: peak of the force", quantity(axis.peak_force_n, "kN", 1e-3),
                 "at its load cell"),
@@ -273,8 +274,8 @@ def verdict(s: AxesSummary) -> str:
     """Return in a sentence how the test ended and how near it came to its reference."""
     worst = max(s.directions, key=lambda one: one.response_nrmse)
     if s.end_reason != "completed":
-        return f"The test did not come to its end: {s.end_reason}."
+        return f"The test did not complete: {s.end_reason}."
     return (
-        "The test was completed; the measured response departs from the reference simulation by at "
-        f"most {percent(worst.response_nrmse)} (NRMSE, direction {worst.name})."
+        "The test was completed; the measured response differs from the reference simulation by "
+        f"at most {percent(worst.response_nrmse)} (NRMSE, direction {worst.name})."
     )

@@ -92,7 +92,7 @@ def frequency_response(
     """
     x, y = (np.asarray(values, dtype=np.float64) for values in (given, answer))
     if x.shape != y.shape or x.ndim != 1:
-        raise ValueError(f"signals must be equally long, found shapes {x.shape}, {y.shape}")
+        raise ValueError(f"signals must be of equal length; found shapes {x.shape}, {y.shape}")
     size = segment or segment_rows(x.size, fs_hz)
     good = np.isfinite(x) & np.isfinite(y)
     if x.size < size or np.count_nonzero(good) < max(size, x.size // 2):

@@ -674,9 +674,9 @@ class Notice(NamedTuple):
 def verdict(s: Summary) -> str:
     """Return the result in one plain sentence, the response never without the tracking."""
     if s.never_began:
-        return "The test proper never began: there is nothing to judge."
+        return "The test proper never began: there is nothing to evaluate."
     if np.isnan(s.peak_command_m):
-        return "The recording holds no finite command: there is nothing to judge."
+        return "The recording contains no finite command: there is nothing to evaluate."
     if s.peak_command_m == 0.0:
         still = np.isnan(s.peak_measured_m) or s.peak_measured_m == 0.0
         moved = "" if still else f", although {_mm(s.peak_measured_m)} was measured"
