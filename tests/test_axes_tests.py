@@ -131,7 +131,7 @@ def test_a_law_is_chosen_for_an_axis_by_its_name() -> None:
 
 def test_a_test_may_not_weaken_a_limit_of_one_axis() -> None:
     (found,) = faults(TEST + '[limits]\nforce_n = "80 kN"\n')
-    assert re.search(r"axis left: limits.force_n: found 80000 N; rig .*60000 N", found)
+    assert re.search(r"axis left: test.toml:\d+: limits.force_n: found 80000 N; .*60000 N", found)
 
 
 @pytest.mark.parametrize(

@@ -173,7 +173,7 @@ def test_an_fmu_that_allocates_while_it_steps_is_refused_in_real_time(
 ) -> None:
     test = of_test(build(fmi, "void *volatile b = malloc(80); free(b)"), parameters=parameters())
     problem = refused(test, real_time=True)
-    assert problem.where == "numerical.fmu"
+    assert problem.where.split(" ")[-1] == "numerical.fmu"
     assert "allocates or frees memory while it steps" in problem.message
     experiment.prepare(files.file_of_test(test), files.file_of_rig(test.rig))
 
@@ -205,7 +205,7 @@ def test_an_fmu_without_binaries_for_this_machine_is_refused_with_those_that_it_
     build: Build, fmi: int
 ) -> None:
     problem = refused(of_test(build(fmi, binaries=("win64", "darwin64"))))
-    assert problem.where == "numerical.fmu.file"
+    assert problem.where.split(" ")[-1] == "numerical.fmu.file"
     assert f"binaries/{BINARY[fmi]}/oscillator.so; it has darwin64, win64" in problem.message
     assert "export it for 64-bit Linux" in problem.message
 
@@ -240,7 +240,7 @@ def test_variables_that_are_not_there_are_refused_with_those_that_are(
 ) -> None:
     change, message = WRONG_NAMES[key]
     problem = refused(of_test(build(2), **change))
-    assert problem.where.startswith("numerical.fmu")
+    assert problem.where.split(" ")[-1].startswith("numerical.fmu")
     assert problem.message.startswith(f"{key}: ")
     assert message in problem.message
 

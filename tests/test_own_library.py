@@ -226,7 +226,7 @@ def test_what_a_step_must_not_do_in_real_time_it_may_in_virtual_time(
     code, message = IN_REAL_TIME[what]
     test = of_test(build(ANSWER=code))
     (problem,) = refused(test, real_time=True)
-    assert problem.where == "numerical.library"
+    assert problem.where.split(" ")[-1] == "numerical.library"
     assert message in problem.message
     experiment.prepare(files.file_of_test(test), files.file_of_rig(test.rig))
 
@@ -251,7 +251,7 @@ def test_a_library_that_cannot_step_is_refused_and_takes_nothing_along(
 ) -> None:
     inserts, message = ANYWHERE[what]
     (problem,) = refused(of_test(build(**inserts)))
-    assert problem.where == "numerical.library"
+    assert problem.where.split(" ")[-1] == "numerical.library"
     assert problem.message.startswith("part.so ")
     assert message in problem.message
 
@@ -305,7 +305,7 @@ def test_time_stands_still_in_a_hold(tmp_path: Path) -> None:
 
 def test_a_file_that_is_not_there_or_is_no_library_is_refused(tmp_path: Path) -> None:
     (problem,) = refused(of_test(str(tmp_path / "nothing.so")))
-    assert problem.where == "numerical.library.file"
+    assert problem.where.split(" ")[-1] == "numerical.library.file"
     assert "there is no file" in problem.message
     text = tmp_path / "text.so"
     text.write_text("no library\n", encoding="utf-8")

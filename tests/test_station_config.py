@@ -57,7 +57,13 @@ def prepared(test: str = "", rig: str = "") -> experiment.Setup:
 def refused(test: str, rig: str) -> dict[str, str]:
     with pytest.raises(InputError) as caught:
         config.derive(config.parse_test(TEST + test), config.parse_rig(RIG + rig))
-    return {problem.where: problem.message for problem in caught.value.problems}
+    # Each with its line: "test:14: limits.force_n".
+    places = [problem.where.split(": ") for problem in caught.value.problems]
+    assert all(place.startswith("test:") for place, _ in places)
+    return {
+        key: problem.message
+        for (_, key), problem in zip(places, caught.value.problems, strict=True)
+    }
 
 
 # ---- what a file may say ------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rthyb_rt.benchmark import cases, marths_laws, runs
 from rthyb_rt.benchmark import marths_frame as frame
 from rthyb_rt.core.coupled_plant import CoupledPlant
+from rthyb_rt.core.library import STATUS
 from rthyb_rt.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -25,6 +26,8 @@ Floats = NDArray[np.float64]
 NOMINAL: Final = runs.NOMINAL
 RUNAWAY: Final = 1.0
 """Displacement of the interface, m, and rotation, rad, that end a run: it has gone unstable."""
+LOST: Final = STATUS["out_of_range"]
+"""So has one whose specimen has no position with its actuators where they are."""
 
 
 @dataclass(frozen=True)
@@ -142,12 +145,12 @@ def simulate(run: Run) -> Signals | None:
     x = np.zeros(found.displacement.shape[1])
     target, command = np.zeros(2), np.zeros(2)
     for n, ground in enumerate(ag.tolist()):
-        reading, force, _ = rig.latch()
+        reading, force, status = rig.latch()
         if not part.ahead:
             x = part.step(ground, frame.TO_INTERFACE @ force)
             target, _ = tie.axes(_node(x))
             command = np.clip(law.lead(target), -frame.STROKE_M, frame.STROKE_M)
-        if not np.abs(x).max() < RUNAWAY:
+        if status & LOST or not np.abs(x).max() < RUNAWAY:
             return None
         found.put(n, (target, reading, rig.true_m, command, rig.pose, x, force))
         law.observe(command, reading)

@@ -24,6 +24,7 @@ from rthyb_rt.config.fields import (
     Reader,
     Table,
     Text,
+    WholeFile,
     explained,
     nearest,
     written,
@@ -655,7 +656,7 @@ def _identified_fits(axes: list[Axis], identified: JointIdentified | None) -> st
     return f"found matrices of {len(identified.real[0])} axes; the file has {len(axes)}"
 
 
-class AxesRig(Table):
+class AxesRig(WholeFile):
     """A rig of several axes: virtual, or the model of a real one."""
 
     checks: ClassVar[tuple[Check, ...]] = (

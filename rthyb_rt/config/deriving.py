@@ -11,6 +11,7 @@ from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import rigsettings, timescale
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.own import PythonClass
+from rthyb_rt.config.placing import placing
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import (
     BoucWen,
@@ -107,6 +108,7 @@ class Derived:
         return self.k_e_n_per_m
 
 
+@placing
 def derive(test: TestFile, rig: RigFile) -> Derived:
     """Combine a test with a rig.
 

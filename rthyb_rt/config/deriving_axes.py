@@ -11,6 +11,7 @@ from rthyb_rt.config.axesfile import COMMON_LIMITS, AxesRig
 from rthyb_rt.config.deriving import Derived, derive, structure_of_test
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.config.limits import Limits
+from rthyb_rt.config.placing import placing
 from rthyb_rt.config.rate import Rate
 from rthyb_rt.config.testfile import MATRIX, AxisLaw, Controller, Numerical, TestFile
 from rthyb_rt.core.library import CoreError
@@ -53,6 +54,7 @@ class AxesDerived:
         return self.axis[0].limits
 
 
+@placing
 def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
     """Combine a test with a rig of several axes.
 

@@ -21,6 +21,7 @@ from pydantic import (
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
+    PrivateAttr,
     TypeAdapter,
     ValidationError,
     model_validator,
@@ -35,6 +36,7 @@ from pydantic_core import (
 )
 
 from rthyb_rt import units
+from rthyb_rt.config.placing import NOWHERE, Source
 
 _EXPLAINED = "explained"
 
@@ -461,6 +463,23 @@ class Table(BaseModel):
             complaint = check.test(*values)
             if complaint:
                 yield check, complaint
+
+
+class WholeFile(Table):
+    """A configuration file, which remembers the text that it was read from."""
+
+    _source: Source = PrivateAttr(default=NOWHERE)
+
+    @property
+    def source(self) -> Source:
+        """The text that the values come from."""
+        return self._source
+
+    def read_from(self, source: Source) -> Self:
+        """Return the same, read from this text."""
+        file = self.model_copy()
+        file._source = source
+        return file
 
 
 def _read_field(info: FieldInfo, keys: dict[str, Any], key: str) -> Any:

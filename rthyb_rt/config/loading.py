@@ -17,11 +17,12 @@ from rthyb_rt.config.axesfile import AxesRig, Plant
 from rthyb_rt.config.baselinefile import BASELINE_SCHEMA, BaselineFile
 from rthyb_rt.config.campaignfile import CAMPAIGN_SCHEMA, CampaignFile
 from rthyb_rt.config.changes import ON_COMMAND_LINE, Wording
-from rthyb_rt.config.fields import Choice, Table, nearest, written
+from rthyb_rt.config.fields import Choice, Table, WholeFile, nearest, written
 from rthyb_rt.config.history import CyclesHistory, History, RandomHistory, with_file
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
 from rthyb_rt.config.mapfile import MAP_SCHEMA, MapFile
+from rthyb_rt.config.placing import Source
 from rthyb_rt.config.rigfile import BUSES, RIG_SCHEMA, Link, RigFile, kinds
 from rthyb_rt.config.structures import FROM_FILE, WRITTEN_OUT, MatrixFile
 from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile
@@ -78,7 +79,7 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
             "rig": found(test.rig, "rig"),
             "ground_motion": motion.model_copy(update={"record": record}),
             "numerical": _with_places(
-                _with_matrices(test.numerical, str(path), overrides), Path(path).parent, overrides
+                _with_matrices(test, Path(path).parent, overrides), Path(path).parent, overrides
             ),
             "history": _with_steps(test.history, str(path), overrides),
         }
@@ -97,12 +98,13 @@ def _with_steps(given: History | None, path: str, overrides: Mapping[str, str]) 
     return with_file(given, Path() if from_override else Path(path).parent)
 
 
-def _with_matrices(numerical: Numerical, path: str, overrides: Mapping[str, str]) -> Numerical:
+def _with_matrices(test: TestFile, folder: Path, overrides: Mapping[str, str]) -> Numerical:
     """Read the file of matrices that a test names, so that the test has all that it needs.
 
     Raises:
         InputError: what is wrong with the file, and where the test names it.
     """
+    numerical = test.numerical
     given = numerical.matrices
     if not isinstance(given, MatrixFile) or given.data is not None:
         return numerical
@@ -112,9 +114,9 @@ def _with_matrices(numerical: Numerical, path: str, overrides: Mapping[str, str]
 
     from_override = any(key.startswith("numerical.matrices") for key in overrides)
     try:
-        data = matrixfile.read(given, Path() if from_override else Path(path).parent)
+        data = matrixfile.read(given, Path() if from_override else folder)
     except CoreError as error:
-        raise InputError(str(error), f"{path}: numerical.matrices") from error
+        raise InputError(str(error), test.source.place(("numerical", "matrices"))) from error
     read = given.model_copy(update={"data": data.packed()})
     return numerical.model_copy(update={"matrices": read})
 
@@ -765,6 +767,8 @@ def _parse(
     problems = [problem for _, problem in sorted(placed, key=lambda pair: pair[0])] + problems
     if problems:
         raise InputError(problems)
+    if isinstance(result, WholeFile):
+        return result.read_from(Source(source, text, given, wording))
     return result
 
 

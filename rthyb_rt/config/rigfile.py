@@ -20,6 +20,7 @@ from rthyb_rt.config.fields import (
     Sign,
     Table,
     Text,
+    WholeFile,
 )
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.own import PythonClass
@@ -945,7 +946,7 @@ def _extras_arrive(sensors: Sensors, link: Link | None) -> str | None:
     return None
 
 
-class RigFile(Table):
+class RigFile(WholeFile):
     """A rig: virtual, or the model of a real one."""
 
     checks: ClassVar[tuple[Check, ...]] = (

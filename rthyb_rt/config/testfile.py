@@ -26,6 +26,7 @@ from rthyb_rt.config.fields import (
     Range,
     Table,
     Text,
+    WholeFile,
     written,
 )
 from rthyb_rt.config.history import History
@@ -454,7 +455,7 @@ def _numerical_or_history(schema: dict[str, Any]) -> None:
     schema["oneOf"] = [{"required": ["numerical"]}, {"required": ["history"]}]
 
 
-class TestFile(Table):
+class TestFile(WholeFile):
     """A hybrid test, or a prescribed history.
 
     ``rig`` is a path, or the name of a rig that comes with the program. With ``history`` there is

@@ -22,6 +22,7 @@ from rthyb_rt.config.axes_reference import AxesReference
 from rthyb_rt.config.deriving_axes import AxesDerived
 from rthyb_rt.config.limits import VelocityLimit
 from rthyb_rt.config.own import PythonClass, core_element
+from rthyb_rt.config.placing import placing
 from rthyb_rt.config.rigfile import TOLERANCES, Link, Sensors
 from rthyb_rt.core.coupled_rig import CoupledRigConfig
 from rthyb_rt.errors import InputError, Problem
@@ -95,6 +96,7 @@ class Setup:
         return self.derived.rate
 
 
+@placing
 def prepare(
     test: TestFile,
     rig: RigFile,

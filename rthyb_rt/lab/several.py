@@ -19,6 +19,7 @@ from rthyb_rt.config.deriving_axes import (
     of_axis,
     resolve_axes,
 )
+from rthyb_rt.config.placing import placing
 from rthyb_rt.config.testfile import MATRIX, MatrixLaw
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.core.group import AXIS_WATCHES, AxisConfig, InterfaceConfig, axis_channels
@@ -35,6 +36,7 @@ NEVER: Final = 1e6
 """Times the noise at rest: what does not move so much teaches a lead nothing."""
 
 
+@placing
 def prepare(test: TestFile, rig: AxesRig, *, record: GroundMotion | None = None) -> Setup:
     """Read the ground motion and work out every setting of the core, for virtual time.
 

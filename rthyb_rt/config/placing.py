@@ -1,0 +1,98 @@
+"""Where the values of a file were written, for faults that show only when files are combined.
+
+The faults of one file are reported with their line as it is read
+(`rthyb_rt.config.loading`). What does not fit between test and rig, or between a
+test and its matrices, is found later, by key alone; a file that was read keeps its text,
+and with it the line of every key.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
+
+from rthyb_rt.config.changes import ON_COMMAND_LINE, Wording
+from rthyb_rt.config.lines import KeyLines
+from rthyb_rt.config.lines import Path as KeyPath
+from rthyb_rt.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    from rthyb_rt.config.fields import WholeFile
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+@dataclass(frozen=True)
+class Source:
+    """The text that the values of a file come from; it plays no part in whether two are equal.
+
+    Attributes:
+        path: of the file; empty for values that come from no file.
+        text: of the file.
+        given: key of each value that was given beside the file, and its name there.
+        wording: how messages call such a value.
+    """
+
+    path: str = field(default="", compare=False)
+    text: str = field(default="", compare=False, repr=False)
+    given: Mapping[KeyPath, str] = field(default_factory=dict, compare=False, repr=False)
+    wording: Wording = field(default=ON_COMMAND_LINE, compare=False, repr=False)
+
+    def has(self, path: KeyPath) -> bool:
+        """Return whether a key, or keys of a table of that name, stand in it or beside it."""
+        return KeyLines(self.text).has(path) or any(key[: len(path)] == path for key in self.given)
+
+    def place(self, path: KeyPath) -> str:
+        """Return where a key was written: an option, or file, line and key."""
+        for size in range(len(path), 0, -1):
+            if path[:size] in self.given:
+                within = [self.given[path[:size]], *map(str, path[size:])]
+                return self.wording.place(".".join(within))
+        lines = KeyLines(self.text)
+        line = f":{lines.find(path)}" if lines.has(path[:1]) else ""
+        return f"{self.path}{line}: {'.'.join(map(str, path))}"
+
+
+NOWHERE: Final = Source()
+"""The source of values that come from no file."""
+
+
+def placing(work: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Give the faults that a function finds in the files among its arguments their file and line.
+
+    A place that is a key of such a file becomes file, line and key. Of a key that several have, the
+    file that has it written out is meant, and the first argument where none has.
+    """
+
+    @functools.wraps(work)
+    def placed(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        try:
+            return work(*args, **kwargs)
+        except InputError as error:
+            # Not at the top: that module needs this one.
+            from rthyb_rt.config.fields import WholeFile
+
+            given = (*args, *kwargs.values())
+            files = [each for each in given if isinstance(each, WholeFile)]
+            error.problems = [_placed(problem, files) for problem in error.problems]
+            error.args = tuple(error.problems)
+            raise
+
+    return placed
+
+
+def _placed(problem: Problem, files: list[WholeFile]) -> Problem:
+    path: KeyPath = tuple(int(one) if one.isdecimal() else one for one in problem.where.split("."))
+    able = [file.source for file in files if path[0] in _keys(file) and file.source.path]
+    for size in range(len(path), 0, -1):
+        for source in able:
+            if source.has(path[:size]):
+                return Problem(source.place(path), problem.message)
+    return Problem(able[0].place(path), problem.message) if able else problem
+
+
+def _keys(file: WholeFile) -> set[str]:
+    return {info.alias or name for name, info in type(file).model_fields.items()}
