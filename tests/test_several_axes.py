@@ -261,13 +261,6 @@ def test_rthyb_run_writes_a_report_that_names_axes_and_directions(
     assert np.array_equal(rows[0]["x_cmd_m.1"], rows[1]["x_cmd_m.1"])
 
 
-@pytest.mark.parametrize("option", [["--realtime"], ["--fault", "drop:p=0.02,from=5,to=8"]])
-def test_rthyb_run_says_what_several_axes_cannot_do_yet(rthyb: Rthyb, option: list[str]) -> None:
-    done = rthyb("run", str(ROOT / "examples" / "two-actuator-frame.toml"), *option)
-    assert done.code == 3
-    assert "several axes (upper, lower)" in done.err
-
-
 def test_two_runs_are_the_same_bit_by_bit() -> None:
     one, other = conducted(), conducted()
     assert one.samples.tobytes() == other.samples.tobytes()

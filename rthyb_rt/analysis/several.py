@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import config
 from rthyb_rt.analysis import measures
-from rthyb_rt.analysis.summary import Row
+from rthyb_rt.analysis.summary import Live, Notice, Row, live, live_notices, live_rows
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.axes_reference import AxesReference, reference_of
 from rthyb_rt.config.deriving_axes import derive_axes
@@ -102,6 +102,7 @@ class AxesSummary:
         rows, lost: of the test proper; of them without a pair on some axis.
         fs_hz: sample rate.
         axes, directions: each.
+        live: how it went in real time; None: in virtual time.
         signals: behind them.
     """
 
@@ -116,6 +117,7 @@ class AxesSummary:
     fs_hz: float
     axes: tuple[OfAxis, ...]
     directions: tuple[OfDirection, ...]
+    live: Live | None
     signals: Signals
 
     def as_json(self) -> dict[str, Any]:
@@ -126,6 +128,7 @@ class AxesSummary:
             "rows": self.rows,
             "lost": self.lost,
             "fs_hz": self.fs_hz,
+            "live": None if self.live is None else asdict(self.live),
             "not_computed": NOT_COMPUTED,
         }
 
@@ -161,6 +164,7 @@ def summarize(rec: Recording) -> AxesSummary:
         rec.fs_hz,
         axes,
         directions,
+        live(rec),
         signals,
     )
 
@@ -200,6 +204,11 @@ def _signals(rec: Recording, rig: AxesRig, test: config.TestFile) -> Signals:
     )
 
 
+def _peak(values: Floats) -> float:
+    """Return the largest size; what was asked for in a tick that was slept through is not known."""
+    return float(np.nanmax(np.abs(values)))
+
+
 def _of_axis(rec: Recording, signals: Signals, i: int, name: str, by_law: bool) -> OfAxis:
     wanted, measured = signals.wanted_m[:, i], signals.measured_m[:, i]
     running = rec.running()
@@ -208,10 +217,10 @@ def _of_axis(rec: Recording, signals: Signals, i: int, name: str, by_law: bool) 
     return OfAxis(
         name,
         measures.tracking_nrmse(wanted, measured),
-        float(np.abs(measured - wanted).max()),
-        float(np.abs(signals.command_m[:, i]).max()),
-        float(np.abs(measured).max()),
-        float(np.abs(signals.force_n[:, i]).max()),
+        _peak(measured - wanted),
+        _peak(signals.command_m[:, i]),
+        _peak(measured),
+        _peak(signals.force_n[:, i]),
         last if by_law and np.isfinite(last) else None,
     )
 
@@ -223,11 +232,11 @@ def _of_direction(signals: Signals, j: int, name: str, turns: bool) -> OfDirecti
     return OfDirection(
         name,
         turns,
-        float(np.abs(asked).max()),
+        _peak(asked),
         measures.tracking_nrmse(asked, measured),
         measures.tracking_nrmse(reference, measured),
-        float(np.abs(measured - reference).max()),
-        float(np.abs(reference).max()),
+        _peak(measured - reference),
+        _peak(reference),
     )
 
 
@@ -267,7 +276,15 @@ def table(s: AxesSummary) -> list[Row]:
                 Row(f"Axis {axis.name}: delay estimate", quantity(delay, "samples", digits=4),
                     f"at the end, {number(delay / s.fs_hz * 1e3, 3)} ms")
             )  # fmt: skip
-    return rows
+    return rows + live_rows(s.live)
+
+
+def notices(s: AxesSummary) -> list[Notice]:
+    """Return what the user should know beside the table."""
+    found = live_notices(s.live)
+    if s.live is not None and s.live.remedy:
+        found.append(Notice("note", s.live.remedy))
+    return found
 
 
 def verdict(s: AxesSummary) -> str:

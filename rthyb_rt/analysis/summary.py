@@ -749,7 +749,7 @@ def notices(s: Summary) -> list[Notice]:
             found.append(Notice("alarm", f"{of} ({share}) {text}."))
     if s.skipped_ticks:
         found.append(Notice("alarm", f"{count(s.skipped_ticks, 'tick')} skipped."))
-    found += _live_notices(s.live)
+    found += live_notices(s.live)
     if s.alpha_at_bound > 0.01:
         share = percent(s.alpha_at_bound)
         found.append(
@@ -846,7 +846,8 @@ def _remedy_of_stiffness(given: Setup) -> str:
     return "increase controller.rfc.window_samples or the motion: noise hides the stiffness"
 
 
-def _live_notices(found: Live | None) -> list[Notice]:
+def live_notices(found: Live | None) -> list[Notice]:
+    """Return what the user should know of a test in real time."""
     if found is None:
         return []
     notices = []
@@ -995,7 +996,7 @@ def table(s: Summary) -> list[Row]:
         ),
         Row("Samples", _samples(s), "rows of the recording, and flagged rows"),
     ]
-    return rows + _live_rows(s.live)
+    return rows + live_rows(s.live)
 
 
 def _energy_row(s: Summary) -> Row:
@@ -1029,7 +1030,8 @@ def _limit_rows(met: Met | None) -> list[Row]:
     return [Row("Limit reached", told, "first cause")] if told else []
 
 
-def _live_rows(found: Live | None) -> list[Row]:
+def live_rows(found: Live | None) -> list[Row]:
+    """Return how a test in real time went, in rows; none for one in virtual time."""
     if found is None:
         return []
     wake = ", ".join(

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
 from rthyb_rt.cli import interrupts, quantities, terminal
-from rthyb_rt.cli.connecting import connected, load_rig
-from rthyb_rt.cli.inputs import JsonOption, LimitedRigArgument, RigSetOption
+from rthyb_rt.cli.connecting import Within, connected, joined, load_within
+from rthyb_rt.cli.inputs import AxisOption, JsonOption, LimitedRigArgument, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.rig.commissioning.certificate import Certificate
+    from rthyb_rt.rig.commissioning.guide import Plan
 
 DIFFERENCE = 8
 
@@ -38,6 +40,7 @@ def commission(
     yes: Annotated[
         bool, typer.Option("--yes", help="Do not ask before each motion; for scripts.")
     ] = False,
+    axis: AxisOption = None,
     settings: RigSetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -47,6 +50,10 @@ def commission(
     its date in RIG.commissioned.json beside the rig file. A real-time test requires these checks,
     and they must be repeated when the link, calibration, actuator, sensors or limits in the rig
     file change.
+
+    On a rig of several axes they are made axis by axis, each saved in
+    RIG.AXIS.commissioned.json, while the other drives are sent nothing and stand; --axis names a
+    single one.
 
     \b
     Steps:
@@ -60,10 +67,11 @@ def commission(
     Examples:
       rthyb commission my-rig.toml
       rthyb commission my-rig.toml --steps polarity,limits --distance "0.5 mm"
+      rthyb commission two-axis-frame --axis upper
 
     The exit code is 8 if a check failed.
     """
-    from rthyb_rt.rig.commissioning import certificate, guide
+    from rthyb_rt.rig.commissioning import guide
 
     wanted = _steps(steps)
     distance_m = quantities.read(distance, "--distance", DISTANCE)
@@ -72,30 +80,45 @@ def commission(
             f'found "{distance}"; at least 0.01 mm are needed to see anything',
             param_hint="--distance",
         )
-    given, path = load_rig(rig, settings)
-    known, _ = certificate.find(given, path)
-    target = certificate.place(path)
     people = terminal.people(as_json)
-
-    def keep(found: Certificate) -> None:
-        certificate.write(target, found)
-        interrupts.wrote(target)
 
     def tell(text: str) -> None:
         print(text, file=people, flush=True)
 
     ask = _asker(yes, tell)
     plan = guide.Plan(wanted, distance_m, ask, tell, lambda text: None if yes else ask(text))
-    with connected(given) as connection:
-        tell(f"{given.rig.name} over {connection.opened.name}")
-        made = guide.commission(connection, plan, known, keep)
-    tell("")
-    _print_result(made, as_json)
-    tell(f"\nCommissioning  {target}")
+    made, documents = [], []
+    for k, within in enumerate(load_within(rig, settings, axis)):
+        if k:
+            tell("")
+        found, target = _commission(within, plan)
+        _print_result(found, people)
+        tell(f"\nCommissioning  {target}")
+        made.append(found)
+        documents.append((within, {**found.as_json(), "path": str(target)}))
     if as_json:
-        terminal.print_json({**made.as_json(), "path": str(target)})
-    if any(made.steps[name].passed is False for name in wanted if name in made.steps):
+        terminal.print_json(joined(documents))
+    came = [one.steps[name] for one in made for name in wanted if name in one.steps]
+    if any(step.passed is False for step in came):
         raise typer.Exit(DIFFERENCE)
+
+
+def _commission(within: Within, plan: Plan) -> tuple[Certificate, Path]:
+    from rthyb_rt.rig.commissioning import certificate, guide
+
+    known, _ = certificate.find(within.rig, within.path, within.axis)
+    target = certificate.place(within.path, within.axis)
+    tell = plan.tell
+
+    def keep(found: Certificate) -> None:
+        certificate.write(target, found)
+        interrupts.wrote(target)
+
+    with connected(within) as connection:
+        tell(f"{within.name} over {connection.opened.name}")
+        made = guide.commission(connection, plan, known, keep, within.axis)
+    tell("")
+    return made, target
 
 
 def _steps(text: str | None) -> tuple[str, ...]:
@@ -131,7 +154,7 @@ def _asker(yes: bool, tell: Callable[[str], None]) -> Callable[[str], bool]:
     return ask
 
 
-def _print_result(made: Certificate, as_json: bool) -> None:
+def _print_result(made: Certificate, people: IO[str]) -> None:
     from rthyb_rt.rig.commissioning.certificate import STEPS
 
     words = {True: "passed", False: "FAILED", None: "not checked"}
@@ -141,4 +164,4 @@ def _print_result(made: Certificate, as_json: bool) -> None:
         if (step := made.steps.get(name)) is not None
     ]
     missing = [(name, "not made", "") for name in STEPS if name not in made.steps]
-    terminal.print_table([*rows, *missing], terminal.people(as_json))
+    terminal.print_table([*rows, *missing], people)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.config import AxesRig, RigFile
+    from rthyb_rt.config.rigfile import Link
     from rthyb_rt.core.loop import Clock
     from rthyb_rt.rig.commissioning.moving import Connection
     from rthyb_rt.rig.links.opened import Opened
@@ -20,16 +22,20 @@ if TYPE_CHECKING:
 K_E = "elastic_stiffness_n_per_m"
 
 
-def clock_of(rig: RigFile) -> Clock:
+def clock_of(rig: RigFile | AxesRig) -> Clock:
     """Return what real time goes by, unless the command line says otherwise."""
+    # The axes of a virtual rig have one clock.
     return rig.link.clock if rig.link is not None else "link"
 
 
 @contextmanager
-def opened_link(rig: RigFile, clock: Clock) -> Iterator[tuple[Opened, Callable[[], None] | None]]:
+def opened_link(
+    rig: RigFile | AxesRig, clock: Clock
+) -> Iterator[tuple[Opened, Callable[[], None] | None]]:
     """Give the link to a rig, and what the stepped clock waits for before a tick.
 
-    Without a ``[link]`` a virtual rig is at the other end, in a process of its own.
+    Of a rig of several axes the links of all. Without a ``[link]`` a virtual rig is at the other
+    end, in a process of its own.
 
     Raises:
         InputError: what stands against opening it.
@@ -39,19 +45,21 @@ def opened_link(rig: RigFile, clock: Clock) -> Iterator[tuple[Opened, Callable[[
     from rthyb_rt.rig.links import opening
 
     if rig.link is not None:
-        with opening.open_link(rig.link, "controller") as opened:
-            for note in opened.facts.get("notes", ()):
-                terminal.tell(f"note: {note}")
+        with _reached(rig, rig.link) as opened:
+            for key, notes in opened.facts.items():
+                for note in notes if key.endswith("notes") else ():
+                    terminal.tell(f"note: {note}")
             yield opened, None
         return
-    ours, theirs = opening.socket_pair()
+    axes = axes_of(rig)
+    ours, theirs = opening.socket_pairs(axes) if axes else opening.socket_pair()
     with ours, theirs:
         if clock == "stepped":
             terminal.tell("no [link] in the rig file: on a virtual rig, tick by tick with it")
             with virtual_rig.in_step(rig, theirs) as drive:
                 yield ours, drive.tick
             return
-        companion = virtual_rig.Companion(rig, theirs.fd)
+        companion = virtual_rig.Companion(rig, *(one.fd for one in theirs.all))
         try:
             theirs.close()
             terminal.tell(
@@ -64,13 +72,122 @@ def opened_link(rig: RigFile, clock: Clock) -> Iterator[tuple[Opened, Callable[[
             companion.close()
 
 
+def _reached(rig: RigFile | AxesRig, link: Link) -> Opened:
+    from rthyb_rt.config import AxesRig
+    from rthyb_rt.rig.links import opening
+
+    if isinstance(rig, AxesRig):
+        return opening.open_axes(rig, "controller")
+    return opening.open_link(link, "controller")
+
+
+def axes_of(rig: RigFile | AxesRig) -> tuple[str, ...]:
+    """Return the names of several axes; () of a rig of one."""
+    from rthyb_rt.config import AxesRig
+
+    return rig.names if isinstance(rig, AxesRig) else ()
+
+
+@dataclass(frozen=True)
+class Within:
+    """A rig that small motions are made on: one of one axis, or an axis of several.
+
+    Attributes:
+        rig: as a rig of one axis.
+        axis: its name among several; "" of a rig of one.
+        whole: the rig of several axes, which it is of; None of a rig of one.
+        path: of the rig file.
+    """
+
+    rig: RigFile
+    axis: str
+    whole: AxesRig | None
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """The rig in words, with its axis."""
+        if self.whole is None:
+            return self.rig.rig.name
+        return f"{self.whole.rig.name}, axis {self.axis}"
+
+    @property
+    def named(self) -> dict[str, str]:
+        """The rig by name, and its axis where there are several, for JSON."""
+        if self.whole is None:
+            return {"rig_name": self.rig.rig.name}
+        return {"rig_name": self.whole.rig.name, "axis": self.axis}
+
+
+def load_within(name: str, settings: list[str] | None, axis: str | None) -> tuple[Within, ...]:
+    """Read a rig file of one axis or of several.
+
+    Args:
+        name, settings: as given in the command line.
+        axis: the name that was given with ``--axis``; None: all axes, in their order.
+
+    Raises:
+        InputError: with every fault of the file and the settings, or there is no such axis.
+    """
+    found = load_axes_rig(name, settings)
+    if found is None:
+        if axis is not None:
+            raise InputError(f"found {axis}; the rig has one axis: leave the option out", "--axis")
+        rig, path = load_rig(name, settings)
+        return (Within(rig, "", None, path),)
+    whole, path = found
+    names = whole.names if axis is None else (axis,)
+    return tuple(Within(whole.of_axis(one), one, whole, path) for one in names)
+
+
+def load_one_within(name: str, settings: list[str] | None, axis: str | None) -> Within:
+    """Read a rig file, and take the one axis that is to move; arguments as of `load_within`.
+
+    Raises:
+        InputError: as `load_within`, or several axes and no word which.
+    """
+    found = load_within(name, settings, axis)
+    if len(found) > 1:
+        names = ", ".join(one.axis for one in found)
+        raise InputError(
+            f"missing; the rig has several axes ({names}), and one is moved while the others "
+            f"stand: name it, such as --axis {found[0].axis}",
+            "--axis",
+        )
+    return found[0]
+
+
+def joined(found: Sequence[tuple[Within, dict[str, Any]]]) -> dict[str, Any]:
+    """Return JSON documents of axes as one, by name; of a rig of one axis its own as it is."""
+    (first, document), *_ = found
+    if first.whole is None:
+        return document
+    axes = {within.axis: one for within, one in found}
+    return {"schema": document["schema"], "rig_name": first.whole.rig.name, "axes": axes}
+
+
 @contextmanager
-def connected(rig: RigFile) -> Iterator[Connection]:
+def _link_of(within: Within, clock: Clock) -> Iterator[tuple[Opened, Callable[[], None] | None]]:
+    """Give the link to a rig, or to one axis of a rig, whose others are told nothing and stand."""
+    if within.whole is None or within.rig.link is not None:
+        with opened_link(within.rig, clock) as found:
+            yield found
+        return
+    with opened_link(within.whole, clock) as (opened, before_tick):
+        own = opened.all[within.whole.names.index(within.axis)]
+        # What is opened stays the business of the links of all.
+        alone = replace(own, further=(), owned=ExitStack(), name=f"socket pair of {within.axis}")
+        yield alone, before_tick
+
+
+@contextmanager
+def connected(within: Within) -> Iterator[Connection]:
     """Give a rig within reach, for small motions; a Ctrl-C stops what moves."""
     from rthyb_rt.rig.commissioning.moving import Connection
 
+    rig = within.rig
     clock = clock_of(rig)
-    with opened_link(rig, clock) as (opened, before_tick):
+    with _link_of(within, clock) as (opened, before_tick):
         yield Connection(
             rig,
             opened,

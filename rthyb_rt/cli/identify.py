@@ -10,7 +10,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from rthyb_rt.cli import interrupts, quantities, terminal
-from rthyb_rt.cli.connecting import connected, load_axes_rig, load_rig
+from rthyb_rt.cli.connecting import Within, connected, load_axes_rig, load_rig
 from rthyb_rt.cli.folders import publish, staged
 from rthyb_rt.cli.inputs import JsonOption, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
@@ -105,7 +105,8 @@ def identify(
         certificate.demand(given, given_path)
     started = datetime.datetime.now(datetime.UTC)
     with contextlib.ExitStack() as stack:
-        connection = stack.enter_context(connected(given)) if realtime else None
+        within = Within(given, "", None, given_path)
+        connection = stack.enter_context(connected(within)) if realtime else None
         progress = stack.enter_context(terminal.progress("Identifying", sweep.ticks, FS_HZ))
         if connection is None:
             result = sweep_rig(given, sweep, progress)

@@ -49,6 +49,15 @@ LimitedRigArgument = Annotated[
         show_default=False,
     ),
 ]
+AxisOption = Annotated[
+    str | None,
+    typer.Option(
+        "--axis",
+        metavar="NAME",
+        help="The axis, on a rig of several axes.",
+        show_default=False,
+    ),
+]
 RecordingArgument = Annotated[
     Path,
     typer.Argument(

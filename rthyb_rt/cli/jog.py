@@ -7,12 +7,11 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from rthyb_rt.cli import quantities, terminal
-from rthyb_rt.cli.connecting import connected, load_rig
-from rthyb_rt.cli.inputs import JsonOption, LimitedRigArgument, RigSetOption
+from rthyb_rt.cli.connecting import connected, load_one_within
+from rthyb_rt.cli.inputs import AxisOption, JsonOption, LimitedRigArgument, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
 
 if TYPE_CHECKING:
-    from rthyb_rt.config import RigFile
     from rthyb_rt.rig.commissioning.jogging import Jogged
 
 SCHEMA = "rthyb-jog/1"
@@ -40,6 +39,7 @@ def jog(
     speed: Annotated[
         str, typer.Option(metavar="VELOCITY", help="Highest speed of the motion.")
     ] = "1 mm/s",
+    axis: AxisOption = None,
     settings: RigSetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -48,12 +48,14 @@ def jog(
     All limits of the rig file apply: the position limit counts from where the actuator stands, the
     force limit from zero load. Ctrl-C decelerates, and the actuator stays where it comes to rest;
     a second Ctrl-C trips. Without a [link] in the rig file, a virtual rig in a separate process is
-    moved.
+    moved. On a rig of several axes --axis names the one that is moved; the others are sent nothing
+    and stand where they are.
 
     \b
     Examples:
       rthyb jog my-rig.toml "2 mm"
       rthyb jog my-rig.toml "-0.5 mm" --speed "0.2 mm/s"
+      rthyb jog two-axis-frame "0.5 mm" --axis upper
 
     The exit code is 6 if a limit or a trip ended the motion, 5 if it was refused and nothing moved,
     and 8 if it moved far enough to show that a sign is wrong: that of the displacement, or that of
@@ -63,13 +65,13 @@ def jog(
 
     distance_m = quantities.read(distance, "DISTANCE", DISTANCE)
     speed_m_per_s = quantities.read(speed, "--speed", SPEED)
-    given, _ = load_rig(rig, settings)
-    with connected(given) as connection:
+    within = load_one_within(rig, settings, axis)
+    with connected(within) as connection:
         found = jogging.jog(connection, distance_m, speed_m_per_s)
     file = terminal.people(as_json)
-    _print_result(given, found, file)
+    _print_result(within.name, found, file)
     if as_json:
-        terminal.print_json({"schema": SCHEMA, "rig_name": given.rig.name, **found.as_json()})
+        terminal.print_json({"schema": SCHEMA, **within.named, **found.as_json()})
     status = _status(found)
     if status:
         raise typer.Exit(status)
@@ -86,13 +88,13 @@ def _status(found: Jogged) -> int:
     return REVERSED if found.reversed else 0
 
 
-def _print_result(rig: RigFile, found: Jogged, file: IO[str]) -> None:
+def _print_result(name: str, found: Jogged, file: IO[str]) -> None:
     from rthyb_rt.numbers import quantity
 
     stiffness = "too little moved to tell"
     if found.stiffness_n_per_m is not None:
         stiffness = quantity(found.stiffness_n_per_m, "kN/m", 1e-3, 4)
-    print(f"{rig.rig.name}: {found.end_reason}\n", file=file)
+    print(f"{name}: {found.end_reason}\n", file=file)
     terminal.print_table(
         [
             ("Start", quantity(found.start_m, "mm", 1e3, 6), "reading of the displacement"),

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from rthyb_rt.cli import terminal
-from rthyb_rt.cli.connecting import connected, load_rig
-from rthyb_rt.cli.inputs import JsonOption, LimitedRigArgument, RigSetOption
+from rthyb_rt.cli.connecting import connected, joined, load_within
+from rthyb_rt.cli.inputs import AxisOption, JsonOption, LimitedRigArgument, RigSetOption
 
 SCHEMA = "rthyb-reset/1"
 
 
 def reset(
     rig: LimitedRigArgument,
+    axis: AxisOption = None,
     settings: RigSetOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -21,18 +22,25 @@ def reset(
     reset it. Nothing moves: the drive is told to stay where it stands. For a rig that a service
     runs, use `rthyb ctl reset`.
 
+    On a rig of several axes the drives are reset one after another, or the one of --axis alone.
+
     \b
-    Example:
+    Examples:
       rthyb reset my-rig.toml
+      rthyb reset two-axis-frame --axis lower
 
     The exit code is 5 if the drive stays stopped; the message says why.
     """
     from rthyb_rt.rig.commissioning import stops
 
-    given, _ = load_rig(rig, settings)
-    with connected(given) as connection:
-        released = stops.release(connection)
-    words = "was stopped, and follows again" if released else "follows: there is nothing to reset"
-    print(f"{given.rig.name}: the drive {words}", file=terminal.people(as_json))
+    found = []
+    for within in load_within(rig, settings, axis):
+        with connected(within) as connection:
+            released = stops.release(connection)
+        words = (
+            "was stopped, and follows again" if released else "follows: there is nothing to reset"
+        )
+        print(f"{within.name}: the drive {words}", file=terminal.people(as_json), flush=True)
+        found.append((within, {"schema": SCHEMA, **within.named, "reset": released}))
     if as_json:
-        terminal.print_json({"schema": SCHEMA, "rig_name": given.rig.name, "reset": released})
+        terminal.print_json(joined(found))

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import os
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rthyb_rt.cli import interrupts, terminal
+from rthyb_rt.cli.connecting import axes_of
 from rthyb_rt.cli.inputs import JsonOption, RigSetOption
 from rthyb_rt.errors import InputError, RthybError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from rthyb_rt.config import RigFile
+    from rthyb_rt.config import AxesRig, RigFile
     from rthyb_rt.config.rigfile import Link
     from rthyb_rt.rig.virtual_rig import Line, Plan, Result
 
@@ -34,20 +35,31 @@ def rig(
     ] = None,
     can: Annotated[
         str | None,
-        typer.Option(metavar="INTERFACE", help="CAN interface, such as vcan0.", show_default=False),
+        typer.Option(
+            metavar="INTERFACE",
+            help="CAN interface, such as vcan0; of several axes one for each, with commas.",
+            show_default=False,
+        ),
     ] = None,
     serial: Annotated[
         str | None,
-        typer.Option(metavar="PATH", help="Serial line.", show_default=False),
+        typer.Option(
+            metavar="PATH",
+            help="Serial line; of several axes one for each, with commas.",
+            show_default=False,
+        ),
     ] = None,
     socket: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            metavar="PATH", help="Socket to which controllers connect.", show_default=False
+            metavar="PATH",
+            help="Socket to which controllers connect; of several axes one for each, with commas.",
+            show_default=False,
         ),
     ] = None,
     pty: Annotated[
-        bool, typer.Option("--pty", help="Create a pseudo-terminal and print its path.")
+        bool,
+        typer.Option("--pty", help="Create a pseudo-terminal (one for each axis), print its path."),
     ] = False,
     settings: RigSetOption = None,
     seed: Annotated[
@@ -69,7 +81,7 @@ def rig(
     fault: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="KIND@S[:S][=VALUE]",
+            metavar="[AXIS.]KIND@S[:S][=VALUE]",
             help="Fault, start, duration and value, as listed above. Can be repeated.",
             show_default=False,
         ),
@@ -93,7 +105,8 @@ def rig(
     The virtual drive takes commands and sends displacement and force 1024 times per second. It has
     its own clock and its own watchdog: after 20 ticks without a fresh command it stops. Unless an
     option names a link, the rig file's [link] is used. Controllers can connect and disconnect at
-    any time; Ctrl-C ends the virtual rig.
+    any time; Ctrl-C ends the virtual rig. A rig of several axes has a drive and a link for each,
+    and a fault names its axis.
 
     \b
     Faults, from second S of its clock, for S seconds or to the end, with a VALUE:
@@ -108,6 +121,7 @@ def rig(
       rthyb rig --can vcan0
       rthyb rig my-rig.toml --socket /tmp/rig --fault drop@5:2=0.1 --seed 3
       rthyb rig --pty --drift-ppm 50 --fault power-cut@20
+      rthyb rig two-axis-frame --can vcan0,vcan1 --fault lower.drop@5:2=0.1
     """
     from rthyb_rt import config
     from rthyb_rt.rig import virtual_rig
@@ -116,18 +130,19 @@ def rig(
     changes: dict[str, str] = {}
     for part in config.split_overrides(settings or ()):
         changes |= part
-    rig_file = config.load_rig(config.find_rig(name), changes)
-    plan = _plan(seed, drift_ppm, fault, seconds, log)
+    rig_file = config.load_any_rig(config.find_rig(name), changes)
+    plan = _plan(seed, drift_ppm, fault, seconds, log, axes_of(rig_file))
     if log is not None:
         _check_log(log)
     people = terminal.people(as_json)
     stop = virtual_rig.Stop()
-    with _line(rig_file, can, serial, socket, pty) as line, interrupts.told(stop.set):
+    with _lines(rig_file, can, serial, socket, pty) as lines, interrupts.told(stop.set):
+        at = ", ".join(line.name for line in lines)
 
         def ready() -> None:
-            print(f"{rig_file.rig.name} at {line.name}, 1024 Hz", file=people, flush=True)
+            print(f"{rig_file.rig.name} at {at}, 1024 Hz", file=people, flush=True)
 
-        result = virtual_rig.serve(rig_file, line, plan, stop, ready)
+        result = virtual_rig.serve(rig_file, lines, plan, stop, ready)
     if log is not None:
         virtual_rig.write_log(log, result.log)
     terminal.print_table(_rows(result, log), people)
@@ -142,6 +157,7 @@ def _plan(
     fault: list[str] | None,
     seconds: float | None,
     log: Path | None,
+    axes: Sequence[str],
 ) -> Plan:
     from rthyb_rt.core import FS_HZ
     from rthyb_rt.rig import virtual_rig
@@ -160,7 +176,7 @@ def _plan(
             param_hint="--log",
         )
     try:
-        faults, cut_s = virtual_rig.parse_faults(fault or ())
+        faults, cut_s = virtual_rig.parse_faults(fault or (), axes)
     except InputError as error:
         raise typer.BadParameter(str(error), param_hint="--fault") from error
     room_s = min(seconds or virtual_rig.LOG_SECONDS, virtual_rig.LOG_SECONDS)
@@ -186,26 +202,73 @@ def _check_log(log: Path) -> None:
 
 
 @contextmanager
-def _line(
-    rig_file: RigFile, can: str | None, serial: str | None, socket: Path | None, pty: bool
-) -> Iterator[Line]:
-    """Open the one wire that was asked for."""
+def _lines(
+    rig_file: RigFile | AxesRig,
+    can: str | None,
+    serial: str | None,
+    socket: str | None,
+    pty: bool,
+) -> Iterator[list[Line]]:
+    """Open the one wire that was asked for, or that of each of several axes."""
+    from rthyb_rt.config import AxesRig
     from rthyb_rt.rig import virtual_rig
 
-    given = [name for name, value in _wires(can, serial, socket, pty) if value]
+    wires = (("--can", can), ("--serial", serial), ("--socket", socket))
+    given = [name for name, value in (*wires, ("--pty", pty)) if value]
     if len(given) > 1:
         raise typer.BadParameter(f"{' and '.join(given)} exclude each other: name one wire")
-    if pty:
-        line, _ = virtual_rig.pty_line()
-    else:
-        line = virtual_rig.line_of(_link(rig_file, can, serial, socket))
-    try:
-        yield line
-    finally:
-        line.close()
+    axes = axes_of(rig_file)
+    with ExitStack() as owned:
+        if pty:
+            lines = [virtual_rig.pty_line()[0] for _ in axes or ("",)]
+        elif isinstance(rig_file, AxesRig):
+            lines = virtual_rig.lines_of(_with_links(rig_file, wires))
+        else:
+            lines = [virtual_rig.line_of(_link(rig_file.link, can, serial, socket))]
+        for line in lines:
+            owned.callback(line.close)
+        yield lines
 
 
-def _link(rig_file: RigFile, can: str | None, serial: str | None, socket: Path | None) -> Link:
+def _with_links(rig: AxesRig, wires: Sequence[tuple[str, str | None]]) -> AxesRig:
+    """Return a rig of several axes with the channels that were asked for in place of its own.
+
+    Raises:
+        InputError: what one link would be refused for, of all of them together.
+    """
+    from rthyb_rt.config.loading import shared_links
+
+    found = {name: value for name, value in wires if value is not None}
+    if found:
+        ((option, text),) = found.items()
+        channels = text.split(",")
+        if len(channels) != len(rig.axis):
+            raise typer.BadParameter(
+                f"found {text}, {len(channels)} of them; the rig has {len(rig.axis)} axes "
+                f"({', '.join(rig.names)}): name one for each, with commas between",
+                param_hint=option,
+            )
+        axes = []
+        for axis, channel in zip(rig.axis, channels, strict=True):
+            named = dict.fromkeys(("can", "serial", "socket")) | {
+                option.removeprefix("--"): channel
+            }
+            axes.append(axis.model_copy(update={"link": _link(axis.link, **named)}))
+        rig = rig.model_copy(update={"axis": axes})
+    if rig.link is None:
+        raise _no_wire()
+    for number, fault in shared_links(rig):
+        raise InputError(fault, f"axis.{rig.names[number]}.link")
+    return rig
+
+
+def _no_wire() -> typer.BadParameter:
+    return typer.BadParameter(
+        "the rig file has no [link]; name a wire: --can, --serial, --socket or --pty"
+    )
+
+
+def _link(own: Link | None, can: str | None, serial: str | None, socket: str | None) -> Link:
     """Return the rig file's link, with the channel that was asked for in place of its own."""
     from pydantic import ValidationError
 
@@ -214,24 +277,15 @@ def _link(rig_file: RigFile, can: str | None, serial: str | None, socket: Path |
     for kind, channel in (("can", can), ("serial", serial), ("socket", socket)):
         if channel is None:
             continue
-        own = rig_file.link
         given = own.model_dump() if own is not None and own.kind == kind else {}
         try:
             return Link(**(given | {"kind": kind, "channel": str(channel)}))
         except ValidationError as error:
             message = error.errors()[0]["msg"].removeprefix("Value error, ")
             raise typer.BadParameter(message, param_hint=f"--{kind}") from error
-    if rig_file.link is None:
-        raise typer.BadParameter(
-            "the rig file has no [link]; name a wire: --can, --serial, --socket or --pty"
-        )
-    return rig_file.link
-
-
-def _wires(
-    can: str | None, serial: str | None, socket: Path | None, pty: bool
-) -> tuple[tuple[str, object], ...]:
-    return ("--can", can), ("--serial", serial), ("--socket", socket), ("--pty", pty)
+    if own is None:
+        raise _no_wire()
+    return own
 
 
 def _rows(result: Result, log: Path | None) -> list[tuple[str, str, str]]:

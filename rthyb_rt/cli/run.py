@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,7 +17,7 @@ from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.analysis.summary import Summary
-    from rthyb_rt.config import RigFile
+    from rthyb_rt.config import AxesRig, RigFile
     from rthyb_rt.core.loop import Clock, Fault
     from rthyb_rt.lab.experiment import Progress, Setup
     from rthyb_rt.lab.realtime import Session
@@ -102,7 +102,7 @@ def run(
     """
     from rthyb_rt import config
     from rthyb_rt.analysis import loop_roots, summary
-    from rthyb_rt.lab import experiment, keeping, virtual_time
+    from rthyb_rt.lab import experiment, keeping, several, virtual_time
     from rthyb_rt.record import recording
 
     if clock is not None and not realtime:
@@ -112,13 +112,23 @@ def run(
             "is for the virtual rig without --realtime; at a wire it is an option of `rthyb rig`",
             param_hint="--fault",
         )
-    mishaps = _mishaps(fault) if fault else ()
-
     started = datetime.datetime.now(datetime.UTC)
     test_file, rig_file = load_any(test, rig, settings)
+    axes = rig_file.names if isinstance(rig_file, config.AxesRig) else ()
+    mishaps = _mishaps(fault, axes) if fault else ()
     if isinstance(rig_file, config.AxesRig):
-        refused = "--realtime" if realtime else "--fault" if mishaps else ""
-        run_axes.run(test_file, rig_file, out, refused, report=not no_report, as_json=as_json)
+        of_all = several.prepare(test_file, rig_file, real_time=realtime or bool(mishaps))
+        facts = _commissioned(rig or test_file.rig, rig_file) if realtime else {}
+
+        def conduct(
+            setup: Setup, progress: Progress, keep: Callable[[Recording], Path]
+        ) -> tuple[Recording, Path]:
+            if realtime:
+                return _run_live(setup, clock, progress, keep, facts)
+            return _run_faulty(setup, mishaps, progress, keep)
+
+        conducted = conduct if realtime or mishaps else None
+        run_axes.run(of_all, out, conducted, report=not no_report, as_json=as_json)
         return
     setup = experiment.prepare(test_file, rig_file, real_time=realtime or bool(mishaps))
     # Whoever runs in virtual time may want to see it grow.
@@ -173,7 +183,7 @@ def _status(result: Summary) -> int:
     return LIMIT_TRIP
 
 
-def _commissioned(name: str | None, rig: RigFile) -> dict[str, Any]:
+def _commissioned(name: str | None, rig: RigFile | AxesRig) -> dict[str, Any]:
     """Return what the recording is to know of the rig's commissioning, which a test needs."""
     from rthyb_rt import config
     from rthyb_rt.rig.commissioning import certificate
@@ -195,10 +205,10 @@ def _run_live(
     from rthyb_rt.lab import realtime
 
     link = setup.rig.link
-    clock = clock or clock_of(setup.rig)
+    clock = clock or clock_of(setup.rig_file)
     operator = realtime.Operator()
     kept: list[Path] = []
-    opening = opened_link(setup.rig, clock)
+    opening = opened_link(setup.rig_file, clock)
     with opening as (opened, before_tick), interrupts.told(operator.stop):
         rec = realtime.run(
             setup,
@@ -219,11 +229,11 @@ def _run_live(
     return rec, kept[0]
 
 
-def _mishaps(texts: list[str]) -> tuple[Fault, ...]:
+def _mishaps(texts: list[str], axes: Sequence[str] = ()) -> tuple[Fault, ...]:
     from rthyb_rt.rig import virtual_rig
 
     try:
-        return virtual_rig.parse_mishaps(texts)
+        return virtual_rig.parse_mishaps(texts, axes)
     except InputError as error:
         raise typer.BadParameter(str(error), param_hint="--fault") from error
 

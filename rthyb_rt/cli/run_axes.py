@@ -1,8 +1,9 @@
-"""``rthyb run`` of a test on a rig of several axes, in virtual time."""
+"""``rthyb run`` of a test on a rig of several axes."""
 
 from __future__ import annotations
 
 import datetime
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,74 +11,107 @@ import typer
 
 from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.folders import publish, refuse_taken, report_beside, staged
-from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.analysis.several import AxesSummary
-    from rthyb_rt.config import AxesRig, TestFile
+    from rthyb_rt.lab.experiment import Progress, Setup
+    from rthyb_rt.record.recording import Recording
+
+    Keep = Callable[[Recording], Path]
+    Conduct = Callable[[Setup, Progress, Keep], tuple[Recording, Path]]
 
 SCHEMA: Final = "rthyb-run/1"
 LIMIT_TRIP: Final = 6
+UNPUNCTUAL: Final = 7
 
 
 def run(
-    test: TestFile, rig: AxesRig, out: Path | None, refused: str, *, report: bool, as_json: bool
+    setup: Setup, out: Path | None, conduct: Conduct | None, *, report: bool, as_json: bool
 ) -> None:
     """Run the test, keep it, print what it came to.
 
     Args:
-        test, rig: the two files.
+        setup: the test.
         out: folder for the files of the run; None: one of its own.
-        refused: an option that was given and is not for several axes; "": none.
+        conduct: runs it in real time, or with faults, and keeps it; None: in virtual time.
         report, as_json: whether to write a report, and to print JSON.
 
     Raises:
-        InputError: what is wrong with the files, or that option.
+        RthybError: as of what conducts it.
     """
-    from rthyb_rt.analysis import several as measured
-    from rthyb_rt.lab import keeping, several, virtual_time
+    from rthyb_rt.lab import keeping, virtual_time
 
-    if refused:
-        raise InputError(
-            f'rig "{rig.rig.name}" has several axes ({", ".join(rig.names)}), which are tested in '
-            f"virtual time without faults; leave {refused} out",
-            refused,
-        )
     started = datetime.datetime.now(datetime.UTC)
-    setup = several.prepare(test, rig)
     for note in setup.notes:
         terminal.tell(f"note: {note}")
     refuse_taken(out)
-    target = out or Path("runs") / f"{test.test.name}-{started:%Y%m%dT%H%M%SZ}"
+    target = out or Path("runs") / f"{setup.test.test.name}-{started:%Y%m%dT%H%M%SZ}"
     with staged(target) as stage:
+
+        def keep(rec: Recording) -> Path:
+            with interrupts.held():
+                keeping.keep(stage, setup, rec)
+                return publish(stage, target, numbered=out is None)
+
         with terminal.progress("Testing", setup.ticks, setup.derived.fs_hz) as progress:
-            rec = virtual_time.run(setup, progress)
-        with interrupts.held():
-            keeping.keep(stage, setup, rec)
-            folder = publish(stage, target, numbered=out is None)
-    result = measured.summarize(rec)
+            if conduct is not None:
+                rec, folder = conduct(setup, progress, keep)
+            else:
+                rec = virtual_time.run(setup, progress)
+        if conduct is None:
+            folder = keep(rec)
+    _tell(setup, rec, folder, report=report, as_json=as_json)
+    status = _status(rec)
+    if status:
+        raise typer.Exit(status)
+
+
+def _status(rec: Recording) -> int:
+    """Return the exit status: a stop that the operator asked for is a good end of a live test."""
+    from rthyb_rt.lab.realtime import TIMING_CAUSES
+
+    if rec.meta["end_reason"] == "completed":
+        return 0
+    station = rec.meta["station"]
+    if "real_time" in rec.meta:
+        if station["cause"] in TIMING_CAUSES:
+            return UNPUNCTUAL
+        if station["state"] != "TRIPPED" and station["cause"] in ("operator", "none"):
+            return 0
+    return LIMIT_TRIP
+
+
+def _tell(setup: Setup, rec: Recording, folder: Path, *, report: bool, as_json: bool) -> None:
+    from rthyb_rt.analysis import several as measured
+
     file = terminal.people(as_json)
     motion = f"{setup.motion.name}, PGA {setup.motion.pga_g:.3g} g"
-    print(f"{result.test_name} on {result.rig_name}: {motion}\n", file=file)
-    terminal.print_table(measured.table(result), file)
-    print(f"\n{measured.verdict(result)}", file=file)
-    print(f"Note: not computed: {measured.NOT_COMPUTED}", file=file)
+    print(f"{setup.test.test.name} on {setup.rig_file.rig.name}: {motion}\n", file=file)
+    result = measured.summarize(rec) if rec.running().any() else None
+    if result is None:
+        print(f"The test did not come to its end: {rec.meta['end_reason']}.", file=file)
+    else:
+        terminal.print_table(measured.table(result), file)
+        print(f"\n{measured.verdict(result)}", file=file)
+        for notice in measured.notices(result):
+            print(f"{notice.level.capitalize()}: {notice.text}", file=file)
+        print(f"Note: not computed: {measured.NOT_COMPUTED}", file=file)
     print(f"\nRecording  {folder / 'recording.h5'}", file=file)
-    page = report_beside(rec, folder) if report else None
+    page = report_beside(rec, folder) if report and result is not None else None
     if page is not None:
         print(f"Report     {page}", file=file)
     if as_json:
-        terminal.print_json(_document(result, folder, page))
-    if result.end_reason != "completed":
-        raise typer.Exit(LIMIT_TRIP)
+        terminal.print_json(_document(rec, result, folder, page))
 
 
-def _document(result: AxesSummary, folder: Path, report: Path | None) -> dict[str, Any]:
+def _document(
+    rec: Recording, result: AxesSummary | None, folder: Path, report: Path | None
+) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
-        "test_name": result.test_name,
-        "end_reason": result.end_reason,
-        "measures": result.as_json(),
+        "test_name": rec.meta["test_name"],
+        "end_reason": rec.meta["end_reason"],
+        "measures": None if result is None else result.as_json(),
         "paths": {
             "folder": str(folder),
             "recording": str(folder / "recording.h5"),

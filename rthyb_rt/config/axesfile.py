@@ -689,6 +689,16 @@ class AxesRig(WholeFile):
         """Names of the interface's directions, in the order of the kinematics."""
         return tuple(self.kinematics.interface)
 
+    @property
+    def link(self) -> Link | None:
+        """The link of the first axis: all axes have one, or none, and go by one clock."""
+        return self.axis[0].link
+
+    def without_links(self) -> AxesRig:
+        """Return it as a rig that nothing is connected to."""
+        axes = [axis.model_copy(update={"link": None}) for axis in self.axis]
+        return self.model_copy(update={"axis": axes})
+
     def core_kinematics(self) -> CoreKinematics:
         """Return the kinematics as the core has them."""
         return core_kinematics(self.kinematics, self.names)

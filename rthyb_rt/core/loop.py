@@ -536,12 +536,14 @@ class Fault:
     """What goes wrong at the drive, from its tick ``first`` on for ``ticks`` ticks.
 
     ``value``: of drop and drop-command the probability, of delay ticks, of jump m, of force N.
+    ``axis``: number of the drive among those of `Drives`; one alone does not look at it.
     """
 
     kind: FaultKind
     first: int
     ticks: int
     value: float = 1.0
+    axis: int = 0
 
 
 class Drive:
@@ -625,6 +627,11 @@ class Drive:
             raise core.CoreError(f"one drive alone does not move a rig of {axes} axes; use Drives")
 
     @property
+    def drives(self) -> tuple[Drive, ...]:
+        """Itself: what `Drives` has of every axis."""
+        return (self,)
+
+    @property
     def ticks(self) -> int:
         """Samples so far."""
         return int(self._c.tick)
@@ -679,6 +686,38 @@ class Drives:
     def run(self, ticker: Ticker) -> None:
         """Tick until the ticker is stopped from another thread."""
         lib.rthyb_drives_run(self._c, ticker._c)
+
+    def schedule(self, faults: Sequence[Fault]) -> None:
+        """Put a schedule of faults in force, each at the drive of its axis, in place of the last.
+
+        Raises:
+            core.CoreError: a fault is out of range, or of an axis that there is not.
+        """
+        strange = [fault.axis for fault in faults if not 0 <= fault.axis < len(self.drives)]
+        if strange:
+            raise core.CoreError(f"a fault of axis {strange[0]}; there are {len(self.drives)}")
+        for k, drive in enumerate(self.drives):
+            drive.schedule([fault for fault in faults if fault.axis == k])
+
+    @property
+    def ticks(self) -> int:
+        """Samples so far."""
+        return self.drives[0].ticks
+
+    @property
+    def phases(self) -> tuple[str, ...]:
+        """One of `PHASES` of every drive; readable at any time."""
+        return tuple(drive.phase for drive in self.drives)
+
+    @property
+    def told(self) -> str:
+        """The controller's state in the last fresh command of the first; readable at any time."""
+        return self.drives[0].told
+
+    @property
+    def log(self) -> npt.NDArray[np.void]:
+        """What they saw and did, `LOG_DTYPE`, (ticks, axes)."""
+        return np.stack([drive.log for drive in self.drives], axis=1)
 
 
 def _by_name(struct: Any) -> dict[str, int]:

@@ -6,10 +6,10 @@ import datetime
 import functools
 import math
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,11 @@ from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import histories
 from rthyb_rt.record import recording
+
+if TYPE_CHECKING:
+    from rthyb_rt.config.numerical_structure import Structure
+    from rthyb_rt.config.own_structure import OwnStructure
+    from rthyb_rt.config.sparse_structure import SparseStructure
 
 REFERENCE_DTYPE = np.dtype([("x_ref_m", "<f8"), ("v_ref_mps", "<f8"), ("f_ref_n", "<f8")])
 
@@ -95,6 +100,23 @@ class Setup:
         """Sample rate of the test."""
         return self.derived.rate
 
+    @property
+    def rigs(self) -> tuple[RigFile, ...]:
+        """The rig of each axis by itself: one, or those of the group."""
+        if self.group is None:
+            return (self.rig,)
+        return tuple(self.group.rig.of_axis(name) for name in self.group.rig.names)
+
+    @property
+    def rig_file(self) -> RigFile | AxesRig:
+        """The rig file itself, of one axis or of several."""
+        return self.rig if self.group is None else self.group.rig
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Names of the axes of a group; () of one axis, which has none."""
+        return () if self.group is None else self.group.rig.names
+
 
 @placing
 def prepare(
@@ -121,12 +143,12 @@ def prepare(
 
     if real_time:
         refuse_other_rate(test)
-        _refuse_python(test, rig)
+        refuse_python(test, rig.specimen)
     if test.history is not None:
         return _prepare_history(test, rig, real_time)
     derived, whole = both(lambda: config.derive(test, rig), read)
     if real_time:
-        _refuse_slow(derived)
+        refuse_slow(derived.structure)
     test = config.resolve(test, derived)
     baseline = ground_motion.baseline_check(whole)
     motion = cut_and_scale(whole, test.ground_motion)
@@ -168,8 +190,8 @@ def prepare(
 
 def _noted(setup: Setup, real_time: bool) -> Setup:
     """Return a test with what its reference and its limits give to note."""
-    derived_notes = _derived_notes(setup.derived.limits) if real_time else []
-    notes = (*setup.notes, *_range_notes(setup.rig, setup.reference), *derived_notes)
+    further = derived_notes(setup.derived.limits) if real_time else []
+    notes = (*setup.notes, *_range_notes(setup.rig, setup.reference), *further)
     return replace(setup, notes=notes)
 
 
@@ -293,8 +315,12 @@ def refuse_other_rate(test: TestFile) -> None:
         )
 
 
-def _refuse_python(test: TestFile, rig: RigFile) -> None:
+def refuse_python(test: TestFile, elements: Sequence[Any]) -> None:
     """Refuse classes in Python, each with what takes its place.
+
+    Args:
+        test: the test file.
+        elements: of the rig's specimen.
 
     Raises:
         InputError: with all of them.
@@ -306,7 +332,7 @@ def _refuse_python(test: TestFile, rig: RigFile) -> None:
         )
     if test.controller.python is not None:
         found.append(("controller.python", "a control law in C, docs/extending.md"))
-    for i, one in enumerate(rig.specimen):
+    for i, one in enumerate(elements):
         if isinstance(one, PythonClass):
             found.append((f"specimen.{i}", "elements of the catalogue"))
     if found:
@@ -373,7 +399,7 @@ def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
     return notes
 
 
-def _derived_notes(limits: limits_file.Resolved) -> list[str]:
+def derived_notes(limits: limits_file.Resolved) -> list[str]:
     """Name the velocity limit that the test has for want of one in its files."""
     velocity = limits.derived.get("command_velocity_m_per_s")
     if velocity is None:
@@ -386,21 +412,21 @@ def _derived_notes(limits: limits_file.Resolved) -> list[str]:
     ]
 
 
-def _refuse_slow(derived: Derived) -> None:
+def refuse_slow(structure: Structure | SparseStructure | OwnStructure | None) -> None:
     """Refuse a structure whose step does not leave half of the sampling period to everything else.
 
     Raises:
         InputError: with the time that it takes on this computer.
     """
-    if derived.structure is None or isinstance(derived.structure.part, core.DenseConfig):
+    if structure is None or isinstance(structure.part, core.DenseConfig):
         return
     from rthyb_rt.config.own_structure import OwnStructure, refuse_in_real_time
     from rthyb_rt.core.numerical_parts import SparsePart
 
-    if isinstance(derived.structure, OwnStructure):
-        refuse_in_real_time(derived.structure.part)
+    if isinstance(structure, OwnStructure):
+        refuse_in_real_time(structure.part)
         return
-    part = derived.structure.part
+    part = structure.part
     taken_s, most_s = SparsePart(part).step_time_s(), 0.5 * part.period_s
     if taken_s > most_s:
         raise InputError(
@@ -876,7 +902,7 @@ def blank(setup: Setup, clock: str) -> recording.Recording:
         # A history is its own reference: nothing else is expected of the specimen's motion.
         reference=setup.reference if setup.plan is None else None,
         test_toml=config.dump(setup.test),
-        rig_toml=config.dump(setup.rig if setup.group is None else setup.group.rig),
+        rig_toml=config.dump(setup.rig_file),
         axis_names=() if setup.group is None else setup.group.rig.names,
         interface_names=() if setup.group is None else setup.group.rig.directions,
         meta={

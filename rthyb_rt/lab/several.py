@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import core, ground_motion
+from rthyb_rt import config, core, ground_motion
 from rthyb_rt.config import AxesRig, Derived, Limit, TestFile, matrix_response
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config.axes_reference import reference_of
@@ -37,22 +37,34 @@ NEVER: Final = 1e6
 
 
 @placing
-def prepare(test: TestFile, rig: AxesRig, *, record: GroundMotion | None = None) -> Setup:
-    """Read the ground motion and work out every setting of the core, for virtual time.
+def prepare(
+    test: TestFile,
+    rig: AxesRig,
+    *,
+    real_time: bool = False,
+    record: GroundMotion | None = None,
+) -> Setup:
+    """Read the ground motion and work out every setting of the core.
 
     Args:
         test, rig: the two files.
+        real_time: as of `experiment.prepare`.
         record: the ground motion as it was read already, not cut, not scaled; None reads it.
 
     Raises:
         InputError: with what is wrong in the files, the record, or between them.
     """
     _refuse_what_is_of_one(test)
+    if real_time:
+        experiment.refuse_other_rate(test)
+        experiment.refuse_python(test, [own.law for own in rig.specimen.element])
 
     def read() -> GroundMotion:
         return experiment.load_motion(test) if record is None else record
 
     derived, whole = experiment.both(lambda: derive_axes(test, rig), read)
+    if real_time:
+        experiment.refuse_slow(derived.structure)
     baseline = ground_motion.baseline_check(whole)
     motion = experiment.cut_and_scale(whole, test.ground_motion)
     lasts_s = test.test.duration_s
@@ -82,7 +94,12 @@ def prepare(test: TestFile, rig: AxesRig, *, record: GroundMotion | None = None)
         ag_mps2=ag,
         controller=controller,
         virtual_rig=experiment.rig_config(rig.of_axis(rig.names[0]), derived.fs_hz),
-        notes=(*derived.notes, *told, *_range_notes(group)),
+        notes=(
+            *derived.notes,
+            *told,
+            *_range_notes(group),
+            *(_derived_notes(group) if real_time else ()),
+        ),
         reference=reference,
         channels=experiment.part_channels(first) + axis_channels(controller),
         group=group,
@@ -153,6 +170,44 @@ def _range_notes(group: Group) -> list[str]:
                     f"the peak of {peak * factor:.3g} {unit} that the reference simulation brings"
                 )
     return notes
+
+
+def _derived_notes(group: Group) -> list[str]:
+    """Name the velocity limits that axes have for want of one in the files."""
+    return [
+        f"axis {name}: {note}"
+        for name, own in zip(group.rig.names, group.derived.axis, strict=True)
+        for note in experiment.derived_notes(own.limits)
+    ]
+
+
+_AT_REST: Final = """schema = "rthyb-test/1"
+test = {{ name = "at-rest", description = "no test: the drives are kept where they stand" }}
+controller = {{ type = "none" }}
+numerical.storeys = {{ count = {count}, mass_kg = 1, specimen = [{storeys}] }}
+numerical.damping = {{ ratio = 0, modes = [1] }}
+"""
+_DIRECTION: Final = """[[interface]]
+name = "{name}"
+storey = {storey}
+"""
+
+
+def at_rest(rig: AxesRig) -> Setup:
+    """Return a setup in whose IDLE state the drives of a rig stay where they stand.
+
+    Its structure, a unit mass a direction, is never asked for anything.
+
+    Raises:
+        InputError: the rig file's own figures do not fit together.
+    """
+    storeys = range(1, len(rig.directions) + 1)
+    text = _AT_REST.format(count=len(storeys), storeys=", ".join(map(str, storeys)))
+    for storey, name in zip(storeys, rig.directions, strict=True):
+        text += _DIRECTION.format(name=name, storey=storey)
+    still = GroundMotion("none", "at-rest", core.PERIOD_S, np.zeros(2))
+    setup = prepare(config.parse_test(text, "at-rest"), rig, record=still)
+    return replace(setup, ag_mps2=np.zeros(1))
 
 
 # ---- from the files' terms to the core's ---------------------------------------------------------

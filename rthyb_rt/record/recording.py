@@ -204,7 +204,8 @@ class ReplayData:
         commands: every operator command, ``{"tick", "command"}``.
         skips: first tick and length of every skip, shape (n, 2).
         tares: offset taken off each channel at zeroing, in the channel's unit.
-        codec: how the link has put numbers into frames, as the core has it; empty: no wire.
+        codec: how the link has put numbers into frames, as the core has it; of several axes one
+            behind the other; empty: no wire.
     """
 
     parameters: list[dict[str, Any]] = field(default_factory=list)

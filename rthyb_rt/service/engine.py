@@ -14,7 +14,7 @@ import math
 import secrets
 import time
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -184,7 +184,7 @@ class Engine(Conductor):
         self._token: tuple[str, str] | None = None
         self._newest: np.void | None = None
         self._state = "IDLE"
-        self._rest = self._make_rest(clock, opened.codec)
+        self._rest = self._make_rest(clock, [one.codec for one in opened.all])
         super().__init__(opened, clock, before_tick, self._rest)
 
     def _put_away(self) -> None:
@@ -380,7 +380,7 @@ class Engine(Conductor):
         return ServiceRun.make(
             loaded.setup,
             self.clock,
-            self.wire.codec,
+            [way.wire.codec for way in self.ways],
             self.folder,
             facts=facts,
             digest=loaded.digest,
@@ -565,12 +565,12 @@ class Engine(Conductor):
 
     # ---- stations and rings ---------------------------------------------------------------------
 
-    def _make_rest(self, clock: Clock, codec: Codec) -> ServiceRun:
+    def _make_rest(self, clock: Clock, codecs: Sequence[Codec]) -> ServiceRun:
         setup = experiment.prescribed(self.rig, "at-rest", np.zeros(1))
         return ServiceRun.make(
             setup,
             clock,
-            codec,
+            codecs,
             self.folder,
             config=_rest_station(setup),
             facts=self._facts_of("rest", ""),

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from itertools import repeat
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import core, numbers
 from rthyb_rt.core import FLAGS, ticker
-from rthyb_rt.core.loop import Clock, Link, Loop
+from rthyb_rt.core.loop import Clock, Link, Loop, LoopAxis
 from rthyb_rt.core.wire import Wire
 from rthyb_rt.errors import RthybError
 from rthyb_rt.lab import experiment, extras, jitter, trips
@@ -79,7 +80,9 @@ class Conductor:
     Attributes:
         opened, clock: as given.
         run: whose station ticks now.
-        loop, wire, link: what makes the tick; see their modules for what may be read.
+        loop, wire, link: what makes the tick; see their modules for what may be read. Wire and
+            link of the first axis.
+        ways: wire, link and calibration of every axis.
         commands_before: number of the command before the first one; 0 where a drive starts anew.
 
     Raises:
@@ -96,22 +99,29 @@ class Conductor:
         self._unheard = _UNHEARD
         self._farewell = True
         self.commands_before = 0
-        rig = first.setup.rig
-        self.wire = Wire(extras.codec_of(rig, opened.codec))
+        rigs = first.setup.rigs
+        rig = rigs[0]
         with ExitStack() as undo:
             undo.callback(first.remove)
             owned = undo.enter_context(ExitStack())
-            self.link = Link(opened.kind, opened.fd)
-            owned.callback(self.link.close)
+            ways = []
+            for own, at in zip(rigs, opened.all, strict=True):
+                wire = Wire(extras.codec_of(own, at.codec))
+                link = Link(at.kind, at.fd)
+                owned.callback(link.close)
+                ways.append(LoopAxis(wire, link, experiment.calibration(own)))
+            self.ways = tuple(ways)
+            self.wire, self.link = ways[0].wire, ways[0].link
             self.loop = Loop(
                 first.station,
                 self.wire,
                 self.link,
                 first.ring,
                 clock,
-                experiment.calibration(rig),
+                ways[0].calibration,
                 lead_us=_LEAD_US if rig.link is None else rig.link.lead_us,
                 paced=before_tick is not None,
+                further=self.ways[1:],
             )
             self._owned = owned.pop_all()
             undo.pop_all()
@@ -129,8 +139,10 @@ class Conductor:
             RthybError: the system refused a thread.
         """
         self._started = True
-        left, self.opened.left = self.opened.left, None
-        if left is not None:
+        left = [one.left for one in self.opened.all if one.left is not None]
+        for one in self.opened.all:
+            one.left = None
+        if len(left) == len(self.ways):
             self.loop.go_on(left)
         self.commands_before = int(self.wire.struct.seq)
         if self.clock == "stepped":
@@ -186,7 +198,10 @@ class Conductor:
             if self._started:
                 if self._farewell:
                     self.loop.leave()
-                self.opened.left = self.loop.last_command()
+                for one, last in zip(
+                    self.opened.all, self.loop.last_commands() or repeat(None), strict=False
+                ):
+                    one.left = last
             with self._owned:
                 self._put_away()
 
@@ -340,7 +355,7 @@ class Conductor:
                 return False
 
     def _not_released(self) -> str:
-        if self.opened.codec.has_reset:
+        if all(one.codec.has_reset for one in self.opened.all):
             return "the drive was sent a reset but stays stopped; its panel shows why"
         return "its frames have no reset command (link.reset_state): release it at its own panel"
 
@@ -411,32 +426,79 @@ class Conductor:
                 f"(limits.tare_share_most); bring the specimen to rest without load, or check "
                 f"the sensor and its calibration.{name}"
             )
+        whose, spread_m, allowed_m = self._restless()
         return (
-            f"the rig is not at rest: the displacement moved by {run.spread_m() * 1e3:.3g} mm "
+            f"the rig is not at rest: the displacement{whose} moved by {spread_m * 1e3:.3g} mm "
             f"during the tare of {run.config.tare_ticks / core.FS_HZ:g} s, allowed is "
-            f"{run.config.rest_spread_m * 1e3:.3g} mm (limits.rest_spread_m); let it come to rest, "
+            f"{allowed_m * 1e3:.3g} mm (limits.rest_spread_m); let it come to rest, "
             "or check its sensor"
         )
 
+    def _restless(self) -> tuple[str, float, float]:
+        """Return which axis moved most during the tare, in words, how far, and what is allowed.
+
+        By what each of them is allowed; the words are "" where there is one.
+        """
+        run, names = self.run, self.run.setup.axis_names
+        if not names:
+            return "", run.spread_m(), run.config.rest_spread_m
+        found = [
+            (f" of axis {name}", run.spread_m(k), axis.rest_spread_m or run.config.rest_spread_m)
+            for k, (name, axis) in enumerate(zip(names, run.config.controller.axes, strict=True))
+        ]
+        return max(found, key=lambda one: one[1] / one[2])
+
     @property
-    def tare(self) -> dict[str, float]:
-        """What zeroing takes off both readings: ``displacement_m`` and ``force_n``."""
-        x_m, f_n = self.run.station.tare
-        return {"displacement_m": x_m, "force_n": f_n}
+    def tare(self) -> dict[str, Any]:
+        """What zeroing takes off both readings: ``displacement_m`` and ``force_n``.
+
+        Of several axes those of the first, and under ``axes`` of each by its name.
+        """
+        names, station = self.run.setup.axis_names, self.run.station
+        x_m, f_n = station.tare
+        found: dict[str, Any] = {"displacement_m": x_m, "force_n": f_n}
+        if names:
+            found["axes"] = {
+                name: {"displacement_m": own_m, "force_n": own_n}
+                for name, (own_m, own_n) in zip(names, station.tares, strict=True)
+            }
+        return found
 
     def tare_in_words(self) -> str:
         """Return it for people."""
-        return numbers.tare(*self.run.station.tare)
+        names, station = self.run.setup.axis_names, self.run.station
+        if not names:
+            return numbers.tare(*station.tare)
+        each = zip(names, station.tares, strict=True)
+        return "; ".join(f"{name} {numbers.tare(*own)}" for name, own in each)
 
     def no_feedback(self) -> str:
-        """Return in words why good pairs of a drive that follows do not come."""
+        """Return in words why good pairs of a drive that follows do not come.
+
+        Of several axes each that is the matter is named.
+        """
         if self.opened.failure is not None:
             return f"the thread that exchanges its frames gave up: {self.opened.failure}"
-        counters, pieces = self.wire.counters(), self.link.counters()["pieces_in"]
-        if self.link.down != "up":
-            return f"the link is down ({self.link.down}); check cable, power and interface"
+        names, flags = self.run.setup.axis_names, self.run.recent_flags
+        if not names:
+            return self._no_feedback_of(self.ways[0], flags)
+        silent = [
+            f"axis {name}: {self._no_feedback_of(way, flags)}"
+            for name, way in zip(names, self.ways, strict=True)
+            if way.link.down != "up" or not way.wire.counters()["pairs"]
+        ]
+        if silent:
+            return "; ".join(silent)
+        whose = _stopped_axes(flags, names)
+        return (f"{whose}: " if whose else "") + _no_more(flags)
+
+    @staticmethod
+    def _no_feedback_of(way: LoopAxis, flags: NDArray[np.uint32]) -> str:
+        counters, pieces = way.wire.counters(), way.link.counters()["pieces_in"]
+        if way.link.down != "up":
+            return f"the link is down ({way.link.down}); check cable, power and interface"
         if counters["pairs"]:
-            return _no_more(self.run.recent_flags)
+            return _no_more(flags)
         if counters["frames"] or pieces:
             bad = {k: n for k, n in counters.items() if n and k not in ("sent", "frames", "stale")}
             told = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in bad.items())
@@ -452,16 +514,53 @@ class Conductor:
 
     # ---- how it went ----------------------------------------------------------------------------
 
+    def wire_counters(self) -> dict[str, int]:
+        """Return the counters of the wire by name; of several axes their sum."""
+        return _sum([way.wire.counters() for way in self.ways])
+
+    def link_counters(self) -> dict[str, int]:
+        """Return the counters of the link by name; of several axes their sum."""
+        return _sum([way.link.counters() for way in self.ways])
+
+    def axis_counters(self) -> dict[str, dict[str, dict[str, int]]]:
+        """Return both of each of several axes by its name; {} of one."""
+        names = self.run.setup.axis_names
+        return dict(zip(names, self._each(), strict=True)) if names else {}
+
+    def _each(self) -> tuple[dict[str, dict[str, int]], ...]:
+        return tuple(
+            {"wire": way.wire.counters(), "link": way.link.counters()} for way in self.ways
+        )
+
     def _count(self) -> Counted:
         return Counted(
             ticks=self.loop.counts,
             loop=self.loop.counters(),
-            wire=self.wire.counters(),
-            link=self.link.counters(),
+            wire=self.wire_counters(),
+            link=self.link_counters(),
             wake=self.loop.wake.copy(),
             sent=self.loop.sent.copy(),
             delays=self.loop.link_delays(),
+            axes=self._each() if len(self.ways) > 1 else (),
         )
+
+    def _axis_facts(self, run: LiveRun, before: Counted, now: Counted) -> dict[str, Any]:
+        """Return how the link of each of several axes went, by its name; {} of one axis."""
+        if not now.axes:
+            return {}
+        delays = self.loop.axis_delays
+        return {
+            "axes": {
+                name: {
+                    "link_delay_samples": -1 if delay is None else delay,
+                    "wire": _more(new["wire"], old["wire"]),
+                    "wire_counters": _more(new["link"], old["link"]),
+                }
+                for name, delay, new, old in zip(
+                    run.setup.axis_names, delays, now.axes, before.axes, strict=True
+                )
+            }
+        }
 
     def ending(self, run: LiveRun) -> dict[str, Any]:
         """Return what ``meta`` of a run's recording says of its end."""
@@ -497,7 +596,19 @@ class Conductor:
             "sent": histogram(now.sent.since(before.sent)),
             "missed_rows": run.missed,
             "ring": {"locked": run.ring.locked, "in_memory": run.ring.in_memory},
+            **self._axis_facts(run, before, now),
         }
+
+
+def _stopped_axes(recent: NDArray[np.uint32], names: Sequence[str]) -> str:
+    """Return which of several axes' drives have stopped by themselves, in words; "": none."""
+    seen = int(np.bitwise_or.reduce(recent)) if recent.size else 0
+    found = [name for k, name in enumerate(names) if seen >> (core.STOPPED_BIT + k) & 1]
+    return f"axis {' and '.join(found)}" if found else ""
+
+
+def _sum(counters: Sequence[Mapping[str, int]]) -> dict[str, int]:
+    return {name: sum(one[name] for one in counters) for name in counters[0]}
 
 
 def _no_more(recent: NDArray[np.uint32]) -> str:

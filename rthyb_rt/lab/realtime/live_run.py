@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
@@ -42,7 +42,10 @@ def stays_stopped(flags: NDArray[np.uint32]) -> bool:
 
 @dataclass(frozen=True)
 class Counted:
-    """What the counters of a link showed at one instant."""
+    """What the counters of a link showed at one instant; of all axes' links their sum.
+
+    ``axes``: of each of several axes, ``{"wire", "link"}``; empty of one.
+    """
 
     ticks: ticker.Counts
     loop: dict[str, int]
@@ -51,6 +54,7 @@ class Counted:
     wake: ticker.Latency
     sent: ticker.Latency
     delays: NDArray[np.int64]
+    axes: tuple[dict[str, dict[str, int]], ...]
 
 
 @dataclass(kw_only=True)
@@ -83,7 +87,7 @@ class LiveRun(Run):
         cls,
         setup: Setup,
         clock: str,
-        codec: Codec,
+        codecs: Codec | Sequence[Codec],
         folder: Path | None = None,
         *,
         config: core.StationConfig | None = None,
@@ -96,7 +100,7 @@ class LiveRun(Run):
         Args:
             setup: the test.
             clock: what it goes by.
-            codec: the link's frames, without which no replay is the same.
+            codecs: frames of the link, or of each axis' link, without which no replay is the same.
             folder: of the ring; None takes `rthyb_rt.record.ring.default_folder`.
             config: settings of the station; None takes those of the test.
             facts: what else the recording is to know, by name.
@@ -109,7 +113,8 @@ class LiveRun(Run):
         """
         config = config or experiment.station_config(setup, real=True)
         run = Run.begin(setup, clock, config, facts)
-        run.bare.replay.codec = codec.table
+        given = [codecs] if isinstance(codecs, Codec) else codecs
+        run.bare.replay.codec = b"".join(codec.table for codec in given)
         filled = Ring.create(folder or ring.default_folder(), run.bare)
         try:
             reader = Reader(filled.path)
@@ -158,11 +163,11 @@ class LiveRun(Run):
         while self._kept_rows - self._parts[0].size >= self.config.tare_ticks:
             self._kept_rows -= self._parts.pop(0).size
 
-    def spread_m(self) -> float:
-        """Return how far the reading of the displacement moved during the last tare's time."""
-        ticks = self.config.tare_ticks
+    def spread_m(self, axis: int = 0) -> float:
+        """Return how far an axis' reading of the displacement moved during the last tare's time."""
+        ticks, field = self.config.tare_ticks, f"x_read_m.{axis}" if axis else "x_read_m"
         parts = self._parts[-ticks:]
-        read = [part["x_read_m"][part["flags"] & FLAGS["fresh"] != 0] for part in parts]
+        read = [part[field][part["flags"] & FLAGS["fresh"] != 0] for part in parts]
         x_m = np.concatenate([np.zeros(0), *read])[-ticks:]
         return float(np.ptp(x_m)) if x_m.size else 0.0
 

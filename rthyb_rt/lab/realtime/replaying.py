@@ -69,11 +69,24 @@ def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
     first, *later = rec.replay.parameters
     station = core.Station(_settings(rec, test, views[0], first["values"]), rec.ag_mps2)
     published = [(int(one["generation"]), _parameters(one["values"])) for one in later]
-    codec = Codec.of(rec.replay.codec) if rec.replay.codec else None
     calibrations = [experiment.calibration(view) for view in views]
-    # One codec is for all axes.
-    rows = station.replay(rec.samples, codec, calibrations, published)
+    codecs = _codecs(rec.replay.codec, len(views))
+    rows = station.replay(rec.samples, codecs, calibrations, published)
     return rows, rec, station
+
+
+def _codecs(tables: bytes, axes: int) -> list[Codec | None]:
+    """Return the frames of each axis' link from their tables, one behind the other.
+
+    Raises:
+        InputError: they are not of as many axes.
+    """
+    if not tables:
+        return [None] * axes
+    size, left = divmod(len(tables), axes)
+    if left:
+        raise InputError(f"its frames are not those of {axes} axes", "recording: codec")
+    return [Codec.of(tables[k * size : (k + 1) * size]) for k in range(axes)]
 
 
 def _settings(

@@ -51,7 +51,13 @@ class Session(Conductor):
         facts: Mapping[str, Any] | None = None,
     ) -> None:
         run = LiveRun.make(
-            setup, clock, opened.codec, folder, config=station, facts=facts, keeps=True
+            setup,
+            clock,
+            [one.codec for one in opened.all],
+            folder,
+            config=station,
+            facts=facts,
+            keeps=True,
         )
         super().__init__(opened, clock, before_tick, run)
         self._keeper = Keeper(run, self.loop.beat)

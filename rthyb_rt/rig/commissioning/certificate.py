@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rthyb_rt import __version__, config
-from rthyb_rt.config import RigFile
+from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.config.rigfile import TOLERANCES
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab.realtime import RefusedError
@@ -124,11 +124,12 @@ class Certificate:
         return {"schema": SCHEMA, "date": self.date, **own, "steps": steps}
 
 
-def rig_hash(rig: RigFile) -> str:
+def rig_hash(rig: RigFile, axis: str = "") -> str:
     """Return a hash of what a commissioning depends on: hexadecimal, 64 digits.
 
     Link, calibration, actuator, sensors and limits; not names, comments, specimen, k_e or what an
-    identification found. Of a DBC file its content counts, and not where it lies.
+    identification found. Of a DBC file its content counts, and not where it lies. Of an axis among
+    several its name counts too: the kinematics know it by that.
     """
     content = {key: value for key, value in rig.model_dump().items() if key in _MATTERS}
     for table, first in _FIRST_KEYS.items():
@@ -140,6 +141,8 @@ def rig_hash(rig: RigFile) -> str:
         content["link"]["dbc"] = _digest(Path(rig.link.dbc))
     for key in TOLERANCES:
         content["actuator"].pop(key, None)
+    if axis:
+        content["axis"] = axis
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -154,14 +157,18 @@ def _digest(path: Path) -> str:
 # ---- files --------------------------------------------------------------------------------------
 
 
-def place(rig_path: Path) -> Path:
+def place(rig_path: Path, axis: str = "") -> Path:
     """Return where the certificate of a rig file goes: beside it, unless it came with the program
-    or its folder may not be written.
+    or its folder may not be written. Each of several axes has its own, by its name.
     """
-    name = rig_path.stem + SUFFIX
+    name = _file_name(rig_path, axis)
     if _shipped(rig_path) or not os.access(rig_path.parent, os.W_OK):
         return state_folder() / name
     return rig_path.with_name(name)
+
+
+def _file_name(rig_path: Path, axis: str) -> str:
+    return rig_path.stem + (f".{axis}" if axis else "") + SUFFIX
 
 
 def state_folder() -> Path:
@@ -232,20 +239,22 @@ def _step(name: str, data: dict[str, Any]) -> Step:
     return Step(name, data["passed"], date, dict(data["figures"]), tuple(map(str, data["faults"])))
 
 
-def find(rig: RigFile, rig_path: Path) -> tuple[Certificate | None, Certificate | None]:
+def find(
+    rig: RigFile, rig_path: Path, axis: str = ""
+) -> tuple[Certificate | None, Certificate | None]:
     """Return the certificate that holds for a rig as it is; if none does, that of the file before.
 
     Looked for by the file's name, then among the others of its folder: a rig file that was
     identified, or renamed, needs no new commissioning. Where several hold, the newest word on each
     step counts: a check that failed is not outweighed by an older one that passed.
     """
-    wanted = rig_hash(rig)
+    wanted = rig_hash(rig, axis)
     held: Certificate | None = None
     older: Certificate | None = None
-    for path, found in _near(rig_path):
+    for path, found in _near(rig_path, axis):
         if found.rig_hash == wanted:
             held = found if held is None else _newest(held, found)
-        elif path.name == rig_path.stem + SUFFIX:
+        elif path.name == _file_name(rig_path, axis):
             # Its own place, or beside the file where that may only be read: a service's.
             older = older or found
     return held, None if held else older
@@ -258,8 +267,8 @@ def _newest(first: Certificate, other: Certificate) -> Certificate:
     return first
 
 
-def _near(rig_path: Path) -> Iterator[tuple[Path, Certificate]]:
-    own = place(rig_path)
+def _near(rig_path: Path, axis: str) -> Iterator[tuple[Path, Certificate]]:
+    own = place(rig_path, axis)
     # A folder of unreadable files is none of this rig's business, its own file is.
     if own.exists():
         yield own, read(own)
@@ -274,11 +283,22 @@ def _others(own: Path, folder: Path) -> Iterable[Path]:
     return (path for path in sorted(folder.glob(f"*{SUFFIX}")) if path != own)
 
 
-def carry(rig: RigFile, rig_path: Path, new_path: Path) -> None:
+def each(rig: RigFile | AxesRig) -> list[tuple[RigFile, str]]:
+    """Return what is commissioned by itself, each as a rig of one axis, with its axis' name.
+
+    Of a rig of several axes every one; of a rig of one itself, whose axis has no name.
+    """
+    if isinstance(rig, AxesRig):
+        return [(rig.of_axis(name), name) for name in rig.names]
+    return [(rig, "")]
+
+
+def carry(rig: RigFile | AxesRig, rig_path: Path, new_path: Path) -> None:
     """Put a certificate that holds beside another file of the same rig, where none is found."""
-    holds, _ = find(rig, rig_path)
-    if holds is not None and find(rig, new_path)[0] is None:
-        write(place(new_path), holds)
+    for own, axis in each(rig):
+        holds, _ = find(own, rig_path, axis)
+        if holds is not None and find(own, new_path, axis)[0] is None:
+            write(place(new_path, axis), holds)
 
 
 # ---- what a test asks for -----------------------------------------------------------------------
@@ -317,44 +337,62 @@ class Standing:
         }
 
 
-def standing(rig: RigFile, rig_path: Path) -> Standing:
-    """Return whether a rig has been commissioned as its file stands.
+def standing(rig: RigFile, rig_path: Path, axis: str = "") -> Standing:
+    """Return whether a rig, or an axis of several, has been commissioned as its file stands.
 
     Raises:
         InputError: its certificate cannot be understood.
     """
     demanded = rig.link is not None and not rig.link.virtual
-    holds, older = find(rig, rig_path)
+    holds, older = find(rig, rig_path, axis)
     lacks = demanded and (holds is None or bool(holds.lacking))
-    why_not = _why_not(rig_path, holds, older) if lacks else ""
-    return Standing(demanded, holds, place(rig_path), why_not)
+    why_not = _why_not(rig_path, holds, older, axis) if lacks else ""
+    return Standing(demanded, holds, place(rig_path, axis), why_not)
 
 
-def demand(rig: RigFile, rig_path: Path) -> dict[str, Any]:
+def demand(rig: RigFile | AxesRig, rig_path: Path) -> dict[str, Any]:
     """Return what a recording is to know of a rig's commissioning, for its ``meta``.
 
-    With a virtual rig at the other end nothing is demanded: no ``[link]``, or ``link.virtual``.
+    Every one of several axes must have passed; what is known of each stands under ``axes``. With a
+    virtual rig at the other end nothing is demanded: no ``[link]``, or ``link.virtual``.
 
     Raises:
         RefusedError: a check of `STEPS` has not passed for this very rig file; which ones is said.
     """
-    found = standing(rig, rig_path)
-    if found.why_not:
-        raise RefusedError(found.why_not, where=str(rig_path))
+    stands = {axis: standing(own, rig_path, axis) for own, axis in each(rig)}
+    why_not = [
+        f"axis {axis}: {found.why_not}" if axis else found.why_not
+        for axis, found in stands.items()
+        if found.why_not
+    ]
+    if why_not:
+        raise RefusedError("; ".join(why_not), where=str(rig_path))
+    known = {axis: _known(own, axis, stands[axis]) for own, axis in each(rig)}
+    if "" in known:
+        return {"commissioning": known[""]}
+    demanded = any(one["demanded"] for one in known.values())
+    # The oldest word counts, and none where an axis has none.
+    dates = {name: min(one[name] for one in known.values()) for name in STEPS}
+    common = {"demanded": demanded, "virtual": not demanded, **dates}
+    return {"commissioning": {**common, "axes": known}}
+
+
+def _known(rig: RigFile, axis: str, found: Standing) -> dict[str, Any]:
     holds = found.holds
     dates = {name: holds.date_of(name) if holds is not None else "" for name in STEPS}
     return {
-        "commissioning": {
-            "demanded": found.demanded,
-            "virtual": not found.demanded,
-            "rig_hash": rig_hash(rig),
-            **dates,
-        }
+        "demanded": found.demanded,
+        "virtual": not found.demanded,
+        "rig_hash": rig_hash(rig, axis),
+        **dates,
     }
 
 
-def _why_not(rig_path: Path, holds: Certificate | None, older: Certificate | None) -> str:
-    remedy = f"run `rthyb commission {rig_path}`"
+def _why_not(
+    rig_path: Path, holds: Certificate | None, older: Certificate | None, axis: str
+) -> str:
+    of_axis = f" --axis {axis}" if axis else ""
+    remedy = f"run `rthyb commission {rig_path}{of_axis}`"
     if holds is not None:
         names = ",".join(name for name in STEPS if not holds.date_of(name))
         told = ", ".join(holds.lacking)

@@ -62,6 +62,7 @@ def commission(
     plan: Plan,
     known: Certificate | None = None,
     keep: Callable[[Certificate], None] = lambda _: None,
+    axis: str = "",
 ) -> Certificate:
     """Lead through the steps of a plan; a link or a polarity that fails ends it.
 
@@ -70,6 +71,7 @@ def commission(
         plan: what is to be done.
         known: a certificate that holds for this rig file; its other steps are kept.
         keep: takes the certificate after every step.
+        axis: name of the axis that the rig is, among several; "" of a rig of one.
 
     Returns:
         The certificate with the steps that were made. A step that was not allowed is not in it, or
@@ -87,7 +89,7 @@ def commission(
     connection = replace(connection, resets=True)
     certificate = known or Certificate(
         rig_name=rig.rig.name,
-        rig_hash=rig_hash(rig),
+        rig_hash=rig_hash(rig, axis),
         virtual=rig.link is None or rig.link.virtual,
         link=connection.opened.name,
     )

@@ -35,7 +35,7 @@ out as a burst of old commands when it is back."""
 STALE_FRAMES_MOST: Final = 100_000
 
 
-def open_can(wanted: Link, side: Side, codec: Codec) -> Opened:
+def open_can(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) -> Opened:
     """Open a SocketCAN interface for one side of a link.
 
     Only frames of the other side and error frames come in, and nothing that was sent here. The
@@ -45,6 +45,7 @@ def open_can(wanted: Link, side: Side, codec: Codec) -> Opened:
         wanted: ``channel`` is the interface; the bit rates, if any, are compared with the kernel's.
         side: whose frames are let through.
         codec: their identifiers.
+        shared: another axis of the same rig has opened, and locked, the interface for this side.
 
     Raises:
         InputError: with all that is wrong with the interface and the command that sets it right.
@@ -55,7 +56,8 @@ def open_can(wanted: Link, side: Side, codec: Codec) -> Opened:
     check(interface, wanted.bitrate, fd, wanted.data_bitrate)
     check_load(interface, codec)
     with Owned() as owned:
-        locks.hold(owned, interface.name, interface.name, side)
+        if not shared:
+            locks.hold(owned, interface.name, interface.name, side)
         bus = _bus(interface.name, filters(codec, side), fd)
         owned.callback(bus.shutdown)
         try:

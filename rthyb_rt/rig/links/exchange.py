@@ -42,7 +42,7 @@ JOIN_S: Final = 2.0
 _HEADER: Final = struct.Struct("=IBB2x")
 
 
-def open_bus(wanted: Link, side: Side, codec: Codec) -> Opened:
+def open_bus(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) -> Opened:
     """Open an interface of python-can for one side of a link.
 
     Vendor parameters that the rig file has no word for are python-can's own business
@@ -57,7 +57,9 @@ def open_bus(wanted: Link, side: Side, codec: Codec) -> Opened:
     fd = wanted.fd or codec.is_fd
     _check_load(wanted, where, codec)
     with Owned() as owned:
-        locks.hold(owned, where, f"{interface} {_place(wanted.channel)}", side)
+        # Another axis of the same rig may have opened, and locked, the interface for this side.
+        if not shared:
+            locks.hold(owned, where, f"{interface} {_place(wanted.channel)}", side)
         bus = _bus(wanted, interface, where, fd)
         owned.callback(bus.shutdown)
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)

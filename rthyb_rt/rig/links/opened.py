@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self
@@ -32,6 +32,7 @@ class Opened:
         name: what it is, for messages: "can0, CAN 1 Mbit/s".
         facts: what was found out about it, for the recording; numbers, words, lists of words.
         left: what the last session at it told the drive last: where the next one goes on.
+        further: of a rig of several axes, the links of all but the first, which this one is.
     """
 
     kind: Kind
@@ -43,6 +44,12 @@ class Opened:
     owned: Owned = field(default_factory=Owned, repr=False)
     failed: Callable[[], str | None] = field(default=_never, repr=False)
     left: LastCommand | None = field(default=None, repr=False)
+    further: tuple[Opened, ...] = ()
+
+    @property
+    def all(self) -> tuple[Opened, ...]:
+        """The links of all axes, in their order."""
+        return (self, *self.further)
 
     @property
     def failure(self) -> str | None:
@@ -59,6 +66,34 @@ class Opened:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def together(links: Mapping[str, Opened]) -> Opened:
+    """Return the links of several axes as one, which owns them all.
+
+    Args:
+        links: of each axis by its name, in their order.
+    """
+    first, *further = links.values()
+
+    def failed() -> str | None:
+        whys = [f"axis {name}: {one.failure}" for name, one in links.items() if one.failure]
+        return "; ".join(whys) or None
+
+    owned = Owned()
+    for one in reversed([*links.values()]):
+        owned.callback(one.close)
+    return Opened(
+        kind=first.kind,
+        fd=first.fd,
+        codec=first.codec,
+        real_time=all(one.real_time for one in links.values()),
+        name="; ".join(f"{name}: {one.name}" for name, one in links.items()),
+        facts={f"{name}.{key}": v for name, one in links.items() for key, v in one.facts.items()},
+        owned=owned,
+        failed=failed,
+        further=tuple(further),
+    )
 
 
 def bit_rate(bits_per_s: int) -> str:

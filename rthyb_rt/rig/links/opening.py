@@ -6,28 +6,49 @@ Nothing here moves anything: no frame is sent, and no interface is set up that w
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Protocol, TypeVar
 
+from rthyb_rt.config import AxesRig
 from rthyb_rt.config.rigfile import DEFAULT_BAUD, Link
 from rthyb_rt.core import dbc, wire
+from rthyb_rt.errors import InputError
 from rthyb_rt.rig.links import serial_line, sockets
-from rthyb_rt.rig.links.opened import Opened, Side
+from rthyb_rt.rig.links.opened import Opened, Side, together
 from rthyb_rt.rig.links.sockets import connect_socket, listen_socket, socket_pair
 
 __all__ = [
     "Opened",
     "Side",
+    "at_each",
     "connect_socket",
     "listen_socket",
+    "open_axes",
     "open_link",
     "socket_pair",
+    "socket_pairs",
+    "together",
 ]
 
 # Without a handler, Python prints python-can's own words beside our messages.
 logging.getLogger("can").addHandler(logging.NullHandler())
 
 
-def open_link(wanted: Link, side: Side, *, folder: Path | None = None) -> Opened:
+class Closes(Protocol):
+    """What is given back when it is no longer needed."""
+
+    def close(self) -> None:
+        """Give it back; twice does no harm."""
+
+
+_T = TypeVar("_T", bound=Closes)
+
+
+def open_link(
+    wanted: Link, side: Side, *, folder: Path | None = None, shared: bool = False
+) -> Opened:
     """Open a link for the controller or for a drive.
 
     Args:
@@ -35,6 +56,7 @@ def open_link(wanted: Link, side: Side, *, folder: Path | None = None) -> Opened
         side: which end. Over a socket the controller connects; the drive listens, and waits until
             one controller has come.
         folder: what ``dbc`` is relative to; the current folder if there is none.
+        shared: a bus that another axis of the same rig has opened already.
 
     Raises:
         InputError: what stands against it, and what to do.
@@ -45,13 +67,65 @@ def open_link(wanted: Link, side: Side, *, folder: Path | None = None) -> Opened
     if wanted.kind == "can":
         from rthyb_rt.rig.links import can_bus  # python-can takes its time
 
-        return can_bus.open_can(wanted, side, codec)
+        return can_bus.open_can(wanted, side, codec, shared=shared)
     if wanted.kind == "python-can":
         from rthyb_rt.rig.links import exchange
 
-        return exchange.open_bus(wanted, side, codec)
+        return exchange.open_bus(wanted, side, codec, shared=shared)
     reach = sockets.connect_socket if side == "controller" else sockets.listen_socket
     return reach(wanted.channel, codec)
+
+
+def open_axes(rig: AxesRig, side: Side, *, folder: Path | None = None) -> Opened:
+    """Open the links of all axes of a rig, each as its ``[axis.link]`` has it.
+
+    Axes at one CAN bus have a socket each, of their own identifiers.
+
+    Raises:
+        InputError: what stands against one of them, with the axis; none stays open then.
+    """
+    with ExitStack() as undo:
+        links = at_each(
+            rig,
+            lambda link, shared: open_link(link, side, folder=folder, shared=shared),
+            undo,
+        )
+        undo.pop_all()
+    return together(links)
+
+
+def at_each(rig: AxesRig, reach: Callable[[Link, bool], _T], owned: ExitStack) -> dict[str, _T]:
+    """Return what is opened for the link of each axis of a rig, by its name.
+
+    Args:
+        rig: whose links.
+        reach: opens one; told whether it is at a bus that an axis before has opened.
+        owned: closes what is open.
+
+    Raises:
+        InputError: an axis has no link, or what ``reach`` raises, with the axis.
+    """
+    found: dict[str, _T] = {}
+    buses: set[tuple[str, str]] = set()
+    for axis in rig.axis:
+        where = f"axis.{axis.name}.link"
+        if axis.link is None:
+            raise InputError("the axis has no link; all axes have one, or none", where)
+        bus = (axis.link.kind, axis.link.channel)
+        try:
+            found[axis.name] = reach(axis.link, bus in buses)
+        except InputError as error:
+            raise InputError(str(error), where) from error
+        owned.callback(found[axis.name].close)
+        buses.add(bus)
+    return found
+
+
+def socket_pairs(names: Sequence[str]) -> tuple[Opened, Opened]:
+    """Return both ends of a link without a name for each of several axes: controller and drives."""
+    pairs = {name: socket_pair() for name in names}
+    ours = together({name: pair[0] for name, pair in pairs.items()})
+    return ours, together({name: pair[1] for name, pair in pairs.items()})
 
 
 def _codec(wanted: Link, folder: Path | None) -> wire.Codec:

@@ -8,7 +8,14 @@ end of a socket pair.
 from rthyb_rt.rig.virtual_rig.companion import Companion
 from rthyb_rt.rig.virtual_rig.faulty import parse_mishaps
 from rthyb_rt.rig.virtual_rig.faulty import run as run_faulty
-from rthyb_rt.rig.virtual_rig.lines import Line, OpenedLine, inherited_line, line_of, pty_line
+from rthyb_rt.rig.virtual_rig.lines import (
+    Line,
+    OpenedLine,
+    inherited_line,
+    line_of,
+    lines_of,
+    pty_line,
+)
 from rthyb_rt.rig.virtual_rig.plan import DRIFT_MAX_PPM, FAULT_KINDS, POWER_CUT, Plan, parse_faults
 from rthyb_rt.rig.virtual_rig.serving import (
     LOG_SECONDS,
@@ -16,6 +23,7 @@ from rthyb_rt.rig.virtual_rig.serving import (
     Result,
     Stop,
     drive_of,
+    drives_of,
     in_step,
     serve,
     write_log,
@@ -34,9 +42,11 @@ __all__ = [
     "Result",
     "Stop",
     "drive_of",
+    "drives_of",
     "in_step",
     "inherited_line",
     "line_of",
+    "lines_of",
     "parse_faults",
     "parse_mishaps",
     "pty_line",

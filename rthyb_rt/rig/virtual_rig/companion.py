@@ -11,7 +11,7 @@ import sys
 from typing import Any, Final
 
 from rthyb_rt import config
-from rthyb_rt.config import RigFile
+from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.errors import RthybError
 from rthyb_rt.rig.virtual_rig.lines import inherited_line
 from rthyb_rt.rig.virtual_rig.serving import Stop, serve
@@ -20,29 +20,29 @@ _PEER_PATIENCE_S: Final = 20.0
 
 
 class Companion:
-    """A virtual rig in a process of its own, at the other end of a socket pair.
+    """A virtual rig in a process of its own, at the other end of a socket pair for each axis.
 
     It is not reached by a Ctrl-C in the terminal, and ends by itself when this process is gone.
 
     Args:
         rig: what moves and measures.
-        fd: its end of the pair; stays the caller's, who closes it.
+        fds: its end of the pair, of several axes of each; stay the caller's, who closes them.
 
     Raises:
         RthybError: the process did not come to life; with what it said.
     """
 
-    def __init__(self, rig: RigFile, fd: int) -> None:
+    def __init__(self, rig: RigFile | AxesRig, *fds: int) -> None:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "rthyb_rt.rig.virtual_rig"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            pass_fds=(fd,),
+            pass_fds=fds,
             start_new_session=True,
         )
         try:
-            order = {"fd": fd, "rig_toml": config.dump(rig)}
+            order = {"fds": fds, "rig_toml": config.dump(rig)}
             assert self._process.stdin is not None
             with contextlib.suppress(BrokenPipeError), self._process.stdin as order_book:
                 order_book.write(json.dumps(order).encode() + b"\n")
@@ -94,11 +94,11 @@ class Companion:
 def be_companion() -> None:
     """Be the process of a `Companion`."""
     order = json.loads(sys.stdin.readline())
-    rig = config.parse_rig(order["rig_toml"], "rig")
-    line = inherited_line(int(order["fd"]))
+    rig = config.parse_any_rig(order["rig_toml"], "rig")
+    lines = [inherited_line(int(fd)) for fd in order["fds"]]
     stop = Stop()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    result = serve(rig, line, stop=stop, ready=lambda: print("ready", flush=True))
+    result = serve(rig, lines, stop=stop, ready=lambda: print("ready", flush=True))
     # Its reader may be gone, killed perhaps.
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps(result.as_json()), flush=True)

@@ -16,13 +16,13 @@ from rthyb_rt.rig.virtual_rig.plan import POWER_CUT, parse_faults
 from rthyb_rt.rig.virtual_rig.serving import in_step
 
 
-def parse_mishaps(texts: Sequence[str]) -> tuple[loop.Fault, ...]:
-    """Return the faults of a test, in ticks from its first sample.
+def parse_mishaps(texts: Sequence[str], axes: Sequence[str] = ()) -> tuple[loop.Fault, ...]:
+    """Return the faults of a test, in ticks from its first sample; arguments as `parse_faults`.
 
     Raises:
         InputError: with every text that cannot be understood, or asks for what only a process has.
     """
-    faults, cut_s = parse_faults(texts)
+    faults, cut_s = parse_faults(texts, axes)
     if cut_s is not None:
         raise InputError(f"{POWER_CUT}: a rig in this process has none of its own; take silence")
     return faults
@@ -54,8 +54,12 @@ def run(
         RthybError: as `rthyb_rt.lab.realtime.run`.
     """
     setup = dataclasses.replace(setup, rig=setup.rig.model_copy(update={"link": None}))
-    ours, theirs = opening.socket_pair()
-    with ours, theirs, in_step(setup.rig, theirs) as drive:
+    if setup.group is not None:
+        group = dataclasses.replace(setup.group, rig=setup.group.rig.without_links())
+        setup = dataclasses.replace(setup, group=group)
+    names = setup.axis_names
+    ours, theirs = opening.socket_pairs(names) if names else opening.socket_pair()
+    with ours, theirs, in_step(setup.rig_file, theirs) as drive:
         # A fault that is out of range is refused here, and not in the middle of the test.
         drive.schedule(faults)
         drive.schedule(())

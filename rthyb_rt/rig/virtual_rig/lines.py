@@ -12,6 +12,7 @@ import tty
 from pathlib import Path
 from typing import Final
 
+from rthyb_rt.config import AxesRig
 from rthyb_rt.config.rigfile import Link
 from rthyb_rt.core import dbc, loop, wire
 from rthyb_rt.errors import InputError
@@ -164,8 +165,20 @@ def inherited_line(fd: int) -> Line:
     return Line("can", fd, wire.can(), "socket pair", mortal=True)
 
 
-def line_of(link: Link) -> Line:
-    """Open the drive's end of a rig file's link.
+def lines_of(rig: AxesRig) -> list[Line]:
+    """Open the drives' ends of the links of all axes of a rig.
+
+    Raises:
+        InputError: what stands against one of them, with the axis.
+    """
+    with contextlib.ExitStack() as undo:
+        found = opening.at_each(rig, lambda link, shared: line_of(link, shared=shared), undo)
+        undo.pop_all()
+    return list(found.values())
+
+
+def line_of(link: Link, *, shared: bool = False) -> Line:
+    """Open the drive's end of a rig file's link; ``shared`` as of `opening.open_link`.
 
     Raises:
         InputError: what stands against it.
@@ -177,4 +190,4 @@ def line_of(link: Link) -> Line:
     )
     if link.kind == "socket":
         return ListeningLine(Path(link.channel), codec or wire.can())
-    return OpenedLine(opening.open_link(link, "drive"))
+    return OpenedLine(opening.open_link(link, "drive", shared=shared))

@@ -65,12 +65,20 @@ NO_PLAN: Final = Plan()
 """Nothing goes wrong."""
 
 
-def parse_faults(texts: Sequence[str]) -> tuple[tuple[loop.Fault, ...], float | None]:
+def parse_faults(
+    texts: Sequence[str], axes: Sequence[str] = ()
+) -> tuple[tuple[loop.Fault, ...], float | None]:
     """Return the faults, and when the power goes.
+
+    On a rig of several axes each but ``power-cut`` begins with its axis: ``lower.drop@2.5``.
 
     Each is ``KIND@SECONDS[:DURATION_S][=VALUE]``, or ``KIND[:KEY=NUMBER,...]`` with the keys from
     and to (s) and that of its value: p of lost frames, ticks of a delay, m of a jump, n of a force.
     Without an end a fault stays for good; the shortest one lasts a tick.
+
+    Args:
+        texts: the faults.
+        axes: names of several axes; () of a rig of one.
 
     Raises:
         InputError: with every text that cannot be understood.
@@ -80,19 +88,38 @@ def parse_faults(texts: Sequence[str]) -> tuple[tuple[loop.Fault, ...], float | 
     problems = []
     for text in texts:
         try:
-            kind, at, lasts, value = _fault_parts(text)
+            axis, rest = _axis_of(text, axes)
+            kind, at, lasts, value = _fault_parts(rest)
         except ValueError as error:
             problems.append(f"{text!r}: {error}")
             continue
         if kind == POWER_CUT:
             cuts.append(at)
             continue
+        if axis is None:
+            problems.append(
+                f"{text!r}: on a rig of several axes a fault begins with its axis, such as "
+                f"{axes[0]}.{text}; the axes are {', '.join(axes)}"
+            )
+            continue
         ticks = _FOR_EVER if lasts is None else max(round(lasts * core.FS_HZ), 1)
         first = round(at * core.FS_HZ)
-        faults.append(loop.Fault(kind, first, ticks, value))  # type: ignore[arg-type]
+        faults.append(loop.Fault(kind, first, ticks, value, axis))  # type: ignore[arg-type]
     if problems:
         raise InputError("; ".join(problems))
     return tuple(faults), min(cuts, default=None)
+
+
+def _axis_of(text: str, axes: Sequence[str]) -> tuple[int | None, str]:
+    """Return the number of a fault's axis, and the rest of it; None: it names none of several."""
+    if not axes:
+        return 0, text
+    name, dot, rest = text.partition(".")
+    if not dot or not re.fullmatch("[a-z][a-z0-9_-]*", name):
+        return None, text
+    if name not in axes:
+        raise ValueError(f"found the axis {name}; the axes are {', '.join(axes)}")
+    return list(axes).index(name), rest
 
 
 def _fault_parts(text: str) -> tuple[str, float, float | None, float]:

@@ -7,19 +7,20 @@ import dataclasses
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
-from rthyb_rt.config import RigFile
+from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.core import loop, ticker, wire
+from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import experiment, extras
+from rthyb_rt.lab import axes_rig, experiment, extras
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.rig.links.opened import Opened
 from rthyb_rt.rig.virtual_rig.lines import Line
@@ -30,6 +31,9 @@ LOG_SECONDS: Final = 600.0
 _SERIAL_COMMAND: Final = 12
 """Bytes of a command on the serial line."""
 _LOOK_S: Final = 0.005
+
+Drives = loop.Drive | loop.Drives
+"""Of a rig: one, or those of all its axes."""
 
 
 class Stop:
@@ -61,10 +65,10 @@ class Result:
         commands: command frames that came.
         watchdog_stops: how often it stopped because nothing fresh came.
         told_stops: how often a controller that tripped told it to stop.
-        phase: one of `rthyb_rt.core.loop.PHASES`, at the end.
+        phase: one of `rthyb_rt.core.loop.PHASES`, at the end; of drives that differ each by name.
         power_cut: its power went.
         privileges: what its thread obtained, names of `rthyb_rt.core.ticker.PRIVILEGES`.
-        log: what it saw and did, `rthyb_rt.core.loop.LOG_DTYPE`, (n,).
+        log: what it saw and did, `rthyb_rt.core.loop.LOG_DTYPE`, (n,); of several axes (n, axes).
     """
 
     ticks: int
@@ -87,18 +91,61 @@ class Result:
 class _Watcher:
     """Counts how often the drive stops, and why, by looking now and then."""
 
-    def __init__(self, drive: loop.Drive) -> None:
-        self._drive = drive
-        self._followed = False
+    def __init__(self, drives: Sequence[loop.Drive]) -> None:
+        self._drives = drives
+        self._followed = [False] * len(drives)
         self.watchdog_stops = self.told_stops = 0
 
     def look(self) -> None:
-        follows = self._drive.phase == "following"
-        if self._followed and not follows:
-            told = self._drive.told == "TRIPPED"
-            self.told_stops += told
-            self.watchdog_stops += not told
-        self._followed = follows
+        for k, drive in enumerate(self._drives):
+            follows = drive.phase == "following"
+            if self._followed[k] and not follows:
+                told = drive.told == "TRIPPED"
+                self.told_stops += told
+                self.watchdog_stops += not told
+            self._followed[k] = follows
+
+
+def drives_of(
+    rig: AxesRig, codecs: Sequence[wire.Codec], links: Sequence[loop.Link], plan: Plan
+) -> loop.Drives:
+    """Return the drives of all axes of a rig file, each at its end of its link.
+
+    Raises:
+        CoreError: the rig, the drift or a fault is refused.
+        InputError: figures that the files' own checks let through and the core does not.
+    """
+    seed = rig.rig.seed if plan.seed is None else plan.seed
+    given = rig.model_copy(update={"rig": rig.rig.model_copy(update={"seed": seed})})
+    plant: CoupledRig = axes_rig.virtual_rig(given)
+    drives = []
+    for k, (name, codec, link) in enumerate(zip(rig.names, codecs, links, strict=True)):
+        own = rig.of_axis(name)
+        drives.append(
+            loop.Drive(
+                plant,
+                codec,
+                link,
+                stop_decel_m_per_s2=experiment.stop_decel_m_per_s2(own),
+                log_ticks=plan.log_ticks,
+                # Faults of two drives are not to fall together.
+                seed=seed + k,
+                drift_ppm=plan.drift_ppm,
+                calibration=experiment.calibration(own),
+            )
+        )
+    found = loop.Drives(drives)
+    found.schedule(plan.faults)
+    return found
+
+
+def _drives_at(
+    rig: RigFile | AxesRig, ends: Sequence[tuple[wire.Codec, loop.Link]], plan: Plan
+) -> Drives:
+    if isinstance(rig, AxesRig):
+        return drives_of(rig, [codec for codec, _ in ends], [link for _, link in ends], plan)
+    ((codec, link),) = ends
+    return drive_of(rig, codec, link, plan)
 
 
 def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: Plan) -> loop.Drive:
@@ -122,25 +169,40 @@ def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: Plan) -> lo
     return drive
 
 
+@overload
+def in_step(
+    rig: RigFile, opened: Opened, plan: Plan = NO_PLAN
+) -> contextlib.AbstractContextManager[loop.Drive]: ...
+
+
+@overload
+def in_step(
+    rig: RigFile | AxesRig, opened: Opened, plan: Plan = NO_PLAN
+) -> contextlib.AbstractContextManager[Drives]: ...
+
+
 @contextlib.contextmanager
-def in_step(rig: RigFile, opened: Opened, plan: Plan = NO_PLAN) -> Iterator[loop.Drive]:
+def in_step(rig: RigFile | AxesRig, opened: Opened, plan: Plan = NO_PLAN) -> Iterator[Any]:
     """Give a drive that ticks on the caller's word: for the stepped clock, not in real time.
+
+    Of a rig of several axes the drives of all.
 
     Args:
         rig: what moves and measures.
         opened: its end of the link; stays the caller's.
         plan: what goes wrong when; its times of power cut and end do not count.
     """
-    link = loop.Link(opened.kind, opened.fd)
-    try:
-        yield drive_of(rig, opened.codec, link, plan)
-    finally:
-        link.close()
+    with contextlib.ExitStack() as owned:
+        links = [loop.Link(one.kind, one.fd) for one in opened.all]
+        for link in links:
+            owned.callback(link.close)
+        codecs = [one.codec for one in opened.all]
+        yield _drives_at(rig, list(zip(codecs, links, strict=True)), plan)
 
 
 def serve(
-    rig: RigFile,
-    line: Line,
+    rig: RigFile | AxesRig,
+    line: Line | Sequence[Line],
     plan: Plan = NO_PLAN,
     stop: Stop | None = None,
     ready: Callable[[], None] = lambda: None,
@@ -149,7 +211,7 @@ def serve(
 
     Args:
         rig: what moves and measures.
-        line: its end of the wire; stays the caller's.
+        line: its end of the wire, of several axes of each; stays the caller's.
         plan: what goes wrong when.
         stop: ends it; from any thread, or from a signal's handler.
         ready: called once it ticks.
@@ -158,17 +220,22 @@ def serve(
         CoreError: the rig, the drift or a fault is refused.
     """
     stop = stop or Stop()
-    link = loop.Link(line.kind, line.fd)
-    try:
-        return _run(drive_of(rig, line.codec, link, plan), link, line, plan, stop, ready)
-    finally:
-        link.close()
+    lines = (line,) if isinstance(line, Line) else tuple(line)
+    names = rig.names if isinstance(rig, AxesRig) else ("",)
+    with contextlib.ExitStack() as owned:
+        ends = []
+        for one in lines:
+            link = loop.Link(one.kind, one.fd)
+            owned.callback(link.close)
+            ends.append((one, link))
+        drive = _drives_at(rig, [(one.codec, link) for one, link in ends], plan)
+        return _run(drive, names, ends, plan, stop, ready)
 
 
 def _run(
-    drive: loop.Drive,
-    link: loop.Link,
-    line: Line,
+    drive: Drives,
+    names: Sequence[str],
+    ends: Sequence[tuple[Line, loop.Link]],
     plan: Plan,
     stop: Stop,
     ready: Callable[[], None],
@@ -187,13 +254,13 @@ def _run(
         drive.run(clocks[0])
 
     thread = threading.Thread(target=tick, name="drive", daemon=True)
-    watcher = _Watcher(drive)
+    watcher = _Watcher(drive.drives)
     thread.start()
     try:
         begun.wait()
         (clock,) = clocks
         ready()
-        cut = _look_after(drive, link, line, plan, stop, watcher)
+        cut = _look_after(drive, ends, plan, stop, watcher)
     finally:
         # An interrupt may come before there is a clock that could be stopped.
         begun.wait()
@@ -202,25 +269,36 @@ def _run(
         thread.join()
         ticker.unlock_memory()
     watcher.look()
-    counters = link.counters()
-    serial = line.kind == "stream"
     return Result(
         ticks=drive.ticks,
         skipped=clock.counts.skipped,
-        commands=counters["bytes_in"] // _SERIAL_COMMAND if serial else counters["pieces_in"],
+        commands=sum(_commands(line, link) for line, link in ends),
         watchdog_stops=watcher.watchdog_stops,
         told_stops=watcher.told_stops,
-        phase=drive.phase,
+        phase=_phase(drive.drives, names),
         power_cut=cut,
         privileges=tuple(obtained),
         log=drive.log,
     )
 
 
+def _commands(line: Line, link: loop.Link) -> int:
+    """Return how many command frames have come."""
+    counters = link.counters()
+    serial = line.kind == "stream"
+    return counters["bytes_in"] // _SERIAL_COMMAND if serial else counters["pieces_in"]
+
+
+def _phase(drives: Sequence[loop.Drive], names: Sequence[str]) -> str:
+    found = [drive.phase for drive in drives]
+    if len(set(found)) == 1:
+        return found[0]
+    return ", ".join(f"{name} {phase}" for name, phase in zip(names, found, strict=True))
+
+
 def _look_after(
-    drive: loop.Drive,
-    link: loop.Link,
-    line: Line,
+    drive: Drives,
+    ends: Sequence[tuple[Line, loop.Link]],
     plan: Plan,
     stop: Stop,
     watcher: _Watcher,
@@ -235,7 +313,8 @@ def _look_after(
         if plan.seconds is not None and now_s >= plan.seconds:
             return False
         # Nobody left: what moves is stopped first, as it would be in the room.
-        if not line.tend(link) and drive.phase == "stopped":
+        left = [line.tend(link) for line, link in ends]
+        if not any(left) and all(one.phase == "stopped" for one in drive.drives):
             return False
     return False
 
