@@ -86,6 +86,13 @@ def a_drift() -> Evidence:
     return evidence(of("drift", chi2=1000.0), of("coulomb", chi2=1300.0), naive=True)
 
 
+def the_cells_own_noise() -> Evidence:
+    """Of a closed loop: a law earns its price, and not by the motion that the test makes."""
+    return evidence(
+        of("coulomb", chi2=1060.0), of("viscous", chi2=1000.0), null=1100.0, returns=True
+    )
+
+
 def more_laws() -> Evidence:
     """Of a naive model: two laws of which another one does nearly as well alone."""
     return evidence(
@@ -126,6 +133,7 @@ def a_form_of_one() -> Evidence:
 RULES: dict[str, tuple[Evidence, dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
     "needed": (not_needed(), {}, ("coulomb",), ("coulomb", "cubic")),
     "drift goes on": (a_drift(), {"drift": Drift(1.0, 0.1, 0.05)}, ("coulomb",), ("drift",)),
+    "driven": (the_cells_own_noise(), {"driven": (10.0,)}, (), ("viscous",)),
     "more laws": (more_laws(), {}, ("hysteresis",), ("cubic", "gap")),
     "yielding": (bristles(), {}, ("hysteresis",), ("lugre", "stiffness")),
     "plainest": (a_peak(), {}, ("coulomb",), ("stribeck",)),
@@ -316,11 +324,12 @@ def any_evidence(draw: st.DrawFn) -> Evidence:
         for names in sorted(wanted)
     ]
     setting = Setting(LAWS, ROWS, naive=draw(st.booleans()), exact=draw(st.booleans()),
-                      k_free=draw(st.booleans()))  # fmt: skip
+                      k_free=draw(st.booleans()), returns=draw(st.booleans()))  # fmt: skip
     return Evidence(setting, of(chi2=null), tuple(sets))
 
 
-FREE = {"part": None, "yielding": None, "drift": Drift(1.0, 0.9, 0.01), "beyond_forms": 50.0}
+FREE = {"part": None, "yielding": None, "drift": Drift(1.0, 0.9, 0.01), "beyond_forms": 50.0,
+        "driven": (60.0, 60.0, 60.0)}  # fmt: skip
 
 
 @hypothesis.given(any_evidence(), st.randoms())

@@ -20,7 +20,7 @@ from rthyb_rt.diagnose.policy import Policy, of_size
 
 CLOSER = 3
 """Sets, best first, whose bristles are tried as yielding."""
-What = Literal["part", "yielding", "beyond forms", "drift", "size", "held out"]
+What = Literal["part", "yielding", "beyond forms", "drift", "driven", "size", "held out"]
 
 
 # ---- evidence -----------------------------------------------------------------------------------
@@ -153,6 +153,7 @@ class Setting:
         swings: whether it is the free decay of a naive model, see `decay`.
         k_free: whether the stiffness is refitted beside each set.
         k_sigma_n_per_m: standard deviation of the stated stiffness.
+        returns: whether the noise of the load cell moves the specimen: a closed loop.
     """
 
     laws: Laws
@@ -163,6 +164,7 @@ class Setting:
     swings: bool = False
     k_free: bool = False
     k_sigma_n_per_m: float = 0.0
+    returns: bool = False
 
 
 @dataclass(frozen=True)
@@ -188,7 +190,9 @@ class Need:
         what: "part", the set of some of its effects, as they are in it (Hypothesis, None where that
             is no physical law); "yielding", the set with yielding in the place of its bristles
             (the same); "beyond forms", what an effect of the load cell earns beside its other laws
-            in any smooth form (chi-squared); "drift", its drift by halves (`Drift`); "size", of its
+            in any smooth form (chi-squared); "drift", its drift by halves (`Drift`); "driven",
+            what each effect earns by the motion that a test makes (chi-squared, a number for each;
+            none where nothing moves); "size", of its
             force as a part of the recorded one; "held out", the part of its gain that is there on
             rows that it was not fitted to.
         of: of which set.
@@ -556,6 +560,23 @@ def simplest_first(court: Court, sets: Sets) -> Sets:
     return [first, *[h for h in sets if h is not first]]
 
 
+def driven(court: Court, of: Hypothesis) -> bool:
+    """In a closed loop each effect has to earn its price by the motion that the test makes.
+
+    Above the band of that the noise of the load cell is all that moves the specimen, and a law can
+    have that noise back out of the motion that it made: see `feedback`.
+    """
+    if not court.setting.returns:
+        return True
+    times = court.policy.several_price if len(of.parts) > 1 else 1.0
+    for part, own in zip(of.parts, court.ask("driven", of), strict=False):
+        # What a load cell does by itself, as hum, is no function of the motion.
+        follows, wanted = part.carries or not part.sensor, times * part.price
+        if follows and own < wanted:
+            return court.refuse("driven", of, part=part.name, found=own, wanted=wanted)
+    return True
+
+
 def each(rule: Callable[[Court, Hypothesis], bool]) -> Callable[[Court, Sets], Sets]:
     """Return a rule that judges one set after the other as one that judges all."""
     return lambda court, sets: [h for h in sets if rule(court, h)]
@@ -564,6 +585,7 @@ def each(rule: Callable[[Court, Hypothesis], bool]) -> Callable[[Court, Sets], S
 RANKING: dict[str, Callable[[Court, Sets], Sets]] = {
     "needed": each(needed),
     "drift goes on": each(goes_on),
+    "driven": each(driven),
     "more laws": worth_their_size,
     "yielding": one_of_a_kind,
     "plainest": plainest,

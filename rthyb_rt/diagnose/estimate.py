@@ -377,6 +377,13 @@ def quiet(signal: Floats, fs_hz: float, sigma: float) -> Floats:
     return band_of(signal, fs_hz, sigma)(signal)
 
 
+def low_passed(signal: Floats, fs_hz: float, cut_hz: float) -> Floats:
+    """Return a signal up to a frequency, (n,); an eighth-order roll-off, which delays nothing."""
+    s = _Spectral.of(signal.size, fs_hz)
+    gain = 1.0 / (1.0 + (s.omega / (2.0 * np.pi * cut_hz)) ** 8)
+    return s.back(gain * s.forward(signal, odd=True))
+
+
 def _edges(rows: NDArray[np.bool_], fs_hz: float, x: Floats) -> NDArray[np.bool_]:
     out = rows.copy()
     head = max(int(0.1 * fs_hz), 2)

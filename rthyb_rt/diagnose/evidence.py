@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import cached_property
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -11,6 +12,7 @@ from rthyb_rt.diagnose.decide import Choice, Drift, Evidence, Hypothesis, Laws, 
 from rthyb_rt.diagnose.decide import gathered as decided
 from rthyb_rt.diagnose.effects import catalogue
 from rthyb_rt.diagnose.effects.base import Floats
+from rthyb_rt.diagnose.feedback import Driven, returns
 from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Fit, Member, Problem, columns_of, inflation, price, solve
@@ -52,6 +54,11 @@ class Gathered:
         self._fits: dict[Hypothesis, Fit] = {}
         self.first = dict(fitter.by_names)
         self.null = self.of(null)
+
+    @cached_property
+    def driven(self) -> Driven | None:
+        """What laws earn by the motion that the test makes; None where the specimen is still."""
+        return Driven.of(self.problem)
 
     def choose(self) -> Choice:
         """Return what is decided."""
@@ -120,6 +127,8 @@ class Gathered:
             problem.decays and naive,
             problem.frees("k"),
             (model.k_tol or 0.0) * abs(model.k),
+            # A simulated motion is held against the measured one: its noise is in no regressor.
+            self.fitter.judged == "force" and returns(problem.case),
         )
 
     def _beside(self) -> list[Hypothesis]:
@@ -135,6 +144,8 @@ class Gathered:
             return None if twin is None else self._refined(twin)
         if need.what == "beyond forms":
             return beyond_forms(problem, fit, need.which[0])
+        if need.what == "driven":
+            return () if self.driven is None else self.driven.gains(fit)
         if need.what == "drift":
             return drift(problem, fit, self.laws)
         return size(problem, fit) if need.what == "size" else self.held_out(fit)

@@ -23,7 +23,7 @@ from rthyb_rt.diagnose import modulation
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects import having, of_number
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
-from rthyb_rt.diagnose.estimate import Estimate, Rows, fast_length
+from rthyb_rt.diagnose.estimate import Estimate, Rows, fast_length, low_passed
 from rthyb_rt.diagnose.policy import POLICY
 
 BLOCKS = 16
@@ -179,6 +179,7 @@ class Problem:
         self.case, self.ctx, self.estimate = case, ctx, estimate
         self.blurred = not estimate.exact if blurred is None else blurred
         self.loudness = 1.0
+        self.cut_hz: float | None = None
         self._blocks: OrderedDict[tuple[Any, ...], Floats] = OrderedDict()
         self._kept: tuple[tuple[Any, ...], list[Nuisance], Floats] | None = None
         rows = np.flatnonzero(estimate.rows)
@@ -274,11 +275,23 @@ class Problem:
 
     def seen(self, column: Floats) -> Floats:
         """Return a force as it is judged: whitened, judged rows only."""
+        if self.cut_hz is not None:
+            column = low_passed(column, self.case.fs_hz, self.cut_hz)
         pieces, whiten = self.pieces, self.estimate.pieces
         if pieces is None or whiten is None:
             return self.estimate.whiten(column)[self.rows] / self.loudness
         clean = whiten(column, pieces.first, PIECE)
         return np.asarray(clean[pieces.judged] / self.loudness)
+
+    def below(self, cut_hz: float) -> Problem:
+        """Return the same problem judged up to a frequency: its residual and every column of it."""
+        out = copy(self)
+        out.cut_hz, out._blocks, out._kept = cut_hz, OrderedDict(), None
+        out.y = out.seen(self.estimate.force - self.ctx.total)
+        out.base = np.column_stack(
+            [out.seen(n.column) for n in out.nuisances] or [np.zeros((out.y.size, 0))]
+        )
+        return out
 
     def sensible(self, fit: Fit) -> bool:
         """Return whether every effect of a fit makes a physical law, and so do its springs."""

@@ -1,0 +1,159 @@
+"""A closed loop whose load cell is noisy: what moves the specimen is no evidence of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from test_diagnose_colour import coloured, resonant
+from test_diagnose_noise import written
+
+from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.diagnose import effects, engine, estimate
+from rthyb_rt.diagnose.case import Case, Model
+from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.feedback import Driven
+from rthyb_rt.diagnose.select import Member, Problem, price, solve
+
+FS_HZ, K, C, M = 512.0, 4e5, 1000.0, 300.0
+F_HZ, ZETA, LATE = 30.0, 0.8, 2
+MASS, LOSS = 12_000.0, 40_000.0
+X_STD, F_STD = 1e-6, 20.0
+
+LOOP = f"""
+schema = "rthyb-baseline/1"
+family = "loop"
+fs_hz = {FS_HZ}
+[specimen]
+k = {K}
+c = {C}
+moving_mass = {M}
+k_tol = 0.01
+c_tol = 0.15
+[actuator]
+delay_s = {LATE / FS_HZ}
+f_hz = {F_HZ}
+zeta = {ZETA}
+gain = 1.0
+[numerical]
+m = {MASS}
+c = {LOSS}
+[noise]
+x_std = {X_STD}
+f_std = {F_STD}
+"""
+
+
+def hybrid_test(seed: int, friction_n: float = 0.0) -> dict[str, np.ndarray]:
+    """A structure of which a specimen is the spring; the actuator by its closed form.
+
+    The ground is three sines up to 3 Hz. The command is a straight line between samples.
+    """
+    random, n, w0 = np.random.default_rng(seed), int(16 * FS_HZ), 2.0 * np.pi * F_HZ
+    t = np.arange(n) / FS_HZ
+    sines = ((0.7, 0.3, 0.0), (1.9, 0.2, 1.0), (3.1, 0.3, 2.0))
+    ag = np.clip(t, 0.0, 1.0) * sum(a * np.sin(2 * np.pi * f * t + p) for f, a, p in sines)
+    hears = F_STD * coloured(random, resonant(), n, FS_HZ)
+    # State x, v, target and its slope.
+    pull = [-w0 * w0, -2.0 * ZETA * w0, w0 * w0, 0.0]
+    step = expm(np.array([[0.0, 1.0, 0.0, 0.0], pull, [0, 0, 0, 1.0], [0] * 4]) / FS_HZ)[:2]
+    sent, x, force = np.zeros(n + 1), np.zeros(n), np.zeros(n)
+    at, rate = np.zeros(2), 0.0
+    for i in range(n):
+        target, then = (sent[max(i - LATE + k, 0)] for k in (0, 1))
+        a = w0 * w0 * (target - at[0]) - 2.0 * ZETA * w0 * at[1]
+        dry = friction_n * np.tanh(at[1] / 1e-4)
+        x[i], force[i] = at[0], K * at[0] + C * at[1] + M * a + dry + hears[i]
+        rate -= (ag[i] + (LOSS * rate + force[i]) / MASS) / FS_HZ
+        sent[i + 1] = sent[i] + rate / FS_HZ
+        at = step @ [*at, target, (then - target) * FS_HZ]
+    moved = x + X_STD * random.standard_normal(n)
+    return {
+        "t": t,
+        "ag": ag,
+        "x_num": sent[:n],
+        "x_cmd": sent[:n],
+        "x_meas": moved,
+        "f_meas": force,
+    }
+
+
+def problem_of(noise_kg: float, dashpot_n_s_per_m: float) -> Problem:
+    """A specimen that noise moves at 60 Hz as well, which its cell shows of what it made it of.
+
+    Args:
+        noise_kg: noise of the cell over the acceleration that it made, none by any law.
+        dashpot_n_s_per_m: damping that is in no model.
+    """
+    random, n, w = np.random.default_rng(3), int(16 * FS_HZ), 2.0 * np.pi
+    t = np.arange(n) / FS_HZ
+    x, v, a = np.zeros(n), np.zeros(n), np.zeros(n)
+    for f_hz, size in ((0.7, 4e-3), (1.9, 2e-3), (3.1, 1e-3)):
+        x += size * np.sin(w * f_hz * t)
+        v += size * w * f_hz * np.cos(w * f_hz * t)
+        a -= size * (w * f_hz) ** 2 * np.sin(w * f_hz * t)
+    slow = a.copy()
+    for f_hz in np.linspace(55.0, 65.0, 101):
+        size, at = 5e-7 * random.standard_normal(), w * f_hz * t + w * random.random()
+        x += size * np.sin(at)
+        v += size * w * f_hz * np.cos(at)
+        a -= size * (w * f_hz) ** 2 * np.sin(at)
+    model = Model(
+        "loop", FS_HZ, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.001, x_std=X_STD, f_std=F_STD
+    )
+    cell = noise_kg * (a - slow) + F_STD * random.standard_normal(n)
+    force = K * x + (C + dashpot_n_s_per_m) * v + M * a + cell
+    channels = {"x_meas": x, "x_cmd": x, "f_meas": force}
+    case = Case("loop", model, t, channels, np.ones(n, dtype=np.bool_))
+    found = estimate.from_sensors(case)
+    assert found is not None
+    found = replace(
+        found,
+        motion=Motion(x, v, a),
+        exact=True,
+        force=force,
+        whiten=lambda y: y / F_STD,
+        pieces=None,
+    )
+    return Problem(case, engine.context_of(case, found), found, effects.catalogue().values())
+
+
+def earned(problem: Problem, name: str, *theta: float) -> tuple[float, float, float]:
+    """What an effect earns in all that is recorded, by the motion of the test, and its price."""
+    effect = effects.catalogue()[name]
+    member = Member(effect, Trial(theta))
+    with_it = solve(problem, [member], problem.blocks([member]))
+    without, driven = solve(problem, [], []), Driven.of(problem)
+    assert with_it is not None
+    assert without is not None
+    assert driven is not None
+    wanted = price(problem, effect, effect.settings(problem.ctx, member.trial)[1])
+    return without.chi2 - with_it.chi2, driven.gains(with_it)[0], wanted
+
+
+def test_noise_that_comes_back_as_motion_is_no_mass():
+    """Over the acceleration it is one, at 60 Hz alone; the ground moves the specimen up to 3 Hz."""
+    everywhere, driven, wanted = earned(problem_of(10.0, 0.0), "inertia")
+    assert everywhere > 3.0 * wanted
+    assert driven < 0.5 * wanted
+
+
+def test_dashpot_earns_by_the_motion_of_the_test_what_it_earns_in_all():
+    everywhere, driven, wanted = earned(problem_of(0.0, 300.0), "viscous")
+    assert driven > 10.0 * wanted
+    assert driven == pytest.approx(everywhere, rel=0.1)
+
+
+@pytest.mark.long
+def test_dry_friction_in_a_closed_loop_with_a_noisy_cell_is_named(tmp_path):
+    d = written(tmp_path, hybrid_test(1, friction_n=60.0), LOOP)
+    assert (d.verdict, d.effects) == ("explained", ["coulomb"])
+    assert d.candidates[0].params["Fc_N"] == pytest.approx(60.0, rel=0.1)
+
+
+@pytest.mark.long
+def test_closed_loop_with_a_noisy_cell_misses_nothing(tmp_path):
+    d = written(tmp_path, hybrid_test(1), LOOP)
+    assert (d.verdict, d.effects) == ("none", [])
