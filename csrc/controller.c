@@ -504,11 +504,21 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
                                   : sample(c->cfg.axis_count, c, in, path_m, blind, record);
 }
 
-int rthyb_controller_has_pose(const rthyb_controller *c, const double *x_m)
+int rthyb_controller_meets(const rthyb_controller *c, const double *x_m, const double *f_n,
+                           double *pose, double *force)
 {
     rthyb_kinematics trial = c->kinematics;
-    double pose[MOST];
-    return c->cfg.kinematics.size == 0 || rthyb_kinematics_find(&trial, x_m, pose) == RTHYB_OK;
+    memcpy(pose, x_m, (size_t)c->cfg.axis_count * sizeof *pose);
+    memcpy(force, f_n, (size_t)c->cfg.axis_count * sizeof *force);
+    return c->cfg.kinematics.size == 0 || (rthyb_kinematics_find(&trial, x_m, pose) |
+                                           rthyb_kinematics_forces(&trial, f_n, force)) == RTHYB_OK;
+}
+
+int rthyb_controller_has_pose(const rthyb_controller *c, const double *x_m)
+{
+    const double none[MOST] = {0.0};
+    double pose[MOST], force[MOST];
+    return rthyb_controller_meets(c, x_m, none, pose, force);
 }
 
 void rthyb_controller_rest(rthyb_controller *c, const double *x_m)

@@ -233,14 +233,33 @@ void course_bounds(const rthyb_station *s, int axis, rthyb_axis_output *out)
 
 /* ---- where it ends ----------------------------------------------------------------------------- */
 
+/* What brakes in front of a limit ends at it. */
+static double aim_of(const rthyb_station *s, int axis)
+{
+    const range within = reach(s, axis);
+    return fmin(fmax(s->controller.axis[axis].x_plc, within.low), within.high);
+}
+
+/* Whether an axis stands at its position limit and goes no further: the others, which it holds on the straight
+ * way, stay where that leaves them. */
+static int holds_the_others(const rthyb_station *s)
+{
+    int holds = 0;
+    for (int i = 0; i < axes_of(s) && axes_of(s) > 1; i++) {
+        const rthyb_controller_axis *a = &s->controller.axis[i];
+        const double aim = aim_of(s, i);
+        holds |= fabs(aim - a->x_plc) > ARRIVED_M && fabs(a->limiter.x_lim - aim) <= ARRIVED_M;
+    }
+    return holds;
+}
+
 /* How far a command is from where its path has ended, with what it still goes, in 1/1024 s at any rate. */
-static double away_from_end(const rthyb_station *s, int axis)
+static double away_from_end(const rthyb_station *s, int axis, int held)
 {
     const rthyb_controller_axis *a = &s->controller.axis[axis];
-    const range within = reach(s, axis);
-    /* What brakes in front of a limit ends at it. */
-    const double aim = fmin(fmax(a->x_plc, within.low), within.high);
-    const double off = fmax(fabs(a->limiter.x_lim - aim), fabs(a->x_plc - a->target));
+    const double aim = aim_of(s, axis);
+    const double way = held ? 0.0 : fabs(a->limiter.x_lim - aim);
+    const double off = fmax(way, fabs(a->x_plc - a->target));
     return fmax(off, fabs(a->limiter.x_lim - a->limiter.x_lim1) * s->ticks.pace);
 }
 
@@ -251,8 +270,9 @@ static int has_arrived(rthyb_station *s)
 {
     double away = 0.0;
     int last = 0;
+    const int held = holds_the_others(s);
     for (int i = 0; i < axes_of(s); i++) {
-        const double own = away_from_end(s, i);
+        const double own = away_from_end(s, i, held);
         last = own > away ? i : last;
         away = fmax(away, own);
     }

@@ -17,6 +17,9 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
 void rthyb_controller_rest(rthyb_controller *c, const double *x_m);
 /* Whether the specimen has a pose with its axes there. */
 int rthyb_controller_has_pose(const rthyb_controller *c, const double *x_m);
+/* Pose and forces along the interfaces with the axes there and such forces; 0 if there is no pose. */
+int rthyb_controller_meets(const rthyb_controller *c, const double *x_m, const double *f_n,
+                           double *pose, double *force);
 /* What the lead of an axis reports as alpha (term 1) or beta (term 2). */
 double rthyb_controller_lead(const rthyb_controller *c, int axis, int term);
 /* The tangent stiffness of an interface in its own direction. */

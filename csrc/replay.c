@@ -70,11 +70,13 @@ static rthyb_station_input input_of(const rthyb_station *station, const rthyb_re
             .f_n = row->axis[i].f_read_n,
             .x_cmd_m = row->axis[i].x_cmd_m,
             .lost = lost(row, i, axes),
+            .link_down = axes > 1 && (row->cause >> (RTHYB_DOWN_BIT + i) & 1u),
             .drive_stopped = axes > 1 && (row->flags >> (RTHYB_F_STOPPED_BIT + i) & 1u),
         };
-    in.axis[one].link_down = (row->flags & RTHYB_F_DOWN) != 0;
-    if (axes == 1)
+    if (axes == 1) {
+        in.axis[0].link_down = (row->flags & RTHYB_F_DOWN) != 0;
         in.axis[0].drive_stopped = (row->flags & RTHYB_F_STOPPED) != 0;
+    }
     in.axis[one].beyond = (row->flags & RTHYB_F_BEYOND) != 0;
     return in;
 }

@@ -111,10 +111,12 @@ enum rthyb_flag {
     RTHYB_F_COMMAND_BIT = 24   /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
 };
 
-/* Of several axes, rthyb_record.cause has the cause in its lowest byte, and above it where it belongs. */
+/* Of several axes, rthyb_record.cause has the cause in its lowest byte, above it where it belongs, and which links
+ * are down. */
 enum rthyb_cause_place {
-    RTHYB_PLACE_BIT = 8,            /* three bits: 1 + axis or interface; 0: neither */
-    RTHYB_PLACE_INTERFACE = 1 << 11 /* it is an interface */
+    RTHYB_PLACE_BIT = 8,             /* three bits: 1 + axis or interface; 0: neither */
+    RTHYB_PLACE_INTERFACE = 1 << 11, /* it is an interface */
+    RTHYB_DOWN_BIT = 16 /* bits 16 to 19: the link of this axis reported a failure in this tick */
 };
 
 /* One axis. */

@@ -105,6 +105,7 @@ typedef struct {
     uint32_t rest_ticks; /* and number of these readings */
     int32_t off_scale;   /* of this tick's reading: bit 0 displacement, bit 1 force */
     int32_t told;        /* this tick had one */
+    int32_t stands;      /* the drive has stopped by itself, or cannot be reached */
     rthyb_overload over_f, over_rig_f;
     double told_x, told_f; /* reading in this tick, if there was one */
 } rthyb_axis;
@@ -163,7 +164,7 @@ typedef struct {
     int32_t noted;         /* status bits found in this tick before its record exists */
     uint64_t apart;        /* ticks in a row in which the drives' counts were apart */
     rthyb_axis axis[RTHYB_COUPLED_MAX];
-    int32_t drive_stands;  /* the drive has stopped by itself, or cannot be reached */
+    rthyb_overload over_interface[RTHYB_COUPLED_MAX];
     int32_t refused_cause; /* reason why the last ARM, START, RESUME, RESET or tare was refused, */
     double refused_value,
         refused_limit; /* with the values as for a cause; NONE: not because of a limit */

@@ -299,6 +299,8 @@ static void begin_test(rthyb_station *s)
     s->indicator_slope = 0.0;
     for (int i = 0; i < axes_of(s); i++)
         s->axis[i].over_f = s->axis[i].over_rig_f = (rthyb_overload){.seen = s->tick};
+    for (int j = 0; j < interfaces_of(s); j++)
+        s->over_interface[j] = (rthyb_overload){.seen = s->tick};
     s->losses = (rthyb_recent){.count = 0};
     rthyb_controller_rest(&s->controller, x);
     for (int i = 0; i < axes_of(s); i++)
@@ -343,20 +345,10 @@ static int needs_drive(int command)
     return command == RTHYB_CMD_ZERO || command == RTHYB_CMD_ARM || command == RTHYB_CMD_START;
 }
 
-/* A path leads from where the specimen is, and nowhere from displacements that are none of it. */
-static int has_no_pose(const rthyb_station *s, finding *found)
-{
-    double read[MOST];
-    for (int i = 0; i < axes_of(s); i++)
-        read[i] = s->axis[i].seen_x - s->axis[i].tare_x;
-    *found = plain(RTHYB_CAUSE_NO_POSE);
-    return !s->controller.posed || !rthyb_controller_has_pose(&s->controller, read);
-}
-
 static int arm(rthyb_station *s)
 {
     finding found;
-    if (watch_finds(s, &found) || has_no_pose(s, &found))
+    if (watch_finds(s, &found))
         return refuse(s, found);
     station_enter(s, RTHYB_ARMED);
     return 1;
@@ -365,7 +357,7 @@ static int arm(rthyb_station *s)
 static int start(rthyb_station *s)
 {
     finding found;
-    if (watch_finds(s, &found) || watch_wandered(s, &found) || has_no_pose(s, &found))
+    if (watch_finds(s, &found) || watch_wandered(s, &found))
         return refuse(s, found);
     if (!s->seen || s->controller.missing)
         return 0;
@@ -379,6 +371,11 @@ static int resume(rthyb_station *s)
     for (int i = 0; i < axes_of(s); i++)
         if (watch_overload(s, i, s->controller.axis[i].f1 + s->axis[i].tare_f, &found))
             return refuse(s, found);
+    double force[MOST];
+    for (int j = 0; j < interfaces_of(s); j++)
+        force[j] = s->controller.interface[j].f;
+    if (watch_interface_overload(s, force, &found))
+        return refuse(s, found);
     if (s->leg != 1)
         return 0;
     course_resume(s);
@@ -712,6 +709,15 @@ static uint32_t stopped_flags(const rthyb_station *s, const rthyb_station_input 
     return flags;
 }
 
+/* And which links are down. */
+static uint32_t down_places(const rthyb_station *s, const rthyb_station_input *in)
+{
+    uint32_t places = 0;
+    for (int i = 0; i < axes_of(s) && axes_of(s) > 1; i++)
+        places |= (uint32_t)(in->axis[i].link_down != 0) << (RTHYB_DOWN_BIT + i);
+    return places;
+}
+
 /* What the station was told in this tick, as the record shows it. */
 static uint32_t told(const rthyb_station *s, const rthyb_station_input *in, int refused,
                      int took_over)
@@ -833,7 +839,8 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
     rthyb_station_advance(s);
     const int took_over = take_over(s, in);
     s->noted = RTHYB_OK;
-    s->drive_stands = first_stopped(s, in) || first_down(s, in);
+    for (int i = 0; i < axes_of(s); i++)
+        s->axis[i].stands = in->axis[i].drive_stopped || in->axis[i].link_down;
     const uint32_t made_up = blind_steps(s, in->skipped, ag_mps2, n, records);
     const int refused = !obey(s, in);
     watch_surroundings(s, in, n);
@@ -851,6 +858,7 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
         note_pair(&last->axis[i], in->axis[i].x_m, in->axis[i].f_n, in->axis[i].lost, axes_of(s));
     if (first_beyond(s, in) && s->state == RTHYB_TRIPPED)
         last->code |= RTHYB_S_POSITION_LIMIT | RTHYB_S_TRIP;
+    last->cause |= down_places(s, in);
     last->flags = (last->flags & ~UNSENT_FLAGS) | told(s, in, refused, took_over);
     for (int i = 0; i < axes_of(s) && !out->send; i++)
         last->flags |= unsent_flag(i, axes_of(s));

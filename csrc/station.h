@@ -22,6 +22,11 @@ static inline int of_axis(int axis)
     return axis + 1;
 }
 
+static inline int of_interface(int interface)
+{
+    return -1 - interface;
+}
+
 static inline int axes_of(const rthyb_station *s)
 {
     return s->cfg.controller.axis_count;
@@ -97,6 +102,8 @@ int watch_finds(const rthyb_station *s, finding *found);
 int watch_wandered(const rthyb_station *s, finding *found);
 /* Whether a force would end the test. f_n: before tare. */
 int watch_overload(const rthyb_station *s, int axis, double f_n, finding *found);
+/* The same of the forces along the interfaces. */
+int watch_interface_overload(const rthyb_station *s, const double *force, finding *found);
 /* A force that would trip it again at once. */
 int watch_rig_trips(const rthyb_station *s, int axis, double f_n, finding *found);
 int watch_off_scale(const rthyb_station *s);

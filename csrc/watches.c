@@ -4,6 +4,7 @@
 #define JUMP_TAKEN 3      /* readings in a row that make a new level, at any rate */
 #define OVERLOAD 1.5      /* times a force's limit: not even one tick */
 #define START_SPREADS 5.0 /* times rest_spread_m: how far from the command START may find x_m */
+#define ALL_AXES (~0u)
 #define SKIPS_SHARE (50.0 / 1024.0) /* of the last second, where nothing else is said */
 
 /* ---- reactions --------------------------------------------------------------------------------- */
@@ -96,12 +97,51 @@ static int axis_finds(const rthyb_station *s, int i, finding *found)
            ends_beyond(s, i, RTHYB_CAUSE_RIG_POSITION, x + a->tare_cmd, found);
 }
 
+/* What an interface's own limit says of a pose or a force that is there already. */
+static int interface_beyond(const rthyb_watch *watch, int cause, int interface, double value,
+                            finding *found)
+{
+    if (watch->reaction < RTHYB_REACT_HOLD || !(watch->value > 0.0) ||
+        !(fabs(value) > watch->value))
+        return 0;
+    *found = (finding){cause, value, watch->value, of_interface(interface)};
+    return 1;
+}
+
+int watch_interface_overload(const rthyb_station *s, const double *force, finding *found)
+{
+    for (int j = 0; j < interfaces_of(s); j++)
+        if (interface_beyond(&s->cfg.interface[j].force, RTHYB_CAUSE_FORCE, j, force[j], found))
+            return 1;
+    return 0;
+}
+
+/* Pose and forces of the last readings; a rig of one axis has its own limits for both. */
+static int interfaces_find(const rthyb_station *s, finding *found)
+{
+    double x[RTHYB_COUPLED_MAX], f[RTHYB_COUPLED_MAX];
+    double pose[RTHYB_COUPLED_MAX], force[RTHYB_COUPLED_MAX];
+    for (int i = 0; i < axes_of(s); i++) {
+        x[i] = s->axis[i].seen_x - s->axis[i].tare_x;
+        f[i] = s->axis[i].seen_f - s->axis[i].tare_f;
+    }
+    if (!rthyb_controller_meets(&s->controller, x, f, pose, force)) {
+        *found = plain(RTHYB_CAUSE_NO_POSE);
+        return 1;
+    }
+    for (int j = 0; j < interfaces_of(s); j++)
+        if (interface_beyond(&s->cfg.interface[j].position, RTHYB_CAUSE_POSITION, j, pose[j],
+                             found))
+            return 1;
+    return watch_interface_overload(s, force, found);
+}
+
 int watch_finds(const rthyb_station *s, finding *found)
 {
     for (int i = 0; i < axes_of(s); i++)
         if (axis_finds(s, i, found))
             return 1;
-    return 0;
+    return interfaces_find(s, found);
 }
 
 int watch_wandered(const rthyb_station *s, finding *found)
@@ -128,42 +168,65 @@ static int is_off_course(int state)
 
 /* A force beyond its limit. What is to hold or to ramp out has nothing left but a trip where the force stays,
  * or grows, in spite of it. One at the end of the sensor's range may be any force. */
-static int check_force(rthyb_station *s, int i, int cause, double value, rthyb_overload *over)
+static int check_force(rthyb_station *s, const rthyb_watch *watch, finding found, int off_scale,
+                       rthyb_overload *over)
 {
-    const rthyb_watch *watch = watch_of(s, i, cause);
-    const rthyb_axis *a = &s->axis[i];
-    const int off_scale = a->off_scale & AXIS_OFF_F;
     if (watch->reaction == RTHYB_REACT_NONE || !(watch->value > 0.0))
         return RTHYB_OK;
-    const int is_beyond = off_scale || fabs(value) > watch->value;
+    const int is_beyond = off_scale || fabs(found.value) > watch->value;
     const uint64_t gone = s->tick - over->seen;
     over->seen = s->tick;
     axis_count_overload(over, gone < s->ticks.lost ? gone : s->ticks.lost, is_beyond,
                         is_off_course(s->state), s->ticks.overload);
     if (!is_beyond)
         return RTHYB_OK;
-    const int too_much =
-        off_scale || fabs(value) > OVERLOAD * watch->value || over->ticks >= s->ticks.overload;
+    const int too_much = off_scale || fabs(found.value) > OVERLOAD * watch->value ||
+                         over->ticks >= s->ticks.overload;
     const int escalates =
         watch->reaction >= RTHYB_REACT_HOLD && is_off_course(s->state) && too_much;
-    const finding found = off_scale
-                              ? (finding){cause, a->told_f, s->cfg.axis[i].f_range_n, of_axis(i)}
-                              : (finding){cause, value, watch->value, of_axis(i)};
     return watch_react(s, found, escalates ? RTHYB_REACT_TRIP : watch->reaction,
                        RTHYB_S_FORCE_LIMIT);
 }
 
-static int check_forces(rthyb_station *s, const rthyb_record *r)
+static int check_axis_force(rthyb_station *s, int i, int cause, double value, rthyb_overload *over)
+{
+    const rthyb_watch *watch = watch_of(s, i, cause);
+    const rthyb_axis *a = &s->axis[i];
+    const int off_scale = a->off_scale & AXIS_OFF_F;
+    const finding found = off_scale
+                              ? (finding){cause, a->told_f, s->cfg.axis[i].f_range_n, of_axis(i)}
+                              : (finding){cause, value, watch->value, of_axis(i)};
+    return check_force(s, watch, found, off_scale, over);
+}
+
+static int check_forces(rthyb_station *s, const rthyb_record *r, uint32_t axes)
 {
     int code = RTHYB_OK;
     for (int i = 0; i < axes_of(s); i++) {
         rthyb_axis *a = &s->axis[i];
+        if (!(axes >> i & 1u))
+            continue;
         /* The reading counts though its pair was not taken: what pulls at the specimen need not be
          * smooth. */
         const double f = a->told ? a->told_f - a->tare_f : r->axis[i].f_meas_n;
         if (s->tared)
-            code |= check_force(s, i, RTHYB_CAUSE_FORCE, f, &a->over_f);
-        code |= check_force(s, i, RTHYB_CAUSE_RIG_FORCE, f + a->tare_f, &a->over_rig_f);
+            code |= check_axis_force(s, i, RTHYB_CAUSE_FORCE, f, &a->over_f);
+        code |= check_axis_force(s, i, RTHYB_CAUSE_RIG_FORCE, f + a->tare_f, &a->over_rig_f);
+    }
+    return code;
+}
+
+/* The same of each direction, whose force is that of all axes: it is known while all of them have one, and at
+ * the end of a range where one is. */
+static int check_interface_forces(rthyb_station *s)
+{
+    int code = RTHYB_OK;
+    const int off_scale = watch_off_scale(s) & AXIS_OFF_F;
+    for (int j = 0; j < interfaces_of(s); j++) {
+        const rthyb_watch *watch = &s->cfg.interface[j].force;
+        const finding found = {RTHYB_CAUSE_FORCE, s->controller.interface[j].f, watch->value,
+                               of_interface(j)};
+        code |= check_force(s, watch, found, off_scale, &s->over_interface[j]);
     }
     return code;
 }
@@ -177,13 +240,13 @@ int watch_off_scale(const rthyb_station *s)
 }
 
 /* A displacement at the end of its sensor's range is as one beyond the position limit. */
-static int check_off_scale(rthyb_station *s)
+static int check_off_scale(rthyb_station *s, uint32_t axes)
 {
     int code = RTHYB_OK;
     const int causes[] = {RTHYB_CAUSE_RIG_POSITION, RTHYB_CAUSE_POSITION};
     for (int i = 0; i < axes_of(s); i++) {
         const rthyb_axis *a = &s->axis[i];
-        for (int j = 0; j < 2 && a->off_scale & AXIS_OFF_X; j++) {
+        for (int j = 0; j < 2 && axes >> i & 1u && a->off_scale & AXIS_OFF_X; j++) {
             const rthyb_watch *watch = watch_of(s, i, causes[j]);
             const finding found = {causes[j], a->told_x, s->cfg.axis[i].x_range_m, of_axis(i)};
             if (watch->reaction != RTHYB_REACT_NONE && watch->value > 0.0)
@@ -193,28 +256,56 @@ static int check_off_scale(rthyb_station *s)
     return code;
 }
 
+/* Where an axis is: what another one lacks is made up for all, but not what this one says of itself. */
+static double measured_x(const rthyb_station *s, const rthyb_record *r, int axis)
+{
+    const rthyb_axis *a = &s->axis[axis];
+    return s->controller.axis[axis].missing ? r->axis[axis].x_meas_m : a->told_x - a->tare_x;
+}
+
 /* By what was asked of each axis for this tick. */
-static int check_tracking(rthyb_station *s, const rthyb_record *r, int at_rest)
+static int check_tracking(rthyb_station *s, const rthyb_record *r, int at_rest, uint32_t axes)
 {
     int code = RTHYB_OK;
     for (int i = 0; i < axes_of(s); i++) {
         const double gap = at_rest ? s->axis[i].gap : 0.0;
-        code |= check_axis(s, i, RTHYB_CAUSE_TRACKING,
-                           r->axis[i].x_meas_m - s->controller.axis[i].target1 - gap,
-                           RTHYB_S_TRACKING_LIMIT);
+        if (axes >> i & 1u)
+            code |= check_axis(s, i, RTHYB_CAUSE_TRACKING,
+                               measured_x(s, r, i) - s->controller.axis[i].target1 - gap,
+                               RTHYB_S_TRACKING_LIMIT);
     }
     return code;
+}
+
+static uint32_t all_axes(const rthyb_station *s)
+{
+    return (1u << axes_of(s)) - 1u;
+}
+
+/* Bit i: the drive of axis i follows, and its sensors say something. That another one's do not is no reason to
+ * overlook what this one says. */
+static uint32_t heard_at_rest(const rthyb_station *s)
+{
+    uint32_t axes = 0;
+    for (int i = 0; i < axes_of(s); i++) {
+        const int heard = !s->controller.axis[i].missing || s->axis[i].off_scale;
+        axes |= heard && !s->axis[i].stands ? 1u << i : 0u;
+    }
+    return axes;
 }
 
 /* Commands leave, and nothing moves: a force, or a drive that lets go of where it was told to be. What was
  * never zeroed has no zero to be far from. */
 void watch_at_rest(rthyb_station *s, rthyb_record *r)
 {
-    if (!s->seen || s->drive_stands || (s->controller.missing && !watch_off_scale(s)))
+    const uint32_t axes = heard_at_rest(s);
+    if (!s->seen || !axes)
         return;
-    int code = r->code | check_forces(s, r) | check_off_scale(s);
+    int code = r->code | check_forces(s, r, axes) | check_off_scale(s, axes);
+    if (s->tared && axes == all_axes(s))
+        code |= check_interface_forces(s);
     if (s->tared)
-        code |= check_tracking(s, r, 1);
+        code |= check_tracking(s, r, 1, axes);
     r->code = (uint16_t)code;
 }
 
@@ -229,9 +320,9 @@ static int check_commands(rthyb_station *s)
                            RTHYB_S_POSITION_LIMIT);
     }
     for (int j = 0; j < interfaces_of(s); j++)
-        code |= check_by(s, &s->cfg.interface[j].position, RTHYB_CAUSE_POSITION, -1 - j,
+        code |= check_by(s, &s->cfg.interface[j].position, RTHYB_CAUSE_POSITION, of_interface(j),
                          s->controller.interface[j].x_num, RTHYB_S_POSITION_LIMIT);
-    code |= check_off_scale(s);
+    code |= check_off_scale(s, ALL_AXES);
     for (int i = 0; i < axes_of(s); i++) {
         const rthyb_controller_axis *a = &s->controller.axis[i];
         code |= check_axis(s, i, RTHYB_CAUSE_VELOCITY, (a->x_plc - a->x_plc1) / h,
@@ -248,11 +339,9 @@ void watch_moving(rthyb_station *s, rthyb_record *r, double indicator_before)
     const double slope = (r->tracking_indicator_m2 - indicator_before) / h;
     s->indicator_slope += (slope - s->indicator_slope) * fmin(h / 0.25, 1.0);
     int code = r->code | check_commands(s);
-    code |= check_forces(s, r);
-    for (int j = 0; j < interfaces_of(s); j++)
-        code |= check_by(s, &s->cfg.interface[j].force, RTHYB_CAUSE_FORCE, -1 - j,
-                         s->controller.interface[j].f, RTHYB_S_FORCE_LIMIT);
-    code |= check_tracking(s, r, 0);
+    code |= check_forces(s, r, ALL_AXES);
+    code |= check_interface_forces(s);
+    code |= check_tracking(s, r, 0, ALL_AXES);
     code |= watch_check(s, RTHYB_CAUSE_INDICATOR, s->indicator_slope, RTHYB_S_INDICATOR_LIMIT);
     code |= watch_check(s, RTHYB_CAUSE_ENERGY, r->energy_error_j, RTHYB_S_ENERGY_LIMIT);
     code |= watch_check(s, RTHYB_CAUSE_LOST_WARNING, share_of(s, &s->losses), RTHYB_S_LOST_RATE);

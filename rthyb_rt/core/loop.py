@@ -403,9 +403,14 @@ class Loop:
         The next tick takes it whole. One thread at a time.
 
         Raises:
-            core.CoreError: a value is out of range, or there is nothing to watch under a name; the
-                set before stays in force.
+            core.CoreError: a value is out of range, there is nothing to watch under a name, or the
+                set is of another number of axes; the set before stays in force.
         """
+        if len(parameters.axes) not in (0, self._axes):
+            raise core.CoreError(
+                f"parameters of {len(parameters.axes)} axes for a rig of {self._axes}: a set has "
+                "all axes, or none and is for all of them alike"
+            )
         struct = parameters.struct()
         if lib.rthyb_loop_set_parameters(self._c, struct):
             raise core.CoreError(

@@ -326,6 +326,19 @@ class Parameters:
             ),
         )
 
+    @classmethod
+    def of_plain(cls, plain: Mapping[str, Any]) -> Parameters:
+        """Return the set that `dataclasses.asdict` has written down, as recordings hold it."""
+        given = dict(plain) | {"watches": _watches(plain["watches"])}
+        given["axes"] = tuple(
+            AxisParameters(
+                **dict(axis)
+                | {name: _watches(axis[name]) for name in ("watches", "interface_watches")}
+            )
+            for axis in plain.get("axes", ())
+        )
+        return cls(**given)
+
     def struct(self, generation: int = 0) -> Any:
         """Return the ``rthyb_parameters`` of the C core.
 
@@ -336,6 +349,10 @@ class Parameters:
         own |= {"watch": watch_table(own.pop("watches")), "generation": generation}
         own["axis"] = [axis.mapping() for axis in own.pop("axes")]
         return ffi.new("rthyb_parameters *", own)
+
+
+def _watches(plain: Mapping[str, Any]) -> dict[str, Watch]:
+    return {name: Watch(**watch) for name, watch in plain.items()}
 
 
 def _axis_parameters(
@@ -386,12 +403,18 @@ class Station:
         are more than one sample apart.
 
         Raises:
-            CoreError: there are not as many readings as axes.
+            CoreError: there are not as many readings as axes, or ``taken_over_m`` of some only.
         """
         one = AxisReading(x_m, f_n, lost, link_down, drive_stopped, taken_over_m)
         given = tuple(axes) or (one,)
         if len(given) != self._axes:
             raise CoreError(f"{len(given)} readings for {self._axes} axes")
+        told = [a.taken_over_m is not None for a in given]
+        if any(told) and not all(told):
+            raise CoreError(
+                f"taken_over_m of axis {told.index(False) + 1} is missing: the commands of all "
+                "axes are taken over, or of none"
+            )
         i, out = self._in, self._out
         i.taken_over = any(a.taken_over_m is not None for a in given)
         for k, a in enumerate(given):

@@ -68,7 +68,7 @@ def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
     views = [rig.of_axis(name) for name in rig.names] if isinstance(rig, AxesRig) else [rig]
     first, *later = rec.replay.parameters
     station = core.Station(_settings(rec, test, views[0], first["values"]), rec.ag_mps2)
-    published = [(int(one["generation"]), _parameters(one["values"])) for one in later]
+    published = [(int(one["generation"]), core.Parameters.of_plain(one["values"])) for one in later]
     calibrations = [experiment.calibration(view) for view in views]
     codecs = _codecs(rec.replay.codec, len(views))
     rows = station.replay(rec.samples, codecs, calibrations, published)
@@ -108,11 +108,6 @@ def _settings(
         virtual_rig=experiment.rig_config(rig, rec.fs_hz),
     )
     return experiment.station_config(setup)
-
-
-def _parameters(values: dict[str, Any]) -> core.Parameters:
-    watches = {name: core.Watch(**watch) for name, watch in values["watches"].items()}
-    return core.Parameters(**(values | {"watches": watches}))
 
 
 def _padded(rows: NDArray[np.void], count: int) -> NDArray[np.void]:
