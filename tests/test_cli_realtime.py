@@ -370,7 +370,7 @@ def test_signal_ends_the_rig_at_whatever_instant_it_comes(monkeypatch: pytest.Mo
         raise AssertionError("the signal's handler waits for the thread that it interrupted")
 
     monkeypatch.setattr(serving, "_LOOK_S", 0.0)
-    drive = SimpleNamespace(ticks=0, phase="following")
+    drives = SimpleNamespace(ticks=0, drives=[SimpleNamespace(phase="following")])
     line = SimpleNamespace(tend=lambda _: True)
     watcher = SimpleNamespace(look=lambda: None)
     main = threading.get_ident()
@@ -382,7 +382,7 @@ def test_signal_ends_the_rig_at_whatever_instant_it_comes(monkeypatch: pytest.Mo
                 patience.start()
                 signal.setitimer(signal.ITIMER_REAL, 1e-3 + 1e-5 * number)
                 try:
-                    serving._look_after(drive, None, line, virtual_rig.Plan(), stop, watcher)
+                    serving._look_after(drives, [(line, None)], virtual_rig.Plan(), stop, watcher)
                 finally:
                     patience.cancel()
 
