@@ -22,16 +22,18 @@ from rthyb_rt.diagnose import (
     modulation,
     noise,
     redundant,
+    remainder,
     rigged,
 )
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorEffect, ActuatorFit
-from rthyb_rt.diagnose.case import Case, Floats, Model
+from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.decide import Ruling
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.effects.sensor import QUANTISATION
 from rthyb_rt.diagnose.estimate import Estimate
-from rthyb_rt.diagnose.intervals import SIDES, Sure, intervals, of_the_spring_there_is
-from rthyb_rt.diagnose.policy import POLICY, of_size
-from rthyb_rt.diagnose.predict import Augmented, followed, nrmse, output_error, predict
+from rthyb_rt.diagnose.intervals import Sure, intervals, of_the_spring_there_is
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.predict import Augmented, followed
 from rthyb_rt.diagnose.select import (
     Fit,
     Member,
@@ -39,9 +41,19 @@ from rthyb_rt.diagnose.select import (
     leaning,
     refine,
 )
+from rthyb_rt.diagnose.verdict import (
+    Moved,
+    Rounded,
+    Said,
+    Seen,
+    Verdict,
+    judge,
+    lost_in_form,
+    of_form,
+    simulates,
+)
 from rthyb_rt.errors import InputError
 
-Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 Progress = Callable[[str], None]
 
 PAST = 400
@@ -111,7 +123,7 @@ class Diagnosis:
     """All that was found out about a recording."""
 
     case: Case
-    verdict: Verdict
+    verdict: Said
     channel: Literal["force", "disp"]
     effects: list[str]
     candidates: list[Found]
@@ -127,6 +139,7 @@ class Diagnosis:
     context: Context | None
     notes: list[str] = field(default_factory=list)
     residual: Floats | None = None
+    ledger: tuple[Ruling, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -211,7 +224,7 @@ def displacement(case: Case) -> Displacement | None:
     known = after < POLICY.excess_as_noise or (not best.effects and before < nothing)
     # Noise that takes any colour to fit is to be as large as the sheet says, and no event.
     known = known and task.own is None
-    known = known or left < _allowed(case, len(best.effects) or 1)
+    known = known or left < of_form(case.model.k_tol is None, len(best.effects) or 1, POLICY)
     # As of the force: noise has any colour, and only its white part is measured.
     quiet = bool(case.model.x_std) and noise.mere(
         task.left(best)[task.rows],
@@ -234,12 +247,6 @@ def _as_stated(task: Actuation, null: ActuatorFit) -> ActuatorFit:
     if float(residual @ residual) - null.chi2 > POLICY.same_evidence:
         return null
     return replace(null, model=task.base, residual=residual, motion=motion, zero_m=zero)
-
-
-def _allowed(case: Case, size: int) -> float:
-    if case.model.k_tol is None:
-        return POLICY.left_naive
-    return of_size(POLICY.left_stated, size)
 
 
 def motion_of(case: Case, disp: Displacement | None) -> Estimate | None:
@@ -344,7 +351,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             assert body is not None
             if not held and (len(done.best.names) > 1 or _doubtful(case, done)):
                 return True
-            if not _force_known(case, done):
+            if not remainder.understood(done):
                 return True
             coloured = not held or done.scale > POLICY.coloured_cell
             return coloured and bool(done.best.members) and not body.motion(problem, done.best)
@@ -395,12 +402,12 @@ def _in_its_noise(
     told = blur is not None and case.model.k_tol is not None and not search.problem.decays
     if not found.exact and not told:
         return found, search
-    sheet, sigma = _stated(case), found.sigma_n if blur is None else blur.sigma_n
+    sheet, sigma = remainder.stated(case), found.sigma_n if blur is None else blur.sigma_n
 
     problem = search.problem
     sets = {id(f): f for f in (search.null, *search.fits[: noise.TRIED], *search.pool)}
     tried = [
-        (_left_by(search, fit), found.motion.v, evidence.cost(problem, fit))
+        (remainder.left_by(search, fit), found.motion.v, evidence.cost(problem, fit))
         for fit in sets.values()
     ]
     own = estimate.likeliest(tried, found.rows, case.fs_hz, sigma, sheet, blur)
@@ -412,19 +419,13 @@ def _in_its_noise(
     return now, anew(problem, [f.members for f in search.pool])
 
 
-def _stated(case: Case) -> float | None:
-    """Return the noise that the data sheet of the force states, N."""
-    forced = case.model.family == "forced"
-    return estimate.force_sheet(case.get("f_in" if forced else "f_meas"), case.model.f_std)
-
-
 def _in_the_rig(problem: Problem, progress: Progress) -> tuple[Estimate, Context, force.Search]:
     """Search by the balance of forces, and judge what it proposes by the rig that it simulates."""
     case, ctx, found = problem.case, problem.ctx, problem.estimate
     body = rigged.RigBody(case, ctx)
 
     def doubtful(done: force.Search) -> bool:
-        return bool(done.best.members) or not found.exact or not _force_known(case, done)
+        return bool(done.best.members) or not found.exact or not remainder.understood(done)
 
     search = force.search(problem, progress, body, doubtful)
     motion = body.motion(search.problem, search.best) if search.moved else None
@@ -445,7 +446,7 @@ def _along_its_motion(
     simulates the measured displacement to its noise, the load cell is judged along that motion; the
     answer counts where the search comes to the same laws and they leave nothing.
     """
-    if not search.best.members or (not search.moved and _force_known(case, search)):
+    if not search.best.members or (not search.moved and remainder.understood(search)):
         return None
     progress("motion")
 
@@ -474,7 +475,7 @@ def _along_its_motion(
             found, again = _in_its_noise(case, found, force.search(along, progress), anew, progress)
             if laws(again.best) != laws(fit):
                 break
-            if _force_known(case, again):
+            if remainder.understood(again):
                 return found, now, again
             begun, among = again.best, again
     return None
@@ -502,71 +503,6 @@ def _felt(case: Case, search: force.Search, ctx: Context) -> bool:
     )
 
 
-def _force_known(case: Case, search: force.Search) -> bool:
-    """Return whether what was found leaves no more than the form of a law."""
-    if search.moved and (search.quiet or search.excess_after < POLICY.excess_as_noise):
-        # What is moved as it was measured, by what is named or by nothing, has the force for it.
-        return True
-    if search.moved and search.best.members:
-        left = search.excess_after / max(search.excess_before, 1e-12)
-        return left < of_size(POLICY.left_moved, len(search.best.names))
-    if search.problem.estimate.coloured and _by_the_sheet(case, search):
-        return True
-    if not search.best.members:
-        # Small colour that no law earns its price for is not a finding.
-        return not search.problem.estimate.coloured and (
-            search.excess_before < POLICY.excess_as_noise + POLICY.excess_of_nothing
-            or case.model.k_tol is None
-            or (_small(search, search.excess_before) and _within(search))
-        )
-    at_noise = search.excess_after < POLICY.excess_as_noise
-    above = search.scale < POLICY.colourless and search.excess_after < POLICY.colourless_excess
-    if (at_noise or above) and not search.problem.estimate.coloured:
-        # At the noise, or above it without colour: the data sheet's figure is low. Noise that takes
-        # any colour to fit is to be as large as the sheet says, and no event.
-        return True
-    left = search.excess_after / max(search.excess_before, 1e-12)
-    found = search.problem.estimate
-    # A moment at which a law begins can be moved to meet much: what is left then is no blur.
-    late = any(m.effect.late for m in search.best.members)
-    blur = 1.0 if found.exact or late else POLICY.estimated_motion
-    return _small(search, search.excess_after) or left < blur * _allowed(
-        case, len(search.best.names)
-    )
-
-
-def _by_the_sheet(case: Case, search: force.Search) -> bool:
-    """Return whether what is left is within the load cell's data sheet.
-
-    A sheet does not say of what colour the noise is; only its white part is measured. What no law
-    explains, stays in size within the sheet and comes in no bursts is not known to be anything
-    else, be there a set beside it that is named or none.
-    """
-    sheet, found = _stated(case), search.problem.estimate
-    if not sheet or not _within(search, search.best):
-        return False
-    rest = _left_by(search, search.best)
-    if found.coloured and found.blur is not None:
-        # What the estimate of the motion adds has no sheet; the colour was held within its own.
-        white = found.whiten(rest)[found.rows]
-        count = found.share * white.size
-        # Three standard deviations of the power of so few rows.
-        most = 1.0 + POLICY.excess_as_noise + 3.0 * np.sqrt(2.0 / count)
-        return float(white @ white) < most * count and noise.steady(white, case.fs_hz)
-    return "f_meas" in case.channels and noise.mere(
-        rest[found.rows], found.whiten(rest)[found.rows], sheet * (1.0 + found.scatter), case.fs_hz
-    )
-
-
-def _left_by(search: force.Search, fit: Fit) -> Floats:
-    """Return what model and effects leave of the force, the nuisance as fitted, (n,), N."""
-    problem = search.problem
-    rest = problem.estimate.force - problem.ctx.total - leaning(problem, fit)
-    for i in range(len(fit.members)):
-        rest = rest - evidence.contribution(problem, fit, i)
-    return np.asarray(rest)
-
-
 def _doubtful(case: Case, search: force.Search) -> bool:
     """Return whether the balance of forces on a free body leaves the answer open.
 
@@ -575,144 +511,26 @@ def _doubtful(case: Case, search: force.Search) -> bool:
     specimen, and where a friction is that has more to it than a level.
     """
     if not search.best.members:
-        return not _force_known(case, search)
-    if not _force_known(case, search):
+        return not remainder.understood(search)
+    if not remainder.understood(search):
         return True
     names = set(search.best.names)
-    blurred = _small(search, search.excess_before) and _within(search)
+    blurred = remainder.blurred(search)
     # The estimate rounds off where the body sticks: as a law, that is a friction with more to it.
     leans = names & effects.having(lambda e: e.number or (e.dry and e.plainer))
-    return bool(leans) or blurred or _simulates(case, search)
+    return bool(leans) or blurred or simulates(remainder.simulated(search), POLICY)
 
 
-def _simulates(case: Case, search: force.Search | None) -> bool:
-    """Return whether the model alone, its numbers moved within tolerance, simulates the record.
-
-    Without a load cell this decides: a force that the displacement does not show is the smoother's.
-    """
-    m = case.model
-    x_meas = case.channels.get("x_meas")
-    free_body = m.family == "forced" or (m.family == "ground" and "f_meas" not in case.channels)
-    if search is None or x_meas is None or not free_body or m.k_tol is None or m.k == 0:
-        return False
-    plain = Augmented(_with_nuisance(m, search.problem, search.null), m, (), (), m.actuator, None)
-    fitted = output_error(plain, case, force=True)
-    reach = POLICY.within_tolerance * m.k_tol
-    if abs(fitted.model.k / m.k - 1.0) > reach:
-        return False
-    if (
-        m.c
-        and m.c_tol is not None
-        and abs(fitted.model.c / m.c - 1.0) > POLICY.within_tolerance * m.c_tol
-    ):
-        return False
-    made = predict(fitted, case).x
-    off = nrmse(made, np.where(case.rows, x_meas, np.nan))
-    noise = estimate.noise_of(x_meas, m.x_std) / (float(np.nanstd(x_meas)) or 1.0)
-    return off < POLICY.simulated_nrmse and off**2 - noise**2 < POLICY.simulated_unseen**2
-
-
-def _lost_in_form(case: Case, search: force.Search, quantised: Found) -> bool:
-    """Return whether beside a naive model rounding explains less than a further law has to."""
-    if case.model.k_tol is not None or not search.best.members:
-        return False
-    missing = _left_by(search, search.null)[search.problem.estimate.rows]
-    share = quantised.params["lsb_N"] ** 2 / 12.0 / float(np.mean(missing**2))
-    return share < of_size(POLICY.needed_share, len(search.best.names) + 1)
-
-
-def _rounded(case: Case, search: force.Search, quantised: Found) -> bool:
-    """Return whether the model with nothing in it stays within half a step of nearly all rows.
-
-    Not where it has to leave its tolerances for that, nor where what was found stays within closer.
-    """
-    if not _within(search):
-        return False
-    beyond = _beyond(case, search, search.null, quantised)
-    if beyond > POLICY.rounded_rows or not search.best.members:
-        return beyond <= POLICY.rounded_rows
-    if search.gain > POLICY.rounded_gain and search.excess_after < POLICY.rounded_excess:
-        return False
-    return beyond < POLICY.rounded_outside + POLICY.rounded_as_best * _beyond(
-        case, search, search.best, quantised
-    )
-
-
-def _beyond(case: Case, search: force.Search, fit: Fit, quantised: Found) -> float:
-    """Return the part of the rows that a fit leaves by more than rounding and noise can."""
-    problem = search.problem
-    rest = _left_by(search, fit)
-    reach = 0.5 * quantised.params["lsb_N"] + 3.0 * (case.model.f_std or 0.0)
-    return float(np.mean(np.abs(rest[problem.rows]) > reach))
-
-
-def _by_rounding(case: Case, search: force.Search, quantised: Found) -> force.Search:
-    """Return the search with the set that stays within rounding, where the best one does not.
-
-    Least squares takes rounding for noise, and its colour for a law; a right law is never off by
-    more than half a step.
-    """
-    if search.moved or not search.best.members:
-        return search
-    off = {f.names: _beyond(case, search, f, quantised) for f in search.fits}
-    own = off[search.best.names]
-    inside = (
-        [f for f in search.fits if off[f.names] < POLICY.rounded_better * own]
-        if own > POLICY.rounded_outside
-        else []
-    )
-    best = inside[0] if inside else search.best
-    among = [f for f in inside[1:] if _alike(search, f, best)] if inside else search.equal
-    # Nor does what one more law takes up of the rounding make it a law.
-    parts = [f for f in search.fits if f.members and set(f.names) < set(best.names)]
-    enough = [
-        f
-        for f in parts
-        if off[f.names] < POLICY.rounded_outside + POLICY.rounded_alike * off[best.names]
-    ]
-    if enough:
-        best, among = min(enough, key=lambda f: (len(f.names), f.chi2)), []
-    equal = [
-        f
-        for f in among
-        if off[f.names] < POLICY.rounded_outside + POLICY.rounded_alike * off[best.names]
-    ]
-    n = search.problem.y.size * search.problem.estimate.share
-    return replace(
-        search, best=best, equal=equal, excess_after=best.chi2 * search.scale / n - 1.0,
-        rivals=[f for f in search.fits if f is not best][:6], forms=[],
-    )  # fmt: skip
-
-
-def _alike(search: force.Search, fit: Fit, best: Fit) -> bool:
-    """Return whether a set fits as well as the best with no more parameters."""
-    more = evidence.count(search.problem, fit) > evidence.count(search.problem, best)
-    return not more and fit.chi2 - best.chi2 < POLICY.same_evidence
-
-
-def _small(search: force.Search, excess: float) -> bool:
-    """Return whether a misfit is within what an estimated motion can tell of the force."""
-    found = search.problem.estimate
-    if found.exact:
-        return False
-    # Nothing pushes in a free decay, and so no noise of a push is the measure of what is left.
-    if not np.any(found.force):
-        fit = search.null if excess == search.excess_before else search.best
-        rows, whole = found.rows, search.problem.ctx.spring
-        left = float(np.sqrt(np.mean(_left_by(search, fit)[rows] ** 2)))
-        return left < POLICY.blur_free * float(np.sqrt(np.mean(whole[rows] ** 2)))
-    force_rms = float(np.sqrt(np.mean(found.force[found.rows] ** 2))) or 1.0
-    least = POLICY.blur_cell if "f_meas" in search.problem.case.channels else POLICY.blur_free
-    return float(np.sqrt(max(excess, 0.0))) * found.sigma_n < least * force_rms
-
-
-def _within(search: force.Search, fit: Fit | None = None) -> bool:
-    """Return whether a fit, else the model alone, stays within the stated tolerances."""
-    fit = fit or search.null
-    return all(
-        n.sigma is None or abs(float(b)) < POLICY.within_tolerance * n.sigma
-        for b, n in zip(fit.nuisance, search.problem.nuisances, strict=True)
-    )
+def _coarse(case: Case, search: force.Search | None) -> tuple[Found | None, force.Search | None]:
+    """Return the steps of a coarse load cell and the search with what stays within them."""
+    steps = quantisation(case)
+    if steps is None or search is None:
+        return steps, search
+    lsb_n = steps.params["lsb_N"]
+    before = Seen(remainder.left_of(search), rounding=remainder.rounded(search, steps.name, lsb_n))
+    if lost_in_form(before, POLICY):
+        return None, search
+    return steps, remainder.within_rounding(search, lsb_n)
 
 
 def _verdict(
@@ -722,83 +540,62 @@ def _verdict(
     ctx: Context | None,
     search: force.Search | None,
 ) -> Diagnosis:
-    quantised = quantisation(case)
-    if quantised is not None and search is not None and _lost_in_form(case, search, quantised):
-        quantised = None
-    if quantised is not None and search is not None:
-        search = _by_rounding(case, search, quantised)
-    disp_known = disp is None or disp.known
-    force_known = search is None or _force_known(case, search) or _by_the_sheet(case, search)
+    steps, search = _coarse(case, search)
+    said = _judged(disp, ctx, search, steps)
     candidates: list[Found] = []
-    names: list[str] = []
-    sets: list[list[str]] = []
-    named_force = search is not None and bool(search.best.members) and force_known
-    blurred = search is not None and not search.moved
-    if search is not None and blurred and _small(search, search.excess_before) and _within(search):
-        stated = {n.name for n in search.problem.nuisances if n.sigma is not None}
-        named_force = named_force and set(search.best.names) <= stated
-    if blurred and (named_force or not force_known):
-        agreed = _simulates(case, search)
-        if agreed:
-            named_force, force_known = False, True
-    if search is not None and ctx is not None and named_force and _by_chance(search, ctx):
-        named_force = False
-    if quantised is not None and search is not None and _rounded(case, search, quantised):
-        # All that is left is what rounding leaves, and no force law.
-        named_force, force_known = False, True
-    named_disp = disp is not None and disp.found and disp_known
-    if disp is not None and named_disp:
+    if disp is not None and said.actuator:
         candidates += _disp_found(disp)
-        names += list(disp.best.names)
-    if search is not None and ctx is not None and named_force:
+    if search is not None and ctx is not None and said.force:
         candidates += _force_found(search, ctx, _around(disp, found))
-        names += list(search.best.names)
-    if quantised is not None:
-        candidates.append(quantised)
-        names.append(quantised.name)
-    base_disp = list(disp.best.names) if disp is not None and named_disp else []
-    base_force = list(search.best.names) if search is not None and named_force else []
-    extra = [quantised.name] if quantised is not None else []
-    verdict: Verdict = "explained" if names else "none"
-    if search is not None and named_force and search.equal:
-        sets += [base_disp + list(f.names) + extra for f in [search.best, *search.equal]]
-    if disp is not None and named_disp and disp.equal:
-        sets += [list(f.names) + base_force + extra for f in [disp.best, *disp.equal]]
-    unique: list[list[str]] = []
-    for group in sets:
-        if sorted(group) not in unique:
-            unique.append(sorted(group))
-    if unique:
-        verdict = "ambiguous"
-    if not disp_known or not force_known:
-        verdict, names, unique = "unknown", [], []
-    done = _located(case, disp, found, ctx, search, verdict, names, candidates, unique)
-    named = [c for c in candidates if c.name in names]
+    if steps is not None:
+        candidates.append(steps)
+    done = _located(case, disp, found, ctx, search, said, candidates)
+    named = [c for c in candidates if c.name in said.names]
     done.notes += modulation.in_words([c.name for c in named], [c.modulated_by for c in named])
     return done
 
 
-def _by_chance(search: force.Search, ctx: Context) -> bool:
-    """Return whether one effect beside nothing but noise is what noise of such a colour may do.
+def _judged(
+    disp: Displacement | None,
+    ctx: Context | None,
+    search: force.Search | None,
+    steps: Found | None,
+) -> Verdict:
+    """Return what is said, gathering what the rules ask for."""
+    moved = None
+    if disp is not None:
+        moved = Moved(disp.best.names, tuple(f.names for f in disp.equal), disp.known)
+    if search is None:
+        rounding = None if steps is None else Rounded(steps.name)
+        said = judge(Seen(None, moved, rounding), POLICY)
+    else:
+        rounding = None
+        if steps is not None:
+            rounding = remainder.rounded(search, steps.name, steps.params["lsb_N"])
+        seen = Seen(remainder.left_of(search), moved, rounding)
+        while not isinstance(said := judge(seen, POLICY), Verdict):
+            known = {**seen.known, said: remainder.asked(search, ctx, said)}
+            seen = replace(seen, known=known)
+    assert isinstance(said, Verdict)
+    return said
 
-    Where the noise has a colour that was read off the recording itself, evidence counted row by row
-    is worth what that colour is known by. The effect's interval knows of more, how the parts of the
-    recording scatter among it: by that, too, the effect has to earn its price.
-    """
-    fit, problem = search.best, search.problem
-    noise = search.excess_before < POLICY.excess_as_noise and problem.estimate.coloured
-    if not noise or len(fit.members) != 1 or search.moved:
-        return False
-    params, ends = Sure(search, ctx).of(0)
-    member = fit.members[0]
-    gone = member.effect.report(ctx, member.trial, 0.0 * fit.betas[0])
-    # How strong it is, and not where: a frequency is sharp however weak the hum.
-    sizes = [
-        abs(params[k]) / (0.5 * (high - low) / SIDES)
-        for k, (low, high) in ends.items()
-        if high > low and gone[k] == 0.0
-    ]
-    return bool(sizes) and max(sizes) ** 2 < evidence.cost(problem, fit)
+
+def quantisation(case: Case) -> Found | None:
+    """Return a coarse load cell: few distinct readings, all on one grid."""
+    f = case.get("f_meas")
+    if f is None or case.model.f_std is None:
+        return None
+    lsb = estimate.step_of(f, case.model.f_std)
+    if lsb == 0.0:
+        return None
+    return Found(
+        QUANTISATION.name,
+        "force",
+        1.0,
+        {"lsb_N": lsb},
+        {"lsb_N": [0.999 * lsb, 1.001 * lsb]},
+        -100.0,
+    )
 
 
 def _located(
@@ -807,12 +604,11 @@ def _located(
     found: Estimate | None,
     ctx: Context | None,
     search: force.Search | None,
-    verdict: Verdict,
-    names: list[str],
+    said: Verdict,
     candidates: list[Found],
-    sets: list[list[str]],
 ) -> Diagnosis:
-    n = case.t.size
+    n, verdict, names = case.t.size, said.said, list(said.names)
+    sets = [list(names) for names in said.sets]
     motion = found.motion if found else (disp.best.motion if disp else None)
     channel: Literal["force", "disp"] = "force"
     mask = np.zeros(n, dtype=np.bool_)
@@ -822,10 +618,10 @@ def _located(
         if disp is not None and not disp.known:
             channel = "disp"
             residual = disp.task.x - disp.null.motion.x
-            clear = _without_noise(residual, disp.task.sigma, case.fs_hz)
+            clear = remainder.without_noise(residual, disp.task.sigma, case.fs_hz)
         elif search is not None and found is not None:
-            residual = robust_residual(search)
-            clear = clear_residual(search)
+            residual = remainder.robust_residual(search)
+            clear = remainder.clear_residual(search)
         if residual is not None:
             mask = localise.active(clear, case.fs_hz)
             parts = [clear]
@@ -854,7 +650,7 @@ def _located(
         _errors(disp, found, search, verdict), propose(case, ctx, disp, search, verdict, sets),
         disp, search, found, ctx,
         [*case.notes, *_begun(candidates, names), *filter(None, [redundant.disagreement(case)])],
-        residual,
+        residual, said.ledger,
     )  # fmt: skip
 
 
@@ -866,77 +662,6 @@ def _begun(candidates: list[Found], names: list[str]) -> list[str]:
         for c in candidates
         if c.name in names and c.from_s is not None
     ]
-
-
-def _without_noise(residual: Floats, noise: float, fs_hz: float, share: float = 1.0) -> Floats:
-    """Return a residual with its noise averaged down over a fiftieth of a second.
-
-    Args:
-        residual: (n,).
-        noise: standard deviation of its noise where it is white.
-        fs_hz: rows per second.
-        share: part of the band in which there is any: slower noise is not averaged down.
-    """
-    k = max(int(0.02 * fs_hz) | 1, 1)
-    smooth = np.convolve(np.pad(residual, k // 2, mode="edge"), np.ones(k) / k, mode="valid")
-    level = noise * np.sqrt(min(share, 1.0 / k))
-    return np.where(np.abs(smooth) > POLICY.located_noise * level, smooth, 0.0)
-
-
-def clear_residual(search: force.Search) -> Floats:
-    """Return the part of the force residual that stands out of its noise, (n,), N.
-
-    The force along an estimated motion has noise of any colour, far above that of its sensors where
-    the motion is badly known: where most of what is left is of that kind it is made white first.
-    """
-    found = search.problem.estimate
-    residual = robust_residual(search)
-    white = np.where(found.rows, found.sigma_n * found.whiten(residual), 0.0)
-    fs_hz = search.problem.case.fs_hz
-    if not found.exact and np.std(residual) > POLICY.located_white * np.std(white):
-        return _without_noise(white, found.sigma_n, fs_hz, found.share)
-    return _without_noise(residual, found.sigma_n, fs_hz)
-
-
-def robust_residual(search: force.Search) -> Floats:
-    """Return the force residual with the nuisance fitted to what is not in the way, (n,), N.
-
-    Least squares would bend stiffness and damping to take over part of what is missing. What is
-    missing is no noise of many independent rows either, so that it would outvote what the lab
-    states: a stated number moves no farther than its tolerance lets it.
-    """
-    problem = search.problem
-    sigmas = [n.sigma for n in problem.nuisances]
-    prior = np.array([0.0 if s is None else s**-2.0 for s in sigmas])
-    reach = np.array([np.inf if s is None else POLICY.located_bend * s for s in sigmas])
-    for _ in range(20):
-        beta = _robust(problem, prior)
-        over = np.abs(beta) > reach
-        if not over.any():
-            break
-        prior[over] *= 4.0
-    out = problem.estimate.force - problem.ctx.total
-    for b, nuisance in zip(beta, problem.nuisances, strict=True):
-        out = out - b * nuisance.column
-    out = out.copy()
-    out[~problem.estimate.rows] = 0.0
-    return out
-
-
-def _robust(problem: Problem, prior: Floats) -> Floats:
-    """Return the nuisance by a loss that lets rows far off go, with the weights of its priors."""
-    y, base = problem.y, problem.base
-    weight: Any = np.ones(y.size)
-    beta: Any = np.zeros(base.shape[1])
-    for _ in range(12):
-        gram = base.T @ (base * weight[:, None]) + np.diag(prior)
-        beta = np.linalg.solve(
-            gram + np.diag(1e-12 * gram.diagonal() + 1e-30), base.T @ (weight * y)
-        )
-        rest = np.abs(y - base @ beta)
-        size = max(1.5, 1.4826 * float(np.median(rest)))
-        weight = 1.0 / (1.0 + (rest / (2.0 * size)) ** 2) ** 2
-    return np.asarray(beta)
 
 
 def _errors(
@@ -1078,24 +803,6 @@ def _disp_found(disp: Displacement) -> list[Found]:
     return out
 
 
-def quantisation(case: Case) -> Found | None:
-    """Return a coarse load cell: few distinct readings, all on one grid."""
-    f = case.get("f_meas")
-    if f is None or case.model.f_std is None:
-        return None
-    lsb = estimate.step_of(f, case.model.f_std)
-    if lsb == 0.0:
-        return None
-    return Found(
-        QUANTISATION.name,
-        "force",
-        1.0,
-        {"lsb_N": lsb},
-        {"lsb_N": [0.999 * lsb, 1.001 * lsb]},
-        -100.0,
-    )
-
-
 def _work(d: Diagnosis, c: Found) -> dict[str, float]:
     """Return the work that a force of the answer took out of the motion, J.
 
@@ -1149,7 +856,7 @@ def augmented(d: Diagnosis) -> Augmented:
             fit = next((f for f in fits if not any(m.effect.sensor for m in f.members)), fit)
         free = model.k_tol is None
         if fit.members or not free:
-            fitted = _with_nuisance(model, search.problem, fit)
+            fitted = remainder.with_nuisance(model, search.problem, fit)
         members, betas = fit.members, fit.betas
     disp = d.disp
     lag, zeros = model.actuator, (0.0, 0.0)
@@ -1184,7 +891,7 @@ def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Au
     fit = refine(problem, search.best.members)
     if fit is None or not problem.sensible(fit):
         return model
-    fitted = _with_nuisance(d.case.model, problem, fit)
+    fitted = remainder.with_nuisance(d.case.model, problem, fit)
     if any(m.effect.complete for m in fit.members) and min(fitted.k, fitted.c) < 0.0:
         # Nothing of the specimen stands beside a joint law, and least of all what drives it.
         below = {"k": fitted.k < 0.0, "c": fitted.c < 0.0}
@@ -1197,19 +904,13 @@ def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Au
         again = refine(problem, fit.members)
         if again is not None and problem.sensible(again):
             fit = again
-            kept = _with_nuisance(d.case.model, problem, fit)
+            kept = remainder.with_nuisance(d.case.model, problem, fit)
             fitted = replace(
                 kept,
                 k=0.0 if below["k"] else kept.k,
                 c=0.0 if below["c"] else kept.c,
             )
     return replace(model, model=fitted, members=fit.members, betas=fit.betas)
-
-
-def _with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
-    for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-        model = nuisance.moves(model, float(b))
-    return replace(model, moving_mass=max(model.moving_mass, 0.0))
 
 
 def baseline(d: Diagnosis) -> Augmented:

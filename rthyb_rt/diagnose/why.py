@@ -1,7 +1,6 @@
 """The ledger of a diagnosis: the sets that were weighed, what each brought, and why it lost.
 
-All of it is read off what the search came to; nothing is decided here. Sets that the search dropped
-on the way are not kept in what it came to, and so not here.
+All of it is read off what the search came to and the ledger of `decide`; nothing is decided here.
 """
 
 from __future__ import annotations
@@ -17,11 +16,13 @@ from rthyb_rt.diagnose import effects, evidence, redundant
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import Diagnosis, Displacement
-from rthyb_rt.diagnose.policy import POLICY, of_size
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.remainder import left_of
 from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Solved
+from rthyb_rt.diagnose.verdict import allowed
 from rthyb_rt.diagnose.words import called, quantity, value_text
 
-Fate = Literal["named", "as good", "lost", "refused"]
+Fate = Literal["named", "as good", "lost", "dropped", "refused"]
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,8 @@ class Decision:
     Attributes:
         channel: "force" or "disp".
         effects: names as in the answer.
-        fate: "refused" is an effect that came into no set that was worth a closer look.
+        fate: "dropped" is a set that a rule took out before sets were compared, "refused" an effect
+            that came into no set that was worth a closer look.
         params: in words, as the set has them.
         chi2: sum of squares of what it leaves, in units of the noise.
         price: what it had to earn, in the same.
@@ -62,7 +64,7 @@ def ledger(d: Diagnosis, catalogue: bool = True) -> list[Decision]:
         out += _actuator(d.disp)
     if d.force is not None:
         sets = _force(d, d.force)
-        out += sets
+        out += sets + _dropped(d.force)
         if catalogue:
             known = {n for s in sets for n in s.effects}
             out += _refused(d.force, known)
@@ -93,6 +95,7 @@ def to_json(d: Diagnosis, catalogue: bool = True) -> dict[str, Any]:
 TITLES = {
     "disp": "Sets of effects of the actuator, best first",
     "force": "Sets of effects on the force, best first",
+    "dropped": "Sets that a rule took out before",
     "refused": "Other effects on the force, in the best of the shapes that are tried first",
 }
 
@@ -101,7 +104,7 @@ def groups(why: dict[str, Any]) -> list[tuple[str, list[dict[str, Any]]]]:
     """Return the sets of what `to_json` made under their titles, empty ones left out."""
     out: dict[str, list[dict[str, Any]]] = {key: [] for key in TITLES}
     for row in why["sets"]:
-        out["refused" if row["fate"] == "refused" else row["channel"]].append(row)
+        out[row["fate"] if row["fate"] in out else row["channel"]].append(row)
     return [(TITLES[key], rows) for key, rows in out.items() if rows]
 
 
@@ -119,7 +122,7 @@ def lines(why: dict[str, Any], width: int = 100) -> list[str]:
     for title, rows in groups(why):
         out += ["", f"{title}:"]
         for row in rows:
-            if row["fate"] == "refused":
+            if row["fate"] in ("dropped", "refused"):
                 put(f"{words_of(row)}: {row['why']}", 6, "  ")
                 continue
             put(f"{row['fate']}: {words_of(row)}", 6, "  ")
@@ -252,6 +255,34 @@ def _not_enough(search: forces.Search, fit: Fit, gain: float, own: float) -> str
                 f"out; {_percent(POLICY.held_out_share)} has to"
             )
     return f"brings {count(gain)}; the set before it was refused, and none behind it is looked at"
+
+
+DROPPED = {
+    "needed": "{part} beside the others brings {found}, where it had to bring {wanted}",
+    "share": "{part} beside the others brings {found}; up to {wanted} may be the form of the laws",
+    "drift goes on": "within the halves of the recording there is less of the drift",
+    "more laws": "brings {found} more than the best of fewer laws, where it had to bring {wanted}",
+    "yielding": "{against} is the same by a plainer name",
+    "plainest": "brings {found} more than {against}, where it had to bring {wanted}",
+}
+"""What each rule of `decide` that takes a set out says of it."""
+MOST = 12
+"""Such sets that are listed."""
+
+
+def _dropped(search: forces.Search) -> list[Decision]:
+    """Return the sets that a rule took out, in the order in which they were looked at."""
+    kept = {f.names for f in (*search.fits, *search.equal)}
+    first = {r.names: r for r in reversed(search.ledger) if r.rule in DROPPED}
+    nan, out = float("nan"), []
+    for ruling in [first[names] for names in dict.fromkeys(r.names for r in search.ledger)
+                   if names in first and names not in kept][:MOST]:  # fmt: skip
+        why = DROPPED[ruling.rule].format(
+            part=called(ruling.part) if ruling.part else "",
+            found=_gain(ruling.found), wanted=count(ruling.wanted), against=_words(ruling.against),
+        )  # fmt: skip
+        out.append(Decision("force", ruling.names, "dropped", (), nan, nan, nan, why))
+    return out
 
 
 def _against(
@@ -400,6 +431,16 @@ def _why_actuator(disp: Displacement, fit: ActuatorFit, fate: Fate) -> str:
     )
 
 
+TURNED = {
+    "blur": "the best set is no larger than what the estimate of the motion leaves open",
+    "motion": "the model alone simulates the measured motion, within its tolerances and the "
+    "sensor's noise",
+    "chance": "the best set is no larger than what noise of this colour makes by chance",
+    "steps": "what the model leaves is what the load cell's steps leave",
+}
+"""What each rule of `verdict` that takes a set back says."""
+
+
 # ---- what the answer rests on -------------------------------------------------------------------
 
 
@@ -425,29 +466,17 @@ def _verdict(d: Diagnosis) -> str:
             share = search.excess_after / max(search.excess_before, 1e-12)
             return (
                 f"unknown: the best set leaves {_percent(share)} of the misfit, where "
-                f"{_percent(_allowed(d, search))} may be the form of a law"
+                f"{_percent(allowed(left_of(search), POLICY))} may be the form of a law"
             )
-    if d.verdict == "none" and search is not None and search.best.members:
-        return (
-            "none: the best set is no larger than what the motion, the rounding or the data sheet "
-            "leave open"
-        )
+    turned = [TURNED[r.rule] for r in d.ledger]
+    if d.verdict == "none" and search is not None and search.best.members and turned:
+        return f"none: {turned[-1]}"
     return {
         "none": "none: no set earns its price, and what the model alone leaves is noise",
         "explained": "explained: one set is better than all others, and what it leaves is noise or "
         "the form of its law",
         "ambiguous": "ambiguous: several sets fit alike",
     }.get(d.verdict, d.verdict)
-
-
-def _allowed(d: Diagnosis, search: forces.Search) -> float:
-    size = len(search.best.names)
-    if search.moved:
-        return of_size(POLICY.left_moved, size)
-    blur = 1.0 if search.problem.estimate.exact else POLICY.estimated_motion
-    if d.case.model.k_tol is None:
-        return blur * POLICY.left_naive
-    return blur * of_size(POLICY.left_stated, size)
 
 
 def _noise(believed: float, sheet: float | None, unit: str, coloured: bool) -> str:

@@ -1,0 +1,289 @@
+"""What model and effects leave of a recording's force, and what `verdict` has to know of that."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rthyb_rt.diagnose import estimate, evidence, noise, verdict
+from rthyb_rt.diagnose.case import Case, Floats, Model
+from rthyb_rt.diagnose.effects.base import Context
+from rthyb_rt.diagnose.force import RIVALS, Search
+from rthyb_rt.diagnose.intervals import SIDES, Sure
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.predict import Augmented, nrmse, output_error, predict
+from rthyb_rt.diagnose.select import Fit, Problem, leaning
+from rthyb_rt.diagnose.verdict import Asked, Left, Rounded, Simulated
+
+
+def left_by(search: Search, fit: Fit) -> Floats:
+    """Return what model and effects leave of the force, the nuisance as fitted, (n,), N."""
+    problem = search.problem
+    rest = problem.estimate.force - problem.ctx.total - leaning(problem, fit)
+    for i in range(len(fit.members)):
+        rest = rest - evidence.contribution(problem, fit, i)
+    return np.asarray(rest)
+
+
+def bend(problem: Problem, fit: Fit) -> float:
+    """Return how far a fit moves a stated number at most, in standard deviations."""
+    pairs = zip(fit.nuisance, problem.nuisances, strict=True)
+    return max((abs(float(b)) / n.sigma for b, n in pairs if n.sigma is not None), default=0.0)
+
+
+def part_of_force(search: Search, fit: Fit, excess: float) -> float:
+    """Return a misfit beyond noise, rms, as a part of the force.
+
+    Nothing pushes in a free decay, and so no noise of a push is the measure of what is left.
+    """
+    found, rows = search.problem.estimate, search.problem.estimate.rows
+    if not np.any(found.force):
+        whole = search.problem.ctx.spring
+        rest = float(np.sqrt(np.mean(left_by(search, fit)[rows] ** 2)))
+        return rest / (float(np.sqrt(np.mean(whole[rows] ** 2))) or 1e-300)
+    force_rms = float(np.sqrt(np.mean(found.force[rows] ** 2))) or 1.0
+    return float(np.sqrt(max(excess, 0.0))) * found.sigma_n / force_rms
+
+
+def left_of(search: Search) -> Left:
+    """Return what a search came to, as `verdict` judges it."""
+    problem, best, found = search.problem, search.best, search.problem.estimate
+    exact = found.exact
+    return Left(
+        names=best.names,
+        equal=tuple(f.names for f in search.equal),
+        laws=len(best.members),
+        before=search.excess_before,
+        after=search.excess_after,
+        scale=search.scale,
+        # Nothing is asked of it where the motion is known.
+        part_before=0.0 if exact else part_of_force(search, search.null, search.excess_before),
+        part_after=0.0 if exact else part_of_force(search, best, search.excess_after),
+        bent=bend(problem, search.null),
+        stated=frozenset(n.name for n in problem.nuisances if n.sigma is not None),
+        price=evidence.cost(problem, best),
+        naive=problem.case.model.k_tol is None,
+        exact=exact,
+        coloured=found.coloured,
+        moved=search.moved,
+        quiet=search.quiet,
+        late=any(m.effect.late for m in best.members),
+        cell="f_meas" in problem.case.channels and bool(np.any(found.force)),
+    )
+
+
+def understood(search: Search) -> bool:
+    """Return whether what was found leaves no more than the form of a law."""
+    return verdict.understood(left_of(search), POLICY, lambda: by_the_sheet(search))
+
+
+def blurred(search: Search) -> bool:
+    """Return whether the model alone is within what an estimated motion tells of the force."""
+    left = left_of(search)
+    return verdict.small(left, left.part_before, POLICY) and verdict.within(left.bent, POLICY)
+
+
+def stated(case: Case) -> float | None:
+    """Return the noise that the data sheet of the force states, N."""
+    forced = case.model.family == "forced"
+    return estimate.force_sheet(case.get("f_in" if forced else "f_meas"), case.model.f_std)
+
+
+def by_the_sheet(search: Search) -> bool:
+    """Return whether what is left is within the load cell's data sheet.
+
+    A sheet does not say of what colour the noise is; only its white part is measured. What no law
+    explains, stays in size within the sheet and comes in no bursts is not known to be anything
+    else, be there a set beside it that is named or none.
+    """
+    case, found = search.problem.case, search.problem.estimate
+    sheet = stated(case)
+    if not sheet or not verdict.within(bend(search.problem, search.best), POLICY):
+        return False
+    rest = left_by(search, search.best)
+    if found.coloured and found.blur is not None:
+        # What the estimate of the motion adds has no sheet; the colour was held within its own.
+        white = found.whiten(rest)[found.rows]
+        count = found.share * white.size
+        # Three standard deviations of the power of so few rows.
+        most = 1.0 + POLICY.excess_as_noise + 3.0 * np.sqrt(2.0 / count)
+        return float(white @ white) < most * count and noise.steady(white, case.fs_hz)
+    return "f_meas" in case.channels and noise.mere(
+        rest[found.rows], found.whiten(rest)[found.rows], sheet * (1.0 + found.scatter), case.fs_hz
+    )
+
+
+def simulated(search: Search) -> Simulated | None:
+    """Return how the model alone, its numbers fitted, simulates a free body without a load cell.
+
+    None where the recording is of no such body, and its motion decides nothing.
+    """
+    case, m = search.problem.case, search.problem.case.model
+    x_meas = case.channels.get("x_meas")
+    free_body = m.family == "forced" or (m.family == "ground" and "f_meas" not in case.channels)
+    if x_meas is None or not free_body or m.k_tol is None or m.k == 0:
+        return None
+    plain = Augmented(with_nuisance(m, search.problem, search.null), m, (), (), m.actuator, None)
+    fitted = output_error(plain, case, force=True)
+    k_off, c_off = abs(fitted.model.k / m.k - 1.0) / max(m.k_tol, 1e-300), 0.0
+    if m.c and m.c_tol is not None:
+        c_off = abs(fitted.model.c / m.c - 1.0) / max(m.c_tol, 1e-300)
+    made = predict(fitted, case).x
+    spread = float(np.nanstd(x_meas)) or 1.0
+    return Simulated(
+        k_off,
+        c_off,
+        nrmse(made, np.where(case.rows, x_meas, np.nan)),
+        estimate.noise_of(x_meas, m.x_std) / spread,
+    )
+
+
+def strength(search: Search, ctx: Context) -> float | None:
+    """Return the size of a set's one effect over its standard deviation, squared."""
+    fit = search.best
+    params, ends = Sure(search, ctx).of(0)
+    member = fit.members[0]
+    gone = member.effect.report(ctx, member.trial, 0.0 * fit.betas[0])
+    # How strong it is, and not where: a frequency is sharp however weak the hum.
+    sizes = [
+        abs(params[k]) / (0.5 * (high - low) / SIDES)
+        for k, (low, high) in ends.items()
+        if high > low and gone[k] == 0.0
+    ]
+    return max(sizes) ** 2 if sizes else None
+
+
+def asked(search: Search, ctx: Context | None, what: Asked) -> Any:
+    """Return what `verdict` asks for."""
+    if what == "sheet":
+        return by_the_sheet(search)
+    if what == "simulated":
+        return simulated(search)
+    return None if ctx is None else strength(search, ctx)
+
+
+# ---- a coarse load cell -------------------------------------------------------------------------
+
+
+def beyond(search: Search, fit: Fit, lsb_n: float) -> float:
+    """Return the part of the rows that a fit leaves by more than rounding and noise can."""
+    problem = search.problem
+    rest = left_by(search, fit)
+    reach = 0.5 * lsb_n + 3.0 * (problem.case.model.f_std or 0.0)
+    return float(np.mean(np.abs(rest[problem.rows]) > reach))
+
+
+def rounded(search: Search, name: str, lsb_n: float) -> Rounded:
+    """Return what the steps of a load cell explain of what is left."""
+    missing = left_by(search, search.null)[search.problem.estimate.rows]
+    return Rounded(
+        name,
+        lsb_n**2 / 12.0 / max(float(np.mean(missing**2)), 1e-300),
+        search.gain,
+        beyond(search, search.null, lsb_n),
+        beyond(search, search.best, lsb_n),
+    )
+
+
+def within_rounding(search: Search, lsb_n: float) -> Search:
+    """Return the search with the set that stays within rounding, where the best one does not."""
+    if search.moved or not search.best.members:
+        return search
+    problem = search.problem
+    fits: dict[verdict.Names, Fit] = {}
+    for f in (search.best, *search.fits):
+        fits.setdefault(f.names, f)
+    sets = tuple(
+        verdict.Coarse(f.names, evidence.count(problem, f), f.chi2, beyond(search, f, lsb_n))
+        for f in fits.values()
+    )
+    own = tuple(f.names for f in search.equal)
+    name, equal = verdict.within_rounding(sets, own, POLICY)
+    best, n = fits[name], problem.y.size * problem.estimate.share
+    return replace(
+        search, best=best, equal=[fits[e] for e in equal],
+        excess_after=best.chi2 * search.scale / n - 1.0,
+        rivals=[f for f in search.fits if f is not best][:RIVALS], forms=[],
+    )  # fmt: skip
+
+
+# ---- where it is left ---------------------------------------------------------------------------
+
+
+def without_noise(residual: Floats, noise: float, fs_hz: float, share: float = 1.0) -> Floats:
+    """Return a residual with its noise averaged down over a fiftieth of a second.
+
+    Args:
+        residual: (n,).
+        noise: standard deviation of its noise where it is white.
+        fs_hz: rows per second.
+        share: part of the band in which there is any: slower noise is not averaged down.
+    """
+    k = max(int(0.02 * fs_hz) | 1, 1)
+    smooth = np.convolve(np.pad(residual, k // 2, mode="edge"), np.ones(k) / k, mode="valid")
+    level = noise * np.sqrt(min(share, 1.0 / k))
+    return np.where(np.abs(smooth) > POLICY.located_noise * level, smooth, 0.0)
+
+
+def clear_residual(search: Search) -> Floats:
+    """Return the part of the force residual that stands out of its noise, (n,), N.
+
+    The force along an estimated motion has noise of any colour, far above that of its sensors where
+    the motion is badly known: where most of what is left is of that kind it is made white first.
+    """
+    found = search.problem.estimate
+    residual = robust_residual(search)
+    white = np.where(found.rows, found.sigma_n * found.whiten(residual), 0.0)
+    fs_hz = search.problem.case.fs_hz
+    if not found.exact and np.std(residual) > POLICY.located_white * np.std(white):
+        return without_noise(white, found.sigma_n, fs_hz, found.share)
+    return without_noise(residual, found.sigma_n, fs_hz)
+
+
+def robust_residual(search: Search) -> Floats:
+    """Return the force residual with the nuisance fitted to what is not in the way, (n,), N.
+
+    Least squares would bend stiffness and damping to take over part of what is missing. What is
+    missing is no noise of many independent rows either, so that it would outvote what the lab
+    states: a stated number moves no farther than its tolerance lets it.
+    """
+    problem = search.problem
+    sigmas = [n.sigma for n in problem.nuisances]
+    prior = np.array([0.0 if s is None else s**-2.0 for s in sigmas])
+    reach = np.array([np.inf if s is None else POLICY.located_bend * s for s in sigmas])
+    for _ in range(20):
+        beta = _robust(problem, prior)
+        over = np.abs(beta) > reach
+        if not over.any():
+            break
+        prior[over] *= 4.0
+    out = problem.estimate.force - problem.ctx.total
+    for b, nuisance in zip(beta, problem.nuisances, strict=True):
+        out = out - b * nuisance.column
+    out = out.copy()
+    out[~problem.estimate.rows] = 0.0
+    return out
+
+
+def _robust(problem: Problem, prior: Floats) -> Floats:
+    """Return the nuisance by a loss that lets rows far off go, with the weights of its priors."""
+    y, base = problem.y, problem.base
+    weight: Any = np.ones(y.size)
+    beta: Any = np.zeros(base.shape[1])
+    for _ in range(12):
+        gram = base.T @ (base * weight[:, None]) + np.diag(prior)
+        beta = np.linalg.solve(
+            gram + np.diag(1e-12 * gram.diagonal() + 1e-30), base.T @ (weight * y)
+        )
+        rest = np.abs(y - base @ beta)
+        size = max(1.5, 1.4826 * float(np.median(rest)))
+        weight = 1.0 / (1.0 + (rest / (2.0 * size)) ** 2) ** 2
+    return np.asarray(beta)
+
+
+def with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
+    for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
+        model = nuisance.moves(model, float(b))
+    return replace(model, moving_mass=max(model.moving_mass, 0.0))

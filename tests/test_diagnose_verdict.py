@@ -1,0 +1,262 @@
+"""What is said of a recording, by evidence made by hand: each rule, and the sets that fit alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import hypothesis
+import hypothesis.strategies as st
+import pytest
+
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.verdict import (
+    TURNS,
+    Coarse,
+    Left,
+    Moved,
+    Rounded,
+    Seen,
+    Simulated,
+    Verdict,
+    judge,
+    lost_in_form,
+    understood,
+    within_rounding,
+)
+
+MET = Simulated(0.5, 0.5, 0.001, 0.001)
+"""What the model alone makes of a motion that it is good for."""
+FRICTION = Left(names=("coulomb",), laws=1, before=50.0, after=0.02, price=20.0)
+"""A load cell's force that friction explains down to the noise."""
+NOTHING = Left(before=0.02, after=0.02)
+COARSE = Rounded("quantisation", gain=30.0, beyond=0.001, beyond_best=0.001)
+
+
+def said(seen: Seen, less: tuple[str, ...] = (), **answers: Any) -> Verdict:
+    """What is said with these answers; else neither data sheet nor motion explains it."""
+    given: dict[Any, Any] = {"sheet": False, "simulated": None, **answers}
+    while not isinstance(done := judge(seen, POLICY, less), Verdict):
+        seen = replace(seen, known={**seen.known, done: given[done]})
+    return done
+
+
+# ---- what is left ------------------------------------------------------------------------------
+
+
+def test_what_ends_at_the_noise_is_explained() -> None:
+    assert said(Seen(FRICTION)).names == ("coulomb",)
+    assert said(Seen(FRICTION)).said == "explained"
+    assert said(Seen(NOTHING)).said == "none"
+
+
+def test_a_set_may_leave_the_form_of_its_law_and_less_the_more_laws_it_has() -> None:
+    left = replace(FRICTION, after=0.04 * FRICTION.before)
+    assert said(Seen(left)).said == "explained"
+    pair = replace(left, names=("coulomb", "cubic"), laws=2)
+    assert said(Seen(pair)).said == "unknown"
+    naive = replace(pair, naive=True)
+    assert said(Seen(naive)).said == "explained"
+    estimated = replace(
+        left, after=0.12 * left.before, exact=False, part_before=0.9, part_after=0.1
+    )
+    assert said(Seen(estimated)).said == "explained"
+    # A moment at which a law begins may be moved to meet much.
+    assert said(Seen(replace(estimated, late=True))).said == "unknown"
+
+
+def test_a_sheet_that_states_too_little_noise_is_no_finding() -> None:
+    left = replace(FRICTION, before=0.5, after=0.4)
+    assert said(Seen(left)).said == "explained"
+    assert said(Seen(replace(left, scale=2.0))).said == "unknown"
+
+
+def test_noise_of_any_colour_has_to_be_within_the_sheet() -> None:
+    left = replace(FRICTION, before=0.5, after=0.4, coloured=True)
+    assert said(Seen(left)).said == "unknown"
+    assert said(Seen(left), sheet=True).said == "explained"
+
+
+def test_small_colour_that_no_law_earns_its_price_for_is_no_finding() -> None:
+    left = Left(before=0.2, after=0.2)
+    assert said(Seen(left)).said == "none"
+    assert said(Seen(replace(left, coloured=True))).said == "unknown"
+    assert said(Seen(replace(left, before=0.5, after=0.5))).said == "unknown"
+    assert said(Seen(replace(left, before=0.5, after=0.5, naive=True))).said == "none"
+
+
+def test_a_simulated_motion_that_is_the_measured_one_has_the_force_for_it() -> None:
+    left = replace(FRICTION, moved=True, after=0.5)
+    assert said(Seen(left)).said == "explained"
+    assert said(Seen(replace(left, after=0.03 * left.before))).said == "unknown"
+    assert said(Seen(replace(left, after=0.03 * left.before, quiet=True))).said == "explained"
+
+
+def test_better_noise_never_makes_it_unknown() -> None:
+    for before in (0.05, 0.2, 1.0, 50.0):
+        known = [
+            understood(replace(FRICTION, before=before, after=part * before), POLICY, lambda: False)
+            for part in (1.0, 0.3, 0.1, 0.03, 0.01, 0.0)
+        ]
+        assert known == sorted(known)
+
+
+# ---- rules that turn it -------------------------------------------------------------------------
+
+BLURRED = replace(FRICTION, exact=False, part_before=1e-4)
+RULES: dict[str, tuple[Seen, dict[str, Any], str, str]] = {
+    "blur": (Seen(BLURRED), {}, "none", "explained"),
+    "motion": (Seen(FRICTION), {"simulated": MET}, "none", "explained"),
+    "chance": (
+        Seen(replace(FRICTION, before=0.05, coloured=True)),
+        {"sheet": True, "strength": 10.0}, "none", "explained",
+    ),
+    "steps": (
+        Seen(replace(NOTHING, before=1.0, after=1.0), rounding=COARSE), {},
+        "explained", "unknown",
+    ),
+}  # fmt: skip
+"""Of each rule evidence, answers to what is asked, and what is said with and without the rule."""
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_each_rule_turns_what_is_said(rule: str) -> None:
+    seen, answers, turned, without = RULES[rule]
+    verdict = said(seen, **answers)
+    assert (verdict.said, [r.rule for r in verdict.ledger]) == (turned, [rule])
+    assert said(seen, (rule,), **answers).said == without
+
+
+def test_every_rule_has_its_evidence() -> None:
+    assert set(RULES) == set(TURNS)
+
+
+def test_numbers_of_the_model_are_named_within_the_blur_too() -> None:
+    seen = Seen(replace(BLURRED, names=("stiffness",), stated=frozenset({"stiffness"})))
+    assert said(seen).names == ("stiffness",)
+    bent = Seen(replace(BLURRED, bent=5.0))
+    assert said(bent).names == ("coulomb",)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        replace(MET, k_off=4.0), replace(MET, c_off=4.0), replace(MET, nrmse=0.02),
+        replace(MET, nrmse=0.006),
+    ],
+    ids=["stiffness bent", "damping bent", "motion missed", "beyond the sensor's noise"],
+)  # fmt: skip
+def test_a_model_that_does_not_simulate_the_motion_says_nothing(made: Simulated) -> None:
+    assert said(Seen(FRICTION), simulated=made).said == "explained"
+
+
+def test_an_effect_as_strong_as_its_price_is_no_chance() -> None:
+    seen = RULES["chance"][0]
+    answers = {"sheet": True}
+    assert said(seen, **answers, strength=25.0).names == ("coulomb",)
+    assert said(seen, **answers, strength=None).names == ("coulomb",)
+
+
+def test_what_stays_closer_than_rounding_is_a_law() -> None:
+    close = replace(COARSE, beyond=0.015, beyond_best=0.001)
+    assert said(Seen(FRICTION, rounding=close)).names == ("coulomb", "quantisation")
+    assert said(Seen(FRICTION, rounding=COARSE)).names == ("quantisation",)
+    strong = replace(COARSE, gain=500.0)
+    assert said(Seen(FRICTION, rounding=strong)).names == (
+        "coulomb", "quantisation",
+    )  # fmt: skip
+    bent = Seen(replace(FRICTION, bent=5.0), rounding=COARSE)
+    assert said(bent).names == ("coulomb", "quantisation")
+
+
+def test_rounding_explains_less_than_a_law_beside_a_naive_model() -> None:
+    seen = Seen(replace(FRICTION, naive=True), rounding=replace(COARSE, share=1e-3))
+    assert lost_in_form(seen, POLICY)
+    assert not lost_in_form(replace(seen, rounding=COARSE), POLICY)
+    assert not lost_in_form(replace(seen, force=FRICTION), POLICY)
+    assert not lost_in_form(replace(seen, force=replace(NOTHING, naive=True)), POLICY)
+
+
+# ---- rounding chooses among sets ----------------------------------------------------------------
+
+
+def test_a_right_law_is_never_off_by_more_than_half_a_step() -> None:
+    best = Coarse(("stribeck",), 3, 900.0, 0.1)
+    inside = Coarse(("coulomb",), 1, 950.0, 0.001)
+    assert within_rounding((best, inside), (), POLICY) == (("coulomb",), ())
+    alike = replace(inside, names=("gap",), chi2=955.0)
+    assert within_rounding((best, inside, alike), (), POLICY) == (("coulomb",), (("gap",),))
+    both = replace(best, names=("coulomb", "cubic"), beyond=0.001)
+    assert within_rounding((both, inside), (), POLICY)[0] == ("coulomb",)
+    assert within_rounding((replace(best, beyond=0.001), alike), (("gap",),), POLICY) == (
+        ("stribeck",), (("gap",),),
+    )  # fmt: skip
+
+
+# ---- actuator and force together ----------------------------------------------------------------
+
+
+def test_sets_of_actuator_and_force_that_fit_alike_are_all_told() -> None:
+    left = replace(FRICTION, equal=(("gap",),))
+    found = said(Seen(left, Moved(("delay",))))
+    assert found.said == "ambiguous"
+    assert found.names == ("delay", "coulomb")
+    assert found.sets == (("coulomb", "delay"), ("delay", "gap"))
+    lag = said(Seen(FRICTION, Moved(("delay",), (("oil_column",),))))
+    assert lag.sets == (("coulomb", "delay"), ("coulomb", "oil_column"))
+
+
+def test_what_is_not_known_of_the_actuator_leaves_all_unknown() -> None:
+    found = said(Seen(FRICTION, Moved(("delay",), known=False)))
+    assert (found.said, found.names, found.sets) == ("unknown", (), ())
+    assert said(Seen(None, Moved(("delay",)))).names == ("delay",)
+    assert said(Seen(None, None, COARSE)).names == ("quantisation",)
+    assert said(Seen()).said == "none"
+
+
+# ---- any evidence ------------------------------------------------------------------------------
+
+LEFT = st.builds(
+    Left,
+    names=st.sampled_from([(), ("coulomb",), ("stiffness",), ("coulomb", "cubic")]),
+    laws=st.integers(0, 3),
+    before=st.floats(-0.1, 1e3),
+    after=st.floats(-0.1, 1e3),
+    scale=st.floats(1.0, 10.0),
+    part_before=st.floats(0.0, 0.1),
+    part_after=st.floats(0.0, 0.1),
+    bent=st.floats(0.0, 10.0),
+    stated=st.just(frozenset({"stiffness"})),
+    price=st.floats(0.0, 100.0),
+    naive=st.booleans(),
+    exact=st.booleans(),
+    coloured=st.booleans(),
+    moved=st.booleans(),
+    quiet=st.booleans(),
+    late=st.booleans(),
+    cell=st.booleans(),
+)
+ANSWERS = st.fixed_dictionaries(
+    {
+        "sheet": st.booleans(),
+        "simulated": st.none() | st.just(MET),
+        "strength": st.none() | st.floats(0.0, 1e3),
+    }
+)
+
+
+@hypothesis.given(LEFT, ANSWERS, st.none() | st.just(COARSE))
+def test_names_and_verdict_agree(left: Left, answers: dict[str, Any], coarse: Any) -> None:
+    found = said(Seen(left, rounding=coarse), **answers)
+    assert said(Seen(left, rounding=coarse), **answers) == found
+    assert (found.said in ("explained", "ambiguous")) == bool(found.names)
+    assert set(found.names) <= {*left.names, "quantisation"}
+    assert found.said != "ambiguous" or len(found.sets) > 1
+
+
+@hypothesis.given(LEFT, ANSWERS)
+def test_what_is_named_or_called_nothing_is_understood(left: Left, answers: dict[str, Any]) -> None:
+    found = said(Seen(left), **answers)
+    turned = {r.rule for r in found.ledger} & {"motion", "steps"}
+    known = answers["sheet"] or understood(left, POLICY, lambda: answers["sheet"])
+    assert (found.said == "unknown") == (not known and not turned)
