@@ -37,6 +37,7 @@ int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
     memset(loop, 0, sizeof *loop);
     loop->cfg = *cfg;
     loop->axis_count = cfg->station->cfg.controller.axis_count;
+    loop->apart = RTHYB_APART_UNKNOWN;
     int error = 0;
     for (int i = 0; i < loop->axis_count; i++) {
         loop->way[i].delay = -1;
@@ -248,7 +249,8 @@ typedef struct {
 /* and of all of them. */
 typedef struct {
     arrival axis[RTHYB_COUPLED_MAX];
-    int slipped, apart;
+    int slipped;
+    int32_t apart;
 } arrivals;
 
 /* What came at this instant or before it. */
@@ -299,24 +301,27 @@ static void take_axis(rthyb_loop *loop, int axis, const rthyb_tick *tick, arriva
         all->slipped |= has_slipped(loop, way, &found->feedback, tick->k, age);
 }
 
-/* Whether the counts of two drives have come apart by more than one sample since they were at rest: one of them
- * has lost samples, or runs by another clock. A tick in which an axis has no pair says nothing of it. */
-static int are_apart(rthyb_loop *loop, const arrivals *all)
+/* Whether the drives are still on one clock. A tick in which an axis has no pair says nothing of it. After a trip
+ * it begins anew, and where a count may have wrapped: in a long silence, or while the PC slept. */
+static int32_t compare_clocks(rthyb_loop *loop, const rthyb_tick *tick, const arrivals *all)
 {
-    int64_t least = INT64_MAX, most = INT64_MIN;
-    int whole = 1;
-    for (int i = 0; i < loop->axis_count; i++)
-        whole = whole && !all->axis[i].lost;
-    for (int i = 0; i < loop->axis_count && whole; i++) {
-        const int64_t own = (int64_t)all->axis[i].feedback.samples;
-        const int64_t first = (int64_t)all->axis[0].feedback.samples;
-        if (is_at_rest(loop->cfg.station))
-            loop->way[i].abreast = own - first;
-        const int64_t ahead = own - first - loop->way[i].abreast;
-        least = ahead < least ? ahead : least;
-        most = ahead > most ? ahead : most;
+    const rthyb_station *s = loop->cfg.station;
+    uint64_t counts[RTHYB_COUPLED_MAX] = {0};
+    int64_t usual[RTHYB_COUPLED_MAX] = {0};
+    int whole = 1, wrapped = tick->skipped >= RESYNC_AGE;
+    for (int i = 0; i < loop->axis_count; i++) {
+        const arrival *found = &all->axis[i];
+        whole = whole && !found->lost;
+        wrapped |= found->feedback.age >= RESYNC_AGE;
+        counts[i] = found->feedback.samples;
+        usual[i] = loop->way[i].offset;
     }
-    loop->apart = whole ? most - least > 1 : loop->apart;
+    if (s->state == RTHYB_TRIPPED || (wrapped && is_at_rest(s))) {
+        abreast_forget(&loop->abreast);
+        loop->apart = RTHYB_APART_UNKNOWN;
+    } else if (whole) {
+        loop->apart = abreast_compare(&loop->abreast, loop->axis_count, counts, tick->k, usual);
+    }
     return loop->apart;
 }
 
@@ -326,7 +331,7 @@ static void take_feedback(rthyb_loop *loop, const rthyb_tick *tick, arrivals *al
     for (int i = 0; i < loop->axis_count; i++)
         take_axis(loop, i, tick, all);
     if (loop->axis_count > 1)
-        all->apart = are_apart(loop, all);
+        all->apart = compare_clocks(loop, tick, all);
 }
 
 static int send_command(rthyb_loop *loop, int axis, const rthyb_station_output *out)

@@ -3,6 +3,7 @@
 #ifndef RTHYB_LOOP_STATE_H
 #define RTHYB_LOOP_STATE_H
 
+#include "abreast.h"
 #include "rthyb.h"
 
 /* A set of parameters on its way from the operator's side to the tick. */
@@ -25,7 +26,6 @@ typedef struct {
     uint64_t downs_seen; /* of the link's times_down */
     int64_t offset;      /* drive's count - tick */
     int64_t offset_seen; /* another one, and in which of the last ticks */
-    int64_t abreast;     /* the offset at rest: from there on counts may not come apart */
     uint64_t vote_map[RTHYB_SLIP_WINDOW / 64];
     uint64_t voted; /* ticks that had a say */
     int32_t offset_known, votes;
@@ -60,7 +60,8 @@ struct rthyb_loop {
     int32_t taken_over; /* the station has not ticked yet, and another one's last command was */
     int32_t
         offered; /* taken_cmd_m, to the first sound reading, as long as the drives read offered_x_m */
-    int32_t apart;     /* the drives' counts are, by the last tick that had them all */
+    abreast abreast;   /* the drives' counts, of several axes, */
+    int32_t apart;     /* and what the last tick that had them all says of them */
     int32_t overheard; /* link clock: more came before this tick than it listens to */
     int32_t priority, cpu, latency_fd; /* of the thread, as in rthyb_thread_become_real_time */
     uint32_t privileges;               /* obtained: enum rthyb_privilege */

@@ -62,7 +62,7 @@ static rthyb_station_input input_of(const rthyb_station *station, const rthyb_re
         .command = (int32_t)(row->flags >> RTHYB_F_COMMAND_BIT),
         .heartbeat_late = (row->flags & RTHYB_F_SILENT) != 0,
         .taken_over = (row->flags & RTHYB_F_TAKEN_OVER) != 0,
-        .apart = axes > 1 && (row->flags & RTHYB_F_APART) != 0,
+        .apart = axes > 1 ? (int32_t)(row->cause >> RTHYB_APART_BIT & 7u) : 0,
     };
     for (int i = 0; i < axes; i++)
         in.axis[i] = (rthyb_axis_input){

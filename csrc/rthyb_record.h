@@ -111,12 +111,14 @@ enum rthyb_flag {
     RTHYB_F_COMMAND_BIT = 24   /* bits 24 to 31: that command, enum rthyb_command; no flag itself */
 };
 
-/* Of several axes, rthyb_record.cause has the cause in its lowest byte, above it where it belongs, and which links
- * are down. */
+/* Of several axes, rthyb_record.cause has the cause in its lowest byte, above it where it belongs, which links
+ * are down, and whose count has come apart. */
 enum rthyb_cause_place {
     RTHYB_PLACE_BIT = 8,             /* three bits: 1 + axis or interface; 0: neither */
     RTHYB_PLACE_INTERFACE = 1 << 11, /* it is an interface */
-    RTHYB_DOWN_BIT = 16 /* bits 16 to 19: the link of this axis reported a failure in this tick */
+    RTHYB_DOWN_BIT = 16,  /* bits 16 to 19: the link of this axis reported a failure in this tick */
+    RTHYB_APART_BIT = 20, /* bits 20 to 22: rthyb_station_input.apart */
+    RTHYB_APART_UNKNOWN = 7 /* what stands there before the drives' counts have been compared */
 };
 
 /* One axis. */

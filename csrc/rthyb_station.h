@@ -162,7 +162,8 @@ typedef struct {
     int32_t seen;          /* every axis has had a reading */
     int32_t commands;      /* x_cmd is from an earlier tare or station, not from a reading */
     int32_t noted;         /* status bits found in this tick before its record exists */
-    uint64_t apart;        /* ticks in a row in which the drives' counts were apart */
+    uint64_t apart;        /* ticks in a row in which the drives' counts were apart, */
+    int32_t apart_axis;    /* that of which axis, as the station was told it last; -1: of none */
     rthyb_axis axis[RTHYB_COUPLED_MAX];
     rthyb_overload over_interface[RTHYB_COUPLED_MAX];
     int32_t refused_cause; /* reason why the last ARM, START, RESUME, RESET or tare was refused, */
@@ -200,7 +201,9 @@ typedef struct {
     int32_t command;        /* enum rthyb_command */
     int32_t heartbeat_late; /* Python has been silent for a second */
     int32_t taken_over;     /* with the first sound readings: the drives have commands already */
-    int32_t apart;          /* the drives' counts are more than one sample apart */
+    int32_t
+        apart; /* 0: the drives count by one clock; 1 + the axis whose drive has come to be more than
+                * one sample apart from another; RTHYB_APART_UNKNOWN: not compared yet */
 } rthyb_station_input;
 
 typedef struct {

@@ -101,7 +101,7 @@ int rthyb_station_init(rthyb_station *s, const rthyb_station_config *cfg)
     memset(s, 0, sizeof *s);
     s->cfg = *cfg;
     s->state = RTHYB_IDLE;
-    s->cause_axis = s->cause_interface = -1;
+    s->cause_axis = s->cause_interface = s->apart_axis = -1;
     s->refused_axis = s->refused_interface = -1;
     error = fresh_controller(s);
     if (error)
@@ -241,6 +241,24 @@ static int first_beyond(const rthyb_station *s, const rthyb_station_input *in)
     return 0;
 }
 
+static int is_apart(const rthyb_station_input *in)
+{
+    return in->apart > 0 && in->apart != RTHYB_APART_UNKNOWN;
+}
+
+static void note_clocks(rthyb_station *s, const rthyb_station_input *in)
+{
+    s->apart = is_apart(in) ? s->apart + 1 : 0;
+    s->apart_axis = is_apart(in) ? in->apart - 1 : -1;
+}
+
+/* Without an axis, and 0 ticks, where the counts have not been compared yet. */
+static finding came_apart(const rthyb_station *s)
+{
+    const int where = s->apart_axis < 0 ? 0 : of_axis(s->apart_axis);
+    return (finding){RTHYB_CAUSE_APART, (double)s->apart, s->ticks.lost, where};
+}
+
 /* Where the specimen is read to be. */
 static void settle_at_readings(rthyb_station *s, const rthyb_station_input *in)
 {
@@ -345,9 +363,17 @@ static int needs_drive(int command)
     return command == RTHYB_CMD_ZERO || command == RTHYB_CMD_ARM || command == RTHYB_CMD_START;
 }
 
-static int arm(rthyb_station *s)
+/* Drives of one clock, or one axis alone. */
+static int is_one_clock(const rthyb_station *s, const rthyb_station_input *in)
+{
+    return s->apart < s->ticks.lost && in->apart != RTHYB_APART_UNKNOWN;
+}
+
+static int arm(rthyb_station *s, const rthyb_station_input *in)
 {
     finding found;
+    if (!is_one_clock(s, in))
+        return refuse(s, came_apart(s));
     if (watch_finds(s, &found))
         return refuse(s, found);
     station_enter(s, RTHYB_ARMED);
@@ -418,7 +444,7 @@ static int obey(rthyb_station *s, const rthyb_station_input *in)
         begin_zero(s);
         break;
     case RTHYB_CMD_ARM:
-        return arm(s);
+        return arm(s, in);
     case RTHYB_CMD_START:
         return start(s);
     case RTHYB_CMD_HOLD:
@@ -682,7 +708,7 @@ static void watch_surroundings(rthyb_station *s, const rthyb_station_input *in, 
 {
     const int down = first_down(s, in), stopped = first_stopped(s, in);
     const int beyond = first_beyond(s, in);
-    s->apart = in->apart ? s->apart + 1 : 0;
+    note_clocks(s, in);
     if (down && s->state != RTHYB_IDLE)
         station_trip(s, (finding){.cause = RTHYB_CAUSE_LINK_DOWN, .where = down});
     if (stopped && s->state != RTHYB_IDLE)
@@ -690,8 +716,8 @@ static void watch_surroundings(rthyb_station *s, const rthyb_station_input *in, 
     if (beyond && s->state != RTHYB_IDLE)
         station_trip(s, (finding){RTHYB_CAUSE_POSITION, s->controller.axis[beyond - 1].x_cmd,
                                   watch_of(s, beyond - 1, RTHYB_CAUSE_POSITION)->value, beyond});
-    if (s->apart >= s->ticks.lost && s->state != RTHYB_IDLE)
-        station_trip(s, (finding){RTHYB_CAUSE_APART, (double)s->apart, s->ticks.lost, 0});
+    if (s->apart >= s->ticks.lost && s->state != RTHYB_IDLE && s->state != RTHYB_ZEROED)
+        station_trip(s, came_apart(s));
     if (in->heartbeat_late)
         station_ramp_out(s, plain(RTHYB_CAUSE_HEARTBEAT));
     if (s->state == RTHYB_RUNNING && s->test_tick >= n)
@@ -709,10 +735,10 @@ static uint32_t stopped_flags(const rthyb_station *s, const rthyb_station_input 
     return flags;
 }
 
-/* And which links are down. */
-static uint32_t down_places(const rthyb_station *s, const rthyb_station_input *in)
+/* And which links are down, and whose count has come apart. */
+static uint32_t told_places(const rthyb_station *s, const rthyb_station_input *in)
 {
-    uint32_t places = 0;
+    uint32_t places = axes_of(s) > 1 ? ((uint32_t)in->apart & 7u) << RTHYB_APART_BIT : 0u;
     for (int i = 0; i < axes_of(s) && axes_of(s) > 1; i++)
         places |= (uint32_t)(in->axis[i].link_down != 0) << (RTHYB_DOWN_BIT + i);
     return places;
@@ -730,7 +756,7 @@ static uint32_t told(const rthyb_station *s, const rthyb_station_input *in, int 
            (first_stopped(s, in) ? (uint32_t)RTHYB_F_STOPPED : 0u) |
            (in->heartbeat_late ? (uint32_t)RTHYB_F_SILENT : 0u) |
            (first_beyond(s, in) ? (uint32_t)RTHYB_F_BEYOND : 0u) |
-           (in->apart ? (uint32_t)RTHYB_F_APART : 0u) |
+           (is_apart(in) ? (uint32_t)RTHYB_F_APART : 0u) |
            (took_over ? (uint32_t)RTHYB_F_TAKEN_OVER : 0u) |
            (refused ? (uint32_t)RTHYB_F_REFUSED : 0u) | stopped_flags(s, in) |
            ((uint32_t)in->command & UINT8_MAX) << RTHYB_F_COMMAND_BIT;
@@ -858,7 +884,7 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
         note_pair(&last->axis[i], in->axis[i].x_m, in->axis[i].f_n, in->axis[i].lost, axes_of(s));
     if (first_beyond(s, in) && s->state == RTHYB_TRIPPED)
         last->code |= RTHYB_S_POSITION_LIMIT | RTHYB_S_TRIP;
-    last->cause |= down_places(s, in);
+    last->cause |= told_places(s, in);
     last->flags = (last->flags & ~UNSENT_FLAGS) | told(s, in, refused, took_over);
     for (int i = 0; i < axes_of(s) && !out->send; i++)
         last->flags |= unsent_flag(i, axes_of(s));

@@ -394,13 +394,13 @@ class Station:
         heartbeat_late: bool = False,
         taken_over_m: float | None = None,
         axes: Sequence[AxisReading] = (),
-        apart: bool = False,
+        apart: int | None = None,
     ) -> StationTick:
         """Run one executed tick with the newest pair (before tare), or without one.
 
         ``taken_over_m``: with the first sound reading, the command that the drive has already.
-        ``axes`` takes the place of all that is of one axis; ``apart``: the counts of the drives
-        are more than one sample apart.
+        ``axes`` takes the place of all that is of one axis; ``apart``: the axis whose drive
+        counts its samples more than one apart from another's.
 
         Raises:
             CoreError: there are not as many readings as axes, or ``taken_over_m`` of some only.
@@ -419,7 +419,8 @@ class Station:
         i.taken_over = any(a.taken_over_m is not None for a in given)
         for k, a in enumerate(given):
             i.axis[k] = a.mapping()
-        i.skipped, i.command, i.apart = skipped, COMMANDS.index(command), apart
+        i.skipped, i.command = skipped, COMMANDS.index(command)
+        i.apart = 0 if apart is None else 1 + apart
         i.heartbeat_late = heartbeat_late
         lib.rthyb_station_tick(
             self._c, i, reading(self._ag), self._ag.size, self._records, self._out

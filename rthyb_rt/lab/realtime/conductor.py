@@ -368,6 +368,8 @@ class Conductor:
         return RefusedError(f"{name}: refused in state {state}" + (f": {why}" if why else ""))
 
     def _why_refused(self, name: str, state: str) -> str:
+        if self.run.station.refusal[0] == "apart":
+            return self._why_not_one_clock()
         if told := trips.figures(*self.run.station.refusal):
             if name in ("resume", "reset"):
                 return f"{told}; unload the specimen first, or check the load cell"
@@ -379,6 +381,16 @@ class Conductor:
         if name == "reset":
             return "the specimen is not at rest, or its readings are missing"
         return "the drive does not answer in every tick, or has stopped"
+
+    def _why_not_one_clock(self) -> str:
+        axis = self.run.station.refusal_axis
+        if axis is None:
+            return "the sample counts of the drives have not been compared yet; try again"
+        return (
+            f"since the drives were first heard, the sample count of axis "
+            f"{self.run.setup.axis_names[axis]} has moved by more than one sample against another "
+            f"drive's. {REMEDIES['apart']} After a trip and a reset the counts are compared anew"
+        )
 
     def set_parameters(self, parameters: core.Parameters) -> int:
         """Publish a set of parameters, wait until a tick has it, and keep it for the recording.
