@@ -14,13 +14,14 @@ from typing import Any
 from realtime_bench import SHORT, until
 
 from rthyb_rt import config
-from rthyb_rt.config import RigFile, TestFile
+from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.core import loop
 from rthyb_rt.lab import experiment
 from rthyb_rt.record import ring
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.links import opening
+from rthyb_rt.rig.links.opened import Opened
 from rthyb_rt.service.control import Client, ControlServer, Dispatcher
 from rthyb_rt.service.daemon import Daemon, Options
 from rthyb_rt.service.engine import Engine, Event, Loaded
@@ -46,17 +47,24 @@ def rig_file(changes: dict[str, str] | None = None) -> RigFile:
 
 
 class Bench:
-    """An engine on the stepped clock, and its drive."""
+    """An engine on the stepped clock, and its drive, or the drives of its axes."""
 
-    def __init__(self, engine: Engine, drive: loop.Drive, events: list[Event]) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        drive: Any,
+        events: list[Event],
+        test_of: Callable[[dict[str, str] | None], TestFile] = short_test,
+    ) -> None:
         self.engine, self.drive, self.events = engine, drive, events
+        self.test_of = test_of
 
     @property
     def said(self) -> list[str]:
         return [event.text for event in self.events]
 
     def loaded(self, changes: dict[str, str] | None = None) -> Loaded:
-        test = short_test(changes)
+        test = self.test_of(changes)
         found = self.engine.prepare(test, experiment.load_motion(test))
         self.engine.load(found)
         return found
@@ -109,12 +117,15 @@ def bench(
     folder: Path,
     changes: dict[str, str] | None = None,
     faults: Sequence[loop.Fault] = (),
+    *,
+    rig: RigFile | AxesRig | None = None,
+    test_of: Callable[[dict[str, str] | None], TestFile] = short_test,
 ) -> Iterator[Bench]:
-    """Give an engine in IDLE, whose drive follows."""
-    rig = rig_file(changes)
+    """Give an engine in IDLE, whose drive follows; of another rig than `rig_file`: ``rig``."""
+    rig = rig or rig_file(changes)
     plan = virtual_rig.Plan(faults=tuple(faults), log_ticks=60000)
     events: list[Event] = []
-    ours, theirs = opening.socket_pair()
+    ours, theirs = pair(rig)
     with ours, theirs, virtual_rig.in_step(rig, theirs, plan) as drive:
         engine = Engine(
             rig,
@@ -127,9 +138,15 @@ def bench(
         try:
             engine.start()
             engine.wait(0.2)
-            yield Bench(engine, drive, events)
+            yield Bench(engine, drive, events, test_of)
         finally:
             engine.close()
+
+
+def pair(rig: RigFile | AxesRig) -> tuple[Opened, Opened]:
+    """Return both ends of a link, or of a link for each axis."""
+    axes = rig.names if isinstance(rig, AxesRig) else ()
+    return opening.socket_pairs(axes) if axes else opening.socket_pair()
 
 
 def left(folder: Path) -> list[Recording]:
@@ -163,13 +180,12 @@ def served(folder: Path, **more: Any) -> Iterator[Daemon]:
     """Give a daemon on the stepped clock that answers at ``folder/control.sock``."""
     rig = more.pop("rig", None) or rig_file()
     given = {"recorder": "none", "require_realtime": False, "rights": Rights.of_system()} | more
-    read_rig: Callable[[], RigFile] | None = given.pop("read_rig", None)
-    demand: Callable[[RigFile], dict[str, Any]] = given.pop("demand", lambda _: {})
+    read_rig: Callable[[], RigFile | AxesRig] | None = given.pop("read_rig", None)
+    demand: Callable[[RigFile | AxesRig], dict[str, Any]] = given.pop("demand", lambda _: {})
     options = Options(
         socket=folder / "control.sock", rings=folder / "rings", runs=folder / "runs", **given
     )
-    ours, theirs = opening.socket_pair()
-    thread = InThread()
+    ours, theirs = pair(rig)
     with ours, theirs, virtual_rig.in_step(rig, theirs) as drive:
         daemon = Daemon(
             rig,
@@ -180,6 +196,7 @@ def served(folder: Path, **more: Any) -> Iterator[Daemon]:
             read_rig=read_rig,
             before_tick=drive.tick,
         )
+        thread = InThread()
         working = asyncio.run_coroutine_threadsafe(daemon.work(), thread.loop)
         try:
             # Its file is there a little before anybody listens.

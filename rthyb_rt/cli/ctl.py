@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 import os
 import re
 import sys
@@ -155,16 +156,14 @@ def rows(found: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Return a status as rows of label, value and explanation."""
     test, ticks, recorder = found["test"], found["ticks"], found["recorder"]
     newest = found["newest"] or {}
-    cause = found.get("cause_in_figures") or found["cause"].replace("_", " ")
+    cause = cause_in_words(found)
     state = found["state"] + (f", {cause}" if cause != "none" else "")
     table = [
         ("Rig", found["rig"], found["link"]),
         ("State", state, f"allowed now: {', '.join(found['allowed'])}"),
         ("Drive", *_drive(found)),
         ("Test", *_test(found, test)),
-        ("Displacement", _number(newest.get("x_meas_m"), 1e3, "mm"), _command(newest)),
-        ("Force", _number(newest.get("f_meas_n"), 1e-3, "kN"), ""),
-        ("Delay", _number(newest.get("alpha"), 1.0, "samples"), "alpha"),
+        *_measured(found, newest),
         (
             "Ticks",
             str(ticks["elapsed"]),
@@ -184,6 +183,40 @@ def rows(found: dict[str, Any]) -> list[tuple[str, str, str]]:
     return table
 
 
+def cause_in_words(found: dict[str, Any]) -> str:
+    """Return the cause of a status with its figures, else what it is called: "none" without."""
+    plain, whose = str(found["cause"]).replace("_", " "), found.get("cause_of")
+    return found.get("cause_in_figures") or (f"{whose}: {plain}" if whose else plain)
+
+
+def _measured(found: dict[str, Any], newest: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Return the newest values: those of the one axis, or a row for each of several."""
+    axes: dict[str, dict[str, Any]] = found.get("axes") or {}
+    if not axes:
+        return [
+            ("Displacement", _number(newest.get("x_meas_m"), 1e3, "mm"), _command(newest)),
+            ("Force", _number(newest.get("f_meas_n"), 1e-3, "kN"), ""),
+            ("Delay", _number(newest.get("alpha"), 1.0, "samples"), "alpha"),
+        ]
+    rows = [
+        (f"Direction {name}", _direction(one), "command")
+        for name, one in found["directions"].items()
+    ]
+    for name, one in axes.items():
+        values = f"{_number(one['x_meas_m'], 1e3, 'mm')}, {_number(one['f_meas_n'], 1e-3, 'kN')}"
+        told = [_command(one)]
+        if one["link_down"] != "up":
+            told.append(f"link down: {one['link_down']}")
+        if one["drive_stopped"]:
+            told.append("its drive has stopped")
+        rows.append((f"Axis {name}", values, ", ".join(told)))
+    return rows
+
+
+def _direction(found: dict[str, Any]) -> str:
+    return _number(found["x_num"], 1e3, "mrad" if found["unit"] == "rad" else "mm")
+
+
 def _test(found: dict[str, Any], test: dict[str, Any] | None) -> tuple[str, str]:
     if test is None:
         return "none", "to load one: rthyb ctl load TEST.toml"
@@ -194,7 +227,7 @@ def _test(found: dict[str, Any], test: dict[str, Any] | None) -> tuple[str, str]
 
 
 def _number(value: float | None, factor: float, unit: str) -> str:
-    return "-" if value is None else f"{value * factor:.3f} {unit}"
+    return "-" if value is None or math.isnan(value) else f"{value * factor:.3f} {unit}"
 
 
 def _command(newest: dict[str, Any]) -> str:
@@ -219,10 +252,14 @@ def line(found: dict[str, Any]) -> str:
     """Return a status as one line."""
     newest = found["newest"] or {}
     done = found["progress"]["ticks"] / 1024.0
-    return (
-        f"{found['state']} {done:.1f} s, {_number(newest.get('x_meas_m'), 1e3, 'mm')}, "
-        f"{_number(newest.get('f_meas_n'), 1e-3, 'kN')}, {found['ticks']['skipped']} skipped"
-    )
+    axes: dict[str, dict[str, Any]] = found.get("axes") or {"": newest}
+    values = [
+        f"{name} {_number(one.get('x_meas_m'), 1e3, 'mm')}, "
+        f"{_number(one.get('f_meas_n'), 1e-3, 'kN')}".lstrip()
+        for name, one in axes.items()
+    ]
+    told = [*values, f"{found['ticks']['skipped']} skipped"]
+    return f"{found['state']} {done:.1f} s, {', '.join(told)}"
 
 
 @ctl.command()
@@ -313,7 +350,14 @@ def zero(
 def _tare(found: dict[str, Any]) -> str:
     from rthyb_rt import numbers
 
-    return numbers.tare(found["tare"]["displacement_m"], found["tare"]["force_n"])
+    tare = found["tare"]
+    each = tare.get("axes")
+    if not each:
+        return numbers.tare(tare["displacement_m"], tare["force_n"])
+    return "; ".join(
+        f"{name} {numbers.tare(own['displacement_m'], own['force_n'])}"
+        for name, own in each.items()
+    )
 
 
 def _await_zeroed(client: Client) -> dict[str, Any]:
@@ -323,7 +367,7 @@ def _await_zeroed(client: Client) -> dict[str, Any]:
     while True:
         found: dict[str, Any] = client.call("GetStatus")["status"]
         if found["state"] == "TRIPPED":
-            cause = found["cause"].replace("_", " ")
+            cause = cause_in_words(found)
             raise RthybError(
                 f"not zeroed: the rig is TRIPPED, cause: {cause}; find out why, then run "
                 "rthyb ctl reset"

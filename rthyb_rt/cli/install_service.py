@@ -12,7 +12,8 @@ from rthyb_rt.cli.inputs import JsonOption
 from rthyb_rt.errors import RthybError
 
 if TYPE_CHECKING:
-    from rthyb_rt.config import RigFile
+    from rthyb_rt.config import AxesRig, RigFile
+    from rthyb_rt.config.rigfile import Link
 
 SCHEMA = "rthyb-install/1"
 
@@ -62,7 +63,7 @@ def install_service(
         problems += installing.carry_out(installing.REMOVED) if here and there else []
     else:
         source = None if rig is None else config.find_rig(rig)
-        text, dbc = (None, None) if source is None else _portable(config.load_rig(source))
+        text, dbc = (None, []) if source is None else _portable(config.load_any_rig(source))
         files = installing.install(root, installing.program(), text, dbc)
         if source is not None and root / installing.RIG in files:
             files += _carried(source, root / installing.RIG)
@@ -86,18 +87,28 @@ def install_service(
         )
 
 
-def _portable(rig: RigFile) -> tuple[str, Path | None]:
-    """Return the text of a rig file whose DBC file lies beside it, and where that is now.
+def _portable(rig: RigFile | AxesRig) -> tuple[str, list[Path]]:
+    """Return the text of a rig file whose DBC files lie beside it, and where those are now.
 
     The service sees nobody's home.
     """
     from rthyb_rt import config
 
-    if rig.link is None or rig.link.dbc is None:
-        return config.dump(rig), None
-    dbc = Path(rig.link.dbc)
-    link = rig.link.model_copy(update={"dbc": dbc.name})
-    return config.dump(rig.model_copy(update={"link": link})), dbc
+    dbc: dict[Path, None] = {}
+
+    def beside(link: Link | None) -> Link | None:
+        if link is None or link.dbc is None:
+            return link
+        path = Path(link.dbc)
+        dbc[path] = None
+        return link.model_copy(update={"dbc": path.name})
+
+    if isinstance(rig, config.AxesRig):
+        axes = [own.model_copy(update={"link": beside(own.link)}) for own in rig.axis]
+        moved: RigFile | AxesRig = rig.model_copy(update={"axis": axes})
+    else:
+        moved = rig.model_copy(update={"link": beside(rig.link)})
+    return config.dump(moved), list(dbc)
 
 
 def _carried(source: Path, target: Path) -> list[Path]:
@@ -105,9 +116,11 @@ def _carried(source: Path, target: Path) -> list[Path]:
     from rthyb_rt import config
     from rthyb_rt.rig.commissioning import certificate
 
-    rig = config.load_rig(source)
+    rig = config.load_any_rig(source)
     certificate.carry(rig, source, target)
-    path = certificate.place(target)
-    if not path.exists() or certificate.find(rig, target)[0] is None:
-        return []
-    return [path]
+    places = [(own, axis, certificate.place(target, axis)) for own, axis in certificate.each(rig)]
+    return [
+        path
+        for own, axis, path in places
+        if path.exists() and certificate.find(own, target, axis)[0] is not None
+    ]

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rthyb_rt.cli.connecting import clock_of, load_rig, opened_link
+from rthyb_rt.cli.connecting import clock_of, load_axes_rig, load_rig, opened_link
 
 if TYPE_CHECKING:
-    from rthyb_rt.config import RigFile
+    from rthyb_rt.config import AxesRig, RigFile
 
 
 def serve(
@@ -57,7 +57,8 @@ def serve(
 ) -> None:
     """Run the service of a rig, for many tests.
 
-    Opens the rig's link and keeps the drive where it stands, in state IDLE. Tests are sent to the
+    Opens the rig's link and keeps the drive where it stands, in state IDLE; on a rig of several
+    axes the links and drives of all. Tests are sent to the
     control socket by `rthyb ctl`, one after another; between tests the drive stays under control.
     Ctrl-C or SIGTERM brings everything to rest and ends the service; a second signal trips. SIGHUP
     reloads the limits of the rig file.
@@ -78,10 +79,11 @@ def serve(
 
     path = config.find_rig(rig)
 
-    def read_rig() -> RigFile:
-        return load_rig(rig, None)[0]
+    def read_rig() -> RigFile | AxesRig:
+        found = load_axes_rig(rig, None)
+        return load_rig(rig, None)[0] if found is None else found[0]
 
-    def demand(found: RigFile) -> dict[str, Any]:
+    def demand(found: RigFile | AxesRig) -> dict[str, Any]:
         return certificate.demand(found, path)
 
     rig_file = read_rig()
@@ -114,11 +116,16 @@ def serve(
         raise typer.Exit(status)
 
 
-def _requires_realtime(rig: RigFile) -> bool:
-    """Return what the rig file says; a service for a rig that is real asks for it unasked."""
-    link = rig.link
-    if link is None:
-        return False
-    if "require_realtime" in link.model_fields_set:
-        return link.require_realtime
-    return not link.virtual
+def _requires_realtime(rig: RigFile | AxesRig) -> bool:
+    """Return what the rig file says; a service for a rig that is real asks for it unasked.
+
+    Of several axes what any of them asks for.
+    """
+    from rthyb_rt.config import AxesRig
+
+    links = [axis.link for axis in rig.axis] if isinstance(rig, AxesRig) else [rig.link]
+    return any(
+        link.require_realtime if "require_realtime" in link.model_fields_set else not link.virtual
+        for link in links
+        if link is not None
+    )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import core
 from rthyb_rt.core import FLAGS, RUNNING, STATES
-from rthyb_rt.lab import experiment
+from rthyb_rt.lab import experiment, trips
 from rthyb_rt.lab.endings import end_reason
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording
@@ -49,7 +49,8 @@ class Run:
         moved: whether a command other than the reading at rest has ever left.
         tripped_rows: rows in TRIPPED.
         idle_rows: rows in IDLE at the end.
-        caused: `causing` at the trip, once that is seen; a reset takes it from the station.
+        caused, caused_by, caused_told: `causing`, `whose` and `cause_in_figures` at the trip, once
+            that is seen; a reset takes them from the station.
         longest_skip: the most ticks that were skipped at a time.
     """
 
@@ -66,6 +67,8 @@ class Run:
     tripped_rows: int = 0
     idle_rows: int = 0
     caused: tuple[str, float, float] | None = None
+    caused_by: str = ""
+    caused_told: str = ""
     longest_skip: int = 0
     _next_tick: int = 0
 
@@ -155,15 +158,60 @@ class Run:
         )
         return dataclasses.replace(self.bare, replay=replay, meta=dict(self.bare.meta))
 
-    def _whose(self) -> str:
-        """Return which of several axes, or directions, the station's cause belongs to."""
-        axis, interface = self.station.cause_axis, self.station.cause_interface
+    @property
+    def whose(self) -> str:
+        """Which of several axes, or directions, the station's cause belongs to; "": of none."""
+        return self._of(self.station.cause_axis, self.station.cause_interface)
+
+    def _of(self, axis: int | None, interface: int | None) -> str:
         names, directions = self.bare.axis_names, self.bare.interface_names
         if axis is not None and axis < len(names):
             return f"axis {names[axis]}"
         if interface is not None and interface < len(directions):
             return f"direction {directions[interface]}"
         return ""
+
+    @property
+    def cause_in_figures(self) -> str:
+        """The cause with the value met and the limit's, of several axes with whose it is.
+
+        "" where it has no figures.
+        """
+        station = self.station
+        return self._figures(self.causing, station.cause_axis, station.cause_interface)
+
+    @property
+    def refusal_in_figures(self) -> str:
+        """The same of what stands against the command that the station refused last."""
+        station = self.station
+        return self._figures(station.refusal, station.refusal_axis, station.refusal_interface)
+
+    def _figures(
+        self, met: tuple[str, float, float], axis: int | None, interface: int | None
+    ) -> str:
+        turns = interface is not None and self._turns(interface)
+        told, whose = trips.figures(*met, turns=turns), self._of(axis, interface)
+        return f"{whose}: {told}" if told and whose else told
+
+    def _turns(self, interface: int) -> bool:
+        """Tell whether a direction is a rotation, whose limits are in rad and N m."""
+        group = self.setup.group
+        return group is not None and group.rig.kinematics.turns()[interface]
+
+    def note_cause(self) -> None:
+        """Keep the cause of a trip, before a reset takes it from the station."""
+        told = self.cause_in_figures
+        self.caused, self.caused_by, self.caused_told = self.causing, self.whose, told
+
+    @property
+    def ended_by(self) -> str:
+        """The limit that took the test off its course, with its figures and when; "": none did."""
+        cause, told = self.causing[0], self.cause_in_figures
+        if self.caused is not None:
+            cause, told = self.caused[0], self.caused_told
+        if cause in trips.NONE or not told:
+            return ""
+        return f"{told} at {self.running / self.setup.rate.hz:.1f} s"
 
     def ending(self, state: str) -> dict[str, Any]:
         """Return what ``meta`` of the recording says of the end.
@@ -173,8 +221,9 @@ class Run:
         """
         state = "TRIPPED" if self.tripped_rows else state
         cause, value, limit = self.caused or self.causing
+        whose = self.whose if self.caused is None else self.caused_by
         return {
-            "end_reason": end_reason(state, cause, moved=self.moved, of=self._whose()),
+            "end_reason": end_reason(state, cause, moved=self.moved, of=whose),
             "interrupted": self.held,
             "station": {
                 "state": state,

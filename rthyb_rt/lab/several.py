@@ -184,8 +184,16 @@ def _derived_notes(group: Group) -> list[str]:
 _AT_REST: Final = """schema = "rthyb-test/1"
 test = {{ name = "at-rest", description = "no test: the drives are kept where they stand" }}
 controller = {{ type = "none" }}
-numerical.storeys = {{ count = {count}, mass_kg = 1, specimen = [{storeys}] }}
-numerical.damping = {{ ratio = 0, modes = [1] }}
+
+[numerical.storeys]
+count = {count}
+mass_kg = [{masses}]
+stiffness_n_per_m = 1
+specimen = [{storeys}]
+
+[numerical.damping]
+ratio = 0
+modes = [1]
 """
 _DIRECTION: Final = """[[interface]]
 name = "{name}"
@@ -196,13 +204,19 @@ storey = {storey}
 def at_rest(rig: AxesRig) -> Setup:
     """Return a setup in whose IDLE state the drives of a rig stay where they stand.
 
-    Its structure, a unit mass a direction, is never asked for anything.
+    Its structure, a mass a direction that the specimen's stiffness lets swing about once a second,
+    is never asked for anything.
 
     Raises:
         InputError: the rig file's own figures do not fit together.
     """
     storeys = range(1, len(rig.directions) + 1)
-    text = _AT_REST.format(count=len(storeys), storeys=", ".join(map(str, storeys)))
+    masses = np.diag(rig.k_e) / (2.0 * np.pi) ** 2
+    text = _AT_REST.format(
+        count=len(storeys),
+        storeys=", ".join(map(str, storeys)),
+        masses=", ".join(f"{mass:.6g}" for mass in masses),
+    )
     for storey, name in zip(storeys, rig.directions, strict=True):
         text += _DIRECTION.format(name=name, storey=storey)
     still = GroundMotion("none", "at-rest", core.PERIOD_S, np.zeros(2))

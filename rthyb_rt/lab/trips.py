@@ -46,6 +46,12 @@ _WATCHED: Final[dict[str, _Watched]] = {
     "skip_share": _Watched("skipped", "% of the ticks", 100.0),
     "stalled": _Watched("this PC stood still for", "ticks", 1.0),
 }
+_TURNED: Final[dict[str, _Watched]] = {
+    "position": _Watched("command", "mrad", 1e3),
+    "force": _Watched("moment", "kN m", 1e-3),
+}
+"""What is watched along a rotation."""
+
 _OF_MOTION: Final = (
     "position", "velocity", "increment", "force", "tracking", "indicator", "energy",
     "rig_position", "rig_force",
@@ -56,7 +62,9 @@ _KEYS: Final = {
     "force": "force_n",
     "tracking": "tracking_error_m",
 }
-_NONE: Final = ("", "none", "completed", "operator", "signal")
+NONE: Final = ("", "none", "completed", "operator", "signal")
+"""Causes that are no fault."""
+
 _OFF_COURSE: Final = [STATES.index(name) for name in ("HOLD", "RAMP_OUT", "TRIPPED")]
 
 
@@ -78,15 +86,18 @@ class Met:
     alpha: float = float("nan")
 
 
-def figures(cause: str, value: float, limit: float) -> str:
+def figures(cause: str, value: float, limit: float, *, turns: bool = False) -> str:
     """Return what was met and what is allowed: "force 15.0 kN (limit 15 kN)"; "" without figures.
 
     Args:
         cause: the station's.
         value, limit: as the station has them, SI.
+        turns: they are of a rotation, rad and N m.
     """
     # Skipped ticks are counted in a row, or as their share.
     watched = _WATCHED.get("skip_share" if cause == "skips" and limit < 1.0 else cause)
+    if turns:
+        watched = _TURNED.get(cause, watched)
     if watched is None or not limit:
         return ""
     met = abs(value) * watched.factor
@@ -105,7 +116,7 @@ def found(rec: Recording, given: Setup) -> Met | None:
     rows = rec.samples
     row = _row(rec)
     cause = str(facts.get("cause", "")) if facts else _cause_of(rows)
-    if cause in _NONE:
+    if cause in NONE:
         return None
     value, limit = (float(facts.get(key, 0.0)) for key in ("cause_value", "cause_limit"))
     if not limit and rows.size:

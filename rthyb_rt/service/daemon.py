@@ -25,8 +25,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rthyb_rt import __version__, config, core
-from rthyb_rt.config import RigFile
-from rthyb_rt.config.limits import looser
+from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.core import STATES
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.ground_motion import GroundMotion
@@ -36,7 +35,7 @@ from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import replacing
-from rthyb_rt.service import disk, metrics, recorder, systemd
+from rthyb_rt.service import axes_status, disk, metrics, recorder, reloading, systemd
 from rthyb_rt.service.control import (
     ControlServer,
     Dispatcher,
@@ -134,13 +133,13 @@ class Daemon:
 
     def __init__(
         self,
-        rig: RigFile,
+        rig: RigFile | AxesRig,
         opened: Opened,
         clock: Clock,
         options: Options,
         *,
-        demand: Callable[[RigFile], dict[str, Any]] = lambda _: {},
-        read_rig: Callable[[], RigFile] | None = None,
+        demand: Callable[[RigFile | AxesRig], dict[str, Any]] = lambda _: {},
+        read_rig: Callable[[], RigFile | AxesRig] | None = None,
         before_tick: Callable[[], None] | None = None,
     ) -> None:
         self.options = options
@@ -382,7 +381,8 @@ class Daemon:
         if found.run_id != self.engine.run_id:
             why = found.fault or "check its journal"
             raise StateError("arm", f"the recorder has not begun with this test: {why}", state)
-        needed = disk.needed_bytes(setup.ticks, setup.channels)
+        axes = setup.controller.axis_count
+        needed = disk.needed_bytes(setup.ticks, setup.channels, axes)
         if found.free_bytes < needed:
             raise StateError(
                 "arm",
@@ -519,14 +519,21 @@ class Daemon:
         async with self._busy:
             rig = await asyncio.to_thread(self._read_rig)
             covered, facts = self._covered(rig)
-            generation = self.engine.reload(rig)
+            loaded = await asyncio.to_thread(self._renewed, rig)
+            generation = self.engine.reload(rig, loaded)
             self.engine.know(facts)
             self._commissioned = covered
-            if rig.limits != covered.limits:
+            if covered != rig:
                 log.warning("these limits are not commissioned: a restart asks for that")
             return generation
 
-    def _covered(self, rig: RigFile) -> tuple[RigFile, dict[str, Any]]:
+    def _renewed(self, rig: RigFile | AxesRig) -> Loaded | None:
+        """Work out the loaded test with other limits; None where more than limits has changed."""
+        if reloading.changed(self.engine.rig, rig):
+            return None
+        return self.engine.with_rig(rig)
+
+    def _covered(self, rig: RigFile | AxesRig) -> tuple[RigFile | AxesRig, dict[str, Any]]:
         """Return the commissioned file that covers one with other limits, and its facts.
 
         As for the limits of a test: what allows no more needs no new commissioning.
@@ -537,14 +544,15 @@ class Daemon:
         try:
             return rig, self._demand(rig)
         except RefusedError:
-            before = self._commissioned.limits
-            if more := looser(rig.limits, before):
-                told = ", ".join(f"limits.{name}" for name in more)
+            before = self._commissioned
+            if reloading.axes_of(rig) != reloading.axes_of(before):
+                raise
+            if more := reloading.looser(rig, before):
                 raise RefusedError(
-                    f"reload: {told} would allow more than was commissioned; stop the service, "
-                    "run `rthyb commission` on the changed file, and start it again"
+                    f"reload: {', '.join(more)} would allow more than was commissioned; stop the "
+                    "service, run `rthyb commission` on the changed file, and start it again"
                 ) from None
-            covered = rig.model_copy(update={"limits": before})
+            covered = reloading.with_limits_of(rig, before)
             return covered, self._demand(covered)
 
     def _reload_by_signal(self) -> None:
@@ -576,6 +584,7 @@ class Daemon:
             "state": engine.state,
             "states": list(STATES),
             "cause": engine.loop.cause,
+            "cause_of": engine.cause_of,
             "cause_in_figures": engine.cause_in_figures,
             "allowed": engine.allowed,
             "not_zeroed": engine.not_zeroed,
@@ -597,6 +606,8 @@ class Daemon:
             "ring": str(engine.ring_path),
             "last": engine.last,
             "newest": None if newest is None else {key: newest[key].item() for key in _NEWEST},
+            "axes": axes_status.of_axes(engine),
+            "directions": axes_status.of_directions(engine),
             "ticks": engine.loop.counts._asdict(),
             "wake": {
                 "p50_ns": engine.loop.wake.percentile_ns(50),
@@ -606,8 +617,8 @@ class Daemon:
             "privileges": engine.loop.privileges,
             "indicated": engine.indicated,
             "loop": engine.loop.counters(),
-            "wire": engine.wire.counters(),
-            "wire_counters": engine.link.counters(),
+            "wire": engine.wire_counters(),
+            "wire_counters": engine.link_counters(),
             "recorder": self._recorder_status(),
             "connections": 0 if self._server is None else self._server.connections,
             "uptime_s": time.monotonic() - self._begun_s,

@@ -32,15 +32,18 @@ def free_bytes(folder: Path) -> int:
     return found.f_bavail * found.f_frsize
 
 
-def needed_bytes(test_ticks: int, channels: Sequence[core.Channel] = ()) -> int:
+def needed_bytes(
+    test_ticks: int, channels: Sequence[core.Channel] = (), axis_count: int = 1
+) -> int:
     """Return the room that the rows of a test may take, with what is kept free.
 
     Args:
         test_ticks: of the test proper.
         channels: what its rows have beside the record.
+        axis_count: axes of the rig.
     """
     ticks = test_ticks + round(_AROUND_S * core.FS_HZ)
-    per_row = core.row_dtype(channels).itemsize + _INDEX_PER_ROW_BYTES
+    per_row = core.row_dtype(channels, axis_count).itemsize + _INDEX_PER_ROW_BYTES
     return ticks * per_row + KEPT_FREE_BYTES + 2 * RESERVE_BYTES
 
 

@@ -23,17 +23,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import config, core
-from rthyb_rt.analysis import loop_roots, summary
-from rthyb_rt.config import RigFile, TestFile
+from rthyb_rt.analysis import summary
+from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.core import STATES
 from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import RthybError
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import experiment, trips
+from rthyb_rt.lab import any_rig, experiment
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime import Conductor, LiveRun, RefusedError
 from rthyb_rt.lab.sequence import REST_TICKS, TARE_MARGIN_S
 from rthyb_rt.record.ring import AFTER_TRIP
+from rthyb_rt.service import reloading
 
 if TYPE_CHECKING:
     from rthyb_rt.core.wire import Codec
@@ -106,18 +107,26 @@ class Loaded:
     Attributes:
         setup: the test.
         digest: of its resolved files and its ground motion, hexadecimal, 64 digits.
+        test, record: of which it was made: its files as they were given.
     """
 
     setup: Setup
     digest: str
+    test: TestFile
+    record: GroundMotion
 
     @classmethod
-    def of(cls, setup: Setup) -> Loaded:
-        """Return it with its digest."""
-        text = "\0".join((config.dump(setup.test), config.dump(setup.rig)))
+    def of(cls, test: TestFile, rig: RigFile | AxesRig, record: GroundMotion) -> Loaded:
+        """Work a test out for a rig; takes its time, and may run in any thread.
+
+        Raises:
+            InputError: with what is wrong in the test, or between test and rig.
+        """
+        setup = any_rig.prepare(test, rig, record)
+        text = "\0".join((config.dump(setup.test), config.dump(setup.rig_file)))
         made = hashlib.sha256(text.encode())
         made.update(np.ascontiguousarray(setup.ag_mps2, dtype="<f8").tobytes())
-        return cls(setup, made.hexdigest())
+        return cls(setup, made.hexdigest(), test, record)
 
 
 @dataclass(kw_only=True)
@@ -141,8 +150,8 @@ class ServiceRun(LiveRun):
 class Engine(Conductor):
     """A rig, its link, the tick thread, and the test that is loaded.
 
-    All calls but `prepare` and `make_run` belong to one thread, which calls `turn` every `TURN_S`:
-    that is the sign of life without which what moves ramps out after a second.
+    All calls but `prepare`, `with_rig` and `make_run` belong to one thread, which calls `turn`
+    every `TURN_S`: that is the sign of life without which what moves ramps out after a second.
 
     Args:
         rig: the rig.
@@ -167,7 +176,7 @@ class Engine(Conductor):
 
     def __init__(
         self,
-        rig: RigFile,
+        rig: RigFile | AxesRig,
         opened: Opened,
         *,
         clock: Clock = "host",
@@ -277,7 +286,7 @@ class Engine(Conductor):
         if newest is not None:
             self._newest = newest.copy()
         if run.tripped_rows and run.caused is None:
-            run.caused = run.causing
+            run.note_cause()
         self._forget_token()
 
     def _tell_transitions(self, samples: NDArray[np.void]) -> None:
@@ -295,7 +304,7 @@ class Engine(Conductor):
         before, self._state = self._state, state
         levels = {"TRIPPED": "critical", "HOLD": "warning"}
         caused = state in ("TRIPPED", "HOLD", "RAMP_OUT") and self.loop.cause != "none"
-        words = self.cause_in_figures or self.loop.cause.replace("_", " ")
+        words = self.cause_in_words
         why = f", cause: {words}" if caused else ""
         if (before, state) == ("IDLE", "ZEROED"):
             why = f", {self.tare_in_words()}"
@@ -305,7 +314,18 @@ class Engine(Conductor):
     @property
     def cause_in_figures(self) -> str:
         """The cause with the value met and the limit's; "" where it has none."""
-        return trips.figures(*self.run.causing)
+        return self.run.cause_in_figures
+
+    @property
+    def cause_of(self) -> str:
+        """Which of several axes or directions the cause belongs to, in words; "" of none."""
+        return self.run.whose
+
+    @property
+    def cause_in_words(self) -> str:
+        """The cause for people: with its figures, or what it is called."""
+        plain = self.loop.cause.replace("_", " ")
+        return self.cause_in_figures or (f"{self.cause_of}: {plain}" if self.cause_of else plain)
 
     def _say(self, level: str, text: str) -> None:
         self._tell(Event(level, text))
@@ -318,10 +338,16 @@ class Engine(Conductor):
         Raises:
             InputError: with what is wrong in the test, or between test and rig.
         """
-        setup = experiment.prepare(test, self.rig, real_time=True, record=record)
-        remark = loop_roots.demand(setup)
-        notes = setup.notes if remark is None else (*setup.notes, remark)
-        return Loaded.of(dataclasses.replace(setup, notes=notes))
+        return Loaded.of(test, self.rig, record)
+
+    def with_rig(self, rig: RigFile | AxesRig) -> Loaded | None:
+        """Work out the loaded test anew for a rig; takes its time, and may run in any thread.
+
+        Raises:
+            InputError: they do not go together.
+        """
+        loaded = self.loaded
+        return None if loaded is None else Loaded.of(loaded.test, rig, loaded.record)
 
     def check_load(self) -> None:
         """Refuse a load that the state does not allow, before anything is made of it.
@@ -477,8 +503,12 @@ class Engine(Conductor):
         self._drain()
         return tick
 
-    def reload(self, rig: RigFile) -> int:
+    def reload(self, rig: RigFile | AxesRig, loaded: Loaded | None = None) -> int:
         """Take the limits of a rig file into force; return the generation of the set, or 0.
+
+        Args:
+            rig: the file, changed in its limits alone.
+            loaded: what `with_rig` made of it; None makes it here.
 
         Raises:
             StateError: the state is none for it, more than the limits has changed, or the tick
@@ -486,24 +516,20 @@ class Engine(Conductor):
             InputError: the loaded test does not go with the new limits.
         """
         self.check_reload()
-        changed = [
-            name
-            for name, value in rig.model_dump().items()
-            if value != self.rig.model_dump()[name] and name != "limits"
-        ]
+        changed = reloading.changed(self.rig, rig)
         if changed:
             raise StateError(
                 "reload",
                 f"{', '.join(changed)} of the rig file changed too; restart the service for that",
                 self.state,
             )
-        loaded = self.loaded and self._with_rig(self.loaded, rig)
+        loaded = loaded or self.with_rig(rig)
         generation = 0
         if self.recorded is not None and loaded is not None:
             station = experiment.station_config(loaded.setup, real=True)
             generation = self.set_parameters(core.Parameters.of(station))
             self.run.digest = loaded.digest
-        told = _changes(self.rig.limits.model_dump(), rig.limits.model_dump())
+        told = reloading.told(self.rig, rig)
         self.rig, self.loaded = rig, loaded
         if self.run is self._rest and self.state == "IDLE":
             self._put_rest()
@@ -523,23 +549,6 @@ class Engine(Conductor):
     def know(self, facts: Mapping[str, Any]) -> None:
         """Have the recordings of the next tests know more, by name."""
         self._facts_given |= facts
-
-    def _with_rig(self, loaded: Loaded, rig: RigFile) -> Loaded:
-        test = loaded.setup.test
-        # The resolved test has the old rig's limits written out: they are not its own.
-        old = loaded.setup.derived.limits
-        own = {
-            key: value if old.sources.get(key) == "test" else None
-            for key, value in dict(test.limits).items()
-        }
-        test = test.model_copy(update={"limits": test.limits.model_copy(update=own)})
-        derived = config.derive(test, rig)
-        setup = experiment.follow_reference(
-            dataclasses.replace(loaded.setup, test=test, rig=rig, derived=derived)
-        )
-        end_tick = setup.controller.rfc.end_tick
-        controller = experiment.controller_config(setup.test, rig, derived, end_tick)
-        return Loaded.of(dataclasses.replace(setup, controller=controller))
 
     def check(self, name: str) -> None:
         """Refuse one of `COMMANDS`, or "trip", that is not for the present state.
@@ -566,7 +575,7 @@ class Engine(Conductor):
     # ---- stations and rings ---------------------------------------------------------------------
 
     def _make_rest(self, clock: Clock, codecs: Sequence[Codec]) -> ServiceRun:
-        setup = experiment.prescribed(self.rig, "at-rest", np.zeros(1))
+        setup = any_rig.at_rest(self.rig)
         return ServiceRun.make(
             setup,
             clock,
@@ -594,8 +603,9 @@ class Engine(Conductor):
     def _put_rest(self) -> None:
         """Keep the drive where it stands, with a fresh station."""
         rest = self._rest
-        setup = dataclasses.replace(rest.setup, rig=self.rig)
-        rest.config = _rest_station(setup)
+        if rest.setup.rig_file != self.rig:
+            rest.setup = any_rig.at_rest(self.rig)
+        rest.config = _rest_station(rest.setup)
         rest.station = core.Station(rest.config, rest.setup.ag_mps2)
         self._put(rest)
 
@@ -620,7 +630,7 @@ class Engine(Conductor):
         run.renew()
         run.close()
         reason = str(run.bare.meta["end_reason"])
-        ending = summary.ending(run.bare, run.running)
+        ending = _ending_of(run)
         self.last = {
             "test_name": name,
             "run_id": run.run_id,
@@ -635,20 +645,8 @@ def _rest_station(setup: Setup) -> core.StationConfig:
     return dataclasses.replace(experiment.station_config(setup, real=True), stay=True)
 
 
-def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """Return what became of each limit of a rig file, in words."""
-    words = [
-        f"{name} {_limit(old[name])} -> {_limit(value)}"
-        for name, value in new.items()
-        if value != old[name]
-    ]
-    return ", ".join(words) or "nothing has changed"
-
-
-def _limit(value: Any) -> str:
-    """Return a limit as a rig file may give it: a table, a number, or nothing."""
-    if value is None:
-        return "unset"
-    if not isinstance(value, Mapping):
-        return f"{value:g}"
-    return f"{value['value']:g} ({value['action'] if value['enable'] else 'off'})"
+def _ending_of(run: ServiceRun) -> str:
+    """Return the limit that ended a test with its figures; "": none did, or they are not known."""
+    if run.setup.group is None:
+        return summary.ending(run.bare, run.running)
+    return run.ended_by

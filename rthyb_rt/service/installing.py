@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -87,7 +88,7 @@ def program() -> Path:
 
 
 def install(
-    root: Path, starts: Path, rig: str | None = None, dbc: Path | None = None
+    root: Path, starts: Path, rig: str | None = None, dbc: Sequence[Path] = ()
 ) -> list[Path]:
     """Write the files; an older version of theirs is replaced, a rig file is not.
 
@@ -95,7 +96,7 @@ def install(
         root: of the system.
         starts: the program that the units start.
         rig: text of the rig file, or None to leave that to the operator.
-        dbc: the file that the rig file names, by its name alone.
+        dbc: the files that the rig file names, by their names alone.
 
     Returns:
         the files that were written.
@@ -105,8 +106,8 @@ def install(
     """
     written = []
     new = rig is not None and not (root / RIG).exists()
-    if new and dbc is not None:
-        written += _beside(root / RIG, dbc)
+    for path in dbc if new else ():
+        written += _beside(root / RIG, path)
     for name, place in PLACES.items():
         text = (sources() / name).read_text(encoding="utf-8")
         written.append(_write(root / place, text.replace(_PROGRAM, str(starts))))

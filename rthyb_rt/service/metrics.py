@@ -58,17 +58,22 @@ def _samples(status: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, str], f
     for percent in ("50", "99"):
         labels = {"quantile": f"0.{percent.rstrip('0')}"}
         yield "rthyb_wake_late_seconds", labels, status["wake"][f"p{percent}_ns"] / 1e9
-    newest = status["newest"] or {}
+    axes = status.get("axes") or {}
+    # Of one axis, as its own; of several, each with its name.
+    values = [({"axis": name}, one) for name, one in axes.items()] or [({}, status["newest"] or {})]
     for sample, key in (
         ("rthyb_displacement_metres", "x_meas_m"),
         ("rthyb_force_newtons", "f_meas_n"),
         ("rthyb_command_metres", "x_cmd_m"),
         ("rthyb_alpha_samples", "alpha"),
     ):
-        if newest.get(key) is not None:
-            yield sample, {}, newest[key]
-    for kind, count in status["wire"].items():
-        yield "rthyb_wire_frames_total", {"kind": kind}, count
+        for labels, one in values:
+            if one.get(key) is not None:
+                yield sample, labels, one[key]
+    wires = [({"axis": name}, one["wire"]) for name, one in axes.items()] or [({}, status["wire"])]
+    for labels, wire in wires:
+        for kind, count in wire.items():
+            yield "rthyb_wire_frames_total", {**labels, "kind": kind}, count
     yield "rthyb_commands_sent_total", {}, status["loop"]["sent"]
     yield "rthyb_commands_lost_total", {}, status["loop"]["not_sent"]
     yield "rthyb_recorder_up", {}, int(recorder["alive"])

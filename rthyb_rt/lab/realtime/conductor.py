@@ -22,7 +22,7 @@ from rthyb_rt.core import FLAGS, ticker
 from rthyb_rt.core.loop import Clock, Link, Loop, LoopAxis
 from rthyb_rt.core.wire import Wire
 from rthyb_rt.errors import RthybError
-from rthyb_rt.lab import experiment, extras, jitter, trips
+from rthyb_rt.lab import experiment, extras, jitter
 from rthyb_rt.lab.endings import REMEDIES, WORDS, RefusedError, TimingError
 from rthyb_rt.lab.realtime.live_run import Counted, LiveRun, follows, stays_stopped
 from rthyb_rt.lab.runs import AT_REST
@@ -370,7 +370,7 @@ class Conductor:
     def _why_refused(self, name: str, state: str) -> str:
         if self.run.station.refusal[0] == "apart":
             return self._why_not_one_clock()
-        if told := trips.figures(*self.run.station.refusal):
+        if told := self.run.refusal_in_figures:
             if name in ("resume", "reset"):
                 return f"{told}; unload the specimen first, or check the load cell"
             return f"{told}; bring the specimen back within it, or relieve it, and zero again"

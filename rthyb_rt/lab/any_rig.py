@@ -1,0 +1,41 @@
+"""A test on whatever rig there is, of one axis or of several."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rthyb_rt.analysis import loop_roots
+from rthyb_rt.config import AxesRig, RigFile, TestFile
+from rthyb_rt.ground_motion import GroundMotion
+from rthyb_rt.lab import experiment, several
+from rthyb_rt.lab.experiment import Setup
+
+
+def prepare(test: TestFile, rig: RigFile | AxesRig, record: GroundMotion) -> Setup:
+    """Return a test in real time with every setting of the core, and notes on its whole loop.
+
+    Args:
+        test, rig: the two files.
+        record: the ground motion as read, not cut, not scaled.
+
+    Raises:
+        InputError: with what is wrong in the files, the record, or between them.
+    """
+    if isinstance(rig, AxesRig):
+        return several.prepare(test, rig, real_time=True, record=record)
+    setup = experiment.prepare(test, rig, real_time=True, record=record)
+    remark = loop_roots.demand(setup)
+    return setup if remark is None else replace(setup, notes=(*setup.notes, remark))
+
+
+def at_rest(rig: RigFile | AxesRig) -> Setup:
+    """Return a setup in whose IDLE state the drives of a rig stay where they stand.
+
+    Raises:
+        InputError: the rig file's own figures do not fit together.
+    """
+    if isinstance(rig, AxesRig):
+        return several.at_rest(rig)
+    return experiment.prescribed(rig, "at-rest", np.zeros(1))

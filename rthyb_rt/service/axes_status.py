@@ -1,0 +1,64 @@
+"""What the status of the service says of several axes, each by its name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from rthyb_rt.config import AxesRig
+from rthyb_rt.core import STOPPED_BIT
+
+if TYPE_CHECKING:
+    from rthyb_rt.service.engine import Engine
+
+_FIELDS: Final = ("x_cmd_m", "x_meas_m", "f_meas_n")
+"""Of a row, with an axis' number behind a point."""
+_CHANNELS: Final = ("alpha", "beta")
+"""Of a row, with an axis' number behind a line."""
+
+
+def of_axes(engine: Engine) -> dict[str, dict[str, Any]]:
+    """Return newest values, in the units of their names, link and drive of each axis; {} of one."""
+    rig = engine.rig
+    if not isinstance(rig, AxesRig):
+        return {}
+    delays = engine.loop.axis_delays
+    found = {}
+    for k, (name, way, delay) in enumerate(zip(rig.names, engine.ways, delays, strict=True)):
+        row = engine.newest
+        stopped = None if row is None else bool(int(row["flags"]) >> (STOPPED_BIT + k) & 1)
+        values = {field: _value(row, f"{field}.{k}" if k else field) for field in _FIELDS}
+        values |= {field: _value(row, f"{field}_{k}" if k else field) for field in _CHANNELS}
+        found[name] = {
+            **values,
+            "link_down": way.link.down,
+            "drive_stopped": stopped,
+            "link_delay_samples": delay,
+            "wire": way.wire.counters(),
+            "wire_counters": way.link.counters(),
+        }
+    return found
+
+
+def of_directions(engine: Engine) -> dict[str, dict[str, Any]]:
+    """Return what the numerical part asks of each direction of the interface; {} of one axis.
+
+    ``x_num`` is in ``unit``, m or rad.
+    """
+    rig = engine.rig
+    if not isinstance(rig, AxesRig):
+        return {}
+    return {
+        name: {
+            "x_num": _value(engine.newest, f"x_num_m_{j}" if j else "x_num_m"),
+            "unit": "rad" if turns else "m",
+        }
+        for j, (name, turns) in enumerate(zip(rig.directions, rig.kinematics.turns(), strict=True))
+    }
+
+
+def _value(row: np.void | None, field: str) -> float | None:
+    if row is None or field not in (row.dtype.names or ()):
+        return None
+    return float(row[field])
