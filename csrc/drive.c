@@ -87,6 +87,7 @@ int rthyb_drive_init(rthyb_drive *drive)
         .log_size = drive->log_size,
         .seed = drive->seed,
         .drift_ppm = drive->drift_ppm,
+        .watchdog = standard_ticks(RTHYB_DRIVE_WATCHDOG, rthyb_plant_period_s(&drive->plant)),
         .random = drive->seed,
         .seq_mask = bits >= 32 ? UINT32_MAX : (1u << bits) - 1u,
         .target_m = drive->origin_m,
@@ -175,7 +176,7 @@ static void take_commands(rthyb_drive *d)
 static void watch(rthyb_drive *d)
 {
     const int told = d->state == RTHYB_TRIPPED;
-    if (d->phase != RTHYB_DRIVE_FOLLOWING || (!told && d->silent < RTHYB_DRIVE_WATCHDOG))
+    if (d->phase != RTHYB_DRIVE_FOLLOWING || (!told && d->silent < d->watchdog))
         return;
     d->phase = RTHYB_DRIVE_STOPPING;
     d->latched = d->state != RTHYB_TOLD_LEAVING;

@@ -1,4 +1,4 @@
-/* How punctual is this PC? A thread that carries a payload 1024 times a second, and beside it, in
+/* How punctual is this PC? A thread that carries a payload so many times a second, and beside it, in
  * the same seconds and half a period apart, one that carries nothing. */
 #define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp) */
 
@@ -10,7 +10,7 @@
 
 #include "internal.h"
 
-#define HALF_PERIOD_NS 488281
+#define SECOND_NS 1000000000
 #define HEAD_START_NS 20000000 /* from the last thread being ready to the first tick */
 #define STACK_BYTES (1u << 18)
 #define STACK_TOUCHED (1u << 16)
@@ -126,7 +126,8 @@ static void keep_time(meeting *m, rthyb_timing *timing, int64_t offset_ns)
     const int64_t start_ns = meet(m);
     if (!start_ns)
         return;
-    rthyb_ticker_init(&timing->ticker, RTHYB_CLOCK_HOST, start_ns + offset_ns);
+    (void)rthyb_ticker_init(&timing->ticker, RTHYB_CLOCK_HOST, m->jitter->rate_hz,
+                            start_ns + offset_ns);
     rthyb_thread_usage(&before);
     while (timing->ticker.elapsed < m->jitter->ticks && !told_to_stop(m->jitter) &&
            rthyb_ticker_wait(&timing->ticker, &tick)) {
@@ -146,7 +147,7 @@ static void *measured_thread(void *shared)
 static void *reference_thread(void *shared)
 {
     meeting *m = shared;
-    keep_time(m, &m->jitter->reference, HALF_PERIOD_NS);
+    keep_time(m, &m->jitter->reference, SECOND_NS / 2 / m->jitter->rate_hz);
     return NULL;
 }
 
@@ -220,7 +221,8 @@ int rthyb_jitter_run(rthyb_jitter *jitter)
 {
     meeting m = {.jitter = jitter};
     team crew = {.count = 0};
-    if (!payload_ok(jitter))
+    rthyb_ticker trial;
+    if (!payload_ok(jitter) || rthyb_ticker_init(&trial, RTHYB_CLOCK_HOST, jitter->rate_hz, 0))
         return EINVAL;
     if (socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, m.sockets))
         return errno;

@@ -11,19 +11,20 @@
 
 #include "internal.h"
 #include "loop_state.h"
+#include "numeric.h"
 #include "relaxed.h"
 
 #define HEAD_START_NS 20000000 /* from the thread being ready to the first tick */
-#define LISTEN_NS 2000000      /* before the first tick: what comes from then on counts */
+#define LISTEN_NS 2000000      /* before the first tick, at least: what comes from then on counts */
+#define SIGHTINGS 16           /* pairs by whose arrivals the first tick is set */
 #define SECOND_NS 1000000000
 #define STACK_BYTES (1u << 18)
 #define STACK_TOUCHED (1u << 16)
 #define COMMAND_BITS 8
-#define HALF_PERIOD_NS 488281
-#define NS_TO_PPB 1024.0    /* of a period */
-#define STALE_ECHO 32       /* samples by which commands may arrive later than they did at rest */
+#define STALE_ECHO 32 /* samples of 1/1024 s by which commands may arrive later than at rest */
 #define ASLEEP_NS 100000000 /* no suspension is shorter; a stall may be, between two clocks */
-#define RESYNC_AGE 20       /* ticks of silence after which the drive's count may have wrapped */
+#define RESYNC_AGE                                                                                 \
+    20 /* ticks, at any rate, of silence after which the drive's count may have wrapped */
 
 _Static_assert(sizeof(pthread_t) <= sizeof(uint64_t), "a thread's name fits its place in the loop");
 
@@ -32,20 +33,36 @@ size_t rthyb_loop_size(void)
     return sizeof(rthyb_loop);
 }
 
+/* An echo of few bits tells of half their round and no more; at 1024 Hz and below that is enough, or never was. */
+static int32_t stale_samples(const rthyb_wire *wire, double h)
+{
+    const uint32_t wanted = standard_ticks(STALE_ECHO, h), told = wire->echo_mask / 4;
+    const uint32_t most = told > STALE_ECHO ? told : STALE_ECHO;
+    return (int32_t)(wanted < most ? wanted : most);
+}
+
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
 {
+    const double h = cfg->station->cfg.controller.period_s;
     memset(loop, 0, sizeof *loop);
     loop->cfg = *cfg;
     loop->axis_count = cfg->station->cfg.controller.axis_count;
     loop->apart = RTHYB_APART_UNKNOWN;
+    loop->rate_hz = rthyb_ticker_rate_hz(h);
+    if (!loop->rate_hz)
+        return RTHYB_E_PERIOD;
+    loop->heartbeat_ticks = standard_ticks(RTHYB_HEARTBEAT_TICKS, h);
+    loop->watchdog_ticks = standard_ticks(RTHYB_DRIVE_WATCHDOG, h);
+    loop->half_period_ns = SECOND_NS / 2 / loop->rate_hz;
     int error = 0;
     for (int i = 0; i < loop->axis_count; i++) {
         loop->way[i].delay = -1;
+        loop->way[i].stale = stale_samples(cfg->axis[i].wire, h);
         error = error ? error : rthyb_calibration_check(&cfg->axis[i].calibration);
     }
     if (!error && cfg->clock == RTHYB_CLOCK_LINK)
-        error = rthyb_phase_init(&loop->phase, cfg->lead_ns);
-    return error ? error : rthyb_ticker_init(&loop->ticker, cfg->clock, 0);
+        error = rthyb_phase_init(&loop->phase, loop->rate_hz, cfg->lead_ns);
+    return error ? error : rthyb_ticker_init(&loop->ticker, cfg->clock, loop->rate_hz, 0);
 }
 
 /* ---- mailbox and heartbeat -------------------------------------------------------------------- */
@@ -132,8 +149,10 @@ static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
         return;
     const rthyb_load *load = &loop->load;
     const int another = load->station != loop->cfg.station;
+    const rthyb_controller_config *next = &load->station->cfg.controller;
     const int refused = another && (loop->cfg.station->state != RTHYB_IDLE ||
-                                    load->station->cfg.controller.axis_count != loop->axis_count);
+                                    next->axis_count != loop->axis_count ||
+                                    next->period_s != loop->cfg.station->cfg.controller.period_s);
     if (!refused) {
         if (another) {
             put(&loop->load_tick, tick->k - tick->skipped);
@@ -185,7 +204,7 @@ static int heartbeat_late(rthyb_loop *loop, uint64_t ticks)
     const uint64_t beat = peek(&loop->heartbeat);
     loop->silence = beat == loop->heard ? loop->silence + ticks : 0;
     loop->heard = beat;
-    const int late = loop->silence > RTHYB_HEARTBEAT_TICKS;
+    const int late = loop->silence > loop->heartbeat_ticks;
     add(&loop->counters.late_heartbeats, (uint64_t)late);
     return late;
 }
@@ -198,7 +217,7 @@ static int heartbeat_late(rthyb_loop *loop, uint64_t ticks)
 static int is_punctual(const rthyb_loop *loop, const rthyb_tick *tick)
 {
     const int timeless = loop->cfg.unpaced && loop->ticker.clock == RTHYB_CLOCK_STEPPED;
-    return !timeless && !tick->skipped && tick->woken_ns - tick->due_ns < HALF_PERIOD_NS;
+    return !timeless && !tick->skipped && tick->woken_ns - tick->due_ns < loop->half_period_ns;
 }
 
 static void know_offset(rthyb_loop_way *way, int64_t offset)
@@ -278,7 +297,7 @@ static int is_belated(const rthyb_loop *loop, rthyb_loop_way *way, const rthyb_f
         way->usual_delay = feedback->delay;
         return 0;
     }
-    return feedback->delay - way->usual_delay >= STALE_ECHO;
+    return feedback->delay - way->usual_delay >= way->stale;
 }
 
 static void take_axis(rthyb_loop *loop, int axis, const rthyb_tick *tick, arrivals *all)
@@ -402,7 +421,7 @@ static void follow_drive(rthyb_loop *loop, const rthyb_tick *tick, const arrival
     rthyb_phase *phase = &loop->phase;
     rthyb_ticker_trim(&loop->ticker, rthyb_phase_step(phase, came, after_due_ns));
     put_signed(&loop->arrival_error_ns, llrint(phase->error_ns));
-    put_signed(&loop->trim_ppb, llrint(phase->trim_ns * NS_TO_PPB));
+    put_signed(&loop->trim_ppb, llrint(phase->trim_ns * loop->rate_hz));
     put(&loop->locked, (uint64_t)phase->locked);
 }
 
@@ -438,7 +457,7 @@ static int is_down(rthyb_loop *loop, int axis)
     const rthyb_link *link = loop->cfg.axis[axis].link;
     rthyb_loop_way *way = &loop->way[axis];
     const uint64_t times = peek(&link->counters.times_down);
-    const int again = times != way->downs_seen || way->unsent >= RTHYB_DRIVE_WATCHDOG;
+    const int again = times != way->downs_seen || way->unsent >= loop->watchdog_ticks;
     way->downs_seen = times;
     return again || peek(&link->down) != RTHYB_LINK_UP;
 }
@@ -478,8 +497,8 @@ static uint32_t skipped_ticks(rthyb_loop *loop, const rthyb_tick *tick)
     const int woke_up = !timeless && rthyb_ticker_slept_ns(&loop->ticker) >= ASLEEP_NS;
     if (woke_up)
         add(&loop->counters.suspended, 1);
-    const uint64_t skipped =
-        woke_up && tick->skipped < RTHYB_LOST_TICKS ? RTHYB_LOST_TICKS : tick->skipped;
+    const uint64_t lost = loop->cfg.station->ticks.lost;
+    const uint64_t skipped = woke_up && tick->skipped < lost ? lost : tick->skipped;
     return skipped < UINT32_MAX ? (uint32_t)skipped : UINT32_MAX;
 }
 
@@ -595,11 +614,55 @@ void rthyb_loop_drop_old(rthyb_loop *loop)
         drop_old(loop, i);
 }
 
+/* When the next pairs of the first axis arrive, SIGHTINGS of them at most; how many did, in twice their time. They
+ * are for nobody else: what the wire knows begins with the first tick. */
+static uint32_t sight(rthyb_loop *loop, int64_t *arrived_ns)
+{
+    const rthyb_loop_axis *at = &loop->cfg.axis[0];
+    rthyb_wire aside = *at->wire;
+    uint32_t count = 0;
+    const int64_t until_ns = rthyb_now_ns() + (int64_t)4 * SIGHTINGS * loop->half_period_ns;
+    for (int i = 0; i < SIGHTINGS * RTHYB_WAKE_UPS_MAX && count < SIGHTINGS; i++) {
+        const uint64_t pairs = aside.counters.pairs;
+        if (!rthyb_link_wait(at->link, until_ns - rthyb_now_ns()))
+            break;
+        const int64_t now_ns = rthyb_now_ns();
+        rthyb_link_drain(at->link, &aside);
+        if (aside.counters.pairs != pairs)
+            arrived_ns[count++] = now_ns;
+    }
+    add(&loop->counters.old, aside.counters.pairs - at->wire->counters.pairs);
+    at->wire->deframer = aside.deframer;
+    return count;
+}
+
+/* When the first tick is due, from `from_ns` on. That of the link clock is where the drive's samples have it: to get
+ * there by trims alone takes seconds, 10 of them from half a period off at 256 Hz. */
+static int64_t first_due(rthyb_loop *loop, int64_t from_ns, const int64_t *arrived_ns,
+                         uint32_t count)
+{
+    if (count == 0)
+        return from_ns;
+    const uint32_t typical = rthyb_phase_typical(&loop->phase, arrived_ns, count);
+    const int64_t wanted_ns = arrived_ns[typical] + llrint(loop->phase.lead_ns);
+    const double periods = ceil((double)(from_ns - wanted_ns) / loop->phase.period_ns);
+    return wanted_ns + llrint(fmax(periods, 0.0) * loop->phase.period_ns);
+}
+
 /* The first tick is one like all others: what it takes came just before it. */
 static void set_off(rthyb_loop *loop)
 {
-    put_signed(&loop->ticker.t0_ns, rthyb_now_ns() + HEAD_START_NS);
-    const int64_t until_ns = loop->ticker.t0_ns - LISTEN_NS;
+    int64_t arrived_ns[SIGHTINGS];
+    uint32_t sighted = 0;
+    if (loop->ticker.clock == RTHYB_CLOCK_LINK) {
+        rthyb_loop_drop_old(loop);
+        sighted = sight(loop, arrived_ns);
+    }
+    const int64_t listen_ns =
+        4 * loop->half_period_ns > LISTEN_NS ? 4 * loop->half_period_ns : LISTEN_NS;
+    const int64_t from_ns = rthyb_now_ns() + HEAD_START_NS;
+    put_signed(&loop->ticker.t0_ns, first_due(loop, from_ns, arrived_ns, sighted));
+    const int64_t until_ns = loop->ticker.t0_ns - listen_ns;
     const struct timespec until = {.tv_sec = until_ns / SECOND_NS, .tv_nsec = until_ns % SECOND_NS};
     while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL) == EINTR)
         ;

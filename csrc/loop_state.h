@@ -31,11 +31,15 @@ typedef struct {
     int32_t offset_known, votes;
     double taken_cmd_m, offered_x_m; /* what another one told it last, and where it stood then */
     int32_t beyond;                  /* the wire could not hold the last command */
+    int32_t stale; /* samples by which commands may arrive later than they did at rest */
 } rthyb_loop_way;
 
 struct rthyb_loop {
     rthyb_loop_config cfg; /* as it was given, but for what a load has put in its place */
     int32_t axis_count;
+    uint32_t rate_hz; /* of the station that it began with, and of all that come after it */
+    uint32_t heartbeat_ticks, watchdog_ticks;
+    int64_t half_period_ns;
     rthyb_ticker ticker;
     rthyb_latency sent; /* host clock: from wake-up to the commands being sent */
     rthyb_loop_counters counters;

@@ -25,6 +25,15 @@ static inline uint32_t ticks_of(double duration_s, double h)
     return (uint32_t)clamp(rint(duration_s / h), 1.0, 1e9);
 }
 
+#define STANDARD_S                                                                                 \
+    (1.0 / 1024.0) /* what the files count in, and a tick unless a test says otherwise */
+
+/* So many samples of 1/1024 s, in ticks of h. */
+static inline uint32_t standard_ticks(double samples, double h)
+{
+    return ticks_of(samples * STANDARD_S, h);
+}
+
 /* Stable, and small enough that no product of them overflows. */
 static inline int weights_ok(double w1, double w2)
 {

@@ -2,36 +2,61 @@
  * the tick, whatever the two clocks think of one another. Pure: stamps in, trims out. */
 #include "numeric.h"
 
-#define TICK_NS 976562.5
-#define PER_TICK (2.0 * RTHYB_PI * 0.3 / 1024.0) /* natural frequency 0.3 Hz, damping 1 */
-#define PROPORTIONAL (2.0 * PER_TICK)
-#define INTEGRAL (PER_TICK * PER_TICK)
-#define SMOOTHING 16.0   /* ticks of jitter that one error is the mean of */
-#define OUTLIER_NS 100e3 /* nothing that is further off counts for more */
-#define SILENCE 20       /* ticks without a pair, then all but the drift is forgotten */
-#define NEAR_NS 100e3    /* smoothed error of a loop that has locked */
-#define NEAR_TICKS 256   /* in a row */
-#define FAR_NS 150e3     /* here the trim is as large as it gets, whatever the drift */
-#define WAY_FROM 64      /* ticks in which the speed of approach is measured */
-#define WAY_TO 512
-#define TRIM_MEMORY 4096.0 /* ticks that the trim shown is the mean of */
+/* All that takes its time takes as long at every rate. */
+#define OMEGA (2.0 * RTHYB_PI * 0.3)  /* natural frequency 0.3 Hz, damping 1 */
+#define SMOOTHING (16.0 * STANDARD_S) /* of jitter that one error is the mean of */
+#define OUTLIER_NS 100e3              /* nothing that is further off counts for more */
+#define SILENCE (20.0 * STANDARD_S)   /* without a pair, then all but the drift is forgotten */
+#define NEAR_NS 100e3                 /* smoothed error of a loop that has locked */
+#define NEAR_S 0.25                   /* without a break */
+#define FAR_NS 150e3                  /* here the trim is as large as it gets, whatever the drift */
+#define WAY_FROM (64.0 * STANDARD_S)  /* in which the speed of approach is measured */
+#define WAY_TO (512.0 * STANDARD_S)
+#define TRIM_MEMORY 4.0 /* s that the trim shown is the mean of */
 #define LEAD_MIN_NS 10e3
 #define STAMP_MAX_NS 1e9
 
-static const double trim_max = RTHYB_TRIM_MAX_NS;
-
-int rthyb_phase_init(rthyb_phase *phase, double lead_ns)
+int rthyb_phase_init(rthyb_phase *phase, uint32_t rate_hz, double lead_ns)
 {
-    if (!(lead_ns >= LEAD_MIN_NS && lead_ns <= 0.5 * TICK_NS))
+    if (rate_hz < RTHYB_RATE_LEAST_HZ || rate_hz > RTHYB_RATE_MOST_HZ)
         return RTHYB_E_PERIOD;
-    *phase = (rthyb_phase){.lead_ns = lead_ns};
+    const double h = 1.0 / rate_hz;
+    if (!(lead_ns >= LEAD_MIN_NS && lead_ns <= 0.5e9 * h))
+        return RTHYB_E_PERIOD;
+    *phase = (rthyb_phase){
+        .lead_ns = lead_ns,
+        .period_ns = 1e9 * h,
+        .trim_max_ns = (double)rthyb_ticker_trim_max_ns(rate_hz),
+        .per_tick = OMEGA * h,
+        .smoothing = fmax(SMOOTHING * rate_hz, 1.0),
+        .trim_memory = TRIM_MEMORY * rate_hz,
+        .silence = ticks_of(SILENCE, h),
+        .near_ticks = ticks_of(NEAR_S, h),
+        .way_from = ticks_of(WAY_FROM, h),
+        .way_to = ticks_of(WAY_TO, h),
+    };
     return 0;
 }
 
 /* The nearest of the errors that are whole periods apart. */
-static double wrapped(double ns)
+static double wrapped(const rthyb_phase *p, double ns)
 {
-    return ns - TICK_NS * rint(ns / TICK_NS);
+    return ns - p->period_ns * rint(ns / p->period_ns);
+}
+
+uint32_t rthyb_phase_typical(const rthyb_phase *p, const int64_t *arrived_ns, uint32_t count)
+{
+    uint32_t best = 0;
+    double least = HUGE_VAL;
+    for (uint32_t i = 0; i < count; i++) {
+        double sum = 0.0;
+        for (uint32_t k = 0; k < count; k++)
+            sum += fabs(wrapped(p, (double)(arrived_ns[k] - arrived_ns[i])));
+        if (sum < least)
+            best = i;
+        least = fmin(least, sum);
+    }
+    return best;
 }
 
 /* An error of half a period may be closed from either side. Against a drift one side is a third as
@@ -40,16 +65,18 @@ static double wrapped(double ns)
 static void choose_side(rthyb_phase *p)
 {
     const double size = fabs(p->error_ns);
-    if (p->ticks == WAY_FROM)
+    if (p->ticks == p->way_from)
         p->mark_ns = p->error_ns;
-    if (p->ticks < WAY_TO)
+    if (p->ticks < p->way_to)
         return;
     p->ticks = 0;
     if (size < FAR_NS || fabs(p->mark_ns) < FAR_NS)
         return;
-    const double speed = fmin((fabs(p->mark_ns) - size) / (WAY_TO - WAY_FROM), trim_max);
-    if (speed > 0.0 && size / speed > (TICK_NS - size) / (2.0 * trim_max - speed) + WAY_TO)
-        p->error_ns -= copysign(TICK_NS, p->error_ns);
+    const double way = (double)(p->way_to - p->way_from);
+    const double speed = fmin((fabs(p->mark_ns) - size) / way, p->trim_max_ns);
+    const double other = (p->period_ns - size) / (2.0 * p->trim_max_ns - speed);
+    if (speed > 0.0 && size / speed > other + p->way_to)
+        p->error_ns -= copysign(p->period_ns, p->error_ns);
 }
 
 /* The error is followed across the half period, or jitter there would turn it round again and
@@ -59,20 +86,20 @@ static void follow(rthyb_phase *p, double error_ns)
     if (!p->following) {
         p->following = 1;
         p->ticks = p->near = 0;
-        p->error_ns = wrapped(error_ns);
+        p->error_ns = wrapped(p, error_ns);
     }
-    const double step = clamp(wrapped(error_ns - p->error_ns), -OUTLIER_NS, OUTLIER_NS);
-    p->error_ns += step / SMOOTHING;
-    if (fabs(p->error_ns) > TICK_NS)
-        p->error_ns -= copysign(TICK_NS, p->error_ns);
+    const double step = clamp(wrapped(p, error_ns - p->error_ns), -OUTLIER_NS, OUTLIER_NS);
+    p->error_ns += step / p->smoothing;
+    if (fabs(p->error_ns) > p->period_ns)
+        p->error_ns -= copysign(p->period_ns, p->error_ns);
     p->silent = 0;
 }
 
 static void judge_lock(rthyb_phase *p)
 {
     const double size = fabs(p->error_ns), near_ns = fmin(NEAR_NS, 0.5 * p->lead_ns);
-    p->near = size > near_ns ? 0 : p->near + (p->near < NEAR_TICKS);
-    if (p->near == NEAR_TICKS)
+    p->near = size > near_ns ? 0 : p->near + (p->near < p->near_ticks);
+    if (p->near == p->near_ticks)
         p->locked = 1;
     if (size > 2.0 * near_ns)
         p->locked = 0;
@@ -80,8 +107,8 @@ static void judge_lock(rthyb_phase *p)
 
 static void lose(rthyb_phase *p)
 {
-    p->silent += p->silent < SILENCE;
-    if (p->silent == SILENCE)
+    p->silent += p->silent < p->silence;
+    if (p->silent == p->silence)
         p->following = p->locked = 0;
 }
 
@@ -105,10 +132,12 @@ int64_t rthyb_phase_step(rthyb_phase *p, int came, double after_due_ns)
         choose_side(p);
         judge_lock(p);
     }
-    const double wanted = p->drift_ns + (p->following ? PROPORTIONAL * p->error_ns : 0.0);
+    const double trim_max = p->trim_max_ns, proportional = 2.0 * p->per_tick;
+    const double integral = p->per_tick * p->per_tick;
+    const double wanted = p->drift_ns + (p->following ? proportional * p->error_ns : 0.0);
     if (usable && fabs(wanted) < trim_max)
-        p->drift_ns = clamp(p->drift_ns + INTEGRAL * p->error_ns, -trim_max, trim_max);
+        p->drift_ns = clamp(p->drift_ns + integral * p->error_ns, -trim_max, trim_max);
     const double trim = clamp(wanted, -trim_max, trim_max);
-    p->trim_ns += (trim - p->trim_ns) / TRIM_MEMORY;
+    p->trim_ns += (trim - p->trim_ns) / p->trim_memory;
     return whole_ns(p, trim);
 }

@@ -55,8 +55,9 @@ typedef struct {
 } rthyb_drive_entry;
 
 enum rthyb_drive_size {
-    RTHYB_DRIVE_WATCHDOG = 20, /* ticks without a fresh sequence number, then it stops */
-    RTHYB_DRIVE_HELD_MAX = 64  /* feedbacks on their way; RTHYB_FAULT_DELAY is less */
+    RTHYB_DRIVE_WATCHDOG =
+        20,                   /* ticks of 1/1024 s without a fresh sequence number, then it stops */
+    RTHYB_DRIVE_HELD_MAX = 64 /* feedbacks on their way; RTHYB_FAULT_DELAY is less */
 };
 
 /* Frames of one sample that wait until a tick. */
@@ -81,6 +82,7 @@ typedef struct {
     uint64_t seed;
     double drift_ppm; /* its clock is fast by so much; rthyb_drive_run alone */
     double gained_ns;
+    uint32_t watchdog; /* in its ticks, whose rate is the plant's */
     uint64_t tick;
     const rthyb_fault *faults; /* the caller's */
     size_t fault_count;

@@ -16,7 +16,10 @@
 
 enum rthyb_time_size {
     RTHYB_LATENCY_BUCKETS = 1024, /* plus one for times longer than 2^36 ns */
-    RTHYB_TRIM_MAX_NS = 195       /* 200 ppm of one period */
+    /* Ticks a second, whole ones: of these a station has room for what happens in a second. */
+    RTHYB_RATE_LEAST_HZ = 256,
+    RTHYB_RATE_MOST_HZ = 4096,
+    RTHYB_TRIM_MAX_PPM = 200 /* of a period, by which a tick may be moved against the one before */
 };
 
 /* Histogram of times in ns: one bucket per ns below 32, then 32 buckets per factor of two (3 %).
@@ -42,12 +45,13 @@ enum rthyb_clock {
     RTHYB_CLOCK_LINK /* CLOCK_MONOTONIC, synchronised with the drive's samples by a control loop */
 };
 
-/* Tick k is due at t0 + k 1953125/2 ns, rounded down; rounded periods are never accumulated. If the thread
+/* Tick k is due at t0 + k 1e9/rate ns, rounded down; rounded periods are never accumulated. If the thread
  * wakes after the next due time, the ticks in between are skipped: the phase is kept, and never do two ticks
  * run between one due time and the next. */
 typedef struct {
     int64_t t0_ns;    /* on CLOCK_MONOTONIC */
     int64_t shift_ns; /* sum of all trims */
+    uint32_t rate_hz; /* ticks a second */
     int32_t clock;    /* enum rthyb_clock */
     uint32_t stop, bell;
     uint64_t granted, missed,
@@ -71,8 +75,12 @@ typedef struct {
     uint64_t elapsed, executed, skipped, longest_skip;
 } rthyb_ticker_counts;
 
-/* Rejects an unknown clock, and a t0 before the zero of the clock, with RTHYB_E_PERIOD. */
-int rthyb_ticker_init(rthyb_ticker *ticker, int32_t clock, int64_t t0_ns);
+/* Rejects an unknown clock, a rate out of range, and a t0 before the zero of the clock, with RTHYB_E_PERIOD. */
+int rthyb_ticker_init(rthyb_ticker *ticker, int32_t clock, uint32_t rate_hz, int64_t t0_ns);
+/* Ticks a second of that period, if they are a whole number within the ticker's range; 0 if not. */
+uint32_t rthyb_ticker_rate_hz(double period_s);
+/* 200 ppm of one period, to the nearest ns: 195 at 1024 Hz. */
+int64_t rthyb_ticker_trim_max_ns(uint32_t rate_hz);
 int64_t rthyb_ticker_due_ns(const rthyb_ticker *ticker, uint64_t k);
 /* Waits for the next tick, regardless of signals. 1: next tick; 0: the ticker was stopped. */
 int rthyb_ticker_wait(rthyb_ticker *ticker, rthyb_tick *tick);
@@ -80,7 +88,7 @@ int rthyb_ticker_wait(rthyb_ticker *ticker, rthyb_tick *tick);
 void rthyb_ticker_woken(rthyb_ticker *ticker, int64_t now_ns, rthyb_tick *tick);
 /* Executes the next tick at once, at the request of the calling thread. */
 void rthyb_ticker_step(rthyb_ticker *ticker, rthyb_tick *tick);
-/* Shifts all later due times, by at most RTHYB_TRIM_MAX_NS per call and once per tick. To be called from the
+/* Shifts all later due times, by at most _trim_max_ns per call and once per tick. To be called from the
  * ticker's own thread; used to follow the drive's clock. */
 void rthyb_ticker_trim(rthyb_ticker *ticker, int64_t ns);
 /* From any thread, stepped clock: allows more ticks to run; makes the next tick skip some ticks first. */
@@ -99,6 +107,11 @@ int64_t rthyb_ticker_slept_ns(rthyb_ticker *ticker);
  * desired time, which is lead_ns before the tick. */
 typedef struct {
     double lead_ns;
+    double period_ns, trim_max_ns;
+    double per_tick; /* angular natural frequency of the control loop times the period */
+    double smoothing, trim_memory; /* ticks that the error and the trim shown are the mean of */
+    uint32_t silence, near_ticks;  /* ticks without a pair, and near the goal, as in phase.c */
+    uint32_t way_from, way_to;
     double error_ns; /* smoothed */
     double drift_ns; /* integral part: by how much the drive's clock is slow, ns per tick */
     double trim_ns;  /* mean of the last 4 s, ns per tick */
@@ -111,11 +124,14 @@ typedef struct {
     int32_t locked; /* the error has been small for a quarter of a second */
 } rthyb_phase;
 
-/* 0, or RTHYB_E_PERIOD if the lead is outside 10 us to half a period. */
-int rthyb_phase_init(rthyb_phase *phase, double lead_ns);
+/* 0, or RTHYB_E_PERIOD if the rate is not a ticker's, or the lead outside 10 us to half a period. */
+int rthyb_phase_init(rthyb_phase *phase, uint32_t rate_hz, double lead_ns);
+/* Of arrivals of successive pairs, at least one, that which is closest to all others by its place in the period:
+ * its index. Late ones among them, less than half, do not move it. */
+uint32_t rthyb_phase_typical(const rthyb_phase *phase, const int64_t *arrived_ns, uint32_t count);
 /* Call once per executed tick. came != 0: the tick used a pair that arrived after_due_ns after its due time
  * (usually before it, so that the value is negative). Returns the argument for rthyb_ticker_trim, within
- * +-RTHYB_TRIM_MAX_NS. A tick without a pair, or with an outlier, has almost no effect. */
+ * +-rthyb_ticker_trim_max_ns. A tick without a pair, or with an outlier, has almost no effect. */
 int64_t rthyb_phase_step(rthyb_phase *phase, int came, double after_due_ns);
 
 /* What a thread has obtained, as confirmed by the kernel. */
@@ -166,7 +182,8 @@ typedef struct {
     int32_t payload;         /* enum rthyb_payload */
     int32_t priority;        /* of the three threads; see rthyb_thread_become_real_time */
     int32_t cpu, latency_fd; /* cpu: of the two measured threads */
-    uint64_t ticks;          /* 1024 per second */
+    uint32_t rate_hz;        /* of both threads */
+    uint64_t ticks;
     rthyb_controller *controller;
     rthyb_rig *rig;
     const double *excitation; /* repeated as long as the run lasts */
@@ -177,7 +194,8 @@ typedef struct {
     uint32_t stop;
 } rthyb_jitter;
 
-/* Starts the threads and waits for them to end. 0, or the errno of what the system refused. */
+/* Starts the threads and waits for them to end. 0, or the errno of what the system refused; EINVAL for a rate
+ * that is not a ticker's, or a payload without its parts. */
 int rthyb_jitter_run(rthyb_jitter *jitter);
 /* From any thread: ends the run early. */
 void rthyb_jitter_stop(rthyb_jitter *jitter);

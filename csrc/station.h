@@ -8,8 +8,7 @@
 #include "numeric.h"
 #include "path.h"
 
-#define STANDARD_S (1.0 / 1024.0) /* a tick of real time */
-#define ARRIVED_M 1e-6            /* what the command may lag behind at the end of a path */
+#define ARRIVED_M 1e-6 /* what the command may lag behind at the end of a path */
 
 static inline finding plain(int cause)
 {

@@ -1,9 +1,10 @@
-/* The ticker: 1024 due times a second, exactly, and what to do when one was slept through. */
+/* The ticker: so many due times a second, exactly, and what to do when one was slept through. */
 #define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp) */
 
 #include <errno.h>
 #include <limits.h>
 #include <linux/futex.h>
+#include <math.h>
 #include <sys/syscall.h>
 #include <time.h>
 #include <unistd.h>
@@ -12,7 +13,7 @@
 #include "rthyb.h"
 
 #define SECOND_NS 1000000000
-#define TWO_PERIODS_NS 1953125 /* 2/1024 s: the period itself is no whole number of ns */
+#define RATE_TOLERANCE 1e-9 /* of 1/rate, which is rounded, against the rate */
 
 int64_t rthyb_now_ns(void)
 {
@@ -38,24 +39,52 @@ int64_t rthyb_ticker_slept_ns(rthyb_ticker *ticker)
     return known ? asleep_ns - before_ns : 0;
 }
 
-int rthyb_ticker_init(rthyb_ticker *ticker, int32_t clock, int64_t t0_ns)
+static int rate_ok(uint32_t rate_hz)
 {
-    if (clock < RTHYB_CLOCK_HOST || clock > RTHYB_CLOCK_LINK || t0_ns < 0)
+    return rate_hz >= RTHYB_RATE_LEAST_HZ && rate_hz <= RTHYB_RATE_MOST_HZ;
+}
+
+int rthyb_ticker_init(rthyb_ticker *ticker, int32_t clock, uint32_t rate_hz, int64_t t0_ns)
+{
+    if (clock < RTHYB_CLOCK_HOST || clock > RTHYB_CLOCK_LINK || !rate_ok(rate_hz) || t0_ns < 0)
         return RTHYB_E_PERIOD;
-    *ticker = (rthyb_ticker){.clock = clock, .t0_ns = t0_ns};
+    *ticker = (rthyb_ticker){.clock = clock, .rate_hz = rate_hz, .t0_ns = t0_ns};
     return 0;
 }
 
-int64_t rthyb_ticker_due_ns(const rthyb_ticker *ticker, uint64_t k)
+uint32_t rthyb_ticker_rate_hz(double period_s)
 {
-    return ticker->t0_ns + ticker->shift_ns + (int64_t)(k * TWO_PERIODS_NS / 2u);
+    const double hz = 1.0 / period_s;
+    if (!(hz >= RTHYB_RATE_LEAST_HZ - 0.5 && hz <= RTHYB_RATE_MOST_HZ + 0.5))
+        return 0;
+    const double whole = rint(hz);
+    return fabs(hz - whole) <= RATE_TOLERANCE * whole ? (uint32_t)whole : 0u;
 }
 
-/* The last tick that is due at now: the largest k with floor(k 1953125/2) <= now - t0. */
+int64_t rthyb_ticker_trim_max_ns(uint32_t rate_hz)
+{
+    const uint32_t ppm_ns = RTHYB_TRIM_MAX_PPM * (SECOND_NS / 1000000);
+    return rate_hz ? (int64_t)((ppm_ns + rate_hz / 2u) / rate_hz) : 0;
+}
+
+/* Seconds and their ticks apart: a product of both would not last a hundred years. */
+int64_t rthyb_ticker_due_ns(const rthyb_ticker *ticker, uint64_t k)
+{
+    const uint64_t rate = ticker->rate_hz, second = k / rate;
+    const uint64_t since = second * SECOND_NS + (k - second * rate) * SECOND_NS / rate;
+    return ticker->t0_ns + ticker->shift_ns + (int64_t)since;
+}
+
+/* The last tick that is due at now: the largest k with floor(k 1e9/rate) <= now - t0, which is the
+ * largest below (now - t0 + 1) rate/1e9. */
 static uint64_t newest_due(const rthyb_ticker *ticker, int64_t now_ns)
 {
     const int64_t since = now_ns - ticker->t0_ns - ticker->shift_ns;
-    return since < 0 ? 0u : (2u * (uint64_t)since + 1u) / TWO_PERIODS_NS;
+    if (since < 0)
+        return 0u;
+    const uint64_t end = (uint64_t)since + 1u, second = end / SECOND_NS;
+    const uint64_t part = (end - second * SECOND_NS) * ticker->rate_hz;
+    return second * ticker->rate_hz + (part + SECOND_NS - 1u) / SECOND_NS - 1u;
 }
 
 /* Makes k the tick at hand; what lies between it and the last one is skipped. */
@@ -123,7 +152,7 @@ int rthyb_ticker_wait(rthyb_ticker *ticker, rthyb_tick *tick)
 
 void rthyb_ticker_trim(rthyb_ticker *ticker, int64_t ns)
 {
-    const int64_t most = RTHYB_TRIM_MAX_NS;
+    const int64_t most = rthyb_ticker_trim_max_ns(ticker->rate_hz);
     ticker->shift_ns += ns < -most ? -most : (ns > most ? most : ns);
 }
 

@@ -116,7 +116,7 @@ int main(int argc, char **argv)
     main_thread = pthread_self();
     if (loop_example_set_up(&r.e) || rthyb_drive_init(&r.e.drive) ||
         loop_example_init(&r.e, clock) ||
-        rthyb_ticker_init(&r.clock, RTHYB_CLOCK_HOST, rthyb_now_ns()) ||
+        rthyb_ticker_init(&r.clock, RTHYB_CLOCK_HOST, 1024, rthyb_now_ns()) ||
         pthread_create(&thread, NULL, drive, &r) || rthyb_loop_start(&r.e.loop, 0, -1, -1))
         return 2;
     wait_for(&r.e.loop.ticker.elapsed, 10);

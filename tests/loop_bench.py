@@ -33,22 +33,30 @@ CAN_ERR_MASK: Final = 0x1FFF_FFFF
 FULL_MASK: Final = 0xDFFF_FFFF  # identifier and its kind
 
 
-def shaking(seconds: float) -> np.ndarray:
-    t = np.arange(round(seconds * core.FS_HZ)) * H
+def shaking(seconds: float, rate_hz: float = core.FS_HZ) -> np.ndarray:
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
     return np.asarray(0.3 * np.sin(2 * np.pi * 1.7 * t) * np.sin(np.pi * t / seconds) ** 2)
 
 
-def config(**changes: Any) -> core.StationConfig:
+def config(rate_hz: float = core.FS_HZ, **changes: Any) -> core.StationConfig:
+    """Return the station of the bench; its times are as long at every rate."""
     law = changes.pop("law", core.LawConfig("paper", {"alpha0": 6.0}))
+    pace = rate_hz / core.FS_HZ
     controller = core.ControllerConfig(
         law=law,
-        rfc=core.RfcConfig(k_e_n_per_m=K_N_PER_M, window=51),
+        rfc=core.RfcConfig(k_e_n_per_m=K_N_PER_M, window=round(51 * pace), period_s=1.0 / rate_hz),
         motion=core.MotionConfig(
-            "central-difference", mass_kg=MASS_KG, damping_n_s_per_m=2121.0, k_e_n_per_m=K_N_PER_M
+            "central-difference",
+            mass_kg=MASS_KG,
+            damping_n_s_per_m=2121.0,
+            k_e_n_per_m=K_N_PER_M,
+            period_s=1.0 / rate_hz,
         ),
         velocity_limit_m_per_s=0.5,
+        period_s=1.0 / rate_hz,
     )
-    base: dict[str, Any] = {"tare_ticks": 64, "ramp_in_ticks": 256, "armed_ticks": 500}
+    ticks = {"tare_ticks": 64, "ramp_in_ticks": 256, "armed_ticks": 500}
+    base: dict[str, Any] = {name: round(count * pace) for name, count in ticks.items()}
     return core.StationConfig(controller=controller, **(base | changes))
 
 
@@ -56,10 +64,13 @@ def watched(name: str, value: float, reaction: core.Reaction) -> dict[str, Any]:
     return {"watches": {name: core.Watch(value, reaction)}}
 
 
-def rig(bias_n: float = FORCE_BIAS_N) -> core.Rig:
+def rig(
+    bias_n: float = FORCE_BIAS_N, rate_hz: float = core.FS_HZ, delay_samples: int = DELAY
+) -> core.Rig:
+    servo = core.ServoConfig("pure-delay", delay_samples=delay_samples, period_s=1.0 / rate_hz)
     return core.Rig(
         core.RigConfig(
-            core.ServoConfig("pure-delay", delay_samples=DELAY),
+            servo,
             (core.element("stiffness", k_n_per_m=K_N_PER_M),),
             force=core.SensorConfig(bias=bias_n),
         )
@@ -155,7 +166,8 @@ class Bench:
     """Controller and drive in lockstep; what both of them wrote down.
 
     ``medium`` names one of `MEDIA`, which opens both ends and leaves in ``ends`` what `unplug` has
-    to close; ``codec`` replaces its frames, ``interfaces`` those that "vcan" finds by itself.
+    to close; ``codec`` replaces its frames, ``interfaces`` those that "vcan" finds by itself. At
+    ``rate_hz`` both tick, and the rig is ``delay_samples`` of that rate late.
     """
 
     def __init__(
@@ -170,6 +182,8 @@ class Bench:
         interfaces: tuple[str, str] | None = None,
         calibration: core.Calibration = core.IDENTITY,
         paced: bool = True,
+        rate_hz: float = core.FS_HZ,
+        delay_samples: int = DELAY,
         **changes: Any,
     ) -> None:
         self.owned = ExitStack()
@@ -185,14 +199,16 @@ class Bench:
         self.owned.callback(self.link.close)
         self.owned.callback(self.far.close)
         self.calibration = calibration
-        self.config, self.ag = config(**changes), shaking(seconds)
+        at: dict[str, Any] = {} if rate_hz == core.FS_HZ else {"rate_hz": rate_hz}
+        late: dict[str, Any] = {} if delay_samples == DELAY else {"delay_samples": delay_samples}
+        self.config, self.ag = config(**at, **changes), shaking(seconds, **at)
         self.station = core.Station(self.config, self.ag)
         self.wire = wire.Wire(self.codec)
         self.loop = loop.Loop(
             self.station, self.wire, self.link, ring, clock, calibration, paced=paced
         )
         self.drive = loop.Drive(
-            rig(),
+            rig(**at, **late),
             self.codec,
             self.far,
             origin_m=ORIGIN_M,

@@ -393,7 +393,7 @@ static void real_time_test(bench *b, int32_t clock, const char *name)
     pthread_t thread;
     obeyed = refused = generations = 0;
     set_up(b, clock);
-    must(rthyb_ticker_init(&b->drive_clock, RTHYB_CLOCK_HOST, rthyb_now_ns()) == 0, "a clock");
+    must(rthyb_ticker_init(&b->drive_clock, RTHYB_CLOCK_HOST, 1024, rthyb_now_ns()) == 0, "a clock");
     start(&thread, drive, b);
     must(rthyb_loop_start(&b->e.loop, 0, -1, -1) == 0, "the tick thread starts");
     gather(&c, b);
@@ -433,7 +433,7 @@ static void ticker_test(void)
     for (int n = 0; n < TICKERS; n++) {
         rthyb_ticker ticker;
         pthread_t waiter, granters[GRANTERS];
-        must(rthyb_ticker_init(&ticker, RTHYB_CLOCK_STEPPED, 0) == 0, "a clock");
+        must(rthyb_ticker_init(&ticker, RTHYB_CLOCK_STEPPED, 1024, 0) == 0, "a clock");
         start(&waiter, wait_for_ticks, &ticker);
         for (int i = 0; i < GRANTERS; i++)
             start(&granters[i], grant, &ticker);

@@ -52,6 +52,37 @@ def test_due_times_are_exact_for_a_hundred_years(t0: int, k: int) -> None:
     assert Ticker(t0_ns=t0).due_ns(k) == due_exactly(t0, k)
 
 
+@given(rate_hz=st.integers(256, 4096), t0=st.integers(0, 10**18), seconds=st.integers(0, 3 * 10**9),
+       more=st.integers(0, 4095))  # fmt: skip
+def test_due_times_are_exact_at_every_rate(rate_hz: int, t0: int, seconds: int, more: int) -> None:
+    k = rate_hz * seconds + more
+    assert Ticker(t0_ns=t0, rate_hz=rate_hz).due_ns(k) == t0 + k * 10**9 // rate_hz
+
+
+@given(rate_hz=st.integers(256, 4096), after_ns=st.integers(0, 10**13))
+def test_the_newest_tick_that_is_due_is_taken_at_every_rate(rate_hz: int, after_ns: int) -> None:
+    clock = Ticker(t0_ns=7, rate_hz=rate_hz)
+    tick = clock.woken(7 + after_ns)
+    assert tick.due_ns <= 7 + after_ns < clock.due_ns(tick.k + 1)
+    assert clock.rate_hz == rate_hz
+
+
+@pytest.mark.parametrize("rate_hz", [-1024, 0, 255, 4097, 10**9])
+def test_a_rate_out_of_range_is_refused(rate_hz: int) -> None:
+    with pytest.raises(core.CoreError, match=rf"{rate_hz} Hz.*256 to 4096 Hz"):
+        Ticker(rate_hz=rate_hz)
+
+
+@pytest.mark.parametrize(("rate_hz", "most_ns"), [(256, 781), (512, 391), (2048, 98), (4096, 49)])
+def test_a_drives_clock_is_followed_by_200_ppm_at_every_rate(rate_hz: int, most_ns: int) -> None:
+    clock = Ticker(rate_hz=rate_hz)
+    assert most_ns == pytest.approx(200e-6 * 1e9 / rate_hz, abs=0.5)
+    for sign in (1, -1):
+        before = clock.due_ns(rate_hz)
+        clock.trim(sign * 10**9)
+        assert clock.due_ns(rate_hz) - before == sign * most_ns
+
+
 def test_a_second_of_ticks_is_a_second_for_ever() -> None:
     clock = Ticker(t0_ns=5)
     for seconds in (1, 60, 86400, 10 * 365 * 86400):

@@ -102,6 +102,7 @@ if TYPE_CHECKING:
         FS_HZ,
         IWAN_SLIDERS,
         PERIOD_S,
+        STANDARD_RATE_HZ,
         WINDOW_MAX,
     )
     from rthyb_rt.core.station import (
@@ -146,6 +147,7 @@ __all__ = [
     "REACTIONS",
     "RECORD_DTYPE",
     "RUNNING",
+    "STANDARD_RATE_HZ",
     "STATES",
     "STATUS",
     "STOPPED_BIT",

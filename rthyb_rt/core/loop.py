@@ -24,7 +24,7 @@ from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.core.group import plant_of
 from rthyb_rt.core.library import options, words
 from rthyb_rt.core.rows import RingMemory, copy_records
-from rthyb_rt.core.ticker import PRIORITY, Counts, Latency, Ticker, privilege_names
+from rthyb_rt.core.ticker import PRIORITY, RATES_HZ, Counts, Latency, Ticker, privilege_names
 from rthyb_rt.core.wire import TOLD, Codec, Frame, Wire
 from rthyb_rt.errors import RthybError
 
@@ -46,8 +46,10 @@ FaultKind = Literal[
 ]
 
 HEARTBEAT_TICKS: Final[int] = lib.RTHYB_HEARTBEAT_TICKS
+"""Ticks of 1/1024 s without a sign of life, after which the test ramps out."""
 SLIP_VOTES: Final[int] = lib.RTHYB_SLIP_VOTES
 WATCHDOG_TICKS: Final[int] = lib.RTHYB_DRIVE_WATCHDOG
+"""Ticks of 1/1024 s without a fresh command, after which the virtual drive stops."""
 PHASES: Final = tuple(words("rthyb_drive_phase", "RTHYB_DRIVE_"))
 LINK_FAULTS: Final = ("up", "network-down", "device-gone", "bus-off", "hung-up")
 
@@ -116,16 +118,20 @@ class Phase:
     """The loop of the link clock alone: when pairs arrived in, trims of the due times out.
 
     Args:
-        lead_us: a pair is to arrive so long before its tick, 10 to 488.
+        lead_us: a pair is to arrive so long before its tick, from 10 to half a period.
+        rate_hz: ticks a second, 256 to 4096.
 
     Raises:
-        core.CoreError: the lead is out of range.
+        core.CoreError: the lead or the rate is out of range.
     """
 
-    def __init__(self, lead_us: float = 200.0) -> None:
+    def __init__(self, lead_us: float = 200.0, rate_hz: int = core.STANDARD_RATE_HZ) -> None:
         self._c = ffi.new("rthyb_phase *")
-        if lib.rthyb_phase_init(self._c, lead_us * 1e3):
-            raise core.CoreError(f"the lead is {lead_us} us, 10 to 488 us are possible")
+        if lib.rthyb_phase_init(self._c, rate_hz, lead_us * 1e3):
+            raise core.CoreError(
+                f"the lead is {lead_us} us: at {rate_hz} Hz 10 to {_most_lead_us(rate_hz)} us are "
+                f"possible, and ticks at {RATES_HZ[0]} to {RATES_HZ[1]} Hz"
+            )
 
     def step(self, after_due_ns: float | None) -> int:
         """Return what `rthyb_rt.core.ticker.Ticker.trim` is to be given after a tick, ns.
@@ -134,6 +140,11 @@ class Phase:
         """
         came = after_due_ns is not None
         return int(lib.rthyb_phase_step(self._c, came, after_due_ns or 0.0))
+
+    def typical(self, arrived_ns: Sequence[int]) -> int:
+        """Return the one of these arrivals, ns, whose place in the period is closest to all."""
+        stamps = ffi.new("int64_t[]", list(arrived_ns))
+        return int(arrived_ns[lib.rthyb_phase_typical(self._c, stamps, len(arrived_ns))])
 
     @property
     def locked(self) -> bool:
@@ -148,7 +159,7 @@ class Phase:
     @property
     def trim_ppm(self) -> float:
         """By how much the period is made longer, mean of 4 s."""
-        return float(self._c.trim_ns) * core.FS_HZ / 1e3
+        return float(self._c.trim_ns) / float(self._c.period_ns) * 1e6
 
 
 @dataclass(frozen=True)
@@ -188,14 +199,17 @@ class Loop:
         clock: "host": `start` a thread; "link": the same, and its ticks follow the drive's samples;
             "stepped": `step` for each tick, or a thread that `ticker` grants ticks to.
         calibration: between the wire and the station.
-        lead_us: link clock: a pair arrives so long before its tick, 10 to 488.
+        lead_us: link clock: a pair arrives so long before its tick, from 10 to half a period.
         paced: stepped clock: False where the drive does not wait for the ticks, so that its count
             says nothing of two clocks, and no slip is looked for.
         further: of several axes, all but the first, of which ``wire``, ``link`` and ``calibration``
             are. Ticks of the link clock follow the first axis' drive.
 
+    Its ticks are as long as the station's ``period_s`` says.
+
     Raises:
-        core.CoreError: a calibration or the lead is senseless, or the station has other axes.
+        core.CoreError: a calibration or the lead is senseless, the station has other axes, or its
+            period is not that of a whole number of ticks a second, 256 to 4096.
     """
 
     def __init__(
@@ -234,14 +248,27 @@ class Loop:
             "lead_ns": lead_us * 1e3,
         }
         if lib.rthyb_loop_init(self._c, ffi.new("rthyb_loop_config *", config)):
-            raise core.CoreError(
-                f"a pair cannot arrive {lead_us} us before its tick: 10 to 488 us are possible"
-            )
+            raise core.CoreError(self._refused(lead_us))
         self._clock = clock
         self._running = False
         self._ring = None if ring is None else ring.pointer
         self._next: tuple[core.Station, RingMemory | None, Any, Any] | None = None
         self._load_generation = 0
+
+    def _refused(self, lead_us: float) -> str:
+        least, most = RATES_HZ
+        if not (rate_hz := self.rate_hz):
+            hz = 1.0 / self._kept[0].config.controller.period_s
+            return f"{hz:g} ticks a second: whole numbers from {least} to {most} are possible"
+        return (
+            f"a pair cannot arrive {lead_us} us before its tick: 10 to {_most_lead_us(rate_hz)} us "
+            f"are possible at {rate_hz} Hz"
+        )
+
+    @property
+    def rate_hz(self) -> int:
+        """Ticks a second."""
+        return int(lib.rthyb_ticker_rate_hz(self._kept[0].config.controller.period_s))
 
     def drop_old(self) -> None:
         """Stepped clock: drop what waits in the link, once, before the first tick.
@@ -429,7 +456,7 @@ class Loop:
         return answer == 1 if answer else None
 
     def beat(self) -> None:
-        """Give a sign of life; after 1024 ticks without one the test ramps out."""
+        """Give a sign of life; after a second without one the test ramps out."""
         lib.rthyb_loop_beat(self._c)
 
     @property
@@ -622,8 +649,13 @@ class Drive:
         lib.rthyb_drive_tick(self._c)
 
     def run(self, ticker: Ticker) -> None:
-        """Tick until the ticker is stopped from another thread; raises as `tick` does."""
+        """Tick until the ticker is stopped from another thread.
+
+        Raises:
+            core.CoreError: as `tick` does, or the ticker has another rate than the rig.
+        """
         self._require_alone()
+        _require_rate(self, ticker)
         lib.rthyb_drive_run(self._c, ticker._c)
 
     def _require_alone(self) -> None:
@@ -640,6 +672,17 @@ class Drive:
     def ticks(self) -> int:
         """Samples so far."""
         return int(self._c.tick)
+
+    @property
+    def rate_hz(self) -> int:
+        """Samples a second of its rig, and so of itself; 0: no whole number, for no ticker."""
+        period_s = lib.rthyb_plant_period_s(ffi.addressof(self._c, "plant"))
+        return int(lib.rthyb_ticker_rate_hz(period_s))
+
+    @property
+    def watchdog_ticks(self) -> int:
+        """Samples without a fresh command after which it stops: 19.5 ms at any rate."""
+        return int(self._c.watchdog)
 
     @property
     def phase(self) -> str:
@@ -689,7 +732,12 @@ class Drives:
         lib.rthyb_drives_tick(self._c)
 
     def run(self, ticker: Ticker) -> None:
-        """Tick until the ticker is stopped from another thread."""
+        """Tick until the ticker is stopped from another thread.
+
+        Raises:
+            core.CoreError: the ticker has another rate than the rig.
+        """
+        _require_rate(self.drives[0], ticker)
         lib.rthyb_drives_run(self._c, ticker._c)
 
     def schedule(self, faults: Sequence[Fault]) -> None:
@@ -723,6 +771,19 @@ class Drives:
     def log(self) -> npt.NDArray[np.void]:
         """What they saw and did, `LOG_DTYPE`, (ticks, axes)."""
         return np.stack([drive.log for drive in self.drives], axis=1)
+
+
+def _require_rate(drive: Drive, ticker: Ticker) -> None:
+    if drive.rate_hz != ticker.rate_hz:
+        raise core.CoreError(
+            f"the virtual rig is made for {drive.rate_hz} Hz, its clock ticks at {ticker.rate_hz} "
+            "Hz; they must be the same"
+        )
+
+
+def _most_lead_us(rate_hz: int) -> float:
+    """Return half a period, which a pair may arrive before its tick at most, us."""
+    return round(0.5e6 / max(rate_hz, 1), 1)
 
 
 def _by_name(struct: Any) -> dict[str, int]:

@@ -7,8 +7,10 @@ from typing import Final
 from rthyb_rt._core import lib
 
 FS_HZ: Final = 1024.0
-"""The rate of real time. That of a test in virtual time is its own: `Setup.rate`."""
+"""The rate of a test that states none; that of one that does is its own: `Setup.rate`."""
 PERIOD_S: Final = 1.0 / FS_HZ
+STANDARD_RATE_HZ: Final = 1024
+"""The same as ticks a second, which are whole ones."""
 WINDOW_MAX: Final[int] = lib.RTHYB_WINDOW_MAX
 DELAY_MAX: Final[int] = lib.RTHYB_DELAY_MAX
 ELEMENTS_MAX: Final[int] = lib.RTHYB_ELEMENTS_MAX

@@ -24,9 +24,13 @@ Clock = Literal["host", "stepped"]
 Payload = Literal["none", "sample", "exchange"]
 
 PERIOD_NS: Final = 1e9 / core.FS_HZ
+"""Of a ticker that is given no rate."""
 PRIORITY: Final = 80
 """Of the tick thread: above interrupt threads, which have 50, below the kernel's own, 99."""
-TRIM_MAX_NS: Final[int] = lib.RTHYB_TRIM_MAX_NS
+TRIM_MAX_NS: Final[int] = lib.rthyb_ticker_trim_max_ns(core.STANDARD_RATE_HZ)
+"""Likewise: 200 ppm of a period."""
+RATES_HZ: Final[tuple[int, int]] = (lib.RTHYB_RATE_LEAST_HZ, lib.RTHYB_RATE_MOST_HZ)
+"""Ticks a second that a ticker can have."""
 LATENCY_DEVICE: Final = "/dev/cpu_dma_latency"
 
 _CLOCKS: Final = options("rthyb_clock", "RTHYB_CLOCK_")
@@ -131,16 +135,32 @@ class Counts(NamedTuple):
 
 
 class Ticker:
-    """Due times t0 + k 1953125/2 ns, and what to do when one was slept through.
+    """Due times t0 + k 1e9/rate ns, and what to do when one was slept through.
 
-    Raises ``core.CoreError`` for a ``t0_ns`` before the clock's own zero.
+    Args:
+        clock: "host": CLOCK_MONOTONIC; "stepped": each tick on the caller's word.
+        t0_ns: when the first tick is due.
+        rate_hz: ticks a second, 256 to 4096.
+
+    Raises:
+        core.CoreError: a ``t0_ns`` before the clock's own zero, or a rate out of range.
     """
 
-    def __init__(self, clock: Clock = "host", t0_ns: int = 0) -> None:
+    def __init__(
+        self, clock: Clock = "host", t0_ns: int = 0, rate_hz: int = core.STANDARD_RATE_HZ
+    ) -> None:
         self._c = ffi.new("rthyb_ticker *")
-        if lib.rthyb_ticker_init(self._c, _CLOCKS[clock], t0_ns):
-            raise core.CoreError(f"the first tick cannot be due at {t0_ns} ns: 0 or later is")
+        if lib.rthyb_ticker_init(self._c, _CLOCKS[clock], max(rate_hz, 0), t0_ns):
+            raise core.CoreError(
+                f"ticks at {rate_hz} Hz, the first one due at {t0_ns} ns: possible are "
+                f"{RATES_HZ[0]} to {RATES_HZ[1]} Hz, and 0 ns or later"
+            )
         self._tick = ffi.new("rthyb_tick *")
+
+    @property
+    def rate_hz(self) -> int:
+        """Ticks a second."""
+        return int(self._c.rate_hz)
 
     def due_ns(self, k: int) -> int:
         """Return when tick ``k`` is due, rounded down to a whole ns."""
@@ -161,7 +181,7 @@ class Ticker:
         return self._taken()
 
     def trim(self, ns: int) -> None:
-        """Move all later due times, by 195 ns at most."""
+        """Move all later due times, by 200 ppm of a period at most: 195 ns at 1024 Hz."""
         lib.rthyb_ticker_trim(self._c, ns)
 
     def grant(self, ticks: int) -> None:
@@ -297,6 +317,7 @@ class JitterRun:
         controller, rig, excitation: of the payload.
         ring: takes the record of every sample.
         priority, cpu, latency_fd: as in `become_real_time`.
+        rate_hz: ticks a second; the payload's own period is the caller's.
     """
 
     def __init__(
@@ -311,11 +332,12 @@ class JitterRun:
         priority: int = PRIORITY,
         cpu: int = -1,
         latency_fd: int = -1,
+        rate_hz: int = core.STANDARD_RATE_HZ,
     ) -> None:
         self._c = ffi.new("rthyb_jitter *")
         self._c.payload = _PAYLOADS[payload]
         self._c.priority, self._c.cpu, self._c.latency_fd = priority, cpu, latency_fd
-        self._c.ticks = ticks
+        self._c.ticks, self._c.rate_hz = ticks, rate_hz
         self._excitation = np.ascontiguousarray(excitation, np.float64)
         self._kept: list[object] = [ring]
         self._c.ring = ffi.NULL if ring is None else ring.pointer

@@ -16,7 +16,7 @@ int main(int argc, char **argv)
     const unsigned long long ticks = strtoull(argv[2], NULL, 10);
     const uint32_t got = rthyb_thread_become_real_time(
         (int32_t)strtol(argv[3], NULL, 10), (int32_t)strtol(argv[4], NULL, 10), -1, 65536);
-    if (rthyb_ticker_init(&ticker, RTHYB_CLOCK_HOST, t0_ns))
+    if (rthyb_ticker_init(&ticker, RTHYB_CLOCK_HOST, 1024, t0_ns))
         return 2;
     while (ticker.elapsed < ticks && rthyb_ticker_wait(&ticker, &tick))
         ;
