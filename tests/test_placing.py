@@ -102,6 +102,31 @@ def test_a_key_of_both_files_is_that_of_the_file_which_has_it() -> None:
     assert lost == Problem("elsewhere", "lost")
 
 
+@pytest.mark.parametrize("name", ["test.toml", "rig.toml", "numerical.toml"])
+def test_file_that_is_named_like_one_of_its_tables_has_its_place_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    # From its own folder its path is its name, which a place in it begins with.
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(TEST.replace("storey = 1", "storey = 3"))
+    with pytest.raises(InputError) as caught:
+        experiment.prepare(*config.load_both(Path(name), None, ()))
+    (problem,) = caught.value.problems
+    assert problem.where == f"{name}:{line_of('[[interface]]')}: interface.0"
+
+
+def test_what_looks_like_a_key_and_is_none_stays_as_it_is() -> None:
+    test = config.parse_test(TEST, "frame.toml")
+
+    @placing
+    def find(*_: object) -> None:
+        raise InputError([Problem("test.at2", "not there"), Problem("test.toml:3: rig", "unknown")])
+
+    with pytest.raises(InputError) as caught:
+        find(test)
+    assert [one.where for one in caught.value.problems] == ["test.at2", "test.toml:3: rig"]
+
+
 def test_where_it_was_read_is_no_part_of_a_test() -> None:
     one, other = config.parse_test(TEST, "a.toml"), config.parse_test(TEST, "b.toml")
     assert one == other

@@ -36,6 +36,7 @@ from pydantic_core import (
 )
 
 from rthyb_rt import units
+from rthyb_rt.config.lines import Path as KeyPath
 from rthyb_rt.config.placing import NOWHERE, Source
 
 _EXPLAINED = "explained"
@@ -480,6 +481,29 @@ class WholeFile(Table):
         file = self.model_copy()
         file._source = source
         return file
+
+
+def has_key(annotation: Any, path: KeyPath) -> bool:
+    """Return whether values of a type can have a key.
+
+    What looks like one may be none: a file may be named like a table, as in `test.at2`, and a fault
+    that has its line already begins with such a name.
+    """
+    if not path:
+        return True
+    if isinstance(path[0], int):
+        # The place in a list, which the parts of its type do not show.
+        return has_key(annotation, path[1:])
+    if typing.get_origin(annotation) is dict:
+        return has_key(typing.get_args(annotation)[1], path[1:])
+    for part in _parts(annotation):
+        if part is Any:
+            return True
+        if isinstance(part, type) and issubclass(part, BaseModel):
+            fields = {info.alias or name: info for name, info in part.model_fields.items()}
+            if path[0] in fields and has_key(fields[path[0]].annotation, path[1:]):
+                return True
+    return False
 
 
 def _read_field(info: FieldInfo, keys: dict[str, Any], key: str) -> Any:

@@ -43,7 +43,7 @@ class Source:
 
     def has(self, path: KeyPath) -> bool:
         """Return whether a key, or keys of a table of that name, stand in it or beside it."""
-        return KeyLines(self.text).has(path) or any(key[: len(path)] == path for key in self.given)
+        return _lines(self.text).has(path) or any(key[: len(path)] == path for key in self.given)
 
     def place(self, path: KeyPath) -> str:
         """Return where a key was written: an option, or file, line and key."""
@@ -51,9 +51,14 @@ class Source:
             if path[:size] in self.given:
                 within = [self.given[path[:size]], *map(str, path[size:])]
                 return self.wording.place(".".join(within))
-        lines = KeyLines(self.text)
+        lines = _lines(self.text)
         line = f":{lines.find(path)}" if lines.has(path[:1]) else ""
         return f"{self.path}{line}: {'.'.join(map(str, path))}"
+
+
+@functools.lru_cache(maxsize=16)
+def _lines(text: str) -> KeyLines:
+    return KeyLines(text)
 
 
 NOWHERE: Final = Source()
@@ -73,26 +78,24 @@ def placing(work: Callable[_P, _R]) -> Callable[_P, _R]:
             return work(*args, **kwargs)
         except InputError as error:
             # Not at the top: that module needs this one.
-            from rthyb_rt.config.fields import WholeFile
+            from rthyb_rt.config.fields import WholeFile, has_key
 
             given = (*args, *kwargs.values())
             files = [each for each in given if isinstance(each, WholeFile)]
-            error.problems = [_placed(problem, files) for problem in error.problems]
+            error.problems = [_placed(problem, files, has_key) for problem in error.problems]
             error.args = tuple(error.problems)
             raise
 
     return placed
 
 
-def _placed(problem: Problem, files: list[WholeFile]) -> Problem:
+def _placed(
+    problem: Problem, files: list[WholeFile], has_key: Callable[[type, KeyPath], bool]
+) -> Problem:
     path: KeyPath = tuple(int(one) if one.isdecimal() else one for one in problem.where.split("."))
-    able = [file.source for file in files if path[0] in _keys(file) and file.source.path]
+    able = [file.source for file in files if file.source.path and has_key(type(file), path)]
     for size in range(len(path), 0, -1):
         for source in able:
             if source.has(path[:size]):
                 return Problem(source.place(path), problem.message)
     return Problem(able[0].place(path), problem.message) if able else problem
-
-
-def _keys(file: WholeFile) -> set[str]:
-    return {info.alias or name for name, info in type(file).model_fields.items()}

@@ -758,11 +758,6 @@ class Drives:
         return self.drives[0].ticks
 
     @property
-    def phases(self) -> tuple[str, ...]:
-        """One of `PHASES` of every drive; readable at any time."""
-        return tuple(drive.phase for drive in self.drives)
-
-    @property
     def told(self) -> str:
         """The controller's state in the last fresh command of the first; readable at any time."""
         return self.drives[0].told
