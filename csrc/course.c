@@ -72,6 +72,9 @@ static path_limits limits_of(const rthyb_station *s)
     }
     if (s->cfg.controller.kinematics.size > 0)
         rthyb_kinematics_jacobian(&s->controller.kinematics, limits.jacobian);
+    if (s->cfg.controller.kinematics.size > 0 &&
+        s->cfg.controller.kinematics.kind == RTHYB_KINEMATICS_PINS)
+        limits.pins = &s->controller.kinematics;
     return limits;
 }
 

@@ -76,6 +76,48 @@ static void multiply(const double *matrix, const double *x, int n, double *out)
     }
 }
 
+/* ---- rates ----------------------------------------------------------------------------------------- */
+
+/* With q the pin as it is turned, w = theta', the pin moves by v = (x', y') + w x q and is accelerated by
+ * a = (x", y") + w' x q - w^2 q; its axis, of direction e and length L, becomes longer by e v and by
+ * e a + (v^2 - (e v)^2) / L, which is the turning of the axis itself. */
+static void pin_rates(const rthyb_kinematics *s, int axis, const plane *at, const plane *by,
+                      const plane *change, double *velocity, double *acceleration)
+{
+    const double px = s->cfg.pin_m[axis][0], py = s->cfg.pin_m[axis][1];
+    const double sine = sin(at->theta), cosine = cos(at->theta), w = by->theta, dw = change->theta;
+    const double qx = cosine * px - sine * py, qy = sine * px + cosine * py;
+    const double vx = by->x - w * qy, vy = by->y + w * qx;
+    const double ax = change->x - dw * qy - w * w * qx, ay = change->y + dw * qx - w * w * qy;
+    const int far = s->cfg.far[axis];
+    const double rx = s->reach[axis][0] + (far ? 0.0 : at->x + qx - px);
+    const double ry = s->reach[axis][1] + (far ? 0.0 : at->y + qy - py);
+    const double length = hypot(rx, ry), sign = s->cfg.pulls[axis] ? -1.0 : 1.0;
+    if (!(length > 0.0)) {
+        *velocity = *acceleration = HUGE_VAL;
+        return;
+    }
+    const double ex = rx / length, ey = ry / length, along = ex * vx + ey * vy;
+    const double across = ex * vy - ey * vx;
+    *velocity = sign * along;
+    *acceleration = sign * (ex * ax + ey * ay + (far ? 0.0 : across * across / length));
+}
+
+void rthyb_kinematics_rates(const rthyb_kinematics *s, const double *pose, const double *velocity,
+                            const double *acceleration, double *axis_velocity,
+                            double *axis_acceleration)
+{
+    if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX) {
+        multiply(s->cfg.matrix, velocity, s->cfg.size, axis_velocity);
+        multiply(s->cfg.matrix, acceleration, s->cfg.size, axis_acceleration);
+        return;
+    }
+    const plane at = plane_of(s, pose), by = plane_of(s, velocity),
+                change = plane_of(s, acceleration);
+    for (int i = 0; i < s->cfg.size; i++)
+        pin_rates(s, i, &at, &by, &change, &axis_velocity[i], &axis_acceleration[i]);
+}
+
 /* ---- setting up ---------------------------------------------------------------------------------- */
 
 static int within(const double *values, int count, double most)

@@ -6,7 +6,8 @@
 
 /* A way has a path in each direction of the interfaces, and one duration for all: they set off together and
  * arrive together. Its limits are those of the axes, of which the Jacobian, rows of `directions`, says how they
- * move with it: the one that is slowest decides. */
+ * move with it: the one that is slowest decides. Pins have another Jacobian at every pose: with them a way is found
+ * by the one that is given, and made longer until every axis keeps to its limits all along it. */
 typedef struct {
     double period_s;
     int axes, directions;
@@ -14,6 +15,7 @@ typedef struct {
     double acceleration_m_per_s2[RTHYB_COUPLED_MAX]; /* one each an axis */
     double brake_m_per_s2[RTHYB_COUPLED_MAX];        /* that it is stopped with */
     double jacobian[RTHYB_COUPLED_SQUARE];
+    const rthyb_kinematics *pins;        /* NULL: the Jacobian holds at every pose */
     int64_t least_way, turn, least_turn; /* ticks, as in rthyb_station_ticks */
 } path_limits;
 

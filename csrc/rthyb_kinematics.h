@@ -68,6 +68,11 @@ int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *f
 int rthyb_kinematics_pushes(const rthyb_kinematics *s, const double *force, double *axis_n);
 /* d axis / d pose at the last pose found, rows of `size`. */
 void rthyb_kinematics_jacobian(const rthyb_kinematics *s, double *jacobian);
+/* Velocity and acceleration of each axis where the specimen passes a pose with those of each coordinate: exact,
+ * with what the turning of coupler and axes adds to an acceleration. HUGE_VAL for a pin in its own base. */
+void rthyb_kinematics_rates(const rthyb_kinematics *s, const double *pose, const double *velocity,
+                            const double *acceleration, double *axis_velocity,
+                            double *axis_acceleration);
 /* n poses, or n rows of axes, one after the other. */
 int rthyb_kinematics_axes_run(rthyb_kinematics *s, const double *pose, double *axis_m, size_t n);
 int rthyb_kinematics_pose_run(rthyb_kinematics *s, const double *axis_m, double *pose, size_t n);

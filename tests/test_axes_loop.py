@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -35,6 +35,7 @@ class Lab:
         ring: Ring | None = None,
         seconds: float = 2.0,
     ) -> None:
+        self.owned, self.ring = owned, ring
         self.settings = settings or config()
         self.station = core.Station(self.settings, shaking(seconds))
         self.calibrations, self.seconds = tuple(calibrations), seconds
@@ -83,7 +84,7 @@ class Lab:
             self.step()
         raise AssertionError(f"never {state}: {self.loop.state}, {self.loop.cause}")
 
-    def running(self, ticks: int = 200) -> Lab:
+    def running(self, ticks: int = 200) -> Self:
         for _ in range(5):
             self.step()
         self.step("zero")

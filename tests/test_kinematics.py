@@ -216,3 +216,30 @@ REFUSED = [
 def test_axes_that_do_not_set_every_coordinate_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(CoreError):
         Kinematics(**wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_rates_of_the_axes_are_the_slopes_of_their_lengths(far: bool) -> None:
+    """Against differences of the lengths themselves along a motion of known rates."""
+    from rthyb_rt._core import ffi, lib
+
+    given = Kinematics(
+        pins=tuple(Pin(p.pin_m, p.base_m, far=far, pulls=p.pulls) for p in TRIPOD),
+        coordinates=["theta", "x", "y"],
+    )
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        pose = rng.uniform(-1, 1, 3) * (0.08, 0.06, 0.03)
+        v, a = rng.uniform(-1, 1, 3) * (0.8, 0.3, 0.2), rng.uniform(-1, 1, 3) * (9.0, 4.0, 3.0)
+        h = 2e-4
+        t = np.array([-h, 0.0, h])[:, None]
+        around, code = given.axes(pose + v * t + 0.5 * a * t**2)
+        assert code == 0
+        found = [ffi.new("double[4]") for _ in range(2)]
+        lib.rthyb_kinematics_rates(given.struct, list(pose), list(v), list(a), *found)
+        np.testing.assert_allclose(
+            list(found[0])[:3], (around[2] - around[0]) / (2 * h), atol=2e-6, rtol=0
+        )
+        np.testing.assert_allclose(
+            list(found[1])[:3], np.diff(around, n=2, axis=0)[0] / h**2, atol=2e-5, rtol=0
+        )
