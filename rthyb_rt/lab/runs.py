@@ -164,12 +164,7 @@ class Run:
         return self._of(self.station.cause_axis, self.station.cause_interface)
 
     def _of(self, axis: int | None, interface: int | None) -> str:
-        names, directions = self.bare.axis_names, self.bare.interface_names
-        if axis is not None and axis < len(names):
-            return f"axis {names[axis]}"
-        if interface is not None and interface < len(directions):
-            return f"direction {directions[interface]}"
-        return ""
+        return trips.whose(axis, interface, self.bare.axis_names, self.bare.interface_names)
 
     @property
     def cause_in_figures(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -84,6 +85,22 @@ class Met:
     limit: float
     time_s: float = float("nan")
     alpha: float = float("nan")
+
+
+def whose(
+    axis: int | None, interface: int | None, axes: Sequence[str], interfaces: Sequence[str]
+) -> str:
+    """Return which of several axes, or directions, a cause belongs to, in words; "": to none.
+
+    Args:
+        axis, interface: their numbers, as a station has them.
+        axes, interfaces: their names; () of one axis.
+    """
+    if axis is not None and axis < len(axes):
+        return f"axis {axes[axis]}"
+    if interface is not None and interface < len(interfaces):
+        return f"direction {interfaces[interface]}"
+    return ""
 
 
 def figures(cause: str, value: float, limit: float, *, turns: bool = False) -> str:

@@ -22,8 +22,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rthyb_rt.live.history import CHANNELS, Floats, History, columns, loop_points
+from rthyb_rt.config.axesfile import AXES_MAX
+from rthyb_rt.live.history import CHANNELS, Floats, History, Positions, columns, loop_points
 
 MORE, ANEW, OUTLINE = 0, 1, 2
 NO_STATE: Final = 255
@@ -47,12 +49,14 @@ class View:
         ticks: length of what it shows.
         first: position that it begins with; None: it ends with the newest row, and follows.
         outline: with the whole test in outline.
+        axis: of several the one that is shown, from 0.
     """
 
     columns: int
     ticks: int
     first: int | None = None
     outline: bool = False
+    axis: int = 0
 
     @property
     def column_ticks(self) -> int:
@@ -69,11 +73,12 @@ def view_of(asked: Any, fs_hz: float) -> View:
     if not isinstance(asked, dict):
         raise ValueError("a view is an object")
     wide = round(_number(asked, "columns", *COLUMNS))
+    axis = round(_number({"axis": 0, **asked}, "axis", 0, AXES_MAX - 1))
     if asked.get("follow") is True:
-        return View(wide, round(_number(asked, "seconds", *SECONDS) * fs_hz))
+        return View(wide, round(_number(asked, "seconds", *SECONDS) * fs_hz), axis=axis)
     first = math.floor(_number(asked, "first", -_LARGEST, _LARGEST))
     last = math.ceil(_number(asked, "last", first + 1.0, first + _LONGEST))
-    return View(wide, last - first, first, asked.get("outline") is True)
+    return View(wide, last - first, first, asked.get("outline") is True, axis)
 
 
 def _number(asked: dict[str, Any], name: str, least: float, most: float) -> float:
@@ -140,7 +145,7 @@ class Framer:
         wide = self._view.column_ticks
         column = first // wide
         count = max(0, -(-end // wide) - column)
-        at, values, states = self._history.rows(column * wide, end)
+        at, values, states = self._rows(column * wide, end)
         extremes = columns(at, values, column, count, wide)
         thin = self._stride()
         # Every so manieth position, not row: what was left out once stays out.
@@ -149,10 +154,18 @@ class Framer:
         if points.size:
             points[:, 0] += at[kept][0] - column * wide
         if not at.size:
-            at, values, states = self._history.rows(self._history.last, self._history.last + 1)
+            at, values, states = self._rows(self._history.last, self._history.last + 1)
         return self._bytes(
             kind, wide, column, extremes, zero, points, int(at[-1]), int(states[-1]), values[:, -1]
         )
+
+    def _rows(self, first: int, end: int) -> tuple[Positions, Floats, NDArray[np.uint8]]:
+        """Return `History.rows` with the channels of the axis that is shown."""
+        assert self._view is not None
+        at, values, states = self._history.rows(first, end)
+        # An axis that there is no longer shows nothing of another.
+        axis = self._view.axis if self._view.axis < self._history.axes else 0
+        return at, values[axis * len(CHANNELS) : (axis + 1) * len(CHANNELS)], states
 
     def _stride(self) -> int:
         assert self._view is not None
@@ -164,7 +177,7 @@ class Framer:
         wide = max(1, -(-(history.last + 1 - history.first) // view.columns))
         column = history.first // wide
         count = history.last // wide + 1 - column
-        at, values, states = history.rows(history.first, history.last + 1)
+        at, values, states = self._rows(history.first, history.last + 1)
         extremes = columns(at, values, column, count, wide)
         none = np.zeros((0, 3), dtype=np.float32)
         return self._bytes(

@@ -1,14 +1,18 @@
-"""What the live view has seen: the channels that it draws, at positions that only grow."""
+"""What the live view has seen: the channels that it draws, at positions that only grow.
+
+Of several axes each has the channels of one, one axis behind the other.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.core import FLAGS, STATES
+from rthyb_rt.core import FLAGS, STATES, axes_in
+from rthyb_rt.core.kinematics import Kinematics
 
 Floats = NDArray[np.float32]
 Positions = NDArray[np.int64]
@@ -45,17 +49,55 @@ X_MEAS: Final = 2
 FORCE: Final = 4
 
 
-def channels(samples: NDArray[np.void]) -> Floats:
-    """Return what is drawn of records, shape (channels, n); nan for what is no finite number."""
-    out = np.empty((len(CHANNELS), samples.size), dtype=np.float32)
+def channels(samples: NDArray[np.void], tie: Kinematics | None = None) -> Floats:
+    """Return what is drawn of records, shape (axes * channels, n); nan for what is not finite.
+
+    Args:
+        samples: the records, with their channels, (n,).
+        tie: of several axes what leads from the interface to them; None: where the numerical part
+            wants each of them is not known.
+    """
+    axes = axes_in(samples.dtype)
+    fields: list[Any] = [samples] if axes == 1 else _of_axes(samples, axes, tie)
+    out = np.empty((axes * len(CHANNELS), samples.size), dtype=np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
-        for row, channel in zip(out, CHANNELS, strict=True):
-            value = samples[channel.field]
-            if channel.less is not None:
-                value = value - samples[channel.less]
-            row[:] = value * channel.factor
+        for k, own in enumerate(fields):
+            for row, channel in zip(out[k * len(CHANNELS) :], CHANNELS, strict=False):
+                value = own[channel.field]
+                if channel.less is not None:
+                    value = value - own[channel.less]
+                row[:] = value * channel.factor
     out[~np.isfinite(out)] = np.nan
     return out
+
+
+def _of_axes(
+    samples: NDArray[np.void], axes: int, tie: Kinematics | None
+) -> list[dict[str, NDArray[np.float64]]]:
+    """Return the fields that are drawn of each axis, by the names that those of one axis have."""
+    names = samples.dtype.names or ()
+    nothing = np.full(samples.size, np.nan)
+
+    def numbered(field: str, k: int, mark: str) -> NDArray[np.float64]:
+        name = f"{field}{mark}{k}" if k else field
+        return samples[name] if name in names else nothing
+
+    asked = np.column_stack([numbered("x_num_m", j, "_") for j in range(axes)])
+    wanted = np.full(asked.shape, np.nan)
+    known = np.isfinite(asked).all(axis=1)
+    if tie is not None and tie.size == axes and known.any():
+        wanted[known] = tie.axes(asked[known])[0]
+    return [
+        {
+            "x_num_m": wanted[:, k],
+            **{name: numbered(name, k, ".") for name in ("x_cmd_m", "x_meas_m", "f_meas_n")},
+            "alpha": numbered("alpha", k, "_"),
+            # The tangent stiffness is one of directions, by a matrix.
+            "k_t_n_per_m": nothing,
+            "energy_error_j": samples["energy_error_j"],
+        }
+        for k in range(axes)
+    ]
 
 
 class History:
@@ -77,7 +119,8 @@ class History:
 
         Args:
             at: their positions, shape (n,), rising.
-            values: their channels, shape (channels, n).
+            values: their channels, shape (axes * channels, n); other axes that there were have
+                none.
             states: their states, shape (n,).
 
         Raises:
@@ -85,6 +128,11 @@ class History:
         """
         if at.size and (np.any(np.diff(at) <= 0) or (self._size and at[0] <= self.last)):
             raise ValueError("positions must rise")
+        lacking = values.shape[0] - self._values.shape[0]
+        if lacking > 0:
+            further = np.empty((lacking, self._at.size), dtype=np.float32)
+            further[:, : self._size] = np.nan
+            self._values = np.vstack([self._values, further])
         kept = slice(-self.capacity, None)
         at, values, states = at[kept], values[:, kept], states[kept]
         if self._size + at.size > self._at.size:
@@ -94,8 +142,14 @@ class History:
             self._size = self.capacity
         end = self._size + at.size
         new = slice(self._size, end)
-        self._at[new], self._values[:, new], self._states[new] = at, values, states
+        self._at[new], self._states[new] = at, states
+        self._values[: len(values), new], self._values[len(values) :, new] = values, np.nan
         self._size = end
+
+    @property
+    def axes(self) -> int:
+        """How many axes it has the channels of."""
+        return self._values.shape[0] // len(CHANNELS)
 
     @property
     def size(self) -> int:

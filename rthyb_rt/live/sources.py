@@ -13,12 +13,13 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import core, numbers
+from rthyb_rt import config, core, numbers
 from rthyb_rt.analysis import summary
 from rthyb_rt.analysis.attention import WINDOW_S, Judge, Subject
 from rthyb_rt.core import RUNNING, STATES, Channel
+from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import realtime, trips
+from rthyb_rt.lab import realtime
 from rthyb_rt.lab.endings import in_words
 from rthyb_rt.live.history import CHANNELS, History, Tally, channels
 from rthyb_rt.record import recording, ring
@@ -138,23 +139,29 @@ class _Session:
 
     Attributes:
         identity: of the ring.
-        setup: what its files say.
+        setup: what its files say; None of several axes, which nobody judges yet.
         subject: the same, for the judge.
         x_ref_m: the reference simulation, empty without one, shape (n,).
         extras: what the rig measures beside displacement and force.
+        axes: names of several axes.
+        tie: what leads from the interface to them.
     """
 
     identity: _Identity
-    setup: summary.Setup
-    subject: Subject
+    setup: summary.Setup | None
+    subject: Subject | None
     x_ref_m: NDArray[np.float64]
     extras: tuple[Channel, ...] = ()
+    axes: tuple[str, ...] = ()
+    tie: Kinematics | None = None
 
     @classmethod
     def of(cls, rec: Recording, identity: _Identity) -> _Session:
         """Return it from the session beside the ring."""
-        setup = summary.setup(rec)
         none = np.zeros(0)
+        if rec.axis_names:
+            return cls(identity, None, None, none, axes=rec.axis_names, tie=_tie_of(rec))
+        setup = summary.setup(rec)
         x_ref_m = none if rec.reference is None else rec.reference["x_ref_m"]
         return cls(identity, setup, summary.subject(setup, rec.fs_hz), x_ref_m, rec.extras())
 
@@ -241,7 +248,7 @@ class LiveSource:
             self._tally, self._began = Tally(), False
             session = self._session
             self._judge = None
-            if session is not None and session.identity == seen:
+            if session is not None and session.identity == seen and session.subject is not None:
                 self._judge = Judge(session.subject)
             # From the first row on, or nobody knows which row of the reference belongs to which.
             self._whole, self._judged = reader.next == 0, 0
@@ -294,7 +301,9 @@ class LiveSource:
         running = np.flatnonzero(rows["state"] == RUNNING)
         if running.size and not self._began:
             self.zero, self._began = int(at[running[0]]), True
-        self.history.append(at, channels(rows), rows["state"])
+        session = self._session
+        tie = session.tie if session is not None and session.identity == self._held else None
+        self.history.append(at, channels(rows, tie), rows["state"])
 
     # ---- what takes its time --------------------------------------------------------------------
 
@@ -350,8 +359,8 @@ class LiveSource:
             return
         # Its process may be writing beside it; what is not there now comes later.
         with contextlib.suppress(RthybError):
-            cause, *met = realtime.first_cause(ring.recover(path).recording)
-            self._cause = (held, "" if cause == "none" else _words(cause, *met))
+            told = realtime.first_cause_in_words(ring.recover(path).recording)
+            self._cause = (held, told)
 
     @property
     def state(self) -> str:
@@ -376,7 +385,8 @@ class LiveSource:
                 "end_reason": self._end(),
             }
             newest = None if self._reader is None else self._reader.newest()
-            told["now"] = None if newest is None else _now(newest)
+            told["axes"] = list(self._axes())
+            told["now"] = None if newest is None else self._now(newest)
         return told | {
             "mode": "ring" if self.socket is None else "service",
             "reachable": self.socket is None or service is not None,
@@ -389,6 +399,17 @@ class LiveSource:
             "wake": _wake(self._tally),
         }
 
+    def _axes(self) -> tuple[str, ...]:
+        """Return the names of several axes, of the ring that is read."""
+        session = self._session
+        return session.axes if session is not None and session.identity == self._held else ()
+
+    def _now(self, newest: np.void) -> list[float | None]:
+        """Return the channels of the newest record of the ring."""
+        row = np.array([newest], dtype=newest.dtype)
+        tie = self._session.tie if self._axes() and self._session is not None else None
+        return _plain(channels(row, tie)[:, 0])
+
     def _extras(self) -> list[dict[str, Any]]:
         """Return the newest readings of the rig's extra channels."""
         session = self._session
@@ -399,7 +420,7 @@ class LiveSource:
     def _attention(self) -> list[str]:
         """Return what is wrong with the test so far, in sentences."""
         judge, session = self._judge, self._session
-        if judge is None or session is None:
+        if judge is None or session is None or session.setup is None:
             return []
         # Figures that change four times a second nobody can read, or have read out.
         now, (since, told) = time.monotonic(), self._attended
@@ -466,6 +487,7 @@ def _nothing() -> dict[str, Any]:
         "last": None,
         "counters": [],
         "now": None,
+        "axes": [],
         "ended": False,
         "end_reason": "",
     }
@@ -476,9 +498,7 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
     progress = found["progress"]
     return _nothing() | {
         "state": found["state"],
-        "cause": ""
-        if cause in ("none", "completed")
-        else found.get("cause_in_figures") or in_words(cause),
+        "cause": "" if cause in ("none", "completed") else _cause_of(found),
         "allowed": found["allowed"],
         "rig": found["rig"],
         "test": "" if test is None else test["name"],
@@ -490,26 +510,59 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
         else [progress["ticks"] / core.FS_HZ, progress["of"] / core.FS_HZ],
         "indicated": found["indicated"],
         "armed_by": found["armed_by"],
-        "tare": numbers.tare(found["tare"]["displacement_m"], found["tare"]["force_n"]),
+        "tare": _tare_of(found["tare"]),
         "last": found["last"],
         "counters": list(_recorder(found["recorder"])),
-        "now": None if found["newest"] is None else _now(found["newest"]),
+        "axes": list(found.get("axes") or ()),
+        "now": None if found["newest"] is None else _now_of(found),
     }
 
 
-def _words(cause: str, value: float, limit: float) -> str:
-    """Return a cause as people say it, with its figures where it has any."""
-    return trips.figures(cause, value, limit) or in_words(cause)
+def _cause_of(found: dict[str, Any]) -> str:
+    """Return the cause that the service says, with its figures, or whose of several axes it is."""
+    plain, whose = in_words(found["cause"]), found.get("cause_of")
+    return found.get("cause_in_figures") or (f"{whose}: {plain}" if whose else plain)
 
 
-def _now(newest: Any) -> list[float | None]:
-    """Return the channels of one record, or of what the service says of it."""
+def _tare_of(tare: dict[str, Any]) -> str:
+    each = tare.get("axes")
+    if not each:
+        return numbers.tare(tare["displacement_m"], tare["force_n"])
+    return "; ".join(
+        f"{name} {numbers.tare(own['displacement_m'], own['force_n'])}"
+        for name, own in each.items()
+    )
+
+
+def _now_of(found: dict[str, Any]) -> list[float | None]:
+    """Return the channels of the newest record, of one axis after the other, as the service says.
+
+    The tangent stiffness is that of one axis; of several it is a matrix of directions.
+    """
+    newest = found["newest"]
+    axes = (found.get("axes") or {}).values()
+    each = [{**newest, "k_t_n_per_m": None, **own} for own in axes] or [newest]
+    return [value for one in each for value in _now(one)]
+
+
+def _now(newest: dict[str, Any]) -> list[float | None]:
+    """Return the channels of what the service says of one axis."""
     names = {c.field for c in CHANNELS} | {c.less for c in CHANNELS if c.less is not None}
     row = np.zeros(1, dtype=[(name, np.float64) for name in sorted(names)])
     for name in names:
         value = newest[name]
         row[name] = np.nan if value is None else value
-    return [None if np.isnan(value) else float(value) for value in channels(row)[:, 0]]
+    return _plain(channels(row)[:, 0])
+
+
+def _plain(values: NDArray[np.float32]) -> list[float | None]:
+    return [None if np.isnan(value) else float(value) for value in values]
+
+
+def _tie_of(rec: Recording) -> Kinematics | None:
+    """Return what leads from the interface to several axes; None of one."""
+    rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
+    return rig.core_kinematics() if isinstance(rig, config.AxesRig) else None
 
 
 def _counter(label: str, value: object, alarm: bool = False) -> dict[str, Any]:
@@ -599,7 +652,8 @@ class PastSource:
         self.fs_hz = rec.fs_hz
         self.history = History(samples.size)
         at = _positions(samples["tick"])
-        self.history.append(at, channels(samples), samples["state"].astype(np.uint8))
+        tie = _tie_of(rec) if rec.axis_names else None
+        self.history.append(at, channels(samples, tie), samples["state"].astype(np.uint8))
         self.zero = int(at[np.argmax(rec.running())])
         self._tally = Tally()
         self._tally.add(samples)
@@ -607,8 +661,13 @@ class PastSource:
             # Nobody woke for these ticks: they were computed.
             self._tally.forget_waking()
         self._rec = rec
-        self._found = summary.summarize(rec)
-        self._alarms = [n.text for n in summary.notices(self._found) if n.level == "alarm"]
+        self._cause, self._alarms = "", list[str]()
+        # Of several axes the reason of the end has the cause, and nobody judges yet.
+        if not rec.axis_names:
+            found = summary.summarize(rec)
+            cause = "" if found.ended_by is None else found.ended_by.cause
+            self._cause = found.ending or (in_words(cause) if cause else "")
+            self._alarms = [n.text for n in summary.notices(found) if n.level == "alarm"]
 
     def poll(self) -> None:
         """Nothing comes."""
@@ -627,10 +686,10 @@ class PastSource:
     def status(self) -> dict[str, Any]:
         """Return what there is to say besides the rows."""
         meta = self._rec.meta
-        cause = "" if self._found.ended_by is None else self._found.ended_by.cause
         told = _nothing() | {
             "state": self.state,
-            "cause": self._found.ending or (in_words(cause) if cause else ""),
+            "cause": self._cause,
+            "axes": list(self._rec.axis_names),
             "attention": self._alarms,
             "test": str(meta.get("test_name", "")),
             "ended": True,

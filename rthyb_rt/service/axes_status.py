@@ -24,6 +24,7 @@ def of_axes(engine: Engine) -> dict[str, dict[str, Any]]:
     if not isinstance(rig, AxesRig):
         return {}
     delays = engine.loop.axis_delays
+    wanted = _wanted(rig, engine.newest)
     found = {}
     for k, (name, way, delay) in enumerate(zip(rig.names, engine.ways, delays, strict=True)):
         row = engine.newest
@@ -31,6 +32,7 @@ def of_axes(engine: Engine) -> dict[str, dict[str, Any]]:
         values = {field: _value(row, f"{field}.{k}" if k else field) for field in _FIELDS}
         values |= {field: _value(row, f"{field}_{k}" if k else field) for field in _CHANNELS}
         found[name] = {
+            "x_num_m": wanted[k],
             **values,
             "link_down": way.link.down,
             "drive_stopped": stopped,
@@ -38,6 +40,16 @@ def of_axes(engine: Engine) -> dict[str, dict[str, Any]]:
             "wire": way.wire.counters(),
             "wire_counters": way.link.counters(),
         }
+    return found
+
+
+def _wanted(rig: AxesRig, row: np.void | None) -> list[float | None]:
+    """Return where the numerical part wants each axis, m."""
+    pose = [_value(row, f"x_num_m_{j}" if j else "x_num_m") for j in range(len(rig.axis))]
+    given = [value for value in pose if value is not None and np.isfinite(value)]
+    if len(given) < len(pose):
+        return [None] * len(pose)
+    found: list[float | None] = rig.core_kinematics().axes(given)[0].tolist()
     return found
 
 

@@ -13,7 +13,7 @@ from rthyb_rt.lab.realtime.conducting import run
 from rthyb_rt.lab.realtime.conductor import FEEDBACK_S, NEEDED, Conductor, link_delay
 from rthyb_rt.lab.realtime.keeper import RECORDER_PERIOD_S
 from rthyb_rt.lab.realtime.live_run import LiveRun
-from rthyb_rt.lab.realtime.replaying import first_cause, replay
+from rthyb_rt.lab.realtime.replaying import first_cause, first_cause_in_words, replay
 from rthyb_rt.lab.realtime.session import Session
 from rthyb_rt.lab.sequence import Operator
 
@@ -30,6 +30,7 @@ __all__ = [
     "TimingError",
     "end_reason",
     "first_cause",
+    "first_cause_in_words",
     "link_delay",
     "replay",
     "run",

@@ -15,7 +15,8 @@ from rthyb_rt.core import FLAGS
 from rthyb_rt.core.wire import Codec
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import experiment
+from rthyb_rt.lab import experiment, trips
+from rthyb_rt.lab.endings import in_words
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording, require_replayable
 
@@ -49,6 +50,26 @@ def first_cause(rec: Recording) -> tuple[str, float, float]:
     """
     station = _rerun(rec)[2]
     return station.cause, station.cause_value, station.cause_limit
+
+
+def first_cause_in_words(rec: Recording) -> str:
+    """Return it for people, with its figures and whose of several axes it is; "": there is none.
+
+    Raises:
+        InputError: as of `first_cause`.
+    """
+    station = _rerun(rec)[2]
+    if station.cause == "none":
+        return ""
+    direction = station.cause_interface
+    whose = trips.whose(station.cause_axis, direction, rec.axis_names, rec.interface_names)
+    turns = False
+    if direction is not None and rec.interface_names:
+        rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
+        turns = isinstance(rig, AxesRig) and rig.kinematics.turns()[direction]
+    met = station.cause, station.cause_value, station.cause_limit
+    told = trips.figures(*met, turns=turns) or in_words(station.cause)
+    return f"{whose}: {told}" if whose else told
 
 
 def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:

@@ -13,6 +13,8 @@ let hello = null, status = null, store = null, send = () => false, connected = f
 let following = true, seconds = 10, shown = [0, 0], playing = 0;
 let dirty = false, numbersDue = 0, rowsCame = 0, lastRow = -1, shownState = NO_STATE;
 let heard = 0, deafLooks = 0;
+// Of several axes one is shown, with the channels of a rig of one.
+let axes = [], axis = 0;
 
 // What the tests and the benchmark look at: newest row painted, and when (Unix time, ms).
 const drawn = [];
@@ -59,7 +61,7 @@ function draw() {
   loop.draw(store.loop, [head.values[CHANNEL.measured], head.values[CHANNEL.force]]);
   if (performance.now() >= numbersDue || !following) {
     numbersDue = performance.now() + NUMBERS_MS;
-    numbers(hello.past || (following && flows()) || !status || !status.now ? head.values : status.now);
+    numbers(hello.past || (following && flows()) || !status || !status.now ? head.values : newest());
     sayShown();
   }
   tell();
@@ -78,6 +80,9 @@ function animate() {
 }
 
 // ---- numbers and words --------------------------------------------------------------------------
+
+// What was said of the axis that is shown.
+function newest() { const n = hello.channels.length; return status.now.slice(axis * n, (axis + 1) * n); }
 
 function peak(channel) {
   let most = 0;
@@ -181,8 +186,29 @@ function onStatus(found) {
   $("wake").textContent = wake.max_us > 0 ? `p50 ${micro(wake.p50_us)}, p99 ${micro(wake.p99_us)}, longest ${micro(wake.max_us)}` : hello.past ? "not in real time" : "";
   histogram.draw(hello.edges_us, wake.counts, wake.p99_us);
   enable();
-  if (store.head && found.now && !(following && flows())) numbers(found.now);
+  showAxes(found.axes);
+  if (store.head && found.now && !(following && flows())) numbers(newest());
   tell();
+}
+
+function showAxes(names) {
+  if (names.join("\n") === axes.join("\n")) return;
+  axes = names;
+  $("axes").hidden = !names.length;
+  $("axes").replaceChildren(...names.map((name, k) => {
+    const made = document.createElement("button");
+    made.textContent = name;
+    made.addEventListener("click", () => turnTo(k));
+    return made;
+  }));
+  turnTo(axis < names.length ? axis : 0);
+}
+
+function turnTo(k) {
+  axis = k;
+  [...$("axes").children].forEach((button, i) => button.setAttribute("aria-current", String(i === k)));
+  store.clear();
+  ask(true);
 }
 
 // Only what is new: whoever has the page read out hears each sentence once.
@@ -286,8 +312,8 @@ function position(atSeconds) { return store.zero + atSeconds * hello.fs_hz; }
 function columns() { return Math.max(64, Math.min(2048, Math.round($("displacement").clientWidth - 68))); }
 
 function ask(withOutline) {
-  if (following) send({ view: { follow: true, seconds, columns: columns() } });
-  else send({ view: { first: shown[0], last: shown[1], columns: columns(), outline: withOutline === true } });
+  if (following) send({ view: { follow: true, seconds, columns: columns(), axis } });
+  else send({ view: { first: shown[0], last: shown[1], columns: columns(), outline: withOutline === true, axis } });
 }
 
 function look(first, last, withOutline) {
