@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,16 +108,32 @@ def _from_rig(path: Path, schema: str) -> Model:
     return model_of_rig(rig, test, core.FS_HZ if test is None else test.test.sample_rate_hz)
 
 
-def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model:
-    """Return the model that a rig file (and, for the numerical part, a test file) stands for.
+@dataclass(frozen=True)
+class _Plain:
+    """A rig's specimen and table as the plain numbers of a model, see `Model`.
 
-    Args:
-        rig, test: the files.
-        fs_hz: rows a second of what is simulated with it.
+    Attributes:
+        k, c, moving_mass: N/m, N s/m, kg.
+        bouc_wen: the yielding spring whose elastic stiffness ``k`` is; None: there is none.
+        extra: elements that none of these numbers stands for.
+    """
+
+    k: float
+    c: float
+    moving_mass: float
+    bouc_wen: BoucWen | None
+    extra: tuple[core.ElementConfig, ...]
+
+
+def _plain_of(rig: Any) -> _Plain:
+    """Return what the elements of a rig's specimen and table come to.
+
+    Raises:
+        InputError: one of them is a class of the user's own.
     """
     from rthyb_rt.lab.experiment import specimen_elements, table_elements
 
-    k = c = mass = 0.0
+    k = yielding_k = c = mass = 0.0
     bouc_wen = None
     extra: list[core.ElementConfig] = []
     for item in (*specimen_elements(rig), *table_elements(rig)):
@@ -137,21 +153,30 @@ def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model
         elif (
             item.kind == "hysteresis" and bouc_wen is None and p["a"] == 1.0 and p["b"] + p["c"] > 0
         ):
-            xy = (p["b"] + p["c"]) ** (-1.0 / p["eta"])
-            bouc_wen = BoucWen(
-                p["post_yield_ratio"],
-                xy,
-                p["eta"],
-                p["c"] * xy ** p["eta"],
-                p["b"] * xy ** p["eta"],
-            )
-            extra_k = p["k_n_per_m"]
+            bouc_wen, yielding_k = _yielding(p), p["k_n_per_m"]
         else:
             extra.append(item)
     if bouc_wen is not None:
         if k:
             extra.append(core.element("stiffness", k_n_per_m=k))
-        k = extra_k
+        k = yielding_k
+    return _Plain(k, c, mass, bouc_wen, tuple(extra))
+
+
+def _yielding(p: dict[str, float]) -> BoucWen:
+    """Return the yielding of a hysteretic element with these parameters."""
+    xy, eta = (p["b"] + p["c"]) ** (-1.0 / p["eta"]), p["eta"]
+    return BoucWen(p["post_yield_ratio"], xy, eta, p["c"] * xy**eta, p["b"] * xy**eta)
+
+
+def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model:
+    """Return the model that a rig file (and, for the numerical part, a test file) stands for.
+
+    Args:
+        rig, test: the files.
+        fs_hz: rows a second of what is simulated with it.
+    """
+    plain = _plain_of(rig)
     numerical_m = numerical_c = 0.0
     if test is not None:
         # In the laboratory's time, as all that was recorded.
@@ -162,18 +187,18 @@ def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model
     return Model(
         family="loop",
         fs_hz=fs_hz,
-        k=k,
-        c=c,
-        moving_mass=mass,
+        k=plain.k,
+        c=plain.c,
+        moving_mass=plain.moving_mass,
         k_tol=POLICY.model_k_tol,
         c_tol=POLICY.model_c_tol,
-        bouc_wen=bouc_wen,
+        bouc_wen=plain.bouc_wen,
         actuator=_rig_actuator(rig, fs_hz),
         mass=numerical_m,
         c_num=numerical_c,
         x_std=sensors.displacement.noise_std_m or None,
         f_std=sensors.force.noise_std_n or None,
-        extra=tuple(extra),
+        extra=plain.extra,
         rig=rig,
         plc=_weights(test) if test is not None else None,
         rfc=test.controller.rfc.enabled if test is not None else None,

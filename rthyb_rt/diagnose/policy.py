@@ -103,6 +103,12 @@ class Policy:
         "What the best set leaves from which on triples, and other laws of friction, are tried.",
     )  # fmt: skip
 
+    changed_numbers: float = _entry(
+        3.5, "standard deviations", "physics",
+        "How far beyond chance the numbers of a set may be others in a part of the recording.",
+        "one in four thousand by chance, of five parts one in nine hundred",
+    )  # fmt: skip
+
     # ---- which of several sets is named --------------------------------------------------------
     same_evidence: float = _entry(
         9.0, "chi-squared", "physics",
@@ -354,6 +360,11 @@ class Policy:
         1.25, "times", "physics", "Times its data sheet that noise may be, or its inverse.",
         "sheets are right within 20 per cent (interchange format): 1 / 0.8",
     )  # fmt: skip
+    power_scatter: float = _entry(
+        3.0, "standard deviations", "physics",
+        "By how much the power of what is left may exceed that of its noise over so few rows.",
+        "three standard deviations of chi-squared",
+    )  # fmt: skip
     noise_burst: float = _entry(
         1.35, "times", "judgement",
         "Times its rms over all that noise may have over a second of it: more is an event.",
@@ -457,6 +468,10 @@ class Policy:
     rounded_rows: float = _entry(
         0.02, "part of the rows", "judgement",
         "Rows beyond half a step and the noise where the model alone is right.",
+    )  # fmt: skip
+    rounded_noise: float = _entry(
+        3.0, "standard deviations of noise", "physics",
+        "What a row may lie beyond half a step for noise.", "three standard deviations",
     )  # fmt: skip
     rounded_outside: float = _entry(
         0.002, "part of the rows", "judgement",
@@ -672,6 +687,11 @@ class Policy:
     located_white: float = _entry(
         5.0, "times", "judgement",
         "Times the residual where the motion is known, from which all of it is mere noise.",
+    )  # fmt: skip
+    located_mean_s: float = _entry(
+        0.02, "s", "judgement",
+        "Time over which noise is averaged where something unknown is located: shorter than a "
+        "stop or a slip, at any rate of rows.",
     )  # fmt: skip
     located_noise: float = _entry(
         3.5, "standard deviations", "judgement", "What stands out of the averaged noise.",

@@ -81,18 +81,23 @@ def read_case(
         raise InputError(
             f"has {t.size} rows; a diagnosis needs at least {POLICY.least_rows}", where
         )
-    labels = lab.labels if lab is not None else None
-    stated = lab.stated if lab is not None else CHANNELS
-    if beside is not None:
-        sizes.check_against(beside.channels, channels, where, labels or {})
-    if t.size >= POLICY.least_rows:
-        clean = dict(channels)
-        if not judged:
-            _spikes(clean, [])  # a stray reading has no size that says anything
-        sizes.check(clean, model, where, labels, stated)
+    _of_a_size(case, where, lab, judged, beside)
     if judged:
         _means_nothing(case, where)
     return case
+
+
+def _of_a_size(case: Case, where: str, lab: Lab | None, judged: bool, beside: Case | None) -> None:
+    """Refuse channels whose sizes go neither with the model nor with the recording beside it."""
+    labels = lab.labels if lab is not None else None
+    stated = lab.stated if lab is not None else CHANNELS
+    if beside is not None:
+        sizes.check_against(beside.channels, case.channels, where, labels or {})
+    if case.t.size >= POLICY.least_rows:
+        clean = dict(case.channels)
+        if not judged:
+            _spikes(clean, [])  # a stray reading has no size that says anything
+        sizes.check(clean, case.model, where, labels, stated)
 
 
 def _run(path: Path) -> Recording | None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt.diagnose import estimate, evidence, noise, verdict
+from rthyb_rt.diagnose import estimate, evidence, noise, steady, verdict
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.force import RIVALS, Search
@@ -107,8 +107,7 @@ def by_the_sheet(search: Search) -> bool:
         # What the estimate of the motion adds has no sheet; the colour was held within its own.
         white = found.whiten(rest)[found.rows]
         count = found.share * white.size
-        # Three standard deviations of the power of so few rows.
-        most = 1.0 + POLICY.excess_as_noise + 3.0 * np.sqrt(2.0 / count)
+        most = 1.0 + POLICY.excess_as_noise + POLICY.power_scatter * np.sqrt(2.0 / count)
         return float(white @ white) < most * count and noise.steady(white, case.fs_hz)
     return "f_meas" in case.channels and noise.mere(
         rest[found.rows], found.whiten(rest)[found.rows], sheet * (1.0 + found.scatter), case.fs_hz
@@ -161,6 +160,8 @@ def asked(search: Search, ctx: Context | None, what: Asked) -> Any:
         return by_the_sheet(search)
     if what == "simulated":
         return simulated(search)
+    if what == "changes":
+        return {c.part: c.deviations for c in steady.changes(search.problem, search.best)}
     return None if ctx is None else strength(search, ctx)
 
 
@@ -171,7 +172,7 @@ def beyond(search: Search, fit: Fit, lsb_n: float) -> float:
     """Return the part of the rows that a fit leaves by more than rounding and noise can."""
     problem = search.problem
     rest = left_by(search, fit)
-    reach = 0.5 * lsb_n + 3.0 * (problem.case.model.f_std or 0.0)
+    reach = 0.5 * lsb_n + POLICY.rounded_noise * (problem.case.model.f_std or 0.0)
     return float(np.mean(np.abs(rest[problem.rows]) > reach))
 
 
@@ -213,7 +214,7 @@ def within_rounding(search: Search, lsb_n: float) -> Search:
 
 
 def without_noise(residual: Floats, noise: float, fs_hz: float, share: float = 1.0) -> Floats:
-    """Return a residual with its noise averaged down over a fiftieth of a second.
+    """Return a residual with its noise averaged down over a short time.
 
     Args:
         residual: (n,).
@@ -221,7 +222,7 @@ def without_noise(residual: Floats, noise: float, fs_hz: float, share: float = 1
         fs_hz: rows per second.
         share: part of the band in which there is any: slower noise is not averaged down.
     """
-    k = max(int(0.02 * fs_hz) | 1, 1)
+    k = max(int(POLICY.located_mean_s * fs_hz) | 1, 1)
     smooth = np.convolve(np.pad(residual, k // 2, mode="edge"), np.ones(k) / k, mode="valid")
     level = noise * np.sqrt(min(share, 1.0 / k))
     return np.where(np.abs(smooth) > POLICY.located_noise * level, smooth, 0.0)

@@ -836,7 +836,7 @@ def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit |
     for _ in range(steps):
         design = _design(problem, members, blocks, places, fit)
         gram = design.T @ design
-        prior = _prior_gram(problem, members, len(places), gram.shape[0])
+        prior = priors_of(problem, members, len(places), gram.shape[0])
         # Units must not matter: columns are brought to one size.
         unit = 1.0 / np.sqrt(np.maximum(gram.diagonal() + prior.diagonal(), 1e-300))
         held = np.r_[np.zeros(len(places)), *fit.betas, fit.nuisance]
@@ -877,7 +877,7 @@ def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit |
     return _with_covariance(problem, members, design, len(places), fit)
 
 
-def _prior_gram(problem: Problem, members: Sequence[Member], first: int, size: int) -> Floats:
+def priors_of(problem: Problem, members: Sequence[Member], first: int, size: int) -> Floats:
     extra = np.zeros((size, size))
     j = first
     for m in members:
@@ -969,7 +969,7 @@ def _with_covariance(
     problem: Problem, members: Sequence[Member], design: Floats, shapes: int, fit: Fit
 ) -> Fit:
     """Put the joint covariance of (log shapes, coefficients, nuisance) in."""
-    gram = design.T @ design + _prior_gram(problem, members, shapes, design.shape[1])
+    gram = design.T @ design + priors_of(problem, members, shapes, design.shape[1])
     scale = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
     inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True)
     fit.covariance = inverse / np.outer(scale, scale)

@@ -15,7 +15,7 @@ from rthyb_rt.diagnose.policy import Policy, of_size
 
 Said = Literal["none", "explained", "ambiguous", "unknown"]
 Names = tuple[str, ...]
-Asked = Literal["sheet", "simulated", "strength"]
+Asked = Literal["sheet", "simulated", "strength", "changes"]
 
 
 # ---- evidence -----------------------------------------------------------------------------------
@@ -127,7 +127,8 @@ class Seen:
         known: answers to what was asked: "sheet", whether what the set leaves is within the load
             cell's data sheet; "simulated", None where the motion does not decide; "strength", the
             set's one effect over the standard deviation of its interval, squared; None where it
-            has no size.
+            has no size; "changes", how far beyond chance the set's numbers are others in a part
+            of the recording, by that part in words, in standard deviations.
     """
 
     force: Left | None = None
@@ -172,9 +173,9 @@ class _Court:
             raise _Unknown(what)
         return self.seen.known[what]
 
-    def rules(self, rule: str, names: Names, found: float, wanted: float) -> None:
-        """Write down a rule that has turned the answer."""
-        self.ledger.append(Ruling(rule, names, found=found, wanted=wanted))
+    def rules(self, rule: str, names: Names, found: float, wanted: float, part: str = "") -> None:
+        """Write down a rule that has turned the answer, and the part of the data that it read."""
+        self.ledger.append(Ruling(rule, names, part, found, wanted))
 
 
 # ---- whether what is left is known to be nothing more -------------------------------------------
@@ -232,6 +233,9 @@ def understood(left: Left, policy: Policy, sheet: Callable[[], bool]) -> bool:
         blurred = small(left, left.part_before, policy) and within(left.bent, policy)
         return not left.coloured and (nothing or left.naive or blurred)
     above = left.scale < policy.colourless and left.after < policy.colourless_excess
+    if at_noise and left.coloured:
+        # Noise that takes any colour has taken up what stays within the sheet, and that alone.
+        return False
     if (at_noise or above) and not left.coloured:
         # At the noise, or above it without colour: the data sheet's figure is low. Noise that takes
         # any colour to fit is to be as large as the sheet says, and no event.
@@ -294,6 +298,22 @@ def chance(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     return False, known
 
 
+def steady(court: _Court, left: Left, named: bool, known: bool) -> Turn:
+    """A law has the same numbers in every part of a recording; one that stands in for it has not.
+
+    Not beside a naive model, whose laws are all of some other form, nor of a simulated motion,
+    which is fitted as a whole.
+    """
+    if not named or left.naive or left.moved:
+        return named, known
+    changes: Mapping[str, float] = court.ask("changes")
+    part = max(changes, key=changes.__getitem__, default="")
+    if not part or changes[part] <= court.policy.changed_numbers:
+        return named, known
+    court.rules("steady", left.names, changes[part], court.policy.changed_numbers, part)
+    return False, False
+
+
 def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     """Where all that the model leaves is what rounding leaves, no force law is missing.
 
@@ -316,7 +336,7 @@ def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 TURNS: dict[str, Callable[[_Court, Left, bool, bool], Turn]] = {
-    "blur": blur, "motion": motion, "chance": chance, "steps": steps,
+    "blur": blur, "motion": motion, "chance": chance, "steady": steady, "steps": steps,
 }  # fmt: skip
 """Rules that take the set of the force back, or say that what it leaves is known, in turn."""
 

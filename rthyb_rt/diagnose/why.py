@@ -436,6 +436,7 @@ TURNED = {
     "motion": "the model alone simulates the measured motion, within its tolerances and the "
     "sensor's noise",
     "chance": "the best set is no larger than what noise of this colour makes by chance",
+    "steady": "the best set has other numbers in one part of the recording than in the rest",
     "steps": "what the model leaves is what the load cell's steps leave",
 }
 """What each rule of `verdict` that takes a set back says."""
@@ -454,6 +455,13 @@ def _verdict(d: Diagnosis) -> str:
                 f"{_percent(after)}"
             )
     if d.verdict == "unknown":
+        changed = next((r for r in d.ledger if r.rule == "steady"), None)
+        if changed is not None:
+            return (
+                f"unknown: {_words(changed.names)} would have other numbers in {changed.part} than "
+                f"in the rest ({changed.found:.1f} standard deviations, where chance explains "
+                f"{changed.wanted:g}), and so stands for a law that is not known"
+            )
         if d.disp is not None and not d.disp.known:
             left = _percent(d.disp.left)
             return f"unknown: the best set of the actuator leaves {left} of the misfit"

@@ -1,0 +1,112 @@
+"""Whether the numbers of a set are the same in every part of a recording.
+
+A law has one set of numbers. Laws that stand in for one which is in no catalogue take up its force
+with other numbers early than late, or in fast motion than in slow, and what they leave may be small
+enough to pass for noise all the same. So the rows of a recording are parted by time and by the
+motion, each part is given numbers of its own, and what that earns is held against chance (Chow,
+Econometrica 28 (1960) 591). The law of a right name is only near, too: beside it stand its
+`form.neighbours`, no larger than a form may be off, and what they explain as well is no evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.diagnose import evidence
+from rthyb_rt.diagnose.case import Floats
+from rthyb_rt.diagnose.form import neighbours
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.select import Fit, Problem, design_of, inflation, priors_of
+
+
+@dataclass(frozen=True)
+class Change:
+    """What numbers of its own in a part of the recording earn a set.
+
+    Attributes:
+        part: of which rows, in words.
+        fall: of chi-squared, over what rows that hang together overstate it.
+        count: how many numbers.
+    """
+
+    part: str
+    fall: float
+    count: int
+
+    @property
+    def deviations(self) -> float:
+        """How far that is beyond chance, in standard deviations of a normal distribution.
+
+        By the cube root of chi-squared a number (Wilson and Hilferty, PNAS 17 (1931) 684).
+        """
+        spread = 2.0 / (9.0 * self.count)
+        root = float(np.cbrt(max(self.fall, 0.0) / self.count))
+        return (root - (1.0 - spread)) / float(np.sqrt(spread))
+
+
+def changes(problem: Problem, fit: Fit) -> tuple[Change, ...]:
+    """Return what a set's numbers earn by being others in parts of the recording.
+
+    Of a fit in the balance of forces; none where it has no numbers, or was refined elsewhere.
+    """
+    slopes = design_of(problem, fit) if fit.members else np.zeros((0, 0))
+    if slopes.shape[0] != fit.residual.size or fit.residual.size == 0:
+        return ()
+    # The nuisance is one for all of the recording.
+    own = slopes[:, : slopes.shape[1] - fit.nuisance.size]
+    near = _near(problem, fit)
+    design = np.column_stack([slopes, near])
+    prior = np.zeros((design.shape[1],) * 2)
+    shapes = sum(len(m.trial.theta) for m in fit.members)
+    prior[: slopes.shape[1], : slopes.shape[1]] = priors_of(
+        problem, fit.members, shapes, slopes.shape[1]
+    )
+    at = np.arange(slopes.shape[1], design.shape[1])
+    prior[at, at] = POLICY.form_error**-2
+    before = _left(design, prior, fit.residual)[0]
+    out = []
+    for part, rows in _parts(problem):
+        apart = np.column_stack([design, np.where(rows[:, None], own, 0.0)])
+        wide = np.pad(prior, (0, own.shape[1]))
+        after, rest = _left(apart, wide, fit.residual)
+        out.append(Change(part, (before - after) / inflation(rest), own.shape[1]))
+    return tuple(out)
+
+
+def _near(problem: Problem, fit: Fit) -> Floats:
+    """Return the neighbours of the laws of a set as they are judged, (rows, m)."""
+    ctx = problem.ctx
+    over = [(ctx.x, ctx.x_range), (ctx.v, ctx.v_range)]
+    columns = [
+        problem.seen(column)
+        for i, member in enumerate(fit.members)
+        if not member.effect.sensor
+        for column in neighbours(evidence.contribution(problem, fit, i), over)
+    ]
+    return np.column_stack(columns) if columns else np.zeros((fit.residual.size, 0))
+
+
+def _parts(problem: Problem) -> list[tuple[str, NDArray[np.bool_]]]:
+    """Return one of two parts of the judged rows each, (rows,), in which numbers may be others."""
+    x, v = problem.ctx.x[problem.rows], problem.ctx.v[problem.rows]
+    far, fast, row = np.abs(x), np.abs(v), np.arange(x.size)
+    return [
+        ("the second half of the recording", row >= x.size // 2),
+        ("large displacements", far > float(np.median(far))),
+        ("fast motion", fast > float(np.median(fast))),
+        ("displacements to one side", x > float(np.median(x))),
+        ("motion in one direction", v > 0.0),
+    ]
+
+
+def _left(design: Floats, prior: Floats, residual: Floats) -> tuple[float, Floats]:
+    """Return chi-squared of least squares with its priors, and what is left, (rows,)."""
+    gram = design.T @ design + prior
+    unit = 1.0 / np.sqrt(np.maximum(gram.diagonal(), 1e-300))
+    right = unit * (design.T @ residual)
+    beta = unit * np.linalg.lstsq(gram * np.outer(unit, unit), right, rcond=1e-10)[0]
+    rest = residual - design @ beta
+    return float(rest @ rest + beta @ prior @ beta), rest

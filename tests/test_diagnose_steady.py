@@ -1,0 +1,91 @@
+"""A law has one set of numbers: what has others early, or in fast motion, stands for another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
+
+import numpy as np
+import pytest
+from diagnose_cases import F_STD, FS, C, K, M, command, moved
+from scipy.stats import chi2, norm
+
+from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.diagnose import effects, engine, steady
+from rthyb_rt.diagnose.case import Case, Floats, Model
+from rthyb_rt.diagnose.estimate import Estimate
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.select import Member, Problem, refine
+
+Force = Callable[[Floats, Floats, Floats], Floats]
+"""A force that is left out, N, of time, displacement and velocity."""
+
+
+def changes_of(force: Force, *names: str, seed: int = 1) -> dict[str, float]:
+    """How far beyond chance the numbers of a set are others, by part of the recording."""
+    x, v, a = moved(command())
+    t = np.arange(x.size) / FS
+    model = Model("drive", FS, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.15, f_std=F_STD)
+    noise = F_STD * np.random.default_rng(seed).standard_normal(x.size)
+    f_meas = K * x + C * v + M * a + force(t, x, v) + noise
+    rows = np.ones(x.size, dtype=np.bool_)
+    case = Case("drive", model, t, {"x_meas": x, "x_cmd": x, "f_meas": f_meas}, rows)
+    found = Estimate(Motion(x, v, a), f_meas, rows, lambda y: y / F_STD, F_STD, True)
+    laws = effects.catalogue()
+    problem = Problem(case, engine.context_of(case, found), found, laws.values())
+    shapes = product(*(laws[n].trials(problem.ctx) for n in names))
+    sets = [[Member(laws[n], s) for n, s in zip(names, own, strict=True)] for own in shapes]
+    fit = min(filter(None, (refine(problem, m) for m in sets)), key=lambda f: f.chi2)
+    return {c.part: c.deviations for c in steady.changes(problem, fit)}
+
+
+SECOND_HALF = "the second half of the recording"
+DIRECTION, FAST = "motion in one direction", "fast motion"
+
+
+@pytest.mark.parametrize(
+    ("force", "names", "part"),
+    [
+        (lambda t, x, v: 3e3 * np.maximum(v, 0.0), ("viscous", "bias"), DIRECTION),
+        (lambda t, x, v: 2e3 * v * (t > 4.0), ("viscous",), SECOND_HALF),
+        (lambda t, x, v: 800.0 * np.tanh(v / 0.02), ("viscous",), FAST),
+    ],
+    ids=["a damper that grips one way only", "a damper that wears in", "friction as a damper"],
+)  # fmt: skip
+def test_laws_that_stand_in_for_another_have_other_numbers_elsewhere(
+    force: Force, names: tuple[str, ...], part: str
+) -> None:
+    found = changes_of(force, *names)
+    assert max(found, key=found.__getitem__) == part
+    assert found[part] > POLICY.changed_numbers
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("force", "names"),
+    [
+        (lambda t, x, v: 2e3 * v, ("viscous",)),
+        (lambda t, x, v: 60.0 * np.sign(v) + 4e8 * x**3, ("coulomb", "cubic")),
+        (lambda t, x, v: (40.0 + 50.0 * np.exp(-((v / 0.02) ** 2))) * np.sign(v), ("stribeck",)),
+        (lambda t, x, v: 20.0 + 10.0 * t, ("drift", "bias")),
+    ],
+    ids=["a damper", "friction and a hardening spring", "a Stribeck peak", "a cell that drifts"],
+)  # fmt: skip
+def test_a_law_has_the_same_numbers_everywhere(
+    force: Force, names: tuple[str, ...], seed: int
+) -> None:
+    assert max(changes_of(force, *names, seed=seed).values()) < POLICY.changed_numbers
+
+
+@pytest.mark.parametrize("part", [1.0, 0.98, 0.95])
+def test_the_form_of_a_law_is_no_change_of_its_numbers(part: float) -> None:
+    """A damper of a power of velocity near one: a smooth function of velocity times a dashpot."""
+    found = changes_of(lambda t, x, v: 2e3 * np.sign(v) * np.abs(v) ** part, "viscous")
+    assert max(found.values()) < POLICY.changed_numbers
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 8])
+@pytest.mark.parametrize("deviations", [0.0, 1.0, 2.0, 3.5])
+def test_chance_is_that_of_chi_squared(count: int, deviations: float) -> None:
+    fall = float(chi2.isf(norm.sf(deviations), count))
+    assert steady.Change("", fall, count).deviations == pytest.approx(deviations, abs=0.15)
