@@ -140,9 +140,3 @@ def test_rthyb_identify_writes_the_matrix_of_responses(rthyb: Rthyb, tmp_path: P
     assert np.array(told["stiffness"]) == pytest.approx(
         np.array(written.specimen.stiffness), rel=0.01
     )
-
-
-def test_several_axes_are_not_swept_in_real_time(rthyb: Rthyb) -> None:
-    done = rthyb("identify", "two-axis-frame", "--realtime")
-    assert done.code == 3
-    assert "several axes (upper, lower)" in done.err

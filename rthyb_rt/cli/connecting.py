@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rthyb_rt.config.rigfile import Link
     from rthyb_rt.core.loop import Clock
     from rthyb_rt.rig.commissioning.moving import Connection
+    from rthyb_rt.rig.identify_axes_live import AxesConnection
     from rthyb_rt.rig.links.opened import Opened
 
 K_E = "elastic_stiffness_n_per_m"
@@ -196,6 +197,24 @@ def connected(within: Within) -> Iterator[Connection]:
             told=interrupts.told,
             warn=lambda text: terminal.tell(f"warning: {text}"),
             # A virtual rig of its own has no other operator.
+            resets=rig.link is None,
+        )
+
+
+@contextmanager
+def connected_axes(rig: AxesRig) -> Iterator[AxesConnection]:
+    """Give all axes of a rig within reach; a Ctrl-C stops what moves."""
+    from rthyb_rt.rig.identify_axes_live import AxesConnection
+
+    clock = clock_of(rig)
+    with opened_link(rig, clock) as (opened, before_tick):
+        yield AxesConnection(
+            rig,
+            opened,
+            clock,
+            before_tick,
+            told=interrupts.told,
+            warn=lambda text: terminal.tell(f"warning: {text}"),
             resets=rig.link is None,
         )
 

@@ -10,11 +10,10 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from rthyb_rt.cli import interrupts, quantities, terminal
-from rthyb_rt.cli.connecting import Within, connected, load_axes_rig, load_rig
+from rthyb_rt.cli.connecting import Within, connected, connected_axes, load_axes_rig, load_rig
 from rthyb_rt.cli.folders import publish, staged
 from rthyb_rt.cli.inputs import JsonOption, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
-from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.config import AxesRig, RigFile
@@ -95,7 +94,7 @@ def identify(
     )
     several = load_axes_rig(rig, settings)
     if several is not None:
-        _identify_axes(several[0], sweep, out, realtime=realtime, as_json=as_json)
+        _identify_axes(*several, sweep, out, realtime=realtime, as_json=as_json)
         return
     given, given_path = load_rig(rig, settings)
     if realtime:
@@ -182,23 +181,30 @@ def _written(text: str, name: str, started: datetime.datetime, out: Path | None)
 
 
 def _identify_axes(
-    rig: AxesRig, sweep: Sweep, out: Path | None, *, realtime: bool, as_json: bool
+    rig: AxesRig, rig_path: Path, sweep: Sweep, out: Path | None, *, realtime: bool, as_json: bool
 ) -> None:
     from rthyb_rt import config
     from rthyb_rt.core import FS_HZ
     from rthyb_rt.rig import identify_axes
+    from rthyb_rt.rig.commissioning import certificate
+    from rthyb_rt.rig.identify_axes_live import identify_axes_live
 
     if realtime:
-        raise InputError(
-            f'rig "{rig.rig.name}" has several axes ({", ".join(rig.names)}), which are swept in '
-            "virtual time alone; leave --realtime out",
-            "--realtime",
-        )
+        # As of one axis: the signs must be known before a sweep.
+        certificate.demand(rig, rig_path)
     started = datetime.datetime.now(datetime.UTC)
-    with terminal.progress("Identifying", sweep.ticks * len(rig.axis), FS_HZ) as progress:
-        result = identify_axes.identify_rig(rig, sweep, progress)
+    with contextlib.ExitStack() as stack:
+        connection = stack.enter_context(connected_axes(rig)) if realtime else None
+        ticks = sweep.ticks * len(rig.axis)
+        progress = stack.enter_context(terminal.progress("Identifying", ticks, FS_HZ))
+        if connection is None:
+            result = identify_axes.identify_rig(rig, sweep, progress)
+        else:
+            result = identify_axes_live(connection, sweep, progress)
     filled = identify_axes.identified_rig(rig, result)
     path = _written(config.dump(filled), rig.rig.name, started, out)
+    if realtime:
+        certificate.carry(rig, rig_path, path)
     file = terminal.people(as_json)
     _print_axes(rig, result, file)
     print(f"\nRig file  {path}\nNext      rthyb run TEST.toml --rig {path}", file=file)

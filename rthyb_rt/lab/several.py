@@ -77,7 +77,7 @@ def prepare(
     ordered = in_order(test, rig)
     expected = reference_of(test, rig, derived.structure, ag)
     x, v, force = expected.x, expected.v, expected.force
-    derived = _following(rig, derived, expected.axis_m, expected.axis_n)
+    derived = following(rig, derived, expected.axis_m, expected.axis_n)
     group = Group(rig, derived, axes_rig.rig_config(rig, derived.fs_hz), expected)
     resolved = resolve_axes(ordered, rig, derived)
     reference = np.zeros(ag.size, experiment.REFERENCE_DTYPE)
@@ -129,7 +129,7 @@ def _refuse_what_is_of_one(test: TestFile) -> None:
         )
 
 
-def _following(rig: AxesRig, derived: AxesDerived, axis_m: Floats, pushed: Floats) -> AxesDerived:
+def following(rig: AxesRig, derived: AxesDerived, axis_m: Floats, pushed: Floats) -> AxesDerived:
     """Fill in the limits that follow from what the reference asks of each axis.
 
     HOLD and ramp-out brake all axes alike, as hard as the one that needs it most.

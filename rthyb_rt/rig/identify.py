@@ -260,31 +260,37 @@ def _found(rig: RigFile, moved: Moved, parts: list[Part]) -> Result:
     running = moved.running[1:]
     if moved.cause != "completed":
         raise _broken_off(moved, parts, running.size)
-    _check_not_limited(running, parts)
+    check_not_limited(running, parts)
     signals = _Signals(
         running["x_cmd_m"], running["x_meas_m"], running["f_meas_n"], moving.fresh(running)
     )
-    _check_read(signals, parts)
+    check_read(signals.read, parts)
     found = _result(rig, signals, parts, (moved.start_m, moved.start_n))
     left_out = int(np.count_nonzero(~signals.read))
     return replace(found, left_out=left_out, recording=moved.recording)
 
 
 def result_of(
-    rig: RigFile, command_m: Floats, x_m: Floats, f_n: Floats, parts: list[Part]
+    rig: RigFile,
+    command_m: Floats,
+    x_m: Floats,
+    f_n: Floats,
+    parts: list[Part],
+    read: Mask | None = None,
 ) -> Result:
-    """Return what a sweep showed of which every row has a reading of its own.
+    """Return what a sweep showed.
 
     Args:
         rig: for messages.
         command_m, x_m, f_n: of the sweep, (n,) each: a row's reading was latched when its command
             was applied.
         parts: of `command_of`.
+        read: which rows hold a reading of their own, (n,); None: all of them.
 
     Raises:
         InputError: the rig did not follow.
     """
-    read = np.ones(command_m.size, np.bool_)
+    read = np.ones(command_m.size, np.bool_) if read is None else read
     return _result(rig, _Signals(command_m, x_m, f_n, read), parts, (0.0, 0.0))
 
 
@@ -570,8 +576,8 @@ def _check_direction(rig: RigFile, tones: list[Tone]) -> None:
         )
 
 
-def _check_not_limited(rows: NDArray[np.void], parts: list[Part]) -> None:
-    """Refuse a sweep whose command a limit has changed."""
+def check_not_limited(rows: NDArray[np.void], parts: list[Part]) -> None:
+    """Refuse a sweep whose command a limit has changed; raises ``InputError``."""
     limited = np.flatnonzero(rows["flags"] & FLAGS["limited"])
     if limited.size:
         raise InputError(
@@ -582,10 +588,10 @@ def _check_not_limited(rows: NDArray[np.void], parts: list[Part]) -> None:
         )
 
 
-def _check_read(signals: _Signals, parts: list[Part]) -> None:
-    """Refuse a sweep in which too many readings were lost."""
+def check_read(read: Mask, parts: list[Part]) -> None:
+    """Refuse a sweep in which too many readings were lost; raises ``InputError``."""
     for part in parts:
-        share = float(signals.read[part.fit].mean())
+        share = float(read[part.fit].mean())
         if share < READ_SHARE:
             raise InputError(
                 f"only {100 * share:.0f} % of the samples at {part.frequency_hz:g} Hz brought a "

@@ -62,7 +62,25 @@ class AxesResult:
     asymmetry: float
 
 
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What the sweep of one axis gave, the others told to hold still.
+
+    Attributes:
+        command_m, x_m, f_n: of all axes, (n, axes) each: a row's reading was latched when its
+            command was applied.
+        read: which rows hold a reading of every axis, (n,).
+    """
+
+    command_m: Floats
+    x_m: Floats
+    f_n: Floats
+    read: NDArray[np.bool_]
+
+
 SLOW_HZ: Final = LOW_FREQUENCY_HZ
+_RESTING: Final = slice(round(0.2 * core.FS_HZ), round(REST_S * core.FS_HZ))
+"""Rows in which nothing moves."""
 
 
 def identify_rig(
@@ -84,22 +102,56 @@ def identify_rig(
     command, parts = command_of(sweep)
     n, names = len(rig.axis), rig.names
     virtual = axes_rig.virtual_rig(rig)
-    rest = slice(round(0.2 * core.FS_HZ), round(REST_S * core.FS_HZ))
-    moved, pushed, found = list[Floats](), list[Floats](), list[Result]()
+    runs = list[Run]()
     for column, name in enumerate(names):
         commands = np.zeros((command.size, n))
         commands[:, column] = command
         x, f = virtual.run(commands)
         _check_within(rig, name, commands, x, f)
-        moved.append(x - x[rest].mean(axis=0))
-        pushed.append(f - f[rest].mean(axis=0))
-        own = result_of(rig.of_axis(name), command, x[:, column], f[:, column], parts)
-        found.append(own)
+        runs.append(Run(commands, x, f, np.ones(command.size, np.bool_)))
         if progress is not None:
             progress((column + 1) * command.size, n * command.size)
-    response = response_of(command, parts, moved, rest)
-    stiffness, asymmetry = _stiffness(rig, parts, moved, pushed)
-    return AxesResult(response, tuple(found), stiffness, asymmetry)
+    return result_of_runs(rig, runs, parts)
+
+
+def result_of_runs(rig: AxesRig, runs: Sequence[Run], parts: list[Part]) -> AxesResult:
+    """Return what the sweeps of all axes showed.
+
+    Args:
+        rig: for its kinematics, and for messages.
+        runs: one for each axis that moved, in the rig's order.
+        parts: their sines.
+
+    Raises:
+        InputError: an axis that did not follow.
+    """
+    found = tuple(
+        result_of(
+            rig.of_axis(name), run.command_m[:, k], run.x_m[:, k], run.f_n[:, k], parts, run.read
+        )
+        for k, (name, run) in enumerate(zip(rig.names, runs, strict=True))
+    )
+    axes = len(runs)
+    response = np.zeros((len(parts), axes, axes), np.complex128)
+    noise = np.zeros(axes)
+    for run in runs:
+        noise += run.x_m[_RESTING][run.read[_RESTING]].var(axis=0, ddof=1) / axes
+    for k, part in enumerate(parts):
+        # Where the others are told to hold still, the commands are a diagonal matrix.
+        told, read = (_phasors(part, runs, name) for name in ("command_m", "x_m"))
+        response[k] = read @ np.linalg.inv(told)
+    frequencies = np.array([part.frequency_hz for part in parts])
+    stiffness, asymmetry = _stiffness(rig, parts, runs)
+    matrix = MatrixResponse(frequencies, response, np.sqrt(noise))
+    return AxesResult(matrix, found, stiffness, asymmetry)
+
+
+def _phasors(part: Part, runs: Sequence[Run], name: str) -> NDArray[np.complex128]:
+    """Return the complex amplitudes of a signal: rows are axes, columns the runs."""
+    axes = range(len(runs))
+    return np.array(
+        [[phasor(part, getattr(run, name)[:, i], run.read)[0] for run in runs] for i in axes]
+    )
 
 
 def _check_within(rig: AxesRig, moving: str, u: Floats, x: Floats, f: Floats) -> None:
@@ -157,18 +209,13 @@ def response_of(
     return MatrixResponse(np.array([p.frequency_hz for p in parts]), found, np.sqrt(noise))
 
 
-def _stiffness(
-    rig: AxesRig, parts: list[Part], moved: Sequence[Floats], pushed: Sequence[Floats]
-) -> tuple[Floats, float]:
+def _stiffness(rig: AxesRig, parts: list[Part], runs: Sequence[Run]) -> tuple[Floats, float]:
     """Return the stiffness along the interface: forces over displacements of the slow sines."""
-    axes, read = len(moved), np.ones(len(moved[0]), np.bool_)
+    axes = len(runs)
     slow = [part for part in parts if part.frequency_hz <= SLOW_HZ] or parts[:1]
     by_axis = np.zeros((axes, axes))
     for part in slow:
-        x, f = (
-            np.array([[phasor(part, run[:, i], read)[0] for run in runs] for i in range(axes)])
-            for runs in (moved, pushed)
-        )
+        x, f = (_phasors(part, runs, name) for name in ("x_m", "f_n"))
         by_axis += np.real(f @ np.linalg.inv(x)) / len(slow)
     jacobian = rig.core_kinematics().jacobian()
     along = jacobian.T @ by_axis @ jacobian
