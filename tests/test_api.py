@@ -255,7 +255,7 @@ def test_run_keeps_what_the_command_keeps(short: rt.Test, tmp_path: Path) -> Non
     assert rt.run(tmp_path / "kept" / "test.toml").raw.samples.tobytes() == (
         rec.raw.samples.tobytes()
     )
-    with pytest.raises(rt.InputError, match="exists already"):
+    with pytest.raises(rt.InputError, match="already exists"):
         rt.run(short, out=tmp_path / "kept")
 
 

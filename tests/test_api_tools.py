@@ -183,7 +183,7 @@ def test_run_that_fails_or_trips_is_named_and_ends_no_other(short: rt.Test, tmp_
     assert repr(found) == ("<Sweep section5-t0.5-sweep: 4 runs, 1 completed, 1 stopped, 2 failed>")
     # What tripped is kept, and says the same.
     assert not found.recording(1).completed
-    with pytest.raises(rt.InputError, match=r'run 0 was not kept; kept are: 1; .*keep="all"'):
+    with pytest.raises(rt.InputError, match=r'run 0 was not kept; those kept are: 1; .*keep="all"'):
         found.recording(0)
 
 
@@ -230,11 +230,11 @@ def test_sweep_goes_on_where_it_was_and_is_not_mixed_with_another(
     )
     assert told[0] == 1
     assert [row["case"] for row in found.rows] == [0, 1, 2, 3]
-    with pytest.raises(rt.InputError, match=r"another test, rig or other values.* with out"):
+    with pytest.raises(rt.InputError, match=r"another test or rig or with other values.* with out"):
         rt.sweep(short, {"controller.w1": [3, 4]}, out=out, jobs=1)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("")
-    with pytest.raises(rt.InputError, match=r"not empty and holds no sweep"):
+    with pytest.raises(rt.InputError, match=r"not empty and does not hold a sweep"):
         rt.sweep(short, LAWS, out=tmp_path / "mine", jobs=1)
 
 
@@ -289,7 +289,7 @@ def test_sweep_is_computed_by_a_dask_client(short: rt.Test, tmp_path: Path) -> N
         (lambda t, out: rt.sweep(t, {"controller.w1": [{}]}, out=out),
          "sweep: over.controller.w1: found a table; each value must be a text"),
         (lambda t, out: rt.sweep(t, ["controller.w1"], out=out), "sweep: over: found a list"),
-        (lambda t, out: rt.sweep(t, {"test": [t.rig]}, out=out), "a test at the key test"),
+        (lambda t, out: rt.sweep(t, {"test": [t.rig]}, out=out), "a test with the key test"),
         (lambda t, out: rt.sweep(t, LAWS, repeat_seeds=0, out=out),
          "sweep: repeat_seeds: found 0"),
         (lambda t, out: rt.sweep(t, LAWS, keep="al", out=out),

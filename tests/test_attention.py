@@ -273,8 +273,8 @@ def ending(rec: Recording) -> str:
 def test_a_trip_names_limit_value_and_what_was_known_of_it() -> None:
     text = ending(example("section5-no-compensation"))
     assert text == (
-        "force 15.0 kN (limit 15 kN) at 3.1 s; without compensation this structure survives 3.3 "
-        "samples of delay, the rig has 17"
+        "force 15.0 kN (limit 15 kN) at 3.1 s; without compensation this structure remains stable "
+        "up to a delay of 3.3 samples; the rig has 17"
     )
 
 
@@ -287,15 +287,14 @@ def test_a_limit_that_the_reference_exceeds_is_told_as_that() -> None:
     text = ending(example("section5-T0.5", "limits.force_n=3000"))
     assert text.startswith("force 3.0")
     assert "(limit 3 kN) at " in text
-    assert text.endswith("; already the reference simulation reaches 4.98 kN")
+    assert text.endswith("; even the reference simulation reaches 4.98 kN")
 
 
 def test_a_trip_with_compensation_names_alpha() -> None:
     rec = example("section5-T0.5", "limits.tracking_error_m=0.00005")
     assert ending(rec).startswith("tracking error 0.050")
-    assert (
-        "survives an error of 3.3 samples in alpha; the rig's delay is 17, alpha stood at 17"
-        in (ending(rec))
+    assert "tolerates an error of 3.3 samples in alpha; the rig's delay is 17, alpha was at 17" in (
+        ending(rec)
     )
 
 
@@ -303,7 +302,7 @@ def test_an_end_without_figures_is_left_to_its_cause() -> None:
     given = summary.setup(recording())
     assert trips.sentence(trips.Met("link_lost", 0.0, 0.0), given) == ""
     assert trips.sentence(trips.Met("sensor_stuck", 50.0, 50.0, 3.0), given) == (
-        "the displacement stood still for 50 samples (limit 50 samples) at 3.0 s"
+        "the displacement was frozen for 50 samples (limit 50 samples) at 3.0 s"
     )
 
 

@@ -51,7 +51,8 @@ def test_a_file_with_axes_is_a_rig_of_several_and_one_without_is_as_before() -> 
 
 def test_what_takes_one_axis_says_that_the_rig_has_two() -> None:
     with pytest.raises(
-        InputError, match=r"rig of several axes \(upper, lower\), and a rig of one is needed here"
+        InputError,
+        match=r"rig has several axes \(upper, lower\), and a rig with one axis is needed here",
     ):
         config.load_rig(SHIPPED)
 
@@ -133,7 +134,7 @@ def test_an_axis_is_named_in_overrides() -> None:
         (
             "[axis.limits]",
             "[axis.limits]\nramp_in_s = 3",
-            "axis.upper.limits: found ramp_in_s, which is of all axes together: write it in",
+            "axis.upper.limits: found ramp_in_s, which applies to all axes together: move it to",
         ),
         # Kinematics.
         (
@@ -145,7 +146,7 @@ def test_an_axis_is_named_in_overrides() -> None:
         (
             "lower = [0.2667, -0.127]",
             "lower = [0.9, 0.127]",
-            "kinematics: the axes upper, lower leave a motion along x, theta free",
+            "kinematics: the axes upper, lower do not prevent every motion along x, theta",
         ),
         (
             "lower = [0.2667, -0.127]",
@@ -163,7 +164,7 @@ def test_an_axis_is_named_in_overrides() -> None:
         (
             "directions = { upper = [1, 0], lower = [1, 0] }",
             "bases_m = { upper = [0.2667, 0.127], lower = [2, 0] }",
-            "axis upper has its pin in its own base",
+            "axis upper has its pin at its own base",
         ),
         ('interface = ["x", "theta"]', 'interface = ["x", "phi"]', r'kinematics.interface.*"phi"'),
         ('interface = ["x", "theta"]', 'interface = ["x", "x"]', '"x" twice'),
@@ -205,13 +206,13 @@ def test_an_axis_is_named_in_overrides() -> None:
             "[specimen]",
             '[[specimen.element]]\nalong = "x"\nlaw = { element = "inertia", m_kg = 1 }\n'
             "[specimen]",
-            r'specimen.element.0.law: found "inertia"; a mass belongs',
+            r'specimen.element.0.law: found "inertia"; enter a mass',
         ),
         # A plant beside actuators.
         (
             "[specimen]",
             "[plant]\na = [[0]]\nb = [[1, 1]]\nc = [[1], [1]]\n[specimen]",
-            "axis upper has an actuator, and the file a ",
+            "axis upper has an actuator, but the file also has a ",
         ),
         ("[specimen]", "[plant]\na = [[0]]\n[specimen]", "found a without b or c"),
     ],
@@ -252,7 +253,7 @@ def test_a_rig_of_a_matrix_and_one_that_is_singular() -> None:
     assert two.kinematics.turns() == [False, True]
     singular = table.replace("[1, 0.127]", "[1, -0.127]")
     (found,) = faults(TEXT[:start] + singular + TEXT[end:])
-    assert "of which one follows from the others" in found
+    assert "one of which is a combination of the others" in found
     (found,) = faults(TEXT[:start] + table.replace('["turn"]\nm', '["twist"]\nm') + TEXT[end:])
     assert 'found the rotation "twist"' in found
 
@@ -282,7 +283,7 @@ def test_two_axes_have_a_bus_each(tmp_path: Path) -> None:
     ("upper", "lower", "said"),
     [
         ('kind = "can"\nchannel = "can0"', 'kind = "can"\nchannel = "can0"',
-         "axes upper and lower both have frames of identifier"),
+         "axes upper and lower both use frames with the identifier"),
         ('kind = "serial"\nchannel = "/dev/ttyUSB0"', 'kind = "serial"\nchannel = "/dev/ttyUSB0"',
          'axes upper and lower are both at "/dev/ttyUSB0"'),
     ],
@@ -335,7 +336,7 @@ def test_identifiers_of_their_own_share_a_bus_that_has_room(tmp_path: Path) -> N
     [
         (0x101, "bitrate = 1000000", "identifier 0x101"),
         (0x200, "bitrate = 500000", r"over 80 % bus load \(4 frames"),
-        (0x200, "", "no bitrate says whether it has room"),
+        (0x200, "", "without a bitrate its load cannot be checked"),
     ],
 )
 def test_a_bus_that_cannot_be_shared_is_refused(

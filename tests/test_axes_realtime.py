@@ -176,7 +176,10 @@ def test_fault_on_one_axis_ends_the_test_for_all_and_is_told_with_its_name(
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("drop@1", "begins with its axis, such as left.drop@1; the axes are left, right"),
+        (
+            "drop@1",
+            "starts with the name of its axis, such as left.drop@1; the axes are left, right",
+        ),
         ("middle.drop@1", "found the axis middle; the axes are left, right"),
         ("left.drap@1", "no such kind of fault"),
         ("left.drop@1=2", "drop takes 0 to 1"),

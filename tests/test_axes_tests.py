@@ -187,7 +187,10 @@ def test_a_numerical_part_of_one_degree_is_not_for_two_axes() -> None:
     ("extra", "said"),
     [
         ('type = "none"\n[controller.matrix]\nmemory_s = 3', 'the table is of type = "matrix"'),
-        ('type = "matrix"\n[[controller.axis]]\nname = "a"', "compensates all of them; keep one"),
+        (
+            'type = "matrix"\n[[controller.axis]]\nname = "a"',
+            "compensates all axes; remove one of the two",
+        ),
         ('type = "none"\n[[controller.axis]]\nname = "a"\n[[controller.axis]]\nname = "a"',
          'found axis "a" twice'),
         ('type = "none"\n[[controller.axis]]\nname = "a"\ntype = "atz"', 'found "atz"'),
@@ -207,7 +210,7 @@ def test_two_interfaces_of_one_name_are_refused() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({}, "the rig has one actuator, and moves one"),
+        ({}, "the rig has one actuator, which moves one"),
         ({"type": "matrix"}, 'controller.type: found "matrix"; rig .* has one axis'),
     ],
 )

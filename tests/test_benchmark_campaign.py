@@ -75,7 +75,9 @@ def test_a_run_that_no_law_could_bring_to_its_end_is_not_called_unstable(tmp_pat
     text = SLICE.replace("[2]", "[3]").replace(', "none"', "")
     row = conducting.conduct(sliced(tmp_path, text), tmp_path / "out", jobs=1).rows[1]
     assert row["beyond"]
-    assert row["cause"].endswith("the reference simulation of this plant passes that limit itself")
+    assert row["cause"].endswith(
+        "the reference simulation of this plant exceeds that limit as well"
+    )
 
 
 def test_a_run_is_repeated_by_the_command_that_the_page_gives(rthyb: Rthyb, tmp_path: Path) -> None:
@@ -136,7 +138,7 @@ def test_the_page_lists_the_worst_run_of_every_group_however_many_there_are(
         (SLICE.replace("[1024]", "[2048]"), r"over.rate_hz: found 2048; must be one of 4096, 1024"),
         (SLICE.replace("[2]", "[5]"), r"over.structure: found 5; must be one of 1, 2, 3, 4"),
         (SLICE.replace('"kobe"', '"kobo"'), r"over.motion: found 'kobo'|over.motion: found kobo"),
-        (SLICE.replace("structure", "case"), r":13: over.case: is no key of a benchmark"),
+        (SLICE.replace("structure", "case"), r":13: over.case: is not a key of a benchmark"),
         (SLICE.replace("plants = 1", "plants = 21"), r":8: benchmark.plants"),
         (SLICE.replace('"rths"', '"marths"'), r":7: benchmark.name"),
         (

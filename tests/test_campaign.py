@@ -145,7 +145,7 @@ def test_all_laws_meet_the_same_plants(tmp_path: Path) -> None:
         ("noise_seeds = 0\n" + TWO_LAWS, r"campaign.toml:1: noise_seeds"),
         (
             "noise_seeds = 100000\n" + TWO_LAWS + '"controller.w1" = [3, 4, 5, 6, 7, 8]\n',
-            r"1200000 runs; a campaign has at most 1000000",
+            r"1200000 runs; a campaign may have at most 1000000",
         ),
     ],
 )
@@ -325,7 +325,9 @@ def test_campaign_ends_where_a_process_has_another_program_than_the_one_that_con
     """Somebody has rebuilt the core in the middle of it: no row is made by the new one."""
     monkeypatch.setattr(pools, "program", lambda: "0.1 0123")
     rows: list[Row] = []
-    with pytest.raises(InputError, match=r"the campaign is of 0\.1 0123: install the same sources"):
+    with pytest.raises(
+        InputError, match=r"the campaign was started with 0\.1 0123: install the same sources"
+    ):
         pools.locally(campaign(tmp_path).cases, 1, "nothing", str(tmp_path), rows.append)
     assert rows == []
 

@@ -109,7 +109,7 @@ def test_compensation_is_predicted_to_take_the_delay_away(setup: Setup) -> None:
         return -np.angle(found.curves[name][slow]) / (2 * np.pi * found.frequency_hz[slow])
 
     assert delays("not compensated").min() > 15e-3
-    assert np.abs(delays("as it will have learnt")).max() < 1e-3
+    assert np.abs(delays("once adapted")).max() < 1e-3
 
 
 def test_page_has_its_three_figures_and_asks_nothing_of_the_network(

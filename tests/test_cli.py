@@ -530,13 +530,16 @@ def test_other_estimators_have_no_loop_gain_to_judge(rthyb: Rthyb) -> None:
 def test_uncompensated_test_beyond_its_critical_delay_is_warned_of(rthyb: Rthyb) -> None:
     answer = rthyb("check", example("section4.2.toml"), "--set", "controller.type=none")
     assert answer.code == 0
-    assert "survives a delay of 2.3 samples, and the rig has 10: the motion will grow" in answer.out
+    assert (
+        "remains stable up to a delay of 2.3 samples, and the rig has 10: the motion will grow"
+        in answer.out
+    )
     assert "Lead, Nyquist" not in answer.out
 
 
 def test_test_without_any_limit_is_warned_of(rthyb: Rthyb, tmp_path: Path) -> None:
     (tmp_path / "test.toml").write_text(TEST)
-    warning = "Warning: nothing ends a test that grows"
+    warning = "Warning: nothing ends a test whose motion grows"
     assert warning in rthyb("check", "test.toml").out
     assert warning not in rthyb("check", "test.toml", "--set", "limits.force_n=20 kN").out
     off = ("--set", "limits.force_n={ value = 20000, enable = false }")
@@ -709,7 +712,7 @@ def test_recording_that_one_may_only_read_asks_where_its_report_goes(
     monkeypatch.setattr(os, "access", may)
     answer = rthyb("report", recorded)
     assert answer.code == 1
-    assert "is not writable; choose another place, such as --out" in answer.err
+    assert "is not writable; choose another path, such as --out" in answer.err
 
 
 def test_report_is_written_for_an_older_recording(

@@ -208,7 +208,7 @@ def test_failed_check_is_told_kept_and_leaves_with_eight(
     answer = rthyb("commission", path, "--yes", "--distance", "0.5 mm")
     assert answer.code == 8
     assert "polarity: FAILED" in answer.out
-    assert "put it right, then begin again" in answer.out
+    assert "correct it, then start again" in answer.out
     steps = json.loads((tmp_path / "rig.commissioned.json").read_text())["steps"]
     assert steps["polarity"]["passed"] is False
     assert list(steps) == ["link", "polarity"]
@@ -242,8 +242,8 @@ def test_nothing_moves_where_nobody_answers(
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     answer = rthyb("commission", rig_file(tmp_path))
     assert answer.code == 3
-    assert "standard input: found its end where an answer is needed" in answer.err
-    assert "answer y or n in a terminal, or give --yes" in answer.err
+    assert "standard input: ended where an answer was needed" in answer.err
+    assert "answer y or n in a terminal, or use --yes" in answer.err
     assert not (tmp_path / "rig.commissioned.json").exists()
 
 
@@ -253,7 +253,7 @@ def test_step_before_a_question_that_nobody_answers_is_kept(
     monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
     answer = rthyb("commission", rig_file(tmp_path))
     assert answer.code == 3
-    assert "standard input: found its end where an answer is needed" in answer.err
+    assert "standard input: ended where an answer was needed" in answer.err
     steps = json.loads((tmp_path / "rig.commissioned.json").read_text())["steps"]
     assert set(steps) == {"link"}
 
@@ -293,7 +293,7 @@ def test_identification_in_real_time_gives_the_rig_file_its_figures(
     )
     assert answer.code == 0, answer.err
     assert answer.json["link_delay_samples"] == 0.0
-    assert "of it the link" in answer.err
+    assert "of which the link" in answer.err
     found = config.load_rig(tmp_path / "found.toml")
     assert found.rig.elastic_stiffness_n_per_m == pytest.approx(STIFFNESS_N_PER_M, rel=1e-3)
     assert found.identified is not None
@@ -320,7 +320,7 @@ def test_rig_that_was_never_commissioned_is_not_swept(
     answer = rthyb("identify", path, "--realtime", "--out", tmp_path / "found.toml")
     said = " ".join(answer.err.split())
     assert answer.code == (3 if virtual else 5), answer.err
-    assert ("there is no socket" in said) == virtual
+    assert ("the socket does not exist" in said) == virtual
     assert ("this rig has not been commissioned" in said) != virtual
     assert (f"rthyb commission {path}" in said) != virtual
     assert not (tmp_path / "found.toml").exists()

@@ -144,8 +144,8 @@ def test_device_pipe_or_huge_file_is_no_configuration(load: object, tmp_path: Pa
     with (tmp_path / "huge.toml").open("wb") as file:
         file.truncate(10**7 + 1)
     for path, words in (
-        ("/dev/zero", "/dev/zero: cannot be read .it is not a regular file"),
-        (tmp_path / "pipe.toml", "pipe.toml: cannot be read .it is not a regular file"),
+        ("/dev/zero", "/dev/zero: cannot be read .not a regular file"),
+        (tmp_path / "pipe.toml", "pipe.toml: cannot be read .not a regular file"),
         (tmp_path / "huge.toml", "huge.toml: is larger than 10 MB"),
     ):
         with pytest.raises(InputError, match=words):
@@ -196,11 +196,11 @@ sys.meta_path.insert(0, Finder())
     [
         (
             "PermissionError(13, 'Permission denied', '/lab/build/editable_rebuild.lock')",
-            "sources that you may not write: run as their owner, or install the wheel",
+            "no write access to its sources: run as their owner, or install the wheel",
         ),
         (
             "subprocess.CalledProcessError(1, ['cmake', '--build', '.'])",
-            "the C core does not build, see above",
+            "the C core failed to build, see above",
         ),
     ],
 )
@@ -279,7 +279,7 @@ def test_help_cuts_no_summary_and_has_the_code_of_an_interrupt(rthyb: Rthyb) -> 
         (("run", "nowhere.toml"), 3, "no such file"),
         (("check", "nowhere.toml"), 3, "no such file"),
         (("replay", "nowhere"), 3, "does not exist"),
-        (("identify", "nowhere.toml"), 3, "come with the program"),
+        (("identify", "nowhere.toml"), 3, "comes with the program"),
         (("reproduce", "4.2", "--record", "nowhere.txt"), 3, "no such file"),
         (("reproduce", "3"), 2, "is not one of"),
         (("identify", "delay-10-elastic", "--amplitude", "0"), 2, "0.01 mm to 1 m"),
@@ -631,7 +631,7 @@ def test_virtual_rig_leaves_a_file_alone_that_is_no_socket(rthyb: Rthyb, tmp_pat
     assert answer.code == 3
     (problem,) = problems(answer)
     assert problem["where"] == str(path)
-    assert problem["message"].startswith("is there already, and not a socket; it is left alone")
+    assert problem["message"].startswith("already exists and is not a socket; choose another path")
     assert path.read_text() == "precious"
 
 
@@ -684,8 +684,8 @@ def test_value_set_behind_its_table_is_blamed_itself(rthyb: Rthyb) -> None:
         (("commission",), "Error: Missing argument 'RIG'."),
         (
             ("jog", "rig.toml", "2", "mm"),
-            "Error: Got unexpected extra argument(s) (mm); a value with its unit is one word: "
-            '"2 mm"',
+            "Error: Got unexpected extra argument(s) (mm); write a value and its unit as one "
+            'argument: "2 mm"',
         ),
         (("recover", "a", "b"), "Error: Got unexpected extra argument(s) (b)"),
         (("run", "--relatime"), "Error: No such option: --relatime (Possible options: --realtime)"),

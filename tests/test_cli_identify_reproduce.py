@@ -147,9 +147,9 @@ def test_identify_with_a_changed_value(rthyb: Rthyb, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (("nowhere.toml",), 3, "those that come with the program"),
+        (("nowhere.toml",), 3, "one that comes with the program"),
         ((TABLE, "--amplitude", "2 kg"), 2, 'found "2 kg"'),
-        ((TABLE, "--amplitude", "0.002"), 2, 'found "0.002", read in mm'),
+        ((TABLE, "--amplitude", "0.002"), 2, 'found "0.002", taken to be in mm'),
         ((TABLE, "--max-frequency", "fast"), 2, "--max-frequency"),
         ((TABLE, "--max-frequency", "300 Hz"), 2, '0.05 Hz to 100 Hz, as in --max-frequency "5'),
         ((TABLE, "--max-frequency", "300"), 2, "it takes a frequency from 0.05 Hz to 100 Hz"),
@@ -255,7 +255,7 @@ def test_record_file_is_used(rthyb: Rthyb, tmp_path: Path) -> None:
         (("4.3",), 2, "'2.1', '4.1', '4.2', '5', 'all'"),
         (("5", "--record", "tcu068.csv"), 2, "belongs to Section 4.2"),
         (("4.2", "--record", "nowhere.csv"), 3, "nowhere.csv: no such file"),
-        (("2.1", "--out", "."), 2, "exists already"),
+        (("2.1", "--out", "."), 2, "already exists"),
     ],
 )
 def test_reproduce_refuses_and_writes_nothing(
@@ -276,7 +276,7 @@ def test_without_the_report_packages_the_results_are_written_all_the_same(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     answer = rthyb("reproduce", "2.1", "--out", "here", "--json")
     assert answer.code == 0
-    assert "no page written" in answer.err
+    assert "no page was written" in answer.err
     assert "pip install 'rthyb-rt[report]'" in answer.err
     assert json.loads(answer.out)["paths"] == {"results": "here/results.json"}
     assert files(tmp_path) == ["here/results.json"]

@@ -98,7 +98,7 @@ def test_without_a_link_a_virtual_rig_of_its_own_is_started_and_replay_agrees(
         assert_whole(rec)
         require_calm(rec)
         assert status == 0, err
-        assert "rthyb: no [link] in the rig file: on a virtual rig in process " in err
+        assert "rthyb: no [link] in the rig file: running on a virtual rig in process " in err
         told = re.search(r"^rthyb: telemetry ring (\S+); .*: rthyb recover \1$", err, re.MULTILINE)
         assert told
         assert told[1].startswith((str(lab.runtime), "/run/rthyb"))
@@ -234,7 +234,7 @@ def test_power_cut_of_the_rig_trips_and_the_recording_opens(lab: Lab, medium: st
             drive.kill()
         assert json.loads(printed)["power_cut"]
         # The rig may be gone before a slow machine has brought the controller to its wire.
-        gone = ("there is no socket", "nobody listens there", "no such device")
+        gone = ("the socket does not exist", "no program is listening there", "no such device")
         if status == 3 and any(word in err for word in gone):
             raise TooEarly
         rec = lab.recorded(out, err)
@@ -256,7 +256,7 @@ def test_power_cut_of_the_rig_trips_and_the_recording_opens(lab: Lab, medium: st
 @pytest.mark.parametrize(
     ("link", "message"),
     [
-        ('kind = "socket"\nchannel = "/nowhere/s"', "/nowhere/s: there is no socket"),
+        ('kind = "socket"\nchannel = "/nowhere/s"', "/nowhere/s: the socket does not exist"),
         ('kind = "serial"\nchannel = "/dev/ttyNONE"', "/dev/ttyNONE: no such device"),
     ],
 )
@@ -334,12 +334,12 @@ def test_stepped_clock_goes_with_the_pairs_of_a_rig_in_another_process(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "the rig file has no [link]; name a wire"),
+        ((), "the rig file has no [link]; choose --can"),
         (("--pty", "--can", "vcan0"), "--can and --pty exclude each other"),
-        (("--pty", "--fault", "burn@1"), "no such kind of fault, allowed are drop,"),
+        (("--pty", "--fault", "burn@1"), "no such kind of fault; allowed are drop,"),
         (("--pty", "--drift-ppm", "200"), "found 200, allowed is -199 to 199"),
         (("--pty", "--seconds", "0"), "allowed is more than 0"),
-        (("--pty", "--log", "log.txt"), "a log ends with .npy or .h5"),
+        (("--pty", "--log", "log.txt"), "a log must end with .npy or .h5"),
         (("--can", "no/interface"), "a CAN interface has a name such as"),
     ],
 )

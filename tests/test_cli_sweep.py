@@ -82,7 +82,7 @@ def test_interrupted_sweep_goes_on_and_no_run_is_lost_or_doubled(
     again = (out / "rows.jsonl").read_text().splitlines(keepends=True)
     assert sorted(again) == sorted(rows)
     assert swept(out, *LAWS, "--repeat-seeds", "3") == 3
-    assert "holds a sweep of another test, rig or other values" in capsys.readouterr().err
+    assert "holds a sweep of another test or rig or with other values" in capsys.readouterr().err
 
 
 def test_dry_run_lists_the_runs_and_writes_nothing(

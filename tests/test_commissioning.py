@@ -175,7 +175,7 @@ def test_jog_that_trips_before_it_begins_says_that_nothing_moved() -> None:
         jogging.jog(there.connection, 3e-3, 20e-3)
         begun = there.drive.ticks
         there.drive.schedule([loop.Fault("silence", begun + 150, 2**40)])
-        with pytest.raises(InputError, match="feedback stopped while it was zeroed"):
+        with pytest.raises(InputError, match="feedback stopped during zeroing"):
             jogging.jog(there.connection, 1e-3)
     with at(rig()) as there:
         jogging.jog(there.connection, 3e-3, 20e-3)
@@ -220,7 +220,7 @@ def test_rig_without_bounds_on_position_and_force_is_not_moved(
     [
         (11e-3, 1e-3, "limits.command_position_m = 10 mm allows"),
         (1e-3, 0.03, r"up to 20 mm/s are allowed"),
-        (1e-3, math.nan, "no speed for a jog"),
+        (1e-3, math.nan, "too fast for a jog"),
     ],
 )
 def test_jog_too_far_or_too_fast_is_refused(distance_m: float, speed: float, message: str) -> None:
@@ -254,7 +254,7 @@ def commissioned(given: config.RigFile, wired: config.RigFile, *steps: str) -> C
     ("wired", "message", "cure"),
     [
         (REVERSED_SENSOR, r"moved against the command: -[01.\d]* mm when 1 mm", REVERSED_SENSOR),
-        (REVERSED_COMMAND, "Was it wrong, the drive does: command = { polarity = -1 }",
+        (REVERSED_COMMAND, "If it was wrong, invert the drive: command = { polarity = -1 }",
          REVERSED_COMMAND),
         (REVERSED_FORCE, "force falls with displacement: -[45].*force = { polarity = -1 }",
          REVERSED_FORCE),
@@ -281,7 +281,7 @@ def test_remedy_keeps_scale_and_offset_of_the_channel() -> None:
     remedy = polarity.displacement_remedy(given)
     assert "displacement = { polarity = 1, scale = 2.0, offset_m = 0.005 }" in remedy
     assert "and command = { polarity = -1, scale = 2.0, offset_m = 0.005 }" in remedy
-    assert "does: command = { polarity = 1, scale = 2.0, offset_m = 0.005 }" in remedy
+    assert "invert the drive: command = { polarity = 1, scale = 2.0, offset_m = 0.005 }" in remedy
 
 
 def test_wrong_scale_is_found() -> None:
@@ -415,8 +415,8 @@ def test_rig_that_jumps_as_commands_begin_is_found() -> None:
     found = commissioned(rig(), wired)
     assert list(found.steps) == ["link"]
     (fault,) = found.steps["link"].faults
-    assert "as commands began" in fault
-    assert "offset_m first" in fault
+    assert "when commands began" in fault
+    assert "first offset_m" in fault
 
 
 def test_link_that_loses_frames_fails() -> None:
@@ -496,7 +496,7 @@ def test_plain_velocity_limit_is_seen_to_bound_the_command() -> None:
 @pytest.mark.parametrize(
     ("reaction", "fault"),
     [
-        ("none", "limits.force_n was not met; the motion ended otherwise: completed"),
+        ("none", "limits.force_n was not reached; the motion ended for another reason: completed"),
         ("ramp-out", "limits.force_n did not lead to TRIPPED"),
     ],
 )
@@ -796,7 +796,7 @@ def test_motion_that_this_pc_spoils_every_time_is_a_matter_of_timing(
         moved = moving.carry_out(there.connection, still)
         moved.recording.meta["station"]["cause"] = cause
         monkeypatch.setattr(moving, "carry_out", lambda *_, **__: moved)
-        with pytest.raises(RthybError, match="3 times; rthyb jitter says") as caught:
+        with pytest.raises(RthybError, match="3 times; run `rthyb jitter`") as caught:
             moving.undisturbed(there.connection, still)
         assert caught.value.exit_code == code
         with pytest.raises(RthybError, match="the sweep ended before it moved") as caught:
@@ -834,6 +834,6 @@ def test_sweep_stopped_by_the_operator_finds_nothing() -> None:
                 there.operator()
 
         there.tell = look
-        with pytest.raises(moving.StoppedError, match="stopped at 2 Hz; nothing was found"):
+        with pytest.raises(moving.StoppedError, match="stopped at 2 Hz; there is no result"):
             identify_live(there.connection, QUICK)
         assert there.position_m == pytest.approx(0.0, abs=30e-6)

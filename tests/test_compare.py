@@ -94,7 +94,7 @@ def test_other_rate_and_length_are_taken_together_and_said() -> None:
     assert found.rows[1]["lag_s"] == pytest.approx(0.0, abs=1e-6)
     assert found.notes == (
         "b has 1536 Hz; compared at 1024 Hz, the rate of the slowest",
-        "b lasts 5 s; compared over the 4 s that all have",
+        "b lasts 5 s; compared over the 4 s that they have in common",
         "a has no force",
         "b has no force",
     )
@@ -106,7 +106,7 @@ def test_moved_over_the_first_what_came_late_differs_no_more() -> None:
     assert apart.rows[1]["x_difference_nrmse"] > 0.5
     assert over.rows[1]["x_difference_nrmse"] < 1e-3
     assert over.rows[1]["lag_s"] == apart.rows[1]["lag_s"]
-    assert over.notes[-1] == "b was moved by -50.00 ms to lie over the first"
+    assert over.notes[-1] == "b was shifted by -50.00 ms to match the first"
 
 
 def test_differences_are_those_of_the_closed_form() -> None:
@@ -123,7 +123,7 @@ def test_courses_that_share_nothing_or_are_too_many_are_refused() -> None:
         overlay.Overlay.of([one])
     with pytest.raises(rt.InputError, match="found 11 recordings"):
         overlay.Overlay.of([one] * 11)
-    with pytest.raises(rt.InputError, match="no instant that all have"):
+    with pytest.raises(rt.InputError, match="no instant in common"):
         overlay.Overlay.of([one, course("b", np.zeros(0))])
 
 

@@ -67,7 +67,11 @@ def test_a_law_that_refuses_the_test_says_why_and_the_others_run(tmp_path: Path)
     ("settings", "names", "words"),
     [
         ((), ["atz"], "must be one of"),
-        (("controller.type=ats",), [], "is what the comparison varies; choose the laws with --law"),
+        (
+            ("controller.type=ats",),
+            [],
+            "is varied by the comparison itself; choose the laws with --law",
+        ),
         (("test.duration_s=-1",), [], "duration_s"),
     ],
 )

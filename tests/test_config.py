@@ -375,13 +375,13 @@ def test_unit_of_the_wrong_kind_names_both_kinds() -> None:
 
 def test_mass_and_period_together_or_neither_is_refused() -> None:
     both = refused_test(TEST.replace("mass_kg = 4220", "mass_kg = 4220\nperiod_s = 0.5"))
-    assert "keep one of mass_kg, period_s" in both["test.toml:6: numerical.period_s"]
+    assert "keep only one of mass_kg, period_s" in both["test.toml:6: numerical.period_s"]
     neither = refused_test(TEST.replace("mass_kg = 4220\n", ""))
     assert "exactly one of mass_kg, period_s" in neither["test.toml:4: numerical"]
     scaled = refused_test(TEST + "[ground_motion]\npga_g = 0.1\nfactor = 2\n")
-    assert "keep one of pga_g, factor" in scaled["test.toml:12: ground_motion.factor"]
+    assert "keep only one of pga_g, factor" in scaled["test.toml:12: ground_motion.factor"]
     window = refused_test(TEST + "rfc = { window_s = 0.05, window_periods = 0.1 }\n")
-    assert "keep one of" in next(iter(window.values()))
+    assert "keep only one of" in next(iter(window.values()))
 
 
 def test_first_estimate_outside_its_bounds_is_refused() -> None:
@@ -736,8 +736,10 @@ def built_in_notes(rig: RigFile) -> list[str]:
 def test_few_substeps_for_the_oil_column_are_noted() -> None:
     assert built_in_notes(table_rig(substeps="8")) == []
     (note,) = built_in_notes(table_rig(substeps="7"))
-    assert note.startswith("actuator.substeps = 7 is coarse for a table that swings at 108 Hz")
-    assert note.endswith("take 8 or more")
+    assert note.startswith(
+        "actuator.substeps = 7 is too coarse for a table that resonates at 108 Hz"
+    )
+    assert note.endswith("use 8 or more")
 
 
 def test_friction_too_steep_for_the_reference_simulation_is_noted_with_the_width_it_needs() -> None:

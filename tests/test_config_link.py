@@ -91,15 +91,15 @@ def test_every_kind_of_link_is_written_out_and_read_back() -> None:
 def test_key_of_another_kind_of_link_is_refused_with_the_kinds_that_have_it() -> None:
     found = refused(SERIAL + 'fd = true\ndbc = "drive.dbc"\ninterface = "pcan"\n')
     assert found == {
-        "rig.toml:14: link.fd": 'kind = "serial" does not have it, only kind = "can" and kind = '
-        '"python-can"; leave it out',
-        "rig.toml:15: link.dbc": 'kind = "serial" does not have it, only kind = "can" and kind = '
-        '"python-can"; leave it out',
-        "rig.toml:16: link.interface": 'kind = "serial" does not have it, only kind = '
-        '"python-can"; leave it out',
+        "rig.toml:14: link.fd": 'kind = "serial" does not have this key, which belongs to kind = '
+        '"can" and kind = "python-can"; remove it',
+        "rig.toml:15: link.dbc": 'kind = "serial" does not have this key, which belongs to kind = '
+        '"can" and kind = "python-can"; remove it',
+        "rig.toml:16: link.interface": 'kind = "serial" does not have this key, which belongs to '
+        'kind = "python-can"; remove it',
     }
     socket = '[link]\nkind = "socket"\nchannel = "/run/rig"\nbitrate = 921600\n'
-    assert '"serial"; leave it out' in refused(socket)["rig.toml:14: link.bitrate"]
+    assert '"serial"; remove it' in refused(socket)["rig.toml:14: link.bitrate"]
 
 
 def test_link_that_is_no_table_is_refused() -> None:
@@ -153,7 +153,7 @@ def test_python_can_without_its_interface_is_refused() -> None:
 
 def test_names_without_a_dbc_file_or_of_no_signal_are_refused() -> None:
     found = refused(CAN + 'names = { x_cmd = "SetPos" }\n')
-    assert "none is given; add dbc" in found["rig.toml:14: link.names"]
+    assert "dbc is missing; add dbc" in found["rig.toml:14: link.names"]
     found = refused(CAN + 'dbc = "d.dbc"\n[link.names]\nx_comd = "SetPos"\nseq = 3\n')
     assert 'did you mean "x_cmd"' in found["rig.toml:16: link.names.x_comd"]
     assert "text in quotes" in found["rig.toml:17: link.names.seq"]
@@ -168,7 +168,7 @@ def test_wrong_setting_of_the_link_is_blamed_and_not_the_file() -> None:
     assert list(found) == ["--set rig.link.bitrate"]
     found = refused(CAN, rig__link__kind="python-can")
     assert list(found) == ["--set rig.link.kind"]
-    assert "needs the name of its interface" in str(found)
+    assert "needs the name of a python-can interface" in str(found)
     assert "channel" in str(refused("", rig__link__kind="can"))
 
 
@@ -246,7 +246,7 @@ def test_115200_baud_is_refused_with_the_arithmetic() -> None:
     message = refused(SERIAL + "bitrate = 115_200\n")["rig.toml:14: link.bitrate"]
     assert message == (
         "found 115200 Bd: command (12 bytes) and feedback (16 bytes) at 1024 Hz need 286720 Bd, "
-        "249 % of the line, and at most 80 % may be taken, so at least 460800 Bd"
+        "249 % of the line's capacity; at most 80 % is allowed, so use at least 460800 Bd"
     )
     assert (busload.COMMAND_BYTES, busload.FEEDBACK_BYTES) == (
         lib.RTHYB_SERIAL_COMMAND,
@@ -325,7 +325,7 @@ def test_long_frames_of_a_dbc_need_can_fd_and_a_fast_data_phase(tmp_path: Path) 
     # 135 bits of the command and 712 of the answer, 1024 times a second
     message = faults_of(path)["16: link.bitrate"]
     assert "take 87 %" in message
-    assert "shorter frames, or say data_bitrate" in message
+    assert "shorter frames, or set data_bitrate" in message
     assert config.load_rig(path, {"rig.link.data_bitrate": "2000000"}).link
 
 
@@ -412,7 +412,7 @@ def test_check_says_what_it_cannot_know_of_a_bus(rthyb: Rthyb, tmp_path: Path) -
     answer = rthyb("check", example(), "--rig", "rig.toml")
     assert "/dev/ttyUSB0, serial, 921600 baud" in answer.out
     assert "Bus load  31.1 %" in answer.out
-    assert "Note: nothing ends a test whose displacement sensor sticks or jumps" in answer.out
+    assert "Note: nothing ends a test whose displacement sensor freezes or jumps" in answer.out
 
 
 def test_check_warns_of_a_dbc_that_nobody_could_read(

@@ -195,7 +195,7 @@ def test_faulty_test_is_exit_3_with_every_fault(rthyb: Rthyb, daemon: Daemon) ->
     assert "controller.w1" in answer.err
     shipped = rthyb("ctl", "load", *SHORT, "--set", "rig.rig.seed=3")
     assert shipped.code == 2
-    assert "the rig is the service's own" in shipped.err
+    assert "the rig is that of the service" in shipped.err
 
 
 def test_fault_between_test_and_the_services_rig_is_exit_3(rthyb: Rthyb, place: Path) -> None:
@@ -204,7 +204,7 @@ def test_fault_between_test_and_the_services_rig_is_exit_3(rthyb: Rthyb, place: 
         answer = rthyb("ctl", "load", *SHORT)
         assert answer.code == 3
         assert "limits.command_position_m" in answer.err
-        assert "no test may have more" in answer.err
+        assert "a test may not allow more" in answer.err
         assert status(place)["test"] is None
 
 

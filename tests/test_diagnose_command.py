@@ -159,7 +159,7 @@ def test_a_folder_that_cannot_be_one_is_refused_before_the_work(tmp_path, capsys
     recording, toml = cases.write(tmp_path, cases.channels())
     monkeypatch.setattr(engine, "diagnose", lambda *_: pytest.fail("the work was begun"))
     assert run("diagnose", recording, "--model", toml, "--report", toml) == 1
-    assert "is a file and no folder" in capsys.readouterr().err
+    assert "is a file, not a folder" in capsys.readouterr().err
 
 
 def test_a_second_test_without_a_reading_cannot_be_held_against_the_model(
@@ -171,7 +171,7 @@ def test_a_second_test_without_a_reading_cannot_be_held_against_the_model(
     monkeypatch.setattr(engine, "diagnose", lambda *_: pytest.fail("the work was begun"))
     assert run("diagnose", recording, "--model", toml, "--heldout", commands) == 3
     said = capsys.readouterr().err
-    assert f"{commands}: holds no x_meas" in said
+    assert f"{commands}: has no x_meas" in said
     assert "--predict" in said
 
 
@@ -268,7 +268,7 @@ def test_without_a_force_the_specimen_is_not_said_to_lack_nothing(tmp_path, caps
     assert run("diagnose", recording, "--model", toml) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "Nothing is missing in the actuator" in said
-    assert "Of the specimen this says nothing" in said
+    assert "so this says nothing about the specimen" in said
 
 
 def test_a_slip_of_the_pen_in_a_model_is_said(tmp_path):
@@ -291,7 +291,7 @@ def test_the_verdict_of_a_stop_is_a_sentence_of_the_laboratory(tmp_path, capsys)
     assert "the load cell reads more than the model: a stop at 6.0" in said
     assert "MN/m explains" in said
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "holds on rows left out" in page
+    assert "is confirmed on held-out rows" in page
     # The page's own policy bars pictures: a drawing that needs one shows a broken frame.
     assert "<image" not in page
 

@@ -322,7 +322,7 @@ def loop(seed: int = 3, seconds: float = 8.0) -> tuple[dict[str, np.ndarray], st
 def test_a_factor_of_1000_is_refused_in_every_channel_of_a_loop(tmp_path, name, factor):
     every, toml = loop()
     read(tmp_path, written(every, ",".join(every), None, ",", "."), toml=toml)
-    with pytest.raises(InputError, match="wrong unit is suspected") as caught:
+    with pytest.raises(InputError, match="probably a wrong unit") as caught:
         read(tmp_path, written(every, ",".join(every), {name: factor}, ",", "."), toml=toml)
     if (factor == 1e3 and name.startswith("x_")) or (factor == 1e-3 and "f" in name):
         unit = "mm" if factor == 1e3 else "kN"
@@ -364,7 +364,7 @@ def forced(softer: float = 1.0, free: bool = False, seconds: float = 10.0):
 def test_a_body_under_a_force_in_a_wrong_unit_is_refused(tmp_path, name, factor):
     every, toml = forced()
     read(tmp_path, written(every, ",".join(every), None, ",", "."), toml=toml)
-    with pytest.raises(InputError, match="wrong unit is suspected"):
+    with pytest.raises(InputError, match="probably a wrong unit"):
         read(tmp_path, written(every, ",".join(every), {name: factor}, ",", "."), toml=toml)
 
 
@@ -404,7 +404,9 @@ def test_a_second_recording_in_other_units_is_refused(tmp_path, name, columns):
     first = read(tmp_path, written(columns, ",".join(NAMES), None, ",", "."))
     other = {k: v for k, v in columns.items() if k in ("t", name)}
     text = written(other, ",".join(other), {name: 1e-3 if name == "f_meas" else 1e3}, ",", ".")
-    with pytest.raises(InputError, match="for the recording that the answer comes from") as caught:
+    with pytest.raises(
+        InputError, match="for the recording from which the answer was derived"
+    ) as caught:
         read(tmp_path, text, judged=False, beside=first)
     assert f'--map {name}="{name} [{"kN" if name == "f_meas" else "mm"}]"' in str(caught.value)
     smaller = written(other, ",".join(other), {name: 0.02}, ",", ".")

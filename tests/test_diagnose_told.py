@@ -273,8 +273,8 @@ def test_the_terminal_says_the_error_on_a_second_recording(tmp_path, capsys):
     assert run("diagnose", recording, "--model", toml, "--heldout", second) == 8
     told = " ".join(capsys.readouterr().out.split())
     found = re.search(
-        r"second recording's force the model as given misses ([\d.]+) %, with what was found "
-        r"([\d.]+) % \(NRMSE\)", told
+        r"second recording's force: ([\d.]+) % with the model as given, ([\d.]+) % with the "
+        r"effects found \(NRMSE\)", told
     )  # fmt: skip
     assert found is not None, told
     before, after = float(found[1]), float(found[2])
@@ -295,19 +295,21 @@ def test_a_late_load_cell_is_said_to_be_in_no_rig_file(tmp_path, capsys):
     recording, toml = cases.write(tmp_path, of_late_load_cell())
     assert run("diagnose", recording, "--model", toml, "--report", tmp_path / "r") == 8
     told = " ".join(capsys.readouterr().out.split())
-    note = "A rig file cannot hold a time skew of the load cell"
+    note = "A rig file cannot represent a time skew of the load cell"
     assert note in told
     assert note in (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_loop_that_what_was_found_does_not_bring_back_is_said():
     d = diagnosed(friction)
-    loop = {"possible": True, "notes": ["simulated without gap, which a rig file cannot hold"]}
+    loop = {"possible": True, "notes": ["simulated without gap, which a rig file cannot represent"]}
     errors = {"x_meas": 0.891, "x_num": 0.9, "f_meas": 0.8, "alpha": 0.1}
     loop |= {"nrmse_before": errors, "nrmse_after": errors | {"x_meas": 0.888}}
     first, second = words.loop_notes(d, {"closed_loop": loop})
-    assert first == "With the loop closed: simulated without gap, which a rig file cannot hold."
-    assert "by 89.1 % without it and by 88.8 % with it" in second
+    assert (
+        first == "With the loop closed: simulated without gap, which a rig file cannot represent."
+    )
+    assert "is 89.1 % without them and 88.8 % with them" in second
     loop["nrmse_after"] = errors | {"x_meas": 0.02}
     assert words.loop_notes(d, {"closed_loop": loop}) == [first]
     assert words.loop_notes(d, {"closed_loop": {"possible": False, "why": "it was held"}}) == [

@@ -157,7 +157,7 @@ def test_workers_that_have_it_not_are_refused_before_anything_runs(
     plan = campaigns.read(tmp_path / "campaign.toml")
     with (
         cluster_of(built) as address,
-        pytest.raises(InputError, match="not every worker has the rthyb_rt of this process"),
+        pytest.raises(InputError, match="not every worker has the same rthyb_rt"),
     ):
         conducting.conduct(plan, tmp_path / "out", cluster=address)
     assert (tmp_path / "out" / "rows.jsonl").read_text(encoding="utf-8") == ""

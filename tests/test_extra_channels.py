@@ -282,7 +282,7 @@ def test_a_signal_that_is_not_there_is_told_with_its_place(
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('[[sensors.extra]]\nname = "A"\nunit = "g"', "up to 32 of a-z 0-9 _"),
+        ('[[sensors.extra]]\nname = "A"\nunit = "g"', "up to 32 characters of a-z 0-9 _"),
         ('[[sensors.extra]]\nname = "a"', "sensors.extra.0.unit: missing"),
         ('[[sensors.extra]]\nname = "a"\nunit = "g"\nmeasures = "speed"', "must be one of"),
         ('[[sensors.extra]]\nname = "a"\nunit = "g"\n' * 2, 'found the name "a" twice'),
@@ -301,7 +301,7 @@ def test_what_a_channel_cannot_be_is_told_with_its_key(text: str, says: str) -> 
 
 def test_a_name_that_recordings_have_already_is_refused() -> None:
     rig = rig_of('\n[[sensors.extra]]\nname = "x_meas_m"\nunit = "m"\n')
-    with pytest.raises(InputError, match="which every recording has already"):
+    with pytest.raises(InputError, match="which is a name in every recording"):
         experiment.prepare(test_file(), rig)
 
 

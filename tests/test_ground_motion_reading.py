@@ -293,7 +293,7 @@ def test_binary_file_is_refused_with_a_hint(tmp_path: Path, content: bytes, says
 
 
 def test_prose_is_an_unknown_format(written: Callable[..., Path]) -> None:
-    assert "format is not known" in refusal(written("Dear colleague,\nhere is the record.\n"))
+    assert "format is not recognized" in refusal(written("Dear colleague,\nhere is the record.\n"))
 
 
 def test_huge_file_is_refused_without_reading_it_all(tmp_path: Path) -> None:
@@ -381,20 +381,20 @@ def test_decreasing_and_repeated_time_are_refused(written: Callable[..., Path]) 
 def test_at2_cut_short_is_refused_with_both_counts(written: Callable[..., Path]) -> None:
     lines = (SAMPLES / "named_header.at2").read_text().split("\n")
     message = refusal(written("\n".join(lines[:8])))
-    assert "NPTS says 43 points, the file holds 20" in message
-    assert "cut short" in message
+    assert "NPTS says 43 points, but the file has 20" in message
+    assert "truncated" in message
 
 
 def test_word_inside_fixed_data_is_told_with_its_row(written: Callable[..., Path]) -> None:
     lines = (SAMPLES / "named_header.at2").read_text().split("\n")
     lines[6] = "  gap of two seconds"
     message = refusal(written("\n".join(lines)))
-    assert "record.txt:7: NPTS says 43 points, the file holds 10 ('gap of two seconds'" in message
+    assert "record.txt:7: NPTS says 43 points, but the file has 10 ('gap of two seconds'" in message
 
 
 def test_at2_with_more_values_than_npts_is_refused(written: Callable[..., Path]) -> None:
     text = (SAMPLES / "named_header.at2").read_text()
-    assert "NPTS says 43 points, the file holds 45" in refusal(written(text + " .1 .2\n"))
+    assert "NPTS says 43 points, but the file has 45" in refusal(written(text + " .1 .2\n"))
 
 
 @pytest.mark.parametrize(
@@ -411,19 +411,19 @@ def test_fixed_format_cut_short_is_refused(
     written: Callable[..., Path], name: str, channel: int | None, lines: int
 ) -> None:
     text = (SAMPLES / name).read_text().split("\n")[:lines]
-    assert "cut short" in refusal(written("\n".join(text)), channel=channel)
+    assert "truncated" in refusal(written("\n".join(text)), channel=channel)
 
 
 def test_knet_cut_short_is_refused(written: Callable[..., Path]) -> None:
     text = (SAMPLES / "station.EW").read_text().split("\n")[:26]
-    assert "it is cut short" in refusal(written("\n".join(text)))
+    assert "it is truncated" in refusal(written("\n".join(text)))
 
 
 def test_field_of_stars_is_explained(written: Callable[..., Path]) -> None:
     lines = (SAMPLES / "digital.v1").read_text().split("\n")
     lines[29] = "*********" + lines[29][9:]
     message = refusal(written("\n".join(lines)))
-    assert "record.txt:30: ********* stands for a number too large" in message
+    assert "record.txt:30: ********* marks a number too large" in message
 
 
 def test_channel_must_be_chosen_and_must_exist() -> None:

@@ -191,7 +191,7 @@ def test_amplitudes_and_cycles_come_from_a_csv_file_and_stay_in_the_test(tmp_pat
         ("amplitude_mm,cycles\nnan,1\n", 2, "must be a number"),
         ("amplitude_kg,cycles\n2,1\n", 1, "must be a length"),
         ("size,cycles\n2,1\n", 1, "found the columns size, cycles"),
-        ("amplitude_mm\n", 0, "and one for each step"),
+        ("amplitude_mm\n", 0, "and one line for each step"),
     ],
 )
 def test_a_csv_file_with_a_fault_is_told_by_its_line(
@@ -229,20 +229,20 @@ def test_what_a_history_cannot_be_is_told_with_its_key(text: str, says: str) -> 
 
 
 def test_a_length_beside_a_history_is_refused() -> None:
-    with pytest.raises(InputError, match="a history says itself how long it lasts"):
+    with pytest.raises(InputError, match="the length of a history follows from its own keys"):
         config.parse_test(
             f'schema = "rthyb-test/1"\ntest = {{ name = "h", duration_s = 3 }}\n{FEMA}'
         )
 
 
 def test_too_fast_and_too_long_histories_are_refused() -> None:
-    with pytest.raises(InputError, match="at most 128 Hz are allowed"):
+    with pytest.raises(InputError, match="at most 128 Hz is allowed"):
         planned('history = { kind = "sine", amplitude_m = 0.01, frequency_hz = 200, cycles = 3 }')
-    with pytest.raises(InputError, match="allowed are 14745600"):
+    with pytest.raises(InputError, match="at most 14745600 are allowed"):
         planned(
             'history = { kind = "sine", amplitude_m = 0.01, frequency_hz = 0.001, cycles = 30 }'
         )
-    with pytest.raises(InputError, match="have no line"):
+    with pytest.raises(InputError, match="has no spectral line"):
         planned(
             'history = { kind = "random", from_hz = 1.01, to_hz = 1.02, peak_m = 0.01, '
             "duration_s = 9 }"

@@ -58,7 +58,7 @@ def test_alpha_of_a_pure_delay_is_the_delay() -> None:
 
 def test_delay_too_long_for_a_phase_lead_is_said() -> None:
     result = identify(rig("delay-10-elastic", actuator__delay_samples="150"))
-    assert any("no phase lead undoes this actuator" in note for note in result.notes)
+    assert any("a phase lead cannot compensate this actuator" in note for note in result.notes)
 
 
 def test_first_order_lag_follows_its_closed_form() -> None:
@@ -195,7 +195,7 @@ def test_dead_displacement_sensor_is_refused() -> None:
 @pytest.mark.parametrize("noise_n", ["0", "5"])
 def test_rig_without_specimen_is_refused(noise_n: str) -> None:
     bare = rig("delay-10-elastic", specimen__0__k_n_per_m="0", sensors__force__noise_std_n=noise_n)
-    with pytest.raises(InputError, match="is a specimen mounted, the load cell connected"):
+    with pytest.raises(InputError, match="is a specimen mounted, is the load cell connected"):
         identify(bare)
 
 

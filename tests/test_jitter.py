@@ -406,7 +406,7 @@ def test_an_older_measurement_is_not_overwritten(rthyb: Rthyb, tmp_path: Path) -
     (tmp_path / "old" / "jitter.json").write_text("{}", encoding="utf-8")
     code, _, err = rthyb("jitter", "--out", "old")
     assert code == 2
-    assert "exists already" in err
+    assert "already exists" in err
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "1e9"])

@@ -175,7 +175,7 @@ def test_interface_that_is_down() -> None:
 
 def test_bit_rate_other_than_the_rig_files() -> None:
     assert refusal(CAN0, 500_000) == (
-        "its bit rate is 1000000 bit/s, the rig file says 500000; set it up with `sudo ip link "
+        "its bit rate is 1000000 bit/s, but the rig file says 500000; set it up with `sudo ip link "
         "set can0 down; sudo ip link set can0 up type can bitrate 500000`"
     )
 
@@ -183,14 +183,16 @@ def test_bit_rate_other_than_the_rig_files() -> None:
 def test_data_bit_rate_other_than_the_rig_files() -> None:
     fast = dataclasses.replace(CAN0, mtu=72, data_bitrate=2_000_000)
     message = refusal(fast, 1_000_000, True, data_bitrate=5_000_000)
-    assert "the bit rate of its data phase is 2000000 bit/s, the rig file says 5000000" in message
+    assert (
+        "the bit rate of its data phase is 2000000 bit/s, but the rig file says 5000000" in message
+    )
     assert "bitrate 1000000 dbitrate 5000000 fd on`" in message
     can_bus.check(fast, 1_000_000, True, 2_000_000)
 
 
 def test_kernel_that_would_go_back_to_the_bus_by_itself() -> None:
     message = refusal(dataclasses.replace(CAN0, restart_ms=100))
-    assert message.startswith("restart-ms is 100, 0 is needed: ")
+    assert message.startswith("restart-ms is 100, but must be 0: ")
     assert "up type can bitrate 1000000 restart-ms 0`" in message
 
 
@@ -215,7 +217,13 @@ def test_all_that_is_wrong_is_said_at_once_with_one_remedy() -> None:
     message = refusal(
         dataclasses.replace(CAN0, restart_ms=100, state="BUS_OFF", listen_only=True), 500_000, True
     )
-    for part in ("1000000 bit/s", "restart-ms is 100", "bus-off", "listen-only is on", "CAN FD"):
+    for part in (
+        "1000000 bit/s",
+        "restart-ms is 100",
+        "bus-off",
+        "listen-only mode is on",
+        "CAN FD",
+    ):
         assert part in message
     assert message.count("set it up with") == 1
 
@@ -256,8 +264,8 @@ def test_interface_that_is_not_can() -> None:
     [
         (errno.EAFNOSUPPORT, "sudo modprobe -a can can-raw"),
         (errno.EPROTONOSUPPORT, "sudo modprobe can-raw"),
-        (errno.EPERM, "a sandbox is in the way"),
-        (errno.EACCES, "a sandbox is in the way"),
+        (errno.EPERM, "a sandbox forbids it"),
+        (errno.EACCES, "a sandbox forbids it"),
         (errno.EMFILE, "no CAN socket can be opened: "),
     ],
 )

@@ -176,7 +176,8 @@ def test_low_latency_is_asked_of_a_driver_that_has_it(
 def test_second_user_is_told_who_has_the_line(pty: Pty) -> None:
     with open_pty(pty):
         assert refusal(pty.path) == (
-            f"process {os.getpid()} has it open; a serial line has one user: end that one first"
+            f"process {os.getpid()} has it open; a serial line can have only one user: stop that "
+            "program first"
         )
 
 
@@ -201,7 +202,7 @@ def test_program_that_knows_no_locks_is_kept_out_by_the_kernel(pty: Pty) -> None
             os.open(pty.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         assert refused.value.errno == errno.EBUSY
         with as_nobody():
-            assert "for itself alone" in refusal(pty.path)
+            assert "opened it exclusively" in refusal(pty.path)
     with as_nobody():
         open_pty(pty).close()  # and is let in again
 

@@ -285,7 +285,7 @@ def test_filters_that_the_kernel_did_not_take_are_found_out(
     from can.interfaces.socketcan import SocketcanBus
 
     monkeypatch.setattr(SocketcanBus, "_apply_filters", lambda *_: None)
-    assert "the kernel did not set: identifier filters" in refusal(VCAN)
+    assert "the kernel does not support: identifier filters" in refusal(VCAN)
 
 
 # ---- slcan: an adapter with a bit rate -----------------------------------------------------------
@@ -336,7 +336,7 @@ def adapter() -> Iterator[Adapter]:
 def test_bit_rate_of_the_kernel_is_compared_with_the_rig_files(adapter: Adapter) -> None:
     adapter.set_up("bitrate", "800000")
     message = refusal(adapter.name, bitrate=1_000_000)
-    assert "its bit rate is 800000 bit/s, the rig file says 1000000" in message
+    assert "its bit rate is 800000 bit/s, but the rig file says 1000000" in message
     assert f"sudo ip link set {adapter.name} up type can bitrate 1000000`" in message
     with opened_can(adapter.name, bitrate=800_000) as opened:
         assert opened.name == f"{adapter.name}, CAN 800 kbit/s"
@@ -361,7 +361,7 @@ def test_bit_rate_too_low_for_the_samples(adapter: Adapter) -> None:
 
 def test_adapter_that_only_listens(adapter: Adapter) -> None:
     adapter.set_up("bitrate", "1000000", "listen-only", "on")
-    assert "listen-only is on" in refusal(adapter.name)
+    assert "listen-only mode is on" in refusal(adapter.name)
 
 
 def test_commands_go_out_over_the_adapter_and_its_frames_come_in(adapter: Adapter) -> None:

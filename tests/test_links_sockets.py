@@ -139,7 +139,7 @@ def test_one_end_gone_is_a_hang_up_at_the_other(tmp_path: Path) -> None:
 def test_no_drive_has_been_started(tmp_path: Path) -> None:
     path = tmp_path / "rig.socket"
     start = f"`rthyb rig RIG.toml --socket {path}`"
-    assert refusal(path) == f"there is no socket; start the drive first: {start}"
+    assert refusal(path) == f"the socket does not exist; start the drive first: {start}"
 
 
 def test_drive_that_died_leaves_a_path_to_nobody_and_the_next_one_takes_it(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_drive_that_died_leaves_a_path_to_nobody_and_the_next_one_takes_it(tmp_p
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as dead:
         dead.bind(str(path))
         dead.listen(1)
-    assert refusal(path).startswith("nobody listens there; start the drive first")
+    assert refusal(path).startswith("no program is listening there; start the drive first")
     drive = Listening(path)
     ours = until(lambda: _connected(path))  # the old path may be there for a moment, or none
     ours.close()
@@ -169,14 +169,14 @@ def test_path_at_which_another_program_listens_is_left_alone(
     with socket.socket(socket.AF_UNIX, kind) as other:
         other.bind(str(path))
         other.listen(1)
-        assert refusal(path, "listen").startswith("another program listens there")
+        assert refusal(path, "listen").startswith("another program is listening there")
         assert path.is_socket()
 
 
 def test_file_at_the_path_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text("precious")
-    assert "not a socket; it is left alone" in refusal(path, "listen")
+    assert "is not a socket; choose another path" in refusal(path, "listen")
     assert path.read_text() == "precious"
 
 
@@ -194,13 +194,13 @@ def test_socket_of_another_kind(tmp_path: Path) -> None:
         other.bind(str(path))
         other.listen(1)
         message = refusal(path)
-        assert "another kind of socket" in message
-        assert "give the path" in message
+        assert "not the socket of a virtual drive" in message
+        assert "use the same path" in message
 
 
 def test_folder_that_is_not_there(tmp_path: Path) -> None:
     message = refusal(tmp_path / "none" / "rig.socket", "listen")
-    assert message == "no socket can be made there: No such file or directory"
+    assert message == "no socket can be created there: No such file or directory"
 
 
 def test_path_too_long_for_a_socket(tmp_path: Path) -> None:
@@ -228,12 +228,12 @@ def test_socket_of_another_user(tmp_path: Path) -> None:
         if os.geteuid():
             path.chmod(0)
         with as_nobody():
-            assert "no permission; the socket of a virtual drive is for the user" in refusal(path)
+            assert "no permission; only the user who started a virtual drive" in refusal(path)
 
 
 def test_nobody_comes_in_time_and_the_path_is_gone(tmp_path: Path) -> None:
     path = tmp_path / "rig.socket"
-    with nothing_left_open(), pytest.raises(InputError, match="no controller came within"):
+    with nothing_left_open(), pytest.raises(InputError, match="no controller connected within"):
         listen_socket(path, timeout_s=0.01)
     assert not path.exists()
 
@@ -273,8 +273,8 @@ def test_second_controller_is_told_which_process_is_the_first(
     with Owned() as owned, nothing_left_open(), pytest.raises(InputError) as refused:
         locks.hold(owned, "can0", "can0", "controller")
     assert str(refused.value) == (
-        f"can0: process {other.pid} has it open as controller; a link has one controller at a "
-        "time: end that one first"
+        f"can0: process {other.pid} has it open as controller; a link can have only one "
+        "controller at a time: stop that program first"
     )
 
 

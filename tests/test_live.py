@@ -696,7 +696,7 @@ def test_operator_conducts_a_test_and_a_looker_may_only_hold_and_stop(memory: Pa
                 good, text = give(looker, command)
                 assert (good, text) == (
                     False,
-                    f"{command} takes the operator's address of this page: rthyb live --operator",
+                    f"{command} needs the operator's address of this page: rthyb live --operator",
                 )
             good, text = give(operator, "start")
             assert not good
@@ -718,7 +718,7 @@ def test_operator_conducts_a_test_and_a_looker_may_only_hold_and_stop(memory: Pa
             looker.send_json({"view": {"follow": True, "seconds": 5, "columns": 500}})
             screen = Screen()
             until(lambda: screen.take(next_frame(looker))[1] == RUNNING, "a frame of the test")
-            assert give(looker, "stop") == (True, "Told to stop")
+            assert give(looker, "stop") == (True, "Stop sent")
             await_state(memory, "IDLE")
             good, text = give(looker, "fire")
             assert (good, text) == (False, "there is no command 'fire'")
@@ -884,7 +884,7 @@ def test_live_view_of_a_run_starts_writes_its_address_and_ends_in_order(
             connect(address, origin="http://elsewhere")
         taken = rthyb("live", tmp_path, "--port", look.split(":")[2].split("/")[0])
         assert taken.code == 1
-        assert "is taken; take another one with --port" in taken.err
+        assert "is taken; choose another one with --port" in taken.err
         made.signal(15)
         code, out, err = made.end()
         assert (code, out, err) == (0, "", "")

@@ -120,11 +120,11 @@ def test_an_inverse_before_the_lead_is_seen_through() -> None:
 
 
 WRONG: list[tuple[str, dict[str, Any]]] = [
-    ("one matrix a frequency", {"response": exact(TONES)[:5]}),
-    ("one matrix a frequency", {"rest_noise_m": np.zeros(3)}),
+    ("one matrix for each frequency", {"response": exact(TONES)[:5]}),
+    ("one matrix for each frequency", {"rest_noise_m": np.zeros(3)}),
     ("not finite", {"response": exact(TONES) * np.nan}),
-    ("must be positive and rise", {"frequency_hz": TONES[::-1]}),
-    ("must be positive and rise", {"frequency_hz": TONES - 0.25}),
+    ("must be positive and increasing", {"frequency_hz": TONES[::-1]}),
+    ("must be positive and increasing", {"frequency_hz": TONES - 0.25}),
 ]
 
 
@@ -136,7 +136,7 @@ def test_a_response_that_is_none_is_refused(says: str, wrong: dict[str, Any]) ->
 
 
 def test_a_sweep_that_is_too_short_and_poles_that_are_none_are_refused() -> None:
-    with pytest.raises(InputError, match="needs 8 or more"):
+    with pytest.raises(InputError, match="needs at least 8"):
         matrix_response.fit(found(TONES[:7]), H)
     for poles in ((), (600.0,), (-1.0,), (5.0,) * 9):
         with pytest.raises(InputError, match="1 to 8"):

@@ -101,8 +101,12 @@ def test_every_form_of_a_matrix_reads_back_equal() -> None:
         ("interface", "influence = [1, 1]\ninterface", ("found 2 numbers; must be 3",)),
         ("interface", "force_delay_samples = 2\ninterface", ("found 2", "from 0 to 1")),
         ("interface", 'integrator = "kr"\ninterface', ('"cr", "rk4"',)),
-        ("interface", "specimen.mass_kg = 1000\ninterface", ("1000 kg", "something must be left")),
-        ("[numerical.mat", "[numerical]\nmass_kg = 3\n[numerical.mat", ("keep one of",)),
+        (
+            "interface",
+            "specimen.mass_kg = 1000\ninterface",
+            ("1000 kg", "that remains to be computed"),
+        ),
+        ("[numerical.mat", "[numerical]\nmass_kg = 3\n[numerical.mat", ("keep only one of",)),
         (
             "[numerical.mat",
             '[numerical]\nintegrator = "kr-alpha"\n[numerical.mat',
@@ -111,7 +115,7 @@ def test_every_form_of_a_matrix_reads_back_equal() -> None:
         (
             "[numerical.mat",
             "[numerical]\nstiffness_n_per_m = 5\n[numerical.mat",
-            ("belongs into k_n_per_m",),
+            ("give every stiffness in k_n_per_m",),
         ),
     ],
 )
@@ -126,14 +130,14 @@ def test_a_fault_is_named_with_place_value_and_what_is_allowed(
 
 def test_a_structure_that_nothing_holds_is_refused() -> None:
     message = refused("[[4e6,", "[[-4e6,")
-    assert "nothing holds the structure against the motion [" in message
+    assert "nothing restrains the structure against the motion [" in message
     assert "k_n_per_m" in message
 
 
 def test_damping_that_feeds_a_mode_is_refused() -> None:
     message = refused('damping_ratios = ["5 %"]', "c_n_s_per_m = [-100, 0, 0]")
     assert "damping ratio of -" in message
-    assert "must have 0 or more" in message
+    assert "must be at least 0" in message
 
 
 def test_a_step_too_long_for_rk4_is_refused_and_taken_by_cr() -> None:

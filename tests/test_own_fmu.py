@@ -174,7 +174,7 @@ def test_an_fmu_that_allocates_while_it_steps_is_refused_in_real_time(
     test = of_test(build(fmi, "void *volatile b = malloc(80); free(b)"), parameters=parameters())
     problem = refused(test, real_time=True)
     assert problem.where.split(" ")[-1] == "numerical.fmu"
-    assert "allocates or frees memory while it steps" in problem.message
+    assert "allocates or frees memory in its step function" in problem.message
     experiment.prepare(files.file_of_test(test), files.file_of_rig(test.rig))
 
 

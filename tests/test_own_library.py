@@ -209,12 +209,15 @@ def test_what_a_library_keeps_elsewhere_it_may_bring_along(build: Build) -> None
 IN_REAL_TIME = {
     "allocates": (
         "void *volatile block = malloc(64 + (size_t)s->n % 7); free(block)",
-        "allocates or frees memory while it steps",
+        "allocates or frees memory in its step function",
     ),
     "allocates in another library": ('free(strdup("a"))', "allocates or frees memory"),
-    "prints": ('printf("%g\\n", next), fflush(stdout)', "calls the system while it steps"),
-    "asks who it is": ("s->k = (double)getppid()", "calls the system while it steps (system call"),
-    "waits": ("nanosleep(&(struct timespec){.tv_nsec = 1000}, 0)", "calls the system"),
+    "prints": ('printf("%g\\n", next), fflush(stdout)', "makes a system call in its step function"),
+    "asks who it is": (
+        "s->k = (double)getppid()",
+        "makes a system call in its step function (system call",
+    ),
+    "waits": ("nanosleep(&(struct timespec){.tv_nsec = 1000}, 0)", "makes a system call"),
     "takes long": ("for (volatile int i = 0; i < 2000000; i++) s->k += i", "half of the sampling"),
 }
 

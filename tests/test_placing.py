@@ -80,7 +80,7 @@ def test_key_that_stands_nowhere_is_answered_with_the_file(tmp_path: Path) -> No
     np.savez(matrices, M=np.eye(3) * 1e3, K=k, labels=np.array(["a", "b", "c"]))
     storeys = TEST[TEST.index("[numerical.storeys]") :]
     said = refused(tmp_path, storeys, f'[numerical.matrices]\nfile = "{matrices}"\n')
-    assert said.startswith("frame.toml: interface: missing; say what the actuator moves")
+    assert said.startswith("frame.toml: interface: missing; state what the actuator moves")
 
 
 def test_a_key_of_both_files_is_that_of_the_file_which_has_it() -> None:

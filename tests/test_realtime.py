@@ -230,7 +230,7 @@ def test_set_that_the_station_refuses_is_told_and_is_no_part_of_the_recording() 
         with pytest.raises(realtime.RefusedError) as told:
             session.set_parameters(without)
         assert "refused in state RUNNING" in str(told.value)
-        assert "stop, and change them in IDLE" in str(told.value)
+        assert "stop and change them in IDLE" in str(told.value)
         assert session.loop.set_taken(2) is False
         assert session.set_parameters(limited) == 3
         session.wait(0.2)

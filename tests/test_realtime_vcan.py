@@ -915,7 +915,7 @@ def test_interface_that_is_down(lab: CanLab, interface: str, refusal: Callable[.
 @pytest.mark.parametrize(
     ("bitrate", "said", "message"),
     [
-        (800_000, f"{BITRATE}", "its bit rate is 800000 bit/s, the rig file says 1000000"),
+        (800_000, f"{BITRATE}", "its bit rate is 800000 bit/s, but the rig file says 1000000"),
         (500_000, "", "found 500000 bit/s: frame rate over 80 % bus load"),
     ],
 )
@@ -936,7 +936,10 @@ def test_adapter_of_another_bit_rate(
             {"dbc": '"drive.dbc"', "fd": "true", "bitrate": ""},
             "drive.dbc: x_cmd: no signal of this name, but the commanded displacement is needed; ",
         ),
-        ({"dbc": '"none.dbc"'}, "no such file; it is looked for beside the rig file"),
+        (
+            {"dbc": '"none.dbc"'},
+            "no such file; a relative path starts at the folder of the rig file",
+        ),
     ],
 )
 def test_link_that_cannot_work_is_refused_before_it_is_opened(

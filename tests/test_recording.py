@@ -226,7 +226,7 @@ def test_foreign_file_is_refused(tmp_path: Path) -> None:
 def test_foreign_hdf5_file_is_refused(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = np.arange(3)
-    assert "no recording: the attribute 'schema' is missing" in refusal(tmp_path / "other.h5")
+    assert "not a recording: the attribute 'schema' is missing" in refusal(tmp_path / "other.h5")
 
 
 def test_recording_of_a_later_version_is_refused_by_its_schema(path: Path) -> None:

@@ -105,7 +105,7 @@ def test_missed_band_is_named_on_top_and_marked_by_sign_and_word(case: str) -> N
     text = text_of(page)
     assert "1 of 2 accepted bands are met; 1 is missed." in text
     where = "Tests, PLC" if case else "Tests"
-    assert f"✗ Section 9.9, {where}: Peak 2.500 mm, accepted is 1 – 2" in text
+    assert f"✗ Section 9.9, {where}: Peak 2.500 mm, accepted: 1 – 2" in text
     assert text.count("✗ missed") == 2  # the legend explains the sign, the table uses it
     assert "bands missed" in text
 

@@ -164,7 +164,7 @@ def test_session_that_cannot_be_written_leaves_no_ring(
 
 def test_folder_that_is_a_file_is_one_clear_message(tmp_path: Path, session: Recording) -> None:
     (tmp_path / "rings").write_text("in the way")
-    with pytest.raises(RthybError, match=r"no telemetry ring can be made here .*permissions"):
+    with pytest.raises(RthybError, match=r"no telemetry ring can be created here .*permissions"):
         Ring.create(tmp_path / "rings", session, capacity=8)
 
 
@@ -215,7 +215,7 @@ def test_ring_folder_that_another_user_has_put_there_is_refused(
 ) -> None:
     """Its owner could have had any file of the victim's overwritten."""
     put_there_by_another_user(shared)
-    with pytest.raises(RthybError, match=r"everybody may write in .*belongs to user 65534"):
+    with pytest.raises(RthybError, match=r"everyone may write in .*belongs to user 65534"):
         Ring.create(shared, session, 64)
     assert list(shared.iterdir()) == []
 
@@ -226,7 +226,7 @@ def test_ring_folder_that_leads_elsewhere_is_refused(
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
     shared.symlink_to(elsewhere)
-    with pytest.raises(RthybError, match="leads elsewhere"):
+    with pytest.raises(RthybError, match="is not a folder but a link"):
         Ring.create(shared, session, 64)
     assert list(elsewhere.iterdir()) == []
 
@@ -529,13 +529,13 @@ def test_ring_with_other_fields_is_refused(small: Ring) -> None:
 
 def test_ring_with_longer_records_is_refused(small: Ring) -> None:
     patch(small.path, 12, struct.pack("<I", 160))
-    assert "records are of another size" in refusal(small.path)
+    assert "records have a different size" in refusal(small.path)
 
 
 @pytest.mark.parametrize(
     ("at", "value", "message"),
     [
-        (0, bytes(8), "not set up to its end"),
+        (0, bytes(8), "not completely set up"),
         (0, b"RIFF", "not a telemetry ring"),
         (16, struct.pack("<Q", 2**63), "header is damaged"),
         (24, struct.pack("<Q", 2**63), "header is damaged"),
@@ -545,7 +545,7 @@ def test_ring_with_longer_records_is_refused(small: Ring) -> None:
         (48, struct.pack("<I", 63), "header is damaged"),
         (48, struct.pack("<I", 2**31), "header is damaged"),
         (52, struct.pack("<I", 0), "another size"),
-        (ABOUT_AT, b"?", "damaged in its description"),
+        (ABOUT_AT, b"?", "the description in the ring is damaged"),
     ],
 )
 def test_damaged_header_is_refused(small: Ring, at: int, value: bytes, message: str) -> None:

@@ -501,7 +501,7 @@ def test_real_time_goes_at_1024_hz_alone(rthyb: Rthyb) -> None:
         "--set", "test.sample_rate_hz=4096",
     )  # fmt: skip
     assert answer.code == 3
-    assert "test.sample_rate_hz: found 4096 Hz; a test in real time goes at 1024 Hz" in answer.err
+    assert "test.sample_rate_hz: found 4096 Hz; a test in real time runs at 1024 Hz" in answer.err
     assert "run it without --realtime" in answer.err
 
 

@@ -232,7 +232,7 @@ def test_a_test_of_one_actuator_is_refused_on_a_rig_of_two_and_the_other_way_rou
     with made() as lab, pytest.raises(InputError, match="a rig of several axes needs storeys"):
         lab.engine.prepare(one, experiment.load_motion(one))
     alone = config.load_rig(config.find_rig(one.rig))
-    with pytest.raises(InputError, match="the rig has one actuator, and moves one"):
+    with pytest.raises(InputError, match="the rig has one actuator, which moves one"):
         any_rig.prepare(short_file(), alone, experiment.load_motion(short_file()))
 
 

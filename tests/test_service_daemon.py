@@ -544,7 +544,7 @@ def test_rig_that_was_commissioned_is_so_for_the_service_too(
     assert f"Wrote {kept}" in answer.out
     assert kept.stat().st_mode & 0o777 == 0o644
     again = rthyb("install-service", "--root", root, "--rig", own)
-    assert "was there already, and is left as it was" in again.err
+    assert "already exists and was left unchanged" in again.err
 
 
 def test_dbc_file_of_a_rig_goes_with_it(

@@ -523,8 +523,8 @@ def test_reload_that_the_tick_refuses_says_why_and_changes_nothing(rings: Path) 
         engine, loaded = made.engine, made.engine.loaded
         with pytest.raises(StateError) as told:
             engine.reload(rig_file())
-        assert "would switch off a limit of the command's velocity" in str(told.value)
-        assert "stop, and change them in IDLE" in str(told.value)
+        assert "would remove a limit on the command's velocity" in str(told.value)
+        assert "stop and change them in IDLE" in str(told.value)
         assert "the state is HOLD" in str(told.value)
         assert engine.rig.limits.command_acceleration_m_per_s2 is not None
         assert engine.loaded is loaded

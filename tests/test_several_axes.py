@@ -277,5 +277,5 @@ def test_rthyb_check_shows_axes_and_directions_and_what_it_does_not_compute(rthy
     assert set(told["axes"]) == {"upper", "lower"}  # type: ignore[call-overload]
     assert set(told["directions"]) == {"x", "theta"}  # type: ignore[call-overload]
     assert told["modes_hz"][0] == pytest.approx(2.30, abs=0.02)  # type: ignore[index]
-    assert any("are computed for one axis alone" in note for note in told["notes"])  # type: ignore[attr-defined]
+    assert any("are computed only for a rig with one axis" in note for note in told["notes"])  # type: ignore[attr-defined]
     assert "Direction theta" in done.err

@@ -109,7 +109,7 @@ def test_slips_of_the_pen_are_named_all_at_once_with_line_value_and_range() -> N
         "limits.sensor_stuck_samples": "found 1; the number of samples must be a whole number "
         "from 2 to 61440",
         "limits.command_increment_m": "found 0; the limit must be from 1e-9 to 100 m",
-        "limits.ramp_in_s": "found 0; the length of the ramp-in must be from 0.01 to 600 s",
+        "limits.ramp_in_s": "found 0; the duration of the ramp-in must be from 0.01 to 600 s",
     }
     assert [p.where.split(":")[1] for p in caught.value.problems] == [str(n) for n in range(14, 21)]
 
@@ -152,13 +152,13 @@ def test_limit_above_the_rigs_is_refused_naming_both() -> None:
     )
     assert found == {
         "limits.force_n": 'found 30000 N; rig "spring" says limits.force_n = 25000 N, action '
-        '"trip", and no test may have more; leave the key out of the test to take the rig\'s',
+        '"trip", and a test may not allow more; remove the key from the test to use the rig\'s',
         "limits.sensor_stuck_samples": 'found 100 samples; rig "spring" says '
-        'limits.sensor_stuck_samples = 50 samples, action "trip", and no test may have more; leave '
-        "the key out of the test to take the rig's",
+        'limits.sensor_stuck_samples = 50 samples, action "trip", and a test may not allow more; '
+        "remove the key from the test to use the rig's",
         "limits.command_acceleration_m_per_s2": 'found 20 m/s^2; rig "spring" says '
-        "limits.command_acceleration_m_per_s2 = 10 m/s^2, at most; leave the key out of the test "
-        "to take the rig's",
+        "limits.command_acceleration_m_per_s2 = 10 m/s^2, at most; remove the key from the test "
+        "to use the rig's",
     }
 
 
@@ -173,7 +173,7 @@ def test_limit_above_the_rigs_is_refused_naming_both() -> None:
 def test_limit_of_the_rig_cannot_be_switched_off_or_weakened(weaker: str) -> None:
     rig = limits(force_n='{ value = 25000, action = "ramp-out" }')
     (message,) = refused(limits(force_n=weaker), rig).values()
-    assert 'action "ramp-out", and a test may not weaken it; give that action or a stronger' in (
+    assert 'action "ramp-out", and a test may not weaken it; use that action or a stronger' in (
         message
     )
     stronger = prepared(limits(force_n='{ value = 9000, action = "trip" }'), rig)
@@ -520,7 +520,7 @@ def test_check_warns_where_only_an_indication_stands_against_growth(
     rthyb: Rthyb, files: Path
 ) -> None:
     (files / "rig.toml").write_text(RIG)
-    warning = "Warning: nothing ends a test that grows"
+    warning = "Warning: nothing ends a test whose motion grows"
     assert warning not in rthyb("check", "test.toml").out
     weak = ("--set", 'limits.force_n={ value = 9000, action = "indicate" }')
     assert warning in rthyb("check", "test.toml", *weak).out

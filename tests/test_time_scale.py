@@ -120,7 +120,10 @@ def test_a_damper_in_a_slow_test_has_its_force_over_the_time_scale() -> None:
 
 
 def test_what_is_known_of_the_specimens_mass_and_damping_is_computed_in_a_slow_test() -> None:
-    text = f'[numerical.matrices]\n{CR}integrator = "cr"\nspecimen = {{ mass_kg = 500, damping_n_s_per_m = 900 }}\n'  # noqa: E501
+    text = (
+        f'[numerical.matrices]\n{CR}integrator = "cr"\nspecimen = {{ mass_kg = 500, '
+        "damping_n_s_per_m = 900 }\n"
+    )
     given = slow_test(text).numerical.matrices
     plain = structure_of(given, 666400.0, 1 / 1024)
     slow = plain.slowed(5.0)
@@ -184,13 +187,13 @@ def test_a_slow_test_says_what_it_leaves_out() -> None:
     assert "viscous" in note
     assert "1/10 of the structure's" in note
     notes = experiment.prepare(slow_test(ONE.format("cr"), 10.0), rig_of()).notes
-    assert any("have no rate in them" in text for text in notes)
+    assert any("do not depend on rate" in text for text in notes)
     notes = experiment.prepare(slow_test(ONE.format("cr")), rig_of(SPRING + DAMPER)).notes
     assert not any("time_scale" in text for text in notes)
 
 
 def test_a_test_of_too_many_hours_is_refused_with_what_would_fit() -> None:
-    with pytest.raises(InputError, match="a time scale up to") as error:
+    with pytest.raises(InputError, match="a time scale of up to") as error:
         experiment.prepare(slow_test(ONE.format("cr"), 1000.0, 4096.0), rig_of())
     assert "test.time_scale" in str(error.value)
 

@@ -350,9 +350,9 @@ def test_two_faults_at_once_each_do_their_part(rthyb: Any, tmp_path: Path) -> No
         ("drop:p=2", "drop takes 0 to 1"),
         ("stuck:p=1", "stuck takes each of from, to once"),
         ("jump:from=1", "jump needs a value in m"),
-        ("drop:from=5,to=4", "it ends at 4 s, before it begins at 5 s"),
+        ("drop:from=5,to=4", "it ends at 4 s, before its start at 5 s"),
         ("drop:from=now", "could not convert"),
-        ("power-cut:from=1", "take silence"),
+        ("power-cut:from=1", "use silence"),
     ],
 )
 def test_fault_that_cannot_be_is_refused_with_what_can(rthyb: Any, text: str, said: str) -> None:

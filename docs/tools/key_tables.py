@@ -42,7 +42,7 @@ _PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 MEANINGS: dict[str, str] = {
     "GroundMotion.format": 'format of the file; "auto" tells by the content, not by the name',
-    "GroundMotion.record": "name of a built-in record, or path of a file (beside the test file)",
+    "GroundMotion.record": "name of a built-in record, or path of a file (from the test file)",
     "GroundMotion.units": "unit of the file's numbers, for a file that does not say it",
     "GroundMotion.channel": "number, or part of the name, of one component of several",
     "GroundMotion.interpolation": "how the record is brought to the test's rate",
@@ -57,7 +57,7 @@ MEANINGS: dict[str, str] = {
     "Matrices.c_n_s_per_m": "dampings between them",
     "Matrices.damping_ratios": "instead: of each mode of the whole structure, the lowest first, "
     "or one for all",
-    "Matrices.influence": "displacements when the ground moves by 1; absent: 1 each",
+    "Matrices.influence": "displacements for a unit displacement of the ground; absent: 1 each",
     "Matrices.labels": "names of the degrees of freedom; absent: 1, 2, ...",
     "Matrices.interface": "the degree of freedom that the specimen is joined to",
     "Matrices.integrator": "integrator of the equation of motion",
@@ -69,7 +69,7 @@ MEANINGS: dict[str, str] = {
     "MatrixFiles.stiffness": "stiffnesses",
     "MatrixFiles.damping": "dampings",
     "MatrixFiles.labels": "names of the degrees of freedom, one a line",
-    "MatrixFiles.influence": "displacements when the ground moves by 1, .mtx or .csv",
+    "MatrixFiles.influence": "displacements for a unit displacement of the ground, .mtx or .csv",
     "Storeys.p_delta": "true: the weight above each storey leans on it",
     "Damping.form": "Rayleigh damping, of one or two modes, or modal damping of those named",
     "Nonlinear.dof": "between this degree of freedom of the matrices and the ground",
@@ -85,8 +85,8 @@ MEANINGS: dict[str, str] = {
     "Rfc.divisor": "by what Eqn 3.3 divides its T0 + 1 terms: T0, or their number",
     "Rfc.cutoff_hz": "cut-off of the low-pass on $x_c - x_m$, below half of the sample rate; "
     "0: none; absent: the rig's `identified.roll_off_hz`, but for `paper`; else 0",
-    "Rfc.force_lateness_s": "how much later than $x_m$ the force is that the equation of motion "
-    "uses; absent: what integrator and `force_delay_samples` make it where the rig has a "
+    "Rfc.force_lateness_s": "delay behind $x_m$ of the force that the equation of motion uses; "
+    "absent: the delay that follows from integrator and `force_delay_samples` where the rig has a "
     "`roll_off_hz`, but for `paper`; else 0",
     "Controller.type": "which control law, see below and tuning",
     "Controller.plc_enabled": "false: the control law does not lead (force compensation alone)",
@@ -131,11 +131,11 @@ MEANINGS: dict[str, str] = {
     "Limits.brake_acceleration_m_per_s2": "how hard HOLD and ramp-out brake; absent: "
     f"{limits.BRAKE_MARGIN:g} times the reference's peak acceleration, at least that of paths, at "
     "most half the command's limit",
-    "Limits.ramp_in_s": f"length of the ramp-in; absent: {limits.DEFAULT_RAMP_IN_S:g}",
+    "Limits.ramp_in_s": f"duration of the ramp-in; absent: {limits.DEFAULT_RAMP_IN_S:g}",
     "Limits.armed_timeout_s": "time after which ARMED ends by itself; absent: "
     f"{limits.DEFAULT_ARMED_TIMEOUT_S:g}",
-    "Limits.tare_s": f"time that zeroing averages; absent: {limits.DEFAULT_TARE_S:g}",
-    "Limits.rest_spread_m": "movement at rest that zeroing allows; absent: "
+    "Limits.tare_s": f"averaging time of zeroing; absent: {limits.DEFAULT_TARE_S:g}",
+    "Limits.rest_spread_m": "movement at rest that zeroing tolerates; absent: "
     f"{limits.REST_SPREAD_SIGMAS} times the noise at rest, at least "
     f"{limits.LEAST_REST_SPREAD_M:g}",
     "Limits.tare_share_most": "largest tare, as a share of the rig's own limit; absent: "
@@ -165,10 +165,10 @@ MEANINGS: dict[str, str] = {
     "Link.virtual": "true: a virtual rig is at the other end; no commissioning is asked for",
     "DisplacementChannel.scale": "x = polarity · scale · wire + offset",
     "DisplacementChannel.polarity": "-1: the sensor counts the other way",
-    "DisplacementChannel.offset_m": "displacement of the specimen where the wire says 0",
+    "DisplacementChannel.offset_m": "displacement of the specimen for a 0 on the wire",
     "ForceChannel.scale": "f = polarity · scale · wire + offset",
     "ForceChannel.polarity": "-1: the load cell is wired backwards",
-    "ForceChannel.offset_n": "force on the specimen where the wire says 0",
+    "ForceChannel.offset_n": "force on the specimen for a 0 on the wire",
     "Similitude.length": "displacement of the structure over that of the specimen",
     "Similitude.force": "force of the structure over that of the specimen",
     "RigInfo.name": "name of the rig",
@@ -202,14 +202,14 @@ MEANINGS: dict[str, str] = {
     "Identified.delay_at_frequency_s": "delay at each",
     "MatrixLaw.inverse": "true: behind the inverse of the identified response",
     "MatrixLaw.coupled": "false: numbers on the diagonal alone, each axis by itself",
-    "Axis.actuator": "as in a rig of one axis",
+    "Axis.actuator": "as for a rig with one axis",
     "MatrixKinematics.interface": "names of the directions, the columns of the matrix",
     "MatrixKinematics.matrix": "displacements of the axes by those of the interface: rows are axes",
     "MatrixKinematics.rotations": "directions that are angles, in rad",
     "PinKinematics.interface": "coordinates of the coupler in its plane; those not named stay 0",
     "PinKinematics.pins_m": "pin of each axis at rest, from the point that the interface moves",
     "PinKinematics.bases_m": "base of each axis",
-    "PinKinematics.directions": "instead of a base: direction to the pin, of one that is far away",
+    "PinKinematics.directions": "direction to the pin, for a base that is far away",
     "PinKinematics.pulls": "axes that count their shortening as positive",
     "JointSpecimen.stiffness": "forces by displacements along the interface, elastic",
     "JointSpecimen.damping": "forces by velocities; absent: none",
@@ -229,7 +229,7 @@ MEANINGS: dict[str, str] = {
     "ExtraSensor.signal": "CAN: the signal in the DBC file, `Signal` or `FRAME.Signal`; absent: "
     "its name",
     "ExtraSensor.measures": "virtual rig: what it measures at the specimen",
-    "TestFile.rig": "path of a rig file (beside the test file), or name of a shipped rig",
+    "TestFile.rig": "path of a rig file (from the test file), or name of a shipped rig",
 }
 """What a key is for, where its model does not say it in a range."""
 
@@ -470,7 +470,7 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
         elif isinstance(part, axesfile.Different):
             allowed = "list, different names"
         elif isinstance(part, Names):
-            allowed, meaning = "list, different texts", part.what
+            allowed, meaning = "list of different strings", part.what
         elif isinstance(part, (Parameters, Settings)):
             allowed, meaning = part.form, part.what
         elif isinstance(part, Sign):

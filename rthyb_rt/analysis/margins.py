@@ -384,7 +384,7 @@ def estimator_loop_gain(gain: float, delay_samples: float, phi: float) -> float:
 
 
 def is_lag(rig: RigFile) -> bool:
-    """Return whether the rig answers as a lag rather than as a pure delay.
+    """Return whether the rig behaves as a lag rather than as a pure delay.
 
     An identified sweep decides: the delay or the amplitude falls with frequency. Without one the
     kind of actuator does.

@@ -66,8 +66,8 @@ class Setup:
         description: the test file's.
         rig_name: name of the rig.
         history: what was prescribed, in words; "": a hybrid test.
-        time_scale: seconds of the laboratory for one of the structure; masses, dampings and periods
-            are those of the laboratory's time.
+        time_scale: seconds in the laboratory per second of the structure; masses, dampings and
+            periods are those of the laboratory's time.
     """
 
     controller: str | None

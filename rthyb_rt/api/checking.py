@@ -77,7 +77,7 @@ class Check:
     def __repr__(self) -> str:
         setup = self._found.setup
         return (
-            f"<Check {setup.test.test.name} on {setup.rig.rig.name}: no fault, "
+            f"<Check {setup.test.test.name} on {setup.rig.rig.name}: no errors, "
             f"{len(self.warnings)} warnings, {len(self.notes)} notes>"
         )
 

@@ -156,7 +156,7 @@ def diagnose(
                 )
                 if not second.channels.keys() & {"x_meas", "f_meas"}:
                     raise InputError(
-                        "holds no x_meas, fx_meas or fy_meas that the model could be held against",
+                        "has no x_meas, fx_meas or fy_meas to compare with the model",
                         str(second_path),
                     )
             found = engine.diagnose(case, tell)

@@ -40,7 +40,9 @@ def path_of(given: object, where: str, what: str) -> Path:
         path = os.fspath(given)
         if isinstance(path, str):
             return Path(path)
-    raise InputError(f"found {written(given)}; give the path of {what}, a text or a Path", where)
+    raise InputError(
+        f"found {written(given)}; give the path of {what} as a string or a Path", where
+    )
 
 
 def plain(value: Any) -> Any:
@@ -53,8 +55,8 @@ def plain(value: Any) -> Any:
     """
     if isinstance(value, type) and hasattr(value, "_made_of_own"):
         raise InputError(
-            f"found the class {value.__name__}; give an object of it, {value.__name__}(...), with "
-            "its settings",
+            f"found the class {value.__name__}; give an instance, {value.__name__}(...), with its "
+            "settings",
             value.__name__,
         )
     if hasattr(type(value), "_made_of_own"):
@@ -121,7 +123,7 @@ def _without(values: dict[str, Any], key: str, own: str) -> None:
         known = list(place) if isinstance(place, dict) else []
         allowed = f"; keys there are: {', '.join(known)}" if known else ""
         raise InputError(
-            f"found None, which leaves a key out, but there is no such key"
+            f"found None, which removes a key, but there is no such key"
             f"{nearest(last, known)}{allowed}",
             config.IN_PYTHON.place(key),
         )
@@ -221,8 +223,8 @@ def _source(kind: Literal["test", "rig"], given: object) -> Path:
     """Return the file that is meant by a path or a name."""
     if not isinstance(given, (str, os.PathLike)):
         raise InputError(
-            f"found {written(given)}; the first argument is the path of a {kind} file or the name "
-            f"of one that comes with the program; tables are given by keyword",
+            f"found {written(given)}; the first argument must be the path of a {kind} file or the "
+            "name of one that comes with the program; give tables as keyword arguments",
             kind.capitalize(),
         )
     path = Path(given)
@@ -234,8 +236,8 @@ def _source(kind: Literal["test", "rig"], given: object) -> Path:
 def _nothing(kind: Literal["test", "rig"], example: str) -> InputError:
     names = ", ".join(config.shipped(kind))
     return InputError(
-        f"nothing is given; give the path of a {kind} file, one of those that come with the "
-        f"program ({names}), or its tables by keyword: {example}",
+        f"no argument was given; give the path of a {kind} file, the name of one that comes with "
+        f"the program ({names}), or its tables as keyword arguments: {example}",
         kind.capitalize(),
     )
 

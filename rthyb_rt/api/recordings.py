@@ -400,7 +400,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         found = spectra.frequency_response(x, y, self.fs_hz, segment)
         if found is None:
             raise InputError(
-                f"{given} or {answer} is too short, does not move, or holds too few numbers",
+                f"{given} or {answer} is too short, does not move, or has too few numbers",
                 "frequency_response",
             )
         return found

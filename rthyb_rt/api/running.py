@@ -72,7 +72,7 @@ def run(
                 try:
                     rec.report(stage / "report.html")
                 except InputError as error:
-                    rec.notes += (f"no report written: {error}",)
+                    rec.notes += (f"no report was written: {error}",)
     return rec
 
 
@@ -84,7 +84,7 @@ def _free(folder: Path) -> Path:
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(
-            "exists already; name a new folder with out, so that no run is lost", str(folder)
+            "already exists; give a new folder as out, so that no run is lost", str(folder)
         )
     return folder
 
@@ -104,8 +104,8 @@ def _whole(folder: Path) -> Iterator[Path]:
         stage.rename(folder)
     except OSError as error:
         raise RthybError(
-            f"cannot be written ({error.strerror or error}); check permissions and space, or name "
-            "another folder with out",
+            f"cannot be written ({error.strerror or error}); check permissions and free space, or "
+            "give another folder as out",
             where=str(folder),
         ) from error
     finally:

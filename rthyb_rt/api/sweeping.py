@@ -117,7 +117,7 @@ class Sweep:
         if case not in kept:
             told = ", ".join(map(str, kept)) or "none"
             raise InputError(
-                f"the recording of run {case} was not kept; kept are: {told}; "
+                f"the recording of run {case} was not kept; those kept are: {told}; "
                 'sweep(..., keep="all") keeps all of them',
                 str(self.folder),
             )
@@ -173,7 +173,7 @@ def sweep(
         together: lists by key that go in step, a dict for each such set.
         draws: plants drawn about the rig's own values, as the table ``[draws]`` of a campaign file:
             ``{"count": 20, "seed": 1, "spread": {"rig.actuator.delay_samples": 0.05}}``.
-        repeat_seeds: how often each run is repeated, each time with noise of another seed.
+        repeat_seeds: the number of repetitions of each run, each time with noise of another seed.
         name: of the sweep; None: that of the test with ``-sweep`` behind it.
         out: its folder; None: ``runs/NAME``.
         keep: of which runs recording and report are kept.
@@ -236,7 +236,7 @@ def _lists(over: Mapping[str, Iterable[Any]], parts: dict[str, str]) -> dict[str
             return plain(one)
         if not isinstance(one, Rig if key == files.RIG else Test):
             raise InputError(
-                f"found {one!r}; a rig stands at the key rig, and a test at the key test",
+                f"found {one!r}; give a rig with the key rig, and a test with the key test",
                 f"{_CALLED}: over.{key}",
             )
         file = f"{one.name}.toml"

@@ -69,7 +69,7 @@ class BenchmarkCase(Case):
         row = plan.ended(rec)
         if row["ending"] != COMPLETED:
             beyond = runs.is_beyond(setup)
-            own = "; the reference simulation of this plant passes that limit itself"
+            own = "; the reference simulation of this plant exceeds that limit as well"
             return row | {"cause": row["cause"] + (own if beyond else ""), "beyond": beyond}
         figures = runs.figures_of(setup, rec)
         return row | {key: v if math.isfinite(v) else None for key, v in figures.items()}
@@ -99,7 +99,7 @@ def of(file: CampaignFile, path: Path) -> Plan:
     """
     wanted = file.benchmark
     if wanted is None:
-        raise ValueError("the campaign is of no benchmark")
+        raise ValueError("the campaign is not one of a benchmark")
     known: dict[str, Sequence[Any]] = {
         "rate_hz": list(cases.RATES),
         "motion": list(cases.MOTIONS),

@@ -157,7 +157,8 @@ def swept_inverse(rig: RigFile, order: int) -> tuple[float, ...]:
     found = rig.identified
     if found is None or not found.frequency_hz:
         raise InputError(
-            "the sweep is missing; run `rthyb identify` and take its file", f"rig {rig.rig.name}"
+            "the sweep is missing; run `rthyb identify` and use the rig file it writes",
+            f"rig {rig.rig.name}",
         )
     s = 2j * np.pi * np.array(found.frequency_hz)
     gain = np.array(found.amplitude) * np.exp(-s * np.array(found.delay_at_frequency_s))

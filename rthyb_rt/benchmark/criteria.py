@@ -15,16 +15,16 @@ Floats = NDArray[np.float64]
 
 NAMES: Final = ("J1", "J2", "J3", "J4", "J5", "J6", "J7", "J8", "J9")
 MEANINGS: Final = {
-    "J1": "delay of x_meas behind the target by their correlation, ms, 50 samples at most",
+    "J1": "delay of x_meas behind the command by cross-correlation, ms, at most 50 samples",
     "J2": "tracking error, std(x_meas - x_num) / std(x_num), %",
     "J3": "peak tracking error, max|x_meas - x_num| / max|x_num|, %",
     "J4": "response of storey 1, std(x_meas - x_ref) / std(x_ref), %",
-    "J5": "its peak, max|x_meas - x_ref| / max|x_ref|, %",
+    "J5": "peak of storey 1, max|x_meas - x_ref| / max|x_ref|, %",
     "J6": "response of storey 2, std, %",
     "J7": "response of storey 3, std, %",
     "J8": "peak of storey 2, %",
     "J9": "peak of storey 3, %",
-    "true": "J2 without the noise of the sensor, %",
+    "true": "J2 without sensor noise, %",
     "high": "rms of the command above 100 Hz, um",
 }
 """What each figure of a run is."""

@@ -174,8 +174,8 @@ MEANINGS: Final = {
     "J8": "error of x and theta of storeys 2 and 3 against the reference, rms, %",
     "J9": "as J7, peak, %",
     "J10": "as J8, peak, %",
-    "true": "J2 without the noise of the readings, %",
-    "joined": "as J7, against numerical part and force model solved as one, %",
+    "true": "J2 without sensor noise, %",
+    "joined": "as J7, against the numerical part and the force model solved together, %",
     "joined-upper": "as J8, against the same, %",
     "command": "largest command of actuators 1 and 2, mm",
     "force": "largest force of actuators 1 and 2, kN",
@@ -282,8 +282,8 @@ def planned(
         cases.motion(name)
     if not 0 <= plants <= len(frame.SEEDS):
         raise InputError(
-            f"found {plants}; must be 0 to {len(frame.SEEDS)} perturbed plants, beside the nominal "
-            "one",
+            f"found {plants}; must be 0 to {len(frame.SEEDS)} perturbed plants, in addition to "
+            "the nominal one",
             "--plants",
         )
     seeds = (NOMINAL, *frame.SEEDS[:plants])

@@ -180,11 +180,11 @@ def _config(coupled: bool, before: MatrixInverse | None, *, begins: bool) -> Mat
 
 NAMES: Final = {
     "none": "no compensation",
-    "lead": "gain, delay and curvature of each axis by itself",
-    "lead-decoupled": "the same behind a matrix that undoes the coupling at rest",
-    "rodeac": "RoDeAC, derived anew from its paper and parameters",
+    "lead": "gain, delay and curvature of each axis separately",
+    "lead-decoupled": "the same, preceded by a matrix that removes the static coupling",
+    "rodeac": "RoDeAC, reimplemented from its paper and parameters",
     "matrix": "gain, delay and curvature as matrices",
-    "matrix-inverse": "the identified inverse, with matrices of what it leaves",
+    "matrix-inverse": "the identified inverse, with matrices for the remaining error",
 }
 """Who takes part, and what it is."""
 

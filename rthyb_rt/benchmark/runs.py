@@ -115,8 +115,8 @@ def seeds_of(perturbed: int) -> tuple[int, ...]:
     """
     if not 0 <= perturbed <= len(cases.SEEDS):
         raise InputError(
-            f"found {perturbed}; must be 0 to {len(cases.SEEDS)} perturbed plants, beside the "
-            "nominal one",
+            f"found {perturbed}; must be 0 to {len(cases.SEEDS)} perturbed plants, in addition to "
+            "the nominal one",
             "--plants",
         )
     return (NOMINAL, *cases.SEEDS[:perturbed])
@@ -172,7 +172,7 @@ def reference(setup: Setup) -> tuple[criteria.Floats, ...]:
     """
     structure = setup.derived.structure
     if structure is None:
-        raise ValueError("a run of the benchmark has its numerical part by matrices")
+        raise ValueError("the numerical part of a benchmark run must be given by matrices")
     elements = experiment.specimen_elements(setup.rig)
     return structure.whole_reference(elements, setup.ag_mps2)
 

@@ -51,7 +51,7 @@ class Book:
         except OSError:
             self._file.close()
             raise RthybError(
-                "another process carries out this campaign; wait for it, or choose another folder "
+                "another process is running this campaign; wait for it, or choose another folder "
                 "with --out",
                 where=str(folder),
             ) from None
@@ -66,15 +66,15 @@ class Book:
                 found = None
             if found != self.plan.fingerprint:
                 raise InputError(
-                    "holds a campaign of other runs, other files or another version of the core; "
-                    "its rows are not mixed with new ones: choose another folder with --out, or "
-                    "delete this one",
+                    "holds a campaign with other runs, other files or another version of the "
+                    "core, whose rows cannot be mixed with new ones; choose another folder with "
+                    "--out, or delete this one",
                     str(self.folder),
                 )
             return
         if any(path.name != GIVEN for path in self.folder.iterdir()):
             raise InputError(
-                "is not empty and holds no campaign; choose another folder with --out",
+                "is not empty and does not hold a campaign; choose another folder with --out",
                 str(self.folder),
             )
         about = {

@@ -48,7 +48,7 @@ def compare(
             raise InputError(f"found {name!r}; must be one of {', '.join(LAWS)}", "--law")
     if any(setting.partition("=")[0].strip() == TYPE for setting in settings):
         raise InputError(
-            f"{TYPE} is what the comparison varies; choose the laws with --law", "--set"
+            f"{TYPE} is varied by the comparison itself; choose the laws with --law", "--set"
         )
     experiment.prepare(*config.load_both(test, rig, settings))
     wanted = list(dict.fromkeys(names)) or list(LAWS)

@@ -81,10 +81,12 @@ def _written(plan: Plan, rows: list[Row], folder: Path) -> Campaign:
     if tables.write_parquet(rows, folder / tables.PARQUET):
         paths["parquet"] = folder / tables.PARQUET
     else:
-        notes.append("no Parquet table; install pyarrow with pip install 'rthyb-rt[campaign]'")
+        notes.append(
+            "no Parquet table was written; install pyarrow with pip install 'rthyb-rt[campaign]'"
+        )
     try:
         page.write(plan, rows, folder)
         paths["page"] = folder / page.PAGE
     except InputError as error:
-        notes.append(f"no page written: {error}")
+        notes.append(f"no page was written: {error}")
     return Campaign(plan, rows, paths, tuple(notes))

@@ -53,7 +53,7 @@ def plan_of(folder: Path, parts: Mapping[str, str]) -> plan.Plan:
     given = folder / GIVEN
     if folder.is_dir() and any(folder.iterdir()) and not given.is_dir():
         raise InputError(
-            "is not empty and holds no sweep; choose another folder with --out", str(folder)
+            "is not empty and does not hold a sweep; choose another folder with --out", str(folder)
         )
     for name, text in parts.items():
         path = given / name
@@ -62,8 +62,8 @@ def plan_of(folder: Path, parts: Mapping[str, str]) -> plan.Plan:
         # Before there is a plan no run has been done, and what was given may be mended.
         if (folder / PLAN).exists():
             raise InputError(
-                "holds a sweep of another test, rig or other values; its runs are not mixed with "
-                "new ones: choose another folder with --out, or delete this one",
+                "holds a sweep of another test or rig or with other values, whose runs cannot be "
+                "mixed with new ones; choose another folder with --out, or delete this one",
                 str(folder),
             )
         with replacing(path) as temporary:

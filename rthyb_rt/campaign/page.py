@@ -138,7 +138,10 @@ def _plates(rows: Sequence[Row], plan: Plan, groups: Sequence[Group]) -> list[Pl
         draw.head(axes, f"{second.label}, {second.unit}")
         draw.x_label(axes, f"{first.label}, {first.unit}")
         draw.legend_below(axes, 3)
-        note = "Each point is a completed run; a colour is one choice of the campaign's lists."
+        note = (
+            "Each point is one completed run; each colour is one combination of the values in "
+            "the campaign's lists."
+        )
         return [paper.plate(f"{second.label} over {first.label.lower()}", note)]
 
 

@@ -174,8 +174,8 @@ def of(file: CampaignFile, path: Path) -> Plan:
     count = _count(file)
     if count > MOST_RUNS:
         raise InputError(
-            f"found {count} runs; a campaign has at most {MOST_RUNS}: shorten a list, or make two "
-            "campaigns of it",
+            f"found {count} runs; a campaign may have at most {MOST_RUNS}: shorten a list, or "
+            "split it into two campaigns",
             str(path),
         )
     cases = tuple(_cases(file, path))
@@ -276,8 +276,8 @@ def _number(base: dict[str, Any], key: str, path: Path) -> float:
             place = None
     if isinstance(place, bool) or not isinstance(place, (int, float)):
         raise InputError(
-            f"{key} is drawn as a factor on the file's value, but the file has no number there; "
-            "write one into it, or put the key's values into [over]",
+            f"{key} is drawn as a factor on the value in the file, but the file has no number "
+            "there; add one to the file, or list the key's values in [over]",
             f"{path}: draws.spread",
         )
     return float(place)

@@ -101,7 +101,7 @@ def locally(cases: Sequence[Case], jobs: int, keep: str, folder: str, done: Done
     suspects = _spread(list(cases), jobs, keep, folder, done)
     for case in suspects:
         if _spread([case], 1, keep, folder, done):
-            done(case.identity() | {"ending": FAILED, "cause": "its process died, twice"})
+            done(case.identity() | {"ending": FAILED, "cause": "its process was terminated twice"})
 
 
 def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) -> list[Case]:
@@ -223,12 +223,12 @@ def _require_same_program(client: Any, ours: str, address: str) -> None:
             for worker, has in sorted(others.items())
         )
         raise InputError(
-            f"not every worker has the rthyb_rt of this process, {ours}, and with it the same "
-            f"control laws ({told}); install the same sources on every machine",
+            f"not every worker has the same rthyb_rt and the same control laws as this process, "
+            f"{ours} ({told}); install the same sources on every machine",
             address,
         )
 
 
 def _why(error: BaseException | None) -> str:
     name = type(error).__name__
-    return "its worker died, again and again" if name == "KilledWorker" else f"{name}: {error}"
+    return "its worker was terminated repeatedly" if name == "KilledWorker" else f"{name}: {error}"

@@ -35,8 +35,9 @@ def carry_out(case: Case, keep: str = "nothing", folder: str = "", wanted: str =
     """
     if wanted and program() != wanted:
         raise OtherProgramError(
-            f"a process of the campaign has rthyb_rt {program()}, the campaign is of {wanted}: "
-            "install the same sources everywhere, and change none while a campaign is under way"
+            f"a process of the campaign has rthyb_rt {program()}, but the campaign was started "
+            f"with {wanted}: install the same sources everywhere, and do not change them while a "
+            "campaign is running"
         )
     row = case.identity()
     try:

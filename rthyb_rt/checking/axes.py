@@ -20,7 +20,7 @@ SCHEMA: Final = "rthyb-check/1"
 MODES: Final = 5
 NOT_COMPUTED: Final = (
     "critical delay, roots and margins of the whole loop, and the margin of the delay estimator "
-    "are computed for one axis alone"
+    "are computed only for a rig with one axis"
 )
 
 

@@ -75,7 +75,7 @@ class ByFrequency:
 
     Attributes:
         frequency_hz: (k,), Hz.
-        curves: complex values by name: ``as it begins``, ``as it will have learnt``; of the
+        curves: complex values by name: ``as it begins``, ``once adapted``; of the
             tracking also ``not compensated``.
         swept_hz: up to where the rig's response is known.
     """
@@ -135,5 +135,5 @@ def _known(
     if not config.lead_enabled:
         return model, {"as it begins": loop_roots.gain(1.0)}, hold
     found = loop_roots.laws(config.law, model, config.period_s, hold)
-    names = ("as it begins", "as it will have learnt")
+    names = ("as it begins", "once adapted")
     return model, dict(zip(names, found, strict=False)), hold

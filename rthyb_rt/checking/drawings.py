@@ -68,11 +68,11 @@ def stability(setup: Setup) -> draw.Plate:
         at = int(np.argmin(np.abs(found.periods_s - found.period_s)))
         note = (
             "Elastic specimen, damping ratio and stiffness of the test, no force compensation. At "
-            f"{quantity(found.period_s, 's')} the structure alone survives "
+            f"{quantity(found.period_s, 's')} the structure alone remains stable up to "
             f"{_milliseconds(found.alone_s[at])}"
         )
         if found.with_lead_s is not None:
-            note += f", with the law {_milliseconds(found.with_lead_s[at])}"
+            note += f", with the control law up to {_milliseconds(found.with_lead_s[at])}"
         return paper.plate(title, f"{note}.")
 
 
@@ -101,8 +101,9 @@ def nyquist(setup: Setup) -> draw.Plate:
         draw.head(axes, "imaginary part", below=True)
         draw.x_label(axes, "real part")
         note = (
-            "Opened at the rig, from 0 Hz to half of the rate; cross: −1, which a stable loop does "
-            f"not go round. The rig is known up to {found.swept_hz:g} Hz."
+            "Loop opened at the rig, from 0 Hz to half the sample rate; cross: −1, which the "
+            "curve of a stable loop does not encircle. The rig is known up to "
+            f"{found.swept_hz:g} Hz."
         )
         return paper.plate(title, note)
 
@@ -133,8 +134,8 @@ def tracking(setup: Setup) -> draw.Plate:
         draw.legend_below(delay, 2)
         draw.x_label(delay, "frequency, Hz")
         note = (
-            "Measured displacement over command by the identified response; dashed, a specimen "
-            "that follows."
+            "Measured displacement over command, from the identified response; dashed: perfect "
+            "tracking."
         )
         return paper.plate(title, note)
 

@@ -19,7 +19,7 @@ class HistoryFigures:
 
     Attributes:
         history: what is prescribed, in words.
-        time_scale: seconds of the laboratory for one of the history.
+        time_scale: seconds in the laboratory per second of the history.
         reference_peak_m, reference_peak_m_per_s, reference_peak_m_per_s2: of the history, in the
             laboratory's time.
         reference_peak_n: what the rig file's specimen has against it.
@@ -74,7 +74,13 @@ def rows_of_history(setup: Setup, f: HistoryFigures) -> Rows:
         ("Length of the test", f"{f.duration_s:.2f} s ({f.samples} samples)", f"at {fs_hz:g} Hz"),
     ]
     if f.time_scale != 1.0:
-        rows.append(("Time scale", number(f.time_scale), "seconds of the laboratory for one"))
+        rows.append(
+            (
+                "Time scale",
+                number(f.time_scale),
+                "seconds in the laboratory per second of the history",
+            )
+        )
     rows += [
         (
             f"Step {i + 1}",
@@ -104,7 +110,7 @@ def rows_of_history(setup: Setup, f: HistoryFigures) -> Rows:
         (
             "Peak force",
             quantity(f.reference_peak_n, "kN", 1e-3),
-            f"by the rig's specimen; {most_n}",
+            f"from the rig's specimen model; {most_n}",
         ),
     ]
     if f.identified_delay_samples is not None:
@@ -113,7 +119,7 @@ def rows_of_history(setup: Setup, f: HistoryFigures) -> Rows:
             (
                 "Delay of the rig",
                 f"{number(f.identified_delay_samples)} samples ({number(delay_ms)} ms)",
-                "the specimen is so late, which nothing suffers from",
+                "the specimen lags by this much, which does no harm here",
             )
         )
     return rows

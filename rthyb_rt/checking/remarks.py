@@ -35,14 +35,14 @@ def remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[
     limits = setup.test.limits
     if not any(limit and limit.ends for limit in (limits.command_position_m, limits.force_n)):
         warnings.append(
-            "nothing ends a test that grows: neither limits.command_position_m nor limits.force_n "
-            "is set with an action that ends it"
+            "nothing ends a test whose motion grows: neither limits.command_position_m nor "
+            "limits.force_n is set with an action that ends the test"
         )
     if setup.rig.link is not None:
         if setup.rate != STANDARD:
             notes.append(
                 f"test.sample_rate_hz = {setup.rate.hz:g} Hz is for virtual time: a test in real "
-                f"time goes at {STANDARD.hz:g} Hz, and will be refused"
+                f"time runs at {STANDARD.hz:g} Hz, so this one will be refused"
             )
         more_notes, more_warnings = _real_time_remarks(setup, f)
         notes, warnings = notes + more_notes, warnings + more_warnings
@@ -68,8 +68,8 @@ def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[
     notes, warnings = list[str](), list[str]()
     if setup.rig.link is not None and not dbc_is_read(setup.rig.link):
         warnings.append(
-            "link.dbc was not read, and its frames not checked: a test in real time will be "
-            "refused; reading a DBC file needs cantools: pip install 'rthyb-rt[wire]'"
+            "link.dbc was not read and its frames were not checked, so a test in real time will "
+            "be refused; reading a DBC file needs cantools: pip install 'rthyb-rt[wire]'"
         )
     jump, spread = limits.sensor_jump_m, limits.rest_spread_m
     derived = setup.derived.limits.derived
@@ -79,7 +79,7 @@ def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[
     ]
     if not any(limit is not None and limit.ends for limit in watched):
         notes.append(
-            "nothing ends a test whose displacement sensor sticks or jumps: set "
+            "nothing ends a test whose displacement sensor freezes or jumps: set "
             "limits.sensor_stuck_samples and limits.sensor_jump_m"
         )
     # Two samples that are each off by four standard deviations.
@@ -87,8 +87,8 @@ def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[
     if jump is not None and jump.acts and setup.rate.leap(jump.value) < step:
         warnings.append(
             f"limits.sensor_jump_m = {setup.rate.leap(jump.value):g} m is below the {step:.2g} m "
-            "that displacement and noise change by from sample to sample: good readings will be "
-            "refused"
+            "by which displacement and noise change from sample to sample: valid readings will "
+            "be rejected"
         )
     if spread is not None and spread < NOISE_SPAN * noise:
         warnings.append(
@@ -109,14 +109,14 @@ def _divergence(setup: Setup, f: Figures) -> tuple[bool, str] | None:
         return None
     how, at = _lead_in_words(f) if leads else ("without phase lead", "at any delay")
     found = (
-        f"{how} the structure on an elastic specimen survives a delay of {critical:.2g} samples, "
-        f"and the rig has {delay:g}"
+        f"{how} the structure with an elastic specimen remains stable up to a delay of "
+        f"{critical:.2g} samples, and the rig has {delay:g}"
         if critical
-        else f"{how} the structure on an elastic specimen is unstable"
-        f" {at}, and the rig has {delay:g} samples"
+        else f"{how} the structure with an elastic specimen is unstable {at}, and the rig has "
+        f"{delay:g} samples"
     )
     if helped:
-        return False, f"{found}: the test rests on delay estimate and force compensation"
+        return False, f"{found}: the test depends on the delay estimate and the force compensation"
     return True, f"{found}: the motion will grow; compensate the delay, or set a limit that trips"
 
 
@@ -124,7 +124,10 @@ def _lead_in_words(f: Figures) -> tuple[str, str]:
     """Return how the command is led, and the delay that this is made for."""
     if f.alpha0 is not None:
         return "with the phase lead at alpha0", "even at a delay of alpha0"
-    return "with the control law at its first settings", "even at the delay that these are made for"
+    return (
+        "with the control law at its initial settings",
+        "even at the delay for which they are designed",
+    )
 
 
 def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
@@ -139,15 +142,15 @@ def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
     )
     if g > OSCILLATES and not f.rig_is_lag:
         return True, (
-            f"the delay estimate will oscillate on a pure delay: its loop gain is {g:.2f}, allowed "
-            f"is {OSCILLATES:.2f}; {remedy}"
+            f"the delay estimate will oscillate on a pure delay: its loop gain is {g:.2f}, at "
+            f"most {OSCILLATES:.2f} is allowed; {remedy}"
         )
     lag = (
         ", although a lag such as this rig's is less critical than a delay" if f.rig_is_lag else ""
     )
     return False, (
-        f"little margin for the delay estimate: its loop gain is {g:.2f}, advised is up to "
-        f"{LITTLE_MARGIN:g}{lag}; {remedy}"
+        f"little margin for the delay estimate: its loop gain is {g:.2f}, at most "
+        f"{LITTLE_MARGIN:g} is advised{lag}; {remedy}"
     )
 
 
@@ -160,7 +163,7 @@ def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
     ]
     found = [
         f"limits.{key} = {limit.value:g} {unit} is below the {peak:.3g} {unit} of the reference "
-        "simulation: the test will meet it"
+        "simulation: the test will reach it"
         for key, limit, peak, unit in pairs
         if limit is not None and limit.acts and peak > limit.value
     ]
@@ -174,14 +177,14 @@ def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
     peak_m = peak_m_per_s / STANDARD_HZ
     if increment is not None and increment.acts and peak_m > increment.value:
         found.append(
-            f"limits.command_increment_m = {increment.value:g} m is below the {peak_m:.3g} m a "
-            "sample of the reference simulation: the test will meet it"
+            f"limits.command_increment_m = {increment.value:g} m is below the {peak_m:.3g} m per "
+            "sample of the reference simulation: the test will reach it"
         )
     return found
 
 
 def run_on_warnings(setup: Setup, f: Figures | HistoryFigures, found: RunOn) -> list[str]:
-    """Name what a HOLD, a STOP or a ramp-out runs on to that the test itself does not reach."""
+    """Name what a HOLD, a STOP or a ramp-out overshoots to that the test itself does not reach."""
     limits = setup.test.limits
     warnings = []
     for key, limit, value, own, unit, factor in (
@@ -195,9 +198,10 @@ def run_on_warnings(setup: Setup, f: Figures | HistoryFigures, found: RunOn) -> 
         than = f"limits.{key}" if beyond else "the test's own peak"
         allowed = limit.value if limit is not None and beyond else own
         warnings.append(
-            f"a HOLD, a STOP or a ramp-out runs on to {quantity(value, unit, factor)}, beyond "
+            f"a HOLD, a STOP or a ramp-out overshoots to {quantity(value, unit, factor)}, beyond "
             f"{than} of {quantity(allowed, unit, factor)}: it brakes with "
-            f"{found.brake_m_per_s2:.3g} m/s^2; raise limits.brake_acceleration_m_per_s2, or leave "
-            "it out, and see that limits.command_acceleration_m_per_s2 allows it"
+            f"{found.brake_m_per_s2:.3g} m/s^2; raise or remove "
+            "limits.brake_acceleration_m_per_s2, and make sure that "
+            "limits.command_acceleration_m_per_s2 allows it"
         )
     return warnings

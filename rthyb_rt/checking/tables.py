@@ -22,7 +22,7 @@ _CHECKS: Final = {
     "polarity": "polarity",
     "limits": "the limits",
     "watchdog": "the watchdog",
-    "trip": "the stop on a trip",
+    "trip": "the stop after a trip",
 }
 
 
@@ -69,7 +69,10 @@ def _slow_rows(setup: Setup) -> list[tuple[str, str, str]]:
     slow = setup.test.test.time_scale
     if slow == 1.0:
         return []
-    what = "seconds of the laboratory for one of the structure; below all is in the laboratory's"
+    what = (
+        "seconds in the laboratory per second of the structure; all values below are in "
+        "laboratory time"
+    )
     return [("Time scale", number(slow), what)]
 
 
@@ -99,7 +102,7 @@ def rows_of_test(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
     if f.lead_first_sample_gain is not None:
         if f.alpha0 is not None:
             rows += [
-                ("alpha0", samples(f.alpha0), "delay that the phase lead begins with"),
+                ("alpha0", samples(f.alpha0), "initial delay of the phase lead"),
                 ("beta0", f"{number(f.beta0)} samples²", "its curvature term"),
             ]
         rows += [
@@ -121,13 +124,13 @@ def rows_of_test(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
         if f.alpha0 is not None:
             rows.append(
                 (
-                    "Critical delay, followed",
+                    "Critical delay, adapted",
                     _followed(setup, f, samples),
                     "elastic specimen, alpha = delay",
                 )
             )
     if f.identified_delay_samples is not None:
-        kind = "answers as a lag" if f.rig_is_lag else "answers as a delay"
+        kind = "behaves as a lag" if f.rig_is_lag else "behaves as a delay"
         rows.append(("Delay of the rig", samples(f.identified_delay_samples), kind))
     rows += [
         ("Peak displacement", quantity(f.reference_peak_m, "mm", 1e3), "reference simulation"),
@@ -170,7 +173,7 @@ def limit_rows(setup: Setup, limits: list[dict[str, Any]]) -> list[tuple[str, st
         "test": "limit of the test",
         "rig": "limit of the rig",
         "default": "limit by default",
-        "derived": "limit that follows from the test",
+        "derived": "limit derived from the test",
     }
     rows = []
     for limit in limits:
@@ -216,10 +219,13 @@ def link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
     elif link["kind"] != "socket":
         rows.append(("Bus load", "not known", "bitrate, or cantools for the DBC file, is missing"))
     clocks = {
-        "host": ("host", "this PC's clock leads; the drive's may slip a sample now and then"),
+        "host": (
+            "host",
+            "this PC's clock is the master; the drive may skip or repeat a sample now and then",
+        ),
         "link": (
             f"link, feedback {link['lead_us']:g} us before the tick",
-            "the drive's clock leads",
+            "the drive's clock is the master",
         ),
         "stepped": ("stepped", "not real time"),
     }

@@ -77,7 +77,7 @@ def commission(
     distance_m = quantities.read(distance, "--distance", DISTANCE)
     if abs(distance_m) < 1e-5:
         raise typer.BadParameter(
-            f'found "{distance}"; at least 0.01 mm are needed to see anything',
+            f'found "{distance}"; at least 0.01 mm is needed to see any effect',
             param_hint="--distance",
         )
     people = terminal.people(as_json)
@@ -146,8 +146,8 @@ def _asker(yes: bool, tell: Callable[[str], None]) -> Callable[[str], bool]:
             if interrupts.received() is not None:
                 raise KeyboardInterrupt from None
             raise InputError(
-                "found its end where an answer is needed, and nothing moves without one; answer y "
-                "or n in a terminal, or give --yes, which says yes to every question of a script",
+                "ended where an answer was needed, and nothing moves without one; answer y or n "
+                "in a terminal, or use --yes, which answers every question with yes",
                 where="standard input",
             ) from None
 

@@ -115,7 +115,7 @@ def _write(found: Overlay, folder: Path) -> str:
     try:
         page.write(found, folder / page.PAGE)
     except InputError as error:
-        return f"no page written: {error}"
+        return f"no page was written: {error}"
     return ""
 
 

@@ -56,7 +56,9 @@ def opened_link(
     ours, theirs = opening.socket_pairs(axes) if axes else opening.socket_pair()
     with ours, theirs:
         if clock == "stepped":
-            terminal.tell("no [link] in the rig file: on a virtual rig, tick by tick with it")
+            terminal.tell(
+                "no [link] in the rig file: running on a virtual rig in step with it, tick by tick"
+            )
             with virtual_rig.in_step(rig, theirs) as drive:
                 yield ours, drive.tick
             return
@@ -64,8 +66,8 @@ def opened_link(
         try:
             theirs.close()
             terminal.tell(
-                f"no [link] in the rig file: on a virtual rig in process {companion.pid}, over a "
-                "socket pair"
+                "no [link] in the rig file: running on a virtual rig in process "
+                f"{companion.pid}, over a socket pair"
             )
             yield ours, None
         finally:
@@ -133,7 +135,7 @@ def load_within(name: str, settings: list[str] | None, axis: str | None) -> tupl
     found = load_axes_rig(name, settings)
     if found is None:
         if axis is not None:
-            raise InputError(f"found {axis}; the rig has one axis: leave the option out", "--axis")
+            raise InputError(f"found {axis}; the rig has one axis: omit the option", "--axis")
         rig, path = load_rig(name, settings)
         return (Within(rig, "", None, path),)
     whole, path = found
@@ -151,8 +153,8 @@ def load_one_within(name: str, settings: list[str] | None, axis: str | None) -> 
     if len(found) > 1:
         names = ", ".join(one.axis for one in found)
         raise InputError(
-            f"missing; the rig has several axes ({names}), and one is moved while the others "
-            f"stand: name it, such as --axis {found[0].axis}",
+            f"missing; the rig has several axes ({names}), of which one is moved while the others "
+            f"hold: choose it, for example --axis {found[0].axis}",
             "--axis",
         )
     return found[0]

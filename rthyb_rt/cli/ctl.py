@@ -31,7 +31,7 @@ ctl = typer.Typer(
     rich_markup_mode=None,
     help="""Control the service of a rig, `rthyb serve`.
 
-The steps of a test are load, zero, arm, start. Everybody who may look may also hold and stop.
+The steps of a test are load, zero, arm, start. Everyone who may watch may also hold and stop.
 
 The exit code is 4 if no service answers, and 5 if it refuses; the message says why.
 
@@ -298,7 +298,7 @@ def load(
 
     test_settings, rig_settings = config.split_overrides(settings or ())
     if rig_settings:
-        raise typer.BadParameter("the rig is the service's own", param_hint="--set")
+        raise typer.BadParameter("the rig is that of the service", param_hint="--set")
     test_file = config.load_test(test or config.builtin_test_path(), test_settings)
     motion = experiment.load_motion(test_file)
     record = record_of(motion)
@@ -325,9 +325,9 @@ def _check_size(motion: GroundMotion, record: dict[str, Any]) -> None:
     most = LOAD_BYTES - REQUEST_BYTES
     if size > most:
         raise InputError(
-            f"{motion.name}: its {points} points are {size / 1e6:.1f} MB on their way to the "
-            f"service, which takes {most / 1e6:.1f} MB: some {points * most // size} points; cut "
-            "out the strong motion, or resample the record"
+            f"{motion.name}: its {points} points are a message of {size / 1e6:.1f} MB, but the "
+            f"service accepts at most {most / 1e6:.1f} MB, about {points * most // size} points; "
+            "cut out the strong motion, or resample the record"
         )
 
 
@@ -449,7 +449,7 @@ def stop(
     now: Annotated[
         bool,
         typer.Option(
-            "--now", help="Trip: the drive stops where it is, and must be reset afterwards."
+            "--now", help="Trip: the drive stops where it is and must be reset afterwards."
         ),
     ] = False,
     socket: SocketOption = None,
@@ -510,7 +510,7 @@ def _keep_token(socket: Path, token: str) -> None:
             file.write(token)
     except OSError as error:
         words = error.strerror or error
-        terminal.tell(f"the token cannot be kept ({words}); start with --token {token}")
+        terminal.tell(f"the token cannot be saved ({words}); start with --token {token}")
 
 
 def _kept_token(socket: Path) -> str:

@@ -151,8 +151,8 @@ def diagnose(
     The recording is split at the recorded signals: command against measured displacement shows
     what the actuator does differently from the model, displacement against force what the specimen
     does. A recording of this program is also simulated again in closed loop, once with the given
-    model and once with what was found. The exit code is 0 if nothing is missing, 3 if the data do
-    not allow an answer, and 8 otherwise.
+    model and once with the effects found. The exit code is 0 if nothing is missing, 3 if the data
+    do not allow an answer, and 8 otherwise.
 
     \b
     Examples:
@@ -166,7 +166,9 @@ def diagnose(
     from rthyb_rt.diagnose import effects, mapping, reading
 
     if (predict is None) != (out is None):
-        raise typer.BadParameter("--predict and --out belong together", param_hint="--predict")
+        raise typer.BadParameter(
+            "--predict and --out must be given together", param_hint="--predict"
+        )
     if report is not None:
         _writable(report)
     for path in effect or ():
@@ -223,8 +225,8 @@ def _judge(path: Path, case: Case, wishes: list[Wish]) -> Case:
     second = _second(path, case, wishes)
     if not second.channels.keys() & {"x_meas", "f_meas"}:
         raise InputError(
-            f"{path}: holds no x_meas, fx_meas or fy_meas that the model could be held against; "
-            "a recording of the commands alone goes to --predict"
+            f"{path}: has no x_meas, fx_meas or fy_meas to compare with the model; for a "
+            "recording of the commands alone use --predict"
         )
     return second
 
@@ -251,8 +253,8 @@ def _writable(folder: Path) -> None:
     while not there.exists() and there != there.parent:
         there = there.parent
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
-        why = "may not be written to" if there.is_dir() else "is a file and no folder"
-        raise RthybError(f"{why}; give --report another folder", where=str(there))
+        why = "may not be written to" if there.is_dir() else "is a file, not a folder"
+        raise RthybError(f"{why}; choose another folder with --report", where=str(there))
 
 
 def _write_report(folder: Path, done: _Answered, model: Path) -> None:

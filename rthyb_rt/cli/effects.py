@@ -35,7 +35,7 @@ def effects(
     known = entries()
     if name is not None and name not in known:
         raise typer.BadParameter(
-            f"no effect is called {name!r}; they are {', '.join(known)}", param_hint="NAME"
+            f"there is no effect {name!r}; the effects are {', '.join(known)}", param_hint="NAME"
         )
     if as_json:
         one: Any = asdict(known[name]) if name is not None else None

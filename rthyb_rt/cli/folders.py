@@ -34,14 +34,14 @@ def refuse_taken(out: Path | None) -> None:
         raise _unwritable(out, error) from error
     if taken:
         raise typer.BadParameter(
-            f"{out} exists already; name a new folder, so that no run is lost", param_hint="--out"
+            f"{out} already exists; choose a new folder, so that no run is lost", param_hint="--out"
         )
 
 
 def _unwritable(folder: Path, error: OSError) -> RthybError:
     return RthybError(
-        f"cannot be written ({error.strerror or error}); check permissions and space, or name "
-        "another folder with --out",
+        f"cannot be written ({error.strerror or error}); check permissions and free space, or "
+        "choose another folder with --out",
         where=str(folder),
     )
 
@@ -144,6 +144,6 @@ def report_beside(rec: Recording, folder: Path) -> Path | None:
     try:
         write_report(rec, path)
     except InputError as error:
-        terminal.tell(f"no report written: {error}, then: rthyb report {folder}")
+        terminal.tell(f"no report was written: {error}, then: rthyb report {folder}")
         return None
     return path

@@ -256,7 +256,7 @@ def _print_axes(rig: AxesRig, result: AxesResult, file: IO[str]) -> None:
             (f"Stiffness of {name}", stiffness, f"by {', '.join(rig.directions)}; SI units")
         )
     unlike = f"{100 * result.asymmetry:.2g} %"
-    rows.append(("Asymmetry", unlike, "of the measured stiffness; written is the mean"))
+    rows.append(("Asymmetry", unlike, "of the measured stiffness; the mean is written"))
     terminal.print_table(rows, file)
     for name, own in zip(rig.names, result.axes, strict=True):
         for note in own.notes:
@@ -272,9 +272,9 @@ def _link_rows(result: Result) -> list[tuple[str, str, str]]:
     if result.link_delay_samples is None:
         return []
     share = f"{result.link_delay_samples:.2f} samples"
-    rows = [("of it the link", share, "by the echo in the drive's frames")]
+    rows = [("of which the link", share, "by the echo in the drive's frames")]
     if result.left_out:
-        rows.append(("Left out", f"{result.left_out} samples", "without a reading of their own"))
+        rows.append(("Left out", f"{result.left_out} samples", "without a new reading"))
     return rows
 
 
@@ -317,7 +317,7 @@ def _print_result(rig: RigFile, result: Result, file: IO[str]) -> None:
             ("Noise at rest", f"{quantity(result.rest_noise_m, 'µm', 1e6)}, "
              f"{quantity(result.rest_noise_n, 'N')}", "standard deviation"),
             ("Offset at rest", f"{quantity(result.offset_m, 'µm', 1e6)}, "
-             f"{quantity(result.offset_n, 'N')}", "mean; every test begins by taking it off"),
+             f"{quantity(result.offset_n, 'N')}", "mean; zeroing removes it before every test"),
         ],
         file,
     )  # fmt: skip

@@ -74,7 +74,7 @@ def install_service(
     for problem in problems:
         terminal.tell(f"warning: {problem}")
     if not uninstall and rig is not None and root / installing.RIG not in files:
-        terminal.tell(f"warning: {root / installing.RIG} was there already, and is left as it was")
+        terminal.tell(f"warning: {root / installing.RIG} already exists and was left unchanged")
     if not uninstall:
         print(
             "\nNext: put users into the groups (usermod -aG rthyb,rthyb-operator NAME), then "

@@ -120,7 +120,7 @@ def _write(
     try:
         write_page(results, facts, verdict, folder / PAGE)
     except InputError as error:
-        terminal.tell(f"no page written: {error}")
+        terminal.tell(f"no page was written: {error}")
         return False
     return True
 

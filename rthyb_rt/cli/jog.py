@@ -91,7 +91,7 @@ def _status(found: Jogged) -> int:
 def _print_result(name: str, found: Jogged, file: IO[str]) -> None:
     from rthyb_rt.numbers import quantity
 
-    stiffness = "too little moved to tell"
+    stiffness = "too little motion to tell"
     if found.stiffness_n_per_m is not None:
         stiffness = quantity(found.stiffness_n_per_m, "kN/m", 1e-3, 4)
     print(f"{name}: {found.end_reason}\n", file=file)
@@ -100,7 +100,7 @@ def _print_result(name: str, found: Jogged, file: IO[str]) -> None:
             ("Start", quantity(found.start_m, "mm", 1e3, 6), "reading of the displacement"),
             ("End", quantity(found.end_m, "mm", 1e3, 6), "the same"),
             ("Moved", quantity(found.moved_m, "mm", 1e3, 4),
-             f"{quantity(found.asked_m, 'mm', 1e3)} were wanted"),
+             f"{quantity(found.asked_m, 'mm', 1e3)} were requested"),
             ("Force", f"{quantity(found.start_n, 'N', 1.0, 4)} to "
              f"{quantity(found.end_n, 'N', 1.0, 4)}", "reading of the load cell"),
             ("Stiffness", stiffness, "change of force over displacement"),

@@ -112,7 +112,7 @@ def _parser_message(error: Any) -> str:
     # Its prefix for a word that is none of a choice.
     message = message.removeprefix("Value error, ")
     if message.startswith("Got unexpected extra argument") and _UNIT.search(message):
-        message += '; a value with its unit is one word: "2 mm"'
+        message += '; write a value and its unit as one argument: "2 mm"'
     error.message = message
     return message
 
@@ -136,8 +136,8 @@ def _about_program(error: Exception) -> list[str]:
         return [build]
     return [
         f"internal error: {type(error).__name__}: {error}",
-        "this is a fault of the program, please report it together with what the same command "
-        "prints after RTHYB_TRACEBACK=1",
+        "this is a bug; please report it together with the output of the same command with "
+        "RTHYB_TRACEBACK=1 set",
     ]
 
 
@@ -170,11 +170,11 @@ def _about_build(error: Exception) -> str | None:
 
     if isinstance(error, OSError) and str(error.filename).endswith("editable_rebuild.lock"):
         return (
-            "the core is rebuilt from sources that you may not write: run as their owner, or "
-            "install the wheel"
+            "the core must be rebuilt, but you have no write access to its sources: run as their "
+            "owner, or install the wheel"
         )
     if isinstance(error, subprocess.CalledProcessError) and "cmake" in str(error.cmd):
-        return "the C core does not build, see above"
+        return "the C core failed to build, see above"
     return None
 
 

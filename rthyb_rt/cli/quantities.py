@@ -31,7 +31,7 @@ def read(text: str, option: str, allowed: Allowed) -> float:
     from rthyb_rt.units import UnitError, convert
 
     plain = _PLAIN.fullmatch(text)
-    fault = f", read in {allowed.plain}" if plain else ""
+    fault = f", taken to be in {allowed.plain}" if plain else ""
     try:
         value = convert(f"{text} {allowed.plain}" if plain else text, allowed.unit)
         if allowed.low <= value <= allowed.high:
@@ -39,6 +39,6 @@ def read(text: str, option: str, allowed: Allowed) -> float:
     except UnitError as error:
         fault = f" ({error})"
     raise typer.BadParameter(
-        f'found "{text}"{fault}; it takes {allowed.words}, as in {option} "{allowed.example}"',
+        f'found "{text}"{fault}; must be {allowed.words}, as in {option} "{allowed.example}"',
         param_hint=option,
     )

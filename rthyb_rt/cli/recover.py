@@ -150,7 +150,7 @@ def _table(found: Recovered) -> list[tuple[str, str, str]]:
     return [
         ("End", str(found.recording.meta["end_reason"]), ""),
         ("Rows", f"{len(samples)} ({seconds:.3f} s)", f"ticks {first} to {last}"),
-        ("Rows missing", _ranges(found.missing_rows), "overwritten, or half written"),
+        ("Rows missing", _ranges(found.missing_rows), "overwritten or incomplete"),
         ("Ticks missing", _ranges(found.missing_ticks), "between two rows"),
     ]
 

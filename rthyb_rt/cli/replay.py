@@ -35,7 +35,7 @@ def replay(recording: RecordingArgument, as_json: JsonOption = False) -> None:
         print(f"bit-identical: {found.rows} samples, every field", file=file)
     else:
         print(
-            f"departs at sample {found.first_row} of {found.rows}, field {found.field}; "
+            f"differs from sample {found.first_row} of {found.rows} on, field {found.field}; "
             "largest differences:",
             file=file,
         )
@@ -48,7 +48,7 @@ def replay(recording: RecordingArgument, as_json: JsonOption = False) -> None:
         made = ", ".join([*map(str, known), f"sources {sources}"])
         print(
             f"Note: recorded with another build of the core ({made}); "
-            "identical bits are promised for the same build only.",
+            "bit-identical results are guaranteed only for the same build.",
             file=file,
         )
     if as_json:

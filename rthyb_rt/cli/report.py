@@ -45,7 +45,7 @@ def report(
     from rthyb_rt.report import write_report
 
     if files is not None and out is not None:
-        raise typer.BadParameter("is for the page; leave it out with --files", param_hint="--out")
+        raise typer.BadParameter("is for the page; omit it with --files", param_hint="--out")
     rec = open_run(recording)
     if files is not None:
         from rthyb_rt.report.files import write_files
@@ -59,7 +59,7 @@ def report(
     if out is None and not os.access(folder, os.W_OK):
         # The recordings of a service: its group reads them, and nobody else writes there.
         raise RthybError(
-            f"{folder}: is not writable; choose another place, such as --out report.html"
+            f"{folder}: is not writable; choose another path, such as --out report.html"
         )
     write_report(rec, path)
     interrupts.wrote(path)

@@ -90,7 +90,7 @@ def reproduce(
         try:
             page.write_page(found, stage)
         except InputError as error:
-            terminal.tell(f"no page written: {error}")
+            terminal.tell(f"no page was written: {error}")
         has_page = (stage / page.PAGE).exists()
         folder = publish(stage, target, numbered=out is None)
     paths = {"results": str(folder / page.RESULTS)}
@@ -183,7 +183,7 @@ def _print_verdict(found: Sequence[Study], file: IO[str]) -> int:
     for study, row in missed:
         what = ", ".join(part for part in (row.group, row.case, row.quantity) if part)
         print(
-            f"✗ missed: Section {study.key}, {what}: {value_text(row)} {row.unit}, accepted is "
+            f"✗ missed: Section {study.key}, {what}: {value_text(row)} {row.unit}, accepted: "
             f"{band_text(row)}",
             file=file,
         )

@@ -38,7 +38,9 @@ def reset(
         with connected(within) as connection:
             released = stops.release(connection)
         words = (
-            "was stopped, and follows again" if released else "follows: there is nothing to reset"
+            "was stopped and now follows again"
+            if released
+            else "follows; there is nothing to reset"
         )
         print(f"{within.name}: the drive {words}", file=terminal.people(as_json), flush=True)
         found.append((within, {"schema": SCHEMA, **within.named, "reset": released}))

@@ -37,7 +37,7 @@ def rig(
         str | None,
         typer.Option(
             metavar="INTERFACE",
-            help="CAN interface, such as vcan0; of several axes one for each, with commas.",
+            help="CAN interface, such as vcan0; for several axes one each, separated by commas.",
             show_default=False,
         ),
     ] = None,
@@ -45,7 +45,7 @@ def rig(
         str | None,
         typer.Option(
             metavar="PATH",
-            help="Serial line; of several axes one for each, with commas.",
+            help="Serial line; for several axes one each, separated by commas.",
             show_default=False,
         ),
     ] = None,
@@ -53,13 +53,16 @@ def rig(
         str | None,
         typer.Option(
             metavar="PATH",
-            help="Socket to which controllers connect; of several axes one for each, with commas.",
+            help="Socket to which controllers connect; for several axes one each, separated by "
+            "commas.",
             show_default=False,
         ),
     ] = None,
     pty: Annotated[
         bool,
-        typer.Option("--pty", help="Create a pseudo-terminal (one for each axis), print its path."),
+        typer.Option(
+            "--pty", help="Create a pseudo-terminal (one for each axis) and print its path."
+        ),
     ] = False,
     settings: RigSetOption = None,
     seed: Annotated[
@@ -75,7 +78,7 @@ def rig(
     drift_ppm: Annotated[
         float,
         typer.Option(
-            metavar="PPM", help="Parts per million by which its clock is fast, -199 to 199."
+            metavar="PPM", help="Parts per million by which its clock runs fast, -199 to 199."
         ),
     ] = 0.0,
     fault: Annotated[
@@ -172,7 +175,7 @@ def _plan(
         )
     if log is not None and log.suffix not in virtual_rig.LOG_SUFFIXES:
         raise typer.BadParameter(
-            f"found {log}, a log ends with {' or '.join(virtual_rig.LOG_SUFFIXES)}",
+            f"found {log}; a log must end with {' or '.join(virtual_rig.LOG_SUFFIXES)}",
             param_hint="--log",
         )
     try:
@@ -195,7 +198,7 @@ def _check_log(log: Path) -> None:
     folder = next(folder for folder in log.absolute().parents if folder.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         raise RthybError(
-            f"the log cannot be written to {folder}; check that folder's permissions, or name "
+            f"the log cannot be written to {folder}; check the folder's permissions, or choose "
             "another file with --log",
             where=str(log),
         )
@@ -216,7 +219,7 @@ def _lines(
     wires = (("--can", can), ("--serial", serial), ("--socket", socket))
     given = [name for name, value in (*wires, ("--pty", pty)) if value]
     if len(given) > 1:
-        raise typer.BadParameter(f"{' and '.join(given)} exclude each other: name one wire")
+        raise typer.BadParameter(f"{' and '.join(given)} exclude each other: choose one")
     axes = axes_of(rig_file)
     with ExitStack() as owned:
         if pty:
@@ -245,7 +248,7 @@ def _with_links(rig: AxesRig, wires: Sequence[tuple[str, str | None]]) -> AxesRi
         if len(channels) != len(rig.axis):
             raise typer.BadParameter(
                 f"found {text}, {len(channels)} of them; the rig has {len(rig.axis)} axes "
-                f"({', '.join(rig.names)}): name one for each, with commas between",
+                f"({', '.join(rig.names)}): give one for each, separated by commas",
                 param_hint=option,
             )
         axes = []
@@ -264,7 +267,7 @@ def _with_links(rig: AxesRig, wires: Sequence[tuple[str, str | None]]) -> AxesRi
 
 def _no_wire() -> typer.BadParameter:
     return typer.BadParameter(
-        "the rig file has no [link]; name a wire: --can, --serial, --socket or --pty"
+        "the rig file has no [link]; choose --can, --serial, --socket or --pty"
     )
 
 
@@ -289,10 +292,10 @@ def _link(own: Link | None, can: str | None, serial: str | None, socket: str | N
 
 
 def _rows(result: Result, log: Path | None) -> list[tuple[str, str, str]]:
-    stops = f"{result.watchdog_stops} by the watchdog, {result.told_stops} told"
+    stops = f"{result.watchdog_stops} by the watchdog, {result.told_stops} commanded"
     rows = [
-        ("Ticks", str(result.ticks), f"{result.skipped} more slept through"),
-        ("Commands", str(result.commands), "frames that came"),
+        ("Ticks", str(result.ticks), f"{result.skipped} more missed"),
+        ("Commands", str(result.commands), "frames received"),
         ("Stops", stops, "of its own"),
         ("Phase", result.phase + (", power cut" if result.power_cut else ""), "at the end"),
     ]

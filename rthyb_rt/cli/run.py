@@ -109,7 +109,7 @@ def run(
         raise typer.BadParameter("needs --realtime", param_hint="--clock")
     if fault and realtime:
         raise typer.BadParameter(
-            "is for the virtual rig without --realtime; at a wire it is an option of `rthyb rig`",
+            "is for the virtual rig without --realtime; over a link use the option of `rthyb rig`",
             param_hint="--fault",
         )
     started = datetime.datetime.now(datetime.UTC)
@@ -264,7 +264,7 @@ def _run_faulty(
 
 def _tell_ring(session: Session) -> None:
     path = session.run.ring.path
-    terminal.tell(f"telemetry ring {path}; should this process die: rthyb recover {path}")
+    terminal.tell(f"telemetry ring {path}; if this process dies: rthyb recover {path}")
 
 
 def _tell_tare(session: Session) -> None:

@@ -42,8 +42,8 @@ def serve(
     recorder: Annotated[
         Literal["own", "service", "none"],
         typer.Option(
-            help="What records: a process started by this service, the recorder "
-            "service, or nothing."
+            help="Which process records: one started by this service, the recorder service, or "
+            "none."
         ),
     ] = "own",
     metrics: Annotated[

@@ -120,12 +120,12 @@ def _lists(options: Sequence[str]) -> dict[str, list[Any]]:
                 Problem(
                     "--over",
                     f'found "{option}"; must be KEY=V1,V2,..., as in '
-                    "numerical.period_s=0.3,0.5; values with blanks in quotes: "
+                    "numerical.period_s=0.3,0.5; quote values that contain spaces: "
                     '"ground_motion.pga_g=0.02 g,0.04 g"',
                 )
             )
         elif key in lists:
-            problems.append(Problem(f"--over {key}", "is there twice; give all values at once"))
+            problems.append(Problem(f"--over {key}", "occurs twice; give all its values at once"))
         else:
             lists[key] = [_value(key, word) for word in words]
     if problems:

@@ -235,11 +235,11 @@ def table(path: Path, wishes: Sequence[Wish]) -> Course:
     step = float(t[-1] - t[0]) / (t.size - 1)
     uneven = float(np.abs(t - t[0] - step * np.arange(t.size)).max()) / step
     if uneven > _UNEVEN:
-        notes.append("rows are unevenly spaced; they were interpolated to a uniform rate")
+        notes.append("rows are not equally spaced; they were interpolated to a uniform rate")
         even = t[0] + step * np.arange(t.size)
         channels = {name: np.interp(even, t, values) for name, values in channels.items()}
     if t[0] != 0.0:
-        notes.append(f"time begins at {t[0]:g} s; it is counted from there")
+        notes.append(f"time begins at {t[0]:g} s; it is counted from that instant")
     x, f = channels["x_meas"], channels.get("f_meas")
     measures: dict[str, float | None] = dict.fromkeys(MEASURES)
     measures["peak_measured_m"] = _largest(x)

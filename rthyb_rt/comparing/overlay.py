@@ -72,7 +72,7 @@ class Overlay:
             found = _at_rate(named, fs_hz, shifts)
         shared = min(x.size for x, _ in found)
         if shared < 2:
-            raise InputError("one of them is empty: there is no instant that all have", "compare")
+            raise InputError("one of them is empty: they have no instant in common", "compare")
         notes = [*_notes(named, fs_hz, shared), *_shifted(named, shifts)]
         xs, fs = zip(*found, strict=True)
         return cls(tuple(named), fs_hz, xs, fs, shared, lags, align, tuple(notes))
@@ -190,7 +190,7 @@ def _notes(courses: Sequence[Course], fs_hz: float, shared: int) -> list[str]:
     longer = [c for c in courses if c.duration_s > (shared + 1) / fs_hz]
     if longer:
         told = _told([(c.label, c.duration_s) for c in longer], "lasts", "last", "s")
-        notes.append(f"{told}; compared over the {shared / fs_hz:.4g} s that all have")
+        notes.append(f"{told}; compared over the {shared / fs_hz:.4g} s that they have in common")
     notes += [f"{c.label} has no force" for c in courses if c.f_n is None]
     return notes
 
@@ -206,7 +206,7 @@ def _told(values: Sequence[tuple[str, float]], one: str, many: str, unit: str) -
 
 def _shifted(courses: Sequence[Course], shifts: Sequence[float]) -> list[str]:
     return [
-        f"{course.label} was moved by {-1e3 * shift:+.2f} ms to lie over the first"
+        f"{course.label} was shifted by {-1e3 * shift:+.2f} ms to match the first"
         for course, shift in zip(courses, shifts, strict=True)
         if shift
     ]

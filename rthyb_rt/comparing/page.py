@@ -70,7 +70,7 @@ def sentence(overlay: Overlay) -> str:
     worst = max(others, key=lambda row: row["x_difference_nrmse"] or 0.0)
     nrmse, largest = worst["x_difference_nrmse"], worst["x_difference_m"]
     if largest is None:
-        return f"{worst['label']} has no displacement that could be held against {first}."
+        return f"{worst['label']} has no displacement to compare with {first}."
     what = f"{percent(nrmse)} (NRMSE), {quantity(largest, 'mm', 1e3)} at most"
     if len(others) == 1:
         return f"{worst['label']} differs from {first} by {what}."

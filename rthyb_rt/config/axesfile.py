@@ -66,7 +66,7 @@ COMMON_LIMITS: Final[tuple[str, ...]] = (
     "armed_timeout_s",
     "tare_s",
 )
-"""Limits of all axes together: what ends a test ends it for all, and they move as one."""
+"""Limits of all axes together: they move as one, and what ends a test ends it for all of them."""
 
 Rows = list[list[float]]
 
@@ -75,7 +75,7 @@ def _name(what: str) -> Text:
     return Text(
         what,
         r"[a-z][a-z0-9_-]{0,23}",
-        "up to 24 of a-z 0-9 _ - in quotes, the first one a letter",
+        "up to 24 characters of a-z 0-9 _ - in quotes, starting with a letter",
     )
 
 
@@ -201,7 +201,7 @@ class Different(Reader):
         found = [str(self.one.read(v)) for v in value]
         for name in found:
             if found.count(name) > 1:
-                raise explained(f"found {written(name)} twice; every name stands once")
+                raise explained(f"found {written(name)} twice; each name may appear only once")
         return found
 
     def __get_pydantic_json_schema__(
@@ -218,7 +218,10 @@ def _only_its_own(limits: Limits) -> str | None:
     common = [key for key in COMMON_LIMITS if getattr(limits, key) is not None]
     if not common:
         return None
-    return f"found {common[0]}, which is of all axes together: write it in [limits] of the file"
+    return (
+        f"found {common[0]}, which applies to all axes together: move it to the [limits] table "
+        "of the file"
+    )
 
 
 class Axis(Table):
@@ -233,7 +236,7 @@ class Axis(Table):
             "sensors",
             ("sensors",),
             lambda sensors: (
-                "found extra sensors; they are recorded on a rig of one axis alone: leave them out"
+                "found extra sensors; they are supported only on a rig with one axis: remove them"
                 if sensors.extra
                 else None
             ),
@@ -326,11 +329,11 @@ def _kinematics_fault(axes: list[Axis], given: Kinematics) -> str | None:
     if len(given.interface) != n:
         return (
             f"found {len(given.interface)} directions ({', '.join(given.interface)}) and {n} axes "
-            f"({shown}); there must be as many directions as axes"
+            f"({shown}); the number of directions must equal the number of axes"
         )
     if isinstance(given, MatrixKinematics):
         if len(given.matrix) != n:
-            return f"found {len(given.matrix)} rows; there is one for each of {n} axes ({shown})"
+            return f"found {len(given.matrix)} rows; must be {n}, one for each axis ({shown})"
         strange = [one for one in given.rotations if one not in given.interface]
         if strange:
             return f"found the rotation {written(strange[0])}; it must be one of interface"
@@ -359,12 +362,12 @@ def _pins_fault(names: list[str], given: PinKinematics) -> str | None:
         if (name in given.bases_m) == (name in given.directions):
             both = "both" if name in given.bases_m else "neither"
             return (
-                f"axis {name} has {both} of bases_m and directions; an axis has a base, or the "
-                "direction of one that is far away"
+                f"axis {name} has {both} of bases_m and directions; give an axis its base, or the "
+                "direction of a base that is far away"
             )
         pin = given.pins_m[name]
         if name in given.bases_m and _apart(pin, given.bases_m[name]) <= 1e-6:
-            return f"axis {name} has its pin in its own base, at [{pin[0]:g}, {pin[1]:g}] m"
+            return f"axis {name} has its pin at its own base, [{pin[0]:g}, {pin[1]:g}] m"
         if name in given.directions and _apart(given.directions[name], [0.0, 0.0]) <= 1e-6:
             return f"directions: axis {name} has no direction; found [0, 0]"
     return None
@@ -379,22 +382,22 @@ def _left_free(given: Kinematics, names: list[str]) -> str:
     if isinstance(given, MatrixKinematics):
         rows = "; ".join(f"[{', '.join(f'{v:g}' for v in row)}]" for row in given.matrix)
         return (
-            f"found the rows {rows}, of which one follows from the others: some motion of the "
-            "interface moves no axis; a singular matrix is no kinematics"
+            f"found the rows {rows}, one of which is a combination of the others, so some motion "
+            "of the interface moves no axis; the matrix must not be singular"
         )
     for i, one in enumerate(names):
         for other in names[:i]:
             if _apart(given.pins_m[one], given.pins_m[other]) <= 1e-6:
                 at = given.pins_m[one]
                 return (
-                    f"the pins of {other} and {one} coincide at [{at[0]:g}, {at[1]:g}] m, so that "
-                    f"the axes leave a motion along {', '.join(given.interface)} free; give each "
-                    "its own"
+                    f"the pins of {other} and {one} coincide at [{at[0]:g}, {at[1]:g}] m, so the "
+                    f"axes do not prevent motion along {', '.join(given.interface)}; give each "
+                    "axis its own pin"
                 )
     return (
-        f"the axes {', '.join(names)} leave a motion along {', '.join(given.interface)} free: no "
-        "two may lie on one line, nor all meet in one point where theta is asked for; look at "
-        "pins_m and bases_m"
+        f"the axes {', '.join(names)} do not prevent every motion along "
+        f"{', '.join(given.interface)}: no two axes may lie on one line, and with theta the axes "
+        "may not all meet in one point; check pins_m and bases_m"
     )
 
 
@@ -413,8 +416,8 @@ def _holds(stiffness: Rows) -> str | None:
     if least > 1e-9 * most:
         return None
     return (
-        f"found a matrix with an eigenvalue of {least:.3g}; the elastic stiffness must hold every "
-        "direction (positive definite): look for a sign, or a direction that nothing holds"
+        f"found a matrix with an eigenvalue of {least:.3g}; the elastic stiffness must be "
+        "positive definite: check for a wrong sign, or for a direction without stiffness"
     )
 
 
@@ -436,7 +439,7 @@ def _not_negative(what: str) -> Any:
 def _same_size(stiffness: Rows, rows: Rows | None) -> str | None:
     if rows is None or len(rows) == len(stiffness):
         return None
-    return f"found {len(rows)} rows; stiffness has {len(stiffness)}, and both must have as many"
+    return f"found {len(rows)} rows; must be {len(stiffness)}, as many as stiffness has"
 
 
 class Along(Table):
@@ -450,7 +453,7 @@ class Along(Table):
             "law",
             ("law",),
             lambda law: (
-                f"found {written(law.element)}; a mass belongs into the specimen's mass"
+                f"found {written(law.element)}; enter a mass in the mass of the specimen"
                 if law.element in ("inertia", "second_mode")
                 else None
             ),
@@ -494,7 +497,7 @@ class Plant(Table):
             lambda file, a, b, c: (
                 None
                 if file is not None or (b is not None and c is not None)
-                else "found a without b or c; a plant is given by all three, or by file"
+                else "found a without b or c; give all three, or give file"
             ),
         ),
     )
@@ -503,7 +506,7 @@ class Plant(Table):
     a: Annotated[Rows, MatrixOf("a", STATES_MAX, size=1e15)] | None = None
     b: Annotated[Rows, MatrixOf("b", STATES_MAX, square=False, size=1e15)] | None = None
     c: Annotated[Rows, MatrixOf("c", STATES_MAX, square=False, size=1e15)] | None = None
-    stroke_m: Annotated[float, Range("m", 1e-6, 100, "the stroke to either side")] = 100.0
+    stroke_m: Annotated[float, Range("m", 1e-6, 100, "the stroke in each direction")] = 100.0
 
 
 # ---- what identify found -------------------------------------------------------------------------
@@ -514,10 +517,10 @@ def _responses_fit(
 ) -> str | None:
     if len(real) == len(imaginary) == len(frequency_hz):
         sizes = {len(rows) for rows in (*real, *imaginary)}
-        return None if len(sizes) == 1 else "the matrices are not of one size"
+        return None if len(sizes) == 1 else "the matrices differ in size"
     return (
         f"found {len(frequency_hz)} frequencies, {len(real)} real and {len(imaginary)} imaginary "
-        "matrices; there must be one of each a frequency"
+        "matrices; there must be one of each for every frequency"
     )
 
 
@@ -581,18 +584,19 @@ def _driven(axes: list[Axis], plant: Plant | None) -> str | None:
     for axis in axes:
         if axis.actuator is None and plant is None:
             return (
-                f"axis {axis.name} has no actuator; give [axis.actuator] below it, or a [plant] of "
-                "all axes"
+                f"axis {axis.name} has no actuator; give [axis.actuator] below it, or add a "
+                "[plant] for all axes"
             )
         if axis.actuator is not None and plant is not None:
             return (
-                f"axis {axis.name} has an actuator, and the file a [plant], which stands for the "
-                "actuators of all axes; keep one of them"
+                f"axis {axis.name} has an actuator, but the file also has a [plant], which "
+                "replaces the actuators of all axes; remove one of the two"
             )
         if axis.actuator is not None and axis.actuator.kind == "servo-valve":
             return (
-                f'axis {axis.name}: found kind = "servo-valve", which is solved with a specimen of '
-                'its own; among several axes take "servo-hydraulic", or a [plant]'
+                f'axis {axis.name}: found kind = "servo-valve", which is solved together with a '
+                'specimen of its own; on a rig with several axes use "servo-hydraulic", or a '
+                "[plant]"
             )
     return None
 
@@ -638,14 +642,17 @@ def _one_clock(axes: list[Axis]) -> str | None:
     linked = [axis for axis in axes if axis.link is not None]
     if linked and len(linked) < len(axes):
         without = next(axis.name for axis in axes if axis.link is None)
-        return f"axis {without} has no [axis.link], and {linked[0].name} has one; all or none"
+        return (
+            f"axis {without} has no [axis.link], but axis {linked[0].name} has one; give a link "
+            "for every axis, or for none"
+        )
     clocks = {axis.link.clock for axis in linked if axis.link is not None}
     if len(clocks) > 1:
-        return f"found the clocks {', '.join(sorted(clocks))}; all axes go by one"
+        return f"found the clocks {', '.join(sorted(clocks))}; all axes must use the same clock"
     if "link" in clocks:
         return (
-            'found clock = "link"; with several axes the ticks are the host\'s: no link can be '
-            "the clock of the others"
+            'found clock = "link"; with several axes the host must be the clock, because no link '
+            "can time the others"
         )
     return None
 

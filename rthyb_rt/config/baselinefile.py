@@ -17,7 +17,7 @@ Stiffness = Annotated[float, Range("N/m", 0, 1e15, "the stiffness")]
 Mass = Annotated[float, Range("kg", 0, 1e12, "the mass")]
 Tolerance = Annotated[
     float,
-    Range("", 1e-9, 1e3, "the standard deviation over the value"),
+    Range("", 1e-9, 1e3, "the relative standard deviation"),
 ]
 
 
@@ -61,7 +61,7 @@ class Numerical(Table):
     """The computed part: m (x'' + ag) + c x' + F = 0."""
 
     m: Mass = 0.0
-    c: Annotated[float, Range("N s/m", -1e15, 1e15, "the computed damping")] = 0.0
+    c: Annotated[float, Range("N s/m", -1e15, 1e15, "the damping of the numerical part")] = 0.0
 
 
 def _plc_stable(w1: float | None, w2: float | None) -> str | None:

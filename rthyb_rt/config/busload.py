@@ -111,7 +111,7 @@ def bus_fault(
             f"no bit rate up to {CAN_BITRATES[-1]} bit/s is enough; give the drive shorter frames"
         )
         if data_bitrate is None and any(frame.fd for frame in frames):
-            remedy += ", or say data_bitrate if its CAN FD frames switch the bit rate"
+            remedy += ", or set data_bitrate if its CAN FD frames switch the bit rate"
     return (
         f"found {bitrate} bit/s: frame rate over 80 % bus load ({len(frames)} frames, 1024 times a "
         f"second, take {100 * load:.0f} %); {remedy}"
@@ -143,7 +143,7 @@ def serial_fault(baud: int, extras: int = 0) -> str | None:
     return (
         f"found {baud} Bd: command ({COMMAND_BYTES} bytes) and feedback ({feedback} bytes) "
         f"at 1024 Hz need {serial_bits_per_s(extras)} Bd, {100 * serial_load(baud, extras):.0f} % "
-        f"of the line, and at most 80 % may be taken, so at least {enough} Bd"
+        f"of the line's capacity; at most 80 % is allowed, so use at least {enough} Bd"
     )
 
 

@@ -38,7 +38,7 @@ def _values(given: object) -> Values:
                 f"found {written(value)}; each value must be a text, a number, true or false"
             )
     if len({(type(value), value) for value in found}) < len(found):
-        raise explained(f"found {written(found)}; a value stands in it twice")
+        raise explained(f"found {written(found)}; a value occurs in it twice")
     return tuple(found)
 
 
@@ -83,7 +83,7 @@ class Spread(Table):
 class Draws(Table):
     """Plants drawn about the file's, all keys at once."""
 
-    count: Annotated[int, Count(1, 100_000, "how many plants are drawn")]
+    count: Annotated[int, Count(1, 100_000, "the number of plants")]
     seed: Annotated[int, Count(0, 2**32 - 1, "the seed of the draws")] = 0
     nominal: bool = True
     spread: dict[str, Spread] = Field(min_length=1)
@@ -93,8 +93,10 @@ class Benchmark(Table):
     """A benchmark of the field instead of a test: it says itself what its tests and rigs are."""
 
     name: Literal["rths"]
-    plants: Annotated[int, Count(0, 20, "how many perturbed plants, beside the nominal one")] = 20
-    width: Annotated[float, Range("", 0.0, 10.0, "how wide they are drawn")] = 1.0
+    plants: Annotated[
+        int, Count(0, 20, "the number of perturbed plants, in addition to the nominal one")
+    ] = 20
+    width: Annotated[float, Range("", 0.0, 10.0, "the spread of the perturbed plants")] = 1.0
     yielding: bool = False
 
 
@@ -110,7 +112,7 @@ class CampaignFile(Table):
     campaign: What
     over: dict[str, Listed] = Field(default_factory=dict)
     together: list[dict[str, Listed]] = Field(default_factory=list)
-    noise_seeds: Annotated[int, Count(1, 100_000, "how often each run is repeated")] = 1
+    noise_seeds: Annotated[int, Count(1, 100_000, "the number of repetitions of each run")] = 1
     draws: Draws | None = None
     benchmark: Benchmark | None = None
 
@@ -134,16 +136,16 @@ class CampaignFile(Table):
                 told = ", ".join(f"{key}: {length}" for key, length in lengths.items())
                 yield (
                     ("together",),
-                    f"table {number + 1} has lists of different length ({told}); values that go "
-                    "together need as many of each",
+                    f"table {number + 1} has lists of different length ({told}); lists that vary "
+                    "together must have the same length",
                     (),
                 )
             for key in table:
                 if key in seen:
                     yield (
                         ("together",),
-                        f"{key} is varied in [[together]] and in [{seen[key]}] already; "
-                        "keep one of them",
+                        f"{key} is varied in [[together]], but is already in [{seen[key]}]; "
+                        "remove one of the two",
                         (),
                     )
                 seen.setdefault(key, "[together]")
@@ -166,7 +168,7 @@ def _foreign_to_benchmark(
     for key in over if isinstance(over, dict) else ():
         if key not in BENCHMARK_KEYS:
             told = ", ".join(BENCHMARK_KEYS)
-            yield ("over", key), f"is no key of a benchmark, which can be varied over {told}", ()
+            yield ("over", key), f"is not a key of a benchmark; allowed are {told}", ()
 
 
 def beside(path: Path, name: str) -> str:

@@ -184,7 +184,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
 
 def _check_one_axis(test: TestFile, rig: RigFile, problems: list[Problem]) -> None:
     """Find what only a rig of several axes can have."""
-    alone = f'rig "{rig.rig.name}" has one axis; it is for rigs with several, [[axis]]'
+    alone = f'rig "{rig.rig.name}" has one axis; this is for rigs with several axes, [[axis]]'
     if test.controller.type == "matrix":
         problems.append(Problem("controller.type", f'found "matrix"; {alone}'))
     if test.controller.axis:
@@ -292,8 +292,9 @@ def _of_many(
         problems.append(
             Problem(
                 "test.sample_rate_hz",
-                f"the mode that the ground moves most is at {first.frequency_hz:.4g} Hz, which "
-                f"{rate.hz:g} Hz cannot follow; check the units of masses and stiffnesses",
+                f"the mode with the largest effective mass is at {first.frequency_hz:.4g} Hz, "
+                f"which is too high for a sample rate of {rate.hz:g} Hz; check the units of the "
+                "masses and stiffnesses",
             )
         )
     return structure, oscillator(first)
@@ -321,9 +322,9 @@ def _by_matrices(
         problems.append(
             Problem(
                 "numerical.matrices.k_n_per_m",
-                f"nothing holds the structure against the motion [{shape}], the specimen with k_e "
-                f"= {k_e:g} N/m included; every motion must need a force: look for a missing "
-                "spring, a sign, or a specimen that was taken out and is stiffer than the rig's",
+                f"nothing restrains the structure against the motion [{shape}], even with the "
+                f"specimen's k_e = {k_e:g} N/m; check for a missing spring, a wrong sign, or a "
+                "specimen that was taken out and is stiffer than the rig's",
             )
         )
         return structure, (1.0, 1.0, 0.0, 0.0)
@@ -343,8 +344,9 @@ def _check_stability(structure: Structure, problems: list[Problem], most: float)
             Problem(
                 "numerical.matrices.c_n_s_per_m",
                 f"the mode at {fed[0].frequency_hz:.4g} Hz has a damping ratio of "
-                f"{fed[0].damping_ratio:.3g}; every mode must have 0 or more: look for a sign, or "
-                "for a specimen's damping that was taken out and is not in the matrices",
+                f"{fed[0].damping_ratio:.3g}; the damping ratio of every mode must be at least "
+                "0: check for a wrong sign, or for damping of the specimen that was taken out "
+                "but is not in the matrices",
             )
         )
         return
@@ -352,9 +354,10 @@ def _check_stability(structure: Structure, problems: list[Problem], most: float)
     problems.append(
         Problem(
             "numerical.matrices.integrator",
-            f"the step is unstable: with {structure.part.integrator} at {rate_hz:g} Hz the largest "
-            f"root of the joined structure is {radius:.6g}, allowed is 1; its highest mode is at "
-            f'{highest:.4g} Hz; take integrator = "cr", or a higher test.sample_rate_hz',
+            f"the step is unstable: with {structure.part.integrator} at {rate_hz:g} Hz the "
+            f"largest root of the assembled structure is {radius:.6g}, at most 1 is allowed; its "
+            f'highest mode is at {highest:.4g} Hz; use integrator = "cr" or a higher '
+            "test.sample_rate_hz",
         )
     )
 
@@ -399,8 +402,8 @@ def _check_integration(
             Problem(
                 "test.sample_rate_hz",
                 f"found {rate.hz:g} Hz; a period of {period:.3g} s needs more than "
-                f"{math.pi / period:.4g} Hz with the integrator central-difference, which runs off "
-                "below pi samples a period; raise it, or take cr or kr-alpha",
+                f"{math.pi / period:.4g} Hz with the integrator central-difference, which is "
+                "unstable below pi samples per period; raise it, or use cr or kr-alpha",
             )
         )
     if numerical.damping_n_s_per_m is not None and ratio > 2:
@@ -414,9 +417,9 @@ def _check_integration(
     if numerical.integrator == "forward-euler":
         lost = math.pi / (period * rate.hz)
         notes.append(
-            f"forward Euler takes {100 * lost:.2f} percentage points of the damping ratio away: "
+            f"forward Euler reduces the damping ratio by {100 * lost:.2f} percentage points: "
             f"{100 * ratio:.2f} % acts as {100 * (ratio - lost):.2f} %"
-            + (", so the motion grows by itself" if ratio < lost else "")
+            + (", so that the motion grows without excitation" if ratio < lost else "")
         )
 
 
@@ -435,9 +438,9 @@ def check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]
             Problem(
                 "test.sample_rate_hz",
                 f'found {rate.hz:g} Hz; the {actuator.kind} actuator of rig "{rig.rig.name}" has '
-                f"{key} = {delay} of 1/1024 s, which are {rate.samples(delay):.4g} samples at that "
-                f"rate and must be whole; rates that fit are multiples of {step:g} Hz "
-                f"({', '.join(whole)}), or take an actuator of kind second-order with delay_s",
+                f"{key} = {delay} of 1/1024 s, which is {rate.samples(delay):.4g} samples at "
+                f"that rate; it must be a whole number; use a multiple of {step:g} Hz "
+                f"({', '.join(whole)}), or an actuator of kind second-order with delay_s",
             )
         )
 
@@ -456,8 +459,9 @@ def law_settings(
             problems.append(
                 Problem(
                     f"controller.{parameter.key}",
-                    f'missing, and rig "{rig.rig.name}" has no {parameter.rig_key} to take; give '
-                    f"controller.{parameter.key} in {parameter.unit}, or run `rthyb identify RIG`",
+                    f'missing, and rig "{rig.rig.name}" has no {parameter.rig_key} to use '
+                    f"instead; give controller.{parameter.key} in {parameter.unit}, or run "
+                    "`rthyb identify RIG`",
                 )
             )
         # Nothing is led by it.
@@ -470,8 +474,8 @@ def law_settings(
         where = next(p.rig_key for p in controller.law.parameters if p.key == key)
         if key in from_rig:
             text = (
-                f'rig "{rig.rig.name}" gives {where} = {settings[key]:g}: {text}; change what '
-                "bounds it, or identify the rig again"
+                f'rig "{rig.rig.name}" gives {where} = {settings[key]:g}: {text}; change the '
+                "value that bounds it, or identify the rig again"
             )
         problems.append(Problem(f"controller.{key}", text))
     return settings
@@ -496,7 +500,7 @@ def window_samples_of(test: TestFile, period: float, rate: Rate, problems: list[
             Problem(
                 f"controller.rfc.{key}",
                 f"a window of {window_s:.4g} s is T0 = {samples} samples; must be from 1 to "
-                f"{most}, which at a period of {period:.4g} s are {1 / rate.hz / period:.2g} to "
+                f"{most}, which at a period of {period:.4g} s is {1 / rate.hz / period:.2g} to "
                 f"{most / rate.hz / period:.2g} periods",
             )
         )
@@ -529,7 +533,7 @@ def rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, f
     noise_n = max(noise_n, sensors.force.lsb_n / math.sqrt(12))
     if noise_m == 0 and test.controller.law.uses_rest_noise:
         notes.append(
-            f'rig "{rig.rig.name}" states no displacement noise at rest: 0 is used and the '
+            f'rig "{rig.rig.name}" gives no displacement noise at rest: 0 is used, and the '
             "excitation gate stays open; `rthyb identify RIG` measures it"
         )
     return noise_m, noise_n
@@ -554,8 +558,8 @@ def _note_stiffness(rig: RigFile, notes: list[str]) -> None:
     k_e = rig.rig.elastic_stiffness_n_per_m
     if total > 0 and abs(k_e / total - 1) > 0.2:
         notes.append(
-            f"k_e = {k_e:g} N/m, but the specimen's elements begin with {total:g} N/m: check "
-            "rig.elastic_stiffness_n_per_m"
+            f"k_e = {k_e:g} N/m, but the initial stiffness of the specimen's elements is "
+            f"{total:g} N/m: check rig.elastic_stiffness_n_per_m"
         )
 
 
@@ -565,14 +569,17 @@ def _note_slowness(test: TestFile, rig: RigFile, notes: list[str]) -> None:
     if slow == 1.0 or test.history is not None:
         return
     names = {item.element for item in rig.specimen if _is_rate_dependent(item)}
-    text = f"test.time_scale = {slow:g}: the specimen moves so many times slower than the structure"
+    text = (
+        f"test.time_scale = {slow:g}: the specimen moves that many times more slowly than the "
+        "structure"
+    )
     if not names:
-        notes.append(f"{text}; its elements have no rate in them, so nothing is left out")
+        notes.append(f"{text}; its elements do not depend on rate, so nothing is lost")
         return
     notes.append(
-        f"{text}, and of its {', '.join(sorted(names))} only what that velocity asks for is "
-        f"measured: a viscous force is 1/{slow:g} of the structure's, inertia 1/{slow**2:g}; "
-        "put what is known of them into the numerical part, or test faster"
+        f"{text}, and of its {', '.join(sorted(names))} only the force at that velocity is "
+        f"measured: a viscous force is 1/{slow:g} of the structure's, an inertia force "
+        f"1/{slow**2:g}; model them in the numerical part, or test faster"
     )
 
 
@@ -588,7 +595,7 @@ def _note_sensor_ranges(limits: limits_file.Limits, rig: RigFile, notes: list[st
     if force is not None and force_range is not None and force.value > force_range:
         notes.append(
             f"limits.force_n = {force.value:g} N lies beyond the load cell's range of "
-            f"{force_range:g} N and can never be seen"
+            f"{force_range:g} N and can never be reached"
         )
     if position is not None and x_range is not None and position.value > x_range:
         notes.append(
@@ -631,9 +638,9 @@ def _note_friction(test: TestFile, rig: RigFile, mass: float, rate: Rate, notes:
             name = "friction_width_m_per_s" if place == "actuator" else "width_m_per_s"
             how = f" ({key} h / m)" if n == 0 else ""
             notes.append(
-                f"rig {place}: {key} = {force:g} N over {name} = {width:g} m/s is too steep for a "
-                f"step of the reference simulation, which chatters on {moving:.4g} kg and must not "
-                f"be trusted; give it a width of at least {needed:.2g} m/s{how}"
+                f"rig {place}: {key} = {force:g} N over {name} = {width:g} m/s is too steep for "
+                f"the time step of the reference simulation, which chatters on {moving:.4g} kg "
+                f"and is not reliable; use a width of at least {needed:.2g} m/s{how}"
             )
 
 
@@ -647,8 +654,8 @@ def _note_omitted(rig: RigFile, notes: list[str]) -> None:
         return
     values = ", ".join(f"{key} = {getattr(actuator, key):g}" for key in omitted)
     notes.append(
-        f'rig "{rig.rig.name}" does not give {values} of its actuator: those are the figures of '
-        "shaking-table-portal-frame; write down the ones of this rig"
+        f'rig "{rig.rig.name}" does not give {values} for its actuator: these are the values of '
+        "shaking-table-portal-frame; give those of this rig"
     )
 
 
@@ -662,7 +669,7 @@ def _note_substeps(rig: RigFile, notes: list[str]) -> None:
     needed = math.ceil(OIL_SUBSTEPS * omega / (2 * math.pi * STANDARD_HZ))
     if actuator.substeps < needed:
         notes.append(
-            f"actuator.substeps = {actuator.substeps} is coarse for a table that swings at "
-            f"{omega / (2 * math.pi):.0f} Hz on its oil column: the response changes with the "
-            f"substeps; take {needed} or more"
+            f"actuator.substeps = {actuator.substeps} is too coarse for a table that resonates "
+            f"at {omega / (2 * math.pi):.0f} Hz on its oil column: the response depends on the "
+            f"substeps; use {needed} or more"
         )

@@ -74,8 +74,9 @@ def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
     first, found, notes = structure.first(), list[Derived](), list[str]()
     if first.frequency_hz > 0.25 * rate.hz:
         raise InputError(
-            f"the mode that the ground moves most is at {first.frequency_hz:.4g} Hz, which "
-            f"{rate.hz:g} Hz cannot follow; check the units of masses and stiffnesses",
+            f"the mode with the largest effective mass is at {first.frequency_hz:.4g} Hz, which "
+            f"is too high for a sample rate of {rate.hz:g} Hz; check the units of the masses and "
+            "stiffnesses",
             "test.sample_rate_hz",
         )
     for name in rig.names:
@@ -101,8 +102,8 @@ def in_order(test: TestFile, rig: AxesRig) -> TestFile:
     """
     if test.numerical.structure is None:
         raise InputError(
-            "a rig of several axes needs storeys, or matrices from a file; the short form and "
-            "matrices in the test file are of one actuator",
+            "a rig with several axes needs storeys, or matrices from a file; the short form and "
+            "matrices in the test file are for one actuator",
             "numerical",
         )
     given = {one.name: one for one in test.interface}
@@ -161,8 +162,8 @@ def _check_laws(test: TestFile, rig: AxesRig, problems: list[Problem]) -> None:
         problems.append(
             Problem(
                 "controller.type",
-                f'found "{MATRIX}", which needs {wants} by the matrix of frequency responses; rig '
-                f'"{rig.rig.name}" has no [identified]: run `rthyb identify RIG`',
+                f'found "{MATRIX}", which needs {wants} from the matrix of frequency responses; '
+                f'rig "{rig.rig.name}" has no [identified]: run `rthyb identify RIG`',
             )
         )
 

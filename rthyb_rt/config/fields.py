@@ -226,8 +226,8 @@ class Text(Reader):
 SLUG = Text(
     "a name",
     r"[a-z0-9][a-z0-9._-]{0,63}",
-    "up to 64 of a-z 0-9 . _ - in quotes, the first one a letter or digit "
-    "(it becomes the name of a folder)",
+    "up to 64 characters of a-z 0-9 . _ - in quotes, starting with a letter or digit (it becomes "
+    "the name of a folder)",
 )
 SOME_TEXT = Text("the value", r"\S[\s\S]*", "text in quotes, not empty")
 
@@ -296,7 +296,7 @@ class Names(Reader):
 
     def allowed(self) -> str:
         """Return what is allowed, in words."""
-        return f"{self.what} must be a list of up to {self.most} different texts"
+        return f"{self.what} must be a list of up to {self.most} different strings"
 
     def read(self, value: object) -> list[str]:
         """Return the texts; raise the explained error otherwise."""
@@ -443,7 +443,7 @@ class Table(BaseModel):
             given = [key for key in choice.keys if keys.get(key) is not None]
             names = ", ".join(choice.keys)
             if len(given) > 1:
-                yield (given[1],), f"{' and '.join(given)} are both given; keep one of {names}"
+                yield (given[1],), f"{' and '.join(given)} are both given; keep only one of {names}"
             elif choice.required and not given:
                 yield (), f"missing; give exactly one of {names}"
 

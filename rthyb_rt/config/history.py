@@ -45,7 +45,7 @@ step beyond the target adds, of the target."""
 
 _Amplitude = Annotated[float, Range("m", 1e-6, 10, "the amplitude")]
 _Frequency = Annotated[float, Range("Hz", 1e-4, 500, "the frequency")]
-_Duration = Annotated[float, Range("s", 0.01, 36000, "the length, tapers included")]
+_Duration = Annotated[float, Range("s", 0.01, 36000, "the length including the tapers")]
 _Taper = Annotated[float, Range("s", 0.01, 3600, "the length of each cosine taper")]
 
 
@@ -66,9 +66,9 @@ class Step:
 class Amplitudes(Reader):
     """A list of amplitudes."""
 
-    one: ClassVar[Range] = Range("m", 1e-6, 10, "the amplitudes in their order")
+    one: ClassVar[Range] = Range("m", 1e-6, 10, "the amplitudes in order")
     form: ClassVar[str] = "list, each 1e-6 to 10"
-    what: str = "the amplitudes in their order"
+    what: str = "the amplitudes in order"
 
     def read(self, value: object) -> list[float]:
         """Return the amplitudes; raise the explained error otherwise."""
@@ -137,7 +137,7 @@ def _within(duration_s: float, taper_s: float) -> str | None:
     if 2.0 * taper_s <= duration_s:
         return None
     return (
-        f"found {taper_s:g} s; both tapers must fit into duration_s = {duration_s:g} s: at most "
+        f"found {taper_s:g} s; both tapers must fit within duration_s = {duration_s:g} s: at most "
         f"{0.5 * duration_s:g} s"
     )
 
@@ -153,9 +153,9 @@ class SweepHistory(Table):
     to_hz: _Frequency
     duration_s: _Duration
     spacing: Literal["logarithmic", "linear"] = "logarithmic"
-    velocity_m_per_s: (
-        Annotated[float, Range("m/s", 1e-6, 100, "the velocity that fast parts stay below")] | None
-    ) = None
+    velocity_m_per_s: Annotated[float, Range("m/s", 1e-6, 100, "the limit on velocity")] | None = (
+        None
+    )
     taper_s: _Taper = 1.0
 
     @property
@@ -183,7 +183,7 @@ class RandomHistory(Table):
     from_hz: _Frequency
     to_hz: _Frequency
     peak_m: _Amplitude | None = None
-    rms_m: Annotated[float, Range("m", 1e-6, 10, "the root mean square, instead")] | None = None
+    rms_m: Annotated[float, Range("m", 1e-6, 10, "the root mean square instead")] | None = None
     duration_s: _Duration
     seed: Annotated[int, Count(0, 2**32 - 1, "the seed")] = 1
     taper_s: _Taper = 1.0
@@ -209,10 +209,10 @@ class CyclicHistory(Table):
     kind: str
     frequency_hz: _Frequency | None = None
     velocity_m_per_s: (
-        Annotated[float, Range("m/s", 1e-7, 100, "the largest velocity of every way")] | None
+        Annotated[float, Range("m/s", 1e-7, 100, "the peak velocity of every stroke")] | None
     ) = None
     acceleration_m_per_s2: (
-        Annotated[float, Range("m/s^2", 1e-4, 1e4, "the acceleration that goes with it")] | None
+        Annotated[float, Range("m/s^2", 1e-4, 1e4, "the acceleration for that velocity")] | None
     ) = None
 
     @property
@@ -295,7 +295,9 @@ class Aisc341History(CyclicHistory):
     """Cycles of ANSI/AISC 341, section K2.4b, by the drift angle of a beam-to-column connection."""
 
     kind: Literal["aisc-341"]
-    height_m: Annotated[float, Range("m", 0.01, 1000, "the height that turns drift into distance")]
+    height_m: Annotated[
+        float, Range("m", 0.01, 1000, "the height that converts drift to displacement")
+    ]
     to_drift: Annotated[float, Range("", 0.00375, 0.2, "the drift of the last step")] = 0.04
 
     @property
@@ -337,12 +339,15 @@ def with_file(given: CyclesHistory, folder: Path) -> CyclesHistory:
             rows = list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(
-            f"cannot be read ({error}); it is looked for beside the test file", str(path)
+            f"cannot be read ({error}); a relative path starts at the folder of the test file",
+            str(path),
         ) from None
     lines = [(number, [cell.strip() for cell in row]) for number, row in enumerate(rows, 1)]
     lines = [(number, row) for number, row in lines if any(row) and not row[0].startswith("#")]
     if len(lines) < 2:
-        raise InputError('must have a line "amplitude_m, cycles" and one for each step', str(path))
+        raise InputError(
+            'must have the header line "amplitude_m, cycles" and one line for each step', str(path)
+        )
     at, unit, counted = _columns(lines[0], path)
     amplitudes, cycles = list[float](), list[int]()
     for number, row in lines[1 : MOST_STEPS + 2]:
@@ -350,7 +355,7 @@ def with_file(given: CyclesHistory, folder: Path) -> CyclesHistory:
         if counted is not None:
             cycles.append(_count(row, counted, f"{path}:{number}"))
     if len(amplitudes) > MOST_STEPS:
-        raise InputError(f"has more than {MOST_STEPS} steps, which is the most", str(path))
+        raise InputError(f"has more than {MOST_STEPS} steps, the maximum", str(path))
     told = cycles if counted is not None else given.cycles
     return given.model_copy(update={"amplitudes_m": amplitudes, "cycles": told, "file": None})
 
@@ -363,7 +368,7 @@ def _columns(head: tuple[int, list[str]], path: Path) -> tuple[int, str, int | N
     if len(found) != 1 or len(counted) > 1:
         raise InputError(
             f'found the columns {", ".join(names)}; one must be called "amplitude_m", '
-            '"amplitude_mm" or the like, and one may be called "cycles"',
+            '"amplitude_mm" or another unit of length, and one may be called "cycles"',
             f"{path}:{number}",
         )
     unit = names[found[0]].partition("_")[2] or "m"

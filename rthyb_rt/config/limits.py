@@ -140,7 +140,7 @@ class ShareLimit(Limit):
 
     plain: ClassVar[Action] = "ramp-out"
 
-    value: Annotated[float, Range("", 1 / 1024, 1, "the share of the last second's ticks")]
+    value: Annotated[float, Range("", 1 / 1024, 1, "the share of ticks in the last second")]
 
 
 class WarningLimit(ShareLimit):
@@ -183,16 +183,16 @@ class Limits(Table):
     brake_acceleration_m_per_s2: (
         Annotated[float, Range("m/s^2", 1e-4, 1e4, "the deceleration of HOLD and ramp-out")] | None
     ) = None
-    ramp_in_s: Annotated[float, Range("s", 0.01, 600, "the length of the ramp-in")] | None = None
+    ramp_in_s: Annotated[float, Range("s", 0.01, 600, "the duration of the ramp-in")] | None = None
     armed_timeout_s: (
         Annotated[float, Range("s", 1, 3600, "the time after which ARMED ends by itself")] | None
     ) = None
-    tare_s: Annotated[float, Range("s", 0.01, 60, "the time that zeroing averages")] | None = None
+    tare_s: Annotated[float, Range("s", 0.01, 60, "the averaging time of zeroing")] | None = None
     rest_spread_m: (
-        Annotated[float, Range("m", 1e-9, 10, "the movement at rest that zeroing allows")] | None
+        Annotated[float, Range("m", 1e-9, 10, "the movement at rest that zeroing tolerates")] | None
     ) = None
     tare_share_most: (
-        Annotated[float, Range("", 1e-3, 1, "the tare, as a share of the rig's limit")] | None
+        Annotated[float, Range("", 1e-3, 1, "the tare as a share of the rig's limit")] | None
     ) = None
 
 
@@ -332,7 +332,7 @@ def _weaker(key: str, own: Any, bound: Any, rig_name: str) -> Iterator[Problem]:
         yield Problem(
             f"limits.{key}",
             f'found {own:g} {unit}; rig "{rig_name}" says limits.{key} = {bound:g} {unit}, '
-            f"{'at least' if at_least else 'at most'}; leave the key out of the test to take the "
+            f"{'at least' if at_least else 'at most'}; remove the key from the test to use the "
             "rig's",
         )
 
@@ -342,19 +342,19 @@ def _weaker_limit(key: str, own: Limit, bound: Limit | None, rig_name: str) -> I
         return
     unit = unit_of(key)
     allowed = f'rig "{rig_name}" says limits.{key} = {bound.value:g} {unit}, action '
-    remedy = "leave the key out of the test to take the rig's"
+    remedy = "remove the key from the test to use the rig's"
     stronger = " or a stronger one" if bound.action != ACTIONS[-1] else ""
     if own.value > bound.value:
         yield Problem(
             f"limits.{key}",
-            f'found {own.value:g} {unit}; {allowed}"{bound.action}", and no test may have more; '
-            f"{remedy}",
+            f'found {own.value:g} {unit}; {allowed}"{bound.action}", and a test may not allow '
+            f"more; {remedy}",
         )
     found = f'action "{own.action}"' if own.enable else "enable = false"
     if not own.enable or ACTIONS.index(own.action) < ACTIONS.index(bound.action):
         yield Problem(
             f"limits.{key}",
-            f'found {found}; {allowed}"{bound.action}", and a test may not weaken it; give that '
+            f'found {found}; {allowed}"{bound.action}", and a test may not weaken it; use that '
             f"action{stronger}, or {remedy}",
         )
 
@@ -459,7 +459,7 @@ def _path_figure(
                     Problem(
                         f"limits.{key}",
                         f"found {value:g} {unit}; {name} allows the command at most {bound:g} "
-                        f"{unit}; lower the path's, or leave it out",
+                        f"{unit}; lower this limit of the path, or remove it",
                     )
                 )
         return value

@@ -220,7 +220,7 @@ def shared_links(rig: AxesRig) -> list[tuple[int, str]]:
         names = " and ".join(rig.names[i] for i in axes)
         if kind not in BUSES:
             found.append(
-                (axes[-1], f"axes {names} are both at {written(channel)}; each needs its own")
+                (axes[-1], f"axes {names} are both at {written(channel)}; each axis needs its own")
             )
             continue
         complaint = _one_bus(rig, axes, names, channel)
@@ -242,20 +242,23 @@ def _one_bus(rig: AxesRig, axes: list[int], names: str, channel: str) -> str | N
         for one in sorted({codec.command_id, *codec.feedback_ids}):
             if one in seen:
                 return (
-                    f"axes {seen[one]} and {rig.names[i]} both have frames of identifier "
-                    f"0x{one & 0x1FFFFFFF:X} on {written(channel)}; give each a bus of its own, or "
-                    "a DBC file with identifiers of its own"
+                    f"axes {seen[one]} and {rig.names[i]} both use frames with the identifier "
+                    f"0x{one & 0x1FFFFFFF:X} on {written(channel)}; give each its own bus, or a "
+                    "DBC file with its own identifiers"
                 )
             seen[one] = rig.names[i]
         frames += busload.frames_of(codec)
     bitrate = links[0].bitrate
     if bitrate is None:
         return (
-            f"axes {names} share {written(channel)}, and no bitrate says whether it has room; give "
-            "the same bitrate in the link of each"
+            f"axes {names} share {written(channel)}, and without a bitrate its load cannot be "
+            "checked; give the same bitrate in both links"
         )
     if {(link.bitrate, link.data_bitrate) for link in links} != {(bitrate, links[0].data_bitrate)}:
-        return f"axes {names} share {written(channel)} and say different bit rates; give one"
+        return (
+            f"axes {names} share {written(channel)} but have different bit rates; give the same "
+            "for both"
+        )
     return busload.bus_fault(frames, bitrate, links[0].data_bitrate)
 
 
@@ -358,13 +361,14 @@ def _dbc_fault(link: Link) -> tuple[str, str] | None:
     if not _is_file(Path(link.dbc)):
         return (
             "dbc",
-            f"found {written(link.dbc)}; no such file; it is looked for beside the rig file",
+            f"found {written(link.dbc)}; no such file; a relative path starts at the folder of "
+            "the rig file",
         )
     if importlib.util.find_spec("cantools") is None:
         return None
     frames = frames_of_link(link)
     if any(frame.fd for frame in frames) and not link.fd:
-        return "fd", "found false; the DBC file has CAN FD frames; set fd = true"
+        return "fd", "found false, but the DBC file has CAN FD frames; set fd = true"
     if link.bitrate is None:
         return None
     fault = busload.bus_fault(frames, link.bitrate, link.data_bitrate)
@@ -402,8 +406,8 @@ def parse_rig(
     if "axis" in raw:
         names = ", ".join(_axis_names(raw)) or "several"
         raise InputError(
-            f"found [[axis]]: this is a rig of several axes ({names}), and a rig of one is needed "
-            "here",
+            f"found [[axis]]: this rig has several axes ({names}), and a rig with one axis is "
+            "needed here",
             f"{source}:{KeyLines(text).find(('axis',))}",
         )
     return _parse(RigFile, RIG_SCHEMA, text, source, overrides or {}, raw, wording=wording)
@@ -614,7 +618,7 @@ def _named(kind: Literal["rig", "test"], name: str) -> Path:
     known = ", ".join(files) or "none"
     raise InputError(
         f"found {written(name)}; no file and no {kind} of that name{nearest(name, list(files))}; "
-        f"give the path of a {kind} file, or one of those that come with the program: {known}",
+        f"give the path of a {kind} file, or one that comes with the program: {known}",
         where=kind,
     )
 
@@ -627,7 +631,7 @@ def find_rig(name_or_path: str | None) -> Path:
     """
     if name_or_path is None:
         raise InputError(
-            'the test names no rig; add rig = "NAME" to the test file or give --rig RIG.toml',
+            'the test names no rig; add rig = "NAME" to the test file or use --rig RIG.toml',
             where="rig",
         )
     return Path(name_or_path) if _is_file(Path(name_or_path)) else shipped_rig(name_or_path)
@@ -676,13 +680,13 @@ def read_text(path: str | Path, kind: str) -> str:
     """Return the text of a ``kind`` ("test" or "rig") file.
 
     Raises:
-        InputError: there is no regular file of at most 10 MB, or it is not UTF-8.
+        InputError: there is not a regular file of at most 10 MB, or it is not UTF-8.
     """
     try:
         # A pipe would be waited for, and a device has no end.
         if not stat.S_ISREG(Path(path).stat().st_mode):
             raise InputError(
-                f"cannot be read (it is not a regular file); give the path of a {kind} file",
+                f"cannot be read (not a regular file); give the path of a {kind} file",
                 str(path),
             )
         with Path(path).open("rb") as file:
@@ -696,8 +700,8 @@ def read_text(path: str | Path, kind: str) -> str:
         ) from None
     if len(data) > MAX_BYTES:
         raise InputError(
-            f"is larger than {MAX_BYTES // 10**6} MB, which no {kind} file is; give the path of a "
-            f"{kind} file",
+            f"is larger than {MAX_BYTES // 10**6} MB, the limit for a {kind} file; give the path "
+            f"of a {kind} file",
             str(path),
         )
     try:
@@ -790,7 +794,7 @@ def _kind_message(raw: dict[str, Any], path: KeyPath, override: str, wording: Wo
         if info.is_required()
     }
     return (
-        f"{written(kind)} takes other keys than those of the file; set the whole table: "
+        f"{written(kind)} has different keys from those in the file; set the whole table: "
         f"{wording.whole(name, needed)} (allowed: {', '.join(model.model_fields)})"
     )
 
@@ -882,7 +886,7 @@ def _override(
             place = place.setdefault(key, {})
         else:
             return (
-                f"{name} is {written(place)}, which has no keys; set it as a whole: "
+                f"{name} is {written(place)}, which has no keys; set the whole value: "
                 f"{wording.whole(name, {str(part): text})}"
             )
     return None

@@ -59,14 +59,15 @@ class MatrixResponse:
         axes = len(self.rest_noise_m)
         if h.shape != (f.size, axes, axes) or f.size == 0 or axes == 0:
             raise InputError(
-                f"found {f.size} frequencies, a response of shape {h.shape} and {axes} axes; must "
-                "be one matrix a frequency, with a row and a column for each axis",
+                f"found {f.size} frequencies, a response of shape {h.shape} and {axes} axes; "
+                "there must be one matrix for each frequency, with a row and a column for each "
+                "axis",
                 "matrix response",
             )
         if not all(np.isfinite(values).all() for values in (f, h, self.rest_noise_m)):
             raise InputError("found a number that is not finite", "matrix response")
         if f[0] <= 0.0 or (np.diff(f) <= 0.0).any():
-            raise InputError("the frequencies must be positive and rise", "matrix response")
+            raise InputError("the frequencies must be positive and increasing", "matrix response")
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +108,8 @@ def fit(found: MatrixResponse, period_s: float, pole_hz: Sequence[float] = POLES
         )
     if found.frequency_hz.size < response.LEAST_TONES:
         raise InputError(
-            f"the sweep has {found.frequency_hz.size} frequencies; an inverse needs "
-            f"{response.LEAST_TONES} or more",
+            f"the sweep has {found.frequency_hz.size} frequencies; an inverse needs at least "
+            f"{response.LEAST_TONES}",
             "matrix response",
         )
     best: MatrixFit | None = None

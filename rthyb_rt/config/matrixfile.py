@@ -39,7 +39,8 @@ class MatrixData:
     Attributes:
         mass_kg, stiffness_n_per_m, damping_n_s_per_m: (n, n) each; damping None: not said.
         labels: of the degrees of freedom, (n,).
-        influence: displacements when the ground moves by 1, one vector for each direction, (n,).
+        influence: displacements for a unit displacement of the ground, (n,), one for each
+            direction.
     """
 
     mass_kg: Symmetric
@@ -91,8 +92,8 @@ def unpacked(text: str) -> MatrixData:
             return check_arrays(dict(stored), where)
     except (ValueError, OSError, zlib.error) as error:
         raise InputError(
-            f"found a text that the program has not written ({error}); leave the key out and give "
-            "file", where,
+            f"found text that was not written by this program ({error}); remove the key and give "
+            "file instead", where,
         ) from error  # fmt: skip
 
 
@@ -114,8 +115,8 @@ def read(given: MatrixFile, folder: Path) -> MatrixData:
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise InputError(
-            f"found a file of the kind {written(path.suffix)}; .npz and .mat hold all matrices; "
-            "of Matrix Market (.mtx) and CSV (.csv) name one for each, "
+            f"found a file of type {written(path.suffix)}; .npz and .mat files hold all matrices; "
+            "for Matrix Market (.mtx) and CSV (.csv) name one file for each, "
             'files = { mass = "M.mtx", stiffness = "K.mtx" }',
             str(path),
         )
@@ -147,8 +148,8 @@ def _npz(path: Path) -> dict[str, Any]:
             return dict(stored)
     except ValueError as error:
         raise InputError(
-            f"cannot be read as .npz ({error}); store numbers as numbers and labels as text, "
-            "no arrays of Python objects",
+            f"cannot be read as .npz ({error}); store numbers as numbers and labels as text, not "
+            "as arrays of Python objects",
             str(path),
         ) from error
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, KeyError) as error:
@@ -167,7 +168,8 @@ def _mat(path: Path) -> dict[str, Any]:
         return {k: v for k, v in loadmat(path).items() if not k.startswith("__")}
     except NotImplementedError:
         raise InputError(
-            "is of MATLAB 7.3, which is not read; save it with save(name, ..., '-v7')", str(path)
+            "is a MATLAB 7.3 file, which is not supported; save it with save(name, ..., '-v7')",
+            str(path),
         ) from None
     except (ValueError, OSError, TypeError, MatReadError, KeyError, IndexError) as error:
         raise InputError(f"cannot be read as a MATLAB file ({error})", str(path)) from error
@@ -208,7 +210,7 @@ def _one_matrix(path: Path) -> Any:
     except (ValueError, OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read as a matrix ({error})", str(path)) from error
     raise InputError(
-        f"found a file of the kind {written(path.suffix)}; one matrix is read from .mtx or .csv",
+        f"found a file of type {written(path.suffix)}; a single matrix is read from .mtx or .csv",
         str(path),
     )
 
@@ -242,13 +244,15 @@ def check_arrays(
         near = nearest(missing[0], list(arrays))
         raise InputError(
             f"has no {' and no '.join(missing)}{near}; it must have M (masses, kg) and K "
-            f"(stiffnesses, N/m), square and of equal size; found: {there}",
+            f"(stiffnesses, N/m), square and equal in size; found: {there}",
             where,
         )
     n = found["M"].size
     for name, one in found.items():
         if one.size != n:
-            raise InputError(f"{name} has {one.size} rows and M {n}; all must have one size", where)
+            raise InputError(
+                f"{name} has {one.size} rows and M {n}; all must have the same size", where
+            )
     if not 1 <= n <= SPARSE_MAX:
         raise InputError(f"found {n} degrees of freedom; must be 1 to {SPARSE_MAX}", where)
     labels = _labels(arrays.get("labels"), n, where)
@@ -267,7 +271,7 @@ def _matrix(arrays: Mapping[str, Any], name: str, where: str) -> Any:
             upper = scipy.sparse.coo_matrix((value, (row, column)), shape=(n, n))
             return upper + scipy.sparse.triu(upper, 1).T
         except (KeyError, ValueError, TypeError) as error:
-            raise InputError(f"is no sparse matrix ({error})", where) from error
+            raise InputError(f"is not a sparse matrix ({error})", where) from error
     if name not in arrays:
         return None
     value = arrays[name]
@@ -329,13 +333,14 @@ def _check_masses(mass: Symmetric, labels: tuple[str, ...], where: str) -> None:
     if coupled.size:
         k = coupled[0]
         raise InputError(
-            f"found {mass.value[k]:g} in row {mass.row[k] + 1}, column {mass.column[k] + 1} beside "
-            "a mass of 0 on the diagonal; a degree of freedom without mass has none anywhere",
+            f"found {mass.value[k]:g} in row {mass.row[k] + 1}, column {mass.column[k] + 1} "
+            "beside a mass of 0 on the diagonal; a degree of freedom without mass must have "
+            "zeros in its row and column",
             f"{where}: M",
         )
     if not np.any(diagonal > 0.0):
         raise InputError(
-            "found no mass; at least one degree of freedom must have one", f"{where}: M"
+            "found no mass; at least one degree of freedom must have mass", f"{where}: M"
         )
 
 

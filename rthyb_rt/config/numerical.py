@@ -110,14 +110,14 @@ class Square(Reader):
             if not row[i] > 0.0:
                 raise explained(
                     f"found {row[i]:g} {self.each.unit} in row {i + 1}, column {i + 1}; every "
-                    "degree of freedom must have a mass above 0: take one without mass out of all "
-                    "matrices (static condensation)"
+                    "degree of freedom must have a mass above 0: remove those without mass from "
+                    "all matrices (static condensation)"
                 )
         if least_pivot(rows) <= 0.0:
             raise explained(
-                "found masses that some motion of the structure moves for nothing or less; the "
-                "matrix must be positive definite: look for entries off the diagonal that are too "
-                "large"
+                "found a matrix for which some motion of the structure has no mass or a "
+                "negative one; it must be positive definite: check for off-diagonal entries "
+                "that are too large"
             )
 
     def __get_pydantic_json_schema__(
@@ -190,11 +190,11 @@ class Labels(Reader):
     """A name for each degree of freedom."""
 
     what: str = "the labels"
-    form: ClassVar[str] = "list, different texts"
+    form: ClassVar[str] = "list of different strings"
 
     def allowed(self) -> str:
         """Return what is allowed, in words."""
-        return f"{self.what} must be a list of 1 to {MOST_DEGREES} different texts, none empty"
+        return f"{self.what} must be a list of 1 to {MOST_DEGREES} different strings, none empty"
 
     def read(self, value: object) -> list[str]:
         """Return the names; raise the explained error otherwise."""
@@ -267,7 +267,7 @@ def _keeps_mass(
         return None
     return (
         f"found a mass of {out.mass_kg:g} kg to be taken out of {masses[at][at]:g} kg at the "
-        "interface; something must be left to be computed: the rest must be above 0"
+        "interface; the mass that remains to be computed must be above 0"
     )
 
 
@@ -322,7 +322,7 @@ class Matrices(Table):
             list[float],
             Numbers(
                 Range("", -1e3, 1e3, "an influence"),
-                "displacements of the degrees of freedom when the ground moves by 1",
+                "displacements of the degrees of freedom for a unit displacement of the ground",
             ),
         ]
         | None
@@ -330,9 +330,7 @@ class Matrices(Table):
     labels: Annotated[list[str], Labels()] | None = None
     interface: Annotated[int | str, Place("the interface with the specimen")] = 1
     integrator: Literal["cr", "rk4"] = "cr"
-    force_delay_samples: Annotated[
-        int, Count(0, 1, "the samples by which the force is used late")
-    ] = 0
+    force_delay_samples: Annotated[int, Count(0, 1, "the delay of the force in samples")] = 0
     specimen: TakenOut | None = None
 
     @property

@@ -32,7 +32,7 @@ def opensees() -> Any:
     """Return ``openseespy.opensees``.
 
     Raises:
-        InputError: it is not installed, or does not load here.
+        InputError: it is not installed, or cannot be loaded.
     """
     try:
         with contextlib.redirect_stdout(io.StringIO()):
@@ -43,7 +43,7 @@ def opensees() -> Any:
         ) from None
     except (ImportError, RuntimeError) as error:
         raise InputError(
-            f"openseespy does not load here ({_cause(error)}); on Debian install libblas3 and "
+            f"openseespy cannot be loaded ({_cause(error)}); on Debian install libblas3 and "
             "liblapack3",
             "import-opensees",
         ) from error
@@ -114,7 +114,7 @@ def _line(error: BaseException, model: Path) -> int:
 def _of_model(ops: Any, where: str) -> MatrixData:
     tags = [int(tag) for tag in ops.getNodeTags() or ()]
     if not tags:
-        raise InputError("leaves no model: there are no nodes when it ends", where)
+        raise InputError("leaves no model: there are no nodes at its end", where)
     k = _matrix(ops, (0.0, 0.0, 1.0), where)
     places, n = _places(ops, tags, where), len(k)
     arrays: dict[str, NDArray[Any]] = {"K": k}
@@ -122,8 +122,8 @@ def _of_model(ops: Any, where: str) -> MatrixData:
         arrays[name] = (_matrix(ops, which, where) - k) / _SCALE
     if sorted(places) != list(range(n)):
         raise InputError(
-            f"has {n} equations for {len(places)} degrees of freedom: constraints join some of "
-            "them; condense those in the script, or leave the constraint out",
+            f"has {n} equations for {len(places)} degrees of freedom: constraints couple some of "
+            "them; condense those in the script, or remove the constraint",
             where,
         )
     labels = [places[i] for i in range(n)]

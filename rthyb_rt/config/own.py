@@ -76,7 +76,7 @@ class Settings(Reader):
         """Return what is allowed, in words."""
         return (
             f"{self.what} must be a table of up to {MOST_SETTINGS} arguments of the class, each a "
-            "number, a text, true, false, or a list of these"
+            "number, a string, true, false, or a list of these"
         )
 
     def read(self, value: object) -> dict[str, Any]:
@@ -121,7 +121,7 @@ class FmuFile(Table):
     displacement: Annotated[str, SOME_TEXT]
     ground_acceleration: Annotated[str, SOME_TEXT] | None = None
     parameters: Annotated[dict[str, float], Parameters()] = Field(default_factory=dict)
-    record: Annotated[list[str], Names("what is recorded by name", 20)] = Field(
+    record: Annotated[list[str], Names("the quantities to record", 20)] = Field(
         default_factory=list
     )
 

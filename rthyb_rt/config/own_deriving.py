@@ -22,8 +22,8 @@ def check_classes(test: TestFile, rig: RigFile) -> None:
             classes.append((f"specimen.{i}", one, "Element"))
             if test.test.time_scale != 1.0:
                 raise InputError(
-                    f"found {test.test.time_scale:g}, and {one.class_} is a class in Python, of "
-                    "which is not known how it goes with a slow time; leave one of the two out",
+                    f"found {test.test.time_scale:g}, but how {one.class_}, a class in Python, "
+                    "behaves in stretched time is not known; remove one of the two",
                     "test.time_scale",
                 )
     problems = []
@@ -62,9 +62,9 @@ def structure_of(
         problems.append(
             Problem(
                 "test.time_scale",
-                f"found {test.test.time_scale:g}; a numerical part of your own keeps its own time: "
-                "leave the key out, and stretch the part itself, masses by the square of the "
-                "scale, dampings by the scale",
+                f"found {test.test.time_scale:g}; the time of your own numerical part cannot be "
+                "stretched from outside: remove the key and stretch the part itself, masses by "
+                "the square of the scale and damping by the scale",
             )
         )
         return None

@@ -144,22 +144,23 @@ def refuse_in_real_time(part: OwnPartConfig) -> None:
     reasons = []
     if found.step_s > most_s:
         reasons.append(
-            f"takes {found.step_s * 1e6:.0f} us a step on this computer (median of {found.steps}); "
-            f"allowed in real time are {most_s * 1e6:.0f} us, half of the sampling period"
+            f"takes {found.step_s * 1e6:.0f} us per step on this computer (median of "
+            f"{found.steps}); in real time at most {most_s * 1e6:.0f} us is allowed, half of the "
+            "sampling period"
         )
     if found.allocations:
         reasons.append(
-            f"allocates or frees memory while it steps, {found.allocations} times in {found.steps} "
-            "steps; whatever it needs must be in its state, or be allocated by init"
+            f"allocates or frees memory in its step function, {found.allocations} times in "
+            f"{found.steps} steps; keep all memory in its state, or allocate it in init"
         )
     if found.system_call is not None:
         reasons.append(
-            f"calls the system while it steps (system call {found.system_call}); in a step it may "
-            "neither open or print nor wait, nor ask for memory or a lock"
+            f"makes a system call in its step function (system call {found.system_call}); a step "
+            "may not open files, print, wait, allocate memory or take a lock"
         )
     if reasons:
         raise InputError(
-            f"{name} {'; and it '.join(reasons)}; in virtual time it runs as it is",
+            f"{name} {'; and it '.join(reasons)}; in virtual time it runs unchanged",
             f"numerical.{part.kind}",
         )
 
@@ -185,8 +186,8 @@ def period_note(structure: OwnStructure, stated_s: float) -> str | None:
     fourth = ticks // 4
     if np.abs(x[-fourth:]).max() > 2.0 * np.abs(x[:fourth]).max() > 0.0:
         return (
-            "on an elastic specimen of the rig's k_e the numerical part grows by itself after a "
-            "pulse of the ground: look for a sign, or for a step that is too long for it"
+            "with an elastic specimen of the rig's k_e the motion of the numerical part grows "
+            "after a ground pulse: check for a wrong sign, or for a time step that is too long"
         )
     free = x[fourth // 2 :]
     spectrum = np.abs(np.fft.rfft((free - free.mean()) * np.hanning(free.size), 8 * free.size))
@@ -197,7 +198,7 @@ def period_note(structure: OwnStructure, stated_s: float) -> str | None:
     if abs(found_s / stated_s - 1.0) <= FAR:
         return None
     return (
-        f"numerical gives the whole structure a period of {stated_s:.3g} s, and on an elastic "
-        f"specimen the part swings with {found_s:.3g} s: window, limits and margins are those of "
-        "the first; correct period_s or mass_kg, or the part"
+        f"numerical states a period of {stated_s:.3g} s for the whole structure, but with an "
+        f"elastic specimen it oscillates at {found_s:.3g} s: window, limits and margins use the "
+        "stated period; correct period_s or mass_kg, or the part"
     )

@@ -25,14 +25,15 @@ def read(path: Path, where: str) -> dict[str, list[list[float]]]:
         InputError: it cannot be read, lacks one of them, or has one that is no matrix of numbers.
     """
     if path.suffix not in (".npz", ".mat"):
-        raise InputError(f"found {path.name}; a plant is read of .npz or .mat", where)
+        raise InputError(f"found {path.name}; a plant must be an .npz or .mat file", where)
     try:
         if path.stat().st_size > MAX_BYTES:
             raise InputError(f"{path} is larger than {MAX_BYTES // 10**6} MB", where)
         values = _of_npz(path) if path.suffix == ".npz" else _of_mat(path, where)
     except FileNotFoundError:
         raise InputError(
-            f"found {path}; no such file; it is looked for beside the rig file", where
+            f"found {path}; no such file; a relative path starts at the folder of the rig file",
+            where,
         ) from None
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError) as error:
         raise InputError(f"{path} cannot be read ({error})", where) from error

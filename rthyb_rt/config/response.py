@@ -44,7 +44,7 @@ _DELAYS_TRIED: Final = 49
 KNEE_HZ: Final = 6.0
 FLOOR: Final = 0.01
 """Of the weights: so much of it is left at the highest frequencies."""
-REMEDY: Final = 'run `rthyb identify RIG --max-frequency "80 Hz"` and take the file it writes'
+REMEDY: Final = 'run `rthyb identify RIG --max-frequency "80 Hz"` and use the rig file it writes'
 
 
 @dataclass(frozen=True)
@@ -148,31 +148,33 @@ def fitted(rig: RigFile, rate: Rate, roll_off_hz: float) -> Inverse:
     found = rig.identified
     if found is None or not found.frequency_hz:
         raise InputError(
-            f"the control law inverse undoes the rig's response, and there is none: {REMEDY}", where
+            "the control law inverse needs the identified response of the rig, and there is "
+            f"none: {REMEDY}",
+            where,
         )
     top = max(found.frequency_hz)
     if top < LEAST_TOP_HZ or len(found.frequency_hz) < LEAST_TONES:
         raise InputError(
             f"the response has {len(found.frequency_hz)} frequencies up to {top:g} Hz; the control "
-            f"law inverse needs {LEAST_TONES} or more, to {LEAST_TOP_HZ:g} Hz at least: {REMEDY}, "
-            "or take the law gain-alpha-beta, for which 10 Hz are enough",
+            f"law inverse needs {LEAST_TONES} or more, up to at least {LEAST_TOP_HZ:g} Hz: "
+            f"{REMEDY}, or use the law gain-alpha-beta, for which 10 Hz is enough",
             where,
         )
     f = np.asarray(found.frequency_hz, dtype=np.float64)
     inverse = fit(f, response(found, rate, hold=hold_of(rig)), rate.period_s, roll_off_hz)
     if not inverse.largest_root < 1.0:
         raise InputError(
-            f"the fit to the response is unstable: its largest root is {inverse.largest_root:.4g}, "
+            f"the fit to the response is unstable: its largest root is {inverse.largest_root:.4g} "
             f"and must be below 1; {REMEDY}, with a larger --amplitude if the sensor is noisy, or "
-            "take the law gain-alpha-beta",
+            "use the law gain-alpha-beta",
             where,
         )
     if inverse.worst > LARGEST_ERROR or inverse.b[0] <= -1.0:
         raise InputError(
-            f"no inverse of order {ORDER} fits the response: at {inverse.worst_hz:g} Hz it is off "
-            f"by {100 * inverse.worst:.0f} %, at most {100 * LARGEST_ERROR:g} % is allowed; check "
-            "the table of rthyb identify for a frequency that stands out, and sweep again with "
-            "another --amplitude, or take the law gain-alpha-beta",
+            f"no inverse of order {ORDER} fits the response: at {inverse.worst_hz:g} Hz the "
+            f"error is {100 * inverse.worst:.0f} %, at most {100 * LARGEST_ERROR:g} % is "
+            "allowed; check the table of rthyb identify for an outlier, and sweep again with "
+            "another --amplitude, or use the law gain-alpha-beta",
             where,
         )
     return inverse

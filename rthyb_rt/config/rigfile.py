@@ -58,8 +58,8 @@ class RigInfo(Table):
             1e-3,
             1e12,
             "the specimen's elastic stiffness k_e",
-            "the restoring-force compensator has no bound without it: run `rthyb identify RIG` "
-            "or write the value of an elastic test",
+            "the restoring-force compensator needs it as a bound: run `rthyb identify RIG`, or "
+            "enter the value from an elastic test",
         ),
     ]
     load_cell: Literal["actuator-end", "specimen"] = "actuator-end"
@@ -87,7 +87,7 @@ class FirstOrder(Table):
 
 _ActuatorTolerance = Annotated[
     float,
-    Range("", 1e-9, 1e3, "the standard deviation over the value"),
+    Range("", 1e-9, 1e3, "the relative standard deviation"),
 ]
 
 
@@ -126,7 +126,7 @@ def _oil_column_resolved(oil: float, mass: float, substeps: int) -> str | None:
         remedy = f"less than {softest:.3g} N/m even at substeps = {MAX_SUBSTEPS}"
     return (
         f"found {oil:g} N/m; on moving_mass_kg = {mass:g} kg with substeps = {substeps} the oil "
-        f"column cannot be computed; needed is {remedy}; check the unit of the stiffness"
+        f"column cannot be computed; use {remedy}; check the unit of the stiffness"
     )
 
 
@@ -195,8 +195,8 @@ def _valve_moves_a_mass(actuator: Actuator, specimen: list[SpecimenElement]) -> 
     if mass > 0.0:
         return None
     return (
-        f"found a mass of {mass:g} kg; an actuator of the kind servo-valve pushes a specimen that "
-        'has one: add [[specimen]] with element = "inertia", m_kg above 0'
+        f"found a mass of {mass:g} kg; an actuator of kind servo-valve needs a specimen with "
+        'mass: add [[specimen]] with element = "inertia", m_kg above 0'
     )
 
 
@@ -306,11 +306,11 @@ def _loop_closed(xy_m: float | None, a: float, b: float, c: float, eta: float) -
         if b + c > 0:
             return None
         return (
-            f"b + c = {b + c:g} must be above 0, else the hysteretic force has no bound (Eqn 4.2); "
+            f"b + c = {b + c:g} must be above 0, or the hysteretic force is unbounded (Eqn 4.2); "
             "give b and c, or the yield displacement xy_m"
         )
     if b or c or a != 1:
-        return "xy_m stands for a = 1, b = c = 0.5 / xy_m^eta; give it or a, b, c, not both"
+        return "xy_m replaces a = 1, b = c = 0.5 / xy_m^eta; give either xy_m or a, b, c, not both"
     if math.log10(0.5) - eta * math.log10(xy_m) > 15:
         return f"xy_m = {xy_m:g} with eta = {eta:g} is too sharp to compute; lower eta"
     return None
@@ -360,8 +360,8 @@ class DegradationElement(BoucWen):
     """Bouc-Wen that loses stiffness with travel."""
 
     element: Literal["degradation"]
-    loss: Annotated[float, Range("", 0, 1, "the share lost in the end")]
-    travel_m: Annotated[float, Range("m", 1e-6, 1e6, "the travel of the loss")]
+    loss: Annotated[float, Range("", 0, 1, "the share finally lost")]
+    travel_m: Annotated[float, Range("m", 1e-6, 1e6, "the travel over which it is lost")]
 
 
 class MaxwellElement(Table):
@@ -395,17 +395,17 @@ class GapFrictionElement(Table):
     element: Literal["gap_friction"]
     k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
     gap_m: Annotated[float, Range("m", 0, 10, "the gap")]
-    fc_up_n: Annotated[float, Range("N", 0, 1e8, "the friction upwards")]
-    fc_down_n: Annotated[float, Range("N", 0, 1e8, "the friction downwards")]
-    seat_m: Annotated[float, Range("m", 0, 10, "the way over which the faces meet")] = 0.0
+    fc_up_n: Annotated[float, Range("N", 0, 1e8, "the friction in the positive direction")]
+    fc_down_n: Annotated[float, Range("N", 0, 1e8, "the friction in the negative direction")]
+    seat_m: Annotated[float, Range("m", 0, 10, "the distance over which the faces close")] = 0.0
 
 
 class CoulombUnevenElement(Table):
     """Dry friction that grips harder one way."""
 
     element: Literal["coulomb_uneven"]
-    fc_up_n: Annotated[float, Range("N", 0, 1e8, "the friction upwards")]
-    fc_down_n: Annotated[float, Range("N", 0, 1e8, "the friction downwards")]
+    fc_up_n: Annotated[float, Range("N", 0, 1e8, "the friction in the positive direction")]
+    fc_down_n: Annotated[float, Range("N", 0, 1e8, "the friction in the negative direction")]
     width_m_per_s: FrictionWidth = 0.0005
 
 
@@ -413,10 +413,12 @@ class GapUnevenElement(Table):
     """A spring each way behind its own gap; a stiffness of 0 leaves a stop on one side only."""
 
     element: Literal["gap_uneven"]
-    k_up_n_per_m: Annotated[float, Range("N/m", 0, 1e12, "the stiffness upwards")]
-    gap_up_m: Annotated[float, Range("m", 0, 10, "the gap upwards")]
-    k_down_n_per_m: Annotated[float, Range("N/m", 0, 1e12, "the stiffness downwards")]
-    gap_down_m: Annotated[float, Range("m", 0, 10, "the gap downwards")]
+    k_up_n_per_m: Annotated[float, Range("N/m", 0, 1e12, "the stiffness in the positive direction")]
+    gap_up_m: Annotated[float, Range("m", 0, 10, "the gap in the positive direction")]
+    k_down_n_per_m: Annotated[
+        float, Range("N/m", 0, 1e12, "the stiffness in the negative direction")
+    ]
+    gap_down_m: Annotated[float, Range("m", 0, 10, "the gap in the negative direction")]
 
 
 class PowerDampingElement(Table):
@@ -459,7 +461,9 @@ class FrictionPendulumElement(Table):
     radius_m: Annotated[float, Range("m", 0.01, 1e4, "the bowl's radius")]
     mu_slow: Annotated[float, Range("", 0, 2, "the friction coefficient at low velocity")]
     mu_fast: Annotated[float, Range("", 0, 2, "the friction coefficient at high velocity")]
-    mu_rate_s_per_m: Annotated[float, Range("s/m", 0, 1e5, "the rate between both")] = 20.0
+    mu_rate_s_per_m: Annotated[
+        float, Range("s/m", 0, 1e5, "the rate of the transition between the two")
+    ] = 20.0
     xy_m: Annotated[float, Range("m", 1e-7, 1, "the displacement before sliding")] = 2.5e-4
 
 
@@ -481,8 +485,10 @@ class MenegottoPintoElement(Table):
     post_yield_ratio: Annotated[float, Range("", 0, 0.9, "post-yield over elastic stiffness")]
     xy_m: Annotated[float, Range("m", 1e-7, 10, "the yield displacement")]
     r0: Annotated[float, Range("", 1, 50, "the sharpness R0 of the first bend")] = 20.0
-    cr1: Annotated[float, Range("", 0, 0.99, "the share cR1 of R0 lost in the end")] = 0.925
-    cr2: Annotated[float, Range("", 1e-3, 10, "the plastic way cR2 of half that loss")] = 0.15
+    cr1: Annotated[float, Range("", 0, 0.99, "the share cR1 of R0 finally lost")] = 0.925
+    cr2: Annotated[float, Range("", 1e-3, 10, "the plastic displacement cR2 at half that loss")] = (
+        0.15
+    )
 
 
 class ChabocheElement(Table):
@@ -521,14 +527,14 @@ class RcColumnElement(Table):
     xy_m: Annotated[float, Range("m", 1e-6, 10, "the yield displacement")]
     eta: Annotated[float, Range("", 1, 20, "the sharpness of yielding")] = 2.0
     pivot: Annotated[
-        float, Range("", 0, 1e6, "the pivot of unloading; 4 wears much, 200 hardly")
+        float, Range("", 0, 1e6, "the pivot of unloading; 4 degrades strongly, 200 hardly at all")
     ] = 200.0
     ultimate_m: Annotated[float, Range("m", 1e-5, 100, "the displacement of that loss")] = 10.0
     strength_lost_at_ultimate: Lost = 0.0
     energy_j: Annotated[float, Range("J", 1e-6, 1e15, "the energy of the losses with it")] = 1e12
     strength_lost_with_energy: Lost = 0.0
     stiffness_lost_with_energy: Lost = 0.0
-    slip: Annotated[float, Range("", 0, 0.5, "slip over the way beyond yield")] = 0.0
+    slip: Annotated[float, Range("", 0, 0.5, "slip over the displacement beyond yield")] = 0.0
     slip_level: Annotated[float, Range("", -1, 1, "the force of slip over the strength")] = 0.3
     slip_width: Annotated[float, Range("", 0.01, 10, "the width of slip over the strength")] = 0.2
 
@@ -578,7 +584,7 @@ class DisplacementSensor(Table):
     noise_std_m: Annotated[float, Range("m", 0, 0.1, "the noise")] = 0.0
     lsb_m: Annotated[float, Range("m", 0, 0.1, "the resolution")] = 0.0
     bias_m: Annotated[float, Range("m", -1, 1, "the offset")] = 0.0
-    range_m: Annotated[float, Range("m", 1e-6, 100, "the range to either side")] | None = None
+    range_m: Annotated[float, Range("m", 1e-6, 100, "the range in each direction")] | None = None
 
 
 class ForceSensor(Table):
@@ -587,7 +593,7 @@ class ForceSensor(Table):
     noise_std_n: Annotated[float, Range("N", 0, 1e7, "the noise")] = 0.0
     lsb_n: Annotated[float, Range("N", 0, 1e7, "the resolution")] = 0.0
     bias_n: Annotated[float, Range("N", -1e8, 1e8, "the offset")] = 0.0
-    range_n: Annotated[float, Range("N", 1e-3, 1e10, "the range to either side")] | None = None
+    range_n: Annotated[float, Range("N", 1e-3, 1e10, "the range in each direction")] | None = None
 
 
 class ExtraSensor(Table):
@@ -602,27 +608,31 @@ class ExtraSensor(Table):
         Text(
             "the name of the channel",
             r"[a-z][a-z0-9_]{0,31}",
-            "up to 32 of a-z 0-9 _ in quotes, the first one a letter",
+            "up to 32 characters of a-z 0-9 _ in quotes, starting with a letter",
         ),
     ]
-    unit: Annotated[str, Text("its unit", r"\S{0,16}", "up to 16 characters without blanks")]
-    scale: Annotated[float, Range("", -1e12, 1e12, "what the wire's number is multiplied by")] = 1.0
-    offset: Annotated[float, Range("", -1e12, 1e12, "the value where the wire says 0")] = 0.0
+    unit: Annotated[str, Text("its unit", r"\S{0,16}", "up to 16 characters without spaces")]
+    scale: Annotated[
+        float, Range("", -1e12, 1e12, "the factor applied to the number on the wire")
+    ] = 1.0
+    offset: Annotated[float, Range("", -1e12, 1e12, "the value for a 0 on the wire")] = 0.0
     signal: Annotated[str, SOME_TEXT] | None = None
-    wire_step: Annotated[float, Range("", 1e-15, 1e6, "the step of 32 bits of its own")] = 1e-6
+    wire_step: Annotated[
+        float, Range("", 1e-15, 1e6, "the step of the channel's own 32-bit number")
+    ] = 1e-6
     measures: Literal["none", "displacement", "velocity", "acceleration", "force"] = "none"
     gain: Annotated[
-        float, Range("", -1e12, 1e12, "what it reads of 1 m, m/s, m/s^2 or N of that")
+        float, Range("", -1e12, 1e12, "its reading for 1 m, m/s, m/s^2 or N of that quantity")
     ] = 1.0
     noise_std: Annotated[float, Range("", 0, 1e12, "the noise, in its unit")] = 0.0
     lsb: Annotated[float, Range("", 0, 1e12, "the resolution, in its unit")] = 0.0
-    bias: Annotated[float, Range("", -1e12, 1e12, "its error at rest, in its unit")] = 0.0
+    bias: Annotated[float, Range("", -1e12, 1e12, "the error at rest, in its unit")] = 0.0
 
 
 def _different_names(extra: list[ExtraSensor]) -> str | None:
     names = [one.name for one in extra]
     twice = [name for name in names if names.count(name) > 1]
-    return f'found the name "{twice[0]}" twice; each channel has its own' if twice else None
+    return f'found the name "{twice[0]}" twice; each channel needs its own name' if twice else None
 
 
 class Sensors(Table):
@@ -753,7 +763,10 @@ def _channel_fits(kind: LinkKind, channel: str) -> str | None:
 def _interface_fits(kind: LinkKind, interface: str | None) -> str | None:
     if kind == "python-can":
         if interface is None:
-            return 'missing; kind = "python-can" needs the name of its interface, such as "pcan"'
+            return (
+                'missing; kind = "python-can" needs the name of a python-can interface, such as '
+                '"pcan"'
+            )
         return None
     return _only_for(interface is not None, kind, ("python-can",))
 
@@ -763,7 +776,7 @@ def _only_for(given: bool, kind: LinkKind, kinds: tuple[LinkKind, ...]) -> str |
     if not given or kind in kinds:
         return None
     those = " and ".join(f'kind = "{name}"' for name in kinds)
-    return f'kind = "{kind}" does not have it, only {those}; leave it out'
+    return f'kind = "{kind}" does not have this key, which belongs to {those}; remove it'
 
 
 def _bitrate_enough(
@@ -791,9 +804,12 @@ def _data_phase_fits(
     if data_bitrate is None:
         return None
     if kind not in BUSES or not fd:
-        return "is the bit rate of CAN FD's data phase; leave it out, or set fd = true"
+        return "is the bit rate of CAN FD's data phase; remove it, or set fd = true"
     if bitrate is None or data_bitrate < bitrate:
-        return f"found {data_bitrate}; it needs bitrate beside it and must not be below it"
+        return (
+            f"found {data_bitrate}; bitrate must be given as well, and data_bitrate must not be "
+            "below it"
+        )
     return None
 
 
@@ -817,7 +833,7 @@ class Link(Table):
             "names",
             ("dbc", "names"),
             lambda dbc, names: (
-                "are names in a DBC file, and none is given; add dbc, or leave them out"
+                "are names in a DBC file, but dbc is missing; add dbc, or remove them"
                 if names and dbc is None
                 else None
             ),
@@ -826,7 +842,7 @@ class Link(Table):
             "reset_state",
             ("dbc", "reset_state"),
             lambda dbc, reset_state: (
-                "is a state in a DBC file, and none is given; add dbc, or leave it out"
+                "is a state in a DBC file, but dbc is missing; add dbc, or remove it"
                 if reset_state is not None and dbc is None
                 else None
             ),
@@ -847,9 +863,9 @@ class Link(Table):
         None
     )
     clock: Literal["host", "link", "stepped"] = "host"
-    lead_us: Annotated[float, Range("us", 20, 480, "the lead of the feedback before its tick")] = (
-        200.0
-    )
+    lead_us: Annotated[
+        float, Range("us", 20, 480, "the time by which the feedback leads its tick")
+    ] = 200.0
     require_realtime: StrictBool = False
     stop_decel_m_per_s2: Annotated[
         float, Range("m/s^2", 1e-3, 1e4, "the deceleration of the drive's own stop")
@@ -871,7 +887,7 @@ def _offset_on_wire(scale: float, offset_m: float) -> str | None:
         return None
     return (
         f"found {offset_m:g} m, with scale = {scale:g} that is {abs(offset_m) / scale:g} m on the "
-        f"wire; at most {OFFSET_ON_WIRE_MAX_M:g} m are taken; check the unit of scale"
+        f"wire; at most {OFFSET_ON_WIRE_MAX_M:g} m is allowed; check the unit of scale"
     )
 
 
@@ -939,9 +955,9 @@ def _extras_arrive(sensors: Sensors, link: Link | None) -> str | None:
         return busload.serial_fault(link.bitrate or DEFAULT_BAUD, len(sensors.extra))
     if link.dbc is None:
         return (
-            f"found {len(sensors.extra)} extra channels; the frames of hw/rthyb.dbc are full: give "
-            "link.dbc, a DBC file of the drive with their signals in the feedback frames, or take "
-            "them out"
+            f"found {len(sensors.extra)} extra channels, but the frames of hw/rthyb.dbc are "
+            "full: set link.dbc to a DBC file of the drive with these signals in its feedback "
+            "frames, or remove the channels"
         )
     return None
 

@@ -141,8 +141,8 @@ def note_defaults(test: TestFile, rig: RigFile, notes: list[str]) -> None:
     kept = ", ".join(f"{key} = {controller.setting(key):g}" for key in left)
     why = f"no resonance up to {swept:g} Hz" if swept else "no identified response"
     notes.append(
-        f'rig "{rig.rig.name}" has {why}, so that the lead is rolled off as before ({kept}); '
-        + (_SWEEP if swept < 40.0 else "nothing is to be done")
+        f'rig "{rig.rig.name}" has {why}, so the lead is rolled off as before ({kept}); '
+        + (_SWEEP if swept < 40.0 else "no action is needed")
     )
 
 

@@ -57,7 +57,7 @@ class SparseStructure:
     Attributes:
         labels: of the degrees of freedom, (n,).
         part: the part as the core takes it.
-        influence: displacements when the ground moves by 1, (n,).
+        influence: displacements for a unit displacement of the ground, (n,).
         specimen_mass_kg: taken out of the masses, and standing in the laboratory.
         interfaces: names of what the actuators move, one an interface of the part.
         heights_m: of the storeys' floors above the ground, (count,); empty: no storeys.
@@ -381,13 +381,13 @@ def build(
     except CoreError as error:
         leaning = isinstance(given, Storeys) and given.p_delta
         raise InputError(
-            f"{error}; every motion must have a mass or a stiffness, and something must hold it: "
+            f"{error}; every motion must have a mass or a stiffness and must be restrained: "
             + (
-                "look for a weight that p_delta lets topple the storeys, "
+                "check for a weight in p_delta under which the storeys topple, "
                 if leaning
                 else "look for "
             )
-            + "a missing spring, a sign, or a specimen that was taken out and is stiffer "
+            + "a missing spring, a wrong sign, or a specimen that was taken out and is stiffer "
             "than the rig's "
             + (f"k_e = {k_e[0, 0]:g} N/m" if len(k_e) == 1 else "specimen.stiffness"),
             place,
@@ -403,7 +403,7 @@ def _check_count(bare: _Bare, keys: Keys, axes: int) -> None:
     names = ", ".join(one.name for one in keys.interfaces)
     raise InputError(
         f"found {found} directions{f' ({names})' if names else ''}; the rig has "
-        + ("one actuator, and moves one" if axes == 1 else f"{axes} axes, and needs as many"),
+        + ("one actuator, which moves one" if axes == 1 else f"{axes} axes and needs as many"),
         "interface",
     )
 
@@ -425,7 +425,7 @@ def _check_step(structure: SparseStructure) -> None:
     if omega >= 2.0 * rate:
         raise InputError(
             f"central-difference at {rate:g} Hz is unstable: the highest mode of the structure is "
-            f"at {omega / (2 * math.pi):.4g} Hz and must be below {rate / math.pi:.4g} Hz; take "
+            f"at {omega / (2 * math.pi):.4g} Hz and must be below {rate / math.pi:.4g} Hz; use "
             'integrator = "kr-alpha", which has no such bound',
             "numerical.integrator",
         )
@@ -452,8 +452,8 @@ def _damped(structure: SparseStructure, damping: Damping) -> SparseConfig:
     if min(a, b) < 0.0:
         raise InputError(
             f"ratios of {ratios[0]:g} and {ratios[1]:g} at {w[0] / 6.2832:.4g} and "
-            f"{w[1] / 6.2832:.4g} Hz make Rayleigh damping negative elsewhere; bring them nearer "
-            'to each other, or take form = "modal"',
+            f"{w[1] / 6.2832:.4g} Hz make Rayleigh damping negative at other frequencies; choose "
+            'ratios that are closer together, or use form = "modal"',
             "numerical.damping.ratio",
         )
     return replace(part, by_mass_per_s=float(a), by_stiffness_s=float(b))
@@ -481,16 +481,16 @@ def _of_storeys(given: Storeys, keys: Keys, axes: int) -> _Bare:
     for i, one in enumerate(keys.nonlinear):
         if one.storeys is None:
             raise InputError(
-                "found a degree of freedom; of a structure of storeys an element stands in some of "
-                "them: storeys = [2, 3]", f"numerical.nonlinear.{i}",
+                "found a degree of freedom; in a structure of storeys give the storeys of the "
+                "element: storeys = [2, 3]", f"numerical.nonlinear.{i}",
             )  # fmt: skip
         for storey in one.storeys:
             place = f"numerical.nonlinear.{i}.storeys"
             _check_storey(storey, n, place)
             if storey in specimens and not one.beside:
                 raise InputError(
-                    f"found storey {storey}, which is the specimen; nothing is computed in its "
-                    "place: name another, or say beside = true", place,
+                    f"found storey {storey}, which is the specimen, so nothing is computed there; "
+                    "name another storey, or set beside = true", place,
                 )  # fmt: skip
             if not one.beside:
                 stiffness[storey - 1] = 0.0
@@ -536,12 +536,12 @@ def _specimens(given: Storeys, keys: Keys, axes: int) -> list[int]:
     """Return the storeys in the laboratory, in the order of the interfaces."""
     if axes == 1 and len(given.specimen) > 1:
         raise InputError(
-            f"found the storeys {given.specimen}; the rig has one actuator, and moves one",
+            f"found the storeys {given.specimen}; the rig has one actuator, which moves one",
             "numerical.storeys.specimen",
         )
     if axes > 1 and not keys.interfaces:
         raise InputError(
-            "missing; on a rig of several axes say which direction moves which storey: "
+            "missing; on a rig with several axes state which direction moves which storey: "
             "[[interface]] with name and storey",
             "interface",
         )
@@ -576,8 +576,9 @@ def _storey_responses(
         storey = int(match[2]) if match else 0
         if match is None or storey > n:
             raise InputError(
-                f"found {written(name)}; of {n} storeys are recorded x_1 to x_{n} (displacement "
-                f"against the ground), drift_1 to drift_{n}, and shear_1 to shear_{n}",
+                f"found {written(name)}; with {n} storeys the quantities are x_1 to x_{n} "
+                f"(displacement relative to the ground), drift_1 to drift_{n}, and shear_1 to "
+                f"shear_{n}",
                 f"numerical.record.{i}",
             )
         if match[1] == "x":
@@ -619,7 +620,7 @@ def _of_file(given: MatrixFile, keys: Keys, k_e: Floats) -> _Bare:
     for i, one in enumerate(keys.nonlinear):
         at = f"numerical.nonlinear.{i}"
         if one.storeys is not None:
-            raise InputError("found storeys; of matrices give dof or between", f"{at}.storeys")
+            raise InputError("found storeys; with matrices use dof or between", f"{at}.storeys")
         ends = [one.dof] if one.dof is not None else list(one.between or ())
         found = [_find(label, data.labels, place, at) for label in ends]
         if len(set(found)) < len(found):
@@ -636,8 +637,8 @@ def _of_file(given: MatrixFile, keys: Keys, k_e: Floats) -> _Bare:
         row = np.zeros(n)
         if len(interfaces) > 1:
             raise InputError(
-                "found a specimen to be taken out at several directions; there the matrices are "
-                "those of the computed part alone",
+                "found a specimen to be taken out of a structure with several directions; this is "
+                "not supported: give the matrices of the numerical part alone",
                 "numerical.matrices.specimen",
             )
         for dof, by in interfaces[0]:
@@ -702,17 +703,17 @@ def _interfaces_of(
 ) -> tuple[tuple[Term, ...], ...]:
     if not given:
         raise InputError(
-            'missing; say what the actuator moves: [[interface]] with dof = "LABEL"', "interface"
+            'missing; state what the actuator moves: [[interface]] with dof = "LABEL"', "interface"
         )
     found = []
     for i, one in enumerate(given):
         where = f"interface.{i}"
         if one.dof is None:
-            raise InputError("found a storey; of matrices give dof", where)
+            raise InputError("found a storey; with matrices use dof", where)
         terms = tuple((_find(label, labels, place, f"{where}.dof"), by) for label, by in one.dof)
         if len({at for at, _ in terms}) < len(terms):
             raise InputError(
-                "found a degree of freedom twice; each can occur only once", f"{where}.dof"
+                "found a degree of freedom twice; each may occur only once", f"{where}.dof"
             )
         found.append(terms)
     rows = np.zeros((len(found), len(labels)))
@@ -721,8 +722,8 @@ def _interfaces_of(
             row[at] = by
     if np.linalg.matrix_rank(rows) < len(rows):
         raise InputError(
-            "the directions are not independent: one of them follows from the others, and two "
-            "actuators would pull at one motion", "interface",
+            "the directions are not independent: one of them is a combination of the others, so "
+            "two actuators would drive the same motion", "interface",
         )  # fmt: skip
     return tuple(found)
 
@@ -737,8 +738,8 @@ def _label_responses(
         if match and text not in place:
             if int(match[1]) > len(joints):
                 raise InputError(
-                    f"found {written(text)}; there are {len(joints)} tables "
-                    "[[numerical.nonlinear]], counted from 1",
+                    f"found {written(text)}; there are {len(joints)} [[numerical.nonlinear]] "
+                    "tables, counted from 1",
                     where,
                 )
             found.append(Response(text, "N", joints=((joints[int(match[1]) - 1], 1.0),)))
@@ -756,7 +757,7 @@ def _label_responses(
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(
-            f"two of them would be recorded as {twice}, their labels cut to 32 letters; use "
-            "shorter labels", "numerical.record",
+            f"two of them would both be recorded as {twice}, because labels are cut to 32 "
+            "characters; use shorter labels", "numerical.record",
         )  # fmt: skip
     return found

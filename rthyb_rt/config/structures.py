@@ -53,7 +53,7 @@ class Each(Reader):
 
     def allowed(self) -> str:
         """Return what is allowed, in words."""
-        return f"{self.one.allowed()}; or a list with one for each, from below"
+        return f"{self.one.allowed()}; or a list with one value for each storey, from the lowest"
 
     def read(self, value: object) -> float | list[float]:
         """Return the number or the numbers; raise the explained error otherwise."""
@@ -146,8 +146,8 @@ class Terms(Reader):
         number = isinstance(weight, (int, float)) and not isinstance(weight, bool)
         if not label or not number or not 1e-6 <= abs(weight) <= 1e6:
             raise explained(
-                f"found the weight {written(weight)} of {written(label)}; a weight is a number of "
-                "a size from 1e-6 to 1e6, either sign"
+                f"found the weight {written(weight)} of {written(label)}; the magnitude of a "
+                "weight must be from 1e-6 to 1e6"
             )
         return [label, float(weight)]
 
@@ -167,8 +167,8 @@ def _one_each(what: str) -> Any:
         if not isinstance(values, list) or len(values) == count:
             return None
         return (
-            f"found {len(values)} numbers for {count} storeys; must be {count}, from below, or one "
-            f"{what} for all"
+            f"found {len(values)} numbers for {count} storeys; must be {count}, from the lowest "
+            f"storey up, or one {what} for all"
         )
 
     return test
@@ -183,7 +183,7 @@ def _storeys_there(count: int, specimen: list[int]) -> str | None:
 def _weighs_on_height(p_delta: bool, height_m: float | list[float] | None) -> str | None:
     if not p_delta or height_m is not None:
         return None
-    return "found true without a height; give height_m, in m, of all storeys or of each"
+    return "found true without a height; give height_m, one for all storeys or one for each"
 
 
 class Storeys(Table):
@@ -255,8 +255,8 @@ def _few_for_rayleigh(form: str, modes: list[int], ratio: float | list[float]) -
         return f"found {len(ratio)} ratios for {len(modes)} modes; give one for each, or for all"
     if len(modes) > 2:
         return (
-            f"found {len(modes)} modes; Rayleigh damping has its ratio in one or two: name those, "
-            'or take form = "modal"'
+            f"found {len(modes)} modes; Rayleigh damping is given at one or two modes: name "
+            'those, or use form = "modal"'
         )
     if isinstance(ratio, list) and len(ratio) not in (1, len(modes)):
         return f"found {len(ratio)} ratios for {len(modes)} modes; give one for each, or for all"
@@ -291,7 +291,7 @@ class Damping(Table):
 def _no_mass(law: SpecimenElement) -> str | None:
     if law.element not in ("inertia", "second_mode"):
         return None
-    return f'found "{law.element}"; a mass belongs into the masses of the structure'
+    return f'found "{law.element}"; enter a mass in the masses of the structure'
 
 
 class Nonlinear(Table):

@@ -86,7 +86,7 @@ class TestInfo(Table):
         float, Range("Hz", LEAST_HZ, MOST_HZ, "the rate of the controller")
     ] = STANDARD_HZ
     time_scale: Annotated[
-        float, Range("", 1, 1000, "seconds of the laboratory for one of the structure")
+        float, Range("", 1, 1000, "seconds in the laboratory per second of the structure")
     ] = 1.0
 
 
@@ -110,7 +110,7 @@ class GroundMotion(Table):
     ) = None
     factor: Annotated[float, Range("", -1e4, 1e4, "the scale factor")] | None = None
     start_s: Annotated[float, Range("s", 0, 3600, "the start within the record")] = 0.0
-    duration_s: Annotated[float, Range("s", 0.01, 3600, "the length taken")] | None = None
+    duration_s: Annotated[float, Range("s", 0.01, 3600, "the length used")] | None = None
     interpolation: Literal["band-limited", "linear"] = "band-limited"
 
     @classmethod
@@ -134,12 +134,12 @@ def _only_in_matrices(
         if integrator != "forward-euler":
             return None
         return (
-            f'found "{integrator}"; storeys and matrices from a file take kr-alpha, cr or '
+            f'found "{integrator}"; storeys and matrices from a file use kr-alpha, cr or '
             "central-difference"
         )
     if matrices is None or integrator == "central-difference":
         return None
-    return f'found "{integrator}"; with matrices it is numerical.matrices.integrator that counts'
+    return f'found "{integrator}"; with matrices set numerical.matrices.integrator instead'
 
 
 def _in_matrices(
@@ -149,10 +149,10 @@ def _in_matrices(
         return None
     if storeys is not None or isinstance(matrices, MatrixFile):
         return (
-            f"found {stiffness_n_per_m:g} N/m; it is for one degree of freedom: a structure has "
-            "its stiffness in storeys or matrices"
+            f"found {stiffness_n_per_m:g} N/m; this key is for one degree of freedom: give the "
+            "stiffness in storeys or matrices"
         )
-    return f"found {stiffness_n_per_m:g} N/m; with matrices every stiffness belongs into k_n_per_m"
+    return f"found {stiffness_n_per_m:g} N/m; with matrices give every stiffness in k_n_per_m"
 
 
 def _for_structures(what: str) -> Any:
@@ -161,7 +161,7 @@ def _for_structures(what: str) -> Any:
     ) -> str | None:
         if storeys is not None or isinstance(matrices, MatrixFile) or not value:
             return None
-        return f"{what} belongs to storeys, or to matrices from a file; there are neither"
+        return f"{what} belongs to storeys or to matrices from a file, and there are neither"
 
     return test
 
@@ -177,7 +177,7 @@ def _has_its_own(
 ) -> str | None:
     if (library or fmu or python) is None or integrator == "central-difference":
         return None
-    return f'found "{integrator}"; a library, an FMU or a class in Python integrates by itself'
+    return f'found "{integrator}"; a library, an FMU or a class in Python does its own integration'
 
 
 class Numerical(Table):
@@ -211,7 +211,8 @@ class Numerical(Table):
     damping_n_s_per_m: Annotated[float, Range("N s/m", 0, 1e12, "the damping")] | None = None
     damping_ratio: Annotated[float, Range("", 0, 2, "the damping ratio")] | None = None
     stiffness_n_per_m: Annotated[
-        float, Range("N/m", 0, 1e12, "the computed stiffness beside the specimen's")
+        float,
+        Range("N/m", 0, 1e12, "the stiffness of the numerical part, in parallel with the specimen"),
     ] = 0.0
     integrator: Literal["central-difference", "forward-euler", "cr", "kr-alpha"] = (
         "central-difference"
@@ -227,7 +228,7 @@ class Numerical(Table):
     storeys: Storeys | None = None
     damping: Damping | None = None
     nonlinear: list[Nonlinear] = Field(default_factory=list, max_length=MOST_NONLINEAR)
-    record: Annotated[list[str], Names("what is recorded by name", MOST_RECORDED)] | None = None
+    record: Annotated[list[str], Names("the quantities to record", MOST_RECORDED)] | None = None
     library: LibraryFile | None = None
     fmu: FmuFile | None = None
     python: PythonClass | None = None
@@ -268,8 +269,8 @@ class Rfc(Table):
     """The restoring-force compensator (Eqn 3.1-3.3); window absent means 0.1 periods.
 
     ``divisor = "printed"`` divides the T0 + 1 terms of Eqn 3.3 by T0, ``"terms"`` by their number.
-    ``cutoff_hz`` is of the low-pass on x_c - x_m, 0 for none; ``force_lateness_s`` says how much
-    later than x_m the force is that the equation of motion uses, and adds as much of the tangent
+    ``cutoff_hz`` is of the low-pass on x_c - x_m, 0 for none; ``force_lateness_s`` says the
+    delay of the force behind x_m that the equation of motion uses, and adds as much of the tangent
     stiffness times velocity.
     """
 
@@ -287,7 +288,7 @@ class Rfc(Table):
         Annotated[float, Range("Hz", 0, 400, "the cut-off of the low-pass on x_c - x_m")] | None
     ) = None
     force_lateness_s: (
-        Annotated[float, Range("s", -0.1, 0.1, "how much later than x_m the force is")] | None
+        Annotated[float, Range("s", -0.1, 0.1, "the delay of the force behind x_m")] | None
     ) = None
 
 
@@ -337,32 +338,37 @@ class MatrixLaw(Table):
     inverse: StrictBool = True
     coupled: StrictBool = True
     roll_off_hz: Annotated[float, Range("Hz", 1, 400, "the roll-off of the lead")] = 20.0
-    cutoff_hz: Annotated[float, Range("Hz", 0.1, 400, "the cut-off of what is learnt from")] = 10.0
+    cutoff_hz: Annotated[
+        float, Range("Hz", 0.1, 400, "the cut-off frequency of the signals used for learning")
+    ] = 10.0
     memory_s: Annotated[float, Range("s", 0.1, 1e4, "the memory")] = 10.0
-    gate_factor: Annotated[float, Range("", 0, 1e6, "the power over that of rest")] = 10.0
+    gate_factor: Annotated[float, Range("", 0, 1e6, "the ratio of the power to that at rest")] = (
+        10.0
+    )
 
 
 def _of_matrix(type: str, matrix: MatrixLaw | None) -> str | None:
     if matrix is None or type == MATRIX:
         return None
-    return f'found type = "{type}"; the table is of type = "{MATRIX}": leave it out, or say that'
+    return f'found type = "{type}"; the table is of type = "{MATRIX}": remove it, or set it to that'
 
 
 def _of_axes(type: str, axis: list[Any]) -> str | None:
     if axis and type == MATRIX:
         return (
-            f'found laws of axes beside type = "{MATRIX}", which compensates all of them; keep one'
+            f'found laws of axes beside type = "{MATRIX}", which compensates all axes; remove '
+            "one of the two"
         )
     names = [one.name for one in axis]
     twice = [name for name in names if names.count(name) > 1]
-    return f'found axis "{twice[0]}" twice; each has one law' if twice else None
+    return f'found axis "{twice[0]}" twice; each axis has one law' if twice else None
 
 
 def _by_its_class(type: str, python: PythonClass | None) -> str | None:
     if type == PYTHON and python is None:
         return 'missing; type = "python" needs it: python = { class = "my_laws:Slope" }'
     if type != PYTHON and python is not None:
-        return f'found a class, and type = "{type}"; write type = "python", or leave it out'
+        return f'found a class, but type = "{type}"; use type = "python", or remove the class'
     return None
 
 
@@ -427,8 +433,9 @@ class Reference(Table):
 def _something_to_move(numerical: Numerical, interface: list[Interface]) -> str | None:
     if interface and numerical.structure is None:
         return (
-            "found a table without storeys or matrices from a file; a numerical part of one degree "
-            "of freedom, or of matrices in the test file, says itself what the actuator moves"
+            "found a table without storeys or matrices from a file; a numerical part with one "
+            "degree of freedom, or with matrices in the test file, already determines what the "
+            "actuator moves"
         )
     return None
 
@@ -439,7 +446,7 @@ def _interfaces_differ(interface: list[Interface]) -> str | None:
         if name in names[:i]:
             return (
                 f"interfaces {names.index(name) + 1} and {i + 1} are both called "
-                f"{written(name)}; each has a name of its own, which the rig's kinematics know"
+                f"{written(name)}; each needs its own name, one of those in the rig's kinematics"
             )
     return None
 
@@ -505,8 +512,8 @@ class TestFile(WholeFile):
             if key in keys and keys[key] is not _NO_STRUCTURE:
                 yield (
                     (key,),
-                    "found a table beside [history], which prescribes the displacement: there is "
-                    "no structure to compute; take one of the two out",
+                    "found a table beside [history], which prescribes the displacement, so there "
+                    "is no structure to compute; remove one of the two",
                     (key, "history"),
                 )
         info = keys.get("test")
@@ -514,7 +521,8 @@ class TestFile(WholeFile):
             if isinstance(info, dict) and key in info:
                 yield (
                     ("test", key),
-                    "found a length; a history says itself how long it lasts: leave the key out",
+                    "found a length, but the length of a history follows from its own keys; "
+                    "remove this key",
                     (f"test.{key}",),
                 )
 

@@ -1,6 +1,6 @@
 """A slow time scale: the structure's equation of motion in the laboratory's time.
 
-With L seconds of the laboratory for one of the structure, X(L t) = x(t), and a derivative by the
+With L seconds in the laboratory per second of the structure, X(L t) = x(t), and a derivative by the
 laboratory's time is 1/L of one by the structure's. So
 
     m x'' + c x' + k x + f = -m ag(t)      becomes      L^2 m X'' + L c X' + k X + f = -L^2 m A,
@@ -40,7 +40,7 @@ def slowed(element: ElementConfig, time_scale: float) -> ElementConfig:
 
     Args:
         element: of a structure or a specimen.
-        time_scale: seconds of the laboratory for one of the structure.
+        time_scale: seconds in the laboratory per second of the structure.
     """
     # NumPy, which the core needs, is slow to load, and most tests are not slow.
     from rthyb_rt.core.library import CoreError
@@ -49,7 +49,7 @@ def slowed(element: ElementConfig, time_scale: float) -> ElementConfig:
     if element.own is not None:
         if time_scale == 1.0:
             return element
-        raise CoreError(f"how {element.own.name} goes with a slow time is not known")
+        raise CoreError(f"how {element.own.name} behaves in stretched time is not known")
     names = ELEMENT_PARAMS[element.kind]
     values = (
         value * time_scale ** exponent(name)

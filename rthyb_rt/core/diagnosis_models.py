@@ -90,7 +90,7 @@ def actuator(
         before: what it was up to a row, which need not be whole; place and velocity go on there.
 
     Raises:
-        SimulationError: a setting is out of range, or the motion ran off.
+        SimulationError: a setting is out of range, or the motion diverged.
     """
     first = _compiled(before[1] if before else model, fs_hz)
     u = np.ascontiguousarray(x_cmd_m, dtype=np.float64)
@@ -138,7 +138,7 @@ def body(
     """Return the motion of ``mass a + elements = force`` under a force of shape (n,), N.
 
     Raises:
-        SimulationError: no mass, or the motion ran off.
+        SimulationError: no mass, or the motion diverged.
         core.CoreError: an element's parameter is out of range.
     """
     model = ffi.new(

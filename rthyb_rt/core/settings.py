@@ -129,8 +129,8 @@ class LawConfig:
 class RfcConfig:
     """Settings of the restoring-force compensator (Eqn 3.1-3.3); ``window`` is T0 in samples.
 
-    ``cutoff_hz`` is of the low-pass on x_c - x_m, 0 for none; ``lateness_s`` how much later than
-    x_m the force is that the equation of motion uses.
+    ``cutoff_hz`` is of the low-pass on x_c - x_m, 0 for none; ``lateness_s`` the delay of the
+    force behind x_m that the equation of motion uses.
     """
 
     k_e_n_per_m: float

@@ -152,7 +152,7 @@ class SparseConfig:
             joints and specimen.
         modal: U of modal damping U U', (n, r).
         joints: the nonlinear elements.
-        responses: what is recorded by name.
+        responses: the quantities to record.
         integrator, rho_inf: ``rho_inf`` is read by ``kr-alpha`` alone.
         first_x_m, first_v_m_per_s: where it begins, (n,); None: at rest at 0.
     """

@@ -90,8 +90,8 @@ class ActuatorEffect:
 CATALOGUE: tuple[ActuatorEffect, ...] = (
     ActuatorEffect(
         "delay", (Param("dtau_s", "s", -1.0, 1.0),), ("delay_s",), "x(t) = x0(t - dtau)",
-        "displacement residual is a straight line over velocity",
-        ("sweep", "a delay's phase grows with frequency without a change of amplitude"),
+        "displacement residual is linear in velocity",
+        ("sweep", "the phase of a delay grows with frequency at constant amplitude"),
         "a delay of the actuator", "{dtau_s} {dtau_s:less|more} delay of the actuator", False,
     ),
     ActuatorEffect(
@@ -103,23 +103,23 @@ CATALOGUE: tuple[ActuatorEffect, ...] = (
     ),
     ActuatorEffect(
         "act_gain", (Param("gain", "", 0.01, 100.0),), ("gain",), "x = gain x0",
-        "displacement residual is a straight line over displacement",
+        "displacement residual is linear in displacement",
         ("sweep", "a gain is the same at every frequency"),
-        "a gain error of the actuator", "an actuator that goes {gain:4} times as far",
+        "a gain error of the actuator", "an actuator that moves {gain:4} times as far",
     ),
     ActuatorEffect(
         "oil_column", (Param("f_Hz", "Hz", 0.1, 1e5), Param("zeta", "", 1e-3, 1e3)),
         ("f_hz", "zeta"), "x'' + 2 zeta w x' + w^2 x = w^2 u",
         "displacement residual grows with acceleration as well as velocity",
-        ("sweep", "the corner of a second-order lag shows where frequency passes it"),
+        ("sweep", "the corner of a second-order lag shows as the frequency passes it"),
         "another second-order lag of the actuator",
         "an actuator with {f_Hz} and a damping ratio of {zeta:3}",
     ),
     ActuatorEffect(
         "rate_limit", (Param("vmax_m_s", "m/s", 1e-6, 100.0),), ("vmax_m_s",), "|v| <= vmax",
         "displacement lags only where velocity is large",
-        ("multi_amplitude", "a limit of velocity is met at large amplitude only"),
-        "a velocity limit of the actuator", "an actuator that is no faster than {vmax_m_s}",
+        ("multi_amplitude", "a velocity limit is reached only at large amplitude"),
+        "a velocity limit of the actuator", "an actuator limited to {vmax_m_s}",
         limit=True, in_rig_file=False,
     ),
 )  # fmt: skip
@@ -159,7 +159,7 @@ class ActuatorFit:
         scatter: the same as the residual shows it, see `select.clustered`.
         slopes: of the whitened rows to the numbers and the time offset, (rows, p).
         motion: as simulated, on the zero of the displacement sensor.
-        zero_m: by how much that lies off the command's, mean of the rows.
+        zero_m: by how much that lies from that of the command, mean of the rows.
         others: the same effects fitted in another form, or come to rest elsewhere.
     """
 

@@ -1,4 +1,4 @@
-"""The model with what was found in it, as a rig file that ``rthyb run --rig`` loads."""
+"""The model with the effects found in it, as a rig file that ``rthyb run --rig`` loads."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]
     lag = model.actuator
     if lag is not None:
         lost += [e.name for e in CATALOGUE if not e.in_rig_file and e.acts(lag)]
-    lines = [f"# {word}: a rig file cannot hold it; see diagnosis.json" for word in lost]
+    lines = [f"# {word}: a rig file cannot represent it; see diagnosis.json" for word in lost]
     if base.rig is not None:
         body = _within(base.rig, model, elements, bias, name)
     else:

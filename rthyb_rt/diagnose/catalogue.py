@@ -49,7 +49,8 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("stiffness", "degradation",
      "a spring that is too weak is so from the first cycle; what is lost grows with the path"),
     ("stiffness", "gap",
-     "a gap takes the same displacement at every amplitude, so its share falls as amplitude grows"),
+     "a gap takes up the same displacement at every amplitude, so its share falls as amplitude "
+     "grows"),
     ("stiffness", "act_gain",
      "a gain shows between command and displacement, a stiffness between displacement and force"),
     ("stiffness", "crosstalk",
@@ -138,7 +139,7 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("hysteresis", "maxwell",
      "both are loops; those of yielding do not depend on rate, those of relaxation do"),
     ("degradation", "drift",
-     "a loss grows in phase with displacement, a drift goes on where nothing moves"),
+     "a loss grows in phase with displacement, a drift continues when nothing moves"),
     ("maxwell", "time_skew",
      "around one frequency both turn the force; over a sweep relaxation comes to an end at high "
      "frequency, a skew grows"),

@@ -1,8 +1,8 @@
 """The whole hybrid test once more: same test, controller and ground motion on two virtual rigs.
 
-The diagnosis cuts the loop open at its signals. What it found is judged here with the loop closed:
-the model as given and the model with what was found each stand in for the rig, in virtual time, and
-what the controller makes of them is held against what it recorded.
+The diagnosis splits the loop at the recorded signals. Its result is judged here with the loop
+closed: the model as given and the model with the effects found each stand in for the rig, in
+virtual time, and the simulated test is compared with the recording.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class ClosedLoop:
 
 
 def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = None) -> ClosedLoop:
-    """Simulate a recorded test with the model as given and with what was found in it.
+    """Simulate a recorded test with the model as given and with the effects found in it.
 
     Args:
         rec: recording of this program; its test, rig and ground motion set the controller.

@@ -61,7 +61,7 @@ PAST = 400
 FEWER = 2
 """Sets of fewer laws whose motion is looked at."""
 PASSES = 2
-"""Times that such a motion is simulated, the second time with what was found along it."""
+"""Times that such a motion is simulated, the second time with the effects found along it."""
 
 
 @dataclass
@@ -581,7 +581,7 @@ def _judged(
 
 
 def quantisation(case: Case) -> Found | None:
-    """Return a coarse load cell: few distinct readings, all on one grid."""
+    """Return a load cell with coarse resolution: few distinct readings, all on one grid."""
     f = case.get("f_meas")
     if f is None or case.model.f_std is None:
         return None
@@ -841,7 +841,7 @@ def to_json(d: Diagnosis) -> dict[str, Any]:
 
 
 def augmented(d: Diagnosis) -> Augmented:
-    """Return the model with what was found in it; for an unknown verdict, with refitted numbers."""
+    """Return the model with the effects found; for an unknown verdict, with refitted numbers."""
     model = d.case.model
     search = d.force
     members: tuple[Any, ...] = ()

@@ -80,7 +80,7 @@ def propose(
         if verdict == "unknown":
             return {
                 "kind": "multi_amplitude",
-                "why": "an unknown force shows whether it depends on amplitude, rate or time",
+                "why": "an unknown force then shows whether it depends on amplitude, rate or time",
             }
         known = {name: e.shown_by for name, e in effects.catalogue().items()}
         known |= {e.name: e.shown_by for e in CATALOGUE}

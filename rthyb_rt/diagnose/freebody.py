@@ -405,7 +405,7 @@ def _least(
     # What only its prior holds is weak beside the rest: heavy damping would keep it from moving.
     best, damping = float(r @ r), 1e-8
     if not np.isfinite(best):
-        raise SimulationError("the motion ran off")
+        raise SimulationError("the motion diverged")
     gram, jacobian = np.eye(size), np.zeros((r.size, size))
     for _ in range(STEPS):
         columns = _slopes(residual, p, r, central and best < rough, spend, threads)

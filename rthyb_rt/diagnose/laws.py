@@ -98,7 +98,7 @@ class Rest:
     """What a model leaves on one channel, and the laws that were found for it.
 
     Attributes:
-        left: what the model leaves with its numbers moved within tolerance, (n,).
+        left: what the model leaves with its parameters adjusted within tolerance, (n,).
         rows: those that were judged, (n,).
         laws: the one that is named, then its equals.
         over: by key, what it may depend on and how that is called, (n,).
@@ -242,7 +242,7 @@ def _of_force(d: Diagnosis, search: forces.Search) -> Rest:
         "t": (ctx.t, "time, s"),
     }
     if "fy_meas" in ctx.other:
-        over["fy"] = (ctx.other["fy_meas"], "force in the other direction, N")
+        over["fy"] = (ctx.other["fy_meas"], "force in the orthogonal direction, N")
     return Rest(left, found.rows, tuple(laws), over, "N", "force")
 
 
@@ -374,14 +374,14 @@ def _plate(rest: Rest, key: str) -> Plate:
     draw.x_label(axes, name)
     quantity = name.split(",")[0]
     return paper.plate(
-        f"What the model leaves, over {quantity}", _note(rest, quantity, off, cycle, thin)
+        f"Residual of the model over {quantity}", _note(rest, quantity, off, cycle, thin)
     )
 
 
 def _note(rest: Rest, quantity: str, off: Sequence[Part], cycle: bool, thin: bool) -> str:
     if not rest.laws:
         return "Recorded less the model; darker: more rows."
-    words = ["Grey: recorded less the model, its numbers moved within tolerance."]
+    words = ["Grey: recorded less the model, its parameters adjusted within tolerance."]
     if off:
         names = " and ".join(called(n) for p in off for n in p.names)
         do = "it does" if len(off) == 1 else "they do"

@@ -63,7 +63,7 @@ class Modulated(Effect):
         self.effect, self.channel, self.bare = effect, channel, bare
         self.name = f"{effect.name}*{channel.name}"
         self.params = effect.params
-        self.equation = f"{effect.equation}, its coefficient straight over {channel.name}"
+        self.equation = f"{effect.equation}, its coefficient linear in {channel.name}"
         self.fingerprint = f"{effect.fingerprint}, and its size follows {channel.name}"
         self.shown_by = effect.shown_by
         self.dissipates, self.yields = effect.dissipates, effect.yields

@@ -56,7 +56,7 @@ def finish(d: Diagnosis, heldout: Case | None, wanted: Case | None) -> Outcome:
         before = errors.get("heldout_nrmse_before", np.inf)
         if d.verdict in ("explained", "ambiguous") and after > before:
             d.verdict, d.effects, d.ambiguous_with = "unknown", [], []
-            d.notes.append("what was found does not hold on the second recording")
+            d.notes.append("the effects found are not confirmed by the second recording")
     prediction = predict(model, wanted, d.case) if wanted is not None else None
     out = Outcome({**engine.to_json(d), "notes": list(d.notes)}, model, prediction, errors)
     _close(d, out)
@@ -86,7 +86,7 @@ def close_loop(d: Diagnosis, model: Augmented) -> ClosedLoop:
     """
     rec = d.case.own
     if rec is None:
-        raise InputError("no recording of this program: its test is not known")
+        raise InputError("not a recording of this program, so its test is not known")
     base = closed.same_actuator(d.case.model, rec)
     plain = engine.baseline(d)
     texts = []
@@ -99,7 +99,9 @@ def close_loop(d: Diagnosis, model: Augmented) -> ClosedLoop:
     result = closed.resimulate(rec, texts[0], texts[1], law)
     lost = [name for name in lost if name not in beside]
     if lost:
-        result.notes.append(f"simulated without {', '.join(lost)}, which a rig file cannot hold")
+        result.notes.append(
+            f"simulated without {', '.join(lost)}, which a rig file cannot represent"
+        )
     return result
 
 

@@ -169,8 +169,8 @@ def _name(d: Diagnosis) -> str:
 def _after(d: Diagnosis) -> str:
     """Return what the second of two models is."""
     if d.verdict in ("explained", "ambiguous"):
-        return "with what was found"
-    return "numbers moved within tolerance"
+        return "with the effects found"
+    return "parameters adjusted within tolerance"
 
 
 def _ranked(d: Diagnosis) -> list[tuple[str, str, str, str, str, list[str]]]:
@@ -235,7 +235,7 @@ def _simulated_again(loop: ClosedLoop) -> Plate:
         for values, colour, width, label in (
             (loop.recorded, draw.BLACK, 1.4, "recorded"),
             (loop.before, draw.ORANGE, 0.8, "simulated, model as given"),
-            (loop.after, draw.BLUE, 0.8, "simulated, with what was found"),
+            (loop.after, draw.BLUE, 0.8, "simulated, with the effects found"),
         ):
             draw.curve(axes, loop.t, factor * values[name], colour, width, label)
         axes.set_xlim(*draw.span(loop.t[0], loop.t[-1]))
@@ -243,7 +243,7 @@ def _simulated_again(loop: ClosedLoop) -> Plate:
     draw.x_label(paper.axes[-1], "time, s")
     return paper.plate(
         "The test simulated again with the loop closed",
-        "Same controller and ground motion; the rig is the model, as given or mended.",
+        "Same controller and ground motion; the rig is the model, as given or corrected.",
     )
 
 
@@ -268,8 +268,8 @@ def _recovered(found: Recovered, outcome: Outcome) -> Plate | None:
     draw.x_label(paper.axes[-1], "time, s")
     return paper.plate(
         "What the controller did, recovered from its signals",
-        "alpha from x_num and x_cmd (Eqn 2.5), k_t from the equation of motion (Eqn 3.2); "
-        "gaps where the motion does not tell.",
+        "alpha from x_num and x_cmd (Eqn 2.5), k_t from the equation of motion (Eqn 3.2); gaps "
+        "where the motion does not determine them.",
     )
 
 
@@ -298,7 +298,7 @@ class _Signals:
 
 
 def _signals(d: Diagnosis) -> _Signals | None:
-    label = "with what was found" if d.verdict in ("explained", "ambiguous") else "numbers moved"
+    label = "with the effects found" if d.verdict in ("explained", "ambiguous") else "numbers moved"
     if d.channel == "disp" and d.disp is not None:
         task = d.disp.task
         plain = task.simulate(task.base).x
@@ -393,7 +393,7 @@ def _map(d: Diagnosis, s: _Signals) -> Plate:
     draw.x_label(axes, "displacement, mm")
     return paper.plate(
         "Residual over displacement and velocity",
-        f"Mean of what the model as given leaves in each cell, {s.unit}.",
+        f"Mean residual of the model as given in each cell, {s.unit}.",
     )
 
 
@@ -403,12 +403,12 @@ def _loops(d: Diagnosis, s: _Signals) -> Plate:
         curves = [y - u for y in (s.measured, s.before, s.after)]
         return _looped(
             s, u, curves, ("command, mm", "x_meas − x_cmd, mm"),
-            "What the actuator leaves of its command", "A lag is a loop.",
+            "Tracking error of the actuator", "A lag appears as a loop.",
         )  # fmt: skip
     return _looped(
         s, _motion_of(d)[0], [s.measured, s.before, s.after],
         ("displacement, mm", f"{s.what}, {s.unit}"),
-        f"{s.what.capitalize()} over displacement", "Loops of record and model.",
+        f"{s.what.capitalize()} over displacement", "Loops of the recording and the model.",
     )  # fmt: skip
 
 
@@ -439,7 +439,7 @@ def _looped(
     draw.legend_below(axes, 3)
     draw.x_label(axes, names[0])
     if rows.size < int(s.judged.sum()):
-        note += " Shown is the part around the largest displacement."
+        note += " The part around the largest displacement is shown."
     return paper.plate(title, note)
 
 
@@ -484,7 +484,9 @@ def _energy(d: Diagnosis) -> Plate:
     axes.set_xlim(*draw.span(d.case.t[0], d.case.t[-1]))
     draw.legend_below(axes, 2)
     draw.x_label(axes, "time, s")
-    return paper.plate("Work of each term up to each moment", "Rising: taken out of the motion.")
+    return paper.plate(
+        "Cumulative work of each term", "A rising curve takes energy out of the motion."
+    )
 
 
 def _spectrum(d: Diagnosis, s: _Signals) -> Plate:
@@ -499,7 +501,7 @@ def _spectrum(d: Diagnosis, s: _Signals) -> Plate:
         axes.loglog(f, p, color=colour, linewidth=0.8, label=label)
     draw.head(axes, f"residual, {s.unit}/√Hz", below=True)
     draw.x_label(axes, "frequency, Hz")
-    return paper.plate("Spectrum of the residual", "White noise is a level line.")
+    return paper.plate("Spectrum of the residual", "White noise appears as a horizontal line.")
 
 
 def _welch(y: Floats, fs_hz: float) -> tuple[Floats, Floats]:

@@ -1,4 +1,4 @@
-"""The model with what was found in it: simulated along another recording, and refined there.
+"""The model with the effects found in it: simulated along another recording, and refined there.
 
 The specimen's part of every effect is simulated as elements of the core where it has such; else its
 force is iterated with the motion until both agree.
@@ -31,7 +31,7 @@ class Augmented:
         model: baseline with stiffness, damping, mass as fitted.
         base: the baseline as given; effects are defined beside it.
         members, betas: effects of the force with their coefficients.
-        actuator: with what was found in it; None without one.
+        actuator: with the effects found in it; None without one.
         ranges: those of the recording that it was fitted to.
         zeros_m: of the displacement sensor against the command, throughout and at the end.
         cell: whether a load cell recorded the force. Effects of the sensor are then its own and

@@ -94,7 +94,7 @@ def recover_alpha(case: Case) -> Slope:
     if missing:
         return _without(case, "samples", f"{' and '.join(missing)} not recorded")
     if case.model.plc is None:
-        return _without(case, "samples", "the model does not say controller.plc_w1, plc_w2")
+        return _without(case, "samples", "the model does not state controller.plc_w1, plc_w2")
     w1, w2 = case.model.plc
     x = case.channels["x_num"]
     lead = case.channels["x_cmd"] - x
@@ -126,9 +126,9 @@ def recover_stiffness(case: Case) -> Slope:
     if missing:
         return _without(case, unit, f"{', '.join(missing)} not recorded")
     if case.model.rfc is False:
-        return _without(case, unit, "the model says controller.rfc = false")
+        return _without(case, unit, "the model states controller.rfc = false")
     if not case.model.mass > 0.0:
-        return _without(case, unit, "the model does not say numerical.m")
+        return _without(case, unit, "the model does not state numerical.m")
     off = case.channels["x_num"] - case.channels["x_meas"]
     size = float(np.nanstd(case.channels["f_meas"])) or 1.0
     best: tuple[float, Floats, Floats] | None = None

@@ -48,7 +48,7 @@ class Relation:
 
     Attributes:
         channel: its name.
-        ratio: found over expected; negative where it runs against it.
+        ratio: found over expected; negative where it has the opposite sign to it.
         alike: correlation of the two, 0 to 1.
         of: the channels that the expectation comes from.
         bound: the expectation is the most that can be: a ratio below one says nothing.
@@ -80,7 +80,7 @@ def check(
             believed there.
 
     Raises:
-        InputError: with what was found, the likely unit and the option that mends it.
+        InputError: with the effects found, the likely unit and the option that mends it.
     """
     for r in relations(channels, model):
         size = abs(r.ratio)
@@ -144,7 +144,7 @@ def _message(r: Relation, said: str, model: Model, labels: dict[str, str] | None
     times = said or f"{max(abs(r.ratio), 1 / abs(r.ratio)):.4g}"
     text = (
         f"{r.channel} is {times} times too {size} for {r.than or _SAID[r.channel]} "
-        f"(ratio {r.ratio:.4g}): a wrong unit is suspected; channels are in SI, {r.channel} in "
+        f"(ratio {r.ratio:.4g}): probably a wrong unit; channels are in SI units, {r.channel} in "
         f"{CHANNELS[r.channel]}"
     )
     if labels is None:
@@ -169,9 +169,9 @@ def _sign(r: Relation, labels: dict[str, str] | None, unit: str | None) -> str:
     label = (labels or {}).get(r.channel, r.channel) + (f" [{unit}]" if unit else "")
     way = f'; give --map {r.channel}="-{label}"' if labels is not None else ""
     return (
-        f"{r.channel} runs against {_SAID[r.channel]} (ratio {r.ratio:.4g}): a wrong sign is "
-        "suspected; a command, the displacement and the force that resists it count in one "
-        f"direction{way}"
+        f"{r.channel} has the opposite sign to {_SAID[r.channel]} (ratio {r.ratio:.4g}): "
+        "probably a wrong sign; a command, the displacement and the force that resists it must "
+        f"be positive in the same direction{way}"
     )
 
 
@@ -208,9 +208,9 @@ def check_against(first: Channels, second: Channels, where: str, labels: dict[st
         unit = likely(name, b / a)
         way = f"give {_mend(name, unit, labels)}, or " if unit and unit != CHANNELS[name] else ""
         raise InputError(
-            f"{name} is {max(b / a, a / b):.4g} times too {'large' if b > a else 'small'} for the "
-            f"recording that the answer comes from: a wrong unit is suspected, {name} is to be in "
-            f"{CHANNELS[name]}; {way}convert the column",
+            f"{name} is {max(b / a, a / b):.4g} times too {'large' if b > a else 'small'} for "
+            f"the recording from which the answer was derived: probably a wrong unit; {name} "
+            f"must be in {CHANNELS[name]}; {way}convert the column",
             where,
         )
 

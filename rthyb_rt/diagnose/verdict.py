@@ -244,7 +244,7 @@ def understood(left: Left, policy: Policy, sheet: Callable[[], bool]) -> bool:
 
 
 def simulates(made: Simulated | None, policy: Policy) -> bool:
-    """Return whether the model alone, its numbers moved within tolerance, simulates the record.
+    """Return whether the model alone, its parameters adjusted within tolerance, simulates it.
 
     Without a load cell this decides: a force that the displacement does not show is the smoother's.
     """
@@ -396,7 +396,7 @@ def _judged(court: _Court, gone: set[str]) -> Verdict:
 
 @dataclass(frozen=True)
 class Coarse:
-    """A set that was weighed, beside a coarse load cell.
+    """A set that was weighed, beside a load cell with coarse resolution.
 
     Attributes:
         names: of its effects.

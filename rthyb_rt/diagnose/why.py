@@ -95,8 +95,8 @@ def to_json(d: Diagnosis, catalogue: bool = True) -> dict[str, Any]:
 TITLES = {
     "disp": "Sets of effects of the actuator, best first",
     "force": "Sets of effects on the force, best first",
-    "dropped": "Sets that a rule took out before",
-    "refused": "Other effects on the force, in the best of the shapes that are tried first",
+    "dropped": "Sets that a rule excluded beforehand",
+    "refused": "Other effects on the force, each in the best of its forms that are tried first",
 }
 
 
@@ -191,7 +191,7 @@ def _force(d: Diagnosis, search: forces.Search) -> list[Decision]:
         own = evidence.cost(problem, fit)
         why = _why_force(search, fit, fate, own)
         if fit is best and not believed:
-            why = f"the best there is, but not named; see the verdict above ({why})"
+            why = f"the best set, but not named; see the verdict above ({why})"
         out.append(
             Decision(
                 "force", fit.names, fate, _params(search, fit), fit.chi2, own, _left(search, fit),
@@ -222,7 +222,7 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
     gain = search.null.chi2 - fit.chi2
     if fit is best and best.members:
         share = _percent(min(search.held_gain, 1.0))
-        held = "" if search.moved else f"; {share} of that holds on rows left out"
+        held = "" if search.moved else f"; {share} of that is confirmed on held-out rows"
         return f"brings {count(gain)}, {count(gain - own)} beyond its price{held}"
     if not best.members:
         return _not_enough(search, fit, gain, own)
@@ -230,8 +230,8 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
     if fate == "as good":
         more = evidence.count(problem, fit) - evidence.count(problem, best)
         return (
-            f"{_apart(fit.chi2 - best.chi2)} in chi-squared with {_parameters(more)}; "
-            f"{POLICY.same_evidence:g} would part them"
+            f"{_apart(fit.chi2 - best.chi2)} in chi-squared with {_parameters(more)}; a "
+            f"difference of {POLICY.same_evidence:g} would separate them"
         )
     return _against((fit.chi2, own, fit.names), named)
 
@@ -240,30 +240,31 @@ def _not_enough(search: forces.Search, fit: Fit, gain: float, own: float) -> str
     """Return why a set is not named where none is."""
     needs = own * (POLICY.several_price if len(fit.members) > 1 else 1.0)
     if gain <= needs:
-        return f"brings {_gain(gain)}, where it had to bring {count(needs)}"
+        return f"brings {_gain(gain)}, but needs {count(needs)}"
     size = evidence.size(search.problem, fit)
     if size <= POLICY.least_force:
         return (
             f"brings {count(gain)}, but is {_percent(size)} of the force; less than "
-            f"{_percent(POLICY.least_force)} is no finding"
+            f"{_percent(POLICY.least_force)} is not reported"
         )
     if not search.moved:
         held = evidence.held_out_gain(search.problem, fit)
         if held < POLICY.held_out_share:
             return (
-                f"brings {count(gain)}, of which {_percent(max(held, 0.0))} holds on rows left "
-                f"out; {_percent(POLICY.held_out_share)} has to"
+                f"brings {count(gain)}, of which {_percent(max(held, 0.0))} is confirmed on "
+                f"held-out rows; at least {_percent(POLICY.held_out_share)} is required"
             )
-    return f"brings {count(gain)}; the set before it was refused, and none behind it is looked at"
+    return f"brings {count(gain)}; the set before it was rejected, so later sets are not considered"
 
 
 DROPPED = {
-    "needed": "{part} beside the others brings {found}, where it had to bring {wanted}",
-    "share": "{part} beside the others brings {found}; up to {wanted} may be the form of the laws",
-    "drift goes on": "within the halves of the recording there is less of the drift",
-    "more laws": "brings {found} more than the best of fewer laws, where it had to bring {wanted}",
-    "yielding": "{against} is the same by a plainer name",
-    "plainest": "brings {found} more than {against}, where it had to bring {wanted}",
+    "needed": "{part} beside the others brings {found}, but needs {wanted}",
+    "share": "{part} beside the others brings {found}; up to {wanted} may come from the form of "
+    "the laws",
+    "drift goes on": "the drift is smaller within each half of the recording",
+    "more laws": "brings {found} more than the best set with fewer laws, but needs {wanted}",
+    "yielding": "{against} describes the same with a simpler effect",
+    "plainest": "brings {found} more than {against}, but needs {wanted}",
 }
 """What each rule of `decide` that takes a set out says of it."""
 MOST = 12
@@ -296,7 +297,7 @@ def _against(
         return (
             f"{more} beside the best set brings {_gain(best - chi2)} and costs "
             f"{count(costs - best_costs)}"
-            + ("" if score >= 0.0 else "; so little of the whole may be the form of a law")
+            + ("" if score >= 0.0 else "; so small a share may come from the form of a law")
         )
     if set(names) < set(best_names):
         less = _words(sorted(set(best_names) - set(names)))
@@ -306,8 +307,8 @@ def _against(
         )
     if score < 0.0:
         return (
-            f"better by {count(-score)}, price included, which may be the form of a law: the "
-            "plainer set goes before it"
+            f"better by {count(-score)}, price included, which may come from the form of a law: "
+            "the simpler set is preferred"
         )
     return f"{count(score)} worse than the best set, price included"
 
@@ -345,13 +346,13 @@ def _refused(search: forces.Search, known: set[str]) -> list[Decision]:
         if name in known or set(effect.names) <= known:
             continue
         if name not in alone:
-            why = "not tried: this kind of recording does not show it"
+            why = "not tried: this kind of recording does not reveal it"
             if name in free:
-                why = "refitted with the model, which states no tolerance of it"
+                why = "refitted with the model, which states no tolerance for it"
             if any(e.name == name for e in problem.effects):
                 why = "not tried: nothing in this recording or model calls for it"
                 if effect.trials(problem.ctx):
-                    why = "helps in none of its shapes: its force would have the wrong sign"
+                    why = "does not help in any of its forms: its force would have the wrong sign"
             nan = float("nan")
             out.append(Decision("force", (name,), "refused", (), nan, nan, nan, why))
             continue
@@ -415,15 +416,16 @@ def _why_actuator(disp: Displacement, fit: ActuatorFit, fate: Fate) -> str:
     if fit is best and fate == "named":
         return f"brings {count(gain)}, {count(gain - own)} beyond its price"
     if fit is best:
-        return f"the best there is, but it leaves {_percent(disp.left)} of the misfit"
+        return f"the best set, but it leaves {_percent(disp.left)} of the misfit"
     if not best.effects:
         if gain <= own:
-            return f"brings {_gain(gain)}, where it had to bring {count(own)}"
-        return f"brings {count(gain)}, but moves next to nothing, or one of it does"
+            return f"brings {_gain(gain)}, but needs {count(own)}"
+        return f"brings {count(gain)}, but it or one of its effects hardly changes the motion"
     if fate == "as good":
         return (
             f"{_apart(fit.misfit(scale) - best.misfit(scale))} in chi-squared with "
-            f"{_parameters(fit.count - best.count)}; {POLICY.same_evidence:g} would part them"
+            f"{_parameters(fit.count - best.count)}; a difference of {POLICY.same_evidence:g} "
+            "would separate them"
         )
     return _against(
         (fit.misfit(scale), own, fit.names),
@@ -432,12 +434,12 @@ def _why_actuator(disp: Displacement, fit: ActuatorFit, fate: Fate) -> str:
 
 
 TURNED = {
-    "blur": "the best set is no larger than what the estimate of the motion leaves open",
+    "blur": "the best set is no larger than the uncertainty of the estimated motion",
     "motion": "the model alone simulates the measured motion, within its tolerances and the "
     "sensor's noise",
-    "chance": "the best set is no larger than what noise of this colour makes by chance",
-    "steady": "the best set has other numbers in one part of the recording than in the rest",
-    "steps": "what the model leaves is what the load cell's steps leave",
+    "chance": "the best set is no larger than what noise of this spectrum produces by chance",
+    "steady": "the parameters of the best set differ between parts of the recording",
+    "steps": "the residual of the model is that of the load cell's quantization",
 }
 """What each rule of `verdict` that takes a set back says."""
 
@@ -467,32 +469,32 @@ def _verdict(d: Diagnosis) -> str:
             return f"unknown: the best set of the actuator leaves {left} of the misfit"
         if search is not None and not search.best.members:
             return (
-                "unknown: no set earns its price, and the model alone leaves "
-                f"{count(search.excess_before + 1.0)} times the noise's power"
+                "unknown: no set is worth its price, but the model alone leaves "
+                f"{count(search.excess_before + 1.0)} times the noise power"
             )
         if search is not None:
             share = search.excess_after / max(search.excess_before, 1e-12)
             return (
-                f"unknown: the best set leaves {_percent(share)} of the misfit, where "
-                f"{_percent(allowed(left_of(search), POLICY))} may be the form of a law"
+                f"unknown: the best set leaves {_percent(share)} of the misfit, of which "
+                f"{_percent(allowed(left_of(search), POLICY))} may come from the form of a law"
             )
     turned = [TURNED[r.rule] for r in d.ledger]
     if d.verdict == "none" and search is not None and search.best.members and turned:
         return f"none: {turned[-1]}"
     return {
-        "none": "none: no set earns its price, and what the model alone leaves is noise",
-        "explained": "explained: one set is better than all others, and what it leaves is noise or "
-        "the form of its law",
-        "ambiguous": "ambiguous: several sets fit alike",
+        "none": "none: no set is worth its price, and the residual of the model alone is noise",
+        "explained": "explained: one set is better than all others, and its residual is noise or "
+        "comes from the form of its law",
+        "ambiguous": "ambiguous: several sets fit equally well",
     }.get(d.verdict, d.verdict)
 
 
 def _noise(believed: float, sheet: float | None, unit: str, coloured: bool) -> str:
     text = f"{quantity(believed, unit)} believed"
     if coloured:
-        text = f"of a colour of its own; were it white, {text}"
+        text = f"coloured; if it were white, {text}"
     if not sheet:
-        return f"{text}; the model states none"
+        return f"{text}; the model states no noise"
     return f"{text}, {quantity(sheet, unit)} stated"
 
 
@@ -506,16 +508,18 @@ def _facts_of_displacement(d: Diagnosis, disp: Displacement) -> list[tuple[str, 
         ("rows judged, actuator", f"{task.rows.size} of {d.case.t.size}"),
         (
             "misfit, actuator",
-            f"{count(disp.null.chi2 / task.rows.size)} times the noise's power before, "
+            f"{count(disp.null.chi2 / task.rows.size)} times the noise power before, "
             f"{count(fit.chi2 / task.rows.size)} after",
         ),
     ]
     if disp.scale > 1.0:
         rows.append(
-            ("evidence, actuator", f"divided by {count(disp.scale)}: its rows hang together")
+            ("evidence, actuator", f"divided by {count(disp.scale)}because its rows are correlated")
         )
     if fit.zero_m:
-        rows.append(("zero of the displacement", f"{quantity(fit.zero_m, 'm')} off the command's"))
+        rows.append(
+            ("zero of the displacement", f"{quantity(fit.zero_m, 'm')} from that of the command")
+        )
     return rows
 
 
@@ -526,21 +530,21 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
     if found.exact:
         motion = "simulated from the command, without noise"
     if search.moved:
-        motion = "simulated with each set, and held against the measured one"
-    looked = f", one in {problem.thin} of them looked at" if problem.thin > 1 else ""
+        motion = "simulated with each set and compared with the measured motion"
+    looked = f", using one in {problem.thin}" if problem.thin > 1 else ""
     rows = [
         ("noise of the force", _noise(found.sigma_n, model.f_std, "N", found.coloured)),
         ("motion", motion),
         ("rows judged, force", f"{int(found.rows.sum())} of {d.case.t.size}{looked}"),
         (
             "misfit, force",
-            f"{count(search.excess_before + 1.0)} times the noise's power before, "
+            f"{count(search.excess_before + 1.0)} times the noise power before, "
             f"{count(search.excess_after + 1.0)} after",
         ),
     ]
     if search.scale > 1.0:
         rows.append(
-            ("evidence, force", f"divided by {count(search.scale)}: its rows hang together")
+            ("evidence, force", f"divided by {count(search.scale)}because its rows are correlated")
         )
     fit = search.best if search.best.members and d.verdict != "unknown" else search.null
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
@@ -556,8 +560,9 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
         rows.append(
             (
                 "load cell against m a_meas",
-                f"{count(before)} times the noise's power beside the force that moves the body, "
-                f"{count(after)} with what is named: what is there is the load cell's own",
+                f"{count(before)} times the noise power beside the force that moves the body, "
+                f"{count(after)} with the effects named: the remainder comes from the load cell "
+                "itself",
             )
         )
     rows.append(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rthyb_rt.diagnose.outcome import Outcome
 
 KINDS: dict[str, str] = {
-    "sweep": "a sweep over frequency",
+    "sweep": "a frequency sweep",
     "random": "random motion",
     "multi_frequency": "several frequencies at once",
     "multi_amplitude": "one frequency at several amplitudes",
@@ -148,7 +148,7 @@ def loop_rows(answer: dict[str, Any]) -> list[tuple[str, str, str]]:
         before, after = loop["nrmse_before"], loop["nrmse_after"]
         texts = {k: f"{100 * before[k]:.3g} → {100 * after[k]:.3g} %" for k in before}
         rest = "; ".join(f"{LOOP_WORDS[k]} {v}" for k, v in texts.items() if k != "x_meas")
-        rows.append(("test simulated again, NRMSE", texts["x_meas"], rest))
+        rows.append(("repeated simulation, NRMSE", texts["x_meas"], rest))
     for name, word in (("alpha", "alpha recovered"), ("k_t_n_per_m", "k_t recovered")):
         found = answer.get("recovered", {}).get(name, {})
         if found.get("possible"):
@@ -158,7 +158,7 @@ def loop_rows(answer: dict[str, Any]) -> list[tuple[str, str, str]]:
                 (
                     word,
                     f"{found['median']:.4g} {found['unit']}",
-                    f"median; from {low:.4g} to {high:.4g}, in {share:.0f} % of the rows",
+                    f"median; from {low:.4g} to {high:.4g} in {share:.0f} % of the rows",
                 )
             )
         elif found:
@@ -169,9 +169,9 @@ def loop_rows(answer: dict[str, Any]) -> list[tuple[str, str, str]]:
 def heldout_lines(d: Diagnosis) -> list[str]:
     """Return what a second recording says of the answer, or how to have it judged by one."""
     after = (
-        "with what was found"
+        "with the effects found"
         if d.verdict in ("explained", "ambiguous")
-        else "with its numbers moved within tolerance"
+        else "with its parameters adjusted within tolerance"
     )
     out = []
     for key, word in (("force", "force"), ("disp", "displacement")):
@@ -179,11 +179,11 @@ def heldout_lines(d: Diagnosis) -> list[str]:
         if before is not None:
             now = d.fit.get(f"heldout_nrmse_after_{key}", float("nan"))
             out.append(
-                f"Held out: of the second recording's {word} the model as given misses "
-                f"{100 * before:.3g} %, {after} {100 * now:.3g} % (NRMSE)."
+                f"Held out: error in the second recording's {word}: {100 * before:.3g} % with the "
+                f"model as given, {100 * now:.3g} % {after} (NRMSE)."
             )
     if not out and d.verdict in ("explained", "ambiguous"):
-        out.append("Not judged by a second recording; --heldout FILE does that.")
+        out.append("Not validated on a second recording; use --heldout FILE for that.")
     return out
 
 
@@ -195,7 +195,7 @@ def unheld(d: Diagnosis, outcome: Outcome) -> list[str]:
     if not lost:
         return []
     names = " and ".join(called(n) for n in dict.fromkeys(lost))
-    return [f"A rig file cannot hold {names}: a test with augmented.toml runs without it."]
+    return [f"A rig file cannot represent {names}, so a test with augmented.toml runs without it."]
 
 
 def loop_notes(d: Diagnosis, answer: dict[str, Any]) -> list[str]:
@@ -211,9 +211,9 @@ def loop_notes(d: Diagnosis, answer: dict[str, Any]) -> list[str]:
         POLICY.loop_met, POLICY.loop_hardly * before
     ):
         out.append(
-            "With the loop closed, what was found does not bring the test back: its measured "
-            f"displacement is missed by {100 * before:.3g} % without it and by {100 * after:.3g} % "
-            "with it."
+            "With the loop closed, the effects found do not reproduce the test: the error of "
+            f"the measured displacement is {100 * before:.3g} % without them and "
+            f"{100 * after:.3g} % with them."
         )
     return out
 
@@ -300,9 +300,9 @@ def _difference(d: Diagnosis, signal: Floats | None) -> str:
     if len(channels) == 2:
         return "actuator and specimen both differ from the model"
     if d.channel == "disp":
-        return "the actuator moves otherwise than the model"
+        return "the actuator moves differently from the model"
     if "f_meas" not in d.case.channels:
-        return "the specimen resists otherwise than the model"
+        return "the specimen resists differently from the model"
     ctx = d.context
     if signal is not None and ctx is not None and np.std(signal) > 0:
         together = float(signal @ ctx.total) / (
@@ -314,13 +314,13 @@ def _difference(d: Diagnosis, signal: Floats | None) -> str:
             return "the load cell reads more than the model"
         if together < 0 and np.mean(~same) > POLICY.told_one_sided:
             return "the load cell reads less than the model"
-    return "the load cell reads otherwise than the model"
+    return "the load cell reads differently from the model"
 
 
 def _judged(d: Diagnosis) -> str:
     """Return what a verdict of nothing missing is silent of."""
     if d.force is None and d.disp is not None:
-        return "Of the specimen this says nothing: there is no force that could be judged."
+        return "There is no force to analyse, so this says nothing about the specimen."
     return ""
 
 
@@ -344,7 +344,7 @@ def sentence(d: Diagnosis, answer: dict[str, Any]) -> str:
     if d.verdict == "none":
         what = " in the actuator" if d.force is None else ""
         text = (
-            f"Nothing is missing{what}: model and recording agree inside the stated tolerances "
+            f"Nothing is missing{what}: model and recording agree within the stated tolerances "
             "and noise."
         )
         return f"{text} {_judged(d)}".rstrip()
@@ -355,14 +355,14 @@ def sentence(d: Diagnosis, answer: dict[str, Any]) -> str:
         text = (
             f"{lead}for x from {d.x_m[0] * 1e3:.3g} to {d.x_m[1] * 1e3:.3g} mm and v from "
             f"{d.v_m_s[0] * 1e3:.3g} to {d.v_m_s[1] * 1e3:.3g} mm/s, {sensor} differs from the "
-            "model by something that no known effect explains."
+            "model in a way that no known effect explains."
         )
         return text[:1].upper() + text[1:]
     if d.verdict == "ambiguous":
         sets = " or ".join(" with ".join(called(n) for n in s) for s in d.ambiguous_with)
         return (
-            f"Something is missing that this recording cannot tell apart: {sets}; each explains "
-            f"{sensor} equally well."
+            f"An effect is missing, but this recording cannot distinguish between {sets}; each "
+            f"explains {sensor} equally well."
         )
     by_name = {c.name: c for c in d.candidates}
     named = [by_name[n] for n in d.effects if n in by_name]

@@ -60,7 +60,7 @@ def read_columns(text: Text, units: str | None, channel: int | str | None) -> Sa
     names = _column_names(table)
     time_column, column = _choose_columns(text, table, names, channel)
     if table.values.shape[0] < 2:
-        raise text.error("holds one row; a record needs at least two", table.rows[0])
+        raise text.error("has one row; a record needs at least two", table.rows[0])
     header_unit = None
     if names:
         header_unit = _unit_of_name(names[column])
@@ -75,7 +75,7 @@ def read_columns(text: Text, units: str | None, channel: int | str | None) -> Sa
     in_milliseconds = any(_MILLISECONDS.search(line) for line in table.headers)
     times = table.values[:, time_column] * (1e-3 if in_milliseconds else 1.0)
     dt_s, start_s = time_step(
-        times, text, table.rows, "resample the record to equal intervals, or restore lost rows"
+        times, text, table.rows, "resample the record to equal intervals, or restore the lost rows"
     )
     details = {"first_time_s": f"{start_s:.9g}"}
     if table.headers:
@@ -108,10 +108,11 @@ def _read_table(text: Text) -> _Table:
             break
     if not rows:
         raise text.error(
-            "the format is not known: neither PEER AT2, COSMOS, CSMIP, K-NET nor columns of numbers"
+            "the format is not recognized: neither PEER AT2, COSMOS, CSMIP, K-NET nor columns "
+            "of numbers"
         )
     if len(rows) > MAX_POINTS:
-        raise text.error(f"holds {len(rows)} rows; at most {MAX_POINTS} are read")
+        raise text.error(f"holds {len(rows)} rows; at most {MAX_POINTS} are accepted")
     separator = _separator(text, rows)
     return _Table(headers, rows, separator, _read_rows(text, rows, separator))
 
@@ -132,7 +133,7 @@ def _separator(text: Text, rows: list[int]) -> str | None:
         by_other = re.split(r"[;\s]+", line.strip())
         if len(by_other) > 1 and any(_DECIMAL_COMMA.fullmatch(f) for f in by_other):
             raise text.error(
-                f"{clean(line, 60)!r} has decimal commas; write decimal points (0.02 instead of"
+                f"{clean(line, 60)!r} has decimal commas; use decimal points (0.02 instead of"
                 " 0,02)",
                 index,
             )
@@ -228,8 +229,8 @@ def _choose_columns(
         if len(others) == 1:
             return time_column, others[0]
         raise text.error(
-            f"the row has {width} columns, two are expected: time and acceleration; or choose the"
-            f" column of acceleration with `channel` ({clean(listed)})",
+            f"the row has {width} columns, but two are expected, time and acceleration; or choose "
+            f"the column of acceleration with `channel` ({clean(listed)})",
             first,
         )
     wanted = clean(str(channel), 40)

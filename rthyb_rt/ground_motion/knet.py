@@ -73,8 +73,8 @@ def read_knet(text: Text) -> Samples:
         # The header's duration is in whole seconds.
         if missing > rate:
             raise text.error(
-                f"the header says {duration:g} s at {rate:g} Hz, the file holds"
-                f" {values.size / rate:g} s: it is cut short; get the complete file"
+                f"the header says {duration:g} s at {rate:g} Hz, but the file has "
+                f"{values.size / rate:g} s: it is truncated; get the complete file"
             )
     mean = float(values.mean()) if values.size else 0.0
     gal = (values - mean) * (over / under)

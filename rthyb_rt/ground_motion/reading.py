@@ -76,7 +76,7 @@ def load(
         return builtin(str(name_or_path))
     if not _exists(name_or_path):
         raise InputError(
-            "no such file, and no built-in record of this name (built in:"
+            "no such file, and no built-in record of that name (built in:"
             f" {', '.join(BUILTIN)}); check the name and the folder",
             clean(str(name_or_path), 300),
         )
@@ -150,8 +150,8 @@ def read(
     samples = _READERS[chosen](text, wanted_unit, channel)
     if wanted_unit is not None and wanted_unit != samples.unit:
         raise text.error(
-            f"the file says {samples.unit} ({samples.unit_from}), `units` says {wanted_unit};"
-            " leave `units` out or correct the file's header"
+            f"the file says {samples.unit} ({samples.unit_from}), but `units` says {wanted_unit}; "
+            "omit `units` or correct the file's header"
         )
     acceleration, warnings = _checked(text, samples)
     details = {
@@ -176,7 +176,7 @@ def read(
 def _only_channel(text: Text, channel: int | str | None) -> None:
     """Refuse a choice of channel in a format that holds one."""
     if channel is not None and str(channel) != "1":
-        raise text.error(f"holds one component; leave channel {clean(str(channel), 40)!r} out")
+        raise text.error(f"has only one component; omit channel {clean(str(channel), 40)!r}")
 
 
 def _at2(text: Text, units: str | None, channel: int | str | None) -> Samples:
@@ -236,7 +236,7 @@ def _checked(text: Text, samples: Samples) -> tuple[FloatArray, list[str]]:
             " check the unit of time"
         )
     if samples.values.size < 2:
-        raise text.error("holds fewer than two points; a record needs at least two")
+        raise text.error("has fewer than two points; a record needs at least two")
     if samples.values.size > MAX_POINTS or samples.values.size * samples.dt_s > MAX_DURATION_S:
         raise text.error(
             f"lasts {samples.values.size * samples.dt_s:.6g} s ({samples.values.size} points); at"

@@ -42,7 +42,9 @@ class GroundMotion:
         """Take a read-only copy of the samples and check them."""
         samples = np.array(self.acceleration_mps2, dtype=np.float64)
         if samples.ndim != 1 or samples.size == 0 or not bool(np.isfinite(samples).all()):
-            raise ValueError("acceleration_mps2 must be a non-empty row of finite numbers")
+            raise ValueError(
+                "acceleration_mps2 must be a non-empty one-dimensional array of finite numbers"
+            )
         if not (math.isfinite(self.dt_s) and self.dt_s > 0.0):
             raise ValueError(f"dt_s must be finite and positive, not {self.dt_s}")
         samples.flags.writeable = False
@@ -86,18 +88,18 @@ class GroundMotion:
         if pga_g is not None:
             if not (math.isfinite(pga_g) and pga_g >= 0.0):
                 raise InputError(
-                    f"PGA {pga_g} g: a finite number >= 0 is needed", "ground_motion.pga_g"
+                    f"PGA {pga_g} g: must be a finite number >= 0", "ground_motion.pga_g"
                 )
             if self.pga_g == 0.0:
                 raise InputError(
-                    f"{self.name} has no motion (every value is 0) and cannot be scaled to"
-                    f" {pga_g} g; choose another record or part of it",
+                    f"{self.name} has no motion (every value is 0) and cannot be scaled to "
+                    f"{pga_g} g; choose another record or another part of it",
                     "ground_motion.pga_g",
                 )
             factor = pga_g / self.pga_g
         assert factor is not None
         if not math.isfinite(factor):
-            raise InputError(f"factor {factor}: a finite number is needed", "ground_motion.factor")
+            raise InputError(f"factor {factor}: must be a finite number", "ground_motion.factor")
         total = float(self.details.get("scale", "1")) * factor
         return self._changed(self.acceleration_mps2 * factor, scale=f"{total!r}")
 
@@ -119,7 +121,7 @@ class GroundMotion:
             )
         if not length > 0.0:
             raise InputError(
-                f"duration {length} s of {self.name}: more than 0 s is needed",
+                f"duration {length} s of {self.name}: must be more than 0 s",
                 "ground_motion.duration_s",
             )
         # An instant within a millionth of an interval of a sample is that sample.
@@ -128,8 +130,8 @@ class GroundMotion:
         last = math.ceil(ends - 1e-6)
         if last <= first:
             raise InputError(
-                f"no sample of {self.name} lies in {length} s from {start_s} s on"
-                f" (interval {self.dt_s:g} s); choose a longer part",
+                f"no sample of {self.name} lies in {length} s starting at {start_s} s (interval "
+                f"{self.dt_s:g} s); choose a longer part",
                 "ground_motion.duration_s",
             )
         if (first, last) == (0, size):
@@ -145,7 +147,7 @@ class GroundMotion:
         """
         if not (math.isfinite(free_vibration_s) and free_vibration_s >= 0.0):
             raise InputError(
-                f"{free_vibration_s} s of free vibration: a finite number >= 0 is needed",
+                f"{free_vibration_s} s of free vibration: must be a finite number >= 0",
                 "test.free_vibration_s",
             )
         zeros = np.zeros(math.ceil(free_vibration_s / self.dt_s - 1e-6))

@@ -25,7 +25,7 @@ _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?", re.ASCII)
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _LINE_END = re.compile(r"\r\n|\n|\r")
 _BINARY_STARTS = {
-    b"PK\x03\x04": "a ZIP archive: unpack it and name the file inside",
+    b"PK\x03\x04": "a ZIP archive: unpack it and give the file inside",
     b"\x1f\x8b": "a gzip file: unpack it first",
     b"MATLAB 5.0": "a MATLAB file: export time and acceleration as text",
     b"\x89HDF": "an HDF5 file: export time and acceleration as text",
@@ -73,7 +73,7 @@ def load_text(path: str | PathLike[str]) -> Text:
     try:
         info = Path(path).stat()
         if not stat.S_ISREG(info.st_mode):
-            raise InputError("is not a file; name a ground-motion file", name)
+            raise InputError("is not a file; give a ground-motion file", name)
         with Path(path).open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
@@ -83,7 +83,8 @@ def load_text(path: str | PathLike[str]) -> Text:
         raise InputError(f"cannot be read ({reason})", name) from None
     if len(data) > MAX_BYTES:
         raise InputError(
-            f"is larger than {MAX_BYTES // 2**20} MiB; cut out the part and the channel needed",
+            f"is larger than {MAX_BYTES // 2**20} MiB; cut out the part and the channel that are "
+            "needed",
             name,
         )
     text, encoding = _decode(data, name)
@@ -165,13 +166,13 @@ def not_a_number(token: str) -> str:
     shown = clean(token, 40)
     if _NOT_FINITE.fullmatch(shown) or parse_float(shown) is not None:
         return (
-            f"the value is {shown}; every value of a record must be finite: repair or cut the"
-            " record, it is not filled in here"
+            f"the value is {shown}; every value of a record must be finite: repair or cut the "
+            "record, gaps are not filled in"
         )
     if shown and set(shown) == {"*"}:
-        return f"{shown} stands for a number too large for its field; get a complete file"
+        return f"{shown} marks a number too large for its field; get a complete file"
     if re.fullmatch(r"[+-]?\d+,\d+", shown):
-        return f"{shown!r} has a decimal comma; write decimal points"
+        return f"{shown!r} has a decimal comma; use decimal points"
     return f"{shown!r} is not a number"
 
 
@@ -201,7 +202,7 @@ def read_block(
         InputError: a value that is no finite number, or more or fewer values than ``count``.
     """
     if count > MAX_POINTS:
-        raise text.error(f"{said} {count} points; at most {MAX_POINTS} are read", first - 1)
+        raise text.error(f"{said} {count} points; at most {MAX_POINTS} are accepted", first - 1)
     last = first
     while last < len(text.lines) and not _is_words(text.lines[last]):
         last += 1
@@ -236,7 +237,7 @@ def _read_fields(
         line = text.lines[index]
         if len(line) > 100_000:
             raise text.error(
-                "the line is longer than any of this format; the file is damaged", index
+                "the line is longer than this format allows; the file is damaged", index
             )
         for field in _fields(line, columns, width, count - len(values)):
             value = parse_float(field)
@@ -251,13 +252,13 @@ def _read_fields(
     if len(values) < count:
         ended = f" ({clean(text.lines[last], 40)!r} follows)" if last < len(text.lines) else ""
         raise text.error(
-            f"{said} {count} points, the file holds {len(values)}{ended}: it is cut short or the"
-            " header is wrong; get the complete file",
+            f"{said} {count} points, but the file has {len(values)}{ended}: it is truncated or the "
+            "header is wrong; get the complete file",
             min(last, len(text.lines) - 1),
         )
     if len(values) > count:
         raise text.error(
-            f"{said} {count} points, the file holds {len(values)}; correct the header or get the"
+            f"{said} {count} points, but the file has {len(values)}; correct the header or get the"
             " original file"
         )
     return np.array(values)
@@ -302,8 +303,8 @@ def time_step(
         k = int(np.argmax(steps <= 0.0)) + 1
         word = "repeats" if steps[k - 1] == 0.0 else "goes back"
         raise text.error(
-            f"time {word}: {times_s[k]:.9g} s after {times_s[k - 1]:.9g} s; times must increase"
-            " by one interval from row to row",
+            f"time {word}: {times_s[k]:.9g} s after {times_s[k - 1]:.9g} s; times must increase "
+            "by a constant interval from row to row",
             rows[k],
         )
     count = times_s.size - 1

@@ -48,7 +48,7 @@ def rig_config(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRigConfig:
 def _state_space(plant: Plant, axes: int) -> StateSpace:
     if plant.a is None or plant.b is None or plant.c is None:
         raise InputError(
-            "the file was not read; load the rig file from where it stands", "plant.file"
+            "the file was not read; load the rig file from its own folder", "plant.file"
         )
     return StateSpace(
         np.array(plant.a), np.array(plant.b), np.array(plant.c), (plant.stroke_m,) * axes

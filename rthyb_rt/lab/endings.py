@@ -28,7 +28,7 @@ WORDS: Final[dict[str, str]] = {
     "heartbeat": "the program was silent for a second",
     "not_arrived": "the command came no closer to the end of its path for 10 s; check its "
     "velocity and acceleration limits, and the compensator",
-    "apart": "the drives' sample counts came apart",
+    "apart": "the drives' sample counts drifted apart",
     "no_pose": "the displacements of the axes fit no position of the specimen",
 }
 _STOPPED: Final = "has stopped by itself, and may have to be released at its panel."
@@ -133,7 +133,7 @@ def _unusable(samples: NDArray[np.void]) -> str:
             "check the sensors of displacement and force"
         )
     return (
-        f"Readings came, but for {_LOST_TICKS} ticks no usable pair{_as_it_came(last[whole])}: "
+        f"Readings arrived, but no usable pair for {_LOST_TICKS} ticks{_as_it_came(last[whole])}: "
         f"{why} and its plug. The drive {_STOPPED}"
     )
 

@@ -204,8 +204,8 @@ def refuse_long(lasts_s: float, rate_hz: float, slow: float) -> None:
     if slow > 1.0 and lasts_s * slow * rate_hz > histories.MOST_SAMPLES:
         raise InputError(
             f"found {slow:g}; {lasts_s:.6g} s of the structure are {lasts_s * slow:.6g} s in the "
-            f"laboratory, {lasts_s * slow * rate_hz:.0f} samples at {rate_hz:g} Hz; allowed are "
-            f"{histories.MOST_SAMPLES}: a time scale up to "
+            f"laboratory, {lasts_s * slow * rate_hz:.0f} samples at {rate_hz:g} Hz; at most "
+            f"{histories.MOST_SAMPLES} are allowed: a time scale of up to "
             f"{histories.MOST_SAMPLES / (lasts_s * rate_hz):.3g}, a shorter test, or a lower "
             "test.sample_rate_hz",
             "test.time_scale",
@@ -293,8 +293,8 @@ def _refuse_beyond(setup: Setup) -> None:
     problems = [
         Problem(
             "history",
-            f"found a peak of {peak:.4g} {unit}; limits.{key} = {most:g} {unit}: make the history "
-            "smaller or slower"
+            f"found a peak of {peak:.4g} {unit}; limits.{key} = {most:g} {unit}: reduce the "
+            "amplitude or the speed of the history"
             + (f" (test.time_scale is {slow:g})" if key != "command_position_m" else ""),
         )
         for key, most, peak, unit in bounds
@@ -308,8 +308,8 @@ def refuse_other_rate(test: TestFile) -> None:
     hz = test.test.sample_rate_hz
     if hz != core.FS_HZ:
         raise InputError(
-            f"found {hz:g} Hz; a test in real time goes at {core.FS_HZ:g} Hz, and other rates are "
-            "for virtual time; leave the key out (or --set test.sample_rate_hz="
+            f"found {hz:g} Hz; a test in real time runs at {core.FS_HZ:g} Hz, and other rates are "
+            "for virtual time; remove the key (or --set test.sample_rate_hz="
             f"{core.FS_HZ:g}), or run it without --realtime",
             "test.sample_rate_hz",
         )
@@ -339,9 +339,9 @@ def refuse_python(test: TestFile, elements: Sequence[Any]) -> None:
         raise InputError(
             Problem(
                 where,
-                "is a class in Python, which now and then takes longer than a sampling period "
-                "(collecting garbage, waiting for its lock), so that a test in real time must not "
-                f"wait for it; it runs in virtual time; in real time take {instead}",
+                "is a class in Python, which occasionally takes longer than a sampling period "
+                "(garbage collection, the interpreter lock), so a test in real time cannot "
+                f"depend on it; it runs in virtual time; in real time use {instead}",
             )
             for where, instead in found
         )
@@ -393,8 +393,8 @@ def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
         if reach is not None and peak >= reach:
             notes.append(
                 f"sensors.{key} = {reach * factor:g} {unit} is less than the peak of "
-                f"{peak * factor:.3g} {unit} that the reference simulation brings: samples beyond "
-                "it are lost; take a sensor of longer range, or less ground motion"
+                f"{peak * factor:.3g} {unit} in the reference simulation: samples beyond the "
+                "range are lost; use a sensor with a longer range, or scale the ground motion down"
             )
     return notes
 
@@ -405,10 +405,10 @@ def derived_notes(limits: limits_file.Resolved) -> list[str]:
     if velocity is None:
         return []
     return [
-        "neither test nor rig has limits.command_velocity_m_per_s: at a link the command is held "
-        f"to {velocity.value:.3g} m/s, {limits_file.VELOCITY_MARGIN:g} times the peak velocity of "
-        "the compensated reference, and twice the velocity of ramps at least; set it in the rig "
-        "file"
+        "neither test nor rig has limits.command_velocity_m_per_s: over a link the command is "
+        f"limited to {velocity.value:.3g} m/s, {limits_file.VELOCITY_MARGIN:g} times the peak "
+        "velocity of the compensated reference and at least twice the velocity of ramps; set it "
+        "in the rig file"
     ]
 
 
@@ -431,9 +431,9 @@ def refuse_slow(structure: Structure | SparseStructure | OwnStructure | None) ->
     if taken_s > most_s:
         raise InputError(
             f"a step of the structure takes {taken_s * 1e6:.0f} us on this computer (median of "
-            f"200, {part.size} degrees of freedom, {len(part.joints)} elements); allowed in real "
-            f"time are {most_s * 1e6:.0f} us, half of the sampling period: condense what has no "
-            "mass, take a coarser model, or run it in virtual time",
+            f"200, {part.size} degrees of freedom, {len(part.joints)} elements); in real time at "
+            f"most {most_s * 1e6:.0f} us is allowed, half of the sampling period: condense "
+            "degrees of freedom without mass, use a coarser model, or run it in virtual time",
             "numerical",
         )
 
@@ -605,7 +605,7 @@ def extra_channels(rig: RigFile) -> tuple[core.Channel, ...]:
     for i, one in enumerate(rig.sensors.extra):
         if one.name in taken:
             raise InputError(
-                f'found "{one.name}", which every recording has already; take another name',
+                f'found "{one.name}", which is a name in every recording; choose another name',
                 f"sensors.extra.{i}.name",
             )
     return tuple(core.Channel(one.name, one.unit) for one in rig.sensors.extra)

@@ -89,7 +89,7 @@ def plan(
         rate_hz: samples a second.
         acceleration_m_per_s2: of the laboratory, for ways that are told by their velocity and say
             no acceleration themselves.
-        time_scale: seconds of the laboratory for one of the history.
+        time_scale: seconds in the laboratory per second of the history.
 
     Raises:
         InputError: it has more than `MOST_SAMPLES` samples, or frequencies that are too high for
@@ -102,8 +102,9 @@ def plan(
     count = lasts_s * own_hz + REST_S * rate_hz
     if count > MOST_SAMPLES:
         raise InputError(
-            f"the history has {lasts_s * time_scale:.6g} s, {count:.0f} samples at {rate_hz:g} Hz; "
-            f"allowed are {MOST_SAMPLES}; shorten it, make it faster, or lower test.sample_rate_hz",
+            f"the history has {lasts_s * time_scale:.6g} s, {count:.0f} samples at {rate_hz:g} "
+            f"Hz; at most {MOST_SAMPLES} are allowed; shorten it, make it faster, or lower "
+            "test.sample_rate_hz",
             "history",
         )
     if isinstance(given, CyclicHistory):
@@ -124,7 +125,7 @@ def _check_frequency(given: History, own_hz: float) -> None:
     for key, value in found:
         if value > own_hz / 8.0:
             raise InputError(
-                f"found {value:g} Hz; at most {own_hz / 8.0:g} Hz are allowed, eight samples a "
+                f"found {value:g} Hz; at most {own_hz / 8.0:g} Hz is allowed, eight samples per "
                 "period; lower it, or raise test.sample_rate_hz or test.time_scale",
                 f"history.{key}",
             )
@@ -252,7 +253,7 @@ def _noise(given: RandomHistory, own_hz: float) -> Floats:
     if last < first:
         raise InputError(
             f"found {given.from_hz:g} to {given.to_hz:g} Hz, between which {given.duration_s:g} s "
-            "of noise have no line; lengthen history.duration_s or widen the band",
+            "of noise has no spectral line; lengthen history.duration_s or widen the band",
             "history.to_hz",
         )
     spectrum = np.zeros(t.size // 2 + 1, np.complex128)

@@ -390,14 +390,14 @@ class Verdict:
 
 
 def judge(results: Sequence[Result], facts: Mapping[str, Any]) -> Verdict:
-    """Hold the runs against the criterion."""
+    """Hold the has the opposite sign to the criterion."""
     faults = tuple(_faults(results))
     ticks = min(result.measured.counts.elapsed for result in results)
     length = f"{ticks / core.FS_HZ:.0f} s" if ticks >= core.FS_HZ else f"{ticks} ticks"
     worst = max(results, key=lambda result: result.late_ns)
     if not faults:
         sentence = (
-            f"This PC is fit for 1024 Hz as far as {len(results)} runs of {length} can tell: no "
+            f"This PC is fit for 1024 Hz, as far as {len(results)} runs of {length} can show: no "
             f"tick was skipped and {FIT_PERCENT} % of the commands were sent within "
             f"{worst.late_ns / 1e3:.0f} µs."
         )
@@ -451,7 +451,7 @@ def _remedies(results: Sequence[Result], facts: Mapping[str, Any]) -> Iterator[t
             "on Debian: apt install linux-image-rt-amd64, then boot it",
         )
     if (facts["cpus"] or 1) < 2:
-        yield "a second processor core", "the tick thread wants one of its own"
+        yield "a second processor core", "the tick thread needs one of its own"
     else:
         yield from _core_of_its_own(facts)
     if facts["governor"] not in (None, "performance"):
@@ -466,7 +466,10 @@ def _remedies(results: Sequence[Result], facts: Mapping[str, Any]) -> Iterator[t
             'KERNEL=="cpu_dma_latency", GROUP="rthyb", MODE="0660"',
         )
     if facts["load_1_min"] > 0.5 * (facts["cpus"] or 1):
-        yield "other load", f"load average {facts['load_1_min']:g}: stop what need not run"
+        yield (
+            "other load",
+            f"load average {facts['load_1_min']:g}: stop programs that are not needed",
+        )
 
 
 def _core_of_its_own(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

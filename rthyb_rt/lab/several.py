@@ -109,7 +109,7 @@ def prepare(
         CoupledRig(group.virtual_rig)
     except core.CoreError as error:
         raise InputError(
-            f"{error}; look at the largest and smallest values of both files",
+            f"{error}; check the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
     return setup
@@ -118,13 +118,13 @@ def prepare(
 def _refuse_what_is_of_one(test: TestFile) -> None:
     if test.history is not None:
         raise InputError(
-            "found a history, which prescribes one displacement; a rig of several axes takes "
-            "hybrid tests",
+            "found a history, which prescribes a single displacement; a rig with several axes "
+            "supports only hybrid tests",
             "history",
         )
     if test.test.time_scale != 1.0:
         raise InputError(
-            f"found {test.test.time_scale:g}; a test on a rig of several axes goes at 1",
+            f"found {test.test.time_scale:g}; on a rig with several axes it must be 1",
             "test.time_scale",
         )
 
@@ -167,7 +167,7 @@ def _range_notes(group: Group) -> list[str]:
             if reach is not None and peak >= reach:
                 notes.append(
                     f"axis {axis.name}: sensors.{what} = {reach * factor:g} {unit} is less than "
-                    f"the peak of {peak * factor:.3g} {unit} that the reference simulation brings"
+                    f"the peak of {peak * factor:.3g} {unit} in the reference simulation"
                 )
     return notes
 

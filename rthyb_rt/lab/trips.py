@@ -33,9 +33,9 @@ _WATCHED: Final[dict[str, _Watched]] = {
     "tracking": _Watched("tracking error", "mm", 1e3),
     "indicator": _Watched("slope of the tracking indicator", "mm²/s", 1e6),
     "energy": _Watched("energy error", "J", 1.0),
-    "sensor_stuck": _Watched("the displacement stood still for", "samples", 1.0),
+    "sensor_stuck": _Watched("the displacement was frozen for", "samples", 1.0),
     "sensor_jump": _Watched("the displacement jumped by", "mm", 1e3),
-    "force_stuck": _Watched("the force stood still for", "samples", 1.0),
+    "force_stuck": _Watched("the force was frozen for", "samples", 1.0),
     "force_jump": _Watched("the force jumped by", "kN", 1e-3),
     "rig_position": _Watched("command before the tare", "mm", 1e3),
     "rig_force": _Watched("force before the tare", "kN", 1e-3),
@@ -186,8 +186,8 @@ def sentence(met: Met, given: Setup) -> str:
         given: of the test.
 
     Returns:
-        Such as "force 15.0 kN (limit 15 kN) at 3.1 s; without compensation this structure survives
-        3.3 samples of delay, the rig has 17"; "" where there are no figures.
+        Such as "force 15.0 kN (limit 15 kN) at 3.1 s; without compensation this structure remains
+        stable up to a delay of 3.3 samples; the rig has 17"; "" where there are no figures.
     """
     told = figures(met.cause, met.value, met.limit)
     if not told:
@@ -204,19 +204,19 @@ def _known(met: Met, given: Setup) -> str:
     if peak is not None and peak > met.limit:
         watched = _WATCHED[met.cause]
         reached = f"{number(peak * watched.factor)} {watched.unit}"
-        return f"already the reference simulation reaches {reached}"
+        return f"even the reference simulation reaches {reached}"
     critical, delay = given.critical_delay_samples, given.alpha_identified
     if critical is None or delay is None or np.isinf(critical):
         return ""
     if not given.plc_enabled:
         helped = " phase lead" if given.rfc_enabled else " compensation"
         return (
-            f"without{helped} this structure survives {_samples(critical)} of delay, the rig has "
-            f"{delay:.3g}"
+            f"without{helped} this structure remains stable up to a delay of "
+            f"{_samples(critical)}; the rig has {delay:.3g}"
         )
-    stood = "" if np.isnan(met.alpha) else f", alpha stood at {met.alpha:.3g}"
+    stood = "" if np.isnan(met.alpha) else f", alpha was at {met.alpha:.3g}"
     return (
-        f"this structure survives an error of {_samples(critical)} in alpha; the rig's delay is "
+        f"this structure tolerates an error of {_samples(critical)} in alpha; the rig's delay is "
         f"{delay:.3g}{stood}"
     )
 

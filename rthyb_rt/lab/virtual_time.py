@@ -155,7 +155,7 @@ class Bench:
         return RthybError(
             "the virtual rig is not at rest: its displacement moves by more than "
             f"{self.config.rest_spread_m * 1e3:.3g} mm (limits.rest_spread_m) during the tare; "
-            "raise that, or lower the noise of sensors.displacement"
+            "raise that limit, or reduce the noise of sensors.displacement"
         )
 
     def _tick(self, ticks: int, command: core.Command) -> None:

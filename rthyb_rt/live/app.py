@@ -166,10 +166,12 @@ class Commander:
             raise RthybError(f"there is no command {name[:20]!r}")
         if opened < needs:
             raise RthybError(
-                f"{name} takes the operator's address of this page: rthyb live --operator"
+                f"{name} needs the operator's address of this page: rthyb live --operator"
             )
         if self._socket is None:
-            raise RthybError("no service is behind this page: only rthyb serve takes commands")
+            raise RthybError(
+                "there is no service behind this page: only rthyb serve accepts commands"
+            )
         return await asyncio.to_thread(self._give, self._socket, name, digest)
 
     def _give(self, socket: Path, name: str, digest: str) -> str:
@@ -188,7 +190,7 @@ class Commander:
 
 _DONE: Final = {
     "hold": "Held",
-    "stop": "Told to stop",
+    "stop": "Stop sent",
     "zero": "Zeroing",
     "start": "Started",
     "resume": "Resumed",
@@ -251,9 +253,9 @@ class Page:
         try:
             said = json.loads(text)
         except RecursionError as error:
-            raise ValueError("no message of the page") from error
+            raise ValueError("not a message of the page") from error
         if not isinstance(said, dict):
-            raise ValueError("a message is an object")
+            raise ValueError("a message must be an object")
         if "view" in said:
             self._framer.show(said["view"])
             # Not with the next beat only: whoever drags a window sees it move.
@@ -261,7 +263,7 @@ class Page:
         elif isinstance(said.get("command"), str):
             await self._command(said["command"], str(said.get("digest", "")))
         else:
-            raise ValueError("neither view nor command")
+            raise ValueError("neither a view nor a command")
 
     async def _command(self, name: str, digest: str) -> None:
         try:

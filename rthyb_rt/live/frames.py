@@ -71,7 +71,7 @@ def view_of(asked: Any, fs_hz: float) -> View:
         ValueError: it is none.
     """
     if not isinstance(asked, dict):
-        raise ValueError("a view is an object")
+        raise ValueError("a view must be an object")
     wide = round(_number(asked, "columns", *COLUMNS))
     axis = round(_number({"axis": 0, **asked}, "axis", 0, AXES_MAX - 1))
     if asked.get("follow") is True:
@@ -85,7 +85,7 @@ def _number(asked: dict[str, Any], name: str, least: float, most: float) -> floa
     value: Any = asked.get(name)
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not is_number or not least <= value <= most:
-        raise ValueError(f"{name}: found {value!r}, allowed is {least:g} to {most:g}")
+        raise ValueError(f"{name}: found {value!r}; allowed is {least:g} to {most:g}")
     return float(value)
 
 

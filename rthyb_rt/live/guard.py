@@ -101,13 +101,13 @@ class Guard:
             found.setdefault(name.lower(), []).append(value.decode("latin-1"))
         hosts, origins = found.get(b"host", []), found.get(b"origin", [])
         if len(hosts) != 1 or not _HOST.fullmatch(hosts[0]):
-            return "The live view answers to 127.0.0.1 and localhost alone."
+            return "The live view answers only at 127.0.0.1 and localhost."
         own = f"http://{hosts[0]}"
         if any(origin != own for origin in origins):
-            return "Only the page of the live view itself may ask."
+            return "Only the page of the live view itself may send requests."
         # Each browser says where a socket's page is from.
         if scope["type"] == "websocket" and len(origins) != 1:
-            return "A socket must say of which page it is."
+            return "A socket must name the page it belongs to."
         return None
 
 
@@ -116,7 +116,7 @@ async def _turn_away(scope: Scope, receive: Receive, send: Send, why: str) -> No
         await receive()
         await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": why})
         return
-    body = f"rthyb live: {why} Take the address that rthyb live has printed.\n".encode()
+    body = f"rthyb live: {why} Use the address printed by rthyb live.\n".encode()
     # Whoever has no business here keeps no place either.
     headers = [
         (b"content-type", b"text/plain; charset=utf-8"),

@@ -167,6 +167,6 @@ def _listen(port: int) -> socket.socket:
     try:
         return socket.create_server((LOOPBACK, port))
     except OSError as error:
-        hint = "take another one with --port, or --port 0 for any"
-        why = "is taken" if error.errno == errno.EADDRINUSE else f"is not to be had ({error})"
+        hint = "choose another one with --port, or --port 0 for any free port"
+        why = "is taken" if error.errno == errno.EADDRINUSE else f"is not available ({error})"
         raise RthybError(f"port {port} of {LOOPBACK} {why}; {hint}") from error

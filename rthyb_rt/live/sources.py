@@ -104,8 +104,8 @@ def _of_user(service: Path) -> Source:
     if ring.find(folder):
         return LiveSource(folder, None)
     raise InputError(
-        f"no service answers at {service} and {folder} has no ring of a test; start rthyb serve or "
-        "rthyb run --realtime, or give a recording"
+        f"no service answers at {service} and there is no ring of a test in {folder}; start rthyb "
+        "serve or rthyb run --realtime, or give a recording"
     )
 
 
@@ -598,7 +598,7 @@ def _recorder(found: dict[str, Any]) -> Iterable[dict[str, Any]]:
         yield _counter("Recorder", "none")
         return
     if not found["alive"] or found["fault"]:
-        yield _counter("Recorder", found.get("fault") or "no sign of life", True)
+        yield _counter("Recorder", found.get("fault") or "does not respond", True)
         return
     lost = sum(last - first + 1 for first, last in found["missing_rows"])
     yield _counter("Recorded", found["rows"] if found["run_id"] else "ready")
@@ -648,7 +648,7 @@ class PastSource:
         samples = rec.samples
         self.socket: Path | None = None
         if not samples.size:
-            raise InputError("the recording has no row: there is nothing to show")
+            raise InputError("the recording has no rows, so there is nothing to show")
         self.fs_hz = rec.fs_hz
         self.history = History(samples.size)
         at = _positions(samples["tick"])

@@ -495,7 +495,7 @@ def read(path: str | Path, *, rows: bool = True) -> Recording:
 
     path = Path(path)
     if not path.is_file():
-        found = "is no regular file" if path.exists() else "does not exist"
+        found = "is not a regular file" if path.exists() else "does not exist"
         found = "is a folder" if path.is_dir() else found
         raise InputError(f"{found}; give the {FILE_NAME} of a run", str(path))
     if not os.access(path, os.R_OK):
@@ -513,13 +513,13 @@ def _why_unreadable(path: Path, error: Exception) -> str:
     with path.open("rb") as file:
         signature = file.read(8)
     if not signature:
-        return "the file is empty; the run that wrote it did not get to its end"
+        return "the file is empty; the run that wrote it did not finish"
     if signature != b"\x89HDF\r\n\x1a\n":
-        return "not an HDF5 file, so no recording; give the recording.h5 of a run"
+        return "not an HDF5 file and therefore not a recording; give the recording.h5 of a run"
     if "truncated" in str(error):
-        return "the file is truncated; the copy or the disk is faulty, copy it again"
+        return "the file is truncated; copy it again, and check the disk"
     detail = str(error).strip("'\"").splitlines()[0] if str(error) else type(error).__name__
-    return f"the file is damaged ({detail}); copy it again or take another run"
+    return f"the file is damaged ({detail}); copy it again or use another run"
 
 
 def _load(file: Any, where: str, rows: bool) -> Recording:
@@ -580,7 +580,7 @@ def _version(file: Any, where: str) -> int:
     schema = plain(file.attrs.get("schema"))
     if not isinstance(schema, str) or not schema.startswith(_SCHEMAS):
         raise InputError(
-            "an HDF5 file, but no recording: the attribute 'schema' "
+            "an HDF5 file, but not a recording: the attribute 'schema' "
             + (f"is {schema!r}" if schema is not None else "is missing")
             + f", allowed is {SCHEMA!r}",
             where,

@@ -64,11 +64,11 @@ class OtherVersionError(InputError):
 
 _REFUSED: Final[dict[int, str]] = {
     lib.RTHYB_RING_FOREIGN: "not a telemetry ring; give a file ring.* of a real-time test",
-    lib.RTHYB_RING_UNFINISHED: "the ring was not set up to its end, so no tick was ever recorded",
-    lib.RTHYB_RING_OTHER_RECORD: f"the records are of another size; {_OTHER_VERSION}",
+    lib.RTHYB_RING_UNFINISHED: "the ring was not completely set up, so no tick was ever recorded",
+    lib.RTHYB_RING_OTHER_RECORD: f"the records have a different size; {_OTHER_VERSION}",
     lib.RTHYB_RING_TRUNCATED: "the file is truncated; copy it again",
-    lib.RTHYB_RING_DAMAGED: "the header is damaged: its sizes contradict one another; copy the "
-    "ring again",
+    lib.RTHYB_RING_DAMAGED: "the header is damaged: its sizes are inconsistent; copy the ring "
+    "again",
 }
 
 
@@ -107,7 +107,7 @@ def claim(folder: Path) -> Path:
 
 def _not_made(folder: Path, error: OSError) -> RthybError:
     return RthybError(
-        f"no telemetry ring can be made here ({error.strerror or error}); "
+        f"no telemetry ring can be created here ({error.strerror or error}); "
         "check the folder's permissions",
         where=str(folder),
     )
@@ -130,15 +130,18 @@ def trusted(folder: Path) -> Path:
     if not around.st_mode & stat.S_IWOTH:
         return folder
     if not stat.S_ISDIR(found.st_mode):
-        why = "is no folder but something that leads elsewhere; look what it is, and remove it"
+        why = "is not a folder but a link; check what it is, and remove it"
     elif found.st_uid != os.geteuid():
-        why = f"belongs to user {found.st_uid}, not to user {os.geteuid()}; have it removed"
+        why = (
+            f"belongs to user {found.st_uid}, not to user {os.geteuid()}; ask that user or an "
+            "administrator to remove it"
+        )
     elif found.st_mode & 0o077:
         why = f"has the mode {found.st_mode & 0o777:o}; chmod 700 {folder}"
     else:
         return folder
     raise RthybError(
-        f"everybody may write in {folder.parent}, and this {why}, or set XDG_RUNTIME_DIR",
+        f"everyone may write in {folder.parent}, and this {why}, or set XDG_RUNTIME_DIR",
         where=str(folder),
     )
 
@@ -346,7 +349,7 @@ def _take_memory(fd: int, path: Path, size: int) -> mmap.mmap:
         raise RthybError(
             f"no room for the telemetry ring ({error.strerror or error}): "
             f"{size / 1e6:.1f} MB needed, {free.f_bavail * free.f_frsize / 1e6:.1f} MB free; "
-            "delete the rings of tests that are recovered (ring.*)",
+            "delete the rings of tests that have been recovered (ring.*)",
             where=str(path.parent),
         ) from error
 
@@ -488,7 +491,7 @@ def _open(path: Path) -> int:
         return os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError as error:
         raise InputError(
-            f"cannot be opened ({error.strerror}); its owner and its group may read it",
+            f"cannot be opened ({error.strerror}); only its owner and its group may read it",
             str(path),
         ) from error
 
@@ -508,7 +511,7 @@ def _about(memory: mmap.mmap, path: Path, refused: int) -> tuple[dict[str, Any],
             str(path),
         )
     if not about:
-        raise InputError(f"the ring is damaged in its description; {_OTHER_VERSION}", str(path))
+        raise InputError(f"the description in the ring is damaged; {_OTHER_VERSION}", str(path))
     header = ffi.from_buffer("rthyb_ring_header *", memory)
     row_bytes = int(header.record_bytes)
     ffi.release(header)
@@ -585,7 +588,7 @@ def look(path: Path) -> Sight:
                 ticks=0 if newest is None else int(newest["tick"]) + 1,
                 state="" if newest is None else STATES[newest["state"]],
                 alive=reader.alive,
-                fault="" if newest is not None else "its process has not come to a first tick",
+                fault="" if newest is not None else "its process has not reached its first tick",
             )
     except InputError as error:
         return Sight(path, fault=error.problems[0].message)
@@ -670,7 +673,8 @@ def _session(ring: Path) -> Recording:
     path = session_path(ring)
     if not path.is_file():
         raise InputError(
-            f"the session file {path.name} is not beside the ring; copy both together", str(ring)
+            f"the session file {path.name} is not beside the ring; copy both to the same folder",
+            str(ring),
         )
     return recording.read(path)
 

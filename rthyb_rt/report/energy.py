@@ -54,8 +54,8 @@ def balance(rec: Recording, summary: Summary) -> draw.Plate:
         draw.x_label(axes, "time, s")
         fed = quantity(float(found.fed_j[-1]), "J")
         note = (
-            "Lost in the computed damping and in the specimen, stored as strain and motion: the "
-            f"layers fill what was put in. The tracking error has fed {fed} in the end; "
-            f"{percent(found.gap)} is left unexplained at most."
+            "Lost in the damping of the numerical part and in the specimen, stored as strain "
+            f"and motion: the layers fill what was put in. The tracking error has fed {fed} in "
+            f"the end; {percent(found.gap)} is left unexplained at most."
         )
         return paper.plate(TITLE, note)

@@ -71,7 +71,7 @@ def transfer(rec: Recording, summary: Summary) -> draw.Plate:
         step = tracking.frequency_hz[0]
         note = (
             f"Welch's average of {tracking.segments} segments, {number(step)} Hz apart; gain and "
-            f"delay where the coherence is {SURE:g} or more. Dashed: a specimen that follows."
+            f"delay where the coherence is {SURE:g} or more. Dashed: perfect tracking."
         )
         return paper.plate(title, note)
 

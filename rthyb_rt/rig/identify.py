@@ -6,8 +6,8 @@ with whole cycles and the noise spread over thousands of samples, delay comes ou
 of a sample.
 
 The rig is a virtual one, in virtual time, or what is at the other end of a link. Either way the
-sweep goes through the station under the limits of the rig file, and rows without a reading of their
-own are left out of every fit.
+sweep goes through the station under the limits of the rig file, and rows without a new
+reading are left out of every fit.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ class Result:
         notes: what the user should know.
         link_delay_samples: what the link has of the delay, by the drive's echo; None where that is
             not known, or where there is no link.
-        left_out: rows of the sweep without a reading of their own.
+        left_out: rows of the sweep without a new reading.
         recording: the sweep itself; of one axis among several, None.
     """
 
@@ -394,11 +394,11 @@ def check(sweep: Sweep) -> None:
             "identify",
         )
     if any(np.diff(sweep.frequencies_hz) <= 0.0):
-        raise InputError("the frequencies must rise from one sine to the next", "identify")
+        raise InputError("the frequencies must increase from one sine to the next", "identify")
     if not (0 < sweep.amplitude_m <= 1 and 0 < sweep.velocity_m_per_s <= 10):
         raise InputError(
             f"found an amplitude of {sweep.amplitude_m:g} m at up to {sweep.velocity_m_per_s:g} "
-            "m/s; both must be positive, at most 1 m and 10 m/s; begin with a millimetre or two",
+            "m/s; both must be positive, at most 1 m and 10 m/s; start with a millimetre or two",
             "identify",
         )
 
@@ -551,8 +551,8 @@ def _check_followed(part: Part, tone: Tone, noise_m: float) -> None:
     if moved <= max(CERTAIN * _standard_error(part, noise_m), 1e-3 * tone.amplitude_m, 1e-12):
         raise InputError(
             f"at {tone.frequency_hz:g} Hz the displacement did not follow the command "
-            f"({moved * 1e6:.3g} um of {tone.amplitude_m * 1e6:.3g} um); is the actuator on, the "
-            "sensor connected, the amplitude above the noise?",
+            f"({moved * 1e6:.3g} um of {tone.amplitude_m * 1e6:.3g} um); is the actuator on, is "
+            "the sensor connected, and is the amplitude above the noise?",
             "identify",
         )
 
@@ -581,7 +581,7 @@ def check_not_limited(rows: NDArray[np.void], parts: list[Part]) -> None:
     limited = np.flatnonzero(rows["flags"] & FLAGS["limited"])
     if limited.size:
         raise InputError(
-            "the rig's limits on the command's velocity or acceleration changed it at "
+            "the rig's limits on the command's velocity or acceleration altered it at "
             f"{_frequency_at(parts, int(limited[0])):g} Hz; identify with a smaller amplitude "
             "(--amplitude), or up to a lower frequency (--max-frequency)",
             "identify",
@@ -594,9 +594,9 @@ def check_read(read: Mask, parts: list[Part]) -> None:
         share = float(read[part.fit].mean())
         if share < READ_SHARE:
             raise InputError(
-                f"only {100 * share:.0f} % of the samples at {part.frequency_hz:g} Hz brought a "
-                f"reading, {100 * READ_SHARE:g} % are needed; check the link, and this PC with "
-                "rthyb jitter",
+                f"only {100 * share:.0f} % of the samples at {part.frequency_hz:g} Hz had a "
+                f"reading, {100 * READ_SHARE:g} % is needed; check the link, and this PC with "
+                "`rthyb jitter`",
                 "identify",
             )
 
@@ -609,12 +609,12 @@ def _frequency_at(parts: list[Part], row: int) -> float:
 def _broken_off(moved: Moved, parts: list[Part], rows: int) -> Exception:
     where = f"at {_frequency_at(parts, rows):g} Hz" if rows > parts[0].start else "before it moved"
     if moved.cause in ("operator", "signal", "none"):
-        return moving.StoppedError(f"the sweep was stopped {where}; nothing was found")
+        return moving.StoppedError(f"the sweep was stopped {where}; there is no result")
     remedy = "identify with a smaller amplitude (--amplitude), or up to a lower frequency"
     if moved.cause in (*moving.SPOILT, "link_down", "not_finite"):
-        remedy = "check the link, and this PC with rthyb jitter"
+        remedy = "check the link, and this PC with `rthyb jitter`"
     elif moved.cause == "drive_stopped":
-        remedy = "ask the drive's panel why it stopped"
+        remedy = "the drive's panel shows why it stopped"
     return moving.ended(moved, f"the sweep ended {where}: {moved.end_reason}; {remedy}")
 
 
@@ -636,15 +636,15 @@ def _check_specimen(rig: RigFile, part: Part, slowest: Tone, noise_n: float) -> 
     if abs(in_phase) * moved <= max(CERTAIN * _standard_error(part, noise_n), 1e-9):
         raise InputError(
             f"no force in phase with the displacement at {slowest.frequency_hz:g} Hz "
-            f"({in_phase * moved:.3g} N); is a specimen mounted, the load cell connected, the "
-            "amplitude large enough?",
+            f"({in_phase * moved:.3g} N); is a specimen mounted, is the load cell connected, and "
+            "is the amplitude large enough?",
             "identify",
         )
     if in_phase < 0:
         raise InputError(
             f"the force falls with displacement ({in_phase:.4g} N/m at "
-            f"{slowest.frequency_hz:g} Hz); {polarity.force_remedy(rig)}; or see that a specimen "
-            "is mounted",
+            f"{slowest.frequency_hz:g} Hz); {polarity.force_remedy(rig)}; or make sure that a "
+            "specimen is mounted",
             "identify",
         )
 
@@ -655,26 +655,26 @@ def _notes(tones: list[Tone], stiffness: float, alpha: float) -> list[str]:
     worst = max(tones[: max(1, len(tones) // 2)], key=lambda tone: tone.distortion)
     if worst.distortion > STIFFNESS_NONLINEAR:
         notes.append(
-            f"{100 * worst.distortion:.0f} % of the force at {worst.frequency_hz:g} Hz is no sine: "
-            "friction, a gap or yielding; k_e is the mean slope at this amplitude"
+            f"{100 * worst.distortion:.0f} % of the force at {worst.frequency_hz:g} Hz is not "
+            "sinusoidal: friction, a gap or yielding; k_e is the mean slope at this amplitude"
         )
     lag = abs(tones[0].force_in_quadrature_n_per_m) / stiffness
     if lag > 0.05:
         notes.append(
-            f"the load cell sees {100 * lag:.0f} % of k_e in phase with velocity at "
-            f"{tones[0].frequency_hz:g} Hz: friction or damping beside the specimen"
+            f"the load cell measures {100 * lag:.0f} % of k_e in phase with velocity at "
+            f"{tones[0].frequency_hz:g} Hz: friction or damping in parallel with the specimen"
         )
     delays = [tone.delay_s for tone in tones]
     if max(delays) - min(delays) > 0.1 * abs(delays[0]) + 0.5 * core.PERIOD_S:
         notes.append(
-            f"the delay runs from {delays[0] * 1e3:.1f} ms at {tones[0].frequency_hz:g} Hz to "
+            f"the delay ranges from {delays[0] * 1e3:.1f} ms at {tones[0].frequency_hz:g} Hz to "
             f"{delays[-1] * 1e3:.1f} ms at {tones[-1].frequency_hz:g} Hz: the actuator is a lag "
             "rather than a delay"
         )
     samples = delays[0] * core.FS_HZ
     if abs(alpha - samples) > 0.1 * samples + 0.5:
         notes.append(
-            f"alpha is {alpha:.4g} samples, though the delay at {tones[0].frequency_hz:g} Hz is "
-            f"{samples:.4g}: no phase lead undoes this actuator"
+            f"alpha is {alpha:.4g} samples, although the delay at {tones[0].frequency_hz:g} Hz is "
+            f"{samples:.4g}: a phase lead cannot compensate this actuator"
         )
     return notes

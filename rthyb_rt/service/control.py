@@ -577,7 +577,9 @@ def encode(document: dict[str, Any]) -> bytes:
 
 def _remove_abandoned(path: Path) -> None:
     if path.is_symlink():
-        raise RthybError(f"{path}: leads elsewhere; remove it, or name another with --socket")
+        raise RthybError(
+            f"{path}: is a symbolic link; remove it, or set another path with --socket"
+        )
     if not path.is_socket():
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:

@@ -312,7 +312,7 @@ class Daemon:
             if self._child is not None and self._child.poll() is not None:
                 raise RthybError("the recorder did not start; what it said is above")
             if time.monotonic() > end:
-                raise RthybError(f"the recorder gave no sign of life in {_RECORDER_READY_S:g} s")
+                raise RthybError(f"the recorder gave does not respond in {_RECORDER_READY_S:g} s")
             time.sleep(TURN_S)
 
     def _launch_recorder(self) -> None:

@@ -239,7 +239,7 @@ class Row:
     Attributes:
         right: that set was named and no other.
         among: it was named, alone or among sets said to fit alike.
-        closed: NRMSE of the displacement of the loop, simulated with what was found.
+        closed: NRMSE of the displacement of the loop, simulated with the effects found.
     """
 
     rig: str

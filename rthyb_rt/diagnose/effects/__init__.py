@@ -48,7 +48,7 @@ def load(path: Path) -> list[str]:
     before = dict(_REGISTER)
     spec = importlib.util.spec_from_file_location(f"rthyb_effect_{path.stem}", path)
     if spec is None or spec.loader is None:
-        raise InputError("is no Python file; its name ends in .py", str(path))
+        raise InputError("is not a Python file; its name must end in .py", str(path))
     try:
         spec.loader.exec_module(importlib.util.module_from_spec(spec))
     except OSError as error:
@@ -59,7 +59,7 @@ def load(path: Path) -> list[str]:
     added = [name for name, effect in _REGISTER.items() if before.get(name) is not effect]
     if not added:
         raise InputError(
-            "registers no effect; its last line is effects.register(YourEffect())", str(path)
+            "registers no effect; it must end with effects.register(YourEffect())", str(path)
         )
     for name in added:
         _check(_REGISTER[name], str(path))

@@ -10,7 +10,7 @@ from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import iwan
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 
-SLOW = ("multi_amplitude", "friction keeps its size while other forces grow with amplitude")
+SLOW = ("multi_amplitude", "friction stays constant while other forces grow with amplitude")
 
 
 class Viscous(Effect):
@@ -21,11 +21,14 @@ class Viscous(Effect):
     phrase = "{c_Ns_m} {c_Ns_m:less|more} of viscous damping"
     params = (Param("c_Ns_m", "N s/m", -1e10, 1e10),)
     equation = "f = c v"
-    fingerprint = "residual is a straight line over velocity"
+    fingerprint = "residual is linear in velocity"
     number = "c"
     static = True
     dissipates = True
-    shown_by = ("sweep", "a dashpot's force grows with frequency, that of a skew with force")
+    shown_by = (
+        "sweep",
+        "the force of a dashpot grows with frequency, that of a time skew with force",
+    )
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the velocity."""
@@ -49,7 +52,7 @@ class QuadDamping(Effect):
     dissipates = True
     shown_by = (
         "multi_amplitude",
-        "a force with the square of velocity shows at several amplitudes",
+        "a force proportional to the square of velocity shows at several amplitudes",
     )
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
@@ -73,7 +76,7 @@ class PowerDamping(Effect):
     phrase = "damping with velocity to the power of {exponent:3}, {F1_N} at 1 m/s"
     params = (Param("F1_N", "N", 0.0, 1e10), Param("exponent", "", 0.05, 10.0))
     equation = "f = F1 |v / (1 m/s)|^exponent sgn(v)"
-    fingerprint = "residual over velocity is a power, neither straight nor a parabola"
+    fingerprint = "residual over velocity is a power law, neither linear nor quadratic"
     dissipates = True
     shown_by = ("multi_amplitude", "a power of velocity shows at several amplitudes")
     signs = "+"
@@ -162,7 +165,7 @@ class Coulomb(Effect):
     phrase = "dry friction of {Fc_N}"
     params = (Param("Fc_N", "N", 0.0, 1e8),)
     equation = "f = Fc tanh(v / width), or Fc v / sqrt(v^2 + width^2)"
-    fingerprint = "residual jumps with the sign of velocity, its size does not change"
+    fingerprint = "residual jumps with the sign of velocity, its magnitude is constant"
     static = True
     dry = True
     dissipates = True
@@ -358,11 +361,11 @@ class Lugre(Effect):
     phrase = "friction of {Fc_N} with elastic bristles of {sigma0_N_m}"
     params = (Param("Fc_N", "N", 0.0, 1e8), Param("sigma0_N_m", "N/m", 1.0, 1e12))
     equation = "f = s0 z + s1 z', z' = v - s0 |v| z / g(v)"
-    fingerprint = "friction that is a spring after each reversal"
+    fingerprint = "friction that acts as a spring after each reversal"
     dry = True
     slides = True
     plainer = Coulomb.name
-    shown_by = ("multi_amplitude", "bristles bend alone at amplitudes below their travel")
+    shown_by = ("multi_amplitude", "at amplitudes below their travel the bristles only bend")
     signs = "+*"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
@@ -460,9 +463,9 @@ class FrictionBehindGap(Effect):
     plain = "dry friction behind a gap"
     params = (Param("gap_m", "m", 1e-9, 1.0), Param("Fc_N", "N", 0.0, 1e8))
     equation = "slider of +-Fc on a spring k behind a play of +-gap"
-    fingerprint = "after each reversal force falls to nothing, stays there, and returns"
+    fingerprint = "after each reversal the force falls to zero, stays there, and returns"
     static = True
-    shown_by = ("multi_amplitude", "a gap takes the same displacement at every amplitude")
+    shown_by = ("multi_amplitude", "a gap takes up the same displacement at every amplitude")
     signs = "+"
     complete = True
 
@@ -525,16 +528,16 @@ class UnevenFrictionBehindGap(Effect):
     """
 
     name = "gap+coulomb+bias"
-    plain = "dry friction behind a gap, harder one way"
+    plain = "dry friction behind a gap, stronger in one direction"
     params = (
         Param("gap_m", "m", 1e-9, 1.0),
         Param("Fc_N", "N", 0.0, 1e8),
         Param("bias_N", "N", -1e8, 1e8),
     )
     equation = "slider of bias +- Fc on a spring k behind a play of +-gap"
-    fingerprint = "as one behind a gap, with two levels that are not the same; none in the gap"
+    fingerprint = "as behind a gap, with two different levels; zero in the gap"
     static = True
-    shown_by = ("multi_amplitude", "a gap takes the same displacement at every amplitude")
+    shown_by = ("multi_amplitude", "a gap takes up the same displacement at every amplitude")
     signs = "+"
     complete = True
 

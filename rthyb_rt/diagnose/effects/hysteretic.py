@@ -281,7 +281,7 @@ class Pinching(Effect):
     phrase = "pinching by {depth:%} around zero displacement"
     params = (Param("depth", "", 0.0, 1.0), Param("width_ratio", "", 0.0, 10.0))
     equation = "the loop's force times 1 - depth exp(-(x / width)^2)"
-    fingerprint = "force is missing around zero displacement, in both directions"
+    fingerprint = "force is missing around zero displacement in both directions"
     static = True
     many_springs = True
     replaces_spring = True
@@ -365,7 +365,7 @@ class Pinching(Effect):
         return {
             "z": "slack over the loop's own force",
             "slope": "slope of the loop slack (Baber-Noori)",
-            "worn": "slack within the largest displacement so far, closed where it is reached",
+            "worn": "slack within the largest displacement so far, closed where that is reached",
             "x": "slack over displacement",
         }.get(trial.variant, "slack over displacement, as a part of the largest so far")
 
@@ -477,7 +477,7 @@ class WornColumn(Effect):
         Param("travel_m", "m", 1e-9, 1e6),
     )
     equation = "a loop in series with a slip-lock spring, worn by amplitude and energy"
-    fingerprint = "loops that grow flatter and slacker around zero from cycle to cycle"
+    fingerprint = "loops that become flatter and slacker around zero from cycle to cycle"
     static = True
     shown_by = LARGE
     signs = "+"
@@ -585,11 +585,15 @@ class Maxwell(Effect):
     phrase = "relaxation of {km_N_m} within {tau_s}"
     params = (Param("km_N_m", "N/m", 0.0, 1e12), Param("tau_s", "s", 1e-4, 1e4))
     equation = "f' + f / tau = km v"
-    fingerprint = "a dashpot at low frequency that turns into a spring at high"
+    fingerprint = "a dashpot at low frequency, a spring at high frequency"
     relaxes = True
     plainer = Viscous.name
     slow_as = Viscous.name
-    shown_by = ("sweep", "its force turns from velocity to displacement around 1 / (2 pi tau)")
+    shown_by = (
+        "sweep",
+        "its force changes from velocity-proportional to displacement-proportional around 1 / "
+        "(2 pi tau)",
+    )
     signs = "+"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:

@@ -18,7 +18,7 @@ class Inertia(Effect):
     phrase = "{m_kg} {m_kg:less|more} of moving mass"
     params = (Param("m_kg", "kg", -1e7, 1e7),)
     equation = "f = m a"
-    fingerprint = "residual is a straight line over acceleration, growing with frequency squared"
+    fingerprint = "residual is linear in acceleration, growing with frequency squared"
     number = "moving_mass"
     over = "a"
     shown_by = ("sweep", "a mass's force grows with the square of frequency")
@@ -56,12 +56,12 @@ class SecondMode(Effect):
     """A mass on a spring that rides on the specimen."""
 
     name = "second_mode"
-    plain = "a mass that rides along on a spring"
-    phrase = "{m2_kg} that ride along on a spring at {f2_Hz}"
+    plain = "a second mass on a spring"
+    phrase = "{m2_kg} on a spring at {f2_Hz}"
     params = (Param("m2_kg", "kg", 0.0, 1e8), Param("f2_Hz", "Hz", 0.01, 400.0))
     equation = "y'' + 2 zeta w2 y' + w2^2 y = -a, f = -m2 (2 zeta w2 y' + w2^2 y)"
-    fingerprint = "residual rings at one frequency of its own"
-    shown_by = ("sweep", "a sweep through its frequency makes it ring")
+    fingerprint = "residual oscillates at a frequency of its own"
+    shown_by = ("sweep", "a sweep through its frequency excites it")
     signs = "+"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:

@@ -99,7 +99,7 @@ class Bias(Effect):
     zero = True
     on_body = ("forced", "ground")
     over = "t"
-    shown_by = ("multi_amplitude", "a constant stays where amplitude goes to zero")
+    shown_by = ("multi_amplitude", "a constant remains as the amplitude goes to zero")
     sensor = True
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
@@ -115,12 +115,12 @@ class Drift(Effect):
     phrase = "a drift of the load cell of {rate_N_s:+}"
     params = (Param("rate_N_s", "N/s", -1e8, 1e8),)
     equation = "f_meas = f + rate t"
-    fingerprint = "residual is a straight line over time"
+    fingerprint = "residual is linear in time"
     static = True
     wanders = True
     on_body = ("forced",)
     over = "t"
-    shown_by = ("multi_amplitude", "a drift goes on where nothing moves")
+    shown_by = ("multi_amplitude", "a drift continues when nothing moves")
     sensor = True
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
@@ -140,9 +140,9 @@ class Hum(Effect):
     phrase = "hum of {amp_N} at {f_Hz} in the load cell"
     params = (Param("f_Hz", "Hz", 0.1, 1e4), Param("amp_N", "N", 0.0, 1e8))
     equation = "f_meas = f + amp sin(2 pi f t + phase)"
-    fingerprint = "a single line in the residual's spectrum that is none of the motion's"
+    fingerprint = "a single line in the spectrum of the residual that is not in the motion"
     foretold = False
-    shown_by = ("sweep", "a line that stays while the motion's frequency moves")
+    shown_by = ("sweep", "a line that stays while the frequency of the motion changes")
     sensor = True
     signs = "**"
 
@@ -245,10 +245,10 @@ class TimeSkew(Effect):
     phrase = "a load cell that is {skew_s} {skew_s:early|late}"
     params = (Param("skew_s", "s", -0.1, 0.1),)
     equation = "f_meas(t) = f(t - skew)"
-    fingerprint = "residual is a straight line over the rate of the force"
+    fingerprint = "residual is linear in the rate of the force"
     slow_as = Viscous.name
     over = "rate"
-    shown_by = ("sweep", "a skew turns with frequency what a dashpot does not")
+    shown_by = ("sweep", "with frequency a time skew changes the phase differently from a dashpot")
     sensor = True
     carries = True
     signs = "+"
@@ -367,11 +367,11 @@ class Quantisation(Effect):
     """A coarse load cell. Read off its readings themselves, so that it is no law of a search."""
 
     name = "quantisation"
-    plain = "a coarse load cell"
+    plain = "a load cell with coarse resolution"
     phrase = "a load cell that reads in steps of {lsb_N}"
     params = (Param("lsb_N", "N", 0.0, 1e8),)
     equation = "f_meas = lsb round(f / lsb)"
-    fingerprint = "all readings lie on one grid; what is left is a saw tooth of half a step"
+    fingerprint = "all readings lie on one grid; the residual is a sawtooth of half a step"
     shown_by = ("multi_amplitude", "small motion shows the steps one by one")
     sensor = True
 

@@ -11,7 +11,10 @@ from rthyb_rt.core.diagnosis_models import play
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.policy import POLICY
 
-AMPLITUDES = ("multi_amplitude", "stiffness that changes with amplitude shows at several of them")
+AMPLITUDES = (
+    "multi_amplitude",
+    "stiffness that changes with amplitude shows at several amplitudes",
+)
 
 
 class Stiffness(Effect):
@@ -27,7 +30,7 @@ class Stiffness(Effect):
     phrase = "a stiffness {dk_ratio:%} {dk_ratio:below|above} the model's"
     params = (Param("dk_ratio", "", -1.0, 10.0),)
     equation = "f = dk_ratio k x"
-    fingerprint = "a straight line over displacement, the same at every frequency"
+    fingerprint = "linear in displacement, the same at every frequency"
     number = "k"
     static = True
     elastic = True
@@ -101,7 +104,7 @@ class Cubic(Effect):
     )
     params = (Param("k3_N_m3", "N/m^3", -1e15, 1e15),)
     equation = "f = k3 x^3, or k [L sin(x / L) - x], or k x |x / x0|^(n - 1)"
-    fingerprint = "residual over displacement is an odd cubic, without loop"
+    fingerprint = "residual over displacement is an odd cubic without a loop"
     static = True
     elastic = True
     shown_by = AMPLITUDES
@@ -183,10 +186,10 @@ class Quadratic(Effect):
 
     name = "quadratic"
     plain = "a quadratic spring"
-    phrase = "a spring of another stiffness to either side (quadratic, {k2_N_m2})"
+    phrase = "a spring with different stiffnesses in the two directions (quadratic, {k2_N_m2})"
     params = (Param("k2_N_m2", "N/m^2", -1e15, 1e15),)
     equation = "f = k2 x^2, or 2 k2 L^2 [exp(x / L) - 1 - x / L]"
-    fingerprint = "residual over displacement is an even parabola, or one steeper to one side"
+    fingerprint = "residual over displacement is an even parabola, or one steeper on one side"
     static = True
     elastic = True
     shown_by = AMPLITUDES
@@ -275,7 +278,7 @@ class Gap(Effect):
     fingerprint = "force is missing around zero (dead band) or after each reversal (play)"
     static = True
     of_spring = "gap_m"
-    shown_by = ("multi_amplitude", "a gap takes the same displacement at every amplitude")
+    shown_by = ("multi_amplitude", "a gap takes up the same displacement at every amplitude")
     signs = "+"
     pinned = (0.03,)
 
@@ -364,9 +367,9 @@ class Stopper(Effect):
     phrase = "a stop at {xs_m} with {ks_N_m}"
     params = (Param("ks_N_m", "N/m", 0.0, 1e12), Param("xs_m", "m", 0.0, 10.0))
     equation = "f = ks (|x| - xs) sgn(x) where |x| > xs"
-    fingerprint = "residual only beyond a displacement, growing from there"
+    fingerprint = "residual only beyond a certain displacement, growing from there"
     static = True
-    shown_by = ("multi_amplitude", "a stop is met at large amplitude only")
+    shown_by = ("multi_amplitude", "a stop is reached only at large amplitude")
     signs = "+"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:

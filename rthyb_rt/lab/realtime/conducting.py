@@ -132,7 +132,9 @@ def _say_where(session: Session, error: BaseException) -> None:
         session.discard()
         return
     path = session.run.ring.path
-    error.add_note(f"what was recorded is in {path}; make a recording of it: rthyb recover {path}")
+    error.add_note(
+        f"what was recorded is in {path}; to make a recording of it: rthyb recover {path}"
+    )
 
 
 def _hear(session: Session, sequence: Sequence, resets: bool) -> None:
@@ -147,5 +149,5 @@ def _hear(session: Session, sequence: Sequence, resets: bool) -> None:
     if not locked and not sequence.stopped and session.state != "TRIPPED":
         sequence.warn(
             "the ticks do not keep step with the drive's samples: its clock is off by more than "
-            "200 ppm, or its frames come irregularly"
+            "200 ppm, or its frames arrive irregularly"
         )

@@ -37,9 +37,9 @@ FEEDBACK_S: Final = 10.0
 """How long good pairs of a drive that follows are waited for."""
 
 SET_REFUSED: Final = (
-    "while something moves, the set would switch off a limit of the command's velocity or "
-    "acceleration, and what lags behind it would leap; keep both limits (any value above 0), or "
-    "stop, and change them in IDLE; the set before stays in force"
+    "these parameters would remove a limit on the command's velocity or acceleration during a "
+    "motion, and a command that lags behind the limit would jump; keep both limits (any value "
+    "above 0), or stop and change them in IDLE; the previous parameters remain in force"
 )
 """Why a station refuses a set of parameters, and what to do."""
 
@@ -310,8 +310,8 @@ class Conductor:
         while (answer := asked()) is None:
             if time.monotonic() > end and self.clock != "stepped":
                 raise RthybError(
-                    "the tick thread does not answer; the drive's own watchdog stops it; look what "
-                    "else takes this PC's processors, and at `rthyb jitter`"
+                    "the tick thread does not respond; the drive's own watchdog stops the drive; "
+                    "check what else uses this PC's processors, and run `rthyb jitter`"
                 )
             self._pass(_LOOK_S)
         return answer
@@ -373,7 +373,7 @@ class Conductor:
         if told := self.run.refusal_in_figures:
             if name in ("resume", "reset"):
                 return f"{told}; unload the specimen first, or check the load cell"
-            return f"{told}; bring the specimen back within it, or relieve it, and zero again"
+            return f"{told}; bring the specimen back within the limit, or unload it, and zero again"
         if name == "resume":
             return "the specimen is not at rest yet; try again"
         if name == "reset" and state == "IDLE" and not self.stays_stopped():
@@ -423,7 +423,7 @@ class Conductor:
         """Return in words why the tare did not come to its end."""
         run = self.run
         if not self.zeroing_failed:
-            return f"the feedback stopped while it was zeroed; {self.no_feedback()}"
+            return f"the feedback stopped during zeroing; {self.no_feedback()}"
         if run.station.refusal[0] == "no_pose":
             return f"{WORDS['no_pose']}. {REMEDIES['no_pose']}"
         if run.station.tare_too_large:
@@ -433,16 +433,16 @@ class Conductor:
             if cause == "rig_position":
                 name, unit, factor = ("displacement", "mm", 1e3)
             return (
-                f"the tare of the {name} would be {value * factor:.3g} {unit}, allowed is "
-                f"{limit * factor:.3g} {unit}, {100 * share:g} % of the rig's limit "
-                f"(limits.tare_share_most); bring the specimen to rest without load, or check "
+                f"the tare of the {name} would be {value * factor:.3g} {unit}, at most "
+                f"{limit * factor:.3g} {unit} is allowed, {100 * share:g} % of the rig's limit "
+                "(limits.tare_share_most); bring the specimen to rest without load, or check "
                 f"the sensor and its calibration.{name}"
             )
         whose, spread_m, allowed_m = self._restless()
         return (
             f"the rig is not at rest: the displacement{whose} moved by {spread_m * 1e3:.3g} mm "
-            f"during the tare of {run.config.tare_ticks / core.FS_HZ:g} s, allowed is "
-            f"{allowed_m * 1e3:.3g} mm (limits.rest_spread_m); let it come to rest, "
+            f"during the tare of {run.config.tare_ticks / core.FS_HZ:g} s, at most "
+            f"{allowed_m * 1e3:.3g} mm is allowed (limits.rest_spread_m); let it come to rest, "
             "or check its sensor"
         )
 
@@ -490,7 +490,7 @@ class Conductor:
         Of several axes each that is the matter is named.
         """
         if self.opened.failure is not None:
-            return f"the thread that exchanges its frames gave up: {self.opened.failure}"
+            return f"the thread that exchanges its frames has ended: {self.opened.failure}"
         names, flags = self.run.setup.axis_names, self.run.recent_flags
         if not names:
             return self._no_feedback_of(self.ways[0], flags)
@@ -515,13 +515,13 @@ class Conductor:
             bad = {k: n for k, n in counters.items() if n and k not in ("sent", "frames", "stale")}
             told = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in bad.items())
             return (
-                f"{counters['frames']} frames came in {FEEDBACK_S:g} s, but no pair of "
+                f"{counters['frames']} frames arrived in {FEEDBACK_S:g} s, but no pair of "
                 f"displacement and force ({told or 'none was complete'}); check the DBC, or the "
                 "drive's frames"
             )
         return (
-            f"nothing came in {FEEDBACK_S:g} s; is the drive switched on, and does it send "
-            "displacement and force 1024 times a second?"
+            f"nothing arrived in {FEEDBACK_S:g} s; is the drive switched on, and does it send "
+            "displacement and force 1024 times per second?"
         )
 
     # ---- how it went ----------------------------------------------------------------------------
@@ -637,8 +637,8 @@ def _no_more(recent: NDArray[np.uint32]) -> str:
             "again, check the sensors and their cables"
         )
     return (
-        "the drive has gone silent: no pair of displacement and force comes any more; is it "
-        "switched on, and its cable in place?"
+        "the drive has gone silent: no more pairs of displacement and force arrive; is it "
+        "switched on, and is its cable connected?"
     )
 
 

@@ -19,7 +19,7 @@ SURE_S: Final = 0.1
 LOOK_MOST_S: Final = 0.05
 """Counted between two looks; a longer way from one to the next was no running time."""
 ABSENCE_S: Final = 1.0
-"""Of the operator's thread: then no sign of life is given, and the test ramps out."""
+"""Of the operator's thread: then does not respond is given, and the test ramps out."""
 
 
 class Keeper:
@@ -89,8 +89,8 @@ class Keeper:
         if self._silent_s > LOOK_MOST_S + SURE_S:
             raise TimingError(
                 f"no record for {silent_s:.0f} s: the tick thread has stopped; the drive's own "
-                "watchdog stops it; check what else uses this PC's processors, and run `rthyb "
-                "jitter`"
+                "watchdog stops the drive; check what else uses this PC's processors, and run "
+                "`rthyb jitter`"
             )
 
     def stop(self) -> None:

@@ -80,8 +80,8 @@ def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
     ticks = rec.samples["tick"]
     if not ticks.size or ticks[0] != 0:
         raise InputError(
-            "the rows before the first one are missing; only a test that is recorded from its "
-            "first tick on can be replayed",
+            "the rows before the first one are missing; only a test that was recorded from its "
+            "first tick can be replayed",
             "recording",
         )
     test = config.parse_test(rec.test_toml, "recording: test")

@@ -396,7 +396,10 @@ def _why_not(
     if holds is not None:
         names = ",".join(name for name in STEPS if not holds.date_of(name))
         told = ", ".join(holds.lacking)
-        return f"not every check of its commissioning has passed: {told}; {remedy} --steps {names}"
+        return (
+            f"not every commissioning check of this rig has passed: {told}; {remedy} --steps "
+            f"{names}"
+        )
     if older is not None:
         return (
             "link, calibration, actuator, sensors or limits have changed since the rig was "

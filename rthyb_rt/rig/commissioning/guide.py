@@ -102,7 +102,7 @@ def commission(
         keep(certificate)
         _tell(plan, step)
         if not step.passed and name in ("link", "polarity"):
-            plan.tell("what follows needs this: put it right, then begin again")
+            plan.tell("the following steps need this: correct it, then start again")
             break
     return certificate
 
@@ -119,8 +119,8 @@ def _tell(plan: Plan, step: Step) -> None:
 
 def _link(connection: Connection, plan: Plan) -> Step | None:
     if not plan.allowed(
-        "Send commands to the drive, which is to stay where it is? If displacement and command "
-        "disagree on the wire, it will jump now: let it have little pressure and little way to go."
+        "Send commands that hold the drive where it is? If displacement and command disagree on "
+        "the wire, it will jump now: reduce the pressure, and leave little room to move."
     ):
         return None
     # What is lost is counted here, and told with what is needed.
@@ -137,19 +137,20 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
     if figures["fresh_share"] < FRESH_SHARE:
         faults.append(
             f"{100 * figures['fresh_share']:.1f} % of the ticks had a new pair of displacement "
-            f"and force, {100 * FRESH_SHARE:g} % are needed; check the wire, and the drive's rate"
+            f"and force, {100 * FRESH_SHARE:g} % is needed; check the wiring and the drive's "
+            "sample rate"
         )
     setup = experiment.prescribed(connection.rig, rest.name, rest.path_m)
     spread_m = setup.derived.limits.rest_spread_m
     if abs(figures["jump_m"]) > spread_m:
         faults.append(
             f"the displacement went from {figures['displacement_m'] - figures['jump_m']:.4g} m to "
-            f"{figures['displacement_m']:.4g} m as commands began, although it was commanded to "
-            "stay: displacement and command disagree; check both in [calibration], offset_m first"
+            f"{figures['displacement_m']:.4g} m when commands began, although it was commanded to "
+            "hold: displacement and command disagree; check both in [calibration], first offset_m"
         )
     rate = figures["rate_hz"]
     if rate is not None and abs(rate / core.FS_HZ - 1.0) > RATE_TOLERANCE:
-        faults.append(f"the drive sends {rate:.1f} samples a second, {core.FS_HZ:g} are needed")
+        faults.append(f"the drive sends {rate:.1f} samples per second, {core.FS_HZ:g} are needed")
     return Step("link", not faults, now(), figures, tuple(faults))
 
 
@@ -195,7 +196,7 @@ def _polarity(connection: Connection, plan: Plan) -> Step | None:
     verdict = polarity.judge(connection.rig, moved)
     faults = list(verdict.faults)
     if moved.cause != "completed":
-        faults.append(f"the motion did not come to its end: {moved.end_reason}")
+        faults.append(f"the motion did not finish: {moved.end_reason}")
     figures = {
         "commanded_m": moved.commanded_m,
         "moved_m": moved.moved_m,
@@ -238,8 +239,8 @@ def _watchdog(connection: Connection, plan: Plan) -> Step | None:
     codec = connection.opened.codec
     after = "is reset" if codec.has_reset else "is released at its own panel"
     if not plan.allowed(
-        f"Fall silent, at rest? The drive shall stop by itself after {WATCHDOG_TICKS} of its "
-        f"samples, and stay stopped, though commands come again, until it {after}."
+        f"Stop sending, at rest? The drive should stop by itself after {WATCHDOG_TICKS} of its "
+        f"samples and stay stopped, even when commands resume, until it {after}."
     ):
         return None
     stop = stops.watchdog(connection)
@@ -253,8 +254,8 @@ def _watchdog(connection: Connection, plan: Plan) -> Step | None:
     faults = []
     if not stop.stopped:
         faults.append(
-            "the drive did not report a stop although it received no more commands: its "
-            "watchdog does not work, and nothing would stop it if this PC failed; do not use it"
+            "the drive did not report a stop although it received no more commands: its watchdog "
+            "does not work, and nothing would stop the drive if this PC failed; do not use it"
         )
     else:
         faults += _late(stop, WATCHDOG_TICKS, "its last command")
@@ -268,20 +269,20 @@ def _watchdog(connection: Connection, plan: Plan) -> Step | None:
 def _follows_again(stop: stops.Stop) -> list[str]:
     """Return what is wrong with a drive that ends its stop by itself, or does not when reset."""
     if stop.seen_again is False:
-        return ["the drive no longer said that it had stopped when commands came again"]
+        return ["the drive no longer reported that it had stopped when commands resumed"]
     if stop.stays is False:
         return [
             "the drive followed again as soon as it received commands, although nobody had "
-            "reset it: after a crash of this PC it would follow anything; configure it to wait "
-            "for its reset, or for a release at its own panel"
+            "reset it: after a crash of this PC it would follow any command; configure it to "
+            "wait for a reset, or for a release at its own panel"
         ]
     if stop.released is False:
-        return ["the drive stayed stopped when it was reset: check what the state means to it"]
+        return ["the drive stayed stopped when it was reset: check what it does in the state RESET"]
     return []
 
 
 def _trip(connection: Connection, plan: Plan) -> Step | None:
-    if not plan.allowed("Trip, at rest? The drive shall stop at once."):
+    if not plan.allowed("Trip, at rest? The drive should stop at once."):
         return None
     stop = stops.trip(connection)
     codec = connection.opened.codec
@@ -306,7 +307,10 @@ def _late(stop: stops.Stop, allowed: int, since: str) -> list[str]:
         return [f"frames were lost around the stop, {ATTEMPTS} times: check the wiring"]
     if stop.ticks <= allowed:
         return []
-    return [f"the drive stopped {stop.ticks} of its samples after {since}; {allowed} are allowed"]
+    return [
+        f"the drive stopped {stop.ticks} of its samples after {since}; at most {allowed} are "
+        "allowed"
+    ]
 
 
 def _witnessed(plan: Plan, name: str, question: str) -> Step:
@@ -315,7 +319,7 @@ def _witnessed(plan: Plan, name: str, question: str) -> Step:
     plan.tell(f"  {_PANEL}")
     faults = {
         True: (),
-        False: ("by the operator's word it did not; do not use it",),
+        False: ("according to the operator it did not; do not use it",),
         None: (
             "the drive's frames have no status, so that its stop cannot be detected here, and "
             "nobody was asked: make this check in a terminal, without --yes",

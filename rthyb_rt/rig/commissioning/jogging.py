@@ -86,9 +86,9 @@ def jog(
     velocity, acceleration = path_figures(connection.rig)
     if not 0.0 < speed_m_per_s <= velocity:
         raise realtime.RefusedError(
-            f"{speed_m_per_s * 1e3:g} mm/s is no speed for a jog on this rig: up to "
-            f"{velocity * 1e3:g} mm/s are allowed (limits.path_velocity_m_per_s, and half of what "
-            "its other limits leave the command)"
+            f"{speed_m_per_s * 1e3:g} mm/s is too fast for a jog on this rig: at most "
+            f"{velocity * 1e3:g} mm/s is allowed (by limits.path_velocity_m_per_s and half of "
+            "what its other limits leave for the command)"
         )
     path = with_rests(eased(distance_m, speed_m_per_s, acceleration))
     moved = carry_out(connection, Motion("jog", path), operator=operator, progress=progress)

@@ -34,7 +34,7 @@ STUCK: Final = "sensor_stuck_samples"
 
 _NOT_PROVOKED: Final = {
     STUCK: "needs a sensor that freezes while the actuator moves; unplug it during a jog, with "
-    "nobody near",
+    "nobody near the rig",
     "force_stuck_samples": "needs a load cell that freezes while the actuator moves",
     "force_jump_n": "needs a load cell that jumps",
     "lost_pairs_share": "needs a link that loses pairs",
@@ -133,12 +133,14 @@ def check_all(
     plain = small_motion(connection.rig, distance_m)
     # A limit that trips has the drive stop by itself, and the next motion begins with its reset.
     connection = replace(connection, resets=True)
-    if not wanted or not allowed(f"Move by {distance_m * 1e3:g} mm and back, with no limit near?"):
+    if not wanted or not allowed(
+        f"Move by {distance_m * 1e3:g} mm and back, with no limit close by?"
+    ):
         return [Check(key, action, reason="not allowed") for key, action in wanted]
     usual = undisturbed(connection, plain)
     bring_back(connection, usual)
     if usual.cause != "completed":
-        words = f"the small motion does without it already: {usual.end_reason}"
+        words = f"the small motion ended even without it: {usual.end_reason}"
         return [Check(key, action, fault=words) for key, action in wanted]
     brisk = brisk_motion(connection.rig, distance_m)
     reached = peaks(usual.running) | {
@@ -197,13 +199,13 @@ def _check(
         return Check(key, action, reason=_NOT_PROVOKED[key])
     least = _LEAST_STEPS * reached[_QUANTUM] / core.PERIOD_S**2 if key == ACCELERATION else 0.0
     if not reached[key] > least:
-        return Check(key, action, reason="the small motion brings too little of it")
+        return Check(key, action, reason="the small motion does not come close enough to it")
     given = getattr(connection.rig.limits, key)
     share = _SHARE_OF_ACCELERATION if key == ACCELERATION else _SHARE
     value = share * min(reached[key], given if key == ACCELERATION else given.value)
     outcome = "only bound the command" if action == "limit" else _OUTCOMES[action]
     unit = limits_file.unit_of(key)
-    question = f"Provoke limits.{key}, lowered to {value:.3g} {unit}? It shall {outcome}."
+    question = f"Provoke limits.{key}, lowered to {value:.3g} {unit}? It should {outcome}."
     if not allowed(question):
         return Check(key, action, reason="not allowed")
     if action == "limit":
@@ -219,10 +221,10 @@ def _check(
 
 
 _OUTCOMES: Final = {
-    "indicate": "be noted, and the motion go on",
+    "indicate": "be noted while the motion continues",
     "hold": "hold",
     "ramp-out": "ramp out, back to where it began",
-    "trip": "trip; release the drive afterwards, if it asks for it",
+    "trip": "trip; afterwards release the drive if necessary",
 }
 
 
@@ -253,7 +255,7 @@ def _why_not_seen(moved: Moved, cause: str, action: str) -> str:
             return "was not noted"
         return "" if moved.cause == "completed" else f"ended the motion: {moved.end_reason}"
     if moved.cause != cause:
-        return f"was not met; the motion ended otherwise: {moved.end_reason}"
+        return f"was not reached; the motion ended for another reason: {moved.end_reason}"
     needed = {"hold": "HOLD", "ramp-out": "RAMP_OUT", "trip": "TRIPPED"}[action]
     if needed not in moved.states:
         return f"did not lead to {needed}: {moved.end_reason}"
@@ -269,7 +271,7 @@ def _why_not_bounded(moved: Moved, key: str, value: float, quantum_m: float) -> 
         return "the command was not limited"
     found, rounding = _command_reached(_without_gaps(rows)["x_cmd_m"], key, quantum_m)
     if found > value * _BARELY + rounding:
-        return f"the command went on with {found:.4g} {limits_file.unit_of(key)}"
+        return f"the command continued with {found:.4g} {limits_file.unit_of(key)}"
     return ""
 
 

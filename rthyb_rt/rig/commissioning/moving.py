@@ -323,8 +323,8 @@ def check_distance(rig: RigFile, distance_m: float) -> None:
     limit = rig.limits.command_position_m
     if limit is not None and limit.acts and abs(distance_m) > limit.value:
         raise realtime.RefusedError(
-            f"{distance_m * 1e3:g} mm are more than limits.command_position_m = "
-            f"{limit.value * 1e3:g} mm allows; move by less"
+            f"{distance_m * 1e3:g} mm is more than limits.command_position_m = "
+            f"{limit.value * 1e3:g} mm allows; choose a smaller distance"
         )
 
 
@@ -369,7 +369,7 @@ class _Beginning:
         ends = (x_m + float(path.min()), x_m + float(path.max()))
         if reach is not None and max(map(abs, ends)) >= reach:
             raise realtime.RefusedError(
-                f"the specimen stands at {x_m * 1e3:.4g} mm and would go to "
+                f"the specimen is at {x_m * 1e3:.4g} mm and would move to "
                 f"{max(ends, key=abs) * 1e3:.4g} mm; the displacement sensor reaches to "
                 f"{reach * 1e3:g} mm (sensors.displacement.range_m)"
             )
@@ -455,8 +455,8 @@ def undisturbed(
         bring_back(connection, moved)
     raise ended(
         moved,
-        f"{motion.name}: {moved.end_reason}, {ATTEMPTS} times; rthyb jitter says whether this PC "
-        "is punctual enough",
+        f"{motion.name}: {moved.end_reason}, {ATTEMPTS} times; run `rthyb jitter` to see whether "
+        "this PC is punctual enough",
     )
 
 

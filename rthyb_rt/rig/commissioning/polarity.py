@@ -62,8 +62,8 @@ def judge(rig: RigFile, moved: Moved) -> Verdict:
         )
     if stiffness is None:
         faults.append(
-            f"the force did not answer: {f_n:.3g} N for {_mm(x_m)}; is a specimen mounted, the "
-            "load cell connected? A larger distance helps with a soft specimen"
+            f"the force did not answer: {f_n:.3g} N for {_mm(x_m)}; is a specimen mounted and the "
+            "load cell connected? For a soft specimen use a larger distance"
         )
     elif stiffness < 0.0 and slope > 0.0:
         faults.append(
@@ -92,9 +92,9 @@ def displacement_remedy(rig: RigFile) -> str:
     command = rig.calibration.command or sensor
     kept, turned = _table(command, command.polarity), _table(command, -command.polarity)
     return (
-        "look which way the actuator went. Was it right, its sensor counts the other way: in the "
-        f"rig file's [calibration], displacement = {_table(sensor, -sensor.polarity)} and "
-        f"command = {kept}. Was it wrong, the drive does: command = {turned}"
+        "check which way the actuator moved. If the direction was correct, invert its sensor: in "
+        f"the rig file's [calibration], displacement = {_table(sensor, -sensor.polarity)} and "
+        f"command = {kept}. If it was wrong, invert the drive: command = {turned}"
     )
 
 

@@ -91,15 +91,16 @@ def _no_sockets(error: OSError) -> str:
     if error.errno == errno.EAFNOSUPPORT:
         return (
             "this kernel has no SocketCAN (AF_CAN); load its modules with "
-            "`sudo modprobe -a can can-raw`; a service may also be kept from it by "
-            "RestrictAddressFamilies=, a container by its host"
+            "`sudo modprobe -a can can-raw`; for a service RestrictAddressFamilies= may also "
+            "forbid it, for a container its host"
         )
     if error.errno == errno.EPROTONOSUPPORT:
         return "this kernel has CAN but no raw CAN sockets; load them with `sudo modprobe can-raw`"
     if error.errno in (errno.EPERM, errno.EACCES):
         return (
-            "this process may not open CAN sockets; SocketCAN itself needs no privilege, so a "
-            "sandbox is in the way (seccomp, container, systemd unit): allow AF_CAN there"
+            "this process is not permitted to open CAN sockets; SocketCAN itself needs no "
+            "privilege, so a sandbox forbids it (seccomp, container, systemd unit): allow "
+            "AF_CAN there"
         )
     return f"no CAN socket can be opened: {error.strerror}"
 
@@ -140,21 +141,21 @@ def _wrong(
     if not interface.up:
         yield "the interface is down"
     if bitrate and interface.bitrate and interface.bitrate != bitrate:
-        yield f"its bit rate is {interface.bitrate} bit/s, the rig file says {bitrate}"
+        yield f"its bit rate is {interface.bitrate} bit/s, but the rig file says {bitrate}"
     if data_bitrate and interface.data_bitrate and interface.data_bitrate != data_bitrate:
         yield (
-            f"the bit rate of its data phase is {interface.data_bitrate} bit/s, the rig file says "
-            f"{data_bitrate}"
+            f"the bit rate of its data phase is {interface.data_bitrate} bit/s, but the rig file "
+            f"says {data_bitrate}"
         )
     if interface.restart_ms:
         yield (
-            f"restart-ms is {interface.restart_ms}, 0 is needed: after a bus-off it must stay off "
-            "the bus until somebody has looked"
+            f"restart-ms is {interface.restart_ms}, but must be 0: after a bus-off it must stay "
+            "off the bus until the fault has been found"
         )
     if interface.state == "BUS_OFF":
         yield "the controller is off the bus (bus-off): check cable, termination and bit rates"
     if interface.listen_only:
-        yield "listen-only is on, so that no command would be sent"
+        yield "listen-only mode is on, so no command would be sent"
     if fd and interface.mtu < CANFD_MTU:
         yield f"CAN FD is off (its frames have {interface.mtu} bytes, {CANFD_MTU} are needed)"
 
@@ -231,15 +232,15 @@ def _configure(
     held = {
         "identifier filters": sock.getsockopt(raw, socket.CAN_RAW_FILTER, 64) == packed,
         "error frames": sock.getsockopt(raw, CAN_RAW_ERR_FILTER) == ERROR_CLASSES,
-        "silence of own frames": sock.getsockopt(raw, socket.CAN_RAW_RECV_OWN_MSGS) == 0,
+        "suppression of own frames": sock.getsockopt(raw, socket.CAN_RAW_RECV_OWN_MSGS) == 0,
         "frames to other programs": sock.getsockopt(raw, socket.CAN_RAW_LOOPBACK) == 1,
         "CAN FD": sock.getsockopt(raw, socket.CAN_RAW_FD_FRAMES) == fd,
     }
     missing = [what for what, holds in held.items() if not holds]
     if missing:
         raise InputError(
-            f"the kernel did not set: {', '.join(missing)}; take a kernel, or a container, whose "
-            "SocketCAN has all of it",
+            f"the kernel does not support: {', '.join(missing)}; use a kernel or container whose "
+            "SocketCAN supports them",
             name,
         )
     _discard(sock)

@@ -53,7 +53,7 @@ def open_bus(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) ->
     """
     interface, where = wanted.interface or "", f"{wanted.interface} {wanted.channel}"
     if interface == "socketcan":
-        raise InputError('SocketCAN is opened with kind = "can", in real time', where)
+        raise InputError('use kind = "can" for SocketCAN, which runs in real time', where)
     fd = wanted.fd or codec.is_fd
     _check_load(wanted, where, codec)
     with Owned() as owned:

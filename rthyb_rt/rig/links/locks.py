@@ -40,8 +40,8 @@ def hold(owned: Owned, what: str, key: str, side: Side) -> None:
         fd = _locked(path)
     except BlockingIOError:
         raise InputError(
-            f"{holder(path)} has it open as {side}; a link has one {side} at a time: end that "
-            "one first",
+            f"{holder(path)} has it open as {side}; a link can have only one {side} at a time: "
+            "stop that program first",
             what,
         ) from None
     except OSError as error:

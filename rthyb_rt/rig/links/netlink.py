@@ -59,8 +59,8 @@ def interfaces() -> dict[str, Interface]:
             return by_name(kernel.get_links())
     except OSError as error:
         raise InputError(
-            f"the kernel does not list its network interfaces: {error.strerror or error}; allow "
-            "AF_NETLINK where a sandbox is in the way (systemd: RestrictAddressFamilies=)",
+            f"the kernel does not list its network interfaces: {error.strerror or error}; if a "
+            "sandbox forbids it, allow AF_NETLINK (systemd: RestrictAddressFamilies=)",
             "rtnetlink",
         ) from error
 

@@ -110,7 +110,7 @@ def at_each(rig: AxesRig, reach: Callable[[Link, bool], _T], owned: ExitStack) -
     for axis in rig.axis:
         where = f"axis.{axis.name}.link"
         if axis.link is None:
-            raise InputError("the axis has no link; all axes have one, or none", where)
+            raise InputError("the axis has no link; give a link for every axis, or for none", where)
         bus = (axis.link.kind, axis.link.channel)
         try:
             found[axis.name] = reach(axis.link, bus in buses)

@@ -53,7 +53,8 @@ def open_line(path: str, baud: int) -> Opened:
             _make_raw(fd)
         except (termios.error, OSError) as error:
             raise InputError(
-                f"cannot be set up: {error.args[-1]}; plug the adapter in again, or take another",
+                f"cannot be set up: {error.args[-1]}; plug the adapter in again, or use another "
+                "one",
                 path,
             ) from error
         _check_rate(fd, path, baud)
@@ -105,7 +106,7 @@ def _port(path: str, baud: int) -> Any:
         raise InputError(_not_opened(path, number, why), path) from None
     except (ValueError, OSError, termios.error) as error:
         raise InputError(
-            f"cannot be set up for {baud} Bd: {error}; give a rate that both sides have", path
+            f"cannot be set up for {baud} Bd: {error}; choose a rate that both sides support", path
         ) from None
 
 
@@ -120,9 +121,12 @@ def _not_opened(path: str, number: object, why: str | None) -> str:
             f"`sudo usermod -aG {group} $USER`, then log in again"
         )
     if number == errno.EWOULDBLOCK:
-        return f"{locks.holder(path)} has it open; a serial line has one user: end that one first"
+        return (
+            f"{locks.holder(path)} has it open; a serial line can have only one user: stop that "
+            "program first"
+        )
     if number == errno.EBUSY:
-        return "another process has it open for itself alone; end that one first (`fuser -v`)"
+        return "another process has opened it exclusively; stop that process first (`fuser -v`)"
     if number in (errno.ENOTTY, errno.EINVAL):
         return f"is not a serial line; {_lines_here()}"
     if number in (errno.ENXIO, errno.ENODEV, errno.EIO):
@@ -173,13 +177,13 @@ def _check_rate(fd: int, path: str, baud: int) -> None:
     wrong = termios.PARENB | termios.CSTOPB | termios.CRTSCTS
     if cflag & wrong or cflag & termios.CSIZE != termios.CS8:
         raise InputError(
-            "the driver does not take 8N1 without flow control; take an adapter that does", path
+            "the driver does not support 8N1 without flow control; use an adapter that does", path
         )
     speed = _speed(fd)
     if speed is not None and abs(speed - baud) > BAUD_TOLERANCE * baud:
         raise InputError(
-            f"{baud} Bd is not supported: the driver chose {speed} Bd; give a rate that both "
-            "sides have",
+            f"{baud} Bd is not supported: the driver chose {speed} Bd; choose a rate that both "
+            "sides support",
             path,
         )
 
@@ -212,8 +216,8 @@ def _facts(port: Any, path: str, baud: int) -> dict[str, Any]:
         facts["latency_timer_ms"] = int(timer.read_text())
     if facts.get("latency_timer_ms", 0) > 1:
         facts["notes"] = [
-            f"the adapter holds received bytes back for up to {facts['latency_timer_ms']} ms; "
-            f"1 ms is its best: `echo 1 | sudo tee {timer}`"
+            f"the adapter holds received bytes back for up to {facts['latency_timer_ms']} ms; set "
+            f"it to 1 ms: `echo 1 | sudo tee {timer}`"
         ]
     return facts
 

@@ -69,7 +69,7 @@ def listen_socket(
                 listener.settimeout(timeout_s)
                 sock = owned.enter_context(listener.accept()[0])
             except TimeoutError:
-                raise InputError(f"no controller came within {timeout_s} s", where) from None
+                raise InputError(f"no controller connected within {timeout_s} s", where) from None
             finally:
                 with contextlib.suppress(FileNotFoundError):
                     os.unlink(where)
@@ -95,16 +95,16 @@ def _opened(sock: socket.socket, where: str, codec: Codec | None, owned: Owned) 
 def _not_connected(error: OSError, where: str) -> str:
     start = f"start the drive first: `rthyb rig RIG.toml --socket {where}`"
     if error.errno in (errno.ENOENT, errno.ENOTDIR):
-        return f"there is no socket; {start}"
+        return f"the socket does not exist; {start}"
     if error.errno == errno.ECONNREFUSED:
-        return f"nobody listens there; {start}"
+        return f"no program is listening there; {start}"
     if error.errno == errno.EPROTOTYPE:
         return (
-            "another kind of socket than a virtual drive's (AF_UNIX SEQPACKET); give the path that "
-            "`rthyb rig --socket` was given"
+            "not the socket of a virtual drive (AF_UNIX SEQPACKET); use the same path as `rthyb "
+            "rig --socket`"
         )
     if error.errno in (errno.EACCES, errno.EPERM):
-        return "no permission; the socket of a virtual drive is for the user who started it"
+        return "no permission; only the user who started a virtual drive may connect to its socket"
     return f"cannot be connected to: {error.strerror or error}"
 
 
@@ -114,7 +114,9 @@ def _bind(listener: socket.socket, where: str) -> None:
     try:
         listener.bind(where)
     except OSError as error:
-        raise InputError(f"no socket can be made there: {error.strerror or error}", where) from None
+        raise InputError(
+            f"no socket can be created there: {error.strerror or error}", where
+        ) from None
     try:
         listener.listen(1)
     except BaseException:
@@ -126,11 +128,11 @@ def _remove_stale(where: str) -> None:
     """Remove the socket of a process that is gone; InputError for anything else."""
     try:
         if not stat.S_ISSOCK(os.lstat(where).st_mode):
-            raise InputError("is there already, and not a socket; it is left alone", where)
+            raise InputError("already exists and is not a socket; choose another path", where)
     except FileNotFoundError:
         return
     except OSError as error:
-        raise InputError(f"no socket can be made there: {error.strerror}", where) from None
+        raise InputError(f"no socket can be created there: {error.strerror}", where) from None
     with _socket() as probe:
         try:
             probe.connect(where)
@@ -139,4 +141,6 @@ def _remove_stale(where: str) -> None:
             return
         except OSError:
             pass
-    raise InputError("another program listens there; end it first, or take another path", where)
+    raise InputError(
+        "another program is listening there; stop it first, or choose another path", where
+    )

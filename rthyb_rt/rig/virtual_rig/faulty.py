@@ -24,7 +24,9 @@ def parse_mishaps(texts: Sequence[str], axes: Sequence[str] = ()) -> tuple[loop.
     """
     faults, cut_s = parse_faults(texts, axes)
     if cut_s is not None:
-        raise InputError(f"{POWER_CUT}: a rig in this process has none of its own; take silence")
+        raise InputError(
+            f"{POWER_CUT}: a rig in this process has no power supply of its own; use silence"
+        )
     return faults
 
 

@@ -127,8 +127,8 @@ def _listen(path: Path) -> socket.socket:
             listener.setblocking(False)
         except OSError as error:
             raise InputError(
-                f"no socket can be made here ({error.strerror or error}); name a path in a folder "
-                "that you may write, 100 characters long at most",
+                f"no socket can be created here ({error.strerror or error}); choose a path of at "
+                "most 100 characters in a folder to which you have write access",
                 str(path),
             ) from error
         undo.pop_all()
@@ -138,14 +138,14 @@ def _listen(path: Path) -> socket.socket:
 def _remove_abandoned(path: Path) -> None:
     if not path.is_socket():
         if path.exists():
-            raise InputError(
-                "is there already, and not a socket; it is left alone: name another path", str(path)
-            )
+            raise InputError("already exists and is not a socket; choose another path", str(path))
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
         refused = probe.connect_ex(str(path))
     if refused != errno.ECONNREFUSED:
-        raise InputError("another virtual rig listens here; stop it, or name another", str(path))
+        raise InputError(
+            "another virtual rig is listening here; stop it, or choose another path", str(path)
+        )
     path.unlink()
 
 

@@ -98,8 +98,8 @@ def parse_faults(
             continue
         if axis is None:
             problems.append(
-                f"{text!r}: on a rig of several axes a fault begins with its axis, such as "
-                f"{axes[0]}.{text}; the axes are {', '.join(axes)}"
+                f"{text!r}: on a rig with several axes a fault starts with the name of its axis, "
+                f"such as {axes[0]}.{text}; the axes are {', '.join(axes)}"
             )
             continue
         ticks = _FOR_EVER if lasts is None else max(round(lasts * core.FS_HZ), 1)
@@ -136,7 +136,7 @@ def _fault_parts(text: str) -> tuple[str, float, float | None, float]:
 
 def _known(kind: str) -> None:
     if kind not in FAULT_KINDS:
-        raise ValueError(f"no such kind of fault, allowed are {', '.join(FAULT_KINDS)}")
+        raise ValueError(f"no such kind of fault; allowed are {', '.join(FAULT_KINDS)}")
 
 
 def _named_parts(text: str) -> tuple[str, float, float | None, float]:
@@ -149,21 +149,21 @@ def _named_parts(text: str) -> tuple[str, float, float | None, float]:
         key, equals, number = part.partition("=")
         if not equals or key not in allowed or key in given:
             raise ValueError(
-                f"found {part!r}, {kind} takes each of {', '.join(allowed)} once, such as "
+                f"found {part!r}, {kind} accepts {', '.join(allowed)}, each at most once, such as "
                 f"{kind}:from=5,to=8"
             )
         given[key] = number
     at = _seconds(given.get("from", "0"))
     lasts = None if "to" not in given else _seconds(given["to"]) - at
     if lasts is not None and lasts <= 0.0:
-        raise ValueError(f"it ends at {given['to']} s, before it begins at {at:g} s")
+        raise ValueError(f"it ends at {given['to']} s, before its start at {at:g} s")
     return kind, at, lasts, _value(kind, given.get(_KEYS.get(kind, "")))
 
 
 def _value(kind: str, text: str | None) -> float:
     if kind not in _VALUES:
         if text is not None:
-            raise ValueError(f"found the value {text}; {kind} takes none")
+            raise ValueError(f"found the value {text}; {kind} has no value")
         return 1.0
     low, high, unit, default = _VALUES[kind]
     if text is None and default is None:
@@ -171,7 +171,7 @@ def _value(kind: str, text: str | None) -> float:
     value = default if text is None else float(text)
     if value is None or not low <= value <= high:
         raise ValueError(
-            f"found the value {text}, {kind} takes {low:g} to {high:g} {unit}".rstrip()
+            f"found the value {text}; {kind} accepts {low:g} to {high:g} {unit}".rstrip()
         )
     return value
 

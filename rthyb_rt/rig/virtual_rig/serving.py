@@ -327,7 +327,7 @@ def write_log(path: Path, log: NDArray[np.void]) -> None:
         RthybError: the file cannot be written.
     """
     if path.suffix not in LOG_SUFFIXES:
-        raise InputError(f"a log ends with {' or '.join(LOG_SUFFIXES)}", str(path))
+        raise InputError(f"a log must end with {' or '.join(LOG_SUFFIXES)}", str(path))
     with replacing(path) as temporary:
         if path.suffix == ".npy":
             with temporary.open("wb") as file:
