@@ -39,8 +39,7 @@ def changes_of(force: Force, *names: str, seed: int = 1) -> dict[str, float]:
     return {c.part: c.deviations for c in steady.changes(problem, fit)}
 
 
-SECOND_HALF = "the second half of the recording"
-DIRECTION, FAST = "motion in one direction", "fast motion"
+SECOND_HALF, DIRECTION = "the second half of the recording", "motion in one direction"
 
 
 @pytest.mark.parametrize(
@@ -48,9 +47,8 @@ DIRECTION, FAST = "motion in one direction", "fast motion"
     [
         (lambda t, x, v: 3e3 * np.maximum(v, 0.0), ("viscous", "bias"), DIRECTION),
         (lambda t, x, v: 2e3 * v * (t > 4.0), ("viscous",), SECOND_HALF),
-        (lambda t, x, v: 800.0 * np.tanh(v / 0.02), ("viscous",), FAST),
     ],
-    ids=["a damper that grips one way only", "a damper that wears in", "friction as a damper"],
+    ids=["a damper that grips one way only", "a damper that wears in"],
 )  # fmt: skip
 def test_laws_that_stand_in_for_another_have_other_numbers_elsewhere(
     force: Force, names: tuple[str, ...], part: str
@@ -82,6 +80,14 @@ def test_the_form_of_a_law_is_no_change_of_its_numbers(part: float) -> None:
     """A damper of a power of velocity near one: a smooth function of velocity times a dashpot."""
     found = changes_of(lambda t, x, v: 2e3 * np.sign(v) * np.abs(v) ** part, "viscous")
     assert max(found.values()) < POLICY.changed_numbers
+
+
+@pytest.mark.parametrize("share", [0.02, 0.05, 0.08])
+def test_a_damper_that_warms_by_some_per_cent_is_still_that_damper(share: float) -> None:
+    found = changes_of(lambda t, x, v: 2e3 * v * (1.0 - share * (t > 4.0)), "viscous")
+    assert max(found.values()) < POLICY.changed_numbers
+    worn = changes_of(lambda t, x, v: 2e3 * v * (1.0 - 0.4 * (t > 4.0)), "viscous")
+    assert worn[SECOND_HALF] > POLICY.changed_numbers
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 8])

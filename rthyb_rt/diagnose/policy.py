@@ -108,6 +108,12 @@ class Policy:
         "How far beyond chance the numbers of a set may be others in a part of the recording.",
         "one in four thousand by chance, of five parts one in nine hundred",
     )  # fmt: skip
+    changed_within: float = _entry(
+        0.05, "part of a number", "judgement",
+        "Standard deviation by which a law's numbers may be others in a part of the recording: "
+        "specimens warm and wear.",
+        "two of them are the 10 per cent within which the proof counts a number as right",
+    )  # fmt: skip
 
     # ---- which of several sets is named --------------------------------------------------------
     same_evidence: float = _entry(

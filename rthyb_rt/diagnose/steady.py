@@ -6,6 +6,7 @@ enough to pass for noise all the same. So the rows of a recording are parted by 
 motion, each part is given numbers of its own, and what that earns is held against chance (Chow,
 Econometrica 28 (1960) 591). The law of a right name is only near, too: beside it stand its
 `form.neighbours`, no larger than a form may be off, and what they explain as well is no evidence.
+Nor is it that a specimen warms or wears a little: numbers may be others by some per cent.
 """
 
 from __future__ import annotations
@@ -66,12 +67,17 @@ def changes(problem: Problem, fit: Fit) -> tuple[Change, ...]:
     )
     at = np.arange(slopes.shape[1], design.shape[1])
     prior[at, at] = POLICY.form_error**-2
-    before = _left(design, prior, fit.residual)[0]
+    # By how much each number is another: of shapes the logarithm is fitted.
+    free = np.pad(prior, (0, own.shape[1]))
+    held = free.copy()
+    numbers = np.abs(np.concatenate([np.ones(shapes), *fit.betas]))
+    at = np.arange(design.shape[1], free.shape[0])
+    held[at, at] = np.maximum(POLICY.changed_within * numbers, 1e-150) ** -2.0
     out = []
     for part, rows in _parts(problem):
         apart = np.column_stack([design, np.where(rows[:, None], own, 0.0)])
-        wide = np.pad(prior, (0, own.shape[1]))
-        after, rest = _left(apart, wide, fit.residual)
+        before = _left(apart, held, fit.residual)[0]
+        after, rest = _left(apart, free, fit.residual)
         out.append(Change(part, (before - after) / inflation(rest), own.shape[1]))
     return tuple(out)
 
