@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, Literal, Self, 
 import numpy as np
 
 from rthyb_rt import config
-from rthyb_rt.config import RigFile, TestFile
+from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.config.fields import Table, nearest, written
 from rthyb_rt.config.own import PYTHON
 from rthyb_rt.errors import InputError, Problem
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Place = str | os.PathLike[str]
 """A file as Python names it."""
 
-_File = TypeVar("_File", TestFile, RigFile)
+_File = TypeVar("_File", bound=TestFile | RigFile | AxesRig)
 RIG: Final = "rig"
 
 
@@ -242,8 +242,8 @@ def _nothing(kind: Literal["test", "rig"], example: str) -> InputError:
     )
 
 
-class Rig(_Document[RigFile]):
-    """Actuator, specimen and sensors: what a rig file says.
+class Rig(_Document[RigFile | AxesRig]):
+    """Actuator, specimen and sensors, of one axis or of several: what a rig file says.
 
     Args:
         source: path of a rig file, or the name of one that comes with the program (`Rig.names`).
@@ -269,11 +269,16 @@ class Rig(_Document[RigFile]):
         if source is None and not tables:
             raise _nothing("rig", 'Rig(rig={"name": "mine"}, actuator={...}, specimen=[...])')
         if source is None:
-            self._file = config.check_values(RigFile, plain(tables), "Rig")
+            values = plain(tables)
+            self._file = (
+                config.check_values(AxesRig, values, "Rig")
+                if "axis" in tables
+                else config.check_values(RigFile, values, "Rig")
+            )
             self._origin = "Rig"
             return
         path = _source("rig", source)
-        self._file, self._origin = config.load_rig(path), str(path)
+        self._file, self._origin = config.load_any_rig(path), str(path)
         if tables:
             self._file = self.with_(**tables)._file
         else:
@@ -299,13 +304,15 @@ class Rig(_Document[RigFile]):
             >>> Rig("delay-10-elastic").with_(actuator={"delay_samples": 12})["actuator.kind"]
             'pure-delay'
         """
-        return self._made(self._changed(_changes(changes, tables), config.parse_rig), self._origin)
+        changed = self._changed(_changes(changes, tables), config.parse_any_rig)
+        return self._made(changed, self._origin)
 
     @staticmethod
     def _own_key(key: str) -> str:
         """Return a key without the ``rig.`` that a test's changes of its rig have before it."""
         inner = key.removeprefix(f"{RIG}.")
-        return inner if inner.split(".")[0] in RigFile.model_fields else key
+        known = (*RigFile.model_fields, *AxesRig.model_fields)
+        return inner if inner.split(".")[0] in known else key
 
     @classmethod
     def from_toml(cls, text: str, source: str = "rig") -> Rig:
@@ -314,9 +321,11 @@ class Rig(_Document[RigFile]):
         Raises:
             InputError: with every fault and its line.
         """
-        return cls._made(config.parse_rig(text, source), source)
+        return cls._made(config.parse_any_rig(text, source), source)
 
     def __repr__(self) -> str:
+        if isinstance(self._file, AxesRig):
+            return f"<Rig {self.name}: axes {', '.join(self._file.names)}>"
         actuator = self._file.actuator.kind
         elements = ", ".join(element.element for element in self._file.specimen)
         return f"<Rig {self.name}: {actuator} actuator, specimen {elements}>"
@@ -501,8 +510,24 @@ def file_of_test(test: Test) -> TestFile:
     return test._file
 
 
-def file_of_rig(rig: Rig) -> RigFile:
+def any_file_of_rig(rig: Rig) -> RigFile | AxesRig:
     """Return the checked file behind a rig."""
+    return rig._file
+
+
+def file_of_rig(rig: Rig) -> RigFile:
+    """Return the checked file behind a rig of one axis.
+
+    Raises:
+        InputError: it has several.
+    """
+    if isinstance(rig._file, AxesRig):
+        raise InputError(
+            f'rig "{rig.name}" has several axes ({", ".join(rig._file.names)}), and a rig of one '
+            "is needed here; a test on several is run by run and read by open, and rthyb check, "
+            "rthyb identify and rthyb run --realtime take its file",
+            "rig",
+        )
     return rig._file
 
 

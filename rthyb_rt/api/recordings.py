@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
+    from rthyb_rt.analysis.several import AxesSummary
     from rthyb_rt.analysis.spectra import FrequencyResponse
     from rthyb_rt.analysis.summary import Summary
 
@@ -283,28 +284,68 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     # ---- what it says ---------------------------------------------------------------------------
 
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Names of the axes of a rig of several; () of one axis."""
+        return self._raw.axis_names
+
+    def axis(self, name: str) -> dict[str, NDArray[Any]]:
+        """Return what was recorded of one of several axes, by the names of a rig of one, (n,) each.
+
+        Raises:
+            InputError: there is no such axis; says which there are.
+        """
+        rows = self._raw.axis(name)
+        return {field: np.asarray(rows[field]) for field in rows.dtype.names or ()}
+
     @cached_property
     def summary(self) -> Summary:
-        """All that the report tells, as the program has it; `measures` has the figures alone."""
+        """All that the report tells, as the program has it; `measures` has the figures alone.
+
+        Raises:
+            InputError: the rig has several axes.
+        """
         from rthyb_rt.analysis.summary import summarize
 
+        if self.axis_names:
+            raise InputError(
+                f"the test ran on several axes ({', '.join(self.axis_names)}), and this is of one; "
+                "measures, table, verdict and report are of several as well",
+                "recording",
+            )
         return summarize(self._raw)
+
+    @cached_property
+    def _of_axes(self) -> AxesSummary | None:
+        """The same of several axes; None of one, and of a test that never ran."""
+        from rthyb_rt.analysis import several
+
+        if not self.axis_names or not self.running.any():
+            return None
+        return several.summarize(self._raw)
 
     @cached_property
     def measures(self) -> dict[str, Any]:
         """The figures of the test by name, as in ``rthyb run --json``: SI units and fractions.
 
-        The unit stands in the name; None is what the recording does not say.
+        The unit stands in the name; None is what the recording does not say. Of several axes those
+        of each stand under ``axes``, those of each direction under ``directions``.
         """
+        if self.axis_names:
+            return {} if self._of_axes is None else self._of_axes.as_json()
         found = self.summary.as_json()
         return {name: value for name, value in found.items() if name not in _IDENTITY}
 
     @property
     def table(self) -> list[tuple[str, str, str]]:
         """The table of the command line: what, how much, by which formula."""
-        from rthyb_rt.analysis import summary
+        from rthyb_rt.analysis import several, summary
 
-        return [(row.label, row.value, row.formula) for row in summary.table(self.summary)]
+        if self.axis_names:
+            rows = [] if self._of_axes is None else several.table(self._of_axes)
+        else:
+            rows = summary.table(self.summary)
+        return [(row.label, row.value, row.formula) for row in rows]
 
     @property
     def name(self) -> str:
@@ -314,26 +355,40 @@ class Recording(Mapping[str, NDArray[Any]]):
     @property
     def completed(self) -> bool:
         """Whether the test came to its end."""
-        return self.summary.end_reason == "completed"
+        return self._end_reason == "completed"
+
+    @property
+    def _end_reason(self) -> str:
+        if self.axis_names:
+            return str(self._raw.meta.get("end_reason", "unknown"))
+        return self.summary.end_reason
 
     @property
     def ending(self) -> str:
         """``completed``, or what ended the test with its figures."""
-        return "completed" if self.completed else self.summary.ending or self.summary.end_reason
+        if self.completed:
+            return "completed"
+        return ("" if self.axis_names else self.summary.ending) or self._end_reason
 
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
-        from rthyb_rt.analysis import summary
+        from rthyb_rt.analysis import several, summary
 
-        return summary.verdict(self.summary)
+        if not self.axis_names:
+            return summary.verdict(self.summary)
+        if self._of_axes is None:
+            return f"The test did not complete: {self._end_reason}."
+        return several.verdict(self._of_axes)
 
     @property
     def notices(self) -> list[str]:
         """What must not be missed, the gravest first."""
-        from rthyb_rt.analysis import summary
+        from rthyb_rt.analysis import several, summary
 
-        return [notice.text for notice in summary.notices(self.summary)]
+        if not self.axis_names:
+            return [notice.text for notice in summary.notices(self.summary)]
+        return [] if self._of_axes is None else [one.text for one in several.notices(self._of_axes)]
 
     @property
     def meta(self) -> dict[str, Any]:
@@ -478,6 +533,9 @@ class Recording(Mapping[str, NDArray[Any]]):
     def __repr__(self) -> str:
         from rthyb_rt.numbers import percent
 
+        if self.axis_names:
+            axes = ", ".join(self.axis_names)
+            return f"<Recording {self.name}: {self.ending}, axes {axes}, at {self.fs_hz:g} Hz>"
         found = self.summary
         errors = f"tracking {percent(found.tracking_nrmse)}"
         if found.response_nrmse is not None:

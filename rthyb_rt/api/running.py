@@ -11,9 +11,10 @@ from pathlib import Path
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test
 from rthyb_rt.api.recordings import Recording
+from rthyb_rt.config import AxesRig
 from rthyb_rt.core.pending import OwnCodeError
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import experiment, keeping, virtual_time
+from rthyb_rt.lab import experiment, keeping, several, virtual_time
 
 Progress = Callable[[int, int], None]
 """Takes how many samples are done, and of how many."""
@@ -23,7 +24,10 @@ def prepared(test: Test | Place | None, rig: Rig | Place | None) -> experiment.S
     """Return a test ready to go; arguments and errors as for `run`."""
     found = files.as_test(test)
     on = found.rig if rig is None else files.as_rig(rig)
-    return experiment.prepare(files.file_of_test(found), files.file_of_rig(on))
+    file = files.any_file_of_rig(on)
+    if isinstance(file, AxesRig):
+        return several.prepare(files.file_of_test(found), file)
+    return experiment.prepare(files.file_of_test(found), file)
 
 
 def run(

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rthyb_rt.cli import interrupts
-from rthyb_rt.cli.inputs import RecordingArgument
+from rthyb_rt.cli.inputs import AxisOption, RecordingArgument
 
 
 def export(
@@ -26,6 +26,7 @@ def export(
     full: Annotated[
         bool, typer.Option("--full", help="With --csv, write every row and every field.")
     ] = False,
+    axis: AxisOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -41,6 +42,11 @@ def export(
     Examples:
       rthyb export runs/section5-t0.5-20260301T101500Z --mat
       rthyb export recording.h5 --csv --full --out test-7.csv
+      rthyb export recording.h5 --csv --axis upper
+
+    With --axis, the CSV file has the signals of that axis of several, its force less what the other
+    axes bring by the specimen's stiffness matrix; the rig of that axis, the model of a diagnosis,
+    is written beside it.
     """
     if mat == csv:
         raise typer.BadParameter("choose one of the two", param_hint="--mat / --csv")
@@ -48,13 +54,21 @@ def export(
         raise typer.BadParameter(
             "belongs to --csv; a MAT file has every field", param_hint="--full"
         )
+    if axis is not None and (full or mat):
+        raise typer.BadParameter("belongs to --csv without --full", param_hint="--axis")
+    from rthyb_rt.record import axis_export
     from rthyb_rt.record.export import to_csv, to_mat
     from rthyb_rt.record.recording import open_run
 
     rec = open_run(recording)
     beside = recording / "recording" if recording.is_dir() else recording
-    kind = ".mat" if mat else "-full.csv" if full else ".csv"
+    kind = ".mat" if mat else "-full.csv" if full else f"-{axis}.csv" if axis else ".csv"
     path = out or beside.with_name(beside.stem + kind)
+    if axis is not None:
+        model = axis_export.to_csv(rec, path, axis)
+        interrupts.wrote(model)
+        print(path, model, sep="\n")
+        return
     if mat:
         to_mat(rec, path)
     else:

@@ -106,7 +106,16 @@ def _run(path: Path) -> Recording | None:
         return None
     from rthyb_rt.record.recording import open_run
 
-    return open_run(path)
+    rec = open_run(path)
+    if rec.axis_names:
+        first = rec.axis_names[0]
+        raise InputError(
+            f"was recorded on several axes ({', '.join(rec.axis_names)}); a diagnosis is of one: "
+            f"run rthyb export {path} --csv --axis {first}, and diagnose the file that it writes "
+            "with the rig beside it as --model",
+            str(path),
+        )
+    return rec
 
 
 _EXTRA_OF = {"x_meas": "m", "f_meas": "N", "ag": "m/s^2"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,15 @@ def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
             gives every row, every field and every channel under its own name, after ``t_s``.
 
     Raises:
+        InputError: without ``full``, of a rig of several axes: see `axis_export`.
         RthybError: the file cannot be written.
     """
+    if rec.axis_names and not full:
+        raise InputError(
+            f"the recording has the axes {', '.join(rec.axis_names)}, and this format is of one: "
+            f"name it (--axis {rec.axis_names[0]}), or write all fields (--full)",
+            "export",
+        )
     if full:
         rows = np.ones(len(rec.samples), dtype=np.bool_)
         names = {name: name for name in rec.samples.dtype.names or ()}
@@ -43,12 +51,17 @@ def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
         rows = rec.running()
         names = INTERCHANGE
         header = ["t", *names]
-    columns = [rec.time_s()[rows].tolist()]
-    columns += [_values(rec, name)[rows].tolist() for name in names.values()]
+    columns = [rec.time_s(), *(_values(rec, name) for name in names.values())]
+    write_columns(dict(zip(header, (one[rows] for one in columns), strict=True)), path)
+
+
+def write_columns(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
+    """Write columns, (n,) each, by their names as CSV; raises ``RthybError`` where it cannot."""
+    values = [one.tolist() for one in columns.values()]
     with replacing(Path(path)) as temporary, temporary.open("w", encoding="ascii") as file:
-        file.write(",".join(header) + "\n")
+        file.write(",".join(columns) + "\n")
         # repr gives the shortest text that reads back as the same double.
-        file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*columns, strict=True))
+        file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*values, strict=True))
 
 
 def to_mat(rec: Recording, path: str | Path) -> None:
