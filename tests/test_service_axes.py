@@ -220,7 +220,7 @@ def test_limit_along_a_rotation_is_told_in_its_own_units(tmp_path: Path) -> None
 def test_zero_names_the_axis_that_says_nothing(made: Made) -> None:
     with made(faults=(loop.Fault("silence", 0, 10**9, 1.0, 1),)) as lab:
         lab.loaded()
-        with pytest.raises(StateError, match="axis right: nothing came"):
+        with pytest.raises(StateError, match="axis right: nothing arrived"):
             lab.engine.zero()
         assert lab.engine.state == "IDLE"
 
@@ -229,7 +229,7 @@ def test_a_test_of_one_actuator_is_refused_on_a_rig_of_two_and_the_other_way_rou
     made: Made,
 ) -> None:
     one = config.load_test(config.builtin_test_path())
-    with made() as lab, pytest.raises(InputError, match="a rig of several axes needs storeys"):
+    with made() as lab, pytest.raises(InputError, match="a rig with several axes needs storeys"):
         lab.engine.prepare(one, experiment.load_motion(one))
     alone = config.load_rig(config.find_rig(one.rig))
     with pytest.raises(InputError, match="the rig has one actuator, which moves one"):
