@@ -93,7 +93,7 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
 /* ---- between axes and interfaces --------------------------------------------------------------- */
 
 /* Without a pose the axes stand where each of them is: no pose of any kind leads there. */
-static inline int targets_of(int n, rthyb_controller *c, const double *x_num, double *target)
+PER_COUNT int targets_of(int n, rthyb_controller *c, const double *x_num, double *target)
 {
     if (c->cfg.kinematics.size > 0 && c->posed)
         return rthyb_kinematics_axes(&c->kinematics, x_num, target);
@@ -112,8 +112,8 @@ static inline int is_no_pose(rthyb_controller *c, const double *x)
 }
 
 /* Pose and forces of the interfaces, by the readings of the axes. */
-static inline int meet(int n, rthyb_controller *c, const double *x, const double *f, double *pose,
-                       double *force)
+PER_COUNT int meet(int n, rthyb_controller *c, const double *x, const double *f, double *pose,
+                   double *force)
 {
     if (c->cfg.kinematics.size > 0) {
         const int code = c->posed ? rthyb_kinematics_pose(&c->kinematics, x, pose) : RTHYB_OK;
@@ -128,7 +128,7 @@ static inline int meet(int n, rthyb_controller *c, const double *x, const double
 
 /* What the readings of the axes change by where the specimen goes on as it is asked to: the forces along the
  * tangent stiffness. */
-static inline void ahead_of(int n, rthyb_controller *c, double *x, double *f)
+PER_COUNT void ahead_of(int n, rthyb_controller *c, double *x, double *f)
 {
     const int m = n;
     double way[MOST], force[MOST] = {0.0};
@@ -174,8 +174,8 @@ static int is_pair(const rthyb_axis_control *cfg, const rthyb_pair *in, int *cod
 /* Takes the pairs of this tick, or makes up those of all axes from their commands; 1 if they are made up. Pairs
  * that are sound each by itself and no pose together are as good as none. The noise of two samples, run out over
  * twenty, would be more than the motion. */
-static inline int gate(int n, rthyb_controller *c, const rthyb_input *in, double *x, double *f,
-                       int *code)
+PER_COUNT int gate(int n, rthyb_controller *c, const rthyb_input *in, double *x, double *f,
+                   int *code)
 {
     int made_up = 0;
     for (int i = 0; i < n; i++) {
@@ -202,7 +202,7 @@ static inline int gate(int n, rthyb_controller *c, const rthyb_input *in, double
 
 /* Energy that the tracking error feeds into the structure (Mosqueda et al. 2007) and tracking
  * indicator (Mercan & Ricles 2007; falling while x_m lags), of all axes. */
-static inline void monitor(int n, rthyb_controller *c, const double *x, const double *f)
+PER_COUNT void monitor(int n, rthyb_controller *c, const double *x, const double *f)
 {
     for (int i = 0; i < n; i++) {
         const rthyb_controller_axis *a = &c->axis[i];
@@ -232,8 +232,8 @@ double rthyb_controller_stiffness(const rthyb_controller *c, int interface)
                                       : c->interface[interface].rfc.k_n_per_m;
 }
 
-static inline void write_axes(int n, const rthyb_controller *c, const rthyb_input *in,
-                              const double *x, const double *f, rthyb_record *record)
+PER_COUNT void write_axes(int n, const rthyb_controller *c, const rthyb_input *in, const double *x,
+                          const double *f, rthyb_record *record)
 {
     for (int i = 0; i < n; i++) {
         rthyb_axis_record *r = &record->axis[i];
@@ -246,9 +246,9 @@ static inline void write_axes(int n, const rthyb_controller *c, const rthyb_inpu
     }
 }
 
-static inline void write_record(int n, const rthyb_controller *c, const rthyb_input *in,
-                                const double *x, const double *f, uint32_t flags, int code,
-                                rthyb_record *record)
+PER_COUNT void write_record(int n, const rthyb_controller *c, const rthyb_input *in,
+                            const double *x, const double *f, uint32_t flags, int code,
+                            rthyb_record *record)
 {
     record->tick = c->tick;
     record->due_ns = llrint((double)c->tick * c->cfg.period_s * 1e9);
@@ -280,7 +280,7 @@ static int answer(rthyb_controller *c, double excitation, const double *force, d
     return rthyb_numerical_answer(&c->cfg.numerical, excitation, force, x_num);
 }
 
-static inline int asks_velocity(int n, const rthyb_controller *c)
+PER_COUNT int asks_velocity(int n, const rthyb_controller *c)
 {
     int asks = c->cfg.matrix_rfc.size > 0 && c->cfg.matrix_rfc.lateness_s != 0.0;
     for (int j = 0; j < n; j++)
@@ -289,7 +289,7 @@ static inline int asks_velocity(int n, const rthyb_controller *c)
 }
 
 /* Velocities of the interfaces at t_n; only a force that is late is asked for them. */
-static inline void velocities(int n, rthyb_controller *c, double *v)
+PER_COUNT void velocities(int n, rthyb_controller *c, double *v)
 {
     rthyb_interface at[MOST];
     memset(v, 0, MOST * sizeof *v);
@@ -301,7 +301,7 @@ static inline void velocities(int n, rthyb_controller *c, double *v)
         v[j] = at[j].v;
 }
 
-static inline int observe(int n, rthyb_controller *c, const double *x, int held)
+PER_COUNT int observe(int n, rthyb_controller *c, const double *x, int held)
 {
     double sent[MOST];
     int code = RTHYB_OK;
@@ -316,8 +316,8 @@ static inline int observe(int n, rthyb_controller *c, const double *x, int held)
 }
 
 /* The forces that the equation of motion sees. */
-static inline int compensate(int n, rthyb_controller *c, const double *pose, const double *f,
-                             int frozen, double *force)
+PER_COUNT int compensate(int n, rthyb_controller *c, const double *pose, const double *f,
+                         int frozen, double *force)
 {
     double v[MOST], x_num[MOST] = {0.0};
     int code = RTHYB_OK;
@@ -334,8 +334,8 @@ static inline int compensate(int n, rthyb_controller *c, const double *pose, con
     return code;
 }
 
-static inline int meet_and_note(int n, rthyb_controller *c, const double *x, const double *f,
-                                double *pose, double *force)
+PER_COUNT int meet_and_note(int n, rthyb_controller *c, const double *x, const double *f,
+                            double *pose, double *force)
 {
     const int code = meet(n, c, x, f, pose, force);
     for (int j = 0; j < n; j++) {
@@ -346,8 +346,8 @@ static inline int meet_and_note(int n, rthyb_controller *c, const double *x, con
 }
 
 /* The next displacements by the equation of motion, with what the laws learn, RFC and monitors. */
-static inline int compute_motion(int n, rthyb_controller *c, const rthyb_input *in, const double *x,
-                                 const double *f, int frozen, double *x_num)
+PER_COUNT int compute_motion(int n, rthyb_controller *c, const rthyb_input *in, const double *x,
+                             const double *f, int frozen, double *x_num)
 {
     double pose[MOST] = {0.0}, met[MOST] = {0.0}, force[MOST] = {0.0};
     monitor(n, c, x, f);
@@ -359,8 +359,8 @@ static inline int compute_motion(int n, rthyb_controller *c, const rthyb_input *
 }
 
 /* The next displacements from a path: laws and RFC see the motion and learn nothing from it. */
-static inline int follow_path(int n, rthyb_controller *c, const double *x, const double *f,
-                              const double *path_m, double *x_num)
+PER_COUNT int follow_path(int n, rthyb_controller *c, const double *x, const double *f,
+                          const double *path_m, double *x_num)
 {
     double pose[MOST] = {0.0}, met[MOST] = {0.0}, at[MOST] = {0.0};
     int code = observe(n, c, x, 1);
@@ -386,14 +386,14 @@ static double allowed_move(const rthyb_controller *c, int axis, const double *pa
     return most > 0.0 ? most : (double)INFINITY;
 }
 
-static inline int lead_all(int n, rthyb_controller *c, const double *target, const double *path_m,
-                           double *led)
+PER_COUNT int lead_all(int n, rthyb_controller *c, const double *target, const double *path_m,
+                       double *led)
 {
     double least = HUGE_VAL;
     int code = RTHYB_OK;
     for (int i = 0; i < n; i++) {
         const double allowed = allowed_move(c, i, path_m);
-        least = fmin(least, allowed);
+        least = less_of(least, allowed);
         if (c->cfg.matrix_lead.size == 0)
             code |= rthyb_law_lead(&c->axis[i].law, target[i], allowed, &led[i]);
     }
@@ -403,8 +403,8 @@ static inline int lead_all(int n, rthyb_controller *c, const double *target, con
 }
 
 /* x_p for the next instant. No law may bring the command out of this world. */
-static inline int lead(int n, rthyb_controller *c, const double *target, const double *path_m,
-                       double *x_plc)
+PER_COUNT int lead(int n, rthyb_controller *c, const double *target, const double *path_m,
+                   double *x_plc)
 {
     double led[MOST] = {0.0};
     int code = lead_all(n, c, target, path_m, led);
@@ -431,7 +431,7 @@ void rthyb_controller_advance(rthyb_controller *c)
 }
 
 /* What becomes of the commands; 1 where the limiter has changed one. */
-static inline int command(int n, rthyb_controller *c, const double *x_plc, int blind, double *x_cmd)
+PER_COUNT int command(int n, rthyb_controller *c, const double *x_plc, int blind, double *x_cmd)
 {
     int limited = 0;
     for (int i = 0; blind && i < n; i++)
@@ -444,8 +444,8 @@ static inline int command(int n, rthyb_controller *c, const double *x_plc, int b
 }
 
 /* The next sample finds what this one has come to. */
-static inline void shift(int n, rthyb_controller *c, const double *x, const double *f,
-                         const double *target, const double *x_plc, const double *x_cmd, int blind)
+PER_COUNT void shift(int n, rthyb_controller *c, const double *x, const double *f,
+                     const double *target, const double *x_plc, const double *x_cmd, int blind)
 {
     for (int i = 0; i < n; i++) {
         rthyb_controller_axis *a = &c->axis[i];
@@ -462,9 +462,8 @@ static inline void shift(int n, rthyb_controller *c, const double *x, const doub
 }
 
 /* For any number of axes; where that is one, and the compiler knows it, no loop is left. */
-static inline __attribute__((always_inline)) int sample(int n, rthyb_controller *c,
-                                                        const rthyb_input *in, const double *path_m,
-                                                        int blind, rthyb_record *record)
+PER_COUNT int sample(int n, rthyb_controller *c, const rthyb_input *in, const double *path_m,
+                     int blind, rthyb_record *record)
 {
     double x[MOST] = {0.0}, f[MOST] = {0.0}, x_num[MOST] = {0.0};
     double target[MOST] = {0.0}, x_plc[MOST] = {0.0}, x_cmd[MOST] = {0.0};

@@ -46,8 +46,8 @@ void limiter_stayed(rthyb_limiter *l)
 
 /* All of `to` come back towards `from` by one factor, until each lies within its bounds. The one that needs
  * it most ends on its bound, to the last digit. */
-static inline void draw_back(int n, const double *from, const double *low, const double *high,
-                             double *to)
+PER_COUNT void draw_back(int n, const double *from, const double *low, const double *high,
+                         double *to)
 {
     double kept[MOST], share[MOST], least = 1.0;
     int inside = 1;
@@ -88,7 +88,7 @@ static double position_limit(const rthyb_axis_control *cfg)
 
 /* The steps that catch up with what is wanted, no faster than they can be braked: else the commands would
  * swing about that for ever. */
-static inline void close_lags(int n, const rthyb_controller *c, const double *wanted, double *step)
+PER_COUNT void close_lags(int n, const rthyb_controller *c, const double *wanted, double *step)
 {
     double closing[MOST], share[MOST], least = HUGE_VAL;
     for (int i = 0; i < n; i++) {
@@ -108,8 +108,7 @@ static inline void close_lags(int n, const rthyb_controller *c, const double *wa
 }
 
 /* What an axis can brake with while it keeps pace with all others. */
-static inline double joint_acceleration(int n, const rthyb_controller *c, const double *step,
-                                        int axis)
+PER_COUNT double joint_acceleration(int n, const rthyb_controller *c, const double *step, int axis)
 {
     double most = c->cfg.axis[axis].acceleration_limit_m_per_s2;
     for (int k = 0; k < n; k++) {
@@ -121,7 +120,7 @@ static inline double joint_acceleration(int n, const rthyb_controller *c, const 
 }
 
 /* Steps that can still be braked before the position limits; `alone`: each axis by itself. */
-static inline void brake_in_time(int n, const rthyb_controller *c, double *step, int alone)
+PER_COUNT void brake_in_time(int n, const rthyb_controller *c, double *step, int alone)
 {
     const double h = c->cfg.period_s, none[MOST] = {0.0};
     double low[MOST] = {0.0}, high[MOST] = {0.0};
@@ -141,7 +140,7 @@ static inline void brake_in_time(int n, const rthyb_controller *c, double *step,
         draw_back(n, none, low, high, step);
 }
 
-static inline void limit_velocity(int n, const rthyb_controller *c, double *step)
+PER_COUNT void limit_velocity(int n, const rthyb_controller *c, double *step)
 {
     const double none[MOST] = {0.0};
     double low[MOST] = {0.0}, high[MOST] = {0.0};
@@ -154,7 +153,7 @@ static inline void limit_velocity(int n, const rthyb_controller *c, double *step
 }
 
 /* After a gap no step goes the other way at once. */
-static inline void keep_way(int n, const rthyb_controller *c, double *step)
+PER_COUNT void keep_way(int n, const rthyb_controller *c, double *step)
 {
     for (int i = 0; i < n; i++) {
         const rthyb_limiter *l = &c->axis[i].limiter;
@@ -164,7 +163,7 @@ static inline void keep_way(int n, const rthyb_controller *c, double *step)
 }
 
 /* From the steps of before; one that braked for its own position limit keeps to that. */
-static inline void limit_acceleration(int n, const rthyb_controller *c, double *step)
+PER_COUNT void limit_acceleration(int n, const rthyb_controller *c, double *step)
 {
     const double h = c->cfg.period_s;
     double from[MOST] = {0.0}, low[MOST] = {0.0}, high[MOST] = {0.0};
@@ -190,12 +189,13 @@ static void draw_bounds(const rthyb_axis_control *cfg, double h, rthyb_limiter *
     const double per_tick2 = cfg->acceleration_limit_m_per_s2 * h * h;
     const double braked = per_tick2 > 0.0 ? 0.5 * l->step * fabs(l->step) / per_tick2 : 0.0;
     const double centre = cfg->clamp_centre_m, limit = position_limit(cfg);
-    l->upper_m = fmax(centre + limit, fmin(l->upper_m, l->x_lim + fmax(braked, 0.0)));
-    l->lower_m = fmin(centre - limit, fmax(l->lower_m, l->x_lim + fmin(braked, 0.0)));
+    l->upper_m =
+        greater_of(centre + limit, less_of(l->upper_m, l->x_lim + greater_of(0.0, braked)));
+    l->lower_m = less_of(centre - limit, greater_of(l->lower_m, l->x_lim + less_of(0.0, braked)));
 }
 
 /* Whether an axis has a limit of its acceleration, and one of its velocity. */
-static inline int accelerates(int n, const rthyb_controller *c)
+PER_COUNT int accelerates(int n, const rthyb_controller *c)
 {
     int any = 0;
     for (int i = 0; i < n; i++)
@@ -203,7 +203,7 @@ static inline int accelerates(int n, const rthyb_controller *c)
     return any;
 }
 
-static inline int has_velocity(int n, const rthyb_controller *c)
+PER_COUNT int has_velocity(int n, const rthyb_controller *c)
 {
     int any = 0;
     for (int i = 0; i < n; i++)
@@ -211,7 +211,7 @@ static inline int has_velocity(int n, const rthyb_controller *c)
     return any;
 }
 
-static inline void limit_steps(int n, const rthyb_controller *c, const double *wanted, double *step)
+PER_COUNT void limit_steps(int n, const rthyb_controller *c, const double *wanted, double *step)
 {
     const int brakes = accelerates(n, c);
     for (int i = 0; i < n; i++)
@@ -230,8 +230,8 @@ static inline void limit_steps(int n, const rthyb_controller *c, const double *w
 
 /* An axis that its own position limit stops at once holds the others on the straight way, but no faster than each
  * of them brakes: one that is nowhere near a limit does not leap. */
-static inline void spare_the_others(int n, const rthyb_controller *c, const double *low,
-                                    const double *high, double *command)
+PER_COUNT void spare_the_others(int n, const rthyb_controller *c, const double *low,
+                                const double *high, double *command)
 {
     const double h = c->cfg.period_s;
     for (int i = 0; i < n; i++) {
@@ -245,8 +245,7 @@ static inline void spare_the_others(int n, const rthyb_controller *c, const doub
 }
 
 /* It goes on from what it wanted itself: from a coarse wire's rounding a slow command would never get away. */
-static inline __attribute__((always_inline)) void limit_all(int n, rthyb_controller *c,
-                                                            const double *wanted, double *command)
+PER_COUNT void limit_all(int n, rthyb_controller *c, const double *wanted, double *command)
 {
     double step[MOST] = {0.0}, from[MOST] = {0.0}, low[MOST] = {0.0}, high[MOST] = {0.0};
     limit_steps(n, c, wanted, step);
