@@ -461,11 +461,11 @@ BEYOND = core.STATUS["out_of_range"]
 def test_lost_link_says_whether_the_cable_or_a_sensor_is_to_be_looked_at(
     rows: np.ndarray, look_at: str
 ) -> None:
-    found = endings.remedy("link_lost", rows)
+    found = endings.remedy("link_lost", rows, core.FS_HZ)
     assert look_at in found
     assert "usable pair" in found
-    assert endings.remedy("stalled", rows) == endings.REMEDIES["stalled"]
-    assert endings.remedy("completed", rows) == ""
+    assert endings.remedy("stalled", rows, core.FS_HZ) == endings.REMEDIES["stalled"]
+    assert endings.remedy("completed", rows, core.FS_HZ) == ""
 
 
 def test_every_end_that_lies_outside_the_test_says_what_to_do() -> None:

@@ -495,16 +495,6 @@ def test_the_delay_that_is_survived_is_found_in_steps_too() -> None:
 # ---- what is refused ----------------------------------------------------------------------------
 
 
-def test_real_time_goes_at_1024_hz_alone(rthyb: Rthyb) -> None:
-    answer = rthyb(
-        "run", ROOT / "examples" / "section5-T0.5.toml", "--realtime", "--clock", "stepped",
-        "--set", "test.sample_rate_hz=4096",
-    )  # fmt: skip
-    assert answer.code == 3
-    assert "test.sample_rate_hz: found 4096 Hz; a test in real time runs at 1024 Hz" in answer.err
-    assert "run it without --realtime" in answer.err
-
-
 @pytest.mark.parametrize("rate", ["255", "4097", "1e300", "nan", "inf", "0", "-1024", '"4 m"'])
 def test_a_rate_out_of_range_is_named(rate: str) -> None:
     text = TEST.format(rate_hz=rate, duration_s=1, period_s=0.5, more="")

@@ -159,7 +159,9 @@ MEANINGS: dict[str, str] = {
     "Link.dbc": "CAN: DBC file of the drive, beside the rig file; absent: `hw/rthyb.dbc`",
     "Link.names": "names of signals in the DBC file that are called otherwise there",
     "Link.clock": "what a tick waits for: this PC's clock, the feedback, or the test's own word",
-    "Link.lead_us": 'clock "link": the feedback arrives so long before its tick',
+    "Link.sample_rate_hz": "the drive's: so often it takes a command and sends its readings",
+    "Link.lead_us": 'clock "link": the feedback arrives so long before its tick; absent: 200, or '
+    "0.4 of the period where that is less",
     "Link.require_realtime": "true: refused without real-time priority and locked memory",
     "Link.stop_decel_m_per_s2": "how the drive brakes on its own; the virtual drive does",
     "Link.virtual": "true: a virtual rig is at the other end; no commissioning is asked for",

@@ -308,6 +308,7 @@ class Live:
         slips: how often the drive's clock gained or lost a sample in the motion.
         link_delay_samples: from command to feedback on the wire, median of the test proper; -1:
             not known.
+        link_delay_ms: the same in milliseconds; None: not known.
         missed_rows: rows that the recorder came too late for.
         privileges: what the tick thread obtained.
         remedy: what to do about such an end; "" where there is nothing to say.
@@ -324,6 +325,7 @@ class Live:
     lost_pairs: int
     slips: int
     link_delay_samples: int
+    link_delay_ms: float | None
     missed_rows: int
     privileges: tuple[str, ...]
     remedy: str
@@ -350,10 +352,11 @@ def live(rec: Recording) -> Live | None:
         skipped_ticks=int(facts["ticks"]["skipped"]),
         lost_pairs=int(np.count_nonzero((moving["flags"] & unheard) == 0)),
         slips=int(np.count_nonzero(moving["flags"] & FLAGS["slip"])),
-        link_delay_samples=int(facts["link_delay_samples"]),
+        link_delay_samples=(samples := int(facts["link_delay_samples"])),
+        link_delay_ms=None if samples < 0 else 1e3 * samples / rec.fs_hz,
         missed_rows=sum(last - first + 1 for first, last in facts["missed_rows"]),
         privileges=tuple(facts["privileges"]),
-        remedy=endings.remedy(str(facts["cause"]), rec.samples),
+        remedy=endings.remedy(str(facts["cause"]), rec.samples, rec.fs_hz),
     )
 
 
@@ -1043,8 +1046,9 @@ def live_rows(found: Live | None) -> list[Row]:
         )
     )
     delay = "not known"
-    if found.link_delay_samples >= 0:
-        delay = count(found.link_delay_samples, "sample")
+    if found.link_delay_ms is not None:
+        samples = count(found.link_delay_samples, "sample")
+        delay = f"{samples} ({number(found.link_delay_ms)} ms)"
     punctuality = Row(
         "Punctuality",
         f"{wake}; {count(found.skipped_ticks, 'tick')} skipped",

@@ -11,7 +11,6 @@ from rthyb_rt.checking import facts, remarks, tables
 from rthyb_rt.checking.figures import Figures, figures_of
 from rthyb_rt.checking.history import HistoryFigures, figures_of_history, rows_of_history
 from rthyb_rt.config import RigFile, TestFile
-from rthyb_rt.core import FS_HZ
 from rthyb_rt.lab import braking, experiment
 from rthyb_rt.lab.braking import RunOn
 from rthyb_rt.lab.experiment import Setup
@@ -93,7 +92,7 @@ def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> E
     Raises:
         InputError: with what is wrong between them.
     """
-    real_time = rig_file.link is not None and test_file.test.sample_rate_hz == FS_HZ
+    real_time = rig_file.link is not None and test_file.test.sample_rate_hz == rig_file.rate.hz
     setup = experiment.prepare(test_file, rig_file, real_time=real_time)
     figures = figures_of(setup) if setup.plan is None else figures_of_history(setup)
     runs_on = braking.run_on(setup)

@@ -68,10 +68,15 @@ def _bus_load(link: Link, extras: int) -> float | None:
     if link.bitrate is None:
         return None
     if link.kind == "serial":
-        return busload.serial_load(link.bitrate, extras)
+        return busload.serial_load(link.bitrate, extras, rate_hz=link.sample_rate_hz)
     if not dbc_is_read(link):
         return None
-    return busload.bus_load(config.frames_of_link(link), link.bitrate, link.data_bitrate)
+    return busload.bus_load(
+        config.frames_of_link(link),
+        link.bitrate,
+        link.data_bitrate,
+        rate_hz=link.sample_rate_hz,
+    )
 
 
 def dbc_is_read(link: Link) -> bool:

@@ -8,7 +8,7 @@ from rthyb_rt.analysis.margins import LITTLE_MARGIN, OSCILLATES
 from rthyb_rt.checking.facts import dbc_is_read
 from rthyb_rt.checking.figures import GAIN, Figures
 from rthyb_rt.checking.history import HistoryFigures
-from rthyb_rt.config import STANDARD, STANDARD_HZ
+from rthyb_rt.config import STANDARD_HZ
 from rthyb_rt.lab.braking import RunOn
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.numbers import quantity
@@ -39,10 +39,11 @@ def remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[
             "limits.force_n is set with an action that ends the test"
         )
     if setup.rig.link is not None:
-        if setup.rate != STANDARD:
+        if setup.rate != setup.rig_file.rate:
             notes.append(
-                f"test.sample_rate_hz = {setup.rate.hz:g} Hz is for virtual time: a test in real "
-                f"time runs at {STANDARD.hz:g} Hz, so this one will be refused"
+                f"test.sample_rate_hz = {setup.rate.hz:g} Hz is for virtual time: the drive is "
+                f"sampled at {setup.rig_file.rate.hz:g} Hz (link.sample_rate_hz), so a test in "
+                "real time will be refused"
             )
         more_notes, more_warnings = _real_time_remarks(setup, f)
         notes, warnings = notes + more_notes, warnings + more_warnings

@@ -230,6 +230,8 @@ def link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
         "stepped": ("stepped", "not real time"),
     }
     rows.append(("Clock", *clocks[link["clock"]]))
+    if link["sample_rate_hz"] != STANDARD_HZ:
+        rows.append(("Sample rate", f"{link['sample_rate_hz']} Hz", "of the drive"))
     return rows
 
 
@@ -269,7 +271,7 @@ def calibration_rows(c: dict[str, float]) -> list[tuple[str, str, str]]:
 
 
 def _rate_words(fs_hz: float) -> str:
-    return "" if fs_hz == STANDARD_HZ else f"at {fs_hz:g} Hz, in virtual time"
+    return "" if fs_hz == STANDARD_HZ else f"at {fs_hz:g} Hz"
 
 
 def _followed(setup: Setup, f: Figures, samples: Any) -> str:

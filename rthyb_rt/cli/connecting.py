@@ -13,7 +13,7 @@ from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.config import AxesRig, RigFile
+    from rthyb_rt.config import AxesRig, Rate, RigFile
     from rthyb_rt.config.rigfile import Link
     from rthyb_rt.core.loop import Clock
     from rthyb_rt.rig.commissioning.moving import Connection
@@ -31,12 +31,12 @@ def clock_of(rig: RigFile | AxesRig) -> Clock:
 
 @contextmanager
 def opened_link(
-    rig: RigFile | AxesRig, clock: Clock
+    rig: RigFile | AxesRig, clock: Clock, rate: Rate | None = None
 ) -> Iterator[tuple[Opened, Callable[[], None] | None]]:
     """Give the link to a rig, and what the stepped clock waits for before a tick.
 
     Of a rig of several axes the links of all. Without a ``[link]`` a virtual rig is at the other
-    end, in a process of its own.
+    end, in a process of its own, which is sampled at ``rate``; None: at that of the rig file.
 
     Raises:
         InputError: what stands against opening it.
@@ -59,10 +59,10 @@ def opened_link(
             terminal.tell(
                 "no [link] in the rig file: running on a virtual rig in step with it, tick by tick"
             )
-            with virtual_rig.in_step(rig, theirs) as drive:
+            with virtual_rig.in_step(rig, theirs, virtual_rig.Plan(rate=rate)) as drive:
                 yield ours, drive.tick
             return
-        companion = virtual_rig.Companion(rig, *(one.fd for one in theirs.all))
+        companion = virtual_rig.Companion(rig, *(one.fd for one in theirs.all), rate=rate)
         try:
             theirs.close()
             terminal.tell(

@@ -220,7 +220,7 @@ def _direction(found: dict[str, Any]) -> str:
 def _test(found: dict[str, Any], test: dict[str, Any] | None) -> tuple[str, str]:
     if test is None:
         return "none", "to load one: rthyb ctl load TEST.toml"
-    done = found["progress"]["ticks"] / 1024.0
+    done = found["progress"]["ticks"] / found["sample_rate_hz"]
     about = f"{done:.1f} of {test['duration_s']:.1f} s, {test['ground_motion']}"
     about += f", PGA {test['pga_g']:.3g} g" if test["pga_g"] else ""
     return f"{test['name']} ({test['digest'][:12]})", about
@@ -251,7 +251,7 @@ def _recorder(found: dict[str, Any]) -> tuple[str, str]:
 def line(found: dict[str, Any]) -> str:
     """Return a status as one line."""
     newest = found["newest"] or {}
-    done = found["progress"]["ticks"] / 1024.0
+    done = found["progress"]["ticks"] / found["sample_rate_hz"]
     axes: dict[str, dict[str, Any]] = found.get("axes") or {"": newest}
     values = [
         f"{name} {_number(one.get('x_meas_m'), 1e3, 'mm')}, "

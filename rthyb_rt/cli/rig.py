@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,7 +17,7 @@ from rthyb_rt.errors import InputError, RthybError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from rthyb_rt.config import AxesRig, RigFile
+    from rthyb_rt.config import AxesRig, Rate, RigFile
     from rthyb_rt.config.rigfile import Link
     from rthyb_rt.rig.virtual_rig import Line, Plan, Result
 
@@ -105,8 +105,9 @@ def rig(
 ) -> None:
     """Run a virtual rig at a link, in real time.
 
-    The virtual drive takes commands and sends displacement and force 1024 times per second. It has
-    its own clock and its own watchdog: after 20 ticks without a fresh command it stops. Unless an
+    The virtual drive takes commands and sends displacement and force as often as
+    link.sample_rate_hz says, 1024 times per second without it. It has its own clock and its own
+    watchdog: 19.5 ms after the last fresh command (20 ticks of 1/1024 s) it stops. Unless an
     option names a link, the rig file's [link] is used. Controllers can connect and disconnect at
     any time; Ctrl-C ends the virtual rig. A rig of several axes has a drive and a link for each,
     and a fault names its axis.
@@ -134,7 +135,8 @@ def rig(
     for part in config.split_overrides(settings or ()):
         changes |= part
     rig_file = config.load_any_rig(config.find_rig(name), changes)
-    plan = _plan(seed, drift_ppm, fault, seconds, log, axes_of(rig_file))
+    rate = rig_file.rate
+    plan = _plan(seed, drift_ppm, fault, seconds, log, axes_of(rig_file), rate)
     if log is not None:
         _check_log(log)
     people = terminal.people(as_json)
@@ -143,11 +145,11 @@ def rig(
         at = ", ".join(line.name for line in lines)
 
         def ready() -> None:
-            print(f"{rig_file.rig.name} at {at}, 1024 Hz", file=people, flush=True)
+            print(f"{rig_file.rig.name} at {at}, {rate.hz:g} Hz", file=people, flush=True)
 
         result = virtual_rig.serve(rig_file, lines, plan, stop, ready)
     if log is not None:
-        virtual_rig.write_log(log, result.log)
+        virtual_rig.write_log(log, result.log, rate)
     terminal.print_table(_rows(result, log), people)
     if as_json:
         path = None if log is None else str(log)
@@ -161,8 +163,8 @@ def _plan(
     seconds: float | None,
     log: Path | None,
     axes: Sequence[str],
+    rate: Rate,
 ) -> Plan:
-    from rthyb_rt.core import FS_HZ
     from rthyb_rt.rig import virtual_rig
 
     if not abs(drift_ppm) <= virtual_rig.DRIFT_MAX_PPM:
@@ -179,7 +181,7 @@ def _plan(
             param_hint="--log",
         )
     try:
-        faults, cut_s = virtual_rig.parse_faults(fault or (), axes)
+        faults, cut_s = virtual_rig.parse_faults(fault or (), axes, rate)
     except InputError as error:
         raise typer.BadParameter(str(error), param_hint="--fault") from error
     room_s = min(seconds or virtual_rig.LOG_SECONDS, virtual_rig.LOG_SECONDS)
@@ -189,7 +191,7 @@ def _plan(
         faults=faults,
         power_cut_s=cut_s,
         seconds=seconds,
-        log_ticks=round((room_s + 1.0) * FS_HZ) if log else 0,
+        log_ticks=round((room_s + 1.0) * rate.hz) if log else 0,
     )
 
 
@@ -280,7 +282,10 @@ def _link(own: Link | None, can: str | None, serial: str | None, socket: str | N
     for kind, channel in (("can", can), ("serial", serial), ("socket", socket)):
         if channel is None:
             continue
-        given = own.model_dump() if own is not None and own.kind == kind else {}
+        given: dict[str, Any] = {}
+        if own is not None:
+            same = own.kind == kind
+            given = own.model_dump() if same else {"sample_rate_hz": own.sample_rate_hz}
         try:
             return Link(**(given | {"kind": kind, "channel": str(channel)}))
         except ValidationError as error:

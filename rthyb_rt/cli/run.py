@@ -16,6 +16,7 @@ from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
+    from rthyb_rt import config
     from rthyb_rt.analysis.summary import Summary
     from rthyb_rt.config import AxesRig, RigFile
     from rthyb_rt.core.loop import Clock, Fault
@@ -115,7 +116,7 @@ def run(
     started = datetime.datetime.now(datetime.UTC)
     test_file, rig_file = load_any(test, rig, settings)
     axes = rig_file.names if isinstance(rig_file, config.AxesRig) else ()
-    mishaps = _mishaps(fault, axes) if fault else ()
+    mishaps = _mishaps(fault, axes, config.Rate(test_file.test.sample_rate_hz)) if fault else ()
     if isinstance(rig_file, config.AxesRig):
         of_all = several.prepare(test_file, rig_file, real_time=realtime or bool(mishaps))
         facts = _commissioned(rig or test_file.rig, rig_file) if realtime else {}
@@ -208,7 +209,7 @@ def _run_live(
     clock = clock or clock_of(setup.rig_file)
     operator = realtime.Operator()
     kept: list[Path] = []
-    opening = opened_link(setup.rig_file, clock)
+    opening = opened_link(setup.rig_file, clock, setup.rate)
     with opening as (opened, before_tick), interrupts.told(operator.stop):
         rec = realtime.run(
             setup,
@@ -229,11 +230,11 @@ def _run_live(
     return rec, kept[0]
 
 
-def _mishaps(texts: list[str], axes: Sequence[str] = ()) -> tuple[Fault, ...]:
+def _mishaps(texts: list[str], axes: Sequence[str], rate: config.Rate) -> tuple[Fault, ...]:
     from rthyb_rt.rig import virtual_rig
 
     try:
-        return virtual_rig.parse_mishaps(texts, axes)
+        return virtual_rig.parse_mishaps(texts, axes, rate)
     except InputError as error:
         raise typer.BadParameter(str(error), param_hint="--fault") from error
 

@@ -30,6 +30,7 @@ from rthyb_rt.config.fields import (
     written,
 )
 from rthyb_rt.config.limits import Limits
+from rthyb_rt.config.rate import STANDARD, Rate
 from rthyb_rt.config.rigfile import (
     MAX_ELEMENTS,
     Actuator,
@@ -646,6 +647,10 @@ def _one_clock(axes: list[Axis]) -> str | None:
             f"axis {without} has no [axis.link], but axis {linked[0].name} has one; give a link "
             "for every axis, or for none"
         )
+    rates = {axis.link.sample_rate_hz: axis.name for axis in linked if axis.link is not None}
+    if len(rates) > 1:
+        told = " and ".join(f"{hz} Hz (axis {name})" for hz, name in sorted(rates.items()))
+        return f"found sample_rate_hz of {told}; all axes are sampled at one rate"
     clocks = {axis.link.clock for axis in linked if axis.link is not None}
     if len(clocks) > 1:
         return f"found the clocks {', '.join(sorted(clocks))}; all axes must use the same clock"
@@ -700,6 +705,11 @@ class AxesRig(WholeFile):
     def link(self) -> Link | None:
         """The link of the first axis: all axes have one, or none, and go by one clock."""
         return self.axis[0].link
+
+    @property
+    def rate(self) -> Rate:
+        """The rate of real time: that of all drives; without links as of a rig of one axis."""
+        return STANDARD if self.link is None else self.link.rate
 
     def without_links(self) -> AxesRig:
         """Return it as a rig that nothing is connected to."""

@@ -1,7 +1,7 @@
 """How much of a bus or a serial line the frames of a test take, before anything is opened.
 
-The frames that count are those of one sample: the command, the displacement, the force, 1024 times
-a second. The share is that of the worst case, every stuff bit that the data could ask for.
+The frames that count are those of one sample: the command, the displacement, the force, as often as
+the drive is sampled. The share is that of the worst case, every stuff bit that data could ask for.
 """
 
 from __future__ import annotations
@@ -76,14 +76,21 @@ def can_fd_bits(frame: FrameSize) -> tuple[int, int]:
     return head + stuffed_head + 13, data + (stuffed - stuffed_head) + tail
 
 
-def bus_load(frames: Sequence[FrameSize], bitrate: int, data_bitrate: int | None = None) -> float:
-    """Return the share of a CAN bus that one sample's frames take, 1024 times a second.
+def bus_load(
+    frames: Sequence[FrameSize],
+    bitrate: int,
+    data_bitrate: int | None = None,
+    *,
+    rate_hz: float = STANDARD_HZ,
+) -> float:
+    """Return the share of a CAN bus that one sample's frames take.
 
     Args:
         frames: of one sample.
         bitrate: of the bus, bit/s; of the arbitration phase with CAN FD.
         data_bitrate: of the data phase of CAN FD frames that switch the bit rate, bit/s; the
             command, which is the first of the frames, never does.
+        rate_hz: samples a second.
     """
     seconds = 0.0
     for index, frame in enumerate(frames):
@@ -93,17 +100,25 @@ def bus_load(frames: Sequence[FrameSize], bitrate: int, data_bitrate: int | None
         arbitration, data = can_fd_bits(frame)
         switched = data_bitrate if data_bitrate and index else bitrate
         seconds += arbitration / bitrate + data / switched
-    return seconds * STANDARD_HZ
+    return seconds * rate_hz
 
 
 def bus_fault(
-    frames: Sequence[FrameSize], bitrate: int, data_bitrate: int | None = None
+    frames: Sequence[FrameSize],
+    bitrate: int,
+    data_bitrate: int | None = None,
+    *,
+    rate_hz: float = STANDARD_HZ,
 ) -> str | None:
     """Return what is wrong with a bit rate that is too low for the frames, with one that is not."""
-    load = bus_load(frames, bitrate, data_bitrate)
+    load = bus_load(frames, bitrate, data_bitrate, rate_hz=rate_hz)
     if load <= MAX_SHARE:
         return None
-    enough = [rate for rate in CAN_BITRATES if bus_load(frames, rate, data_bitrate) <= MAX_SHARE]
+    enough = [
+        rate
+        for rate in CAN_BITRATES
+        if bus_load(frames, rate, data_bitrate, rate_hz=rate_hz) <= MAX_SHARE
+    ]
     if enough:
         remedy = f"{enough[0]} bit/s is enough"
     else:
@@ -112,38 +127,48 @@ def bus_fault(
         )
         if data_bitrate is None and any(frame.fd for frame in frames):
             remedy += ", or set data_bitrate if its CAN FD frames switch the bit rate"
+        if rate_hz > STANDARD_HZ:
+            remedy += f"; {bitrate} bit/s has room for {most_hz(load, rate_hz)} Hz"
     return (
-        f"found {bitrate} bit/s: frame rate over 80 % bus load ({len(frames)} frames, 1024 times a "
-        f"second, take {100 * load:.0f} %); {remedy}"
+        f"found {bitrate} bit/s: frame rate over 80 % bus load ({len(frames)} frames, {rate_hz:g} "
+        f"times a second, take {100 * load:.0f} %); {remedy}"
     )
 
 
-def serial_load(baud: int, extras: int = 0) -> float:
-    """Return the share of a serial line that command and feedback take, 1024 times a second.
+def most_hz(load: float, rate_hz: float) -> int:
+    """Return the highest sample rate that may be had where one at ``rate_hz`` takes a share."""
+    return math.floor(rate_hz * MAX_SHARE / load)
+
+
+def serial_load(baud: int, extras: int = 0, *, rate_hz: float = STANDARD_HZ) -> float:
+    """Return the share of a serial line that command and feedback take.
 
     Args:
         baud: of the line.
         extras: extra channels in the feedback.
+        rate_hz: samples a second.
     """
-    return serial_bits_per_s(extras) / baud
+    return serial_bits_per_s(extras, rate_hz=rate_hz) / baud
 
 
-def serial_bits_per_s(extras: int = 0) -> int:
+def serial_bits_per_s(extras: int = 0, *, rate_hz: float = STANDARD_HZ) -> int:
     """Return the bits of command and feedback in a second."""
     size = COMMAND_BYTES + FEEDBACK_BYTES + EXTRA_BYTES * extras
-    return round(size * BITS_PER_BYTE * STANDARD_HZ)
+    return round(size * BITS_PER_BYTE * rate_hz)
 
 
-def serial_fault(baud: int, extras: int = 0) -> str | None:
+def serial_fault(baud: int, extras: int = 0, *, rate_hz: float = STANDARD_HZ) -> str | None:
     """Return what is wrong with a baud rate that is too low, with one that is not."""
-    if serial_load(baud, extras) <= MAX_SHARE:
+    load = serial_load(baud, extras, rate_hz=rate_hz)
+    if load <= MAX_SHARE:
         return None
-    enough = next(rate for rate in BAUD_RATES if serial_load(rate, extras) <= MAX_SHARE)
+    fits = [baud for baud in BAUD_RATES if serial_load(baud, extras, rate_hz=rate_hz) <= MAX_SHARE]
+    enough = f"so use at least {fits[0]} Bd" if fits else f"{most_hz(load, rate_hz)} Hz here"
     feedback = FEEDBACK_BYTES + EXTRA_BYTES * extras
     return (
         f"found {baud} Bd: command ({COMMAND_BYTES} bytes) and feedback ({feedback} bytes) "
-        f"at 1024 Hz need {serial_bits_per_s(extras)} Bd, {100 * serial_load(baud, extras):.0f} % "
-        f"of the line's capacity; at most 80 % is allowed, so use at least {enough} Bd"
+        f"at {rate_hz:g} Hz need {serial_bits_per_s(extras, rate_hz=rate_hz)} Bd, "
+        f"{100 * load:.0f} % of the line's capacity; at most 80 % is allowed, {enough}"
     )
 
 

@@ -259,7 +259,9 @@ def _one_bus(rig: AxesRig, axes: list[int], names: str, channel: str) -> str | N
             f"axes {names} share {written(channel)} but have different bit rates; give the same "
             "for both"
         )
-    return busload.bus_fault(frames, bitrate, links[0].data_bitrate)
+    return busload.bus_fault(
+        frames, bitrate, links[0].data_bitrate, rate_hz=links[0].sample_rate_hz
+    )
 
 
 def _with_dbc(
@@ -371,7 +373,7 @@ def _dbc_fault(link: Link) -> tuple[str, str] | None:
         return "fd", "found false, but the DBC file has CAN FD frames; set fd = true"
     if link.bitrate is None:
         return None
-    fault = busload.bus_fault(frames, link.bitrate, link.data_bitrate)
+    fault = busload.bus_fault(frames, link.bitrate, link.data_bitrate, rate_hz=link.sample_rate_hz)
     return None if fault is None else ("bitrate", fault)
 
 

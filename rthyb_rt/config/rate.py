@@ -1,8 +1,9 @@
 """The sample rate of a test, and what the files' figures are at it.
 
-The rate belongs to the test (`test.sample_rate_hz`). What the files count in samples they count in
-those of 1/1024 s, whatever the rate of the test: a file says the same of time at every rate, and a
-figure that `rthyb identify` has found in real time goes for a test in virtual time at 4096 Hz.
+The rate belongs to the test (`test.sample_rate_hz`), in real time to the drive as well
+(`link.sample_rate_hz`), and the two must agree. What the files count in samples they count in
+those of 1/1024 s, whatever the rate: a file says the same of time at every rate, and a figure that
+`rthyb identify` has found in real time goes for a test in virtual time at 4096 Hz.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 STANDARD_HZ: Final = 1024.0
-"""The rate of real time (the paper's Section 4), and of the samples that a file counts in."""
+"""The rate where nothing else is said (the paper's Section 4), and of a file's samples."""
 LEAST_HZ: Final = 256.0
 MOST_HZ: Final = 4096.0
 """What the core has room for: RTHYB_DELAY_MAX, RTHYB_WINDOW_MAX, RTHYB_RECENT_MAX are a second."""
@@ -36,6 +37,11 @@ class Rate:
     def pace(self) -> float:
         """Samples of this rate in one of 1/1024 s."""
         return self.hz / STANDARD_HZ
+
+    @property
+    def whole_hz(self) -> int:
+        """Samples a second of a rate in real time, which is a whole number."""
+        return round(self.hz)
 
     def ticks(self, seconds: float) -> int:
         """Return a time in whole samples, at least one."""

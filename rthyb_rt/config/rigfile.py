@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import Field, StrictBool
 
@@ -24,7 +24,7 @@ from rthyb_rt.config.fields import (
 )
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.own import PythonClass
-from rthyb_rt.config.rate import STANDARD_HZ
+from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD, STANDARD_HZ, Rate
 from rthyb_rt.core.sizes import ELEMENTS_MAX
 
 RIG_SCHEMA = "rthyb-rig/1"
@@ -780,14 +780,19 @@ def _only_for(given: bool, kind: LinkKind, kinds: tuple[LinkKind, ...]) -> str |
 
 
 def _bitrate_enough(
-    kind: LinkKind, bitrate: int | None, fd: bool, data_bitrate: int | None, dbc: str | None
+    kind: LinkKind,
+    bitrate: int | None,
+    fd: bool,
+    data_bitrate: int | None,
+    dbc: str | None,
+    sample_rate_hz: int,
 ) -> str | None:
     if kind == "socket":
         return _only_for(bitrate is not None, kind, ("can", "python-can", "serial"))
+    if kind == "serial":
+        return busload.serial_fault(bitrate or DEFAULT_BAUD, rate_hz=sample_rate_hz)
     if bitrate is None:
         return None
-    if kind == "serial":
-        return busload.serial_fault(bitrate)
     least, most = busload.CAN_BITRATES[0], busload.CAN_BITRATES[-1]
     if not least <= bitrate <= most:
         return (
@@ -795,7 +800,30 @@ def _bitrate_enough(
             f"{' (of the arbitration phase)' if fd else ''}"
         )
     # The frames of a DBC file are counted when it is read.
-    return busload.bus_fault(busload.OWN_FRAMES, bitrate, data_bitrate) if dbc is None else None
+    if dbc is not None:
+        return None
+    return busload.bus_fault(busload.OWN_FRAMES, bitrate, data_bitrate, rate_hz=sample_rate_hz)
+
+
+LEAD_US: Final = 200.0
+"""How long a feedback arrives before its tick, where half a period is enough for that."""
+_LEAD_SHARE: Final = 0.4
+"""Of a period, where it is not."""
+
+
+def default_lead_us(sample_rate_hz: int) -> float:
+    """Return how long a feedback is to arrive before its tick where no file says so."""
+    return min(LEAD_US, float(round(_LEAD_SHARE * 1e6 / sample_rate_hz)))
+
+
+def _lead_fits(clock: str, lead_us: float | None, sample_rate_hz: int) -> str | None:
+    most_us = 0.5e6 / sample_rate_hz
+    if clock != "link" or lead_us is None or lead_us <= most_us:
+        return None
+    return (
+        f"found {lead_us:g} us; at sample_rate_hz = {sample_rate_hz} a feedback can arrive at most "
+        f"half a period, {most_us:.0f} us, before its tick; leave lead_us out, or make it smaller"
+    )
 
 
 def _data_phase_fits(
@@ -819,13 +847,20 @@ class Link(Table):
     ``bitrate`` of CAN absent: whatever the interface has; of a serial line absent: 921600 baud.
     ``dbc`` is relative to the rig file; ``reset_state`` is the raw value of its state signal by
     which the drive is reset after a stop of its own. ``lead_us`` is read with ``clock = "link"``
-    alone.
+    alone; absent: 200 us, or 0.4 of the period where that is less. ``sample_rate_hz`` is the
+    drive's: so often it takes a command and sends its readings, and a test in real time goes at
+    that rate.
     """
 
     checks: ClassVar[tuple[Check, ...]] = (
+        Check("lead_us", ("clock", "lead_us", "sample_rate_hz"), _lead_fits),
         Check("channel", ("kind", "channel"), _channel_fits),
         Check("interface", ("kind", "interface"), _interface_fits),
-        Check("bitrate", ("kind", "bitrate", "fd", "data_bitrate", "dbc"), _bitrate_enough),
+        Check(
+            "bitrate",
+            ("kind", "bitrate", "fd", "data_bitrate", "dbc", "sample_rate_hz"),
+            _bitrate_enough,
+        ),
         Check("fd", ("kind", "fd"), lambda kind, fd: _only_for(fd, kind, BUSES)),
         Check("data_bitrate", ("kind", "fd", "bitrate", "data_bitrate"), _data_phase_fits),
         Check("dbc", ("kind", "dbc"), lambda kind, dbc: _only_for(dbc is not None, kind, BUSES)),
@@ -862,18 +897,29 @@ class Link(Table):
     reset_state: Annotated[int, Count(8, 2**32 - 1, "the state that resets the drive")] | None = (
         None
     )
+    sample_rate_hz: Annotated[
+        int, Count(int(LEAST_HZ), int(MOST_HZ), "the drive's sample rate in Hz")
+    ] = int(STANDARD_HZ)
     clock: Literal["host", "link", "stepped"] = "host"
-    lead_us: Annotated[
-        float, Range("us", 20, 480, "the time by which the feedback leads its tick")
-    ] = 200.0
+    lead_us: (
+        Annotated[float, Range("us", 20, 480, "the time by which the feedback leads its tick")]
+        | None
+    ) = None
     require_realtime: StrictBool = False
     stop_decel_m_per_s2: Annotated[
         float, Range("m/s^2", 1e-3, 1e4, "the deceleration of the drive's own stop")
     ] = 1.0
     virtual: StrictBool = False
 
+    @property
+    def rate(self) -> Rate:
+        """The drive's sample rate."""
+        return Rate(float(self.sample_rate_hz))
+
     def settle(self) -> None:
-        """Write out the baud rate of a serial line."""
+        """Write out the baud rate of a serial line, and the lead."""
+        if self.lead_us is None:
+            self.__dict__.update(lead_us=default_lead_us(self.sample_rate_hz))
         if self.kind == "serial" and self.bitrate is None:
             self.__dict__.update(bitrate=DEFAULT_BAUD)
 
@@ -952,7 +998,9 @@ def _extras_arrive(sensors: Sensors, link: Link | None) -> str | None:
     if link is None or not sensors.extra or link.kind == "socket":
         return None
     if link.kind == "serial":
-        return busload.serial_fault(link.bitrate or DEFAULT_BAUD, len(sensors.extra))
+        return busload.serial_fault(
+            link.bitrate or DEFAULT_BAUD, len(sensors.extra), rate_hz=link.sample_rate_hz
+        )
     if link.dbc is None:
         return (
             f"found {len(sensors.extra)} extra channels, but the frames of hw/rthyb.dbc are "
@@ -981,3 +1029,8 @@ class RigFile(WholeFile):
     link: Link | None = None
     calibration: Calibration = Field(default_factory=Calibration)
     limits: Limits = Field(default_factory=Limits)
+
+    @property
+    def rate(self) -> Rate:
+        """The rate of real time: the drive's; without a link that of a test that states none."""
+        return STANDARD if self.link is None else self.link.rate

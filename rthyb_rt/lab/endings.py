@@ -63,7 +63,7 @@ REMEDIES: Final[dict[str, str]] = {
 TIMING_CAUSES: Final = ("skips", "stalled", "heartbeat")
 """Causes that lie in this PC and not in the test."""
 
-_LOST_TICKS: Final = 20
+_LOST_S: Final = 20 / 1024
 
 
 class TimingError(RthybError):
@@ -104,26 +104,32 @@ def end_reason(state: str, cause: str, *, moved: bool = True, of: str = "") -> s
     return f"ramped out: {words}" if moved else f"ended before anything moved: {words}"
 
 
-def remedy(cause: str, samples: NDArray[np.void]) -> str:
+def remedy(cause: str, samples: NDArray[np.void], fs_hz: float) -> str:
     """Return what to do about an end; "" where that lies in the test, or the cause says it.
 
     Args:
         cause: the station's.
         samples: rows of the test, (n,).
+        fs_hz: rows a second.
     """
     text = REMEDIES.get(cause, "")
-    return (_unusable(samples) or text) if cause == "link_lost" else text
+    if cause != "link_lost":
+        return text
+    return _unusable(samples, max(1, round(_LOST_S * fs_hz))) or text
 
 
-def _unusable(samples: NDArray[np.void]) -> str:
-    """Return what to do where readings came to the end, and none was fit for use; "": none came."""
+def _unusable(samples: NDArray[np.void], ticks: int) -> str:
+    """Return what to do where readings came to the end, and none was fit for use; "": none came.
+
+    ``ticks``: without a usable pair, after which a link is lost.
+    """
     tripped = samples["state"] == STATES.index("TRIPPED")
     before = samples[: int(np.argmax(tripped))] if tripped.any() else samples
-    last = before[before["flags"] & FLAGS["blind"] == 0][-_LOST_TICKS:]
+    last = before[before["flags"] & FLAGS["blind"] == 0][-ticks:]
     whole = last["flags"] & FLAGS["lost"] == 0
     beyond = last["code"] & STATUS["out_of_range"] != 0
     leapt = ~beyond & whole & (last["flags"] & FLAGS["predicted"] != 0)
-    if 2 * np.count_nonzero(beyond | leapt) < _LOST_TICKS:
+    if 2 * np.count_nonzero(beyond | leapt) < ticks:
         return ""
     if np.count_nonzero(leapt) > np.count_nonzero(beyond):
         why = "the displacement jumped farther than anything can move; check its sensor"
@@ -133,7 +139,7 @@ def _unusable(samples: NDArray[np.void]) -> str:
             "check the sensors of displacement and force"
         )
     return (
-        f"Readings arrived, but no usable pair for {_LOST_TICKS} ticks{_as_it_came(last[whole])}: "
+        f"Readings arrived, but no usable pair for {ticks} ticks{_as_it_came(last[whole])}: "
         f"{why} and its plug. The drive {_STOPPED}"
     )
 

@@ -142,7 +142,7 @@ def prepare(
         return load_motion(test) if record is None else record
 
     if real_time:
-        refuse_other_rate(test)
+        refuse_other_rate(test, rig)
         refuse_python(test, rig.specimen)
     if test.history is not None:
         return _prepare_history(test, rig, real_time)
@@ -304,14 +304,28 @@ def _refuse_beyond(setup: Setup) -> None:
         raise InputError(problems)
 
 
-def refuse_other_rate(test: TestFile) -> None:
-    hz = test.test.sample_rate_hz
-    if hz != core.FS_HZ:
+def refuse_other_rate(test: TestFile, rig: RigFile | AxesRig) -> None:
+    """Refuse real time at a rate that no clock has, or that is not the drive's.
+
+    Without a link the virtual rig at the other end goes at the test's rate.
+
+    Raises:
+        InputError: with both rates.
+    """
+    hz, key = test.test.sample_rate_hz, "test.sample_rate_hz"
+    if hz != round(hz):
         raise InputError(
-            f"found {hz:g} Hz; a test in real time runs at {core.FS_HZ:g} Hz, and other rates are "
-            "for virtual time; remove the key (or --set test.sample_rate_hz="
-            f"{core.FS_HZ:g}), or run it without --realtime",
-            "test.sample_rate_hz",
+            f"found {hz:g} Hz; real time goes at a whole number of samples a second: take "
+            f"{round(hz)}, or run it without --realtime",
+            key,
+        )
+    if rig.link is not None and hz != rig.rate.hz:
+        raise InputError(
+            f"found {hz:g} Hz; the drive of this rig is sampled at {rig.rate.hz:g} Hz "
+            "(link.sample_rate_hz of the rig file), and a test in real time goes at its drive's "
+            f"rate: say {key} = {rig.rate.hz:g}, or link.sample_rate_hz = {hz:g} if the drive has "
+            "that rate, or run it without --realtime",
+            key,
         )
 
 
@@ -470,24 +484,27 @@ def cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotion) -> Groun
 
 
 _PRESCRIBED: Final = """schema = "rthyb-test/1"
-test = {{ name = "{name}", description = "prescribed motion, not a test" }}
+test = {{ name = "{name}", description = "prescribed motion, not a test", sample_rate_hz = {hz:g} }}
 numerical = {{ period_s = 1, damping_ratio = 0 }}
 controller = {{ type = "none" }}
 """
 
 
-def prescribed(rig: RigFile, name: str, path_m: NDArray[np.float64]) -> Setup:
+def prescribed(
+    rig: RigFile, name: str, path_m: NDArray[np.float64], rate: Rate | None = None
+) -> Setup:
     """Return a displacement that is followed as it stands, as the setup of a test.
 
     Args:
         rig: whose limits hold.
         name: what it is for.
         path_m: displacement at every tick, (n,).
+        rate: of the ticks; None: that of the rig in real time.
 
     Raises:
         InputError: the rig file's own figures do not fit together.
     """
-    test = config.parse_test(_PRESCRIBED.format(name=name), name)
+    test = config.parse_test(_PRESCRIBED.format(name=name, hz=(rate or rig.rate).hz), name)
     derived = config.derive(test, rig)
     derived = replace(derived, limits=with_sensors(rig, derived.limits, derived.rate))
     test = config.resolve(test, derived)

@@ -56,7 +56,7 @@ def prepare(
     """
     _refuse_what_is_of_one(test)
     if real_time:
-        experiment.refuse_other_rate(test)
+        experiment.refuse_other_rate(test, rig)
         experiment.refuse_python(test, [own.law for own in rig.specimen.element])
 
     def read() -> GroundMotion:
@@ -182,7 +182,7 @@ def _derived_notes(group: Group) -> list[str]:
 
 
 _AT_REST: Final = """schema = "rthyb-test/1"
-test = {{ name = "at-rest", description = "no test: the drives are kept where they stand" }}
+test = {{ name = "at-rest", description = "drives kept where they stand", sample_rate_hz = {hz:g} }}
 controller = {{ type = "none" }}
 
 [numerical.storeys]
@@ -213,6 +213,7 @@ def at_rest(rig: AxesRig) -> Setup:
     storeys = range(1, len(rig.directions) + 1)
     masses = np.diag(rig.k_e) / (2.0 * np.pi) ** 2
     text = _AT_REST.format(
+        hz=rig.rate.hz,
         count=len(storeys),
         storeys=", ".join(map(str, storeys)),
         masses=", ".join(f"{mass:.6g}" for mass in masses),

@@ -175,7 +175,7 @@ class LiveSource:
     """
 
     past = False
-    fs_hz = core.FS_HZ
+    fs_hz: float = core.FS_HZ
 
     def __init__(self, place: Path, socket: Path | None) -> None:
         self.history, self.zero = History(KEPT_ROWS), 0
@@ -349,6 +349,7 @@ class LiveSource:
         with contextlib.suppress(RthybError, OSError):
             rec = recording.read(ring.session_path(path), rows=False)
             self._session = _Session.of(rec, seen)
+            self.fs_hz = rec.fs_hz
 
     def _find_cause(self) -> None:
         """Compute what no row says: which limit it was."""
@@ -495,7 +496,7 @@ def _nothing() -> dict[str, Any]:
 
 def _of_service(found: dict[str, Any]) -> dict[str, Any]:
     test, cause = found["test"], found["cause"]
-    progress = found["progress"]
+    progress, rate_hz = found["progress"], found["sample_rate_hz"]
     return _nothing() | {
         "state": found["state"],
         "cause": "" if cause in ("none", "completed") else _cause_of(found),
@@ -507,7 +508,7 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
         "follows": found["follows"],
         "progress": None
         if test is None or not found["run_id"]
-        else [progress["ticks"] / core.FS_HZ, progress["of"] / core.FS_HZ],
+        else [progress["ticks"] / rate_hz, progress["of"] / rate_hz],
         "indicated": found["indicated"],
         "armed_by": found["armed_by"],
         "tare": _tare_of(found["tare"]),

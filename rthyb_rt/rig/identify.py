@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
-from rthyb_rt.config import Identified, RigFile, dump, parse_rig, response
+from rthyb_rt.config import STANDARD, AxesRig, Identified, RigFile, dump, parse_rig, response
 from rthyb_rt.core import FLAGS, RUNNING
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
@@ -209,7 +209,7 @@ def identify(rig: RigFile, sweep: Sweep | None = None, progress: Progress | None
     sweep = sweep or Sweep()
     check(sweep)
     motion, parts = _motion(sweep)
-    setup = experiment.prescribed(rig, motion.name, motion.path_m)
+    setup = experiment.prescribed(rig, motion.name, motion.path_m, STANDARD)
     return _found(rig, Moved(virtual_time.run(setup, progress)), parts)
 
 
@@ -240,12 +240,29 @@ def identify_live(
     """
     sweep = sweep or Sweep()
     check(sweep)
+    refuse_other_rate(connection.rig)
     moving.check_limits(connection.rig)
     moving.check_distance(connection.rig, sweep.amplitude_m)
     motion, parts = _motion(sweep)
     moved = moving.carry_out(connection, motion, operator=operator, progress=progress)
     found = _found(connection.rig, moved, parts)
     return replace(found, link_delay_samples=_link_delay(moved))
+
+
+def refuse_other_rate(rig: RigFile | AxesRig) -> None:
+    """Refuse to sweep a drive at another rate than that of the response in a rig file.
+
+    Raises:
+        InputError: with both rates.
+    """
+    if rig.rate != STANDARD:
+        raise InputError(
+            f"the drive of this rig is sampled at {rig.rate.hz:g} Hz (link.sample_rate_hz); a "
+            f"sweep is made at {STANDARD.hz:g} Hz, because the response in a rig file is that of a "
+            f"command held for 1/{STANDARD.hz:g} s: set the drive to {STANDARD.hz:g} Hz for it "
+            f"(--set link.sample_rate_hz={STANDARD.hz:g}), and back for the tests",
+            "link.sample_rate_hz",
+        )
 
 
 def _motion(sweep: Sweep) -> tuple[moving.Motion, list[Part]]:

@@ -255,7 +255,8 @@ class Daemon:
         words = self.engine.state
         if self.engine.recorded is not None and self.engine.loaded is not None:
             name = self.engine.loaded.setup.test.test.name
-            words += f", {name} {done / core.FS_HZ:.0f} of {ticks / core.FS_HZ:.0f} s"
+            hz = self.engine.rate.hz
+            words += f", {name} {done / hz:.0f} of {ticks / hz:.0f} s"
         elif self.engine.loaded is not None:
             words += f", {self.engine.loaded.setup.test.test.name} loaded"
         if self.engine.state == "IDLE" and self.engine.stays_stopped():
@@ -382,7 +383,7 @@ class Daemon:
             why = found.fault or "check its journal"
             raise StateError("arm", f"the recorder has not begun with this test: {why}", state)
         axes = setup.controller.axis_count
-        needed = disk.needed_bytes(setup.ticks, setup.channels, axes)
+        needed = disk.needed_bytes(setup.ticks, setup.channels, axes, setup.rate)
         if found.free_bytes < needed:
             raise StateError(
                 "arm",
@@ -481,7 +482,7 @@ class Daemon:
             self._check_recorder(run.setup)
             token = self.engine.arm(given["digest"], peer.name)
         log.info("armed by %s", peer.name)
-        return {"token": token, "timeout_s": run.config.armed_ticks / core.FS_HZ}
+        return {"token": token, "timeout_s": run.config.armed_ticks / self.engine.rate.hz}
 
     async def _start(self, peer: Peer, given: dict[str, Any]) -> dict[str, Any]:
         with self._alone("start"):
@@ -581,6 +582,7 @@ class Daemon:
             "rig": engine.rig.rig.name,
             "link": engine.opened.name,
             "clock": engine.clock,
+            "sample_rate_hz": engine.rate.hz,
             "state": engine.state,
             "states": list(STATES),
             "cause": engine.loop.cause,
@@ -596,7 +598,7 @@ class Daemon:
             else {
                 "name": loaded.setup.test.test.name,
                 "digest": loaded.digest,
-                "duration_s": loaded.setup.ticks / core.FS_HZ,
+                "duration_s": loaded.setup.ticks / engine.rate.hz,
                 "ground_motion": loaded.setup.motion.name,
                 "pga_g": loaded.setup.motion.pga_g,
             },

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from rthyb_rt import core
+from rthyb_rt.config import STANDARD, Rate
 
 RESERVE_BYTES: Final = 1 << 20
 """Had in the file itself before every block: HDF5 must never meet a full disk."""
@@ -33,7 +34,10 @@ def free_bytes(folder: Path) -> int:
 
 
 def needed_bytes(
-    test_ticks: int, channels: Sequence[core.Channel] = (), axis_count: int = 1
+    test_ticks: int,
+    channels: Sequence[core.Channel] = (),
+    axis_count: int = 1,
+    rate: Rate = STANDARD,
 ) -> int:
     """Return the room that the rows of a test may take, with what is kept free.
 
@@ -41,8 +45,9 @@ def needed_bytes(
         test_ticks: of the test proper.
         channels: what its rows have beside the record.
         axis_count: axes of the rig.
+        rate: of its samples.
     """
-    ticks = test_ticks + round(_AROUND_S * core.FS_HZ)
+    ticks = test_ticks + rate.ticks(_AROUND_S)
     per_row = core.row_dtype(channels, axis_count).itemsize + _INDEX_PER_ROW_BYTES
     return ticks * per_row + KEPT_FREE_BYTES + 2 * RESERVE_BYTES
 

@@ -248,10 +248,10 @@ class Engine(Conductor):
     def wait(self, seconds: float) -> None:
         """Let time pass, turn by turn; stepped clock: execute that time's ticks."""
         end = time.monotonic() + seconds
-        ticks = round(seconds * core.FS_HZ)
-        per_turn = round(TURN_S * core.FS_HZ)
+        ticks = self.rate.ticks(seconds)
+        per_turn = self.rate.ticks(TURN_S)
         while ticks > 0 if self.clock == "stepped" else time.monotonic() < end:
-            self._pass(min(ticks, per_turn) / core.FS_HZ)
+            self._pass(min(ticks, per_turn) / self.rate.hz)
             ticks -= per_turn
             self.turn()
 
@@ -267,7 +267,9 @@ class Engine(Conductor):
         if run.tripped_rows >= AFTER_TRIP:
             return True
         if run.begun:
-            return self.state == "IDLE" and run.idle_rows >= REST_TICKS
+            return self.state == "IDLE" and run.idle_rows >= self.rate.ticks(
+                REST_TICKS / core.FS_HZ
+            )
         tare_over = self.state == "IDLE" and self.now_s > run.given_up_s
         if self.zeroing_failed or tare_over:
             self.not_zeroed = self.why_not_zeroed()
@@ -441,7 +443,7 @@ class Engine(Conductor):
             # Else the station of a test would stay that nobody zeroes any more.
             self._finish()
             raise
-        run.given_up_s = self.now_s + run.config.tare_ticks / core.FS_HZ + TARE_MARGIN_S
+        run.given_up_s = self.now_s + run.config.tare_ticks / self.rate.hz + TARE_MARGIN_S
 
     def arm(self, digest: str, owner: str) -> str:
         """Arm the test that was zeroed; return the token that `start` asks for.

@@ -144,7 +144,8 @@ def _hear(session: Session, sequence: Sequence, resets: bool) -> None:
             raise RefusedError(session.no_feedback(), where=session.opened.name)
         session.command("reset")
     if not sequence.until(session.follows, FEEDBACK_S) and not sequence.stopped:
-        raise InputError(session.no_feedback(), session.opened.name)
+        why = session.other_rate() or session.no_feedback()
+        raise InputError(why, session.opened.name)
     locked = session.clock != "link" or sequence.until(lambda: session.loop.locked, _LOCK_S)
     if not locked and not sequence.stopped and session.state != "TRIPPED":
         sequence.warn(

@@ -18,10 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core, numbers
+from rthyb_rt.config.defaults import SKIPS
+from rthyb_rt.config.rate import STANDARD_HZ, Rate
+from rthyb_rt.config.rigfile import RigFile, default_lead_us
 from rthyb_rt.core import FLAGS, ticker
 from rthyb_rt.core.loop import Clock, Link, Loop, LoopAxis
 from rthyb_rt.core.wire import Wire
-from rthyb_rt.errors import RthybError
+from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import experiment, extras, jitter
 from rthyb_rt.lab.endings import REMEDIES, WORDS, RefusedError, TimingError
 from rthyb_rt.lab.realtime.live_run import Counted, LiveRun, follows, stays_stopped
@@ -48,7 +51,6 @@ _ATTEMPTS_AT_REST: Final = {"zero": 60, "reset": 60}
 """Where nobody waits: a specimen that has just been stopped has still to stand."""
 _BETWEEN_TICKS: Final = 2
 
-_LEAD_US: Final = 200.0
 _LOOK_S: Final = 0.001
 _ANSWER_S: Final = 2.0
 _FIRST_TICK_S: Final = 5.0
@@ -60,6 +62,12 @@ _RELEASE_S: Final = 0.25
 """In which a drive that was reset says that it no longer stands by itself."""
 _PAIR_S: Final = 0.25
 _UNHEARD: Final = 20
+
+_RATE_S: Final = 0.1
+_RATE_PAIRS: Final = 16
+_RATE_OFF: Final = 0.2
+"""What a tenth of a second tells of a rate, on a PC that may be late and a line that may lose
+pairs: whether it is another one. What is closer, the slips of the two clocks show."""
 
 _T = TypeVar("_T")
 
@@ -84,6 +92,7 @@ class Conductor:
             link of the first axis.
         ways: wire, link and calibration of every axis.
         commands_before: number of the command before the first one; 0 where a drive starts anew.
+        rate: of the ticks; a run at another one is not taken up.
 
     Raises:
         RthybError: the descriptor is of no use.
@@ -99,6 +108,8 @@ class Conductor:
         self._unheard = _UNHEARD
         self._farewell = True
         self.commands_before = 0
+        self.rate = first.setup.rate
+        self._at_zero: Counted | None = None
         rigs = first.setup.rigs
         rig = rigs[0]
         with ExitStack() as undo:
@@ -119,7 +130,7 @@ class Conductor:
                 first.ring,
                 clock,
                 ways[0].calibration,
-                lead_us=_LEAD_US if rig.link is None else rig.link.lead_us,
+                lead_us=_lead_us(rig, self.rate),
                 paced=before_tick is not None,
                 further=self.ways[1:],
             )
@@ -226,7 +237,7 @@ class Conductor:
         end = time.monotonic() + _ANSWER_S
         while self.state != "TRIPPED" and time.monotonic() < end:
             time.sleep(_LOOK_S)
-        time.sleep(_TRIP_TICKS * core.PERIOD_S)
+        time.sleep(_TRIP_TICKS * self.rate.period_s)
 
     # ---- looking --------------------------------------------------------------------------------
 
@@ -279,7 +290,7 @@ class Conductor:
     def now_s(self) -> float:
         """The time that is waited by; stepped clock: of its ticks."""
         if self.clock == "stepped":
-            return self.loop.counts.elapsed / core.FS_HZ
+            return self.loop.counts.elapsed / self.rate.hz
         return time.monotonic()
 
     def _pass(self, seconds: float) -> None:
@@ -287,7 +298,7 @@ class Conductor:
         if self.clock != "stepped":
             time.sleep(seconds)
             return
-        for _ in range(max(round(seconds * core.FS_HZ), 1)):
+        for _ in range(self.rate.ticks(seconds)):
             self._await_tick()
             self.loop.step()
 
@@ -297,7 +308,7 @@ class Conductor:
             self._before_tick()
             return
         gone = self._unheard >= _UNHEARD
-        came = self.loop.await_pair(core.PERIOD_S if gone else _PAIR_S)
+        came = self.loop.await_pair(self.rate.period_s if gone else _PAIR_S)
         self._unheard = 0 if came else self._unheard + 1
 
     def _wait_for(self, asked: Callable[[], _T | None]) -> _T:
@@ -323,14 +334,19 @@ class Conductor:
 
         Raises:
             RefusedError: it is not for the present state, or was refused again and again.
+            InputError, TimingError: "arm", at a rate that is not the drive's, or not this PC's.
             RthybError: the tick thread does not answer.
         """
+        if name == "arm":
+            self._refuse_rate()
         for _ in range(_ATTEMPTS_AT_REST.get(name, _ATTEMPTS)):
             state = self.state
             obeyed, tick = self._answered(name)
             tick -= self.loop.load_tick
             self.run.commands.append({"tick": tick, "command": name, "refused": not obeyed})
             if obeyed:
+                if name == "zero":
+                    self._at_zero = self._count()
                 if name in ("arm", "start"):
                     self.run.renew()
                 released = name != "reset" or self._is_released()
@@ -340,15 +356,46 @@ class Conductor:
             if not core.command_allowed(state, name):
                 raise self._refusal(name, state, "")
             # A tick without a fresh pair is none to start in; the next one may be.
-            self._pass(_BETWEEN_TICKS * core.PERIOD_S)
+            self._pass(_BETWEEN_TICKS * self.rate.period_s)
         raise self._refusal(name, state, self._why_refused(name, state))
+
+    def _refuse_rate(self) -> None:
+        """Refuse to arm at another rate than the drive's, or above 1024 Hz one that is missed.
+
+        By what came since the tare began: pairs have come all the while, and nothing has moved.
+
+        Raises:
+            InputError: a drive samples at another rate.
+            TimingError: of the ticks more were skipped than end a test.
+        """
+        before, now = self._at_zero, self._count()
+        if before is None or now.ticks.elapsed - before.ticks.elapsed < self.rate.ticks(_RATE_S):
+            return
+        if told := self.other_rate(before):
+            raise InputError(told, self.opened.name)
+        watch = self.config.watches.get("skips")
+        if self.rate.hz <= STANDARD_HZ or (watch is not None and watch.reaction == "none"):
+            return
+        ticks = now.ticks.elapsed - before.ticks.elapsed
+        skipped = now.ticks.skipped - before.ticks.skipped
+        most = watch.value if watch and watch.value > 0.0 else SKIPS
+        if skipped <= most * ticks:
+            return
+        late_us = now.wake.since(before.wake).percentile_ns(99) / 1e3
+        raise TimingError(
+            f"this PC does not wake up for {self.rate.hz:g} Hz: of {ticks} ticks at rest {skipped} "
+            f"were skipped ({100 * skipped / ticks:.1f} %), and {100 * most:.1f} % end a test "
+            f"(limits.skipped_ticks_share); 99 % woke within {late_us:.0f} us, a tick has "
+            f"{1e6 * self.rate.period_s:.0f} us; rthyb jitter says what to change on this PC, or "
+            "take a lower rate"
+        )
 
     def _is_released(self) -> bool:
         """Wait for the drive to follow after a reset; False if it does not."""
         begun_s = self.now_s
         while True:
             stopped = self.loop.counters()["stopped"]
-            self._pass(_RESET_TICKS * core.PERIOD_S)
+            self._pass(_RESET_TICKS * self.rate.period_s)
             if self.loop.counters()["stopped"] == stopped:
                 return True
             if self.now_s - begun_s > _RELEASE_S:
@@ -441,7 +488,7 @@ class Conductor:
         whose, spread_m, allowed_m = self._restless()
         return (
             f"the rig is not at rest: the displacement{whose} moved by {spread_m * 1e3:.3g} mm "
-            f"during the tare of {run.config.tare_ticks / core.FS_HZ:g} s, at most "
+            f"during the tare of {run.config.tare_ticks / self.rate.hz:g} s, at most "
             f"{allowed_m * 1e3:.3g} mm is allowed (limits.rest_spread_m); let it come to rest, "
             "or check its sensor"
         )
@@ -504,8 +551,33 @@ class Conductor:
         whose = _stopped_axes(flags, names)
         return (f"{whose}: " if whose else "") + _no_more(flags)
 
-    @staticmethod
-    def _no_feedback_of(way: LoopAxis, flags: NDArray[np.uint32]) -> str:
+    def other_rate(self, since: Counted | None = None) -> str:
+        """Return in words that a drive samples at another rate than the ticks; "": none does.
+
+        By its own count of samples. ``since``: what the counters showed when pairs began to come
+        without a break; None: with the first tick. Too few ticks say nothing.
+        """
+        elapsed = self.loop.counts.elapsed - (since.ticks.elapsed if since else 0)
+        if elapsed < self.rate.ticks(_RATE_S):
+            return ""
+        names = self.run.setup.axis_names or ("",)
+        for k, (name, way) in enumerate(zip(names, self.ways, strict=True)):
+            counters = way.wire.counters()
+            if since is not None:
+                earlier = since.axes[k]["wire"] if since.axes else since.wire
+                counters = _more(counters, earlier)
+            hz = (counters["pairs"] + counters["missed"]) / elapsed * self.rate.hz
+            if counters["pairs"] < _RATE_PAIRS or abs(hz / self.rate.hz - 1.0) <= _RATE_OFF:
+                continue
+            whose = f"axis {name}: " if name else ""
+            return (
+                f"{whose}the drive sends about {hz:.0f} samples a second, the test runs at "
+                f"{self.rate.hz:g} Hz; set test.sample_rate_hz and the rig file's "
+                "link.sample_rate_hz to the drive's rate, or the drive to theirs"
+            )
+        return ""
+
+    def _no_feedback_of(self, way: LoopAxis, flags: NDArray[np.uint32]) -> str:
         counters, pieces = way.wire.counters(), way.link.counters()["pieces_in"]
         if way.link.down != "up":
             return f"the link is down ({way.link.down}); check cable, power and interface"
@@ -521,7 +593,7 @@ class Conductor:
             )
         return (
             f"nothing arrived in {FEEDBACK_S:g} s; is the drive switched on, and does it send "
-            "displacement and force 1024 times per second?"
+            f"displacement and force {self.rate.hz:g} times per second?"
         )
 
     # ---- how it went ----------------------------------------------------------------------------
@@ -610,6 +682,12 @@ class Conductor:
             "ring": {"locked": run.ring.locked, "in_memory": run.ring.in_memory},
             **self._axis_facts(run, before, now),
         }
+
+
+def _lead_us(rig: RigFile, rate: Rate) -> float:
+    """Return how long a pair is to arrive before its tick."""
+    wanted = None if rig.link is None else rig.link.lead_us
+    return default_lead_us(rate.whole_hz) if wanted is None else wanted
 
 
 def _stopped_axes(recent: NDArray[np.uint32], names: Sequence[str]) -> str:

@@ -117,13 +117,14 @@ class Session(Conductor):
 
     def advance(self, ticks: int) -> None:
         """Let up to so many ticks pass, and no more than an operator may be waited for."""
-        self.wait(min(ticks / core.FS_HZ, RECORDER_PERIOD_S))
+        self.wait(min(ticks / self.rate.hz, RECORDER_PERIOD_S))
 
     def settle(self) -> None:
         """Let what is kept behind a test come."""
-        # Of a trip somewhat more, so that the black box is full.
-        ticks = 1.1 * AFTER_TRIP if self.state == "TRIPPED" else REST_TICKS
-        end_s = self.now_s + ticks / core.FS_HZ
+        # Of a trip somewhat more, so that the black box is full: it counts rows at any rate.
+        tripped = self.state == "TRIPPED"
+        kept_s = 1.1 * AFTER_TRIP / self.rate.hz if tripped else REST_TICKS / core.FS_HZ
+        end_s = self.now_s + kept_s
         while self.now_s < end_s:
             self.wait(RECORDER_PERIOD_S)
 

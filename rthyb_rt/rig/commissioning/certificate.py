@@ -18,6 +18,7 @@ from typing import Any, Final
 from rthyb_rt import __version__, config
 from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.config.rigfile import TOLERANCES
+from rthyb_rt.core.sizes import STANDARD_RATE_HZ
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record.recording import replacing
@@ -75,6 +76,7 @@ class Certificate:
         rig_name, rig_hash: of the rig file, see `rig_hash`.
         virtual: a virtual rig was at the other end.
         link: name of the link.
+        sample_rate_hz: of the drive when it was made; at another it does not hold.
         version: of this program.
         steps: by name.
     """
@@ -83,6 +85,7 @@ class Certificate:
     rig_hash: str
     virtual: bool
     link: str
+    sample_rate_hz: int = STANDARD_RATE_HZ
     version: str = __version__
     steps: dict[str, Step] = field(default_factory=dict)
 
@@ -137,6 +140,9 @@ def rig_hash(rig: RigFile, axis: str = "") -> str:
         # A key of later versions that the file does not set makes no other rig of it.
         for key in [key for key in given if key not in first and given[key] in (None, [], ())]:
             del given[key]
+    # A rig that was commissioned before there were other rates is the same rig.
+    if rig.link is not None and rig.link.sample_rate_hz == STANDARD_RATE_HZ:
+        del content["link"]["sample_rate_hz"]
     if rig.link is not None and rig.link.dbc is not None:
         content["link"]["dbc"] = _digest(Path(rig.link.dbc))
     for key in TOLERANCES:
@@ -221,6 +227,8 @@ def read(path: Path) -> Certificate:
             rig_hash=str(document["rig_hash"]),
             virtual=document["virtual"] is True,
             link=str(document["link"]),
+            # Before there were other rates, none was written.
+            sample_rate_hz=int(document.get("sample_rate_hz", STANDARD_RATE_HZ)),
             version=str(document["version"]),
             steps={name: _step(name, step) for name, step in document["steps"].items()},
         )
@@ -346,7 +354,7 @@ def standing(rig: RigFile, rig_path: Path, axis: str = "") -> Standing:
     demanded = rig.link is not None and not rig.link.virtual
     holds, older = find(rig, rig_path, axis)
     lacks = demanded and (holds is None or bool(holds.lacking))
-    why_not = _why_not(rig_path, holds, older, axis) if lacks else ""
+    why_not = _why_not(rig, rig_path, holds, older, axis) if lacks else ""
     return Standing(demanded, holds, place(rig_path, axis), why_not)
 
 
@@ -389,7 +397,11 @@ def _known(rig: RigFile, axis: str, found: Standing) -> dict[str, Any]:
 
 
 def _why_not(
-    rig_path: Path, holds: Certificate | None, older: Certificate | None, axis: str
+    rig: RigFile,
+    rig_path: Path,
+    holds: Certificate | None,
+    older: Certificate | None,
+    axis: str,
 ) -> str:
     of_axis = f" --axis {axis}" if axis else ""
     remedy = f"run `rthyb commission {rig_path}{of_axis}`"
@@ -399,6 +411,11 @@ def _why_not(
         return (
             f"not every commissioning check of this rig has passed: {told}; {remedy} --steps "
             f"{names}"
+        )
+    if older is not None and older.sample_rate_hz != rig.rate.whole_hz:
+        return (
+            f"the rig was commissioned on {older.date[:10]} at {older.sample_rate_hz} Hz, and is "
+            f"to run at {rig.rate.whole_hz} Hz (link.sample_rate_hz); {remedy}"
         )
     if older is not None:
         return (

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from rthyb_rt import core
 from rthyb_rt.core import FLAGS
-from rthyb_rt.core.loop import WATCHDOG_TICKS
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment
 from rthyb_rt.rig.commissioning import limits, polarity, stops
@@ -32,7 +31,7 @@ from rthyb_rt.rig.commissioning.moving import (
 REST_S: Final = 2.0
 """Length of the look at a rig that rests."""
 FRESH_SHARE: Final = 0.98
-"""Of the ticks: less feedback than this is no feedback 1024 times a second."""
+"""Of the ticks: less feedback than this is no feedback in every sample."""
 RATE_TOLERANCE: Final = 0.01
 
 _PANEL: Final = "release the drive at its own panel, because its frames have no reset command"
@@ -92,6 +91,7 @@ def commission(
         rig_hash=rig_hash(rig, axis),
         virtual=rig.link is None or rig.link.virtual,
         link=connection.opened.name,
+        sample_rate_hz=rig.rate.whole_hz,
     )
     for name in (name for name in STEPS if name in plan.steps):
         step = _MADE[name](connection, plan)
@@ -125,7 +125,7 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
         return None
     # What is lost is counted here, and told with what is needed.
     counted = {"lost_pairs": core.Watch(1.0 - FRESH_SHARE, "indicate")}
-    rest = Motion("rest", np.zeros(round(REST_S * core.FS_HZ)), counted)
+    rest = Motion("rest", np.zeros(connection.rig.rate.ticks(REST_S)), counted)
     try:
         moved = undisturbed(connection, rest)
     except InputError as error:
@@ -149,8 +149,9 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
             "hold: displacement and command disagree; check both in [calibration], first offset_m"
         )
     rate = figures["rate_hz"]
-    if rate is not None and abs(rate / core.FS_HZ - 1.0) > RATE_TOLERANCE:
-        faults.append(f"the drive sends {rate:.1f} samples per second, {core.FS_HZ:g} are needed")
+    wanted_hz = connection.rig.rate.hz
+    if rate is not None and abs(rate / wanted_hz - 1.0) > RATE_TOLERANCE:
+        faults.append(f"the drive sends {rate:.1f} samples per second, {wanted_hz:g} are needed")
     return Step("link", not faults, now(), figures, tuple(faults))
 
 
@@ -238,8 +239,9 @@ def _limits(connection: Connection, plan: Plan) -> Step | None:
 def _watchdog(connection: Connection, plan: Plan) -> Step | None:
     codec = connection.opened.codec
     after = "is reset" if codec.has_reset else "is released at its own panel"
+    allowed = stops.watchdog_ticks(connection)
     if not plan.allowed(
-        f"Stop sending, at rest? The drive should stop by itself after {WATCHDOG_TICKS} of its "
+        f"Stop sending, at rest? The drive should stop by itself after {allowed} of its "
         f"samples and stay stopped, even when commands resume, until it {after}."
     ):
         return None
@@ -258,7 +260,7 @@ def _watchdog(connection: Connection, plan: Plan) -> Step | None:
             "does not work, and nothing would stop the drive if this PC failed; do not use it"
         )
     else:
-        faults += _late(stop, WATCHDOG_TICKS, "its last command")
+        faults += _late(stop, allowed, "its last command")
         faults += _follows_again(stop)
     if stop.stays and not codec.has_reset:
         plan.tell(f"  {_PANEL}")

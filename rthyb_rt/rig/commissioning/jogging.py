@@ -90,7 +90,8 @@ def jog(
             f"{velocity * 1e3:g} mm/s is allowed (by limits.path_velocity_m_per_s and half of "
             "what its other limits leave for the command)"
         )
-    path = with_rests(eased(distance_m, speed_m_per_s, acceleration))
+    rate = connection.rig.rate
+    path = with_rests(eased(distance_m, speed_m_per_s, acceleration, rate), rate=rate)
     moved = carry_out(connection, Motion("jog", path), operator=operator, progress=progress)
     verdict = polarity.judge(connection.rig, moved)
     # What was hardly begun says nothing of signs.

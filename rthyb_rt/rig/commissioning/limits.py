@@ -104,16 +104,15 @@ def small_motion(rig: RigFile, distance_m: float) -> Motion:
     """
     check_distance(rig, distance_m)
     velocity, acceleration = path_figures(rig)
-    way = eased(distance_m, min(velocity, GENTLE_M_PER_S), acceleration)
-    return Motion("small-motion", with_rests(way))
+    way = eased(distance_m, min(velocity, GENTLE_M_PER_S), acceleration, rig.rate)
+    return Motion("small-motion", with_rests(way, rate=rig.rate))
 
 
 def brisk_motion(rig: RigFile, distance_m: float) -> Motion:
     """Return one over the same distance, whose acceleration is more than the wire's rounding."""
     velocity, acceleration = path_figures(rig)
-    return Motion(
-        "brisk-motion", with_rests(eased(distance_m, velocity, min(acceleration, _BRISK)))
-    )
+    way = eased(distance_m, velocity, min(acceleration, _BRISK), rig.rate)
+    return Motion("brisk-motion", with_rests(way, rate=rig.rate))
 
 
 def check_all(
@@ -143,21 +142,19 @@ def check_all(
         words = f"the small motion ended even without it: {usual.end_reason}"
         return [Check(key, action, fault=words) for key, action in wanted]
     brisk = brisk_motion(connection.rig, distance_m)
-    reached = peaks(usual.running) | {
-        ACCELERATION: _largest(np.diff(brisk.path_m, 2)) / core.PERIOD_S**2
-    }
+    h = connection.rig.rate.period_s
+    reached = peaks(usual.running, h) | {ACCELERATION: _largest(np.diff(brisk.path_m, 2)) / h**2}
     return [
         _check(connection, brisk if key == ACCELERATION else plain, key, action, reached, allowed)
         for key, action in wanted
     ]
 
 
-def peaks(rows: Rows) -> dict[str, float]:
+def peaks(rows: Rows, h: float = core.PERIOD_S) -> dict[str, float]:
     """Return how far a motion goes towards each limit, by key; rows of the motion itself, (n,).
 
-    The command must not have been limited.
+    The command must not have been limited. ``h``: from row to row, s.
     """
-    h = core.PERIOD_S
     taken = rows[fresh(rows)]
     command = rows["x_cmd_m"]
     return {
@@ -166,7 +163,7 @@ def peaks(rows: Rows) -> dict[str, float]:
         "command_increment_m": _largest(np.diff(command)),
         "force_n": _largest(taken["f_meas_n"]),
         "tracking_error_m": _largest(taken["x_meas_m"] - taken["x_num_m"]),
-        "tracking_indicator_slope_m2_per_s": _largest(_slopes(rows["tracking_indicator_m2"])),
+        "tracking_indicator_slope_m2_per_s": _largest(_slopes(rows["tracking_indicator_m2"], h)),
         "energy_error_j": _largest(rows["energy_error_j"]),
         "sensor_jump_m": _largest(np.diff(taken["x_meas_m"])),
         _QUANTUM: 2.0 * _largest(command - rows["x_plc_m"]),
@@ -177,11 +174,11 @@ def _largest(values: Floats) -> float:
     return float(np.abs(values).max(initial=0.0))
 
 
-def _slopes(indicator: Floats) -> Floats:
+def _slopes(indicator: Floats, h: float) -> Floats:
     """Return the slope of the tracking indicator as the station smooths it."""
-    share = min(core.PERIOD_S / _SLOPE_S, 1.0)
+    share = min(h / _SLOPE_S, 1.0)
     slope, slopes = 0.0, np.zeros(indicator.size)
-    for n, rise in enumerate(np.diff(indicator) / core.PERIOD_S):
+    for n, rise in enumerate(np.diff(indicator) / h):
         slope += (rise - slope) * share
         slopes[n + 1] = slope
     return slopes
@@ -197,7 +194,8 @@ def _check(
 ) -> Check:
     if key in _NOT_PROVOKED:
         return Check(key, action, reason=_NOT_PROVOKED[key])
-    least = _LEAST_STEPS * reached[_QUANTUM] / core.PERIOD_S**2 if key == ACCELERATION else 0.0
+    h = connection.rig.rate.period_s
+    least = _LEAST_STEPS * reached[_QUANTUM] / h**2 if key == ACCELERATION else 0.0
     if not reached[key] > least:
         return Check(key, action, reason="the small motion does not come close enough to it")
     given = getattr(connection.rig.limits, key)
@@ -210,7 +208,7 @@ def _check(
         return Check(key, action, reason="not allowed")
     if action == "limit":
         moved = undisturbed(connection, _bounded(plain, key, value))
-        fault = _why_not_bounded(moved, key, value, reached[_QUANTUM])
+        fault = _why_not_bounded(moved, key, value, reached[_QUANTUM], h)
         seen = "command limited" if not fault else moved.end_reason
     else:
         moved = undisturbed(connection, _watched(plain, key, action, value))
@@ -262,22 +260,23 @@ def _why_not_seen(moved: Moved, cause: str, action: str) -> str:
     return ""
 
 
-def _why_not_bounded(moved: Moved, key: str, value: float, quantum_m: float) -> str:
+def _why_not_bounded(moved: Moved, key: str, value: float, quantum_m: float, h: float) -> str:
     """Return what is wrong with the bounds of a command, "" for nothing."""
     if moved.cause != "completed":
         return f"the motion ended: {moved.end_reason}"
     rows = moved.running
     if not (rows["flags"] & FLAGS["limited"]).any():
         return "the command was not limited"
-    found, rounding = _command_reached(_without_gaps(rows)["x_cmd_m"], key, quantum_m)
+    found, rounding = _command_reached(_without_gaps(rows)["x_cmd_m"], key, quantum_m, h)
     if found > value * _BARELY + rounding:
         return f"the command continued with {found:.4g} {limits_file.unit_of(key)}"
     return ""
 
 
-def _command_reached(command_m: Floats, key: str, quantum_m: float) -> tuple[float, float]:
+def _command_reached(
+    command_m: Floats, key: str, quantum_m: float, h: float
+) -> tuple[float, float]:
     """Return velocity or acceleration of a command as sent, and what its rounding makes of it."""
-    h = core.PERIOD_S
     if key != ACCELERATION:
         return _largest(np.diff(command_m)) / h, quantum_m / h
     change = np.diff(command_m)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
-from rthyb_rt.config import Limit, RigFile
+from rthyb_rt.config import STANDARD, Limit, Rate, RigFile
 from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import InputError, Problem, RthybError
@@ -35,8 +35,9 @@ GENTLE_M_PER_S: Final = 1e-3
 
 _HOME_M: Final = 5e-6
 _RAMP_IN_TICKS: Final = 128
-_MEAN_TICKS: Final = 256
-"""Rows at rest from which a position or a force is taken."""
+"""Of 1/1024 s."""
+_MEAN_S: Final = 0.25
+"""At rest, from whose rows a position or a force is taken."""
 _PEAK_SPEED: Final = 1.875
 _PEAK_ACCELERATION: Final = 10.0 / math.sqrt(3.0)
 """Of the quintic from 0 to 1 in the time 1."""
@@ -121,6 +122,10 @@ class Moved:
     recording: Recording
 
     @property
+    def _mean_ticks(self) -> int:
+        return Rate(self.recording.fs_hz).ticks(_MEAN_S)
+
+    @property
     def zeroed(self) -> bool:
         """Whether it came as far as the tare, from which on everything counts from where it is."""
         return "ZEROED" in self.states
@@ -191,15 +196,15 @@ class Moved:
 
     def noise(self, column: str) -> float:
         """Return the standard deviation of a reading at rest, before the motion."""
-        still = self.rows[(self.rows["state"] < RUNNING) & fresh(self.rows)][-_MEAN_TICKS:]
+        still = self.rows[(self.rows["state"] < RUNNING) & fresh(self.rows)][-self._mean_ticks :]
         return float(still[column].std()) if still.size else 0.0
 
     def certain(self, column: str) -> float:
         """Return the smallest change between two rests that is no noise."""
-        return 6.0 * self.noise(column) * math.sqrt(2.0 / _MEAN_TICKS) + _FINEST[column]
+        return 6.0 * self.noise(column) * math.sqrt(2.0 / self._mean_ticks) + _FINEST[column]
 
     def _at_end(self, column: str) -> float:
-        rest = self.rows[fresh(self.rows)][-_MEAN_TICKS:]
+        rest = self.rows[fresh(self.rows)][-self._mean_ticks :]
         return float(rest[column].mean()) if rest.size else 0.0
 
 
@@ -232,22 +237,26 @@ def command_numbers(rows: Rows, before: int = 0) -> NDArray[np.int64]:
 # ---- paths --------------------------------------------------------------------------------------
 
 
-def eased(distance_m: float, speed_m_per_s: float, acceleration_m_per_s2: float) -> Floats:
+def eased(
+    distance_m: float, speed_m_per_s: float, acceleration_m_per_s2: float, rate: Rate = STANDARD
+) -> Floats:
     """Return a smooth way from 0 to a distance that keeps to speed and acceleration, (n,)."""
     size = abs(distance_m)
     lasts_s = max(
         _PEAK_SPEED * size / speed_m_per_s,
         math.sqrt(_PEAK_ACCELERATION * size / acceleration_m_per_s2),
     )
-    ticks = max(math.ceil(lasts_s * core.FS_HZ), 8)
+    ticks = max(math.ceil(lasts_s * rate.hz), 8)
     u = np.arange(1, ticks + 1) / ticks
     way: Floats = distance_m * (u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
     return way
 
 
-def with_rests(path_m: Floats, before_s: float = 0.25, after_s: float = 0.5) -> Floats:
+def with_rests(
+    path_m: Floats, before_s: float = 0.25, after_s: float = 0.5, *, rate: Rate = STANDARD
+) -> Floats:
     """Return a path with time to stand still before and behind it."""
-    before, after = (round(s * core.FS_HZ) for s in (before_s, after_s))
+    before, after = (round(s * rate.hz) for s in (before_s, after_s))
     return np.concatenate([np.zeros(before), path_m, np.full(after, path_m[-1])])
 
 
@@ -280,7 +289,7 @@ def station_of(setup: Setup, motion: Motion) -> core.StationConfig:
         tare_most_n=0.0,
         # A command that does not begin where the specimen stands goes there no faster.
         path_velocity_m_per_s=min(base.path_velocity_m_per_s, GENTLE_M_PER_S),
-        ramp_in_ticks=_RAMP_IN_TICKS,
+        ramp_in_ticks=setup.rate.ticks(_RAMP_IN_TICKS / core.FS_HZ),
         stay=motion.stay,
     )
 
@@ -476,7 +485,9 @@ def bring_back(connection: Connection, moved: Moved) -> None:
     for _ in range(ATTEMPTS):
         if abs(back_m) <= max(moved.certain("x_meas_m"), _HOME_M):
             return
-        path = with_rests(eased(back_m, min(velocity, GENTLE_M_PER_S), acceleration))
+        rate = connection.rig.rate
+        way = eased(back_m, min(velocity, GENTLE_M_PER_S), acceleration, rate)
+        path = with_rests(way, rate=rate)
         returned = carry_out(connection, Motion("way-back", path))
         if returned.cause == "completed":
             return

@@ -35,8 +35,8 @@ from rthyb_rt.rig.commissioning.moving import (
 TRIP_TICKS: Final = 1
 """Of the drive, from the command that says TRIPPED to the beginning of its stop."""
 
-_SILENCE_TICKS: Final = 4 * WATCHDOG_TICKS
-"""Of the drive without a command; then its watchdog has not worked."""
+_SILENCES: Final = 4
+"""Times its watchdog of a drive without a command; then that has not worked."""
 _SILENCE_S: Final = 2.0
 _AFTER_TRIP_S: Final = 0.25
 _REST_S: Final = 0.25
@@ -66,6 +66,11 @@ class Stop:
     seen_again: bool | None = None
     stays: bool | None = None
     released: bool | None = None
+
+
+def watchdog_ticks(connection: Connection) -> int:
+    """Return the samples of the drive after which its watchdog is to stop it: 19.5 ms."""
+    return connection.rig.rate.ticks(WATCHDOG_TICKS / core.FS_HZ)
 
 
 def _without_gap(attempt: Callable[[], Stop]) -> Stop:
@@ -193,7 +198,7 @@ def _first_stop(connection: Connection, session: Session) -> Stop:
     """Read the drive's samples, which nobody answers any more, until it says that it stopped."""
     # With the link clock, what comes between two ticks has been taken in already.
     newest = session.wire.take()
-    before = newest.samples
+    before, silence = newest.samples, _SILENCES * watchdog_ticks(connection)
     first = before if newest.delay == 0 else None
     gap = False
     for pair in _pairs(connection, session):
@@ -205,7 +210,7 @@ def _first_stop(connection: Connection, session: Session) -> Stop:
             if first is None or pair.delay is None:
                 return Stop(True)
             return Stop(True, pair.samples - first, gap or missing)
-        if first is not None and pair.samples - first > _SILENCE_TICKS:
+        if first is not None and pair.samples - first > silence:
             break
     return Stop(False)
 
@@ -213,14 +218,14 @@ def _first_stop(connection: Connection, session: Session) -> Stop:
 def _pairs(connection: Connection, session: Session) -> Iterator[Feedback]:
     """Give every sample of the drive that comes while the tick thread is no more."""
     if connection.before_tick is not None:
-        for _ in range(3 * _SILENCE_TICKS):
+        for _ in range(3 * _SILENCES * watchdog_ticks(connection)):
             connection.before_tick()
             yield from _arrived(session)
         return
     end_s = time.monotonic() + _SILENCE_S
     while time.monotonic() < end_s:
         yield from _arrived(session)
-        time.sleep(0.5 * core.PERIOD_S)
+        time.sleep(0.5 * connection.rig.rate.period_s)
 
 
 def _arrived(session: Session) -> Iterator[Feedback]:
@@ -252,7 +257,8 @@ def after_trip(rows: Rows, before: int = 0) -> Stop:
     """
     told = (rows["state"] == STATES.index("TRIPPED")) & ((rows["flags"] & FLAGS["not_sent"]) == 0)
     numbers = command_numbers(rows, before)
-    heard = rows[fresh(rows)]
+    places = np.flatnonzero(fresh(rows))
+    heard = rows[places]
     stopped = (heard["flags"] & FLAGS["stopped"]) != 0
     # Stopped from before its first command on; what counts is what comes after it followed.
     begun = int(np.flatnonzero(~stopped)[0]) if (~stopped).any() else heard.size
@@ -260,8 +266,11 @@ def after_trip(rows: Rows, before: int = 0) -> Stop:
     if not stops.size or not told.any():
         return Stop(False)
     at = int(stops[0])
-    first = int(numbers[np.flatnonzero(told)[0]]) + 1
-    applied = (heard["echo"][begun:].astype(np.int64) - first) % _BYTE < _BYTE // 2
+    told_at = int(np.flatnonzero(told)[0])
+    first = int(numbers[told_at]) + 1
+    # What came before it was sent is no echo of it: a byte comes round in 256 commands.
+    since = places[begun:] > told_at
+    applied = since & ((heard["echo"][begun:].astype(np.int64) - first) % _BYTE < _BYTE // 2)
     if not heard["echo"].any():
         return Stop(True)
     if not applied[: at - begun + 1].any():

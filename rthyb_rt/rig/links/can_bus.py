@@ -14,6 +14,7 @@ from can.interfaces.socketcan.utils import pack_filters
 
 from rthyb_rt.config import busload
 from rthyb_rt.config.rigfile import Link
+from rthyb_rt.core.sizes import STANDARD_RATE_HZ
 from rthyb_rt.core.wire import ID_EXTENDED, Codec
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig.links import locks, netlink
@@ -54,7 +55,7 @@ def open_can(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) ->
     fd = wanted.fd or codec.is_fd
     interface = find(wanted.channel, netlink.interfaces())
     check(interface, wanted.bitrate, fd, wanted.data_bitrate)
-    check_load(interface, codec)
+    check_load(interface, codec, wanted.sample_rate_hz)
     with Owned() as owned:
         if not shared:
             locks.hold(owned, interface.name, interface.name, side)
@@ -74,7 +75,7 @@ def open_can(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) ->
             codec=codec,
             real_time=True,
             name=_name(interface),
-            facts=_facts(interface, codec, bus.socket),
+            facts=_facts(interface, codec, bus.socket, wanted.sample_rate_hz),
             owned=owned.pop_all(),
         )
 
@@ -177,11 +178,13 @@ def _remedy(interface: Interface, bitrate: int | None, fd: bool, data_bitrate: i
     return "; ".join([*lines, f"sudo ip link set {name} up {options}"])
 
 
-def check_load(interface: Interface, codec: Codec) -> None:
+def check_load(interface: Interface, codec: Codec, rate_hz: int = STANDARD_RATE_HZ) -> None:
     """Raise InputError if the frames of a sample leave too little of the bus."""
     if interface.bitrate is None:
         return
-    fault = busload.bus_fault(busload.frames_of(codec), interface.bitrate, interface.data_bitrate)
+    fault = busload.bus_fault(
+        busload.frames_of(codec), interface.bitrate, interface.data_bitrate, rate_hz=rate_hz
+    )
     if fault:
         raise InputError(fault, interface.name)
 
@@ -261,8 +264,9 @@ def _name(interface: Interface) -> str:
     return f"{interface.name}, CAN {bit_rate(interface.bitrate)}"
 
 
-def _facts(interface: Interface, codec: Codec, sock: socket.socket) -> dict[str, Any]:
+def _facts(interface: Interface, codec: Codec, sock: socket.socket, rate_hz: int) -> dict[str, Any]:
     rate, frames = interface.bitrate, busload.frames_of(codec)
+    load = busload.bus_load(frames, rate, interface.data_bitrate, rate_hz=rate_hz) if rate else None
     facts = {
         "interface": interface.name,
         "driver": interface.driver,
@@ -272,7 +276,7 @@ def _facts(interface: Interface, codec: Codec, sock: socket.socket) -> dict[str,
         "data_bitrate": interface.data_bitrate,
         "restart_ms": interface.restart_ms,
         "controller_state": interface.state,
-        "bus_load": busload.bus_load(frames, rate, interface.data_bitrate) if rate else None,
+        "bus_load": load,
         "receive_buffer_bytes": sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF),
         "send_buffer_bytes": sock.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF),
     }

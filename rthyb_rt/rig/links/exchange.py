@@ -95,7 +95,9 @@ def _check_load(wanted: Link, where: str, codec: Codec) -> None:
     if wanted.bitrate is None:
         return
     frames = busload.frames_of(codec)
-    fault = busload.bus_fault(frames, wanted.bitrate, wanted.data_bitrate)
+    fault = busload.bus_fault(
+        frames, wanted.bitrate, wanted.data_bitrate, rate_hz=wanted.sample_rate_hz
+    )
     if fault:
         raise InputError(fault, where)
 

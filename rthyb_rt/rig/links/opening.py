@@ -62,7 +62,9 @@ def open_link(
         InputError: what stands against it, and what to do.
     """
     if wanted.kind == "serial":
-        return serial_line.open_line(wanted.channel, wanted.bitrate or DEFAULT_BAUD)
+        return serial_line.open_line(
+            wanted.channel, wanted.bitrate or DEFAULT_BAUD, wanted.sample_rate_hz
+        )
     codec = _codec(wanted, folder)
     if wanted.kind == "can":
         from rthyb_rt.rig.links import can_bus  # python-can takes its time

@@ -19,6 +19,7 @@ from serial import serialposix
 
 from rthyb_rt.config import busload
 from rthyb_rt.core import wire
+from rthyb_rt.core.sizes import STANDARD_RATE_HZ
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig.links import locks
 from rthyb_rt.rig.links.opened import Opened, Owned
@@ -30,18 +31,19 @@ SYSFS: Final = Path("/sys")
 _SPEED_AT: Final = 10  # c_ospeed in struct termios2, in words
 
 
-def open_line(path: str, baud: int) -> Opened:
+def open_line(path: str, baud: int, rate_hz: int = STANDARD_RATE_HZ) -> Opened:
     """Open a serial line for either side: raw, 8N1, no flow control, for nobody else.
 
     Args:
         path: the device, as ``/dev/ttyUSB0``.
         baud: bit/s.
+        rate_hz: samples a second.
 
     Raises:
         InputError: not there, not a serial line, in use, no permission, a rate that the driver
-            does not have or that is too slow for 1024 samples/s.
+            does not have or that is too slow for the samples.
     """
-    _check_speed(path, baud)
+    _check_speed(path, baud, rate_hz)
     _check_device(path)
     with Owned() as owned:
         port = _port(path, baud)
@@ -58,7 +60,7 @@ def open_line(path: str, baud: int) -> Opened:
                 path,
             ) from error
         _check_rate(fd, path, baud)
-        facts = _facts(port, path, baud)
+        facts = _facts(port, path, baud, rate_hz)
         _discard(fd)
         kind = "pty" if facts["pty"] else "serial"
         return Opened(
@@ -72,8 +74,8 @@ def open_line(path: str, baud: int) -> Opened:
         )
 
 
-def _check_speed(path: str, baud: int) -> None:
-    fault = busload.serial_fault(baud)
+def _check_speed(path: str, baud: int, rate_hz: int) -> None:
+    fault = busload.serial_fault(baud, rate_hz=rate_hz)
     if fault:
         raise InputError(fault, path)
 
@@ -198,14 +200,14 @@ def _speed(fd: int) -> int | None:
     return words[_SPEED_AT]
 
 
-def _facts(port: Any, path: str, baud: int) -> dict[str, Any]:
+def _facts(port: Any, path: str, baud: int, rate_hz: int) -> dict[str, Any]:
     device = os.path.realpath(path)
     facts: dict[str, Any] = {
         "device": device,
         "baud": baud,
         "pty": os.major(os.fstat(port.fd).st_rdev) in PTY_MAJORS,
         "low_latency": _low_latency(port),
-        "line_load": busload.serial_load(baud),
+        "line_load": busload.serial_load(baud, rate_hz=rate_hz),
     }
     at_bus = SYSFS / "class" / "tty" / os.path.basename(device) / "device"
     driver = at_bus / "driver"

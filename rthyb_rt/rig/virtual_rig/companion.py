@@ -11,9 +11,10 @@ import sys
 from typing import Any, Final
 
 from rthyb_rt import config
-from rthyb_rt.config import AxesRig, RigFile
+from rthyb_rt.config import AxesRig, Rate, RigFile
 from rthyb_rt.errors import RthybError
 from rthyb_rt.rig.virtual_rig.lines import inherited_line
+from rthyb_rt.rig.virtual_rig.plan import Plan
 from rthyb_rt.rig.virtual_rig.serving import Stop, serve
 
 _PEER_PATIENCE_S: Final = 20.0
@@ -27,12 +28,13 @@ class Companion:
     Args:
         rig: what moves and measures.
         fds: its end of the pair, of several axes of each; stay the caller's, who closes them.
+        rate: of its samples; None: that of the rig file's link.
 
     Raises:
         RthybError: the process did not come to life; with what it said.
     """
 
-    def __init__(self, rig: RigFile | AxesRig, *fds: int) -> None:
+    def __init__(self, rig: RigFile | AxesRig, *fds: int, rate: Rate | None = None) -> None:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "rthyb_rt.rig.virtual_rig"],
             stdin=subprocess.PIPE,
@@ -42,7 +44,8 @@ class Companion:
             start_new_session=True,
         )
         try:
-            order = {"fds": fds, "rig_toml": config.dump(rig)}
+            rate_hz = (rate or rig.rate).hz
+            order = {"fds": fds, "rig_toml": config.dump(rig), "rate_hz": rate_hz}
             assert self._process.stdin is not None
             with contextlib.suppress(BrokenPipeError), self._process.stdin as order_book:
                 order_book.write(json.dumps(order).encode() + b"\n")
@@ -98,7 +101,8 @@ def be_companion() -> None:
     lines = [inherited_line(int(fd)) for fd in order["fds"]]
     stop = Stop()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    result = serve(rig, lines, stop=stop, ready=lambda: print("ready", flush=True))
+    plan = Plan(rate=Rate(float(order["rate_hz"])))
+    result = serve(rig, lines, plan, stop=stop, ready=lambda: print("ready", flush=True))
     # Its reader may be gone, killed perhaps.
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps(result.as_json()), flush=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 
+from rthyb_rt.config import STANDARD, Rate
 from rthyb_rt.core import loop
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import realtime
@@ -12,17 +13,19 @@ from rthyb_rt.lab.experiment import Progress, Setup
 from rthyb_rt.lab.virtual_time import HOLD_S
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig.links import opening
-from rthyb_rt.rig.virtual_rig.plan import POWER_CUT, parse_faults
+from rthyb_rt.rig.virtual_rig.plan import POWER_CUT, Plan, parse_faults
 from rthyb_rt.rig.virtual_rig.serving import in_step
 
 
-def parse_mishaps(texts: Sequence[str], axes: Sequence[str] = ()) -> tuple[loop.Fault, ...]:
+def parse_mishaps(
+    texts: Sequence[str], axes: Sequence[str] = (), rate: Rate = STANDARD
+) -> tuple[loop.Fault, ...]:
     """Return the faults of a test, in ticks from its first sample; arguments as `parse_faults`.
 
     Raises:
         InputError: with every text that cannot be understood, or asks for what only a process has.
     """
-    faults, cut_s = parse_faults(texts, axes)
+    faults, cut_s = parse_faults(texts, axes, rate)
     if cut_s is not None:
         raise InputError(
             f"{POWER_CUT}: a rig in this process has no power supply of its own; use silence"
@@ -61,7 +64,7 @@ def run(
         setup = dataclasses.replace(setup, group=group)
     names = setup.axis_names
     ours, theirs = opening.socket_pairs(names) if names else opening.socket_pair()
-    with ours, theirs, in_step(setup.rig_file, theirs) as drive:
+    with ours, theirs, in_step(setup.rig_file, theirs, Plan(rate=setup.rate)) as drive:
         # A fault that is out of range is refused here, and not in the middle of the test.
         drive.schedule(faults)
         drive.schedule(())

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, get_args
 
-from rthyb_rt import core
+from rthyb_rt.config import STANDARD, Rate
 from rthyb_rt.core import loop
 from rthyb_rt.errors import InputError
 
@@ -45,6 +45,7 @@ class Plan:
     """What a virtual rig does besides following its commands.
 
     Attributes:
+        rate: of its samples; None: that of the rig file's link.
         seed: of sensor noise and of faults; None takes the rig file's.
         drift_ppm: how much its clock is fast, 199 at most.
         faults: what goes wrong, in ticks of its own.
@@ -59,6 +60,7 @@ class Plan:
     power_cut_s: float | None = None
     seconds: float | None = None
     log_ticks: int = 0
+    rate: Rate | None = None
 
 
 NO_PLAN: Final = Plan()
@@ -66,7 +68,7 @@ NO_PLAN: Final = Plan()
 
 
 def parse_faults(
-    texts: Sequence[str], axes: Sequence[str] = ()
+    texts: Sequence[str], axes: Sequence[str] = (), rate: Rate = STANDARD
 ) -> tuple[tuple[loop.Fault, ...], float | None]:
     """Return the faults, and when the power goes.
 
@@ -79,6 +81,7 @@ def parse_faults(
     Args:
         texts: the faults.
         axes: names of several axes; () of a rig of one.
+        rate: of the rig, in whose samples a fault begins and lasts.
 
     Raises:
         InputError: with every text that cannot be understood.
@@ -102,8 +105,8 @@ def parse_faults(
                 f"such as {axes[0]}.{text}; the axes are {', '.join(axes)}"
             )
             continue
-        ticks = _FOR_EVER if lasts is None else max(round(lasts * core.FS_HZ), 1)
-        first = round(at * core.FS_HZ)
+        ticks = _FOR_EVER if lasts is None else rate.ticks(lasts)
+        first = round(at * rate.hz)
         faults.append(loop.Fault(kind, first, ticks, value, axis))  # type: ignore[arg-type]
     if problems:
         raise InputError("; ".join(problems))

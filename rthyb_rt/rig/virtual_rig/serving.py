@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
-from rthyb_rt.config import AxesRig, RigFile
+from rthyb_rt.config import STANDARD, AxesRig, Rate, RigFile
 from rthyb_rt.core import loop, ticker, wire
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.errors import InputError
@@ -106,6 +106,11 @@ class _Watcher:
             self._followed[k] = follows
 
 
+def rate_of(rig: RigFile | AxesRig, plan: Plan) -> Rate:
+    """Return the rate that a virtual rig is sampled at."""
+    return rig.rate if plan.rate is None else plan.rate
+
+
 def drives_of(
     rig: AxesRig, codecs: Sequence[wire.Codec], links: Sequence[loop.Link], plan: Plan
 ) -> loop.Drives:
@@ -117,7 +122,7 @@ def drives_of(
     """
     seed = rig.rig.seed if plan.seed is None else plan.seed
     given = rig.model_copy(update={"rig": rig.rig.model_copy(update={"seed": seed})})
-    plant: CoupledRig = axes_rig.virtual_rig(given)
+    plant: CoupledRig = axes_rig.virtual_rig(given, rate_of(rig, plan).hz)
     drives = []
     for k, (name, codec, link) in enumerate(zip(rig.names, codecs, links, strict=True)):
         own = rig.of_axis(name)
@@ -156,7 +161,7 @@ def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: Plan) -> lo
     """
     seed = rig.rig.seed if plan.seed is None else plan.seed
     drive = loop.Drive(
-        core.Rig(dataclasses.replace(experiment.rig_config(rig), seed=seed)),
+        core.Rig(dataclasses.replace(experiment.rig_config(rig, rate_of(rig, plan).hz), seed=seed)),
         extras.codec_of(rig, codec),
         link,
         stop_decel_m_per_s2=experiment.stop_decel_m_per_s2(rig),
@@ -248,7 +253,8 @@ def _run(
         try:
             # Locking what the process has takes longer than many a tick: its clock starts later.
             obtained.extend(ticker.become_real_time())
-            clocks.append(ticker.Ticker("host", ticker.now_ns() + 20_000_000))
+            begins_ns = ticker.now_ns() + 20_000_000
+            clocks.append(ticker.Ticker("host", begins_ns, drive.drives[0].rate_hz))
         finally:
             begun.set()
         drive.run(clocks[0])
@@ -307,7 +313,7 @@ def _look_after(
     while not stop.is_set():
         time.sleep(_LOOK_S)
         watcher.look()
-        now_s = drive.ticks / core.FS_HZ
+        now_s = drive.ticks / drive.drives[0].rate_hz
         if plan.power_cut_s is not None and now_s >= plan.power_cut_s:
             return True
         if plan.seconds is not None and now_s >= plan.seconds:
@@ -319,8 +325,8 @@ def _look_after(
     return False
 
 
-def write_log(path: Path, log: NDArray[np.void]) -> None:
-    """Write a drive log, as ``.npy``, or as ``.h5`` with the dataset ``drive_log``.
+def write_log(path: Path, log: NDArray[np.void], rate: Rate = STANDARD) -> None:
+    """Write a drive log, as ``.npy``, or as ``.h5`` with the dataset ``drive_log`` and its rate.
 
     Raises:
         InputError: the name ends otherwise.
@@ -338,7 +344,7 @@ def write_log(path: Path, log: NDArray[np.void]) -> None:
         with h5py.File(temporary, "w") as file:
             table = file.create_dataset("drive_log", data=log)
             table.attrs["phases"] = json.dumps(loop.PHASES)
-            table.attrs["fs_hz"] = core.FS_HZ
+            table.attrs["fs_hz"] = rate.hz
 
 
 LOG_SUFFIXES: Final = (".npy", ".h5")
