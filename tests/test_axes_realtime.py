@@ -182,7 +182,7 @@ def test_fault_on_one_axis_ends_the_test_for_all_and_is_told_with_its_name(
         ),
         ("middle.drop@1", "found the axis middle; the axes are left, right"),
         ("left.drap@1", "no such kind of fault"),
-        ("left.drop@1=2", "drop takes 0 to 1"),
+        ("left.drop@1=2", "drop accepts 0 to 1"),
     ],
 )
 def test_a_fault_without_a_sound_axis_is_refused(text: str, said: str) -> None:

@@ -657,7 +657,7 @@ def test_replay_finds_the_sample_that_was_changed(
     answer = rthyb("replay", path)
     assert answer.code == 8
     rows = recording.open_run(recorded).samples.size
-    assert answer.out.startswith(f"departs at sample 1500 of {rows}, field x_cmd_m;")
+    assert answer.out.startswith(f"differs from sample 1500 of {rows} on, field x_cmd_m;")
     document = json.loads(rthyb("replay", path, "--json").out)
     assert document["identical"] is False
     assert document["first_row"] == 1500

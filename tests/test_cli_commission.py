@@ -66,11 +66,11 @@ def test_jog_says_where_it_led(rthyb: Rthyb, tmp_path: Path, stepped: None, dist
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (("2 kg",), 2, 'found "2 kg" (that is a mass); it takes a length from -1'),
+        (("2 kg",), 2, 'found "2 kg" (that is a mass); must be a length from -1'),
         (("1 mm", "--speed", "0"), 2, "--speed"),
         (("1 mm", "--sped", "1"), 2, "--sped"),
         (("11 mm",), 5, "more than limits.command_position_m = 10 mm allows"),
-        (("1 mm", "--speed", "50 mm/s"), 5, "up to 20 mm/s are allowed"),
+        (("1 mm", "--speed", "50 mm/s"), 5, "at most 20 mm/s is allowed"),
         (("1 mm", "--set", "limits.force_n={ value = 1, enable = false }"), 3, "limits.force_n"),
         (("1 mm", "--set", "limits.force_n=100"), 6, "tripped: force limit"),
         ((), 2, "DISTANCE"),

@@ -219,7 +219,7 @@ def test_rig_without_bounds_on_position_and_force_is_not_moved(
     ("distance_m", "speed", "message"),
     [
         (11e-3, 1e-3, "limits.command_position_m = 10 mm allows"),
-        (1e-3, 0.03, r"up to 20 mm/s are allowed"),
+        (1e-3, 0.03, r"at most 20 mm/s is allowed"),
         (1e-3, math.nan, "too fast for a jog"),
     ],
 )
@@ -431,7 +431,7 @@ def test_drive_that_is_silent_fails_the_link_step_and_nothing_follows() -> None:
     with at(rig(), faults=(loop.Fault("silence", 0, 2**40),)) as there:
         found = guide.commission(there.connection, guide.Plan())
     assert list(found.steps) == ["link"]
-    assert "nothing came in 10 s" in found.steps["link"].faults[0]
+    assert "nothing arrived in 10 s" in found.steps["link"].faults[0]
 
 
 # ---- limits -------------------------------------------------------------------------------------

@@ -251,7 +251,7 @@ def test_the_ledger_comes_on_demand(tmp_path, capsys):
     assert "Why:" not in printed.err
     assert json.loads((tmp_path / "r" / "diagnosis.json").read_text())["why"]["sets"]
     text = (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
-    assert "<summary>What the answer rests on</summary>" in text
+    assert "<summary>What the answer is based on</summary>" in text
     assert run("diagnose", recording, "--model", toml, "--json", "--why") == 8
     answer = json.loads(capsys.readouterr().out)
     assert answer["why"]["sets"][-1]["fate"] == "refused"

@@ -483,7 +483,7 @@ def test_every_end_that_lies_outside_the_test_says_what_to_do() -> None:
 @pytest.mark.parametrize(
     ("fault", "message", "code"),
     [
-        (loop.Fault("silence", 0, 2**40), "nothing came in 10 s; is the drive switched on", 3),
+        (loop.Fault("silence", 0, 2**40), "nothing arrived in 10 s; is the drive switched on", 3),
         (loop.Fault("drop-force", 0, 2**40), "no pair of displacement and force .*lone", 3),
         (loop.Fault("corrupt", 0, 2**40), "no pair of displacement and force .*bad crc", 3),
         # An operator's reset is asked for: that is a refusal, not a fault of a file.
@@ -506,7 +506,7 @@ def test_rig_that_is_not_at_rest_is_not_zeroed(tmp_path: Path) -> None:
     noisy = {"rig.sensors.displacement.noise_std_m": "5e-5"}
     with pytest.raises(InputError, match=r"moved by .* mm during the tare of 0.125 s") as caught:
         Bench({"limits.rest_spread_m": "0.1 mm"}, noisy).run()
-    assert "allowed is 0.1 mm" in str(caught.value)
+    assert "at most 0.1 mm is allowed" in str(caught.value)
     assert rings(tmp_path) == []
 
 

@@ -229,7 +229,7 @@ def test_rig_that_is_not_at_rest_is_not_zeroed_and_says_why(rings: Path) -> None
         assert made.engine.recorded is None
         (why,) = (text for text in made.said if text.startswith("not zeroed: "))
         assert "the displacement moved by " in why
-        assert "allowed is 0.1 mm" in why
+        assert "at most 0.1 mm is allowed" in why
 
 
 def test_feedback_that_stops_during_the_tare_is_named(rings: Path) -> None:

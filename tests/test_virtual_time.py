@@ -346,9 +346,9 @@ def test_two_faults_at_once_each_do_their_part(rthyb: Any, tmp_path: Path) -> No
     ("text", "said"),
     [
         ("nonsense", "no such kind of fault"),
-        ("drop:q=1", "drop takes each of from, to, p once"),
-        ("drop:p=2", "drop takes 0 to 1"),
-        ("stuck:p=1", "stuck takes each of from, to once"),
+        ("drop:q=1", "drop accepts from, to, p, each at most once"),
+        ("drop:p=2", "drop accepts 0 to 1"),
+        ("stuck:p=1", "stuck accepts from, to, each at most once"),
         ("jump:from=1", "jump needs a value in m"),
         ("drop:from=5,to=4", "it ends at 4 s, before its start at 5 s"),
         ("drop:from=now", "could not convert"),
