@@ -206,7 +206,7 @@ def test_fitted_lead_undoes_a_rig_of_its_own_form() -> None:
         ({"frequency_hz": [], "amplitude": [], "delay_at_frequency_s": []}, "there is none: run"),
         (
             "10 Hz",
-            "9 frequencies up to 10 Hz; the control law inverse needs 8 or more, up to at least 40 Hz",
+            "9 frequencies up to 10 Hz; the control law inverse needs 8 or more, up to at least 40",
         ),
         ("few", "has 3 frequencies up to 80 Hz"),
         ("slipped", "no inverse of order 5 fits the response: at"),
