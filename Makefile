@@ -247,13 +247,18 @@ TICKS := 10000000
 SEED := 1
 STATION_FUZZ := build/fuzz-station
 STATION_FUZZ_LENGTH = $(if $(filter command line,$(origin SECONDS)),seconds $(SECONDS),ticks $(TICKS))
+AXES_FUZZ_LENGTH = $(if $(filter command line,$(origin SECONDS)),seconds $(SECONDS),ticks $(shell expr $(TICKS) / 5))
 fuzz-station:
 	$(require_tools)
 	@mkdir -p $(STATION_FUZZ)
 	@gcc -std=c11 -O2 -g -ffp-contract=off -fno-math-errno -fno-omit-frame-pointer -Icsrc \
 	    -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all \
 	    tests/fuzz/fuzz_station.c $(C_SOURCES) -lm -lpthread -o $(STATION_FUZZ)/fuzz_station
+	@gcc -std=c11 -O2 -g -ffp-contract=off -fno-math-errno -fno-omit-frame-pointer -Icsrc \
+	    -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all \
+	    tests/fuzz/fuzz_axes.c $(C_SOURCES) -lm -lpthread -o $(STATION_FUZZ)/fuzz_axes
 	@$(STATION_FUZZ)/fuzz_station $(STATION_FUZZ_LENGTH) $(SEED)
+	@$(STATION_FUZZ)/fuzz_axes $(AXES_FUZZ_LENGTH) $(SEED)
 
 clean:
 	@rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

@@ -86,13 +86,15 @@ static inline void note_command(rthyb_station *s, int axis, const rthyb_calibrat
 }
 
 /* What a record says of the pair that the station was told of an axis, or of why there was none. With one axis
- * nothing came where the row is flagged, with several the row has to say of which. */
+ * nothing came where the row is flagged, with several the row has to say of which: its displacement is no number,
+ * and its force is none either, or 0. A displacement that came and is no number keeps its force, but for a 0. */
 static inline void note_pair(rthyb_axis_record *record, double x_m, double f_n, int32_t lost,
                              int axis_count)
 {
-    const double none = lost & RTHYB_S_NOT_FINITE ? (double)NAN : 0.0;
+    const int looks_lost = axis_count > 1 && isnan(x_m) && f_n == 0.0;
+    const double none = lost & RTHYB_S_NOT_FINITE || !lost ? (double)NAN : 0.0;
     record->x_read_m = lost ? (axis_count > 1 ? (double)NAN : none) : x_m;
-    record->f_read_n = lost ? none : f_n;
+    record->f_read_n = lost || looks_lost ? none : f_n;
 }
 
 /* That the command of an axis did not leave; with several, which one. */

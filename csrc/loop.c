@@ -41,6 +41,12 @@ static int32_t stale_samples(const rthyb_wire *wire, double h)
     return (int32_t)(wanted < most ? wanted : most);
 }
 
+/* Its slots are as long as a row of so many axes: what is pushed into one for others is no row. */
+static int ring_fits(const rthyb_ring *ring, int32_t axes)
+{
+    return !ring || ring->record_words * sizeof(uint64_t) == record_bytes(axes);
+}
+
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
 {
     const double h = cfg->station->cfg.controller.period_s;
@@ -54,7 +60,7 @@ int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
     loop->heartbeat_ticks = standard_ticks(RTHYB_HEARTBEAT_TICKS, h);
     loop->watchdog_ticks = standard_ticks(RTHYB_DRIVE_WATCHDOG, h);
     loop->half_period_ns = SECOND_NS / 2 / loop->rate_hz;
-    int error = 0;
+    int error = ring_fits(cfg->ring, loop->axis_count) ? 0 : RTHYB_E_LIMIT;
     for (int i = 0; i < loop->axis_count; i++) {
         loop->way[i].delay = -1;
         loop->way[i].stale = stale_samples(cfg->axis[i].wire, h);
@@ -150,9 +156,10 @@ static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
     const rthyb_load *load = &loop->load;
     const int another = load->station != loop->cfg.station;
     const rthyb_controller_config *next = &load->station->cfg.controller;
-    const int refused = another && (loop->cfg.station->state != RTHYB_IDLE ||
-                                    next->axis_count != loop->axis_count ||
-                                    next->period_s != loop->cfg.station->cfg.controller.period_s);
+    const int unfit = another && (loop->cfg.station->state != RTHYB_IDLE ||
+                                  next->axis_count != loop->axis_count ||
+                                  next->period_s != loop->cfg.station->cfg.controller.period_s);
+    const int refused = unfit || !ring_fits(load->ring, loop->axis_count);
     if (!refused) {
         if (another) {
             put(&loop->load_tick, tick->k - tick->skipped);

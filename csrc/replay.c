@@ -36,11 +36,13 @@ static void take_parameters(rthyb_station *station, const rthyb_replay *source, 
             (void)rthyb_station_adopt(station, &source->parameters[i]);
 }
 
-/* Why the wire of an axis had no pair. Of several axes those had none of which the row has no number. */
+/* Why the wire of an axis had no pair. Of several axes those had none of which the row has neither number. */
 static int32_t lost(const rthyb_record *row, int axis, int axes)
 {
     const rthyb_axis_record *a = &row->axis[axis];
-    if (!(row->flags & RTHYB_F_LOST) || (axes > 1 && !isnan(a->x_read_m)))
+    if (!(row->flags & RTHYB_F_LOST))
+        return 0;
+    if (axes > 1 && !(isnan(a->x_read_m) && (isnan(a->f_read_n) || a->f_read_n == 0.0)))
         return 0;
     const int32_t no_number = isnan(axes > 1 ? a->f_read_n : a->x_read_m) ? RTHYB_S_NOT_FINITE : 0;
     return RTHYB_LOST | no_number | (row->code & RTHYB_S_OUT_OF_RANGE);

@@ -105,7 +105,8 @@ typedef struct rthyb_loop rthyb_loop;
 size_t rthyb_loop_size(void); /* bytes, aligned as a double is; the caller's */
 
 /* The station's period is the loop's. 0; RTHYB_E_PERIOD for one of no ticker (rthyb_ticker_rate_hz), an unknown
- * clock, or a lead that the link clock refuses; RTHYB_E_LIMIT for a calibration. */
+ * clock, or a lead that the link clock refuses; RTHYB_E_LIMIT for a calibration, or a ring for rows of another
+ * number of axes. */
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg);
 /* Parts that may be read while the loop runs; the ticker can also be used to grant, miss and stop ticks. */
 void rthyb_loop_look(const rthyb_loop *loop, rthyb_loop_view *view);
@@ -145,7 +146,8 @@ uint64_t rthyb_loop_command(rthyb_loop *loop, int32_t command);
 int rthyb_loop_answered(const rthyb_loop *loop, uint64_t generation, uint64_t *tick);
 /* Has the next tick go on with another station, ring and ground motion; ticks, wires, links and what is
  * known of the drives' clocks stay. Refused unless the station that goes is in IDLE, and the other has as many
- * axes and the same period; the same station may get another ring in any state. One thread at a time, and one load. Returns its generation. */
+ * axes and the same period; the same station may get another ring in any state. A ring for rows of another number of
+ * axes is refused always. One thread at a time, and one load. Returns its generation. */
 uint64_t rthyb_loop_load(rthyb_loop *loop, const rthyb_load *load);
 /* 0: not answered yet; 1: taken, what was there before is no longer touched; 2: refused, what was to be
  * loaded is not touched. */

@@ -282,6 +282,25 @@ def test_a_ring_holds_rows_of_both_axes(owned: ExitStack, tmp_path: Path) -> Non
     np.testing.assert_array_equal(rec.axis(0)["x_meas_m"], rows["x_meas_m"])
 
 
+def test_a_ring_for_rows_of_another_number_of_axes_is_refused(
+    owned: ExitStack, tmp_path: Path
+) -> None:
+    session = Recording(
+        samples=np.zeros(0, core.row_dtype((), 1)), fs_hz=core.FS_HZ, ag_mps2=shaking(1.0),
+        ground_motion={}, reference=None, test_toml="", rig_toml="",
+    )  # fmt: skip
+    of_one = Ring.create(tmp_path, session, 64)
+    owned.callback(of_one.close)
+    lab = Lab(owned)
+    lab.step()
+    generation = lab.loop.load(core.Station(lab.settings, shaking(1.0)), of_one)
+    lab.step()
+    assert lab.loop.loaded(generation) is False
+    lab.running(50)
+    with pytest.raises(core.CoreError):
+        Lab(owned, ring=of_one)
+
+
 def test_a_recording_of_two_axes_is_written_and_read(tmp_path: Path, owned: ExitStack) -> None:
     from rthyb_rt.record import recording
 

@@ -15,6 +15,7 @@ CORE = TESTS.parent / "csrc"
 FUZZ = TESTS / "fuzz"
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno", f"-I{CORE}")
 TICKS, SEED = "200000", "1"
+PROGRAMS = ("fuzz_station", "fuzz_axes")
 MORE_TICKS = "1500000"  # what is rare takes longer
 TABLE = re.compile(r" *(\d+)  (.+)(\n +broken .*)?")
 
@@ -30,9 +31,9 @@ def compiled(source: Path, target: Path, *more: str) -> Path:
 
 @pytest.fixture(scope="module")
 def objects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The objects of the core and of the fuzz by the names of their sources."""
+    """The objects of the core and of both fuzzes by the names of their sources."""
     folder = tmp_path_factory.mktemp("fuzz")
-    sources = [*sorted(CORE.glob("*.c")), FUZZ / "fuzz_station.c"]
+    sources = [*sorted(CORE.glob("*.c")), *(FUZZ / f"{name}.c" for name in PROGRAMS)]
     with ThreadPoolExecutor(2) as compilers:
         made = compilers.map(lambda s: compiled(s, folder / f"{s.stem}.o"), sources)
         return dict(zip([source.name for source in sources], made, strict=True))
@@ -40,11 +41,12 @@ def objects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture
 def fuzz(objects: dict[str, Path], tmp_path: Path) -> Fuzz:
-    """Run the fuzz, with another object in the place of a source's."""
+    """Run a fuzz, with another object in the place of a source's."""
 
-    def run(*arguments: str, **other: Path) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: str, axes: bool = False, **other: Path) -> subprocess.CompletedProcess[str]:
         parts = objects | {f"{name}.c": made for name, made in other.items()}
-        program = tmp_path / "fuzz_station"
+        del parts[f"{PROGRAMS[not axes]}.c"]
+        program = tmp_path / PROGRAMS[axes]
         subprocess.run(["gcc", *parts.values(), "-lm", "-lpthread", "-o", program], check=True)
         return subprocess.run(
             [program, *arguments], capture_output=True, text=True, timeout=300, check=False
@@ -66,6 +68,65 @@ def test_random_days_break_no_rule_and_give_each_its_say(fuzz: Fuzz) -> None:
     assert len(rules) > 30
     assert [rule for rule, (met, _) in rules.items() if not met] == []
     assert "nothing broken" in done.stdout
+
+
+def test_random_days_of_several_axes_break_no_rule_and_give_each_its_say(fuzz: Fuzz) -> None:
+    done = fuzz("ticks", TICKS, SEED, axes=True)
+    assert done.returncode == 0, done.stdout
+    rules = told(done.stdout)
+    assert len(rules) == 16
+    assert [rule for rule, (met, _) in rules.items() if not met] == []
+    assert "nothing broken" in done.stdout
+
+
+# The same of several axes.
+AXES_BROKEN_ON_PURPOSE = {
+    "another axis is blamed for a lost link": (
+        "station",
+        "if (s->controller.axis[i].missing > s->controller.axis[longest].missing)",
+        "if (s->controller.axis[i].missing < s->controller.axis[longest].missing)",
+        "twenty ticks without a pair of any axis: TRIPPED, by that axis",
+    ),
+    "drives on clocks apart are armed": (
+        "station",
+        "return s->apart < s->ticks.lost && in->apart != RTHYB_APART_UNKNOWN;",
+        "return s->apart < s->ticks.lost;",
+        "ARM is refused to drives on clocks apart, and before they are compared",
+    ),
+    "one axis keeps its own pace": (
+        "limiter",
+        "    if (has_velocity(n, c))\n        limit_velocity(n, c, step);\n",
+        "    if (n == 1)\n        limit_velocity(n, c, step);\n",
+        "no step beyond the velocity limit of its axis",
+    ),
+    "the last axis may leave its position limit": (
+        "course",
+        "    for (int i = 0; i < axes_of(s); i++) {\n"
+        "        rthyb_axis_control *cfg = &s->controller.cfg.axis[i];",
+        "    for (int i = 0; i < axes_of(s) - 1; i++) {\n"
+        "        rthyb_axis_control *cfg = &s->controller.cfg.axis[i];",
+        "no command beyond the position limit of its axis, nor further out",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", AXES_BROKEN_ON_PURPOSE)
+def test_what_is_broken_on_purpose_of_several_axes_is_found(
+    what: str, fuzz: Fuzz, tmp_path: Path
+) -> None:
+    name, text, other, rule = AXES_BROKEN_ON_PURPOSE[what]
+    source = (CORE / f"{name}.c").read_text()
+    assert source.count(text) == 1
+    changed = tmp_path / f"{name}.c"
+    changed.write_text(source.replace(text, other))
+    broken = {name: compiled(changed, tmp_path / f"{name}.o")}
+    done = fuzz("ticks", TICKS, SEED, axes=True, **broken)
+    assert done.returncode == 1
+    found = told(done.stdout)[rule][1]
+    seed = re.search(r"episode (0x[0-9a-f]+)", found)
+    assert seed, done.stdout
+    again = fuzz("episode", seed[1], axes=True, **broken)
+    assert again.returncode == 1
 
 
 def test_a_seed_gives_the_same_days_again(fuzz: Fuzz) -> None:

@@ -1,0 +1,679 @@
+/* Random tests of two to four axes: operators, kinematics, limits, and troubles of each axis by itself, against
+ * what must hold of all of them together.
+ *
+ *   fuzz_axes ticks COUNT [SEED]     so many ticks, or
+ *   fuzz_axes seconds COUNT [SEED]   so many seconds: prints how often each rule had its say, and for a broken one
+ *                                    the episode's seed; 1 if one was broken
+ *   fuzz_axes episode SEED           one episode again, up to the tick that breaks a rule
+ *
+ * Stations, moods and troubles are those of station_world.h; every axis has troubles of its own. The books are
+ * kept here: of the station only state, tare, cause and the settings are taken. */
+#define _GNU_SOURCE
+
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+
+#include "internal.h"
+#include "numeric.h"
+#include "rthyb.h"
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wunused-function"
+#pragma GCC diagnostic ignored "-Wunused-variable"
+#include "station_world.h"
+#pragma GCC diagnostic pop
+
+#define WIRE_M 1e-9 /* of its steps */
+/* What a command may still move once its path has ended and all axes have come within 1 um of that, for a law that
+ * swings is there in passing. The most that ten million ticks had was 5.9 um. */
+#define SETTLES_M 1e-5
+
+enum { MOST = RTHYB_COUPLED_MAX, ROWS = 1 << 14, WAY_BACK = 32, PARTS = 2 };
+
+enum axes_rule {
+    AXES_FINITE,
+    AXES_POSITION,
+    AXES_VELOCITY,
+    AXES_ACCELERATION,
+    AXES_AT_REST,
+    AXES_TOGETHER,
+    AXES_LATCHED,
+    AXES_FRAMES,
+    AXES_HELD,
+    AXES_NO_NUMBER,
+    AXES_MISSING,
+    AXES_SURROUNDINGS,
+    AXES_CLOCKS,
+    AXES_ARMED,
+    AXES_FORCE,
+    AXES_REPLAY,
+    AXES_RULES
+};
+
+static const char *const AXES_TEXT[AXES_RULES] = {
+    [AXES_FINITE] = "commands and rows of every axis are finite",
+    [AXES_POSITION] = "no command beyond the position limit of its axis, nor further out",
+    [AXES_VELOCITY] = "no step beyond the velocity limit of its axis",
+    [AXES_ACCELERATION] = "no change of step beyond the acceleration limit of its axis",
+    [AXES_AT_REST] = "commands at rest stand",
+    [AXES_TOGETHER] =
+        "one state: commands of all axes leave, or of none, and a trip stops all of them",
+    [AXES_LATCHED] = "a trip stays, with its cause and its axis, until RESET",
+    [AXES_FRAMES] = "a trip sends three times the last commands, then nothing",
+    [AXES_HELD] = "HOLD, once it stands, asks every direction to stay where it is",
+    [AXES_NO_NUMBER] = "a reading of any axis that is no number: TRIPPED at once, by that axis",
+    [AXES_MISSING] = "twenty ticks without a pair of any axis: TRIPPED, by that axis",
+    [AXES_SURROUNDINGS] = "a link down or a drive stopped: TRIPPED at once, by that axis",
+    [AXES_CLOCKS] = "counts apart for twenty ticks from ARMED on: TRIPPED, by that axis",
+    [AXES_ARMED] = "ARM is refused to drives on clocks apart, and before they are compared",
+    [AXES_FORCE] = "force of any axis beyond a limit that trips: TRIPPED in that tick",
+    [AXES_REPLAY] = "the rows replay bit for bit",
+};
+
+static rule_tally axes_tally[AXES_RULES];
+
+/* ---- a test ------------------------------------------------------------------------------------- */
+
+/* Oscillators side by side, one a direction: stands in for any numerical part. */
+typedef struct {
+    double x[MOST], v[MOST], damping[MOST], per_mass[MOST], share[MOST];
+    int32_t n;
+} side_by_side;
+
+typedef struct {
+    uint64_t seed, tick;
+    int over, n;
+    dice d;
+    scale size;
+    rthyb_station_config cfg;
+    rthyb_library_config part;
+    side_by_side model; /* as it begins */
+    uint64_t state[128], other_state[128];
+    rthyb_station station, twin;
+    rthyb_codec codec;
+    double ag[AG_MAX];
+    size_t ag_count;
+    operator_mood mood;
+    troubles troubles[MOST];
+    /* the drives: what each was told, as long ago as its delay */
+    double told[MOST][WAY_BACK], origin[MOST], k[MOST], bias[MOST], noise_m;
+    uint32_t delay[MOST];
+    int latched[MOST], tells;
+    uint32_t silent[MOST];
+    int apart; /* as the station is told it */
+    uint32_t apart_left, apart_ticks;
+    uint32_t missing[MOST];
+    /* the books */
+    int known;
+    double before[MOST], step[MOST];
+    int anew[MOST]; /* its next command is put where the specimen is */
+    uint32_t frames, seen;
+    int cause, cause_axis;
+    size_t rows;
+} axes_episode;
+
+static axes_episode one;
+static uint64_t packed[ROWS][RTHYB_RECORD_WORDS], again[ROWS][RTHYB_RECORD_WORDS];
+static uint64_t all_ticks, tests, trips, held;
+static int shown; /* what an episode comes to is printed */
+
+static void axes_must(axes_episode *e, int rule, int holds, double value, double bound)
+{
+    rule_tally *t = &axes_tally[rule];
+    t->met++;
+    if (holds)
+        return;
+    if (t->broken++ == 0) {
+        t->seed = e->seed;
+        t->tick = e->tick;
+        t->value = value;
+        t->bound = bound;
+    }
+    e->over = 1;
+}
+
+static int32_t part_init(void *state, const rthyb_part_setup *setup)
+{
+    (void)setup;
+    memcpy(state, &one.model, sizeof one.model);
+    return 0;
+}
+
+static int32_t part_answer(void *state, double ag_mps2, const double *force_n, double *x_next_m)
+{
+    side_by_side *s = state;
+    for (int j = 0; j < s->n; j++) {
+        const double a =
+            -s->share[j] * ag_mps2 - force_n[j] * s->per_mass[j] - s->damping[j] * s->v[j];
+        s->v[j] += PERIOD_S * a;
+        s->x[j] += PERIOD_S * s->v[j];
+        x_next_m[j] = s->x[j];
+    }
+    return 0;
+}
+
+/* ---- setting up ----------------------------------------------------------------------------------- */
+
+static void some_pins(dice *d, rthyb_kinematics_config *k)
+{
+    static const double PIN[3][2] = {{0.267, 0.127}, {0.267, -0.127}, {0.1, -0.2}};
+    static const double BASE[3][2] = {{1.6, 0.127}, {1.6, -0.127}, {0.15, -1.4}};
+    static const int32_t OF[] = {RTHYB_COORDINATE_X, RTHYB_COORDINATE_THETA, RTHYB_COORDINATE_Y};
+    for (int i = 0; i < k->size; i++) {
+        k->coordinate[i] = OF[i];
+        k->far[i] = one_in(d, 4);
+        k->pulls[i] = one_in(d, 2);
+        for (int c = 0; c < 2; c++) {
+            k->pin_m[i][c] = PIN[i][c];
+            k->base_m[i][c] = k->far[i] ? BASE[i][c] - PIN[i][c] : BASE[i][c];
+        }
+    }
+    k->kind = RTHYB_KINEMATICS_PINS;
+}
+
+static void some_kinematics(dice *d, int n, rthyb_kinematics_config *k)
+{
+    *k = (rthyb_kinematics_config){.size = one_in(d, 3) ? 0 : n};
+    if (k->size == 0)
+        return;
+    if (n <= 3 && one_in(d, 2)) {
+        some_pins(d, k);
+        return;
+    }
+    for (int i = 0; i < n * n; i++)
+        k->matrix[i] = (i % (n + 1) == 0 ? 1.0 : 0.0) + between(d, -0.25, 0.25);
+}
+
+static void some_axis(dice *d, axes_episode *e, int i)
+{
+    rthyb_station_config *c = &e->cfg;
+    const rthyb_law_config law = some_law(d, &e->size);
+    c->controller.axis[i] = c->controller.axis[0];
+    c->axis[i] = c->axis[0];
+    c->controller.rfc[i] = c->controller.rfc[0];
+    c->controller.axis[i].law = law;
+    if (c->controller.axis[i].velocity_limit_m_per_s > 0.0)
+        c->controller.axis[i].velocity_limit_m_per_s *= some(d, 0.5, 2.0);
+    if (c->controller.axis[i].acceleration_limit_m_per_s2 > 0.0)
+        c->controller.axis[i].acceleration_limit_m_per_s2 *= some(d, 0.5, 2.0);
+    c->axis[i].own_watches = one_in(d, 2);
+    if (c->axis[i].own_watches)
+        some_watches(d, &e->size, c->axis[i].watch);
+    if (one_in(d, 3))
+        c->interface[i].force = some_watch(d, 2.0 * e->size.k_e_n_per_m * e->size.peak_m);
+    if (one_in(d, 3))
+        c->interface[i].position = some_watch(d, 2.0 * e->size.peak_m);
+}
+
+static void some_drive(dice *d, axes_episode *e, int i)
+{
+    e->delay[i] = below(d, WAY_BACK);
+    e->origin[i] = one_in(d, 3) ? 0.0 : between(d, -0.04, 0.04);
+    e->k[i] = e->size.k_e_n_per_m * some(d, 0.5, 2.0);
+    e->bias[i] = between(d, -0.1, 0.1) * e->size.k_e_n_per_m * e->size.peak_m;
+    e->troubles[i] = some_troubles(d);
+}
+
+static void some_model(dice *d, axes_episode *e)
+{
+    rthyb_kinematics kinematics;
+    double jacobian[RTHYB_COUPLED_SQUARE] = {0.0};
+    for (int i = 0; i < e->n; i++)
+        jacobian[i * e->n + i] = 1.0;
+    if (e->cfg.controller.kinematics.size > 0 &&
+        !rthyb_kinematics_init(&kinematics, &e->cfg.controller.kinematics))
+        rthyb_kinematics_jacobian(&kinematics, jacobian);
+    e->model.n = e->n;
+    for (int j = 0; j < e->n; j++) {
+        double k = 0.0;
+        for (int i = 0; i < e->n; i++)
+            k += jacobian[i * e->n + j] * jacobian[i * e->n + j] * e->k[i];
+        e->model.per_mass[j] = e->size.omega_per_s * e->size.omega_per_s / k;
+        e->model.damping[j] = between(d, 0.0, 0.4) * e->size.omega_per_s;
+        e->model.share[j] = between(d, -1.0, 1.0);
+    }
+}
+
+static int set_up_axes(axes_episode *e)
+{
+    dice *d = &e->d;
+    e->size = some_scale(d);
+    e->n = 2 + (int)below(d, MOST - 1);
+    e->cfg = some_station(d, &e->size);
+    e->cfg.controller.axis_count = e->cfg.controller.interface_count = e->n;
+    e->cfg.controller.motion.integrator = RTHYB_CENTRAL_DIFFERENCE;
+    e->cfg.law_channel_count = 0;
+    for (int i = 0; i < e->n; i++) {
+        some_axis(d, e, i);
+        some_drive(d, e, i);
+    }
+    some_kinematics(d, e->n, &e->cfg.controller.kinematics);
+    some_model(d, e);
+    e->noise_m = one_in(d, 3) ? 0.0 : some(d, 1e-7, 1e-5);
+    e->tells = !one_in(d, 4);
+    e->mood = some_mood(d);
+    e->codec = (rthyb_codec){.format = one_in(d, 2) ? RTHYB_WIRE_CAN : RTHYB_WIRE_SERIAL};
+    e->part = (rthyb_library_config){.calls = {.init = part_init, .answer = part_answer},
+                                     .setup = {.period_s = PERIOD_S},
+                                     .state_bytes = sizeof(side_by_side),
+                                     .interfaces = e->n};
+    e->cfg.controller.numerical = (rthyb_numerical){RTHYB_NUMERICAL_LIBRARY, &e->part, e->state};
+    e->ag_count = (size_t)ticks(d, 32.0, AG_MAX);
+    const double size = 0.4 * e->size.peak_m * e->size.omega_per_s * e->size.omega_per_s;
+    for (size_t k = 0; k < e->ag_count; k++)
+        e->ag[k] = size * sin(3.14159265 * (double)k / (double)e->ag_count) *
+                   sin(e->size.omega_per_s * PERIOD_S * (double)k);
+    return rthyb_numerical_size(&e->cfg.controller.numerical) > sizeof e->state ||
+           rthyb_station_init(&e->station, &e->cfg);
+}
+
+/* ---- the drives ------------------------------------------------------------------------------------ */
+
+static void read_axes(axes_episode *e, rthyb_station_input *in)
+{
+    for (int i = 0; i < e->n; i++) {
+        const double x = e->told[i][(e->tick - e->delay[i]) % WAY_BACK];
+        in->axis[i].x_m = x + e->origin[i] + between(&e->d, -1.0, 1.0) * e->noise_m;
+        in->axis[i].f_n = e->k[i] * x + e->bias[i];
+        in->axis[i].drive_stopped = e->tells && e->latched[i];
+    }
+}
+
+/* Each axis has its own; what belongs to the PC comes from any of them. */
+static void suffer_axes(axes_episode *e, rthyb_station_input *in, int *unsent)
+{
+    for (int i = 0; i < e->n; i++) {
+        surroundings around = {.in = {.skipped = in->skipped}};
+        rthyb_station_config as_one = {.axis = {e->cfg.axis[i]}};
+        around.in.axis[0] = in->axis[i];
+        suffer_all(&e->d, &e->troubles[i], &e->size, &as_one, &around);
+        in->axis[i] = around.in.axis[0];
+        in->skipped = around.in.skipped;
+        in->heartbeat_late |= around.in.heartbeat_late;
+        *unsent |= around.unsent << i;
+    }
+    if (e->apart_left > 0)
+        e->apart_left--;
+    else if (one_in(&e->d, 600)) {
+        e->apart_left = 1 + below(&e->d, 45);
+        e->apart = one_in(&e->d, 4) ? RTHYB_APART_UNKNOWN : 1 + (int)below(&e->d, (uint32_t)e->n);
+    } else
+        e->apart = 0;
+    in->apart = e->apart;
+}
+
+/* Over the wire: bits of the axes whose command has left. */
+static uint32_t send_axes(axes_episode *e, const rthyb_station_output *out, int unsent)
+{
+    static const rthyb_calibration AS_IT_IS = {1.0, 0.0, 1.0, 0.0, 1.0, 0.0};
+    uint32_t sent = 0;
+    for (int i = 0; i < e->n && out->send; i++) {
+        rthyb_frame frame;
+        double wire_m = 0.0;
+        const rthyb_setpoint setpoint = {
+            .x_m = command_for_wire(&e->codec, &AS_IT_IS, &out->axis[i]),
+            .state = (uint32_t)out->told,
+        };
+        const int code = rthyb_encode_setpoint(&e->codec, &setpoint, &frame, &wire_m);
+        const int left = !(unsent >> i & 1) && !(code & RTHYB_S_NOT_FINITE);
+        note_command(&e->station, i, &AS_IT_IS, left, wire_m);
+        sent |= (uint32_t)left << i;
+    }
+    return sent;
+}
+
+static void drive_axes(axes_episode *e, const rthyb_station_output *out, const double *x,
+                       uint32_t sent)
+{
+    for (int i = 0; i < e->n; i++) {
+        const int heard = (int)(sent >> i & 1u);
+        const double last = e->told[i][e->tick % WAY_BACK];
+        e->silent[i] = heard ? 0 : e->silent[i] + 1;
+        if (heard && (out->told == RTHYB_TOLD_RESET))
+            e->latched[i] = 0;
+        if (out->state == RTHYB_TRIPPED || e->silent[i] >= RTHYB_DRIVE_WATCHDOG)
+            e->latched[i] = e->seen > 0;
+        e->told[i][(e->tick + 1) % WAY_BACK] = heard && !e->latched[i] ? x[i] - e->origin[i] : last;
+    }
+}
+
+/* ---- the books ------------------------------------------------------------------------------------- */
+
+static const rthyb_watch *axis_watch(const axes_episode *e, int i, int cause)
+{
+    return e->cfg.axis[i].own_watches ? &e->cfg.axis[i].watch[cause] : &e->cfg.watch[cause];
+}
+
+static double axis_ending(const axes_episode *e, int i, int cause)
+{
+    const rthyb_watch *w = axis_watch(e, i, cause);
+    return w->reaction >= RTHYB_REACT_HOLD && w->value > 0.0 ? w->value : INFINITY;
+}
+
+static void judge_step(axes_episode *e, int i, double x)
+{
+    const rthyb_axis_control *c = &e->cfg.controller.axis[i];
+    const rthyb_station *s = &e->station;
+    const double step = x - e->before[i], fine = 2.0 * WIRE_M + 1e-9 * fabs(x);
+    const double own = axis_ending(e, i, RTHYB_CAUSE_POSITION);
+    const double rig = axis_ending(e, i, RTHYB_CAUSE_RIG_POSITION), zero = s->axis[i].tare_cmd;
+    const double low = fmax(zero - own, -rig), high = fmin(zero + own, rig);
+    if (low < high)
+        axes_must(e, AXES_POSITION,
+                  x <= fmax(high, e->before[i]) + fine && x >= fmin(low, e->before[i]) - fine, x,
+                  x > high ? high : low);
+    if (c->velocity_limit_m_per_s > 0.0)
+        axes_must(e, AXES_VELOCITY,
+                  fabs(step) <= c->velocity_limit_m_per_s * PERIOD_S * (1.0 + 1e-9) + fine, step,
+                  c->velocity_limit_m_per_s * PERIOD_S);
+    const double most = c->acceleration_limit_m_per_s2 * PERIOD_S * PERIOD_S;
+    const int at_the_end = x >= high - 2.0 * fine || x <= low + 2.0 * fine;
+    if (most > 0.0 && !at_the_end)
+        axes_must(e, AXES_ACCELERATION, fabs(step - e->step[i]) <= most * (1.0 + 1e-9) + 2.0 * fine,
+                  step - e->step[i], most);
+}
+
+/* Whether the commands are put where the specimen is, which is no step. */
+static int puts_anew(const axes_episode *e, const rthyb_station_input *in, int refused, int was)
+{
+    int stopped = 0;
+    for (int i = 0; i < e->n; i++)
+        stopped |= in->axis[i].drive_stopped;
+    return !e->known || (in->command == RTHYB_CMD_RESET && !refused) ||
+           (was == RTHYB_IDLE && e->station.state == RTHYB_IDLE && stopped);
+}
+
+/* x: what each drive has, sent: bits of those that it has from this tick. */
+static void judge_commands(axes_episode *e, const rthyb_station_input *in,
+                           const rthyb_station_output *out, const double *x, uint32_t sent, int was)
+{
+    const int anew = puts_anew(e, in, out->refused, was);
+    const int rests = !on_its_way(was) && !on_its_way(out->state);
+    for (int i = 0; i < e->n; i++) {
+        const double step = x[i] - e->before[i];
+        e->anew[i] = anew || e->anew[i];
+        if (!(sent >> i & 1u))
+            continue;
+        if (e->anew[i])
+            e->step[i] = 0.0;
+        else if (out->state == RTHYB_TRIPPED)
+            axes_must(e, AXES_TOGETHER, fabs(step) <= WIRE_M + 1e-9 * fabs(x[i]), step, 0.0);
+        else if (rests)
+            axes_must(e, AXES_AT_REST, fabs(step) <= SETTLES_M, step, SETTLES_M);
+        else
+            judge_step(e, i, x[i]);
+        e->step[i] = e->anew[i] || out->state == RTHYB_TRIPPED ? 0.0 : step;
+        e->before[i] = x[i];
+        e->anew[i] = 0;
+    }
+    e->known = 1;
+}
+
+static void judge_trip(axes_episode *e, const rthyb_station_input *in,
+                       const rthyb_station_output *out, int was)
+{
+    const rthyb_station *s = &e->station;
+    const int reset = in->command == RTHYB_CMD_RESET && !out->refused;
+    if (was == RTHYB_TRIPPED && !reset)
+        axes_must(e, AXES_LATCHED,
+                  s->state == RTHYB_TRIPPED && s->cause == e->cause &&
+                      s->cause_axis == e->cause_axis,
+                  s->cause, e->cause);
+    if (s->state == RTHYB_TRIPPED && (was != RTHYB_TRIPPED || reset))
+        e->frames = 3;
+    if (s->state == RTHYB_TRIPPED && e->seen)
+        axes_must(e, AXES_FRAMES, out->send == (e->frames > 0), out->send, e->frames);
+    e->frames -= e->frames > 0;
+    e->cause = s->cause;
+    e->cause_axis = s->cause_axis;
+}
+
+/* TRIPPED; and where nothing has taken the test off its course before, by that axis. */
+static void trips_by(axes_episode *e, int rule, int was, int clean, int axis)
+{
+    const rthyb_station *s = &e->station;
+    if (shown && was != RTHYB_TRIPPED && (s->state != RTHYB_TRIPPED || s->cause_axis != axis))
+        printf("tick %" PRIu64 ": state %d after %d, cause %d of axis %d, not of %d\n", e->tick,
+               s->state, was, s->cause, s->cause_axis, axis);
+    axes_must(e, rule, s->state == RTHYB_TRIPPED, s->state, axis);
+    if (was != RTHYB_TRIPPED && clean)
+        axes_must(e, rule, s->cause_axis == axis, s->cause_axis, axis);
+}
+
+typedef struct {
+    int no_number, missing, down, stopped, force, count; /* 1 + axis; and of how many axes */
+} found_faults;
+
+static int trips_at(const rthyb_watch *watch)
+{
+    return watch->reaction == RTHYB_REACT_TRIP && watch->value > 0.0;
+}
+
+static found_faults look_at_axes(axes_episode *e, const rthyb_station_input *in, uint32_t made_up)
+{
+    found_faults f = {0};
+    int all = 1;
+    for (int i = e->n - 1; i >= 0; i--) {
+        const rthyb_axis_input *a = &in->axis[i];
+        const int finite = isfinite(a->x_m) && isfinite(a->f_n);
+        const rthyb_axis_config *c = &e->cfg.axis[i];
+        const int sound = !a->lost && in_range(a->x_m, c->x_range_m, RTHYB_DISPLACEMENT_MAX_M) &&
+                          in_range(a->f_n, c->f_range_n, RTHYB_FORCE_MAX_N);
+        const rthyb_watch *w = axis_watch(e, i, RTHYB_CAUSE_RIG_FORCE);
+        all = all && sound;
+        f.no_number = (!a->lost && !finite) || a->lost & RTHYB_S_NOT_FINITE ? i + 1 : f.no_number;
+        f.down = a->link_down ? i + 1 : f.down;
+        f.stopped = a->drive_stopped ? i + 1 : f.stopped;
+        e->missing[i] = sound ? 0 : e->missing[i] + made_up + 1;
+        f.missing = e->missing[i] >= LOST_TICKS ? i + 1 : f.missing;
+        const rthyb_watch *own = axis_watch(e, i, RTHYB_CAUSE_FORCE);
+        const double f_n = a->f_n - e->station.axis[i].tare_f;
+        if (sound && ((trips_at(w) && fabs(a->f_n) > w->value) ||
+                      (e->station.tared && trips_at(own) && fabs(f_n) > own->value)))
+            f.force = i + 1;
+    }
+    e->seen += all;
+    return f;
+}
+
+static void judge_faults_of_axes(axes_episode *e, const rthyb_station_input *in, found_faults f,
+                                 int was, int cause_before)
+{
+    const rthyb_station *s = &e->station;
+    const int clean = cause_before <= RTHYB_CAUSE_OPERATOR && !in->skipped && !in->heartbeat_late &&
+                      in->command == RTHYB_CMD_NONE;
+    const int surroundings_fault = f.down || f.stopped;
+    if (f.no_number)
+        axes_must(e, AXES_NO_NUMBER, s->state == RTHYB_TRIPPED, s->state, f.no_number - 1);
+    if (f.no_number && clean && was != RTHYB_TRIPPED && !surroundings_fault &&
+        s->cause == RTHYB_CAUSE_NOT_FINITE)
+        trips_by(e, AXES_NO_NUMBER, was, 1, f.no_number - 1);
+    if (f.missing && s->state != RTHYB_IDLE)
+        trips_by(e, AXES_MISSING, was,
+                 clean && s->cause == RTHYB_CAUSE_LINK_LOST && s->cause_axis >= 0 &&
+                     e->missing[s->cause_axis] < LOST_TICKS,
+                 f.missing - 1);
+    if (surroundings_fault && was != RTHYB_IDLE && s->state != RTHYB_IDLE)
+        trips_by(e, AXES_SURROUNDINGS, was,
+                 clean && s->cause == (f.down ? RTHYB_CAUSE_LINK_DOWN : RTHYB_CAUSE_DRIVE_STOPPED),
+                 (f.down ? f.down : f.stopped) - 1);
+    const int counted = in->apart > 0 && in->apart != RTHYB_APART_UNKNOWN;
+    e->apart_ticks = counted ? e->apart_ticks + 1 : 0;
+    if (e->apart_ticks >= LOST_TICKS && s->state != RTHYB_IDLE && s->state != RTHYB_ZEROED)
+        trips_by(e, AXES_CLOCKS, was, clean && s->cause == RTHYB_CAUSE_APART, in->apart - 1);
+    if (f.force && on_its_way(was))
+        axes_must(e, AXES_FORCE, s->state == RTHYB_TRIPPED || s->state == RTHYB_IDLE, s->state,
+                  0.0);
+}
+
+static void judge_rows_of_axes(axes_episode *e, const rthyb_record *rows, uint32_t count)
+{
+    for (uint32_t k = 0; k < count; k++)
+        for (int i = 0; i < e->n; i++) {
+            const rthyb_axis_record *a = &rows[k].axis[i];
+            axes_must(e, AXES_FINITE,
+                      isfinite(a->x_cmd_m) && isfinite(a->x_meas_m) && isfinite(a->f_meas_n) &&
+                          isfinite(rows[k].x_num_m),
+                      a->x_cmd_m, i);
+        }
+}
+
+/* ---- a tick ---------------------------------------------------------------------------------------- */
+
+static void keep_rows(axes_episode *e, const rthyb_record *rows, uint32_t count, uint32_t sent)
+{
+    for (uint32_t k = 0; k < count && e->rows < ROWS; k++) {
+        rthyb_record row = rows[k];
+        if (k == count - 1) {
+            row.flags &= ~UNSENT_FLAGS;
+            for (int i = 0; i < e->n; i++)
+                row.flags |= sent >> i & 1u ? 0u : unsent_flag(i, e->n);
+        }
+        memcpy((char *)packed + e->rows++ * record_bytes(e->n), &row, record_bytes(e->n));
+    }
+}
+
+static void tick_axes(axes_episode *e)
+{
+    static rthyb_record rows[RTHYB_BLIND_MAX + 1];
+    rthyb_station *s = &e->station;
+    rthyb_station_input in = {.command = operate(&e->d, &e->mood, s->state)};
+    rthyb_station_output out;
+    double x[MOST], asked[MOST];
+    int unsent = 0;
+    read_axes(e, &in);
+    suffer_axes(e, &in, &unsent);
+    const int was = s->state, cause = s->cause, leg = s->leg;
+    const uint64_t apart = s->apart;
+    for (int j = 0; j < e->n; j++)
+        asked[j] = s->controller.interface[j].x_num;
+    rthyb_station_tick(s, &in, e->ag, e->ag_count, rows, &out);
+    const uint32_t sent = send_axes(e, &out, unsent);
+    for (int i = 0; i < e->n; i++)
+        x[i] = s->controller.axis[i].x_cmd + s->axis[i].tare_cmd;
+    const found_faults f = look_at_axes(e, &in, out.records - 1);
+    judge_rows_of_axes(e, rows, out.records);
+    judge_trip(e, &in, &out, was);
+    if (s->seen && out.send)
+        judge_commands(e, &in, &out, x, sent, was);
+    judge_faults_of_axes(e, &in, f, was, cause);
+    if (in.command == RTHYB_CMD_ARM && !out.refused)
+        axes_must(e, AXES_ARMED, apart < LOST_TICKS && in.apart != RTHYB_APART_UNKNOWN,
+                  (double)apart, in.apart);
+    for (int j = 0;
+         j < e->n && was == RTHYB_HOLD && leg == 1 && s->state == RTHYB_HOLD && s->leg == 1; j++)
+        axes_must(e, AXES_HELD, s->controller.interface[j].x_num == asked[j],
+                  s->controller.interface[j].x_num, asked[j]);
+    held += was == RTHYB_HOLD && leg == 1;
+    tests += in.command == RTHYB_CMD_START && !out.refused;
+    trips += s->state == RTHYB_TRIPPED && was != RTHYB_TRIPPED;
+    keep_rows(e, rows, out.records, sent);
+    drive_axes(e, &out, x, sent);
+    e->tick++;
+    all_ticks += out.records;
+}
+
+/* Which words of a row are others, as they are. */
+static void show_difference(const axes_episode *e, size_t at)
+{
+    const uint64_t *mine = packed[0] + at * record_bytes(e->n) / sizeof(uint64_t);
+    const uint64_t *other = again[0] + at * record_bytes(e->n) / sizeof(uint64_t);
+    for (size_t i = 0; i < record_bytes(e->n) / sizeof(uint64_t); i++) {
+        double a, b;
+        memcpy(&a, &mine[i], sizeof a);
+        memcpy(&b, &other[i], sizeof b);
+        if (mine[i] != other[i])
+            printf("row %zu, word %zu: %016" PRIx64 " %016" PRIx64 " (%.17g %.17g)\n", at, i,
+                   mine[i], other[i], a, b);
+    }
+}
+
+static void judge_axes_replay(axes_episode *e)
+{
+    rthyb_replay source = {
+        .rows = packed, .count = e->rows, .ag_mps2 = e->ag, .ag_count = e->ag_count};
+    for (int i = 0; i < e->n; i++)
+        source.axis[i] = (rthyb_replay_axis){&e->codec, {1.0, 0.0, 1.0, 0.0, 1.0, 0.0}};
+    rthyb_station_config cfg = e->cfg;
+    cfg.controller.numerical.state = e->other_state;
+    if (rthyb_station_init(&e->twin, &cfg))
+        return;
+    const size_t made = rthyb_station_replay(&e->twin, &source, again), row = record_bytes(e->n);
+    size_t same = 0;
+    while (same < made && memcmp((char *)packed + same * row, (char *)again + same * row, row) == 0)
+        same++;
+    if (shown && same < e->rows)
+        show_difference(e, same);
+    axes_must(e, AXES_REPLAY, same == e->rows, (double)same, (double)e->rows);
+}
+
+static void play_axes(uint64_t seed)
+{
+    axes_episode *e = &one;
+    memset(e, 0, sizeof *e);
+    e->seed = seed;
+    e->d.state = seed;
+    e->cause_axis = -1;
+    if (set_up_axes(e))
+        return;
+    e->tick = WAY_BACK;
+    const uint64_t length = (uint64_t)ticks(&e->d, 300.0, 10000.0);
+    while (e->tick < length && !e->over && e->rows + RTHYB_BLIND_MAX + 1 < ROWS)
+        tick_axes(e);
+    if (!e->over)
+        judge_axes_replay(e);
+}
+
+/* ---- all of them ------------------------------------------------------------------------------------ */
+
+static int report_axes(uint64_t episodes, double seconds)
+{
+    int broken = 0;
+    for (int i = 0; i < AXES_RULES; i++) {
+        const rule_tally *t = &axes_tally[i];
+        printf("%12" PRIu64 "  %s\n", t->met, AXES_TEXT[i]);
+        if (!t->broken)
+            continue;
+        broken = 1;
+        printf("      broken %" PRIu64 " times, at first in episode 0x%" PRIx64 ", tick %" PRIu64
+               ": %.9g, bound %.9g\n",
+               t->broken, t->seed, t->tick, t->value, t->bound);
+    }
+    printf("%" PRIu64 " episodes, %" PRIu64 " ticks, %" PRIu64 " tests, %" PRIu64 " trips, %" PRIu64
+           " held, %.0f ticks/s: %s\n",
+           episodes, all_ticks, tests, trips, held, (double)all_ticks / seconds,
+           broken ? "BROKEN" : "nothing broken");
+    return broken;
+}
+
+static double now_s(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+int main(int argc, char **argv)
+{
+    const uint64_t count = argc > 2 ? strtoull(argv[2], NULL, 0) : 0;
+    dice seeds = {argc > 3 ? strtoull(argv[3], NULL, 0) : 0};
+    const double begun = now_s();
+    uint64_t episodes = 0;
+    if (argc < 3 ||
+        (strcmp(argv[1], "ticks") && strcmp(argv[1], "seconds") && strcmp(argv[1], "episode"))) {
+        fprintf(stderr, "fuzz_axes: ticks COUNT [SEED], seconds COUNT [SEED], episode SEED\n");
+        return 2;
+    }
+    if (strcmp(argv[1], "episode") == 0) {
+        shown = 1;
+        play_axes(count);
+        return report_axes(1, 1.0);
+    }
+    const int timed = strcmp(argv[1], "seconds") == 0;
+    while (timed ? now_s() - begun < (double)count : all_ticks < count) {
+        play_axes(throw_bits(&seeds));
+        episodes++;
+    }
+    return report_axes(episodes, now_s() - begun);
+}
