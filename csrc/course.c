@@ -220,6 +220,11 @@ void course_confine(rthyb_station *s)
         cfg->clamp_m = counts ? fmax(0.5 * (within.high - within.low), ARRIVED_M) : 0.0;
         cfg->clamp_centre_m = counts ? 0.5 * (within.high + within.low) : 0.0;
     }
+    for (int j = 0; j < interfaces_of(s) && axes_of(s) > 1; j++) {
+        const rthyb_watch *watch = &s->cfg.interface[j].position;
+        const int ends = watch->reaction >= RTHYB_REACT_HOLD && is_on_its_way(s->state);
+        s->controller.cfg.direction_clamp[j] = ends ? watch->value : 0.0;
+    }
 }
 
 /* Not across the limit, nor further out than a command that is beyond it already. What a trip repeats has left
@@ -243,11 +248,11 @@ static double aim_of(const rthyb_station *s, int axis)
     return fmin(fmax(s->controller.axis[axis].x_plc, within.low), within.high);
 }
 
-/* Whether an axis stands at its position limit and goes no further: the others, which it holds on the straight
- * way, stay where that leaves them. */
+/* Whether an axis stands at its position limit and goes no further, or all of them at that of a direction: the
+ * others, which it holds on the straight way, stay where that leaves them. */
 static int holds_the_others(const rthyb_station *s)
 {
-    int holds = 0;
+    int holds = s->controller.at_direction;
     for (int i = 0; i < axes_of(s) && axes_of(s) > 1; i++) {
         const rthyb_controller_axis *a = &s->controller.axis[i];
         const double aim = aim_of(s, i);

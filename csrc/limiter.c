@@ -14,12 +14,20 @@
  * they do together keeps its direction. The steps of all axes are shortened by the smallest factor that one of
  * them needs for its velocity or its position, and so are the changes of all steps for the acceleration. What
  * is closed after a lag, and braked before a limit, is so at the pace of the axis that brakes worst. Where a
- * direction and a limit cannot both be kept (a turn in front of a limit, a gap), it is the limit. */
+ * direction and a limit cannot both be kept (a turn in front of a limit, a gap), it is the limit.
+ *
+ * The same holds of the pose that the commands of all axes have the specimen in: |q_j| <= limit_j along each
+ * interface that has one, and above the limits of velocity and acceleration. */
 #include "limiter.h"
+
+#include <string.h>
 
 #include "numeric.h"
 
 enum { MOST = RTHYB_COUPLED_MAX };
+
+#define DIRECTION_LOOKS 3
+#define AT_DIRECTION 1e-6 /* m or rad: as near to the limit of a direction as counts as at it */
 
 void limiter_rest(rthyb_limiter *l, double x_m)
 {
@@ -211,6 +219,113 @@ PER_COUNT int has_velocity(int n, const rthyb_controller *c)
     return any;
 }
 
+/* ---- along the interfaces -------------------------------------------------------------------------- */
+
+static int has_directions(int n, const rthyb_controller *c)
+{
+    int any = 0;
+    for (int j = 0; j < n; j++)
+        any = any || c->cfg.direction_clamp[j] > 0.0;
+    return any;
+}
+
+/* Where commands have the specimen, found from where it is asked to be; 0 where they have it nowhere. */
+static int pose_of(int n, const rthyb_controller *c, const double *x, double *pose)
+{
+    memcpy(pose, x, (size_t)n * sizeof *pose);
+    if (c->cfg.kinematics.size == 0)
+        return 1;
+    rthyb_kinematics trial = c->kinematics;
+    for (int j = 0; j < n; j++)
+        trial.pose[j] = c->interface[j].x_num;
+    return rthyb_kinematics_pose(&trial, x, pose) == RTHYB_OK;
+}
+
+/* What the commands of a tick are along the interfaces: where they come from, and where they go. */
+typedef struct {
+    double from[MOST], to[MOST];
+} ways;
+
+static int find_ways(int n, const rthyb_controller *c, const double *step, ways *way)
+{
+    double from[MOST] = {0.0}, to[MOST] = {0.0};
+    for (int i = 0; i < n; i++) {
+        from[i] = c->axis[i].limiter.x_lim;
+        to[i] = from[i] + step[i];
+    }
+    return pose_of(n, c, from, way->from) && pose_of(n, c, to, way->to);
+}
+
+/* What a direction can be braked with while the axes keep pace: the one that brakes worst decides. */
+static double direction_acceleration(int n, const rthyb_controller *c, const double *step,
+                                     double way)
+{
+    double most = HUGE_VAL;
+    for (int i = 0; i < n; i++) {
+        const double a_max = c->cfg.axis[i].acceleration_limit_m_per_s2;
+        if (a_max > 0.0 && step[i] != 0.0)
+            most = fmin(most, a_max * fabs(way) / fabs(step[i]));
+    }
+    return most;
+}
+
+/* Steps that can still be braked before the limits of the directions, all by one factor. */
+static void brake_directions(int n, const rthyb_controller *c, double *step)
+{
+    ways way;
+    double least = 1.0;
+    if (!has_directions(n, c) || !find_ways(n, c, step, &way))
+        return;
+    for (int j = 0; j < n; j++) {
+        const double limit = c->cfg.direction_clamp[j], along = way.to[j] - way.from[j];
+        const double room = limit - copysign(way.from[j], way.from[j] * along);
+        const double a_max = direction_acceleration(n, c, step, along);
+        if (!(limit > 0.0) || along == 0.0 || !(a_max < HUGE_VAL))
+            continue;
+        least = fmin(least, before_the_end(room, a_max, c->cfg.period_s) / fabs(along));
+    }
+    for (int i = 0; i < n && least < 1.0; i++)
+        step[i] *= least;
+}
+
+/* What one direction lets through of a way: all of it, or as far as its limit. One that is beyond it already comes
+ * back, and goes no further. */
+static double let_through(double limit, double from, double to)
+{
+    const double bound = copysign(fmax(limit, fabs(from)), to);
+    const double out = fabs(to) - fabs(bound);
+    return out > 0.0 ? clamp((bound - from) / (to - from), 0.0, 1.0) : 1.0;
+}
+
+/* And in spite of everything: commands that would lead beyond go so far as the limit, all by one factor. Where the
+ * geometry is curved the second look finds what the first has left. */
+static void keep_directions(int n, rthyb_controller *c, const double *wanted, double *command)
+{
+    double step[MOST] = {0.0}, beyond[MOST] = {0.0};
+    c->at_direction = 0;
+    if (!has_directions(n, c))
+        return;
+    const int known = pose_of(n, c, wanted, beyond);
+    for (int look = 0; look < DIRECTION_LOOKS; look++) {
+        ways way;
+        double least = 1.0;
+        for (int i = 0; i < n; i++)
+            step[i] = command[i] - c->axis[i].limiter.x_lim;
+        const int found = find_ways(n, c, step, &way);
+        for (int j = 0; j < n && found; j++) {
+            const double limit = c->cfg.direction_clamp[j];
+            if (limit > 0.0)
+                least = fmin(least, let_through(limit, way.from[j], way.to[j]));
+            c->at_direction |= known && limit > 0.0 && fabs(beyond[j]) > limit + AT_DIRECTION &&
+                               fabs(way.to[j]) >= limit - AT_DIRECTION;
+        }
+        for (int i = 0; i < n && least < 1.0; i++)
+            command[i] = c->axis[i].limiter.x_lim + least * step[i];
+        if (!(least < 1.0))
+            return;
+    }
+}
+
 PER_COUNT void limit_steps(int n, const rthyb_controller *c, const double *wanted, double *step)
 {
     const int brakes = accelerates(n, c);
@@ -219,6 +334,8 @@ PER_COUNT void limit_steps(int n, const rthyb_controller *c, const double *wante
     if (brakes) {
         close_lags(n, c, wanted, step);
         brake_in_time(n, c, step, 0);
+        if (n > 1)
+            brake_directions(n, c, step);
     }
     if (has_velocity(n, c))
         limit_velocity(n, c, step);
@@ -258,8 +375,10 @@ PER_COUNT void limit_all(int n, rthyb_controller *c, const double *wanted, doubl
         command[i] = step[i] == wanted[i] - l->x_lim ? wanted[i] : l->x_lim + step[i];
     }
     draw_back(n, from, low, high, command);
-    if (n > 1)
+    if (n > 1) {
         spare_the_others(n, c, low, high, command);
+        keep_directions(n, c, wanted, command);
+    }
 }
 
 /* Where there is one axis, and the compiler knows it, no loop is left. */

@@ -35,6 +35,8 @@ typedef struct {
     rthyb_numerical
         numerical; /* another kind than `motion`, which then only says PRESCRIBED or not */
     rthyb_axis_control axis[RTHYB_COUPLED_MAX];
+    /* Of several axes: along an interface their commands stay within +- this; 0 = off. */
+    double direction_clamp[RTHYB_COUPLED_MAX];
     rthyb_rfc_config rfc[RTHYB_COUPLED_MAX]; /* of each interface */
     rthyb_kinematics_config kinematics;      /* size 0: axis i is interface i */
     rthyb_matrix_lead_config matrix_lead;    /* in place of the laws; size 0: none */
@@ -78,6 +80,7 @@ typedef struct {
     uint32_t missing; /* samples in a row in which not every axis had an accepted pair */
     uint32_t generation;
     int32_t state;
+    int32_t at_direction; /* the commands stand at what they may come to along an interface */
     int32_t posed; /* 0: at rest where the specimen has no pose; each axis stays where it is */
     /* From here on only what is counted, or set up, is ever touched. */
     rthyb_controller_axis axis[RTHYB_COUPLED_MAX];

@@ -74,19 +74,13 @@ def test_random_days_of_several_axes_break_no_rule_and_give_each_its_say(fuzz: F
     done = fuzz("ticks", TICKS, SEED, axes=True)
     assert done.returncode == 0, done.stdout
     rules = told(done.stdout)
-    assert len(rules) == 16
+    assert len(rules) == 17
     assert [rule for rule, (met, _) in rules.items() if not met] == []
     assert "nothing broken" in done.stdout
 
 
 # The same of several axes.
 AXES_BROKEN_ON_PURPOSE = {
-    "another axis is blamed for a lost link": (
-        "station",
-        "if (s->controller.axis[i].missing > s->controller.axis[longest].missing)",
-        "if (s->controller.axis[i].missing < s->controller.axis[longest].missing)",
-        "twenty ticks without a pair of any axis: TRIPPED, by that axis",
-    ),
     "drives on clocks apart are armed": (
         "station",
         "return s->apart < s->ticks.lost && in->apart != RTHYB_APART_UNKNOWN;",
@@ -98,14 +92,6 @@ AXES_BROKEN_ON_PURPOSE = {
         "    if (has_velocity(n, c))\n        limit_velocity(n, c, step);\n",
         "    if (n == 1)\n        limit_velocity(n, c, step);\n",
         "no step beyond the velocity limit of its axis",
-    ),
-    "the last axis may leave its position limit": (
-        "course",
-        "    for (int i = 0; i < axes_of(s); i++) {\n"
-        "        rthyb_axis_control *cfg = &s->controller.cfg.axis[i];",
-        "    for (int i = 0; i < axes_of(s) - 1; i++) {\n"
-        "        rthyb_axis_control *cfg = &s->controller.cfg.axis[i];",
-        "no command beyond the position limit of its axis, nor further out",
     ),
 }
 

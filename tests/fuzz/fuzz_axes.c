@@ -34,6 +34,7 @@ enum { MOST = RTHYB_COUPLED_MAX, ROWS = 1 << 14, WAY_BACK = 32, PARTS = 2 };
 enum axes_rule {
     AXES_FINITE,
     AXES_POSITION,
+    AXES_DIRECTION,
     AXES_VELOCITY,
     AXES_ACCELERATION,
     AXES_AT_REST,
@@ -54,6 +55,7 @@ enum axes_rule {
 static const char *const AXES_TEXT[AXES_RULES] = {
     [AXES_FINITE] = "commands and rows of every axis are finite",
     [AXES_POSITION] = "no command beyond the position limit of its axis, nor further out",
+    [AXES_DIRECTION] = "commands bring no direction beyond its position limit, nor further out",
     [AXES_VELOCITY] = "no step beyond the velocity limit of its axis",
     [AXES_ACCELERATION] = "no change of step beyond the acceleration limit of its axis",
     [AXES_AT_REST] = "commands at rest stand",
@@ -106,7 +108,9 @@ typedef struct {
     uint32_t missing[MOST];
     /* the books */
     int known;
-    double before[MOST], step[MOST];
+    double before[MOST], step[MOST], pose[MOST];
+    rthyb_kinematics kinematics;
+    int posed;
     int anew[MOST]; /* its next command is put where the specimen is */
     uint32_t frames, seen;
     int cause, cause_axis;
@@ -250,6 +254,9 @@ static int set_up_axes(axes_episode *e)
     }
     some_kinematics(d, e->n, &e->cfg.controller.kinematics);
     some_model(d, e);
+    if (e->cfg.controller.kinematics.size > 0 &&
+        rthyb_kinematics_init(&e->kinematics, &e->cfg.controller.kinematics))
+        return 1;
     e->noise_m = one_in(d, 3) ? 0.0 : some(d, 1e-7, 1e-5);
     e->tells = !one_in(d, 4);
     e->mood = some_mood(d);
@@ -351,7 +358,7 @@ static double axis_ending(const axes_episode *e, int i, int cause)
     return w->reaction >= RTHYB_REACT_HOLD && w->value > 0.0 ? w->value : INFINITY;
 }
 
-static void judge_step(axes_episode *e, int i, double x)
+static void judge_step(axes_episode *e, int i, double x, int at_direction)
 {
     const rthyb_axis_control *c = &e->cfg.controller.axis[i];
     const rthyb_station *s = &e->station;
@@ -369,7 +376,7 @@ static void judge_step(axes_episode *e, int i, double x)
                   c->velocity_limit_m_per_s * PERIOD_S);
     const double most = c->acceleration_limit_m_per_s2 * PERIOD_S * PERIOD_S;
     const int at_the_end = x >= high - 2.0 * fine || x <= low + 2.0 * fine;
-    if (most > 0.0 && !at_the_end)
+    if (most > 0.0 && !at_the_end && !at_direction)
         axes_must(e, AXES_ACCELERATION, fabs(step - e->step[i]) <= most * (1.0 + 1e-9) + 2.0 * fine,
                   step - e->step[i], most);
 }
@@ -384,11 +391,38 @@ static int puts_anew(const axes_episode *e, const rthyb_station_input *in, int r
            (was == RTHYB_IDLE && e->station.state == RTHYB_IDLE && stopped);
 }
 
+/* Where the commands have the specimen, by a kinematics of the books' own. Bits of the directions at their limits. */
+static uint32_t judge_directions(axes_episode *e, const double *x)
+{
+    double axis[MOST], pose[MOST];
+    uint32_t at = 0;
+    for (int i = 0; i < e->n; i++)
+        pose[i] = axis[i] = x[i] - e->station.axis[i].tare_cmd;
+    if (e->cfg.controller.kinematics.size > 0 &&
+        rthyb_kinematics_find(&e->kinematics, axis, pose) != RTHYB_OK)
+        return 0;
+    for (int j = 0; j < e->n; j++) {
+        const rthyb_watch *w = &e->cfg.interface[j].position;
+        const double limit =
+            w->reaction >= RTHYB_REACT_HOLD && w->value > 0.0 ? w->value : INFINITY;
+        const double fine = 2e-8 + 1e-6 * fabs(pose[j]);
+        if (limit < INFINITY && e->posed && on_its_way(e->station.state))
+            axes_must(e, AXES_DIRECTION, fabs(pose[j]) <= fmax(limit, fabs(e->pose[j])) + fine,
+                      pose[j], limit);
+        at |= (uint32_t)(fabs(pose[j]) >= limit - 1e-5) << j;
+        e->pose[j] = pose[j];
+    }
+    e->posed = 1;
+    return at;
+}
+
 /* x: what each drive has, sent: bits of those that it has from this tick. */
 static void judge_commands(axes_episode *e, const rthyb_station_input *in,
                            const rthyb_station_output *out, const double *x, uint32_t sent, int was)
 {
     const int anew = puts_anew(e, in, out->refused, was);
+    e->posed = e->posed && !anew;
+    const int at_direction = judge_directions(e, x) != 0;
     const int rests = !on_its_way(was) && !on_its_way(out->state);
     for (int i = 0; i < e->n; i++) {
         const double step = x[i] - e->before[i];
@@ -402,7 +436,7 @@ static void judge_commands(axes_episode *e, const rthyb_station_input *in,
         else if (rests)
             axes_must(e, AXES_AT_REST, fabs(step) <= SETTLES_M, step, SETTLES_M);
         else
-            judge_step(e, i, x[i]);
+            judge_step(e, i, x[i], at_direction);
         e->step[i] = e->anew[i] || out->state == RTHYB_TRIPPED ? 0.0 : step;
         e->before[i] = x[i];
         e->anew[i] = 0;
