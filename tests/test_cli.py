@@ -597,7 +597,7 @@ def test_run_that_diverges_without_limits_is_not_reported_as_fine(rthyb: Rthyb) 
     settings = ("controller.type=none", "rig=delay-10-elastic", "limits={}")
     answer = rthyb("run", "--no-report", *(word for s in settings for word in ("--set", s)))
     assert answer.code == 0
-    for alarm in ("The motion ran away", "Response NRMSE", "The tracking error exchanged"):
+    for alarm in ("The motion diverged", "Response NRMSE", "The tracking error exchanged"):
         assert f"Attention: {alarm}" in answer.out
 
 

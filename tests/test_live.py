@@ -708,7 +708,7 @@ def test_operator_conducts_a_test_and_a_looker_may_only_hold_and_stop(memory: Pa
             for other in ("", "0" * 64):
                 good, text = give(operator, "arm", digest=other)
                 assert not good
-                assert "look which test is loaded" in text
+                assert "check which test is loaded" in text
             assert give(operator, "arm", digest=digest) == (True, "Armed for 3600 s")
             assert give(operator, "start") == (True, "Started")
             await_state(memory, "RUNNING")

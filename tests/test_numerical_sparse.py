@@ -374,7 +374,7 @@ def test_a_saved_part_goes_on_as_if_nothing_had_been() -> None:
     assert one.save() == other.save()
     for i in range(500, 900):
         assert one.step(float(AG[i]), 2e4) == other.step(float(AG[i]), 2e4)
-    with pytest.raises(core.CoreError, match="a state of 3 bytes is none of this part"):
+    with pytest.raises(core.CoreError, match="a state of 3 bytes does not belong to this part"):
         one.restore(b"abc")
 
 

@@ -262,7 +262,7 @@ def test_a_library_that_cannot_step_is_refused_and_takes_nothing_along(
 def test_a_step_without_an_end_is_ended(build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rthyb_rt.core.own_library.TRIAL_S", 0.3)
     (problem,) = refused(of_test(build(ANSWER="while (s->n > 3) s->k += 1")))
-    assert "did not come back" in problem.message
+    assert "did not return" in problem.message
     assert "in a step" in problem.message
 
 

@@ -595,7 +595,7 @@ def test_other_dbc_file_of_that_name_is_not_replaced(
     beside.write_text("mine")
     answer = rthyb("install-service", "--root", root, "--rig", "my-rig.toml")
     assert answer.code == 1
-    assert f"{beside}: another file is there" in answer.err
+    assert f"{beside}: already exists and differs from" in answer.err
     assert beside.read_text() == "mine"
     assert not (root / installing.RIG).exists()
 

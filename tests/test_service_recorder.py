@@ -248,7 +248,7 @@ def test_two_tests_of_one_second_get_a_folder_each(place: Path) -> None:
 
 
 def test_second_recorder_is_refused(place: Path) -> None:
-    with recorder(place), pytest.raises(RthybError, match="another recorder is at work here"):
+    with recorder(place), pytest.raises(RthybError, match="another recorder is running here"):
         Recorder(place / "rings", place / "runs")
 
 

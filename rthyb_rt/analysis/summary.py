@@ -814,7 +814,10 @@ def _remedy_of_response(given: Setup, beside: set[str]) -> str:
     if beside & {"delay", "stiffness"}:
         return "the cause is given below"
     if not given.rfc_enabled:
-        return "set controller.rfc.enabled = true, which corrects what the phase lead leaves"
+        return (
+            "set controller.rfc.enabled = true, which corrects the remaining error of the phase "
+            "lead"
+        )
     if not given.estimator_enabled:
         return "update controller.alpha0 with rthyb identify, or let it adapt"
     return "update controller.alpha0 with rthyb identify, and examine the tracking error"
@@ -872,12 +875,12 @@ def live_notices(found: Live | None) -> list[Notice]:
 
 
 def _useless(s: Summary) -> list[Notice]:
-    """Return why the figures of a test that ran away or missed everything say nothing."""
+    """Return why the figures of a test that diverged or failed altogether mean nothing."""
     texts = []
     peak_m = max(np.nan_to_num([s.peak_command_m, s.peak_measured_m], nan=0.0))
     if peak_m > FARTHEST_M:
         texts.append(
-            f"The motion ran away: {quantity(float(peak_m), 'm')}, farther than any laboratory "
+            f"The motion diverged to {quantity(float(peak_m), 'm')}, farther than any laboratory "
             "actuator can move."
         )
     if s.clamped_rows:

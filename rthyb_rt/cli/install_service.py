@@ -40,7 +40,7 @@ def install_service(
 ) -> None:
     """Install the service: systemd units, groups and rules.
 
-    The service runs as user rthyb without any capability. Members of group rthyb may look, hold
+    The service runs as user rthyb without any capability. Members of group rthyb may watch, hold
     and stop; members of rthyb-operator may do everything. This command neither enables nor starts
     the service.
 

@@ -63,7 +63,7 @@ def serve(
     Ctrl-C or SIGTERM brings everything to rest and ends the service; a second signal trips. SIGHUP
     reloads the limits of the rig file.
 
-    Permissions depend on groups: members of rthyb may look, hold and stop; members of
+    Permissions depend on groups: members of rthyb may watch, hold and stop; members of
     rthyb-operator, root and the user who started the service may do everything.
 
     \b

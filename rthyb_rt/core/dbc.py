@@ -164,7 +164,7 @@ class _Reader:
             self.fault(frames["x_cmd"], "holds command and feedback; they need a frame each")
         for role, name in self.names.items():
             if role in ROLES and not ROLES[role].least_bits and role not in self.found:
-                self.fault(name, f"no signal of this name beside the values, for {role}")
+                self.fault(name, f"no signal of this name in the frame with the values, for {role}")
         if self.problems:
             raise InputError(self.problems)
         return Codec(struct)
@@ -235,7 +235,7 @@ class _Reader:
         where = f"{message.name}.{name}"
         if signal is None:
             if needed.least_bits:
-                self.fault(where, f"is missing: {needed.meaning} must stand in this frame")
+                self.fault(where, f"is missing: {needed.meaning} must be in this frame")
             return
         self.found.add(role)
         if role == "crc8":

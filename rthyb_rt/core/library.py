@@ -50,8 +50,9 @@ _REFUSED: Final[dict[int, str]] = {
     lib.RTHYB_E_ELEMENT: "an element's kind, parameter count or a parameter is out of range",
     lib.RTHYB_E_SENSOR: "a sensor's noise, lsb, bias or range is out of range",
     lib.RTHYB_E_LAW: "there is no such control law, or it cannot work with its settings",
-    lib.RTHYB_E_KINEMATICS: "the axes do not set every coordinate of the interface: as many "
-    "coordinates as axes, each named once, every pin away from its base, no two axes on one line",
+    lib.RTHYB_E_KINEMATICS: "the axes do not set every coordinate of the interface: give as "
+    "many coordinates as axes, each named once; no pin may be at its own base, and no two axes on "
+    "one line",
     lib.RTHYB_E_PLANT: "a size of the virtual plant of several axes is out of range, or a number "
     "of it is not finite",
     lib.RTHYB_E_LIMIT: "a limit must be finite and >= 0, a starting value finite and sensible",

@@ -94,7 +94,7 @@ class Part:
     def restore(self, state: bytes) -> None:
         """Go on from a state that `save` gave."""
         if len(state) != self.state_bytes:
-            raise CoreError(f"a state of {len(state)} bytes is none of this part")
+            raise CoreError(f"a state of {len(state)} bytes does not belong to this part")
         lib.rthyb_numerical_restore(self._c, ffi.from_buffer(state))
 
     def reported(self, most: int) -> FloatArray:

@@ -157,8 +157,8 @@ def _described(path: str, folder: Path, tree: ElementTree.Element) -> Fmu:
         )
     if simulation.get("canBeInstantiatedOnlyOncePerProcess") == "true":
         raise CoreError(
-            f"{path} can be instantiated once only, and the reference simulation needs one of its "
-            "own; export it without canBeInstantiatedOnlyOncePerProcess"
+            f"{path} can be instantiated only once, but the reference simulation needs a second "
+            "instance; export it without canBeInstantiatedOnlyOncePerProcess"
         )
     name = simulation.get("modelIdentifier", "")
     token = tree.get("guid" if fmi == 2 else "instantiationToken", "")

@@ -364,15 +364,15 @@ def _try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_
     if found.ended == lib.RTHYB_TRIAL_CRASHED:
         name = signal.Signals(found.number).name
         raise CoreError(
-            f"crashes {where} ({name}, {signal.strsignal(found.number)}); it was tried out in a "
-            "process of its own: look at it there with a debugger"
+            f"crashes {where} ({name}, {signal.strsignal(found.number)}); it was run in a "
+            "separate process; debug it there"
         )
     if found.ended == lib.RTHYB_TRIAL_ENDED:
         raise CoreError(f"ends the process {where} (exit status {found.number})")
     if found.ended == lib.RTHYB_TRIAL_STUCK:
         raise CoreError(
-            f"did not come back from {2 * steps} steps within {TRIAL_S:g} s {where}: look for a "
-            "loop without a bound"
+            f"did not return from {2 * steps} steps within {TRIAL_S:g} s {where}: check for an "
+            "unbounded loop"
         )
     called = found.ended == lib.RTHYB_TRIAL_CALLED
     return Trial(

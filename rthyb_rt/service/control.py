@@ -247,7 +247,7 @@ class Dispatcher:
         if found >= role:
             return
         group = GROUP_OF[role]
-        has = f"group {GROUP_OF[found]} may look, hold and stop" if found else "no right here"
+        has = f"group {GROUP_OF[found]} may watch, hold and stop" if found else "no right here"
         reason = f"{name} is for members of group {group}; {peer.user}: {has}"
         raise ReplyError(f"{INTERFACE}.NotPermitted", reason=reason, group=group)
 

@@ -387,8 +387,8 @@ class Daemon:
         if found.free_bytes < needed:
             raise StateError(
                 "arm",
-                f"{found.runs} has {found.free_bytes / 1e6:.0f} MB left, the recording may take "
-                f"{needed / 1e6:.0f} MB; make room",
+                f"{found.runs} has {found.free_bytes / 1e6:.0f} MB left, but the recording may "
+                f"need {needed / 1e6:.0f} MB; free some space",
                 state,
             )
 

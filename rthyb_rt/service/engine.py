@@ -83,7 +83,7 @@ class StateError(RefusedError):
         if state not in self.allowed:
             text += f", {command} is allowed in {' or '.join(self.allowed)}"
             if state == "TRIPPED":
-                text += "; reset leaves TRIPPED, once its cause is gone"
+                text += "; once its cause is gone, reset leaves this state"
         super().__init__(text)
 
 
@@ -364,7 +364,7 @@ class Engine(Conductor):
 
     def _between_tests(self) -> str:
         if self.run.begun:
-            return "the last test is just being put away; try again"
+            return "the last test is still being closed; try again"
         return "a test is being zeroed; wait for the end of the tare, or stop it"
 
     @property
@@ -566,7 +566,7 @@ class Engine(Conductor):
             raise StateError(
                 name,
                 f"the test that was zeroed is {self.run.digest[:12]}, not "
-                f"{digest[:12] or 'named'}; look which test is loaded, and zero again",
+                f"{digest[:12] or 'named'}; check which test is loaded, and zero again",
                 self.state,
             )
 

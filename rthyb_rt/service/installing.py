@@ -124,7 +124,7 @@ def _beside(rig: Path, dbc: Path) -> list[Path]:
         if target.exists():
             if target.read_bytes() != content:
                 raise RthybError(
-                    f"another file is there than {dbc}; move it away, or name yours differently",
+                    f"already exists and differs from {dbc}; move it, or rename yours",
                     where=str(target),
                 )
             return []

@@ -499,7 +499,7 @@ class Recorder:
             ) from error
         if not _locked(self._lock, patience_s):
             os.close(self._lock)
-            raise RthybError(f"{rings}: another recorder is at work here; end that one")
+            raise RthybError(f"{rings}: another recorder is running here; stop that one")
         self._tapes: dict[Path, Tape] = {}
         self._passed: dict[Path, tuple[int, int]] = {}
         self._synced_s = self._said_s = 0.0
