@@ -142,7 +142,7 @@ class _Document(Generic[_File]):
         """Return the value at a dotted key of the file, such as ``"numerical.mass_kg"``.
 
         Raises:
-            InputError: there is no such key; says which there are beside it.
+            InputError: there is no such key; the message lists the keys of that table.
         """
         place: Any = self._file.model_dump(by_alias=True)
         for depth, part in enumerate(str(key).split(".")):

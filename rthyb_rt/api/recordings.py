@@ -197,10 +197,10 @@ class Recording(Mapping[str, NDArray[Any]]):
         return {TIME: "s", **own, **reference}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return a signal, shape (n,), in its unit; a row for every sample of the recording.
+        """Return a signal in its unit, shape (n,): one row per sample of the recording.
 
         Raises:
-            InputError: there is none of that name; says which there are.
+            InputError: there is no signal of that name; the message lists those that exist.
         """
         raw = self._raw
         if name == TIME:
@@ -290,10 +290,10 @@ class Recording(Mapping[str, NDArray[Any]]):
         return self._raw.axis_names
 
     def axis(self, name: str) -> dict[str, NDArray[Any]]:
-        """Return what was recorded of one of several axes, by the names of a rig of one, (n,) each.
+        """Return the signals of one axis, shape (n,) each, named as those of a rig with one axis.
 
         Raises:
-            InputError: there is no such axis; says which there are.
+            InputError: there is no such axis; the message lists those that exist.
         """
         rows = self._raw.axis(name)
         return {field: np.asarray(rows[field]) for field in rows.dtype.names or ()}

@@ -79,7 +79,7 @@ class Sweep:
             run), ``NAME_median`` and ``NAME_worst``; None where no run was completed.
 
         Raises:
-            InputError: there is no such measure; says which there are.
+            InputError: there is no such measure; the message lists those that exist.
         """
         known = [name for name in self._columns() if name not in (*self._keys, *_NO_MEASURES)]
         for name in measures:

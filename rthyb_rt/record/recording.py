@@ -259,10 +259,10 @@ class Recording:
         return axes_in(self.samples.dtype)
 
     def axis(self, which: int | str = 0) -> NDArray[np.void]:
-        """Return the fields of an axis, a number from 0 or a name, by their names, a view, (n,).
+        """Return a view of the fields of an axis, given by number from 0 or by name, shape (n,).
 
         Raises:
-            InputError: there is no such axis; says which there are.
+            InputError: there is no such axis; the message lists those that exist.
         """
         number = self.axis_names.index(which) if which in self.axis_names else which
         if not isinstance(number, int) or not 0 <= number < self.axis_count:
@@ -284,10 +284,10 @@ class Recording:
         )
 
     def channel(self, name: str) -> NDArray[np.float64]:
-        """Return a named value of every row in its unit, (n,).
+        """Return a named value of every row in its unit, shape (n,).
 
         Raises:
-            InputError: there is no channel of that name; says which there are.
+            InputError: there is no channel of that name; the message lists those that exist.
         """
         for channel in self.channels:
             if channel.name == name:
@@ -368,7 +368,7 @@ def write(path: str | Path, rec: Recording) -> None:
 
 
 def _made_anew(path: Path) -> BinaryIO:
-    """Open a file that was not there: a name that leads elsewhere is never followed."""
+    """Create and open a new file: symbolic links are never followed."""
     # What a process of this number has left behind when it was killed.
     path.unlink(missing_ok=True)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC

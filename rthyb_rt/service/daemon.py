@@ -173,7 +173,7 @@ class Daemon:
 
         Raises:
             TimingError: real-time privileges are missing that are required.
-            RthybError: socket or recorder are not to be had, or the tick thread has failed.
+            RthybError: socket or recorder is unavailable, or the tick thread has failed.
         """
         try:
             return asyncio.run(self._main())
@@ -193,7 +193,7 @@ class Daemon:
 
         Raises:
             TimingError: real-time privileges are missing that are required.
-            RthybError: socket or recorder are not to be had, or the tick thread has failed.
+            RthybError: socket or recorder is unavailable, or the tick thread has failed.
         """
         self._start_recorder()
         # Load, zero and reload come one at a time; each further thread would be a locked stack.

@@ -28,7 +28,7 @@ ELASTIC = core.element("stiffness", k_n_per_m=K_N_PER_M)
 
 
 def tcu068(record: str | Path | None = None) -> GroundMotion | None:
-    """Return the first 50 s of Chi-Chi TCU068 EW, or None where it is not to be had.
+    """Return the first 50 s of Chi-Chi TCU068 EW, or None where it is not available.
 
     The record may not be shipped: it is taken from ``record`` or from the package pyslammer.
 
