@@ -204,16 +204,17 @@ def file_name(name: str) -> str:
 
 HEAD = """# The catalogue of effects
 
-What [`rthyb diagnose`](diagnosis.md) can name, one section each: what it looks like, which
-experiment shows it, and what it is confused with. The program weighs all of them, alone and in sets
-of up to three; `rthyb diagnose --why` says of each what it would have brought. For an effect that
-is not here see [an effect of your own](diagnosis.md#an-effect-of-your-own).
+The effects that [`rthyb diagnose`](diagnosis.md) can name, one section each: what an effect looks
+like, which experiment reveals it, and what it can be confused with. The program considers all of
+them, alone and in sets of up to three; `rthyb diagnose --why` shows how much each would improve the
+fit. For an effect that is not listed here, see [an effect of your
+own](diagnosis.md#an-effect-of-your-own).
 
-In every picture the specimen is a spring of 500 N/mm with a little damping and mass. It is moved
+In every figure the specimen is a spring of 500 N/mm with a little damping and mass. It is moved
 through cycles of 1 Hz that grow to 10 mm, then of 3 Hz and 5 mm. Left: force over displacement
-without the effect (grey) and with it (blue), of one cycle or of all. Middle and right: what the
-effect adds, which is what a model without it leaves. Of an actuator the same is drawn of its
-displacement.
+without the effect (grey) and with it (blue), for one cycle or for all. Middle and right: the
+contribution of the effect, which is the residual of a model without it. For an effect of the
+actuator, the figures show displacement instead of force.
 
 <!-- This page is written by docs/tools/effect_pages.py from the catalogue of the program. -->
 """

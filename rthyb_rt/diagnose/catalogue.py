@@ -1,4 +1,4 @@
-"""The catalogue of effects as a reader wants it: every effect, what it is like, what parts them."""
+"""The catalogue of effects for a reader: each effect, its fingerprint, what separates them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Entry:
         equation: its law in a line.
         fingerprint: what it looks like in what the model leaves.
         shown_by: kind of experiment that shows it, and why.
-        alike: effects that it is confused with, each with what parts the two.
+        alike: effects that it is confused with, each with what separates the two.
     """
 
     name: str
@@ -41,127 +41,140 @@ class Entry:
 
 PAIRS: tuple[tuple[str, str, str], ...] = (
     ("stiffness", "inertia",
-     "at one frequency both are in line with displacement; over a sweep the force of a mass grows "
-     "with the square of frequency, that of a spring does not"),
+     "at one frequency, both are in phase or antiphase with displacement; over a sweep, the "
+     "force of a mass grows with the square of frequency, that of a spring does not"),
     ("stiffness", "cubic",
-     "at one amplitude a straight line stands for much of a cubic; at several the share of a cubic "
-     "grows with the square of amplitude"),
+     "at one amplitude, a straight line approximates much of a cubic; over several amplitudes, "
+     "the share of a cubic grows with the square of amplitude"),
     ("stiffness", "degradation",
-     "a spring that is too weak is so from the first cycle; what is lost grows with the path"),
+     "an error of the stiffness is there from the first cycle; degradation grows with the "
+     "distance travelled"),
     ("stiffness", "gap",
      "a gap takes up the same displacement at every amplitude, so its share falls as amplitude "
      "grows"),
     ("stiffness", "act_gain",
-     "a gain shows between command and displacement, a stiffness between displacement and force"),
+     "an error of the gain appears between command and displacement, an error of the stiffness "
+     "between displacement and force"),
     ("stiffness", "crosstalk",
-     "where the force in the other direction follows this one they are one thing; an independent "
-     "motion in the other direction parts them"),
+     "if the force in the other direction is proportional to this one, the two are "
+     "indistinguishable; an independent motion in the other direction separates them"),
     ("cubic", "stopper",
-     "a stop is exactly nothing before it is met; a cubic is small there, not nothing"),
+     "the force of a stop is exactly zero until contact; that of a cubic is small there, but not "
+     "zero"),
     ("cubic", "hysteresis",
-     "both soften; yielding makes a loop that takes energy, a cubic goes back the way it came"),
+     "both soften; yielding forms a loop that dissipates energy, a cubic spring unloads along "
+     "the path on which it was loaded"),
     ("cubic", "pinching",
-     "pinching takes force away around zero and leaves it beyond; a cubic changes it most at the "
+     "pinching removes force around zero and none beyond; a cubic changes the force most at the "
      "largest displacement"),
     ("hysteresis+pinching+degradation", "hysteresis",
-     "a plain loop comes back to the same force in every cycle; a worn column grows softer and "
-     "slacker, so cycles at one amplitude, one after the other, part them"),
+     "a plain loop returns to the same force in every cycle; a damaged column becomes softer and "
+     "slacker, so repeated cycles at one amplitude separate them"),
     ("power_damping", "viscous",
-     "at one amplitude a straight line stands for a power of velocity near one; at several the "
-     "share of a low power falls as amplitude grows"),
+     "at one amplitude, a straight line approximates a power of velocity near one; over several "
+     "amplitudes, the share of a low power falls as amplitude grows"),
     ("power_damping", "coulomb",
-     "friction keeps its size from the smallest velocity on; a low power still grows, which a wide "
-     "range of amplitudes shows"),
+     "friction has its full size even at the smallest velocity; the force of a low power still "
+     "grows with velocity, which a wide range of amplitudes shows"),
     ("quadratic", "bias",
-     "at one amplitude the mean of a parabola is an offset; towards small amplitude the parabola "
-     "vanishes and the offset stays"),
+     "at one amplitude, the mean of a parabola equals an offset; as the amplitude decreases, the "
+     "parabola vanishes and the offset remains"),
     ("quadratic", "stopper",
-     "a stop at one side is exactly nothing before it is met"),
+     "the force of a stop on one side is exactly zero until contact"),
     ("gap", "pinching",
      "a gap has an edge at the same place in every cycle; pinching is smooth and may widen with "
      "the largest displacement so far"),
     ("gap", "coulomb",
-     "behind a play a spring falls short by the same force either way, which looks like friction "
-     "of the wrong sign; after a reversal it takes the whole play to change"),
+     "with play, the force of a spring is too small by the same amount in both directions, which "
+     "looks like friction of the wrong sign; after a reversal, it changes only over the whole "
+     "play"),
     ("gap", "gap+coulomb",
-     "with friction behind the gap the force comes to a level; with a spring behind it the force "
-     "goes on with displacement"),
+     "with friction behind the gap, the force levels off; with a spring behind it, the force "
+     "keeps growing with displacement"),
     ("viscous", "coulomb",
-     "at one speed they are one thing; at several amplitudes friction keeps its size, the force of "
-     "a dashpot grows with velocity"),
+     "at one speed, the two are indistinguishable; over several amplitudes, friction keeps its "
+     "size and the force of a dashpot grows with velocity"),
     ("viscous", "quad_damping",
-     "at one amplitude and frequency they are nearly one thing; over several amplitudes the force "
-     "grows with velocity or with its square"),
+     "at one amplitude and frequency, the two are nearly indistinguishable; over several "
+     "amplitudes, the force grows with velocity or with its square"),
     ("viscous", "time_skew",
-     "around one frequency they are one thing; over a sweep a skew grows with the rate of the "
-     "whole force, and every step of the force comes late as well"),
+     "around one frequency, the two are indistinguishable; over a sweep, the effect of a skew "
+     "grows with the rate of the whole force, and every step of the force is late as well"),
     ("viscous", "maxwell",
-     "slow motion shows a dashpot only; at frequencies beyond 1 / (2 pi tau) relaxation turns into "
-     "a spring"),
+     "in slow motion, relaxation acts like a dashpot; at frequencies above 1 / (2 pi tau), it "
+     "acts like a spring"),
     ("coulomb", "stribeck",
-     "both jump with the sign of velocity; dry friction has no peak at low velocity, so the motion "
-     "has to be slow as well as fast"),
+     "both jump with the sign of velocity; dry friction has no peak at low velocity, so the "
+     "motion must be both slow and fast to separate them"),
     ("coulomb", "lugre",
-     "bristles make a slope over displacement after each reversal; where they are short against "
-     "the motion they are dry friction"),
+     "bristles cause a slope over displacement after each reversal; if they are short compared "
+     "with the motion, they act like dry friction"),
     ("coulomb", "hysteresis",
-     "a slider on a spring is both; dry friction jumps at a reversal, yielding takes the way of "
-     "twice its yield displacement"),
+     "a slider on a spring can be described as either; dry friction jumps at a reversal, "
+     "yielding changes over twice its yield displacement"),
     ("coulomb", "quantisation",
-     "rounding never lies farther off than half a step and knows nothing of velocity"),
+     "the error of rounding is never more than half a step, and does not depend on velocity"),
     ("coulomb", "gap+coulomb",
-     "behind a gap the force is nothing for a part of the way after each reversal"),
+     "behind a gap, the force is zero for part of the travel after each reversal"),
     ("stribeck", "lugre",
-     "a peak that belongs to low velocity is there at every slow moment; one of bristles is there "
-     "after reversals alone"),
+     "a Stribeck peak appears whenever the motion is slow; that of bristles appears only after "
+     "reversals"),
     ("stribeck", "quad_damping",
-     "a model with too much damping makes dry friction look like a fall with velocity; at higher "
-     "velocity that fall goes on, the one from a peak comes to a level"),
+     "with too much damping in the model, dry friction appears to fall with velocity; at higher "
+     "velocity this fall continues, while that of a Stribeck peak levels off"),
     ("lugre", "hysteresis",
-     "beside a spring that nobody knows, bristles are a spring that yields, and both are named; a "
-     "stated stiffness parts them"),
+     "beside a spring of unknown stiffness, bristles are equivalent to a yielding spring, and "
+     "both are named; a stated stiffness separates them"),
     ("gap+coulomb", "gap+coulomb+bias",
-     "one that grips harder one way has two levels; half their difference is named as a bias"),
+     "friction that is stronger in one direction has two levels; half their difference is named "
+     "as a bias"),
     ("gap+coulomb", "pinching",
-     "pinching takes a part of a spring's force around zero; behind a gap the force is nothing "
-     "after each reversal, wherever that is"),
+     "pinching reduces the force of a spring around zero displacement; behind a gap, the force "
+     "is zero after each reversal, wherever that occurs"),
     ("gap+coulomb+bias", "bias",
-     "an offset of the load cell is there in the gap as well, that of an uneven grip is not"),
+     "an offset of the load cell is also there within the gap; the bias of uneven friction is "
+     "not"),
     ("inertia", "second_mode",
-     "far below its own frequency a mass on a spring is a mass; a sweep through that frequency "
-     "makes it ring"),
+     "far below its own frequency, a mass on a spring acts like a rigid mass; a sweep through "
+     "that frequency excites it"),
     ("second_mode", "hum",
-     "a mass rings when it is moved and dies away; hum goes on at rest and in phase with nothing"),
+     "a mass oscillates when it is moved and then decays; hum continues at rest and is not in "
+     "phase with the motion"),
     ("hysteresis", "pinching",
-     "both narrow or widen the loop; pinching acts at zero displacement, yielding at the largest"),
+     "both make the loop narrower or wider; pinching acts at zero displacement, yielding at the "
+     "largest"),
     ("hysteresis", "degradation",
-     "after yielding small cycles have their first stiffness again; after a loss they do not"),
+     "after yielding, small cycles have the initial stiffness again; after degradation they do "
+     "not"),
     ("hysteresis", "maxwell",
-     "both are loops; those of yielding do not depend on rate, those of relaxation do"),
+     "both form loops; those of yielding do not depend on rate, those of relaxation do"),
     ("degradation", "drift",
-     "a loss grows in phase with displacement, a drift continues when nothing moves"),
+     "degradation grows in phase with displacement; a drift continues when nothing moves"),
     ("maxwell", "time_skew",
-     "around one frequency both turn the force; over a sweep relaxation comes to an end at high "
-     "frequency, a skew grows"),
+     "around one frequency, both shift the phase of the force; over a sweep, the effect of "
+     "relaxation levels off at high frequency, that of a skew grows"),
     ("bias", "drift",
-     "over a short recording a slow drift is an offset; a longer one, or two halves apart, part "
-     "them"),
+     "over a short recording, a slow drift looks like an offset; a longer recording, or two "
+     "halves far apart in time, separate them"),
     ("time_skew", "delay",
-     "a late actuator shows between command and displacement, a late load cell between "
-     "displacement and force"),
+     "a delay of the actuator appears between command and displacement, a time skew of the load "
+     "cell between displacement and force"),
     ("delay", "oil_column",
-     "slow motion shows the sum of both lags; over a sweep a column changes the amplitude as well"),
+     "slow motion shows the sum of both lags; over a sweep, an oil column changes the amplitude "
+     "as well"),
     ("delay", "delay_rate",
-     "at one speed they are one thing; at several amplitudes a delay stays the same"),
+     "at one speed, the two are indistinguishable; over several amplitudes, a constant delay "
+     "stays the same"),
     ("delay_rate", "rate_limit",
-     "a limit does nothing below its velocity; a delay that grows with velocity is there from rest "
-     "on"),
+     "a limit has no effect below its velocity; a delay that grows with velocity has an effect "
+     "at any velocity"),
     ("act_gain", "oil_column",
-     "a gain is the same at every frequency, a column's amplitude changes towards its own"),
+     "a gain is the same at every frequency; the amplitude of an oil column changes near its "
+     "natural frequency"),
     ("act_gain", "rate_limit",
-     "both make the stroke shorter; a limit does so only where the motion is fast"),
+     "both shorten the stroke; a limit does so only where the motion is fast"),
 )  # fmt: skip
-"""Effects that are confused, and what parts them."""
+"""Effects that are confused, and what separates them."""
 
 
 def entries() -> dict[str, Entry]:
@@ -180,7 +193,7 @@ def _entry(e: Effect | ActuatorEffect, place: Place) -> Entry:
 
 
 def alike(name: str) -> tuple[tuple[str, str], ...]:
-    """Return the effects that one is confused with, each with what parts the two."""
+    """Return the effects that one is confused with, each with what separates the two."""
     return tuple(
         (second if first == name else first, parts)
         for first, second, parts in PAIRS

@@ -57,7 +57,7 @@ def ledger(d: Diagnosis, catalogue: bool = True) -> list[Decision]:
     Args:
         d: the diagnosis.
         catalogue: whether the effects that came into no set are tried once more, alone and beside
-            the best set, to say what they would have brought; that takes a moment.
+            the best set, to show how much they would improve the fit; this takes a moment.
     """
     out: list[Decision] = []
     if d.disp is not None:

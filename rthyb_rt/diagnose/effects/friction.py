@@ -27,7 +27,7 @@ class Viscous(Effect):
     dissipates = True
     shown_by = (
         "sweep",
-        "the force of a dashpot grows with frequency, that of a time skew with force",
+        "a dashpot's force grows with velocity, the effect of a time skew with the force's rate",
     )
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
@@ -52,7 +52,7 @@ class QuadDamping(Effect):
     dissipates = True
     shown_by = (
         "multi_amplitude",
-        "a force proportional to the square of velocity shows at several amplitudes",
+        "a force proportional to the square of velocity requires several amplitudes",
     )
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
@@ -78,7 +78,7 @@ class PowerDamping(Effect):
     equation = "f = F1 |v / (1 m/s)|^exponent sgn(v)"
     fingerprint = "residual over velocity is a power law, neither linear nor quadratic"
     dissipates = True
-    shown_by = ("multi_amplitude", "a power of velocity shows at several amplitudes")
+    shown_by = ("multi_amplitude", "a power of velocity requires several amplitudes")
     signs = "+"
     momentary = True
 
@@ -365,7 +365,7 @@ class Lugre(Effect):
     dry = True
     slides = True
     plainer = Coulomb.name
-    shown_by = ("multi_amplitude", "at amplitudes below their travel the bristles only bend")
+    shown_by = ("multi_amplitude", "at amplitudes below their travel, the bristles only bend")
     signs = "+*"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
@@ -535,7 +535,7 @@ class UnevenFrictionBehindGap(Effect):
         Param("bias_N", "N", -1e8, 1e8),
     )
     equation = "slider of bias +- Fc on a spring k behind a play of +-gap"
-    fingerprint = "as behind a gap, with two different levels; zero in the gap"
+    fingerprint = "as for friction behind a gap, but with two different levels; zero in the gap"
     static = True
     shown_by = ("multi_amplitude", "a gap takes up the same displacement at every amplitude")
     signs = "+"

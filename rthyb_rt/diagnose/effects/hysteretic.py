@@ -12,7 +12,7 @@ from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.effects.friction import Lugre, Viscous
 from rthyb_rt.diagnose.policy import POLICY
 
-LARGE = ("multi_amplitude", "a memory of amplitude shows when small cycles follow large ones")
+LARGE = ("multi_amplitude", "a memory of amplitude appears when small cycles follow large ones")
 SPRINGS = core.IWAN_SLIDERS
 BAR = {"r0": 20.0, "cr1": 0.925, "cr2": 0.15}
 """How the branches of steel bend: Menegotto & Pinto 1973, constants of Filippou et al. 1983."""

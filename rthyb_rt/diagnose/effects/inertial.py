@@ -21,7 +21,7 @@ class Inertia(Effect):
     fingerprint = "residual is linear in acceleration, growing with frequency squared"
     number = "moving_mass"
     over = "a"
-    shown_by = ("sweep", "a mass's force grows with the square of frequency")
+    shown_by = ("sweep", "the force of a mass grows with the square of frequency")
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the acceleration."""
@@ -61,7 +61,7 @@ class SecondMode(Effect):
     params = (Param("m2_kg", "kg", 0.0, 1e8), Param("f2_Hz", "Hz", 0.01, 400.0))
     equation = "y'' + 2 zeta w2 y' + w2^2 y = -a, f = -m2 (2 zeta w2 y' + w2^2 y)"
     fingerprint = "residual oscillates at a frequency of its own"
-    shown_by = ("sweep", "a sweep through its frequency excites it")
+    shown_by = ("sweep", "a sweep through its natural frequency excites it")
     signs = "+"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:

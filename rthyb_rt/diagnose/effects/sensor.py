@@ -142,7 +142,7 @@ class Hum(Effect):
     equation = "f_meas = f + amp sin(2 pi f t + phase)"
     fingerprint = "a single line in the spectrum of the residual that is not in the motion"
     foretold = False
-    shown_by = ("sweep", "a line that stays while the frequency of the motion changes")
+    shown_by = ("sweep", "the line keeps its frequency while that of the motion changes")
     sensor = True
     signs = "**"
 
@@ -248,7 +248,7 @@ class TimeSkew(Effect):
     fingerprint = "residual is linear in the rate of the force"
     slow_as = Viscous.name
     over = "rate"
-    shown_by = ("sweep", "with frequency a time skew changes the phase differently from a dashpot")
+    shown_by = ("sweep", "a time skew changes the phase over frequency differently from a dashpot")
     sensor = True
     carries = True
     signs = "+"
@@ -347,7 +347,7 @@ class Crosstalk(Effect):
     fingerprint = "residual follows the orthogonal force"
     needs = "fy_meas"
     over = "fy"
-    shown_by = ("random", "an orthogonal force that is independent of this one tells them apart")
+    shown_by = ("random", "an orthogonal force that is independent of this one separates them")
     sensor = True
     _kept: tuple[Context, Floats] | None = None
 
@@ -372,7 +372,7 @@ class Quantisation(Effect):
     params = (Param("lsb_N", "N", 0.0, 1e8),)
     equation = "f_meas = lsb round(f / lsb)"
     fingerprint = "all readings lie on one grid; the residual is a sawtooth of half a step"
-    shown_by = ("multi_amplitude", "small motion shows the steps one by one")
+    shown_by = ("multi_amplitude", "small motion shows the individual steps")
     sensor = True
 
 

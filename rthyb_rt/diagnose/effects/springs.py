@@ -13,7 +13,7 @@ from rthyb_rt.diagnose.policy import POLICY
 
 AMPLITUDES = (
     "multi_amplitude",
-    "stiffness that changes with amplitude shows at several amplitudes",
+    "a stiffness that changes with amplitude requires several amplitudes",
 )
 
 
@@ -34,7 +34,7 @@ class Stiffness(Effect):
     number = "k"
     static = True
     elastic = True
-    shown_by = ("sweep", "stiffness stays the same over frequency, mass does not")
+    shown_by = ("sweep", "the force of a spring does not depend on frequency, that of a mass does")
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return one trial where there is a spring, another one where it yields."""
