@@ -214,9 +214,9 @@ def test_drives_take_faults_of_the_axes_that_there_are() -> None:
 # ---- what is refused -----------------------------------------------------------------------------
 
 
-def test_another_rate_is_for_virtual_time() -> None:
-    with pytest.raises(InputError, match="real time"):
-        setup(test=SHORT.replace("duration_s = 3", "duration_s = 3\nsample_rate_hz = 2048"))
+def test_rate_that_no_clock_has_is_for_virtual_time() -> None:
+    with pytest.raises(InputError, match="whole number of samples a second: take 1000"):
+        setup(test=SHORT.replace("duration_s = 3", "duration_s = 3\nsample_rate_hz = 1000.4"))
 
 
 def test_a_rig_that_is_not_at_rest_names_the_axis() -> None:
@@ -236,7 +236,7 @@ def test_a_drive_that_says_nothing_is_told_with_its_axis(axis: str) -> None:
     ours, theirs = opening.socket_pairs(given.names)
     with ours, theirs, virtual_rig.in_step(given, theirs) as drives:
         drives.schedule([loop.Fault("silence", 0, 10**9, 1.0, AXES.index(axis))])
-        with pytest.raises(InputError, match=f"axis {axis}: nothing came"):
+        with pytest.raises(InputError, match=f"axis {axis}: nothing arrived"):
             realtime.run(setup(given), ours, clock="stepped", before_tick=drives.tick)
 
 

@@ -308,7 +308,7 @@ def test_run_that_kills_each_process_is_told_and_the_others_go_on(
     by_number = {row["case"]: row for row in rows}
     assert len(rows) == len(by_number) == 6
     assert by_number[2]["ending"] == plan.FAILED
-    assert "died" in by_number[2]["cause"]
+    assert "terminated twice" in by_number[2]["cause"]
     assert all(row["ending"] == "completed" for n, row in by_number.items() if n != 2)
 
 

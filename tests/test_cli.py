@@ -227,7 +227,7 @@ def test_folder_that_has_files_is_refused_before_the_test(rthyb: Rthyb, tmp_path
     (tmp_path / "x" / "notes.txt").write_text("mine")
     answer = rthyb("run", *SHORT, "--out", "x")
     assert answer.code == 2
-    assert "x exists already" in answer.err
+    assert "x already exists" in answer.err
     assert [file.name for file in (tmp_path / "x").iterdir()] == ["notes.txt"]
 
 
@@ -733,7 +733,7 @@ def test_file_that_is_no_recording_is_refused(
     answer = rthyb(*command, "other.h5")
     assert answer.code == 3
     (line,) = answer.err.splitlines()
-    assert "no recording" in line
+    assert "not a recording" in line
     assert [file.name for file in tmp_path.iterdir()] == ["other.h5"]
 
 

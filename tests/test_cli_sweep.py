@@ -110,7 +110,7 @@ def test_rigs_are_swept_by_name_and_by_file(tmp_path: Path) -> None:
         (["--over", "controller.typ=a,b"], '--over controller.typ: unknown key (did you mean "ty'),
         (["--over", "controller.w1"], '--over: found "controller.w1"; must be KEY=V1,V2,...'),
         (["--over", "controller.w1=3,,4"], "--over: found"),
-        (["--over", "controller.w1=3", "--over", "controller.w1=4"], "w1: is there twice"),
+        (["--over", "controller.w1=3", "--over", "controller.w1=4"], "w1: occurs twice"),
         (["--over", "controller.w1=3,3"], "--over controller.w1: found a list of 2; a value"),
         ([*LAWS, "--repeat-seeds", "0"], "--repeat-seeds: found 0"),
         ([*LAWS, "--keep", "al"], '--keep: found "al" (did you mean "all"?)'),

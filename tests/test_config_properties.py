@@ -228,13 +228,19 @@ def links(draw: st.DrawFn) -> dict[str, Any]:
     kind = draw(st.sampled_from(["can", "serial", "socket", "python-can"]))
     bus = kind in ("can", "python-can")
     fd, dbc = bus and draw(st.booleans()), draw(st.sampled_from(["drive.dbc", None]))
-    rates = st.integers(*{"serial": (358_400, 12_000_000)}.get(kind, (600_000, 1_000_000)))
+    # What a bit rate has room for: the least one for 1024 samples a second.
+    least = 358_400 if kind == "serial" else 600_000
+    rates = st.integers(least, 12_000_000 if kind == "serial" else 1_000_000)
     bitrate = None if kind == "socket" else draw(rates if fd else rates | st.none())
+    most_hz = 4096 if kind == "socket" else min(4096, (bitrate or least) * 1024 // least)
+    rate_hz = draw(st.integers(256, most_hz))
     changes: dict[str, Any] = {
         "kind": kind,
         "channel": {"serial": "/dev/ttyUSB0", "socket": "/run/rig"}.get(kind, "can0"),
         "interface": "virtual" if kind == "python-can" else None,
         "bitrate": bitrate,
+        "sample_rate_hz": rate_hz,
+        "lead_us": draw(st.none() | st.floats(20.0, min(480.0, 0.5e6 / rate_hz))),
         "fd": fd,
         "data_bitrate": draw(st.none() | st.integers(1_000_000, 8_000_000)) if fd else None,
         "dbc": dbc if bus else None,

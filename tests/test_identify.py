@@ -119,7 +119,7 @@ def test_friction_beside_the_specimen_is_noted(table: Result) -> None:
 
 
 def doubts(result: Result) -> list[str]:
-    return [note for note in result.notes if "is no sine" in note]
+    return [note for note in result.notes if "sinusoidal: friction" in note]
 
 
 @pytest.mark.parametrize("seed", ["1", "2", "3"])
@@ -222,7 +222,7 @@ def test_sensor_at_the_end_of_its_range_is_refused(change: dict[str, str], name:
         (Sweep((0.01,)), "frequencies 0.01 Hz"),
         (Sweep((math.nan,)), "frequencies nan Hz"),
         (Sweep(()), "frequencies none"),
-        (Sweep((2.0, 1.0)), "must rise"),
+        (Sweep((2.0, 1.0)), "must increase"),
         (Sweep(amplitude_m=0.0), "amplitude of 0 m"),
         (Sweep(amplitude_m=math.nan), "amplitude of nan m"),
         (Sweep(amplitude_m=2.0), "at most 1 m"),

@@ -22,9 +22,10 @@ from rthyb_rt import config
 from rthyb_rt.config import AxesRig, TestFile
 from rthyb_rt.core import RUNNING, STATES, loop
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import any_rig, experiment, realtime, several
+from rthyb_rt.lab import experiment, realtime, several
 from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record import recording
+from rthyb_rt.service import any_rig
 from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.engine import StateError
 from rthyb_rt.service.recorder import read_index

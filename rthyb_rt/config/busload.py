@@ -131,7 +131,7 @@ def bus_fault(
             remedy += f"; {bitrate} bit/s has room for {most_hz(load, rate_hz)} Hz"
     return (
         f"found {bitrate} bit/s: frame rate over 80 % bus load ({len(frames)} frames, {rate_hz:g} "
-        f"times a second, take {100 * load:.0f} %); {remedy}"
+        f"times a second, take {math.ceil(100 * load)} %); {remedy}"
     )
 
 
@@ -163,12 +163,12 @@ def serial_fault(baud: int, extras: int = 0, *, rate_hz: float = STANDARD_HZ) ->
     if load <= MAX_SHARE:
         return None
     fits = [baud for baud in BAUD_RATES if serial_load(baud, extras, rate_hz=rate_hz) <= MAX_SHARE]
-    enough = f"so use at least {fits[0]} Bd" if fits else f"{most_hz(load, rate_hz)} Hz here"
+    enough = f"so use at least {fits[0]} Bd" if fits else f"which is {most_hz(load, rate_hz)} Hz on this line"
     feedback = FEEDBACK_BYTES + EXTRA_BYTES * extras
     return (
         f"found {baud} Bd: command ({COMMAND_BYTES} bytes) and feedback ({feedback} bytes) "
         f"at {rate_hz:g} Hz need {serial_bits_per_s(extras, rate_hz=rate_hz)} Bd, "
-        f"{100 * load:.0f} % of the line's capacity; at most 80 % is allowed, {enough}"
+        f"{math.ceil(100 * load)} % of the line's capacity; at most 80 % is allowed, {enough}"
     )
 
 

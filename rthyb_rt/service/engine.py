@@ -29,12 +29,12 @@ from rthyb_rt.core import STATES
 from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import RthybError
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import any_rig, experiment
+from rthyb_rt.lab import experiment
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime import Conductor, LiveRun, RefusedError
 from rthyb_rt.lab.sequence import REST_TICKS, TARE_MARGIN_S
 from rthyb_rt.record.ring import AFTER_TRIP
-from rthyb_rt.service import reloading
+from rthyb_rt.service import any_rig, reloading
 
 if TYPE_CHECKING:
     from rthyb_rt.core.wire import Codec
