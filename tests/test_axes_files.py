@@ -154,7 +154,7 @@ def test_an_axis_is_named_in_overrides() -> None:
             'pins_m: found "other".*; the axes are upper, lower',
         ),
         (", lower = [0.2667, -0.127]", "", "kinematics: pins_m: axis lower is missing"),
-        (", lower = [1, 0] }", " }", "axis lower has neither of bases_m and directions"),
+        (", lower = [1, 0] }", " }", "axis lower is listed in neither bases_m nor directions"),
         (
             "directions = { upper = [1, 0]",
             "directions = { upper = [0, 0]",

@@ -220,7 +220,7 @@ def test_each_check_that_did_not_pass_is_refused_by_its_name(
     certificate.write(certificate.place(path), made.with_step(Step(name, passed, DATE)))
     with pytest.raises(RefusedError, match=f"has passed: {name} {told}; run ") as caught:
         demanded(path)
-    assert f"`rthyb commission {path}` --steps {name}" in str(caught.value)
+    assert f"`rthyb commission {path} --steps {name}`" in str(caught.value)
 
 
 def test_test_on_a_real_link_is_refused_where_all_but_the_signs_failed(tmp_path: Path) -> None:

@@ -366,7 +366,7 @@ def test_command_goes_out_by_a_channel_of_its_own_if_it_has_one() -> None:
 def test_offset_that_is_kilometres_on_the_wire_is_refused() -> None:
     found = refused('[calibration]\ndisplacement = { scale = 0.001, offset_m = "5 m" }\n')
     message = found["rig.toml:12: calibration.displacement.offset_m"]
-    assert "that is 5000 m on the wire" in message
+    assert "this is 5000 in the units of the frame" in message
     assert "check the unit of scale" in message
 
 

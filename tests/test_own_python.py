@@ -228,7 +228,7 @@ def test_what_no_file_can_hold_is_refused_where_it_is_given() -> None:
 def test_a_period_that_is_not_the_parts_own_is_noted() -> None:
     part = own_parts.Oscillator(4.0 * SHORT["numerical.mass_kg"])
     notes = rt.check(SHORT.with_(numerical=part)).notes
-    assert any("it oscillates at 1 s" in note for note in notes)
+    assert any("its period is 1 s" in note for note in notes)
 
 
 def test_a_diagnosis_refuses_a_model_with_a_class_in_python() -> None:

@@ -306,7 +306,7 @@ def test_a_file_that_is_no_structure_is_refused(
     [
         ("a.npz", b"rubbish", "cannot be read as .npz"),
         ("a.mat", b"rubbish", "cannot be read as a MATLAB file"),
-        ("a.xls", b"", 'found a file of type ".xls"; .npz and .mat files hold all'),
+        ("a.xls", b"", 'file type ".xls" is not supported here; a .npz or .mat file'),
         ("b.npz", b"", "no such file; a relative path starts at"),
     ],
 )
@@ -347,7 +347,7 @@ def test_a_file_of_another_kind_is_refused(
         (
             "numerical = { mass_kg = 1, damping_ratio = 0 }\n[[interface]]\nstorey = 1",
             "interface",
-            "found a table without storeys",
+            "needs a structure given by storeys",
         ),
         (
             STOREYS.replace("[numerical]", '[numerical]\nintegrator = "forward-euler"'),
@@ -374,7 +374,7 @@ def test_keys_that_mean_nothing_are_refused_with_their_line(
         ("[[interface]]\nstorey = 2", "interface.0", "the actuator moves the specimen, storey 1"),
         (f"[[numerical.nonlinear]]\nstoreys = [9]\n{LAW}", "nonlinear.0.storeys", "storey 9 of 5"),
         (f"[[numerical.nonlinear]]\nstoreys = [1]\n{LAW}", "nonlinear.0", "which is the specimen"),
-        (f"[[numerical.nonlinear]]\ndof = '1'\n{LAW}", "nonlinear.0", "found a degree of freedom"),
+        (f"[[numerical.nonlinear]]\ndof = '1'\n{LAW}", "nonlinear.0", "found degrees of freedom"),
     ],
 )
 def test_what_does_not_fit_the_storeys_is_refused(more: str, where: str, said: str) -> None:

@@ -276,8 +276,8 @@ def _number(base: dict[str, Any], key: str, path: Path) -> float:
             place = None
     if isinstance(place, bool) or not isinstance(place, (int, float)):
         raise InputError(
-            f"{key} is drawn as a factor on the value in the file, but the file has no number "
-            "there; add one to the file, or list the key's values in [over]",
+            f"[draws] multiplies the value of {key} in the file by a random factor, but the file "
+            "has no number there; add one to the file, or list the key's values in [over]",
             f"{path}: draws.spread",
         )
     return float(place)

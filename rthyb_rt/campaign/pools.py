@@ -223,8 +223,9 @@ def _require_same_program(client: Any, ours: str, address: str) -> None:
             for worker, has in sorted(others.items())
         )
         raise InputError(
-            f"not every worker has the same rthyb_rt and the same control laws as this process, "
-            f"{ours} ({told}); install the same sources on every machine",
+            "not every worker has the same rthyb_rt and the same control laws as this process "
+            f"(here: {ours}; workers that differ: {told}); install the same sources on every "
+            "machine",
             address,
         )
 

@@ -134,8 +134,8 @@ def tracking(setup: Setup) -> draw.Plate:
         draw.legend_below(delay, 2)
         draw.x_label(delay, "frequency, Hz")
         note = (
-            "Measured displacement over command, from the identified response; dashed: perfect "
-            "tracking."
+            "Ratio of measured displacement to command, from the identified response; dashed: "
+            "perfect tracking."
         )
         return paper.plate(title, note)
 

@@ -41,9 +41,9 @@ def remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[
     if setup.rig.link is not None:
         if setup.rate != setup.rig_file.rate:
             notes.append(
-                f"test.sample_rate_hz = {setup.rate.hz:g} Hz is for virtual time: the drive is "
-                f"sampled at {setup.rig_file.rate.hz:g} Hz (link.sample_rate_hz), so a test in "
-                "real time will be refused"
+                f"test.sample_rate_hz = {setup.rate.hz:g} Hz can be used only in virtual time: "
+                f"the drive is sampled at {setup.rig_file.rate.hz:g} Hz (link.sample_rate_hz), so "
+                "in real time this test will be refused"
             )
         more_notes, more_warnings = _real_time_remarks(setup, f)
         notes, warnings = notes + more_notes, warnings + more_warnings
@@ -87,9 +87,9 @@ def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[
     step = f.reference_peak_m_per_s / setup.derived.fs_hz + 8 * noise
     if jump is not None and jump.acts and setup.rate.leap(jump.value) < step:
         warnings.append(
-            f"limits.sensor_jump_m = {setup.rate.leap(jump.value):g} m is below the {step:.2g} m "
-            "by which displacement and noise change from sample to sample: valid readings will "
-            "be rejected"
+            f"limits.sensor_jump_m = {setup.rate.leap(jump.value):g} m is below {step:.2g} m, by "
+            "which displacement and noise together may change from one sample to the next: valid "
+            "readings will be rejected"
         )
     if spread is not None and spread < NOISE_SPAN * noise:
         warnings.append(
@@ -110,11 +110,11 @@ def _divergence(setup: Setup, f: Figures) -> tuple[bool, str] | None:
         return None
     how, at = _lead_in_words(f) if leads else ("without phase lead", "at any delay")
     found = (
-        f"{how} the structure with an elastic specimen remains stable up to a delay of "
-        f"{critical:.2g} samples, and the rig has {delay:g}"
+        f"{how} the structure with an elastic specimen remains stable only up to a delay "
+        f"of {critical:.2g} samples, but the rig has a delay of {delay:g}"
         if critical
         else f"{how} the structure with an elastic specimen is unstable {at}, and the rig has "
-        f"{delay:g} samples"
+        f"a delay of {delay:g} samples"
     )
     if helped:
         return False, f"{found}: the test depends on the delay estimate and the force compensation"

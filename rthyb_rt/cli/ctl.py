@@ -325,9 +325,9 @@ def _check_size(motion: GroundMotion, record: dict[str, Any]) -> None:
     most = LOAD_BYTES - REQUEST_BYTES
     if size > most:
         raise InputError(
-            f"{motion.name}: its {points} points are a message of {size / 1e6:.1f} MB, but the "
+            f"{motion.name}: its {points} points make a message of {size / 1e6:.1f} MB, but the "
             f"service accepts at most {most / 1e6:.1f} MB, about {points * most // size} points; "
-            "cut out the strong motion, or resample the record"
+            "keep only the strong-motion part of the record, or resample it to a lower rate"
         )
 
 

@@ -67,7 +67,7 @@ COMMON_LIMITS: Final[tuple[str, ...]] = (
     "armed_timeout_s",
     "tare_s",
 )
-"""Limits of all axes together: they move as one, and what ends a test ends it for all of them."""
+"""Limits common to all axes: they move together, and if one ends the test it ends for all."""
 
 Rows = list[list[float]]
 
@@ -361,10 +361,10 @@ def _pins_fault(names: list[str], given: PinKinematics) -> str | None:
         if name not in given.pins_m:
             return f"pins_m: axis {name} is missing; every axis has a pin"
         if (name in given.bases_m) == (name in given.directions):
-            both = "both" if name in given.bases_m else "neither"
+            both = "both bases_m and" if name in given.bases_m else "neither bases_m nor"
             return (
-                f"axis {name} has {both} of bases_m and directions; give an axis its base, or the "
-                "direction of a base that is far away"
+                f"axis {name} is listed in {both} directions; list it in exactly one: in bases_m "
+                "with its base, or, if the base is far away, in directions with the direction to it"
             )
         pin = given.pins_m[name]
         if name in given.bases_m and _apart(pin, given.bases_m[name]) <= 1e-6:

@@ -323,8 +323,8 @@ def _by_matrices(
             Problem(
                 "numerical.matrices.k_n_per_m",
                 f"nothing restrains the structure against the motion [{shape}], even with the "
-                f"specimen's k_e = {k_e:g} N/m; check for a missing spring, a wrong sign, or a "
-                "specimen that was taken out and is stiffer than the rig's",
+                f"specimen's k_e = {k_e:g} N/m added; check for a missing spring, a wrong sign, or "
+                "a subtracted specimen (numerical.matrices.specimen) that is stiffer than that",
             )
         )
         return structure, (1.0, 1.0, 0.0, 0.0)
@@ -403,7 +403,8 @@ def _check_integration(
                 "test.sample_rate_hz",
                 f"found {rate.hz:g} Hz; a period of {period:.3g} s needs more than "
                 f"{math.pi / period:.4g} Hz with the integrator central-difference, which is "
-                "unstable below pi samples per period; raise it, or use cr or kr-alpha",
+                "unstable below pi samples per period; raise test.sample_rate_hz, or use the "
+                "integrator cr or kr-alpha",
             )
         )
     if numerical.damping_n_s_per_m is not None and ratio > 2:
@@ -577,9 +578,9 @@ def _note_slowness(test: TestFile, rig: RigFile, notes: list[str]) -> None:
         notes.append(f"{text}; its elements do not depend on rate, so nothing is lost")
         return
     notes.append(
-        f"{text}, and of its {', '.join(sorted(names))} only the force at that velocity is "
-        f"measured: a viscous force is 1/{slow:g} of the structure's, an inertia force "
-        f"1/{slow**2:g}; model them in the numerical part, or test faster"
+        f"{text}, so the forces of its {', '.join(sorted(names))} are not those of the structure: "
+        f"a viscous force is measured as 1/{slow:g} of the structure's, an inertia force as "
+        f"1/{slow**2:g}; add the missing share to the numerical part, or test faster"
     )
 
 
@@ -654,8 +655,8 @@ def _note_omitted(rig: RigFile, notes: list[str]) -> None:
         return
     values = ", ".join(f"{key} = {getattr(actuator, key):g}" for key in omitted)
     notes.append(
-        f'rig "{rig.rig.name}" does not give {values} for its actuator: these are the values of '
-        "shaking-table-portal-frame; give those of this rig"
+        f'rig "{rig.rig.name}" omits {", ".join(omitted)} of its actuator, so the values of '
+        f"shaking-table-portal-frame are used: {values}; give the values of this rig"
     )
 
 

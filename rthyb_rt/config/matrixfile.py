@@ -115,8 +115,8 @@ def read(given: MatrixFile, folder: Path) -> MatrixData:
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise InputError(
-            f"found a file of type {written(path.suffix)}; .npz and .mat files hold all matrices; "
-            "for Matrix Market (.mtx) and CSV (.csv) name one file for each, "
+            f"file type {written(path.suffix)} is not supported here; a .npz or .mat file holds "
+            "all matrices; with Matrix Market (.mtx) or CSV (.csv), give one file per matrix, "
             'files = { mass = "M.mtx", stiffness = "K.mtx" }',
             str(path),
         )

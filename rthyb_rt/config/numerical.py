@@ -110,8 +110,8 @@ class Square(Reader):
             if not row[i] > 0.0:
                 raise explained(
                     f"found {row[i]:g} {self.each.unit} in row {i + 1}, column {i + 1}; every "
-                    "degree of freedom must have a mass above 0: remove those without mass from "
-                    "all matrices (static condensation)"
+                    "degree of freedom must have a mass above 0: eliminate those without mass by "
+                    "static condensation (do not merely delete their rows and columns)"
                 )
         if least_pivot(rows) <= 0.0:
             raise explained(
@@ -266,7 +266,7 @@ def _keeps_mass(
     if least_pivot(left) > 0.0:
         return None
     return (
-        f"found a mass of {out.mass_kg:g} kg to be taken out of {masses[at][at]:g} kg at the "
+        f"found a mass of {out.mass_kg:g} kg to be subtracted from {masses[at][at]:g} kg at the "
         "interface; the mass that remains to be computed must be above 0"
     )
 

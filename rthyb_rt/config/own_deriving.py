@@ -63,8 +63,8 @@ def structure_of(
             Problem(
                 "test.time_scale",
                 f"found {test.test.time_scale:g}; the time of your own numerical part cannot be "
-                "stretched from outside: remove the key and stretch the part itself, masses by "
-                "the square of the scale and damping by the scale",
+                "stretched from outside: remove the key and scale the part itself: multiply masses "
+                "by the square of the time scale, and damping coefficients by the time scale",
             )
         )
         return None

@@ -186,8 +186,9 @@ def period_note(structure: OwnStructure, stated_s: float) -> str | None:
     fourth = ticks // 4
     if np.abs(x[-fourth:]).max() > 2.0 * np.abs(x[:fourth]).max() > 0.0:
         return (
-            "with an elastic specimen of the rig's k_e the motion of the numerical part grows "
-            "after a ground pulse: check for a wrong sign, or for a time step that is too long"
+            "with an elastic specimen of stiffness k_e (rig file) the response of the numerical "
+            "part to a ground pulse keeps growing: check for a wrong sign, or for a time step that "
+            "is too long"
         )
     free = x[fourth // 2 :]
     spectrum = np.abs(np.fft.rfft((free - free.mean()) * np.hanning(free.size), 8 * free.size))
@@ -199,6 +200,7 @@ def period_note(structure: OwnStructure, stated_s: float) -> str | None:
         return None
     return (
         f"numerical states a period of {stated_s:.3g} s for the whole structure, but with an "
-        f"elastic specimen it oscillates at {found_s:.3g} s: window, limits and margins use the "
-        "stated period; correct period_s or mass_kg, or the part"
+        f"elastic specimen its period is {found_s:.3g} s: the window of the force compensation, "
+        "the limits and the margins are derived from the stated period; correct period_s or "
+        "mass_kg, or your numerical part"
     )

@@ -120,13 +120,14 @@ def _oil_column_resolved(oil: float, mass: float, substeps: int) -> str | None:
     if (1 / (STANDARD_HZ * substeps)) ** 2 * oil < 4 * mass:
         return None
     needed = math.floor(math.sqrt(oil / (4 * mass)) / STANDARD_HZ) + 1
-    remedy = f"at least substeps = {needed}"
+    remedy = f"use at least substeps = {needed}"
     if needed > MAX_SUBSTEPS:
         softest = 4 * mass * (STANDARD_HZ * MAX_SUBSTEPS) ** 2
-        remedy = f"less than {softest:.3g} N/m even at substeps = {MAX_SUBSTEPS}"
+        remedy = f"even with substeps = {MAX_SUBSTEPS} it must be below {softest:.3g} N/m"
     return (
-        f"found {oil:g} N/m; on moving_mass_kg = {mass:g} kg with substeps = {substeps} the oil "
-        f"column cannot be computed; use {remedy}; check the unit of the stiffness"
+        f"found {oil:g} N/m; on moving_mass_kg = {mass:g} kg with substeps = {substeps} the "
+        f"integration of the oil column would be unstable; {remedy}; check the unit of the "
+        "stiffness"
     )
 
 
@@ -932,8 +933,9 @@ def _offset_on_wire(scale: float, offset_m: float) -> str | None:
     if abs(offset_m) <= OFFSET_ON_WIRE_MAX_M * scale:
         return None
     return (
-        f"found {offset_m:g} m, with scale = {scale:g} that is {abs(offset_m) / scale:g} m on the "
-        f"wire; at most {OFFSET_ON_WIRE_MAX_M:g} m is allowed; check the unit of scale"
+        f"found {offset_m:g} m; divided by scale = {scale:g} this is {abs(offset_m) / scale:g} in "
+        f"the units of the frame, and at most {OFFSET_ON_WIRE_MAX_M:g} is allowed; check the unit "
+        "of scale"
     )
 
 

@@ -387,9 +387,8 @@ def build(
                 if leaning
                 else "look for "
             )
-            + "a missing spring, a wrong sign, or a specimen that was taken out and is stiffer "
-            "than the rig's "
-            + (f"k_e = {k_e[0, 0]:g} N/m" if len(k_e) == 1 else "specimen.stiffness"),
+            + "a missing spring, a wrong sign, or a subtracted specimen that is stiffer than the "
+            "rig's " + (f"k_e = {k_e[0, 0]:g} N/m" if len(k_e) == 1 else "specimen.stiffness"),
             place,
         ) from error
     _check_step(structure)
@@ -481,16 +480,19 @@ def _of_storeys(given: Storeys, keys: Keys, axes: int) -> _Bare:
     for i, one in enumerate(keys.nonlinear):
         if one.storeys is None:
             raise InputError(
-                "found a degree of freedom; in a structure of storeys give the storeys of the "
-                "element: storeys = [2, 3]", f"numerical.nonlinear.{i}",
+                "found degrees of freedom; this structure is given by storeys, so give the "
+                "storeys in each of which the element acts, for example storeys = [2, 3]",
+                f"numerical.nonlinear.{i}",
             )  # fmt: skip
         for storey in one.storeys:
             place = f"numerical.nonlinear.{i}.storeys"
             _check_storey(storey, n, place)
             if storey in specimens and not one.beside:
                 raise InputError(
-                    f"found storey {storey}, which is the specimen, so nothing is computed there; "
-                    "name another storey, or set beside = true", place,
+                    f"found storey {storey}, which is the specimen and is not computed; name "
+                    "another storey, or set beside = true to add the element in parallel with the "
+                    "specimen",
+                    place,
                 )  # fmt: skip
             if not one.beside:
                 stiffness[storey - 1] = 0.0
@@ -541,7 +543,7 @@ def _specimens(given: Storeys, keys: Keys, axes: int) -> list[int]:
         )
     if axes > 1 and not keys.interfaces:
         raise InputError(
-            "missing; on a rig with several axes state which direction moves which storey: "
+            "missing; on a rig with several axes, assign each interface direction to a storey: "
             "[[interface]] with name and storey",
             "interface",
         )
@@ -637,8 +639,8 @@ def _of_file(given: MatrixFile, keys: Keys, k_e: Floats) -> _Bare:
         row = np.zeros(n)
         if len(interfaces) > 1:
             raise InputError(
-                "found a specimen to be taken out of a structure with several directions; this is "
-                "not supported: give the matrices of the numerical part alone",
+                "subtracting the specimen is not supported with several interface directions: give "
+                "the matrices of the numerical part alone",
                 "numerical.matrices.specimen",
             )
         for dof, by in interfaces[0]:

@@ -433,9 +433,9 @@ class Reference(Table):
 def _something_to_move(numerical: Numerical, interface: list[Interface]) -> str | None:
     if interface and numerical.structure is None:
         return (
-            "found a table without storeys or matrices from a file; a numerical part with one "
-            "degree of freedom, or with matrices in the test file, already determines what the "
-            "actuator moves"
+            "[[interface]] needs a structure given by storeys or by matrices from a file; a "
+            "numerical part with one degree of freedom, or with matrices in the test file, already "
+            "determines what the actuator moves: remove [[interface]]"
         )
     return None
 

@@ -469,22 +469,25 @@ def _verdict(d: Diagnosis) -> str:
             return f"unknown: the best set of the actuator leaves {left} of the misfit"
         if search is not None and not search.best.members:
             return (
-                "unknown: no set is worth its price, but the model alone leaves "
-                f"{count(search.excess_before + 1.0)} times the noise power"
+                "unknown: no set of effects improves the fit enough to justify its parameters, but "
+                f"the residual of the model alone has {count(search.excess_before + 1.0)} times "
+                "the power of the noise"
             )
         if search is not None:
             share = search.excess_after / max(search.excess_before, 1e-12)
             return (
-                f"unknown: the best set leaves {_percent(share)} of the misfit, of which "
-                f"{_percent(allowed(left_of(search), POLICY))} may come from the form of a law"
+                f"unknown: the best set leaves {_percent(share)} of the misfit; at most "
+                f"{_percent(allowed(left_of(search), POLICY))} of the misfit could come from the "
+                "assumed formula of an effect"
             )
     turned = [TURNED[r.rule] for r in d.ledger]
     if d.verdict == "none" and search is not None and search.best.members and turned:
         return f"none: {turned[-1]}"
     return {
-        "none": "none: no set is worth its price, and the residual of the model alone is noise",
-        "explained": "explained: one set is better than all others, and its residual is noise or "
-        "comes from the form of its law",
+        "none": "none: no set of effects improves the fit enough to justify its parameters, and "
+        "the residual of the model alone is noise",
+        "explained": "explained: one set of effects is better than all others, and what remains is "
+        "noise, or is small enough to come from the assumed formula of an effect",
         "ambiguous": "ambiguous: several sets fit equally well",
     }.get(d.verdict, d.verdict)
 

@@ -240,8 +240,8 @@ def _checked(text: Text, samples: Samples) -> tuple[FloatArray, list[str]]:
     if samples.values.size > MAX_POINTS or samples.values.size * samples.dt_s > MAX_DURATION_S:
         raise text.error(
             f"lasts {samples.values.size * samples.dt_s:.6g} s ({samples.values.size} points); at"
-            f" most {MAX_DURATION_S:g} s and {MAX_POINTS} points are accepted: cut out the strong"
-            " motion"
+            f" most {MAX_DURATION_S:g} s and {MAX_POINTS} points are accepted: keep only the"
+            " strong-motion part"
         )
     peak = float(np.abs(samples.values).max())
     size = ACCELERATION_UNITS[samples.unit]

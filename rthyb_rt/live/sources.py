@@ -104,8 +104,8 @@ def _of_user(service: Path) -> Source:
     if ring.find(folder):
         return LiveSource(folder, None)
     raise InputError(
-        f"no service answers at {service} and there is no ring of a test in {folder}; start rthyb "
-        "serve or rthyb run --realtime, or give a recording"
+        f"no service answers at {service} and there is no ring (telemetry buffer of a running "
+        f"test) in {folder}; start rthyb serve or rthyb run --realtime, or give a recording"
     )
 
 

@@ -41,7 +41,7 @@ FEEDBACK_S: Final = 10.0
 
 SET_REFUSED: Final = (
     "these parameters would remove a limit on the command's velocity or acceleration during a "
-    "motion, and a command that lags behind the limit would jump; keep both limits (any value "
+    "motion, and a command that is held back by that limit would jump; keep both limits (any value "
     "above 0), or stop and change them in IDLE; the previous parameters remain in force"
 )
 """Why a station refuses a set of parameters, and what to do."""
@@ -321,8 +321,10 @@ class Conductor:
         while (answer := asked()) is None:
             if time.monotonic() > end and self.clock != "stepped":
                 raise RthybError(
-                    "the tick thread does not respond; the drive's own watchdog stops the drive; "
-                    "check what else uses this PC's processors, and run `rthyb jitter`"
+                    "the tick thread does not respond, so the drive may receive no commands and "
+                    "its own watchdog must stop it: make sure that the drive has stopped, or "
+                    "press the emergency stop; then check what else uses this PC's processors, "
+                    "and run `rthyb jitter`"
                 )
             self._pass(_LOOK_S)
         return answer

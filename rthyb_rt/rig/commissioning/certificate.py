@@ -404,13 +404,14 @@ def _why_not(
     axis: str,
 ) -> str:
     of_axis = f" --axis {axis}" if axis else ""
-    remedy = f"run `rthyb commission {rig_path}{of_axis}`"
+    command = f"rthyb commission {rig_path}{of_axis}"
+    remedy = f"run `{command}`"
     if holds is not None:
         names = ",".join(name for name in STEPS if not holds.date_of(name))
         told = ", ".join(holds.lacking)
         return (
-            f"not every commissioning check of this rig has passed: {told}; {remedy} --steps "
-            f"{names}"
+            f"not every commissioning check of this rig has passed: {told}; run `{command} "
+            f"--steps {names}`"
         )
     if older is not None and older.sample_rate_hz != rig.rate.whole_hz:
         return (

@@ -119,8 +119,9 @@ def _tell(plan: Plan, step: Step) -> None:
 
 def _link(connection: Connection, plan: Plan) -> Step | None:
     if not plan.allowed(
-        "Send commands that hold the drive where it is? If displacement and command disagree on "
-        "the wire, it will jump now: reduce the pressure, and leave little room to move."
+        "Before you agree, reduce the hydraulic pressure and limit the free travel: if "
+        "displacement and command disagree on the wire, the drive jumps as soon as commands are "
+        "sent. Send commands that hold the drive where it is?"
     ):
         return None
     # What is lost is counted here, and told with what is needed.
@@ -257,7 +258,8 @@ def _watchdog(connection: Connection, plan: Plan) -> Step | None:
     if not stop.stopped:
         faults.append(
             "the drive did not report a stop although it received no more commands: its watchdog "
-            "does not work, and nothing would stop the drive if this PC failed; do not use it"
+            "does not work, and nothing would stop the drive if this PC failed; do not use this "
+            "drive"
         )
     else:
         faults += _late(stop, allowed, "its last command")
@@ -279,7 +281,10 @@ def _follows_again(stop: stops.Stop) -> list[str]:
             "wait for a reset, or for a release at its own panel"
         ]
     if stop.released is False:
-        return ["the drive stayed stopped when it was reset: check what it does in the state RESET"]
+        return [
+            "the drive did not leave its stop after a reset command: check how it handles frames "
+            "with the state RESET (docs/wire.md)"
+        ]
     return []
 
 

@@ -92,8 +92,8 @@ def _no_sockets(error: OSError) -> str:
     if error.errno == errno.EAFNOSUPPORT:
         return (
             "this kernel has no SocketCAN (AF_CAN); load its modules with "
-            "`sudo modprobe -a can can-raw`; for a service RestrictAddressFamilies= may also "
-            "forbid it, for a container its host"
+            "`sudo modprobe -a can can-raw`; in a systemd service, RestrictAddressFamilies= may "
+            "also forbid CAN; for a container, its host must have the modules"
         )
     if error.errno == errno.EPROTONOSUPPORT:
         return "this kernel has CAN but no raw CAN sockets; load them with `sudo modprobe can-raw`"
@@ -150,8 +150,8 @@ def _wrong(
         )
     if interface.restart_ms:
         yield (
-            f"restart-ms is {interface.restart_ms}, but must be 0: after a bus-off it must stay "
-            "off the bus until the fault has been found"
+            f"restart-ms is {interface.restart_ms}, but must be 0: after a bus-off the interface "
+            "must stay off the bus until the fault has been found"
         )
     if interface.state == "BUS_OFF":
         yield "the controller is off the bus (bus-off): check cable, termination and bit rates"
