@@ -163,7 +163,8 @@ def serial_fault(baud: int, extras: int = 0, *, rate_hz: float = STANDARD_HZ) ->
     if load <= MAX_SHARE:
         return None
     fits = [baud for baud in BAUD_RATES if serial_load(baud, extras, rate_hz=rate_hz) <= MAX_SHARE]
-    enough = f"so use at least {fits[0]} Bd" if fits else f"which is {most_hz(load, rate_hz)} Hz on this line"
+    most = f"which is {most_hz(load, rate_hz)} Hz on this line"
+    enough = f"so use at least {fits[0]} Bd" if fits else most
     feedback = FEEDBACK_BYTES + EXTRA_BYTES * extras
     return (
         f"found {baud} Bd: command ({COMMAND_BYTES} bytes) and feedback ({feedback} bytes) "
