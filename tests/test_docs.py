@@ -387,6 +387,9 @@ def command_lines() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("page", "line"), command_lines())
 def test_command_line_is_understood(page: str, line: str) -> None:
+    if page == "extending.md":
+        # The law that the page builds is not in this program; tests/test_extending.py runs it.
+        line = line.replace("controller.type=slope", "controller.type=alpha-beta")
     words = shlex.split(line.split(" > ")[0])[1:]
     assert words[0] in PROGRAM.commands, f"{page}: {line}"
     command, rest = PROGRAM.commands[words[0]], list(words[1:])

@@ -153,7 +153,7 @@ def test_delay_outside_what_the_paper_saw_is_shown_and_is_no_missed_band(
 
 def test_uncompensated_test_must_end_when_it_was_seen_to_end(paper: list[Study]) -> None:
     study = section(paper, "5")
-    rows = [row for row in study.rows if row.quantity.startswith("Grows until")]
+    rows = [row for row in study.rows if row.quantity.startswith("Time at which")]
     assert {(row.low, row.high) for row in rows} == {(2.1, 4.1), (9.4, 11.4)}
     assert replace(rows[0], value=39.0).inside is False
 
@@ -182,7 +182,7 @@ def test_without_tcu068_el_centro_runs_and_no_band_depends_on_it(
     assert "TCU068 EW is not on this machine" in study.notice
     assert "elcentro" in study.text
     assert {row.group for row in study.banded} == {
-        "The structure by integrator, elastic, without ground motion"
+        "Elastic structure without ground motion, for each integrator"
     }
     assert study.missed == []
 

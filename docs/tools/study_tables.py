@@ -23,7 +23,7 @@ def parts() -> dict[str, str]:
 
 def _section(study: Study) -> str:
     banded, missed = len(study.banded), len(study.missed)
-    count = f"{banded - missed} of {banded} figures with an accepted band lie inside it."
+    count = f"{banded - missed} of the {banded} values that have an accepted band lie within it."
     shown = [_table(table) for table in tables(study)]
     return "\n\n".join([count, *shown])
 
@@ -50,7 +50,7 @@ def _cell(row: Row | None) -> str:
     band = band_text(row)
     said = [band] if band else []
     if row.as_stated is False:
-        said.append("not as the paper")
+        said.append("outside the paper's range")
     return f"{value_text(row)} ({', '.join(said)})" if said else value_text(row)
 
 

@@ -181,7 +181,7 @@ def _config(coupled: bool, before: MatrixInverse | None, *, begins: bool) -> Mat
 NAMES: Final = {
     "none": "no compensation",
     "lead": "gain, delay and curvature of each axis separately",
-    "lead-decoupled": "the same, preceded by a matrix that removes the static coupling",
+    "lead-decoupled": "as `lead`, preceded by a matrix that removes the static coupling",
     "rodeac": "RoDeAC, reimplemented from its paper and parameters",
     "matrix": "gain, delay and curvature as matrices",
     "matrix-inverse": "the identified inverse, with matrices for the remaining error",

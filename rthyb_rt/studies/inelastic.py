@@ -196,7 +196,7 @@ def study(record: str | Path | None = None) -> Study:
     if motion is None:
         # The bands hold for TCU068.
         rows = [replace(row, low=None, high=None) for row in rows]
-    rows += grouped("The structure by integrator, elastic, without ground motion", _own_rows())
+    rows += grouped("Elastic structure without ground motion, for each integrator", _own_rows())
     return Study(
         "4.2",
         "Inelastic structure behind a delay of ten samples",
@@ -244,10 +244,11 @@ def _test_rows(runs: dict[str, core.RecordArray], x_exact: Floats, ag: Floats) -
     return [
         Row("Peak displacement of the exact solution", float(np.abs(x_exact).max()) * 1e3, "mm",
             36.24, 36.44),
-        Row("α stays within 5 % of its end from", float(converged.max(initial=0)) / core.FS_HZ,
-            "s", 12.3, 14.3, "“more than 12 seconds”"),
+        Row("Time after which α stays within 5 % of its final value",
+            float(converged.max(initial=0)) / core.FS_HZ, "s", 12.3, 14.3,
+            "“more than 12 seconds”"),
         Row("α at the end, PLC", float(alpha[-1]), "samples", 9.93, 9.99, "the delay is 10"),
-        Row("Accumulated error of PLC over that of PLC + RFC", total["PLC"] / total["PLC + RFC"],
+        Row("Accumulated error, ratio of PLC to PLC + RFC", total["PLC"] / total["PLC + RFC"],
             "", 5, None, "“much larger”"),
         Row("Elastic specimen, no compensation: passes 100 mm at",
             float(past[0]) / core.FS_HZ if past.size else math.nan, "s", 11.0, 11.4),
@@ -296,8 +297,8 @@ def _own_rows() -> list[Row]:
     for name in INTEGRATORS:
         expected = damping.get(name, 2.0)
         found = [
-            Row("Damping of the 2 % structure", 100 * free_decay_ratio(name), "%",
-                expected - 0.002, expected + 0.002, "2 %"),
+            Row("Effective damping of the structure with 2 % nominal damping",
+                100 * free_decay_ratio(name), "%", expected - 0.002, expected + 0.002, "2 %"),
             delay(name, "Longest stable delay, no compensation", False, range(8)),
             delay(name, "Longest stable delay, PLC", True, range(30, 48)),
         ]  # fmt: skip
