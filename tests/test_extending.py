@@ -116,7 +116,7 @@ def test_the_program_takes_it_by_its_name(built: Path) -> None:
         built, call, "run", "--set", "controller.type=slope", "--set", "controller.slope.delay_s=2"
     )
     assert wrong.returncode == 3
-    assert "the first delay must be" in wrong.stderr
+    assert "the initial delay must be" in wrong.stderr
 
 
 CAMPAIGN = """
