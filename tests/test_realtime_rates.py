@@ -182,7 +182,7 @@ def test_a_classic_bus_is_refused_at_2048_hz_with_its_load_and_what_it_has_room_
 def test_a_serial_line_is_refused_at_4096_hz_with_the_baud_rate_that_is_enough() -> None:
     serial = 'kind = "serial"\nchannel = "/dev/ttyUSB0"'
     assert link_at(2048, serial).link is not None
-    with pytest.raises(InputError, match=r"at 4096 Hz need 1146880 Bd, 124 %.*1500000 Bd"):
+    with pytest.raises(InputError, match=r"at 4096 Hz need 1146880 Bd, 125 %.*1500000 Bd"):
         link_at(4096, serial)
     assert link_at(4096, serial + "\nbitrate = 1500000").rate.hz == 4096
 

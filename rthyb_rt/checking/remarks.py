@@ -87,8 +87,8 @@ def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[
     step = f.reference_peak_m_per_s / setup.derived.fs_hz + 8 * noise
     if jump is not None and jump.acts and setup.rate.leap(jump.value) < step:
         warnings.append(
-            f"limits.sensor_jump_m = {setup.rate.leap(jump.value):g} m is below {step:.2g} m, by "
-            "which displacement and noise together may change from one sample to the next: valid "
+            f"limits.sensor_jump_m = {setup.rate.leap(jump.value):g} m is below {step:.2g} m, the "
+            "most that displacement and noise together change from one sample to the next: valid "
             "readings will be rejected"
         )
     if spread is not None and spread < NOISE_SPAN * noise:
