@@ -370,7 +370,7 @@ def test_signal_ends_the_rig_at_whatever_instant_it_comes(monkeypatch: pytest.Mo
         raise AssertionError("the signal's handler waits for the thread that it interrupted")
 
     monkeypatch.setattr(serving, "_LOOK_S", 0.0)
-    drives = SimpleNamespace(ticks=0, drives=[SimpleNamespace(phase="following")])
+    drives = SimpleNamespace(ticks=0, drives=[SimpleNamespace(phase="following", rate_hz=1024.0)])
     line = SimpleNamespace(tend=lambda _: True)
     watcher = SimpleNamespace(look=lambda: None)
     main = threading.get_ident()

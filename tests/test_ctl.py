@@ -424,7 +424,8 @@ def test_ground_motion_too_long_for_the_socket_is_refused_with_what_fits(
     answer = rthyb("ctl", "load", "--set", f'ground_motion.record="{tmp_path}/long.txt"')
     assert answer.code == 3
     assert re.search(
-        r"its 600000 points are .* MB, .* at most 8.3 MB, about \d{6} points", answer.err
+        r"its 600000 points make a message of .* MB, .* at most 8.3 MB, about \d{6} points",
+        answer.err,
     )
     assert status(place)["test"] is None
 

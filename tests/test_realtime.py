@@ -419,7 +419,9 @@ def test_force_at_the_end_of_its_sensors_range_names_the_sensor_and_not_the_cabl
     rec = Bench(no_limit, faults=(loop.Fault("force", 1200, 10000, 40e3),)).run()
     assert rec.meta["end_reason"] == "tripped: link lost"
     remedy = summary.notices(summary.summarize(rec))[1].text
-    read = re.search(r"no usable pair \(the last one read (.*) mm and (.*) kN, before", remedy)
+    read = re.search(
+        r"no usable pair for 20 ticks \(the last one read (.*) mm and (.*) kN, before", remedy
+    )
     assert read is not None, remedy
     assert abs(float(read[1])) < 20.0
     assert 25.0 <= float(read[2]) < 60.0

@@ -544,7 +544,7 @@ def test_ring_with_longer_records_is_refused(small: Ring) -> None:
         (48, struct.pack("<I", 0), "header is damaged"),
         (48, struct.pack("<I", 63), "header is damaged"),
         (48, struct.pack("<I", 2**31), "header is damaged"),
-        (52, struct.pack("<I", 0), "another size"),
+        (52, struct.pack("<I", 0), "different size"),
         (ABOUT_AT, b"?", "the description in the ring is damaged"),
     ],
 )

@@ -252,7 +252,8 @@ def test_killed_recorder_costs_no_row_and_sigterm_ends_at_rest() -> None:
 
     def attempt(made: Lab) -> None:
         daemon = made.serve()
-        run_id = made.run_until("RUNNING", 300)
+        # Longer than it takes a slow machine to start two recorders.
+        run_id = made.run_until("RUNNING", 300, {"test.duration_s": "40"})
         for _ in range(2):
             status = read_status(made.rings)
             assert status is not None
