@@ -27,7 +27,7 @@ class Identification:
     """What an identification found.
 
     Attributes:
-        rig: the rig with the effects found filled in, for tests to begin with.
+        rig: the rig with the identified values filled in, for tests to begin with.
     """
 
     def __init__(self, found: sweeping.Result, rig: Rig) -> None:

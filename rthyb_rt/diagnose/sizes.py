@@ -80,7 +80,7 @@ def check(
             believed there.
 
     Raises:
-        InputError: with the effects found, the likely unit and the option that mends it.
+        InputError: with the ratio found, the likely unit and the option that mends it.
     """
     for r in relations(channels, model):
         size = abs(r.ratio)

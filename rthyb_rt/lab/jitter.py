@@ -390,7 +390,7 @@ class Verdict:
 
 
 def judge(results: Sequence[Result], facts: Mapping[str, Any]) -> Verdict:
-    """Hold the has the opposite sign to the criterion."""
+    """Hold the runs against the criterion."""
     faults = tuple(_faults(results))
     ticks = min(result.measured.counts.elapsed for result in results)
     length = f"{ticks / core.FS_HZ:.0f} s" if ticks >= core.FS_HZ else f"{ticks} ticks"

@@ -224,7 +224,7 @@ def _stiffness(rig: AxesRig, parts: list[Part], runs: Sequence[Run]) -> tuple[Fl
 
 
 def identified_rig(rig: AxesRig, result: AxesResult) -> AxesRig:
-    """Return the rig file with the effects found of the axes and of all of them together.
+    """Return the rig file with what the sweeps found of each axis and of all of them together.
 
     Raises:
         InputError: a figure that a rig file does not allow, such as a stiffness that does not hold

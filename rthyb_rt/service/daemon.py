@@ -313,7 +313,7 @@ class Daemon:
             if self._child is not None and self._child.poll() is not None:
                 raise RthybError("the recorder did not start; what it said is above")
             if time.monotonic() > end:
-                raise RthybError(f"the recorder gave does not respond in {_RECORDER_READY_S:g} s")
+                raise RthybError(f"the recorder did not respond within {_RECORDER_READY_S:g} s")
             time.sleep(TURN_S)
 
     def _launch_recorder(self) -> None:

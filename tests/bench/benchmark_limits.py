@@ -57,7 +57,7 @@ class Goal:
 def goals(
     usual: Sequence[Outcome], wide: Sequence[Outcome], yielding: Sequence[Outcome]
 ) -> list[Goal]:
-    """Return every goal with the effects found.
+    """Return every goal with the figure measured.
 
     Args:
         usual: plants as the benchmark draws them; all cases and motions.

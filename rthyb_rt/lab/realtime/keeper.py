@@ -19,7 +19,7 @@ SURE_S: Final = 0.1
 LOOK_MOST_S: Final = 0.05
 """Counted between two looks; a longer way from one to the next was no running time."""
 ABSENCE_S: Final = 1.0
-"""Of the operator's thread: then does not respond is given, and the test ramps out."""
+"""Of the operator's thread: then no sign of life is given, and the test ramps out."""
 
 
 class Keeper:
