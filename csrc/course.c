@@ -70,11 +70,11 @@ static path_limits limits_of(const rthyb_station *s)
         limits.brake_m_per_s2[i] = brake_acceleration(&s->cfg, i);
         limits.jacobian[i * limits.directions + i] = 1.0;
     }
-    if (s->cfg.controller.kinematics.size > 0)
+    if (s->cfg.controller.kinematics.size > 0) {
         rthyb_kinematics_jacobian(&s->controller.kinematics, limits.jacobian);
-    if (s->cfg.controller.kinematics.size > 0 &&
-        s->cfg.controller.kinematics.kind == RTHYB_KINEMATICS_PINS)
-        limits.pins = &s->controller.kinematics;
+        if (s->cfg.controller.kinematics.kind == RTHYB_KINEMATICS_PINS)
+            limits.pins = &s->controller.kinematics;
+    }
     return limits;
 }
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -28,6 +31,16 @@ def number(value: float | None, digits: int = 3) -> str:
 def tare(tare_m: float, tare_n: float) -> str:
     """Return what zeroing takes off both readings, ``tare 1.204 mm, -0.310 kN``."""
     return f"tare {tare_m * 1e3:.3f} mm, {tare_n * 1e-3:.3f} kN"
+
+
+def tare_of_status(found: Mapping[str, Any]) -> str:
+    """Return what a service's status says of the tare, of several axes with the name of each."""
+    each = found.get("axes") or {}
+    if not each:
+        return tare(found["displacement_m"], found["force_n"])
+    return "; ".join(
+        f"{name} {tare(own['displacement_m'], own['force_n'])}" for name, own in each.items()
+    )
 
 
 def percent(fraction: float | None, digits: int = 2) -> str:

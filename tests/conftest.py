@@ -8,6 +8,7 @@ import signal
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 # A second thread of BLAS waits for the first one by turning round and round, and what the tests
 # solve is small. Before numpy is imported, and for the processes of the tests as well.
@@ -67,6 +68,16 @@ def tcu068_first_50_s() -> GroundMotion:
 def paper() -> list[Study]:
     """The whole paper reproduced, once; Section 4.2 with TCU068 where pyslammer has it."""
     return studies.run()
+
+
+@pytest.fixture
+def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Where `rthyb ctl` looks for a service, and the service has its rings."""
+    memory = Path("/dev/shm")
+    with TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
+        monkeypatch.setenv("RTHYB_SOCKET", str(Path(folder) / "control.sock"))
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield Path(folder)
 
 
 @pytest.fixture

@@ -18,10 +18,10 @@ from rthyb_rt.core import loop
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import realtime
 from rthyb_rt.rig import virtual_rig
-from rthyb_rt.rig.commissioning.moving import LimitError, StoppedError
+from rthyb_rt.rig.commissioning.moving import AxesConnection, LimitError, StoppedError
 from rthyb_rt.rig.identify import Sweep, command_of
 from rthyb_rt.rig.identify_axes import AxesResult, identify_rig
-from rthyb_rt.rig.identify_axes_live import AxesConnection, identify_axes_live, setup_of
+from rthyb_rt.rig.identify_axes_live import identify_axes_live, setup_of
 from rthyb_rt.rig.links import opening
 
 __all__ = ["stepped"]

@@ -4,10 +4,9 @@ limits of one axis reloaded, and `rthyb ctl` beside it."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -309,15 +308,6 @@ def test_reload_of_looser_limits_of_an_axis_is_refused_with_its_key(tmp_path: Pa
 
 
 # ---- rthyb ctl -----------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    memory = Path("/dev/shm")
-    with TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
-        monkeypatch.setenv("RTHYB_SOCKET", str(Path(folder) / "control.sock"))
-        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-        yield Path(folder)
 
 
 def test_the_two_actuator_frame_runs_through_the_service_and_is_recorded(

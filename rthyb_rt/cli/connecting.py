@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from rthyb_rt.config import AxesRig, Rate, RigFile
     from rthyb_rt.config.rigfile import Link
     from rthyb_rt.core.loop import Clock
-    from rthyb_rt.rig.commissioning.moving import Connection
-    from rthyb_rt.rig.identify_axes_live import AxesConnection
+    from rthyb_rt.rig.commissioning.moving import AnyRig, AxesConnection, Connection, Reach
     from rthyb_rt.rig.links.opened import Opened
 
 K_E = "elastic_stiffness_n_per_m"
@@ -186,39 +185,34 @@ def _link_of(within: Within, clock: Clock) -> Iterator[tuple[Opened, Callable[[]
 @contextmanager
 def connected(within: Within) -> Iterator[Connection]:
     """Give a rig within reach, for small motions; a Ctrl-C stops what moves."""
-    from rthyb_rt.rig.commissioning.moving import Connection
-
-    rig = within.rig
-    clock = clock_of(rig)
+    clock = clock_of(within.rig)
     with _link_of(within, clock) as (opened, before_tick):
-        yield Connection(
-            rig,
-            opened,
-            clock,
-            before_tick,
-            told=interrupts.told,
-            warn=lambda text: terminal.tell(f"warning: {text}"),
-            # A virtual rig of its own has no other operator.
-            resets=rig.link is None,
-        )
+        yield _reach(within.rig, opened, clock, before_tick)
 
 
 @contextmanager
 def connected_axes(rig: AxesRig) -> Iterator[AxesConnection]:
     """Give all axes of a rig within reach; a Ctrl-C stops what moves."""
-    from rthyb_rt.rig.identify_axes_live import AxesConnection
-
     clock = clock_of(rig)
     with opened_link(rig, clock) as (opened, before_tick):
-        yield AxesConnection(
-            rig,
-            opened,
-            clock,
-            before_tick,
-            told=interrupts.told,
-            warn=lambda text: terminal.tell(f"warning: {text}"),
-            resets=rig.link is None,
-        )
+        yield _reach(rig, opened, clock, before_tick)
+
+
+def _reach(
+    rig: AnyRig, opened: Opened, clock: Clock, before_tick: Callable[[], None] | None
+) -> Reach[AnyRig]:
+    from rthyb_rt.rig.commissioning.moving import Reach
+
+    return Reach(
+        rig,
+        opened,
+        clock,
+        before_tick,
+        told=interrupts.told,
+        warn=lambda text: terminal.tell(f"warning: {text}"),
+        # A virtual rig of its own has no other operator.
+        resets=rig.link is None,
+    )
 
 
 def load_rig(name: str, settings: list[str] | None) -> tuple[RigFile, Path]:

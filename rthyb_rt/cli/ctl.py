@@ -350,14 +350,7 @@ def zero(
 def _tare(found: dict[str, Any]) -> str:
     from rthyb_rt import numbers
 
-    tare = found["tare"]
-    each = tare.get("axes")
-    if not each:
-        return numbers.tare(tare["displacement_m"], tare["force_n"])
-    return "; ".join(
-        f"{name} {numbers.tare(own['displacement_m'], own['force_n'])}"
-        for name, own in each.items()
-    )
+    return numbers.tare_of_status(found["tare"])
 
 
 def _await_zeroed(client: Client) -> dict[str, Any]:

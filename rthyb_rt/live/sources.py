@@ -511,7 +511,7 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
         else [progress["ticks"] / rate_hz, progress["of"] / rate_hz],
         "indicated": found["indicated"],
         "armed_by": found["armed_by"],
-        "tare": _tare_of(found["tare"]),
+        "tare": numbers.tare_of_status(found["tare"]),
         "last": found["last"],
         "counters": list(_recorder(found["recorder"])),
         "axes": list(found.get("axes") or ()),
@@ -523,16 +523,6 @@ def _cause_of(found: dict[str, Any]) -> str:
     """Return the cause that the service says, with its figures, or whose of several axes it is."""
     plain, whose = in_words(found["cause"]), found.get("cause_of")
     return found.get("cause_in_figures") or (f"{whose}: {plain}" if whose else plain)
-
-
-def _tare_of(tare: dict[str, Any]) -> str:
-    each = tare.get("axes")
-    if not each:
-        return numbers.tare(tare["displacement_m"], tare["force_n"])
-    return "; ".join(
-        f"{name} {numbers.tare(own['displacement_m'], own['force_n'])}"
-        for name, own in each.items()
-    )
 
 
 def _now_of(found: dict[str, Any]) -> list[float | None]:

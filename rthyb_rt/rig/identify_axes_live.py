@@ -7,9 +7,7 @@ it along one axis. So limits, limiter and stops are those of a test as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,12 +15,11 @@ from numpy.typing import NDArray
 
 from rthyb_rt import core
 from rthyb_rt.config import AxesRig, Limit
-from rthyb_rt.core.loop import Clock
 from rthyb_rt.core.sparse import SparseConfig, Symmetric
 from rthyb_rt.errors import InputError, Problem, RthybError
 from rthyb_rt.lab import realtime, several
 from rthyb_rt.lab.experiment import Setup
-from rthyb_rt.rig.commissioning.moving import LimitError, StoppedError
+from rthyb_rt.rig.commissioning.moving import AxesConnection, LimitError, StoppedError
 from rthyb_rt.rig.identify import (
     Part,
     Progress,
@@ -37,45 +34,11 @@ from rthyb_rt.rig.identify_axes import AxesResult, Run, result_of_runs, sweep_of
 
 if TYPE_CHECKING:
     from rthyb_rt.record.recording import Recording
-    from rthyb_rt.rig.links.opened import Opened
 
 Floats = NDArray[np.float64]
 
 _HEAVY_KG: Final = 1e15
 """Of each direction: 100 kN move it by 1e-7 m in a minute, and no sensor sees that."""
-
-
-def _untold(_: Callable[[], None]) -> AbstractContextManager[None]:
-    return nullcontext()
-
-
-@dataclass(frozen=True)
-class AxesConnection:
-    """A rig of several axes within reach.
-
-    Attributes:
-        rig: its file.
-        opened: the links to its drives; stay the caller's.
-        clock, before_tick: as in `rthyb_rt.lab.realtime.Session`.
-        told: has a function called, while something may move, when the operator wants a stop.
-        warn: takes a sentence that the operator should read.
-        resets: drives that have stopped by themselves are reset before a sweep.
-    """
-
-    rig: AxesRig
-    opened: Opened
-    clock: Clock = "host"
-    before_tick: Callable[[], None] | None = None
-    told: Callable[[Callable[[], None]], AbstractContextManager[None]] = _untold
-    warn: Callable[[str], None] = lambda _: None
-    resets: bool = False
-    _warned: set[str] = field(default_factory=set, repr=False)
-
-    def warn_once(self, text: str) -> None:
-        """Pass a warning on, unless it has been given."""
-        if text not in self._warned:
-            self._warned.add(text)
-            self.warn(text)
 
 
 def identify_axes_live(

@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
-from rthyb_rt.config import STANDARD, Limit, Rate, RigFile
+from rthyb_rt.config import STANDARD, AxesRig, Limit, Rate, RigFile
 from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import InputError, Problem, RthybError
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.void]
+AnyRig = TypeVar("AnyRig", bound=RigFile | AxesRig)
 
 ATTEMPTS: Final = 3
 """A PC or a wire that stalls spoils a motion; it is repeated so often."""
@@ -60,19 +61,19 @@ def _untold(_: Callable[[], None]) -> AbstractContextManager[None]:
 
 
 @dataclass(frozen=True)
-class Connection:
-    """A rig within reach.
+class Reach(Generic[AnyRig]):
+    """A rig within reach, of one axis (`Connection`) or of several (`AxesConnection`).
 
     Attributes:
         rig: its file.
-        opened: the link to its drive; stays the caller's.
+        opened: the links to its drives; stay the caller's.
         clock, before_tick: as in `rthyb_rt.lab.realtime.Session`.
         told: has a function called, while something may move, when the operator wants a stop.
         warn: takes a sentence that the operator should read; none comes twice.
-        resets: a drive that has stopped by itself is reset before a motion.
+        resets: drives that have stopped by themselves are reset before a motion.
     """
 
-    rig: RigFile
+    rig: AnyRig
     opened: Opened
     clock: Clock = "host"
     before_tick: Callable[[], None] | None = None
@@ -86,6 +87,10 @@ class Connection:
         if text not in self._warned:
             self._warned.add(text)
             self.warn(text)
+
+
+Connection: TypeAlias = Reach[RigFile]
+AxesConnection: TypeAlias = Reach[AxesRig]
 
 
 @dataclass(frozen=True)
