@@ -9,6 +9,7 @@ from dataclasses import FrozenInstanceError
 from pathlib import Path
 
 import pytest
+from validate import sensitivity
 
 import rthyb_rt.diagnose
 from rthyb_rt.diagnose.policy import POLICY, entries, of_size
@@ -134,3 +135,25 @@ def _telling(node: ast.AST) -> bool:
     if not isinstance(node, ast.Constant) or not isinstance(node.value, (int, float)):
         return False
     return node.value not in (0, 1, 2, 3) and 1e-9 < node.value < 1e300
+
+
+def test_the_page_of_thresholds_has_each_with_its_value() -> None:
+    """A reader of the page decides by it; `sensitivity.py --rows` writes what has changed."""
+    page = (Path(__file__).resolve().parents[1] / "docs" / "diagnosis-policy.md").read_text()
+    told = dict(re.findall(r"^\| `(\w+)` \| ([^|]+?) \|", page, re.M))
+    assert told == {name: sensitivity.value_text(getattr(POLICY, name)) for name in entries()}
+
+
+def test_rows_of_the_page_keep_what_was_measured_of_a_threshold_that_is_as_it_was() -> None:
+    page = (
+        "before\n| `same_evidence` | 9 | ? | ? | ? | ? | 3 | 1 (1 lost) | 0 |\n"
+        "| `twin_evidence` | 77 | ? | ? | ? | ? | 3 | 1 (1 lost) | 0 |\n| `gone` | 1 | ? | ? | ? "
+        "| ? | 3 | 0 | 0 |\nafter\n"
+    )
+    rows = sensitivity.with_rows(page).splitlines()
+    assert (rows[0], rows[-1], len(rows)) == ("before", "after", len(entries()) + 2)
+    by_name = {row.split("`")[1]: row for row in rows[1:-1]}
+    assert by_name["same_evidence"].endswith("| 3 | 1 (1 lost) | 0 |")
+    # What was measured of another value says nothing of this one.
+    assert by_name["twin_evidence"].endswith("| not measured | not measured | not measured |")
+    assert sensitivity.with_rows("\n".join(rows) + "\n").splitlines() == rows

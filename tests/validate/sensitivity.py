@@ -1,12 +1,14 @@
 """How much each threshold of the table matters: every one moved, answers counted that change.
 
-    python tests/validate/sensitivity.py [--seed 20261] [--count 10] [--page docs/...md]
+    python tests/validate/sensitivity.py [--seed 20261] [--count 10] [--page docs/...md] [--rows]
 
 Cases of both generators in turn. Each is diagnosed in this process once. Where the diagnosis reads
 a threshold for the first time, the process forks: a child goes on from there with 0.7 times its
 value, another one with 1.4 times (a whole number one less and one more), while the parent waits;
 what a case does not read is not tried. So a threshold that decides at the end costs no more than
 the end. Minutes a case; what was stopped goes on at the case at which it was, in --out.
+--rows: nothing is diagnosed. The page gets the table as it is now; of a threshold that it has with
+another value, or does not have, it says that its sensitivity has not been measured.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import sys
 import time
 import warnings
@@ -35,6 +38,8 @@ from validate.proof import PROGRAM, ROOT, digest
 
 FACTORS = (0.7, 1.4)
 KINDS = ("single", "null", "pair", "unknown", "ambiguous", "cancel")
+COLUMNS = 9
+UNMEASURED = ["not measured"] * 3
 Value = float | int | tuple[float, ...]
 Answer = dict[str, Any]
 Moves = dict[str, dict[str, Answer]]
@@ -191,17 +196,43 @@ def value_text(value: Value) -> str:
     return f"{value:g}"
 
 
+def row_of(name: str, entry: Entry, measured: list[str]) -> str:
+    """One row of the page: what the table says of a threshold, then what was measured."""
+    parts = [
+        f"`{name}`", value_text(getattr(POLICY, name)), entry.unit, entry.origin,
+        entry.meaning, entry.basis, *measured,
+    ]  # fmt: skip
+    return f"| {' | '.join(p.replace('|', chr(92) + '|') for p in parts)} |"
+
+
 def line(name: str, entry: Entry, results: list[dict[str, Any]]) -> str:
-    """One row of the page."""
+    """One row of the page as these cases have it."""
     read = [(r["right"], r["entries"][name]) for r in results if name in r["entries"]]
     moves = [
         cell([(before, row[str(f)]) for before, row in read]) if read else "–" for f in FACTORS
     ]
-    parts = [
-        f"`{name}`", value_text(getattr(POLICY, name)), entry.unit, entry.origin,
-        entry.meaning, entry.basis, str(len(read)), *moves,
-    ]  # fmt: skip
-    return f"| {' | '.join(p.replace('|', chr(92) + '|') for p in parts)} |"
+    return row_of(name, entry, [str(len(read)), *moves])
+
+
+def with_rows(page: str) -> str:
+    """A page with the rows of the table as it is now, and what was measured of each.
+
+    What was measured of a threshold with another value says nothing of the one it has now.
+    """
+    known: dict[tuple[str, str], list[str]] = {}
+    text, first = [], None
+    for old in page.splitlines():
+        cells = [c.strip() for c in re.split(r"(?<!\\)\|", old)[1:-1]]
+        if len(cells) == COLUMNS and cells[0].startswith("`"):
+            known[cells[0].strip("`"), cells[1]] = cells[-3:]
+            first = len(text) if first is None else first
+        else:
+            text.append(old)
+    rows = [
+        row_of(n, e, known.get((n, value_text(getattr(POLICY, n))), UNMEASURED))
+        for n, e in entries().items()
+    ]
+    return "\n".join([*text[:first], *rows, *text[first:]]) + "\n"
 
 
 def written(results: list[dict[str, Any]], seed: int, state: str) -> str:
@@ -230,7 +261,7 @@ of them are answered rightly. Each was diagnosed again with each threshold that 
 1.4 times its value, whole numbers at one less and one more: {runs} diagnoses, of which {changed}
 name something else. The last two columns count such answers, with how many right ones were lost and
 wrong ones won, and behind a semicolon those in which only numbers change (parameters, intervals,
-windows, errors).
+windows, errors). "Not measured": the threshold, or its value, is newer than these figures.
 
 | threshold | value | unit | origin | decides | rests on | read in | × 0.7 | × 1.4 |
 |---|---|---|---|---|---|---|---|---|
@@ -248,11 +279,15 @@ def options() -> argparse.Namespace:
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "policy")
     parser.add_argument("--page", type=Path)
+    parser.add_argument("--rows", action="store_true", help="only the rows of --page, unmeasured")
     return parser.parse_args()
 
 
 def main() -> int:
     args = options()
+    if args.rows and args.page:
+        args.page.write_text(with_rows(args.page.read_text()))
+        return 0
     state = digest(*PROGRAM)
     kept = args.out / f"moved-{state}" / str(args.seed)
     kept.mkdir(parents=True, exist_ok=True)
