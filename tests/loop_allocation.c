@@ -22,7 +22,7 @@
 
 static volatile unsigned long allocations;
 static pthread_t main_thread;
-static uint64_t drive_ticks;
+static uint64_t drive_ticks, watching, broken;
 
 static void note_allocation(void)
 {
@@ -71,12 +71,15 @@ static void *drive(void *shared)
     while (rthyb_ticker_wait(&r->clock, &tick)) {
         rthyb_drive_tick(&r->e.drive);
         __atomic_store_n(&drive_ticks, r->e.drive.tick, __ATOMIC_RELAXED);
-        if (allocate && r->e.drive.tick == 100) {
+        if (broken || !__atomic_load_n(&watching, __ATOMIC_RELAXED))
+            continue;
+        if (allocate) {
             void *volatile block = malloc(64);
             free(block);
         }
-        if (call && r->e.drive.tick == 100)
+        if (call)
             syscall(SYS_getpid);
+        __atomic_store_n(&broken, 1, __ATOMIC_RELAXED);
     }
     return NULL;
 }
@@ -122,7 +125,10 @@ int main(int argc, char **argv)
     wait_for(&r.e.loop.ticker.elapsed, 10);
     wait_for(&drive_ticks, 10);
     const int watched = forbid_the_rest();
+    __atomic_store_n(&watching, 1, __ATOMIC_RELAXED);
     operate(&r.e.loop, ticks);
+    if (*r.wrong)
+        wait_for(&broken, 1);
     rthyb_ticker_stop(&r.e.loop.ticker);
     rthyb_loop_join(&r.e.loop);
     rthyb_ticker_stop(&r.clock);

@@ -10,18 +10,16 @@ import re
 import signal
 import subprocess
 from collections import defaultdict
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from core_objects import core_objects, linked
 from rthyb_rt._core import lib
 
 from rthyb_rt.core.laws import LAWS
 
 TESTS = Path(__file__).resolve().parent
 CORE = TESTS.parent / "csrc"
-FLAGS = ("-std=c11", "-O3", "-DNDEBUG", "-ffp-contract=off", "-fno-math-errno", f"-I{CORE}")
-PLAIN = ("-fno-pic", "-fno-stack-protector")  # or the objects name helpers of compiler and linker
 
 # What the arithmetic of a sample may call beside the core's own functions.
 HARMLESS = re.compile(
@@ -29,11 +27,6 @@ HARMLESS = re.compile(
     r"|l?l?rint|nearbyint|sincos|memcpy|memset|memmove|strlen|strcmp|__(memcpy|memset|memmove)_chk"
     r"|__stack_chk_fail|_GLOBAL_OFFSET_TABLE_|__(start|stop)_rthyb_laws)"
 )
-
-
-def gcc(*arguments: str | Path) -> None:
-    done = subprocess.run(["gcc", *FLAGS, *arguments], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 def run(program: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -50,37 +43,27 @@ def run(program: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture(scope="module")
-def objects(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Path]:
+def objects() -> dict[str, Path]:
     """The object file of every source of the core."""
-    folder = tmp_path_factory.mktemp("core")
-    sources = sorted(CORE.glob("*.c"))
-    targets = [folder / f"{source.stem}.o" for source in sources]
-
-    def compiled(source: Path, target: Path) -> None:
-        gcc(*PLAIN, "-c", source, "-o", target)
-
-    with ThreadPoolExecutor(2) as compilers:
-        list(compilers.map(compiled, sources, targets))
-    return dict(zip(sources, targets, strict=True))
-
-
-def linked(main: Path, objects: dict[Path, Path], folder: Path) -> Path:
-    """Return a program of the tests' own with the core, all symbols bound before it starts."""
-    path = folder / main.stem
-    gcc(*PLAIN, "-no-pie", main, *objects.values(), "-lm", "-lpthread", "-Wl,-z,now", "-o", path)
-    return path
+    return core_objects()
 
 
 @pytest.fixture(scope="module")
-def program(objects: dict[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def program(objects: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """tests/allocation.c with the core."""
-    return linked(TESTS / "allocation.c", objects, tmp_path_factory.mktemp("allocation"))
+    folder = tmp_path_factory.mktemp("allocation")
+    return linked(folder / "allocation", [TESTS / "allocation.c", *objects.values()])
+
+
+@pytest.fixture(scope="module")
+def every_case(program: Path) -> subprocess.CompletedProcess[str]:
+    return run(program)
 
 
 def test_no_sample_of_any_controller_on_any_rig_allocates_or_calls_the_kernel(
-    program: Path,
+    every_case: subprocess.CompletedProcess[str],
 ) -> None:
-    done = run(program)
+    done = every_case
     assert done.returncode == 0, "a system call was made, or a set-up was refused"
     cases, samples, allocations, _ = map(int, done.stdout.split())
     # Five integrators of one degree of freedom, two dense, a sparse part; two axes in four ways.
@@ -96,8 +79,10 @@ def test_an_allocation_would_have_been_counted(program: Path) -> None:
     assert allocations == 2  # malloc and free
 
 
-def test_a_system_call_would_have_ended_the_program(program: Path) -> None:
-    _, _, _, watched = map(int, run(program).stdout.split())
+def test_a_system_call_would_have_ended_the_program(
+    program: Path, every_case: subprocess.CompletedProcess[str]
+) -> None:
+    _, _, _, watched = map(int, every_case.stdout.split())
     expected = -signal.SIGKILL if watched else 0
     assert run(program, "call").returncode == expected
 
@@ -106,9 +91,10 @@ def test_a_system_call_would_have_ended_the_program(program: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def loop_program(objects: dict[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def loop_program(objects: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """tests/loop_allocation.c with the core: a run of loop and drive from start to join."""
-    return linked(TESTS / "loop_allocation.c", objects, tmp_path_factory.mktemp("allocation"))
+    folder = tmp_path_factory.mktemp("allocation")
+    return linked(folder / "loop_allocation", [TESTS / "loop_allocation.c", *objects.values()])
 
 
 CLOCKS = {"host": lib.RTHYB_CLOCK_HOST, "link": lib.RTHYB_CLOCK_LINK}
@@ -144,7 +130,7 @@ def test_a_system_call_of_a_tick_would_have_ended_the_run(loop_program: Path) ->
 class Symbols:
     """What the objects of the core define, need and keep in writable memory, from nm."""
 
-    def __init__(self, objects: dict[Path, Path]) -> None:
+    def __init__(self, objects: dict[str, Path]) -> None:
         self.home: dict[str, str] = {}
         self.laws: set[str] = set()  # sources that the linker makes known to control_law.c
         self.needs: defaultdict[str, set[str]] = defaultdict(set)
@@ -155,7 +141,7 @@ class Symbols:
             for line in listing.stdout.splitlines():
                 columns = [column.strip() for column in line.split("|")]
                 if len(columns) == 7:
-                    self._take(source.name, columns[2], columns[0], columns[6])
+                    self._take(source, columns[2], columns[0], columns[6])
 
     def _take(self, source: str, kind: str, name: str, section: str) -> None:
         # A constant table of addresses is written once, by whoever loads the core.
@@ -183,7 +169,7 @@ class Symbols:
 
 
 @pytest.fixture(scope="module")
-def symbols(objects: dict[Path, Path]) -> Symbols:
+def symbols(objects: dict[str, Path]) -> Symbols:
     return Symbols(objects)
 
 

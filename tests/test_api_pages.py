@@ -20,8 +20,10 @@ import rthyb_rt.api
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 REFERENCE = DOCS / "api-reference.md"
-GUIDES = [path for path in sorted(DOCS.glob("api*.md")) if path != REFERENCE]
-GUIDES.append(DOCS / "own-parts.md")
+GUIDES = [
+    *(pytest.param(p, id=p.name) for p in sorted(DOCS.glob("api*.md")) if p != REFERENCE),
+    pytest.param(DOCS / "own-parts.md", id="own-parts.md", marks=pytest.mark.long),
+]
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _DIGITS = re.compile(r"[-−]?\d+(?:\.\d+)?")
 
@@ -35,7 +37,7 @@ def same(shown: str, printed: str) -> bool:
     return all(a == pytest.approx(b, rel=0.02) for a, b in values)
 
 
-@pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", GUIDES)
 def test_code_of_the_page_runs_as_it_is_written_and_prints_what_stands_below_it(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -48,6 +48,7 @@ def until_came(exchange: dict[str, int], sent: int) -> None:
     until(lambda: exchange["to_core"] >= sent, "a pair")
 
 
+@pytest.mark.long
 def test_a_test_of_two_axes_on_one_bus_completes_and_no_axis_hears_the_other(file: Path) -> None:
     given = config.load_any_rig(file)
     assert isinstance(given, AxesRig)

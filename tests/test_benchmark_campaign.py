@@ -60,6 +60,7 @@ def test_the_campaign_and_the_command_give_the_same_figures(rthyb: Rthyb, tmp_pa
     assert (tmp_path / "out" / rows[2]["folder"] / "recording.h5").is_file()
 
 
+@pytest.mark.long
 def test_a_run_that_no_law_could_bring_to_its_end_is_not_called_unstable(tmp_path: Path) -> None:
     """Case 3 with Kobe: the stiffest plants need more than 8900 N by the reference itself."""
     run = Run("inverse", 1024, 3, "kobe", 7001)
@@ -80,6 +81,7 @@ def test_a_run_that_no_law_could_bring_to_its_end_is_not_called_unstable(tmp_pat
     )
 
 
+@pytest.mark.long
 def test_a_run_is_repeated_by_the_command_that_the_page_gives(rthyb: Rthyb, tmp_path: Path) -> None:
     plan = sliced(tmp_path)
     row = conducting.conduct(plan, tmp_path / "out", jobs=1).rows[1]
@@ -91,6 +93,7 @@ def test_a_run_is_repeated_by_the_command_that_the_page_gives(rthyb: Rthyb, tmp_
     assert run["figures"]["J4"] == row["J4"]
 
 
+@pytest.mark.long
 def test_a_benchmark_that_was_interrupted_goes_on_where_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

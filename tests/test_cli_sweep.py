@@ -95,6 +95,7 @@ def test_dry_run_lists_the_runs_and_writes_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_rigs_are_swept_by_name_and_by_file(tmp_path: Path) -> None:
     own = rt.Rig("delay-10-elastic").with_({"rig.name": "own"}).save(tmp_path / "own.toml")
     out = tmp_path / "swept"

@@ -117,6 +117,7 @@ def test_velocity_of_a_lag_steps_with_a_held_command_after_the_row_and_not_befor
     assert np.std(disp.best.motion.v - exact) < 1e-3 * np.std(exact)
 
 
+@pytest.mark.long
 def test_friction_behind_such_a_lag_is_named_alone_and_not_with_a_late_cell(tmp_path: Path) -> None:
     rig = config.parse_rig(LAG, "lag")
     run = lagging(tmp_path / "run", STRIBECK)

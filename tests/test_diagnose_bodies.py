@@ -72,6 +72,7 @@ def test_a_body_under_a_sweep_of_force_tells_mass_from_stiffness(missing, tmp_pa
     assert (d.verdict, d.effects) == ("explained", [missing])
 
 
+@pytest.mark.long
 def test_what_the_balance_of_forces_would_lose_shows_in_the_motion(tmp_path):
     """A relaxation that is nearly a dashpot, beside a dashpot known to a tenth."""
     n = rows(10.0)
@@ -191,7 +192,9 @@ def test_a_stop_beside_sticking_friction_on_moving_ground_shows_in_the_motion(tm
     assert found(d, "stribeck", "Fc_N") == pytest.approx(fc, rel=0.1)
 
 
-@pytest.mark.parametrize(("missed", "known"), [(0.0, True), (0.5, False)])
+@pytest.mark.parametrize(
+    ("missed", "known"), [(0.0, True), pytest.param(0.5, False, marks=pytest.mark.long)]
+)
 def test_a_body_that_moves_as_simulated_lacks_no_force_whatever_its_sensors_hum(
     missed, known, tmp_path
 ):

@@ -94,6 +94,7 @@ def test_an_overdamped_actuator_with_a_lower_corner_is_named_alone(tmp_path, mon
         assert high - low < 0.2 * true
 
 
+@pytest.mark.long
 def test_a_mass_behind_a_fast_actuator_is_weighed_at_the_time_of_the_load_cell(
     tmp_path, monkeypatch
 ):

@@ -84,7 +84,7 @@ def diagnosed(law: str, known: bool) -> engine.Diagnosis:
     ("law", "known"),
     [
         pytest.param("coulomb", True, marks=pytest.mark.long, id="coulomb"),
-        pytest.param("viscous", False, id="viscous beside a naive model"),
+        pytest.param("viscous", False, marks=pytest.mark.long, id="viscous beside a naive model"),
         pytest.param("both", False, marks=pytest.mark.long, id="both beside a naive model"),
     ],
 )

@@ -68,6 +68,7 @@ f_std = {F_STD}
 """
 
 
+@pytest.mark.long
 def test_red_noise_of_the_displacement_within_its_sheet_is_no_unknown_law(tmp_path):
     """What the sheet allows for is noise of any colour: the friction on the force has its name."""
     random = np.random.default_rng(1)

@@ -48,6 +48,7 @@ def test_a_knock_is_no_noise_though_the_data_sheet_would_cover_its_mean(tmp_path
     assert diagnosed(tmp_path, columns).verdict != "explained"
 
 
+@pytest.mark.long
 def test_friction_rounded_by_a_root_is_dry_friction_beside_damping(tmp_path):
     d = diagnosed(
         tmp_path,
@@ -99,6 +100,7 @@ def on_moving_ground(seed: int, seconds: float = 10.0) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
+@pytest.mark.long
 def test_what_a_load_cell_feels_of_another_direction_moves_no_body(tmp_path):
     model = cases.baseline(family='"ground"', moving_mass=0.0).replace(
         "[noise]", f"[numerical]\nm = {MASS}\nc = 0.0\n[noise]"

@@ -98,6 +98,7 @@ def test_a_body_that_is_let_go_starts_alike_where_an_early_row_is_lost():
 # ---- models that nobody has checked --------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_slider_beside_a_spring_that_nobody_knows_has_one_name():
     """Bristles and a free spring are a spring that yields: one force, and no ambiguity."""
     loop = core.element("hysteresis", k_n_per_m=4e6, post_yield_ratio=0.0, a=1.0, b=1.25e4,

@@ -66,6 +66,7 @@ def test_contact_that_spreads_becomes_springs_of_a_rig_file(name, trial, beta, t
     assert effect.elements(ctx, wide, np.array([beta])) is None
 
 
+@pytest.mark.long
 def test_stop_on_surfaces_that_are_not_parallel_is_one_stop(tmp_path):
     """Beside it nothing: neither a cubic spring nor a loop stands in for its rounded corner."""
     d = diagnosed(

@@ -230,6 +230,7 @@ def test_without_compensation_the_actuators_err_by_half() -> None:
     assert of(figures, "J1") == pytest.approx([40, 23.4], abs=0.1)
 
 
+@pytest.mark.long
 def test_rodeac_is_what_another_derivation_of_it_is() -> None:
     """Figures of a simulation of ours that shares nothing with this one but the sources."""
     quiet = marths.measure(Run("rodeac", "elcentro", noisy=False)).figures

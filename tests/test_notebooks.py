@@ -68,6 +68,7 @@ def test_first_test_runs_as_it_stands_and_shows_verdict_figures_and_messages(
     assert (tmp_path / "first-test" / "report.html").is_file()
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 def test_stability_map_shows_every_run_and_no_run_below_the_critical_delay_was_ended(
     tmp_path: Path,
@@ -86,6 +87,7 @@ def test_stability_map_shows_every_run_and_no_run_below_the_critical_delay_was_e
     assert beyond == "True"
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 def test_diagnosis_of_a_csv_names_the_friction_and_the_column_that_is_not_there(
     tmp_path: Path,
@@ -101,6 +103,7 @@ def test_diagnosis_of_a_csv_names_the_friction_and_the_column_that_is_not_there(
     assert "did you mean 'LVDT 1'?" in shown[4]
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 def test_a_control_law_of_ones_own_learns_the_delay_and_its_error_names_its_line(
     tmp_path: Path,

@@ -218,7 +218,7 @@ IN_REAL_TIME = {
         "makes a system call in its step function (system call",
     ),
     "waits": ("nanosleep(&(struct timespec){.tv_nsec = 1000}, 0)", "makes a system call"),
-    "takes long": ("for (volatile int i = 0; i < 2000000; i++) s->k += i", "half of the sampling"),
+    "takes long": ("for (volatile int i = 0; i < 1000000; i++) s->k += i", "half of the sampling"),
 }
 
 

@@ -280,6 +280,7 @@ def pulled() -> rt.Recording:
     return rt.run(test.with_(rig={"specimen": [*test.rig["specimen"], Bump()]}))
 
 
+@pytest.mark.long
 def test_an_effect_of_ones_own_is_found_and_leaves_the_catalogue_as_it_was(
     pulled: rt.Recording, tmp_path: Path
 ) -> None:
