@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rthyb_rt.api.comparing import Comparison, compare
     from rthyb_rt.api.diagnosing import Diagnosis, diagnose
     from rthyb_rt.api.files import Rig, Test
-    from rthyb_rt.api.identifying import Identification, identify
+    from rthyb_rt.api.identifying import AxesIdentification, Identification, identify
     from rthyb_rt.api.recordings import Plot, Plots, Recording
     from rthyb_rt.api.recordings import open_recording as open
     from rthyb_rt.api.replaying import replay
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from rthyb_rt.lab.experiment import Replay
 
 __all__ = [
+    "AxesIdentification",
     "Check",
     "Comparison",
     "Context",
@@ -65,6 +66,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "AxesIdentification": "api.identifying",
     "Check": "api.checking",
     "Comparison": "api.comparing",
     "Context": "diagnose.effects.base",

@@ -10,20 +10,28 @@ from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test
 from rthyb_rt.api.recordings import Plot
 from rthyb_rt.api.tables import html_table
+from rthyb_rt.config import AxesRig
+from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
+    from rthyb_rt.checking.axes import ExaminedAxes
     from rthyb_rt.checking.examined import Examined
 
 
 class Check:
     """What a check found of a test without fault."""
 
-    def __init__(self, found: Examined) -> None:
+    def __init__(self, found: Examined | ExaminedAxes) -> None:
         self._found = found
 
     @cached_property
     def figures(self) -> dict[str, Any]:
-        """What follows from test and rig by name, the unit in it; None where it does not apply."""
+        """What follows from test and rig by name, the unit in it; None where it does not apply.
+
+        Of several axes ``modes_hz``, and by their names ``axes`` and ``directions``.
+        """
+        if "figures" not in self.document:
+            return {name: self.document[name] for name in ("modes_hz", "axes", "directions")}
         figures: dict[str, Any] = self.document["figures"]
         return figures
 
@@ -51,33 +59,46 @@ class Check:
         """Draw ``stability``, ``nyquist`` and ``tracking``: delays, loop, what is to be expected.
 
         Raises:
-            InputError: matplotlib is not installed.
+            InputError: matplotlib is not installed, or the rig has several axes.
         """
         from rthyb_rt.report.html import extra_needed
 
+        found = self._of_one_axis("plots")
         with extra_needed("a figure"):
             from rthyb_rt.checking.drawings import plates
         return {
             one.key: Plot(one.key, one.title, one.note, one.svg, one.figure)
-            for one in plates(self._found.setup)
+            for one in plates(found.setup)
         }
 
     def report(self, path: Place) -> Path:
         """Write tables, remarks and figures as one HTML file.
 
         Raises:
-            InputError: matplotlib or jinja2 is not installed.
+            InputError: matplotlib or jinja2 is not installed, or the rig has several axes.
             RthybError: the file cannot be written.
         """
         from rthyb_rt.checking import page
 
-        page.write(self._found, Path(path))
+        page.write(self._of_one_axis("report"), Path(path))
         return Path(path)
+
+    def _of_one_axis(self, what: str) -> Examined:
+        from rthyb_rt.checking.examined import Examined
+
+        if not isinstance(self._found, Examined):
+            names = ", ".join(self._found.group.rig.names)
+            raise InputError(
+                f"the figures of a check are of a rig with one axis, and this one has the axes "
+                f"{names}; figures, table and notes are there for all of them",
+                what,
+            )
+        return self._found
 
     def __repr__(self) -> str:
         setup = self._found.setup
         return (
-            f"<Check {setup.test.test.name} on {setup.rig.rig.name}: no errors, "
+            f"<Check {setup.test.test.name} on {setup.rig_file.rig.name}: no errors, "
             f"{len(self.warnings)} warnings, {len(self.notes)} notes>"
         )
 
@@ -104,8 +125,12 @@ def check(test: Test | Place, rig: Rig | Place | None = None) -> Check:
         >>> round(check("section5-T0.5").figures["period_s"], 3)
         0.5
     """
+    from rthyb_rt.checking.axes import examine_axes
     from rthyb_rt.checking.examined import examine
 
     found = files.as_test(test)
     on = found.rig if rig is None else files.as_rig(rig)
-    return Check(examine(files.file_of_test(found), files.file_of_rig(on), files.origin_of(on)))
+    file = files.file_of_rig(on)
+    if isinstance(file, AxesRig):
+        return Check(examine_axes(files.file_of_test(found), file))
+    return Check(examine(files.file_of_test(found), file, files.origin_of(on)))

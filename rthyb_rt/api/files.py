@@ -510,24 +510,8 @@ def file_of_test(test: Test) -> TestFile:
     return test._file
 
 
-def any_file_of_rig(rig: Rig) -> RigFile | AxesRig:
+def file_of_rig(rig: Rig) -> RigFile | AxesRig:
     """Return the checked file behind a rig."""
-    return rig._file
-
-
-def file_of_rig(rig: Rig) -> RigFile:
-    """Return the checked file behind a rig of one axis.
-
-    Raises:
-        InputError: it has several.
-    """
-    if isinstance(rig._file, AxesRig):
-        raise InputError(
-            f'rig "{rig.name}" has several axes ({", ".join(rig._file.names)}), and a rig of one '
-            "is needed here; a test on several is run by run and read by open, and rthyb check, "
-            "rthyb identify and rthyb run --realtime take its file",
-            "rig",
-        )
     return rig._file
 
 

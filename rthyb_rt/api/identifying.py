@@ -6,15 +6,19 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic_core import PydanticCustomError
 
 from rthyb_rt import config
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig
 from rthyb_rt.api.recordings import Plot, Recording
+from rthyb_rt.config import AxesRig
 from rthyb_rt.config.fields import Range
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig import identify as sweeping
+from rthyb_rt.rig import identify_axes
 
 Progress = Callable[[int, int], None]
 """Takes how many samples are done, and of how many."""
@@ -68,7 +72,9 @@ class Identification:
 
         with extra_needed("a figure"):
             from rthyb_rt.report.bode import bode
-        plate = bode(files.file_of_rig(self.rig), self._found.tones)
+        file = files.file_of_rig(self.rig)
+        assert not isinstance(file, AxesRig)
+        plate = bode(file, self._found.tones)
         return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
 
     def __repr__(self) -> str:
@@ -82,22 +88,87 @@ class Identification:
         )
 
 
+class AxesIdentification:
+    """What an identification of a rig of several axes found.
+
+    Attributes:
+        rig: the rig with the identified values filled in, for tests to begin with.
+    """
+
+    def __init__(self, found: identify_axes.AxesResult, rig: Rig) -> None:
+        self._found, self.rig = found, rig
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Names of the axes, in the order of the rig file."""
+        return self._file.names
+
+    @property
+    def measures(self) -> dict[str, Any]:
+        """The figures as in ``rthyb identify --json``, SI units.
+
+        ``axes`` has those of each axis by its name, as of a rig with one axis while the others hold
+        still; ``response`` the matrix of frequency responses; ``stiffness`` that of the specimen
+        along the directions of the interface, and ``asymmetry`` the largest difference of two
+        numbers in it that should be the same, relative to the largest.
+        """
+        return self._found.as_json(self._file)
+
+    @property
+    def frequency_hz(self) -> NDArray[np.float64]:
+        """Frequencies of the sines, Hz, (n,)."""
+        return self._found.response.frequency_hz.copy()
+
+    @property
+    def response(self) -> NDArray[np.complex128]:
+        """Reading of the row's axis over command of the column's, (n, axes, axes)."""
+        return self._found.response.response.copy()
+
+    @property
+    def stiffness(self) -> NDArray[np.float64]:
+        """Stiffness matrix along the directions of the interface, SI units, (axes, axes)."""
+        return self._found.stiffness.copy()
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know, each with the axis that it is about."""
+        named = zip(self.axis_names, self._found.axes, strict=True)
+        return [f"axis {name}: {note}" for name, own in named for note in own.notes]
+
+    @property
+    def _file(self) -> AxesRig:
+        file = files.file_of_rig(self.rig)
+        assert isinstance(file, AxesRig)
+        return file
+
+    def __repr__(self) -> str:
+        from rthyb_rt.numbers import quantity
+
+        named = zip(self.axis_names, self._found.axes, strict=True)
+        delays = ", ".join(f"{name} {quantity(own.delay_s, 'ms', 1e3)}" for name, own in named)
+        return f"<AxesIdentification {self.rig.name}: delays {delays}>"
+
+
 def identify(
     rig: Rig | Place,
     *,
     amplitude: float | str = "2 mm",
     max_frequency: float | str = "10 Hz",
     progress: Progress | None = None,
-) -> Identification:
+) -> Identification | AxesIdentification:
     """Find delay, gain, stiffness and noise of a virtual rig by sines from slow to fast.
 
-    A rig in the laboratory is identified by ``rthyb identify --realtime``.
+    Of several axes each is moved in turn while the others hold still. A rig in the laboratory is
+    identified by ``rthyb identify --realtime``.
 
     Args:
         rig: the rig, or path or name of one; it need not have an elastic stiffness.
         amplitude: of the slow sines, m, or a text with a unit; 0.01 mm to 1 m.
         max_frequency: of the last sine, Hz, or a text with a unit; 0.05 Hz to 100 Hz.
         progress: told now and then.
+
+    Returns:
+        What was found; of a rig of several axes an `AxesIdentification`.
 
     Raises:
         InputError: with the faults of the rig, or the rig cannot be identified; says why.
@@ -111,9 +182,14 @@ def identify(
     sweep = sweeping.Sweep.up_to(
         _read(max_frequency, "max_frequency", _FREQUENCY), _read(amplitude, "amplitude", _AMPLITUDE)
     )
-    result = sweeping.identify(files.file_of_rig(on), sweep, progress)
-    filled = sweeping.identified_rig(files.file_of_rig(on), result)
-    return Identification(result, Rig.from_toml(config.dump(filled), f"identified {on.name}"))
+    file, called = files.file_of_rig(on), f"identified {on.name}"
+    if isinstance(file, AxesRig):
+        of_all = identify_axes.identify_rig(file, sweep, progress)
+        known = identify_axes.identified_rig(file, of_all)
+        return AxesIdentification(of_all, Rig.from_toml(config.dump(known), called))
+    result = sweeping.identify(file, sweep, progress)
+    filled = sweeping.identified_rig(file, result)
+    return Identification(result, Rig.from_toml(config.dump(filled), called))
 
 
 def _read(value: float | str, name: str, allowed: Range) -> float:

@@ -11,7 +11,6 @@ from pathlib import Path
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test
 from rthyb_rt.api.recordings import Recording
-from rthyb_rt.config import AxesRig
 from rthyb_rt.core.pending import OwnCodeError
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import experiment, keeping, several, virtual_time
@@ -24,10 +23,7 @@ def prepared(test: Test | Place | None, rig: Rig | Place | None) -> experiment.S
     """Return a test ready to go; arguments and errors as for `run`."""
     found = files.as_test(test)
     on = found.rig if rig is None else files.as_rig(rig)
-    file = files.any_file_of_rig(on)
-    if isinstance(file, AxesRig):
-        return several.prepare(files.file_of_test(found), file)
-    return experiment.prepare(files.file_of_test(found), file)
+    return several.prepare_any(files.file_of_test(found), files.file_of_rig(on))
 
 
 def run(

@@ -9,7 +9,7 @@ from typing import Any
 from rthyb_rt import config
 from rthyb_rt.campaign import plan
 from rthyb_rt.campaign.book import GIVEN, PLAN
-from rthyb_rt.config import RigFile, TestFile
+from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.config.campaignfile import CAMPAIGN_SCHEMA, CampaignFile
 from rthyb_rt.errors import InputError
 from rthyb_rt.record.recording import replacing
@@ -19,7 +19,7 @@ TEST, RIG, CAMPAIGN = "test.toml", "rig.toml", "campaign.toml"
 
 
 def texts(
-    test: TestFile, rig: RigFile, values: dict[str, Any], called: str
+    test: TestFile, rig: RigFile | AxesRig, values: dict[str, Any], called: str
 ) -> tuple[CampaignFile, dict[str, str]]:
     """Return the campaign, and the files of a sweep by name: test, rig, campaign.
 

@@ -15,12 +15,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rthyb_rt import __version__, config, core
-from rthyb_rt.analysis import summary
+from rthyb_rt.analysis import several, summary
+from rthyb_rt.analysis.several import AxesSummary
+from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.config.campaignfile import MOST_RUNS, CampaignFile, Draws, Scalar, Spread, beside
 from rthyb_rt.config.lines import KeyLines
-from rthyb_rt.config.loading import load_both
+from rthyb_rt.config.loading import load_any_both
 from rthyb_rt.errors import InputError, Problem
-from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.lab import several as lab_several
+from rthyb_rt.lab import virtual_time
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording
 
@@ -59,7 +62,18 @@ MEASURES: Final = (
     Measure("energy_error_relative", "Energy error", "%", 100.0),
     Measure("peak_measured_m", "Peak displacement", "mm", 1e3),
 )
-"""Of a test; the page draws the second over the first."""
+"""Of a test on one axis; the page draws the second over the first."""
+
+
+def measures_of(rig: RigFile | AxesRig) -> tuple[Measure, ...]:
+    """Return the figures that are told of each group: of several axes those of every direction."""
+    if not isinstance(rig, AxesRig):
+        return MEASURES
+    return tuple(
+        Measure(f"directions.{name}.{kind}_nrmse", f"{name}: {kind} error", "%", 100.0)
+        for name in rig.directions
+        for kind in ("tracking", "response")
+    )
 
 
 @dataclass(frozen=True)
@@ -107,9 +121,11 @@ class Case:
         Raises:
             InputError: with what is wrong in its files and settings.
         """
-        test, rig = load_both(Path(self.test) if self.test else None, self.rig or None,
-                              self.settings)  # fmt: skip
-        return experiment.prepare(test, rig)
+        return lab_several.prepare_any(*self._files())
+
+    def _files(self) -> tuple[config.TestFile, RigFile | AxesRig]:
+        test = Path(self.test) if self.test else None
+        return load_any_both(test, self.rig or None, self.settings)
 
     def recorded(self, setup: Setup) -> Recording:
         """Carry it out in virtual time."""
@@ -118,18 +134,28 @@ class Case:
     def measured(self, setup: Setup, rec: Recording) -> Row:
         """Return ``ending``, ``cause`` and measures: those of ``rthyb run --json``.
 
+        Those of an axis or a direction have its name before them, ``axes.upper.tracking_nrmse``.
         What is not a number there is None.
         """
-        found = summary.summarize(rec)
+        found = several.summarize(rec) if rec.axis_names else summary.summarize(rec)
         measures = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
-            for name, value in found.as_json().items()
+            for name, value in _flat(found.as_json())
             if name not in _LEFT_OUT and isinstance(value, (bool, int, float, type(None)))
         }
         return ended(rec, found) | measures
 
 
-def ended(rec: Recording, found: summary.Summary | None = None) -> Row:
+def _flat(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield dotted names and values of a table and of the tables in it."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value
+
+
+def ended(rec: Recording, found: summary.Summary | AxesSummary | None = None) -> Row:
     """Return how a run ended: ``ending``, and ``cause`` in words.
 
     Args:
@@ -138,7 +164,10 @@ def ended(rec: Recording, found: summary.Summary | None = None) -> Row:
     """
     if rec.meta["end_reason"] == "completed":
         return {"ending": COMPLETED, "cause": ""}
-    return {"ending": STOPPED, "cause": (found or summary.summarize(rec)).ending}
+    if rec.axis_names:
+        return {"ending": STOPPED, "cause": str(rec.meta["end_reason"])}
+    own = found if isinstance(found, summary.Summary) else summary.summarize(rec)
+    return {"ending": STOPPED, "cause": own.ending}
 
 
 @dataclass(frozen=True)
@@ -179,7 +208,9 @@ def of(file: CampaignFile, path: Path) -> Plan:
             str(path),
         )
     cases = tuple(_cases(file, path))
-    return Plan(file.campaign.name, file.campaign.keep, cases, fingerprint(cases))
+    _, rig = cases[0]._files()
+    about = file.campaign
+    return Plan(about.name, about.keep, cases, fingerprint(cases), measures_of(rig))
 
 
 def _count(file: CampaignFile) -> int:
@@ -225,7 +256,7 @@ def _cases(file: CampaignFile, path: Path) -> Iterator[Case]:
 def _read(path: Path, test: str, rig: str, given: Sequence[str]) -> dict[str, Any]:
     """Return the values of both files by table, those of the rig below ``rig``."""
     try:
-        test_file, rig_file = load_both(Path(test) if test else None, rig or None, given)
+        test_file, rig_file = load_any_both(Path(test) if test else None, rig or None, given)
     except InputError as error:
         raise InputError(_placed(problem, path) for problem in error.problems) from error
     return {**test_file.model_dump(by_alias=True), "rig": rig_file.model_dump(by_alias=True)}
@@ -270,8 +301,8 @@ def _number(base: dict[str, Any], key: str, path: Path) -> float:
     for part in key.split("."):
         if isinstance(place, dict):
             place = place.get(part)
-        elif isinstance(place, (list, tuple)) and part.isdecimal() and int(part) < len(place):
-            place = place[int(part)]
+        elif isinstance(place, (list, tuple)):
+            place = _member(place, part)
         else:
             place = None
     if isinstance(place, bool) or not isinstance(place, (int, float)):
@@ -281,6 +312,14 @@ def _number(base: dict[str, Any], key: str, path: Path) -> float:
             f"{path}: draws.spread",
         )
     return float(place)
+
+
+def _member(places: Sequence[Any], part: str) -> Any:
+    """Return what a list has at a number from 0, or under a name, as axes have; None: nothing."""
+    if part.isdecimal():
+        return places[int(part)] if int(part) < len(places) else None
+    named = (one for one in places if isinstance(one, dict) and one.get("name") == part)
+    return next(named, None)
 
 
 def program() -> str:

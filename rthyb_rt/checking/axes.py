@@ -6,14 +6,16 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rthyb_rt.config import AxesRig, TestFile
+from rthyb_rt.config import AxesRig, Limit, TestFile
 from rthyb_rt.config.deriving_axes import law_of_axis
 from rthyb_rt.config.testfile import MATRIX
 from rthyb_rt.lab import several
 from rthyb_rt.lab.experiment import Group, Setup
 from rthyb_rt.numbers import number, percent, quantity
 
+Floats = NDArray[np.float64]
 Rows = list[tuple[str, str, str]]
 
 SCHEMA: Final = "rthyb-check/1"
@@ -26,11 +28,17 @@ NOT_COMPUTED: Final = (
 
 @dataclass(frozen=True, eq=False)
 class ExaminedAxes:
-    """What `rthyb check` says of a test on several axes."""
+    """What `rthyb check` says of a test on several axes.
+
+    Attributes:
+        setup, group: the test, ready to go.
+        notes, warnings: what a user should know, and what should be changed.
+    """
 
     setup: Setup
     group: Group
     notes: tuple[str, ...]
+    warnings: tuple[str, ...]
 
     def tables(self) -> list[Rows]:
         """Return structure, each axis and each direction in rows: what, how much, of what."""
@@ -115,6 +123,7 @@ class ExaminedAxes:
                 for j, name in enumerate(group.rig.directions)
             },
             "notes": list(self.notes),
+            "warnings": list(self.warnings),
         }
 
 
@@ -125,6 +134,34 @@ def _of_limit(limit: float | None, unit: str) -> str:
     return f"peak of the reference; limit {number(limit, 4)} {unit}"
 
 
+def _limits_in_reach(setup: Setup, group: Group) -> list[str]:
+    """Name the limits of axes and directions that already the reference simulation exceeds."""
+    found: list[tuple[str, Limit | None, Floats, str]] = []
+    reference = group.reference
+    for i, name in enumerate(group.rig.names):
+        limits = group.derived.axis[i].limits.limits
+        found += [
+            (f"axis {name}: command_position_m", limits.command_position_m,
+             reference.axis_m[:, i], "m"),
+            (f"axis {name}: force_n", limits.force_n, reference.axis_n[:, i], "N"),
+        ]  # fmt: skip
+    turns = group.rig.kinematics.turns()
+    for j, (one, turn) in enumerate(zip(setup.test.interface, turns, strict=True)):
+        position, force = one.limits.of_kind(turn)
+        keys = ("position_rad", "moment_n_m") if turn else ("position_m", "force_n")
+        units = ("rad", "N m") if turn else ("m", "N")
+        found += [
+            (f"direction {one.name}: {keys[0]}", position, reference.x[:, j], units[0]),
+            (f"direction {one.name}: {keys[1]}", force, reference.force[:, j], units[1]),
+        ]
+    return [
+        f"{key} = {limit.value:g} {unit} is below the {np.abs(values).max():.3g} {unit} of the "
+        "reference simulation: the test will meet it"
+        for key, limit, values, unit in found
+        if limit is not None and limit.acts and np.abs(values).max() > limit.value
+    ]
+
+
 def examine_axes(test: TestFile, rig: AxesRig) -> ExaminedAxes:
     """Examine a test on a rig of several axes.
 
@@ -133,4 +170,5 @@ def examine_axes(test: TestFile, rig: AxesRig) -> ExaminedAxes:
     """
     setup = several.prepare(test, rig)
     assert setup.group is not None
-    return ExaminedAxes(setup, setup.group, (*setup.notes, NOT_COMPUTED))
+    warnings = tuple(_limits_in_reach(setup, setup.group))
+    return ExaminedAxes(setup, setup.group, (*setup.notes, NOT_COMPUTED), warnings)

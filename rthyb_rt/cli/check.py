@@ -78,10 +78,7 @@ def _print(found: Examined, file: IO[str]) -> None:
         if number:
             print("", file=file)
         terminal.print_table(rows, file)
-    remarks = [f"Warning: {text}" for text in found.warnings]
-    remarks += [f"Note: {text}" for text in found.notes]
-    if remarks:
-        print("", *remarks, sep="\n", file=file)
+    _print_remarks(found, file)
 
 
 def _print_axes(found: ExaminedAxes, file: IO[str]) -> None:
@@ -91,4 +88,11 @@ def _print_axes(found: ExaminedAxes, file: IO[str]) -> None:
         if number:
             print("", file=file)
         terminal.print_table(rows, file)
-    print("", *(f"Note: {text}" for text in found.notes), sep="\n", file=file)
+    _print_remarks(found, file)
+
+
+def _print_remarks(found: Examined | ExaminedAxes, file: IO[str]) -> None:
+    remarks = [f"Warning: {text}" for text in found.warnings]
+    remarks += [f"Note: {text}" for text in found.notes]
+    if remarks:
+        print("", *remarks, sep="\n", file=file)

@@ -209,19 +209,8 @@ def _identify_axes(
     _print_axes(rig, result, file)
     print(f"\nRig file  {path}\nNext      rthyb run TEST.toml --rig {path}", file=file)
     if as_json:
-        assert filled.identified is not None
-        terminal.print_json(
-            {
-                "schema": SCHEMA,
-                "rig_name": rig.rig.name,
-                "axes": {
-                    name: own.as_json() for name, own in zip(rig.names, result.axes, strict=True)
-                },
-                "response": filled.identified.model_dump(exclude={"date"}),
-                "stiffness": result.stiffness.tolist(),
-                "paths": {"rig": str(path)},
-            }
-        )
+        about = {"schema": SCHEMA, "rig_name": rig.rig.name}
+        terminal.print_json({**about, **result.as_json(filled), "paths": {"rig": str(path)}})
 
 
 def _print_axes(rig: AxesRig, result: AxesResult, file: IO[str]) -> None:

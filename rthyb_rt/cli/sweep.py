@@ -11,7 +11,7 @@ import typer
 
 from rthyb_rt.cli import campaign as campaigns
 from rthyb_rt.cli import interrupts, terminal
-from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load
+from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
 from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def sweep(
     from rthyb_rt.campaign import given
 
     campaigns.refuse_both(jobs, cluster)
-    test_file, rig_file = load(test, rig, settings)
+    test_file, rig_file = load_any(test, rig, settings)
     called = name or f"{test_file.test.name}-{_CALLED}"
     values = {
         "campaign": {"name": called, "keep": keep},
@@ -155,7 +155,7 @@ def _try_first(
     """
     if any(key in over for key in _FILES):
         return
-    load(test, rig, [*settings, *(f"{key}={_text(found[0])}" for key, found in over.items())])
+    load_any(test, rig, [*settings, *(f"{key}={_text(found[0])}" for key, found in over.items())])
 
 
 def _text(value: Any) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import Field, GetJsonSchemaHandler
-from pydantic_core import CoreSchema
+from pydantic_core import CoreSchema, ErrorDetails
 
 from rthyb_rt.config.fields import (
     SLUG,
@@ -690,6 +690,18 @@ class AxesRig(WholeFile):
     plant: Plant | None = None
     identified: JointIdentified | None = None
     limits: Limits = Field(default_factory=Limits)
+
+    @classmethod
+    def _explain(
+        cls, kind: str, loc: tuple[int | str, ...], value: object, fault: ErrorDetails
+    ) -> tuple[tuple[int | str, ...], str]:
+        where, text = super()._explain(kind, loc, value, fault)
+        if kind == "too_short" and loc == ("axis",):
+            text += (
+                "; a rig with one axis has no list of axes: its tables actuator, sensors, limits "
+                "and so on stand beside the table rig"
+            )
+        return where, text
 
     @property
     def names(self) -> tuple[str, ...]:

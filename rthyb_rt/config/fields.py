@@ -429,7 +429,7 @@ class Table(BaseModel):
         allowed = {
             "bool_type": "must be true or false",
             "list_type": "must be a list",
-            "too_short": "at least one is needed",
+            "too_short": _at_least(fault.get("ctx", {}).get("min_length", 1)),
             "too_long": f"must have at most {fault.get('ctx', {}).get('max_length')} entries",
             "model_type": "must be a table of keys and values",
             "dict_type": "must be a table of keys and values",
@@ -538,6 +538,10 @@ def _tags(annotation: Any, key: str) -> list[str]:
         if issubclass(table, Table)
         for name in _literals(table.model_fields[key].annotation)
     ]
+
+
+def _at_least(count: int) -> str:
+    return "at least one is needed" if count == 1 else f"at least {count} are needed"
 
 
 def _one_of(value: object, names: list[str]) -> str:

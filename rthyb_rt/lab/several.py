@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import config, core, ground_motion
-from rthyb_rt.config import AxesRig, Derived, Limit, TestFile, matrix_response
+from rthyb_rt.config import AxesRig, Derived, Limit, RigFile, TestFile, matrix_response
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config.axes_reference import reference_of
 from rthyb_rt.config.deriving_axes import (
@@ -34,6 +34,15 @@ Floats = NDArray[np.float64]
 
 NEVER: Final = 1e6
 """Times the noise at rest: what does not move so much teaches a lead nothing."""
+
+
+def prepare_any(test: TestFile, rig: RigFile | AxesRig) -> Setup:
+    """Return a test in virtual time ready to go, on a rig of one axis or of several.
+
+    Raises:
+        InputError: with what is wrong in the files, the record, or between them.
+    """
+    return prepare(test, rig) if isinstance(rig, AxesRig) else experiment.prepare(test, rig)
 
 
 @placing

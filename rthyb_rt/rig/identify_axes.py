@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,21 @@ class AxesResult:
     axes: tuple[Result, ...]
     stiffness: Floats
     asymmetry: float
+
+    def as_json(self, filled: AxesRig) -> dict[str, Any]:
+        """Return it as plain values, SI units.
+
+        Args:
+            filled: the rig as `identified_rig` returns it, for the names and the matrix.
+        """
+        assert filled.identified is not None
+        named = zip(filled.names, self.axes, strict=True)
+        return {
+            "axes": {name: own.as_json() for name, own in named},
+            "response": filled.identified.model_dump(exclude={"date"}),
+            "stiffness": self.stiffness.tolist(),
+            "asymmetry": self.asymmetry,
+        }
 
 
 @dataclass(frozen=True, eq=False)
