@@ -93,6 +93,16 @@ def the_cells_own_noise() -> Evidence:
     )
 
 
+def a_filter_of_its_noise() -> Evidence:
+    """Noise alone is left; a late cell does better, with an offset that nearly undoes it."""
+    return evidence(of("time_skew", chi2=900.0, offset_sd=5.9), null=990.0)
+
+
+def a_zero() -> Evidence:
+    """A body that moves freely rests beside its zero by as much as its sensor's noise."""
+    return evidence(of("bias", chi2=1000.0), null=2000.0, judged="motion")
+
+
 def more_laws() -> Evidence:
     """Of a naive model: two laws of which another one does nearly as well alone."""
     return evidence(
@@ -132,6 +142,8 @@ def a_form_of_one() -> Evidence:
 
 RULES: dict[str, tuple[Evidence, dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
     "needed": (not_needed(), {}, ("coulomb",), ("coulomb", "cubic")),
+    "in time": (a_filter_of_its_noise(), {}, (), ("time_skew",)),
+    "off zero": (a_zero(), {"zero": 1.0}, (), ("bias",)),
     "drift goes on": (a_drift(), {"drift": Drift(1.0, 0.1, 0.05)}, ("coulomb",), ("drift",)),
     "driven": (the_cells_own_noise(), {"driven": (10.0,)}, (), ("viscous",)),
     "more laws": (more_laws(), {}, ("hysteresis",), ("cubic", "gap")),
@@ -298,6 +310,37 @@ def test_set_that_is_no_physical_law_without_one_effect_needs_that() -> None:
     assert decided(evidence(pair), part=None).best is pair
 
 
+@pytest.mark.parametrize(
+    "change",
+    [{"naive": True}, {"null": 3000.0}, {"offset_sd": 3.0}, {"null_offset_sd": 5.0}],
+    ids=[
+        "a naive model has no tolerance", "without it more than noise is left",
+        "the offset is within tolerance", "without it the offset is no smaller",
+    ],
+)  # fmt: skip
+def test_a_late_cell_is_named_all_the_same_where(change: dict[str, Any]) -> None:
+    given = {"null": 990.0, "offset_sd": 5.9, "null_offset_sd": 0.4, "naive": False, **change}
+    late = of("time_skew", chi2=900.0, offset_sd=given["offset_sd"])
+    null = of(chi2=given["null"], offset_sd=given["null_offset_sd"])
+    seen = Evidence(Setting(LAWS, ROWS, naive=given["naive"]), null, (late,))
+    assert decided(seen).best.names == ("time_skew",)
+
+
+def test_the_effect_beside_such_a_filter_is_named_alone() -> None:
+    seen = evidence(
+        of("bias", chi2=990.0, offset_sd=0.4), of("time_skew", chi2=9000.0),
+        of("bias", "time_skew", chi2=900.0, offset_sd=5.9),
+    )  # fmt: skip
+    assert decided(seen).best.names == ("bias",)
+    assert decided(seen, ("in time",)).best.names == ("bias", "time_skew")
+
+
+def test_a_weight_that_moves_a_body_far_off_its_zero_is_named() -> None:
+    assert decided(a_zero(), zero=20.0).best.names == ("bias",)
+    held = evidence(of("bias", chi2=1000.0), null=2000.0)
+    assert decided(held, zero=1.0).best.names == ("bias",)
+
+
 # ---- any evidence ------------------------------------------------------------------------------
 
 NAMES = ("coulomb", "stribeck", "viscous", "cubic", "gap", "hysteresis", "lugre", "stiffness",
@@ -320,6 +363,7 @@ def any_evidence(draw: st.DrawFn) -> Evidence:
             tuple(part(n, 12.0 + 7.0 * counts[n], counts[n]) for n in names),
             null - min(max(gains[n] for n in names) * draw(st.floats(1.0, 1.2)), null - 800.0),
             strained=draw(st.booleans()),
+            offset_sd=draw(st.floats(0.0, 10.0)),
         )
         for names in sorted(wanted)
     ]
@@ -329,7 +373,7 @@ def any_evidence(draw: st.DrawFn) -> Evidence:
 
 
 FREE = {"part": None, "yielding": None, "drift": Drift(1.0, 0.9, 0.01), "beyond_forms": 50.0,
-        "driven": (60.0, 60.0, 60.0)}  # fmt: skip
+        "driven": (60.0, 60.0, 60.0), "zero": 100.0}  # fmt: skip
 
 
 @hypothesis.given(any_evidence(), st.randoms())

@@ -15,15 +15,15 @@ from rthyb_rt.diagnose import effects, engine, steady
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.estimate import Estimate
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Member, Problem, refine
+from rthyb_rt.diagnose.select import Fit, Member, Problem, refine
 
 Force = Callable[[Floats, Floats, Floats], Floats]
 """A force that is left out, N, of time, displacement and velocity."""
 
 
-def changes_of(force: Force, *names: str, seed: int = 1) -> dict[str, float]:
-    """How far beyond chance the numbers of a set are others, by part of the recording."""
-    x, v, a = moved(command())
+def fitted(force: Force, *names: str, seed: int = 1, kind: str = "sweep") -> tuple[Problem, Fit]:
+    """The named set, in the shapes that fit best, along a motion that is known."""
+    x, v, a = moved(command(kind))
     t = np.arange(x.size) / FS
     model = Model("drive", FS, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.15, f_std=F_STD)
     noise = F_STD * np.random.default_rng(seed).standard_normal(x.size)
@@ -35,8 +35,12 @@ def changes_of(force: Force, *names: str, seed: int = 1) -> dict[str, float]:
     problem = Problem(case, engine.context_of(case, found), found, laws.values())
     shapes = product(*(laws[n].trials(problem.ctx) for n in names))
     sets = [[Member(laws[n], s) for n, s in zip(names, own, strict=True)] for own in shapes]
-    fit = min(filter(None, (refine(problem, m) for m in sets)), key=lambda f: f.chi2)
-    return {c.part: c.deviations for c in steady.changes(problem, fit)}
+    return problem, min(filter(None, (refine(problem, m) for m in sets)), key=lambda f: f.chi2)
+
+
+def changes_of(force: Force, *names: str, seed: int = 1) -> dict[str, float]:
+    """How far beyond chance the numbers of a set are others, by part of the recording."""
+    return {c.part: c.deviations for c in steady.changes(*fitted(force, *names, seed=seed))}
 
 
 SECOND_HALF, DIRECTION = "the second half of the recording", "motion in one direction"

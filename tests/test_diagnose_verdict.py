@@ -35,7 +35,13 @@ COARSE = Rounded("quantisation", gain=30.0, beyond=0.001, beyond_best=0.001)
 
 def said(seen: Seen, less: tuple[str, ...] = (), **answers: Any) -> Verdict:
     """What is said with these answers; else neither data sheet nor motion explains it."""
-    given: dict[Any, Any] = {"sheet": False, "simulated": None, "changes": {}, **answers}
+    given: dict[Any, Any] = {
+        "sheet": False,
+        "simulated": None,
+        "changes": {},
+        "varying": -50.0,
+        **answers,
+    }
     while not isinstance(done := judge(seen, POLICY, less), Verdict):
         seen = replace(seen, known={**seen.known, done: given[done]})
     return done
@@ -131,6 +137,7 @@ RULES: dict[str, tuple[Seen, dict[str, Any], str, str]] = {
         Seen(FRICTION), {"changes": {"fast motion": 6.0, "large displacements": 0.3}},
         "unknown", "explained",
     ),
+    "varying": (Seen(FRICTION), {"varying": 60.0}, "unknown", "explained"),
     "steps": (
         Seen(replace(NOTHING, before=1.0, after=1.0), rounding=COARSE), {},
         "explained", "unknown",
@@ -262,6 +269,7 @@ ANSWERS = st.fixed_dictionaries(
         "simulated": st.none() | st.just(MET),
         "strength": st.none() | st.floats(0.0, 1e3),
         "changes": st.dictionaries(st.sampled_from("abc"), st.floats(-3.0, 10.0)),
+        "varying": st.floats(-1e3, 1e3),
     }
 )
 
@@ -280,5 +288,5 @@ def test_what_is_named_or_called_nothing_is_understood(left: Left, answers: dict
     found = said(Seen(left), **answers)
     turned = {r.rule for r in found.ledger}
     known = answers["sheet"] or understood(left, POLICY, lambda: answers["sheet"])
-    known = ("steady" not in turned) and (known or bool(turned & {"motion", "steps"}))
+    known = not (turned & {"steady", "varying"}) and (known or bool(turned & {"motion", "steps"}))
     assert (found.said == "unknown") == (not known)

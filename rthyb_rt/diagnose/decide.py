@@ -20,7 +20,9 @@ from rthyb_rt.diagnose.policy import Policy, of_size
 
 CLOSER = 3
 """Sets, best first, whose bristles are tried as yielding."""
-What = Literal["part", "yielding", "beyond forms", "drift", "driven", "size", "held out"]
+What = Literal[
+    "part", "yielding", "beyond forms", "drift", "driven", "size", "held out", "zero"
+]  # fmt: skip
 
 
 # ---- evidence -----------------------------------------------------------------------------------
@@ -59,6 +61,7 @@ class Hypothesis:
         chi2: what it leaves, in units of the noise, and what its priors cost.
         bent: effects in whose place it moves a stated number out of its tolerance.
         strained: whether it takes a time offset that is no nuisance any more.
+        offset_sd: that offset, in standard deviations of its tolerance.
         held_n_per_m, lost_n_per_m: stiffness of its bristles, and what its spring lacks.
         relaxes_rad: longest time of relaxation, times the motion's angular frequency; 0: none.
     """
@@ -67,6 +70,7 @@ class Hypothesis:
     chi2: float
     bent: frozenset[str] = frozenset()
     strained: bool = False
+    offset_sd: float = 0.0
     held_n_per_m: float = 0.0
     lost_n_per_m: float = 0.0
     relaxes_rad: float = 0.0
@@ -194,7 +198,8 @@ class Need:
             what each effect earns by the motion that a test makes (chi-squared, a number for each;
             none where nothing moves); "size", of its
             force as a part of the recorded one; "held out", the part of its gain that is there on
-            rows that it was not fitted to.
+            rows that it was not fitted to; "zero", how far a constant force moves a free body, in
+            standard deviations of the displacement's noise by its data sheet.
         of: of which set.
         which: of which of its effects.
     """
@@ -429,6 +434,43 @@ def goes_on(court: Court, of: Hypothesis) -> bool:
     return court.refuse("drift goes on", of, found=within, wanted=wanted)
 
 
+def in_time(court: Court, of: Hypothesis) -> bool:
+    """An offset in time beyond its tolerance is no way to be better than noise.
+
+    A late load cell and an offset of its channel against the motion that nearly undo one another
+    are a filter of the recorded force. Its noise, which is in both of them, gets less by that, and
+    the more of it the slower it is. So where without one of its effects nothing but noise is left,
+    and the offset is within tolerance, that effect is not there.
+    """
+    setting, most = court.setting, court.policy.within_tolerance
+    if setting.naive or of.offset_sd <= most:
+        return True
+    at_noise = (1.0 + court.policy.excess_as_noise) * setting.rows
+    for i, part in enumerate(of.parts):
+        less = court.less(of, i)
+        if less is not None and less.offset_sd <= most and less.chi2 < at_noise:
+            return court.refuse("in time", of, part=part.name, found=of.offset_sd, wanted=most)
+    return True
+
+
+def off_zero(court: Court, of: Hypothesis) -> bool:
+    """A constant force on a free body has to move it by more than its sensor's zero may be off.
+
+    A displacement is set to zero by a reading at rest, which has the sensor's noise.
+    """
+    setting = court.setting
+    if setting.naive or setting.judged != "motion":
+        return True
+    times = court.policy.several_price if len(of.parts) > 1 else 1.0
+    for i, part in enumerate(of.parts):
+        if part.name not in court.laws.zeros:
+            continue
+        found, wanted = court.ask("zero", of, (i,)) ** 2, times * part.price
+        if found < wanted:
+            return court.refuse("off zero", of, part=part.name, found=found, wanted=wanted)
+    return True
+
+
 # ---- rules that compare sets --------------------------------------------------------------------
 
 Sets = list[Hypothesis]
@@ -584,6 +626,8 @@ def each(rule: Callable[[Court, Hypothesis], bool]) -> Callable[[Court, Sets], S
 
 RANKING: dict[str, Callable[[Court, Sets], Sets]] = {
     "needed": each(needed),
+    "in time": each(in_time),
+    "off zero": each(off_zero),
     "drift goes on": each(goes_on),
     "driven": each(driven),
     "more laws": worth_their_size,

@@ -89,12 +89,14 @@ class Gathered:
                 lost = -float(b[0]) * ctx.model.k
             if m.name in laws.relaxing:
                 times.append(m.trial.theta[0])
+        offset = offset_sd(problem, fit)
         omega = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
         return Hypothesis(
             tuple(self._part(m) for m in fit.members),
             fit.chi2,
             frozenset(bent(problem, fit)),
-            strained(problem, fit),
+            offset > POLICY.strained_offset,
+            offset,
             held,
             lost,
             max(times) * omega,
@@ -148,6 +150,10 @@ class Gathered:
             return () if self.driven is None else self.driven.gains(fit)
         if need.what == "drift":
             return drift(problem, fit, self.laws)
+        if need.what == "zero":
+            model = problem.case.model
+            moved_m = abs(float(fit.betas[need.which[0]][0]) / model.k)
+            return moved_m / model.x_std if model.x_std else np.inf
         return size(problem, fit) if need.what == "size" else self.held_out(fit)
 
     def _refined(self, members: list[Member]) -> Hypothesis | None:
@@ -188,14 +194,11 @@ def bent(problem: Problem, fit: Fit) -> set[str]:
     }
 
 
-def strained(problem: Problem, fit: Fit) -> bool:
-    """Return whether a fit needs a time offset between the channels beyond its tolerance."""
-    return any(
-        n.name == "skew"
-        and n.sigma is not None
-        and abs(float(b)) > POLICY.strained_offset * n.sigma
-        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
-    )
+def offset_sd(problem: Problem, fit: Fit) -> float:
+    """Return the time offset between the channels that a fit takes, in standard deviations."""
+    pairs = zip(fit.nuisance, problem.nuisances, strict=True)
+    skews = (abs(float(b)) / n.sigma for b, n in pairs if n.name == "skew" and n.sigma is not None)
+    return max(skews, default=0.0)
 
 
 def contribution(problem: Problem, fit: Fit, member: int) -> Floats:

@@ -53,20 +53,15 @@ def changes(problem: Problem, fit: Fit) -> tuple[Change, ...]:
 
     Of a fit in the balance of forces; none where it has no numbers, or was refined elsewhere.
     """
-    slopes = design_of(problem, fit) if fit.members else np.zeros((0, 0))
+    if not fit.members:
+        return ()
+    slopes = design_of(problem, fit)
     if slopes.shape[0] != fit.residual.size or fit.residual.size == 0:
         return ()
     # The nuisance is one for all of the recording.
     own = slopes[:, : slopes.shape[1] - fit.nuisance.size]
-    near = _near(problem, fit)
-    design = np.column_stack([slopes, near])
-    prior = np.zeros((design.shape[1],) * 2)
+    design, prior = with_forms(problem, fit, slopes)
     shapes = sum(len(m.trial.theta) for m in fit.members)
-    prior[: slopes.shape[1], : slopes.shape[1]] = priors_of(
-        problem, fit.members, shapes, slopes.shape[1]
-    )
-    at = np.arange(slopes.shape[1], design.shape[1])
-    prior[at, at] = POLICY.form_error**-2
     # By how much each number is another: of shapes the logarithm is fitted.
     free = np.pad(prior, (0, own.shape[1]))
     held = free.copy()
@@ -76,10 +71,31 @@ def changes(problem: Problem, fit: Fit) -> tuple[Change, ...]:
     out = []
     for part, rows in _parts(problem):
         apart = np.column_stack([design, np.where(rows[:, None], own, 0.0)])
-        before = _left(apart, held, fit.residual)[0]
-        after, rest = _left(apart, free, fit.residual)
+        before = left(apart, held, fit.residual)[0]
+        after, rest = left(apart, free, fit.residual)
         out.append(Change(part, (before - after) / inflation(rest), own.shape[1]))
     return tuple(out)
+
+
+def with_forms(problem: Problem, fit: Fit, slopes: Floats) -> tuple[Floats, Floats]:
+    """Return the slopes of a set with its laws' neighbours beside them, and the priors of all.
+
+    Args:
+        problem: what is judged.
+        fit: the set.
+        slopes: as `design_of` has them, (rows, p).
+
+    Returns:
+        Design, (rows, q), and prior, (q, q): a neighbour is no larger than a form may be off.
+    """
+    design = np.column_stack([slopes, _near(problem, fit)])
+    prior = np.zeros((design.shape[1],) * 2)
+    shapes = sum(len(m.trial.theta) for m in fit.members)
+    known = slopes.shape[1]
+    prior[:known, :known] = priors_of(problem, fit.members, shapes, known)
+    at = np.arange(known, design.shape[1])
+    prior[at, at] = POLICY.form_error**-2
+    return design, prior
 
 
 def _near(problem: Problem, fit: Fit) -> Floats:
@@ -108,7 +124,7 @@ def _parts(problem: Problem) -> list[tuple[str, NDArray[np.bool_]]]:
     ]
 
 
-def _left(design: Floats, prior: Floats, residual: Floats) -> tuple[float, Floats]:
+def left(design: Floats, prior: Floats, residual: Floats) -> tuple[float, Floats]:
     """Return chi-squared of least squares with its priors, and what is left, (rows,)."""
     gram = design.T @ design + prior
     unit = 1.0 / np.sqrt(np.maximum(gram.diagonal(), 1e-300))

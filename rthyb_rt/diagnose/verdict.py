@@ -15,7 +15,7 @@ from rthyb_rt.diagnose.policy import Policy, of_size
 
 Said = Literal["none", "explained", "ambiguous", "unknown"]
 Names = tuple[str, ...]
-Asked = Literal["sheet", "simulated", "strength", "changes"]
+Asked = Literal["sheet", "simulated", "strength", "changes", "varying"]
 
 
 # ---- evidence -----------------------------------------------------------------------------------
@@ -128,7 +128,8 @@ class Seen:
             cell's data sheet; "simulated", None where the motion does not decide; "strength", the
             set's one effect over the standard deviation of its interval, squared; None where it
             has no size; "changes", how far beyond chance the set's numbers are others in a part
-            of the recording, by that part in words, in standard deviations.
+            of the recording, by that part in words, in standard deviations; "varying", what a
+            coefficient that changes periodically with time explains more, in chi-squared.
     """
 
     force: Left | None = None
@@ -314,6 +315,20 @@ def steady(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     return False, False
 
 
+def varying(court: _Court, left: Left, named: bool, known: bool) -> Turn:
+    """What a coefficient that changes with time explains better is no law of the catalogue.
+
+    Of the same sets as `steady`.
+    """
+    if not named or left.naive or left.moved:
+        return named, known
+    gain: float = court.ask("varying")
+    if gain <= court.policy.same_evidence:
+        return named, known
+    court.rules("varying", left.names, gain, court.policy.same_evidence)
+    return False, False
+
+
 def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     """Where all that the model leaves is what rounding leaves, no force law is missing.
 
@@ -336,7 +351,8 @@ def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 TURNS: dict[str, Callable[[_Court, Left, bool, bool], Turn]] = {
-    "blur": blur, "motion": motion, "chance": chance, "steady": steady, "steps": steps,
+    "blur": blur, "motion": motion, "chance": chance, "steady": steady, "varying": varying,
+    "steps": steps,
 }  # fmt: skip
 """Rules that take the set of the force back, or say that what it leaves is known, in turn."""
 

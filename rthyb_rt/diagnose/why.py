@@ -261,6 +261,9 @@ DROPPED = {
     "needed": "{part} beside the others brings {found}, but needs {wanted}",
     "share": "{part} beside the others brings {found}; up to {wanted} may come from the form of "
     "the laws",
+    "in time": "needs a time offset between the channels beyond its tolerance, and without {part} "
+    "only noise is left",
+    "off zero": "moves the body by no more than the zero of the displacement sensor may be off",
     "drift goes on": "the drift is smaller within each half of the recording",
     "more laws": "brings {found} more than the best set with fewer laws, but needs {wanted}",
     "yielding": "{against} describes the same with a simpler effect",
@@ -439,6 +442,8 @@ TURNED = {
     "sensor's noise",
     "chance": "the best set is no larger than what noise of this spectrum produces by chance",
     "steady": "the parameters of the best set differ between parts of the recording",
+    "varying": "a stiffness or damping that changes periodically with time explains more than the "
+    "best set",
     "steps": "the residual of the model is that of the load cell's quantization",
 }
 """What each rule of `verdict` that takes a set back says."""
@@ -463,6 +468,13 @@ def _verdict(d: Diagnosis) -> str:
                 f"unknown: {_words(changed.names)} would have other numbers in {changed.part} than "
                 f"in the rest ({changed.found:.1f} standard deviations, where chance explains "
                 f"{changed.wanted:g}), and so stands for a law that is not known"
+            )
+        rival = next((r for r in d.ledger if r.rule == "varying"), None)
+        if rival is not None:
+            return (
+                f"unknown: a stiffness or damping that changes periodically with time explains "
+                f"more than {_words(rival.names)}, by {rival.found:.0f} in chi-squared after "
+                f"the price of its parameters (more than {rival.wanted:g} decides)"
             )
         if d.disp is not None and not d.disp.known:
             left = _percent(d.disp.left)
