@@ -1,25 +1,28 @@
-/* Whether the drives of several axes count their samples by one clock. */
+/* Checks that the drives of several axes count their samples on one clock. */
 #ifndef RTHYB_ABREAST_H
 #define RTHYB_ABREAST_H
 
 #include "rthyb.h"
 
-enum { ABREAST_TICKS = 64 }; /* with the counts of all axes, before they can be compared */
+enum {
+    ABREAST_TICKS = 64
+}; /* ticks with the counts of all axes that are needed before a comparison */
 
-/* Counts begin anywhere, for drives are switched on one after another. Where each stands against the first axis'
- * is what most of the first ticks say, so that one sample that falls behind its tick decides nothing. */
+/* Counts have arbitrary initial values, because drives are switched on at different times. The offset of each count
+ * from that of the first axis is determined by majority over the first ticks, so that a single late sample has no
+ * effect. */
 typedef struct {
-    uint32_t ticks;                       /* that had a say, up to ABREAST_TICKS */
-    int64_t relative[RTHYB_COUPLED_MAX];  /* to the count of the first axis */
-    int32_t votes[RTHYB_COUPLED_MAX];     /* for that, above those against it */
-    int64_t beginning[RTHYB_COUPLED_MAX]; /* count - tick when it was heard first */
+    uint32_t ticks;                       /* ticks evaluated so far, up to ABREAST_TICKS */
+    int64_t relative[RTHYB_COUPLED_MAX];  /* offset from the count of the first axis */
+    int32_t votes[RTHYB_COUPLED_MAX];     /* votes for that offset minus votes against it */
+    int64_t beginning[RTHYB_COUPLED_MAX]; /* count - tick when the first count arrived */
 } abreast;
 
-/* What was known is so no more: a drive was silent for so long that its count may have wrapped, or the station
- * was tripped and begins anew. */
+/* Discards the offsets: a drive was silent for so long that its count may have wrapped around, or the station starts
+ * again after a trip. */
 void abreast_forget(abreast *known);
-/* One tick with the counts of all n axes; usual: count - tick of each, as most of the last ticks have it. Returns
- * what rthyb_station_input says of it. */
+/* Evaluates a tick with the counts of all n axes; usual: count - tick of each axis in most of the recent ticks. Returns
+ * the value for rthyb_station_input.apart. */
 int32_t abreast_compare(abreast *known, int n, const uint64_t *counts, uint64_t tick,
                         const int64_t *usual);
 

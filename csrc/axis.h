@@ -1,5 +1,5 @@
-/* One axis of a rig, as the station judges it: an actuator with its displacement sensor and its load cell.
- * All readings are those before tare. */
+/* Checks of one axis of a rig: an actuator with its displacement sensor and load cell. All readings are before
+ * tare. */
 #ifndef RTHYB_AXIS_H
 #define RTHYB_AXIS_H
 
@@ -8,8 +8,8 @@
 /* Bits of rthyb_axis.off_scale. */
 enum axis_off { AXIS_OFF_X = 1, AXIS_OFF_F = 2 };
 
-/* A cause with what was met and what is allowed; both 0 where it has no number. where: 0 where it belongs to no
- * axis, 1 + i to axis i, -1 - j to interface j. */
+/* A cause with the value found and its limit, both 0 if the cause has no value. where: 0: no axis; 1 + i: axis i;
+ * -1 - j: interface j. */
 typedef struct {
     int cause;
     double value, limit;
@@ -18,30 +18,29 @@ typedef struct {
 
 /* 0 or RTHYB_E_LIMIT. */
 int axis_check(const rthyb_axis_config *cfg);
-/* Numbers that a reading can be. */
+/* Whether the readings are plausible. */
 int axis_is_sensible(const rthyb_axis_input *in);
-/* At the end of a sensor's range or beyond: it cannot say more. */
+/* Bits of enum axis_off for readings at or beyond the end of a sensor's range. */
 int axis_off_scale(const rthyb_axis_config *cfg, const rthyb_axis_input *in);
 
 void axis_begin_tare(rthyb_axis *axis);
-/* One reading more; 0 if they move. */
+/* Adds a reading; 0 if the readings are not at rest. */
 int axis_add_to_tare(rthyb_axis *axis, const rthyb_axis_config *cfg, const rthyb_axis_input *in);
-/* A specimen that is bent, or a sensor that is off, by more than zero may be. */
+/* Whether a tare would exceed its limit, because the specimen is deformed or a sensor is misadjusted. */
 int axis_is_far_off(const rthyb_axis_config *cfg, double x_m, double f_n, finding *found);
-/* x_cmd_m, before the new tare, is where the drive was told to be; it counts if `known`. Returns the command
- * after tare. */
+/* x_cmd_m: the drive's command, before the new tare; used only if `known`. Returns the command after tare. */
 double axis_take_tare(rthyb_axis *axis, double x_m, double f_n, double x_cmd_m, int known);
 
-/* Whether a sensor has repeated itself for `most` ticks while the command has moved on by more than the
- * spread at rest. 0 for most: it is not watched. */
+/* Whether a sensor has repeated its reading for `most` ticks while the command changed by more than the spread at
+ * rest. most = 0: not monitored. */
 int axis_is_stuck(rthyb_stillness *still, double reading, double x_cmd_m, int moves, double most,
                   double spread_m);
-/* Readings about another level, in a row, with this one. */
+/* Number of consecutive readings near another level, including this one. */
 int axis_count_leaps(rthyb_leaps *leaps, double level, double most);
-/* What stood still before the readings ceased need not stand still now. */
+/* Counts readings at rest; starts again if readings were missing, because the specimen may have moved. */
 void axis_watch_rest(rthyb_axis *axis, double x_m, double spread_m, int ceased, uint32_t most);
-/* Ticks of a force beyond its limit; `gone` ones since the last tick. What falls below it for a while only,
- * by its noise, begins no new count. */
+/* Counts ticks with a force beyond its limit; `gone`: ticks since the last call. The count continues if the force
+ * falls below its limit only briefly, because of noise. */
 void axis_count_overload(rthyb_overload *over, uint64_t gone, int is_beyond, int counts,
                          uint64_t most);
 

@@ -1,5 +1,5 @@
-/* What a control law is to the core. One file each, law_NAME.c, which ends with RTHYB_LAW: the linker
- * gathers what it finds there, so that nothing else needs to name it. */
+/* Interface between the core and a control law. Each law is one file, law_NAME.c, that ends with RTHYB_LAW: the linker
+ * collects these entries, so that a law need not be listed anywhere else. */
 #ifndef RTHYB_CONTROL_LAW_H
 #define RTHYB_CONTROL_LAW_H
 
@@ -8,7 +8,7 @@
 
 #define RTHYB_COUNT(array) (sizeof(array) / sizeof(array)[0])
 
-/* What is counted in samples in a test file is of 1/1024 s, whatever the rate: so many of the loop's. */
+/* Test files count in samples of 1/1024 s at any rate: samples of the loop per 1/1024 s. */
 static inline double rthyb_pace(double period_s)
 {
     return 1.0 / 1024.0 / period_s;
@@ -20,7 +20,7 @@ static inline double rthyb_pace(double period_s)
     static const rthyb_control_law *const law##_entry                                              \
         __attribute__((used, section("rthyb_laws"))) = &law
 
-/* Whether a setting lies below half of the sample rate; says what is wrong where it does not. */
+/* Whether a frequency is below half of the sample rate; otherwise *why explains the error. */
 static inline int rthyb_below_half_rate(double hz, double period_s, rthyb_law_complaint *why)
 {
     const int below = hz * period_s < 0.5;
@@ -35,9 +35,9 @@ static inline int rthyb_below_half_rate(double hz, double period_s, rthyb_law_co
 /* NULL: no such law. */
 const rthyb_control_law *rthyb_law_at(int32_t kind);
 
-/* A law whose gain on slow motions is not 1 leads a specimen that stands at x to gain x. Not at once:
- * rest() takes the difference as an offset, which fades as the command moves, so that nothing creeps
- * at rest, and the way back to 0 ends there. step: the command's; returns what to add to the lead. */
+/* A law with a static gain other than 1 moves a specimen at rest at x to gain x. To avoid a jump, rest() stores the
+ * difference as an offset, which decreases only as the command moves: nothing creeps at rest, and a path back to 0
+ * ends at 0. step: change of the command. Returns the value to add to the output of the law. */
 static inline double rthyb_fade(double *offset, double gain, double step)
 {
     const double most = fabs(1.0 - gain) * fabs(step);
@@ -45,7 +45,7 @@ static inline double rthyb_fade(double *offset, double gain, double step)
     return *offset;
 }
 
-/* How much of a step that would move the command by effect_m is taken. */
+/* Fraction of an adaptation that may be applied if all of it would change the command by effect_m. */
 static inline double rthyb_allowed_share(double effect_m, double allowed_m)
 {
     return effect_m > allowed_m ? allowed_m / effect_m : 1.0;

@@ -1,14 +1,14 @@
-/* What laws share that lead by derivatives of the command,
+/* Common part of the laws that compensate with derivatives of the command,
  *   x_p = a0 x_c + a1 x_c' + a2 x_c'' + ...
- * with backward differences, and learn the a from the same of the measurement. */
+ * by backward differences, and identify the coefficients from the derivatives of the measured displacement. */
 #ifndef RTHYB_DERIVATIVE_LEAD_H
 #define RTHYB_DERIVATIVE_LEAD_H
 
 #include "control_law.h"
 
-#define RTHYB_DERIVATIVES 4 /* terms at most, the signal itself among them */
+#define RTHYB_DERIVATIVES 4 /* largest number of terms, including the signal itself */
 
-/* A signal's backward differences of the sample before. */
+/* Backward differences of a signal at the previous sample. */
 typedef struct {
     double d[RTHYB_DERIVATIVES];
 } rthyb_differences;
@@ -18,7 +18,7 @@ static inline void rthyb_differences_rest(rthyb_differences *before, double x)
     *before = (rthyb_differences){{x}};
 }
 
-/* x and its first `terms` - 1 derivatives; takes the place of those before. */
+/* Computes x and its first `terms` - 1 derivatives, and stores them as the previous ones. */
 static inline void rthyb_differences_step(rthyb_differences *before, int terms, double h, double x,
                                           double *out)
 {
@@ -30,13 +30,13 @@ static inline void rthyb_differences_step(rthyb_differences *before, int terms, 
 }
 
 typedef struct {
-    double learnt[RTHYB_DERIVATIVES]; /* the coefficients, in s^i */
-    double used[RTHYB_DERIVATIVES];   /* the same as the command has them */
-    double offset;                    /* of a rest away from 0 */
+    double learnt[RTHYB_DERIVATIVES]; /* identified coefficients, in s^i */
+    double used[RTHYB_DERIVATIVES];   /* coefficients in effect in the command */
+    double offset;                    /* see rthyb_fade */
     rthyb_differences before;         /* of the command */
     double h;
     int32_t terms;
-    double alpha, beta; /* a1 and a2 in samples, as they are reported */
+    double alpha, beta; /* reported: a1 in samples, a2 in samples squared */
 } rthyb_derivative_lead;
 
 static inline void rthyb_derivative_note(rthyb_derivative_lead *s)
@@ -61,7 +61,7 @@ static inline void rthyb_derivative_init(rthyb_derivative_lead *s, int terms, do
     rthyb_derivative_note(s);
 }
 
-/* As the lead of a law. */
+/* Implements the member `lead` of a law. */
 static inline int rthyb_derivative_step(rthyb_derivative_lead *s, double x_c_m, double allowed_m,
                                         double *x_p_m)
 {

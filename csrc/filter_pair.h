@@ -1,18 +1,18 @@
-/* Command and measurement behind the same low-pass, as laws learn from the two of them. */
+/* Command and measured displacement after identical low-pass filters, from which laws identify their parameters. */
 #ifndef RTHYB_FILTER_PAIR_H
 #define RTHYB_FILTER_PAIR_H
 
 #include "control_law.h"
 #include "lowpass.h"
 
-#define RTHYB_PAIR_SECTIONS 3 /* at most: sixth order */
+#define RTHYB_PAIR_SECTIONS 3 /* largest number of sections: sixth order */
 
 typedef struct {
     rthyb_lowpass filter[RTHYB_PAIR_SECTIONS];
     double state_u[RTHYB_PAIR_SECTIONS][2], state_m[RTHYB_PAIR_SECTIONS][2];
-    double last_u, last_m; /* last good inputs */
+    double last_u, last_m; /* last valid inputs */
     int32_t sections;
-    int32_t primed; /* has had a pair */
+    int32_t primed; /* a pair has been processed */
 } rthyb_filter_pair;
 
 static inline void rthyb_pair_init(rthyb_filter_pair *s, int sections, double cutoff_hz, double h,
@@ -22,7 +22,7 @@ static inline void rthyb_pair_init(rthyb_filter_pair *s, int sections, double cu
     butterworth_design(s->filter, sections, cutoff_hz, h);
 }
 
-/* Both behind the low-pass, which the first pair finds at rest in its place; status bits of the pair. */
+/* Filters a pair. The filters start at rest at the first pair. Returns the status bits of the pair. */
 static inline int rthyb_pair_step(rthyb_filter_pair *s, double x_p_m, double x_m_m, double *u,
                                   double *m)
 {

@@ -1,6 +1,6 @@
-/* What the laws inverse and gain-alpha-beta have in common: the phase lead of Eqn 2.5 with a gain beside
- * delay and curvature, both poles of its roll-off at one frequency; the three found by recursive least
- * squares. Behind it, in inverse, the rig's own response undone as far as it was identified. */
+/* Common part of the laws inverse and gain-alpha-beta: the phase lead of Eqn 2.5 with a gain in addition to delay and
+ * curvature, and both poles of its roll-off at one frequency. The three quantities are estimated by recursive least
+ * squares. In the law inverse, an inverse of the identified response of the rig follows. */
 #ifndef RTHYB_GAIN_LEAD_H
 #define RTHYB_GAIN_LEAD_H
 
@@ -10,36 +10,38 @@
 #define INVERSE_ORDER 5 /* of the fitted inverse, numerator and denominator */
 
 /* C(z) = 1 + sum of b_j ((1 - 1/z) / h)^j / (1 + r (1 - 1/z))^5, r = rho / (1 - rho), j from 0. With the
- * gain 1 + b0 taken out it works on differences alone, so that what rests stays exact:
+ * gain 1 + b0 separated, the rest acts on differences only, so that the output at rest is exact:
  *   C(z) = 1 + b0 + sum of c_j (1 - 1/z)^j / (...)^5, j from 1,  c_j = b_j / h^j - b0 (5 over j) r^j. */
 typedef struct {
     double gain, rho;
-    double c[INVERSE_ORDER];        /* c_1 to c_5, times (1 - rho)^5 */
-    double x1, past[INVERSE_ORDER]; /* x[n-1], and its difference of order 0 to 4 one sample ago */
-    double pole[INVERSE_ORDER];     /* states of the denominator */
+    double c[INVERSE_ORDER]; /* c_1 to c_5, times (1 - rho)^5 */
+    /* x[n-1], and its differences of order 0 to 4 at the previous sample */
+    double x1, past[INVERSE_ORDER];
+    double pole[INVERSE_ORDER]; /* states of the denominator */
 } rthyb_inverse;
 
 typedef struct {
     double h, w1, w2, s; /* s = w1 + w2 + 1 */
     double first[LEAD_TERMS], low[LEAD_TERMS], high[LEAD_TERMS];
-    double learnt[LEAD_TERMS];  /* gain less 1, samples, samples squared */
-    double used[LEAD_TERMS];    /* the same as the command has them */
-    double x1, x2, e1, e2;      /* x_c[n-1], x_c[n-2], lead less x_c */
+    /* estimates: gain - 1, delay in samples, curvature in samples squared */
+    double learnt[LEAD_TERMS];
+    double used[LEAD_TERMS];    /* the values in effect in the command */
+    double x1, x2, e1, e2;      /* x_c[n-1], x_c[n-2], lead - x_c */
     double offset;              /* see rthyb_fade */
-    double last_p, last_m;      /* last good inputs */
-    rthyb_inverse inverse, rig; /* of the command; and the other way round, the rig as fitted */
+    double last_p, last_m;      /* last valid inputs */
+    rthyb_inverse inverse, rig; /* applied to the command; its inverse: the identified rig */
     /* Filter pair */
     rthyb_lowpass filter;
     double filter_p[2], filter_m[2], level_p, level_m, level_weight, least_weight;
     double p1, p2, m1, m2;
-    /* Least squares: upper triangle row by row, right-hand side, the same of the rest noise alone */
+    /* Least squares: upper triangle row by row, right-hand side, and the contribution of the rest noise to both */
     double r[6], q[LEAD_TERMS], noise_r[6], noise_q[LEAD_TERMS], ridge[LEAD_TERMS];
     double weight, forget, short_power, gate_power;
-    double led_first;                     /* delay that the inverse leads by, samples */
+    double led_first;                     /* delay compensated by the inverse, samples */
     double delay, gain, shift, curvature; /* reported */
 } rthyb_gain_lead;
 
-/* One for each law: the keys stand below its own name. clang-format off */
+/* One table per law, because its keys begin with its name. clang-format off */
 #define GAIN_LEAD_PARAMETERS(table, delay_least, roll_off_hz, roll_off_key)                         \
     {table ".roll_off_hz",       "Hz", 1.0,          400.0,           roll_off_hz,                  \
      "the roll-off of the lead", 0,    roll_off_key, "roll-off {} Hz"},                             \
@@ -103,22 +105,22 @@ enum {
     GAIN_LEAD_CUTOFF,
     GAIN_LEAD_GATE,
     GAIN_LEAD_MEMORY,
-    GAIN_LEAD_SIGMA, /* of the gain; then of delay and curvature */
+    GAIN_LEAD_SIGMA, /* of the gain; followed by those of delay and curvature */
     GAIN_LEAD_SIGMA_DELAY,
     GAIN_LEAD_SIGMA_CURVATURE,
     GAIN_LEAD_GAIN_MOST,
     GAIN_LEAD_LEAST,
     GAIN_LEAD_MOST,
-    GAIN_LEAD_OWN /* the first that is a law's own */
+    GAIN_LEAD_OWN /* first parameter specific to a law */
 };
 
-/* p: where the table's ten parameters begin. */
+/* p: the first of the table's ten parameters. */
 int rthyb_gain_lead_check(const double *p, double period_s, rthyb_law_complaint *why);
-/* b: coefficients b0 to b5 of the inverse, in seconds to their power, with the frequency of its roll-off;
- * NULL: none, C = 1. first: gain less 1, delay in s, curvature in s^2. */
+/* b: coefficients b0 to b5 of the inverse, b_j in s^j; NULL: no inverse, C = 1. inverse_roll_off_hz: frequency of its
+ * poles. first: initial gain - 1, delay in s, curvature in s^2. */
 int rthyb_gain_lead_init(rthyb_gain_lead *s, const double *p, const double *first, const double *b,
                          double inverse_roll_off_hz, const rthyb_law_start *start);
-/* Whether all zeros of the inverse lie within the unit circle: the poles of the rig as fitted. */
+/* Whether all zeros of the inverse, which are the poles of the identified rig, lie inside the unit circle. */
 int rthyb_inverse_is_stable(const double *b, double roll_off_hz, double period_s);
 void rthyb_gain_lead_rest(void *state, double x_m);
 int rthyb_gain_lead_observe(void *state, double x_p_m, double x_m_m, int frozen);

@@ -1,13 +1,13 @@
-/* The servo-hydraulic actuator, one substep: what pushes its table, and what comes of the table's next
+/* One substep of the servo-hydraulic actuator: the force on the table, and the table's motion for a given next
  * velocity. PI loop on the table's displacement, first-order valve, square-root load flow (natural velocity
- * feedback), oil column as spring and damper, moving mass with friction. Velocity lives between the substeps
- * (leapfrog), linear damping is implicit. */
+ * feedback), oil column as spring and damper, moving mass with friction. Velocities are defined midway between
+ * substeps (leapfrog); linear damping is implicit. */
 #ifndef RTHYB_HYDRAULIC_H
 #define RTHYB_HYDRAULIC_H
 
 #include "numeric.h"
 
-/* Force of the oil column, but for its damping of the table, with the command held over h. */
+/* Force of the oil column without its damping of the table's velocity; the command is held over h. */
 static inline double hydraulic_push(rthyb_servo *s, double command, double h, double per_stall)
 {
     const rthyb_servo_config *c = &s->cfg;
@@ -23,7 +23,7 @@ static inline double hydraulic_push(rthyb_servo *s, double command, double h, do
     return spring + c->oil_damping_n_s_per_m * s->piston_velocity;
 }
 
-/* Moves the table on with its velocity in the middle of the next substep. */
+/* Advances the table, given its velocity in the middle of the next substep. */
 static inline void hydraulic_move(rthyb_servo *s, double half_velocity, double h, double per_h)
 {
     const rthyb_servo_config *c = &s->cfg;

@@ -1,4 +1,4 @@
-/* What the files of the core share with one another and nobody else sees. */
+/* Declarations shared by the files of the core, not part of its interface. */
 #ifndef RTHYB_INTERNAL_H
 #define RTHYB_INTERNAL_H
 
@@ -6,27 +6,27 @@
 
 #include "limiter.h"
 
-/* One sample. path_m: the next displacement of each interface where it does not come from the equation of
- * motion; laws, RFC and monitors then stand still. blind: a skipped tick made up for, nothing is sent
- * and the drive still has the command of before. */
+/* One sample. path_m: the next displacement of each interface if a path, not the equation of motion, determines it;
+ * laws, RFC and monitors are then inactive. blind: a skipped tick that is processed later; nothing is sent, and the
+ * previous command remains in effect at the drive. */
 int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
                             int blind, rthyb_record *record);
 
-/* At rest with each axis where x_m says, wherever the drives were told to be before; also where these are no
- * pose of the specimen. */
+/* Sets the controller at rest with the axes at x_m, regardless of earlier commands, even if no pose of the specimen
+ * corresponds to x_m. */
 void rthyb_controller_rest(rthyb_controller *c, const double *x_m);
-/* Whether the specimen has a pose with its axes there. */
+/* Whether a pose of the specimen corresponds to x_m. */
 int rthyb_controller_has_pose(const rthyb_controller *c, const double *x_m);
-/* Pose and forces along the interfaces with the axes there and such forces; 0 if there is no pose. */
+/* Pose, and forces in interface coordinates, for given positions and forces of the axes; 0 if there is no pose. */
 int rthyb_controller_meets(const rthyb_controller *c, const double *x_m, const double *f_n,
                            double *pose, double *force);
-/* What the lead of an axis reports as alpha (term 1) or beta (term 2). */
+/* Value that the control law of an axis reports as alpha (term 1) or beta (term 2). */
 double rthyb_controller_lead(const rthyb_controller *c, int axis, int term);
-/* The tangent stiffness of an interface in its own direction. */
+/* Diagonal entry of the tangent stiffness for an interface. */
 double rthyb_controller_stiffness(const rthyb_controller *c, int interface);
 
-/* Whether the controller's own equation of motion computes the next displacement, and not a part of the
- * caller's. A prescribed motion has no equation, whatever the part. */
+/* Whether the controller's own equation of motion, not a part provided by the caller, computes the next displacement.
+ * A prescribed motion has no equation of motion, whatever the part. */
 static inline int has_own_part(const rthyb_controller *c)
 {
     return c->cfg.numerical.kind == RTHYB_NUMERICAL_MOTION ||
@@ -41,8 +41,8 @@ static inline rthyb_numerical part_of(rthyb_controller *c)
                            : c->cfg.numerical;
 }
 
-/* Readings in the structure's own numbers, and the way of a command to the wire and back. The station
- * sees nothing else, live or replayed. */
+/* Conversion of readings and commands between wire and structure. The station only uses calibrated values, in a live
+ * test as well as in a replay. */
 static inline double calibrated_x(const rthyb_calibration *c, double wire_m)
 {
     return c->x_gain * wire_m + c->x_offset_m;
@@ -58,8 +58,8 @@ static inline double command_to_wire(const rthyb_calibration *c, double x_m)
     return c->cmd_gain * x_m + c->cmd_offset_m;
 }
 
-/* What goes to the wire: never what its rounding would take beyond the station's bounds. NaN where the
- * wire has nothing between them. */
+/* Value for the wire, chosen so that rounding on the wire does not exceed the station's bounds. NaN if the wire cannot
+ * represent any value between them. */
 static inline double command_for_wire(const rthyb_codec *codec, const rthyb_calibration *c,
                                       const rthyb_axis_output *out)
 {
@@ -74,8 +74,8 @@ static inline double command_from_wire(const rthyb_calibration *c, double wire_m
     return (wire_m - c->cmd_offset_m) / c->cmd_gain;
 }
 
-/* Tells the station which displacement the drive of an axis has for the next tick: the one on the wire, to its
- * last digit, or the one before where none has left. */
+/* Stores the command in effect at the drive of an axis in the next tick: the value on the wire exactly as rounded, or
+ * the previous one if none was sent. */
 static inline void note_command(rthyb_station *s, int axis, const rthyb_calibration *c, int sent,
                                 double wire_m)
 {
@@ -85,9 +85,10 @@ static inline void note_command(rthyb_station *s, int axis, const rthyb_calibrat
         limiter_stayed(&a->limiter);
 }
 
-/* What a record says of the pair that the station was told of an axis, or of why there was none. With one axis
- * nothing came where the row is flagged, with several the row has to say of which: its displacement is no number,
- * and its force is none either, or 0. A displacement that came and is no number keeps its force, but for a 0. */
+/* Stores in a record the pair of an axis as received by the station, or the reason why there was none. With one axis,
+ * a flag of the row indicates that nothing was received. With several axes, the readings of the axis themselves must
+ * indicate it: displacement NaN and force NaN or 0. If a displacement was received as NaN, its force is kept, except
+ * that a force of 0 is stored as NaN. */
 static inline void note_pair(rthyb_axis_record *record, double x_m, double f_n, int32_t lost,
                              int axis_count)
 {
@@ -97,7 +98,7 @@ static inline void note_pair(rthyb_axis_record *record, double x_m, double f_n, 
     record->f_read_n = lost || looks_lost ? none : f_n;
 }
 
-/* That the command of an axis did not leave; with several, which one. */
+/* Flags for a command that was not sent; with several axes, also of which axis. */
 #define UNSENT_FLAGS ((uint32_t)RTHYB_F_NOT_SENT | (uint32_t)15 << RTHYB_F_UNSENT_BIT)
 
 static inline uint32_t unsent_flag(int axis, int axis_count)
@@ -106,7 +107,7 @@ static inline uint32_t unsent_flag(int axis, int axis_count)
            (axis_count > 1 ? (uint32_t)1 << (RTHYB_F_UNSENT_BIT + axis) : 0u);
 }
 
-/* Of a row of so many axes. */
+/* Size of a row with this number of axes. */
 static inline size_t record_bytes(int32_t axis_count)
 {
     return ((size_t)RTHYB_TEST_WORDS + (size_t)axis_count * RTHYB_AXIS_WORDS) * sizeof(uint64_t);
@@ -117,8 +118,7 @@ static inline rthyb_record *row_at(void *rows, int32_t axis_count, size_t n)
     return (rthyb_record *)(void *)((char *)rows + n * record_bytes(axis_count));
 }
 
-/* A drive that brakes by itself, one tick: the next target from the velocity of the last two; the same
- * one once it stands. */
+/* Next target of a drive that brakes on its own, computed from its last two targets; unchanged once it is at rest. */
 static inline double braked_target(double target_m, double target1_m, double decel_m_per_s2,
                                    double period_s)
 {
@@ -131,25 +131,25 @@ int rthyb_watches_check(const rthyb_watch *watch, int count);
 int rthyb_path_limits_check(double velocity_m_per_s, double acceleration_m_per_s2,
                             double brake_m_per_s2);
 
-/* What the calling thread has used since `before`. */
+/* System usage of the calling thread since `before`. */
 void rthyb_usage_since(rthyb_usage *usage, const rthyb_usage *before);
 
 int rthyb_servo_init(rthyb_servo *servo, const rthyb_servo_config *cfg);
 
-/* The table at t_n, before x_p[n] is applied (pure delay: with it). */
+/* State of the table at t_n, before x_p[n] is applied (pure delay: after). */
 int rthyb_servo_latch(rthyb_servo *servo, double x_p_m);
 
-/* Moves on to t_{n+1}. Only the servo-hydraulic actuator feels the specimen. Status bits tell of a
- * computation that has run off. */
+/* Advances to t_{n+1}. Of these actuators, only the servo-hydraulic one is affected by the specimen. Status bits report
+ * a computation that diverged. */
 int rthyb_servo_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count);
 
-/* Servo-hydraulic: the command at the beginning of a sample, and what it rises by in a substep. */
+/* Servo-hydraulic: command at the beginning of a sample, and its increment per substep. */
 void rthyb_servo_run_up(const rthyb_servo *servo, double *start, double *rise);
 
-/* A virtual rig that has gone unstable stops at its guard instead of filling with inf. */
+/* Bounds the state, so that an unstable virtual rig stops at its bounds instead of producing infinite values. */
 int rthyb_servo_confine(rthyb_servo *servo);
 
-/* servo_valve.c: set-up of its step; one sample. */
+/* servo_valve.c: initialisation, and one sample. */
 int rthyb_valve_init(rthyb_servo *servo);
 void rthyb_valve_advance(rthyb_servo *servo, rthyb_element *elements, uint32_t element_count);
 

@@ -1,5 +1,5 @@
-/* Force laws with a memory, one element each: friction.c and loops.c. element.c checks parameters p and
- * motion before it calls them; s is the element's history, which begins with zeros. */
+/* Force laws with history variables: friction.c and loops.c. element.c validates the parameters p and the motion
+ * before calling them; s contains the history variables of the element, initially zero. */
 #ifndef RTHYB_LAWS_H
 #define RTHYB_LAWS_H
 
@@ -10,7 +10,7 @@ double rthyb_lugre(const double *p, double *s, double v, double dt);
 double rthyb_gap_friction(const double *p, double *s, double x);
 double rthyb_friction_pendulum(const double *p, double *s, double x, double v);
 
-/* Where the hysteretic variable of Eqn 4.2 comes to rest: A = (B + C) |z|^eta. */
+/* Asymptotic value of the hysteretic variable of Eqn 4.2: A = (B + C) |z|^eta. */
 double rthyb_bouc_wen_ceiling(const double *p);
 double rthyb_bouc_wen(rthyb_element *e, double x);
 double rthyb_iwan(const double *p, double *s, double x);

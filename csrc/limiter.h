@@ -1,4 +1,4 @@
-/* Where the commands of a group of axes end: velocity, acceleration, position. */
+/* Limits the commands of a group of axes: velocity, acceleration, position. */
 #ifndef RTHYB_LIMITER_H
 #define RTHYB_LIMITER_H
 
@@ -7,11 +7,12 @@
 #define COMMAND_MAX_M (1e2 * RTHYB_DISPLACEMENT_MAX_M)
 
 void limiter_rest(rthyb_limiter *limiter, double x_m);
-/* What leaves of what is wanted, one of each of n axes. */
+/* Limits the wanted commands of n axes. */
 void limiter_commands(int n, rthyb_controller *c, const double *wanted, double *command);
-/* What leaves in this tick, unless it finds no room: then limiter_stayed takes it back. blind: nothing does. */
+/* Stores the command sent in this tick; if it cannot be sent after all, limiter_stayed undoes this. blind: nothing is
+ * sent. */
 void limiter_note(rthyb_limiter *limiter, double x_cmd, int blind);
-/* It goes on from the command that left last, and from the step that led to it. */
+/* Undoes limiter_note: the limiter continues from the last command sent and its step. */
 void limiter_stayed(rthyb_limiter *limiter);
 
 #endif

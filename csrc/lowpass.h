@@ -1,11 +1,11 @@
-/* Butterworth low-passes of even order: sections of second order by the bilinear transform, with the
- * corner kept in place. */
+/* Butterworth low-pass filters of even order: second-order sections by the bilinear transform, prewarped to keep the
+ * cut-off frequency exact. */
 #ifndef RTHYB_LOWPASS_H
 #define RTHYB_LOWPASS_H
 
 #include "numeric.h"
 
-/* damping: 2 zeta of the section's pole pair; sqrt(2) alone is the filter of second order. */
+/* damping: 2 zeta of the section's pole pair; a single section with sqrt(2) is the second-order filter. */
 static inline rthyb_lowpass lowpass_design(double cutoff_hz, double period_s, double damping)
 {
     const double k = tan(RTHYB_PI * cutoff_hz * period_s);
@@ -31,7 +31,8 @@ static inline void lowpass_rest(const rthyb_lowpass *f, double *s, double x0)
     s[0] = (f->b1 - f->a1) * x0 + s[1];
 }
 
-/* All sections of a filter of order 2 n; pole pair i stands at pi (2 i + 1) / (4 n) from the axis. */
+/* All n sections of a filter of order 2 n; pole pair i is at an angle of pi (2 i + 1) / (4 n) from the imaginary
+ * axis. */
 static inline void butterworth_design(rthyb_lowpass *sections, int n, double cutoff_hz,
                                       double period_s)
 {

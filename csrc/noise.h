@@ -1,4 +1,4 @@
-/* Seeded noise of virtual sensors, so that a test can be repeated to the bit. */
+/* Seeded noise for virtual sensors, so that a test can be repeated exactly. */
 #ifndef RTHYB_NOISE_H
 #define RTHYB_NOISE_H
 
@@ -28,7 +28,7 @@ static inline void noise_seed(rthyb_noise *noise, uint64_t seed)
     noise->has_spare = 0;
 }
 
-/* Box and Muller's pair, one at a time. */
+/* Box-Muller method; the second value of a pair is kept for the next call. */
 static inline double normal(rthyb_noise *noise)
 {
     if (noise->has_spare) {

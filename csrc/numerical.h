@@ -1,26 +1,26 @@
-/* What a kind of numerical part is made of: a table of operations, found by its number. Nothing here
- * crosses the library's boundary. */
+/* Operations of a kind of numerical part, found by the number of the kind. Not part of the interface of the core. */
 #ifndef RTHYB_NUMERICAL_H
 #define RTHYB_NUMERICAL_H
 
 #include "rthyb.h"
 
-/* A state is plain bytes: whoever copies them has a second part that goes on by itself. Between force and
- * command stands `answer` alone; what may wait until the command has left is in `advance`, which the
- * next answer, freeze or look finds done. */
+/* A state consists of plain bytes, so that a copy of them is an independent part. Only `answer` is computed between a
+ * reading and its command; whatever can wait until the command was sent is in `advance`, which must be called before
+ * the next answer, freeze or look. */
 typedef struct {
-    size_t (*size)(const void *cfg); /* of a state; 0 for senseless settings */
+    size_t (*size)(const void *cfg); /* of a state; 0 for invalid settings */
     int (*init)(const rthyb_numerical *part, double x0_m);
-    /* Excitation and forces of t_n -> x_c[n+1], one each for every interface; status bits. */
+    /* Excitation and forces at t_n -> x_c[n+1], one value per interface; status bits. */
     int (*answer)(const rthyb_numerical *part, double excitation, const double *force_n,
                   double *x_next_m);
     int (*advance)(
-        const rthyb_numerical *part); /* the rest of that step; status bits. NULL: none */
-    /* A tick in which the displacement comes from a path: time stands still. NULL: nothing to do */
+        const rthyb_numerical *part); /* completes the step; status bits. NULL: nothing to do */
+    /* Called in a tick in which a path determines the displacement: the part's time does not advance. NULL: nothing
+     * to do */
     void (*freeze)(const rthyb_numerical *part, const double *force_n);
-    void (*look)(const rthyb_numerical *part, rthyb_interface *at); /* one for every interface */
+    void (*look)(const rthyb_numerical *part, rthyb_interface *at); /* one value per interface */
     size_t (*report)(const rthyb_numerical *part, double *values, size_t most);
-    /* Its bytes are about to be copied, or have been put back. NULL: they are all there is */
+    /* Called before the bytes of the state are copied, and after they were restored. NULL: nothing to do */
     void (*before_save)(const rthyb_numerical *part);
     void (*after_restore)(const rthyb_numerical *part);
 } rthyb_numerical_ops;
@@ -28,7 +28,7 @@ typedef struct {
 extern const rthyb_numerical_ops rthyb_motion_ops, rthyb_dense_ops, rthyb_sparse_ops,
     rthyb_library_ops;
 
-/* NULL for a kind that does not exist. */
+/* NULL for an unknown kind. */
 const rthyb_numerical_ops *rthyb_numerical_find(int32_t kind);
 
 #endif

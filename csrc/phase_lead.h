@@ -1,5 +1,5 @@
-/* What the laws paper, robust and alpha-beta have in common: the compensator of Eqn 2.5 with its
- * curvature term (plc.c), led by an estimate of alpha and beta (delay_estimator.c). */
+/* Common part of the laws paper, robust and alpha-beta: the compensator of Eqn 2.5 with its curvature term (plc.c),
+ * which uses estimates of alpha and beta (delay_estimator.c). */
 #ifndef RTHYB_PHASE_LEAD_H
 #define RTHYB_PHASE_LEAD_H
 
@@ -8,10 +8,10 @@
 typedef struct {
     rthyb_estimator estimator;
     rthyb_plc plc;
-    double alpha, beta; /* as the compensator has them: bounded, and rate-limited */
+    double alpha, beta; /* as used by the compensator: bounded and rate-limited */
 } rthyb_phase_lead;
 
-/* The parameters that all three begin with, in this order. */
+/* Common parameters; the tables of all three laws begin with them, in this order. */
 enum {
     LEAD_W1,
     LEAD_W2,
@@ -20,7 +20,7 @@ enum {
     LEAD_ALPHA_MIN,
     LEAD_ALPHA_MAX,
     LEAD_REFERENCE,
-    LEAD_OWN /* the first that is a law's own */
+    LEAD_OWN /* first parameter specific to a law */
 };
 
 /* clang-format off */
@@ -49,10 +49,10 @@ enum {
     }
 
 int rthyb_lead_check(const double *p, double period_s, rthyb_law_complaint *why);
-/* With the filter pair: its cut-off is the law's second own parameter. */
+/* For laws with the filter pair, whose cut-off is the second parameter specific to the law. */
 int rthyb_lead_check_filtered(const double *p, double period_s, rthyb_law_complaint *why);
-/* What the table says of the estimator's settings, at this rate; law, memory and filter are the caller's.
- * The gain is the table's: per sample of 1/1024 s. */
+/* Settings of the estimator from the common parameters, at this rate; the caller sets law, memory and filter. gain: as
+ * in the table, per sample of 1/1024 s. */
 rthyb_estimator_config rthyb_lead_settings(const rthyb_law_start *start, double gain);
 int rthyb_lead_init(rthyb_phase_lead *lead, const rthyb_estimator_config *cfg,
                     const rthyb_law_start *start);

@@ -1,4 +1,4 @@
-/* Numbers with one writer and any number of readers, none of whom waits. */
+/* Numbers with one writer and any number of readers; no thread waits. */
 #ifndef RTHYB_RELAXED_H
 #define RTHYB_RELAXED_H
 
@@ -26,7 +26,7 @@ static inline void put_signed(int64_t *number, int64_t value)
     __atomic_store_n(number, value, __ATOMIC_RELAXED);
 }
 
-/* For the writer only: no other thread can come between load and store. */
+/* For the writer only, because load and store are not one atomic operation. */
 static inline void add(uint64_t *number, uint64_t more)
 {
     put(number, peek(number) + more);

@@ -1,5 +1,5 @@
-/* A virtual rig of several axes at one specimen (coupled_rig.c): actuators of their own that feel one another
- * through the specimen, or a state space of all of it; sensors and load cell of each axis. */
+/* A virtual rig with several axes at one specimen (coupled_rig.c): one actuator per axis, coupled through the
+ * specimen, or a state-space model of the whole; each axis has its own displacement sensor and load cell. */
 #ifndef RTHYB_PART_COUPLED_RIG_H
 #define RTHYB_PART_COUPLED_RIG_H
 
@@ -12,10 +12,10 @@
 
 /* cffi: begin */
 
-/* Instead of actuators: s[n+1] = A s[n] + B u[n], u the commands held from t_n on; displacements, velocities
- * and accelerations of the axes at t_n by s[n] and, the last two, by u[n-1]. */
+/* Replaces the actuators: s[n+1] = A s[n] + B u[n], u: commands, held from t_n on. Displacements of the axes at
+ * t_n depend on s[n]; velocities and accelerations on s[n] and u[n-1]. */
 typedef struct {
-    int32_t states; /* 0: there is none */
+    int32_t states; /* 0: no state-space model */
     double a[RTHYB_PLANT_STATES][RTHYB_PLANT_STATES];
     double b[RTHYB_PLANT_STATES][RTHYB_COUPLED_MAX];
     double x_of[RTHYB_COUPLED_MAX][RTHYB_PLANT_STATES];
@@ -23,23 +23,23 @@ typedef struct {
     double a_of[RTHYB_COUPLED_MAX][RTHYB_PLANT_STATES];
     double v_by[RTHYB_COUPLED_MAX][RTHYB_COUPLED_MAX];
     double a_by[RTHYB_COUPLED_MAX][RTHYB_COUPLED_MAX];
-    double stroke_m[RTHYB_COUPLED_MAX]; /* a command goes no farther, either way */
+    double stroke_m[RTHYB_COUPLED_MAX]; /* commands are limited to +- this */
 } rthyb_state_space;
 
 typedef struct {
     int32_t size; /* axes */
     double period_s;
-    rthyb_kinematics_config kinematics;          /* how axes and interface belong together */
+    rthyb_kinematics_config kinematics;          /* relation between axes and interface */
     rthyb_servo_config servo[RTHYB_COUPLED_MAX]; /* any kind but the servo-valve */
     rthyb_state_space plant;
-    /* The specimen along the interface: force = K q + C q' + M q'' + elements. Symmetric; K and C as they
-     * are, M positive or 0. */
+    /* The specimen in interface coordinates: force = K q + C q' + M q'' + elements. All symmetric; M positive
+     * definite or 0. */
     double stiffness[RTHYB_COUPLED_MAX][RTHYB_COUPLED_MAX];
     double damping[RTHYB_COUPLED_MAX][RTHYB_COUPLED_MAX];
     double mass[RTHYB_COUPLED_MAX][RTHYB_COUPLED_MAX];
     uint32_t element_count;
-    rthyb_element elements[RTHYB_ELEMENTS_MAX]; /* no inertia: that is in the mass */
-    int32_t along[RTHYB_ELEMENTS_MAX];          /* which direction of the interface each is in */
+    rthyb_element elements[RTHYB_ELEMENTS_MAX]; /* no inertia elements: mass is given above */
+    int32_t along[RTHYB_ELEMENTS_MAX]; /* interface coordinate in which each element acts */
     rthyb_sensor displacement[RTHYB_COUPLED_MAX], force[RTHYB_COUPLED_MAX];
     int32_t load_cell; /* enum rthyb_load_cell */
     uint64_t seed;
@@ -51,26 +51,26 @@ typedef struct {
     rthyb_servo servo[RTHYB_COUPLED_MAX];
     rthyb_noise noise;
     double s[RTHYB_PLANT_STATES];
-    double command[RTHYB_COUPLED_MAX]; /* of a state space: last good ones */
-    /* What the sensors of each axis saw without their errors. */
+    double command[RTHYB_COUPLED_MAX]; /* state-space model: last valid commands */
+    /* Readings of each axis without sensor errors. */
     double x_true_m[RTHYB_COUPLED_MAX], f_true_n[RTHYB_COUPLED_MAX];
     double v_true[RTHYB_COUPLED_MAX], a_true[RTHYB_COUPLED_MAX];
-    /* Along the interface at the last latch. */
+    /* Interface coordinates at the last latch. */
     double pose[RTHYB_COUPLED_MAX], pose_v[RTHYB_COUPLED_MAX], pose_a[RTHYB_COUPLED_MAX];
     double jacobian[RTHYB_COUPLED_SQUARE]; /* d axis / d pose, */
     double back[RTHYB_COUPLED_SQUARE];     /* and its inverse */
-    int32_t substeps;                      /* of a sample, 0: no axis has any */
+    int32_t substeps;                      /* per sample; 0: no axis has substeps */
 } rthyb_coupled_rig;
 
-/* RTHYB_E_PLANT: sizes, numbers of the matrices; RTHYB_E_PERIOD: of an actuator; RTHYB_E_KINEMATICS,
- * RTHYB_E_SENSOR, RTHYB_E_ELEMENT; RTHYB_E_SERVO also where actuators and specimen together are too stiff for
- * the substeps. */
+/* RTHYB_E_PLANT: sizes or matrix entries; RTHYB_E_PERIOD: period of an actuator; RTHYB_E_KINEMATICS,
+ * RTHYB_E_SENSOR, RTHYB_E_ELEMENT; RTHYB_E_SERVO, also if actuators and specimen together are too stiff for the
+ * substeps. */
 int rthyb_coupled_rig_init(rthyb_coupled_rig *rig, const rthyb_coupled_rig_config *cfg);
-/* Begins the noise of the sensors anew, from the seed. */
+/* Restarts the sensor noise from the seed. */
 void rthyb_coupled_rig_reseed(rthyb_coupled_rig *rig);
-/* Latches x_m[n] and f[n] of every axis, then applies x_p[n] and moves on to t_{n+1}. */
+/* Latches x_m[n] and f[n] of every axis, then applies x_p[n] and advances to t_{n+1}. */
 int rthyb_coupled_rig_step(rthyb_coupled_rig *rig, const double *x_p_m, double *x_m_m, double *f_n);
-/* Along n rows of commands. */
+/* For n rows of commands. */
 int rthyb_coupled_rig_run(rthyb_coupled_rig *rig, const double *x_p_m, double *x_m_m, double *f_n,
                           size_t n);
 /* cffi: end */

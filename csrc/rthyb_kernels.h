@@ -46,8 +46,8 @@ typedef struct {
     double cutoff_hz;      /* filter pair of robust and RLS */
     double alpha_min, alpha_max;
     double rest_noise_m; /* standard deviation of x_m measured at rest */
-    double
-        gate_factor; /* adapt only while the power of phi exceeds this multiple of its power at rest */
+    /* adapt only while the power of phi exceeds this multiple of its power at rest */
+    double gate_factor;
 } rthyb_estimator_config;
 
 typedef struct {

@@ -1,5 +1,5 @@
-/* Several actuators at one specimen: displacements of the axes from those of the interface, and back
- * (kinematics.c). */
+/* Kinematics of several actuators at one specimen: conversion between displacements of the axes and of the
+ * interface (kinematics.c). */
 #ifndef RTHYB_PART_KINEMATICS_H
 #define RTHYB_PART_KINEMATICS_H
 
@@ -11,8 +11,9 @@
 /* cffi: begin */
 
 enum rthyb_kinematics_kind {
-    RTHYB_KINEMATICS_MATRIX, /* axes = matrix times pose: small displacements, or axes side by side */
-    RTHYB_KINEMATICS_PINS /* plane motion, exact: each axis from a base to a pin on the coupler */
+    RTHYB_KINEMATICS_MATRIX, /* axes = matrix times pose: small displacements, or parallel axes */
+    /* exact plane motion: each axis connects a base to a pin on the coupler */
+    RTHYB_KINEMATICS_PINS
 };
 
 enum rthyb_coordinate {
@@ -21,21 +22,21 @@ enum rthyb_coordinate {
     RTHYB_COORDINATE_THETA /* rad, from x towards y */
 };
 
-/* Arrays of axes have `size` numbers that count, square ones rows of `size`, the first at 0. There are as
- * many interface coordinates as axes. */
+/* Only the first `size` entries of an array of axes are used; square matrices are stored row by row, `size` values
+ * per row. There are as many interface coordinates as axes. */
 typedef struct {
     int32_t kind; /* enum rthyb_kinematics_kind */
     int32_t size; /* axes; pins: 1 to 3 */
     double matrix[RTHYB_COUPLED_SQUARE];
-    /* The rest is of pins. Coordinates that are not named stay 0. */
-    int32_t coordinate[RTHYB_COUPLED_MAX]; /* enum rthyb_coordinate, each once */
-    /* At rest, from the point whose motion the pose is: x and y of each axis. */
+    /* The rest applies to pins only. Coordinates that are not listed remain 0. */
+    int32_t coordinate[RTHYB_COUPLED_MAX]; /* enum rthyb_coordinate, each at most once */
+    /* x and y of each axis at rest, relative to the point whose motion is the pose. */
     double pin_m[RTHYB_COUPLED_MAX][2];
     double base_m[RTHYB_COUPLED_MAX][2];
-    /* Not 0: the base is so far away that the axis keeps its direction; base_m is a direction from base to
-     * pin of any length. */
+    /* Not 0: the base is so far away that the axis does not turn; base_m is then the direction from base to pin, as
+     * a vector of any length. */
     int32_t far[RTHYB_COUPLED_MAX];
-    int32_t pulls[RTHYB_COUPLED_MAX]; /* not 0: the axis counts its shortening as positive */
+    int32_t pulls[RTHYB_COUPLED_MAX]; /* not 0: shortening of the axis is positive */
 } rthyb_kinematics_config;
 
 typedef struct {
@@ -44,36 +45,37 @@ typedef struct {
     double rest_m[RTHYB_COUPLED_MAX];     /* length at rest */
     double inverse[RTHYB_COUPLED_SQUARE]; /* of the matrix */
     double scale[RTHYB_COUPLED_MAX]; /* of each coordinate, m: 1, or the pins' distance for theta */
-    double pose[RTHYB_COUPLED_MAX];  /* last one of rthyb_kinematics_pose */
-    double wanted[RTHYB_COUPLED_MAX]; /* last good inputs: poses, */
+    double pose[RTHYB_COUPLED_MAX];  /* last result of rthyb_kinematics_pose */
+    double wanted[RTHYB_COUPLED_MAX]; /* last valid inputs: pose, */
     double axis_m[RTHYB_COUPLED_MAX]; /* axes, */
     double axis_n[RTHYB_COUPLED_MAX]; /* forces */
 } rthyb_kinematics;
 
-/* RTHYB_E_KINEMATICS: sizes, a coordinate named twice, pins that coincide with their bases, axes that
- * leave a coordinate free. */
+/* RTHYB_E_KINEMATICS: sizes, a coordinate listed twice, a pin that coincides with its base, or axes that do not
+ * determine every coordinate. */
 int rthyb_kinematics_init(rthyb_kinematics *s, const rthyb_kinematics_config *cfg);
 /* Pose -> displacement of each axis. Status bits. */
 int rthyb_kinematics_axes(rthyb_kinematics *s, const double *pose, double *axis_m);
-/* Displacement of each axis -> pose, by two steps of Newton from the last one found, which stays, with
- * RTHYB_S_OUT_OF_RANGE, where they do not converge. */
+/* Displacement of each axis -> pose, by two Newton steps from the previous pose. If they do not converge, returns
+ * the previous pose and RTHYB_S_OUT_OF_RANGE. */
 int rthyb_kinematics_pose(rthyb_kinematics *s, const double *axis_m, double *pose);
-/* The same from anywhere, for what begins: from the last pose, else from that at rest, until the axes are where
- * they are said to be. RTHYB_S_OUT_OF_RANGE where no pose is found: then it is that at rest. */
+/* The same without a nearby previous pose, for use at the start of a test: iterates from the last pose, and if
+ * that fails from the pose at rest, until the axes agree. If no pose is found, returns the pose at rest and
+ * RTHYB_S_OUT_OF_RANGE. */
 int rthyb_kinematics_find(rthyb_kinematics *s, const double *axis_m, double *pose);
-/* Forces of the axes, positive where they push the way they count -> forces and moments along the
- * coordinates at the last pose found: the transposed Jacobian. */
+/* Forces of the axes, positive in the positive direction of each axis -> forces and moments in interface
+ * coordinates, by the transposed Jacobian at the last pose found. */
 int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *force);
-/* The other way round: what each axis pushes with where those are the forces along the coordinates. */
+/* The inverse: forces and moments in interface coordinates -> force of each axis. */
 int rthyb_kinematics_pushes(const rthyb_kinematics *s, const double *force, double *axis_n);
 /* d axis / d pose at the last pose found, rows of `size`. */
 void rthyb_kinematics_jacobian(const rthyb_kinematics *s, double *jacobian);
-/* Velocity and acceleration of each axis where the specimen passes a pose with those of each coordinate: exact,
- * with what the turning of coupler and axes adds to an acceleration. HUGE_VAL for a pin in its own base. */
+/* Velocity and acceleration of each axis for a pose with given velocity and acceleration; exact, including the
+ * acceleration due to rotation of the coupler and the axes. HUGE_VAL for a pin that coincides with its base. */
 void rthyb_kinematics_rates(const rthyb_kinematics *s, const double *pose, const double *velocity,
                             const double *acceleration, double *axis_velocity,
                             double *axis_acceleration);
-/* n poses, or n rows of axes, one after the other. */
+/* The same for n successive poses, or n successive rows of axes. */
 int rthyb_kinematics_axes_run(rthyb_kinematics *s, const double *pose, double *axis_m, size_t n);
 int rthyb_kinematics_pose_run(rthyb_kinematics *s, const double *axis_m, double *pose, size_t n);
 /* cffi: end */

@@ -13,7 +13,7 @@ enum rthyb_law_size {
     RTHYB_LAW_PARAMETERS_MAX = 32,
     RTHYB_LAW_VALUES_MAX = 32,     /* reported by one law */
     RTHYB_LAW_STATE_BYTES = 16384, /* largest state of a law */
-    RTHYB_LAW_NUMBERS = 4          /* in one complaint */
+    RTHYB_LAW_NUMBERS = 4          /* in one rthyb_law_complaint */
 };
 
 enum rthyb_open { RTHYB_OPEN_LOW = 1, RTHYB_OPEN_HIGH = 2 };
@@ -43,8 +43,8 @@ typedef struct {
     const rthyb_law_value *values; /* reported values; alpha and beta are stored in the record */
     uint32_t parameter_count, value_count;
     int32_t uses_rest_noise;
-    int32_t
-        with_rfc; /* designed for use with the restoring-force compensator; laws of other authors are not */
+    /* designed for use with the restoring-force compensator; laws of other authors are not */
+    int32_t with_rfc;
 } rthyb_law_description;
 
 /* Why settings that are each within their range are invalid in combination. The text has {} for each
@@ -54,40 +54,42 @@ typedef struct {
     double numbers[RTHYB_LAW_NUMBERS];
 } rthyb_law_complaint;
 
-/* Where a law begins. Parameters are in the order of its table, and finite. The ranges of the table are
- * those of test files; who asks the core itself may go beyond them, so a law must not trust them with its
- * memory. */
+/* Initial conditions of a law. Parameters are in the order of its table, and finite. The ranges in the table are
+ * enforced for test files only; a caller of the core may exceed them, so a law must remain memory-safe for any
+ * finite value. */
 typedef struct {
     const double *parameters;
     double period_s;
-    double x0_m;         /* command and specimen stand here */
+    double x0_m;         /* command and specimen are at rest here */
     double rest_noise_m; /* standard deviation of x_m measured at rest */
 } rthyb_law_start;
 
-/* State is the law's own, state_size plain bytes without a pointer in them: who copies them has all of
- * it. None of these allocates, locks or calls the system; each is done within a bounded time. */
+/* The state belongs to the law: state_size bytes without pointers, so that a copy of the bytes is a complete copy
+ * of the law. None of these functions may allocate memory, take a lock or make a system call; each must return
+ * within a bounded time. */
 typedef struct {
     rthyb_law_description is;
     size_t state_size;
-    /* What parameters that are each within their range do wrong together at this sampling period: -1, or
-     * the index of the one to blame. What only the rig knows may be NaN still. May be NULL. */
+    /* Checks parameters that are each within their range for combinations that are invalid at this sampling
+     * period. Returns -1, or the index of the parameter to change. Values that come from the rig file may still be
+     * NaN. May be NULL. */
     int (*check)(const double *parameters, double period_s, rthyb_law_complaint *complaint);
-    /* 0 or enum rthyb_error. The state is all zeros before. */
+    /* 0 or enum rthyb_error. The state is zeroed before the call. */
     int (*init)(void *state, const rthyb_law_start *start);
-    /* Command and specimen stand at x_m now: leading x_m next gives x_m. What has been learnt stays. */
+    /* Command and specimen are now at rest at x_m, so that the next lead(x_m) must give x_m. Adapted quantities are
+     * kept. */
     void (*rest)(void *state, double x_m);
-    /* The newest pair: the command that the drive had, and what was measured. frozen: take it in, but
-     * learn nothing from it. Status bits. */
+    /* The newest pair: the command in effect at the drive, and the measured displacement. frozen: update the
+     * filters but do not adapt. Status bits. */
     int (*observe)(void *state, double x_p_m, double x_m_m, int frozen);
-    /* x_c -> x_p for the same instant. What has been learnt since the last call may move x_p by no more
-     * than allowed_m: 0 for not at all, INFINITY for as far as it likes. Status bits; *x_p_m is finite
-     * whatever x_c_m is. */
+    /* x_c -> x_p for the same instant. The adaptation since the last call may change x_p by at most allowed_m; 0
+     * prevents any change, INFINITY allows any. Status bits; *x_p_m must be finite for any x_c_m. */
     int (*lead)(void *state, double x_c_m, double allowed_m, double *x_p_m);
 } rthyb_control_law;
 
 typedef struct {
     int32_t kind; /* from rthyb_law_find; not stable between versions, and not used in recordings */
-    const rthyb_control_law *own; /* the user's law in its place; NULL: by kind */
+    const rthyb_control_law *own; /* a law of the user's own, used instead of `kind`; NULL: none */
     int32_t adapts;               /* 0: adapted quantities keep their initial values */
     double rest_noise_m;          /* standard deviation of x_m measured at rest */
     double parameters[RTHYB_LAW_PARAMETERS_MAX]; /* in the order of the law's table */
@@ -126,9 +128,9 @@ int rthyb_law_lead(rthyb_law *law, double x_c_m, double allowed_m, double *x_p_m
 double rthyb_law_value_at(const rthyb_law *law, int32_t offset);
 /* values must have room for RTHYB_LAW_VALUES_MAX numbers. */
 void rthyb_law_report(const rthyb_law *law, double *values);
-/* The same without alpha and beta, which are in the record; at most `most` values. Returns their number. */
+/* The same without alpha and beta, which are in the record; at most `most` values. Returns the number of values. */
 uint32_t rthyb_law_report_beside(const rthyb_law *law, double *values, uint32_t most);
-/* Without adaptation. */
+/* Applies the law without adaptation to n samples. */
 int rthyb_law_run(rthyb_law *law, const double *x_c_m, double *x_p_m, size_t n);
 /* cffi: end */
 

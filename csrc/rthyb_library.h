@@ -1,17 +1,16 @@
-/* A numerical part of your own, as a shared library: what it exports, and what it may not do.
+/* Your own numerical part as a shared library: the functions that it exports, and what they must not do.
  *
  *   cc -O2 -shared -fPIC -I DIRECTORY_OF_THIS_FILE mine.c -o mine.so
  *
- * At each tick the program gives the library the ground acceleration and the measured force of t_n, and
- * the library answers with the displacement of t_{n+1}, which the actuator is sent. In real time this
- * happens up to 4096 times a second in a thread of its own: between init and the end of the test, answer, advance,
- * freeze and report may not allocate or free memory, call the system (files, clocks, printing, locks),
- * start threads, wait, or loop without a bound. Before a test in real time the program tries them out in a
- * process of its own: it refuses a library that allocates or calls the system, and one whose step takes
- * more than half of a sampling period.
+ * In each tick, the program passes the ground acceleration and the measured force at t_n to the library, which
+ * returns the displacement at t_{n+1}; this is the command to the actuator. In real time this happens up to 4096
+ * times per second in a separate thread: between init and the end of the test, answer, advance, freeze and report
+ * must not allocate or free memory, make system calls (files, clocks, printing, locks), start threads, wait, or
+ * loop without a bound. Before a test in real time, the program runs the library in a separate process and
+ * rejects it if a step allocates memory or makes a system call, or takes longer than half a sampling period.
  *
- * SI units. Whatever comes in is finite; whatever goes out that is not finite, or further than 1 km, is
- * replaced and noted in the recording. Of several interfaces each has its place in every array. */
+ * All quantities are in SI units. All inputs are finite. An output that is not finite, or exceeds 1 km, is replaced,
+ * and this is noted in the recording. With several interfaces, every array has one entry per interface. */
 #ifndef RTHYB_PART_LIBRARY_H
 #define RTHYB_PART_LIBRARY_H
 
@@ -22,12 +21,12 @@
 enum rthyb_library_version { RTHYB_LIBRARY_VERSION = 1 };
 
 typedef struct {
-    double period_s;           /* of a step */
-    const double *parameter;   /* values of the test file, in the order of rthyb_part_names */
+    double period_s;           /* length of a step */
+    const double *parameter;   /* values from the test file, in the order of rthyb_part_names */
     const double *k_e_n_per_m; /* elastic stiffness of the specimen at each interface */
 } rthyb_part_setup;
 
-/* What rthyb_part_names is asked for. */
+/* Which names rthyb_part_names is asked for. */
 enum rthyb_part_names_of {
     RTHYB_PART_PARAMETERS, /* "mass_kg damping_n_s_per_m": keys of the test file */
     RTHYB_PART_RESPONSES   /* "roof[m] shear_1[N]": values of report, channels of the recording */
@@ -41,28 +40,29 @@ enum rthyb_part_names_size { RTHYB_PART_NAMES_ROOM = 2048 };
 
 /* Return RTHYB_LIBRARY_VERSION. */
 int32_t rthyb_part_version(void);
-/* How many forces it takes and displacements it gives. */
+/* Number of interfaces: forces in, displacements out. */
 int32_t rthyb_part_interfaces(void);
-/* Bytes of a state. It is allocated, zeroed, and aligned for a double by the program; it holds no
+/* Size of the state in bytes. The program allocates it, zeroed and aligned for a double. It must not contain
  * pointers, so that a copy of the bytes is a copy of the part. */
 int64_t rthyb_part_state_bytes(const rthyb_part_setup *setup);
-/* At rest at 0. 0, or a number of your own for settings that you refuse. */
+/* Initialises the part at rest at 0. Returns 0, or an error number of your own to reject the settings. */
 int32_t rthyb_part_init(void *state, const rthyb_part_setup *setup);
-/* Ground acceleration and forces of t_n -> displacements of t_{n+1}. 0, or a number of your own: the
- * displacement of before is kept then. Nothing but this stands between force and command. */
+/* Ground acceleration and forces at t_n -> displacements at t_{n+1}. Returns 0, or an error number of your own, in
+ * which case the previous displacement is kept. This is all that is computed between a reading and its command. */
 int32_t rthyb_part_answer(void *state, double ag_mps2, const double *force_n, double *x_next_m);
 
-/* ---- leave out what you do not need ---- */
+/* ---- optional ---- */
 
-/* Text with RTHYB_PART_NAMES_ROOM bytes for names, separated by spaces, with a zero at its end. */
+/* Writes names, separated by spaces and terminated by a zero, to a buffer of RTHYB_PART_NAMES_ROOM bytes. */
 void rthyb_part_names(int32_t of, char *text);
-/* The rest of that step, once the command has left. 0, or a number of your own. */
+/* Completes the step after the command was sent. Returns 0, or an error number of your own. */
 int32_t rthyb_part_advance(void *state);
-/* Instead of both while a ramp or a hold moves the actuator: the part's time stands still. */
+/* Called instead of answer and advance while a ramp or a hold moves the actuator: the part's time must not
+ * advance. */
 void rthyb_part_freeze(void *state, const double *force_n);
-/* The values that rthyb_part_names calls responses, after answer and before advance. */
+/* Values of the responses listed by rthyb_part_names; called after answer and before advance. */
 void rthyb_part_report(const void *state, double *values);
-/* The bytes of the state are about to be copied / have been put back: for what is kept elsewhere. */
+/* Called before the bytes of the state are copied, and after they were restored: for data kept outside the state. */
 void rthyb_part_save(void *state);
 void rthyb_part_restore(void *state);
 

@@ -14,12 +14,12 @@
 
 enum rthyb_loop_size {
     RTHYB_HEARTBEAT_TICKS = 1024, /* of 1/1024 s without a heartbeat until RAMP_OUT */
-    RTHYB_SLIP_WINDOW = 256,      /* ticks with a punctual pair, of which */
-    RTHYB_SLIP_VOTES = 192,       /* this many with a different count are a slip */
+    RTHYB_SLIP_WINDOW = 256,      /* ticks with a punctual pair, of which at least */
+    RTHYB_SLIP_VOTES = 192,       /* this many with a different count mean a slip */
     /* Link clock: wake-ups in one tick; a serial line may wake the thread for each byte. */
     RTHYB_WAKE_UPS_MAX = 2 * (RTHYB_SERIAL_FEEDBACK + 4 * RTHYB_EXTRAS_MAX),
-    RTHYB_LINK_DELAYS =
-        256, /* histogram of link delays in samples; the last bucket includes larger ones */
+    /* histogram of link delays in samples; the last bucket includes larger ones */
+    RTHYB_LINK_DELAYS = 256,
     RTHYB_OLD_PIECES_MAX = 4096 /* discarded before the first tick */
 };
 
@@ -41,45 +41,48 @@ typedef struct {
     uint64_t not_sent;        /* commands that the link did not accept */
     uint64_t down;            /* ticks with the link down */
     uint64_t stopped;         /* ticks in which the drive last reported that it has stopped */
-    uint64_t late_heartbeats; /* ticks */
-    uint64_t refused;         /* operator's commands */
+    uint64_t late_heartbeats; /* ticks with a late heartbeat */
+    uint64_t refused;         /* operator's commands refused */
     uint64_t slips;           /* lasting changes of (drive's count - tick) */
     uint64_t wake_ups;        /* link clock: wake-ups by received data, in addition to the ticks */
-    uint64_t parameters;      /* sets taken */
-    uint64_t parameters_refused; /* sets that would switch off a limit during a motion */
-    uint64_t beyond;             /* commands that the wire could not represent */
-    uint64_t old;                /* pieces that arrived before the first tick and were discarded */
-    uint64_t belated;            /* pairs not used because the drive followed outdated commands */
-    uint64_t suspended;          /* number of times the PC was suspended between two ticks */
+    uint64_t parameters;      /* sets adopted */
+    /* sets refused because they would switch off a limit during motion */
+    uint64_t parameters_refused;
+    uint64_t beyond;    /* commands that the wire could not represent */
+    uint64_t old;       /* pieces that arrived before the first tick and were discarded */
+    uint64_t belated;   /* pairs not used because the drive followed outdated commands */
+    uint64_t suspended; /* number of times the PC was suspended between two ticks */
 } rthyb_loop_counters;
 
-/* The way to the drive of one axis and back. */
+/* Connection to the drive of one axis. */
 typedef struct {
     rthyb_wire *wire;
     rthyb_link *link;
     rthyb_calibration calibration;
 } rthyb_loop_axis;
 
-/* What a loop is made of: set up by the caller, who keeps it alive and leaves all but the counters alone
- * while the thread runs. */
+/* Parts of a loop. The caller sets them up and keeps them valid; while the thread runs, the caller must not access
+ * any of them except the counters. */
 typedef struct {
     rthyb_station *station;
-    rthyb_loop_axis axis[RTHYB_COUPLED_MAX]; /* as many as the station has */
+    rthyb_loop_axis axis[RTHYB_COUPLED_MAX]; /* one per axis of the station */
     rthyb_ring *ring;                        /* NULL: no ring */
-    const double *ag_mps2;                   /* ground motion of the test */
+    const double *ag_mps2;                   /* ground motion */
     size_t ag_count;
-    int32_t clock;   /* enum rthyb_clock */
-    int32_t unpaced; /* stepped clock: the drive does not wait for its ticks */
-    double lead_ns;  /* link clock: the first axis' pair arrives so long before the tick */
+    int32_t clock; /* enum rthyb_clock */
+    /* stepped clock: the drive runs on its own clock and does not wait for ticks */
+    int32_t unpaced;
+    double lead_ns; /* link clock: time by which the first axis' pair arrives before the tick */
 } rthyb_loop_config;
 
-/* What a drive was told last, where it stood then, both without tare, and the seq that it was told it with. */
+/* Last command sent to a drive, the displacement read at that time (both without tare), and the sequence number of
+ * the command. */
 typedef struct {
     double x_cmd_m, x_m;
     uint32_t seq;
 } rthyb_last_command;
 
-/* What a loop continues with: another test on the same link. */
+/* Another test that a loop continues with on the same links. */
 typedef struct {
     rthyb_station *station;
     rthyb_ring *ring; /* NULL: no ring */
@@ -87,99 +90,103 @@ typedef struct {
     size_t ag_count;
 } rthyb_load;
 
-/* State of a loop that any thread may read at any time; each number is consistent in itself, but two may belong to
- * successive ticks. */
+/* State of a loop. Any thread may read it at any time; each number is consistent in itself, but two numbers may
+ * belong to successive ticks. */
 typedef struct {
     uint64_t state, cause, cause_tick; /* of the station, after the last tick */
-    uint64_t load_tick;                /* where tick 0 of the station is that was taken last */
-    int64_t began_ns;                  /* CLOCK_MONOTONIC at due_ns 0; stepped clock: 0 */
-    int64_t arrival_error_ns;          /* link clock: after the wanted instant, smoothed; */
-    int64_t trim_ppb;                  /* by how much the period is lengthened; */
+    uint64_t load_tick;                /* tick of the loop that was tick 0 of the current station */
+    int64_t began_ns;                  /* CLOCK_MONOTONIC when due_ns was 0; stepped clock: 0 */
+    int64_t arrival_error_ns;          /* link clock: smoothed lateness of the arrivals; */
+    int64_t trim_ppb;                  /* change of the period, positive: longer; */
     uint64_t locked;                   /* whether the ticks follow the drive's samples */
-    int64_t delay[RTHYB_COUPLED_MAX];  /* as in rthyb_feedback, of each axis' last fresh pair */
+    int64_t delay[RTHYB_COUPLED_MAX]; /* as in rthyb_feedback, for the last new pair of each axis */
 } rthyb_loop_view;
 
 /* The tick: link -> wire -> station -> wire -> link -> record -> ring. */
 typedef struct rthyb_loop rthyb_loop;
 
-size_t rthyb_loop_size(void); /* bytes, aligned as a double is; the caller's */
+size_t rthyb_loop_size(void); /* bytes that the caller provides, aligned for a double */
 
-/* The station's period is the loop's. 0; RTHYB_E_PERIOD for one of no ticker (rthyb_ticker_rate_hz), an unknown
- * clock, or a lead that the link clock refuses; RTHYB_E_LIMIT for a calibration, or a ring for rows of another
- * number of axes. */
+/* The loop runs at the period of the station. Returns 0; RTHYB_E_PERIOD for a period that no ticker has
+ * (rthyb_ticker_rate_hz), an unknown clock, or a lead that the link clock rejects; RTHYB_E_LIMIT for a calibration,
+ * or a ring for a different number of axes. */
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg);
-/* Parts that may be read while the loop runs; the ticker can also be used to grant, miss and stop ticks. */
+/* These may be read while the loop runs; the ticker may also be used to grant, miss and stop ticks. */
 void rthyb_loop_look(const rthyb_loop *loop, rthyb_loop_view *view);
 const rthyb_loop_counters *rthyb_loop_counted(const rthyb_loop *loop);
-const uint64_t *rthyb_loop_delays(const rthyb_loop *loop); /* RTHYB_LINK_DELAYS pairs of RUNNING */
-const rthyb_latency *rthyb_loop_sent(const rthyb_loop *loop); /* from wake-up to the command sent */
+const uint64_t *
+rthyb_loop_delays(const rthyb_loop *loop); /* RTHYB_LINK_DELAYS counts of pairs in RUNNING */
+const rthyb_latency *
+rthyb_loop_sent(const rthyb_loop *loop); /* from wake-up until the command was sent */
 rthyb_ticker *rthyb_loop_ticker(rthyb_loop *loop);
-/* Records of the last tick, *count of them; not to be called while a thread runs. */
+/* The *count records of the last tick; must not be called while a thread runs. */
 const rthyb_record *rthyb_loop_records(const rthyb_loop *loop, uint32_t *count);
-/* For the thread, after its end: its privileges (enum rthyb_privilege) and its system usage. */
+/* After the end of the thread: its privileges (enum rthyb_privilege) and its system usage. */
 uint32_t rthyb_loop_ended(const rthyb_loop *loop, rthyb_usage *usage);
-/* What an earlier loop at these links told the drives last, one of each axis: a drive that still follows takes
- * no seq that is older. Holds if the first sound readings, and each before them, are the same within
- * rest_spread_m and no drive has stopped meanwhile: then the commands go on from there. Else, as without this
- * call, they begin at the readings; x_m = NaN asks for that. Before the start. */
+/* Passes on the last commands of an earlier loop on these links, one per axis, because a drive that is still
+ * following ignores commands with older sequence numbers. If no drive has stopped, and all readings up to and
+ * including the first valid ones agree with those of the earlier loop within rest_spread_m, the commands continue
+ * from there. Otherwise, and if x_m is NaN, they start at the readings, as without this call. Call before the
+ * start. */
 void rthyb_loop_go_on(rthyb_loop *loop, const rthyb_last_command *last);
-/* What rthyb_loop_go_on of the next one is to be given, once this one has ended; 0: nothing was ever sent, or
- * it did not end at rest. */
+/* After the end of a loop: what to pass to rthyb_loop_go_on of the next one. Returns 0 if nothing was ever sent, or
+ * if the loop did not end at rest. */
 int rthyb_loop_last(const rthyb_loop *loop, rthyb_last_command *last);
-/* Drops what waits in the links, RTHYB_OLD_PIECES_MAX pieces each at most: it was sent to somebody else, or long
- * ago. Stepped clock: before the first tick, on the caller's word; the others do it by themselves. */
+/* Discards up to RTHYB_OLD_PIECES_MAX pieces that are waiting in each link, because they are old or were meant for
+ * another program. With the stepped clock, call it before the first tick; with the other clocks this is done
+ * automatically. */
 void rthyb_loop_drop_old(rthyb_loop *loop);
 /* Executes one tick on the calling thread, for the stepped clock. */
 void rthyb_loop_step(rthyb_loop *loop);
-/* A thread that ticks until rthyb_ticker_stop, as punctual as rthyb_thread_become_real_time makes it; 0 or
- * errno. But for the stepped clock the first tick is due a little later than now. */
+/* Starts a thread that runs until rthyb_ticker_stop, with the arguments of rthyb_thread_become_real_time. Returns 0
+ * or errno. Except with the stepped clock, the first tick is due shortly after the call. */
 int rthyb_loop_start(rthyb_loop *loop, int32_t priority, int32_t cpu, int32_t latency_fd);
 /* Waits for the thread to end. */
 int rthyb_loop_join(rthyb_loop *loop);
-/* Once more the last commands, with RTHYB_TOLD_LEAVING; 0 if not all were sent: not at rest, nothing sent ever,
- * or a link did not take it. After the thread's end. */
+/* After the end of the thread: sends the last commands again, with RTHYB_TOLD_LEAVING. Returns 0 if not all were
+ * sent: not at rest, nothing was ever sent, or a link did not accept it. */
 int rthyb_loop_leave(rthyb_loop *loop);
-/* Queues an operator's command for the next tick; one thread at a time. Returns its generation, or 0 while the
- * previous one has not been answered; only RTHYB_CMD_TRIP replaces that one. */
+/* Queues an operator's command for the next tick; one thread at a time. Returns its generation, or 0 if the previous
+ * one has not been answered yet; only RTHYB_CMD_TRIP replaces an unanswered one. */
 uint64_t rthyb_loop_command(rthyb_loop *loop, int32_t command);
-/* 0: not answered yet; 1: obeyed; 2: refused. *tick is the tick of the answer. */
+/* 0: not answered yet; 1: accepted; 2: refused. *tick is the tick of the answer. */
 int rthyb_loop_answered(const rthyb_loop *loop, uint64_t generation, uint64_t *tick);
-/* Has the next tick go on with another station, ring and ground motion; ticks, wires, links and what is
- * known of the drives' clocks stay. Refused unless the station that goes is in IDLE, and the other has as many
- * axes and the same period; the same station may get another ring in any state. A ring for rows of another number of
- * axes is refused always. One thread at a time, and one load. Returns its generation. */
+/* Makes the next tick continue with another station, ring and ground motion; the tick count, wires, links and what
+ * is known about the drives' clocks are kept. Refused unless the current station is in IDLE, and the new one has the
+ * same number of axes and the same period; the same station may be given another ring in any state. A ring for a
+ * different number of axes is always refused. One thread at a time, and one load at a time. Returns its
+ * generation. */
 uint64_t rthyb_loop_load(rthyb_loop *loop, const rthyb_load *load);
-/* 0: not answered yet; 1: taken, what was there before is no longer touched; 2: refused, what was to be
- * loaded is not touched. */
+/* 0: not answered yet; 1: accepted, the previous objects are no longer used; 2: refused, the new objects are not
+ * used. */
 int rthyb_loop_loaded(const rthyb_loop *loop, uint64_t generation);
-/* Publishes a set and gives it its generation; the next tick takes it whole, before anything else. One
- * thread at a time. 0, or RTHYB_E_LIMIT: then nothing is published. */
+/* Publishes a set of parameters and assigns its generation; the next tick adopts it as a whole before it does
+ * anything else. One thread at a time. Returns 0, or RTHYB_E_LIMIT, in which case nothing is published. */
 int rthyb_loop_set_parameters(rthyb_loop *loop, rthyb_parameters *parameters);
-/* 0: no tick has seen that set yet; 1: it is in force, or a later one is; 2: it, or a later one, was
- * refused (rthyb_station_adopt), and the set before stays in force. */
+/* 0: no tick has processed that set yet; 1: it or a later one is in effect; 2: it or a later one was refused
+ * (rthyb_station_adopt), and the previous set remains in effect. */
 int rthyb_loop_set_taken(const rthyb_loop *loop, uint32_t generation);
-/* Heartbeat of the operator's side. */
+/* Heartbeat of the operator's program. */
 void rthyb_loop_beat(rthyb_loop *loop);
 
 typedef struct {
-    const rthyb_codec *codec; /* that sent the commands; NULL: no wire, they left as computed */
-    rthyb_calibration calibration; /* of the commands */
+    const rthyb_codec *codec;      /* of the wire; NULL: no wire, commands were not rounded */
+    rthyb_calibration calibration; /* applied to the commands */
 } rthyb_replay_axis;
 
-/* What a recording is replayed from: all its rows, from the station's first tick on, of as many axes as the
- * station has. */
+/* Recording to be replayed: all rows from the station's first tick on, with as many axes as the station. */
 typedef struct {
     const void *rows;
     size_t count;
-    const double *ag_mps2; /* as in rthyb_loop */
+    const double *ag_mps2; /* as in rthyb_loop_config */
     size_t ag_count;
     rthyb_replay_axis axis[RTHYB_COUPLED_MAX];
-    const rthyb_parameters *parameters; /* every set but that of generation 0 */
+    const rthyb_parameters *parameters; /* all sets except generation 0 */
     size_t parameter_count;
 } rthyb_replay;
 
-/* Through a fresh station; what the clock and the link added to the rows is copied. Returns how many
- * rows came out: fewer than count where the rows do not make ticks. */
+/* Replays a recording through a newly initialised station; what the clock and the link added to the rows is copied.
+ * Returns the number of rows written, which is less than `count` if the rows do not form complete ticks. */
 size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, void *out);
 /* cffi: end */
 

@@ -19,14 +19,14 @@ enum rthyb_integrator {
     RTHYB_CR,
     RTHYB_KR_ALPHA,
     RTHYB_PRESCRIBED, /* no equation: the next command is the excitation itself */
-    RTHYB_RK4         /* classical Runge-Kutta with a held force: dense parts alone */
+    RTHYB_RK4         /* classical Runge-Kutta with a held force; dense parts only */
 };
 
 typedef struct {
     int32_t integrator; /* enum rthyb_integrator */
     double period_s;
     double mass_kg;       /* numerical mass: ground motion acts on it */
-    double added_mass_kg; /* moves with it, but the ground motion does not act on it */
+    double added_mass_kg; /* moves with it, but is not subject to the ground motion */
     double damping_n_s_per_m;
     double stiffness_n_per_m; /* numerical stiffness */
     double k_e_n_per_m;       /* specimen's elastic stiffness; CR and KR-alpha need it */
@@ -118,16 +118,16 @@ typedef struct {
 size_t rthyb_numerical_size(const rthyb_numerical *part);
 /* Number of interfaces (forces in, displacements out); for settings that init accepted. */
 int32_t rthyb_numerical_interfaces(const rthyb_numerical *part);
-/* Initialises the part at rest at x0; a sparse part starts as its settings state, a library at 0, and x0 must be 0 for both. All functions
- * below require an initialised part. */
+/* Initialises the part at rest at x0. A sparse part starts as its settings specify and a library at 0; for both, x0
+ * must be 0. All functions below require an initialised part. */
 int rthyb_numerical_init(const rthyb_numerical *part, double x0_m);
 /* Excitation and forces at t_n -> x_c[n+1], one value per interface. This is all that is computed between
  * a reading and its command. */
 int rthyb_numerical_answer(const rthyb_numerical *part, double excitation, const double *force_n,
                            double *x_next_m);
-/* Completes the step after the command was sent; must precede any other call for this part. */
+/* Completes the step after the command was sent; must be called before any other function of this part. */
 int rthyb_numerical_advance(const rthyb_numerical *part);
-/* Call instead of answer and advance while a path determines the command: the time of the part does not advance. */
+/* Call instead of answer and advance while a path determines the command: the part's time does not advance. */
 void rthyb_numerical_freeze(const rthyb_numerical *part, const double *force_n);
 /* Copy a state to bytes and back; kind and settings must be the same. */
 void rthyb_numerical_save(const rthyb_numerical *part, void *bytes);

@@ -1,4 +1,4 @@
-/* What may be changed while a test runs (parameters.c). */
+/* Parameters that can be changed while a test runs (parameters.c). */
 #ifndef RTHYB_PART_PARAMETERS_H
 #define RTHYB_PART_PARAMETERS_H
 
@@ -13,9 +13,9 @@ enum rthyb_parameters_size {
     RTHYB_COUPLED_MAX * (7 + 2 * RTHYB_CAUSE_COUNT)
 };
 
-/* Of one axis, and of the interface of that number. */
+/* Parameters of one axis, and of the interface with the same index. */
 typedef struct {
-    int32_t own; /* 0: watches and limits of the axis are those of the set */
+    int32_t own; /* 0: the axis uses the watches and limits of the whole set */
     rthyb_watch watch[RTHYB_CAUSE_COUNT];
     double velocity_limit_m_per_s, acceleration_limit_m_per_s2;
     rthyb_interface_config interface;

@@ -1,4 +1,4 @@
-/* A virtual rig of any kind, of one axis or of several (plant.c). */
+/* A virtual rig of any kind, with one axis or several (plant.c). */
 #ifndef RTHYB_PART_PLANT_H
 #define RTHYB_PART_PLANT_H
 
@@ -15,22 +15,22 @@ enum rthyb_plant_kind {
     RTHYB_PLANT_KINDS
 };
 
-/* What moves and measures. The state was set up by its own _init function and is the caller's. */
+/* A virtual rig. The state belongs to the caller and is initialised by its own _init function. */
 typedef struct {
     int32_t kind; /* enum rthyb_plant_kind */
     void *state;
 } rthyb_plant;
 
-/* Axes, 1 to RTHYB_COUPLED_MAX; 0: no such kind. */
+/* Number of axes, 1 to RTHYB_COUPLED_MAX; 0: unknown kind. */
 int32_t rthyb_plant_axes(const rthyb_plant *plant);
 double rthyb_plant_period_s(const rthyb_plant *plant);
-/* Latches x_m[n] and f[n] of each axis, then applies x_p[n] and moves on to t_{n+1}. Status bits. */
+/* Latches x_m[n] and f[n] of each axis, then applies x_p[n] and advances to t_{n+1}. Status bits. */
 int rthyb_plant_step(const rthyb_plant *plant, const double *x_p_m, double *x_m_m, double *f_n);
-/* Begins the noise of the sensors anew, from the seed. */
+/* Restarts the sensor noise from the seed. */
 void rthyb_plant_reseed(const rthyb_plant *plant);
-/* What the sensors saw in that step, without their errors. */
+/* Readings of the last step without sensor errors. */
 void rthyb_plant_truth(const rthyb_plant *plant, double *x_true_m, double *f_true_n);
-/* Readings of the extra sensors in that step, RTHYB_EXTRAS_MAX of them; 0 where there is none. */
+/* Readings of the extra sensors in the last step: RTHYB_EXTRAS_MAX values, 0 where there is no sensor. */
 void rthyb_plant_extra(const rthyb_plant *plant, double *values);
 /* cffi: end */
 

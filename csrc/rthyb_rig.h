@@ -41,26 +41,27 @@ enum rthyb_element_kind {
     RTHYB_IWAN,              /* k, a, xy, spread */
     RTHYB_MENEGOTTO_PINTO,   /* k, a, xy, R0, cR1, cR2 */
     RTHYB_CHABOCHE,          /* k, fy, H, gamma 1/m, Q, rate 1/m */
-    RTHYB_RC_COLUMN,         /* k, a, xy, eta, pivot, ultimate m, strength lost there, energy J,
-                              * strength and stiffness lost with it, slip, its level and width */
-    RTHYB_OWN,               /* none: the user's own function */
+    /* k, a, xy, eta, pivot, ultimate m, strength lost there, energy J, strength and stiffness lost with it,
+     * slip, its level and width */
+    RTHYB_RC_COLUMN,
+    RTHYB_OWN, /* no parameters: user-defined function */
     RTHYB_ELEMENT_KINDS
 };
 
-/* A law of the user's own, for virtual time: what it remembers is in `state`, RTHYB_ELEMENT_STATES - 1
- * numbers that are 0 in the beginning, so that a copy of the element is an element by itself. */
+/* A user-defined force law, for virtual time only. It must keep its history in `state`, RTHYB_ELEMENT_STATES - 1
+ * values that are initially 0, so that a copy of the element is an independent element. */
 typedef double (*rthyb_own_force)(double *state, double x_m, double v_m_per_s, double a_m_per_s2,
                                   double dt_s);
 
 typedef struct {
     int32_t kind;        /* enum rthyb_element_kind */
-    rthyb_own_force own; /* RTHYB_OWN: set it once it is initialised */
+    rthyb_own_force own; /* RTHYB_OWN: to be set after initialisation */
     double params[RTHYB_ELEMENT_PARAMS];
     double state[RTHYB_ELEMENT_STATES];
-    double x, v, a; /* last good motion: it stands in for a senseless one */
+    double x, v, a; /* last valid motion, used in place of an invalid one */
 } rthyb_element;
 
-/* Number of parameters that a kind takes, -1 for an unknown kind. */
+/* Number of parameters of a kind; -1 for an unknown kind. */
 int rthyb_element_param_count(int32_t kind);
 int rthyb_element_init(rthyb_element *element, int32_t kind, const double *params, size_t n);
 double rthyb_element_force(rthyb_element *element, double x_m, double v_m_per_s, double a_m_per_s2,
@@ -82,9 +83,9 @@ enum rthyb_hold { RTHYB_ZOH, RTHYB_FOH };
 
 typedef struct {
     int32_t kind; /* enum rthyb_servo_kind */
-    int32_t hold; /* enum rthyb_hold: how the drive joins two commands */
+    int32_t hold; /* enum rthyb_hold: interpolation between two commands */
     double period_s;
-    double delay_samples; /* transport: whole for pure delay and first order */
+    double delay_samples; /* transport delay; an integer for pure delay and first order */
     double roll_off_hz;   /* first order */
     double natural_frequency_hz, damping_ratio, gain; /* second order */
     double kp_per_s, ki_per_s2;                       /* servo-hydraulic from here on */
@@ -92,14 +93,15 @@ typedef struct {
     double oil_stiffness_n_per_m, oil_damping_n_s_per_m;
     double moving_mass_kg, friction_n, friction_width_m_per_s, viscous_n_s_per_m;
     int32_t substeps;
-    /* Servo-valve G / (s^2 + b1 s + b2) on gain u - x, its flow less a2 v, force 1 / (s + a3) of that; mass,
-     * stiffness and damping of the specimen, which a rig takes from its elements. */
+    /* Servo-valve: flow G / (s^2 + b1 s + b2) (gain u - x); force 1 / (s + a3) (flow - a2 v). Mass, stiffness and
+     * damping of the specimen; a rig computes them from its elements. */
     double valve_n_per_m_s3, valve_b1_per_s, valve_b2_per_s2;
     double velocity_feedback_n_s_per_m2, leakage_per_s;
     double specimen_stiffness_n_per_m, specimen_damping_n_s_per_m;
-    double command_range_m, command_lsb_m; /* of the drive's converters; 0 = unlimited, none */
-    /* Servo-valve: the drive's own loop on the displacement sensor, kp + ki / s by Tustin; both 0 = none, the
-     * command goes to the valve. */
+    /* range and resolution of the drive's converters; 0 = unlimited, ideal */
+    double command_range_m, command_lsb_m;
+    /* Servo-valve: the drive's control loop on the displacement sensor, kp + ki / s, discretised by Tustin's
+     * method; both 0 = no loop, the command is sent directly to the valve. */
     double loop_kp, loop_ki_per_s;
 } rthyb_servo_config;
 
@@ -108,17 +110,17 @@ enum rthyb_valve_size { RTHYB_VALVE_STATES = 5, RTHYB_VALVE_STEP = 35 };
 typedef struct {
     rthyb_servo_config cfg;
     double x, v, a;      /* table: m, m/s, m/s^2 */
-    double last_command; /* last good command */
-    uint32_t head;       /* newest of past[] */
+    double last_command; /* last valid command */
+    uint32_t head;       /* index of the newest entry of past[] */
     double past[RTHYB_DELAY_MAX + 2];
-    double fraction;            /* of delay_samples */
+    double fraction;            /* fractional part of delay_samples */
     double first[4], second[4]; /* free motion over the two parts of a sample, row by row */
-    /* Servo-valve: the next state from state, command and force of the specimen's other elements; lengths of
-     * its own make the five comparable. */
+    /* Servo-valve: matrix from state, command and force of the remaining elements to the next state. The states are
+     * scaled to comparable magnitudes. */
     double valve_step[RTHYB_VALVE_STEP], valve_state[RTHYB_VALVE_STATES];
     double integral, valve, piston, piston_velocity, half_velocity, oil_force;
     double valve_gain;
-    double sensed_m, loop_error; /* servo-valve: newest reading, and what the loop had before it */
+    double sensed_m, loop_error; /* servo-valve: newest reading, and previous error of the loop */
 } rthyb_servo;
 
 typedef struct {
@@ -128,14 +130,14 @@ typedef struct {
     double range; /* saturates at +-range, 0 = unlimited */
 } rthyb_sensor;
 
-/* A seeded source of it. */
+/* A seeded noise source. */
 typedef struct {
     uint64_t random[2];
     double spare;
     int32_t has_spare;
 } rthyb_noise;
 
-/* A sensor beside those of displacement and force: gain times what it measures, with its own errors. */
+/* A sensor in addition to those for displacement and force: gain times the measured quantity, with its own errors. */
 typedef struct {
     int32_t kind; /* enum rthyb_extra_kind */
     double gain;
@@ -159,17 +161,18 @@ typedef struct {
     rthyb_rig_config cfg;
     rthyb_servo servo;
     rthyb_noise noise;
-    double x_true_m, f_true_n; /* what the sensors saw without their errors */
-    double ridden_kg;          /* of the specimen's own mass, which rides on the table */
+    double x_true_m, f_true_n; /* readings without sensor errors */
+    double ridden_kg;          /* mass of the specimen that moves with the table */
     rthyb_noise extra_noise;
     double extra[RTHYB_EXTRAS_MAX]; /* readings of the extra sensors at the same instant */
-    double *extra_to; /* the caller's: where each sample puts them as well; NULL: nowhere */
+    /* provided by the caller: each sample also stores the readings here; NULL: not used */
+    double *extra_to;
 } rthyb_rig;
 
 int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg);
-/* Begins the noise of the sensors anew, from the seed. */
+/* Restarts the sensor noise from the seed. */
 void rthyb_rig_reseed(rthyb_rig *rig);
-/* Latches x_m[n], f[n], then applies x_p[n] and moves on to t_{n+1}. */
+/* Latches x_m[n] and f[n], then applies x_p[n] and advances to t_{n+1}. */
 int rthyb_rig_step(rthyb_rig *rig, double x_p_m, double *x_m_m, double *f_n);
 int rthyb_rig_run(rthyb_rig *rig, const double *x_p_m, double *x_m_m, double *f_n, size_t n);
 /* cffi: end */

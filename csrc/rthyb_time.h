@@ -16,10 +16,10 @@
 
 enum rthyb_time_size {
     RTHYB_LATENCY_BUCKETS = 1024, /* plus one for times longer than 2^36 ns */
-    /* Ticks a second, whole ones: of these a station has room for what happens in a second. */
+    /* Range of ticks per second, an integer. A station has room for one second of ticks at the highest rate. */
     RTHYB_RATE_LEAST_HZ = 256,
     RTHYB_RATE_MOST_HZ = 4096,
-    RTHYB_TRIM_MAX_PPM = 200 /* of a period, by which a tick may be moved against the one before */
+    RTHYB_TRIM_MAX_PPM = 200 /* of a period: largest shift of a tick relative to the previous one */
 };
 
 /* Histogram of times in ns: one bucket per ns below 32, then 32 buckets per factor of two (3 %).
@@ -46,12 +46,12 @@ enum rthyb_clock {
 };
 
 /* Tick k is due at t0 + k 1e9/rate ns, rounded down; rounded periods are never accumulated. If the thread
- * wakes after the next due time, the ticks in between are skipped: the phase is kept, and never do two ticks
- * run between one due time and the next. */
+ * wakes after the next due time, the ticks in between are skipped: the phase is kept, and two ticks
+ * never run between one due time and the next. */
 typedef struct {
     int64_t t0_ns;    /* on CLOCK_MONOTONIC */
     int64_t shift_ns; /* sum of all trims */
-    uint32_t rate_hz; /* ticks a second */
+    uint32_t rate_hz; /* ticks per second */
     int32_t clock;    /* enum rthyb_clock */
     uint32_t stop, bell;
     uint64_t granted, missed,
@@ -75,9 +75,9 @@ typedef struct {
     uint64_t elapsed, executed, skipped, longest_skip;
 } rthyb_ticker_counts;
 
-/* Rejects an unknown clock, a rate out of range, and a t0 before the zero of the clock, with RTHYB_E_PERIOD. */
+/* Returns 0, or RTHYB_E_PERIOD for an unknown clock, a rate out of range, or a t0 before the zero of the clock. */
 int rthyb_ticker_init(rthyb_ticker *ticker, int32_t clock, uint32_t rate_hz, int64_t t0_ns);
-/* Ticks a second of that period, if they are a whole number within the ticker's range; 0 if not. */
+/* Ticks per second for a period, if this is an integer within the ticker's range; otherwise 0. */
 uint32_t rthyb_ticker_rate_hz(double period_s);
 /* 200 ppm of one period, to the nearest ns: 195 at 1024 Hz. */
 int64_t rthyb_ticker_trim_max_ns(uint32_t rate_hz);
@@ -109,8 +109,8 @@ typedef struct {
     double lead_ns;
     double period_ns, trim_max_ns;
     double per_tick; /* angular natural frequency of the control loop times the period */
-    double smoothing, trim_memory; /* ticks that the error and the trim shown are the mean of */
-    uint32_t silence, near_ticks;  /* ticks without a pair, and near the goal, as in phase.c */
+    double smoothing, trim_memory; /* averaging lengths of the displayed error and trim, in ticks */
+    uint32_t silence, near_ticks;  /* limits for `silent` and `near`, as in phase.c */
     uint32_t way_from, way_to;
     double error_ns; /* smoothed */
     double drift_ns; /* integral part: by how much the drive's clock is slow, ns per tick */
@@ -124,10 +124,10 @@ typedef struct {
     int32_t locked; /* the error has been small for a quarter of a second */
 } rthyb_phase;
 
-/* 0, or RTHYB_E_PERIOD if the rate is not a ticker's, or the lead outside 10 us to half a period. */
+/* 0, or RTHYB_E_PERIOD if the rate is outside the ticker's range, or the lead outside 10 us to half a period. */
 int rthyb_phase_init(rthyb_phase *phase, uint32_t rate_hz, double lead_ns);
-/* Of arrivals of successive pairs, at least one, that which is closest to all others by its place in the period:
- * its index. Late ones among them, less than half, do not move it. */
+/* Index of the arrival, among `count` >= 1 arrivals of successive pairs, whose phase within the period is closest to
+ * all the others. Late arrivals do not affect the result as long as they are fewer than half. */
 uint32_t rthyb_phase_typical(const rthyb_phase *phase, const int64_t *arrived_ns, uint32_t count);
 /* Call once per executed tick. came != 0: the tick used a pair that arrived after_due_ns after its due time
  * (usually before it, so that the value is negative). Returns the argument for rthyb_ticker_trim, within
@@ -194,8 +194,8 @@ typedef struct {
     uint32_t stop;
 } rthyb_jitter;
 
-/* Starts the threads and waits for them to end. 0, or the errno of what the system refused; EINVAL for a rate
- * that is not a ticker's, or a payload without its parts. */
+/* Starts the threads and waits for them to end. Returns 0, or the errno of a call that failed; EINVAL for a rate
+ * outside the ticker's range, or a payload without its parts. */
 int rthyb_jitter_run(rthyb_jitter *jitter);
 /* From any thread: ends the run early. */
 void rthyb_jitter_stop(rthyb_jitter *jitter);

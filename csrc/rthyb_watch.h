@@ -1,4 +1,4 @@
-/* Why a test leaves its course, and what may be watched for it (watches.c). */
+/* Causes that interrupt or end a test, and the watches that detect them (watches.c). */
 #ifndef RTHYB_PART_WATCH_H
 #define RTHYB_PART_WATCH_H
 
@@ -6,8 +6,8 @@
 
 /* cffi: begin */
 
-/* Why a test left its course; the first one since START (or RESET) is latched, but a fault takes the
- * place of COMPLETED and OPERATOR. */
+/* Causes that interrupt or end a test. The first one since START (or RESET) is latched, but a fault replaces
+ * COMPLETED and OPERATOR. */
 enum rthyb_cause {
     RTHYB_CAUSE_NONE,
     RTHYB_CAUSE_COMPLETED,
@@ -35,10 +35,11 @@ enum rthyb_cause {
     RTHYB_CAUSE_TRACKING,
     RTHYB_CAUSE_INDICATOR,
     RTHYB_CAUSE_ENERGY,
-    RTHYB_CAUSE_RIG_POSITION, /* before tare: where the drive was told to go */
+    RTHYB_CAUSE_RIG_POSITION, /* command before tare */
     RTHYB_CAUSE_RIG_FORCE,    /* before tare */
-    RTHYB_CAUSE_APART,   /* two axes' drives have counted their samples apart; nothing to watch */
-    RTHYB_CAUSE_NO_POSE, /* the specimen has no pose with its axes there; nothing to watch */
+    RTHYB_CAUSE_APART,        /* the sample counts of two drives differ; has no watch */
+    /* the positions of the axes correspond to no pose of the specimen; has no watch */
+    RTHYB_CAUSE_NO_POSE,
     RTHYB_CAUSE_COUNT
 };
 

@@ -13,8 +13,8 @@
 enum rthyb_wire_size {
     RTHYB_FRAME_MAX = 64,      /* data of a CAN FD frame, bytes */
     RTHYB_SERIAL_COMMAND = 12, /* a command on the serial line, including the final 0 */
-    RTHYB_SERIAL_FEEDBACK =
-        16,                /* the same for feedback without extra channels, each of which adds 4 */
+    /* the same for feedback without extra channels, each of which adds 4 */
+    RTHYB_SERIAL_FEEDBACK = 16,
     RTHYB_PACKET_MAX = 14, /* after COBS decoding, including the CRC, without them */
     RTHYB_PACKET_ROOM = RTHYB_PACKET_MAX + 4 * RTHYB_EXTRAS_MAX
 };
@@ -81,8 +81,8 @@ enum rthyb_field {
 typedef struct {
     uint32_t id;
     int32_t fd, length;
-    int32_t
-        crc_at; /* byte with the CRC-8/SAE-J1850 of the low byte of the id and all other bytes; -1: none */
+    /* byte with the CRC-8/SAE-J1850 of the low byte of the id and all other bytes; -1: none */
+    int32_t crc_at;
     rthyb_signal field[RTHYB_FIELDS];
     uint8_t fill[RTHYB_FRAME_MAX]; /* bits that belong to no field */
 } rthyb_message;
@@ -96,8 +96,8 @@ enum rthyb_wire_format {
 /* A value of an extra channel in the feedback. */
 typedef struct {
     int32_t in_force; /* TABLE: in the force frame, else in the displacement frame */
-    rthyb_signal
-        signal; /* SERIAL: counted from the beginning of the packet, behind its status byte */
+    /* SERIAL: position from the beginning of the packet, after its status byte */
+    rthyb_signal signal;
 } rthyb_extra;
 
 typedef struct {
@@ -113,7 +113,7 @@ typedef struct {
 
 /* Values in a command in place of the controller's state, in addition to enum rthyb_state. */
 enum rthyb_told {
-    RTHYB_TOLD_RESET = 8,  /* from the operator: a drive that stopped by itself must follow again */
+    RTHYB_TOLD_RESET = 8, /* from the operator: a drive that stopped on its own must follow again */
     RTHYB_TOLD_LEAVING = 9 /* commands now end intentionally: no reset will be required */
 };
 
@@ -178,7 +178,7 @@ typedef struct {
     uint8_t left;     /* bytes until the next code byte */
     uint8_t begun;    /* a byte was received since the last 0 */
     uint8_t too_long; /* longer than any packet: waiting for the 0 */
-    uint8_t extras;   /* the caller's: extra channels in a packet */
+    uint8_t extras;   /* set by the caller: number of extra channels in a packet */
 } rthyb_deframer;
 
 /* 0: packet not complete. RTHYB_W_PACKET: *packet contains the bytes without the CRC. Otherwise the error. */
@@ -215,7 +215,8 @@ typedef struct {
     int32_t fresh;         /* the pair arrived since the last take */
     int32_t refused;       /* enum rthyb_status: readings refused since the last take */
     rthyb_wire_counters counters;
-    uint32_t extra_channel; /* the caller's: which of a row's channels the first extra channel is */
+    /* set by the caller: index of the first extra channel among a row's channels */
+    uint32_t extra_channel;
 } rthyb_wire;
 
 typedef struct {
@@ -225,8 +226,8 @@ typedef struct {
      * known. */
     int32_t delay;
     uint32_t age; /* ticks since the pair arrived; 0: new in this tick */
-    uint64_t
-        samples; /* the drive's count without wrap-around; after 20 ticks of silence only modulo 2^bits */
+    /* the drive's count without wrap-around; after 20 ticks of silence only modulo 2^bits */
+    uint64_t samples;
 } rthyb_feedback;
 
 /* 0 or RTHYB_E_CODEC. */

@@ -1,4 +1,4 @@
-/* Sensors of the virtual rigs: noise, bias, steps and an end to their range. */
+/* Sensors of the virtual rigs: noise, bias, quantisation and saturation. */
 #ifndef RTHYB_SENSOR_H
 #define RTHYB_SENSOR_H
 

@@ -1,4 +1,4 @@
-/* Linear systems as small as the number of axes, without a loop that data could prolong. */
+/* Linear systems no larger than the number of axes; the number of operations does not depend on the data. */
 #ifndef RTHYB_SMALL_SOLVE_H
 #define RTHYB_SMALL_SOLVE_H
 
@@ -6,8 +6,8 @@
 
 #include "rthyb_kinematics.h"
 
-/* a x = b by elimination with partial pivoting; a, n rows of n, is used up, and columns of b, n rows of
- * `count`, become those of x. 0 where a pivot is not above `least`: the matrix is singular. */
+/* Solves a x = b by Gauss-Jordan elimination with partial pivoting. a (n x n) is overwritten; b (n x count) is replaced
+ * by x. Returns 0 if a pivot does not exceed `least`: the matrix is singular. */
 static inline int small_solve(double *a, double *b, int n, int count, double least)
 {
     for (int c = 0; c < n; c++) {
