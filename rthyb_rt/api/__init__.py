@@ -1,1 +1,1 @@
-"""The public interface in Python: what ``import rthyb_rt as rt`` gives, listed in `rthyb_rt`."""
+"""The public Python interface, ``import rthyb_rt as rt``; `rthyb_rt` lists its members."""

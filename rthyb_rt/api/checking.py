@@ -1,4 +1,4 @@
-"""Is a test sound, and how far is it from trouble: what `rthyb check` says."""
+"""Check a test without running it: errors, stability margins, expected tracking (`rthyb check`)."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 
 class Check:
-    """What a check found of a test without fault."""
+    """Result of the check of a test that has no errors."""
 
     def __init__(self, found: Examined | ExaminedAxes) -> None:
         self._found = found
 
     @cached_property
     def figures(self) -> dict[str, Any]:
-        """What follows from test and rig by name, the unit in it; None where it does not apply.
+        """Computed figures by name, which includes the unit; None where a figure does not apply.
 
-        Of several axes ``modes_hz``, and by their names ``axes`` and ``directions``.
+        For several axes: ``modes_hz``, and by name ``axes`` and ``directions``.
         """
         if "figures" not in self.document:
             return {name: self.document[name] for name in ("modes_hz", "axes", "directions")}
@@ -37,26 +37,26 @@ class Check:
 
     @property
     def warnings(self) -> list[str]:
-        """What should be changed before the test is run."""
+        """Problems that should be corrected before the test is run."""
         return list(self._found.warnings)
 
     @property
     def notes(self) -> list[str]:
-        """What a user should know and need not act on."""
+        """Information that requires no action."""
         return list(self._found.notes)
 
     @cached_property
     def document(self) -> dict[str, Any]:
-        """All of it, as ``rthyb check --json`` prints it: figures, loop, limits, link."""
+        """The complete result, as in ``rthyb check --json``: figures, loop, limits, link."""
         return self._found.document()
 
     @property
     def table(self) -> list[tuple[str, str, str]]:
-        """The tables of the command line below one another: what, how much, what it is."""
+        """All tables of the command line in one: quantity, value, meaning."""
         return [row for rows in self._found.tables() for row in rows]
 
     def plots(self) -> dict[str, Plot]:
-        """Draw ``stability``, ``nyquist`` and ``tracking``: delays, loop, what is to be expected.
+        """Plot ``stability`` (delays), ``nyquist`` (loop) and ``tracking`` (expected tracking).
 
         Raises:
             InputError: matplotlib is not installed, or the rig has several axes.
@@ -72,7 +72,7 @@ class Check:
         }
 
     def report(self, path: Place) -> Path:
-        """Write tables, remarks and figures as one HTML file.
+        """Write tables, warnings, notes and figures to one HTML file.
 
         Raises:
             InputError: matplotlib or jinja2 is not installed, or the rig has several axes.
@@ -115,11 +115,11 @@ def check(test: Test | Place, rig: Rig | Place | None = None) -> Check:
     """Check a test without running it.
 
     Args:
-        test: the test, or path or name of one.
-        rig: the rig, or path or name of one; None: that of the test.
+        test: a test, or the path or name of one.
+        rig: a rig, or the path or name of one; None: the rig of the test.
 
     Raises:
-        InputError: with every fault of test, rig and ground motion at once.
+        InputError: test, rig or ground motion are invalid; the message lists all errors.
 
     Examples:
         >>> round(check("section5-T0.5").figures["period_s"], 3)

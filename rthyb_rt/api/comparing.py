@@ -1,4 +1,4 @@
-"""Recordings beside one another: their measures, and how far their motions and forces differ."""
+"""Comparison of recordings: their measures, and the differences of motions and forces."""
 
 from __future__ import annotations
 
@@ -23,34 +23,35 @@ _WORDS = MAP_WORDS | {r"^--map (\w+)": r"compare: columns: \1", "--map": "column
 
 
 class Comparison:
-    """Recordings, simulations and tables of other labs beside the first of them."""
+    """Comparison of recordings, simulations and CSV files with the first of them."""
 
     def __init__(self, found: Overlay) -> None:
         self._found = found
 
     @property
     def labels(self) -> list[str]:
-        """What each is called, every one by another name."""
+        """Unique label of each recording."""
         return self._found.labels
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each: label, ending, measures, and how it differs from the first.
+        """One row per recording: label, ending, measures, and differences from the first.
 
-        ``x_difference_nrmse`` is rms(x - x_first) / rms(x_first) of the displacement over the
-        samples of the test proper that all have, ``x_difference_m`` its largest magnitude;
-        ``f_difference_nrmse`` and ``f_difference_n`` the same of the force; ``lag_s`` how far it
-        lies behind the first by the largest correlation, s. None is what is not known.
+        ``x_difference_nrmse`` is rms(x - x_first) / rms(x_first) of the displacement, over the
+        samples of state RUNNING that all recordings have in common; ``x_difference_m`` is the
+        largest absolute difference. ``f_difference_nrmse`` and ``f_difference_n`` are the same for
+        the force. ``lag_s`` is the lag behind the first recording, found by maximum correlation, in
+        s. Unknown values are None.
         """
         return self._found.rows
 
     @property
     def notes(self) -> list[str]:
-        """What was done so that they could be compared: rates, lengths, units, shifts."""
+        """What was adjusted for the comparison: rates, lengths, units, shifts."""
         return list(self._found.notes)
 
     def to_pandas(self) -> DataFrame:
-        """Return the rows as a table by label.
+        """Return the rows as a DataFrame, indexed by label.
 
         Raises:
             InputError: pandas is not installed.
@@ -59,7 +60,7 @@ class Comparison:
         return table
 
     def plot(self) -> Plot:
-        """Draw the displacements over one another, and below what differs from the first.
+        """Plot all displacements in one diagram, and below it their differences from the first.
 
         Raises:
             InputError: matplotlib is not installed.
@@ -72,7 +73,7 @@ class Comparison:
         return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
 
     def report(self, path: Place) -> Path:
-        """Write table and all figures as one HTML file.
+        """Write the table and all figures to one HTML file.
 
         Raises:
             InputError: matplotlib or jinja2 is not installed.
@@ -103,20 +104,21 @@ def compare(
     columns: Mapping[str, str] | Place | None = None,
     align: bool = False,
 ) -> Comparison:
-    """Set recordings beside the first of them: tests, simulations, tables of other labs.
+    """Compare recordings, simulations and CSV files with the first of them.
 
-    Lengths and rates may differ: what all have is compared, at the rate of the slowest, and
-    `Comparison.notes` says so.
+    Lengths and rates may differ: the part common to all is compared at the lowest rate, and
+    `Comparison.notes` states this.
 
     Args:
-        recordings: two to ten, or one that is held against its own reference simulation: a
-            recording, or the path of one; of a campaign or sweep, whose kept recordings are taken;
-            of a test file, whose reference simulation is; of a CSV file of any lab.
-        columns: of CSV files by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping file.
-        align: move each so that it lies over the first, as well as its displacement allows.
+        recordings: two to ten recordings, or one to be compared with its own reference simulation.
+            Each is a recording, or the path of: a recording; a campaign or sweep, which stands for
+            its kept recordings; a test file, which stands for its reference simulation; or a CSV
+            file from any source.
+        columns: for CSV files: column by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping file.
+        align: shift each recording in time to best match the displacement of the first.
 
     Raises:
-        InputError: there is nothing to compare, one cannot be read, or a unit is not stated.
+        InputError: there is nothing to compare, a file cannot be read, or a unit is missing.
 
     Examples:
         >>> short = Test("section5-T0.5", ground_motion={"duration_s": 2})

@@ -1,4 +1,4 @@
-"""Which physics a model leaves out, and where: what `rthyb diagnose` says."""
+"""Diagnosis of a recording: which physical effects a model omits (`rthyb diagnose`)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _WORDS = {
 
 
 class Diagnosis:
-    """The answer to what a model leaves out."""
+    """Result of a diagnosis."""
 
     def __init__(
         self,
@@ -47,22 +47,22 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """``none``: nothing is missing; ``explained``, ``ambiguous``, ``unknown``."""
+        """``none`` (no effect is missing), ``explained``, ``ambiguous`` or ``unknown``."""
         return self._found.verdict
 
     @property
     def effects(self) -> list[str]:
-        """Names of the effects that are missing, as in ``rthyb effects``; of ``unknown``, none."""
+        """Names of the missing effects, as in ``rthyb effects``; empty for ``unknown``."""
         return list(self._found.effects)
 
     @property
     def ambiguous_with(self) -> list[list[str]]:
-        """Sets of effects that explain the recording as well."""
+        """Other sets of effects that explain the recording equally well."""
         return [list(names) for names in self._found.ambiguous_with]
 
     @property
     def text(self) -> str:
-        """The answer in plain words."""
+        """The answer as text."""
         from rthyb_rt.diagnose import effects, words
 
         with effects.beside(self._own):
@@ -70,13 +70,13 @@ class Diagnosis:
 
     @property
     def answer(self) -> dict[str, Any]:
-        """All of it, as ``rthyb diagnose --json`` prints it."""
+        """The complete answer, as printed by ``rthyb diagnose --json``."""
         extra = {} if self._checks is None else {"self_check": self._checks}
         return self._outcome.answer | extra
 
     @property
     def notes(self) -> list[str]:
-        """What was taken for something that the recording does not say, and the like."""
+        """Assumptions made where the recording lacks information, and other remarks."""
         return list(self._found.notes)
 
     def report(self, folder: Place) -> list[Path]:
@@ -114,24 +114,26 @@ def diagnose(
     self_check: bool = False,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Say what physics a model leaves out of a recording.
+    """Find the physical effects in a recording that a model omits.
 
-    Its products are long and narrow: shared between processors by a linear algebra library they
-    take four times as long. ``OPENBLAS_NUM_THREADS=1`` in the environment prevents that; it is set
-    here where NumPy has not been loaded yet.
+    The diagnosis multiplies long, narrow matrices, which takes four times as long if the linear
+    algebra library distributes it over several processors. ``OPENBLAS_NUM_THREADS=1`` in the
+    environment prevents this; it is set automatically unless NumPy has already been loaded.
 
     Args:
-        recording: of this program, or path of one, or of a CSV file of any lab.
-        model: what the lab believes: a rig, or path or name of one, a test file, or a baseline file
-            (``rthyb-baseline/1``).
-        columns: of a CSV file by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping file.
-        heldout: a second recording, by which the answer is judged.
-        effects: effects of your own, as objects or as Python files that register them.
-        self_check: hide known effects in the recording and see whether they are found again.
-        progress: told the name of each part.
+        recording: a recording, or the path of one, or of a CSV file from any source.
+        model: the model to be examined: a rig, or the path or name of one, a test file, or a
+            baseline file (``rthyb-baseline/1``).
+        columns: for a CSV file: column by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping
+            file.
+        heldout: a second recording, used to validate the answer.
+        effects: your own effects, as objects or as Python files that register them.
+        self_check: add known effects to the recording and test whether they are found.
+        progress: called with the name of each step.
 
     Raises:
-        InputError: with what is wrong in the files, or the data allow no honest answer; says why.
+        InputError: the files contain errors, or the data are insufficient for a reliable answer;
+            the message explains why.
     """
     if "numpy" not in sys.modules:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -1,4 +1,4 @@
-"""Test and rig as objects: from a file, a name or keywords, changed by copies, written as TOML."""
+"""Test and rig as immutable objects, created from files, names or keywords; written as TOML."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ RIG: Final = "rig"
 
 
 def path_of(given: object, where: str, what: str) -> Path:
-    """Return a path that was given.
+    """Return an argument as a path.
 
     Args:
-        given: what should be one.
-        where: the function, or the argument of it.
-        what: what the path is of, "the folder of a run".
+        given: the argument.
+        where: the function or argument, for messages.
+        what: what the path refers to, such as "the folder of a run".
 
     Raises:
-        InputError: it is none.
+        InputError: it is not a path.
     """
     if isinstance(given, (str, os.PathLike)) and os.fspath(given) not in ("", b""):
         path = os.fspath(given)
@@ -46,12 +46,13 @@ def path_of(given: object, where: str, what: str) -> Path:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as a file holds it: NumPy's scalars and paths as Python's own.
+    """Return a value as stored in a file: NumPy scalars and paths become plain Python values.
 
-    An object of the user's own stands for its class and settings.
+    An object of a user-defined class is represented by its class and its settings.
 
     Raises:
-        InputError: its class cannot be found by its name, or a file cannot hold its settings.
+        InputError: its class cannot be imported by name, or its settings cannot be represented in a
+            file.
     """
     if isinstance(value, type) and hasattr(value, "_made_of_own"):
         raise InputError(
@@ -89,7 +90,7 @@ def _of_own(made: Own) -> dict[str, Any]:
 
 
 def flat(tables: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield dotted keys and values of nested tables."""
+    """Yield the dotted keys and the values of nested tables."""
     for key, value in tables.items():
         if isinstance(value, Mapping) and value:
             yield from ((f"{key}.{inner}", found) for inner, found in flat(value))
@@ -139,7 +140,7 @@ class _Document(Generic[_File]):
     _origin: str
 
     def __getitem__(self, key: str) -> Any:
-        """Return the value at a dotted key of the file, such as ``"numerical.mass_kg"``.
+        """Return the value of a dotted key, such as ``"numerical.mass_kg"``.
 
         Raises:
             InputError: there is no such key; the message lists the keys of that table.
@@ -161,14 +162,14 @@ class _Document(Generic[_File]):
         return place
 
     def to_toml(self) -> str:
-        """Return the file as TOML text with every default written out; it reads back equal."""
+        """Return the file as TOML, including all defaults; reading it gives an equal object."""
         return config.dump(self._file)
 
     def save(self, path: Place) -> Path:
-        """Write `to_toml` to a file, whole or not at all; an older one is replaced.
+        """Write the result of `to_toml` to a file atomically; an existing file is replaced.
 
         Raises:
-            InputError: it is no path.
+            InputError: the argument is not a path.
         RthybError: it cannot be written.
         """
         from rthyb_rt.record.recording import replacing
@@ -179,7 +180,7 @@ class _Document(Generic[_File]):
         return target
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether both stand for the same file, wherever they come from."""
+        """Return whether both have the same content, regardless of their origin."""
         if not isinstance(other, type(self)):
             return NotImplemented
         return self._file == other._file
@@ -189,7 +190,7 @@ class _Document(Generic[_File]):
 
     @classmethod
     def names(cls) -> list[str]:
-        """Return the names of those that come with the program."""
+        """Return the names of the files supplied with the program."""
         return list(config.shipped(cls._kind))
 
     @classmethod
@@ -243,19 +244,20 @@ def _nothing(kind: Literal["test", "rig"], example: str) -> InputError:
 
 
 class Rig(_Document[RigFile | AxesRig]):
-    """Actuator, specimen and sensors, of one axis or of several: what a rig file says.
+    """A rig: actuator, specimen and sensors, with one axis or several.
 
     Args:
-        source: path of a rig file, or the name of one that comes with the program (`Rig.names`).
-        tables: tables of the file by keyword, each a dict with the file's keys; numbers are in the
-            key's unit, texts have their own: ``actuator={"delay_samples": 12}``. Without a source
-            they are the whole rig, else changes as of `with_`.
+        source: path of a rig file, or the name of a supplied one (`Rig.names`).
+        tables: tables of the file by keyword, each a dict with the keys of the file, such as
+            ``actuator={"delay_samples": 12}``. Numbers are in the unit of the key; strings include
+            a unit. Without a source, they define the whole rig; otherwise they are changes as in
+            `with_`.
 
     Attributes:
-        place: path or name that it was read from; None where it was changed or comes from keywords.
+        place: path or name from which it was read; None if it was changed or created from keywords.
 
     Raises:
-        InputError: with every fault, its place and what is allowed there.
+        InputError: the file is invalid; the message lists all errors with place and allowed values.
 
     Examples:
         >>> rig = Rig("delay-10-elastic").with_({"actuator.delay_samples": 12})
@@ -293,12 +295,12 @@ class Rig(_Document[RigFile | AxesRig]):
         """Return a changed copy.
 
         Args:
-            changes: value by dotted key; a dict as value replaces that table as a whole, and None
-                leaves the key out.
-            tables: by keyword, whose keys are changed one by one.
+            changes: values by dotted key; a dict replaces the whole table, and None removes the
+                key.
+            tables: tables by keyword; only the keys given are changed.
 
         Raises:
-            InputError: with every fault of the changes.
+            InputError: the changes are invalid; the message lists all errors.
 
         Examples:
             >>> Rig("delay-10-elastic").with_(actuator={"delay_samples": 12})["actuator.kind"]
@@ -316,10 +318,10 @@ class Rig(_Document[RigFile | AxesRig]):
 
     @classmethod
     def from_toml(cls, text: str, source: str = "rig") -> Rig:
-        """Return what the text of a rig file says; ``source`` is its name in messages.
+        """Return a rig from the text of a rig file; ``source`` is its name in messages.
 
         Raises:
-            InputError: with every fault and its line.
+            InputError: the text is invalid; the message lists all errors with their lines.
         """
         return cls._made(config.parse_any_rig(text, source), source)
 
@@ -332,17 +334,18 @@ class Rig(_Document[RigFile | AxesRig]):
 
 
 class Test(_Document[TestFile]):
-    """Ground motion, numerical part, compensation and limits: what a test file says.
+    """A test: ground motion, numerical part, compensation and limits.
 
     Args:
-        source: path of a test file, or the name of one that comes with the program (`Test.names`).
-        rig: the rig: a `Rig`, or path or name of one; without it, the one that the file names.
-        tables: tables of the file by keyword, each a dict with the file's keys; numbers are in the
-            key's unit, texts have their own: ``numerical={"period_s": "500 ms"}``. Without a source
-            they are the whole test, else changes as of `with_`.
+        source: path of a test file, or the name of a supplied one (`Test.names`).
+        rig: a `Rig`, or the path or name of one; by default, the rig given in the file.
+        tables: tables of the file by keyword, each a dict with the keys of the file, such as
+            ``numerical={"period_s": "500 ms"}``. Numbers are in the unit of the key; strings
+            include a unit. Without a source, they define the whole test; otherwise they are changes
+            as in `with_`.
 
     Raises:
-        InputError: with every fault, its place and what is allowed there.
+        InputError: the file is invalid; the message lists all errors with place and allowed values.
 
     Examples:
         >>> test = Test("section5-T0.5").with_(ground_motion={"pga_g": "0.06 g"})
@@ -378,10 +381,10 @@ class Test(_Document[TestFile]):
 
     @property
     def rig(self) -> Rig:
-        """The rig that it runs on.
+        """The rig of the test.
 
         Raises:
-            InputError: the test has none, or names one that there is not.
+            InputError: the test has no rig, or its rig does not exist.
         """
         if self._rig is not None:
             return self._rig
@@ -403,13 +406,13 @@ class Test(_Document[TestFile]):
         """Return a changed copy.
 
         Args:
-            changes: value by dotted key; a dict as value replaces that table as a whole, None
-                leaves the key out. Keys that begin with ``rig.`` change the rig.
-            rig: another rig, or changes of its tables.
-            tables: by keyword, whose keys are changed one by one.
+            changes: values by dotted key; a dict replaces the whole table, and None removes the
+                key. Keys that begin with ``rig.`` change the rig.
+            rig: another rig, or changes to tables of the present one.
+            tables: tables by keyword; only the keys given are changed.
 
         Raises:
-            InputError: with every fault of the changes.
+            InputError: the changes are invalid; the message lists all errors.
 
         Examples:
             >>> Test("section5-T0.5").with_({"controller.type": "robust"})["controller.type"]
@@ -439,10 +442,10 @@ class Test(_Document[TestFile]):
 
     @classmethod
     def from_toml(cls, text: str, rig: Rig | Place | None = None, source: str = "test") -> Test:
-        """Return what the text of a test file says; ``source`` is its name in messages.
+        """Return a test from the text of a test file; ``source`` is its name in messages.
 
         Raises:
-            InputError: with every fault and its line.
+            InputError: the text is invalid; the message lists all errors with their lines.
         """
         made = cls._made(config.parse_test(text, source), source)
         return made if rig is None else made._take(as_rig(rig))
@@ -454,7 +457,7 @@ class Test(_Document[TestFile]):
         return self
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether both stand for the same test on the same rig."""
+        """Return whether both are the same test on the same rig."""
         if not isinstance(other, Test):
             return NotImplemented
         mine, its = (one._file.model_copy(update={RIG: None}) for one in (self, other))
@@ -486,19 +489,19 @@ class Test(_Document[TestFile]):
 
 
 def as_rig(given: Rig | Place) -> Rig:
-    """Return a rig that was given as one, or by path or name.
+    """Return a rig given as an object, a path or a name.
 
     Raises:
-        InputError: it is none of these, or with the faults of its file.
+        InputError: it is none of these, or its file is invalid.
     """
     return given if isinstance(given, Rig) else Rig(given)
 
 
 def as_test(given: Test | Place | None) -> Test:
-    """Return a test that was given as one, or by path or name; None is the built-in one.
+    """Return a test given as an object, a path or a name; None: the built-in test.
 
     Raises:
-        InputError: it is none of these, or with the faults of its file.
+        InputError: it is none of these, or its file is invalid.
     """
     if given is None:
         return Test(config.builtin_test_path())
@@ -506,15 +509,15 @@ def as_test(given: Test | Place | None) -> Test:
 
 
 def file_of_test(test: Test) -> TestFile:
-    """Return the checked file behind a test."""
+    """Return the validated file of a test."""
     return test._file
 
 
 def file_of_rig(rig: Rig) -> RigFile | AxesRig:
-    """Return the checked file behind a rig."""
+    """Return the validated file of a rig."""
     return rig._file
 
 
 def origin_of(rig: Rig) -> str | None:
-    """Return the file that a rig was read from; None: it comes from none."""
+    """Return the file from which a rig was read; None if there is none."""
     return rig._origin if Path(rig._origin).is_file() else None

@@ -1,4 +1,4 @@
-"""What a test must know of its rig: what `rthyb identify` finds on the virtual rig."""
+"""Identification of a virtual rig: the properties that a test needs (`rthyb identify`)."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _FREQUENCY: Final = Range("Hz", 0.05, 100.0, "the last sine's frequency", 'as in
 
 
 class Identification:
-    """What an identification found.
+    """Result of an identification.
 
     Attributes:
-        rig: the rig with the identified values filled in, for tests to begin with.
+        rig: the rig with the identified values filled in, to be used in tests.
     """
 
     def __init__(self, found: sweeping.Result, rig: Rig) -> None:
@@ -39,31 +39,31 @@ class Identification:
 
     @property
     def measures(self) -> dict[str, Any]:
-        """The figures by name, as in ``rthyb identify --json``: SI units, ``alpha`` in samples.
+        """Identified values by name, as in ``rthyb identify --json``: SI units; alpha in samples.
 
-        The unit stands in the name; None is what could not be told.
+        Names include the unit. A value is None if it could not be determined.
         """
         found = self._found.as_json()
         return {name: value for name, value in found.items() if name not in ("tones", "notes")}
 
     @property
     def tones(self) -> list[dict[str, float]]:
-        """What each sine showed: frequency, gain, delay, force in phase and in quadrature."""
+        """Result for each sine: frequency, gain, delay, force in phase and in quadrature."""
         return [dataclasses.asdict(tone) for tone in self._found.tones]
 
     @property
     def notes(self) -> list[str]:
-        """What a user should know."""
+        """Remarks for the user."""
         return list(self._found.notes)
 
     @property
     def recording(self) -> Recording:
-        """The sweep itself, as a recording."""
+        """Recording of the identification."""
         assert self._found.recording is not None
         return Recording(self._found.recording)
 
     def plot(self) -> Plot:
-        """Draw gain, phase and delay by frequency: a Bode plot, with the model of the check.
+        """Plot gain, phase and delay over frequency, with the model that `check` uses.
 
         Raises:
             InputError: matplotlib is not installed.
@@ -156,22 +156,22 @@ def identify(
     max_frequency: float | str = "10 Hz",
     progress: Progress | None = None,
 ) -> Identification | AxesIdentification:
-    """Find delay, gain, stiffness and noise of a virtual rig by sines from slow to fast.
+    """Determine delay, gain, stiffness and noise of a virtual rig with sines of rising frequency.
 
-    Of several axes each is moved in turn while the others hold still. A rig in the laboratory is
-    identified by ``rthyb identify --realtime``.
+    With several axes, each is moved in turn while the others are held still. To identify a rig in
+    the laboratory, use ``rthyb identify --realtime``.
 
     Args:
-        rig: the rig, or path or name of one; it need not have an elastic stiffness.
-        amplitude: of the slow sines, m, or a text with a unit; 0.01 mm to 1 m.
-        max_frequency: of the last sine, Hz, or a text with a unit; 0.05 Hz to 100 Hz.
-        progress: told now and then.
+        rig: a rig, or the path or name of one; an elastic stiffness is not required.
+        amplitude: amplitude of the slow sines in m, or a string with a unit; 0.01 mm to 1 m.
+        max_frequency: frequency of the last sine in Hz, or a string with a unit; 0.05 Hz to 100 Hz.
+        progress: called at intervals.
 
     Returns:
-        What was found; of a rig of several axes an `AxesIdentification`.
+        The result; for a rig with several axes, an `AxesIdentification`.
 
     Raises:
-        InputError: with the faults of the rig, or the rig cannot be identified; says why.
+        InputError: the rig is invalid, or cannot be identified; the message explains why.
 
     Examples:
         >>> found = identify("delay-10-elastic")

@@ -1,4 +1,4 @@
-"""Messages of the command line's parts, in the words of Python."""
+"""Conversion of messages of the command line to Python terms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MAP_WORDS: Final = {r'--map (\w+)="([^"]*)"': r'columns={"\1": "\2"}'}
 
 
 def map_options(columns: Mapping[str, str] | str | os.PathLike[str] | None) -> list[str]:
-    """Return columns by channel, or the path of a mapping file, as values of ``--map``."""
+    """Return columns by channel, or the path of a mapping file, as values for ``--map``."""
     if columns is None:
         return []
     if isinstance(columns, Mapping):
@@ -23,11 +23,11 @@ def map_options(columns: Mapping[str, str] | str | os.PathLike[str] | None) -> l
 
 
 def in_python(error: RthybError, words: Mapping[str, str]) -> RthybError:
-    """Return an error with other words for options and keys.
+    """Return an error with options and keys replaced by Python terms.
 
     Args:
         error: the error.
-        words: what its messages and places call something, as patterns, and what it is called here.
+        words: patterns in its messages and places, and their replacements.
     """
     problems = []
     for problem in error.problems:

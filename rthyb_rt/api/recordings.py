@@ -1,4 +1,4 @@
-"""A recording as an object: named arrays with units, measures, figures, tables."""
+"""Recordings as objects: named arrays with units, measures, figures, tables."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ class Plot:
     """A figure of the report.
 
     Attributes:
-        key: its name, as in `Plots`.
-        title: what it shows.
-        note: what to know when reading it; where there is nothing to draw, why.
-        svg: the drawing as an SVG element; empty where there is nothing to draw.
-        figure: the figure of matplotlib, to be changed and saved like any other; None where there
-            is nothing to draw.
+        key: name, as in `Plots`.
+        title: title.
+        note: remark on the figure; if there is nothing to plot, the reason.
+        svg: the figure as an SVG element; empty if there is nothing to plot.
+        figure: the matplotlib figure, which may be changed and saved; None if there is nothing to
+            plot.
     """
 
     def __init__(self, key: str, title: str, note: str, svg: str, figure: Figure | None) -> None:
         self.key, self.title, self.note, self.svg, self.figure = key, title, note, svg, figure
 
     def save(self, path: Place) -> Path:
-        """Write the figure, in the format of the file's ending: svg, pdf, png.
+        """Write the figure in the format given by the file extension: svg, pdf or png.
 
         Raises:
-            InputError: there is nothing to draw, or no such format.
+            InputError: there is nothing to plot, or the format is unknown.
             RthybError: the file cannot be written.
         """
         path = path_of(path, "plot.save", "the file to write, plot.svg")
@@ -84,9 +84,9 @@ class Plot:
 
 
 class Plots:
-    """The figures of the report, each drawn when it is asked for.
+    """The figures of the report; each is created when its method is called.
 
-    Every method returns a `Plot` and raises `InputError` where matplotlib is not installed.
+    Every method returns a `Plot`, and raises `InputError` if matplotlib is not installed.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -103,63 +103,63 @@ class Plots:
         return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
 
     def displacement(self) -> Plot:
-        """Draw ground acceleration, command, compensated command and measured displacement."""
+        """Plot ground acceleration, command, compensated command and measured displacement."""
         return self._drawn("displacement")
 
     def peak(self) -> Plot:
-        """Draw the same around the largest command."""
+        """Plot the same around the largest command."""
         return self._drawn("peak")
 
     def hysteresis(self) -> Plot:
-        """Draw measured force over measured displacement."""
+        """Plot measured force over measured displacement."""
         return self._drawn("hysteresis")
 
     def tracking(self) -> Plot:
-        """Draw measured displacement less command."""
+        """Plot the tracking error: measured displacement minus command."""
         return self._drawn("tracking")
 
     def synchronisation(self) -> Plot:
-        """Draw measured displacement over command: the synchronisation subspace."""
+        """Plot measured displacement over command: the synchronisation subspace."""
         return self._drawn("synchronisation")
 
     def transfer(self) -> Plot:
-        """Draw gain, delay and coherence from command to measured displacement, by frequency."""
+        """Plot gain, delay and coherence from command to measured displacement over frequency."""
         return self._drawn("transfer")
 
     def force(self) -> Plot:
-        """Draw the measured force, beside that of the reference simulation."""
+        """Plot the measured force and the force of the reference simulation."""
         return self._drawn("force")
 
     def response(self) -> Plot:
-        """Draw measured displacement and reference simulation, and their difference."""
+        """Plot measured displacement, reference simulation, and their difference."""
         return self._drawn("response")
 
     def accumulated(self) -> Plot:
-        """Draw the accumulated error against the reference simulation (Eqn 4.3)."""
+        """Plot the accumulated error relative to the reference simulation (Eqn 4.3)."""
         return self._drawn("accumulated")
 
     def energy(self) -> Plot:
-        """Draw energy error and tracking indicator."""
+        """Plot energy error and tracking indicator."""
         return self._drawn("energy")
 
     def balance(self) -> Plot:
-        """Draw where the energy of the ground motion has gone."""
+        """Plot the energy balance: how the input energy is stored and dissipated."""
         return self._drawn("balance")
 
     def spectra(self) -> Plot:
-        """Draw the spectra of command and measured displacement."""
+        """Plot the spectra of command and measured displacement."""
         return self._drawn("spectra")
 
     def response_spectrum(self) -> Plot:
-        """Draw response spectra of the ground, and of the floor by command and as measured."""
+        """Plot response spectra of the ground, and of the floor (commanded and measured)."""
         return self._drawn("response_spectrum")
 
     def delay(self) -> Plot:
-        """Draw the delay estimate with its bounds."""
+        """Plot the delay estimate with its bounds."""
         return self._drawn("delay")
 
     def stiffness(self) -> Plot:
-        """Draw the tangent stiffness of the force compensation."""
+        """Plot the tangent stiffness of the restoring-force compensator."""
         return self._drawn("stiffness")
 
     def __repr__(self) -> str:
@@ -168,15 +168,16 @@ class Plots:
 
 
 class Recording(Mapping[str, NDArray[Any]]):
-    """A recorded hybrid test: a mapping of signals by name, each with a row for every sample.
+    """A recorded hybrid test: a mapping from names to signals with one value per sample.
 
-    Names and units are those of the file: ``x_meas_m`` in m, ``f_meas_n`` in N, the law's channels
-    under theirs, ``x_ref_m``, ``v_ref_mps`` and ``f_ref_n`` of the reference simulation, which is
-    not a number outside the test proper, and the time ``t_s``, zero at its first sample.
+    Names and units are those in the file, such as ``x_meas_m`` in m and ``f_meas_n`` in N,
+    including the channels of the control law. ``x_ref_m``, ``v_ref_mps`` and ``f_ref_n`` are those
+    of the reference simulation, and are NaN outside the state RUNNING. The time ``t_s`` is zero at
+    the first sample of that state.
 
     Attributes:
-        path: where it is kept; None: nowhere.
-        notes: what preparing it said that a user should know; of a run of this process alone.
+        path: file of the recording; None: not saved.
+        notes: remarks from the preparation of the test; only for a test run in this process.
     """
 
     def __init__(
@@ -188,7 +189,7 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """Unit of each signal by its name, ``1`` for a plain number."""
+        """Unit of each signal by name; ``1`` for a dimensionless signal."""
         raw = self._raw
         channels = {one.name: one.unit for one in raw.channels}
         own = {name: files.UNITS.get(name, channels.get(name, ""))
@@ -197,7 +198,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         return {TIME: "s", **own, **reference}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return a signal in its unit, shape (n,): one row per sample of the recording.
+        """Return a signal in its unit, shape (n,): one value per sample of the recording.
 
         Raises:
             InputError: there is no signal of that name; the message lists those that exist.
@@ -236,19 +237,19 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @property
     def running(self) -> NDArray[np.bool_]:
-        """Which rows belong to the test proper, shape (n,)."""
+        """Mask of the samples in state RUNNING, shape (n,)."""
         return self._raw.running()
 
     @property
     def fs_hz(self) -> float:
-        """Rate of the samples, Hz."""
+        """Sample rate, Hz."""
         return self._raw.fs_hz
 
     def to_pandas(self, *, whole: bool = False) -> DataFrame:
-        """Return the signals as a table by time in s; ``attrs["units"]`` has the units.
+        """Return the signals as a DataFrame indexed by time in s; ``attrs["units"]`` has the units.
 
         Args:
-            whole: every row; False: those of the test proper.
+            whole: include all samples; False: only those in state RUNNING.
 
         Raises:
             InputError: pandas is not installed.
@@ -262,10 +263,10 @@ class Recording(Mapping[str, NDArray[Any]]):
         return table
 
     def to_xarray(self, *, whole: bool = False) -> Dataset:
-        """Return the signals over the coordinate ``t_s``, each with the attribute ``units``.
+        """Return the signals as a Dataset over ``t_s``; each has the attribute ``units``.
 
         Args:
-            whole: every row; False: those of the test proper.
+            whole: include all samples; False: only those in state RUNNING.
 
         Raises:
             InputError: xarray is not installed.
@@ -286,11 +287,11 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """Names of the axes of a rig of several; () of one axis."""
+        """Names of the axes if the rig has several; otherwise ()."""
         return self._raw.axis_names
 
     def axis(self, name: str) -> dict[str, NDArray[Any]]:
-        """Return the signals of one axis, shape (n,) each, named as those of a rig with one axis.
+        """Return the signals of one axis, shape (n,) each, under the names of a rig with one axis.
 
         Raises:
             InputError: there is no such axis; the message lists those that exist.
@@ -300,7 +301,7 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @cached_property
     def summary(self) -> Summary:
-        """All that the report tells, as the program has it; `measures` has the figures alone.
+        """All results in the report, as an internal object; `measures` has only the figures.
 
         Raises:
             InputError: the rig has several axes.
@@ -326,10 +327,11 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @cached_property
     def measures(self) -> dict[str, Any]:
-        """The figures of the test by name, as in ``rthyb run --json``: SI units and fractions.
+        """Measures of the test by name, as in ``rthyb run --json``: SI units and fractions.
 
-        The unit stands in the name; None is what the recording does not say. Of several axes those
-        of each stand under ``axes``, those of each direction under ``directions``.
+        Names include the unit. A measure is None if the recording does not contain it. With several
+        axes, the measures of each axis are under ``axes``, and those of each direction under
+        ``directions``.
         """
         if self.axis_names:
             return {} if self._of_axes is None else self._of_axes.as_json()
@@ -338,7 +340,7 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @property
     def table(self) -> list[tuple[str, str, str]]:
-        """The table of the command line: what, how much, by which formula."""
+        """The table of the command line: measure, value, formula."""
         from rthyb_rt.analysis import several, summary
 
         if self.axis_names:
@@ -354,7 +356,7 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @property
     def completed(self) -> bool:
-        """Whether the test came to its end."""
+        """Whether the test was completed."""
         return self._end_reason == "completed"
 
     @property
@@ -365,7 +367,7 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @property
     def ending(self) -> str:
-        """``completed``, or what ended the test with its figures."""
+        """``completed``, or the cause that ended the test, with its values."""
         if self.completed:
             return "completed"
         return ("" if self.axis_names else self.summary.ending) or self._end_reason
@@ -383,7 +385,7 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @property
     def notices(self) -> list[str]:
-        """What must not be missed, the gravest first."""
+        """Important remarks, the most serious first."""
         from rthyb_rt.analysis import several, summary
 
         if not self.axis_names:
@@ -392,47 +394,47 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @property
     def meta(self) -> dict[str, Any]:
-        """Versions, clock, date: what the file says of itself."""
+        """Metadata of the recording: versions, clock, date."""
         return dict(self._raw.meta)
 
     @cached_property
     def test(self) -> Test:
-        """The test as it was run, with every default written out, on `rig`.
+        """The test as it was run, including all defaults, on `rig`.
 
         Raises:
-            InputError: another version wrote it, with keys that this one does not have.
+            InputError: another version wrote it, with keys that this version does not have.
         """
         return Test.from_toml(self._raw.test_toml, self.rig, "test of the recording")
 
     @cached_property
     def rig(self) -> Rig:
-        """The rig as it was used; errors as for `test`."""
+        """The rig as it was used; raises the same errors as `test`."""
         return Rig.from_toml(self._raw.rig_toml, "rig of the recording")
 
     @property
     def plot(self) -> Plots:
-        """The figures of the report, by name."""
+        """The figures of the report by name."""
         return Plots(self)
 
     @property
     def raw(self) -> files.Recording:
-        """The recording as the program has it; not a part of the stable interface."""
+        """The internal recording object; not part of the stable interface."""
         return self._raw
 
     def frequency_response(
         self, given: str = "x_num_m", answer: str = "x_meas_m", *, segment_s: float | None = None
     ) -> FrequencyResponse:
-        """Return how one signal of the test proper answers another, by Welch's averages.
+        """Return the frequency response between two signals in state RUNNING, by Welch's method.
 
         Args:
-            given: the input; ``x_cmd_m`` asks of the actuator alone, without what leads it.
-            answer: the output.
-            segment_s: length of a segment, s; its inverse is the distance of two lines in Hz. None:
-                what leaves eight segments, 4 s at most.
+            given: input signal; with ``x_cmd_m``, the response excludes the delay compensation.
+            answer: output signal.
+            segment_s: length of a segment, s; its inverse is the frequency resolution in Hz. None:
+                a length that gives eight segments, at most 4 s.
 
         Raises:
-            InputError: there is no such signal, the segment has less than 8 samples or is longer
-                than the test, or the input does not move.
+            InputError: there is no such signal, the segment has fewer than 8 samples or is longer
+                than the test, or the input is constant.
 
         Examples:
             >>> rec = run(Test("section5-T0.5", ground_motion={"duration_s": 10}))
@@ -463,7 +465,7 @@ class Recording(Mapping[str, NDArray[Any]]):
     # ---- files ----------------------------------------------------------------------------------
 
     def report(self, path: Place) -> Path:
-        """Write the report as one HTML file.
+        """Write the report to one HTML file.
 
         Raises:
             InputError: matplotlib or jinja2 is not installed.
@@ -476,13 +478,13 @@ class Recording(Mapping[str, NDArray[Any]]):
         return target
 
     def report_files(self, folder: Place) -> list[Path]:
-        """Write every figure of the report as SVG and PDF, its table as LaTeX and CSV.
+        """Write every figure of the report as SVG and PDF, and its table as LaTeX and CSV.
 
         Args:
-            folder: of the files; older ones of the same names are replaced.
+            folder: output folder; existing files of the same names are replaced.
 
         Returns:
-            The files.
+            Paths of the files.
 
         Raises:
             InputError: matplotlib is not installed.
@@ -493,7 +495,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         return write_files(self._raw, path_of(folder, "report_files", "the folder to write to"))
 
     def save(self, path: Place) -> Path:
-        """Write the recording as an HDF5 file, from which `open` gives it back.
+        """Write the recording to an HDF5 file, which can be read with `open`.
 
         Raises:
             RthybError: the file cannot be written.
@@ -503,15 +505,15 @@ class Recording(Mapping[str, NDArray[Any]]):
         return target
 
     def export(self, path: Place, *, whole: bool = False) -> Path:
-        """Write the signals for other programs, by the file's ending: ``.csv`` or ``.mat``.
+        """Export the signals in the format given by the file extension: ``.csv`` or ``.mat``.
 
         Args:
             path: file to write.
-            whole: of a CSV file: every row and signal; False: the columns that `diagnose` reads,
-                of the test proper. A MAT file has everything.
+            whole: for a CSV file: all samples and signals; False: only the columns that `diagnose`
+                reads, in state RUNNING. A MAT file always contains everything.
 
         Raises:
-            InputError: there is no such format, or scipy is not installed for ``.mat``.
+            InputError: the format is unknown, or ``.mat`` was requested and scipy is not installed.
             RthybError: the file cannot be written.
         """
         from rthyb_rt.record import export
@@ -560,7 +562,7 @@ class Recording(Mapping[str, NDArray[Any]]):
 
 
 def extra(package: str, what: str) -> Any:
-    """Import a package that the program does not need itself.
+    """Import an optional package.
 
     Raises:
         InputError: it is not installed.
@@ -582,16 +584,16 @@ def open_recording(path: Place) -> Recording:
         path: folder of a run, or its ``recording.h5``.
 
     Raises:
-        InputError: there is none, or it cannot be read; says why.
+        InputError: there is no recording, or it cannot be read; the message explains why.
     """
     found = path_of(path, "open", "the folder of a run, or of its recording.h5")
     return Recording(files.open_run(found), found)
 
 
 def as_recording(given: Recording | Place, where: str = "open") -> Recording:
-    """Return a recording that was given as one, or by its path; errors as for `open_recording`.
+    """Return a recording given as an object or a path; raises the same errors as `open_recording`.
 
-    ``where`` is the function that it was given to.
+    ``where`` is the calling function, for messages.
     """
     if isinstance(given, Recording):
         return given

@@ -1,4 +1,4 @@
-"""Is a recording what this core computes from the same inputs: `rthyb replay`."""
+"""Replay of a recording: does the core compute the same output from the same inputs?"""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from rthyb_rt.lab.experiment import Replay
 
 
 def replay(recording: Recording | Place) -> Replay:
-    """Compute a recording again from its own measurements, and compare every field bit for bit.
+    """Recompute a recording from its measurements and compare every field bit by bit.
 
     Args:
-        recording: the recording, or folder or file of one; of virtual or real time.
+        recording: a recording in virtual or real time, or its file or folder.
 
     Raises:
-        InputError: it cannot be read, or another version has to replay it; says which.
+        InputError: it cannot be read, or must be replayed by another version, which the message
+            names.
 
     Examples:
         >>> replay(run("section5-T0.5")).identical

@@ -1,4 +1,4 @@
-"""A test in virtual time, as `rthyb run` carries it out."""
+"""Tests in virtual time (`rthyb run`)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Progress = Callable[[int, int], None]
 
 
 def prepared(test: Test | Place | None, rig: Rig | Place | None) -> experiment.Setup:
-    """Return a test ready to go; arguments and errors as for `run`."""
+    """Return a test prepared for running; arguments and errors as for `run`."""
     found = files.as_test(test)
     on = found.rig if rig is None else files.as_rig(rig)
     return several.prepare_any(files.file_of_test(found), files.file_of_rig(on))
@@ -34,23 +34,23 @@ def run(
     report: bool = True,
     progress: Progress | None = None,
 ) -> Recording:
-    """Run a hybrid test in virtual time, on the virtual rig that the rig describes.
+    """Run a hybrid test in virtual time, on the virtual rig described by the rig file.
 
-    A limit that ends the test is no error: ``completed`` of the recording is False then, and
-    ``ending`` says what was met. In real time a test is run by ``rthyb run --realtime``.
+    If a limit ends the test, this is not an error: `Recording.completed` is then False, and
+    `Recording.ending` states the cause. To run a test in real time, use ``rthyb run --realtime``.
 
     Args:
-        test: the test, or path or name of one; None: the built-in one.
-        rig: the rig, or path or name of one; None: that of the test.
-        out: folder for recording, settings and report, which must be new or empty; None writes
-            nothing.
-        report: whether the report goes there too, where matplotlib is installed.
-        progress: told now and then.
+        test: a test, or the path or name of one; None: the built-in test.
+        rig: a rig, or the path or name of one; None: the rig of the test.
+        out: folder for recording, settings and report; must be new or empty. None: write nothing.
+        report: whether to write the report as well, if matplotlib is installed.
+        progress: called at intervals.
 
     Raises:
-        InputError: with every fault of test, rig and ground motion, or the folder is taken.
-        RthybError: the test cannot be begun, or the folder cannot be written.
-        Exception: whatever a numerical part, control law or element of your own raises.
+        InputError: test, rig or ground motion are invalid (the message lists all errors), or the
+            folder is not empty.
+        RthybError: the test cannot be started, or the folder cannot be written.
+        Exception: any exception raised by your own numerical part, control law or element.
 
     Examples:
         >>> rec = run("section5-T0.5")

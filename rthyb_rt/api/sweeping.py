@@ -1,4 +1,4 @@
-"""One test over lists of values, on all processors or a cluster: the campaign engine in Python."""
+"""Parameter sweeps of a test on all processors or a cluster: the campaign engine in Python."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ _TOLD: Final = {
 
 
 class Sweep:
-    """What came of a sweep: a row for every run, and how the runs of each combination scatter.
+    """Result of a sweep: one row per run, and statistics for each combination of values.
 
     Attributes:
-        name: of the sweep.
-        folder: where it is kept, with table, page, and the recordings of some runs.
-        rows: of the runs by number: what was chosen, ``ending``, ``cause``, and the measures of
-            `Recording.measures` that are numbers, under the same names.
-        paths: its files by what they are.
-        notes: what was left out, and how to have it.
+        name: name of the sweep.
+        folder: its folder, with the table, the HTML page, and the recordings of some runs.
+        rows: rows by run number: the values of the parameters, ``ending``, ``cause``, and the
+            numerical measures under the names used in `Recording.measures`.
+        paths: its files by kind.
+        notes: what was omitted, and how to obtain it.
     """
 
     def __init__(self, found: conducting.Campaign, folder: Path) -> None:
@@ -59,24 +59,25 @@ class Sweep:
 
     @property
     def failed(self) -> list[Row]:
-        """Rows of the runs that could not be carried out; ``cause`` says why."""
+        """Rows of the runs that could not be carried out; ``cause`` gives the reason."""
         return [row for row in self.rows if row["ending"] == FAILED]
 
     @property
     def stopped(self) -> list[Row]:
-        """Rows of the runs that a limit or a trip ended; ``cause`` says which."""
+        """Rows of the runs that were ended by a limit or a trip, which ``cause`` names."""
         return [row for row in self.rows if row["ending"] == STOPPED]
 
     def statistics(self, *measures: str) -> list[Row]:
-        """Return a row for each combination: how its completed runs scatter, seed by seed.
+        """Return one row per combination of values, with statistics over its completed runs.
 
         Args:
-            measures: names of columns; none: those that the campaign's page tells.
+            measures: names of columns; none given: those on the campaign's page.
 
         Returns:
-            What was chosen, the counts ``runs``, ``completed``, ``stopped``, ``failed``, and of the
-            magnitudes of each measure ``NAME_mean``, ``NAME_std`` (of a sample; None of a single
-            run), ``NAME_median`` and ``NAME_worst``; None where no run was completed.
+            Values of the parameters; the counts ``runs``, ``completed``, ``stopped``, ``failed``;
+            and for the magnitude of each measure ``NAME_mean``, ``NAME_std`` (sample standard
+            deviation; None for a single run), ``NAME_median`` and ``NAME_worst``. Statistics are
+            None if no run was completed.
 
         Raises:
             InputError: there is no such measure; the message lists those that exist.
@@ -96,7 +97,7 @@ class Sweep:
         return list(dict.fromkeys(name for row in self.rows for name in row))
 
     def to_pandas(self) -> DataFrame:
-        """Return the rows as a table by the number of the run.
+        """Return the rows as a DataFrame, indexed by run number.
 
         Raises:
             InputError: pandas is not installed.
@@ -108,10 +109,10 @@ class Sweep:
         """Open the recording of a run.
 
         Args:
-            case: its number.
+            case: number of the run.
 
         Raises:
-            InputError: it was not kept; says which were.
+            InputError: it was not kept; the message lists those that were.
         """
         kept = {row["case"]: row["folder"] for row in self.rows if row.get("folder")}
         if case not in kept:
@@ -160,31 +161,33 @@ def sweep(
     client: Any = None,
     progress: Progress | None = None,
 ) -> Sweep:
-    """Run one test in virtual time over lists of values, every value with every other.
+    """Run a test in virtual time for all combinations of lists of values.
 
-    Each run is kept as it ends: called again, whatever ended it, the sweep goes on where it was.
-    A run that cannot be carried out is a row that says so, and ends no other.
+    The result of each run is saved when it ends: if the sweep is interrupted and called again, it
+    continues where it stopped. A run that cannot be carried out is marked as failed in its row and
+    does not affect the others.
 
     Args:
-        test: the test, or path or name of one; None: the built-in one.
-        over: values by dotted key of the test, or of the rig with ``rig.`` before it; at the keys
-            ``rig`` and ``test`` rigs and tests, or paths and names.
-        rig: the rig, or path or name of one; None: that of the test.
-        together: lists by key that go in step, a dict for each such set.
-        draws: plants drawn about the rig's own values, as the table ``[draws]`` of a campaign file:
-            ``{"count": 20, "seed": 1, "spread": {"rig.actuator.delay_samples": 0.05}}``.
-        repeat_seeds: the number of repetitions of each run, each time with noise of another seed.
-        name: of the sweep; None: that of the test with ``-sweep`` behind it.
-        out: its folder; None: ``runs/NAME``.
-        keep: of which runs recording and report are kept.
-        jobs: processes; None: one for every processor.
-        client: a `distributed.Client`, or the address of a Dask scheduler, whose workers compute
-            instead; they need the same sources of the program, and see ``out`` by the same path.
-        progress: told at each run; None: a line on a terminal.
+        test: a test, or the path or name of one; None: the built-in test.
+        over: lists of values by dotted key of the test, or of the rig with the prefix ``rig.``. The
+            keys ``rig`` and ``test`` take rigs and tests, or their paths or names.
+        rig: a rig, or the path or name of one; None: the rig of the test.
+        together: lists by key that vary together, one dict per group of keys.
+        draws: plants with parameters drawn at random around the rig's values, as in the table
+            ``[draws]`` of a campaign file: ``{"count": 20, "seed": 1, "spread":
+            {"rig.actuator.delay_samples": 0.05}}``.
+        repeat_seeds: number of repetitions of each run, each with a different noise seed.
+        name: name of the sweep; None: the name of the test with ``-sweep`` appended.
+        out: folder; None: ``runs/NAME``.
+        keep: the runs whose recording and report are kept.
+        jobs: number of processes; None: one per processor.
+        client: a `distributed.Client`, or the address of a Dask scheduler, whose workers are used
+            instead; they must have the same version of the program, and access ``out`` by the same
+            path.
+        progress: called after each run; None: a progress line on a terminal.
 
     Raises:
-        InputError: with what is wrong in the lists, or in the first run; or the folder holds
-            something else.
+        InputError: the lists or the first run are invalid, or the folder contains something else.
         RthybError: the folder cannot be written.
 
     Examples:

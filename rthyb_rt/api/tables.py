@@ -11,7 +11,7 @@ from rthyb_rt.numbers import number
 
 
 def html_table(rows: Iterable[Sequence[Any]], head: Sequence[str] = ()) -> str:
-    """Return rows as a table of HTML; numbers with three digits, a dash for what is not there."""
+    """Return rows as an HTML table; numbers with three digits, a dash for missing values."""
     lines = ["<table>"]
     if head:
         lines.append("<tr>" + "".join(f"<th>{escape(name)}</th>" for name in head) + "</tr>")
