@@ -59,7 +59,7 @@ typedef struct {
          0.0,                                                                                       \
          1e6,                                                                                       \
          10.0,                                                                                      \
-         "the power over rest noise that opens the gate",                                           \
+         "the ratio of power to noise at rest that opens the gate",                                 \
          0,                                                                                         \
          NULL,                                                                                      \
          NULL},                                                                                     \
@@ -70,7 +70,7 @@ typedef struct {
          0.0,                                                                                       \
          10.0,                                                                                      \
          0.05,                                                                                      \
-         "how far the gain may be from where it begins (standard deviation)",                       \
+         "the standard deviation of the gain from its initial value",                               \
          RTHYB_OPEN_LOW,                                                                            \
          NULL,                                                                                      \
          NULL},                                                                                     \
@@ -79,7 +79,7 @@ typedef struct {
          0.0,                                                                                       \
          1.0,                                                                                       \
          0.00390625,                                                                                \
-         "how far the delay may be from where it begins (standard deviation)",                      \
+         "the standard deviation of the delay from its initial value",                              \
          RTHYB_OPEN_LOW,                                                                            \
          NULL,                                                                                      \
          NULL},                                                                                     \
@@ -88,7 +88,7 @@ typedef struct {
          0.0,                                                                                       \
          1.0,                                                                                       \
          1.52587890625e-5,                                                                          \
-         "how far the curvature term may be from where it begins (standard deviation)",             \
+         "the standard deviation of the curvature term from its initial value",                     \
          RTHYB_OPEN_LOW,                                                                            \
          NULL,                                                                                      \
          NULL},                                                                                     \

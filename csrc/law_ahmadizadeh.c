@@ -14,10 +14,10 @@ enum { DELAY, WINDOW, GAIN, SLOWEST, DELAY_MAX };
 
 /* clang-format off */
 static const rthyb_law_parameter ahmadizadeh_parameters[] = {
-    {"ahmadizadeh.delay_s", "s", 0.0, 1.0, 0.02, "the first delay", 0, "identified.delay_s", NULL},
+    {"ahmadizadeh.delay_s", "s", 0.0, 1.0, 0.02, "the initial delay", 0, "identified.delay_s", NULL},
     {"ahmadizadeh.window_s", "s", 0.01, 60.0, 0.5, "the window of the mean", 0, NULL, "window {} s"},
-    {"ahmadizadeh.gain", "", 0.0, 1.0, 0.3, "the share of the mean that is corrected", 0, NULL, NULL},
-    {"ahmadizadeh.slowest_m_per_s", "m/s", 0.0, 10.0, 0.01, "the velocity from which on it learns", RTHYB_OPEN_LOW, NULL, NULL},
+    {"ahmadizadeh.gain", "", 0.0, 1.0, 0.3, "the fraction of the mean that is corrected", 0, NULL, NULL},
+    {"ahmadizadeh.slowest_m_per_s", "m/s", 0.0, 10.0, 0.01, "the smallest velocity at which the law adapts", RTHYB_OPEN_LOW, NULL, NULL},
     {"ahmadizadeh.delay_max_s", "s", 0.0, 1.0, 0.06, "the largest delay", 0, NULL, NULL},
 };
 /* clang-format on */
@@ -123,8 +123,7 @@ static int ahmadizadeh_lead(void *state, double x_c_m, double allowed_m, double 
 
 static const rthyb_control_law ahmadizadeh = {
     .is = {.name = "ahmadizadeh",
-           .meaning =
-               "extrapolation by velocity and acceleration, its delay corrected by the error",
+           .meaning = "extrapolation with velocity and acceleration; adapts the delay to the error",
            .calmer = "lower controller.ahmadizadeh.gain, or raise its window_s",
            .parameters = ahmadizadeh_parameters,
            .values = ahmadizadeh_values,

@@ -13,10 +13,10 @@ enum { DELAY, KP, KI, REFERENCE, DELAY_MAX };
 
 /* clang-format off */
 static const rthyb_law_parameter aic_parameters[] = {
-    {"aic.delay_s", "s", 0.0, 1.0, 0.02, "the first delay", 0, "identified.delay_s", NULL},
+    {"aic.delay_s", "s", 0.0, 1.0, 0.02, "the initial delay", 0, "identified.delay_s", NULL},
     {"aic.kp", "", 0.0, 1e3, 0.4, "the proportional gain", 0, NULL, NULL},
     {"aic.ki_per_s", "1/s", 0.0, 1e3, 0.04, "the integral gain", 0, NULL, NULL},
-    {"aic.reference_displacement_m", "m", 1e-6, 10.0, 1e-3, "the displacement that makes the gains unit-free", 0, NULL, NULL},
+    {"aic.reference_displacement_m", "m", 1e-6, 10.0, 1e-3, "the reference displacement of the gains", 0, NULL, NULL},
     {"aic.delay_max_s", "s", 0.0, 1.0, 0.06, "the largest delay", 0, NULL, NULL},
 };
 /* clang-format on */
@@ -114,7 +114,7 @@ static int aic_lead(void *state, double x_c_m, double allowed_m, double *x_p_m)
 
 static const rthyb_control_law aic = {
     .is = {.name = "aic",
-           .meaning = "inverse of a lag of first order, its delay led by the tracking indicator",
+           .meaning = "inverse of a first-order lag; adapts the delay by the tracking indicator",
            .calmer = "lower controller.aic.kp and ki_per_s, or raise its reference_displacement_m",
            .parameters = aic_parameters,
            .values = aic_values,

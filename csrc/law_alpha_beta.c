@@ -26,7 +26,7 @@ static int alpha_beta_init(void *state, const rthyb_law_start *start)
 
 static const rthyb_control_law alpha_beta = {
     .is = {.name = "alpha-beta",
-           .meaning = "phase lead with delay and curvature by recursive least squares",
+           .meaning = "phase lead with delay and curvature from recursive least squares",
            .calmer = "raise controller.delay_estimator.memory_s",
            .parameters = alpha_beta_parameters,
            .parameter_count = RTHYB_COUNT(alpha_beta_parameters),

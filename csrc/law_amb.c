@@ -15,9 +15,9 @@ enum { A1, A2_SHARE, A3_SHARE, CUTOFF, GAIN0, GAIN1, GAIN2, GAIN3, MOST0 };
 
 /* clang-format off */
 static const rthyb_law_parameter amb_parameters[] = {
-    {"amb.a1_s", "s", 0.0, 1.0, 0.01986, "the first a1, the delay", 0, "identified.delay_s", NULL},
-    {"amb.a2_share", "", 0.0, 1.0, 0.214, "the first a2 over a1^2, 0.5 of a pure delay", 0, NULL, NULL},
-    {"amb.a3_share", "", 0.0, 1.0, 0.0254, "the first a3 over a1^3, 0.167 of a pure delay", 0, NULL, NULL},
+    {"amb.a1_s", "s", 0.0, 1.0, 0.01986, "the initial a1, the delay", 0, "identified.delay_s", NULL},
+    {"amb.a2_share", "", 0.0, 1.0, 0.214, "the initial a2 / a1^2 (0.5 for a pure delay)", 0, NULL, NULL},
+    {"amb.a3_share", "", 0.0, 1.0, 0.0254, "the initial a3 / a1^3 (0.167 for a pure delay)", 0, NULL, NULL},
     {"amb.cutoff_hz", "Hz", 0.5, 400.0, 20.0, "the cut-off of the low-pass pair", 0, NULL, NULL},
     {"amb.log_gain0", "", -12.0, 12.0, 8.4, "the decimal logarithm of the gain of a0", 0, NULL, NULL},
     {"amb.log_gain1", "", -12.0, 12.0, 6.2, "the decimal logarithm of the gain of a1", 0, NULL, NULL},
@@ -132,7 +132,7 @@ static int amb_lead(void *state, double x_c_m, double allowed_m, double *x_p_m)
 
 static const rthyb_control_law amb = {
     .is = {.name = "amb",
-           .meaning = "adaptive model-based: inverse of third order by a normalised gradient",
+           .meaning = "adaptive model-based: third-order inverse, adapted by a normalised gradient",
            .calmer = "lower controller.amb.log_gain0 to log_gain3",
            .parameters = amb_parameters,
            .values = amb_values,

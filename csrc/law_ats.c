@@ -31,11 +31,11 @@ enum {
 
 /* clang-format off */
 static const rthyb_law_parameter ats_parameters[] = {
-    {"ats.a1_s", "s", 0.0, 1.0, 0.02, "the first a1, the delay", 0, "identified.delay_s", NULL},
+    {"ats.a1_s", "s", 0.0, 1.0, 0.02, "the initial a1, the delay", 0, "identified.delay_s", NULL},
     {"ats.window_s", "s", 0.0, 10.0, 1.0, "the window of the least squares", RTHYB_OPEN_LOW, NULL, "window {} s"},
     {"ats.spacing_s", "s", 0.0, 1.0, 0.00390625, "the time between the rows of the window", RTHYB_OPEN_LOW, NULL, NULL},
     {"ats.cutoff_hz", "Hz", 0.5, 400.0, 20.0, "the cut-off of the low-pass pair", 0, NULL, NULL},
-    {"ats.threshold_m", "m", 0.0, 1.0, 0.000254, "the motion in the window from which on it learns", 0, NULL, NULL},
+    {"ats.threshold_m", "m", 0.0, 1.0, 0.000254, "the smallest motion in the window at which the law adapts", 0, NULL, NULL},
     {"ats.a0_min", "", 0.0, 1.0, 0.7, "the smallest a0", RTHYB_OPEN_LOW, NULL, NULL},
     {"ats.a0_max", "", 1.0, 10.0, 1.3, "the largest a0", 0, NULL, NULL},
     {"ats.a1_max_s", "s", 0.0, 1.0, 0.08, "the largest a1", 0, NULL, NULL},
@@ -43,7 +43,7 @@ static const rthyb_law_parameter ats_parameters[] = {
     {"ats.a0_rate_per_s", "1/s", 0.0, 1e3, 2.0, "the fastest change of a0", 0, NULL, NULL},
     {"ats.a1_rate_s_per_s", "", 0.0, 1e3, 0.05, "the fastest change of a1, s per s", 0, NULL, NULL},
     {"ats.a2_rate_s2_per_s", "s", 0.0, 1e3, 0.001, "the fastest change of a2, s^2 per s", 0, NULL, NULL},
-    {"ats.a2_share", "", 0.0, 1.0, 0.5, "the first a2 over the square of the first a1, 0.5 of a pure delay", 0, NULL, NULL},
+    {"ats.a2_share", "", 0.0, 1.0, 0.5, "the initial a2 / a1^2 (0.5 for a pure delay)", 0, NULL, NULL},
 };
 /* clang-format on */
 

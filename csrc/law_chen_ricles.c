@@ -58,7 +58,7 @@ static int chen_ricles_lead(void *state, double x_c_m, double allowed_m, double 
 
 static const rthyb_control_law chen_ricles = {
     .is = {.name = "chen-ricles",
-           .meaning = "inverse of a discrete lag of first order that is known; learns nothing",
+           .meaning = "inverse of a known first-order discrete lag; does not adapt",
            .parameters = chen_ricles_parameters,
            .values = chen_ricles_values,
            .parameter_count = RTHYB_COUNT(chen_ricles_parameters),

@@ -14,10 +14,10 @@ enum { DELAY, ORDER, CP, CV, DELAY_MIN, DELAY_MAX };
 
 /* clang-format off */
 static const rthyb_law_parameter darby_parameters[] = {
-    {"darby.delay_s", "s", 0.0, 0.125, 0.02, "the first delay", 0, "identified.delay_s", NULL},
+    {"darby.delay_s", "s", 0.0, 0.125, 0.02, "the initial delay", 0, "identified.delay_s", NULL},
     {"darby.order", "", 1.0, 3.0, 3.0, "the degree of the polynomial", 0, NULL, "degree {}"},
     {"darby.cp_s_per_m", "s/m", 0.0, 1e3, 0.05, "the correction of the delay per sample", 0, NULL, NULL},
-    {"darby.cv_s_per_m", "s/m", 0.0, 1e6, 200.0, "the sharpness of the velocity's sign", 0, NULL, NULL},
+    {"darby.cv_s_per_m", "s/m", 0.0, 1e6, 200.0, "the steepness of the smoothed sign of the velocity", 0, NULL, NULL},
     {"darby.delay_min_s", "s", 0.0, 0.125, 0.0, "the smallest delay", 0, NULL, NULL},
     {"darby.delay_max_s", "s", 0.0, 0.125, 0.06, "the largest delay", 0, NULL, NULL},
 };
@@ -145,7 +145,7 @@ static int darby_lead(void *state, double x_c_m, double allowed_m, double *x_p_m
 
 static const rthyb_control_law darby = {
     .is = {.name = "darby",
-           .meaning = "polynomial extrapolation over a delay that the tracking error corrects",
+           .meaning = "polynomial extrapolation; adapts the delay to the tracking error",
            .calmer = "lower controller.darby.cp_s_per_m",
            .parameters = darby_parameters,
            .values = darby_values,

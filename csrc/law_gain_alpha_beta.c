@@ -54,7 +54,7 @@ static int gain_alpha_beta_init(void *state, const rthyb_law_start *start)
 
 static const rthyb_control_law gain_alpha_beta = {
     .is = {.name = "gain-alpha-beta",
-           .meaning = "phase lead with gain, delay and curvature by recursive least squares",
+           .meaning = "phase lead with gain, delay and curvature from recursive least squares",
            .calmer = "raise controller.gain_alpha_beta.memory_s",
            .parameters = gain_alpha_beta_parameters,
            .parameter_count = RTHYB_COUNT(gain_alpha_beta_parameters),

@@ -87,7 +87,7 @@ static int horiuchi_lead(void *state, double x_c_m, double allowed_m, double *x_
 
 static const rthyb_control_law horiuchi = {
     .is = {.name = "horiuchi",
-           .meaning = "polynomial extrapolation over a delay that is known; learns nothing",
+           .meaning = "polynomial extrapolation over a known delay; does not adapt",
            .parameters = horiuchi_parameters,
            .values = horiuchi_values,
            .parameter_count = RTHYB_COUNT(horiuchi_parameters),

@@ -59,7 +59,8 @@ static int inverse_init(void *state, const rthyb_law_start *start)
 
 static const rthyb_control_law inverse = {
     .is = {.name = "inverse",
-           .meaning = "the identified inverse, with gain, delay and curvature of what it leaves",
+           .meaning =
+               "inverse of the identified rig; adapts gain, delay and curvature of the remainder",
            .calmer = "raise controller.inverse.memory_s",
            .parameters = inverse_parameters,
            .parameter_count = RTHYB_COUNT(inverse_parameters),

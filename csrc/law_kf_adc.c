@@ -9,11 +9,11 @@ enum { DELAY, APART, CUTOFF, NOISE, WALK, MOST };
 
 /* clang-format off */
 static const rthyb_law_parameter kf_adc_parameters[] = {
-    {"kf_adc.delay_s", "s", 0.0, 1.0, 0.016, "the first delay", 0, "identified.delay_s", NULL},
-    {"kf_adc.apart_s", "s", 0.0, 0.25, 0.0009765625, "the time from sample to sample of the inverse", 0, NULL, NULL},
+    {"kf_adc.delay_s", "s", 0.0, 1.0, 0.016, "the initial delay", 0, "identified.delay_s", NULL},
+    {"kf_adc.apart_s", "s", 0.0, 0.25, 0.0009765625, "the spacing of the samples of the inverse", 0, NULL, NULL},
     {"kf_adc.cutoff_hz", "Hz", 0.5, 400.0, 20.0, "the cut-off of the low-pass pair", 0, NULL, NULL},
-    {"kf_adc.noise_m", "m", 0.0, 1.0, 1e-4, "the noise of the command that the inverse gives", RTHYB_OPEN_LOW, NULL, NULL},
-    {"kf_adc.walk_per_root_s", "", 0.0, 100.0, 0.01, "the random walk of each coefficient in a second", 0, NULL, NULL},
+    {"kf_adc.noise_m", "m", 0.0, 1.0, 1e-4, "the noise of the command that the inverse computes", RTHYB_OPEN_LOW, NULL, NULL},
+    {"kf_adc.walk_per_root_s", "", 0.0, 100.0, 0.01, "the random walk of each coefficient, per square root of a second", 0, NULL, NULL},
     {"kf_adc.theta_max", "", 1.0, 1e4, 1000.0, "the largest coefficient", 0, NULL, NULL},
 };
 /* clang-format on */
@@ -65,7 +65,7 @@ static int kf_adc_lead(void *state, double x_c_m, double allowed_m, double *x_p_
 
 static const rthyb_control_law kf_adc = {
     .is = {.name = "kf-adc",
-           .meaning = "inverse of four samples by Kalman's filter of a random walk",
+           .meaning = "four-sample inverse, adapted by a Kalman filter for a random walk",
            .calmer = "lower controller.kf_adc.walk_per_root_s, or raise its noise_m",
            .parameters = kf_adc_parameters,
            .values = kf_adc_values,

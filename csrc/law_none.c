@@ -39,7 +39,7 @@ static const rthyb_law_value none_values[] = {
 
 static const rthyb_control_law none = {
     .is = {.name = "none",
-           .meaning = "nothing is compensated: the command goes out as it was computed",
+           .meaning = "no compensation: the command is sent as computed",
            .values = none_values,
            .value_count = RTHYB_COUNT(none_values)},
     .state_size = sizeof(none_state),

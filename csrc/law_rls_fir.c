@@ -8,12 +8,12 @@ enum { DELAY, APART, CUTOFF, P_SUM, P_DELAY, P_REST, MOST };
 
 /* clang-format off */
 static const rthyb_law_parameter rls_fir_parameters[] = {
-    {"rls_fir.delay_s", "s", 0.0, 1.0, 0.016, "the first delay", 0, "identified.delay_s", NULL},
-    {"rls_fir.apart_s", "s", 0.0, 0.25, 0.0009765625, "the time from sample to sample of the inverse", 0, NULL, NULL},
+    {"rls_fir.delay_s", "s", 0.0, 1.0, 0.016, "the initial delay", 0, "identified.delay_s", NULL},
+    {"rls_fir.apart_s", "s", 0.0, 0.25, 0.0009765625, "the spacing of the samples of the inverse", 0, NULL, NULL},
     {"rls_fir.cutoff_hz", "Hz", 0.5, 400.0, 20.0, "the cut-off of the low-pass pair", 0, NULL, NULL},
-    {"rls_fir.p_sum", "", 0.0, 1e15, 5e7, "the first variance of the gain, 1/m^2", 0, NULL, NULL},
-    {"rls_fir.p_delay", "", 0.0, 1e15, 6.8e10, "the first variance of the delay's direction, 1/m^2", 0, NULL, NULL},
-    {"rls_fir.p_rest", "", 0.0, 1e15, 1.46e11, "the first variance of what is left, 1/m^2", 0, NULL, NULL},
+    {"rls_fir.p_sum", "", 0.0, 1e15, 5e7, "the initial variance of the gain, 1/m^2", 0, NULL, NULL},
+    {"rls_fir.p_delay", "", 0.0, 1e15, 6.8e10, "the initial variance in the direction of the delay, 1/m^2", 0, NULL, NULL},
+    {"rls_fir.p_rest", "", 0.0, 1e15, 1.46e11, "the initial variance in the remaining directions, 1/m^2", 0, NULL, NULL},
     {"rls_fir.theta_max", "", 1.0, 1e4, 1000.0, "the largest coefficient", 0, NULL, NULL},
 };
 /* clang-format on */
@@ -63,7 +63,7 @@ static int rls_fir_lead(void *state, double x_c_m, double allowed_m, double *x_p
 
 static const rthyb_control_law rls_fir = {
     .is = {.name = "rls-fir",
-           .meaning = "inverse of four samples by recursive least squares without forgetting",
+           .meaning = "four-sample inverse, adapted by recursive least squares without forgetting",
            .calmer = "lower controller.rls_fir.p_rest, p_delay and p_sum",
            .parameters = rls_fir_parameters,
            .values = rls_fir_values,

@@ -6,8 +6,8 @@ typedef rthyb_phase_lead robust_state;
 
 static const rthyb_law_parameter robust_parameters[] = {
     LEAD_PARAMETERS,
-    {"delay_estimator.rate_per_sample", "", 0.0, 1.0, 0.002, "the share learnt per sample", 0, NULL,
-     "rate {} per sample"},
+    {"delay_estimator.rate_per_sample", "", 0.0, 1.0, 0.002, "the rate of adaptation per sample", 0,
+     NULL, "rate {} per sample"},
     LEAD_FILTER_PARAMETERS,
 };
 
@@ -25,7 +25,7 @@ static int robust_init(void *state, const rthyb_law_start *start)
 
 static const rthyb_control_law robust = {
     .is = {.name = "robust",
-           .meaning = "phase lead whose delay is learnt from motion and not from noise",
+           .meaning = "phase lead that adapts the delay to motion, not to noise",
            .calmer = "lower controller.delay_estimator.rate_per_sample, or raise its gate_factor",
            .parameters = robust_parameters,
            .parameter_count = RTHYB_COUNT(robust_parameters),

@@ -10,8 +10,8 @@ enum { A0, A1, A2_SHARE, A3_SHARE };
 static const rthyb_law_parameter third_order_parameters[] = {
     {"third_order.a0", "", 0.1, 10.0, 1.0, "the inverse of the gain", 0, NULL, NULL},
     {"third_order.a1_s", "s", 0.0, 1.0, 0.02, "a1, the delay", 0, "identified.delay_s", NULL},
-    {"third_order.a2_share", "", 0.0, 1.0, 0.3333333333333333, "a2 over a1^2, a third of three equal lags", 0, NULL, NULL},
-    {"third_order.a3_share", "", 0.0, 1.0, 0.037037037037037035, "a3 over a1^3, 1/27 of three equal lags", 0, NULL, NULL},
+    {"third_order.a2_share", "", 0.0, 1.0, 0.3333333333333333, "a2 / a1^2 (1/3 for three equal lags)", 0, NULL, NULL},
+    {"third_order.a3_share", "", 0.0, 1.0, 0.037037037037037035, "a3 / a1^3 (1/27 for three equal lags)", 0, NULL, NULL},
 };
 /* clang-format on */
 
@@ -57,7 +57,7 @@ static int third_order_lead(void *state, double x_c_m, double allowed_m, double 
 
 static const rthyb_control_law third_order = {
     .is = {.name = "third-order",
-           .meaning = "inverse of an actuator of third order that is known; learns nothing",
+           .meaning = "inverse of a known third-order actuator; does not adapt",
            .parameters = third_order_parameters,
            .values = third_order_values,
            .parameter_count = RTHYB_COUNT(third_order_parameters),

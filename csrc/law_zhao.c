@@ -8,7 +8,7 @@ enum { TAU, FILTER };
 /* clang-format off */
 static const rthyb_law_parameter zhao_parameters[] = {
     {"zhao.tau_s", "s", 0.0, 1.0, 0.02, "the time constant of the actuator", 0, "identified.delay_s", NULL},
-    {"zhao.filter_s", "s", 0.0, 1.0, 0.001, "the time constant that rolls the lead off", 0, NULL, NULL},
+    {"zhao.filter_s", "s", 0.0, 1.0, 0.001, "the time constant of the roll-off", 0, NULL, NULL},
 };
 /* clang-format on */
 
@@ -73,7 +73,7 @@ static int zhao_lead(void *state, double x_c_m, double allowed_m, double *x_p_m)
 
 static const rthyb_control_law zhao = {
     .is = {.name = "zhao",
-           .meaning = "first-order lead, the inverse of a lag that is known; learns nothing",
+           .meaning = "first-order lead, the inverse of a known lag; does not adapt",
            .parameters = zhao_parameters,
            .values = zhao_values,
            .parameter_count = RTHYB_COUNT(zhao_parameters),

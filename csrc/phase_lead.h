@@ -33,11 +33,11 @@ enum {
     {"delay_estimator.alpha_min", "samples", 0.0, 1000.0, 0.0, "the smallest delay", 0, NULL, NULL}, \
     {"delay_estimator.alpha_max", "samples", 0.0, 1000.0, 60.0, "the largest delay", 0, NULL, NULL}, \
     {"delay_estimator.reference_displacement_m", "m", 1e-6, 10.0, 1e-3,                            \
-     "the displacement that makes the law unit-free", 0, NULL, NULL}
+     "the reference displacement of the normalisation", 0, NULL, NULL}
 #define LEAD_FILTER_PARAMETERS                                                                     \
     {"delay_estimator.cutoff_hz", "Hz", 0.5, 400.0, 25.0, "the cut-off of the filter pair", 0, LEAD_ROLL_OFF, NULL}, \
     {"delay_estimator.gate_factor", "", 0.0, 1e6, 10.0,                                            \
-     "the power over rest noise that opens the gate", 0, NULL, NULL}
+     "the ratio of power to noise at rest that opens the gate", 0, NULL, NULL}
 /* clang-format on */
 
 #define LEAD_VALUES                                                                                \
