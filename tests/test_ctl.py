@@ -119,7 +119,7 @@ def test_trip_is_reset(rthyb: Rthyb, place: Path, daemon: Daemon) -> None:
     assert refused.code == 5
     assert "the state is TRIPPED, stop is allowed in IDLE or ZEROED" in refused.err
     assert "once its cause is gone, reset leaves this state" in refused.err
-    assert "signal" in rthyb("ctl", "status").out
+    assert "TRIPPED, the operator" in rthyb("ctl", "status").out
     assert rthyb("ctl", "reset").out == "Reset\n"
     assert status(place)["state"] == "IDLE"
 
@@ -364,7 +364,10 @@ def test_metrics_are_prometheus_text(rthyb: Rthyb, place: Path, daemon: Daemon) 
 def test_zero_that_ends_in_a_trip_or_is_stopped_is_no_success(
     rthyb: Rthyb, place: Path, daemon: Daemon
 ) -> None:
-    for now, said in ((True, "the rig is TRIPPED, cause: signal"), (False, "stopped by an op")):
+    for now, said in (
+        (True, "the rig is TRIPPED, cause: the operator"),
+        (False, "stopped by an op"),
+    ):
         assert rthyb("ctl", "load", *LONG, "--set", "limits.tare_s=5").code == 0
         told: list[bool] = []
 

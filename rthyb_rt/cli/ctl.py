@@ -184,9 +184,10 @@ def rows(found: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def cause_in_words(found: dict[str, Any]) -> str:
-    """Return the cause of a status with its figures, else what it is called: "none" without."""
-    plain, whose = str(found["cause"]).replace("_", " "), found.get("cause_of")
-    return found.get("cause_in_figures") or (f"{whose}: {plain}" if whose else plain)
+    """Return the cause in a status with its figures, or with its axis; "none" if there is none."""
+    from rthyb_rt.lab.endings import shown
+
+    return shown(str(found["cause"]), found.get("cause_of"), found.get("cause_in_figures"))
 
 
 def _measured(found: dict[str, Any], newest: dict[str, Any]) -> list[tuple[str, str, str]]:

@@ -298,7 +298,7 @@ class _Signals:
 
 
 def _signals(d: Diagnosis) -> _Signals | None:
-    label = "with the effects found" if d.verdict in ("explained", "ambiguous") else "numbers moved"
+    label = _after(d)
     if d.channel == "disp" and d.disp is not None:
         task = d.disp.task
         plain = task.simulate(task.base).x

@@ -79,8 +79,19 @@ class RefusedError(RthybError):
 
 
 def in_words(cause: str) -> str:
-    """Return a cause as people say it."""
+    """Return the name of a cause in words."""
     return WORDS.get(cause, cause.replace("_", " "))
+
+
+def shown(cause: str, of: str | None = None, figures: str | None = None) -> str:
+    """Return a cause as status, journal and live view show it.
+
+    Args:
+        cause: the cause, such as "link_lost".
+        of: the axis or direction concerned, if there are several.
+        figures: the cause with the measured value and the limit, if it has any.
+    """
+    return figures or (f"{of}: {in_words(cause)}" if of else in_words(cause))
 
 
 def end_reason(state: str, cause: str, *, moved: bool = True, of: str = "") -> str:

@@ -20,7 +20,7 @@ from rthyb_rt.core import RUNNING, STATES, Channel
 from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import realtime
-from rthyb_rt.lab.endings import in_words
+from rthyb_rt.lab.endings import in_words, shown
 from rthyb_rt.live.history import CHANNELS, History, Tally, channels
 from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import Recording, open_run
@@ -520,9 +520,8 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
 
 
 def _cause_of(found: dict[str, Any]) -> str:
-    """Return the cause that the service says, with its figures, or whose of several axes it is."""
-    plain, whose = in_words(found["cause"]), found.get("cause_of")
-    return found.get("cause_in_figures") or (f"{whose}: {plain}" if whose else plain)
+    """Return the cause in a status of the service, with its figures, or with its axis."""
+    return shown(found["cause"], found.get("cause_of"), found.get("cause_in_figures"))
 
 
 def _now_of(found: dict[str, Any]) -> list[float | None]:

@@ -30,6 +30,7 @@ from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import RthybError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import experiment
+from rthyb_rt.lab.endings import shown
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime import Conductor, LiveRun, RefusedError
 from rthyb_rt.lab.sequence import REST_TICKS, TARE_MARGIN_S
@@ -325,9 +326,8 @@ class Engine(Conductor):
 
     @property
     def cause_in_words(self) -> str:
-        """The cause for people: with its figures, or what it is called."""
-        plain = self.loop.cause.replace("_", " ")
-        return self.cause_in_figures or (f"{self.cause_of}: {plain}" if self.cause_of else plain)
+        """The cause with its figures, or with its axis."""
+        return shown(self.loop.cause, self.cause_of, self.cause_in_figures)
 
     def _say(self, level: str, text: str) -> None:
         self._tell(Event(level, text))
