@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rthyb_rt.analysis.balance import EnergyBalance
     from rthyb_rt.analysis.spectra import FrequencyResponse
     from rthyb_rt.api.checking import Check, check
     from rthyb_rt.api.comparing import Comparison, compare
@@ -39,6 +40,7 @@ __all__ = [
     "Diagnosis",
     "Effect",
     "Element",
+    "EnergyBalance",
     "FrequencyResponse",
     "Identification",
     "InputError",
@@ -74,6 +76,7 @@ _HOMES = {
     "Diagnosis": "api.diagnosing",
     "Effect": "diagnose.effects.base",
     "Element": "core.own",
+    "EnergyBalance": "analysis.balance",
     "FrequencyResponse": "analysis.spectra",
     "Identification": "api.identifying",
     "InputError": "errors",

@@ -13,7 +13,7 @@ from rthyb_rt.analysis.summary import summarize
 FS_HZ = 1024.0
 
 
-def balance_of(rec: rt.Recording) -> of.Balance:
+def balance_of(rec: rt.Recording) -> of.EnergyBalance:
     found = of.of_recording(rec.raw, summarize(rec.raw).setup)
     assert found is not None
     return found

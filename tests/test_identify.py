@@ -10,10 +10,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from rthyb_rt import config, core
-from rthyb_rt.config import RigFile
+from rthyb_rt.config import Rate, RigFile
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
-from rthyb_rt.rig.identify import Result, Sweep, identified_rig, identify
+from rthyb_rt.rig.identify import Result, Sweep, identified_rig, identify, standard_lead
 
 TABLE = "shaking-table-portal-frame"
 PLATE_N_PER_M = 666400.0
@@ -35,6 +35,49 @@ def zoh_first_order(frequency_hz: float, roll_off_hz: float = 5.0) -> complex:
     z = cmath.exp(2j * math.pi * frequency_hz / core.FS_HZ)
     p = math.exp(-2 * math.pi * roll_off_hz / core.FS_HZ)
     return (1 - p) / (z - p)
+
+
+# --- at other rates ------------------------------------------------------------------------------
+
+SERVO = """schema = "rthyb-rig/1"
+rig = { name = "servo", load_cell = "specimen", elastic_stiffness_n_per_m = 5e5, %s }
+actuator = { kind = "second-order", natural_frequency_hz = 15, damping_ratio = 0.8 }
+specimen = [{ element = "stiffness", k_n_per_m = 5e5 }, { element = "viscous", c_n_s_per_m = 900 }]
+"""
+TO_10_HZ = Sweep((0.5, 2.0, 4.0, 10.0), 1e-3)
+
+
+@pytest.mark.parametrize(("hold", "half_periods"), [("zoh", 1), ("foh", 2)])
+@pytest.mark.parametrize("rate_hz", [256.0, 512.0, 2048.0, 4096.0])
+def test_a_rig_file_has_the_same_response_whatever_the_rate_of_the_sweep(
+    rate_hz: float, hold: str, half_periods: int
+) -> None:
+    """A servo that holds each command, or interpolates, for a quarter to four times as long."""
+    servo = config.parse_rig(SERVO % f'command_hold = "{hold}"', "servo.toml")
+    known, found = identify(servo, TO_10_HZ), identify(servo, TO_10_HZ, rate=Rate(rate_hz))
+    assert found.sample_rate_hz == rate_hz
+    before, now = (identified_rig(servo, one).identified for one in (known, found))
+    assert before is not None
+    assert now is not None
+    assert now.delay_at_frequency_s == pytest.approx(before.delay_at_frequency_s, abs=2e-5)
+    assert now.amplitude == pytest.approx(before.amplitude, rel=2e-3)
+    assert now.force_in_phase_n_per_m == pytest.approx(before.force_in_phase_n_per_m, rel=2e-3)
+    # What a controller of that rate meets: later by half a period for each time it is held.
+    later_s = 0.5 * half_periods * (1.0 / rate_hz - 1.0 / 1024.0)
+    assert now.delay_s == pytest.approx(known.delay_s + later_s, abs=2e-5)
+    assert found.alpha == pytest.approx(known.alpha + later_s * 1024.0, abs=0.06)
+    assert found.k_e_n_per_m == pytest.approx(5e5, rel=2e-3)
+
+
+@pytest.mark.parametrize("rate_hz", [256.0, 4096.0])
+def test_lead_of_another_rate_is_the_same_lead_in_samples_of_1024_hz(rate_hz: float) -> None:
+    """A pure delay of 12 ms: 1 + a s + b s^2 with a = D, b = D^2 / 2, in powers of the sample."""
+
+    def lead(hz: float) -> tuple[float, float]:
+        return 0.012 * hz, 0.5 * (0.012 * hz) ** 2 + 0.5 * 0.012 * hz
+
+    assert standard_lead(*lead(rate_hz), Rate(rate_hz)) == pytest.approx(lead(1024.0))
+    assert standard_lead(3.0, 4.0, Rate()) == (3.0, 4.0)
 
 
 # --- actuators with known answers ---------------------------------------------------------------

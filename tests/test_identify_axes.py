@@ -89,7 +89,7 @@ def test_the_rig_file_that_is_written_reads_back_and_gives_an_inverse() -> None:
         0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 30.0, 40.0)))  # fmt: skip
     filled = identify_axes.identified_rig(rig(), result)
     assert filled.identified is not None
-    again = response_of_rig(filled.identified)
+    again = response_of_rig(rig(), filled.identified, config.STANDARD)
     assert np.abs(again.response - result.response.response).max() < 1e-4
     assert np.abs(np.array(filled.k_e) - K).max() < 1e-3 * 8e5
     assert filled.specimen.stiffness == K

@@ -20,7 +20,7 @@ from rthyb_rt.lab import realtime
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.commissioning.moving import AxesConnection, LimitError, StoppedError
 from rthyb_rt.rig.identify import Sweep, command_of
-from rthyb_rt.rig.identify_axes import AxesResult, identify_rig
+from rthyb_rt.rig.identify_axes import AxesResult, identified_rig, identify_rig
 from rthyb_rt.rig.identify_axes_live import identify_axes_live, setup_of
 from rthyb_rt.rig.links import opening
 
@@ -76,6 +76,22 @@ def test_frame_with_pins_whose_axes_feel_one_another_is_found_as_in_virtual_time
     found, wanted = live(frame, SHORT), identify_rig(frame, SHORT)
     assert_alike(found, wanted, 0.01)
     assert abs(wanted.response.response[0][1, 0]) > 0.05
+
+
+@pytest.mark.parametrize("rate_hz", [2048, 4096])
+def test_drives_of_another_rate_give_the_matrix_that_those_of_1024_hz_give(rate_hz: int) -> None:
+    """Both axes are servos that hold each command: a rig file has the hold of 1/1024 s."""
+    channels = ("/left", "/right")
+    given = linked(*channels, kind="socket", further=f"sample_rate_hz = {rate_hz}\n")
+    assert given.rate.hz == rate_hz
+    sweep = Sweep((1.0, 4.0), 1e-3)
+    found, wanted = live(given, sweep), identify_rig(pair_of(), sweep)
+    now, before = (identified_rig(given, one).identified for one in (found, wanted))
+    assert now is not None
+    assert before is not None
+    for ours, theirs in ((now.real, before.real), (now.imaginary, before.imaginary)):
+        assert np.abs(np.array(ours) - np.array(theirs)).max() < 5e-3
+    assert np.abs(found.stiffness - wanted.stiffness).max() < 5e-3 * wanted.stiffness.max()
 
 
 @EITHER

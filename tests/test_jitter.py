@@ -7,6 +7,7 @@ the same seconds, and what holds on any machine.
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ import pytest
 
 from rthyb_rt import cli, core
 from rthyb_rt.cli.jitter import UNFIT
+from rthyb_rt.config import Rate
 from rthyb_rt.core.ticker import PRIVILEGES, Counts, JitterRun, Latency, Payload, Timing
 from rthyb_rt.errors import RthybError
 from rthyb_rt.lab import jitter
@@ -113,6 +115,30 @@ def test_a_run_ends_early_when_it_is_told_to() -> None:
     assert counts.executed + counts.skipped == counts.elapsed < 1024 * 3600
 
 
+@pytest.mark.parametrize("rate_hz", [512.0, 2048.0])
+def test_a_run_at_the_rate_of_a_drive_takes_that_long(rate_hz: float) -> None:
+    load = jitter.Load.built_in(Rate(rate_hz))
+    assert load.controller.period_s == 1.0 / rate_hz
+    jitter.measure(Case("exchange", False, telemetry=True), 200, load)
+    began_ns = time.monotonic_ns()
+    result = jitter.measure(Case("sample", False), round(0.25 * rate_hz), load)
+    assert time.monotonic_ns() - began_ns >= 0.24e9 * result.attempts
+    assert result.rate.hz == rate_hz
+    assert result.measured.counts.elapsed == round(0.25 * rate_hz)
+
+
+def test_the_verdict_is_of_the_rate_and_of_its_quarter_of_a_tick() -> None:
+    """A command that is sent after 130 us is in time at 1024 Hz, and too late at 2048 Hz."""
+    slow = timing(*(122_000,) * 2000)
+    for rate, fit, allowed in ((Rate(), True, "244"), (Rate(2048.0), False, "122")):
+        verdict = jitter.judge([replace(one, rate=rate) for one in results(slow)], GOOD_PC)
+        assert verdict.fit == fit
+        assert f"fit for {rate.hz:g} Hz" in verdict.sentence
+        assert f"{allowed} µs" in jitter.criterion(rate)
+    assert "only within 1" in verdict.sentence
+    assert "(required: 122 µs)" in verdict.sentence
+
+
 @pytest.mark.speed
 @pytest.mark.parametrize("case", [*CASES, Case("none", False)], ids=lambda case: case.title)
 def test_wake_up_is_as_punctual_as_that_of_a_bare_thread(case: Case) -> None:
@@ -134,8 +160,8 @@ def test_wake_up_is_as_punctual_as_that_of_a_bare_thread(case: Case) -> None:
 
 def latency(*times_ns: int) -> Latency:
     result = Latency()
-    for time in times_ns:
-        result.record(time)
+    for time_ns in times_ns:
+        result.record(time_ns)
     return result
 
 

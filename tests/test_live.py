@@ -443,6 +443,19 @@ def test_one_page_too_many_is_told_to_come_again(past: TestClient) -> None:
         assert caught.value.code == 1013
 
 
+def test_page_that_was_open_before_a_drive_of_another_rate_begins_anew(rec: Recording) -> None:
+    """Opened while nothing runs, it cannot know the rate: a second is as many rows as it has."""
+    source = PastSource(rec)
+    with opened(source) as client, socket_of(client) as socket:
+        assert socket.receive_json()["fs_hz"] == 1024.0
+        source.fs_hz = 256.0
+        assert told(socket, "hello")["fs_hz"] == 256.0
+        socket.send_json({"view": {"follow": True, "seconds": 2, "columns": 512}})
+        screen = Screen()
+        screen.take(next_frame(socket))
+        assert len(screen.columns) == 512
+
+
 # ---- a test of the past -------------------------------------------------------------------------
 
 

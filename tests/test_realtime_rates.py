@@ -267,12 +267,25 @@ def config_json(document: dict[str, Any]) -> str:
     return json.dumps(document)
 
 
-def test_a_sweep_at_another_rate_is_refused_with_both() -> None:
-    with (
-        at(rig_at(2048)) as there,
-        pytest.raises(InputError, match=r"sampled at 2048 Hz .* made at 1024 Hz"),
-    ):
-        identify.identify_live(there.connection)
+@pytest.mark.parametrize("rate_hz", [256, 512, 2048])
+def test_a_sweep_over_the_link_at_the_drives_rate_finds_what_it_finds_at_1024_hz(
+    rate_hz: int,
+) -> None:
+    sweep = identify.Sweep((1.0, 4.0), 0.5e-3)
+    with at(rig_at(rate_hz)) as there:
+        found = identify.identify_live(there.connection, sweep)
+    known = identify.identify(rig_at(1024), sweep)
+    assert found.recording is not None
+    assert found.recording.fs_hz == rate_hz
+    assert found.link_delay_samples == 0.0
+    before, now = (identify.identified_rig(rig_at(1024), one).identified for one in (known, found))
+    assert before is not None
+    assert now is not None
+    assert now.delay_at_frequency_s == pytest.approx(before.delay_at_frequency_s, abs=6e-5)
+    assert now.amplitude == pytest.approx(before.amplitude, rel=3e-3)
+    # Each command is held for a sample of the rate.
+    assert found.alpha == pytest.approx(known.alpha + 512.0 / rate_hz - 0.5, abs=0.15)
+    assert found.k_e_n_per_m == pytest.approx(STIFFNESS_N_PER_M, rel=3e-3)
 
 
 def test_a_sweep_in_virtual_time_is_that_of_1024_hz_whatever_the_drives_rate() -> None:

@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Balance:
+class EnergyBalance:
     """Energies up to each row of the test proper, (n,), J.
 
     Attributes:
@@ -40,6 +40,7 @@ class Balance:
         kinetic_j, damping_j: of the computed part, in its motion and lost in its damping.
         strain_j: stored, and given back: in the computed stiffness and in the elastic specimen.
         specimen_j: lost in the specimen: hysteresis, friction, its own damping.
+        elements_j: lost in nonlinear elements of the computed part.
     """
 
     t_s: Floats
@@ -49,12 +50,13 @@ class Balance:
     damping_j: Floats
     strain_j: Floats
     specimen_j: Floats
+    elements_j: Floats
 
     @property
     def rest_j(self) -> Floats:
         """What is missing to the balance: numerics, and a filter of the force compensation."""
-        kept = self.kinetic_j + self.damping_j + self.strain_j + self.specimen_j
-        return np.asarray(self.input_j + self.fed_j - kept)
+        kept = self.kinetic_j + self.damping_j + self.strain_j
+        return np.asarray(self.input_j + self.fed_j - kept - self.specimen_j - self.elements_j)
 
     @property
     def gap(self) -> float:
@@ -63,11 +65,11 @@ class Balance:
         return float(np.max(np.abs(self.rest_j), initial=0.0)) / whole if whole else float("nan")
 
 
-def of_recording(rec: Recording, given: Setup) -> Balance | None:
+def of_recording(rec: Recording, given: Setup) -> EnergyBalance | None:
     """Return the balance of a recording; None where mass, damping or stiffness are not known.
 
-    Of a structure of many degrees of freedom a recording has the interface alone. Taken is what
-    was recorded up to the first interruption of the test proper.
+    A structure of many degrees of freedom has that of `structure_balance`. Taken is what was
+    recorded up to the first interruption of the test proper.
 
     Args:
         rec: the recording.
@@ -75,16 +77,17 @@ def of_recording(rec: Recording, given: Setup) -> Balance | None:
     """
     test = _parsed(rec.test_toml)
     numerical = test.get("numerical", {})
-    known = (given.mass_kg, given.damping_n_s_per_m, given.k_e_n_per_m)
-    if not isinstance(numerical, dict) or any(value is None for value in known):
+    if not isinstance(numerical, dict):
         return None
     if any(key in numerical for key in ("matrices", "storeys")):
+        # It needs the packages of a structure, which a test of one mass does without.
+        from rthyb_rt.analysis import structure_balance
+
+        return structure_balance.of_recording(rec)
+    known = (given.mass_kg, given.damping_n_s_per_m, given.k_e_n_per_m)
+    rows = uninterrupted(rec)
+    if rows.size < 3 or any(value is None for value in known):
         return None
-    rows = np.flatnonzero(rec.running())
-    if rows.size < 3:
-        return None
-    breaks = np.flatnonzero(np.diff(rows) > 1)
-    rows = rows[: breaks[0] + 1] if breaks.size else rows
     s = rec.samples[rows]
     signals = [
         np.where(np.isfinite(s[name]), s[name], 0.0)
@@ -99,6 +102,13 @@ def of_recording(rec: Recording, given: Setup) -> Balance | None:
     )  # fmt: skip
 
 
+def uninterrupted(rec: Recording) -> NDArray[np.intp]:
+    """Return the numbers of the rows of the test proper up to its first interruption."""
+    rows = np.flatnonzero(rec.running())
+    breaks = np.flatnonzero(np.diff(rows) > 1)
+    return rows[: breaks[0] + 1] if breaks.size else rows
+
+
 def _parsed(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
@@ -110,7 +120,7 @@ def balance(
     t_s: Floats, x_num_m: Floats, x_meas_m: Floats, f_meas_n: Floats, ag_mps2: Floats,
     k_t_n_per_m: Floats, *, mass_kg: float, damping_n_s_per_m: float, stiffness_n_per_m: float,
     k_e_n_per_m: float, fs_hz: float, compensated: bool = True,
-) -> Balance:  # fmt: skip
+) -> EnergyBalance:  # fmt: skip
     """Return the energies of one degree of freedom.
 
     Args:
@@ -140,6 +150,7 @@ def balance(
             "damping_j": measures.damping_energy(x_num_m, damping_n_s_per_m, fs_hz),
             "strain_j": 0.5 * stiffness_n_per_m * x_num_m * x_num_m + elastic,
             "specimen_j": taken - stored,
+            "elements_j": np.zeros_like(f_meas_n),
         }
         # A test begins at rest: what stands there already is not of this test.
-        return Balance(t_s, **{name: value - value[0] for name, value in found.items()})
+        return EnergyBalance(t_s, **{name: value - value[0] for name, value in found.items()})

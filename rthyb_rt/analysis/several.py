@@ -14,6 +14,7 @@ from rthyb_rt.analysis.summary import Live, Notice, Row, live, live_notices, liv
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.axes_reference import AxesReference, reference_of
 from rthyb_rt.config.deriving_axes import derive_axes
+from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.config.testfile import MATRIX
 from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import InputError
@@ -104,6 +105,7 @@ class AxesSummary:
         axes, directions: each.
         live: how it went in real time; None: in virtual time.
         signals: behind them.
+        structure: the numerical part.
     """
 
     test_name: str
@@ -119,6 +121,7 @@ class AxesSummary:
     directions: tuple[OfDirection, ...]
     live: Live | None
     signals: Signals
+    structure: SparseStructure
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures as plain values."""
@@ -143,7 +146,8 @@ def summarize(rec: Recording) -> AxesSummary:
     if not isinstance(rig, AxesRig):
         raise InputError("found a rig of one axis", "recording: rig")
     test = config.parse_test(rec.test_toml, "recording: test")
-    signals = _signals(rec, rig, test)
+    structure = derive_axes(test, rig).structure
+    signals = _signals(rec, rig, test, structure)
     samples = rec.samples[rec.running()]
     by_law = test.controller.type != MATRIX
     axes = tuple(_of_axis(rec, signals, i, name, by_law) for i, name in enumerate(rig.names))
@@ -166,10 +170,13 @@ def summarize(rec: Recording) -> AxesSummary:
         directions,
         live(rec),
         signals,
+        structure,
     )
 
 
-def _signals(rec: Recording, rig: AxesRig, test: config.TestFile) -> Signals:
+def _signals(
+    rec: Recording, rig: AxesRig, test: config.TestFile, structure: SparseStructure
+) -> Signals:
     running = rec.running()
     n = int(np.count_nonzero(running))
     if n == 0:
@@ -178,7 +185,6 @@ def _signals(rec: Recording, rig: AxesRig, test: config.TestFile) -> Signals:
             "measure",
             "recording",
         )
-    structure = derive_axes(test, rig).structure
     whole = reference_of(test, rig, structure, rec.ag_mps2)
     parts = {key: getattr(whole, key)[:n] for key in AxesReference.__dataclass_fields__}
     samples = rec.samples[running]

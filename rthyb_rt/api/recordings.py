@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
+    from rthyb_rt.analysis.balance import EnergyBalance
     from rthyb_rt.analysis.several import AxesSummary
     from rthyb_rt.analysis.spectra import FrequencyResponse
     from rthyb_rt.analysis.summary import Summary
@@ -144,7 +145,14 @@ class Plots:
 
     def balance(self) -> Plot:
         """Plot the energy balance: how the input energy is stored and dissipated."""
-        return self._drawn("balance")
+        if not self._of.axis_names:
+            return self._drawn("balance")
+        from rthyb_rt.report.html import extra_needed
+
+        with extra_needed("a figure"):
+            from rthyb_rt.report.several import balance
+        plate = balance(self._of.raw)
+        return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
 
     def spectra(self) -> Plot:
         """Plot the spectra of command and measured displacement."""
@@ -459,6 +467,36 @@ class Recording(Mapping[str, NDArray[Any]]):
             raise InputError(
                 f"{given} or {answer} is too short, does not move, or has too few numbers",
                 "frequency_response",
+            )
+        return found
+
+    def energy_balance(self) -> EnergyBalance:
+        """Return where the energy of the ground motion has gone, up to each row.
+
+        Of many degrees of freedom and of several axes it is that of the whole structure: the
+        recorded motion is followed by the numerical part once more.
+
+        Raises:
+            InputError: a prescribed history, a test that is too short, or a recording that does not
+                say enough of its structure.
+
+        Examples:
+            >>> found = run(Test("section5-T0.5", ground_motion={"duration_s": 8})).energy_balance()
+            >>> bool(found.gap < 1e-3)
+            True
+        """
+        from rthyb_rt.analysis import balance, structure_balance
+
+        if self.axis_names:
+            found = structure_balance.of_axes(self._raw)
+        else:
+            found = balance.of_recording(self._raw, self.summary.setup)
+        if found is None:
+            raise InputError(
+                "found no mass, damping and stiffness that belong to the recorded motion, or too "
+                "few rows of the test proper; a balance needs a test with a numerical part that "
+                "ran, and a recording of this version",
+                "energy_balance",
             )
         return found
 

@@ -16,7 +16,7 @@ from rthyb_rt.cli.inputs import JsonOption, RigSetOption
 from rthyb_rt.cli.quantities import Allowed
 
 if TYPE_CHECKING:
-    from rthyb_rt.config import AxesRig, RigFile
+    from rthyb_rt.config import AxesRig, Rate, RigFile
     from rthyb_rt.rig.identify import Result, Sweep
     from rthyb_rt.rig.identify_axes import AxesResult
 
@@ -84,7 +84,7 @@ def identify(
       rthyb identify my-rig.toml --amplitude "1 mm" --out my-rig-identified.toml
       rthyb identify my-rig.toml --realtime --amplitude "0.5 mm" --out my-rig-identified.toml
     """
-    from rthyb_rt.core import FS_HZ
+    from rthyb_rt.config import STANDARD
     from rthyb_rt.rig.identify import Sweep, identified_rig, identify_live
     from rthyb_rt.rig.identify import identify as sweep_rig
 
@@ -106,7 +106,10 @@ def identify(
     with contextlib.ExitStack() as stack:
         within = Within(given, "", None, given_path)
         connection = stack.enter_context(connected(within)) if realtime else None
-        progress = stack.enter_context(terminal.progress("Identifying", sweep.ticks, FS_HZ))
+        rate = given.rate if realtime else STANDARD
+        progress = stack.enter_context(
+            terminal.progress("Identifying", sweep.ticks_at(rate), rate.hz)
+        )
         if connection is None:
             result = sweep_rig(given, sweep, progress)
         else:
@@ -117,6 +120,7 @@ def identify(
         certificate.carry(given, given_path, path)
     file = terminal.people(as_json)
     _print_result(given, result, file)
+    _note_rate(rate, file)
     print(f"\nRig file  {path}", file=file)
     for name, kept in paths.items():
         print(f"{name.capitalize():10}{kept}", file=file)
@@ -156,12 +160,14 @@ def _sweep_kept(filled: RigFile, result: Result, folder: Path, before: str) -> d
     paths = {"sweep": folder / f"{before}{recording.FILE_NAME}"}
     recording.write(paths["sweep"], result.recording)
     try:
+        from rthyb_rt.config import Rate
         from rthyb_rt.report.bode import bode
         from rthyb_rt.report.files import save
     except ImportError:
         return paths  # without matplotlib
     paths["bode"] = folder / f"{before}bode.svg"
-    save(bode(filled, result.tones).figure, paths["bode"], "svg")
+    plate = bode(filled, result.tones, Rate(result.sample_rate_hz))
+    save(plate.figure, paths["bode"], "svg")
     return paths
 
 
@@ -184,7 +190,7 @@ def _identify_axes(
     rig: AxesRig, rig_path: Path, sweep: Sweep, out: Path | None, *, realtime: bool, as_json: bool
 ) -> None:
     from rthyb_rt import config
-    from rthyb_rt.core import FS_HZ
+    from rthyb_rt.config import STANDARD
     from rthyb_rt.rig import identify_axes
     from rthyb_rt.rig.commissioning import certificate
     from rthyb_rt.rig.identify_axes_live import identify_axes_live
@@ -195,8 +201,9 @@ def _identify_axes(
     started = datetime.datetime.now(datetime.UTC)
     with contextlib.ExitStack() as stack:
         connection = stack.enter_context(connected_axes(rig)) if realtime else None
-        ticks = sweep.ticks * len(rig.axis)
-        progress = stack.enter_context(terminal.progress("Identifying", ticks, FS_HZ))
+        rate = rig.rate if realtime else STANDARD
+        ticks = sweep.ticks_at(rate) * len(rig.axis)
+        progress = stack.enter_context(terminal.progress("Identifying", ticks, rate.hz))
         if connection is None:
             result = identify_axes.identify_rig(rig, sweep, progress)
         else:
@@ -207,6 +214,7 @@ def _identify_axes(
         certificate.carry(rig, rig_path, path)
     file = terminal.people(as_json)
     _print_axes(rig, result, file)
+    _note_rate(rate, file)
     print(f"\nRig file  {path}\nNext      rthyb run TEST.toml --rig {path}", file=file)
     if as_json:
         about = {"schema": SCHEMA, "rig_name": rig.rig.name}
@@ -255,6 +263,16 @@ def _print_axes(rig: AxesRig, result: AxesResult, file: IO[str]) -> None:
 FREQUENCY = Allowed("Hz", "Hz", 0.05, 100.0, "a frequency from 0.05 Hz to 100 Hz", "5 Hz")
 # So far up that metres without their unit, 0.002, are not taken for millimetres.
 AMPLITUDE = Allowed("m", "mm", 1e-5, 1.0, "a length from 0.01 mm to 1 m", "1 mm")
+
+
+def _note_rate(rate: Rate, file: IO[str]) -> None:
+    """Say of which length the samples are where the sweep had others."""
+    if rate.pace != 1.0:
+        print(
+            f"Note: the sweep ran at {rate.hz:g} Hz; samples are of 1/1024 s, as in any rig file. "
+            "The rig file has the frequency response of commands that are held for 1/1024 s",
+            file=file,
+        )
 
 
 def _link_rows(result: Result) -> list[tuple[str, str, str]]:

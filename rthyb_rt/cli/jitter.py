@@ -16,6 +16,7 @@ from rthyb_rt.cli.inputs import JsonOption
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
+    from rthyb_rt.config import Rate
     from rthyb_rt.lab.jitter import Result, Verdict
 
 UNFIT = 7
@@ -27,6 +28,12 @@ def jitter(
     seconds: Annotated[
         float, typer.Option(metavar="N", help="Length of each of the five runs in seconds.")
     ] = 15.0,
+    rate: Annotated[
+        int,
+        typer.Option(
+            metavar="HZ", min=256, max=4096, help="Sample rate of your drive, 256 to 4096 Hz."
+        ),
+    ] = 1024,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -42,9 +49,9 @@ def jitter(
 ) -> None:
     """Measure how well this PC keeps time in real time.
 
-    A thread computes one sample of the built-in test per tick at 1024 Hz, with and without data
-    exchange over a link, a telemetry reader, or busy Python code at the same time. A bare reference
-    thread runs alongside. Run this as the user, and under the load, of your tests. The longer it
+    A thread computes one sample of the built-in test per tick, with and without data exchange over
+    a link, a telemetry reader, or busy Python code at the same time. A bare reference thread runs
+    alongside. Run this as the user, and under the load, of your tests. The longer it
     runs, the rarer the disturbances that it can find. It says what to change if this PC is not good
     enough.
 
@@ -52,11 +59,12 @@ def jitter(
     Examples:
       rthyb jitter
       rthyb jitter --seconds 900 --require
+      rthyb jitter --rate 2048
     """
-    from rthyb_rt.core import FS_HZ
+    from rthyb_rt.config import Rate
     from rthyb_rt.lab import jitter as timing
 
-    if not 1.0 / FS_HZ <= seconds <= LONGEST_S:
+    if not 1.0 / rate <= seconds <= LONGEST_S:
         raise typer.BadParameter(
             f"found {seconds:g}, allowed is one tick to {LONGEST_S:g} s (a day)",
             param_hint="--seconds",
@@ -64,7 +72,7 @@ def jitter(
     refuse_taken(out)
     started = datetime.datetime.now(datetime.UTC)
     facts = timing.machine_facts()
-    results = _measure_all(round(seconds * FS_HZ), timing.choose_cpu(facts))
+    results = _measure_all(seconds, Rate(float(rate)), timing.choose_cpu(facts))
     verdict = timing.judge(results, facts)
     document = {
         "created_utc": started.isoformat(timespec="seconds"),
@@ -88,14 +96,13 @@ def jitter(
         raise typer.Exit(UNFIT)
 
 
-def _measure_all(ticks: int, cpu: int) -> list[Result]:
-    from rthyb_rt.core import FS_HZ
+def _measure_all(seconds: float, rate: Rate, cpu: int) -> list[Result]:
     from rthyb_rt.lab import jitter as timing
 
-    load = timing.Load.built_in()
+    load, ticks = timing.Load.built_in(rate), round(seconds * rate.hz)
     results: list[Result] = []
     total = ticks * len(timing.CASES)
-    with terminal.progress("Timing", total, FS_HZ) as progress:
+    with terminal.progress("Timing", total, rate.hz) as progress:
         for case in timing.CASES:
 
             def follow(done: int, _: int, before: int = ticks * len(results)) -> None:
@@ -132,7 +139,7 @@ def _print_result(
     results: Sequence[Result], facts: dict[str, Any], verdict: Verdict, file: IO[str]
 ) -> None:
 
-    from rthyb_rt.lab.jitter import CRITERION
+    from rthyb_rt.lab.jitter import criterion
     from rthyb_rt.report.jitter import fact_rows, figure_row, obtained
 
     shown = ("kernel", "preemption", "cpu", "virtual machine", "governor", "isolated cpus")
@@ -157,4 +164,4 @@ def _print_result(
     print(f"\n{verdict.sentence}", file=file)
     for what, how in verdict.remedies:
         print(f"  {what}: {how}", file=file)
-    print(f"Fit means: {CRITERION}.", file=file)
+    print(f"Fit means: {criterion(results[0].rate)}.", file=file)

@@ -71,8 +71,9 @@ class Inverse:
 def response(found: Identified, rate: Rate = STANDARD, *, hold: str | None = "zoh") -> Complexes:
     """Return the identified response of a rig as a controller of a rate meets it, (n,).
 
-    A sweep is made at 1024 Hz. What a drive makes of its commands between two samples is part of
-    the response, and shorter at a higher rate.
+    A rig file has it as of a command held for 1/1024 s, whatever the rate of the sweep was. What a
+    drive makes of its commands between two samples is part of the response, and shorter at a higher
+    rate.
 
     Args:
         found: what was identified.
@@ -82,9 +83,20 @@ def response(found: Identified, rate: Rate = STANDARD, *, hold: str | None = "zo
     f = np.asarray(found.frequency_hz, dtype=np.float64)
     lag_s = np.asarray(found.delay_at_frequency_s)
     swept = np.asarray(found.amplitude) * np.exp(-2j * np.pi * f * lag_s)
+    return np.asarray(swept * held_otherwise(f, rate, hold))
+
+
+def held_otherwise(f_hz: Floats, rate: Rate, hold: str | None) -> Complexes:
+    """Return the response at a rate over that at 1024 Hz, which is what a rig file has, (n,).
+
+    Args:
+        f_hz: frequencies, (n,).
+        rate: of the commands.
+        hold: how the drive joins them, from `hold_of`.
+    """
     if hold is None or rate == STANDARD:
-        return np.asarray(swept)
-    return np.asarray(swept * _hold(f, rate.period_s, hold) / _hold(f, STANDARD.period_s, hold))
+        return np.ones(f_hz.size, np.complex128)
+    return np.asarray(_hold(f_hz, rate.period_s, hold) / _hold(f_hz, STANDARD.period_s, hold))
 
 
 def resonance_hz(f_hz: Floats, g: Complexes, longest_s: float) -> float | None:

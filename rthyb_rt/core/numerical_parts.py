@@ -164,6 +164,16 @@ class DensePart(Part):
         """Return where every degree of freedom is, m, (n,)."""
         return self.reported(core.DENSE_MAX)
 
+    def force_for(self, ag_mps2: float, x_next_m: FloatArray) -> FloatArray:
+        """Return the force at t_n that brings the interface to where it is next, N, (1,).
+
+        Of a part whose force is not delayed.
+        """
+        state = ffi.cast("rthyb_dense *", self._c.state)
+        at = self.config.at
+        base = state.x + state.change + state.by_excitation[at] * ag_mps2
+        return np.asarray((x_next_m - base) / state.by_force[at])
+
     def reference(
         self, elements: Sequence[ElementConfig], ag_mps2: npt.ArrayLike
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -182,6 +192,7 @@ class SparsePart(Part):
         self.config = config
         place = self._kept[2].place
         self._place = np.asarray(place)
+        self._answers: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     def displacements(self) -> FloatArray:
         """Return where every degree of freedom is, m, (n,)."""
@@ -190,6 +201,18 @@ class SparsePart(Part):
         out = ffi.from_buffer("double[]", values, require_writable=True)
         lib.rthyb_sparse_displacements(self._c.cfg, state, out, values.size)
         return np.asarray(values[self._place])
+
+    def force_for(self, ag_mps2: float, x_next_m: FloatArray) -> FloatArray:
+        """Return the forces at t_n that bring the interfaces to where they are next, N, (m,)."""
+        state = ffi.cast("rthyb_sparse *", self._c.state)
+        m, stepped = self._interfaces, int(state.stepped)
+        if stepped not in self._answers:
+            gain = np.array(list(state.gain[stepped][0 : m * m])).reshape(m, m)
+            pull = np.array(list(state.pull[stepped][0:m]))
+            self._answers[stepped] = np.linalg.inv(gain), pull
+        by_displacement, pull = self._answers[stepped]
+        base = np.array(list(state.base[0:m]))
+        return np.asarray(by_displacement @ (x_next_m - base - ag_mps2 * pull))
 
     def step_time_s(self, steps: int = 200) -> float:
         """Return the median computing time of a step on this computer, s; the state goes on."""

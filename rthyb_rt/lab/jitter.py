@@ -1,4 +1,4 @@
-"""Is this PC punctual enough? Timing of a 1024 Hz thread, the facts of the machine, a verdict.
+"""Is this PC punctual enough? Timing of a thread, the facts of the machine, a verdict.
 
 Every figure stands beside that of a bare reference thread of the same priority, half a period
 apart in the same seconds: what both share is the machine's, what only one has is the program's.
@@ -22,8 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rthyb_rt import core
+from rthyb_rt.config.rate import STANDARD, Rate
 from rthyb_rt.core.ticker import (
-    PERIOD_NS,
     AwakeProcessors,
     JitterRun,
     Latency,
@@ -45,32 +45,43 @@ FIT_SHARE: Final = 0.25
 """Of a period within which a command must be sent: feedback and command take 34-42 % of it on CAN
 at 1 Mbit/s, the drive's own sampling up to another part."""
 FIT_PERCENT: Final = 99.9
-CRITERION: Final = (
-    f"no tick skipped and {FIT_PERCENT} % of the commands sent within "
-    f"{FIT_SHARE * PERIOD_NS / 1e3:.0f} µs ({100 * FIT_SHARE:.0f} % of a tick) after they were "
-    "due, in every run, with real-time priority and locked memory"
-)
 
 Progress = Callable[[int, int], None]
 
 
+def criterion(rate: Rate = STANDARD) -> str:
+    """Return what a PC must meet to be fit for a rate."""
+    return (
+        f"no tick skipped and {FIT_PERCENT} % of the commands sent within "
+        f"{FIT_SHARE * 1e6 * rate.period_s:.0f} µs ({100 * FIT_SHARE:.0f} % of a tick) after they "
+        "were due, in every run, with real-time priority and locked memory"
+    )
+
+
 @dataclass(frozen=True)
 class Load:
-    """What the timed thread carries: one sample a tick, by default that of the built-in test."""
+    """What the timed thread carries: one sample a tick, by default that of the built-in test.
+
+    Attributes:
+        controller, rig, excitation: of the sample.
+        rate: at which samples are carried, and for which they are.
+    """
 
     controller: core.ControllerConfig
     rig: core.RigConfig
     excitation: npt.NDArray[np.float64]
+    rate: Rate = STANDARD
 
     @classmethod
-    def built_in(cls) -> Load:
-        """Return controller, virtual rig and ground motion of the built-in test."""
+    def built_in(cls, rate: Rate = STANDARD) -> Load:
+        """Return controller, virtual rig and ground motion of the built-in test, at a rate."""
         from rthyb_rt import config
         from rthyb_rt.lab import experiment
 
-        test = config.load_test(config.builtin_test_path())
+        at = {} if rate == STANDARD else {"test.sample_rate_hz": f"{rate.hz:g}"}
+        test = config.load_test(config.builtin_test_path(), at)
         setup = experiment.prepare(test, config.load_rig(config.find_rig(test.rig)))
-        return cls(setup.controller, setup.virtual_rig, setup.ag_mps2)
+        return cls(setup.controller, setup.virtual_rig, setup.ag_mps2, rate)
 
 
 @dataclass(frozen=True)
@@ -110,6 +121,7 @@ class Result:
     Attributes:
         attempts: how often it was run, the last of which counts.
         disturbed: the reference thread was too late in that one too.
+        rate: of both threads.
     """
 
     case: Case
@@ -117,6 +129,7 @@ class Result:
     reference: Timing
     attempts: int
     disturbed: bool
+    rate: Rate = STANDARD
 
     @property
     def ratio(self) -> float:
@@ -149,7 +162,7 @@ def busy_python() -> Iterator[None]:
 
 
 @contextmanager
-def telemetry_ring() -> Iterator[Ring]:
+def telemetry_ring(rate: Rate = STANDARD) -> Iterator[Ring]:
     """Give a ring for the tick thread and read it 50 times a second, as a dashboard does.
 
     Raises:
@@ -157,15 +170,15 @@ def telemetry_ring() -> Iterator[Ring]:
     """
     folder = claim(default_folder())
     with tempfile.TemporaryDirectory(prefix="jitter-", dir=folder) as own, ExitStack() as owned:
-        ring = Ring.create(Path(own), _bare_session())
+        ring = Ring.create(Path(own), _bare_session(rate))
         owned.callback(ring.remove)
         owned.enter_context(_read_steadily(owned.enter_context(Reader(ring.path))))
         yield ring
 
 
-def _bare_session() -> Recording:
+def _bare_session(rate: Rate) -> Recording:
     return Recording(
-        np.zeros(0, core.RECORD_DTYPE), core.FS_HZ, np.zeros(0), {}, None, test_toml="", rig_toml=""
+        np.zeros(0, core.RECORD_DTYPE), rate.hz, np.zeros(0), {}, None, test_toml="", rig_toml=""
     )
 
 
@@ -204,8 +217,8 @@ def measure(
 
     Args:
         case: what runs.
-        ticks: length, 1024 a second.
-        load: what is carried; None will do for a case without payload.
+        ticks: length, as many a second as the load's rate has.
+        load: what is carried; None will do for a case without payload, at 1024 Hz.
         cpu: processor of the two timed threads; -1 leaves it to the kernel.
         progress: called with (ticks done, ticks of the run) four times a second.
 
@@ -216,13 +229,15 @@ def measure(
         run = _run_once(case, ticks, load, cpu, progress or (lambda done, total: None))
         reference = run.reference
         disturbed = reference.wake.max_ns > REPEAT_ABOVE_NS
-        result = Result(case, run.measured, reference, attempt, disturbed)
+        rate = load.rate if load else STANDARD
+        result = Result(case, run.measured, reference, attempt, disturbed, rate)
         if not disturbed:
             break
     return result
 
 
 def _run_once(case: Case, ticks: int, load: Load | None, cpu: int, progress: Progress) -> JitterRun:
+    rate = load.rate if load else STANDARD
     with ExitStack() as beside:
         awake = beside.enter_context(AwakeProcessors())
         run = JitterRun(
@@ -231,9 +246,10 @@ def _run_once(case: Case, ticks: int, load: Load | None, cpu: int, progress: Pro
             load.controller if load else None,
             load.rig if load else None,
             load.excitation if load else (),
-            beside.enter_context(telemetry_ring()) if case.telemetry else None,
+            beside.enter_context(telemetry_ring(rate)) if case.telemetry else None,
             cpu=cpu,
             latency_fd=awake.fd,
+            rate_hz=rate.whole_hz,
         )
         beside.callback(unlock_memory)
         if case.burner:
@@ -393,18 +409,21 @@ def judge(results: Sequence[Result], facts: Mapping[str, Any]) -> Verdict:
     """Hold the runs against the criterion."""
     faults = tuple(_faults(results))
     ticks = min(result.measured.counts.elapsed for result in results)
-    length = f"{ticks / core.FS_HZ:.0f} s" if ticks >= core.FS_HZ else f"{ticks} ticks"
+    rate = results[0].rate
+    length = f"{ticks / rate.hz:.0f} s" if ticks >= rate.hz else f"{ticks} ticks"
     worst = max(results, key=lambda result: result.late_ns)
     if not faults:
         sentence = (
-            f"This PC is fit for 1024 Hz, as far as {len(results)} runs of {length} can show: no "
-            f"tick was skipped and {FIT_PERCENT} % of the commands were sent within "
+            f"This PC is fit for {rate.hz:g} Hz, as far as {len(results)} runs of {length} can "
+            f"show: no tick was skipped and {FIT_PERCENT} % of the commands were sent within "
             f"{worst.late_ns / 1e3:.0f} µs."
         )
         return Verdict(True, sentence, (), ())
     remedies = tuple(_remedies(results, facts))
     change = ", ".join(keyword for keyword, _ in remedies) or "what else runs on it"
-    sentence = f"This PC is not fit for 1024 Hz, because {', '.join(faults)}; to change: {change}."
+    sentence = (
+        f"This PC is not fit for {rate.hz:g} Hz, because {', '.join(faults)}; to change: {change}."
+    )
     return Verdict(False, sentence, faults, remedies)
 
 
@@ -414,10 +433,11 @@ def _faults(results: Sequence[Result]) -> Iterator[str]:
     if skipped:
         yield f"{skipped} of {elapsed} ticks were skipped"
     worst = max(results, key=lambda result: result.late_ns)
-    if worst.late_ns > FIT_SHARE * PERIOD_NS:
+    allowed_ns = FIT_SHARE * 1e9 * worst.rate.period_s
+    if worst.late_ns > allowed_ns:
         yield (
             f"{FIT_PERCENT} % of the commands were sent only within {worst.late_ns / 1e3:.0f} µs "
-            f"(required: {FIT_SHARE * PERIOD_NS / 1e3:.0f} µs)"
+            f"(required: {allowed_ns / 1e3:.0f} µs)"
         )
     had = privileges_of_all(results)
     if "fifo" not in had:
@@ -500,7 +520,8 @@ def document(
         "schema": SCHEMA,
         "fit": verdict.fit,
         "verdict": verdict.sentence,
-        "criterion": CRITERION,
+        "sample_rate_hz": results[0].rate.whole_hz,
+        "criterion": criterion(results[0].rate),
         "remedies": [{"what": what, "how": how} for what, how in verdict.remedies],
         "machine": dict(facts),
         "runs": [

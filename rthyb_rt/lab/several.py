@@ -319,7 +319,8 @@ def _matrix_lead(test: TestFile, rig: AxesRig, derived: AxesDerived) -> MatrixLe
     from rthyb_rt.config.axes_response import response_of_rig
 
     assert rig.identified is not None
-    found, h = response_of_rig(rig.identified), derived.rate.period_s
+    h = derived.rate.period_s
+    found = response_of_rig(rig, rig.identified, derived.rate)
     given = test.controller.matrix or MatrixLaw()
     inverse = matrix_response.fit(found, h).inverse if given.inverse else None
     first = None

@@ -280,8 +280,17 @@ class Page:
                 # Also if it is the same again: a page that hears nothing says so.
                 self._told = self._feed.said
                 await self._socket.send_text(self._feed.status.decode())
+            await self._meet_rate()
             await self._send_frames()
             await self._feed.beat()
+
+    async def _meet_rate(self) -> None:
+        """Begin anew where the source has another rate: it may open before anything runs."""
+        if self._framer.fs_hz == self._feed.source.fs_hz:
+            return
+        self._framer = Framer(self._feed.source.history, self._feed.source.fs_hz)
+        # The page answers it with the view that it wants.
+        await self._socket.send_text(json.dumps(self._hello()))
 
     async def _send_frames(self) -> None:
         for frame in self._framer.next(self._feed.source.zero):

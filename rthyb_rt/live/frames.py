@@ -98,7 +98,7 @@ class Framer:
     """
 
     def __init__(self, history: History, fs_hz: float) -> None:
-        self._history, self._fs_hz = history, fs_hz
+        self._history, self.fs_hz = history, fs_hz
         self._view: View | None = None
         self._sent: int | None = None
 
@@ -108,7 +108,7 @@ class Framer:
         Raises:
             ValueError: it is none.
         """
-        self._view = view_of(asked, self._fs_hz)
+        self._view = view_of(asked, self.fs_hz)
         self._sent = None
 
     def next(self, zero: int) -> list[bytes]:

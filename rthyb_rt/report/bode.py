@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from rthyb_rt.config import RigFile, response
-from rthyb_rt.config.rate import STANDARD
+from rthyb_rt.config.rate import STANDARD, Rate
 from rthyb_rt.numbers import quantity
 from rthyb_rt.report import drawing as draw
 
@@ -31,12 +31,13 @@ class Tone(Protocol):
         """Phase lag as time, s."""
 
 
-def bode(rig: RigFile, tones: Sequence[Tone]) -> draw.Plate:
+def bode(rig: RigFile, tones: Sequence[Tone], rate: Rate = STANDARD) -> draw.Plate:
     """Draw gain, phase and delay from command to measured displacement by frequency.
 
     Args:
         rig: with what was identified filled in.
         tones: of the sweep, from slow to fast.
+        rate: of the sweep.
     """
     f = np.array([tone.frequency_hz for tone in tones])
     gain = np.array([tone.gain for tone in tones])
@@ -48,7 +49,7 @@ def bode(rig: RigFile, tones: Sequence[Tone]) -> draw.Plate:
         fine = np.geomspace(f[0], f[-1], 400)
         note = "Points: sine waves of the sweep, fitted by least squares."
         if fitted is not None:
-            g = fitted.response(fine, STANDARD.period_s, response.hold_of(rig))
+            g = fitted.response(fine, rate.period_s, response.hold_of(rig))
             angle = np.unwrap(np.angle(g))
             # The model's phase is known up to whole turns; the slowest sine says which.
             turns = (angle[0] + 2.0 * np.pi * f[0] * delay[0]) / (2.0 * np.pi)

@@ -19,16 +19,23 @@ def balance(rec: Recording, summary: Summary) -> draw.Plate:
     """Draw where the energy of the ground motion has gone, layer on layer."""
     found = of.of_recording(rec, summary.setup)
     if found is None:
-        why = "Mass, damping and stiffness of the whole structure are not in the recording"
-        if summary.setup.mass_kg is not None or rec.test_toml:
-            why += "; for many degrees of freedom it contains only the interface"
-        return draw.Plate("balance", TITLE, "", f"{why}.", False)
+        why = (
+            "Mass, damping and stiffness of the whole structure are not in the recording, or do "
+            "not belong to what it shows."
+        )
+        return draw.Plate("balance", TITLE, "", why, False)
+    return drawn(found)
+
+
+def drawn(found: of.EnergyBalance) -> draw.Plate:
+    """Draw a balance, layer on layer."""
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
         paper = draw.Paper("balance", draw.FULL_WIDTH_IN, (1.6,), bottom_in=draw.LEGEND_IN)
         (axes,) = paper.axes
         layers = (
             ("damping", found.damping_j, draw.GREEN),
             ("specimen", found.specimen_j, draw.ORANGE),
+            ("elements", found.elements_j, draw.GREY),
             ("strain", found.strain_j, draw.PURPLE),
             ("kinetic", found.kinetic_j, draw.BLUE),
         )
@@ -41,6 +48,8 @@ def balance(rec: Recording, summary: Summary) -> draw.Plate:
         foot = np.zeros(rows.size)
         t = found.t_s[rows]
         for label, energy, colour in layers:
+            if not energy.any():
+                continue
             top = foot + draw.clip(np.nan_to_num(energy[rows]), 5.0 * limit)
             axes.fill_between(t, foot, top, facecolor=colour, alpha=0.55, linewidth=0, label=label)
             foot = top
@@ -53,9 +62,10 @@ def balance(rec: Recording, summary: Summary) -> draw.Plate:
         axes.set_xlim(*draw.span(found.t_s[0], found.t_s[-1]))
         draw.x_label(axes, "time, s")
         fed = quantity(float(found.fed_j[-1]), "J")
+        within = ", in its nonlinear elements" if found.elements_j.any() else ""
         note = (
-            "Lost in the damping of the numerical part and in the specimen, stored as strain "
-            f"and motion: the layers fill what was put in. The tracking error has fed {fed} in "
-            f"the end; {percent(found.gap)} is left unexplained at most."
+            f"Lost in the damping of the numerical part{within} and in the specimen, stored as "
+            "strain and motion: the layers fill what was put in. The tracking error has fed "
+            f"{fed} in the end; {percent(found.gap)} is left unexplained at most."
         )
         return paper.plate(TITLE, note)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import __version__
-from rthyb_rt.core.ticker import PERIOD_NS, PRIVILEGES, Latency
-from rthyb_rt.lab.jitter import CRITERION, Result, Verdict, privileges_of_all
+from rthyb_rt.core.ticker import PRIVILEGES, Latency
+from rthyb_rt.lab.jitter import Result, Verdict, criterion, privileges_of_all
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
 
@@ -37,7 +37,8 @@ def write_page(
     html = engine.get_template("jitter.html.j2").render(
         results=results,
         verdict=verdict,
-        criterion=CRITERION,
+        criterion=criterion(results[0].rate),
+        rate_hz=results[0].rate.whole_hz,
         facts=[*fact_rows(facts), obtained(results)],
         rows=[figure_row(result) for result in results],
         figures_of=sheets(plates),
@@ -119,7 +120,7 @@ def _histogram(result: Result, key: str) -> Plate:
         if latency.count:
             edges_us, per_cent = shares(latency)
             axes.stairs(per_cent, edges_us, color=colour, linewidth=width, label=label)
-    period_us = PERIOD_NS / 1e3
+    period_us = 1e6 * result.rate.period_s
     axes.axvline(period_us, color=draw.RED, linewidth=0.7, dashes=(5, 2))
     axes.set_xscale("log")
     axes.set_yscale("log")

@@ -27,7 +27,7 @@ def render(rec: Recording) -> str:
     """
     summary = several.summarize(rec)
     with extra_needed("a report"):
-        plates = draw_all(summary)
+        plates = draw_all(rec, summary)
         engine = environment()
     return engine.get_template("several.html.j2").render(
         s=summary,
@@ -43,11 +43,13 @@ def render(rec: Recording) -> str:
     )
 
 
-def draw_all(s: AxesSummary) -> list[Plate]:
-    """Return displacement and hysteresis of every direction, tracking and force of every axis."""
+def draw_all(rec: Recording, s: AxesSummary) -> list[Plate]:
+    """Return the figures of every direction and every axis, and the energy of them all."""
     from matplotlib import rc_context
 
     from rthyb_rt.report import drawing as draw
+    from rthyb_rt.report import extras
+    from rthyb_rt.report import structure as of_structure
 
     plates = []
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
@@ -56,7 +58,21 @@ def draw_all(s: AxesSummary) -> list[Plate]:
         for i, axis in enumerate(s.axes):
             plates += [_command(s, i), _tracking(s, i), _loop(s, i)]
             plates[-2] = _titled(plates[-2], axis.tracking_nrmse)
+        plates += [balance(rec), *extras.plates(rec), *of_structure.plates(rec, s.structure)]
     return plates
+
+
+def balance(rec: Recording) -> Plate:
+    """Draw where the energy of the ground motion has gone, in all directions together."""
+    from rthyb_rt.analysis import structure_balance
+    from rthyb_rt.report import drawing as draw
+    from rthyb_rt.report import energy
+
+    found = structure_balance.of_axes(rec)
+    if found is None:
+        why = "The test proper is too short, or does not begin where the structure is at rest."
+        return draw.Plate("balance", energy.TITLE, "", why, False)
+    return energy.drawn(found)
 
 
 def _titled(plate: Plate, nrmse: float) -> Plate:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
-from rthyb_rt.config import STANDARD, AxesRig, Identified, RigFile, dump, parse_rig, response
+from rthyb_rt.config import STANDARD, Identified, Rate, RigFile, dump, parse_rig, response
 from rthyb_rt.core import FLAGS, RUNNING
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
@@ -92,8 +92,12 @@ class Sweep:
 
     @property
     def ticks(self) -> int:
-        """Samples of the whole sweep, with the rest before it."""
-        return int(command_of(self)[0].size)
+        """Samples of the whole sweep at 1024 Hz, with the rest before it."""
+        return self.ticks_at(STANDARD)
+
+    def ticks_at(self, rate: Rate) -> int:
+        """Return the samples of the whole sweep at a rate, with the rest before it."""
+        return int(command_of(self, rate)[0].size)
 
     def amplitude_at(self, frequency_hz: float) -> float:
         """Return the amplitude at one frequency, m."""
@@ -126,7 +130,7 @@ class Tone:
 
 @dataclass(frozen=True)
 class Result:
-    """What an identification found.
+    """What an identification found; samples are of 1/1024 s at any rate.
 
     Attributes:
         tones: by frequency.
@@ -144,6 +148,8 @@ class Result:
         link_delay_samples: what the link has of the delay, by the drive's echo; None where that is
             not known, or where there is no link.
         left_out: rows of the sweep without a new reading.
+        sample_rate_hz: of the sweep. A drive holds its commands for as long, which is a part of
+            gains and delays.
         recording: the sweep itself; of one axis among several, None.
     """
 
@@ -163,6 +169,7 @@ class Result:
     resonance_hz: float | None = None
     link_delay_samples: float | None = None
     left_out: int = 0
+    sample_rate_hz: float = STANDARD.hz
     recording: Recording | None = field(default=None, repr=False, compare=False)
 
     def as_json(self) -> dict[str, Any]:
@@ -182,6 +189,7 @@ class Part:
     frequency_hz: float
     start: int
     fit: slice
+    rate: Rate = STANDARD
 
 
 @dataclass(frozen=True)
@@ -198,8 +206,19 @@ class _Signals:
         return bool(self.read.all())
 
 
-def identify(rig: RigFile, sweep: Sweep | None = None, progress: Progress | None = None) -> Result:
+def identify(
+    rig: RigFile,
+    sweep: Sweep | None = None,
+    progress: Progress | None = None,
+    rate: Rate = STANDARD,
+) -> Result:
     """Sweep the virtual rig of ``rig``, in virtual time, and work out what a test needs.
+
+    Args:
+        rig: its file.
+        sweep: the excitation.
+        progress: called with (ticks done, ticks of the sweep) now and then.
+        rate: of the samples.
 
     Raises:
         InputError: a sweep that cannot be run, or a rig that does not follow it.
@@ -208,8 +227,8 @@ def identify(rig: RigFile, sweep: Sweep | None = None, progress: Progress | None
     """
     sweep = sweep or Sweep()
     check(sweep)
-    motion, parts = _motion(sweep)
-    setup = experiment.prescribed(rig, motion.name, motion.path_m, STANDARD)
+    motion, parts = _motion(sweep, rate)
+    setup = experiment.prescribed(rig, motion.name, motion.path_m, rate)
     return _found(rig, Moved(virtual_time.run(setup, progress)), parts)
 
 
@@ -240,33 +259,18 @@ def identify_live(
     """
     sweep = sweep or Sweep()
     check(sweep)
-    refuse_other_rate(connection.rig)
     moving.check_limits(connection.rig)
     moving.check_distance(connection.rig, sweep.amplitude_m)
-    motion, parts = _motion(sweep)
+    motion, parts = _motion(sweep, connection.rig.rate)
     moved = moving.carry_out(connection, motion, operator=operator, progress=progress)
     found = _found(connection.rig, moved, parts)
-    return replace(found, link_delay_samples=_link_delay(moved))
+    link = _link_delay(moved)
+    at = connection.rig.rate.pace
+    return replace(found, link_delay_samples=None if link is None else link / at)
 
 
-def refuse_other_rate(rig: RigFile | AxesRig) -> None:
-    """Refuse to sweep a drive at another rate than that of the response in a rig file.
-
-    Raises:
-        InputError: with both rates.
-    """
-    if rig.rate != STANDARD:
-        raise InputError(
-            f"the drive of this rig is sampled at {rig.rate.hz:g} Hz (link.sample_rate_hz); a "
-            f"sweep is made at {STANDARD.hz:g} Hz, because the response in a rig file is that of a "
-            f"command held for 1/{STANDARD.hz:g} s: set the drive to {STANDARD.hz:g} Hz for it "
-            f"(--set link.sample_rate_hz={STANDARD.hz:g}), and back for the tests",
-            "link.sample_rate_hz",
-        )
-
-
-def _motion(sweep: Sweep) -> tuple[moving.Motion, list[Part]]:
-    command, parts = command_of(sweep)
+def _motion(sweep: Sweep, rate: Rate) -> tuple[moving.Motion, list[Part]]:
+    command, parts = command_of(sweep, rate)
     # The command of a row is that of the row before on the path: one more brings the last.
     return moving.Motion("identify", np.append(command, 0.0), stay=False), parts
 
@@ -315,7 +319,8 @@ def _result(
     rig: RigFile, signals: _Signals, parts: list[Part], tare: tuple[float, float]
 ) -> Result:
     rest = np.zeros(signals.read.size, np.bool_)
-    rest[int(0.2 * core.FS_HZ) : int(REST_S * core.FS_HZ)] = True
+    rate = parts[0].rate
+    rest[rest_rows(rate)] = True
     rest &= signals.read
     offset_m, offset_n = float(signals.x_m[rest].mean()), float(signals.f[rest].mean())
     noise_m = float(signals.x_m[rest].std(ddof=1))
@@ -332,8 +337,12 @@ def _result(
     slow = [tone for tone in tones if tone.frequency_hz <= LOW_FREQUENCY_HZ] or tones[:1]
     begin = parts[0].start
     end = parts[len(slow)].start if len(slow) < len(parts) else signals.command.size
-    alpha, _ = _inverse(signals, slice(begin, end), noise_m, with_beta=False)
-    alpha_with_beta, beta = _inverse(signals, slice(begin, None), noise_m, with_beta=True)
+    alpha, _ = standard_lead(
+        *_inverse(signals, slice(begin, end), noise_m, rate, with_beta=False), rate
+    )
+    alpha_with_beta, beta = standard_lead(
+        *_inverse(signals, slice(begin, None), noise_m, rate, with_beta=True), rate
+    )
     stiffness, mass = _stiffness_and_mass(tones)
     return Result(
         tones=tuple(tones),
@@ -350,6 +359,7 @@ def _result(
         offset_n=offset_n + tare[1],
         notes=tuple(_notes(tones, stiffness, alpha)),
         resonance_hz=_resonance(tones),
+        sample_rate_hz=rate.hz,
     )
 
 
@@ -367,13 +377,27 @@ def identified_rig(rig: RigFile, result: Result) -> RigFile:
         InputError: a figure that a rig file does not allow.
     """
     info = rig.rig.model_copy(update={"elastic_stiffness_n_per_m": rounded(result.k_e_n_per_m)})
-    filled = rig.model_copy(update={"rig": info, "identified": section_of(result)})
+    section = section_of(result, response.hold_of(rig))
+    filled = rig.model_copy(update={"rig": info, "identified": section})
     # Read back, so that whatever is written is a rig file.
     return parse_rig(dump(filled), "identified rig")
 
 
-def section_of(result: Result) -> Identified:
-    """Return the section ``identified`` of a rig file; what it holds has not been checked."""
+def section_of(result: Result, hold: str | None) -> Identified:
+    """Return the section ``identified`` of a rig file; what it holds has not been checked.
+
+    Its frequency response is that of commands held for 1/1024 s, to which what was swept at another
+    rate is converted. Delay and alpha are times, and stay those of the rate.
+
+    Args:
+        result: what was found.
+        hold: how the drive joins two commands, from `response.hold_of`.
+    """
+    f_hz = np.array([tone.frequency_hz for tone in result.tones])
+    held = response.held_otherwise(f_hz, Rate(result.sample_rate_hz), hold)
+    # A phase lag as time; what a hold makes of it is less than half a turn.
+    earlier_s = (np.angle(held) / (2.0 * np.pi * f_hz)).tolist()
+    louder = abs(held).tolist()
     return Identified.model_construct(
         alpha=max(rounded(result.alpha), 0.0),
         delay_s=max(rounded(result.delay_s), 0.0),
@@ -382,8 +406,11 @@ def section_of(result: Result) -> Identified:
         rest_noise_force_n=rounded(result.rest_noise_n, 3),
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         frequency_hz=[tone.frequency_hz for tone in result.tones],
-        amplitude=[rounded(tone.gain) for tone in result.tones],
-        delay_at_frequency_s=[max(rounded(tone.delay_s), 0.0) for tone in result.tones],
+        amplitude=[rounded(t.gain / by) for t, by in zip(result.tones, louder, strict=True)],
+        delay_at_frequency_s=[
+            max(rounded(tone.delay_s + by), 0.0)
+            for tone, by in zip(result.tones, earlier_s, strict=True)
+        ],
         force_in_phase_n_per_m=[rounded(tone.force_in_phase_n_per_m) for tone in result.tones],
         force_in_quadrature_n_per_m=[
             rounded(tone.force_in_quadrature_n_per_m) for tone in result.tones
@@ -420,26 +447,43 @@ def check(sweep: Sweep) -> None:
         )
 
 
-def command_of(sweep: Sweep) -> tuple[Floats, list[Part]]:
+def rest_rows(rate: Rate) -> slice:
+    """Return the rows of a sweep in which nothing moves yet, and the tare has settled."""
+    return slice(int(0.2 * rate.hz), int(REST_S * rate.hz))
+
+
+def standard_lead(alpha: float, beta: float, rate: Rate) -> tuple[float, float]:
+    """Return alpha and beta of a rate in samples and samples^2 of 1/1024 s.
+
+    The lead ``1 + alpha d + beta d^2`` with ``d = 1 - exp(-s h)`` is, up to the second order,
+    ``1 + alpha h s + (beta - alpha / 2) h^2 s^2``, which is the same at both rates.
+    """
+    if rate == STANDARD:
+        return alpha, beta
+    standard = alpha / rate.pace
+    return standard, (beta - 0.5 * alpha) / rate.pace**2 + 0.5 * standard
+
+
+def command_of(sweep: Sweep, rate: Rate = STANDARD) -> tuple[Floats, list[Part]]:
     """Return x_c with rest, then sine after sine, each with a smooth start and end."""
-    pieces = [np.zeros(round(REST_S * core.FS_HZ))]
+    pieces = [np.zeros(round(REST_S * rate.hz))]
     parts = []
     at = pieces[0].size
     for frequency in sweep.frequencies_hz:
         fitted = max(FIT_CYCLES, int(np.ceil(FIT_SECONDS * frequency)))
         ahead = RAMP_CYCLES + max(SETTLE_CYCLES, int(np.ceil(SETTLE_S * frequency)))
         cycles = ahead + fitted + RAMP_CYCLES
-        n = round(cycles / frequency * core.FS_HZ)
-        turns = np.arange(n) * (frequency / core.FS_HZ)
+        n = round(cycles / frequency * rate.hz)
+        turns = np.arange(n) * (frequency / rate.hz)
         envelope = np.clip(np.minimum(turns, cycles - turns) / RAMP_CYCLES, 0.0, 1.0)
         smooth = 0.5 - 0.5 * np.cos(np.pi * envelope)
         pieces.append(sweep.amplitude_at(frequency) * smooth * np.sin(2 * np.pi * turns))
-        first = at + round(ahead / frequency * core.FS_HZ)
-        last = first + round(fitted / frequency * core.FS_HZ)
-        parts.append(Part(frequency, at, slice(first, last)))
+        first = at + round(ahead / frequency * rate.hz)
+        last = first + round(fitted / frequency * rate.hz)
+        parts.append(Part(frequency, at, slice(first, last), rate))
         at += n
         # A pause lets the slow part of a servo's integrator die away before the next sine.
-        pause = np.zeros(round(0.5 * core.FS_HZ))
+        pause = np.zeros(round(0.5 * rate.hz))
         pieces.append(pause)
         at += pause.size
     return np.concatenate(pieces), parts
@@ -447,7 +491,7 @@ def command_of(sweep: Sweep) -> tuple[Floats, list[Part]]:
 
 def phasor(part: Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
     """Return the complex amplitude of the sine in a signal, and what is left of the signal."""
-    w = 2 * np.pi * part.frequency_hz / core.FS_HZ
+    w = 2 * np.pi * part.frequency_hz * part.rate.period_s
     angle = w * np.arange(part.fit.start, part.fit.stop)[read[part.fit]]
     basis = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
     values = signal[part.fit][read[part.fit]]
@@ -503,7 +547,7 @@ def _tone(part: Part, signals: _Signals, before_s: float | None, noise_n2: float
 
 
 def _inverse(
-    signals: _Signals, part: slice, noise_m: float, *, with_beta: bool
+    signals: _Signals, part: slice, noise_m: float, rate: Rate, *, with_beta: bool
 ) -> tuple[float, float]:
     """Least squares of Eqn 2.6-2.8 over a part of the sweep, by the estimator itself."""
     estimator = core.Estimator(
@@ -513,6 +557,7 @@ def _inverse(
             memory_samples=1e8,
             rest_noise_m=noise_m,
             alpha_max=1000.0,
+            period_s=rate.period_s,
         )
     )
     x_p, x_m = signals.command[part], signals.x_m[part]

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
-from rthyb_rt.config import AxesRig, dump, parse_any_rig
+from rthyb_rt.config import STANDARD, AxesRig, Rate, dump, parse_any_rig, response
+from rthyb_rt.config.axes_response import held_otherwise
 from rthyb_rt.config.axesfile import JointIdentified
 from rthyb_rt.config.matrix_response import MatrixResponse
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_rig
 from rthyb_rt.rig.identify import (
     LOW_FREQUENCY_HZ,
-    REST_S,
     Part,
     Progress,
     Result,
@@ -26,6 +26,7 @@ from rthyb_rt.rig.identify import (
     check,
     command_of,
     phasor,
+    rest_rows,
     result_of,
     rounded,
     section_of,
@@ -94,8 +95,6 @@ class Run:
 
 
 SLOW_HZ: Final = LOW_FREQUENCY_HZ
-_RESTING: Final = slice(round(0.2 * core.FS_HZ), round(REST_S * core.FS_HZ))
-"""Rows in which nothing moves."""
 
 
 def identify_rig(
@@ -146,18 +145,18 @@ def result_of_runs(rig: AxesRig, runs: Sequence[Run], parts: list[Part]) -> Axes
         )
         for k, (name, run) in enumerate(zip(rig.names, runs, strict=True))
     )
-    axes = len(runs)
-    response = np.zeros((len(parts), axes, axes), np.complex128)
+    axes, resting = len(runs), rest_rows(parts[0].rate)
+    matrices = np.zeros((len(parts), axes, axes), np.complex128)
     noise = np.zeros(axes)
     for run in runs:
-        noise += run.x_m[_RESTING][run.read[_RESTING]].var(axis=0, ddof=1) / axes
+        noise += run.x_m[resting][run.read[resting]].var(axis=0, ddof=1) / axes
     for k, part in enumerate(parts):
         # Where the others are told to hold still, the commands are a diagonal matrix.
         told, read = (_phasors(part, runs, name) for name in ("command_m", "x_m"))
-        response[k] = read @ np.linalg.inv(told)
+        matrices[k] = read @ np.linalg.inv(told)
     frequencies = np.array([part.frequency_hz for part in parts])
     stiffness, asymmetry = _stiffness(rig, parts, runs)
-    matrix = MatrixResponse(frequencies, response, np.sqrt(noise))
+    matrix = MatrixResponse(frequencies, matrices, np.sqrt(noise))
     return AxesResult(matrix, found, stiffness, asymmetry)
 
 
@@ -246,17 +245,22 @@ def identified_rig(rig: AxesRig, result: AxesResult) -> AxesRig:
             every direction.
     """
     axes = [
-        axis.model_copy(update={"identified": section_of(own)})
+        axis.model_copy(
+            update={"identified": section_of(own, response.hold_of(rig.of_axis(axis.name)))}
+        )
         for axis, own in zip(rig.axis, result.axes, strict=True)
     ]
 
     def rows(matrix: Floats, digits: int = 5) -> list[list[float]]:
         return [[rounded(float(v), digits) for v in row] for row in matrix]
 
+    # As in a rig file: of commands that are held for 1/1024 s.
+    swept, rate = result.response, Rate(result.axes[0].sample_rate_hz)
+    matrices = swept.response / held_otherwise(rig, swept.frequency_hz, rate)
     found = JointIdentified.model_construct(
         frequency_hz=result.response.frequency_hz.tolist(),
-        real=[rows(one.real) for one in result.response.response],
-        imaginary=[rows(one.imag) for one in result.response.response],
+        real=[rows(one.real) for one in matrices],
+        imaginary=[rows(one.imag) for one in matrices],
         rest_noise_displacement_m=[rounded(float(v), 3) for v in result.response.rest_noise_m],
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
     )
@@ -280,7 +284,7 @@ def identify_axes(
     """
     sweep = sweep or sweep_of()
     command, parts = command_of(sweep)
-    rest = slice(round(0.2 * core.FS_HZ), round(REST_S * core.FS_HZ))
+    rest = rest_rows(STANDARD)
     moved = []
     for column in range(axes):
         commands = np.zeros((command.size, axes))

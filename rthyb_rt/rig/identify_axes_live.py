@@ -28,7 +28,6 @@ from rthyb_rt.rig.identify import (
     check_not_limited,
     check_read,
     command_of,
-    refuse_other_rate,
 )
 from rthyb_rt.rig.identify_axes import AxesResult, Run, result_of_runs, sweep_of
 
@@ -61,9 +60,8 @@ def identify_axes_live(
     """
     sweep, rig = sweep or sweep_of(), connection.rig
     check(sweep)
-    refuse_other_rate(rig)
     _check_limits(rig, sweep.amplitude_m)
-    command, parts = command_of(sweep)
+    command, parts = command_of(sweep, rig.rate)
     runs, total = list[Run](), len(rig.names) * command.size
     for k, name in enumerate(rig.names):
 
