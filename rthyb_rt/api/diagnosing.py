@@ -17,6 +17,7 @@ from rthyb_rt.errors import InputError, RthybError
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose import engine
+    from rthyb_rt.diagnose.axes import OfAxis
     from rthyb_rt.diagnose.effects import Effect
     from rthyb_rt.diagnose.outcome import Outcome
 
@@ -112,6 +113,7 @@ def diagnose(
     heldout: Recording | Place | None = None,
     effects: Sequence[Place | Effect] = (),
     self_check: bool = False,
+    axis: str | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Find the physical effects in a recording that a model omits.
@@ -129,11 +131,13 @@ def diagnose(
         heldout: a second recording, used to validate the answer.
         effects: your own effects, as objects or as Python files that register them.
         self_check: add known effects to the recording and test whether they are found.
+        axis: name of the axis to be examined, if the recording has several; the measured motion of
+            the others is then known, and the model must be the rig file of all axes.
         progress: called with the name of each step.
 
     Raises:
-        InputError: the files contain errors, or the data are insufficient for a reliable answer;
-            the message explains why.
+        InputError: the files contain errors, an axis is not named or does not exist, or the data
+            are insufficient for a reliable answer; the message explains why.
     """
     if "numpy" not in sys.modules:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -150,11 +154,13 @@ def diagnose(
             _as_files(recording, model, heldout) as (path, model_path, second_path),
         ):
             wishes = mapping.read_wishes(map_options(columns))
-            case = reading.read_case(path, reading.read_model(model_path), wishes=wishes)
+            of = _of_axis(path, model_path, axis)
+            own_model = reading.read_model(model_path) if of is None else of.model
+            case = reading.read_case(path, own_model, wishes=wishes, of=of)
             second = None
             if second_path is not None:
                 second = reading.read_case(
-                    second_path, case.model, judged=False, wishes=wishes, beside=case
+                    second_path, case.model, judged=False, wishes=wishes, beside=case, of=of
                 )
                 if not second.channels.keys() & {"x_meas", "f_meas"}:
                     raise InputError(
@@ -167,6 +173,24 @@ def diagnose(
     except RthybError as error:
         raise in_python(error, _WORDS) from None
     return Diagnosis(found, outcome, checks, model_path, own)
+
+
+def _of_axis(path: Path, model: Path, axis: str | None) -> OfAxis | None:
+    """Return the axis that is to be judged; None of a recording of one, or of a lab's.
+
+    Raises:
+        InputError: it is not named, or there is none of that name.
+    """
+    from rthyb_rt.diagnose import axes, reading
+
+    names = reading.axes_of(path)
+    if names and axis is None:
+        raise InputError(
+            f'name one axis of the recording, axis="{names[0]}"; it has {", ".join(names)}',
+            "diagnose: axis",
+        )
+    found = axes.chosen(path, names, model, axis, "diagnose: axis")
+    return found[0] if found else None
 
 
 def _own_effects(given: Sequence[Any]) -> list[Effect]:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rthyb_rt.cli import interrupts, terminal
-from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.cli.inputs import AxisOption, JsonOption
 from rthyb_rt.errors import InputError, RthybError
 
 if TYPE_CHECKING:
+    from rthyb_rt.diagnose.axes import OfAxis
     from rthyb_rt.diagnose.case import Case
     from rthyb_rt.diagnose.engine import Diagnosis
     from rthyb_rt.diagnose.mapping import Wish
@@ -118,9 +119,9 @@ class _Asked:
     case: Case
     second: Case | None
     wanted: Case | None
-    self_check: bool
-    why: bool
-    report: bool
+    self_check: bool = False
+    why: bool = False
+    report: bool = False
 
 
 @dataclass(frozen=True)
@@ -144,6 +145,7 @@ def diagnose(
     self_check: SelfCheckOption = False,
     effect: EffectOption = None,
     why: WhyOption = False,
+    axis: AxisOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find out what physics a model leaves out, and where.
@@ -151,8 +153,9 @@ def diagnose(
     The recording is split at the recorded signals: command against measured displacement shows
     what the actuator does differently from the model, displacement against force what the specimen
     does. A recording of this program is also simulated again in closed loop, once with the given
-    model and once with the effects found. The exit code is 0 if nothing is missing, 3 if the data
-    do not allow an answer, and 8 otherwise.
+    model and once with the effects found. Of a recording of several axes each is judged by itself,
+    the measured motion of the others being known; --axis selects one. The exit code is 0 if nothing
+    is missing, 3 if the data do not allow an answer, and 8 otherwise.
 
     \b
     Examples:
@@ -160,10 +163,12 @@ def diagnose(
       rthyb diagnose runs/my-test-20260301T101500Z --model rig.toml
       rthyb diagnose recording.csv --model baseline.toml --effect magnet.py
       rthyb diagnose lab.txt --model baseline.toml --map x_meas="LVDT 1 [mm]"
+      rthyb diagnose runs/two-actuator-frame-20260301T101500Z --model two-axis-frame --axis upper
     """
     # Its products are long and narrow: shared between cores they take four times as long.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from rthyb_rt.diagnose import effects, mapping, reading
+    from rthyb_rt.diagnose.axes import chosen
 
     if (predict is None) != (out is None):
         raise typer.BadParameter(
@@ -175,25 +180,65 @@ def diagnose(
         effects.load(path)
     wishes = mapping.read_wishes(columns or ())
     model_path = reading.find_model(model)
-    case = reading.read_case(recording, reading.read_model(model_path), wishes=wishes)
-    _say(case.notes)
-    second = _judge(heldout, case, wishes) if heldout else None
-    wanted = _second(predict, case, wishes) if predict else None
-    done = _answered(_Asked(case, second, wanted, self_check, why, report is not None))
-    found, outcome = done.found, done.outcome
-    if out is not None and outcome.prediction is not None:
-        _write_prediction(out, outcome.prediction)
+    axes = chosen(recording, reading.axes_of(recording), model_path, axis, "--axis")
+    if len(axes) > 1 and predict is not None:
+        raise typer.BadParameter(
+            f"a prediction is of one axis; choose one with --axis {axes[0].name}",
+            param_hint="--predict",
+        )
+    done = []
+    for of in axes or (None,):
+        asked = _asked(recording, model_path, of, wishes, heldout, predict)
+        parts = _answered(replace(asked, self_check=self_check, why=why, report=report is not None))
+        done.append(parts)
+    prediction = done[0].outcome.prediction
+    if out is not None and prediction is not None:
+        _write_prediction(out, prediction)
         interrupts.wrote(out)
     if report is not None:
         _write_report(report, done, model_path)
-    answer = outcome.answer | ({"self_check": done.checks} if done.checks is not None else {})
-    if why:
-        answer["why"] = done.reasons
-    _tell(found, answer, terminal.people(as_json), outcome)
-    if as_json:
-        terminal.print_json(answer)
-    if found.verdict != "none":
+    _tell_all(done, why=why, as_json=as_json)
+    if any(one.found.verdict != "none" for one in done):
         raise typer.Exit(MISMATCH)
+
+
+def _asked(
+    recording: Path,
+    model: Path,
+    of: OfAxis | None,
+    wishes: list[Wish],
+    heldout: Path | None,
+    predict: Path | None,
+) -> _Asked:
+    """Read all that a diagnosis is of, and say what was taken for something."""
+    from rthyb_rt.diagnose import reading
+
+    own = reading.read_model(model) if of is None else of.model
+    case = reading.read_case(recording, own, wishes=wishes, of=of)
+    _say(case.notes)
+    second = _judge(heldout, case, wishes, of) if heldout else None
+    wanted = _second(predict, case, wishes, of) if predict else None
+    return _Asked(case, second, wanted)
+
+
+def _tell_all(done: list[_Answered], *, why: bool, as_json: bool) -> None:
+    """Print every answer, and as JSON the one, or those of all axes by name."""
+    from rthyb_rt.diagnose.page import AXES_SCHEMA
+
+    file, answers = terminal.people(as_json), {}
+    for number, one in enumerate(done):
+        answer = one.outcome.answer
+        answer = answer | ({"self_check": one.checks} if one.checks is not None else {})
+        if why:
+            answer["why"] = one.reasons
+        axis = one.found.case.axis
+        if len(done) > 1:
+            print(("\n" if number else "") + f"Axis {axis}", file=file)
+        _tell(one.found, answer, file, one.outcome)
+        answers[axis] = answer
+    if as_json:
+        whole = {"schema": AXES_SCHEMA, "axes": answers}
+        terminal.print_json(whole if len(done) > 1 else answers.popitem()[1])
 
 
 def _answered(asked: _Asked) -> _Answered:
@@ -220,9 +265,9 @@ def _answered(asked: _Asked) -> _Answered:
     return _Answered(found, outcome, checks, reasons)
 
 
-def _judge(path: Path, case: Case, wishes: list[Wish]) -> Case:
+def _judge(path: Path, case: Case, wishes: list[Wish], of: OfAxis | None) -> Case:
     """Return a second recording that the answer can be judged by."""
-    second = _second(path, case, wishes)
+    second = _second(path, case, wishes, of)
     if not second.channels.keys() & {"x_meas", "f_meas"}:
         raise InputError(
             f"{path}: has no x_meas, fx_meas or fy_meas to compare with the model; for a "
@@ -231,11 +276,11 @@ def _judge(path: Path, case: Case, wishes: list[Wish]) -> Case:
     return second
 
 
-def _second(path: Path, case: Case, wishes: list[Wish]) -> Case:
+def _second(path: Path, case: Case, wishes: list[Wish], of: OfAxis | None) -> Case:
     """Return a second recording, with what was made of its columns said on stderr."""
     from rthyb_rt.diagnose.reading import read_case
 
-    second = read_case(path, case.model, judged=False, wishes=wishes, beside=case)
+    second = read_case(path, case.model, judged=False, wishes=wishes, beside=case, of=of)
     _say([f"{path}: {note}" for note in second.notes])
     return second
 
@@ -257,10 +302,16 @@ def _writable(folder: Path) -> None:
         raise RthybError(f"{why}; choose another folder with --report", where=str(there))
 
 
-def _write_report(folder: Path, done: _Answered, model: Path) -> None:
-    from rthyb_rt.diagnose.page import write_report
+def _write_report(folder: Path, done: list[_Answered], model: Path) -> None:
+    from rthyb_rt.diagnose import page
 
-    for path in write_report(folder, done.found, done.outcome, done.checks, model, done.reasons):
+    parts = [page.Part(one.found, one.outcome, one.checks, one.reasons) for one in done]
+    if len(parts) > 1:
+        paths = page.write_axes_report(folder, parts, model)
+    else:
+        (one,) = parts
+        paths = page.write_report(folder, one.d, one.outcome, one.checks, model, one.reasons)
+    for path in paths:
         interrupts.wrote(path)
 
 

@@ -121,6 +121,22 @@ class Model:
         return [spring, core.element("viscous", c_n_s_per_m=self.c), *self.extra]
 
 
+def tare_rows(rec: Recording) -> NDArray[np.int64]:
+    """Return the numbers of the rows over which a recording of this program was zeroed."""
+    rows = rec.samples
+    zeroed = np.flatnonzero(rows["state"] == STATES.index("ZEROED"))
+    before = rows[: zeroed[0]] if zeroed.size else rows[:0]
+    fresh = np.flatnonzero(before["flags"] & FLAGS["fresh"])
+    values = rec.replay.parameters[0]["values"] if rec.replay.parameters else {}
+    ticks = int(values.get("station", {}).get("tare_ticks", 0))
+    return fresh[-ticks:]
+
+
+def error_of_zero(readings: Floats) -> float:
+    """Return the standard error of a mean of readings, (n,), in their unit; 0: of too few."""
+    return float(readings.std(ddof=1) / np.sqrt(readings.size)) if readings.size > 2 else 0.0
+
+
 @dataclass(frozen=True)
 class Case:
     """A recording ready for diagnosis.
@@ -134,6 +150,8 @@ class Case:
         folder: name of the folder that it lies in.
         further: columns that are no channel, by what stands over them, each (n,), in a unit of
             their own.
+        axis: name of the axis, where the recording is of several.
+        zero_error_n: `tare_error_n`, where it is known otherwise.
     """
 
     name: str
@@ -145,6 +163,8 @@ class Case:
     own: Recording | None = None
     folder: str = ""
     further: dict[str, Floats] = field(default_factory=dict)
+    axis: str = ""
+    zero_error_n: float | None = None
 
     @property
     def recorded(self) -> dict[str, Floats]:
@@ -167,16 +187,11 @@ class Case:
 
         The zero is a mean over rows at rest: what it is off by is no fault of the load cell.
         """
+        if self.zero_error_n is not None:
+            return self.zero_error_n
         if self.own is None:
             return 0.0
-        rows = self.own.samples
-        zeroed = np.flatnonzero(rows["state"] == STATES.index("ZEROED"))
-        taken = rows[: zeroed[0]] if zeroed.size else rows[:0]
-        taken = taken[(taken["flags"] & FLAGS["fresh"]) != 0]
-        values = self.own.replay.parameters[0]["values"] if self.own.replay.parameters else {}
-        ticks = int(values.get("station", {}).get("tare_ticks", 0))
-        readings = taken["f_read_n"][-ticks:]
-        return float(readings.std(ddof=1) / np.sqrt(readings.size)) if readings.size > 2 else 0.0
+        return error_of_zero(self.own.samples["f_read_n"][tare_rows(self.own)])
 
     def get(self, name: str) -> Floats | None:
         """Return a channel, or None."""

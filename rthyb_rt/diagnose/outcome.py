@@ -65,7 +65,10 @@ def finish(d: Diagnosis, heldout: Case | None, wanted: Case | None) -> Outcome:
 
 def _close(d: Diagnosis, out: Outcome) -> None:
     """Simulate the whole loop again, or recover of it what its signals tell."""
-    if d.case.own is not None:
+    if d.case.axis:
+        why = "an axis of several cannot be simulated without the others"
+        out.answer["closed_loop"] = {"possible": False, "why": why}
+    elif d.case.own is not None:
         try:
             out.closed = close_loop(d, out.model)
             out.answer["closed_loop"] = out.closed.to_json()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,18 +34,39 @@ from rthyb_rt.report.decimate import trace
 from rthyb_rt.report.html import environment, extra_needed, sheets
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
+
     from rthyb_rt.diagnose.case import Floats
     from rthyb_rt.diagnose.closed import ClosedLoop
     from rthyb_rt.diagnose.outcome import Outcome
     from rthyb_rt.diagnose.recovered import Recovered
     from rthyb_rt.report.drawing import Plate
 
+AXES_SCHEMA = "rthyb-diagnose-axes/1"
+"""Of the JSON of a recording of several axes: an answer of ``rthyb-diagnose/1`` for each."""
 STATES = {"none": "good", "explained": "found", "ambiguous": "open", "unknown": "dark"}
 """Colour of a verdict; none of them is an alarm's."""
 SHADES = 21
 """Colours of a map, an odd number: the middle one is for nothing."""
 LOOP_CELLS, LOOP_POINTS = 250, 6000
 """Pixels across a loop, and points that it has at most."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A diagnosis as the page has it: of a recording, or of one of its axes.
+
+    Attributes:
+        d: the diagnosis.
+        outcome: what followed from it.
+        checks: of the self-check; None where there was none.
+        reasons: the ledger of decisions, see `why.to_json`; made for the page where it is None.
+    """
+
+    d: Diagnosis
+    outcome: Outcome
+    checks: list[dict[str, Any]] | None
+    reasons: dict[str, Any] | None = None
 
 
 def write_report(
@@ -59,33 +81,101 @@ def write_report(
 
     Args:
         folder: where.
-        d: the diagnosis.
-        outcome: what followed from it.
-        checks: of the self-check; None where there was none.
+        d, outcome, checks, reasons: see `Part`.
         model_path: the model's file, to be named.
-        reasons: the ledger of decisions, see `why.to_json`; made here where it is not given.
 
     Raises:
         InputError: matplotlib or jinja2 is not installed.
         RthybError: a file cannot be written.
     """
-    reasons = reasons or why.to_json(d)
+    part = Part(d, outcome, checks, reasons or why.to_json(d))
+    html = _page([part], model_path, named=False)
+    files = {"report.html": html, "diagnosis.json": _json(_answer(part))}
+    return _written(folder, files | {"augmented.toml": rig_toml(outcome.model)[0]})
+
+
+def write_axes_report(folder: Path, parts: Sequence[Part], model_path: Path) -> list[Path]:
+    """Write one page and one JSON file of all axes, and an augmented model of each.
+
+    Args:
+        folder: where.
+        parts: of each axis.
+        model_path: the model's file, to be named.
+
+    Returns:
+        ``report.html``, ``diagnosis.json`` and ``augmented-AXIS.toml``.
+
+    Raises:
+        InputError: matplotlib or jinja2 is not installed.
+        RthybError: a file cannot be written.
+    """
+    parts = [replace(one, reasons=one.reasons or why.to_json(one.d)) for one in parts]
+    answers = {one.d.case.axis: _answer(one) for one in parts}
+    models = {f"augmented-{one.d.case.axis}.toml": rig_toml(one.outcome.model)[0] for one in parts}
+    html = _page(parts, model_path, named=True)
+    files = {"report.html": html, "diagnosis.json": _json({"schema": AXES_SCHEMA, "axes": answers})}
+    return _written(folder, files | models)
+
+
+def _answer(part: Part) -> dict[str, Any]:
+    return part.outcome.answer | {"why": part.reasons}
+
+
+def _json(answer: dict[str, Any]) -> str:
+    return json.dumps(_plain(answer), indent=2, ensure_ascii=False) + "\n"
+
+
+def _written(folder: Path, files: dict[str, str]) -> list[Path]:
+    paths = []
+    for file, content in files.items():
+        path = folder / file
+        with replacing(path) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+        paths.append(path)
+    return paths
+
+
+def _page(parts: Sequence[Part], model_path: Path, *, named: bool) -> str:
+    """Return the page; ``named``: each part has the name of its axis above it."""
     with extra_needed("the page"):
-        plates = [*draw_all(d), *draw_loop(outcome)]
         engine = environment()
-    html = engine.get_template("diagnosis.html.j2").render(
-        name=_name(d),
+    sections, number = [], 1
+    for one in parts:
+        axis = one.d.case.axis if named else ""
+        with extra_needed("the page"):
+            plates = [*draw_all(one.d), *draw_loop(one.outcome)]
+        plates = [replace(p, key=f"{axis}-{p.key}") for p in plates] if named else plates
+        sections.append(
+            {
+                "axis": axis,
+                "state": STATES[one.d.verdict],
+                "verdict": one.d.verdict,
+                "html": _section(engine, one, sheets(plates, number)),
+            }
+        )
+        number += len(plates)
+    first = parts[0].d
+    return engine.get_template("diagnosis.html.j2").render(
+        name=_name(first)
+        if named or not first.case.axis
+        else f"{_name(first)}, axis {first.case.axis}",
+        parts=sections,
+        versions=f"rthyb_rt {__version__} · model {model_path.name}",
+    )
+
+
+def _section(engine: Environment, part: Part, figures_of: list[list[tuple[int, Plate]]]) -> str:
+    d, outcome, reasons = part.d, part.outcome, part.reasons or {}
+    return engine.get_template("diagnosis_part.html.j2").render(
         after=_after(d),
-        verdict=d.verdict,
-        state=STATES[d.verdict],
         sentence=sentence(d, outcome.answer),
         notes=d.notes,
         next=next_text(d),
         errors=_errors(d),
         ranked=_ranked(d),
-        checks=check_rows(checks),
-        checked=checks is not None,
-        figures_of=sheets(plates),
+        checks=check_rows(part.checks),
+        checked=part.checks is not None,
+        figures_of=figures_of,
         closed=_closed(d, outcome.answer),
         limits=unheld(d, outcome),
         facts=reasons["facts"],
@@ -93,20 +183,7 @@ def write_report(
             (t, [(why.words_of(r), r, why.figures(r)) for r in rows])
             for t, rows in why.groups(reasons)
         ],
-        versions=f"rthyb_rt {__version__} · model {model_path.name}",
     )
-    text, _ = rig_toml(outcome.model)
-    whole = _plain(outcome.answer | {"why": reasons})
-    answer = json.dumps(whole, indent=2, ensure_ascii=False)
-    paths = []
-    for file, content in (
-        ("report.html", html), ("diagnosis.json", answer + "\n"), ("augmented.toml", text),
-    ):  # fmt: skip
-        path = folder / file
-        with replacing(path) as temporary:
-            temporary.write_text(content, encoding="utf-8")
-        paths.append(path)
-    return paths
 
 
 def _plain(value: Any) -> Any:

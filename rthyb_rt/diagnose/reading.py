@@ -7,6 +7,7 @@ handled and said in the case's notes; what would make an answer worthless is an 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import units
 from rthyb_rt.diagnose import sizes
+from rthyb_rt.diagnose.axes import OfAxis
 from rthyb_rt.diagnose.case import CHANNELS, NO_READING, Case, Floats, Model
 from rthyb_rt.diagnose.estimate import filled, filled_if_short, white_noise
 from rthyb_rt.diagnose.lab import Lab, read_lab, time_unit
@@ -38,6 +40,7 @@ def read_case(
     judged: bool = True,
     wishes: Sequence[Wish] = (),
     beside: Case | None = None,
+    of: OfAxis | None = None,
 ) -> Case:
     """Read a recording beside its model.
 
@@ -47,15 +50,16 @@ def read_case(
         judged: whether it must be fit for a diagnosis; False for a second recording.
         wishes: columns of the CSV file for channels, from `mapping.read_wishes`.
         beside: the recording that is diagnosed, for a second one: their sizes must go together.
+        of: the axis, of a recording of several; its ``model`` is the one to read beside.
 
     Raises:
         InputError: the file cannot be read, or no honest answer can come from it.
     """
     where = str(recording)
-    own = _run(recording)
+    own = _run(recording, of)
     lab = None
     if own is not None:
-        t, channels, notes = _own(own)
+        t, channels, notes = _own(own, of)
         _take_extras(own, wishes if beside is None else (), channels, notes)
         model = at_rate(model, own.fs_hz)
     else:
@@ -77,6 +81,8 @@ def read_case(
         _fits_family(channels, model, where)
     folder = recording.resolve().parent.name
     case = Case(recording.stem, model, t, channels, rows, notes, own, folder, further)
+    if own is not None and of is not None:
+        case = replace(case, axis=of.name, zero_error_n=of.zero_error_n(own))
     if judged and t.size < POLICY.least_rows:
         raise InputError(
             f"has {t.size} rows; a diagnosis needs at least {POLICY.least_rows}", where
@@ -100,21 +106,34 @@ def _of_a_size(case: Case, where: str, lab: Lab | None, judged: bool, beside: Ca
         sizes.check(clean, case.model, where, labels, stated)
 
 
-def _run(path: Path) -> Recording | None:
-    """Return a recording of this program; None where the file is a lab's."""
+def axes_of(path: Path) -> tuple[str, ...]:
+    """Return the names of the axes of a recording of several; (): it is of one, or a lab's.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    rec = _opened(path)
+    return () if rec is None else rec.axis_names
+
+
+def _opened(path: Path) -> Recording | None:
     if not path.is_dir() and path.suffix not in (".h5", ".hdf5"):
         return None
     from rthyb_rt.record.recording import open_run
 
-    rec = open_run(path)
-    if rec.axis_names:
-        first = rec.axis_names[0]
+    return open_run(path)
+
+
+def _run(path: Path, of: OfAxis | None) -> Recording | None:
+    """Return a recording of this program; None where the file is a lab's."""
+    rec = _opened(path)
+    names = () if rec is None else rec.axis_names
+    if of is None and names:
         raise InputError(
-            f"was recorded on several axes ({', '.join(rec.axis_names)}); a diagnosis is of one: "
-            f"run rthyb export {path} --csv --axis {first}, and diagnose the file that it writes "
-            "with the rig beside it as --model",
-            str(path),
+            f"was recorded on several axes ({', '.join(names)}); name one of them", str(path)
         )
+    if of is not None:
+        of.fits(names, str(path))
     return rec
 
 
@@ -172,12 +191,12 @@ def _at_rest(rec: Recording, values: Floats) -> float:
     return float(own.mean()) if own.size else 0.0
 
 
-def _own(rec: Recording) -> tuple[Floats, dict[str, Floats], list[str]]:
+def _own(rec: Recording, of: OfAxis | None) -> tuple[Floats, dict[str, Floats], list[str]]:
     from rthyb_rt.core import FLAGS
 
     mask = rec.running()
     s = rec.samples[mask]
-    channels = {
+    channels = of.signals(rec) if of is not None else {
         "ag": s["ag_mps2"], "x_num": s["x_num_m"], "x_cmd": s["x_cmd_m"],
         "x_meas": s["x_meas_m"].copy(), "f_meas": s["f_meas_n"].copy(),
     }  # fmt: skip

@@ -1,0 +1,146 @@
+"""A recording of several axes, judged axis by axis: the measured motion of the others is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.diagnose.case import Model, error_of_zero, tare_rows
+from rthyb_rt.diagnose.modelfile import model_of_rig
+from rthyb_rt.errors import InputError
+
+if TYPE_CHECKING:
+    from rthyb_rt.config import AxesRig
+    from rthyb_rt.record.recording import Recording
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OfAxis:
+    """One axis of a rig of several, and what the lab believes of all of them.
+
+    Attributes:
+        name: of the axis.
+        rig: the lab's rig file.
+    """
+
+    name: str
+    rig: AxesRig
+
+    @property
+    def model(self) -> Model:
+        """The axis by itself: its actuator, and the specimen as it feels it, the others at rest.
+
+        The noise of its force is that of the load cell and, by the stiffness, that of the
+        displacement sensors of the others, by which their part is known.
+        """
+        from rthyb_rt.record.axis_export import alone, along_axes
+
+        own, k = model_of_rig(alone(self.rig, self.name)), self.rig.names.index(self.name)
+        felt = along_axes(self.rig)[k]
+        felt[k] = 0.0
+        noise_m = [axis.sensors.displacement.noise_std_m or 0.0 for axis in self.rig.axis]
+        f_std = float(np.hypot(own.f_std or 0.0, np.linalg.norm(felt * noise_m)))
+        return replace(own, f_std=f_std or None)
+
+    def fits(self, names: tuple[str, ...], where: str) -> None:
+        """Refuse a recording of other axes than those of the rig.
+
+        Raises:
+            InputError: with the names of both.
+        """
+        if names != self.rig.names:
+            found = f"was recorded on the axes {', '.join(names)}" if names else "is of one axis"
+            raise InputError(
+                f'{found}, but the model "{self.rig.rig.name}" has the axes '
+                f"{', '.join(self.rig.names)}; give the rig file of this recording as --model",
+                where,
+            )
+
+    def signals(self, rec: Recording) -> dict[str, Floats]:
+        """Return the channels of the axis in the rows of the test, (n,) each.
+
+        ``f_meas`` is its load cell less what the motion of the others brings by this rig.
+        """
+        from rthyb_rt.record.axis_export import axis_signals
+
+        found = axis_signals(rec, self.name, self.rig)
+        del found["t"]
+        return found
+
+    def zero_error_n(self, rec: Recording) -> float:
+        """Return the standard error of the zero of ``f_meas``, N; 0: not known.
+
+        The displacements of the other axes were zeroed over the same rows, and their error comes in
+        by the stiffness.
+        """
+        from rthyb_rt.record.axis_export import from_others
+
+        rows, k = tare_rows(rec), rec.axis_names.index(self.name)
+        read = np.column_stack([rec.axis(one)["x_read_m"][rows] for one in rec.axis_names])
+        if rows.size < 3 or not np.isfinite(read).all():
+            return 0.0
+        plain: dict[str, Any] = {"damping": None, "mass": None, "element": []}
+        specimen = self.rig.specimen.model_copy(update=plain)
+        still = self.rig.model_copy(update={"specimen": specimen})
+        others = from_others(still, k, read - read.mean(axis=0), 1.0 / rec.fs_hz)
+        return error_of_zero(rec.axis(self.name)["f_read_n"][rows] - others)
+
+
+def chosen(
+    recording: Path, names: tuple[str, ...], model: Path, axis: str | None, asked: str
+) -> list[OfAxis]:
+    """Return the axes of a recording that are to be judged; none of a recording of one.
+
+    Args:
+        recording: its path, for messages.
+        names: of its axes.
+        model: the file of the lab's model.
+        axis: the one that is asked for; None: all.
+        asked: the option or argument that names it, for messages.
+
+    Raises:
+        InputError: there is no such axis, or the model is not of these axes.
+    """
+    if axis is not None and axis not in names:
+        raise InputError(
+            f"found {axis}; the recording has the axes {', '.join(names)}"
+            if names
+            else f"found {axis}, but the recording is of one axis; leave this out",
+            asked,
+        )
+    if not names:
+        return []
+    rig = read_axes_rig(model)
+    found = [OfAxis(name, rig) for name in names if axis in (None, name)]
+    found[0].fits(names, str(recording))
+    return found
+
+
+def read_axes_rig(path: Path) -> AxesRig:
+    """Read the model of a recording of several axes: a rig file, or a test file that names one.
+
+    Raises:
+        InputError: with every fault of the file, or it is of one axis.
+    """
+    from rthyb_rt import config
+
+    text = config.read_text(path, "model")
+    schema = str(config.schema_of(text, str(path)))
+    rig = None
+    if schema.startswith("rthyb-test/"):
+        rig = config.load_any_rig(config.find_rig(config.load_test(path).rig))
+    elif schema.startswith("rthyb-rig/"):
+        rig = config.load_any_rig(path)
+    if not isinstance(rig, config.AxesRig):
+        raise InputError(
+            "is a model of one axis, but the recording is of several; give the rig file with all "
+            "axes, such as the rig.toml in the folder of the run",
+            str(path),
+        )
+    return rig
