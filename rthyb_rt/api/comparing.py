@@ -103,6 +103,7 @@ def compare(
     *recordings: Recording | Place,
     columns: Mapping[str, str] | Place | None = None,
     align: bool = False,
+    axis: str | None = None,
 ) -> Comparison:
     """Compare recordings, simulations and CSV files with the first of them.
 
@@ -115,10 +116,12 @@ def compare(
             its kept recordings; a test file, which stands for its reference simulation; or a CSV
             file from any source.
         columns: for CSV files: column by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping file.
+        axis: name of the axis to compare, for tests on several axes.
         align: shift each recording in time to best match the displacement of the first.
 
     Raises:
-        InputError: there is nothing to compare, a file cannot be read, or a unit is missing.
+        InputError: there is nothing to compare, a file cannot be read, a unit is missing, or an
+            axis is not named or does not exist.
 
     Examples:
         >>> short = Test("section5-T0.5", ground_motion={"duration_s": 2})
@@ -133,6 +136,7 @@ def compare(
         for one in recordings
     ]
     try:
-        return Comparison(Overlay.of(courses.read(given, map_options(columns)), align=align))
+        found = courses.read(given, map_options(columns), axis)
+        return Comparison(Overlay.of(found, align=align))
     except InputError as error:
         raise in_python(error, _WORDS) from None

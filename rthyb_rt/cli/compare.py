@@ -11,7 +11,7 @@ import typer
 
 from rthyb_rt.cli import terminal
 from rthyb_rt.cli.folders import publish, refuse_taken, staged
-from rthyb_rt.cli.inputs import JsonOption
+from rthyb_rt.cli.inputs import AxisOption, JsonOption
 
 if TYPE_CHECKING:
     from rthyb_rt.comparing.overlay import Overlay
@@ -50,6 +50,7 @@ def compare(
             show_default=False,
         ),
     ] = None,
+    axis: AxisOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare recordings, simulations and CSV files.
@@ -66,13 +67,14 @@ def compare(
       rthyb compare runs/monday my-test.toml
       rthyb compare runs/monday lab.csv --map x_meas="LVDT 1 [mm]" --align
       rthyb compare runs/my-test-sweep
+      rthyb compare runs/two-actuator-frame-20260301T101500Z --axis upper
     """
     from rthyb_rt.comparing import courses
     from rthyb_rt.comparing.overlay import Overlay
 
     refuse_taken(out)
     started = datetime.datetime.now(datetime.UTC)
-    found = Overlay.of(courses.read(recordings, columns or ()), align=align)
+    found = Overlay.of(courses.read(recordings, columns or (), axis), align=align)
     first = re.sub(r"[^\w.-]+", "-", found.labels[0]).strip("-.") or "recording"
     target = out or Path("runs") / f"compare-{first}-{started:%Y%m%dT%H%M%SZ}"
     with staged(target) as stage:

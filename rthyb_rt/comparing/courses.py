@@ -47,6 +47,7 @@ class Course:
         ending: ``completed``, or what ended it; "" where nobody says.
         measures: of `MEASURES`; None where they are not known.
         notes: what was made of its file.
+        axis: name of the axis, of a test on several.
     """
 
     label: str
@@ -57,6 +58,7 @@ class Course:
     ending: str = ""
     measures: dict[str, float | None] = field(default_factory=lambda: dict.fromkeys(MEASURES))
     notes: tuple[str, ...] = ()
+    axis: str = ""
 
     @property
     def duration_s(self) -> float:
@@ -64,7 +66,11 @@ class Course:
         return self.x_m.size / self.fs_hz
 
 
-def read(given: Sequence[Recording | str | Path], options: Sequence[str] = ()) -> list[Course]:
+def read(
+    given: Sequence[Recording | str | Path],
+    options: Sequence[str] = (),
+    axis: str | None = None,
+) -> list[Course]:
     """Return what is given, or stands at a place, as it is compared.
 
     Args:
@@ -72,9 +78,11 @@ def read(given: Sequence[Recording | str | Path], options: Sequence[str] = ()) -
             for the recordings that it has kept; a test file, for its reference simulation; or a
             table of another lab (CSV). A recording alone stands behind its reference simulation.
         options: columns of the tables, as `mapping.read_wishes` takes them.
+        axis: to be compared, of every test on several axes.
 
     Raises:
-        InputError: one of them cannot be read, or there is nothing to compare.
+        InputError: one of them cannot be read, there is nothing to compare, or an axis is not named
+            or not there.
     """
     from rthyb_rt.diagnose.mapping import read_wishes
 
@@ -84,14 +92,16 @@ def read(given: Sequence[Recording | str | Path], options: Sequence[str] = ()) -
         label: str | None = None
         what: Recording | list[Course]
         if isinstance(one, (str, Path)):
-            what, label = _at(Path(one), wishes), _place_name(Path(one))
+            what, label = _at(Path(one), wishes, axis), _place_name(Path(one))
         else:
             what = one
         if isinstance(what, list):
             found += what
             continue
-        course = recorded(what, label)
+        course = recorded(what, label, axis)
         found += beside_reference(what, course) if len(given) == 1 else [course]
+    if axis is not None and not any(course.axis for course in found):
+        raise InputError(f"found {axis}, but nothing here has several axes; leave this out", "axis")
     return found
 
 
@@ -106,7 +116,7 @@ def beside_reference(rec: Recording, course: Course) -> list[Course]:
     Raises:
         InputError: it has none.
     """
-    reference = simulated(rec, course.label)
+    reference = simulated(rec, course.label, course.axis)
     if reference is None:
         raise InputError(
             "has no reference simulation to compare with; give a second recording",
@@ -115,22 +125,30 @@ def beside_reference(rec: Recording, course: Course) -> list[Course]:
     return [reference, course]
 
 
-def _at(place: Path, wishes: Sequence[Wish]) -> Recording | list[Course]:
+def _at(place: Path, wishes: Sequence[Wish], axis: str | None) -> Recording | list[Course]:
     from rthyb_rt.campaign.book import PLAN
     from rthyb_rt.record.recording import open_run
 
     if place.is_dir() and (place / PLAN).is_file():
-        return _kept(place)
+        return _kept(place, axis)
     if place.suffix == ".toml":
-        return [simulation(place)]
+        return [simulation(place, axis)]
     if place.suffix.lower() in _TABLES:
         return [table(place, wishes)]
     return open_run(place)
 
 
-def recorded(rec: Recording, label: str | None = None) -> Course:
-    """Return a recording as it is compared."""
+def recorded(rec: Recording, label: str | None = None, axis: str | None = None) -> Course:
+    """Return a recording, or the named one of several axes, as it is compared.
+
+    Raises:
+        InputError: it has several axes, and none of them is named.
+    """
     from rthyb_rt.analysis.summary import summarize
+    from rthyb_rt.comparing import of_axis
+
+    if rec.axis_names:
+        return of_axis.recorded(rec, label, axis)
 
     found = summarize(rec)
     rows = rec.running()
@@ -146,23 +164,30 @@ def recorded(rec: Recording, label: str | None = None) -> Course:
     )
 
 
-def simulated(rec: Recording, label: str) -> Course | None:
+def simulated(rec: Recording, label: str, axis: str = "") -> Course | None:
     """Return the reference simulation of a recording; None where it has none."""
+    from rthyb_rt.comparing import of_axis
+
+    if axis:
+        return of_axis.simulated(rec, label, axis)
     if rec.reference is None or not len(rec.reference):
         return None
     return _reference(rec.reference, rec.fs_hz, f"{label}, reference simulation")
 
 
-def simulation(path: Path) -> Course:
-    """Return the reference simulation of a test file.
+def simulation(path: Path, axis: str | None = None) -> Course:
+    """Return the reference simulation of a test file, or of the named one of its several axes.
 
     Raises:
-        InputError: with the faults of test and rig.
+        InputError: with the faults of test and rig, or no axis is named.
     """
-    from rthyb_rt.config import load_both
-    from rthyb_rt.lab import experiment
+    from rthyb_rt.comparing import of_axis
+    from rthyb_rt.config import load_any_both
+    from rthyb_rt.lab import several
 
-    setup = experiment.prepare(*load_both(path, None, ()))
+    setup = several.prepare_any(*load_any_both(path, None, ()))
+    if setup.group is not None:
+        return of_axis.simulation(setup, axis)
     return _reference(
         setup.reference, setup.derived.fs_hz, f"{setup.test.test.name}, reference simulation"
     )
@@ -170,13 +195,18 @@ def simulation(path: Path) -> Course:
 
 def _reference(rows: NDArray[np.void], fs_hz: float, label: str) -> Course:
     x, f = (np.asarray(rows[name], np.float64) for name in ("x_ref_m", "f_ref_n"))
+    return reference_course(x, f, fs_hz, label)
+
+
+def reference_course(x: Floats, f: Floats, fs_hz: float, label: str, axis: str = "") -> Course:
+    """Return a reference simulation as it is compared, by displacement, m, and force, N, (n,)."""
     measures: dict[str, float | None] = dict.fromkeys(MEASURES)
     measures["peak_command_m"] = measures["peak_measured_m"] = float(np.abs(x).max(initial=0.0))
     measures["peak_force_n"] = float(np.abs(f).max(initial=0.0))
-    return Course(label, "simulation", fs_hz, x, f, "completed", measures)
+    return Course(label, "simulation", fs_hz, x, f, "completed", measures, axis=axis)
 
 
-def _kept(folder: Path) -> list[Course]:
+def _kept(folder: Path, axis: str | None) -> list[Course]:
     """Return the recordings that a campaign or sweep has kept.
 
     Raises:
@@ -203,7 +233,7 @@ def _kept(folder: Path) -> list[Course]:
             f"the folders of the ones you want: {cases} ...",
             str(folder),
         )
-    return [recorded(open_run(folder / row["folder"]), _chosen(row)) for row in rows]
+    return [recorded(open_run(folder / row["folder"]), _chosen(row), axis) for row in rows]
 
 
 def _chosen(row: dict[str, Any]) -> str:

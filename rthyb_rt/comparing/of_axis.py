@@ -1,0 +1,89 @@
+"""One axis of a test on several, as it is compared."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rthyb_rt.analysis import measures, several
+from rthyb_rt.comparing.courses import MEASURES, Course, reference_course
+from rthyb_rt.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rthyb_rt.lab.experiment import Setup
+    from rthyb_rt.record.recording import Recording
+
+
+def number_of(names: Sequence[str], axis: str | None, where: str) -> int:
+    """Return the number of the axis that is asked for.
+
+    Raises:
+        InputError: none is, or there is none of that name.
+    """
+    if axis is None:
+        raise InputError(
+            f"has several axes ({', '.join(names)}); choose the one to compare, such as "
+            f"--axis {names[0]}",
+            where,
+        )
+    if axis not in names:
+        raise InputError(f"found axis {axis}; the axes are {', '.join(names)}", where)
+    return list(names).index(axis)
+
+
+def recorded(rec: Recording, label: str | None, axis: str | None) -> Course:
+    """Return an axis of a recording as it is compared.
+
+    Raises:
+        InputError: none is named, or there is none of that name.
+    """
+    k = number_of(rec.axis_names, axis, label or "compare")
+    found = several.summarize(rec)
+    own, signals = found.axes[k], found.signals
+    measured = signals.measured_m[:, k]
+    known: dict[str, float | None] = {
+        "peak_command_m": own.peak_command_m,
+        "peak_measured_m": own.peak_measured_m,
+        "peak_force_n": own.peak_force_n,
+        "tracking_nrmse": own.tracking_nrmse,
+        "response_nrmse": measures.tracking_nrmse(signals.reference.axis_m[:, k], measured),
+        "alpha_end": own.delay_samples,
+    }
+    return Course(
+        f"{label or found.test_name or 'recording'}, axis {own.name}",
+        "recording",
+        found.fs_hz,
+        measured,
+        signals.force_n[:, k],
+        found.end_reason,
+        dict.fromkeys(MEASURES) | known,
+        axis=own.name,
+    )
+
+
+def simulated(rec: Recording, label: str, axis: str) -> Course:
+    """Return the reference simulation of an axis of a recording; ``label``: with the axis."""
+    found, k = several.summarize(rec), rec.axis_names.index(axis)
+    reference = found.signals.reference
+    called = f"{label}, reference simulation"
+    x_m, f_n = reference.axis_m[:, k], reference.axis_n[:, k]
+    return reference_course(x_m, f_n, found.fs_hz, called, axis)
+
+
+def simulation(setup: Setup, axis: str | None) -> Course:
+    """Return the reference simulation of an axis of a test.
+
+    Raises:
+        InputError: none is named, or there is none of that name.
+    """
+    assert setup.group is not None
+    name, reference = setup.test.test.name, setup.group.reference
+    k = number_of(setup.axis_names, axis, name)
+    return reference_course(
+        reference.axis_m[:, k],
+        reference.axis_n[:, k],
+        setup.derived.fs_hz,
+        f"{name}, axis {axis}, reference simulation",
+        setup.axis_names[k],
+    )
