@@ -56,6 +56,20 @@ def test_drift_is_likelier_in_white_noise_than_slow_noise_without_it():
     assert kept + 40.0 < swallowed
 
 
+def test_slow_noise_twice_its_sheet_gives_way_to_a_set_that_stays_within():
+    """However likely it is: nothing that is larger than the sheet allows is noise alone."""
+    random, v = np.random.default_rng(7), np.sin(2.0 * np.pi * np.arange(N) / FINE_HZ)
+    loud = (2.0 * coloured(random, random_walk_over_white()), v, 0.0)
+    quiet = (random.standard_normal(N), v, 1e6)
+    assert estimate.likeliest([loud, quiet], ALL, FINE_HZ, 1.0, 1.0) is None
+    # Where none stays within, and where no sheet bounds the noise, the likelier one.
+    larger = (3.0 * quiet[0], v, 1e6)
+    assert estimate.likeliest([loud, larger], ALL, FINE_HZ, 1.0, 1.0) is not None
+    assert estimate.within_sheet(quiet[0], 1.0, 0.0)
+    assert not estimate.within_sheet(1.3 * quiet[0], 1.0, 0.0)
+    assert estimate.within_sheet(1.3 * quiet[0], 1.0, 0.1)
+
+
 def red_at_the_ends(random: np.random.Generator, extra) -> dict[str, np.ndarray]:
     shape = 1.0 + (1.0 / np.maximum(F_GRID, 0.03)) ** 2
     return recorded(random, extra, shape)

@@ -154,6 +154,13 @@ def test_each_rule_turns_what_is_said(rule: str) -> None:
     assert said(seen, (rule,), **answers).said == without
 
 
+def test_a_finding_without_which_noise_would_be_larger_than_its_sheet_is_no_chance() -> None:
+    seen, answers, *_ = RULES["chance"]
+    assert seen.force is not None
+    loud = replace(seen, force=replace(seen.force, loud=True))
+    assert said(loud, **answers).names == FRICTION.names
+
+
 def test_every_rule_has_its_evidence() -> None:
     assert set(RULES) == set(TURNS)
 
@@ -262,6 +269,7 @@ LEFT = st.builds(
     quiet=st.booleans(),
     late=st.booleans(),
     cell=st.booleans(),
+    loud=st.booleans(),
 )
 ANSWERS = st.fixed_dictionaries(
     {

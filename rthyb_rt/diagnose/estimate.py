@@ -538,18 +538,32 @@ def likeliest(
 ) -> Whitener | None:
     """Return the filter for the noise that the likeliest of some sets leaves; None: it is white.
 
+    Of those sets that leave no more than the data sheet allows, if any does: slow noise of any size
+    would explain what a drift leaves out, at frequencies where no line of a spectrum shows it.
+
     Args:
         tried: of each set what it leaves of a channel, (n,), in its unit; the velocity of its
             motion, (n,), m/s; and its price.
         rows, fs_hz, sigma, sheet, blur: see `likelihood`.
     """
     lines = noise.Lines(rows, fs_hz)
-    told = [
-        (cost + price, own)
-        for left, velocity, price in tried
-        for cost, own in [likelihood(left, rows, velocity, fs_hz, sigma, sheet, blur, lines)]
-    ]
-    return min(told, key=lambda t: t[0])[1]
+    told: list[tuple[bool, float, Whitener | None]] = []
+    for left, velocity, price in tried:
+        cost, own = likelihood(left, rows, velocity, fs_hz, sigma, sheet, blur, lines)
+        # What the estimate of the motion adds has no sheet.
+        bounded = bool(sheet) and blur is None
+        scatter = own.scatter if own is not None else 0.0
+        beyond = bounded and not within_sheet(left[rows], sheet or 0.0, scatter)
+        told.append((beyond, cost + price, own))
+    return min(told, key=lambda t: t[:2])[2]
+
+
+def within_sheet(rest: Floats, sheet: float, scatter: float) -> bool:
+    """Return whether what is left of a channel, (n,), is as small as its data sheet allows.
+
+    The rms of one recording of slow noise has a relative ``scatter`` about what the sheet states.
+    """
+    return float(np.sqrt(np.mean(rest**2))) < POLICY.sheet_factor * sheet * (1.0 + scatter)
 
 
 def away_from_gaps(

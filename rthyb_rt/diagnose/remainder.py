@@ -71,7 +71,20 @@ def left_of(search: Search) -> Left:
         quiet=search.quiet,
         late=any(m.effect.late for m in best.members),
         cell="f_meas" in problem.case.channels and bool(np.any(found.force)),
+        loud=loud(search),
     )
+
+
+def loud(search: Search) -> bool:
+    """Return whether the model alone leaves more than the force's data sheet allows for noise.
+
+    Never along an estimated motion: what that adds has no sheet.
+    """
+    found, sheet = search.problem.estimate, stated(search.problem.case)
+    if not sheet or not found.exact or search.moved:
+        return False
+    rest = left_by(search, search.null)[found.rows]
+    return not estimate.within_sheet(rest, sheet, found.scatter)
 
 
 def understood(search: Search) -> bool:

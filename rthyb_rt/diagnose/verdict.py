@@ -42,6 +42,7 @@ class Left:
         quiet: whether what a simulated motion leaves is within the displacement's data sheet.
         late: whether a law of the set begins in mid-record.
         cell: whether a load cell tells the force.
+        loud: whether the model alone leaves more of it than its data sheet allows for noise.
     """
 
     names: Names = ()
@@ -63,6 +64,7 @@ class Left:
     quiet: bool = False
     late: bool = False
     cell: bool = True
+    loud: bool = False
 
     @property
     def size(self) -> int:
@@ -287,9 +289,10 @@ def chance(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
     Where the noise has a colour that was read off the recording itself, evidence counted row by row
     is worth what that colour is known by. The effect's interval knows of more, how the parts of the
-    recording scatter among it: by that, too, the effect has to earn its price.
+    recording scatter among it: by that, too, the effect has to earn its price. Not where without it
+    the noise would have to be larger than the data sheet allows.
     """
-    noise = left.before < court.policy.excess_as_noise and left.coloured
+    noise = left.before < court.policy.excess_as_noise and left.coloured and not left.loud
     if not named or not noise or left.laws != 1 or left.moved:
         return named, known
     strength: float | None = court.ask("strength")
