@@ -40,6 +40,7 @@ def said(seen: Seen, less: tuple[str, ...] = (), **answers: Any) -> Verdict:
         "simulated": None,
         "changes": {},
         "varying": -50.0,
+        "stroke": -50.0,
         **answers,
     }
     while not isinstance(done := judge(seen, POLICY, less), Verdict):
@@ -138,6 +139,7 @@ RULES: dict[str, tuple[Seen, dict[str, Any], str, str]] = {
         "unknown", "explained",
     ),
     "varying": (Seen(FRICTION), {"varying": 60.0}, "unknown", "explained"),
+    "stroke": (Seen(replace(FRICTION, laws=2)), {"stroke": 60.0}, "unknown", "explained"),
     "steps": (
         Seen(replace(NOTHING, before=1.0, after=1.0), rounding=COARSE), {},
         "explained", "unknown",
@@ -278,6 +280,7 @@ ANSWERS = st.fixed_dictionaries(
         "strength": st.none() | st.floats(0.0, 1e3),
         "changes": st.dictionaries(st.sampled_from("abc"), st.floats(-3.0, 10.0)),
         "varying": st.floats(-1e3, 1e3),
+        "stroke": st.floats(-1e3, 1e3),
     }
 )
 
@@ -296,5 +299,7 @@ def test_what_is_named_or_called_nothing_is_understood(left: Left, answers: dict
     found = said(Seen(left), **answers)
     turned = {r.rule for r in found.ledger}
     known = answers["sheet"] or understood(left, POLICY, lambda: answers["sheet"])
-    known = not (turned & {"steady", "varying"}) and (known or bool(turned & {"motion", "steps"}))
+    known = not (turned & {"steady", "varying", "stroke"}) and (
+        known or bool(turned & {"motion", "steps"})
+    )
     assert (found.said == "unknown") == (not known)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt.diagnose import estimate, evidence, noise, steady, varying, verdict
+from rthyb_rt.diagnose import estimate, evidence, noise, steady, stroke, varying, verdict
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.force import RIVALS, Search
@@ -177,6 +177,8 @@ def asked(search: Search, ctx: Context | None, what: Asked) -> Any:
         return {c.part: c.deviations for c in steady.changes(search.problem, search.best)}
     if what == "varying":
         return varying.gain(search.problem, search.best)
+    if what == "stroke":
+        return stroke.gain(search.problem, search.best)
     return None if ctx is None else strength(search, ctx)
 
 

@@ -77,6 +77,18 @@ def changes(problem: Problem, fit: Fit) -> tuple[Change, ...]:
     return tuple(out)
 
 
+def standing(problem: Problem, fit: Fit) -> tuple[float, float] | None:
+    """Return what a set leaves with the form of its laws left free, and its price, in chi-squared.
+
+    Beside it by how much rows that hang together overstate that. None where it has no slopes here.
+    """
+    slopes = design_of(problem, fit) if fit.members else np.zeros((0, 0))
+    if slopes.shape[0] != fit.residual.size or fit.residual.size == 0:
+        return None
+    least, rest = left(*with_forms(problem, fit, slopes), fit.residual)
+    return least + evidence.cost(problem, fit), inflation(rest)
+
+
 def with_forms(problem: Problem, fit: Fit, slopes: Floats) -> tuple[Floats, Floats]:
     """Return the slopes of a set with its laws' neighbours beside them, and the priors of all.
 

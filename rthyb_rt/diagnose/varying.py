@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rthyb_rt.diagnose import evidence
 from rthyb_rt.diagnose.case import Floats
-from rthyb_rt.diagnose.select import Fit, Problem, design_of, inflation, penalty
-from rthyb_rt.diagnose.steady import left, with_forms
+from rthyb_rt.diagnose.select import Fit, Problem, penalty
+from rthyb_rt.diagnose.steady import standing
 
 HARMONICS = 3
 LINES = 192
@@ -35,16 +34,12 @@ def gain(problem: Problem, fit: Fit) -> float:
     Prices counted, those of the set and the coefficient's, and over what rows that hang together
     overstate; minus infinity where a set has no slopes, or a recording is too long.
     """
-    if not fit.members:
+    own = standing(problem, fit)
+    if own is None:
         return -np.inf
-    slopes = design_of(problem, fit)
-    if slopes.shape[0] != fit.residual.size or fit.residual.size == 0:
-        return -np.inf
-    own, rest = left(*with_forms(problem, fit, slopes), fit.residual)
     rival = min(_least(problem, column) for column in (problem.ctx.x, problem.ctx.v))
     # A constant part, two for each harmonic, and the period.
-    price = penalty(problem.ln_n, 2 + 2 * HARMONICS)
-    return (own + evidence.cost(problem, fit) - rival - price) / inflation(rest)
+    return (own[0] - rival - penalty(problem.ln_n, 2 + 2 * HARMONICS)) / own[1]
 
 
 def _least(problem: Problem, column: Floats) -> float:

@@ -15,7 +15,7 @@ from rthyb_rt.diagnose.policy import Policy, of_size
 
 Said = Literal["none", "explained", "ambiguous", "unknown"]
 Names = tuple[str, ...]
-Asked = Literal["sheet", "simulated", "strength", "changes", "varying"]
+Asked = Literal["sheet", "simulated", "strength", "changes", "varying", "stroke"]
 
 
 # ---- evidence -----------------------------------------------------------------------------------
@@ -131,7 +131,8 @@ class Seen:
             set's one effect over the standard deviation of its interval, squared; None where it
             has no size; "changes", how far beyond chance the set's numbers are others in a part
             of the recording, by that part in words, in standard deviations; "varying", what a
-            coefficient that changes periodically with time explains more, in chi-squared.
+            coefficient that changes periodically with time explains more, in chi-squared; "stroke",
+            the same of a mass whose own spring changes with its stroke.
     """
 
     force: Left | None = None
@@ -332,6 +333,20 @@ def varying(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     return False, False
 
 
+def stroke(court: _Court, left: Left, named: bool, known: bool) -> Turn:
+    """What one mass on a spring that softens explains better is no second mode beside another law.
+
+    Of the same sets as `steady`.
+    """
+    if not named or left.naive or left.moved or left.laws < 2:
+        return named, known
+    gain: float = court.ask("stroke")
+    if gain <= court.policy.same_evidence:
+        return named, known
+    court.rules("stroke", left.names, gain, court.policy.same_evidence)
+    return False, False
+
+
 def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     """Where all that the model leaves is what rounding leaves, no force law is missing.
 
@@ -355,7 +370,7 @@ def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 TURNS: dict[str, Callable[[_Court, Left, bool, bool], Turn]] = {
     "blur": blur, "motion": motion, "chance": chance, "steady": steady, "varying": varying,
-    "steps": steps,
+    "stroke": stroke, "steps": steps,
 }  # fmt: skip
 """Rules that take the set of the force back, or say that what it leaves is known, in turn."""
 

@@ -436,14 +436,18 @@ def _why_actuator(disp: Displacement, fit: ActuatorFit, fate: Fate) -> str:
     )
 
 
+NAMELESS = {
+    "varying": "a stiffness or damping that changes periodically with time",
+    "stroke": "a second mass on a spring that hardens or softens with its stroke",
+}
+"""Laws in no catalogue that a set is held against, by the rule of `verdict`."""
 TURNED = {
     "blur": "the best set is no larger than the uncertainty of the estimated motion",
     "motion": "the model alone simulates the measured motion, within its tolerances and the "
     "sensor's noise",
     "chance": "the best set is no larger than what noise of this spectrum produces by chance",
     "steady": "the parameters of the best set differ between parts of the recording",
-    "varying": "a stiffness or damping that changes periodically with time explains more than the "
-    "best set",
+    **{rule: f"{law} explains more than the best set" for rule, law in NAMELESS.items()},
     "steps": "the residual of the model is that of the load cell's quantization",
 }
 """What each rule of `verdict` that takes a set back says."""
@@ -469,12 +473,12 @@ def _verdict(d: Diagnosis) -> str:
                 f"in the rest ({changed.found:.1f} standard deviations, where chance explains "
                 f"{changed.wanted:g}), and so stands for a law that is not known"
             )
-        rival = next((r for r in d.ledger if r.rule == "varying"), None)
+        rival = next((r for r in d.ledger if r.rule in NAMELESS), None)
         if rival is not None:
             return (
-                f"unknown: a stiffness or damping that changes periodically with time explains "
-                f"more than {_words(rival.names)}, by {rival.found:.0f} in chi-squared after "
-                f"the price of its parameters (more than {rival.wanted:g} decides)"
+                f"unknown: {NAMELESS[rival.rule]} explains more than {_words(rival.names)}, by "
+                f"{rival.found:.0f} in chi-squared after the price of its parameters (more than "
+                f"{rival.wanted:g} decides)"
             )
         if d.disp is not None and not d.disp.known:
             left = _percent(d.disp.left)

@@ -229,6 +229,19 @@ class Effect:
         """Return the force per unit of each linear coefficient, each (n,), N."""
         raise NotImplementedError
 
+    def by_stroke(self, ctx: Context, trial: Trial, change: float, like: Trial) -> Floats | None:
+        """Return the first column were the law's own spring to change with its stroke, (n,), N.
+
+        None where it has no spring that moves by itself, or that motion would run away.
+
+        Args:
+            ctx: what it depends on.
+            trial: its shape.
+            change: part of its stiffness that the spring gains by one rms of the stroke.
+            like: the shape whose stroke that is.
+        """
+        return None
+
     def forms_begun(self, ctx: Context, trial: Trial) -> Sequence[Trial]:
         """Return the forms in which an effect of this shape may begin in mid-record."""
         return [trial]

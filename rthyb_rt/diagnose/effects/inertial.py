@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rthyb_rt import core
+from rthyb_rt.core.diagnosis_models import SimulationError, body
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 
 
@@ -94,6 +95,25 @@ class SecondMode(Effect):
         f, zeta = trial.theta
         mass = core.Element(core.element("second_mode", m2_kg=1.0, f2_hz=f, zeta2=zeta))
         return [mass.run(ctx.x, ctx.v, _from_velocity(ctx.v, ctx.dt), ctx.dt)]
+
+    def by_stroke(self, ctx: Context, trial: Trial, change: float, like: Trial) -> Floats | None:
+        """Return the force per kg of a mass on a spring that hardens or softens, (n,).
+
+        y'' + 2 zeta w2 y' + w2^2 y (1 + change y^2 / mean(y^2)) = -a (Duffing).
+        """
+        f, zeta = trial.theta
+        omega = 2.0 * np.pi * f
+        still = self.columns(ctx, like)[0] / (2.0 * np.pi * like.theta[0]) ** 2
+        a = _from_velocity(ctx.v, ctx.dt)
+        parts = [
+            core.element("stiffness", k_n_per_m=omega**2),
+            core.element("viscous", c_n_s_per_m=2.0 * zeta * omega),
+            core.element("cubic", k3_n_per_m3=change * omega**2 / float(np.mean(still**2))),
+        ]
+        try:
+            return body(1.0, parts, -a, ctx.model.fs_hz).a + a
+        except (SimulationError, core.CoreError):
+            return None
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return mass and frequency."""

@@ -1,0 +1,81 @@
+"""Whether a mass whose own spring changes with its stroke explains more than a set that has one.
+
+A second mode is a mass on a linear spring. Liquid that sloshes in a tank and a pendulum soften with
+their stroke, a mass on a membrane hardens: its frequency moves with its amplitude (Duffing; Nayfeh
+and Mook, Nonlinear Oscillations, 1979, ch. 4). Beside such a mass taken for linear, a second law
+takes up what that leaves: a hum at the same frequency, a play, a further damper. So a set of
+several laws of which one is such a mass is held against this mass alone, its spring of the third
+power fitted. That has no name; where it explains more, the set is not the answer. The mass alone is
+not held against it: there a spring that changes a little is the form of its law.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rthyb_rt.diagnose.case import Floats
+from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.select import Fit, Member, Problem, penalty
+from rthyb_rt.diagnose.steady import left, standing
+
+BEGUN = [(f, change) for f in (-0.02, 0.0, 0.03) for change in (-0.04, -0.01, 0.01, 0.03)]
+"""Logarithms of the frequency's factor, and changes of the spring, that a fit begins with."""
+STEPS = 8
+STEP = np.array([1e-4, 1e-2, 1e-4])
+REACH = np.array([0.03, 0.5, 0.03])
+"""Slopes and steps: logarithms of frequency and damping, change of the spring."""
+TRIED = 4
+"""Times that a step is shortened at most."""
+
+
+def gain(problem: Problem, fit: Fit) -> float:
+    """Return what such a mass explains more than a set of several laws, in chi-squared.
+
+    Prices counted, and over what rows that hang together overstate; minus infinity where the set
+    has no such mass beside others, or no slopes.
+    """
+    own = standing(problem, fit) if len(fit.members) > 1 else None
+    if own is None:
+        return -np.inf
+    rivals = [_least(problem, m) for m in fit.members if not m.effect.late]
+    rival = min((r for r in rivals if r is not None), default=np.inf)
+    # Mass, frequency, damping, and the change of the spring.
+    return (own[0] - rival - penalty(problem.ln_n, 4)) / own[1]
+
+
+def _least(problem: Problem, member: Member) -> float | None:
+    """Return the least chi-squared of a mass by itself; None where it is none."""
+    sigmas = [n.sigma for n in problem.nuisances]
+    prior = np.diag([0.0, *(0.0 if s is None else s**-2.0 for s in sigmas)])
+
+    def misfit(at: Floats) -> tuple[float, Floats] | None:
+        f, zeta = (
+            float(t * np.exp(q)) for t, q in zip(member.trial.theta[:2], at[:2], strict=True)
+        )
+        trial = Trial((f, zeta), member.trial.variant)
+        column = member.effect.by_stroke(problem.ctx, trial, float(at[2]), member.trial)
+        if column is None or not np.isfinite(column).all():
+            return None
+        return left(np.column_stack([problem.seen(column), problem.base]), prior, problem.y)
+
+    if len(member.trial.theta) < 2 or (first := misfit(np.zeros(3))) is None:
+        return None
+    at, (best, rest) = np.zeros(3), first
+    for f, change in BEGUN:
+        found = misfit(np.array([f, 0.0, change]))
+        if found is not None and found[0] < best:
+            at, (best, rest) = np.array([f, 0.0, change]), found
+    for _ in range(STEPS):
+        sides = [misfit(at + e) for e in np.diag(STEP)]
+        if any(s is None for s in sides):
+            break
+        slopes = [(s[1] - rest) / e for s, e in zip(sides, STEP, strict=True) if s is not None]
+        step = np.clip(
+            np.linalg.lstsq(np.column_stack(slopes), -rest, rcond=None)[0], -REACH, REACH
+        )
+        tried = ((at + step * 0.4**k, misfit(at + step * 0.4**k)) for k in range(TRIED))
+        better = next(((q, found) for q, found in tried if found and found[0] < best), None)
+        if better is None:
+            break
+        at, (best, rest) = better
+    return best
