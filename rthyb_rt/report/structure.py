@@ -62,12 +62,17 @@ def modes(structure: Structure | SparseStructure) -> draw.Plate:
     names = [f"{number(m.frequency_hz, 3)} Hz, {percent(m.damping_ratio, 2)}" for m in shown]
     axes.set_xticks([2.5 * i for i in range(len(shown))], names)
     draw.head(axes, what)
-    shares = ", ".join(percent(mode.effective_mass, 2) for mode in shown)
+    shares = ", ".join(_share(mode.effective_mass) for mode in shown)
     note = (
         "Frequency and damping ratio of the structure with an elastic specimen; the ground motion "
         f"moves {shares} of the mass in them."
     )
     return paper.plate("Mode shapes", note)
+
+
+def _share(mass: float) -> str:
+    """Return a share of the mass; of a mode that the ground hardly moves only that it is small."""
+    return percent(mass, 2) if mass >= 1e-4 else "< 0.01 %"
 
 
 def storeys(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
