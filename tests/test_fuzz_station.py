@@ -76,6 +76,12 @@ AXES_BROKEN_ON_PURPOSE = {
         "return s->apart < s->ticks.lost;",
         "ARM is refused to drives on clocks apart, and before they are compared",
     ),
+    "another axis than the lost one is named": (
+        "station",
+        "return of_axis(longest);",
+        "return of_axis(axes_of(s) - 1 - longest);",
+        "twenty ticks without a pair of any axis: TRIPPED, by the first to be lost",
+    ),
     "one axis keeps its own pace": (
         "limiter",
         "    if (has_velocity(n, c))\n        limit_velocity(n, c, step);\n",

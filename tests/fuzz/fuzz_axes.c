@@ -65,7 +65,7 @@ static const char *const AXES_TEXT[AXES_RULES] = {
     [AXES_FRAMES] = "a trip sends three times the last commands, then nothing",
     [AXES_HELD] = "HOLD, once it stands, asks every direction to stay where it is",
     [AXES_NO_NUMBER] = "a reading of any axis that is no number: TRIPPED at once, by that axis",
-    [AXES_MISSING] = "twenty ticks without a pair of any axis: TRIPPED, by that axis",
+    [AXES_MISSING] = "twenty ticks without a pair of any axis: TRIPPED, by the first to be lost",
     [AXES_SURROUNDINGS] = "a link down or a drive stopped: TRIPPED at once, by that axis",
     [AXES_CLOCKS] = "counts apart for twenty ticks from ARMED on: TRIPPED, by that axis",
     [AXES_ARMED] = "ARM is refused to drives on clocks apart, and before they are compared",
@@ -511,6 +511,15 @@ static found_faults look_at_axes(axes_episode *e, const rthyb_station_input *in,
     return f;
 }
 
+/* The axis that has been without a sound reading for longest, the first of several. */
+static int longest_missing(const axes_episode *e)
+{
+    int longest = 0;
+    for (int i = 1; i < e->n; i++)
+        longest = e->missing[i] > e->missing[longest] ? i : longest;
+    return longest;
+}
+
 static void judge_faults_of_axes(axes_episode *e, const rthyb_station_input *in, found_faults f,
                                  int was, int cause_before)
 {
@@ -524,10 +533,13 @@ static void judge_faults_of_axes(axes_episode *e, const rthyb_station_input *in,
         s->cause == RTHYB_CAUSE_NOT_FINITE)
         trips_by(e, AXES_NO_NUMBER, was, 1, f.no_number - 1);
     if (f.missing && s->state != RTHYB_IDLE)
-        trips_by(e, AXES_MISSING, was,
-                 clean && s->cause == RTHYB_CAUSE_LINK_LOST && s->cause_axis >= 0 &&
-                     e->missing[s->cause_axis] < LOST_TICKS,
-                 f.missing - 1);
+        axes_must(e, AXES_MISSING, s->state == RTHYB_TRIPPED, s->state, f.missing - 1);
+    const int trips_now = was != RTHYB_TRIPPED && s->state == RTHYB_TRIPPED && clean;
+    if (trips_now && f.missing)
+        axes_must(e, AXES_MISSING, s->cause != RTHYB_CAUSE_NO_POSE, s->cause, f.missing - 1);
+    if (trips_now && s->cause == RTHYB_CAUSE_LINK_LOST)
+        axes_must(e, AXES_MISSING, s->cause_axis == longest_missing(e), s->cause_axis,
+                  longest_missing(e));
     if (surroundings_fault && was != RTHYB_IDLE && s->state != RTHYB_IDLE)
         trips_by(e, AXES_SURROUNDINGS, was,
                  clean && s->cause == (f.down ? RTHYB_CAUSE_LINK_DOWN : RTHYB_CAUSE_DRIVE_STOPPED),
