@@ -1,9 +1,9 @@
-"""The thresholds that decide what a diagnosis says, in one frozen table.
+"""The thresholds that determine the answer of a diagnosis, in one frozen table.
 
-Each has its unit, where it comes from, what it decides, and on what it was set. `validate-policy`
-moves each of them and counts the answers that change: docs/diagnosis-policy.md. Steps, grids and
-sizes of a search, which decide how long it takes and how finely it looks, stand where they are
-used, and what makes a law with the law.
+Each has a unit, an origin, a description of what it decides, and the basis of its value.
+`validate-policy` varies each of them and counts the answers that change: docs/diagnosis-policy.md.
+Step sizes, grids and the extent of a search, which only affect its duration and resolution, are
+defined where they are used; constants of a law are defined with the law.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from typing import Any, Literal
 Origin = Literal["physics", "numerics", "calibrated", "judgement"]
 
 BY_HAND = "set by hand"
-"""What is said of the basis of a value of which nobody has written down how it was found."""
+"""Basis of a value whose derivation was not documented."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What is known of one threshold.
+    """Description of one threshold.
 
     Attributes:
-        unit: of its value; "part" and "times" have none.
-        origin: "physics" follows from sensors, the interchange format or the statistics of noise,
-            "numerics" from how well motions and forces are computed, "calibrated" was
-            found on recordings that are named, "judgement" is what its authors thought fit.
+        unit: unit of its value; "fraction", "multiple" and "factor" are dimensionless.
+        origin: "physics": follows from sensors, the interchange format or the statistics of noise;
+            "numerics": from the accuracy of computed motions and forces; "calibrated": found on
+            the recordings named; "judgement": chosen by the authors.
         meaning: what it decides.
-        basis: what the value rests on.
+        basis: justification of the value.
     """
 
     unit: str
@@ -45,844 +45,948 @@ def _entry(
 
 @dataclass(frozen=True)
 class Policy:
-    """The table; `entries` gives what is known of each field.
+    """The table; `entries` describes each field.
 
-    Of three values the first is that of a set of one effect, the last of three or more; see
+    Of three values, the first applies to a set of one effect, the last to three or more; see
     `of_size`.
     """
 
-    # ---- what a set of effects has to bring ---------------------------------------------------
+    # ---- evidence that a set of effects must contribute ----------------------------------------
     effect_price: float = _entry(
         12.0, "chi-squared", "judgement",
-        "Price of an effect beside that of its parameters: it was picked among many.",
+        "Evidence that an effect must contribute in addition to the price of its parameters, "
+        "because it was selected from many.",
     )  # fmt: skip
     stated_number_price: float = _entry(
         13.0, "chi-squared", "judgement",
-        "Whole price of an effect that only moves a stated number: it has nothing to choose.",
+        "Total price of an effect that only changes a stated value, and therefore involves no "
+        "selection.",
     )  # fmt: skip
     several_price: float = _entry(
-        1.25, "times", "judgement", "Times its price that a set of several effects has to earn.",
+        1.25, "factor", "judgement",
+        "Multiple of its price that a set of several effects must earn.",
     )  # fmt: skip
     held_out_share: float = _entry(
-        0.3, "part", "judgement",
-        "Part of its gain that a set has to keep on rows that it was not fitted to.",
+        0.3, "fraction", "judgement",
+        "Fraction of its gain that a set must keep on rows to which it was not fitted.",
     )  # fmt: skip
     least_force: float = _entry(
-        1e-3, "part of the force", "judgement",
-        "Least size of an effect, on the force or on the displacement: less is not a finding.",
+        1e-3, "fraction of the force", "judgement",
+        "Minimum size of an effect, relative to force or displacement; a smaller one is not "
+        "reported.",
     )  # fmt: skip
     needed_share: tuple[float, float, float] = _entry(
-        (0.0, 4e-3, 2.5e-2), "part of what is explained", "judgement",
-        "Least part of what a set of one, two or three explains that each of its effects has to "
-        "explain alone: less may be the form of the other one's law.",
+        (0.0, 4e-3, 2.5e-2), "fraction of what is explained", "judgement",
+        "Minimum fraction, for a set of one, two or three effects, that each effect must explain "
+        "on its own; less may be due to the form of another effect's law.",
     )  # fmt: skip
     needed_share_actuator: float = _entry(
-        1.5e-3, "part of what is explained", "judgement",
-        "The same of effects of the actuator, beside one another.",
+        1.5e-3, "fraction of what is explained", "judgement",
+        "The same for effects of the actuator in combination.",
     )  # fmt: skip
     estimated_motion: float = _entry(
-        2.5, "times", "judgement",
-        "Times that the shares above and the misfits below may be where the motion is estimated: "
-        "it is blurred.",
+        2.5, "factor", "judgement",
+        "Factor by which the shares above and the misfits below are relaxed if the motion is "
+        "estimated and therefore inaccurate.",
     )  # fmt: skip
     promising_price: float = _entry(
-        0.3, "times its price", "numerics",
-        "What a set has to bring, in the shapes that are tried first, to be refined at all.",
+        0.3, "multiple of its price", "numerics",
+        "Evidence that a set must contribute with its initial parameter values in order to be "
+        "refined.",
     )  # fmt: skip
     promising_price_beside: float = _entry(
-        0.5, "times its price", "numerics",
-        "The same of an effect beside a set that is refined already.",
+        0.5, "multiple of its price", "numerics",
+        "The same for an effect added to a set that has already been refined.",
     )  # fmt: skip
     promising_pair: float = _entry(
         4.0, "chi-squared", "numerics",
-        "By what a pair, in the shapes that are tried first, has to be better than the best "
+        "Amount by which a pair, with its initial parameter values, must be better than the best "
         "single effect.",
     )  # fmt: skip
     search_ends: float = _entry(
-        1.03, "chi-squared a row", "numerics",
-        "What the best set leaves from which on triples, and other laws of friction, are tried.",
+        1.03, "chi-squared per row", "numerics",
+        "If the best set leaves more than this, triples and other friction laws are tried.",
     )  # fmt: skip
 
     changed_numbers: float = _entry(
         3.5, "standard deviations", "physics",
-        "How far beyond chance the numbers of a set may be others in a part of the recording.",
-        "one in four thousand by chance, of five parts one in nine hundred",
+        "Limit, beyond chance, on the change of a set's parameters in one part of the recording.",
+        "by chance, one in four thousand; for five parts, one in nine hundred",
     )  # fmt: skip
     changed_within: float = _entry(
-        0.05, "part of a number", "judgement",
-        "Standard deviation by which a law's numbers may be others in a part of the recording: "
-        "specimens warm and wear.",
-        "two of them are the 10 per cent within which the proof counts a number as right",
+        0.05, "fraction of the parameter", "judgement",
+        "Standard deviation of the parameters of a law between parts of the recording that is "
+        "acceptable, because specimens warm up and wear.",
+        "two standard deviations are the 10 per cent within which the proof counts a parameter as "
+        "correct",
     )  # fmt: skip
 
-    # ---- which of several sets is named --------------------------------------------------------
+    # ---- choice between several sets -----------------------------------------------------------
     same_evidence: float = _entry(
         9.0, "chi-squared", "physics",
-        "Sets that differ by less cannot be told apart.",
+        "Sets whose evidence differs by less than this cannot be distinguished.",
         "three standard deviations of one parameter",
     )  # fmt: skip
     twin_evidence: float = _entry(
         2.0, "chi-squared", "judgement",
-        "Difference up to which a recording shows none at all between two effects.",
+        "Up to this difference, a recording provides no evidence for one of two effects over the "
+        "other.",
     )  # fmt: skip
     dearer_rival: float = _entry(
-        1.5, "times same_evidence", "judgement",
-        "Price of one more parameter in a rival: a law that goes over into a simpler one fits as "
-        "well by its nature, and is a rival only where its parameter brings something.",
+        1.5, "multiple of same_evidence", "judgement",
+        "Price of each additional parameter of a rival set. A law that contains a simpler one as a "
+        "special case always fits at least as well; it is a rival only if its additional parameter "
+        "contributes something.",
     )  # fmt: skip
     dearer_rival_actuator: float = _entry(
-        1.1, "times same_evidence", "judgement", "The same of effects of the actuator.",
+        1.1, "multiple of same_evidence", "judgement",
+        "The same for effects of the actuator.",
     )  # fmt: skip
     richer_friction_share: float = _entry(
-        1e-3, "part of what is explained", "judgement",
-        "Least part of what dry friction explains that a Stribeck peak or bristles have to add.",
+        1e-3, "fraction of what is explained", "judgement",
+        "Minimum fraction that a Stribeck peak or bristles must add to what dry friction explains.",
     )  # fmt: skip
     richer_friction_gain: float = _entry(
         12.0, "chi-squared", "judgement",
-        "What they have to add at least beyond their price, however little is explained.",
+        "Minimum evidence beyond their price that they must add, however little is explained.",
     )  # fmt: skip
     yielding_gain: float = _entry(
         25.0, "chi-squared", "judgement",
-        "What bristles beside another stiffness have to bring beyond yielding, which is the same.",
+        "Evidence that bristles together with a changed stiffness must contribute beyond yielding, "
+        "to which they are equivalent.",
     )  # fmt: skip
     bristles_as_lost: float = _entry(
-        0.1, "part of the bristles' stiffness", "judgement",
-        "How near that stiffness and what the spring beside it lost have to be to be one slider.",
+        0.1, "fraction of the bristles' stiffness", "judgement",
+        "Maximum difference between the stiffness of the bristles and the stiffness that the "
+        "parallel spring lost, for both to be regarded as one yielding element.",
     )  # fmt: skip
     bristles_as_lost_tolerance: float = _entry(
         3.0, "standard deviations of the stated stiffness", "physics",
-        "How much farther apart they may be for the model's own tolerance.",
+        "Additional difference permitted because of the stated tolerance of the stiffness.",
         "three standard deviations",
     )  # fmt: skip
     quick_relaxation: float = _entry(
         0.1, "rad", "judgement",
-        "Relaxation time times the motion's frequency up to which relaxation is a dashpot.",
+        "Product of relaxation time and angular frequency of the motion up to which relaxation is "
+        "equivalent to viscous damping.",
     )  # fmt: skip
     form_alone: float = _entry(
-        1.5e-3, "part of what is explained", "judgement",
-        "By how much two sets may differ for the form of a law alone.",
+        1.5e-3, "fraction of what is explained", "judgement",
+        "Maximum difference between two sets that can be due to the form of a law alone.",
     )  # fmt: skip
     other_form: float = _entry(
-        0.03, "part of what is explained", "judgement",
-        "By how much another form of a law may do worse and still widen its intervals.",
+        0.03, "fraction of what is explained", "judgement",
+        "Maximum loss of fit with which another form of a law still widens the confidence "
+        "intervals.",
     )  # fmt: skip
     noise_reached: float = _entry(
-        0.2, "part of the misfit", "judgement",
-        "What a set may leave beyond noise, of what another leaves, to be one that ends at it.",
+        0.2, "fraction of the misfit", "judgement",
+        "A set is considered to reach the noise level if its misfit beyond noise is at most this "
+        "fraction of the other set's.",
     )  # fmt: skip
     form_seen: float = _entry(
-        0.03, "misfit in noise power", "judgement",
-        "Misfit beyond noise, of a load cell's force, that may be the form of a law.",
+        0.03, "misfit / noise power", "judgement",
+        "Misfit beyond noise in the force of a load cell that may be due to the form of a law.",
     )  # fmt: skip
     form_moved: float = _entry(
-        1.0, "misfit in noise power", "judgement", "The same of a motion that is simulated.",
+        1.0, "misfit / noise power", "judgement",
+        "The same for a simulated motion.",
     )  # fmt: skip
     form_of_rig: float = _entry(
-        0.1, "misfit in noise power", "judgement",
-        "The same of a rig that is simulated whole: nothing magnifies there what a form leaves.",
+        0.1, "misfit / noise power", "judgement",
+        "The same for a rig that is simulated as a whole, where nothing amplifies a difference in "
+        "form.",
     )  # fmt: skip
     refused_excess: float = _entry(
-        0.3, "misfit in noise power", "judgement",
-        "Misfit beyond noise from which an effect that was refused is looked at again.",
+        0.3, "misfit / noise power", "judgement",
+        "Misfit beyond noise above which a rejected effect is reconsidered.",
     )  # fmt: skip
     refused_price: float = _entry(
-        5.0, "times its price", "judgement", "What such an effect has to earn.",
+        5.0, "multiple of its price", "judgement",
+        "Multiple of its price that a reconsidered effect must earn.",
     )  # fmt: skip
     drift_in_halves: float = _entry(
-        0.5, "part of its rate", "judgement",
-        "Rate that a drift beside a naive model has to have within each half of the recording.",
+        0.5, "fraction of its rate", "judgement",
+        "Minimum rate that a drift must have in each half of the recording, if the model states no "
+        "tolerances.",
     )  # fmt: skip
     drift_unsure: float = _entry(
-        0.5, "part of its rate", "judgement",
-        "Standard deviation of that rate from which the halves say nothing.",
+        0.5, "fraction of its rate", "judgement",
+        "Standard deviation of that rate above which the halves are not used.",
     )  # fmt: skip
     pair_beyond_chance: float = _entry(
         1.5, "standard deviations of chi-squared", "judgement",
-        "Misfit of the displacement from which a pair of the actuator's effects is looked for.",
-        "one in fifteen by chance",
+        "Misfit of the displacement above which pairs of actuator effects are tried.",
+        "by chance, one in fifteen",
     )  # fmt: skip
     pair_excess: float = _entry(
-        0.05, "misfit in noise power", "numerics",
-        "The same where the model states no tolerance, and of triples.",
+        0.05, "misfit / noise power", "numerics",
+        "The same if the model states no tolerances, and for triples.",
     )  # fmt: skip
     pair_share: float = _entry(
-        2e-3, "part of the misfit", "numerics", "What a single effect may leave more, beside that.",
+        2e-3, "fraction of the misfit", "numerics",
+        "Additional misfit that a single effect may leave in that case.",
     )  # fmt: skip
     actuator_at_noise: float = _entry(
-        0.05, "misfit in noise power", "judgement",
-        "Misfit of the displacement that the estimate of its noise may be wrong by.",
+        0.05, "misfit / noise power", "judgement",
+        "Uncertainty of the estimated noise of the displacement.",
     )  # fmt: skip
     actuator_at_noise_price: float = _entry(
-        2.0, "times its price", "judgement",
-        "What an effect of the actuator has to earn to be excused from its share there.",
+        2.0, "multiple of its price", "judgement",
+        "Multiple of its price that an actuator effect must earn to be exempt from the minimum "
+        "share within that uncertainty.",
     )  # fmt: skip
 
-    # ---- what a set may leave ------------------------------------------------------------------
+    # ---- remaining misfit ----------------------------------------------------------------------
     left_stated: tuple[float, float, float] = _entry(
-        (0.05, 0.015, 0.008), "part of the misfit", "judgement",
-        "What a set of one, two, three effects may leave beside noise where the lab states how "
-        "well it knows its model: laws differ in form, but several fit almost anything.",
+        (0.05, 0.015, 0.008), "fraction of the misfit", "judgement",
+        "Maximum fraction that a set of one, two or three effects may leave beyond noise if the "
+        "laboratory states the tolerances of its model: real laws differ in form, but several "
+        "effects together fit almost anything.",
     )  # fmt: skip
     left_moved: tuple[float, float, float] = _entry(
-        (0.02, 0.01, 0.005), "part of the misfit", "judgement",
-        "The same of a simulated motion, near resonance a magnified picture of the force.",
+        (0.02, 0.01, 0.005), "fraction of the misfit", "judgement",
+        "The same for a simulated motion, which near resonance is an amplified image of the force.",
     )  # fmt: skip
     left_naive: float = _entry(
-        0.35, "part of the misfit", "judgement",
-        "The same for a model without stated tolerances: real specimens are no clean laws.",
+        0.35, "fraction of the misfit", "judgement",
+        "The same for a model without stated tolerances: real specimens do not follow a law "
+        "exactly.",
     )  # fmt: skip
     excess_as_noise: float = _entry(
-        0.1, "misfit in noise power", "judgement",
-        "Misfit beyond noise that is never held against a set.",
+        0.1, "misfit / noise power", "judgement",
+        "Misfit beyond noise that is always acceptable.",
     )  # fmt: skip
     excess_of_nothing: float = _entry(
-        0.15, "misfit in noise power", "judgement",
-        "What the model alone may leave of the force more than that.",
+        0.15, "misfit / noise power", "judgement",
+        "Additional misfit in the force that is acceptable for the model without any effect.",
     )  # fmt: skip
     excess_of_nothing_actuator: float = _entry(
-        0.3, "misfit in noise power", "judgement", "The same of the displacement.",
+        0.3, "misfit / noise power", "judgement",
+        "The same for the displacement.",
     )  # fmt: skip
     colourless: float = _entry(
-        1.5, "times", "judgement",
-        "Factor by which evidence was scaled down below which a residual has no colour.",
+        1.5, "factor", "judgement",
+        "A residual whose evidence was scaled down by less than this is considered white.",
     )  # fmt: skip
     colourless_excess: float = _entry(
-        0.5, "misfit in noise power", "judgement",
-        "Misfit up to which such a residual is a data sheet that states too little.",
+        0.5, "misfit / noise power", "judgement",
+        "Misfit up to which a white residual is attributed to a data sheet that understates the "
+        "noise.",
     )  # fmt: skip
     coloured_evidence: float = _entry(
-        1.3, "times", "judgement",
-        "How much rows have to hang together for the search to be done again with less evidence.",
+        1.3, "factor", "judgement",
+        "Correlation between rows, as a factor, above which the search is repeated with the "
+        "evidence scaled down.",
     )  # fmt: skip
     coloured_cell: float = _entry(
-        1.3, "times", "judgement",
-        "The same from which a load cell on moving ground is not believed alone.",
+        1.3, "factor", "judgement",
+        "The same, above which a load cell on moving ground is not relied on alone.",
     )  # fmt: skip
     white_residual: float = _entry(
-        1.1, "times", "judgement",
-        "Inflation (`select.inflation`) up to which a residual is mere noise, and nothing that "
-        "begins in mid-record is looked for.",
+        1.1, "factor", "judgement",
+        "Inflation (`select.inflation`) up to which a residual is regarded as pure noise, so that "
+        "no effect with an onset is looked for.",
     )  # fmt: skip
     motion_understood: float = _entry(
-        1.5, "chi-squared a row", "judgement",
-        "What the actuator's best set may leave for its simulated motion to be the true one.",
+        1.5, "chi-squared per row", "judgement",
+        "Maximum misfit of the actuator's best set for its simulated motion to be regarded as the "
+        "true motion.",
     )  # fmt: skip
     blur_free: float = _entry(
-        0.008, "part of the force", "judgement",
-        "What the estimate of a free body's motion may leave unexplained.",
+        0.008, "fraction of the force", "judgement",
+        "Error in the force that an estimated motion of a free body may cause.",
     )  # fmt: skip
     blur_cell: float = _entry(
-        0.002, "part of the force", "judgement", "The same where a load cell tells the force.",
+        0.002, "fraction of the force", "judgement",
+        "The same if the force is measured by a load cell.",
     )  # fmt: skip
     within_tolerance: float = _entry(
         3.6, "standard deviations", "judgement",
-        "How far a stated number may be moved for the model to be right as it is.",
+        "Maximum change of a stated value with which the model is still considered correct.",
     )  # fmt: skip
     bent_number: float = _entry(
         4.0, "standard deviations", "judgement",
-        "How far a stated number, or the mass that an estimated motion blurs, is bent when its "
-        "effect stands in for it.",
+        "Change of a stated value (or of the mass, if the motion is estimated) at which it may be "
+        "compensating for an effect.",
     )  # fmt: skip
     strained_offset: float = _entry(
-        6.0, "standard deviations", "judgement", "Time offset that is no nuisance any more.",
+        6.0, "standard deviations", "judgement",
+        "Time offset beyond which it is no longer regarded as a nuisance parameter.",
     )  # fmt: skip
 
-    # ---- what is simulated ----------------------------------------------------------------------
+    # ---- simulated motions ----------------------------------------------------------------------
     moved_decisive: float = _entry(
-        0.005, "part of the misfit", "judgement",
-        "What a set may leave of the motion's to be believed against the balance of forces.",
+        0.005, "fraction of the misfit", "judgement",
+        "Maximum misfit of the motion with which a set is accepted in spite of the force balance.",
     )  # fmt: skip
     moved_excess: float = _entry(
-        0.2, "misfit in noise power", "judgement",
-        "Misfit of a motion up to which the same holds.",
+        0.2, "misfit / noise power", "judgement",
+        "Misfit of a motion up to which the same applies.",
     )  # fmt: skip
     motion_met: float = _entry(
-        1.5, "mean square in noise power", "judgement",
-        "Up to which a simulated displacement is the measured one.",
+        1.5, "mean square / noise power", "judgement",
+        "Misfit up to which a simulated displacement is considered equal to the measured one.",
     )  # fmt: skip
     motion_met_alone: float = _entry(
-        1.05, "mean square in noise power", "physics",
-        "The same of a fit that is not to be bettered.", "noise is not known any better",
+        1.05, "mean square / noise power", "physics",
+        "The same for a fit that cannot be improved.",
+        "the noise level is not known more accurately",
     )  # fmt: skip
     motion_close: float = _entry(
-        0.005, "part of the model's misfit", "numerics",
-        "The same: simulators of friction differ by so much.",
+        0.005, "fraction of the model's misfit", "numerics",
+        "The same, as a difference between simulators of friction.",
     )  # fmt: skip
     simulators_differ: float = _entry(
-        1.5e-4, "part of the displacement", "numerics", "What two good simulators differ by.",
+        1.5e-4, "fraction of the displacement", "numerics",
+        "Difference between two accurate simulators.",
     )  # fmt: skip
     nuisance_reach: float = _entry(
         3.0, "standard deviations", "physics",
-        "How far mass, offset in time and zero of the force move at most in a simulation.",
+        "Maximum adjustment of mass, time offset and force offset in a simulation.",
         "three standard deviations",
     )  # fmt: skip
     rig_follows: float = _entry(
-        1.5, "mean square in noise power", "judgement",
-        "Up to which the motion that a whole rig simulates is the true one.",
+        1.5, "mean square / noise power", "judgement",
+        "Misfit up to which the motion from a simulation of the whole rig is considered the true "
+        "motion.",
     )  # fmt: skip
     rig_nothing_left: float = _entry(
-        1.01, "chi-squared a row", "judgement",
-        "What a simulated rig leaves from which on no further effect is looked for: less than "
-        "noise is known by, 3 per cent in 20 s, so that a small one beside a large one is found.",
+        1.01, "chi-squared per row", "judgement",
+        "Misfit of a simulated rig below which no further effect is looked for. It is smaller than "
+        "the uncertainty of the noise (3 per cent in 20 s), so that a small effect beside a large "
+        "one is found.",
     )  # fmt: skip
     motion_rough: float = _entry(
-        3.0, "chi-squared a row", "numerics",
-        "What it leaves from which a fit need not be a good one of its kind.",
+        3.0, "chi-squared per row", "numerics",
+        "Misfit above which a fit need not be the optimum of its kind.",
     )  # fmt: skip
     simulated_nrmse: float = _entry(
         0.012, "NRMSE", "judgement",
-        "Error of a free body's simulated displacement below which nothing is missing.",
+        "Error of a free body's simulated displacement below which no effect is considered "
+        "missing.",
     )  # fmt: skip
     simulated_unseen: float = _entry(
         0.004, "NRMSE", "judgement",
-        "The same beyond the noise of the displacement: more is a motion that the model does not "
-        "make.",
+        "The same in excess of the displacement noise; a larger error is a motion that the model "
+        "cannot produce.",
     )  # fmt: skip
     felt_by_cell: float = _entry(
-        0.05, "part of the misfit", "judgement",
-        "What a simulated motion may leave of a load cell's readings in most rows.",
+        0.05, "fraction of the misfit", "judgement",
+        "Maximum misfit of the load cell in most rows for a simulated motion to be accepted.",
     )  # fmt: skip
 
     # ---- nuisance and noise ---------------------------------------------------------------------
     offset_prior_s: float = _entry(
-        5e-5, "s", "physics", "Standard deviation of the time offset between channels.",
-        "the interchange format: 0.1 ms is normal and no finding",
+        5e-5, "s", "physics",
+        "Standard deviation of the time offset between channels.",
+        "the interchange format: 0.1 ms is normal and not reported",
     )  # fmt: skip
     offset_reach_s: float = _entry(
         1.5e-4, "s", "judgement",
-        "Offset of the displacement that is still nuisance: against a large effect its prior alone "
-        "would give way.",
+        "Maximum time offset of the displacement as a nuisance parameter; a large effect could "
+        "otherwise overcome its prior.",
     )  # fmt: skip
     mass_blur: float = _entry(
-        0.005, "part of the mass", "judgement",
-        "Standard deviation that the estimate of a motion puts on the mass.",
+        0.005, "fraction of the mass", "judgement",
+        "Standard deviation of the mass that results from the estimation of the motion.",
     )  # fmt: skip
     noise_held: float = _entry(
-        1.3, "times", "physics",
-        "How far the measured white noise of a channel may be off its data sheet's.",
-        "sheets are right within 20 per cent (interchange format); the margin is judgement",
+        1.3, "factor", "physics",
+        "Maximum ratio between the measured white noise of a channel and its data sheet value.",
+        "data sheets are accurate to 20 per cent (interchange format); the margin is a judgement",
     )  # fmt: skip
     sheet_factor: float = _entry(
-        1.25, "times", "physics", "Times its data sheet that noise may be, or its inverse.",
-        "sheets are right within 20 per cent (interchange format): 1 / 0.8",
+        1.25, "factor", "physics",
+        "Maximum ratio, in either direction, between the noise and its data sheet value.",
+        "data sheets are accurate to 20 per cent (interchange format): 1 / 0.8",
     )  # fmt: skip
     power_scatter: float = _entry(
         3.0, "standard deviations", "physics",
-        "By how much the power of what is left may exceed that of its noise over so few rows.",
+        "Maximum excess of the power of a residual over that of its noise, given the number of "
+        "rows.",
         "three standard deviations of chi-squared",
     )  # fmt: skip
     noise_burst: float = _entry(
-        1.35, "times", "judgement",
-        "Times its rms over all that noise may have over a second of it: more is an event.",
+        1.35, "factor", "judgement",
+        "Maximum ratio of the noise in any one second to its rms over the whole recording; more is "
+        "regarded as an event.",
     )  # fmt: skip
     noise_beside_motion: float = _entry(
-        0.01, "part of the motion's power", "judgement",
-        "What of it, by velocity, may lie outside its band, half at either end.",
+        0.01, "fraction of the motion's power", "judgement",
+        "Fraction of the motion's power (by velocity) that may lie outside its band, half at each "
+        "end.",
     )  # fmt: skip
     noise_room: float = _entry(
         0.25, "sampling rates", "judgement",
-        "Top of the motion's band from which too little of the band is left to tell the noise.",
+        "Upper end of the motion's band above which too little of the spectrum is left to "
+        "determine the noise.",
     )  # fmt: skip
     noise_steepest: float = _entry(
         2.0, "power of 1 / f", "physics",
-        "Steepest that noise rises towards slow motion.", "a random walk",
+        "Maximum steepness of the noise spectrum towards low frequencies.",
+        "a random walk",
     )  # fmt: skip
     noise_near: float = _entry(
-        4.0, "times", "judgement",
-        "Times the top of the motion's band up to which noise tells of the noise within.",
+        4.0, "factor", "judgement",
+        "Multiple of the upper end of the motion's band up to which the noise is representative of "
+        "that within the band.",
     )  # fmt: skip
     noise_line: float = _entry(
-        6.0, "times", "physics", "Times its level that the power of a line of noise has.",
-        "one in 400 has more",
+        6.0, "factor", "physics",
+        "Multiple of the noise level at which the power of a spectral line is capped.",
+        "by chance, one in 400 exceeds it",
     )  # fmt: skip
     noise_spectra: int = _entry(
         6, "parts", "numerics",
-        "Parts of a recording, at least, whose spectra tell a sensor's noise from what the "
-        "others show too.",
-        "overlapping by half they are eleven: one other channel takes a tenth of a line by "
-        "chance",
+        "Minimum number of segments of a recording needed to distinguish the noise of a sensor "
+        "from what other channels show as well.",
+        "overlapping by half, they give eleven; by chance, one other channel accounts for a tenth "
+        "of a line",
     )  # fmt: skip
     noise_part_s: float = _entry(
-        2.0, "s", "numerics", "Longest of those parts.", "lines half a hertz apart",
+        2.0, "s", "numerics",
+        "Maximum length of these segments.",
+        "a frequency resolution of 0.5 Hz",
     )  # fmt: skip
     noise_independent: float = _entry(
-        0.9, "spectra", "judgement", "Independent spectra that each of those parts brings.",
-        "0.997 of white noise by the formula of parts that overlap by half under this window "
-        "(Welch 1967); less where noise has a colour",
+        0.9, "spectra", "judgement",
+        "Number of independent spectra per segment.",
+        "0.997 for white noise, by the formula for segments that overlap by half with this window "
+        "(Welch 1967); less for coloured noise",
     )  # fmt: skip
     noise_shared: float = _entry(
-        0.2, "part of a line's power", "judgement",
-        "What the others may show of a line that counts as noise.",
-        "it adds a quarter to the noise",
+        0.2, "fraction of a line's power", "judgement",
+        "Maximum fraction of a noise line that other channels may show.",
+        "it increases the noise by a quarter",
     )  # fmt: skip
     noise_moves: float = _entry(
-        0.5, "part of a line's power", "physics",
-        "What they show of a line from which it is motion more than noise.",
+        0.5, "fraction of a line's power", "physics",
+        "If other channels show more than this fraction of a line, it is regarded as motion.",
     )  # fmt: skip
     noise_neighbours: int = _entry(
-        3, "lines", "numerics", "Lines to either side that this is averaged with.",
-        "one alone may be shared by chance",
+        3, "lines", "numerics",
+        "Number of lines on each side over which this is averaged.",
+        "a single line may coincide by chance",
     )  # fmt: skip
     noise_rows: float = _entry(
-        0.5, "part of the rows", "judgement",
-        "Rows that have to count for the colour of noise to be told from them.",
+        0.5, "fraction of the rows", "judgement",
+        "Minimum fraction of usable rows for determining the colour of the noise.",
     )  # fmt: skip
     hangs_together: float = _entry(
         0.05, "correlation", "numerics",
-        "Correlation of a residual from which on later rows are taken not to hang together with "
-        "it.",
+        "Correlation of a residual below which later rows are considered independent.",
     )  # fmt: skip
     force_accuracy: float = _entry(
-        0.004, "part of the force", "judgement", "What a body's free motion tells of it at best.",
+        0.004, "fraction of the force", "judgement",
+        "Best accuracy with which the free motion of a body determines the force.",
     )  # fmt: skip
     abrupt_model: float = _entry(
         0.3, "standard deviations of noise", "physics",
-        "By what a normal offset in time may depart from a straight line over the force's rate in "
-        "a row that is judged.",
-        "it adds less than a tenth to the noise's power",
+        "Maximum deviation, over the force's slope, that a normal time offset may cause from a "
+        "straight line in a row that is evaluated.",
+        "it increases the noise power by less than a tenth",
     )  # fmt: skip
     abrupt_rows: float = _entry(
-        0.9, "part of the rows", "judgement",
-        "Rows that have to be left for those in which it departs by more to be left out: a motion "
-        "that is abrupt throughout is judged as it is.",
+        0.9, "fraction of the rows", "judgement",
+        "Minimum fraction of rows that must remain if rows with a larger deviation are excluded; "
+        "if the motion is abrupt throughout, all rows are used.",
     )  # fmt: skip
     hum_line: float = _entry(
-        6.0, "times", "judgement",
-        "Times the spectrum about it that a line has to stand out to be tried as hum.",
+        6.0, "factor", "judgement",
+        "Ratio of a spectral line to its surroundings above which it is tried as hum.",
     )  # fmt: skip
     faint_force: float = _entry(
-        0.1, "part of the noise", "judgement",
-        "Size of a force, hertz by hertz, below which it tells nothing of its time.",
+        0.1, "fraction of the noise", "judgement",
+        "Size of a force at a given frequency below which it carries no information on time "
+        "offsets.",
     )  # fmt: skip
     abrupt_force: float = _entry(
-        3.0, "times", "judgement",
-        "Times as much of it above that frequency as of the model's force, from which it jumps.",
+        3.0, "factor", "judgement",
+        "Ratio of the force above that frequency to that of the model, above which the force is "
+        "regarded as abrupt.",
     )  # fmt: skip
 
-    # ---- steps of a coarse load cell ------------------------------------------------------------
+    # ---- quantisation of a coarse load cell -----------------------------------------------------
     coarse_readings: float = _entry(
-        0.5, "part of the rows", "judgement",
-        "Distinct readings from which a load cell is no coarse one.",
+        0.5, "fraction of the rows", "judgement",
+        "Fraction of distinct readings above which a load cell is not considered coarse.",
     )  # fmt: skip
     coarse_on_grid: float = _entry(
-        0.98, "part of the readings", "judgement", "How many have to lie on one grid.",
+        0.98, "fraction of the readings", "judgement",
+        "Fraction of readings that must lie on one grid.",
     )  # fmt: skip
     coarse_near: float = _entry(
-        0.15, "parts of a turn of 2 pi", "judgement",
-        "How far off its grid a reading may lie, and be on it.",
+        0.15, "fraction of 2 pi", "judgement",
+        "Maximum distance of a reading from the grid.",
     )  # fmt: skip
     rounded_rows: float = _entry(
-        0.02, "part of the rows", "judgement",
-        "Rows beyond half a step and the noise where the model alone is right.",
+        0.02, "fraction of the rows", "judgement",
+        "Fraction of rows beyond half a quantisation step plus noise with which the model alone is "
+        "accepted.",
     )  # fmt: skip
     rounded_noise: float = _entry(
         3.0, "standard deviations of noise", "physics",
-        "What a row may lie beyond half a step for noise.", "three standard deviations",
+        "Deviation beyond half a quantisation step that is attributed to noise.",
+        "three standard deviations",
     )  # fmt: skip
     rounded_outside: float = _entry(
-        0.002, "part of the rows", "judgement",
-        "Rows that may lie farther off than rounding explains, whatever is named.",
+        0.002, "fraction of the rows", "judgement",
+        "Fraction of rows that may deviate by more than quantisation explains, whatever set is "
+        "named.",
     )  # fmt: skip
     rounded_as_best: float = _entry(
-        5.0, "times the best set's", "judgement",
-        "Rows beyond rounding that the model alone may have more than the best set.",
+        5.0, "multiple of the best set's value", "judgement",
+        "Maximum number of rows beyond quantisation, relative to the best set, with which the "
+        "model alone is accepted.",
     )  # fmt: skip
     rounded_gain: float = _entry(
         400.0, "chi-squared", "judgement",
-        "What a set brings beyond its price from which rounding is not all of it.",
+        "Evidence beyond its price above which a set explains more than quantisation.",
     )  # fmt: skip
     rounded_excess: float = _entry(
-        0.25, "misfit in noise power", "judgement", "What it may leave then.",
+        0.25, "misfit / noise power", "judgement",
+        "Misfit that such a set may leave.",
     )  # fmt: skip
     rounded_better: float = _entry(
-        0.2, "times the best set's", "judgement",
-        "Rows beyond rounding of a set that goes before the best one by chi-squared.",
+        0.2, "multiple of the best set's value", "judgement",
+        "Number of rows beyond quantisation with which a set takes precedence over the best set by "
+        "chi-squared.",
     )  # fmt: skip
     rounded_alike: float = _entry(
-        2.0, "times the best set's", "judgement",
-        "The same of a part of it, or of a rival, that rounding does not part from it.",
+        2.0, "multiple of the best set's value", "judgement",
+        "The same for a subset, or a rival, that quantisation does not distinguish from it.",
     )  # fmt: skip
 
-    # ---- what begins in mid-record, and recordings that do --------------------------------------
+    # ---- effects with an onset, and recordings that start during motion -------------------------
     absent_before: float = _entry(
-        0.5, "part of its later size", "physics",
-        "What an effect must not have before it begins.",
-        "half way between one that is not there and one that is there throughout",
+        0.5, "fraction of its later size", "physics",
+        "Maximum size of an effect before its onset.",
+        "halfway between an effect that is absent and one that is present throughout",
     )  # fmt: skip
     absent_sure: float = _entry(
-        2.0, "standard deviations", "physics", "By how much it has to be known that it has not.",
+        2.0, "standard deviations", "physics",
+        "Confidence with which its absence must be established.",
         "two standard deviations",
     )  # fmt: skip
     start_at_rest: float = _entry(
-        0.02, "part of the largest displacement", "judgement",
-        "What a body at rest moves at most in a tenth of a second.",
+        0.02, "fraction of the largest displacement", "judgement",
+        "Maximum displacement in a tenth of a second of a body that is at rest.",
     )  # fmt: skip
     motion_from_hz: float = _entry(
         0.3, "Hz", "numerics",
-        "Frequency below which displacement is not held against accelerations.",
-        "a window over the recording and a wandering zero stand in for motion there",
+        "Frequency below which displacement is not compared with accelerations.",
+        "below it, the window over the recording and a drifting offset resemble motion",
     )  # fmt: skip
     accelerometer_from_hz: float = _entry(
-        0.2, "Hz", "numerics", "Frequency above which an accelerometer tells of the displacement.",
+        0.2, "Hz", "numerics",
+        "Frequency above which an accelerometer is used to determine the displacement.",
     )  # fmt: skip
     motion_clear: float = _entry(
-        3.5, "times the noise's power", "judgement",
-        "From which on a line of a smoothed spectrum is motion.",
+        3.5, "multiple of the noise power", "judgement",
+        "Power above which a line of a smoothed spectrum is regarded as motion.",
     )  # fmt: skip
     static_hz: float = _entry(
         50.0, "Hz", "judgement",
-        "Rows a second up to which a model without rates may belong to a quasi-static test.",
+        "Sample rate up to which a model without rate-dependent terms may belong to a quasi-static "
+        "test.",
     )  # fmt: skip
     static_rate_noise: float = _entry(
-        0.02, "part of the median rate", "judgement",
-        "Noise of such a test's rate from which rows around turns are not judged.",
+        0.02, "fraction of the median rate", "judgement",
+        "Noise of the velocity in such a test above which rows near reversals are not evaluated.",
     )  # fmt: skip
     static_straight: float = _entry(
-        0.3, "part of the rows", "judgement",
-        "Straight strokes from which such a test is one of ramps.",
+        0.3, "fraction of the rows", "judgement",
+        "Fraction of straight strokes above which such a test is regarded as consisting of ramps.",
     )  # fmt: skip
     static_rows: float = _entry(
-        0.5, "part of the rows", "judgement",
-        "Rows that have to be left for those around turns to be left out.",
+        0.5, "fraction of the rows", "judgement",
+        "Minimum fraction of rows that must remain if rows near reversals are excluded.",
     )  # fmt: skip
     static_apart: float = _entry(
         4.0, "standard deviations", "physics",
-        "By which two displacements differ that are not one.",
-        "six in a hundred thousand by chance",
+        "Difference above which two displacements are regarded as different.",
+        "by chance, six in a hundred thousand",
     )  # fmt: skip
     stroke_straight: float = _entry(
-        1.25, "times its noise", "judgement", "What a straight stroke may be off its line, rms.",
+        1.25, "multiple of its noise", "judgement",
+        "Maximum rms deviation of a straight stroke from a line.",
     )  # fmt: skip
     stroke_bent: float = _entry(
-        4.0, "standard deviations", "physics", "How far the mean of a third of it may be off.",
-        "six in a hundred thousand by chance",
+        4.0, "standard deviations", "physics",
+        "Maximum deviation of the mean over a third of the stroke.",
+        "by chance, six in a hundred thousand",
     )  # fmt: skip
     stroke_rests: float = _entry(
-        5.0, "standard deviations", "physics", "Slope of a stroke below which it rests.",
-        "one in two million by chance",
+        5.0, "standard deviations", "physics",
+        "Slope of a stroke below which it is at rest.",
+        "by chance, one in two million",
     )  # fmt: skip
     command_at_rest: float = _entry(
-        1e-3, "part of the largest command", "judgement",
-        "A command no larger than this may belong to an actuator at rest.",
+        1e-3, "fraction of the largest command", "judgement",
+        "Maximum command of an actuator that is regarded as at rest.",
     )  # fmt: skip
     moving_at_start: float = _entry(
-        0.02, "part of the largest velocity", "judgement",
-        "An actuator that is faster in the first hundredth of a second, beyond what noise shows, "
-        "was on its way before.",
+        0.02, "fraction of the largest velocity", "judgement",
+        "Velocity in the first hundredth of a second, beyond noise, above which an actuator was "
+        "already moving.",
     )  # fmt: skip
     forgotten_force: float = _entry(
         0.3, "standard deviations of noise", "judgement",
-        "By which two forces differ that count as one: a yielding model has forgotten its start.",
-        "it adds less than a tenth to the noise's power",
+        "Difference between two forces below which they are equal, so that a yielding model no "
+        "longer depends on its initial state.",
+        "it increases the noise power by less than a tenth",
     )  # fmt: skip
     forgotten_by: float = _entry(
-        0.4, "part of the recording", "judgement",
-        "What may be spent on forgetting the start; else all is looked at.",
+        0.4, "fraction of the recording", "judgement",
+        "Maximum part of the recording that is skipped for this; otherwise all of it is evaluated.",
     )  # fmt: skip
     past_better: float = _entry(
-        0.5, "part of the misfit", "judgement",
-        "What a past may leave of the first rows of a second recording: else none is taken.",
+        0.5, "fraction of the misfit", "judgement",
+        "Maximum misfit in the first rows of a second recording with which an assumed loading "
+        "history is accepted.",
     )  # fmt: skip
 
-    # ---- channels that say the same twice, and channels that no model knows ---------------------
+    # ---- redundant channels, and channels unknown to the model ----------------------------------
     accelerometer_gain: float = _entry(
-        0.02, "part", "physics",
-        "Gain by which an accelerometer may differ from the displacement's second derivative.",
-        "sensors are calibrated to a per cent each",
+        0.02, "fraction", "physics",
+        "Maximum difference in gain between an accelerometer and the second derivative of the "
+        "displacement.",
+        "each sensor is calibrated to one per cent",
     )  # fmt: skip
     accelerometer_late_s: float = _entry(
-        2e-4, "s", "physics", "Time by which it may.",
-        "each channel may be off by 0.1 ms as is normal",
+        2e-4, "s", "physics",
+        "Maximum difference in time between them.",
+        "an error of 0.1 ms per channel is normal",
     )  # fmt: skip
     accelerometer_clear: float = _entry(
-        10.0, "times its noise", "physics", "What a frequency has to stand out by to tell that.",
-        "its bias is then one per cent at most",
+        10.0, "multiple of its noise", "physics",
+        "Ratio of a frequency's power to its noise needed to determine these.",
+        "its bias is then at most one per cent",
     )  # fmt: skip
     accelerometer_sure: float = _entry(
-        3.0, "standard deviations", "physics", "By how much it has to differ by more.",
+        3.0, "standard deviations", "physics",
+        "Confidence with which a larger difference must be established.",
         "three standard deviations",
     )  # fmt: skip
     modulation_channels: int = _entry(
         4, "channels", "numerics",
-        "Channels that no model knows that are tried: more make chance findings, and hours.",
+        "Maximum number of channels unknown to the model that are tried; with more, chance "
+        "findings become likely and the search takes hours.",
     )  # fmt: skip
     modulation_shifts: int = _entry(
         19, "shifts", "physics",
-        "Places, forwards and backwards each, in which such a channel may not gain as much.",
-        "a permutation test: by chance in 1 of 39",
+        "Number of time shifts, in each direction, of such a channel that must all give a smaller "
+        "gain.",
+        "a permutation test: by chance, 1 in 39",
     )  # fmt: skip
     modulation_share: float = _entry(
-        4e-3, "part of what is explained", "judgement",
-        "What a modulation adds at least beside a naive model.",
-        "as `needed_share` of two effects",
+        4e-3, "fraction of what is explained", "judgement",
+        "Minimum fraction that a modulation must add if the model states no tolerances.",
+        "as `needed_share` for two effects",
     )  # fmt: skip
     modulation_own: float = _entry(
-        0.5, "part of its coefficient", "judgement",
-        "What the rest of a channel has to have beside what follows from the motion.",
+        0.5, "fraction of its coefficient", "judgement",
+        "Minimum coefficient of that part of a channel that does not follow from the motion.",
     )  # fmt: skip
     modulation_alone: float = _entry(
-        1e-6, "part of its variance", "numerics",
-        "What has to be left of a channel beside the motion for anything to be told.",
+        1e-6, "fraction of its variance", "numerics",
+        "Minimum variance of a channel that must remain after removing what follows from the "
+        "motion.",
     )  # fmt: skip
     modulation_turned: float = _entry(
-        -0.1, "part of its mean", "judgement",
-        "Least coefficient of a law within the recording, where it has a sign.",
+        -0.1, "fraction of its mean", "judgement",
+        "Minimum coefficient of a law within the recording, if its sign is fixed.",
     )  # fmt: skip
 
     # ---- laws -----------------------------------------------------------------------------------
     spring_level: float = _entry(
-        0.01, "part of the steepest slope", "numerics",
-        "Slope of a spring below which it is level, so that beside a yielding law it may be.",
+        0.01, "fraction of the steepest slope", "numerics",
+        "Slope below which a spring is regarded as flat, as it may be together with a yielding "
+        "law.",
     )  # fmt: skip
     gap_in_spring: float = _entry(
-        0.5, "part of the stated stiffness", "physics",
-        "Least part of a model's spring that does nothing within a gap; less is a stop beside a "
-        "softer spring.",
-        "half way between a spring that is there and one that is not",
+        0.5, "fraction of the stated stiffness", "physics",
+        "Minimum fraction of a model's spring that is inactive within a gap; less is a stop in "
+        "parallel with a softer spring.",
+        "halfway between a spring that is present and one that is not",
     )  # fmt: skip
     spring_gone: float = _entry(
-        0.9, "part of the stated stiffness", "judgement",
-        "Loss of it beyond which nothing is told as a part of the spring there is.",
+        0.9, "fraction of the stated stiffness", "judgement",
+        "Loss of stiffness beyond which no effect is expressed as a part of the remaining spring.",
     )  # fmt: skip
     seen_wear: float = _entry(
-        0.1, "part", "judgement",
-        "Least share of slack, and of what is lost, for which a column pinches and degrades.",
+        0.1, "fraction", "judgement",
+        "Minimum share of slip, and of loss, for which a column is said to pinch and degrade.",
     )  # fmt: skip
 
     # ---- parameters, intervals, predictions -----------------------------------------------------
     interval_simulated: float = _entry(
-        5e-4, "part of the value", "numerics", "Least half-width of an interval.",
-        "what two good simulators differ by",
+        5e-4, "fraction of the value", "numerics",
+        "Minimum half-width of a confidence interval.",
+        "the difference between two accurate simulators",
     )  # fmt: skip
     interval_estimated: float = _entry(
-        2e-3, "part of the value", "numerics",
-        "The same where the motion is estimated from noisy sensors.",
+        2e-3, "fraction of the value", "numerics",
+        "The same if the motion is estimated from noisy sensors.",
     )  # fmt: skip
     interval_of_form: float = _entry(
-        0.015, "part of the value", "judgement",
-        "The same of a specimen's law that has a shape: the true one may have another form.",
+        0.015, "fraction of the value", "judgement",
+        "The same for a specimen's law with a shape, because the true law may have another form.",
     )  # fmt: skip
     form_error: float = _entry(
-        0.15, "part of its force", "judgement",
-        "Most by which a smooth function of the motion may bend a law, for its intervals.",
+        0.15, "fraction of its force", "judgement",
+        "Maximum amount by which a smooth function of the motion may distort a law, for its "
+        "confidence intervals.",
     )  # fmt: skip
     prediction_follows: float = _entry(
-        2.0, "times its noise", "judgement",
-        "How near a simulated motion has to be for a prediction to go along it.",
+        2.0, "multiple of its noise", "judgement",
+        "Maximum misfit of a simulated motion that a prediction may follow.",
     )  # fmt: skip
     refined_better: float = _entry(
-        0.98, "part of the misfit", "judgement",
-        "What a refinement by the simulated displacement may leave to be kept.",
+        0.98, "fraction of the misfit", "judgement",
+        "Maximum misfit that a refinement by the simulated displacement may leave to be accepted.",
     )  # fmt: skip
     alpha_error: float = _entry(
-        0.3, "samples", "judgement", "Largest standard error of a recovered alpha that is one.",
+        0.3, "samples", "judgement",
+        "Maximum standard error of a recovered alpha that is reported.",
     )  # fmt: skip
     stiffness_error: float = _entry(
-        0.1, "part of the specimen's stiffness", "judgement", "The same of k_t.",
+        0.1, "fraction of the specimen's stiffness", "judgement",
+        "The same for k_t.",
     )  # fmt: skip
     recovered_unclosed: float = _entry(
-        0.05, "part of a signal", "judgement",
-        "What the loop's equation may leave, beyond which it is not the one that was solved.",
+        0.05, "fraction of a signal", "judgement",
+        "Residual of an equation of the loop above which the test did not use this equation.",
     )  # fmt: skip
 
-    # ---- where and how it is told ---------------------------------------------------------------
+    # ---- location of an effect, and how it is reported ------------------------------------------
     located_bend: float = _entry(
         2.0, "standard deviations", "judgement",
-        "What a stated number moves at most where something unknown is located.",
+        "Maximum adjustment of a stated value when an unknown effect is located.",
     )  # fmt: skip
     located_white: float = _entry(
-        5.0, "times", "judgement",
-        "Times the residual where the motion is known, from which all of it is mere noise.",
+        5.0, "factor", "judgement",
+        "Ratio of the residual to its whitened form above which it is whitened before an unknown "
+        "effect is located.",
     )  # fmt: skip
     located_mean_s: float = _entry(
         0.02, "s", "judgement",
-        "Time over which noise is averaged where something unknown is located: shorter than a "
-        "stop or a slip, at any rate of rows.",
+        "Averaging time of the noise when an unknown effect is located; shorter than a stop or a "
+        "slip, at any sample rate.",
     )  # fmt: skip
     located_noise: float = _entry(
-        3.5, "standard deviations", "judgement", "What stands out of the averaged noise.",
-        "one in two thousand by chance",
+        3.5, "standard deviations", "judgement",
+        "Deviation from the averaged noise that is significant.",
+        "by chance, one in two thousand",
     )  # fmt: skip
     active_part: float = _entry(
-        0.25, "part of the largest", "judgement",
-        "Running rms of an effect from which it acts, and makes a window of time.",
+        0.25, "fraction of the largest", "judgement",
+        "Running rms of an effect above which it is active, which defines a time window.",
     )  # fmt: skip
     active_break_s: float = _entry(
-        0.3, "s", "judgement", "Break between two windows that is taken along.",
+        0.3, "s", "judgement",
+        "Maximum gap between two windows that are merged.",
     )  # fmt: skip
     active_rows: float = _entry(
-        0.05, "part of the largest", "judgement",
-        "Force from which a row counts for where on the stroke, and to which side, it acts.",
+        0.05, "fraction of the largest", "judgement",
+        "Force above which a row is used to determine where on the stroke, and on which side, an "
+        "effect acts.",
     )  # fmt: skip
     told_local: float = _entry(
-        0.3, "part of the stroke", "judgement",
-        "Displacement beyond which alone an effect acts for that to be said.",
+        0.3, "fraction of the stroke", "judgement",
+        "An effect that acts only beyond this displacement is reported as local.",
     )  # fmt: skip
     told_always: float = _entry(
-        0.9, "part of the recording", "judgement", 'Windows from which it is "throughout".',
+        0.9, "fraction of the recording", "judgement",
+        'Total length of the windows from which an effect is reported to act "throughout".',
     )  # fmt: skip
     told_one_sided: float = _entry(
-        0.95, "part of the rows", "judgement", "Rows of one sign from which it is more, or less.",
+        0.95, "fraction of the rows", "judgement",
+        "Fraction of rows with one sign from which an effect is reported to raise or reduce the "
+        "force.",
     )  # fmt: skip
     loop_met: float = _entry(
         0.05, "NRMSE", "judgement",
-        "Error of a loop simulated again up to which what was found brings the test back.",
+        "Error of a repeated simulation of the loop up to which the result is considered to "
+        "reproduce the test.",
     )  # fmt: skip
     loop_hardly: float = _entry(
-        0.7, "part of the error before", "judgement", "The same.",
+        0.7, "fraction of the error before", "judgement",
+        "The same, relative to the error without the effects.",
     )  # fmt: skip
 
-    # ---- what is refused ------------------------------------------------------------------------
+    # ---- rejected data --------------------------------------------------------------------------
     least_rows: int = _entry(
-        100, "rows", "judgement", "Rows of a recording, and of the actuator's, to be judged.",
+        100, "rows", "judgement",
+        "Minimum number of rows of a recording, and of the actuator's channels.",
     )  # fmt: skip
     least_rows_force: int = _entry(
-        50, "rows", "judgement", "The same of the force.",
+        50, "rows", "judgement",
+        "The same for the force.",
     )  # fmt: skip
     model_k_tol: float = _entry(
-        0.02, "part", "judgement",
-        "Standard deviation of the stiffness in a rig file that a model is made of; it says "
-        "none.",
+        0.02, "fraction", "judgement",
+        "Standard deviation assumed for the stiffness of a model made from a rig file, which "
+        "states none.",
     )  # fmt: skip
     model_c_tol: float = _entry(
-        0.2, "part", "judgement", "The same of its damping.",
+        0.2, "fraction", "judgement",
+        "The same for its damping.",
     )  # fmt: skip
     rate_off: float = _entry(
-        0.02, "part", "judgement", "How far the rows' distance may be off `fs_hz`.",
+        0.02, "fraction", "judgement",
+        "Maximum difference between the spacing of the rows and `fs_hz`.",
     )  # fmt: skip
     uneven_rows: float = _entry(
-        5.0, "rows", "judgement", "How far a row may lie off an even distance.",
+        5.0, "rows", "judgement",
+        "Maximum distance of a row from its place on an even time grid.",
     )  # fmt: skip
     jitter_told: float = _entry(
-        0.5, "rows", "physics", "From which on that is told.",
-        "a row is then nearer to its neighbour's place",
+        0.5, "rows", "physics",
+        "Distance above which this is reported.",
+        "the row is then nearer to the place of its neighbour",
     )  # fmt: skip
     row_missing: float = _entry(
-        1.5, "rows", "physics", "Distance of two rows from which one is missing between.",
-        "half way between one and two",
+        1.5, "rows", "physics",
+        "Distance between two rows above which one is missing.",
+        "halfway between one and two",
     )  # fmt: skip
     time_even: float = _entry(
-        0.1, "part", "judgement",
-        "How far steps of a column may be off their median for it to count time.",
+        0.1, "fraction", "judgement",
+        "Maximum deviation of the increments of a column from their median for it to be recognised "
+        "as time.",
     )  # fmt: skip
     time_rows: float = _entry(
-        0.9, "part of the rows", "judgement", "Steps that have to be as even.",
+        0.9, "fraction of the rows", "judgement",
+        "Fraction of increments that must be that even.",
     )  # fmt: skip
     numbers_least: float = _entry(
-        0.5, "part of the rows", "judgement", "Rows with a number that a channel needs.",
+        0.5, "fraction of the rows", "judgement",
+        "Minimum fraction of rows in which a channel must have a number.",
     )  # fmt: skip
     clipped_rows: float = _entry(
-        0.2, "part of the rows", "judgement", "Rows at a sensor's end from which it is refused.",
+        0.2, "fraction of the rows", "judgement",
+        "Fraction of rows at the end of a sensor's range from which a channel is rejected.",
     )  # fmt: skip
     stop_beyond: float = _entry(
         0.5, "standard deviations", "judgement",
-        "How far from its median a channel's largest reading may be a stop.",
+        "Minimum distance from the median at which a channel's largest reading may be a saturation "
+        "level.",
     )  # fmt: skip
     stop_rows: int = _entry(
-        6, "rows", "judgement", "Rows in a row at such a reading from which it is one.",
+        6, "rows", "judgement",
+        "Consecutive rows at such a reading from which it is one.",
     )  # fmt: skip
     stop_longer: float = _entry(
-        4.0, "times", "judgement", "Times as long as the channel stays on any other reading.",
+        4.0, "factor", "judgement",
+        "Ratio of that duration to the longest duration at any other reading.",
     )  # fmt: skip
     stray_reading: float = _entry(
-        10.0, "ranges of the channel", "judgement",
-        "How far beyond it a reading is that cannot be one.",
+        10.0, "multiple of the channel's range", "judgement",
+        "Distance beyond the range of a channel at which a reading is impossible.",
     )  # fmt: skip
     dead_cell: float = _entry(
-        0.9, "part of the channel", "judgement",
-        "White noise in a load cell from which it is taken for nothing else.",
+        0.9, "fraction of the channel's power", "judgement",
+        "Fraction of white noise in a load cell's signal from which it is regarded as noise only.",
     )  # fmt: skip
     dead_cell_follows: float = _entry(
-        0.02, "part of its power", "judgement",
-        "What may follow the model in it to be no measurement of it.",
+        0.02, "fraction of its power", "judgement",
+        "Maximum fraction that may follow the model for the signal to be regarded as no "
+        "measurement of it.",
     )  # fmt: skip
     short_gap: int = _entry(
         3, "rows", "judgement",
-        "Rows missing in one place that a cubic through their neighbours stands for.",
+        "Maximum number of consecutive missing rows that are interpolated by a cubic.",
     )  # fmt: skip
     wrong_unit: float = _entry(
-        100.0, "times", "physics",
-        "Ratio from which on (or from its inverse down) a channel that has the shape has a wrong "
-        "unit.",
-        "a specimen may be 30 times softer than its model; 1000 beside a model that is wrong by "
-        "ten lies as far beyond",
+        100.0, "factor", "physics",
+        "Ratio (or its inverse) beyond which a channel with the expected shape has a wrong unit.",
+        "a specimen may be 30 times softer than its model; a factor of 1000 with a model that is "
+        "wrong by a factor of ten is as far beyond it",
     )  # fmt: skip
     shape_alike: float = _entry(
         0.5, "correlation", "judgement",
-        "From which on a channel has the shape of what it is held against, more or less.",
+        "Correlation from which a channel has roughly the expected shape.",
     )  # fmt: skip
     shape_clearly: float = _entry(
-        0.9, "correlation", "judgement", "From which on it has that shape and no other.",
+        0.9, "correlation", "judgement",
+        "Correlation from which it has the expected shape and no other.",
     )  # fmt: skip
     shape_simulated: float = _entry(
         0.95, "correlation", "judgement",
-        "From which on a channel has the shape of one that is simulated.",
+        "Correlation from which a channel has the shape of a simulated one.",
     )  # fmt: skip
     shape_balanced: float = _entry(
         0.8, "correlation", "judgement",
-        "The same of a balance of forces: compensators and models are not quite right.",
+        "The same for a force balance, because compensators and models are not exact.",
     )  # fmt: skip
     balance_cell: float = _entry(
-        0.05, "part of its parts", "judgement",
-        "What has to be left of a balance with a load cell for it to tell a size.",
+        0.05, "fraction of its terms", "judgement",
+        "Minimum remainder of a force balance with a load cell needed to determine a magnitude.",
     )  # fmt: skip
     balance_model: float = _entry(
-        0.3, "part of its parts", "judgement",
-        "The same of one with the model's forces: at resonance they cancel.",
+        0.3, "fraction of its terms", "judgement",
+        "The same for a balance with the model's forces, which cancel at resonance.",
     )  # fmt: skip
     energy_gained: float = _entry(
-        0.5, "part of the largest", "judgement",
-        "What a body has to gain of its energy for the push's work to be held against it.",
+        0.5, "fraction of the largest", "judgement",
+        "Minimum energy that a body must gain for comparison with the work of the applied force.",
     )  # fmt: skip
     spring_rules: float = _entry(
-        0.3, "part of the stiffness", "judgement",
-        "Inertia per displacement up to which a force goes with the spring.",
+        0.3, "fraction of the stiffness", "judgement",
+        "Ratio of inertia force to spring force up to which the force is considered proportional "
+        "to displacement.",
     )  # fmt: skip
     motion_lines: float = _entry(
-        30.0, "times the median", "judgement",
-        "Amplitude of a line from which it is motion, in a spectrum that is compared in size.",
+        30.0, "multiple of the median", "judgement",
+        "Amplitude above which a line is motion, in spectra whose magnitudes are compared.",
     )  # fmt: skip
     motion_lines_least: float = _entry(
-        0.001, "part of the largest", "judgement",
-        "The same, of the largest line: derivatives lift what noise is left.",
+        0.001, "fraction of the largest", "judgement",
+        "The same relative to the largest line, because derivatives amplify the remaining noise.",
     )  # fmt: skip
     fy_explains: float = _entry(
-        0.2, "part of the misfit", "judgement",
-        "What a force in the other direction has to explain of f_meas for its size to be told "
-        "so.",
+        0.2, "fraction of the misfit", "judgement",
+        "Fraction of f_meas that a force in the other direction must explain for this to be "
+        "reported with its magnitude.",
     )  # fmt: skip
     fy_larger: float = _entry(
-        10.0, "times f_meas", "judgement",
-        "Size of such a force from which its noise is looked at.",
+        10.0, "multiple of f_meas", "judgement",
+        "Magnitude of such a force above which its noise is examined.",
     )  # fmt: skip
     unit_near: float = _entry(
-        0.12, "part", "judgement", "How far a ratio may miss a factor of units, and be one.",
+        0.12, "fraction", "judgement",
+        "Maximum deviation of a ratio from a conversion factor between units.",
     )  # fmt: skip
     unit_near_1000: float = _entry(
-        3.0, "times", "judgement",
-        "How far a ratio may miss a power of 1000 for a channel of a like shape.",
+        3.0, "factor", "judgement",
+        "Maximum deviation of a ratio from a power of 1000 for a channel of similar shape.",
     )  # fmt: skip
     unit_guessed: float = _entry(
-        4.0, "times", "judgement",
-        "How far a column may miss a unit's usual size for that unit to be proposed.",
+        4.0, "factor", "judgement",
+        "Maximum deviation of a column from the usual magnitude in a unit for that unit to be "
+        "suggested.",
     )  # fmt: skip
     unit_sure: float = _entry(
-        1.33, "times", "physics", "How far a column of unstated unit may miss its size.",
-        "units differ by more than two",
+        1.33, "factor", "physics",
+        "Maximum deviation from that magnitude for a column whose unit is not stated.",
+        "units differ by more than a factor of two",
     )  # fmt: skip
     other_test: float = _entry(
-        300.0, "times", "judgement",
-        "Ratio of one channel in two tests of a rig: between a sensor's noise and its range.",
+        300.0, "factor", "judgement",
+        "Ratio between the magnitudes of one channel in two tests on a rig above which something "
+        "is wrong; between a sensor's noise and its range.",
     )  # fmt: skip
 
 
 def of_size(values: Sequence[float], size: int) -> float:
-    """Return the value for a set of so many effects."""
+    """Return the value for a set with the given number of effects."""
     return values[min(size, len(values)) - 1]
 
 
 def entries() -> dict[str, Entry]:
-    """Return what is known of each threshold, by name, in the table's order."""
+    """Return the description of each threshold by name, in the order of the table."""
     return {f.name: f.metadata["entry"] for f in fields(Policy)}
 
 

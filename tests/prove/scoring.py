@@ -349,34 +349,35 @@ def table(rows: list[Row]) -> list[Line]:
         return Line(what, float(of(known)) if known else math.nan, len(known), False)
 
     lines = [
-        line("single effect, right name first", (r.first for r in plain)),
-        line("single effect, right name among first two", (r.among_two for r in plain)),
+        line("single effect, correct name first", (r.first for r in plain)),
+        line("single effect, correct name among first two", (r.among_two for r in plain)),
         line("single effect, exact set", (r.exact for r in plain)),
         line("pairs, exact set", (r.exact for r in by["pair"])),
         line("triples, exact set", (r.exact for r in by["triple"])),
         line("cancelling pairs, exact set", (r.exact for r in by["cancel"])),
-        line("false alarms where nothing is missing", (r.alarm for r in by["null"])),
+        line("false alarms with a correct model", (r.alarm for r in by["null"])),
         line("false alarms with a channel offset of 0.1 ms",
              (r.alarm for r in quiet if "offset" in r.groups)),
-        line("false alarms where the effect never acts", (r.alarm for r in by["dormant"])),
-        line("out of the catalogue: said to be unknown", (r.unknown for r in by["unknown"])),
-        line("out of the catalogue: said and located", (r.located for r in by["unknown"])),
-        line("not separable: said with the full set", (r.ambiguous for r in by["ambiguous"])),
-        line("not separable: right next experiment", (r.next_right for r in by["ambiguous"])),
+        line("false alarms with an effect that never acts", (r.alarm for r in by["dormant"])),
+        line("outside the catalogue: reported as unknown", (r.unknown for r in by["unknown"])),
+        line("outside the catalogue: reported and located", (r.located for r in by["unknown"])),
+        line("not separable: reported with all candidates", (r.ambiguous for r in by["ambiguous"])),
+        line("not separable: correct next experiment", (r.next_right for r in by["ambiguous"])),
         line(
-            "not separable: that experiment, run, resolves it",
+            "not separable: resolved by that experiment",
             (r.resolved for r in by["ambiguous"]),
         ),
-        line("parameters within 10 % of the truth",
+        line("parameters within 10 % of the true value",
              (e <= 0.1 for r in rows for e in r.errors.values())),
-        line("95 % intervals that hold the truth", (c for r in rows for c in r.covered.values())),
+        line("95 % intervals that contain the true value",
+             (c for r in rows for c in r.covered.values())),
         mean("median reduction of the held-out error", (r.reduction for r in rows), np.median),
         mean("mean IoU of time windows, local effects", (r.iou for r in rows), np.mean),
     ]  # fmt: skip
     for group, what in (
-        ("no_cell", "base-driven without load cell, named right"),
-        ("faint", "share of the signal under 1 %, named right"),
-        ("onset", "onset in mid-record, named right"),
+        ("no_cell", "base-driven without load cell, correctly named"),
+        ("faint", "share of the signal under 1 %, correctly named"),
+        ("onset", "onset during the recording, correctly named"),
     ):
         lines.append(line(what, (r.first for r in special if group in r.groups)))
     return lines
@@ -385,8 +386,8 @@ def table(rows: list[Row]) -> list[Line]:
 def overall(rows: list[Row]) -> list[Line]:
     """What does not go by kind."""
     return [
-        Line("all cases, right in the sense of their kind", *share(r.right for r in rows)),
-        Line("all cases, a wrong name given", *share(r.wrong_name for r in rows)),
+        Line("all cases, correct for their kind", *share(r.right for r in rows)),
+        Line("all cases, wrongly named", *share(r.wrong_name for r in rows)),
         Line("cost of a case: wrong name 2, refusal 1",
              float(np.mean([r.cost for r in rows])) if rows else math.nan, len(rows), False),
     ]  # fmt: skip

@@ -97,26 +97,26 @@ def _judged(what: str, value: float, count: int, low: float, high: float) -> str
 
 # First generator, then the second one at either level: figure, least, most.
 WANTED_FIRST = (
-    ("single effect, right name first", 0.98, 1.0),
+    ("single effect, correct name first", 0.98, 1.0),
     ("pairs, exact set", 0.93, 1.0),
     ("cancelling pairs, exact set", 0.90, 1.0),
-    ("false alarms where nothing is missing", 0.0, 0.0),
-    ("out of the catalogue: said to be unknown", 1.0, 1.0),
-    ("not separable: said with the full set", 1.0, 1.0),
+    ("false alarms with a correct model", 0.0, 0.0),
+    ("outside the catalogue: reported as unknown", 1.0, 1.0),
+    ("not separable: reported with all candidates", 1.0, 1.0),
 )
 WANTED_SECOND = (
-    ("single effect, right name first", 0.85, 1.0),
-    ("single effect, right name among first two", 0.92, 1.0),
+    ("single effect, correct name first", 0.85, 1.0),
+    ("single effect, correct name among first two", 0.92, 1.0),
     ("pairs, exact set", 0.85, 1.0),
     ("triples, exact set", 0.70, 1.0),
-    ("false alarms where nothing is missing", 0.0, 0.01),
-    ("false alarms where the effect never acts", 0.0, 0.01),
-    ("out of the catalogue: said to be unknown", 0.90, 1.0),
-    ("not separable: said with the full set", 0.85, 1.0),
+    ("false alarms with a correct model", 0.0, 0.01),
+    ("false alarms with an effect that never acts", 0.0, 0.01),
+    ("outside the catalogue: reported as unknown", 0.90, 1.0),
+    ("not separable: reported with all candidates", 0.85, 1.0),
 )
 WANTED_OF_NUMBERS = (
-    ("95 % intervals that hold the truth", 0.92, 0.98),
-    ("parameters within 10 % of the truth", 0.95, 1.0),
+    ("95 % intervals that contain the true value", 0.92, 0.98),
+    ("parameters within 10 % of the true value", 0.95, 1.0),
 )
 
 
@@ -126,31 +126,32 @@ def _wanted_rows(results: Results) -> Iterable[str]:
     for what, rows in ((OWN, own), (f"{OWN}, the hydraulic one", hydraulic)):
         yield _judged(f"{what}: named exactly", *scoring.share(r.right for r in rows), 0.95, 1.0)
     closed = scoring.share(r.closed < own_rigs.CLOSED for r in own)
-    yield _judged(f"{OWN}: loop closed below 3 %", *closed, 0.97, 1.0)
+    yield _judged(f"{OWN}: closed loop within 3 %", *closed, 0.97, 1.0)
     for source, wanted in ((FIRST, WANTED_FIRST), (NORMAL, WANTED_SECOND), (HARD, WANTED_SECOND)):
         lines = {n.what: n for n in scoring.table(results.rows.get(source, []))}
         for what, low, high in wanted + WANTED_OF_NUMBERS:
             found = lines[what]
             yield _judged(f"{source}: {what}", found.value, found.count, low, high)
     passed = scoring.share(r.passed for r in results.real)
-    yield _judged("real recordings: named, and held-out error met", *passed, 1.0, 1.0)
+    real = "real recordings: correctly named, held-out error within target"
+    yield _judged(real, *passed, 1.0, 1.0)
 
 
 TIMES = (
     ("case of the first generator (about 15 s)", 5.0),
     ("hydraulic rig (30 s, and 30 s held out)", 15.0),
     ("recording of 600 s", 60.0),
-    ("a body that sticks, 15 s", 15.0),
+    ("a body with stick-slip, 15 s", 15.0),
 )
 
 
 def _wanted(results: Results) -> str:
-    head = "| figure | cases | measured | could be | wanted | |\n|---|---|---|---|---|---|\n"
+    head = "| figure | cases | measured | 95 % interval | target | |\n|---|---|---|---|---|---|\n"
     return head + "\n".join(_wanted_rows(results)) + "\n"
 
 
 def _times(results: Results) -> str:
-    lines = ["| an answer for | recordings | median | longest | wanted |", "|---|---|---|---|---|"]
+    lines = ["| time for | recordings | median | longest | target |", "|---|---|---|---|---|"]
     for what, most in TIMES:
         values = results.times.get(what, [])
         found = f"{np.median(values):.1f} s | {max(values):.1f} s" if values else "- | -"
@@ -177,7 +178,7 @@ def _figures(results: Results, solver: str) -> str:
 
 def _all(results: Results) -> str:
     lines = [
-        "| source | cases | right | wrong name | share | could be |",
+        "| source | cases | correct | wrong name | share | 95 % interval |",
         "|---|---|---|---|---|---|",
     ]
     for source, (cases, right) in results.counts().items():
@@ -191,7 +192,7 @@ def _all(results: Results) -> str:
 
 def _own(results: Results) -> str:
     lines = [
-        "| rig | cases | named exactly | or among sets said to fit alike | loop closed below 3 % |",
+        "| rig | cases | named exactly | or among equally good sets | closed loop within 3 % |",
         "|---|---|---|---|---|",
     ]
     for rig in dict.fromkeys(r.rig for r in results.own):
@@ -209,7 +210,7 @@ def _own(results: Results) -> str:
 
 def _real(results: Results, solver: str) -> str:
     lines = [
-        "| recording | answer | as given | known physics | wanted | predicted | ratio to the known "
+        "| recording | answer | as given | known physics | target | predicted | ratio to the known "
         f"physics | {solver} | |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
@@ -219,13 +220,13 @@ def _real(results: Results, solver: str) -> str:
             f"| {r.name} | {r.said} | {r.naive:.1f} | {r.known:.2f} | <= {r.limit:.2f} "
             f"| {_number(r.error)} | {_number(r.ratio)} | {_number(r.rival)} | {what} |"
         )
-    lines += ["", "What is known of them, from their `answer.json`:", ""]
+    lines += ["", "Known physics of these recordings, from their `answer.json`:", ""]
     lines += [f"* `{r.name}`: {r.physics}" for r in results.real]
     return "\n".join(lines) + "\n"
 
 
 def _instead(results: Results) -> str:
-    lines = ["| source | truth | cases | right | said instead |", "|---|---|---|---|---|"]
+    lines = ["| source | truth | cases | correct | answered instead |", "|---|---|---|---|---|"]
     for source, rows in results.rows.items():
         for true, counts in sorted(scoring.confusion(rows).items()):
             wrong = ", ".join(f"{k} ({n})" for k, n in counts.most_common() if k != "right")
@@ -241,15 +242,15 @@ def written(results: Results, state: str, solver: str) -> str:
 
 Written by `make validate-diagnosis`. {state}
 
-Two generators make cases, each with its own laws, integrator, noise and judgement of what can be
-known at all: `tests/prove`, and `tests/validate` with coloured noise, mis-stated sheets and other
-forms of the laws. Neither shares code with the program. The program's own shipped rigs are recorded
-by its own virtual tests with something hidden in them, and real recordings come from others.
-A figure stands on the cases beside it; "could be" is where the share of all such cases lies with
-95 % (Wilson). `met`: the figure is as wanted, on twenty cases at least; `open`: so few cases
-neither show nor exclude it; `missed`: they exclude it.
+Two generators produce the cases, each with its own laws, integrator, noise and criteria for what
+can be identified: `tests/prove`, and `tests/validate` with coloured noise, incorrect data sheets
+and other forms of the laws. Neither shares code with the program. In addition, there are virtual
+tests on the shipped rigs with hidden effects, and real recordings from other laboratories.
+Each figure is based on the number of cases next to it; the 95 % interval of a share is Wilson's.
+`met`: the figure meets its target, with at least twenty cases; `open`: there are too few cases to
+confirm or exclude it; `missed`: the cases exclude it.
 
-## What was asked for
+## Targets
 
 {_wanted(results)}
 {_times(results)}
@@ -266,10 +267,10 @@ Cases in brackets. {solver}: sequentially thresholded regression (SINDy) on the 
 {_own(results)}
 ## Real recordings
 
-Held-out NRMSE in per cent of the standard deviation: of the model as given, of the best model of
-the known physics, and of what was predicted. {results.no_real}
+Held-out NRMSE in per cent of the standard deviation: for the model as given, for the best model of
+the known physics, and for the prediction. {results.no_real}
 
 {_real(results, solver)}
-## What was said instead
+## Wrong answers
 
 {_instead(results)}"""

@@ -250,24 +250,25 @@ def written(results: list[dict[str, Any]], seed: int, state: str) -> str:
 Written by `make validate-policy`. State of the program: `{state}` (hash of its sources),
 seed {seed}.
 
-All thresholds that decide what is said stand in one frozen table, `rthyb_rt/diagnose/policy.py`.
-"physics" follows from sensors, the interchange format or the statistics of noise, "numerics" from
-how well motions and forces are computed, "calibrated" was found on recordings that are named,
-"judgement" is what its authors thought fit.
+All thresholds that determine the answer are in one frozen table, `rthyb_rt/diagnose/policy.py`.
+Their origin is "physics" (sensors, the interchange format or the statistics of noise), "numerics"
+(the accuracy of computed motions and forces), "calibrated" (found on the recordings named) or
+"judgement" (chosen by the authors).
 
-Sensitivity rests on {len(results)} cases, which is few: a threshold that changes none of them may
-still matter, above all one that few of them, or none, have read. The cases are those below; {right}
-of them are answered rightly. Each was diagnosed again with each threshold that it reads at 0.7 and
-1.4 times its value, whole numbers at one less and one more: {runs} diagnoses, of which {changed}
-name something else. The last two columns count such answers, with how many right ones were lost and
-wrong ones won, and behind a semicolon those in which only numbers change (parameters, intervals,
-windows, errors). "Not measured": the threshold, or its value, is newer than these figures.
+The sensitivity was determined with only {len(results)} cases: a threshold that changes none
+of them may still matter, especially one that few or none of them use. The cases are listed below;
+{right} of them are answered correctly. Each was diagnosed again with each threshold that it uses at
+0.7 and 1.4 times its value (integers: one less and one more): {runs} diagnoses, of which {changed}
+name something else. The last two columns count these answers, with the number of correct ones lost
+and wrong ones corrected in parentheses, and after a semicolon the answers in which only figures
+change (parameters, intervals, time windows, errors). "Not measured": the threshold, or its value,
+is newer than these figures.
 
-| threshold | value | unit | origin | decides | rests on | read in | × 0.7 | × 1.4 |
+| threshold | value | unit | origin | decides | basis | used in | × 0.7 | × 1.4 |
 |---|---|---|---|---|---|---|---|---|
 {rows}
 
-| case | is answered | verdict |
+| case | answer | verdict |
 |---|---|---|
 {kinds}
 """

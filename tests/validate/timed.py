@@ -9,7 +9,7 @@ import numpy as np
 from prove import answers, bench, effects, folders, prepare
 from prove.prepare import Wanted
 
-LONG, STICKING = "recording of 600 s", "a body that sticks, 15 s"
+LONG, STICKING = "recording of 600 s", "a body with stick-slip, 15 s"
 LONG_S, SHORT_S = 600.0, 15.0
 STICKS = 0.6
 """Friction over the largest load of a linear body: it stands still for much of the record."""
