@@ -46,7 +46,7 @@ def evidence(*sets: Hypothesis, null: float = 20_000.0, **setting: Any) -> Evide
     return Evidence(Setting(LAWS, ROWS, **setting), of(chi2=null), sets)
 
 
-ANSWERS = {"held_out": 0.9, "size": 0.5}
+ANSWERS = {"held_out": 0.9, "size": 0.5, "driven": (60.0, 60.0, 60.0)}
 
 
 def decided(
@@ -324,6 +324,17 @@ def test_a_late_cell_is_named_all_the_same_where(change: dict[str, Any]) -> None
     null = of(chi2=given["null"], offset_sd=given["null_offset_sd"])
     seen = Evidence(Setting(LAWS, ROWS, naive=given["naive"]), null, (late,))
     assert decided(seen).best.names == ("time_skew",)
+
+
+def test_a_late_cell_has_to_show_in_the_motion_of_the_test_in_any_recording() -> None:
+    seen = evidence(
+        of("time_skew", "viscous", chi2=1000.0), of("viscous", chi2=1100.0),
+        of("time_skew", chi2=9000.0),
+    )  # fmt: skip
+    assert decided(seen, driven=(-2.0, 60.0)).best.names == ("viscous",)
+    assert decided(seen, driven=(60.0, -2.0)).best.names == ("time_skew", "viscous")
+    naive = replace(seen, setting=replace(seen.setting, naive=True))
+    assert decided(naive, driven=(-2.0, 60.0)).best.names == ("time_skew", "viscous")
 
 
 def test_the_effect_beside_such_a_filter_is_named_alone() -> None:

@@ -606,14 +606,18 @@ def driven(court: Court, of: Hypothesis) -> bool:
     """In a closed loop each effect has to earn its price by the motion that the test makes.
 
     Above the band of that the noise of the load cell is all that moves the specimen, and a law can
-    have that noise back out of the motion that it made: see `feedback`.
+    have that noise back out of the motion that it made: see `feedback`. A late load cell has to in
+    any recording: beside an offset of its channel it filters that noise, moved or not.
     """
-    if not court.setting.returns:
+    setting = court.setting
+    late = setting.judged == "force" and not setting.naive and any(p.carries for p in of.parts)
+    if not setting.returns and not late:
         return True
     times = court.policy.several_price if len(of.parts) > 1 else 1.0
     for part, own in zip(of.parts, court.ask("driven", of), strict=False):
         # What a load cell does by itself, as hum, is no function of the motion.
-        follows, wanted = part.carries or not part.sensor, times * part.price
+        follows = part.carries or (setting.returns and not part.sensor)
+        wanted = times * part.price
         if follows and own < wanted:
             return court.refuse("driven", of, part=part.name, found=own, wanted=wanted)
     return True
