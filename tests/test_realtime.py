@@ -31,9 +31,9 @@ from rthyb_rt.analysis import summary
 from rthyb_rt.core import dbc, loop, wire
 from rthyb_rt.core.wire import TOLD
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import endings, experiment, realtime, virtual_time
-from rthyb_rt.lab.realtime import keeper
-from rthyb_rt.lab.realtime.keeper import Keeper
+from rthyb_rt.lab import end_reasons, experiment, realtime, virtual_time
+from rthyb_rt.lab.realtime import collector
+from rthyb_rt.lab.realtime.collector import Collector
 from rthyb_rt.record import export, recording, ring
 from rthyb_rt.report import render
 from rthyb_rt.rig import virtual_rig
@@ -463,11 +463,11 @@ BEYOND = core.STATUS["out_of_range"]
 def test_lost_link_says_whether_the_cable_or_a_sensor_is_to_be_looked_at(
     rows: np.ndarray, look_at: str
 ) -> None:
-    found = endings.remedy("link_lost", rows, core.FS_HZ)
+    found = end_reasons.remedy("link_lost", rows, core.FS_HZ)
     assert look_at in found
     assert "usable pair" in found
-    assert endings.remedy("stalled", rows, core.FS_HZ) == endings.REMEDIES["stalled"]
-    assert endings.remedy("completed", rows, core.FS_HZ) == ""
+    assert end_reasons.remedy("stalled", rows, core.FS_HZ) == end_reasons.REMEDIES["stalled"]
+    assert end_reasons.remedy("completed", rows, core.FS_HZ) == ""
 
 
 def test_every_end_that_lies_outside_the_test_says_what_to_do() -> None:
@@ -478,8 +478,8 @@ def test_every_end_that_lies_outside_the_test_says_what_to_do() -> None:
     in_their_own_words = {"not_arrived", "skip_warning", "lost_warning"}
     of_several_axes = core.CAUSES[core.CAUSES.index("apart") :]
     told = {*outside, *of_several_axes} - in_their_own_words
-    assert set(endings.REMEDIES) == told
-    assert "check its velocity" in endings.WORDS["not_arrived"]
+    assert set(end_reasons.REMEDIES) == told
+    assert "check its velocity" in end_reasons.WORDS["not_arrived"]
 
 
 @pytest.mark.parametrize(
@@ -714,17 +714,17 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    monkeypatch.setattr(keeper, "time", made)
+    monkeypatch.setattr(collector, "time", made)
     return made
 
 
 @pytest.fixture
-def kept(clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Keeper]:
-    """A keeper of a run in which nothing is; its thread is there and makes no turn by itself."""
+def kept(clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Collector]:
+    """A collector of an empty run; its thread only waits."""
     assert clock is not None
-    monkeypatch.setattr(Keeper, "_keep", lambda self: self._done.wait())
+    monkeypatch.setattr(Collector, "_keep", lambda self: self._done.wait())
     made = realtime.LiveRun.make(setup(), "host", wire.can(), tmp_path / "rings")
-    found = Keeper(made, lambda: None)
+    found = Collector(made, lambda: None)
     found.start()
     yield found
     found.stop()
@@ -732,7 +732,7 @@ def kept(clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
 
 
 def test_process_that_was_stopped_for_six_seconds_has_its_recorder_look_first(
-    kept: Keeper, clock: Clock
+    kept: Collector, clock: Clock
 ) -> None:
     """After SIGCONT the operator's thread may wake first: that says nothing of the tick thread."""
     kept.check()
@@ -753,7 +753,7 @@ def test_process_that_was_stopped_for_six_seconds_has_its_recorder_look_first(
 
 
 def test_tick_thread_that_stands_still_is_told_of_as_a_fault_of_this_pc(
-    kept: Keeper, clock: Clock
+    kept: Collector, clock: Clock
 ) -> None:
     def look() -> None:
         while clock.now_s < 1010.0:

@@ -20,7 +20,7 @@ from rthyb_rt.config.rigfile import default_lead_us
 from rthyb_rt.core import FLAGS, loop
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, realtime
-from rthyb_rt.lab.endings import TimingError
+from rthyb_rt.lab.end_reasons import TimingError
 from rthyb_rt.record import recording
 from rthyb_rt.rig import identify, virtual_rig
 from rthyb_rt.rig.commissioning import certificate, guide, jogging, stops

@@ -13,7 +13,7 @@ import pytest
 from rthyb_rt import config, core
 from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import RthybError
-from rthyb_rt.lab import endings, experiment, realtime, virtual_time
+from rthyb_rt.lab import end_reasons, experiment, realtime, virtual_time
 from rthyb_rt.record import recording
 from rthyb_rt.record.recording import Recording
 
@@ -227,7 +227,7 @@ def test_every_limit_of_the_motion_works_with_every_action(key: str, action: str
     # A force that stays beyond its limit is not held for long.
     trips = action == "trip" or (action == "hold" and cause == "force")
     begun = "tripped" if trips else "ramped out"
-    assert rec.meta["end_reason"] == f"{begun}: {endings.in_words(cause)}"
+    assert rec.meta["end_reason"] == f"{begun}: {end_reasons.in_words(cause)}"
     assert ("HOLD" in states(rec)) == (action == "hold")
     assert realtime.replay(rec).identical
 

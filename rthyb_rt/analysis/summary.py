@@ -336,7 +336,7 @@ def live(rec: Recording) -> Live | None:
     facts = rec.meta.get("real_time")
     if not isinstance(facts, dict):
         return None
-    from rthyb_rt.lab import endings
+    from rthyb_rt.lab import end_reasons
 
     wake, sent = facts["wake"], facts["sent"]
     moving = rec.samples[_motion(rec)]
@@ -356,7 +356,7 @@ def live(rec: Recording) -> Live | None:
         link_delay_ms=None if samples < 0 else 1e3 * samples / rec.fs_hz,
         missed_rows=sum(last - first + 1 for first, last in facts["missed_rows"]),
         privileges=tuple(facts["privileges"]),
-        remedy=endings.remedy(str(facts["cause"]), rec.samples, rec.fs_hz),
+        remedy=end_reasons.remedy(str(facts["cause"]), rec.samples, rec.fs_hz),
     )
 
 

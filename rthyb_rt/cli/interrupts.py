@@ -58,7 +58,7 @@ def held() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def told(tell: Callable[[], None]) -> Iterator[None]:
+def on_interrupt(tell: Callable[[], None]) -> Iterator[None]:
     """Call ``tell`` for each of the signals in the block, which goes on.
 
     For what moves: it is stopped in its own way, and takes its time for it.

@@ -89,7 +89,7 @@ def live(
 
     try:
         server = LiveServer(found, tokens, port, ready)
-        with systemd.logging_to_stderr(), interrupts.told(server.stop):
+        with systemd.logging_to_stderr(), interrupts.on_interrupt(server.stop):
             server.run()
     finally:
         found.close()

@@ -55,7 +55,7 @@ def recorder(
             return True
         return parent and not working.busy and _orphaned()
 
-    with systemd.logging_to_stderr(), interrupts.told(lambda: told.append(True)):
+    with systemd.logging_to_stderr(), interrupts.on_interrupt(lambda: told.append(True)):
         recording.run(rings or ring.default_folder(), runs, done)
 
 

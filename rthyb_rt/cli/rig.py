@@ -141,7 +141,7 @@ def rig(
         _check_log(log)
     people = terminal.people(as_json)
     stop = virtual_rig.Stop()
-    with _lines(rig_file, can, serial, socket, pty) as lines, interrupts.told(stop.set):
+    with _lines(rig_file, can, serial, socket, pty) as lines, interrupts.on_interrupt(stop.set):
         at = ", ".join(line.name for line in lines)
 
         def ready() -> None:

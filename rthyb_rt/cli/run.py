@@ -210,7 +210,7 @@ def _run_live(
     operator = realtime.Operator()
     kept: list[Path] = []
     opening = opened_link(setup.rig_file, clock, setup.rate)
-    with opening as (opened, before_tick), interrupts.told(operator.stop):
+    with opening as (opened, before_tick), interrupts.on_interrupt(operator.stop):
         rec = realtime.run(
             setup,
             opened,
@@ -251,7 +251,7 @@ def _run_faulty(
 
     operator = realtime.Operator()
     kept: list[Path] = []
-    with interrupts.told(operator.stop):
+    with interrupts.on_interrupt(operator.stop):
         rec = virtual_rig.run_faulty(
             setup,
             mishaps,

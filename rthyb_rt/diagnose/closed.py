@@ -19,7 +19,7 @@ from rthyb_rt.diagnose.case import NO_READING, Floats, Model
 from rthyb_rt.diagnose.predict import nrmse
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import endings, experiment, trips, virtual_time
+from rthyb_rt.lab import end_reasons, experiment, trips, virtual_time
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.virtual_time import Bench
 from rthyb_rt.record.recording import Recording
@@ -96,7 +96,7 @@ def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = Non
         virtual_time.conduct(bench)
         samples = bench.rows[bench.rows["state"] == RUNNING]
         if samples.size < count:
-            why = trips.figures(*bench.causing) or endings.in_words(bench.causing[0])
+            why = trips.figures(*bench.causing) or end_reasons.in_words(bench.causing[0])
             notes.append(
                 f"simulated with {name}, the test ends at {samples.size / rec.fs_hz:.2f} s: {why}"
             )

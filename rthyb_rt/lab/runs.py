@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rthyb_rt import core
 from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.lab import experiment, trips
-from rthyb_rt.lab.endings import end_reason
+from rthyb_rt.lab.end_reasons import end_reason
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording
 

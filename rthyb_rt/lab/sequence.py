@@ -11,7 +11,7 @@ from typing import Final, Protocol
 from rthyb_rt import core
 from rthyb_rt.errors import RthybError
 from rthyb_rt.lab import trips
-from rthyb_rt.lab.endings import RefusedError, in_words
+from rthyb_rt.lab.end_reasons import RefusedError, in_words
 
 REST_TICKS: Final = 103
 """Rows of 1/1024 s at rest behind a test that are kept with it: a tenth of a second."""

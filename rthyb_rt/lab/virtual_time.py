@@ -13,7 +13,7 @@ from rthyb_rt.core import FLAGS, Channel
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.errors import RthybError
 from rthyb_rt.lab import experiment
-from rthyb_rt.lab.endings import RefusedError
+from rthyb_rt.lab.end_reasons import RefusedError
 from rthyb_rt.lab.experiment import Progress, Setup
 from rthyb_rt.lab.runs import Run
 from rthyb_rt.lab.sequence import REST_TICKS, STEP_TICKS, Sequence

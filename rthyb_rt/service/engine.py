@@ -30,7 +30,7 @@ from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import RthybError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import experiment
-from rthyb_rt.lab.endings import shown
+from rthyb_rt.lab.end_reasons import shown
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime import Conductor, LiveRun, RefusedError
 from rthyb_rt.lab.sequence import REST_TICKS, TARE_MARGIN_S

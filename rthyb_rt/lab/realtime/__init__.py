@@ -8,10 +8,10 @@ the first reading back to rest. With the stepped clock the same test runs tick b
 caller's word, which is not real time.
 """
 
-from rthyb_rt.lab.endings import TIMING_CAUSES, RefusedError, TimingError, end_reason
+from rthyb_rt.lab.end_reasons import TIMING_CAUSES, RefusedError, TimingError, end_reason
+from rthyb_rt.lab.realtime.collector import RECORDER_PERIOD_S
 from rthyb_rt.lab.realtime.conducting import run
 from rthyb_rt.lab.realtime.conductor import FEEDBACK_S, NEEDED, Conductor, link_delay
-from rthyb_rt.lab.realtime.keeper import RECORDER_PERIOD_S
 from rthyb_rt.lab.realtime.live_run import LiveRun
 from rthyb_rt.lab.realtime.replaying import first_cause, first_cause_in_words, replay
 from rthyb_rt.lab.realtime.session import Session

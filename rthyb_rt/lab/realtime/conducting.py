@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from rthyb_rt import core
 from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab.endings import RefusedError
+from rthyb_rt.lab.end_reasons import RefusedError
 from rthyb_rt.lab.experiment import Progress, Setup
+from rthyb_rt.lab.realtime.collector import RECORDER_PERIOD_S
 from rthyb_rt.lab.realtime.conductor import FEEDBACK_S
-from rthyb_rt.lab.realtime.keeper import RECORDER_PERIOD_S
 from rthyb_rt.lab.realtime.session import Session
 from rthyb_rt.lab.realtime.telling import Teller
 from rthyb_rt.lab.sequence import Operator, Sequence

@@ -26,7 +26,7 @@ from rthyb_rt.core.loop import Clock, Link, Loop, LoopAxis
 from rthyb_rt.core.wire import Wire
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import experiment, extras, jitter
-from rthyb_rt.lab.endings import REMEDIES, WORDS, RefusedError, TimingError
+from rthyb_rt.lab.end_reasons import REMEDIES, WORDS, RefusedError, TimingError
 from rthyb_rt.lab.realtime.live_run import Counted, LiveRun, follows, stays_stopped
 from rthyb_rt.lab.runs import AT_REST
 

@@ -16,7 +16,7 @@ from rthyb_rt.core.wire import Codec
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import experiment, trips
-from rthyb_rt.lab.endings import in_words
+from rthyb_rt.lab.end_reasons import in_words
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording, require_replayable
 

@@ -11,8 +11,8 @@ from rthyb_rt import core
 from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab.experiment import Setup
+from rthyb_rt.lab.realtime.collector import RECORDER_PERIOD_S, Collector
 from rthyb_rt.lab.realtime.conductor import Conductor
-from rthyb_rt.lab.realtime.keeper import RECORDER_PERIOD_S, Keeper
 from rthyb_rt.lab.realtime.live_run import LiveRun
 from rthyb_rt.lab.sequence import REST_TICKS
 from rthyb_rt.record.recording import Recording
@@ -60,7 +60,7 @@ class Session(Conductor):
             keeps=True,
         )
         super().__init__(opened, clock, before_tick, run)
-        self._keeper = Keeper(run, self.loop.beat)
+        self._collector = Collector(run, self.loop.beat)
         self._watched = False
 
     def __enter__(self) -> Session:
@@ -82,16 +82,16 @@ class Session(Conductor):
         From this call on `wait` must be called at least once a second.
         """
         self._watched = True
-        self._keeper.attended()
+        self._collector.attended()
 
     def start(self) -> None:
         """Begin to tick and to keep every record; as `Conductor.start`."""
         super().start()
         if self.clock != "stepped":
-            self._keeper.start()
+            self._collector.start()
 
     def _put_away(self) -> None:
-        self._keeper.stop()
+        self._collector.stop()
         self.run.close()
 
     def discard(self) -> None:
@@ -109,11 +109,11 @@ class Session(Conductor):
 
     def _pass(self, seconds: float) -> None:
         if self._watched:
-            self._keeper.attended()
+            self._collector.attended()
         super()._pass(seconds)
         if self.clock == "stepped":
-            self._keeper.turn()
-        self._keeper.check()
+            self._collector.turn()
+        self._collector.check()
 
     def advance(self, ticks: int) -> None:
         """Let up to so many ticks pass, and no more than an operator may be waited for."""

@@ -1,4 +1,4 @@
-"""The thread that keeps every record of a test and gives the sign of life."""
+"""The thread that collects every record of a test and sends the heartbeat."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 from rthyb_rt.errors import RthybError
-from rthyb_rt.lab.endings import TimingError
+from rthyb_rt.lab.end_reasons import TimingError
 from rthyb_rt.lab.realtime.live_run import LiveRun
 
 RECORDER_PERIOD_S: Final = 0.02
@@ -19,17 +19,17 @@ SURE_S: Final = 0.1
 LOOK_MOST_S: Final = 0.05
 """Counted between two looks; a longer way from one to the next was no running time."""
 ABSENCE_S: Final = 1.0
-"""Of the operator's thread: then no sign of life is given, and the test ramps out."""
+"""Of the operator's thread: then no heartbeat is sent, and the test ramps out."""
 
 
-class Keeper:
-    """Has a run take its rows in again and again, and gives the sign of life.
+class Collector:
+    """Collects the rows of a run repeatedly, and sends the heartbeat.
 
-    Who no longer records gives none, so that the test ramps out.
+    If it can no longer collect rows, it sends no heartbeat, so that the test ramps out.
 
     Args:
-        run: whose rows.
-        beat: gives the sign of life.
+        run: run whose rows are collected.
+        beat: sends the heartbeat.
     """
 
     def __init__(self, run: LiveRun, beat: Callable[[], None]) -> None:
