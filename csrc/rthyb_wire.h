@@ -215,8 +215,7 @@ typedef struct {
     int32_t fresh;         /* the pair arrived since the last take */
     int32_t refused;       /* enum rthyb_status: readings refused since the last take */
     rthyb_wire_counters counters;
-    /* set by the caller: index of the first extra channel among a row's channels */
-    uint32_t extra_channel;
+    uint32_t extra_channel; /* set by the caller: index of a row's first extra channel */
 } rthyb_wire;
 
 typedef struct {
