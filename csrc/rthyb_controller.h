@@ -32,10 +32,11 @@ typedef struct {
     int32_t lead_enabled;  /* 0: commands are not compensated; the laws still run */
     int32_t estimate_held; /* not 0: the laws do not adapt */
     rthyb_motion_config motion;
-    /* if of another kind than `motion`: `motion` then only says PRESCRIBED or not */
+    /* If it is of another kind than RTHYB_NUMERICAL_MOTION, it is used instead of `motion`, unless that is
+     * PRESCRIBED. */
     rthyb_numerical numerical;
     rthyb_axis_control axis[RTHYB_COUPLED_MAX];
-    /* Several axes: along each interface, their commands stay within +- this; 0 = off. */
+    /* With several axes: bound, +-, on the command in each interface coordinate; 0 = off. */
     double direction_clamp[RTHYB_COUPLED_MAX];
     rthyb_rfc_config rfc[RTHYB_COUPLED_MAX]; /* for each interface */
     rthyb_kinematics_config kinematics;      /* size 0: axis i is interface i */
@@ -45,12 +46,13 @@ typedef struct {
 
 /* State of the limiter for one axis (limiter.c). */
 typedef struct {
-    /* last command sent, and its difference from the one sent before it: as computed by the limiter, before
-     * rounding on the wire */
+    /* x_lim: last command sent; step: its change from the previous one. Both as computed by the limiter, before
+     * rounding on the wire. */
     double x_lim, step;
-    double x_lim1, step1;    /* the same before this sample, in case its command is not sent */
+    /* x_lim and step before this sample, to restore them if its command is not sent */
+    double x_lim1, step1;
     double lower_m, upper_m; /* current bounds of the command */
-    int32_t gap;             /* not 0: since then, a tick has passed in which no command was sent */
+    int32_t gap; /* not 0: at least one tick without a command since the last one was sent */
 } rthyb_limiter;
 
 typedef struct {
@@ -75,13 +77,14 @@ typedef struct {
     int32_t behind;    /* the numerical part has answered but not completed the step */
     int32_t late_code; /* status bits from completing the step, for the next record */
     uint64_t tick;
-    uint32_t freeze_after, extrapolate_until; /* consecutive lost samples: 2.9 ms, 19.5 ms */
-    double energy_error, tracking_indicator;  /* sums over the axes */
+    /* in consecutive lost samples, chosen so that they last 2.9 ms and 19.5 ms */
+    uint32_t freeze_after, extrapolate_until;
+    double energy_error, tracking_indicator; /* sums over the axes */
     uint32_t missing; /* consecutive samples in which at least one axis had no accepted pair */
     uint32_t generation;
     int32_t state;
-    int32_t at_direction; /* the commands are at their bound along an interface */
-    /* 0: at rest at positions that correspond to no pose of the specimen; each axis holds its position */
+    int32_t at_direction; /* the command in an interface coordinate is at its bound */
+    /* 0: the axes are at positions that correspond to no pose of the specimen, so each axis is held where it is */
     int32_t posed;
     /* Of the following, only the entries in use, and the parts that were configured, are ever accessed. */
     rthyb_controller_axis axis[RTHYB_COUPLED_MAX];
@@ -112,7 +115,8 @@ int rthyb_controller_step(rthyb_controller *controller, const rthyb_input *input
 /* Completes a sample after its command is known; rthyb_controller_step includes this. */
 void rthyb_controller_advance(rthyb_controller *controller);
 
-/* Controller of one axis with a virtual rig, without states or limits: for studies of the control alone.
+/* Runs the controller of one axis with a virtual rig, without the station's states and limits, for studies of the
+ * control only.
  * rows: records of one axis. excitation: n_total samples. Runs until `count` more records have been written or a
  * value is not finite. Returns the number of records written; *status combines all status bits. */
 size_t rthyb_run_virtual(rthyb_controller *controller, rthyb_rig *rig, const double *excitation,

@@ -42,8 +42,8 @@ typedef struct {
     const rthyb_law_parameter *parameters;
     const rthyb_law_value *values; /* reported values; alpha and beta are stored in the record */
     uint32_t parameter_count, value_count;
-    int32_t uses_rest_noise;
-    /* designed for use with the restoring-force compensator; laws of other authors are not */
+    int32_t uses_rest_noise; /* not 0: needs rest_noise_m */
+    /* not 0: designed for use with the restoring-force compensator (laws taken from other publications are not) */
     int32_t with_rfc;
 } rthyb_law_description;
 
@@ -74,16 +74,16 @@ typedef struct {
      * period. Returns -1, or the index of the parameter to change. Values that come from the rig file may still be
      * NaN. May be NULL. */
     int (*check)(const double *parameters, double period_s, rthyb_law_complaint *complaint);
-    /* 0 or enum rthyb_error. The state is zeroed before the call. */
+    /* Returns 0 or an rthyb_error. The state is zeroed before the call. */
     int (*init)(void *state, const rthyb_law_start *start);
     /* Command and specimen are now at rest at x_m, so that the next lead(x_m) must give x_m. Adapted quantities are
      * kept. */
     void (*rest)(void *state, double x_m);
     /* The newest pair: the command in effect at the drive, and the measured displacement. frozen: update the
-     * filters but do not adapt. Status bits. */
+     * filters but do not adapt. Returns status bits. */
     int (*observe)(void *state, double x_p_m, double x_m_m, int frozen);
     /* x_c -> x_p for the same instant. The adaptation since the last call may change x_p by at most allowed_m; 0
-     * prevents any change, INFINITY allows any. Status bits; *x_p_m must be finite for any x_c_m. */
+     * prevents any change, INFINITY allows any. Returns status bits; *x_p_m must be finite for any x_c_m. */
     int (*lead)(void *state, double x_c_m, double allowed_m, double *x_p_m);
 } rthyb_control_law;
 
@@ -103,7 +103,8 @@ typedef union {
 
 typedef struct {
     rthyb_law_config cfg;
-    int32_t alpha_at, beta_at; /* byte offsets in its state; -1: not available */
+    /* byte offsets of alpha and beta in the state; -1: the law has none */
+    int32_t alpha_at, beta_at;
     rthyb_law_state state;
 } rthyb_law;
 

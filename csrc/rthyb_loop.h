@@ -13,14 +13,15 @@
 /* cffi: begin */
 
 enum rthyb_loop_size {
-    RTHYB_HEARTBEAT_TICKS = 1024, /* of 1/1024 s without a heartbeat until RAMP_OUT */
-    RTHYB_SLIP_WINDOW = 256,      /* ticks with a punctual pair, of which at least */
-    RTHYB_SLIP_VOTES = 192,       /* this many with a different count mean a slip */
+    /* ticks of 1/1024 s without a heartbeat after which RAMP_OUT starts */
+    RTHYB_HEARTBEAT_TICKS = 1024,
+    RTHYB_SLIP_WINDOW = 256, /* window for detecting a slip, in ticks with a punctual pair */
+    RTHYB_SLIP_VOTES = 192,  /* pairs in that window with a shifted count that mean a slip */
     /* Link clock: wake-ups in one tick; a serial line may wake the thread for each byte. */
     RTHYB_WAKE_UPS_MAX = 2 * (RTHYB_SERIAL_FEEDBACK + 4 * RTHYB_EXTRAS_MAX),
     /* histogram of link delays in samples; the last bucket includes larger ones */
     RTHYB_LINK_DELAYS = 256,
-    RTHYB_OLD_PIECES_MAX = 4096 /* discarded before the first tick */
+    RTHYB_OLD_PIECES_MAX = 4096 /* chunks of received data discarded before the first tick */
 };
 
 /* Conversion between numbers on the wire and those of the structure: sign, scale and offset of the sensors,
@@ -49,7 +50,7 @@ typedef struct {
     /* sets refused because they would switch off a limit during motion */
     uint64_t parameters_refused;
     uint64_t beyond;    /* commands that the wire could not represent */
-    uint64_t old;       /* pieces that arrived before the first tick and were discarded */
+    uint64_t old;       /* chunks of data received before the first tick, and discarded */
     uint64_t belated;   /* pairs not used because the drive followed outdated commands */
     uint64_t suspended; /* number of times the PC was suspended between two ticks */
 } rthyb_loop_counters;
@@ -95,10 +96,11 @@ typedef struct {
 typedef struct {
     uint64_t state, cause, cause_tick; /* of the station, after the last tick */
     uint64_t load_tick;                /* tick of the loop that was tick 0 of the current station */
-    int64_t began_ns;                  /* CLOCK_MONOTONIC when due_ns was 0; stepped clock: 0 */
-    int64_t arrival_error_ns;          /* link clock: smoothed lateness of the arrivals; */
-    int64_t trim_ppb;                  /* change of the period, positive: longer; */
-    uint64_t locked;                   /* whether the ticks follow the drive's samples */
+    /* value of CLOCK_MONOTONIC that corresponds to due_ns = 0; 0 with the stepped clock */
+    int64_t began_ns;
+    int64_t arrival_error_ns;         /* link clock: smoothed lateness of the arrivals; */
+    int64_t trim_ppb;                 /* change of the period, positive: longer; */
+    uint64_t locked;                  /* whether the ticks follow the drive's samples */
     int64_t delay[RTHYB_COUPLED_MAX]; /* as in rthyb_feedback, for the last new pair of each axis */
 } rthyb_loop_view;
 
@@ -107,11 +109,11 @@ typedef struct rthyb_loop rthyb_loop;
 
 size_t rthyb_loop_size(void); /* bytes that the caller provides, aligned for a double */
 
-/* The loop runs at the period of the station. Returns 0; RTHYB_E_PERIOD for a period that no ticker has
- * (rthyb_ticker_rate_hz), an unknown clock, or a lead that the link clock rejects; RTHYB_E_LIMIT for a calibration,
- * or a ring for a different number of axes. */
+/* The loop runs at the period of the station. Returns 0; RTHYB_E_PERIOD if no ticker supports the period
+ * (rthyb_ticker_rate_hz), the clock is unknown, or the link clock rejects the lead; RTHYB_E_LIMIT for an invalid
+ * calibration, or for a ring with a different number of axes. */
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg);
-/* These may be read while the loop runs; the ticker may also be used to grant, miss and stop ticks. */
+/* These may be read while the loop runs; the ticker may also be used to grant ticks, to skip them, and to stop. */
 void rthyb_loop_look(const rthyb_loop *loop, rthyb_loop_view *view);
 const rthyb_loop_counters *rthyb_loop_counted(const rthyb_loop *loop);
 const uint64_t *
@@ -132,19 +134,20 @@ void rthyb_loop_go_on(rthyb_loop *loop, const rthyb_last_command *last);
 /* After the end of a loop: what to pass to rthyb_loop_go_on of the next one. Returns 0 if nothing was ever sent, or
  * if the loop did not end at rest. */
 int rthyb_loop_last(const rthyb_loop *loop, rthyb_last_command *last);
-/* Discards up to RTHYB_OLD_PIECES_MAX pieces that are waiting in each link, because they are old or were meant for
- * another program. With the stepped clock, call it before the first tick; with the other clocks this is done
- * automatically. */
+/* Discards up to RTHYB_OLD_PIECES_MAX chunks of received data that are waiting in each link, because they are old or
+ * were meant for another program. With the stepped clock, call it before the first tick; with the other clocks this
+ * is done automatically. */
 void rthyb_loop_drop_old(rthyb_loop *loop);
 /* Executes one tick on the calling thread, for the stepped clock. */
 void rthyb_loop_step(rthyb_loop *loop);
-/* Starts a thread that runs until rthyb_ticker_stop, with the arguments of rthyb_thread_become_real_time. Returns 0
- * or errno. Except with the stepped clock, the first tick is due shortly after the call. */
+/* Starts a thread that runs until rthyb_ticker_stop is called; priority, cpu and latency_fd as for
+ * rthyb_thread_become_real_time. Returns 0 or errno. Except with the stepped clock, the first tick is due shortly
+ * after the call. */
 int rthyb_loop_start(rthyb_loop *loop, int32_t priority, int32_t cpu, int32_t latency_fd);
 /* Waits for the thread to end. */
 int rthyb_loop_join(rthyb_loop *loop);
-/* After the end of the thread: sends the last commands again, with RTHYB_TOLD_LEAVING. Returns 0 if not all were
- * sent: not at rest, nothing was ever sent, or a link did not accept it. */
+/* After the end of the thread: sends the last commands again, with RTHYB_TOLD_LEAVING. Returns 0 if they were
+ * not all sent: the loop is not at rest, nothing was ever sent, or a link refused one. */
 int rthyb_loop_leave(rthyb_loop *loop);
 /* Queues an operator's command for the next tick; one thread at a time. Returns its generation, or 0 if the previous
  * one has not been answered yet; only RTHYB_CMD_TRIP replaces an unanswered one. */
@@ -163,8 +166,8 @@ int rthyb_loop_loaded(const rthyb_loop *loop, uint64_t generation);
 /* Publishes a set of parameters and assigns its generation; the next tick adopts it as a whole before it does
  * anything else. One thread at a time. Returns 0, or RTHYB_E_LIMIT, in which case nothing is published. */
 int rthyb_loop_set_parameters(rthyb_loop *loop, rthyb_parameters *parameters);
-/* 0: no tick has processed that set yet; 1: it or a later one is in effect; 2: it or a later one was refused
- * (rthyb_station_adopt), and the previous set remains in effect. */
+/* 0: no tick has processed the set of this generation yet; 1: it or a later one is in effect; 2: it or a later one
+ * was refused (rthyb_station_adopt), and the previous set remains in effect. */
 int rthyb_loop_set_taken(const rthyb_loop *loop, uint32_t generation);
 /* Heartbeat of the operator's program. */
 void rthyb_loop_beat(rthyb_loop *loop);

@@ -26,10 +26,10 @@ enum rthyb_command {
 /* Settings of an actuator with its displacement sensor and load cell; all values before tare. */
 typedef struct {
     double x_range_m, f_range_n; /* a reading beyond the range of its sensor is not used; 0 = off */
-    double rest_spread_m;        /* ZERO is refused if the displacement varies by more, */
-    double tare_most_m, tare_most_n; /* or if a tare exceeds these; 0 = no limit */
-    /* 0: use the station's watches; else `watch`, for the causes that concern an axis: stuck, jump, position
-     * to tracking, rig position and rig force */
+    double rest_spread_m;        /* ZERO is refused if the displacement varies by more than this */
+    double tare_most_m, tare_most_n; /* ZERO is refused if a tare exceeds these; 0 = no limit */
+    /* 0: use the station's watches; else `watch`, for the causes of an axis: SENSOR_STUCK to FORCE_JUMP, POSITION
+     * to TRACKING, RIG_POSITION, RIG_FORCE */
     int32_t own_watches;
     rthyb_watch watch[RTHYB_CAUSE_COUNT];
 } rthyb_axis_config;
@@ -43,25 +43,25 @@ typedef struct {
     rthyb_controller_config controller;
     rthyb_axis_config axis[RTHYB_COUPLED_MAX];
     rthyb_interface_config interface[RTHYB_COUPLED_MAX];
-    /* Used from RTHYB_CAUSE_SKIPS on. Units: stuck: ticks; jump: m or N; shares: 0 to 1. SKIPS with value 0 means a
-     * ramp-out at 50 in 1024. */
+    /* Only the entries from RTHYB_CAUSE_SKIPS upwards are used. Units: stuck: ticks; jump: m or N; shares: 0 to 1.
+     * If SKIPS has the value 0, a share of 50/1024 with the action ramp-out applies. */
     rthyb_watch watch[RTHYB_CAUSE_COUNT];
     double path_velocity_m_per_s; /* for ramps and RESUME */
     double path_acceleration_m_per_s2;
-    /* of HOLD and at the start of a ramp-out; 0: as for paths */
+    /* deceleration in HOLD and at the start of a ramp-out; 0: path_acceleration_m_per_s2 */
     double brake_acceleration_m_per_s2;
     int32_t tare_ticks, ramp_in_ticks, armed_ticks;
     int32_t stay; /* not 0: RAMP_OUT ends where the motion stops instead of at 0 */
-    /* Channels of a row, as index of the first and number (0: none): values that the first axis' control law reports
-     * in addition to alpha and beta; responses of the numerical part; and values of further axes that are not in the
-     * record, which are x_num and k_t of each interface except the first, then x_plc, alpha and beta of each axis
-     * except the first. */
+    /* For each group of channels in a row: index of the first, and how many (0: none). law: values that the first
+     * axis' control law reports in addition to alpha and beta; part: responses of the numerical part; axis: values of
+     * further axes that are not in the record, namely x_num and k_t of each interface except the first, then x_plc,
+     * alpha and beta of each axis except the first. */
     uint32_t law_channel, law_channel_count, part_channel, part_channel_count;
     uint32_t axis_channel, axis_channel_count;
 } rthyb_station_config;
 
-/* Displacement over an integer number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u), u = 0 ... 1. Or a braking
- * motion: displacement, velocity and acceleration at its start, and the braking acceleration. */
+/* Displacement over an integer number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u), u = 0 ... 1. For a braking
+ * motion, c holds displacement, velocity and acceleration at its start, then the braking acceleration. */
 typedef struct {
     double c[6];
     double end; /* exact end value */
@@ -71,7 +71,8 @@ typedef struct {
     int32_t cosine;
 } rthyb_path;
 
-/* Repeated reading of a stuck sensor, the command when the repetition began, and the number of ticks. */
+/* Repeated reading of a stuck sensor, the command when the repetition began, and for how many ticks it has been
+ * repeated. */
 typedef struct {
     double reading, command;
     uint64_t ticks;
@@ -83,21 +84,23 @@ typedef struct {
     double level;
 } rthyb_leaps;
 
-/* A force beyond its limit when a trip is the only remaining reaction: ticks beyond, ticks below since then, last
- * tick. */
+/* Counts while a force is beyond its limit and only a trip can still follow. ticks: ticks beyond the limit; calm:
+ * consecutive ticks below it since; seen: last tick counted. */
 typedef struct {
     uint64_t ticks, calm, seen;
 } rthyb_overload;
 
 enum rthyb_station_size {
-    RTHYB_LOST_TICKS = 20,  /* ticks of 1/1024 s without a pair after which the link is lost */
-    RTHYB_BLIND_MAX = 80,   /* skipped ticks that are processed later: the same time at 4096 Hz */
+    RTHYB_LOST_TICKS = 20, /* ticks of 1/1024 s without a pair after which the link is lost */
+    /* most skipped ticks that are made up for later: RTHYB_LOST_TICKS at 4096 Hz */
+    RTHYB_BLIND_MAX = 80,
     RTHYB_RECENT_MAX = 4096 /* ticks in the last second, at 4096 Hz */
 };
 
 /* State of an axis; readings are before tare. */
 typedef struct {
-    double tare_cmd; /* zero of the command, before tare: sensor and drive need not agree */
+    /* command that counts as zero, before tare; differs from tare_x if sensor and drive disagree */
+    double tare_cmd;
     double tare_x, tare_f, sum_x, sum_f, low_x, high_x;
     double gap; /* reading minus command at rest, found by the tare: reference for drift */
     rthyb_stillness still_x, still_f;
@@ -120,13 +123,14 @@ typedef struct {
 
 /* Time constants of a station, in its ticks. */
 typedef struct {
-    /* ticks without a pair until the link is lost; also skipped ticks processed later */
+    /* ticks without a pair until the link is lost; also the most skipped ticks that are made up for later */
     uint32_t lost;
     uint32_t rest;   /* readings at rest until RESET is allowed */
     uint32_t skips;  /* more skipped ticks than this in a row: RAMP_OUT */
     uint32_t recent; /* ticks in the last second; at most RTHYB_RECENT_MAX */
-    int64_t arrival; /* ticks without approach after which a command is considered not to arrive */
-    /* ticks with a force beyond its limit until a trip, when only a trip remains */
+    /* ticks without progress towards the end of a path, after which the cause is NOT_ARRIVED */
+    int64_t arrival;
+    /* ticks beyond a force limit that cause a trip, if hold and ramp-out can do no more */
     uint64_t overload;
     int64_t least_way;  /* minimum duration of a path between two points */
     int64_t turn;       /* ticks in which the deceleration of a brake builds up and ends, */
@@ -145,7 +149,7 @@ typedef struct {
     /* measured value, in the unit of the monitored quantity (m, N, ticks ...), */
     double cause_value;
     double cause_limit; /* and its limit; both 0 if the cause has no number */
-    uint32_t indicated; /* bit 1 << cause: occurred, without an action */
+    uint32_t indicated; /* bit 1 << cause: the cause occurred but did not change the state */
     int32_t interrupted;
     uint64_t tick;                      /* ticks of the station */
     uint64_t in_state;                  /* ticks since the state was entered */
@@ -163,10 +167,11 @@ typedef struct {
     int32_t tare_readings; /* readings in the tare so far */
     int32_t tared;         /* there is a valid tare: not before the first, nor after a RESET */
     int32_t seen;          /* every axis has had a reading */
-    int32_t commands;      /* x_cmd is from an earlier tare or station, not from a reading */
-    int32_t noted;         /* status bits found in this tick before its record exists */
-    uint64_t apart;        /* consecutive ticks in which the drives' counts differed, */
-    int32_t apart_axis;    /* and the axis concerned, as last reported to the station; -1: none */
+    /* not 0: x_cmd comes from an earlier tare or station rather than from a reading */
+    int32_t commands;
+    int32_t noted;      /* status bits found in this tick before its record exists */
+    uint64_t apart;     /* consecutive ticks in which the drives' counts differed */
+    int32_t apart_axis; /* axis whose count differed, as last reported to the station; -1: none */
     rthyb_axis axis[RTHYB_COUPLED_MAX];
     rthyb_overload over_interface[RTHYB_COUPLED_MAX];
     int32_t refused_cause; /* reason why the last ARM, START, RESUME, RESET or tare was refused, */
@@ -194,8 +199,9 @@ typedef struct {
 } rthyb_axis_input;
 
 typedef struct {
-    double x_cmd_m;       /* for the wire: with tare */
-    double low_m, high_m; /* with tare: rounding on the wire must not exceed these */
+    double x_cmd_m; /* for the wire: with tare */
+    /* with tare: the command must stay within these after rounding on the wire */
+    double low_m, high_m;
 } rthyb_axis_output;
 
 typedef struct {
@@ -220,12 +226,12 @@ typedef struct {
 } rthyb_station_output;
 
 int rthyb_station_init(rthyb_station *station, const rthyb_station_config *cfg);
-/* Executes one tick: blind steps for skipped ticks, then the sample. `records` must have room for RTHYB_BLIND_MAX + 1
- * complete records; the last one contains the inputs of the station as flags. ag_mps2: ground motion of the whole
- * test, n samples. ZERO, ARM and START are refused while a link is down or a drive has stopped; RESET without a new
- * reading, or before the readings have been at rest for 19.5 ms; ARM, START, RESUME and RESET if a limit is exceeded,
- * as given by refused_cause. RESET applies in TRIPPED, and in IDLE if the drive has stopped; the next three commands
- * carry it to the drive. */
+/* Executes one tick: blind steps for skipped ticks, then the sample. `records` must have room for RTHYB_BLIND_MAX +
+ * 1 complete records; the flags of the last one record the station's inputs. ag_mps2: ground motion of the whole
+ * test, n samples. ZERO, ARM and START are refused while a link is down or a drive has stopped. RESET is refused
+ * without a new reading, or before the readings have been at rest for 19.5 ms. ARM, START, RESUME and RESET are
+ * refused if a limit is exceeded; refused_cause says which. RESET applies in TRIPPED, and in IDLE if the drive has
+ * stopped; the next three commands carry it to the drive. */
 int rthyb_station_tick(rthyb_station *station, const rthyb_station_input *in, const double *ag_mps2,
                        size_t n, rthyb_record *records, rthyb_station_output *out);
 /* Completes the tick after the command was sent; otherwise the next tick does it. */
