@@ -78,7 +78,7 @@ def row(changed: bool, right: bool, same: bool) -> dict[str, Any]:
 def test_answers_that_change_are_counted_with_what_they_cost() -> None:
     assert cell([(True, row(False, True, True))]) == "0"
     assert cell([(True, row(True, False, False)), (False, row(True, True, False))]) == (
-        "2 (1 lost, 1 won)"
+        "2 (1 lost, 1 corrected)"
     )
     assert cell([(True, row(False, True, False)), (True, row(True, True, False))]) == "1; 1"
 

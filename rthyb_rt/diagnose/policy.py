@@ -105,12 +105,14 @@ class Policy:
     )  # fmt: skip
     search_ends: float = _entry(
         1.03, "chi-squared per row", "numerics",
-        "If the best set leaves more than this, triples and other friction laws are tried.",
+        "If the residual of the best set exceeds this, the search continues with triples and other "
+        "friction laws.",
     )  # fmt: skip
 
     changed_numbers: float = _entry(
         3.5, "standard deviations", "physics",
-        "Limit, beyond chance, on the change of a set's parameters in one part of the recording.",
+        "Maximum change of a set's parameters in one part of the recording that is attributed to "
+        "chance.",
         "by chance, one in four thousand; for five parts, one in nine hundred",
     )  # fmt: skip
     changed_within: float = _entry(
@@ -129,8 +131,8 @@ class Policy:
     )  # fmt: skip
     twin_evidence: float = _entry(
         2.0, "chi-squared", "judgement",
-        "Up to this difference, a recording provides no evidence for one of two effects over the "
-        "other.",
+        "If the best set only changes a stated value, a single effect that was rejected for its "
+        "higher price is reported as equally good if its chi-squared is larger by less than this.",
     )  # fmt: skip
     dearer_rival: float = _entry(
         1.5, "multiple of same_evidence", "judgement",
@@ -148,7 +150,8 @@ class Policy:
     )  # fmt: skip
     richer_friction_gain: float = _entry(
         12.0, "chi-squared", "judgement",
-        "Minimum evidence beyond their price that they must add, however little is explained.",
+        "Minimum evidence beyond their price that a Stribeck peak or bristles must add, however "
+        "little is explained.",
     )  # fmt: skip
     yielding_gain: float = _entry(
         25.0, "chi-squared", "judgement",
@@ -225,7 +228,8 @@ class Policy:
     )  # fmt: skip
     pair_share: float = _entry(
         2e-3, "fraction of the misfit", "numerics",
-        "Additional misfit that a single effect may leave in that case.",
+        "Additional misfit that the best set may leave in these cases (no stated tolerances, "
+        "triples).",
     )  # fmt: skip
     actuator_at_noise: float = _entry(
         0.05, "misfit / noise power", "judgement",
@@ -233,8 +237,8 @@ class Policy:
     )  # fmt: skip
     actuator_at_noise_price: float = _entry(
         2.0, "multiple of its price", "judgement",
-        "Multiple of its price that an actuator effect must earn to be exempt from the minimum "
-        "share within that uncertainty.",
+        "Within that uncertainty, an actuator effect is exempt from the minimum share if it earns "
+        "more than this multiple of its price.",
     )  # fmt: skip
 
     # ---- remaining misfit ----------------------------------------------------------------------
@@ -276,8 +280,8 @@ class Policy:
     )  # fmt: skip
     coloured_evidence: float = _entry(
         1.3, "factor", "judgement",
-        "Correlation between rows, as a factor, above which the search is repeated with the "
-        "evidence scaled down.",
+        "Factor by which correlation between rows inflates the evidence, above which the search is "
+        "repeated with the evidence scaled down.",
     )  # fmt: skip
     coloured_cell: float = _entry(
         1.3, "factor", "judgement",
@@ -290,8 +294,8 @@ class Policy:
     )  # fmt: skip
     motion_understood: float = _entry(
         1.5, "chi-squared per row", "judgement",
-        "Maximum misfit of the actuator's best set for its simulated motion to be regarded as the "
-        "true motion.",
+        "The simulated motion of the actuator's best set is regarded as the true motion if its "
+        "misfit is below this.",
     )  # fmt: skip
     blur_free: float = _entry(
         0.008, "fraction of the force", "judgement",
@@ -335,7 +339,8 @@ class Policy:
     )  # fmt: skip
     motion_close: float = _entry(
         0.005, "fraction of the model's misfit", "numerics",
-        "The same, as a difference between simulators of friction.",
+        "The same, as a fraction of the misfit of the model alone, because simulators of friction "
+        "differ by about this much.",
     )  # fmt: skip
     simulators_differ: float = _entry(
         1.5e-4, "fraction of the displacement", "numerics",
@@ -368,12 +373,13 @@ class Policy:
     )  # fmt: skip
     simulated_unseen: float = _entry(
         0.004, "NRMSE", "judgement",
-        "The same in excess of the displacement noise; a larger error is a motion that the model "
-        "cannot produce.",
+        "The same in excess of the displacement noise; a larger error means that the model cannot "
+        "produce this motion.",
     )  # fmt: skip
     felt_by_cell: float = _entry(
         0.05, "fraction of the misfit", "judgement",
-        "Maximum misfit of the load cell in most rows for a simulated motion to be accepted.",
+        "A simulated motion is accepted if the misfit of the load cell, by its median over the "
+        "rows, is below this.",
     )  # fmt: skip
 
     # ---- nuisance and noise ---------------------------------------------------------------------
@@ -393,12 +399,14 @@ class Policy:
     )  # fmt: skip
     noise_held: float = _entry(
         1.3, "factor", "physics",
-        "Maximum ratio between the measured white noise of a channel and its data sheet value.",
+        "The measured white noise of a channel is used only within this factor, in either "
+        "direction, of the data sheet value; beyond it, the bound is used.",
         "data sheets are accurate to 20 per cent (interchange format); the margin is a judgement",
     )  # fmt: skip
     sheet_factor: float = _entry(
         1.25, "factor", "physics",
-        "Maximum ratio, in either direction, between the noise and its data sheet value.",
+        "The noise level fitted to a residual is kept within this factor, in either direction, of "
+        "the data sheet value; a residual with a larger rms is regarded as more than noise.",
         "data sheets are accurate to 20 per cent (interchange format): 1 / 0.8",
     )  # fmt: skip
     power_scatter: float = _entry(
@@ -451,14 +459,14 @@ class Policy:
     )  # fmt: skip
     noise_independent: float = _entry(
         0.9, "spectra", "judgement",
-        "Number of independent spectra per segment.",
+        "Effective number of independent spectra per segment.",
         "0.997 for white noise, by the formula for segments that overlap by half with this window "
         "(Welch 1967); less for coloured noise",
     )  # fmt: skip
     noise_shared: float = _entry(
         0.2, "fraction of a line's power", "judgement",
         "Maximum fraction of a noise line that other channels may show.",
-        "it increases the noise by a quarter",
+        "a fraction of this size increases the noise by a quarter",
     )  # fmt: skip
     noise_moves: float = _entry(
         0.5, "fraction of a line's power", "physics",
@@ -466,12 +474,12 @@ class Policy:
     )  # fmt: skip
     noise_neighbours: int = _entry(
         3, "lines", "numerics",
-        "Number of lines on each side over which this is averaged.",
+        "Number of lines on each side over which that fraction is averaged.",
         "a single line may coincide by chance",
     )  # fmt: skip
     noise_rows: float = _entry(
         0.5, "fraction of the rows", "judgement",
-        "Minimum fraction of usable rows for determining the colour of the noise.",
+        "Minimum fraction of the rows that must be usable to determine the colour of the noise.",
     )  # fmt: skip
     hangs_together: float = _entry(
         0.05, "correlation", "numerics",
@@ -483,8 +491,8 @@ class Policy:
     )  # fmt: skip
     abrupt_model: float = _entry(
         0.3, "standard deviations of noise", "physics",
-        "Maximum deviation, over the force's slope, that a normal time offset may cause from a "
-        "straight line in a row that is evaluated.",
+        "Rows are evaluated only if, over a normal time offset, the force deviates from a straight "
+        "line by less than this.",
         "it increases the noise power by less than a tenth",
     )  # fmt: skip
     abrupt_rows: float = _entry(
@@ -503,8 +511,8 @@ class Policy:
     )  # fmt: skip
     abrupt_force: float = _entry(
         3.0, "factor", "judgement",
-        "Ratio of the force above that frequency to that of the model, above which the force is "
-        "regarded as abrupt.",
+        "An effect's force is regarded as abrupt if its share at frequencies at which the model's "
+        "force has faded into the noise exceeds the model's share there by this factor.",
     )  # fmt: skip
 
     # ---- quantisation of a coarse load cell -----------------------------------------------------
@@ -517,13 +525,13 @@ class Policy:
         "Fraction of readings that must lie on one grid.",
     )  # fmt: skip
     coarse_near: float = _entry(
-        0.15, "fraction of 2 pi", "judgement",
-        "Maximum distance of a reading from the grid.",
+        0.15, "rad", "judgement",
+        "Maximum distance of a reading from the grid, as a phase: one grid step is 2 pi.",
     )  # fmt: skip
     rounded_rows: float = _entry(
         0.02, "fraction of the rows", "judgement",
-        "Fraction of rows beyond half a quantisation step plus noise with which the model alone is "
-        "accepted.",
+        "The model alone is accepted if at most this fraction of the rows deviates by more than "
+        "half a quantisation step plus noise.",
     )  # fmt: skip
     rounded_noise: float = _entry(
         3.0, "standard deviations of noise", "physics",
@@ -537,8 +545,8 @@ class Policy:
     )  # fmt: skip
     rounded_as_best: float = _entry(
         5.0, "multiple of the best set's value", "judgement",
-        "Maximum number of rows beyond quantisation, relative to the best set, with which the "
-        "model alone is accepted.",
+        "If a set of effects was found, the model alone is accepted only if the number of its rows "
+        "that quantisation cannot explain is below this multiple of the set's number.",
     )  # fmt: skip
     rounded_gain: float = _entry(
         400.0, "chi-squared", "judgement",
@@ -550,12 +558,13 @@ class Policy:
     )  # fmt: skip
     rounded_better: float = _entry(
         0.2, "multiple of the best set's value", "judgement",
-        "Number of rows beyond quantisation with which a set takes precedence over the best set by "
-        "chi-squared.",
+        "A set takes precedence over the set with the lowest chi-squared if the number of rows "
+        "that quantisation cannot explain is below this multiple of that set's number.",
     )  # fmt: skip
     rounded_alike: float = _entry(
         2.0, "multiple of the best set's value", "judgement",
-        "The same for a subset, or a rival, that quantisation does not distinguish from it.",
+        "A subset or a rival of the best set is regarded as equally good if its number of such "
+        "rows is below this multiple of that set's number.",
     )  # fmt: skip
 
     # ---- effects with an onset, and recordings that start during motion -------------------------
@@ -571,7 +580,7 @@ class Policy:
     )  # fmt: skip
     start_at_rest: float = _entry(
         0.02, "fraction of the largest displacement", "judgement",
-        "Maximum displacement in a tenth of a second of a body that is at rest.",
+        "A body is at rest if it moves by less than this in a tenth of a second.",
     )  # fmt: skip
     motion_from_hz: float = _entry(
         0.3, "Hz", "numerics",
@@ -614,7 +623,7 @@ class Policy:
     )  # fmt: skip
     stroke_bent: float = _entry(
         4.0, "standard deviations", "physics",
-        "Maximum deviation of the mean over a third of the stroke.",
+        "Maximum deviation of the mean over a third of the stroke from that line.",
         "by chance, six in a hundred thousand",
     )  # fmt: skip
     stroke_rests: float = _entry(
@@ -643,8 +652,8 @@ class Policy:
     )  # fmt: skip
     past_better: float = _entry(
         0.5, "fraction of the misfit", "judgement",
-        "Maximum misfit in the first rows of a second recording with which an assumed loading "
-        "history is accepted.",
+        "An assumed loading history is accepted if it reduces the misfit in the first rows of a "
+        "second recording to at most this fraction.",
     )  # fmt: skip
 
     # ---- redundant channels, and channels unknown to the model ----------------------------------
@@ -661,7 +670,8 @@ class Policy:
     )  # fmt: skip
     accelerometer_clear: float = _entry(
         10.0, "multiple of its noise", "physics",
-        "Ratio of a frequency's power to its noise needed to determine these.",
+        "Ratio of a frequency's power to its noise needed to determine the gain and the time "
+        "difference.",
         "its bias is then at most one per cent",
     )  # fmt: skip
     accelerometer_sure: float = _entry(
@@ -696,14 +706,15 @@ class Policy:
     )  # fmt: skip
     modulation_turned: float = _entry(
         -0.1, "fraction of its mean", "judgement",
-        "Minimum coefficient of a law within the recording, if its sign is fixed.",
+        "If a law's coefficient must be positive, the most negative value that it may reach during "
+        "the recording.",
     )  # fmt: skip
 
     # ---- laws -----------------------------------------------------------------------------------
     spring_level: float = _entry(
         0.01, "fraction of the steepest slope", "numerics",
-        "Slope below which a spring is regarded as flat, as it may be together with a yielding "
-        "law.",
+        "Together with a yielding law, a spring may be flat; it is regarded as falling, and is "
+        "rejected, if its slope is more negative than this.",
     )  # fmt: skip
     gap_in_spring: float = _entry(
         0.5, "fraction of the stated stiffness", "physics",
@@ -736,12 +747,12 @@ class Policy:
     )  # fmt: skip
     form_error: float = _entry(
         0.15, "fraction of its force", "judgement",
-        "Maximum amount by which a smooth function of the motion may distort a law, for its "
-        "confidence intervals.",
+        "Maximum deviation of the true law from the assumed one, as a smooth function of the "
+        "motion, that the confidence intervals allow for.",
     )  # fmt: skip
     prediction_follows: float = _entry(
         2.0, "multiple of its noise", "judgement",
-        "Maximum misfit of a simulated motion that a prediction may follow.",
+        "A prediction may use a simulated motion whose misfit is below this.",
     )  # fmt: skip
     refined_better: float = _entry(
         0.98, "fraction of the misfit", "judgement",
@@ -757,7 +768,8 @@ class Policy:
     )  # fmt: skip
     recovered_unclosed: float = _entry(
         0.05, "fraction of a signal", "judgement",
-        "Residual of an equation of the loop above which the test did not use this equation.",
+        "Residual of an equation of the loop above which the test is assumed not to have used this "
+        "equation.",
     )  # fmt: skip
 
     # ---- location of an effect, and how it is reported ------------------------------------------
@@ -799,12 +811,12 @@ class Policy:
     )  # fmt: skip
     told_always: float = _entry(
         0.9, "fraction of the recording", "judgement",
-        'Total length of the windows from which an effect is reported to act "throughout".',
+        'Minimum total length of the windows for an effect to be reported to act "throughout".',
     )  # fmt: skip
     told_one_sided: float = _entry(
         0.95, "fraction of the rows", "judgement",
-        "Fraction of rows with one sign from which an effect is reported to raise or reduce the "
-        "force.",
+        "Minimum fraction of rows with one sign for an effect to be reported to raise or reduce "
+        "the force.",
     )  # fmt: skip
     loop_met: float = _entry(
         0.05, "NRMSE", "judgement",
@@ -859,7 +871,7 @@ class Policy:
     )  # fmt: skip
     time_rows: float = _entry(
         0.9, "fraction of the rows", "judgement",
-        "Fraction of increments that must be that even.",
+        "Fraction of the increments that must meet this.",
     )  # fmt: skip
     numbers_least: float = _entry(
         0.5, "fraction of the rows", "judgement",
@@ -867,7 +879,8 @@ class Policy:
     )  # fmt: skip
     clipped_rows: float = _entry(
         0.2, "fraction of the rows", "judgement",
-        "Fraction of rows at the end of a sensor's range from which a channel is rejected.",
+        "A channel is rejected if more than this fraction of its rows is at the end of the "
+        "sensor's range.",
     )  # fmt: skip
     stop_beyond: float = _entry(
         0.5, "standard deviations", "judgement",
@@ -876,7 +889,8 @@ class Policy:
     )  # fmt: skip
     stop_rows: int = _entry(
         6, "rows", "judgement",
-        "Consecutive rows at such a reading from which it is one.",
+        "Minimum number of consecutive rows at such a reading for it to be regarded as a "
+        "saturation level.",
     )  # fmt: skip
     stop_longer: float = _entry(
         4.0, "factor", "judgement",
@@ -892,8 +906,8 @@ class Policy:
     )  # fmt: skip
     dead_cell_follows: float = _entry(
         0.02, "fraction of its power", "judgement",
-        "Maximum fraction that may follow the model for the signal to be regarded as no "
-        "measurement of it.",
+        "The signal is regarded as no measurement of the force if less than this fraction of its "
+        "power is correlated with the model's force.",
     )  # fmt: skip
     short_gap: int = _entry(
         3, "rows", "judgement",
@@ -902,20 +916,21 @@ class Policy:
     wrong_unit: float = _entry(
         100.0, "factor", "physics",
         "Ratio (or its inverse) beyond which a channel with the expected shape has a wrong unit.",
-        "a specimen may be 30 times softer than its model; a factor of 1000 with a model that is "
-        "wrong by a factor of ten is as far beyond it",
+        "a specimen may be 30 times softer than its model; a unit that is wrong by 1000 still "
+        "gives 100 if the model is wrong by ten in the other direction",
     )  # fmt: skip
     shape_alike: float = _entry(
         0.5, "correlation", "judgement",
-        "Correlation from which a channel has roughly the expected shape.",
+        "Minimum correlation for a channel to be considered to have roughly the expected shape.",
     )  # fmt: skip
     shape_clearly: float = _entry(
         0.9, "correlation", "judgement",
-        "Correlation from which it has the expected shape and no other.",
+        "Minimum correlation for a channel to be considered to have the expected shape and no "
+        "other.",
     )  # fmt: skip
     shape_simulated: float = _entry(
         0.95, "correlation", "judgement",
-        "Correlation from which a channel has the shape of a simulated one.",
+        "Minimum correlation for a channel to be considered to have the shape of a simulated one.",
     )  # fmt: skip
     shape_balanced: float = _entry(
         0.8, "correlation", "judgement",
@@ -923,7 +938,8 @@ class Policy:
     )  # fmt: skip
     balance_cell: float = _entry(
         0.05, "fraction of its terms", "judgement",
-        "Minimum remainder of a force balance with a load cell needed to determine a magnitude.",
+        "Smallest remainder of a force balance with a load cell from which a magnitude can be "
+        "determined.",
     )  # fmt: skip
     balance_model: float = _entry(
         0.3, "fraction of its terms", "judgement",
@@ -975,8 +991,8 @@ class Policy:
     )  # fmt: skip
     other_test: float = _entry(
         300.0, "factor", "judgement",
-        "Ratio between the magnitudes of one channel in two tests on a rig above which something "
-        "is wrong; between a sensor's noise and its range.",
+        "If the magnitudes of a channel in two tests on the same rig differ by this factor or "
+        "more, the second is rejected: its unit is probably wrong.",
     )  # fmt: skip
 
 

@@ -174,7 +174,7 @@ def cases(seed: int, count: int, out: Path) -> Iterator[tuple[str, Path]]:
         else:
             level = second.LEVELS[i // 2 % len(second.LEVELS)]
             *_, last = second.generate(kind, level, seed, number + 1, out / "second")
-            yield f"second generator, {level} {kind}", last
+            yield f"second generator, {kind} (level: {level})", last
 
 
 def cell(rows: list[tuple[bool, dict[str, Any]]]) -> str:
@@ -185,7 +185,7 @@ def cell(rows: list[tuple[bool, dict[str, Any]]]) -> str:
     numbers = sum(not r["changed"] and not r["same"] for _, r in rows)
     said = str(len(changed))
     if lost or won:
-        said += f" ({', '.join(f'{n} {w}' for n, w in ((lost, 'lost'), (won, 'won')) if n)})"
+        said += f" ({', '.join(f'{n} {w}' for n, w in ((lost, 'lost'), (won, 'corrected')) if n)})"
     return f"{said}; {numbers}" if numbers else said
 
 
@@ -255,14 +255,15 @@ Their origin is "physics" (sensors, the interchange format or the statistics of 
 (the accuracy of computed motions and forces), "calibrated" (found on the recordings named) or
 "judgement" (chosen by the authors).
 
-The sensitivity was determined with only {len(results)} cases: a threshold that changes none
-of them may still matter, especially one that few or none of them use. The cases are listed below;
-{right} of them are answered correctly. Each was diagnosed again with each threshold that it uses at
-0.7 and 1.4 times its value (integers: one less and one more): {runs} diagnoses, of which {changed}
-name something else. The last two columns count these answers, with the number of correct ones lost
-and wrong ones corrected in parentheses, and after a semicolon the answers in which only figures
-change (parameters, intervals, time windows, errors). "Not measured": the threshold, or its value,
-is newer than these figures.
+The sensitivity was determined with only {len(results)} cases: a threshold that changes no answer
+here may still matter in other cases, especially if few of these cases use it. The cases are listed
+below; {right} of them are answered correctly. Each was diagnosed again with each threshold that it
+uses at 0.7 and 1.4 times its value (integers: one less and one more): {runs} diagnoses, {changed}
+with another verdict or other effects. The last two columns give the number of these changed
+answers; in parentheses, how many correct ones were lost or wrong ones corrected; after the
+semicolon, the answers in which only numbers change (parameters, intervals, time windows, errors).
+A dash: no case uses the threshold. "Not measured": the threshold, or its value, is newer than these
+figures.
 
 | threshold | value | unit | origin | decides | basis | used in | × 0.7 | × 1.4 |
 |---|---|---|---|---|---|---|---|---|
