@@ -938,7 +938,7 @@ def test_adapter_of_another_bit_rate(
         ),
         (
             {"dbc": '"none.dbc"'},
-            "no such file; a relative path starts at the folder of the rig file",
+            "no such file; a relative path is relative to the folder of the rig file",
         ),
     ],
 )

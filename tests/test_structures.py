@@ -307,7 +307,7 @@ def test_a_file_that_is_no_structure_is_refused(
         ("a.npz", b"rubbish", "cannot be read as .npz"),
         ("a.mat", b"rubbish", "cannot be read as a MATLAB file"),
         ("a.xls", b"", 'file type ".xls" is not supported here; a .npz or .mat file'),
-        ("b.npz", b"", "no such file; a relative path starts at"),
+        ("b.npz", b"", "no such file; a relative path is relative to"),
     ],
 )
 def test_a_file_of_another_kind_is_refused(

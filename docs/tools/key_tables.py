@@ -42,20 +42,21 @@ _PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 MEANINGS: dict[str, str] = {
     "GroundMotion.format": 'format of the file; "auto" detects it from the content',
-    "GroundMotion.record": "name of a built-in record, or path of a file; a relative path "
-    "starts at the folder of the test file",
+    "GroundMotion.record": "name of a built-in record, or path of a file; a relative path is "
+    "relative to the folder of the test file",
     "GroundMotion.units": "unit of the file's numbers, if the file does not state it",
     "GroundMotion.channel": "number, or part of the name, of one component of several",
     "GroundMotion.interpolation": "how the record is resampled to the test's rate",
     "Numerical.integrator": "integrator of the equation of motion",
-    "LibraryFile.file": "the shared library; a relative path starts at the folder of the test file",
-    "FmuFile.file": "the FMU; a relative path starts at the folder of the test file",
+    "LibraryFile.file": "the shared library; a relative path is relative to the folder of the test "
+    "file",
+    "FmuFile.file": "the FMU; a relative path is relative to the folder of the test file",
     "FmuFile.force": "input that gets the measured force",
     "FmuFile.displacement": "output that the actuator follows",
     "FmuFile.ground_acceleration": "input that gets the ground acceleration; absent: none",
     "Matrices.m_kg": "masses of the degrees of freedom",
     "Matrices.k_n_per_m": "stiffnesses between them",
-    "Matrices.c_n_s_per_m": "dampings between them",
+    "Matrices.c_n_s_per_m": "damping coefficients between them",
     "Matrices.damping_ratios": "instead: ratio of each mode of the whole structure, lowest first, "
     "or one for all",
     "Matrices.influence": "displacements for a unit displacement of the ground; absent: 1 each",
@@ -63,15 +64,18 @@ MEANINGS: dict[str, str] = {
     "Matrices.interface": "the degree of freedom to which the specimen is attached",
     "Matrices.integrator": "integrator of the equation of motion",
     "Matrices.force_delay_samples": "1: the force is used one sample later",
-    "MatrixFile.file": ".npz or .mat with all matrices; a relative path starts at the folder of "
-    "the test file",
-    "MatrixFile.data": "what was in the files; only the program writes it, into recordings",
+    "MatrixFile.file": ".npz or .mat with all matrices; a relative path is relative to the "
+    "folder of the test file",
+    "MatrixFile.data": "contents of the files; written by the program into recordings, not for "
+    "test files",
     "MatrixFile.direction": "which influence vector is used, if the file has several",
     "MatrixFiles.mass": "masses, .mtx or .csv",
     "MatrixFiles.stiffness": "stiffnesses",
-    "MatrixFiles.damping": "dampings",
+    "MatrixFiles.damping": "damping coefficients",
     "MatrixFiles.labels": "names of the degrees of freedom, one per line",
     "MatrixFiles.influence": "displacements for a unit displacement of the ground, .mtx or .csv",
+    "Damping.modes": "the numbers of the modes",
+    "Nonlinear.storeys": "the storeys",
     "Storeys.p_delta": "true: include the P-delta effect of the weight above each storey",
     "Damping.form": "Rayleigh damping, of one or two modes, or modal damping of those named",
     "Nonlinear.dof": "between this degree of freedom of the matrices and the ground",
@@ -87,9 +91,9 @@ MEANINGS: dict[str, str] = {
     "Rfc.divisor": "by what Eqn 3.3 divides its T0 + 1 terms: T0, or their number",
     "Rfc.cutoff_hz": "cut-off of the low-pass on $x_c - x_m$, below half of the sample rate; "
     "0: none; absent: the rig's `identified.roll_off_hz`, except for `paper`; else 0",
-    "Rfc.force_lateness_s": "delay behind $x_m$ of the force that the equation of motion uses; "
-    "absent: the delay that follows from integrator and `force_delay_samples` where the rig has a "
-    "`roll_off_hz`, except for `paper`; else 0",
+    "Rfc.force_lateness_s": "delay, relative to $x_m$, of the force used in the equation of "
+    "motion; absent: computed from integrator and `force_delay_samples` if the rig has a "
+    "`roll_off_hz` and the law is not `paper`; otherwise 0",
     "Controller.type": "which control law, see below and tuning",
     "Controller.plc_enabled": "false: no delay compensation (force compensation alone)",
     "Reference.table_forces": "true: the reference has the table's mass and friction as well",
@@ -98,7 +102,8 @@ MEANINGS: dict[str, str] = {
     "Limit.enable": "false: the limit is ignored",
     "Limit.action": "what happens beyond it",
     "TestInfo.name": "name of the test; its run's folder begins with it",
-    "TestInfo.duration_s": "length of the test; absent: ground motion and free vibration",
+    "TestInfo.duration_s": "length of the test; absent: duration of ground motion plus free "
+    "vibration",
     "GroundMotion.pga_g": "peak to which the record is scaled",
     "GroundMotion.factor": "instead of `pga_g`: factor by which the record is multiplied",
     "GroundMotion.duration_s": "length taken; absent: to the end",
@@ -146,8 +151,8 @@ MEANINGS: dict[str, str] = {
     "BaselineFile.family": "what drives the specimen: an actuator, moving ground, a known force, "
     "or a closed hybrid test",
     "BaselineFile.command_hold": "the command is held between rows, or interpolated linearly",
-    "Controller.plc_w1": "weighting W1 of the phase-lead compensator; needed with W2 to recover "
-    "its action",
+    "Controller.plc_w1": "weighting W1 of the phase-lead compensator; with W2, needed to "
+    "reconstruct what the compensator did",
     "Controller.rfc": "true: the measured force was compensated",
     "Controller.adaptive": "true: the delay was estimated during the test",
     "Link.kind": "type of connection",
@@ -157,8 +162,9 @@ MEANINGS: dict[str, str] = {
     "Link.bitrate": "CAN: bit/s, 10000 to 1000000, absent: not checked; serial: baud, absent: "
     f"{rigfile.DEFAULT_BAUD}; socket: none",
     "Link.fd": "true: the bus is CAN FD",
-    "Link.data_bitrate": "CAN FD: bit/s of feedback frames that switch; absent: none does",
-    "Link.dbc": "CAN: DBC file of the drive; a relative path starts at the folder of the rig "
+    "Link.data_bitrate": "CAN FD: bit/s in the data phase of feedback frames that switch bit rate; "
+    "absent: no frame does",
+    "Link.dbc": "CAN: DBC file of the drive; a relative path is relative to the folder of the rig "
     "file; absent: `hw/rthyb.dbc`",
     "Link.names": "names of signals that have other names in the DBC file",
     "Link.clock": "what a tick waits for: this PC's clock, the feedback, or nothing",
@@ -177,6 +183,10 @@ MEANINGS: dict[str, str] = {
     "Similitude.length": "displacement of the structure over that of the specimen",
     "Similitude.force": "force of the structure over that of the specimen",
     "RigInfo.name": "name of the rig",
+    "RigInfo.command_shift_s": "delay of the measured row behind the command row, in addition to "
+    "the actuator's delay; negative: ahead of it",
+    "BaselineFile.command_shift_s": "delay of the measured row behind the command row, in addition "
+    "to the actuator's delay; negative: ahead of it",
     "FirstOrder.extra_delay_samples": "transport delay before the lag, samples",
     "ServoHydraulic.flow_limit_m_per_s": "largest velocity without load",
     "ServoValve.gain": "gain of the command in the drive's own loop",
@@ -187,40 +197,52 @@ MEANINGS: dict[str, str] = {
     "ServoValve.leakage_per_s": "pole $a_3$ of the actuator",
     "ServoValve.command_range_m": "end of the drive's input; 0: none",
     "ServoValve.command_lsb_m": "step of the drive's input; 0: none",
-    "ServoValve.loop_kp": "the drive's own loop on the displacement sensor; 0 and 0: none",
-    "ServoValve.loop_ki_per_s": "its integral, by Tustin's rule at the test's rate",
+    "ServoValve.loop_kp": "proportional gain of the drive's own displacement loop; if loop_kp and "
+    "loop_ki_per_s are both 0, there is none",
+    "ServoValve.loop_ki_per_s": "integral gain of that loop, by Tustin's rule at the test's rate",
     "ServoHydraulic.moving_mass_kg": "table, fixtures and piston",
     "StribeckElement.fs_n": "the static friction",
     "LugreElement.fs_n": "the static friction",
-    "PowerDampingElement.at_m_per_s": "the velocity of that force; 1: force_n is C in N (s/m)^a",
+    "PowerDampingElement.at_m_per_s": "velocity at which the force is force_n; with 1, force_n is "
+    "the coefficient C in N (s/m)^a",
     "RcColumnElement.ultimate_m": "displacement at which `strength_lost_at_ultimate` is reached",
-    "RcColumnElement.energy_j": "work at which the losses with energy reach their shares",
-    "RcColumnElement.strength_lost_at_ultimate": "share of strength, growing from yield",
-    "RcColumnElement.strength_lost_with_energy": "share of strength, growing with the work",
-    "RcColumnElement.stiffness_lost_with_energy": "share of unloading stiffness, the same way",
-    "Identified.alpha": "delay in the compensator's unit, samples; the next test's alpha0",
-    "Identified.delay_s": "mean delay of the slow sines",
-    "Identified.gain": "mean amplitude ratio of the slow sines",
-    "Identified.date": "date of the identification, text or TOML date",
+    "RcColumnElement.energy_j": "work of the yielding part at which the two energy-dependent "
+    "losses reach the values below",
+    "RcColumnElement.strength_lost_at_ultimate": "share of strength lost at ultimate_m; the loss "
+    "grows from yield",
+    "RcColumnElement.strength_lost_with_energy": "share of strength lost at energy_j; the loss "
+    "grows with the work",
+    "RcColumnElement.stiffness_lost_with_energy": "share of unloading stiffness lost at "
+    "energy_j, in the same way",
+    "Identified.alpha": "delay in samples of 1/1024 s, as the compensator uses it; the next test's "
+    "alpha0",
+    "Identified.delay_s": "mean delay of the low-frequency sines of the identification",
+    "Identified.gain": "mean amplitude ratio of the low-frequency sines of the identification",
+    "Identified.date": "date of the identification, string or TOML date",
     "Identified.frequency_hz": "frequencies of the sweep",
     "Identified.amplitude": "amplitude ratio at each",
     "Identified.delay_at_frequency_s": "delay at each",
-    "MatrixLaw.inverse": "true: behind the inverse of the identified response",
-    "MatrixLaw.coupled": "false: diagonal matrices, each axis by itself",
+    "Identified.force_in_phase_n_per_m": "force in phase with the displacement, divided by it, at "
+    "each frequency",
+    "Identified.force_in_quadrature_n_per_m": "the same for the force in quadrature",
+    "MatrixLaw.inverse": "true: the inverse of the identified response is applied as well, and the "
+    "matrices compensate what remains",
+    "MatrixLaw.coupled": "false: diagonal matrices, each axis separately",
     "Axis.actuator": "as for a rig with one axis",
     "MatrixKinematics.interface": "names of the directions, the columns of the matrix",
-    "MatrixKinematics.matrix": "displacements of the axes by those of the interface: rows are axes",
+    "MatrixKinematics.matrix": "displacement of each axis per unit displacement of the interface: "
+    "rows are axes",
     "MatrixKinematics.rotations": "directions that are angles, in rad",
     "PinKinematics.interface": "coordinates of the coupler in its plane; the others stay 0",
     "PinKinematics.pins_m": "pin of each axis at rest, relative to the point that the "
     "interface moves",
     "PinKinematics.bases_m": "base of each axis",
-    "PinKinematics.directions": "direction to the pin, for a base that is far away",
+    "PinKinematics.directions": "direction from the base to the pin, for a base that is far away",
     "PinKinematics.pulls": "axes whose positive direction is shortening",
-    "JointSpecimen.stiffness": "forces by displacements along the interface, elastic",
-    "JointSpecimen.damping": "forces by velocities; absent: none",
-    "JointSpecimen.mass": "forces by accelerations; absent: none",
-    "Plant.file": ".npz or .mat with a, b and c; a relative path starts at the folder of the "
+    "JointSpecimen.stiffness": "elastic force per unit displacement of the interface",
+    "JointSpecimen.damping": "force per unit velocity; absent: none",
+    "JointSpecimen.mass": "force per unit acceleration; absent: none",
+    "Plant.file": ".npz or .mat with a, b and c; a relative path is relative to the folder of the "
     "rig file",
     "Plant.a": "instead of the file: s' = a s + b u, time in s",
     "Plant.b": "u are the commands of the axes, in their order, m",
@@ -228,20 +250,23 @@ MEANINGS: dict[str, str] = {
     "JointIdentified.real": "one matrix per frequency, reading over command; rows are readings",
     "JointIdentified.imaginary": "the same, its imaginary part",
     "JointIdentified.frequency_hz": "frequencies of the sweep",
-    "JointIdentified.date": "date of the identification, text or TOML date",
+    "JointIdentified.date": "date of the identification, string or TOML date",
     "TestFile.schema": "first line of the file",
     "RigFile.schema": "first line of the file",
     "SweepHistory.spacing": "whether the frequency rises by equal ratios or equal steps in equal "
     "times",
-    "CyclesHistory.file": "instead: CSV file of amplitudes and cycles; a relative path starts at "
-    "the folder of the test file",
+    "CyclesHistory.file": "instead: CSV file of amplitudes and cycles; a relative path is relative "
+    "to the folder of the test file",
     "ExtraSensor.signal": "CAN: the signal in the DBC file, `Signal` or `FRAME.Signal`; absent: "
     "its name",
     "ExtraSensor.measures": "virtual rig: what it measures at the specimen",
-    "TestFile.rig": "name of a shipped rig, or path of a rig file; a relative path starts at the "
-    "folder of the test file",
+    "TestFile.rig": "name of a shipped rig, or path of a rig file; a relative path is relative to "
+    "the folder of the test file",
 }
 """What a key is for, where its model does not say it in a range."""
+
+ALLOWED: dict[str, str] = {"Nonlinear.between": "list of two labels"}
+"""What a key takes, where its model does not say it in a word."""
 
 _TAGS = ("kind", "element")
 
@@ -260,7 +285,7 @@ FIELD_MEANINGS: dict[str, str] = {
     "missing": "consecutive samples without an accepted pair, including this one",
     "x_read_m": "displacement as received, accepted or not, calibrated, before the tare; NaN: the "
     "value received was not a number; 0: nothing was received",
-    "f_read_n": "the same of the force",
+    "f_read_n": "the same for the force",
     "ag_mps2": "ground acceleration at $t_n$",
     "x_num_m": "$x_c[n]$, command of the integration",
     "x_plc_m": "output of the control law for $t_n$",
@@ -268,7 +293,7 @@ FIELD_MEANINGS: dict[str, str] = {
     "x_meas_m": "$x_m[n]$, measured displacement",
     "f_meas_n": "$f[n]$, measured force",
     "alpha": "delay that the control law reports after the update of tick n; NaN: it has none",
-    "beta": "the same of its curvature term",
+    "beta": "the same for its curvature term",
     "k_t_n_per_m": "tangent stiffness that the force compensation used",
     "energy_error_j": "running energy error",
     "tracking_indicator_m2": "running tracking indicator",
@@ -288,6 +313,11 @@ def tables() -> dict[str, str]:
                 continue  # the keys of [controller]
             parts[f"{prefix}.{key}"] = _choices(models) if len(models) > 1 else _table(models[0])
     parts |= {f"axes.{key}": text for key, text in _of_axes().items()}
+    # The same keys as those of the displacement sensor.
+    command = parts["rig.calibration.command"].replace(
+        "wire + offset |", "wire + offset, for the command |"
+    )
+    parts["rig.calibration.command"] = command.replace("the sensor's sign", "the command's sign")
     del parts["rig.limits"]  # the test file's
     del parts["test.numerical.nonlinear.law"]  # the rig file's specimen
     parts = {name.replace(" MatrixFile", ".from-a-file"): text for name, text in parts.items()}
@@ -341,7 +371,10 @@ def _of_laws(model: type[Table], key: str) -> str:
     if rig_key == rigsettings.RESPONSE:
         more += f"; absent: fitted to the response in the rig's `{rig_key}`"
     elif rig_key == rigsettings.ROLL_OFF:
-        more += f"; absent: by the rig's `{rig_key}`, but for `paper`; else {_number(standard)}"
+        more += (
+            f"; absent: derived from the rig's `{rig_key}`, if it has one, except with `paper`; "
+        )
+        more += f"otherwise {_number(standard)}"
     elif rig_key is not None:
         more += f"; absent: the rig's `{rig_key}`"
         more += "" if standard is None else f", else {_number(standard)}"
@@ -492,6 +525,7 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
         elif part is bool:
             allowed = "`true`, `false`"
     meaning = MEANINGS.get(_owner(model, key), meaning)
+    allowed = ALLOWED.get(_owner(model, key), allowed)
     if model is limits.Limit and key == "value":
         allowed, meaning = "as its key", "the limit"
     if not meaning:
@@ -512,7 +546,7 @@ def _owner(model: type[Table], key: str) -> str:
 
 
 def _form(text: Text) -> str:
-    return "up to 64 of `a-z 0-9 . _ -`" if "[a-z0-9]" in text.pattern else "text"
+    return "up to 64 of `a-z 0-9 . _ -`" if "[a-z0-9]" in text.pattern else "string"
 
 
 def _default(info: FieldInfo) -> str:

@@ -363,8 +363,9 @@ def _pins_fault(names: list[str], given: PinKinematics) -> str | None:
         if (name in given.bases_m) == (name in given.directions):
             both = "both bases_m and" if name in given.bases_m else "neither bases_m nor"
             return (
-                f"axis {name} is listed in {both} directions; list it in exactly one: in bases_m "
-                "with its base, or, if the base is far away, in directions with the direction to it"
+                f"axis {name} is listed in {both} directions; list it in exactly one of the two: "
+                "in bases_m with the position of its base or, if the base is far away, in "
+                "directions with the direction from the base to the pin"
             )
         pin = given.pins_m[name]
         if name in given.bases_m and _apart(pin, given.bases_m[name]) <= 1e-6:
@@ -568,7 +569,7 @@ class AxesInfo(Table):
     load_cell: Literal["actuator-end", "specimen"] = "actuator-end"
     command_hold: Literal["zoh", "foh"] = "zoh"
     command_shift_s: Annotated[
-        float, Range("s", -1, 1, "the shift between command and measured row")
+        float, Range("s", -1, 1, "the delay of the measured row behind the command row")
     ] = 0.0
     seed: Annotated[int, Count(0, 2**32 - 1, "the seed of the sensor noise")] = 0
 

@@ -102,7 +102,7 @@ class BaselineFile(Table):
     description: Annotated[str, Text("a description")] = ""
     command_hold: Literal["zoh", "foh"] = "foh"
     command_shift_s: Annotated[
-        float, Range("s", -100, 100, "the shift between command and measured row")
+        float, Range("s", -100, 100, "the delay of the measured row behind the command row")
     ] = 0.0
     specimen: Specimen
     actuator: Actuator | None = None

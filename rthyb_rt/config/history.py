@@ -45,6 +45,10 @@ step beyond the target adds, of the target."""
 
 _Amplitude = Annotated[float, Range("m", 1e-6, 10, "the amplitude")]
 _Frequency = Annotated[float, Range("Hz", 1e-4, 500, "the frequency")]
+_From = Annotated[float, Range("Hz", 1e-4, 500, "the frequency at the start")]
+_To = Annotated[float, Range("Hz", 1e-4, 500, "the frequency at the end")]
+_Low = Annotated[float, Range("Hz", 1e-4, 500, "the lower end of the frequency band")]
+_High = Annotated[float, Range("Hz", 1e-4, 500, "the upper end of the frequency band")]
 _Duration = Annotated[float, Range("s", 0.01, 36000, "the length including the tapers")]
 _Taper = Annotated[float, Range("s", 0.01, 3600, "the length of each cosine taper")]
 
@@ -149,8 +153,8 @@ class SweepHistory(Table):
 
     kind: Literal["sweep"]
     amplitude_m: _Amplitude
-    from_hz: _Frequency
-    to_hz: _Frequency
+    from_hz: _From
+    to_hz: _To
     duration_s: _Duration
     spacing: Literal["logarithmic", "linear"] = "logarithmic"
     velocity_m_per_s: Annotated[float, Range("m/s", 1e-6, 100, "the limit on velocity")] | None = (
@@ -180,8 +184,8 @@ class RandomHistory(Table):
     )
 
     kind: Literal["random"]
-    from_hz: _Frequency
-    to_hz: _Frequency
+    from_hz: _Low
+    to_hz: _High
     peak_m: _Amplitude | None = None
     rms_m: Annotated[float, Range("m", 1e-6, 10, "the root mean square instead")] | None = None
     duration_s: _Duration
@@ -212,7 +216,7 @@ class CyclicHistory(Table):
         Annotated[float, Range("m/s", 1e-7, 100, "the peak velocity of every stroke")] | None
     ) = None
     acceleration_m_per_s2: (
-        Annotated[float, Range("m/s^2", 1e-4, 1e4, "the acceleration for that velocity")] | None
+        Annotated[float, Range("m/s^2", 1e-4, 1e4, "the largest acceleration of a stroke")] | None
     ) = None
 
     @property
@@ -339,7 +343,7 @@ def with_file(given: CyclesHistory, folder: Path) -> CyclesHistory:
             rows = list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(
-            f"cannot be read ({error}); a relative path starts at the folder of the test file",
+            f"cannot be read ({error}); a relative path is relative to the folder of the test file",
             str(path),
         ) from None
     lines = [(number, [cell.strip() for cell in row]) for number, row in enumerate(rows, 1)]

@@ -363,8 +363,8 @@ def _dbc_fault(link: Link) -> tuple[str, str] | None:
     if not _is_file(Path(link.dbc)):
         return (
             "dbc",
-            f"found {written(link.dbc)}; no such file; a relative path starts at the folder of "
-            "the rig file",
+            f"found {written(link.dbc)}; no such file; a relative path is relative to the folder "
+            "of the rig file",
         )
     if importlib.util.find_spec("cantools") is None:
         return None

@@ -127,7 +127,7 @@ def read(given: MatrixFile, folder: Path) -> MatrixData:
 def _check_there(path: Path) -> None:
     if not path.is_file():
         raise InputError(
-            "no such file; a relative path starts at the folder of the test file", str(path)
+            "no such file; a relative path is relative to the folder of the test file", str(path)
         )
     size = path.stat().st_size
     if size > MAX_BYTES:

@@ -32,7 +32,8 @@ def read(path: Path, where: str) -> dict[str, list[list[float]]]:
         values = _of_npz(path) if path.suffix == ".npz" else _of_mat(path, where)
     except FileNotFoundError:
         raise InputError(
-            f"found {path}; no such file; a relative path starts at the folder of the rig file",
+            f"found {path}; no such file; a relative path is relative to the folder of the rig "
+            "file",
             where,
         ) from None
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError) as error:

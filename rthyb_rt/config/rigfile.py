@@ -65,7 +65,7 @@ class RigInfo(Table):
     load_cell: Literal["actuator-end", "specimen"] = "actuator-end"
     command_hold: Literal["zoh", "foh"] = "zoh"
     command_shift_s: Annotated[
-        float, Range("s", -1, 1, "the shift between command and measured row")
+        float, Range("s", -1, 1, "the delay of the measured row behind the command row")
     ] = 0.0
     seed: Annotated[int, Count(0, 2**32 - 1, "the seed of the sensor noise")] = 0
 
@@ -710,10 +710,10 @@ class Identified(Table):
         default_factory=list
     )
     force_in_phase_n_per_m: list[
-        Annotated[float, Range("N/m", -1e12, 1e12, "a force over displacement")]
+        Annotated[float, Range("N/m", -1e12, 1e12, "a force in phase over displacement")]
     ] = Field(default_factory=list)
     force_in_quadrature_n_per_m: list[
-        Annotated[float, Range("N/m", -1e12, 1e12, "a force over displacement")]
+        Annotated[float, Range("N/m", -1e12, 1e12, "a force in quadrature over displacement")]
     ] = Field(default_factory=list)
     roll_off_hz: (
         Annotated[float, Range("Hz", 1, 400, "the roll-off below the first resonance")] | None

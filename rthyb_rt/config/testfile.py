@@ -80,7 +80,7 @@ class TestInfo(Table):
     description: Annotated[str, Text("a description")] = ""
     duration_s: Annotated[float, Range("s", 0.01, 3600, "the test's length")] | None = None
     free_vibration_s: Annotated[
-        float, Range("s", 0, 600, "the free vibration after the motion")
+        float, Range("s", 0, 600, "the duration of the free vibration after the ground motion")
     ] = 10.0
     sample_rate_hz: Annotated[
         float, Range("Hz", LEAST_HZ, MOST_HZ, "the rate of the controller")
@@ -109,7 +109,9 @@ class GroundMotion(Table):
         | None
     ) = None
     factor: Annotated[float, Range("", -1e4, 1e4, "the scale factor")] | None = None
-    start_s: Annotated[float, Range("s", 0, 3600, "the start within the record")] = 0.0
+    start_s: Annotated[
+        float, Range("s", 0, 3600, "the time in the record at which the test starts")
+    ] = 0.0
     duration_s: Annotated[float, Range("s", 0.01, 3600, "the length used")] | None = None
     interpolation: Literal["band-limited", "linear"] = "band-limited"
 
@@ -342,9 +344,10 @@ class MatrixLaw(Table):
         float, Range("Hz", 0.1, 400, "the cut-off frequency of the signals used for learning")
     ] = 10.0
     memory_s: Annotated[float, Range("s", 0.1, 1e4, "the memory")] = 10.0
-    gate_factor: Annotated[float, Range("", 0, 1e6, "the ratio of the power to that at rest")] = (
-        10.0
-    )
+    gate_factor: Annotated[
+        float,
+        Range("", 0, 1e6, "the ratio of the power to that at rest above which the law learns"),
+    ] = 10.0
 
 
 def _of_matrix(type: str, matrix: MatrixLaw | None) -> str | None:
