@@ -202,7 +202,7 @@ def test_recording_of_another_structure_says_what_a_balance_needs(at_once: rt.Re
     before = moved.raw.samples["x_num_m"][rows].copy()
     moved.raw.samples["x_num_m"][rows] += 0.01
     try:
-        with pytest.raises(InputError, match="belong to the recorded motion"):
+        with pytest.raises(InputError, match="for the recorded motion"):
             moved.energy_balance()
     finally:
         moved.raw.samples["x_num_m"][rows] = before

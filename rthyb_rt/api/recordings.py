@@ -309,7 +309,7 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @cached_property
     def summary(self) -> Summary:
-        """All results in the report, as an internal object; `measures` has only the figures.
+        """All results in the report, as an internal object; `measures` has only the numbers.
 
         Raises:
             InputError: the rig has several axes.
@@ -318,15 +318,15 @@ class Recording(Mapping[str, NDArray[Any]]):
 
         if self.axis_names:
             raise InputError(
-                f"the test ran on several axes ({', '.join(self.axis_names)}), and this is of one; "
-                "measures, table, verdict and report are of several as well",
+                f"the test ran on several axes ({', '.join(self.axis_names)}), but "
+                "summary supports one axis only; use measures, table, verdict or report",
                 "recording",
             )
         return summarize(self._raw)
 
     @cached_property
     def _of_axes(self) -> AxesSummary | None:
-        """The same of several axes; None of one, and of a test that never ran."""
+        """The summary for several axes; None if the rig has one axis or the test never ran."""
         from rthyb_rt.analysis import several
 
         if not self.axis_names or not self.running.any():
@@ -348,7 +348,7 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     @property
     def table(self) -> list[tuple[str, str, str]]:
-        """The table of the command line: measure, value, formula."""
+        """The table that ``rthyb run`` prints: measure, value, formula."""
         from rthyb_rt.analysis import several, summary
 
         if self.axis_names:
@@ -465,20 +465,20 @@ class Recording(Mapping[str, NDArray[Any]]):
         found = spectra.frequency_response(x, y, self.fs_hz, segment)
         if found is None:
             raise InputError(
-                f"{given} or {answer} is too short, does not move, or has too few numbers",
+                f"{given} or {answer} is too short, is constant, or has too few finite values",
                 "frequency_response",
             )
         return found
 
     def energy_balance(self) -> EnergyBalance:
-        """Return where the energy of the ground motion has gone, up to each row.
+        """Return the energy balance at each row: how the input energy was stored and dissipated.
 
-        Of many degrees of freedom and of several axes it is that of the whole structure: the
-        recorded motion is followed by the numerical part once more.
+        With several degrees of freedom or axes, the balance is that of the whole structure; it is
+        computed by running the numerical part again along the recorded motion.
 
         Raises:
             InputError: a prescribed history, a test that is too short, or a recording that does not
-                say enough of its structure.
+                contain enough data on its structure.
 
         Examples:
             >>> found = run(Test("section5-T0.5", ground_motion={"duration_s": 8})).energy_balance()
@@ -493,9 +493,9 @@ class Recording(Mapping[str, NDArray[Any]]):
             found = balance.of_recording(self._raw, self.summary.setup)
         if found is None:
             raise InputError(
-                "found no mass, damping and stiffness that belong to the recorded motion, or too "
-                "few rows of the test proper; a balance needs a test with a numerical part that "
-                "ran, and a recording of this version",
+                "the recording has no mass, damping and stiffness for the recorded motion, or too "
+                "few rows in RUNNING; an energy balance needs a test that reached RUNNING, with a "
+                "numerical part, recorded by this version",
                 "energy_balance",
             )
         return found
@@ -547,8 +547,9 @@ class Recording(Mapping[str, NDArray[Any]]):
 
         Args:
             path: file to write.
-            whole: for a CSV file: all samples and signals; False: only the columns that `diagnose`
-                reads, in state RUNNING. A MAT file always contains everything.
+            whole: for a CSV file, True writes all samples and signals; False writes only the
+                columns that `diagnose` reads, in state RUNNING. A MAT file always contains
+                everything.
 
         Raises:
             InputError: the format is unknown, or ``.mat`` was requested and scipy is not installed.
@@ -624,7 +625,7 @@ def open_recording(path: Place) -> Recording:
     Raises:
         InputError: there is no recording, or it cannot be read; the message explains why.
     """
-    found = path_of(path, "open", "the folder of a run, or of its recording.h5")
+    found = path_of(path, "open", "the folder of a run, or its recording.h5")
     return Recording(files.open_run(found), found)
 
 
@@ -635,4 +636,4 @@ def as_recording(given: Recording | Place, where: str = "open") -> Recording:
     """
     if isinstance(given, Recording):
         return given
-    return open_recording(path_of(given, where, "the folder of a run, or of its recording.h5"))
+    return open_recording(path_of(given, where, "the folder of a run, or its recording.h5"))

@@ -16,7 +16,7 @@ from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import experiment, keeping, several, virtual_time
 
 Progress = Callable[[int, int], None]
-"""Takes how many samples are done, and of how many."""
+"""Called with the number of samples done and the total number."""
 
 
 def prepared(test: Test | Place | None, rig: Rig | Place | None) -> experiment.Setup:
@@ -44,10 +44,10 @@ def run(
         rig: a rig, or the path or name of one; None: the rig of the test.
         out: folder for recording, settings and report; must be new or empty. None: write nothing.
         report: whether to write the report as well, if matplotlib is installed.
-        progress: called at intervals.
+        progress: called at intervals with the samples done and the total.
 
     Raises:
-        InputError: test, rig or ground motion are invalid (the message lists all errors), or the
+        InputError: the test, rig or ground motion is invalid (the message lists all errors), or the
             folder is not empty.
         RthybError: the test cannot be started, or the folder cannot be written.
         Exception: any exception raised by your own numerical part, control law or element.
@@ -77,7 +77,7 @@ def run(
 
 
 def _free(folder: Path) -> Path:
-    """Return a folder that may be filled.
+    """Return the folder if it is new or empty.
 
     Raises:
         InputError: something is there already.
@@ -91,7 +91,7 @@ def _free(folder: Path) -> Path:
 
 @contextmanager
 def _whole(folder: Path) -> Iterator[Path]:
-    """Give a hidden folder beside one, and move it there when the block ends well.
+    """Yield a hidden folder next to `folder`; rename it to `folder` if the block succeeds.
 
     Raises:
         RthybError: it cannot be written; nothing is left behind.
