@@ -25,6 +25,8 @@ from service_bench import rig_file
 from stalls import Stalled
 
 from rthyb_rt import config
+from rthyb_rt.lab import trips
+from rthyb_rt.lab.end_reasons import in_words
 from rthyb_rt.service import installing
 from rthyb_rt.service.control import Client, Refusal
 
@@ -305,11 +307,16 @@ def lab(name: str) -> Iterator[Lab]:
 
 # ---- stalls -------------------------------------------------------------------------------------
 
-TOLD = re.compile(
-    r"^\[ *(\d+\.\d+)\] .*-> (?:TRIPPED|RAMP_OUT) at tick .*, cause: ([a-z ]+)$", re.M
-)
+TOLD = re.compile(r"^\[ *(\d+\.\d+)\] .*-> (?:TRIPPED|RAMP_OUT) at tick .*, cause: (.+)$", re.M)
 TOLD_LATE_S = 1.5
 """By which a line may stand in the journal after what it tells of."""
+CAUSES = {
+    begin: cause
+    for cause in stalls.CAUSES
+    for begin in (in_words(cause), trips.figures(cause, 1.0, 1.0).partition("1")[0])
+    if begin
+}
+"""By what the service tells of them begins with: their words, or what was counted."""
 
 
 def proved(stalled: Stalled, since_s: float) -> str:
@@ -322,8 +329,9 @@ def proved(stalled: Stalled, since_s: float) -> str:
 def stall_told(since_s: float) -> str:
     """Return what proves one of the stalls that the service has told of; "": none is proved."""
     for at, words in TOLD.findall(journal(SERVICE)):
-        told_s, cause = float(at), words.replace(" ", "_")
-        if told_s >= since_s and cause in stalls.CAUSES:
+        told_s = float(at)
+        cause = next((one for begin, one in CAUSES.items() if words.startswith(begin)), None)
+        if told_s >= since_s and cause is not None:
             found = stalls.seen(Stalled(cause, told_s - TOLD_LATE_S, told_s))
             if found:
                 return f"{cause}; {found}"
