@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-_WORDS = MAP_WORDS | {r"^--map (\w+)": r"compare: columns: \1", "--map": "columns"}
+_WORDS = MAP_WORDS | {
+    r"^--map (\w+)": r"compare: columns: \1",
+    "--map": "columns",
+    r"--axis ([\w.-]+)": r'axis="\1"',
+}
 
 
 class Comparison:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from rthyb_rt.analysis import measures, several
@@ -50,6 +51,7 @@ def recorded(rec: Recording, label: str | None, axis: str | None) -> Course:
         "response_nrmse": measures.tracking_nrmse(signals.reference.axis_m[:, k], measured),
         "alpha_end": own.delay_samples,
     }
+    known = {n: v if v is not None and math.isfinite(v) else None for n, v in known.items()}
     return Course(
         f"{label or found.test_name or 'recording'}, axis {own.name}",
         "recording",
