@@ -876,7 +876,13 @@ def _override(
         name = ".".join(str(key) for key in path[:depth])
         if isinstance(place, list):
             if not isinstance(part, int) or part >= len(place):
-                return f"{name} has the entries 0 to {len(place) - 1}; found {written(part)}"
+                named = [
+                    str(one["name"]) for one in place if isinstance(one, dict) and "name" in one
+                ]
+                by_name = f" ({', '.join(named)})" if name == "axis" and named else ""
+                return (
+                    f"{name} has the entries 0 to {len(place) - 1}{by_name}; found {written(part)}"
+                )
             if last:
                 place[part] = _override_value(text)
             place = place[part]
