@@ -1073,7 +1073,9 @@ def _microseconds(ns: int) -> str:
 def _end(s: Summary) -> str:
     words = [s.end_reason, f"after {s.duration_s:.2f} s", f"state {s.final_state}"]
     if s.live is not None:
-        words.append(f"cause {s.live.cause.replace('_', ' ')}")
+        from rthyb_rt.lab.end_reasons import in_words
+
+        words.append(f"cause {in_words(s.live.cause)}")
     if s.interrupted:
         words.insert(1, "interrupted")
     return ", ".join(words)
