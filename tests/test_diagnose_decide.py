@@ -333,8 +333,9 @@ def test_a_late_cell_has_to_show_in_the_motion_of_the_test_in_any_recording() ->
     )  # fmt: skip
     assert decided(seen, driven=(-2.0, 60.0)).best.names == ("viscous",)
     assert decided(seen, driven=(60.0, -2.0)).best.names == ("time_skew", "viscous")
-    naive = replace(seen, setting=replace(seen.setting, naive=True))
-    assert decided(naive, driven=(-2.0, 60.0)).best.names == ("time_skew", "viscous")
+    for change in ({"naive": True}, {"witnessed": True}):
+        other = replace(seen, setting=replace(seen.setting, **change))
+        assert decided(other, driven=(-2.0, 60.0)).best.names == ("time_skew", "viscous")
 
 
 def test_the_effect_beside_such_a_filter_is_named_alone() -> None:

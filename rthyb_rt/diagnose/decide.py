@@ -158,6 +158,7 @@ class Setting:
         k_free: whether the stiffness is refitted beside each set.
         k_sigma_n_per_m: standard deviation of the stated stiffness.
         returns: whether the noise of the load cell moves the specimen: a closed loop.
+        witnessed: whether an accelerometer shows what the load cell does, see `redundant`.
     """
 
     laws: Laws
@@ -169,6 +170,7 @@ class Setting:
     k_free: bool = False
     k_sigma_n_per_m: float = 0.0
     returns: bool = False
+    witnessed: bool = False
 
 
 @dataclass(frozen=True)
@@ -607,10 +609,12 @@ def driven(court: Court, of: Hypothesis) -> bool:
 
     Above the band of that the noise of the load cell is all that moves the specimen, and a law can
     have that noise back out of the motion that it made: see `feedback`. A late load cell has to in
-    any recording: beside an offset of its channel it filters that noise, moved or not.
+    any recording: beside an offset of its channel it filters that noise, moved or not. But where an
+    accelerometer shows how late it is, that is evidence of its own.
     """
     setting = court.setting
-    late = setting.judged == "force" and not setting.naive and any(p.carries for p in of.parts)
+    alone = setting.judged == "force" and not setting.naive and not setting.witnessed
+    late = alone and any(p.carries for p in of.parts)
     if not setting.returns and not late:
         return True
     times = court.policy.several_price if len(of.parts) > 1 else 1.0

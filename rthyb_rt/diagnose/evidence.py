@@ -29,6 +29,7 @@ class Fitter(Protocol):
         exact: whether the motion is known without the noise of an estimate.
         rows: independent rows that are judged.
         judged: what they are rows of, see `decide.Setting`.
+        witnessed: whether another channel shows what the load cell does, see `redundant`.
     """
 
     problem: Problem
@@ -37,6 +38,7 @@ class Fitter(Protocol):
     exact: bool
     rows: float
     judged: Literal["force", "motion", "rig"]
+    witnessed: bool
 
     def fit(self, members: Iterable[Member]) -> Fit | None:
         """Refine a set; None where it makes no physical law."""
@@ -131,6 +133,7 @@ class Gathered:
             (model.k_tol or 0.0) * abs(model.k),
             # A simulated motion is held against the measured one: its noise is in no regressor.
             self.fitter.judged == "force" and returns(problem.case),
+            self.fitter.witnessed,
         )
 
     def _beside(self) -> list[Hypothesis]:

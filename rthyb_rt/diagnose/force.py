@@ -96,6 +96,7 @@ class _Fitter:
         self.rows = problem.y.size * problem.estimate.share
         self.judged: Literal["force", "motion", "rig"] = "force"
         self.testimony: Callable[[Fit], float] = lambda _: 0.0
+        self.witnessed = False
 
     def fit(self, members: Iterable[Member]) -> Fit | None:
         members = tuple(members)
@@ -139,6 +140,7 @@ class _Fitter:
         kept = [f for f in (*self.known.values(), *self.by_names.values()) if f is not None]
         fits = list({id(f): f for f in kept}.values())
         self.testimony = redundant.testimony(known, [null, *fits])
+        self.witnessed = True
         self.by_names = {}
         for fit in fits:
             fit.chi2 += self.testimony(fit)
