@@ -309,7 +309,7 @@ def test_a_loop_that_what_was_found_does_not_bring_back_is_said():
     assert (
         first == "With the loop closed: simulated without gap, which a rig file cannot represent."
     )
-    assert "is 89.1 % without them and 88.8 % with them" in second
+    assert "by 89.1 % without them and by 88.8 % with them" in second
     loop["nrmse_after"] = errors | {"x_meas": 0.02}
     assert words.loop_notes(d, {"closed_loop": loop}) == [first]
     assert words.loop_notes(d, {"closed_loop": {"possible": False, "why": "it was held"}}) == [

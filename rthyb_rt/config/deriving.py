@@ -324,7 +324,7 @@ def _by_matrices(
                 "numerical.matrices.k_n_per_m",
                 f"nothing restrains the structure against the motion [{shape}], even with the "
                 f"specimen's k_e = {k_e:g} N/m added; check for a missing spring, a wrong sign, or "
-                "a subtracted specimen (numerical.matrices.specimen) that is stiffer than that",
+                "a subtracted specimen (numerical.matrices.specimen) that is stiffer than k_e",
             )
         )
         return structure, (1.0, 1.0, 0.0, 0.0)

@@ -125,7 +125,7 @@ def _oil_column_resolved(oil: float, mass: float, substeps: int) -> str | None:
         softest = 4 * mass * (STANDARD_HZ * MAX_SUBSTEPS) ** 2
         remedy = f"even with substeps = {MAX_SUBSTEPS} it must be below {softest:.3g} N/m"
     return (
-        f"found {oil:g} N/m; on moving_mass_kg = {mass:g} kg with substeps = {substeps} the "
+        f"found {oil:g} N/m; with moving_mass_kg = {mass:g} kg and substeps = {substeps} the "
         f"integration of the oil column would be unstable; {remedy}; check the unit of the "
         "stiffness"
     )

@@ -493,8 +493,8 @@ def _verdict(d: Diagnosis) -> str:
             share = search.excess_after / max(search.excess_before, 1e-12)
             return (
                 f"unknown: the best set leaves {_percent(share)} of the misfit; at most "
-                f"{_percent(allowed(left_of(search), POLICY))} of the misfit could come from the "
-                "assumed formula of an effect"
+                f"{_percent(allowed(left_of(search), POLICY))} of the misfit can be "
+                "attributed to an inexact formula of an effect"
             )
     turned = [TURNED[r.rule] for r in d.ledger]
     if d.verdict == "none" and search is not None and search.best.members and turned:
@@ -503,7 +503,7 @@ def _verdict(d: Diagnosis) -> str:
         "none": "none: no set of effects improves the fit enough to justify its parameters, and "
         "the residual of the model alone is noise",
         "explained": "explained: one set of effects is better than all others, and what remains is "
-        "noise, or is small enough to come from the assumed formula of an effect",
+        "noise, or is small enough to be attributed to the inexact formula of an effect",
         "ambiguous": "ambiguous: several sets fit equally well",
     }.get(d.verdict, d.verdict)
 

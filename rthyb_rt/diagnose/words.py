@@ -195,7 +195,10 @@ def unheld(d: Diagnosis, outcome: Outcome) -> list[str]:
     if not lost:
         return []
     names = " and ".join(called(n) for n in dict.fromkeys(lost))
-    return [f"A rig file cannot represent {names}, so a test with augmented.toml runs without it."]
+    return [
+        f"A rig file cannot represent {names}; a test with augmented.toml does not include "
+        f"{'it' if len(set(lost)) == 1 else 'them'}."
+    ]
 
 
 def loop_notes(d: Diagnosis, answer: dict[str, Any]) -> list[str]:
@@ -211,9 +214,9 @@ def loop_notes(d: Diagnosis, answer: dict[str, Any]) -> list[str]:
         POLICY.loop_met, POLICY.loop_hardly * before
     ):
         out.append(
-            "With the loop closed, the effects found do not reproduce the test: the error of "
-            f"the measured displacement is {100 * before:.3g} % without them and "
-            f"{100 * after:.3g} % with them."
+            "With the loop closed, the effects found do not reproduce the test: the simulated "
+            f"displacement differs from the measured one by {100 * before:.3g} % without them and "
+            f"by {100 * after:.3g} % with them."
         )
     return out
 

@@ -386,7 +386,7 @@ def table(rows: list[Row]) -> list[Line]:
 def overall(rows: list[Row]) -> list[Line]:
     """What does not go by kind."""
     return [
-        Line("all cases, correct for their kind", *share(r.right for r in rows)),
+        Line("all cases, judged by the criterion for their kind", *share(r.right for r in rows)),
         Line("all cases, wrongly named", *share(r.wrong_name for r in rows)),
         Line("cost of a case: wrong name 2, refusal 1",
              float(np.mean([r.cost for r in rows])) if rows else math.nan, len(rows), False),
