@@ -112,11 +112,11 @@ test-systemd: $(TEST_READY)
 CHROMIUM = command -v chromium >/dev/null || $(if $(CAN_INSTALL),{ echo 'Installing chromium' \
     && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
     --no-install-recommends chromium >/dev/null; },{ echo 'Install chromium: sudo apt-get install chromium'; exit 1; })
-LIVE_TESTS = $(BIN)/python -m pytest -o python_files="browser_*.py" tests/browser
+LIVE_TESTS := -o python_files="browser_*.py" tests/browser
 test-live: $(TEST_READY)
 	@$(CHROMIUM)
 	@$(BIN)/python -m pip install -qq --group browser
-	@$(LIVE_TESTS) || { echo 'Once more, what has failed:'; $(LIVE_TESTS) --last-failed; }
+	@$(BIN)/python -m pytest $(LIVE_TESTS) || { $(AGAIN) $(LIVE_TESTS); }
 
 bench: $(TEST_READY)
 	@$(BIN)/python tests/bench/bench.py

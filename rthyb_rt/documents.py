@@ -1,9 +1,19 @@
-"""What JSON documents have in common."""
+"""What documents of nested tables have in common."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from typing import Any
+
+
+def flat(tables: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the dotted keys and the values of nested tables; an empty table is a value."""
+    for key, value in tables.items():
+        if isinstance(value, Mapping) and value:
+            yield from ((f"{key}.{inner}", found) for inner, found in flat(value))
+        else:
+            yield key, value
 
 
 def finite(value: Any) -> Any:

@@ -237,7 +237,7 @@ def test_a_stated_number_is_seen_against_its_tolerance() -> None:
 
 
 def test_without_it_a_time_offset_would_have_to_stand_in() -> None:
-    strained = of("coulomb", chi2=1160.0, strained=True)
+    strained = of("coulomb", chi2=1160.0, offset_sd=1.01 * POLICY.strained_offset)
     seen = replace(a_form(), sets=(strained, *a_form().sets[1:]))
     assert decided(seen).best.names == ("coulomb", "cubic")
     naive = replace(seen, setting=replace(seen.setting, naive=True))
@@ -374,7 +374,6 @@ def any_evidence(draw: st.DrawFn) -> Evidence:
         Hypothesis(
             tuple(part(n, 12.0 + 7.0 * counts[n], counts[n]) for n in names),
             null - min(max(gains[n] for n in names) * draw(st.floats(1.0, 1.2)), null - 800.0),
-            strained=draw(st.booleans()),
             offset_sd=draw(st.floats(0.0, 10.0)),
         )
         for names in sorted(wanted)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import config
-from rthyb_rt.analysis import measures
-from rthyb_rt.analysis.summary import Live, Notice, Row, live, live_notices, live_rows
+from rthyb_rt.analysis import measures, summary
+from rthyb_rt.analysis.summary import Live, Notice, Row, Summary, live, live_notices, live_rows
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.axes_reference import AxesReference, reference_of
 from rthyb_rt.config.deriving_axes import derive_axes
@@ -134,6 +134,11 @@ class AxesSummary:
             "live": None if self.live is None else asdict(self.live),
             "not_computed": NOT_COMPUTED,
         }
+
+
+def summarize_any(rec: Recording) -> Summary | AxesSummary:
+    """Return what a recording shows, of one axis or of several; see `summarize` of either."""
+    return summarize(rec) if rec.axis_names else summary.summarize(rec)
 
 
 def summarize(rec: Recording) -> AxesSummary:

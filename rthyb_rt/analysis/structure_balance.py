@@ -28,6 +28,7 @@ from rthyb_rt.core.numerical_parts import DensePart, SparsePart
 from rthyb_rt.core.sparse import GROUND, RESPONSES_MAX, Response, SparseConfig
 
 if TYPE_CHECKING:
+    from rthyb_rt.config.sparse_structure import SparseStructure
     from rthyb_rt.record.recording import Recording
 
 Floats = NDArray[np.float64]
@@ -53,21 +54,23 @@ def of_recording(rec: Recording) -> EnergyBalance | None:
     return balance(structure.part, rec.time_s()[rows], s["ag_mps2"], x_num, x_meas, f_meas)
 
 
-def of_axes(rec: Recording) -> EnergyBalance | None:
+def of_axes(rec: Recording, structure: SparseStructure) -> EnergyBalance | None:
     """Return the balance of a recording of several axes; None of one that never ran.
+
+    Args:
+        rec: the recording.
+        structure: its numerical part, as its summary has it.
 
     Raises:
         InputError: its files are another version's.
     """
     from rthyb_rt import config
-    from rthyb_rt.config.deriving_axes import derive_axes
 
     rows = uninterrupted(rec)
     if rows.size < 4:
         return None
     rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
     assert isinstance(rig, config.AxesRig)
-    test = config.parse_test(rec.test_toml, "recording: test")
     count, tie = len(rig.axis), rig.core_kinematics()
     s = rec.samples[rows]
     x_num = np.column_stack([s["x_num_m"], *(s[f"x_num_m_{j}"] for j in range(1, count))])
@@ -80,8 +83,7 @@ def of_axes(rec: Recording) -> EnergyBalance | None:
         # Pins turn with the pose: forces are those of the pose that was found last.
         x_meas[n], _ = tie.pose(at)
         f_meas[n], _ = tie.forces(force)
-    part = derive_axes(test, rig).structure.part
-    return balance(part, rec.time_s()[rows], s["ag_mps2"], x_num, x_meas, f_meas)
+    return balance(structure.part, rec.time_s()[rows], s["ag_mps2"], x_num, x_meas, f_meas)
 
 
 def balance(

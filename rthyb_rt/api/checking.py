@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test
-from rthyb_rt.api.recordings import Plot
+from rthyb_rt.api.recordings import Plot, plot_of
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.config import AxesRig
 from rthyb_rt.errors import InputError
@@ -66,10 +66,7 @@ class Check:
         found = self._of_one_axis("plots")
         with extra_needed("a figure"):
             from rthyb_rt.checking.drawings import plates
-        return {
-            one.key: Plot(one.key, one.title, one.note, one.svg, one.figure)
-            for one in plates(found.setup)
-        }
+        return {one.key: plot_of(one) for one in plates(found.setup)}
 
     def report(self, path: Place) -> Path:
         """Write tables, warnings, notes and figures to one HTML file.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rthyb_rt.api.files import Place, path_of
 from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options
-from rthyb_rt.api.recordings import Plot, Recording, extra
+from rthyb_rt.api.recordings import Plot, Recording, extra, plot_of
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.comparing import courses, page
 from rthyb_rt.comparing.overlay import Overlay
@@ -74,7 +74,7 @@ class Comparison:
         with extra_needed("a figure"):
             from rthyb_rt.comparing.figures import displacement
         plate = displacement(self._found)
-        return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
+        return plot_of(plate)
 
     def report(self, path: Place) -> Path:
         """Write the table and all figures to one HTML file.

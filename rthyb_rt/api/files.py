@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, Literal, Self, TypeVar
 
@@ -13,6 +13,7 @@ from rthyb_rt import config
 from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.config.fields import Table, nearest, written
 from rthyb_rt.config.own import PYTHON
+from rthyb_rt.documents import flat
 from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
@@ -87,15 +88,6 @@ def _of_own(made: Own) -> dict[str, Any]:
     if isinstance(made, ControlLaw):
         return {"type": PYTHON, PYTHON: table}
     return {"element": PYTHON, **table} if isinstance(made, Element) else {PYTHON: table}
-
-
-def flat(tables: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the dotted keys and the values of nested tables."""
-    for key, value in tables.items():
-        if isinstance(value, Mapping) and value:
-            yield from ((f"{key}.{inner}", found) for inner, found in flat(value))
-        else:
-            yield key, value
 
 
 def _changes(given: Mapping[str, Any] | None, tables: Mapping[str, Any]) -> dict[str, Any]:

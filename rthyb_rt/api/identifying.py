@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from rthyb_rt import config
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig
-from rthyb_rt.api.recordings import Plot, Recording
+from rthyb_rt.api.recordings import Plot, Recording, plot_of
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.fields import Range
 from rthyb_rt.errors import InputError
@@ -75,7 +75,7 @@ class Identification:
         file = files.file_of_rig(self.rig)
         assert not isinstance(file, AxesRig)
         plate = bode(file, self._found.tones)
-        return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
+        return plot_of(plate)
 
     def __repr__(self) -> str:
         from rthyb_rt.numbers import quantity

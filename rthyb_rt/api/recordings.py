@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rthyb_rt.analysis.several import AxesSummary
     from rthyb_rt.analysis.spectra import FrequencyResponse
     from rthyb_rt.analysis.summary import Summary
+    from rthyb_rt.report.drawing import Plate
 
 TIME: Final = "t_s"
 _SHOWN: Final = count(1)
@@ -84,6 +85,11 @@ class Plot:
         return f'<figure style="{width}">{svg}{told}</figure>'
 
 
+def plot_of(plate: Plate) -> Plot:
+    """Return a figure of the report as a `Plot`."""
+    return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
+
+
 class Plots:
     """The figures of the report; each is created when its method is called.
 
@@ -101,7 +107,7 @@ class Plots:
         plate = draw_one(self._of.raw, self._of.summary, key)
         if plate is None:
             return Plot(key, key, "The recording has no reference simulation.", "", None)
-        return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
+        return plot_of(plate)
 
     def displacement(self) -> Plot:
         """Plot ground acceleration, command, compensated command and measured displacement."""
@@ -150,9 +156,8 @@ class Plots:
         from rthyb_rt.report.html import extra_needed
 
         with extra_needed("a figure"):
-            from rthyb_rt.report.several import balance
-        plate = balance(self._of.raw)
-        return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
+            from rthyb_rt.report.several import draw_balance
+        return plot_of(draw_balance(self._of.raw, self._of._of_axes))
 
     def spectra(self) -> Plot:
         """Plot the spectra of command and measured displacement."""
@@ -488,7 +493,8 @@ class Recording(Mapping[str, NDArray[Any]]):
         from rthyb_rt.analysis import balance, structure_balance
 
         if self.axis_names:
-            found = structure_balance.of_axes(self._raw)
+            known = self._of_axes
+            found = structure_balance.of_axes(self._raw, known.structure) if known else None
         else:
             found = balance.of_recording(self._raw, self.summary.setup)
         if found is None:

@@ -21,6 +21,7 @@ from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.config.campaignfile import MOST_RUNS, CampaignFile, Draws, Scalar, Spread, beside
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.loading import load_any_both
+from rthyb_rt.documents import flat
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.lab import several as lab_several
 from rthyb_rt.lab import virtual_time
@@ -137,22 +138,13 @@ class Case:
         Those of an axis or a direction have its name before them, ``axes.upper.tracking_nrmse``.
         What is not a number there is None.
         """
-        found = several.summarize(rec) if rec.axis_names else summary.summarize(rec)
+        found = several.summarize_any(rec)
         measures = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
-            for name, value in _flat(found.as_json())
+            for name, value in flat(found.as_json())
             if name not in _LEFT_OUT and isinstance(value, (bool, int, float, type(None)))
         }
         return ended(rec, found) | measures
-
-
-def _flat(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield dotted names and values of a table and of the tables in it."""
-    for name, value in values.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{before}{name}.")
-        else:
-            yield f"{before}{name}", value
 
 
 def ended(rec: Recording, found: summary.Summary | AxesSummary | None = None) -> Row:

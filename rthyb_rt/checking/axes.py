@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rthyb_rt.checking.remarks import within_reach
 from rthyb_rt.config import AxesRig, Limit, TestFile
 from rthyb_rt.config.deriving_axes import law_of_axis
 from rthyb_rt.config.testfile import MATRIX
@@ -15,7 +15,6 @@ from rthyb_rt.lab import several
 from rthyb_rt.lab.experiment import Group, Setup
 from rthyb_rt.numbers import number, percent, quantity
 
-Floats = NDArray[np.float64]
 Rows = list[tuple[str, str, str]]
 
 SCHEMA: Final = "rthyb-check/1"
@@ -136,30 +135,28 @@ def _of_limit(limit: float | None, unit: str) -> str:
 
 def _limits_in_reach(setup: Setup, group: Group) -> list[str]:
     """Name the limits of axes and directions that already the reference simulation exceeds."""
-    found: list[tuple[str, Limit | None, Floats, str]] = []
-    reference = group.reference
+    found: list[tuple[str, Limit | None, float, str]] = []
+    whole = group.reference
+    axis_m, axis_n, x, force = (
+        np.abs(signal).max(axis=0).tolist()
+        for signal in (whole.axis_m, whole.axis_n, whole.x, whole.force)
+    )
     for i, name in enumerate(group.rig.names):
         limits = group.derived.axis[i].limits.limits
         found += [
-            (f"axis {name}: command_position_m", limits.command_position_m,
-             reference.axis_m[:, i], "m"),
-            (f"axis {name}: force_n", limits.force_n, reference.axis_n[:, i], "N"),
-        ]  # fmt: skip
+            (f"axis {name}: command_position_m", limits.command_position_m, axis_m[i], "m"),
+            (f"axis {name}: force_n", limits.force_n, axis_n[i], "N"),
+        ]
     turns = group.rig.kinematics.turns()
     for j, (one, turn) in enumerate(zip(setup.test.interface, turns, strict=True)):
-        position, force = one.limits.of_kind(turn)
+        position, most = one.limits.of_kind(turn)
         keys = ("position_rad", "moment_n_m") if turn else ("position_m", "force_n")
         units = ("rad", "N m") if turn else ("m", "N")
         found += [
-            (f"direction {one.name}: {keys[0]}", position, reference.x[:, j], units[0]),
-            (f"direction {one.name}: {keys[1]}", force, reference.force[:, j], units[1]),
+            (f"direction {one.name}: {keys[0]}", position, x[j], units[0]),
+            (f"direction {one.name}: {keys[1]}", most, force[j], units[1]),
         ]
-    return [
-        f"{key} = {limit.value:g} {unit} is below the {np.abs(values).max():.3g} {unit} of the "
-        "reference simulation: the test will meet it"
-        for key, limit, values, unit in found
-        if limit is not None and limit.acts and np.abs(values).max() > limit.value
-    ]
+    return within_reach(found)
 
 
 def examine_axes(test: TestFile, rig: AxesRig) -> ExaminedAxes:

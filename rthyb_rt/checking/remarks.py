@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 from rthyb_rt.analysis.margins import LITTLE_MARGIN, OSCILLATES
 from rthyb_rt.checking.facts import dbc_is_read
 from rthyb_rt.checking.figures import GAIN, Figures
 from rthyb_rt.checking.history import HistoryFigures
-from rthyb_rt.config import STANDARD_HZ
+from rthyb_rt.config import STANDARD_HZ, Limit
 from rthyb_rt.lab.braking import RunOn
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.numbers import quantity
@@ -155,19 +156,29 @@ def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
     )
 
 
+def within_reach(given: Iterable[tuple[str, Limit | None, float, str]]) -> list[str]:
+    """Name the limits that a peak of the reference simulation exceeds.
+
+    Args:
+        given: of each its key, the limit, the peak and the unit of both.
+    """
+    return [
+        f"{key} = {limit.value:g} {unit} is below the {peak:.3g} {unit} of the reference "
+        "simulation: the test will reach it"
+        for key, limit, peak, unit in given
+        if limit is not None and limit.acts and peak > limit.value
+    ]
+
+
 def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
     """Name the limits that already the reference simulation exceeds."""
     limits = setup.test.limits
-    pairs = [
-        ("command_position_m", limits.command_position_m, f.reference_peak_m, "m"),
-        ("force_n", limits.force_n, f.reference_peak_n, "N"),
-    ]
-    found = [
-        f"limits.{key} = {limit.value:g} {unit} is below the {peak:.3g} {unit} of the reference "
-        "simulation: the test will reach it"
-        for key, limit, peak, unit in pairs
-        if limit is not None and limit.acts and peak > limit.value
-    ]
+    found = within_reach(
+        [
+            ("limits.command_position_m", limits.command_position_m, f.reference_peak_m, "m"),
+            ("limits.force_n", limits.force_n, f.reference_peak_n, "N"),
+        ]
+    )
     velocity, increment = limits.command_velocity_m_per_s, limits.command_increment_m
     peak_m_per_s = f.reference_peak_m_per_s
     if velocity is not None and velocity.enable and peak_m_per_s > velocity.value:

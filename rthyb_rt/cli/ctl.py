@@ -185,9 +185,9 @@ def rows(found: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 def cause_in_words(found: dict[str, Any]) -> str:
     """Return the cause in a status with its figures, or with its axis; "none" if there is none."""
-    from rthyb_rt.lab.end_reasons import shown
+    from rthyb_rt.lab.end_reasons import shown_of
 
-    return shown(str(found["cause"]), found.get("cause_of"), found.get("cause_in_figures"))
+    return shown_of(found)
 
 
 def _measured(found: dict[str, Any], newest: dict[str, Any]) -> list[tuple[str, str, str]]:

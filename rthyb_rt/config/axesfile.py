@@ -775,12 +775,17 @@ class AxesRig(WholeFile):
             "axis",
         )
 
-    def along_axes(self) -> Rows:
-        """Return the specimen's elastic stiffness as the axes feel it at rest, N/m, (n, n)."""
+    def along_axes(self, given: Rows | None = None) -> Rows:
+        """Return a matrix of the interface as the axes feel it at rest, (n, n).
+
+        Args:
+            given: stiffness, damping or mass along the directions, (n, n); None: the specimen's
+                elastic stiffness, N/m.
+        """
         import numpy as np
 
         back = np.linalg.inv(self.core_kinematics().jacobian())
-        found: Rows = (back.T @ np.array(self.k_e) @ back).tolist()
+        found: Rows = (back.T @ np.array(self.k_e if given is None else given) @ back).tolist()
         return found
 
     @property

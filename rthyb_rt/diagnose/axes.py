@@ -39,10 +39,10 @@ class OfAxis:
         The noise of its force is that of the load cell and, by the stiffness, that of the
         displacement sensors of the others, by which their part is known.
         """
-        from rthyb_rt.record.axis_export import alone, along_axes
+        from rthyb_rt.record.axis_export import alone, stiffness_of
 
         own, k = model_of_rig(alone(self.rig, self.name)), self.rig.names.index(self.name)
-        felt = along_axes(self.rig)[k]
+        felt = np.array(self.rig.along_axes(stiffness_of(self.rig))[k])
         felt[k] = 0.0
         noise_m = [axis.sensors.displacement.noise_std_m or 0.0 for axis in self.rig.axis]
         f_std = float(np.hypot(own.f_std or 0.0, np.linalg.norm(felt * noise_m)))

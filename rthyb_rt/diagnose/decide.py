@@ -60,8 +60,7 @@ class Hypothesis:
         parts: its effects; none: the model alone, its stated numbers within their tolerance.
         chi2: what it leaves, in units of the noise, and what its priors cost.
         bent: effects in whose place it moves a stated number out of its tolerance.
-        strained: whether it takes a time offset that is no nuisance any more.
-        offset_sd: that offset, in standard deviations of its tolerance.
+        offset_sd: the time offset that it takes, in standard deviations of its tolerance.
         held_n_per_m, lost_n_per_m: stiffness of its bristles, and what its spring lacks.
         relaxes_rad: longest time of relaxation, times the motion's angular frequency; 0: none.
     """
@@ -69,7 +68,6 @@ class Hypothesis:
     parts: tuple[Part, ...]
     chi2: float
     bent: frozenset[str] = frozenset()
-    strained: bool = False
     offset_sd: float = 0.0
     held_n_per_m: float = 0.0
     lost_n_per_m: float = 0.0
@@ -332,6 +330,14 @@ class Court:
         )
         return found
 
+    def times(self, of: Hypothesis) -> float:
+        """Return how many times its price an effect of a set has to earn."""
+        return self.policy.several_price if len(of.parts) > 1 else 1.0
+
+    def strained(self, of: Hypothesis) -> bool:
+        """Return whether a set takes a time offset that is no nuisance any more."""
+        return of.offset_sd > self.policy.strained_offset
+
     def ends_at_noise(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Return whether a set leaves little beyond the noise where another one leaves more."""
         policy, n = self.policy, self.setting.rows
@@ -351,7 +357,7 @@ def needed(court: Court, of: Hypothesis) -> bool:
         if less is None:
             continue
         several, own = len(of.parts) > 1, less.chi2 - of.chi2
-        wanted = part.price * (court.policy.several_price if several else 1.0)
+        wanted = part.price * court.times(of)
         if own < wanted:
             return court.refuse("needed", of, part=part.name, found=own, wanted=wanted)
         if not several:
@@ -364,7 +370,7 @@ def needed(court: Court, of: Hypothesis) -> bool:
             continue
         # Unless a time offset beyond what is normal would have to stand in for it. Beside a naive
         # model that says nothing: there an offset takes up what the form of a law leaves.
-        if court.setting.naive or of.strained or not less.strained:
+        if court.setting.naive or court.strained(of) or not court.strained(less):
             return court.refuse("share", of, part=part.name, found=own, wanted=least)
     return True
 
@@ -463,7 +469,7 @@ def off_zero(court: Court, of: Hypothesis) -> bool:
     setting = court.setting
     if setting.naive or setting.judged != "motion":
         return True
-    times = court.policy.several_price if len(of.parts) > 1 else 1.0
+    times = court.times(of)
     for i, part in enumerate(of.parts):
         if part.name not in court.laws.zeros:
             continue
@@ -617,7 +623,7 @@ def driven(court: Court, of: Hypothesis) -> bool:
     late = alone and any(p.carries for p in of.parts)
     if not setting.returns and not late:
         return True
-    times = court.policy.several_price if len(of.parts) > 1 else 1.0
+    times = court.times(of)
     for part, own in zip(of.parts, court.ask("driven", of), strict=False):
         # What a load cell does by itself, as hum, is no function of the motion.
         follows = part.carries or (setting.returns and not part.sensor)
@@ -652,7 +658,7 @@ RANKING: dict[str, Callable[[Court, Sets], Sets]] = {
 def earns(court: Court, of: Hypothesis) -> bool:
     """It has to be worth its price; of several effects there are many to choose from."""
     gain = court.null.chi2 - of.chi2
-    wanted = of.price * (court.policy.several_price if len(of.parts) > 1 else 1.0)
+    wanted = of.price * court.times(of)
     return gain > wanted or court.refuse("earns", of, found=gain, wanted=wanted)
 
 

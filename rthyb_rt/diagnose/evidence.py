@@ -91,14 +91,12 @@ class Gathered:
                 lost = -float(b[0]) * ctx.model.k
             if m.name in laws.relaxing:
                 times.append(m.trial.theta[0])
-        offset = offset_sd(problem, fit)
         omega = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
         return Hypothesis(
             tuple(self._part(m) for m in fit.members),
             fit.chi2,
             frozenset(bent(problem, fit)),
-            offset > POLICY.strained_offset,
-            offset,
+            offset_sd(problem, fit),
             held,
             lost,
             max(times) * omega,

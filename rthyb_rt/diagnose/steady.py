@@ -53,10 +53,8 @@ def changes(problem: Problem, fit: Fit) -> tuple[Change, ...]:
 
     Of a fit in the balance of forces; none where it has no numbers, or was refined elsewhere.
     """
-    if not fit.members:
-        return ()
-    slopes = design_of(problem, fit)
-    if slopes.shape[0] != fit.residual.size or fit.residual.size == 0:
+    slopes = _slopes(problem, fit)
+    if slopes is None:
         return ()
     # The nuisance is one for all of the recording.
     own = slopes[:, : slopes.shape[1] - fit.nuisance.size]
@@ -82,11 +80,17 @@ def standing(problem: Problem, fit: Fit) -> tuple[float, float] | None:
 
     Beside it by how much rows that hang together overstate that. None where it has no slopes here.
     """
-    slopes = design_of(problem, fit) if fit.members else np.zeros((0, 0))
-    if slopes.shape[0] != fit.residual.size or fit.residual.size == 0:
+    slopes = _slopes(problem, fit)
+    if slopes is None:
         return None
     least, rest = left(*with_forms(problem, fit, slopes), fit.residual)
     return least + evidence.cost(problem, fit), inflation(rest)
+
+
+def _slopes(problem: Problem, fit: Fit) -> Floats | None:
+    """Return the slopes of a set, (rows, p); None of no set, or of one refined elsewhere."""
+    slopes = design_of(problem, fit) if fit.members else np.zeros((0, 0))
+    return slopes if slopes.shape[0] == fit.residual.size > 0 else None
 
 
 def with_forms(problem: Problem, fit: Fit, slopes: Floats) -> tuple[Floats, Floats]:

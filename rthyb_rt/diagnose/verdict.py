@@ -319,32 +319,26 @@ def steady(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     return False, False
 
 
-def varying(court: _Court, left: Left, named: bool, known: bool) -> Turn:
-    """What a coefficient that changes with time explains better is no law of the catalogue.
+def beside_nameless(
+    what: Literal["varying", "stroke"], least_laws: int
+) -> Callable[[_Court, Left, bool, bool], Turn]:
+    """Return the rule that a set is not named where a law in no catalogue explains more.
 
-    Of the same sets as `steady`.
+    Of the same sets as `steady`, with at least so many laws. "varying": a coefficient that changes
+    periodically with time; "stroke": one mass on a spring that softens, in place of a second mode
+    beside another law.
     """
-    if not named or left.naive or left.moved:
-        return named, known
-    gain: float = court.ask("varying")
-    if gain <= court.policy.same_evidence:
-        return named, known
-    court.rules("varying", left.names, gain, court.policy.same_evidence)
-    return False, False
 
+    def rule(court: _Court, left: Left, named: bool, known: bool) -> Turn:
+        if not named or left.naive or left.moved or left.laws < least_laws:
+            return named, known
+        gain: float = court.ask(what)
+        if gain <= court.policy.same_evidence:
+            return named, known
+        court.rules(what, left.names, gain, court.policy.same_evidence)
+        return False, False
 
-def stroke(court: _Court, left: Left, named: bool, known: bool) -> Turn:
-    """What one mass on a spring that softens explains better is no second mode beside another law.
-
-    Of the same sets as `steady`.
-    """
-    if not named or left.naive or left.moved or left.laws < 2:
-        return named, known
-    gain: float = court.ask("stroke")
-    if gain <= court.policy.same_evidence:
-        return named, known
-    court.rules("stroke", left.names, gain, court.policy.same_evidence)
-    return False, False
+    return rule
 
 
 def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
@@ -369,8 +363,9 @@ def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 TURNS: dict[str, Callable[[_Court, Left, bool, bool], Turn]] = {
-    "blur": blur, "motion": motion, "chance": chance, "steady": steady, "varying": varying,
-    "stroke": stroke, "steps": steps,
+    "blur": blur, "motion": motion, "chance": chance, "steady": steady,
+    "varying": beside_nameless("varying", 0), "stroke": beside_nameless("stroke", 2),
+    "steps": steps,
 }  # fmt: skip
 """Rules that take the set of the force back, or say that what it leaves is known, in turn."""
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,11 @@ def shown(cause: str, of: str | None = None, figures: str | None = None) -> str:
         figures: the cause with the measured value and the limit, if it has any.
     """
     return figures or (f"{of}: {in_words(cause)}" if of else in_words(cause))
+
+
+def shown_of(status: Mapping[str, Any]) -> str:
+    """Return the cause in a status of the service; "none" if there is none."""
+    return shown(status["cause"], status.get("cause_of"), status.get("cause_in_figures"))
 
 
 def end_reason(state: str, cause: str, *, moved: bool = True, of: str = "") -> str:

@@ -20,7 +20,7 @@ from rthyb_rt.core import RUNNING, STATES, Channel
 from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import realtime
-from rthyb_rt.lab.end_reasons import in_words, shown
+from rthyb_rt.lab.end_reasons import in_words, shown_of
 from rthyb_rt.live.history import CHANNELS, History, Tally, channels
 from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import Recording, open_run
@@ -499,7 +499,7 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
     progress, rate_hz = found["progress"], found["sample_rate_hz"]
     return _nothing() | {
         "state": found["state"],
-        "cause": "" if cause in ("none", "completed") else _cause_of(found),
+        "cause": "" if cause in ("none", "completed") else shown_of(found),
         "allowed": found["allowed"],
         "rig": found["rig"],
         "test": "" if test is None else test["name"],
@@ -517,11 +517,6 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
         "axes": list(found.get("axes") or ()),
         "now": None if found["newest"] is None else _now_of(found),
     }
-
-
-def _cause_of(found: dict[str, Any]) -> str:
-    """Return the cause in a status of the service, with its figures, or with its axis."""
-    return shown(found["cause"], found.get("cause_of"), found.get("cause_in_figures"))
 
 
 def _now_of(found: dict[str, Any]) -> list[float | None]:

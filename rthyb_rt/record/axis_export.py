@@ -72,27 +72,20 @@ def from_others(rig: AxesRig, k: int, x_m: Floats, dt_s: float) -> Floats:
         x_m: displacements of all axes, (n, axes).
         dt_s: from row to row.
     """
-    back = _back(rig)
     v, a = _derivatives(x_m, dt_s)
     total = np.zeros(x_m.shape[0])
-    given = (_stiffness(rig), rig.specimen.damping, rig.specimen.mass)
+    given = (stiffness_of(rig), rig.specimen.damping, rig.specimen.mass)
     for rows, motion in zip(given, (x_m, v, a), strict=True):
         if rows is not None:
-            felt = (back.T @ np.array(rows) @ back)[k]
+            felt = np.array(rig.along_axes(rows)[k])
             felt[k] = 0.0
             total += motion @ felt
+    back = np.linalg.inv(rig.core_kinematics().jacobian())
     for one in rig.specimen.element:
         along = back[rig.directions.index(one.along)]
         element = core.Element(core_element(one.law))
         total += along[k] * element.run(x_m @ along, v @ along, a @ along, dt_s)
     return total
-
-
-def along_axes(rig: AxesRig) -> Floats:
-    """Return the stiffness of the specimen beside its elements, along the axes at rest, N/m."""
-    back = _back(rig)
-    found: Floats = back.T @ np.array(_stiffness(rig)) @ back
-    return found
 
 
 def alone(rig: AxesRig, name: str) -> RigFile:
@@ -103,13 +96,13 @@ def alone(rig: AxesRig, name: str) -> RigFile:
     Raises:
         InputError: there is no axis of that name.
     """
-    found, back, k = rig.of_axis(name), _back(rig), rig.names.index(name)
+    found, k = rig.of_axis(name), rig.names.index(name)
 
     def felt(rows: Rows | None) -> float:
-        return 0.0 if rows is None else float((back.T @ np.array(rows) @ back)[k, k])
+        return 0.0 if rows is None else rig.along_axes(rows)[k][k]
 
     specimen = rig.specimen
-    k_n_per_m, c_n_s_per_m = felt(_stiffness(rig)), felt(specimen.damping)
+    k_n_per_m, c_n_s_per_m = felt(stiffness_of(rig)), felt(specimen.damping)
     elements: list[object] = [StiffnessElement(element="stiffness", k_n_per_m=k_n_per_m)]
     if c_n_s_per_m:
         elements.append(ViscousElement(element="viscous", c_n_s_per_m=c_n_s_per_m))
@@ -151,14 +144,9 @@ def _without_elements(rig: AxesRig) -> AxesRig:
     return rig.model_copy(update={"specimen": rig.specimen.model_copy(update={"element": []})})
 
 
-def _stiffness(rig: AxesRig) -> Rows:
+def stiffness_of(rig: AxesRig) -> Rows:
     """Return the specimen's matrix: the measured one counts the elements' own stiffness as well."""
     return rig.specimen.stiffness if rig.specimen.element else rig.k_e
-
-
-def _back(rig: AxesRig) -> Floats:
-    """Return d interface / d axis at rest, (n, n)."""
-    return np.asarray(np.linalg.inv(rig.core_kinematics().jacobian()), np.float64)
 
 
 def _derivatives(x: Floats, dt_s: float) -> tuple[Floats, Floats]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from rthyb_rt.analysis import several
 from rthyb_rt.analysis import summary as of
+from rthyb_rt.documents import flat
 from rthyb_rt.record.recording import Recording, replacing
 from rthyb_rt.report.html import extra_needed
 
@@ -48,7 +49,7 @@ def write_files(rec: Recording, folder: Path) -> list[Path]:
     with extra_needed("a figure"):
         from rthyb_rt.report import figures
         from rthyb_rt.report import several as of_several
-    paths, found = list[Path](), several.summarize(rec) if rec.axis_names else of.summarize(rec)
+    paths, found = list[Path](), several.summarize_any(rec)
     if isinstance(found, of.Summary):
         plates, table = figures.draw_all(rec, found), of.table(found)
     else:
@@ -59,7 +60,8 @@ def write_files(rec: Recording, folder: Path) -> list[Path]:
             save(plate.figure, paths[-1], kind)
     rows = [(row.label, row.value, row.formula) for row in table]
     heads = ("what", "value", "definition")
-    measures = list(_plain(found.as_json()))
+    known = {k: v for k, v in found.as_json().items() if k not in ("live", "setup")}
+    measures = [(name, v) for name, v in flat(known) if isinstance(v, (int, float))]
     written: tuple[tuple[str, Callable[[Path], object]], ...] = (
         ("table.tex", lambda path: path.write_text(latex(rows), encoding="utf-8")),
         ("table.csv", lambda path: _csv(path, heads, rows)),
@@ -70,15 +72,6 @@ def write_files(rec: Recording, folder: Path) -> list[Path]:
         with replacing(paths[-1]) as temporary:
             write(temporary)
     return paths
-
-
-def _plain(found: Mapping[str, Any], within: str = "") -> Iterator[tuple[str, float]]:
-    """Give the numbers by name; those of an axis or a direction with both names, ``axes.x.``."""
-    for name, value in found.items():
-        if isinstance(value, Mapping) and name not in ("live", "setup"):
-            yield from _plain(value, f"{within}{name}.")
-        elif isinstance(value, (int, float)):
-            yield within + name, value
 
 
 def save(figure: Any, path: Path, kind: str) -> None:

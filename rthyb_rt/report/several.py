@@ -58,17 +58,32 @@ def draw_all(rec: Recording, s: AxesSummary) -> list[Plate]:
         for i, axis in enumerate(s.axes):
             plates += [_command(s, i), _tracking(s, i), _loop(s, i)]
             plates[-2] = _titled(plates[-2], axis.tracking_nrmse)
-        plates += [balance(rec), *extras.plates(rec), *of_structure.plates(rec, s.structure)]
+        plates += [balance(rec, s), *extras.plates(rec), *of_structure.plates(rec, s.structure)]
     return plates
 
 
-def balance(rec: Recording) -> Plate:
-    """Draw where the energy of the ground motion has gone, in all directions together."""
+def draw_balance(rec: Recording, s: AxesSummary | None) -> Plate:
+    """Draw `balance` by itself, as the report has it."""
+    from matplotlib import rc_context
+
+    from rthyb_rt.report import drawing as draw
+
+    with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
+        return balance(rec, s)
+
+
+def balance(rec: Recording, s: AxesSummary | None) -> Plate:
+    """Draw where the energy of the ground motion has gone, in all directions together.
+
+    Args:
+        rec: the recording.
+        s: its summary; None of a test that never ran.
+    """
     from rthyb_rt.analysis import structure_balance
     from rthyb_rt.report import drawing as draw
     from rthyb_rt.report import energy
 
-    found = structure_balance.of_axes(rec)
+    found = None if s is None else structure_balance.of_axes(rec, s.structure)
     if found is None:
         why = "The test proper is too short, or does not begin where the structure is at rest."
         return draw.Plate("balance", energy.TITLE, "", why, False)
